@@ -1,0 +1,52 @@
+"""What can go wrong with a log as a whole. Local damage never raises: it becomes `Damage`.
+
+::
+
+    LogError
+    ├── UnknownFormat     nothing here reads these bytes
+    ├── EmptyLog          the file has no samples
+    ├── UnreadableLog     the format is known, the content is broken beyond use
+    ├── TruncatedLog      the file stops before its channels are complete
+    ├── ClockError        its time stamps cannot be put in order
+    └── MissingChannel    a channel that was asked for is not in the log
+"""
+
+from __future__ import annotations
+
+__all__ = [
+    "ClockError",
+    "EmptyLog",
+    "LogError",
+    "MissingChannel",
+    "TruncatedLog",
+    "UnknownFormat",
+    "UnreadableLog",
+]
+
+
+class LogError(Exception):
+    """A log is of no use as a whole; the message says what, where, and what would have worked."""
+
+
+class UnknownFormat(LogError):  # noqa: N818 - reads better without "Error" where it is raised
+    """No reader recognises the first bytes of the file."""
+
+
+class EmptyLog(LogError):  # noqa: N818
+    """The file holds no samples."""
+
+
+class UnreadableLog(LogError):  # noqa: N818
+    """The format is known, but the content contradicts it."""
+
+
+class TruncatedLog(LogError):  # noqa: N818
+    """The file stops inside a channel, so that the channel is lost for the whole flight."""
+
+
+class ClockError(LogError):
+    """The time stamps cannot be put in order."""
+
+
+class MissingChannel(LogError):  # noqa: N818
+    """A channel that was asked for is not in the log."""
