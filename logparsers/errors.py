@@ -3,12 +3,14 @@
 ::
 
     LogError
+    ├── MissingLog        there is no such file, or it cannot be opened
     ├── UnknownFormat     nothing here reads these bytes
     ├── EmptyLog          the file has no samples
     ├── UnreadableLog     the format is known, the content is broken beyond use
     ├── TruncatedLog      the file stops before its channels are complete
     ├── ClockError        its time stamps cannot be put in order
-    └── MissingChannel    a channel that was asked for is not in the log
+    ├── MissingChannel    a channel that was asked for is not in the log
+    └── SeveralRuns       one log was asked for, the file holds several
 """
 
 from __future__ import annotations
@@ -18,6 +20,8 @@ __all__ = [
     "EmptyLog",
     "LogError",
     "MissingChannel",
+    "MissingLog",
+    "SeveralRuns",
     "TruncatedLog",
     "UnknownFormat",
     "UnreadableLog",
@@ -28,7 +32,11 @@ class LogError(Exception):
     """A log is of no use as a whole; the message says what, where, and what would have worked."""
 
 
-class UnknownFormat(LogError):  # noqa: N818 - reads better without "Error" where it is raised
+class MissingLog(LogError):  # noqa: N818 - reads better without "Error" where it is raised
+    """There is no such file, or it cannot be opened."""
+
+
+class UnknownFormat(LogError):  # noqa: N818
     """No reader recognises the first bytes of the file."""
 
 
@@ -50,3 +58,7 @@ class ClockError(LogError):
 
 class MissingChannel(LogError):  # noqa: N818
     """A channel that was asked for is not in the log."""
+
+
+class SeveralRuns(LogError):  # noqa: N818
+    """One log was asked for, but the file holds several experiments."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import difflib
 from collections import Counter
-from collections.abc import Mapping  # noqa: TC003 - dataclass fields are inspected at run time
+from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path  # noqa: TC003
+from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
@@ -70,9 +70,7 @@ class Channel:
         object.__setattr__(self, "time_s", own(self.time_s))
         object.__setattr__(self, "values", own(self.values))
         if self.time_s.ndim != 1 or self.time_s.shape != self.values.shape:
-            raise ValueError(
-                f"channel {self.name!r}: {self.time_s.shape} times, {self.values.shape} values"
-            )
+            raise ValueError(f"channel {self.name!r}: {self.time_s.shape} times, {self.values.shape} values")
 
     @property
     def is_constant(self) -> bool:
@@ -88,7 +86,8 @@ class Damage:
     Parameters
     ----------
     kind : str
-        ``"gap"``, ``"clock_jump"``, ``"out_of_order"``, ``"truncated"``, ``"non_finite"`` or ``"not_numeric"``.
+        ``"gap"``, ``"clock_jump"``, ``"out_of_order"``, ``"truncated"``, ``"non_finite"``, ``"not_numeric"`` or
+        ``"wrong_length"``.
     note : str
         What happened, in words, with numbers.
     count : int
@@ -163,6 +162,5 @@ class FlightLog:
         kinds = Counter(d.kind for d in self.damage)
         damage = ", ".join(f"{n} {kind}" for kind, n in kinds.items()) or "no damage"
         return (
-            f"<FlightLog {self.label}: {self.format}, {self.duration_s:.1f} s, "
-            f"{len(self.channels)} channels, {damage}>"
+            f"<FlightLog {self.label}: {self.format}, {self.duration_s:.1f} s, {len(self.channels)} channels, {damage}>"
         )

@@ -1,0 +1,162 @@
+"""Time stamps: put in order, with everything that was wrong about them on record."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from logparsers.errors import ClockError
+from logparsers.records import Damage
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from logparsers.records import FloatArray
+
+__all__ = ["gaps", "order"]
+
+FEW_ROWS = 5
+FEW_SHARE = 0.01
+"""Rows out of order up to `FEW_ROWS`, or up to this share of all rows, are dropped; more is a broken clock."""
+
+GAP_PERIODS = 5.0
+GAP_S = 0.1
+"""A gap is longer than `GAP_PERIODS` median periods and longer than this: fast logs hiccup for a few samples."""
+
+CLOCK_JUMP_S = 3600.0
+"""No flight recorder pauses for an hour; a clock that is set by GPS jumps by years."""
+
+MOST_GAPS = 100
+"""A log in tatters is told from its longest gaps; the others are summed up."""
+
+
+def order(time_s: FloatArray, label: str) -> tuple[NDArray[np.bool_], FloatArray, tuple[Damage, ...]]:
+    """Choose the rows whose time stamps rise strictly; drop as few rows as possible.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,)
+        Time stamps as they stand in the log [s].
+    label : str
+        Name of the log, for messages.
+
+    Returns
+    -------
+    kept : ndarray of bool, shape (n,)
+        Rows to keep.
+    time_s : ndarray, shape (m,)
+        Their stamps [s], strictly rising, origin untouched.
+    damage : tuple of Damage
+        Rows without a stamp and rows out of order.
+
+    Raises
+    ------
+    ClockError
+        If more than a few rows are out of order.
+
+    Examples
+    --------
+    >>> kept, time_s, damage = order(np.array([0.0, 1.0, np.nan, 2.0, 1.5, 3.0]), "flight.csv")
+    >>> time_s.tolist(), [d.kind for d in damage]
+    ([0.0, 1.0, 1.5, 3.0], ['non_finite', 'out_of_order'])
+    """
+    kept = np.isfinite(time_s)
+    damage = []
+    if not kept.all():
+        missing = np.flatnonzero(~kept)
+        note = f"{missing.size} of {kept.size} rows without a time stamp left out, first row {missing[0] + 1}"
+        damage.append(Damage("non_finite", note, int(missing.size)))
+    rows = np.flatnonzero(kept)
+    stamps = time_s[rows]
+    if np.any(np.diff(stamps) <= 0.0):
+        rising = _rising(stamps)
+        damage.append(_disorder(stamps, rows, rising, label))
+        kept[rows[~rising]] = False
+    return kept, time_s[kept], tuple(damage)
+
+
+def _disorder(stamps: FloatArray, rows: NDArray[np.intp], rising: NDArray[np.bool_], label: str) -> Damage:
+    dropped = np.flatnonzero(~rising)
+    worst = int(np.argmin(np.diff(stamps)))
+    if dropped.size > min(max(FEW_ROWS, FEW_SHARE * stamps.size), (stamps.size - 1) // 2):
+        verb = "runs backwards" if stamps[worst + 1] < stamps[worst] else "stands still"
+        raise ClockError(
+            f"{label}: time {verb} at row {rows[worst + 1] + 1} ({stamps[worst]:.6g} s -> {stamps[worst + 1]:.6g} s), "
+            f"{dropped.size} of {stamps.size} rows are out of order; split the log there"
+        )
+    note = f"{dropped.size} rows whose time stamps do not rise left out, first row {rows[dropped[0]] + 1}"
+    sound = np.flatnonzero(rising)
+    before, after = np.searchsorted(sound, [dropped[0], dropped[-1]])
+    start = stamps[sound[max(before - 1, 0)]]
+    end = stamps[sound[min(after, sound.size - 1)]]
+    return Damage("out_of_order", note, int(dropped.size), float(start), float(end))
+
+
+def _rising(stamps: FloatArray) -> NDArray[np.bool_]:
+    """Longest strictly rising subsequence, so that one stamp far ahead costs one row and not all that follow."""
+    tails: list[float] = []
+    tail_rows: list[int] = []
+    before = np.empty(stamps.size, dtype=np.intp)
+    for row, stamp in enumerate(stamps.tolist()):
+        place = bisect_left(tails, stamp)
+        before[row] = tail_rows[place - 1] if place else -1
+        if place == len(tails):
+            tails.append(stamp)
+            tail_rows.append(row)
+        elif tails[place] != stamp:  # of equal stamps the first stays
+            tails[place], tail_rows[place] = stamp, row
+    kept = np.zeros(stamps.size, dtype=np.bool_)
+    row = tail_rows[-1]
+    while row >= 0:
+        kept[row] = True
+        row = int(before[row])
+    return kept
+
+
+def gaps(time_s: FloatArray) -> tuple[Damage, ...]:
+    """Find where samples are missing.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,)
+        Strictly rising time stamps [s].
+
+    Returns
+    -------
+    tuple of Damage
+        ``"gap"`` or, beyond `CLOCK_JUMP_S`, ``"clock_jump"``, in order of time; `count` is the number of samples that
+        the median period would have put there. Beyond `MOST_GAPS` the shortest are summed up in the last entry.
+
+    Examples
+    --------
+    >>> gaps(np.array([0.0, 0.02, 0.04, 0.06, 1.06, 1.08]))
+    (Damage(kind='gap', note='no samples for 1.000 s', count=49, start_s=0.06, end_s=1.06),)
+    """
+    if time_s.size < 3:
+        return ()
+    intervals = np.diff(time_s)
+    period = float(np.median(intervals))
+    found = np.flatnonzero(intervals > max(GAP_PERIODS * period, GAP_S))
+    longest = found[np.argsort(-intervals[found], kind="stable")]
+    told, rest = np.sort(longest[: MOST_GAPS - 1]), np.sort(longest[MOST_GAPS - 1 :])
+    damage = [_gap(time_s, int(place), period) for place in told]
+    if rest.size:
+        missing = _samples(float(intervals[rest].sum()), period) - int(rest.size) + 1
+        note = f"{rest.size} shorter gaps, together {intervals[rest].sum():.3f} s"
+        damage.append(Damage("gap", note, missing, float(time_s[rest[0]]), float(time_s[rest[-1] + 1])))
+    return tuple(damage)
+
+
+def _gap(time_s: FloatArray, place: int, period_s: float) -> Damage:
+    start, end = float(time_s[place]), float(time_s[place + 1])
+    missing = _samples(end - start, period_s)
+    if end - start > CLOCK_JUMP_S:
+        return Damage("clock_jump", f"the clock jumps forward by {end - start:.3f} s", missing, start, end)
+    return Damage("gap", f"no samples for {end - start:.3f} s", missing, start, end)
+
+
+def _samples(missing_s: float, period_s: float) -> int:
+    """Samples between two stamps; forged stamps lie further apart than any integer counts."""
+    return round(min(missing_s / period_s, 1e15)) - 1

@@ -1,0 +1,71 @@
+"""HDF5 through h5py: every plausible numeric vector, by its path."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from logparsers.source import decoding
+
+if TYPE_CHECKING:
+    import h5py
+
+    from logparsers.records import FloatArray
+    from logparsers.source import Source
+
+__all__ = ["vectors"]
+
+BEST_COMPRESSION = 1100
+"""Deflate never shrinks data further than 1032 times: a data set that claims more is forged, or was never written."""
+
+
+def vectors(source: Source) -> dict[str, FloatArray]:
+    """Read all numeric vectors, whether stored as (n,), (n, 1) or (1, n).
+
+    Parameters
+    ----------
+    source : Source
+        The file.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (n,)
+        By path, ``"/Control/cmdElev_rad"``; native float64.
+
+    Raises
+    ------
+    UnreadableLog
+        If the HDF5 library gives up.
+
+    Examples
+    --------
+    >>> import io, h5py
+    >>> from logparsers.source import opened
+    >>> file = io.BytesIO()
+    >>> with h5py.File(file, "w") as h5:
+    ...     h5["Control/cmdElev_rad"] = np.array([[0.5], [0.25]])
+    >>> with opened(file) as source:
+    ...     vectors(source)
+    {'/Control/cmdElev_rad': array([0.5 , 0.25])}
+    """
+    import h5py
+
+    found: dict[str, FloatArray] = {}
+
+    def visit(name: str, item: object) -> None:
+        if isinstance(item, h5py.Dataset) and _is_vector(item):
+            found["/" + name] = np.asarray(item[()]).reshape(-1).astype(np.float64)
+
+    with decoding(source, "HDF5 file"), h5py.File(source.file, "r") as file:
+        file.visititems(visit)
+    return found
+
+
+def _is_vector(data: h5py.Dataset) -> bool:
+    """No text, no references, nothing kept in other files, nothing that claims more than was stored."""
+    if data.dtype.kind not in "iuf" or "MATLAB_empty" in data.attrs or data.external or data.is_virtual:
+        return False
+    if data.attrs.get("MATLAB_class") == b"char" or data.size != max(data.shape, default=0):
+        return False
+    return bool(data.nbytes <= BEST_COMPRESSION * data.id.get_storage_size())

@@ -1,0 +1,156 @@
+"""Where bytes come from: the only file that opens anything."""
+
+from __future__ import annotations
+
+import warnings
+from contextlib import contextmanager
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, BinaryIO
+
+from logparsers.errors import EmptyLog, LogError, MissingLog, UnreadableLog
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+__all__ = ["HEAD_BYTES", "LogFile", "Source", "decoding", "opened"]
+
+LogFile = str | PathLike[str] | BinaryIO
+"""What a reader accepts: a path, or a binary file that can seek."""
+
+HEAD_BYTES = 4096
+"""Bytes from which the format is told: room for a HDF5 signature behind a MATLAB header, or for two frames."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Source:
+    """One open log.
+
+    Parameters
+    ----------
+    path : Path
+        Its name, for messages; ``<file>`` if it has none.
+    file : BinaryIO
+        The open file.
+    head : bytes
+        Its first `HEAD_BYTES` bytes.
+
+    Examples
+    --------
+    >>> import io
+    >>> with opened(io.BytesIO(b"time_s")) as source:
+    ...     source.content()
+    b'time_s'
+    """
+
+    path: Path
+    file: BinaryIO
+    head: bytes
+
+    def content(self) -> bytes:
+        """Every byte of the file.
+
+        Raises
+        ------
+        UnreadableLog
+            If the disk fails or the file does not fit into memory.
+        """
+        try:
+            self.file.seek(0)
+            return self.file.read()
+        except (OSError, MemoryError) as error:
+            raise UnreadableLog(f"{self.path}: cannot be read to its end: {_reason(error)}") from error
+
+
+@contextmanager
+def opened(file: LogFile) -> Iterator[Source]:
+    """Open a log; one that was open already is read from its beginning and stays open.
+
+    Parameters
+    ----------
+    file : str, PathLike or BinaryIO
+        A path, or a binary file that can seek.
+
+    Raises
+    ------
+    MissingLog
+        If there is no such file, or no right to read it.
+    EmptyLog
+        If it holds no byte.
+    TypeError
+        If the file object is not binary.
+
+    Examples
+    --------
+    >>> with opened("no/such.csv") as source:
+    ...     pass
+    Traceback (most recent call last):
+    logparsers.errors.MissingLog: no/such.csv: no such file; give the path of a flight log
+    """
+    if not isinstance(file, (str, PathLike)):
+        yield _source(Path(str(getattr(file, "name", "<file>"))), file)
+        return
+    path = Path(file)
+    stream = _open(path)
+    with stream:
+        yield _source(path, stream)
+
+
+def _open(path: Path) -> BinaryIO:
+    try:
+        if path.is_dir():
+            raise MissingLog(f"{path}: is a directory; give one of the files in it")
+        if path.exists() and not path.is_file():  # a pipe or a device has no end and cannot seek
+            raise MissingLog(f"{path}: is not a regular file; copy the log to one")
+        return path.open("rb")
+    except FileNotFoundError as error:
+        raise MissingLog(f"{path}: no such file; give the path of a flight log") from error
+    except PermissionError as error:
+        raise MissingLog(f"{path}: no permission to read it; chmod +r would give it") from error
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        raise MissingLog(f"{str(path)!r}: cannot be opened: {_reason(error)}; give a readable file") from error
+
+
+def _source(path: Path, file: BinaryIO) -> Source:
+    try:
+        file.seek(0)
+        head = file.read(HEAD_BYTES)
+    except OSError as error:
+        raise MissingLog(f"{path}: cannot be read: {_reason(error)}; give a file that can seek") from error
+    if not isinstance(head, bytes):
+        raise TypeError(f"{path}: a text file object; open it with mode 'rb'")
+    if not head:
+        raise EmptyLog(f"{path}: the file is empty (0 bytes); was the log copied completely?")
+    return Source(path, file, head)
+
+
+@contextmanager
+def decoding(source: Source, what: str) -> Iterator[None]:
+    """Run a decoder made by others: whatever it throws at damaged bytes becomes one line; its warnings are muted.
+
+    Parameters
+    ----------
+    source : Source
+        What is decoded.
+    what : str
+        Name of the format, for the message.
+
+    Raises
+    ------
+    UnreadableLog
+        In place of any other error.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    except LogError:
+        raise
+    except Exception as error:  # decoders throw anything from struct.error to RecursionError
+        raise UnreadableLog(f"{source.path}: not a sound {what}: {_reason(error)}; copy or export it again") from error
+
+
+def _reason(error: BaseException) -> str:
+    text = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return text.strip().splitlines()[0][:200]

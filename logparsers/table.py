@@ -1,0 +1,217 @@
+"""Text tables: bench records, exported logs, and servofd's own plain tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from logparsers.assemble import Column, assemble
+from logparsers.cells import convert
+from logparsers.errors import EmptyLog, MissingChannel, UnreadableLog
+from logparsers.records import Damage
+from logparsers.source import decoding
+from logparsers.text import read_grid
+from logparsers.units import COMMANDS, faser_unit, is_faser, suffix_unit
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from logparsers.cells import Cells
+    from logparsers.records import FlightLog, FloatArray
+    from logparsers.source import Source
+    from logparsers.text import Grid
+
+__all__ = ["TableLayout", "read_table"]
+
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+MOST_RUNS = 10_000
+"""A column that tells more experiments apart holds measurements."""
+
+
+@dataclass(frozen=True, slots=True)
+class TableLayout:
+    """How to read a text table that does not use servofd's own column names.
+
+    Parameters
+    ----------
+    columns : tuple of str
+        Names for a file without a header line, in order; such a file's first line is data.
+    time : str
+        Name of the time column.
+    time_unit : {"s", "ms", "us", "ns"}
+        Unit of the time column.
+    sample_rate_hz : float or None
+        Rate of a file without a time column [Hz]; every run starts at 0 s.
+    run : str
+        Column that tells separate experiments apart; they are never joined.
+    where : mapping of str to str
+        Keep only rows in which these columns hold exactly these texts.
+    units : mapping of str to str
+        Units of columns whose names do not tell them.
+
+    Raises
+    ------
+    ValueError
+        If the unit of time is unknown, the rate is not positive, or a name stands twice.
+
+    Examples
+    --------
+    >>> TableLayout(columns=("meas", "pwm", "cmd"), sample_rate_hz=1000.0).time
+    'time_s'
+    """
+
+    columns: tuple[str, ...] = ()
+    time: str = "time_s"
+    time_unit: Literal["s", "ms", "us", "ns"] = "s"
+    sample_rate_hz: float | None = None
+    run: str = ""
+    where: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "columns", tuple(self.columns))
+        for name in ("where", "units"):
+            object.__setattr__(self, name, dict(getattr(self, name)))
+        if self.time_unit not in SECONDS:
+            raise ValueError(f"time_unit is one of {', '.join(SECONDS)}, not {self.time_unit!r}")
+        if self.sample_rate_hz is not None and not 0.0 < self.sample_rate_hz < np.inf:
+            raise ValueError(f"sample_rate_hz must be positive, not {self.sample_rate_hz}")
+        if len(set(self.columns)) < len(self.columns):
+            raise ValueError(f"columns must differ, not {', '.join(self.columns)}")
+
+
+def read_table(source: Source, layout: TableLayout | None = None) -> tuple[FlightLog, ...]:
+    r"""Read a text table, one log per run.
+
+    Parameters
+    ----------
+    source : Source
+        The file.
+    layout : TableLayout, optional
+        How to read it; without one the header has ``time_s``, or the names of a FASER log.
+
+    Raises
+    ------
+    UnreadableLog
+        If a cell that matters is not a number.
+    MissingChannel
+        If there is no time column, or a column named by the layout.
+    EmptyLog
+        If no row is left.
+
+    Examples
+    --------
+    >>> import io
+    >>> from logparsers.source import opened
+    >>> with opened(io.BytesIO(b"time_s,elevator_cmd_deg\n0,1\n0.02,2\n")) as source:
+    ...     read_table(source)
+    (<FlightLog <file>: table, 0.0 s, 1 channels, no damage>,)
+    """
+    grid = read_grid(source.path, source.content(), layout.columns if layout else ())
+    kind = "table"
+    if layout is None:
+        kind = _guess(source.path, grid)
+        layout = TableLayout(time="time" if kind == "faser" else "time_s")
+    _check_names(source.path, grid, layout)
+    with decoding(source, "text table"):
+        cells = convert(grid, {*layout.where, layout.run} - {""})
+    return _Reading(source.path, grid, layout, kind, cells).logs()
+
+
+def _guess(path: Path, grid: Grid) -> Literal["faser", "table"]:
+    """Tell apart the two headers that need no layout."""
+    if "time_s" in grid.names:
+        return "table"
+    if "time" in grid.names and any(is_faser(name) for name in grid.names):
+        return "faser"
+    hint = "name the time column, or a sample rate, in a table layout"
+    if all(name.strip("+-").replace(".", "").replace("e", "").isdigit() for name in grid.names):
+        hint = "its first line is data: name its columns in a table layout"
+    known = ", ".join(grid.names[:12])
+    raise MissingChannel(f"{path}: no column 'time_s' (nor FASER's 'time' and {COMMANDS[0]!r}) in {known}; {hint}")
+
+
+def _check_names(path: Path, grid: Grid, layout: TableLayout) -> None:
+    asked = [*layout.where, layout.run, *layout.units]
+    if layout.sample_rate_hz is None:
+        asked.append(layout.time)
+    for name in asked:
+        if name and name not in grid.names:
+            hint = " or give sample_rate_hz" if name == layout.time else ""
+            raise MissingChannel(f"{path}: no column {name!r}; its columns are {', '.join(grid.names[:16])}{hint}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Reading:
+    """One table while it is being read: what its steps share."""
+
+    path: Path
+    grid: Grid
+    layout: TableLayout
+    kind: str
+    cells: Mapping[str, Cells]
+
+    def logs(self) -> tuple[FlightLog, ...]:
+        damage = list(self.grid.damage)
+        columns = []
+        for name, cells in self.cells.items():
+            if self._is_channel(name, cells, damage):
+                columns.append(Column(name, cells.values, self._unit(name), name))
+        return tuple(self._log(run, rows, columns, tuple(damage)) for run, rows in self._runs().items())
+
+    def _is_channel(self, name: str, cells: Cells, damage: list[Damage]) -> bool:
+        """Judge a column by its text; the clock is one whose text is fatal, but no channel."""
+        if cells.strange.size:
+            line = self.grid.line[cells.strange[0]]
+            where = f"line {line}, column {name!r}: {cells.first_strange[:40]!r} is not a number"
+            if self._must_be_numeric(name):
+                raise UnreadableLog(f"{self.path}: {where}; missing cells are empty or nan")
+            if cells.has_number and name not in (*self.layout.where, self.layout.run):
+                note = f"column left out, {cells.strange.size} cells are text, first in {where}"
+                damage.append(Damage("not_numeric", note, int(cells.strange.size)))
+            return False
+        return name not in (self.layout.time, self.layout.run)
+
+    def _must_be_numeric(self, name: str) -> bool:
+        named = name == self.layout.time or name in self.layout.units
+        return named or name.endswith(("_cmd_deg", "_pos_deg")) or (self.kind == "faser" and is_faser(name))
+
+    def _unit(self, name: str) -> str:
+        known = faser_unit(name) if self.kind == "faser" else suffix_unit(name)
+        return self.layout.units.get(name, known)
+
+    def _runs(self) -> dict[str, NDArray[np.intp]]:
+        """Rows of every run, in the order of the file."""
+        kept = np.ones(self.grid.row.size, dtype=np.bool_)
+        for name, text in self.layout.where.items():
+            kept &= np.array([cell == text for cell in self.cells[name].texts])
+            if not kept.any():
+                known = ", ".join(dict.fromkeys(self.cells[name].texts[:100_000]))[:120]
+                raise EmptyLog(f"{self.path}: no row where {name} is {text!r}; that column holds {known}")
+        rows = np.flatnonzero(kept)
+        if not self.layout.run:
+            return {"": rows}
+        texts = self.cells[self.layout.run].texts
+        runs: dict[str, list[int]] = {}
+        for row in rows.tolist():
+            runs.setdefault(texts[row], []).append(row)
+        if len(runs) > MOST_RUNS:
+            raise UnreadableLog(f"{self.path}: column {self.layout.run!r} has {len(runs)} different texts: not runs")
+        return {run: np.array(members, dtype=np.intp) for run, members in runs.items()}
+
+    def _log(self, run: str, rows: NDArray[np.intp], columns: list[Column], damage: tuple[Damage, ...]) -> FlightLog:
+        mine = [replace(column, values=column.values[rows]) for column in columns]
+        time_s = self._time_s(rows)
+        return assemble(self.path, kind=self.kind, time_s=time_s, columns=mine, damage=damage, run=run)
+
+    def _time_s(self, rows: NDArray[np.intp]) -> FloatArray:
+        if self.layout.time in self.cells:
+            return self.cells[self.layout.time].values[rows] * SECONDS[self.layout.time_unit]
+        rate = self.layout.sample_rate_hz or np.nan
+        stamps: FloatArray = (self.grid.row[rows] - self.grid.row[rows[0]]) / rate  # a lost row leaves its place
+        return stamps

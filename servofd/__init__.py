@@ -1,0 +1,87 @@
+"""servofd tells which servo of an aircraft is lying, from its flight log.
+
+The names below are the public interface; each is imported when it is first used, so that ``import servofd``
+costs nothing.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from servofd.aircraft import Aircraft as Aircraft
+    from servofd.aircraft import Surface as Surface
+    from servofd.aircraft import load_aircraft as load_aircraft
+    from servofd.detection.audit import LogAudit as LogAudit
+    from servofd.detection.audit import SurfaceAudit as SurfaceAudit
+    from servofd.detection.audit import audit_log as audit_log
+    from servofd.detection.nullspace import design_nullspace_filter as design_nullspace_filter
+    from servofd.detection.pulse import design_pulse_filter as design_pulse_filter
+    from servofd.detection.residual import ResidualGenerator as ResidualGenerator
+    from servofd.errors import ServofdError as ServofdError
+    from servofd.models.servo_model import ServoModel as ServoModel
+    from servofd.models.transfer import TransferFunction as TransferFunction
+    from servofd.segment import Segment as Segment
+    from servofd.segment import cut as cut
+    from servofd.servos import Servo as Servo
+    from servofd.servos import library as library
+    from servofd.servos import servo_named as servo_named
+    from servofd.simulation.flight import simulate_flight as simulate_flight
+    from servofd.workflow import audit as audit
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "Aircraft": "aircraft",
+    "LogAudit": "detection.audit",
+    "ResidualGenerator": "detection.residual",
+    "Segment": "segment",
+    "Servo": "servos",
+    "ServoModel": "models.servo_model",
+    "ServofdError": "errors",
+    "Surface": "aircraft",
+    "SurfaceAudit": "detection.audit",
+    "TransferFunction": "models.transfer",
+    "audit": "workflow",
+    "audit_log": "detection.audit",
+    "cut": "segment",
+    "design_nullspace_filter": "detection.nullspace",
+    "design_pulse_filter": "detection.pulse",
+    "library": "servos",
+    "load_aircraft": "aircraft",
+    "servo_named": "servos",
+    "simulate_flight": "simulation.flight",
+}
+
+__all__ = [
+    "Aircraft",
+    "LogAudit",
+    "ResidualGenerator",
+    "Segment",
+    "Servo",
+    "ServoModel",
+    "ServofdError",
+    "Surface",
+    "SurfaceAudit",
+    "TransferFunction",
+    "audit",
+    "audit_log",
+    "cut",
+    "design_nullspace_filter",
+    "design_pulse_filter",
+    "library",
+    "load_aircraft",
+    "servo_named",
+    "simulate_flight",
+]
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOME:
+        raise AttributeError(f"module 'servofd' has no attribute {name!r}")
+    return getattr(import_module(f"servofd.{_HOME[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted((*__all__, "__version__"))

@@ -1,0 +1,222 @@
+"""Aircraft files: which surface is which, how it is calibrated, which servo turns it."""
+
+from __future__ import annotations
+
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from servofd.calibration import Calibration, DegreeCalibration
+from servofd.errors import ConfigError, suggest
+from servofd.models.effects import PositionLimit
+from servofd.models.servo_model import ServoModel
+from servofd.servos import Positive, Servo, library
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+    from importlib.resources.abc import Traversable
+
+    from pydantic_core import ErrorDetails
+
+__all__ = [
+    "DEFAULT_SERVO",
+    "DEFAULT_THRESHOLD_DEG",
+    "Aircraft",
+    "Surface",
+    "Table",
+    "load_aircraft",
+    "plain_aircraft",
+]
+
+DEFAULT_SERVO = "hs225bb-eq31"
+DEFAULT_THRESHOLD_DEG = 1.5
+"""Thesis 4.2: the residuals of healthy HS-225BB servos on FASER commands stay within +-1.5 deg."""
+
+
+class _Entry(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Table(_Entry):
+    """How to read a CSV file that does not use servofd's own column names."""
+
+    columns: tuple[str, ...] = ()
+    """Names for a file without a header line, in order."""
+    time: str = "time_s"
+    time_unit: Literal["s", "ms", "us", "ns"] = "s"
+    sample_rate_hz: Positive | None = None
+    """For a file without a time column."""
+    run: str = ""
+    """Column that tells separate experiments apart; they are never joined."""
+    where: dict[str, str] = {}
+    """Keep only rows in which these columns hold these texts."""
+
+
+class Surface(_Entry):
+    """One control surface and the servo that turns it."""
+
+    servo: str = DEFAULT_SERVO
+    command: Calibration
+    measured: Calibration | None = None
+    """None: this aircraft does not measure the surface, and no verdict is expected for it."""
+    command_saturation_deg: tuple[float, float] | None = None
+    """Limits applied to the command after it is logged and before the servo sees it."""
+    position_limit_deg: tuple[float, float] | None = None
+    """Stops of the linkage."""
+    command_hold: Literal["zoh", "linear"] = "zoh"
+    """ "linear" for logs that hold fewer commands than the servo received."""
+    command_period_s: Positive | None = None
+    """Period at which the autopilot really updates the command; for "linear" alone."""
+    threshold_deg: Positive = DEFAULT_THRESHOLD_DEG
+    filter_pole_rad_s: Positive | None = None
+    """Speed of the residual filter; None: the fastest with a noise gain of at most 0.5."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        for key in ("command_saturation_deg", "position_limit_deg"):
+            limits = getattr(self, key)
+            if limits is not None and not limits[0] < limits[1]:
+                raise ValueError(f"{key} = [lower, upper] needs lower < upper, not {list(limits)}")
+        if (self.command_hold == "linear") != (self.command_period_s is not None):
+            raise ValueError('command_period_s belongs to command_hold = "linear", and to that alone')
+        return self
+
+
+class Aircraft(_Entry):
+    """An aircraft: its surfaces, and the servos that are not in the library."""
+
+    name: str = ""
+    surfaces: dict[str, Surface] = Field(min_length=1)
+    servos: dict[str, Servo] = {}
+    table: Table | None = None
+
+    @model_validator(mode="after")
+    def _servos_exist(self) -> Self:
+        known = {**library(), **self.servos}
+        for name, surface in self.surfaces.items():
+            if surface.servo not in known:
+                raise ValueError(f"surfaces.{name}.servo: {suggest('servo', surface.servo, known)}")
+        return self
+
+    def servo(self, surface: str) -> Servo:
+        """Servo of a surface; the aircraft's own definitions come before the library's."""
+        name = self.surfaces[surface].servo
+        return self.servos[name] if name in self.servos else library()[name]
+
+    def model(self, surface: str) -> ServoModel:
+        """Healthy model of a surface: its servo, and the stops of its linkage.
+
+        Examples
+        --------
+        >>> plain_aircraft(["elevator"]).model("elevator").plan.delay_s
+        0.004
+        """
+        model = ServoModel.of(self.servo(surface))
+        limits = self.surfaces[surface].position_limit_deg
+        return model + PositionLimit(*limits) if limits else model
+
+
+def plain_aircraft(surfaces: Iterable[str], servo: str = DEFAULT_SERVO) -> Aircraft:
+    """Aircraft of a plain table: columns ``<surface>_cmd_deg`` and ``<surface>_pos_deg``, one servo for all.
+
+    Examples
+    --------
+    >>> plain_aircraft(["rudder"]).surfaces["rudder"].command.channel
+    'rudder_cmd_deg'
+    """
+    return _validated(
+        {
+            "surfaces": {
+                name: {
+                    "servo": servo,
+                    "command": DegreeCalibration(channel=f"{name}_cmd_deg", unit="deg"),
+                    "measured": DegreeCalibration(channel=f"{name}_pos_deg", unit="deg"),
+                }
+                for name in surfaces
+            }
+        },
+        "plain table",
+    )
+
+
+def load_aircraft(path: str | Path) -> Aircraft:
+    """Read an aircraft file, or one of those that come with servofd by its bare name.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, is not TOML, or does not describe an aircraft; the message names the file,
+        the key, and what would have worked.
+
+    Examples
+    --------
+    >>> load_aircraft("faser").servo("elevator").title
+    'Hitec HS-225BB (thesis Eq. 3.1)'
+    """
+    source = _find(path)
+    try:
+        text = source.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not a text file"
+        raise ConfigError(f"{path}: cannot read the aircraft file: {reason}") from None
+    try:
+        content = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path}: not valid TOML: {error}") from None
+    return _validated(content, str(path))
+
+
+def _find(path: str | Path) -> Path | Traversable:
+    """The file itself, or a configuration that ships with servofd when a bare name is given."""
+    if Path(path).suffix or Path(path).exists():
+        return Path(path)
+    installed = resources.files("servofd").joinpath("configs")
+    home = installed if installed.is_dir() else Path(__file__).parent.parent / "configs"
+    shipped = home.joinpath(f"{path}.toml")
+    if not shipped.is_file():
+        known = sorted(entry.name.removesuffix(".toml") for entry in home.iterdir() if entry.name.endswith(".toml"))
+        raise ConfigError(f"{path}: no such file, and {suggest('aircraft', str(path), known)}")
+    return shipped
+
+
+def _validated(content: Mapping[str, object], source: str) -> Aircraft:
+    try:
+        return Aircraft.model_validate(content)
+    except ValidationError as error:
+        details = error.errors(include_url=False)
+        more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
+        raise ConfigError(f"{source}: {_sentence(details[0])}{more}") from None
+
+
+def _sentence(detail: ErrorDetails) -> str:
+    """One validation error in words: where, what, and which keys would have worked."""
+    # The unit that a discriminated union inserts is no key of the file.
+    units = {"deg", "rad", "us", "count", "rad_or_count"}
+    path = [str(part) for part in detail["loc"] if str(part) not in units]
+    where = ".".join(path) or "the file"
+    kind, message = detail["type"], detail["msg"].removeprefix("Value error, ")
+    if kind == "extra_forbidden":
+        return f"{where}: unknown key; {_siblings(path)}"
+    if kind == "missing":
+        return f"{where}: this key is missing"
+    if kind == "union_tag_not_found":
+        return f'{where}: needs unit = "deg", "rad", "us", "count" or "rad_or_count"'
+    given = detail.get("input")
+    shown = f" (given: {given!r})" if isinstance(given, str | int | float | bool | list) else ""
+    return f"{where}: {message}{shown}" if not message.startswith(f"{where}") else message
+
+
+def _siblings(path: list[str]) -> str:
+    """Keys that exist where an unknown one stands."""
+    models: dict[int, type[BaseModel]] = {1: Aircraft, 3: Surface}
+    model = models.get(len(path))
+    if len(path) == 2 and path[0] == "table":
+        model = Table
+    if len(path) == 3 and path[0] == "servos":
+        model = Servo
+    if model is None:
+        return "see the comments in configs/faser.toml"
+    return suggest("key", path[-1], model.model_fields).split("; ", 1)[-1].removeprefix("unknown key ")

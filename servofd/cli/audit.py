@@ -1,0 +1,170 @@
+"""``servofd audit``: the verdict on one or more logs."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from servofd.aircraft import Aircraft
+    from servofd.detection.audit import LogAudit
+    from servofd.outputs.json_report import FailedLog
+
+__all__ = ["add_parser", "run"]
+
+
+def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
+    """Declare the verb."""
+    parser = verbs.add_parser(
+        "audit",
+        help="judge every surface of a flight log",
+        description="Judges every surface of one or more flight logs. Exit code 0: healthy; 1: a fault was found; "
+        "2: could not tell.",
+        epilog="Example: servofd audit flight.mat -c configs/faser.toml -o report/",
+    )
+    parser.add_argument("logs", nargs="+", metavar="LOG", help="FASER .mat, RAPTRS .h5, or a CSV table")
+    parser.add_argument("-c", "--config", metavar="AIRCRAFT.toml", help="aircraft file, or the name of a shipped one")
+    parser.add_argument("--servo", metavar="NAME", help="library servo to assume for all surfaces")
+    parser.add_argument("-s", "--surface", action="append", default=[], metavar="NAME", help="judge only this surface")
+    parser.add_argument("--threshold-deg", type=_positive, metavar="X", help="alarm level [deg] (default: 1.5)")
+    parser.add_argument("--json", metavar="FILE", help="write the result as JSON; - prints it instead of the table")
+    parser.add_argument("--rrd", metavar="FILE", help="write a Rerun recording (of one log)")
+    parser.add_argument("-o", "--output", metavar="DIR", help="write figures, recordings and audit.json to a folder")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Audit all logs, then write all outputs, then print."""
+    from servofd.aircraft import load_aircraft
+    from servofd.errors import ConfigError
+    from servofd.servos import servo_named
+
+    aircraft = load_aircraft(options.config) if options.config else None
+    if options.servo:
+        servo_named(options.servo)
+    for name in filter(None, (options.rrd, options.json if options.json != "-" else None)):
+        if not Path(name).parent.is_dir():
+            raise ConfigError(f"{name}: the folder {Path(name).parent} does not exist")
+    results = [result for path in options.logs for result in _audit(path, aircraft, options)]
+    _write(options, results)
+    _print(options, results)
+    return max(_exit_codes(results), key=(0, 1, 2).index)
+
+
+def _audit(path: str, aircraft: Aircraft | None, options: argparse.Namespace) -> list[LogAudit | FailedLog]:
+    """Audit one file; what cannot be read is reported and does not stop the others."""
+    from logparsers import LogError
+    from servofd.cli.tables import progress_bar
+    from servofd.errors import NoMeasurement, UnknownName
+    from servofd.outputs.json_report import FailedLog
+    from servofd.workflow import audit
+
+    total = len(aircraft.surfaces) if aircraft else None
+    results: list[LogAudit | FailedLog] = []
+    try:
+        with progress_bar(Path(path).name, total or 1) as step:
+            results.extend(
+                audit(
+                    path,
+                    aircraft,
+                    servo=options.servo,
+                    threshold_deg=options.threshold_deg,
+                    surfaces=tuple(options.surface),
+                    progress=step,
+                )
+            )
+    except (LogError, NoMeasurement, UnknownName) as error:
+        results.append(FailedLog(path, str(error)))
+    return results
+
+
+def _exit_codes(results: list[LogAudit | FailedLog]) -> list[int]:
+    """One exit code per log; the reason for each 2 goes to stderr."""
+    from servofd.outputs.json_report import FailedLog
+
+    codes = []
+    for result in results:
+        if isinstance(result, FailedLog):
+            print(f"servofd: {result.error}", file=sys.stderr)
+            codes.append(2)
+        elif result.has_fault:
+            codes.append(1)
+        elif result.unjudged or not any(s.is_judged for s in result.surfaces):
+            print(f"servofd: {result.log.label}: {_why_not(result)}", file=sys.stderr)
+            codes.append(2)
+        else:
+            codes.append(0)
+    return codes
+
+
+def _why_not(result: LogAudit) -> str:
+    """One line: which surfaces could not be judged, and why."""
+    missing = result.unjudged or result.surfaces
+    if not any(s.is_judged for s in result.surfaces) and all(s.status == "no_data" for s in missing):
+        return f"no measured deflection to judge: {missing[0].surface}: {missing[0].reason}"
+    return "could not judge " + "; ".join(f"{s.surface}: {s.reason}" for s in missing)
+
+
+def _write(options: argparse.Namespace, results: list[LogAudit | FailedLog]) -> None:
+    """Write the files that were asked for."""
+    from servofd.errors import ConfigError
+    from servofd.outputs.files import write_whole
+    from servofd.outputs.json_report import FailedLog, audit_document, to_json
+
+    audits = [result for result in results if not isinstance(result, FailedLog)]
+    if options.rrd and len(audits) > 1:
+        raise ConfigError(f"{options.rrd}: --rrd takes one log at a time; -o DIR writes a recording for each")
+    document = to_json(audit_document(results))
+    if options.json and options.json != "-":
+        write_whole(options.json, document.encode())
+    if options.rrd and audits:
+        from servofd.outputs.recording import save_recording
+
+        save_recording(audits[0], Path(options.rrd))
+    if options.output:
+        _write_folder(Path(options.output), audits, document)
+
+
+def _write_folder(folder: Path, audits: list[LogAudit], document: str) -> None:
+    from servofd.errors import ConfigError
+    from servofd.outputs.figure import save_figure
+    from servofd.outputs.files import write_whole
+    from servofd.outputs.recording import save_recording
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot make this folder: {error.strerror}") from None
+    for audit in audits:
+        stem = audit.log.source.stem + (f"-{audit.log.run}" if audit.log.run else "")
+        for surface in audit.surfaces:
+            if surface.residuals is not None:
+                save_figure(surface, folder / f"{stem}-{surface.surface}.png", audit.log.source.name)
+        save_recording(audit, folder / f"{stem}.rrd")
+    write_whole(folder / "audit.json", document.encode())
+
+
+def _print(options: argparse.Namespace, results: list[LogAudit | FailedLog]) -> None:
+    from servofd.cli.tables import print_table
+    from servofd.outputs.json_report import FailedLog, audit_document, to_json
+
+    if options.json == "-":
+        print(to_json(audit_document(results)), end="")
+        return
+    for result in results:
+        if isinstance(result, FailedLog):
+            continue
+        log = result.log
+        rows = [[s.surface, s.status, s.reason] for s in result.surfaces]
+        print_table(["surface", "status", "why"], rows, f"{log.label}   {log.format}, {log.duration_s:.1f} s")
+        for damage in log.damage:
+            print(f"  damage: {damage.kind}: {damage.note}")
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0.0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"must be a positive number of degrees, not {text}")
+    return value

@@ -1,0 +1,106 @@
+"""``servofd design``: the residual filter of a servo, and its proof."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from servofd.detection.pulse import PulseFilter
+    from servofd.servos import Servo
+
+__all__ = ["add_parser", "run"]
+
+
+def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
+    """Declare the verb."""
+    parser = verbs.add_parser(
+        "design",
+        help="design the residual filter of a servo",
+        description="Prints the nullspace filter of a servo: Q in continuous time (thesis Eq. 4.10), its poles, "
+        "gains and noise gain, and how a fault shows in the residual.",
+        epilog="Example: servofd design hs225bb-eq31 --plot fault_step.png",
+    )
+    parser.add_argument("servo", metavar="SERVO", help="name from 'servofd servos'")
+    parser.add_argument("--pole", type=float, metavar="RAD_S", help="filter pole (default: fastest, noise gain <= 0.5)")
+    parser.add_argument("--rate-hz", type=float, default=100.0, metavar="HZ", help="sample rate (default: 100)")
+    parser.add_argument("--printed-gain", action="store_true", help="keep the dc gain as printed, do not scale it to 1")
+    parser.add_argument("--plot", metavar="FILE.png", help="draw the residual after a fault of 1 deg")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print the design."""
+    import numpy as np
+
+    from servofd.detection.nullspace import design_nullspace_filter
+    from servofd.detection.pulse import design_pulse_filter, fastest_pole_rad_s
+    from servofd.errors import DesignError
+    from servofd.servos import servo_named
+
+    servo = servo_named(options.servo)
+    if not 0.0 < options.rate_hz < 1e6:
+        raise DesignError(f"--rate-hz {options.rate_hz}: give a rate above 0 and below 1e6 Hz")
+    sample_time_s = 1.0 / options.rate_hz
+    plant = servo.printed if options.printed_gain else servo.transfer
+    pole = abs(options.pole) if options.pole is not None else fastest_pole_rad_s(plant, sample_time_s)
+    row = design_nullspace_filter(plant, pole).rows[0]
+    sampled = design_pulse_filter(plant, servo.transport_delay_s, sample_time_s, pole)
+    leakage = sampled.leakage(np.linspace(0.1, np.pi * options.rate_hz, 400))
+    print(f"{servo.title}, filter pole {pole:g} rad/s, {options.rate_hz:g} Hz")
+    print("\nQ(s) = [Qy Qu], residual = Qy measured + Qu command (thesis Eq. 4.7), without the delay:")
+    print(f"  Qy numerator   {_polynomial(row.qy)}")
+    print(f"  Qu numerator   {_polynomial(row.qu[0])}")
+    print(f"  denominator    {_polynomial(row.denominator)}")
+    print(f"  poles          {', '.join(f'{p.real:g}' for p in row.poles_rad_s)} rad/s")
+    print(f"  dc gain        Qy {row.dc_qy:.6f}, Qu {row.dc_qu[0]:.6f}, fault to residual {row.faults[0].dc_gain:.6f}")
+    print(f"\nOn samples (plant first: hold and a delay of {1e3 * servo.transport_delay_s:g} ms exact):")
+    print(f"  noise gain     {sampled.noise_gain:.4f} (residual noise per white noise on the measurement)")
+    print(f"  leakage        {leakage:.1e} (largest gain from command to residual: the proof)")
+    _print_step(sampled)
+    if options.plot:
+        _plot(servo, sampled, Path(options.plot))
+    return 0
+
+
+def _polynomial(coefficients: tuple[float, ...]) -> str:
+    order = len(coefficients) - 1
+    return " + ".join(
+        f"{c:.10g}" + ("" if order == i else " s" if order - i == 1 else f" s^{order - i}")
+        for i, c in enumerate(coefficients)
+    )
+
+
+def _print_step(sampled: PulseFilter) -> None:
+    """A few points of the response, the threshold of the thesis among them."""
+    count = max(2, round(0.3 / sampled.sample_time_s))
+    step = sampled.fault_step(count + 1)
+    print("  residual after a fault of 1 deg on the command:")
+    for share in (0.1, 0.25, 0.5, 0.9):
+        reached = next((k for k, value in enumerate(step) if value >= share), None)
+        when = f"{1e3 * reached * sampled.sample_time_s:.0f} ms" if reached is not None else "later than 300 ms"
+        print(f"    {share:.0%} after {when}")
+
+
+def _plot(servo: Servo, sampled: PulseFilter, path: Path) -> None:
+    import numpy as np
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    from servofd.outputs.files import whole_file
+
+    count = max(2, round(0.3 / sampled.sample_time_s)) + 1
+    figure = Figure(figsize=(8, 4.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    time_ms = 1e3 * sampled.sample_time_s * np.arange(count)
+    axes.plot(time_ms, sampled.fault_step(count), marker=".", label="residual")
+    axes.axhline(1.0, color="0.6", lw=0.8, ls="--", label="fault on the command")
+    axes.set_title(f"{servo.title}: residual after a fault of 1 deg (pole {sampled.pole_rad_s:g} rad/s)", loc="left")
+    axes.set_xlabel("time after the fault [ms]")
+    axes.set_ylabel("residual [deg]")
+    axes.grid(visible=True, color="0.9")
+    axes.legend(frameon=False)
+    with whole_file(path) as temporary:
+        figure.savefig(temporary, dpi=110)

@@ -1,0 +1,93 @@
+"""``servofd servos``: the library."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from servofd.servos import Servo
+    from servofd.types import ComplexArray
+
+__all__ = ["add_parser", "run"]
+
+
+def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
+    """Declare the verb."""
+    parser = verbs.add_parser(
+        "servos",
+        help="print the servo library",
+        description="Prints the servos that can be used by name: poles, bandwidth, rate limit, delay, source.",
+        epilog="Example: servofd servos --notes",
+    )
+    parser.add_argument("--notes", action="store_true", help="corrections and cautions for each servo")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print the table."""
+    from servofd.cli.tables import print_table
+    from servofd.servos import library
+
+    servos = library()
+    if options.json:
+        print(json.dumps({name: _record(servo) for name, servo in servos.items()}, indent=2))
+        return 0
+    rows = [[name, *_row(servo)] for name, servo in servos.items()]
+    print_table(
+        [
+            "servo",
+            "poles [rad/s]",
+            "dc gain",
+            "bandwidth [rad/s] [Hz]",
+            "rate [deg/s]",
+            "delay [ms]",
+            "source",
+        ],
+        rows,
+    )
+    print(
+        "Bandwidth: 3.00 dB below dc. Delay: transport delay used in simulation, without the hold of the sampled\n"
+        "command; in brackets the printed one where it contains that hold. dc gain: as printed; servofd scales it to 1."
+    )
+    if options.notes:
+        for name, servo in servos.items():
+            print(f"\n{name}: {servo.title}")
+            for note in servo.notes:
+                print(f"  - {note}")
+    return 0
+
+
+def _row(servo: Servo) -> list[str]:
+    bandwidth_rad_s = servo.printed.bandwidth_rad_s
+    delay = f"{1e3 * servo.transport_delay_s:g}"
+    return [
+        _poles(servo.printed.poles_rad_s),
+        f"{servo.printed.dc_gain:.5f}",
+        f"{bandwidth_rad_s:.2f}  {bandwidth_rad_s / (2 * math.pi):.2f}",
+        f"{servo.rate_limit_deg_s:g}" if servo.rate_limit_deg_s else "-",
+        delay if servo.hold == "zoh" else f"{delay} ({1e3 * servo.delay_s:g})",
+        servo.source,
+    ]
+
+
+def _poles(poles_rad_s: ComplexArray) -> str:
+    real = [f"{p.real:.2f}" for p in poles_rad_s if p.imag == 0.0]
+    pairs = [f"{p.real:.2f} ± {p.imag:.2f}i" for p in poles_rad_s if p.imag > 0.0]
+    return ", ".join(real + pairs)
+
+
+def _record(servo: Servo) -> dict[str, Any]:
+    transfer = servo.printed
+    return {
+        **servo.model_dump(exclude_none=True),
+        "numerator": transfer.numerator,
+        "denominator": transfer.denominator,
+        "poles_rad_s": [[p.real, p.imag] for p in transfer.poles_rad_s],
+        "dc_gain": transfer.dc_gain,
+        "bandwidth_rad_s": transfer.bandwidth_rad_s,
+        "transport_delay_s": servo.transport_delay_s,
+    }

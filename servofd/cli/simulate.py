@@ -1,0 +1,148 @@
+"""``servofd simulate``: flights with known truth."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from servofd.models.effects import Effect
+    from servofd.models.faults import Fault
+
+__all__ = ["add_parser", "run"]
+
+_Made = TypeVar("_Made")
+
+
+def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
+    """Declare the verb."""
+    parser = verbs.add_parser(
+        "simulate",
+        help="write a log of a simulated flight",
+        description="Simulates an aircraft's servos and writes the log of the flight, healthy or with faults.",
+        epilog="Example: servofd simulate -o flight.csv --fault elevator:deadband@20:width_deg=3",
+    )
+    parser.add_argument("-o", "--output", required=True, metavar="FILE", help=".csv (plain table) or .mat (FASER log)")
+    parser.add_argument("-c", "--config", metavar="AIRCRAFT.toml", help="aircraft file, or the name of a shipped one")
+    parser.add_argument("--servo", metavar="NAME", help="library servo for all surfaces")
+    parser.add_argument("--duration", type=float, default=60.0, metavar="S", help="length [s] (default: 60)")
+    parser.add_argument("--rate-hz", type=float, default=100.0, metavar="HZ", help="sample rate (default: 100)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="the same seed gives the same flight")
+    parser.add_argument("--command", default="flight", help="flight, chirp, steps or doublets (default: flight)")
+    parser.add_argument(
+        "--noise-deg", type=float, default=0.1, metavar="X", help="noise of the position (default: 0.1)"
+    )
+    parser.add_argument(
+        "--fault",
+        action="append",
+        default=[],
+        metavar="SURFACE:KIND@START[:KEY=VALUE]",
+        help="stuck or deadband",
+    )
+    parser.add_argument(
+        "--effect",
+        action="append",
+        default=[],
+        metavar="SURFACE:EFFECT[:KEY=VALUE]",
+        help="delay, rate_limit or position_limit",
+    )
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Simulate and write."""
+    from servofd.aircraft import DEFAULT_SERVO, load_aircraft, plain_aircraft
+    from servofd.errors import ConfigError
+    from servofd.servos import servo_named
+    from servofd.simulation.flight import simulate_flight
+    from servofd.simulation.writers import write_flight
+
+    if options.servo:
+        servo_named(options.servo)
+    if options.seed < 0:
+        raise ConfigError(f"--seed {options.seed}: give a whole number of zero or more")
+    shipped = "faser" if Path(options.output).suffix.lower() == ".mat" else None
+    config = options.config or shipped
+    surfaces = ("elevator", "aileron", "rudder")
+    aircraft = load_aircraft(config) if config else plain_aircraft(surfaces, options.servo or DEFAULT_SERVO)
+    if config and options.servo:
+        changed = {n: s.model_copy(update={"servo": options.servo}) for n, s in aircraft.surfaces.items()}
+        aircraft = aircraft.model_copy(update={"surfaces": changed, "servos": {}})
+    effects: dict[str, list[Effect]] = {}
+    for text in options.effect:
+        surface, effect = _effect(text)
+        effects.setdefault(surface, []).append(effect)
+    flown = simulate_flight(
+        aircraft,
+        command=options.command,
+        duration_s=options.duration,
+        rate_hz=options.rate_hz,
+        seed=options.seed,
+        faults=dict(_fault(text) for text in options.fault),
+        effects=effects,
+        noise_deg=options.noise_deg,
+    )
+    write_flight(options.output, flown, aircraft)
+    print(f"{options.output}: {options.duration:g} s at {options.rate_hz:g} Hz, {', '.join(flown.surfaces)}")
+    return 0
+
+
+def _fault(text: str) -> tuple[str, Fault]:
+    """Read ``surface:kind@start:key=value``."""
+    from servofd.errors import ConfigError, UnknownName, suggest
+    from servofd.models.faults import FAULTS
+
+    surface, _, rest = text.partition(":")
+    what, *pairs = rest.split(":")
+    kind, at, start = what.partition("@")
+    if not (surface and at):
+        raise ConfigError(f"--fault {text}: write SURFACE:KIND@START, for example elevator:stuck@20")
+    if kind not in FAULTS:
+        raise UnknownName(f"--fault {text}: {suggest('fault', kind, FAULTS)}")
+    values = _numbers(f"--fault {text}", [f"start_s={start}", *pairs])
+    fault: Fault = _made(FAULTS[kind], values, f"--fault {text}")
+    return surface, fault
+
+
+def _effect(text: str) -> tuple[str, Effect]:
+    """Read ``surface:effect:key=value``."""
+    from servofd.errors import ConfigError, UnknownName, suggest
+    from servofd.models.effects import CATALOGUE
+
+    surface, _, rest = text.partition(":")
+    name, *pairs = rest.split(":")
+    if not (surface and name):
+        raise ConfigError(f"--effect {text}: write SURFACE:EFFECT:KEY=VALUE, e.g. elevator:delay:delay_s=0.02")
+    if name not in CATALOGUE:
+        raise UnknownName(f"--effect {text}: {suggest('effect', name, CATALOGUE)}")
+    effect: Effect = _made(CATALOGUE[name], _numbers(f"--effect {text}", pairs), f"--effect {text}")
+    return surface, effect
+
+
+def _numbers(where: str, pairs: list[str]) -> dict[str, float]:
+    from servofd.errors import ConfigError
+
+    values = {}
+    for pair in pairs:
+        key, equals, number = pair.partition("=")
+        try:
+            values[key] = float(number)
+        except ValueError:
+            raise ConfigError(f"{where}: {pair!r} is not KEY=NUMBER" if equals else f"{where}: {pair!r}") from None
+    return values
+
+
+def _made(kind: Callable[..., _Made], values: dict[str, float], where: str) -> _Made:
+    """Instance of a small dataclass from its numbers."""
+    import dataclasses
+
+    from servofd.errors import ConfigError
+
+    fields = {f.name: f for f in dataclasses.fields(kind) if f.init}  # type: ignore[arg-type]
+    required = {n for n, f in fields.items() if f.default is dataclasses.MISSING}
+    if set(values) - set(fields) or required - set(values):
+        raise ConfigError(f"{where}: takes {', '.join(fields)}; {', '.join(sorted(required))} must be given")
+    return kind(**values)

@@ -1,0 +1,1 @@
+"""From model and measurement to residual, alarm and verdict."""

@@ -1,0 +1,228 @@
+"""The verdict on each surface of a log, in data types that outputs can show."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from servofd.detection.alarm import Episode, find_episodes
+from servofd.detection.probability import false_alarms_per_hour
+from servofd.detection.residual import ResidualGenerator, Residuals
+from servofd.errors import NoMeasurement
+from servofd.segment import SLOWEST_RATE_HZ, Segment, cut
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from logparsers.records import FlightLog
+    from servofd.aircraft import Aircraft
+
+__all__ = ["LogAudit", "Statistics", "Status", "SurfaceAudit", "audit_log"]
+
+Status = Literal["healthy", "suspect", "fault", "no_data", "unknown"]
+
+_SECONDS_FOR_ODDS = 10.0
+_SHORTEST_JUDGED_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Statistics:
+    """Size of the residual while it was judged [deg]."""
+
+    mean_deg: float
+    std_deg: float
+    max_abs_deg: float
+    simulation_error_rms_deg: float
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceAudit:
+    """Verdict on one surface."""
+
+    surface: str
+    status: Status
+    reason: str
+    servo: str
+    threshold_deg: float
+    expected: bool
+    """False if the aircraft file names no measured channel, so that "no data" is what it asks for."""
+    episodes: tuple[Episode, ...] = ()
+    statistics: Statistics | None = None
+    false_alarms_per_hour: float | None = None
+    segment: Segment | None = None
+    residuals: Residuals | None = None
+
+    @property
+    def is_judged(self) -> bool:
+        """True if the data told whether this surface is well."""
+        return self.status not in ("no_data", "unknown")
+
+
+@dataclass(frozen=True, slots=True)
+class LogAudit:
+    """Verdict on all surfaces of one log."""
+
+    log: FlightLog
+    aircraft: Aircraft
+    surfaces: tuple[SurfaceAudit, ...]
+
+    @property
+    def has_fault(self) -> bool:
+        """True if any surface is at fault."""
+        return any(surface.status == "fault" for surface in self.surfaces)
+
+    @property
+    def unjudged(self) -> tuple[SurfaceAudit, ...]:
+        """Surfaces that were expected to be judged and could not be."""
+        return tuple(s for s in self.surfaces if s.expected and not s.is_judged)
+
+
+def audit_log(
+    log: FlightLog,
+    aircraft: Aircraft,
+    *,
+    threshold_deg: float | None = None,
+    surfaces: tuple[str, ...] = (),
+    progress: Callable[[str], None] = lambda _surface: None,
+) -> LogAudit:
+    """Judge the surfaces of one log.
+
+    Parameters
+    ----------
+    log : FlightLog
+        What was recorded.
+    aircraft : Aircraft
+        Surfaces, calibrations and servos.
+    threshold_deg : float, optional
+        Alarm level for all surfaces [deg]; each has its own in the aircraft.
+    surfaces : tuple of str
+        Which to judge; all if empty.
+    progress : callable
+        Called with the name of each surface that is done.
+
+    Returns
+    -------
+    LogAudit
+        One verdict per surface, in the order of the aircraft file.
+
+    Examples
+    --------
+    >>> import logparsers
+    >>> from servofd.aircraft import load_aircraft
+    >>> log = logparsers.read("sample_logs/faser_stuck_flight.mat")
+    >>> audit_log(log, load_aircraft("faser"), surfaces=("elevator",)).surfaces[0].status
+    'fault'
+    """
+    chosen = surfaces or tuple(aircraft.surfaces)
+
+    def one(name: str) -> SurfaceAudit:
+        verdict = _audit_surface(log, aircraft, name, threshold_deg or aircraft.surfaces[name].threshold_deg)
+        progress(name)
+        return verdict
+
+    # The kernel runs without the interpreter's lock.
+    with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
+        return LogAudit(log, aircraft, tuple(pool.map(one, chosen)))
+
+
+def _audit_surface(log: FlightLog, aircraft: Aircraft, name: str, threshold_deg: float) -> SurfaceAudit:
+    surface = aircraft.surfaces[name]
+    verdict = partial(
+        SurfaceAudit,
+        surface=name,
+        servo=surface.servo,
+        threshold_deg=threshold_deg,
+        expected=surface.measured is not None,
+    )
+    try:
+        segment = cut(log, name, surface)
+    except NoMeasurement as reason:
+        return verdict(status="no_data", reason=str(reason))
+    problem = _too_little(segment)
+    if problem:
+        return verdict(status="unknown", reason=problem, segment=segment)
+    generator = ResidualGenerator.fitting(aircraft.model(name), segment, surface.filter_pole_rad_s)
+    residuals = generator.run(segment)
+    judged_s = np.count_nonzero(residuals.settled) * segment.period_s
+    if judged_s < _SHORTEST_JUDGED_S:
+        reason_text = f"only {judged_s:.1f} s of command and position together, at least 1 s is needed"
+        return verdict(status="unknown", reason=reason_text, segment=segment, residuals=residuals)
+    episodes = find_episodes(segment, residuals, threshold_deg)
+    statistics = _statistics(residuals)
+    status, reason_text = _verdict(segment, residuals, statistics, episodes, threshold_deg)
+    return verdict(
+        status=status,
+        reason=reason_text,
+        episodes=episodes,
+        statistics=statistics,
+        false_alarms_per_hour=_odds(residuals, episodes, segment.period_s, threshold_deg),
+        segment=segment,
+        residuals=residuals,
+    )
+
+
+def _too_little(segment: Segment) -> str:
+    """Why this segment cannot be judged, or nothing."""
+    if not segment.period_s > 0.0:
+        return "fewer than two position samples"
+    rate_hz = 1.0 / segment.period_s
+    if rate_hz < SLOWEST_RATE_HZ * (1.0 - 1e-6):
+        return f"position comes at {rate_hz:.2g} Hz; a servo cannot be judged below {SLOWEST_RATE_HZ:g} Hz"
+    return ""
+
+
+def _verdict(
+    segment: Segment,
+    residuals: Residuals,
+    statistics: Statistics,
+    episodes: tuple[Episode, ...],
+    threshold_deg: float,
+) -> tuple[Status, str]:
+    if episodes:
+        first = episodes[0]
+        more = f"; {len(episodes)} separate faults" if len(episodes) > 1 else ""
+        return "fault", (
+            f"servo or its feedback left the model at {first.start_s:.2f} s "
+            f"(alarm {first.alarm_s:.2f} s, |residual| up to {statistics.max_abs_deg:.1f} deg){more}"
+        )
+    seen = np.searchsorted(segment.command_s, residuals.time_s[residuals.settled], side="right") - 1
+    moved_deg = float(np.ptp(segment.command_deg[np.maximum(seen, 0)]))
+    if moved_deg < threshold_deg:
+        return "unknown", (
+            f"the command moved by {moved_deg:.2g} deg only: a servo stuck all along would not have shown"
+        )
+    return (
+        "healthy",
+        f"|residual| stayed below {threshold_deg:g} deg (largest {statistics.max_abs_deg:.2f} deg)",
+    )
+
+
+def _statistics(residuals: Residuals) -> Statistics:
+    residual = residuals.residual_deg[residuals.settled]
+    error = residuals.error_deg[residuals.settled]
+    return Statistics(
+        mean_deg=float(np.mean(residual)),
+        std_deg=float(np.std(residual)),
+        max_abs_deg=float(np.max(np.abs(residual))),
+        simulation_error_rms_deg=float(np.sqrt(np.mean(error**2))),
+    )
+
+
+def _odds(residuals: Residuals, episodes: tuple[Episode, ...], period_s: float, threshold_deg: float) -> float | None:
+    """False alarms per hour, from the residual before the first fault; None if that is too short."""
+    healthy = residuals.settled & (residuals.time_s < (episodes[0].start_s if episodes else np.inf))
+    residual = residuals.residual_deg[healthy]
+    if residual.size * period_s < _SECONDS_FOR_ODDS:
+        return None
+    centred = residual - residual.mean()
+    power = float(np.mean(centred**2))
+    if power == 0.0:
+        return 0.0
+    correlation = float(np.mean(centred[1:] * centred[:-1])) / power
+    margin_deg = max(threshold_deg - abs(float(residual.mean())), 0.0)
+    return false_alarms_per_hour(margin_deg, float(np.sqrt(power)), correlation, period_s)

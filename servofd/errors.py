@@ -1,0 +1,51 @@
+"""What can be wrong with a request. Every message says what, where, and what would have worked.
+
+::
+
+    ServofdError
+    ├── ConfigError       an aircraft or servo file does not say what it must
+    ├── UnknownName       a servo, surface, fault or effect that does not exist
+    ├── NoMeasurement     nothing in the log tells where a surface was
+    └── DesignError       no filter with the wanted properties exists for this model
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+__all__ = ["ConfigError", "DesignError", "NoMeasurement", "ServofdError", "UnknownName", "suggest"]
+
+
+class ServofdError(Exception):
+    """Base of everything servofd raises on purpose."""
+
+
+class ConfigError(ServofdError):
+    """An aircraft or servo file does not say what it must."""
+
+
+class UnknownName(ServofdError):  # noqa: N818 - reads better without "Error" where it is raised
+    """A servo, surface, fault or effect that does not exist."""
+
+
+class NoMeasurement(ServofdError):  # noqa: N818
+    """Nothing in the log tells where a surface was."""
+
+
+class DesignError(ServofdError):
+    """No filter with the wanted properties exists for this model."""
+
+
+def suggest(kind: str, name: str, known: Iterable[str]) -> str:
+    """Sentence for an unknown name: the nearest known ones first, or all of them.
+
+    Examples
+    --------
+    >>> suggest("surface", "elevtor", ["elevator", "rudder"])
+    "unknown surface 'elevtor'; did you mean elevator? known: elevator, rudder"
+    """
+    names = list(known)
+    near = difflib.get_close_matches(name, names, n=2, cutoff=0.6)
+    hint = f"; did you mean {' or '.join(near)}?" if near else ";"
+    return f"unknown {kind} {name!r}{hint} known: {', '.join(names)}"

@@ -1,0 +1,1 @@
+"""Servo physics: transfer functions, effects, faults, and the compiled kernel."""

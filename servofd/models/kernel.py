@@ -1,0 +1,386 @@
+"""The one compiled kernel: a servo and its residual, event by event, on true time stamps.
+
+Between two events (a command taking effect, a position being measured) everything has a closed form, so the
+result does not depend on how the samples are spaced:
+
+1. **Linear dynamics** (`Modes`): each mode relaxes towards the held or ramped command,
+   ``z <- u(h) - s/a + exp(-a h) (z - u(0) + s/a)`` for a command ``u(0) + s tau``.
+2. **Rate limit**: the position follows the linear motion until that becomes too fast, then runs at the limit
+   until it meets the linear motion again; both instants are located by bisection.
+3. **Position limit**: a stop.
+4. **Residual filter**: ``Qy`` of the nullspace filter in the lag form, see `servofd.detection.lags`.
+
+A whole log and a single live sample run through the same `observe`.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from servofd.types import ComplexArray, FloatArray
+
+__all__ = ["FilterParameters", "Memory", "ServoParameters", "new_memory", "observe"]
+
+_SLOTS = 4
+"""Step lengths whose exponentials are kept. A uniform log with a fractional delay alternates between two."""
+
+_SAME_STEP_S = 1e-7
+"""Steps this close share an exponential, corrected by a three-term series (error below 1e-15)."""
+
+_NO_STEP_S = 1e-12
+_SEARCH_STEP_S, _SEARCH_GROWTH, _FASTEST_SHARE = 1e-3, 1.3, 0.1
+_BISECTIONS = 50
+
+compiled = partial(njit, cache=True, nogil=True, error_model="numpy", fastmath={"contract"}, _nrt=False)()
+inlined = partial(
+    njit, cache=True, nogil=True, error_model="numpy", fastmath={"contract"}, _nrt=False, inline="always"
+)()
+"""No reference counting inside: nothing here allocates, and it would take 9/10 of the time (measured)."""
+
+RESTART_NONE, RESTART_FILTER, RESTART_ALL = 0, 1, 2
+
+
+class ServoParameters(NamedTuple):
+    """A servo as the kernel sees it; an effect that is absent has its neutral value."""
+
+    decay_rad_s: ComplexArray
+    weight: ComplexArray
+    rate_down_deg_s: float
+    rate_up_deg_s: float
+    lower_deg: float
+    upper_deg: float
+
+
+class FilterParameters(NamedTuple):
+    """The measured branch ``Qy`` of a nullspace filter."""
+
+    pole_rad_s: float
+    decay_rad_s: ComplexArray
+    """All poles of the servo, negated, both members of each pair, of shape (n,)."""
+    dc_gain: float
+
+
+class Memory(NamedTuple):
+    """Everything that changes from sample to sample; arrays, so that it can be updated in place and copied."""
+
+    modes: ComplexArray
+    """Of shape (m,): position each mode would reach [deg]."""
+    motion: FloatArray
+    """Of shape (5,): time [s], held command [deg], its slope [deg/s], position [deg], rate-limited (-1, 0, 1)."""
+    lags: FloatArray
+    """Of shape (n + 1,): successive lags of the simulation error [deg]."""
+    lag_weights: FloatArray
+    """Of shape (n + 1,): shares of the lags in the residual for the step length below."""
+    lag_step: FloatArray
+    """Of shape (3,): step length [s] of the weights, its lag factor, time of the last filtered sample [s]."""
+    polynomial: ComplexArray
+    """Of shape (n + 1,): room for the calculation of the weights."""
+    cursor: np.ndarray[tuple[int], np.dtype[np.int64]]
+    """Of shape (2,): next command to take effect, next exponential slot to overwrite."""
+    slot_step_s: FloatArray
+    """Of shape (slots,)."""
+    slot_factor: ComplexArray
+    """Of shape (slots, m)."""
+
+
+def new_memory(servo: ServoParameters, residual_filter: FilterParameters) -> Memory:
+    """Memory before the first sample."""
+    modes, order = servo.decay_rad_s.size, residual_filter.decay_rad_s.size
+    return Memory(
+        modes=np.zeros(modes, dtype=np.complex128),
+        motion=np.zeros(5),
+        lags=np.zeros(order + 1),
+        lag_weights=np.zeros(order + 1),
+        lag_step=np.array([-1.0, 0.0, 0.0]),
+        polynomial=np.zeros(order + 1, dtype=np.complex128),
+        cursor=np.zeros(2, dtype=np.int64),
+        slot_step_s=np.full(_SLOTS, -1.0),
+        slot_factor=np.zeros((_SLOTS, modes), dtype=np.complex128),
+    )
+
+
+@inlined
+def _slot_for(servo: ServoParameters, memory: Memory, step_s: float) -> int:
+    """Index of the cached exponentials for a step of about this length, filled if need be."""
+    for slot in range(_SLOTS):
+        if abs(memory.slot_step_s[slot] - step_s) <= _SAME_STEP_S:
+            return slot
+    slot = memory.cursor[1]
+    memory.cursor[1] = (slot + 1) % _SLOTS
+    memory.slot_step_s[slot] = step_s
+    for i in range(servo.decay_rad_s.size):
+        memory.slot_factor[slot, i] = np.exp(-servo.decay_rad_s[i] * step_s)
+    return int(slot)
+
+
+@compiled
+def _linear_position(servo: ServoParameters, memory: Memory, after_s: float) -> float:
+    """Position of the linear dynamics `after_s` into the interval that starts at the memory's time [deg]."""
+    held, slope = memory.motion[1], memory.motion[2]
+    total = 0.0
+    for i in range(servo.decay_rad_s.size):
+        a = servo.decay_rad_s[i]
+        target = held - slope / a
+        mode = target + slope * after_s + np.exp(-a * after_s) * (memory.modes[i] - target)
+        total += (servo.weight[i] * mode).real
+    return total
+
+
+@compiled
+def _linear_rate(servo: ServoParameters, memory: Memory, after_s: float) -> float:
+    """Rate of the same motion [deg/s]."""
+    held, slope = memory.motion[1], memory.motion[2]
+    total = 0.0
+    for i in range(servo.decay_rad_s.size):
+        a = servo.decay_rad_s[i]
+        rate = slope - a * np.exp(-a * after_s) * (memory.modes[i] - held + slope / a)
+        total += (servo.weight[i] * rate).real
+    return total
+
+
+@inlined
+def _fastest_possible(servo: ServoParameters, memory: Memory) -> float:
+    """Upper bound of the linear rate during the coming interval [deg/s]."""
+    held, slope = memory.motion[1], memory.motion[2]
+    bound = 0.0
+    for i in range(servo.decay_rad_s.size):
+        a = servo.decay_rad_s[i]
+        deviation = a * (memory.modes[i] - held) + slope
+        weighted = servo.weight[i] * deviation
+        bound += abs(weighted.real) + abs(weighted.imag) + abs(slope * servo.weight[i].real)
+    return bound
+
+
+@compiled
+def _excess_rate(servo: ServoParameters, memory: Memory, after_s: float) -> float:
+    """How far the linear rate lies outside the rate limits (positive: outside) [deg/s]."""
+    rate = _linear_rate(servo, memory, after_s)
+    return max(rate - servo.rate_up_deg_s, -rate - servo.rate_down_deg_s)
+
+
+@compiled
+def _limited(servo: ServoParameters, memory: Memory, step_s: float) -> tuple[float, float]:
+    """Position and limiting direction at the end of an interval in which the rate limit may act."""
+    now, position, direction = 0.0, memory.motion[3], memory.motion[4]
+    while True:
+        if direction == 0.0:
+            begin = _first_change(servo, memory, now, step_s, 0.0, 0.0, 0.0)
+            if begin >= step_s:
+                return _linear_position(servo, memory, step_s), 0.0
+            now, position = begin, _linear_position(servo, memory, begin)
+            direction = 1.0 if _linear_rate(servo, memory, begin) > 0.0 else -1.0
+        rate = servo.rate_up_deg_s if direction > 0.0 else -servo.rate_down_deg_s
+        meet = _first_change(servo, memory, now, step_s, position, rate, direction)
+        if meet >= step_s:
+            return position + rate * (step_s - now), direction
+        now, direction = meet, 0.0
+        if _excess_rate(servo, memory, now) > 0.0:
+            position = _linear_position(servo, memory, now)
+            direction = 1.0 if _linear_rate(servo, memory, now) > 0.0 else -1.0
+
+
+@compiled
+def _change(
+    servo: ServoParameters,
+    memory: Memory,
+    at_s: float,
+    start_s: float,
+    position: float,
+    rate: float,
+    direction: float,
+) -> float:
+    """Positive once the state has changed: limit exceeded (when following), caught up (when limited)."""
+    if direction == 0.0:
+        return _excess_rate(servo, memory, at_s)
+    return direction * (position + rate * (at_s - start_s) - _linear_position(servo, memory, at_s))
+
+
+@compiled
+def _closest(servo: ServoParameters, memory: Memory, low: float, high: float, rate: float, direction: float) -> float:
+    """Instant at which the linear motion comes closest to the limited one, if it turns within the interval."""
+    if direction == 0.0:
+        return high
+    if direction * (rate - _linear_rate(servo, memory, low)) <= 0.0:
+        return high
+    if direction * (rate - _linear_rate(servo, memory, high)) >= 0.0:
+        return high
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        if direction * (rate - _linear_rate(servo, memory, middle)) > 0.0:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@compiled
+def _first_change(
+    servo: ServoParameters,
+    memory: Memory,
+    start_s: float,
+    end_s: float,
+    position: float,
+    rate: float,
+    direction: float,
+) -> float:
+    """First instant in the interval at which following turns into limiting or back; `end_s` if none."""
+    fastest = 0.0
+    for i in range(servo.decay_rad_s.size):
+        fastest = max(fastest, abs(servo.decay_rad_s[i]))
+    # Right after a command the fast modes move; the longer ago it was, the slower what is left of the motion.
+    width = min(_SEARCH_STEP_S, _FASTEST_SHARE / fastest)
+    low = start_s
+    while low < end_s:
+        high = min(low + width, end_s)
+        found = high
+        if _change(servo, memory, high, start_s, position, rate, direction) <= 0.0:
+            # The linear motion may have met the limited one and turned away again within this step.
+            found = _closest(servo, memory, low, high, rate, direction)
+        if _change(servo, memory, found, start_s, position, rate, direction) > 0.0:
+            for _ in range(_BISECTIONS):
+                middle = 0.5 * (low + found)
+                if _change(servo, memory, middle, start_s, position, rate, direction) > 0.0:
+                    found = middle
+                else:
+                    low = middle
+            return found
+        low, width = high, min(_SEARCH_STEP_S, _SEARCH_GROWTH * width)
+    return end_s
+
+
+@inlined
+def _advance(servo: ServoParameters, memory: Memory, until_s: float) -> None:
+    """Move the servo on to `until_s` under the command it holds."""
+    motion = memory.motion
+    step_s = until_s - motion[0]
+    if step_s <= _NO_STEP_S:
+        return
+    limited = motion[4] != 0.0 or _fastest_possible(servo, memory) > min(servo.rate_up_deg_s, servo.rate_down_deg_s)
+    position, direction = _limited(servo, memory, step_s) if limited else (0.0, 0.0)
+    slot = _slot_for(servo, memory, step_s)
+    rest_s = step_s - memory.slot_step_s[slot]
+    held, slope = motion[1], motion[2]
+    total = 0.0
+    for i in range(servo.decay_rad_s.size):
+        factor = memory.slot_factor[slot, i]
+        if rest_s != 0.0:
+            x = servo.decay_rad_s[i] * rest_s
+            factor *= 1.0 - x * (1.0 - 0.5 * x)
+        if slope == 0.0:
+            mode = held + factor * (memory.modes[i] - held)
+        else:
+            target = held - slope / servo.decay_rad_s[i]
+            mode = target + slope * step_s + factor * (memory.modes[i] - target)
+        memory.modes[i] = mode
+        total += servo.weight[i].real * mode.real - servo.weight[i].imag * mode.imag
+    motion[0] = until_s
+    motion[1] = held + slope * step_s
+    motion[3], motion[4] = (position, direction) if limited else (total, 0.0)
+
+
+@compiled
+def _settle(servo: ServoParameters, memory: Memory, time_s: float) -> None:
+    """Start at `time_s` in the steady state of the command that is in force."""
+    motion = memory.motion
+    if motion[2] != 0.0:
+        motion[1] += motion[2] * (time_s - motion[0])
+    gain = 0.0
+    for i in range(servo.decay_rad_s.size):
+        memory.modes[i] = motion[1]
+        gain += servo.weight[i].real
+    motion[0], motion[3], motion[4] = time_s, gain * motion[1], 0.0
+
+
+@compiled
+def _weigh_lags(residual_filter: FilterParameters, memory: Memory, step_s: float) -> None:
+    """Shares of the lags for this step length: the servo's characteristic polynomial written in the lag."""
+    lag = math.exp(-residual_filter.pole_rad_s * step_s)
+    order = residual_filter.decay_rad_s.size
+    polynomial = memory.polynomial
+    polynomial[:] = 0.0
+    polynomial[0] = 1.0
+    free = 1.0 + 0.0j
+    for i in range(order):
+        factor = np.exp(-residual_filter.decay_rad_s[i] * step_s)
+        ratio = np.exp((residual_filter.pole_rad_s - residual_filter.decay_rad_s[i]) * step_s)
+        for j in range(i + 1, 0, -1):
+            polynomial[j] = (1.0 - ratio) * polynomial[j] + ratio * polynomial[j - 1]
+        polynomial[0] *= 1.0 - ratio
+        free *= 1.0 - factor
+    scale = 1.0 / (residual_filter.dc_gain * free.real)
+    for j in range(order + 1):
+        # Entry j multiplies the lag of order n + 1 - j; the lags are stored by rising order.
+        memory.lag_weights[order - j] = polynomial[j].real * scale
+        scale *= 1.0 - lag
+    memory.lag_step[0] = step_s
+    memory.lag_step[1] = lag
+
+
+@inlined
+def _filter(residual_filter: FilterParameters, memory: Memory, time_s: float, error_deg: float) -> float:
+    """Next residual from the next simulation error."""
+    step_s = time_s - memory.lag_step[2]
+    memory.lag_step[2] = time_s
+    if abs(step_s - memory.lag_step[0]) > _SAME_STEP_S:
+        _weigh_lags(residual_filter, memory, step_s)
+    lag = memory.lag_step[1]
+    value, residual = error_deg, 0.0
+    for j in range(memory.lags.size):
+        value = lag * memory.lags[j] + (1.0 - lag) * value
+        memory.lags[j] = value
+        residual += memory.lag_weights[j] * value
+    return residual
+
+
+@compiled
+def observe(
+    servo: ServoParameters,
+    residual_filter: FilterParameters,
+    memory: Memory,
+    effective_s: FloatArray,
+    command_deg: FloatArray,
+    slope_deg_s: FloatArray,
+    measured_s: FloatArray,
+    measured_deg: FloatArray,
+    restart: np.ndarray[tuple[int], np.dtype[np.int8]],
+    simulated_deg: FloatArray,
+    residual_deg: FloatArray,
+) -> None:
+    """Simulate the servo up to each measurement and filter the difference; results go into the last two arrays.
+
+    `effective_s` are the instants at which commands reach the servo (logged time plus delay). A measurement
+    of NaN advances the simulation only. Call again with more data to continue where the memory stands.
+    """
+    motion, lags = memory.motion, memory.lags
+    for k in range(measured_s.size):
+        now = measured_s[k]
+        c = memory.cursor[0]
+        if restart[k] == RESTART_ALL:
+            if c == 0 and effective_s.size > 0:
+                motion[1], motion[2] = command_deg[0], 0.0
+            while c < effective_s.size and effective_s[c] <= now:
+                motion[0], motion[1], motion[2] = effective_s[c], command_deg[c], slope_deg_s[c]
+                c += 1
+            _settle(servo, memory, now)
+        while c < effective_s.size and effective_s[c] <= now:
+            _advance(servo, memory, effective_s[c])
+            motion[1], motion[2] = command_deg[c], slope_deg_s[c]
+            c += 1
+        memory.cursor[0] = c
+        _advance(servo, memory, now)
+        simulated = min(max(motion[3], servo.lower_deg), servo.upper_deg)
+        simulated_deg[k] = simulated
+        error = measured_deg[k] - simulated
+        if math.isnan(error):
+            residual_deg[k] = math.nan
+        elif restart[k] != RESTART_NONE:
+            lags[:] = error
+            memory.lag_step[2] = now
+            residual_deg[k] = error / residual_filter.dc_gain
+        else:
+            residual_deg[k] = _filter(residual_filter, memory, now, error)

@@ -1,0 +1,138 @@
+"""A servo model: effects in the order in which the command meets them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import reduce
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servofd.errors import DesignError
+from servofd.models.effects import Delay, Effect, LinearDynamics, Plan, RateLimit
+
+if TYPE_CHECKING:
+    from servofd.models.kernel import ServoParameters
+    from servofd.models.transfer import TransferFunction
+    from servofd.servos import Servo
+    from servofd.types import FloatArray
+
+__all__ = ["ServoModel"]
+
+
+@dataclass(frozen=True, slots=True)
+class ServoModel:
+    """What a command does to a surface.
+
+    Parameters
+    ----------
+    effects : tuple of Effect
+        Sorted by the place where they act.
+
+    Raises
+    ------
+    DesignError
+        If no effect gives the linear dynamics.
+
+    Examples
+    --------
+    >>> from servofd.models.effects import RateLimit
+    >>> from servofd.servos import servo_named
+    >>> (ServoModel.of(servo_named("hs225bb-eq31")) + RateLimit(100.0)).plan.rate_up_deg_s
+    100.0
+    """
+
+    effects: tuple[Effect, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "effects", tuple(sorted(self.effects, key=lambda effect: effect.place)))
+        if self.plan.transfer is None:
+            raise DesignError("a servo model needs linear dynamics")
+
+    @classmethod
+    def of(cls, servo: Servo) -> ServoModel:
+        """Model of a servo from its description: transport delay, linear dynamics, rate limit."""
+        effects: list[Effect] = [Delay(servo.transport_delay_s), LinearDynamics(servo.transfer)]
+        if servo.rate_limit_deg_s is not None:
+            effects.append(RateLimit(servo.rate_limit_deg_s))
+        return cls(tuple(effects))
+
+    def __add__(self, effect: Effect) -> ServoModel:
+        return ServoModel((*self.effects, effect))
+
+    @property
+    def plan(self) -> Plan:
+        """All effects together."""
+        return reduce(lambda plan, effect: effect.install(plan), self.effects, Plan())
+
+    @property
+    def transfer(self) -> TransferFunction:
+        """Linear dynamics."""
+        transfer = self.plan.transfer
+        if transfer is None:
+            raise DesignError("a servo model needs linear dynamics")
+        return transfer
+
+    def linear(self) -> ServoModel:
+        """Only the delay and the linear dynamics, without limits."""
+        return ServoModel((Delay(self.plan.delay_s), LinearDynamics(self.transfer)))
+
+    def parameters(self) -> ServoParameters:
+        """The model as the kernel sees it."""
+        from servofd.models.kernel import ServoParameters
+
+        plan, modes = self.plan, self.transfer.modes()
+        return ServoParameters(
+            decay_rad_s=modes.decay_rad_s,
+            weight=modes.weight,
+            rate_down_deg_s=plan.rate_down_deg_s,
+            rate_up_deg_s=plan.rate_up_deg_s,
+            lower_deg=plan.lower_deg,
+            upper_deg=plan.upper_deg,
+        )
+
+    def simulate(self, command_s: FloatArray, command_deg: FloatArray, at_s: FloatArray) -> FloatArray:
+        """Deflection at given times under a held command, exactly, whatever the spacing of the samples.
+
+        Parameters
+        ----------
+        command_s, command_deg : ndarray, shape (n,)
+            When each command was given [s] and what it asked for [deg]; it holds until the next.
+        at_s : ndarray, shape (m,)
+            Times [s], rising.
+
+        Returns
+        -------
+        ndarray, shape (m,)
+            Deflection [deg], starting from rest at the first command.
+
+        Examples
+        --------
+        >>> from servofd.servos import servo_named
+        >>> model = ServoModel.of(servo_named("s9254"))
+        >>> model.simulate(np.array([0.0, 0.1]), np.array([0.0, 5.0]), np.array([0.0, 0.1, 0.5])).round(3)
+        array([0., 0., 5.])
+        """
+        from servofd.models.kernel import RESTART_ALL, FilterParameters, new_memory, observe
+
+        servo = self.parameters()
+        unused = FilterParameters(1.0, servo.decay_rad_s, 1.0)
+        # One more instant, at the first command: that is where the servo rests.
+        instants_s = np.concatenate([np.asarray(command_s, dtype=float)[:1], np.asarray(at_s, dtype=float)])
+        restart = np.zeros(instants_s.size, dtype=np.int8)
+        restart[:1] = RESTART_ALL
+        simulated, residual = np.empty(instants_s.size), np.empty(instants_s.size)
+        observe(
+            servo,
+            unused,
+            new_memory(servo, unused),
+            np.asarray(command_s, dtype=float) + self.plan.delay_s,
+            np.asarray(command_deg, dtype=float),
+            np.zeros(len(command_deg)),
+            instants_s,
+            np.full(instants_s.size, np.nan),
+            restart,
+            simulated,
+            residual,
+        )
+        return simulated[1:]

@@ -1,0 +1,1 @@
+"""Everything that leaves servofd as a file: JSON, figures, recordings."""

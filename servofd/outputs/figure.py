@@ -1,0 +1,137 @@
+"""The audit as pictures, after thesis Fig. 4.5: deflections above, residual and alarm below."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servofd.outputs.files import whole_file
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from matplotlib.axes import Axes
+
+    from servofd.detection.audit import SurfaceAudit
+    from servofd.detection.residual import Residuals
+    from servofd.segment import Segment
+    from servofd.types import BoolArray, FloatArray
+
+__all__ = ["COLOURS", "save_figure"]
+
+COLOURS = {
+    "command": "#7f7f7f",
+    "simulated": "#0072b2",
+    "measured": "#e69f00",
+    "fault": "#d55e00",
+    "ok": "#009e73",
+}
+"""Okabe and Ito's palette, which colour-blind eyes can tell apart."""
+
+_WIDEST = 4000
+"""Points drawn per curve; more cannot be told apart, and slow the drawing down."""
+
+
+def save_figure(audit: SurfaceAudit, path: Path, title: str) -> None:
+    """Draw one surface into a PNG file.
+
+    Parameters
+    ----------
+    audit : SurfaceAudit
+        A surface with residuals.
+    path : Path
+        File to write.
+    title : str
+        First line of the heading, for example the name of the log.
+
+    Raises
+    ------
+    ValueError
+        If the surface has no residuals: there is nothing to draw.
+    """
+    if audit.segment is None or audit.residuals is None:
+        raise ValueError(f"{audit.surface}: nothing to draw, {audit.reason}")
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, 6.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
+    _draw_deflection(upper, audit.segment, audit.residuals)
+    _draw_residual(lower, audit.residuals, audit.threshold_deg)
+    for axes in (upper, lower):
+        _shade(axes, audit)
+        axes.grid(visible=True, color="0.9")
+        axes.spines[["top", "right"]].set_visible(False)
+    upper.set_title(f"{title}   {audit.surface}: {audit.status}\n{audit.reason}", loc="left", fontsize=10)
+    figure.canvas.draw()
+    for axes in (upper, lower):
+        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
+    with whole_file(path) as temporary:
+        figure.savefig(temporary, dpi=110)
+
+
+def _draw_deflection(axes: Axes, segment: Segment, residuals: Residuals) -> None:
+    time_s, command_deg = _thin(segment.command_s, segment.command_deg)
+    axes.plot(time_s, command_deg, color=COLOURS["command"], lw=0.9, drawstyle="steps-post", label="command")
+    time_s, measured_deg = _thin(residuals.time_s, residuals.measured_deg)
+    axes.plot(time_s, measured_deg, color=COLOURS["measured"], lw=1.4, label="measured")
+    time_s, simulated_deg = _thin(residuals.time_s, residuals.simulated_deg)
+    axes.plot(time_s, simulated_deg, color=COLOURS["simulated"], lw=0.9, label="simulated")
+    axes.set_ylabel("deflection [deg]")
+
+
+def _draw_residual(axes: Axes, residuals: Residuals, threshold_deg: float) -> None:
+    judged = np.where(residuals.settled, residuals.residual_deg, np.nan)
+    time_s, residual_deg = _thin(residuals.time_s, judged)
+    axes.plot(time_s, residual_deg, color="black", lw=0.8, label="residual")
+    for sign in (1.0, -1.0):
+        label = f"threshold ±{threshold_deg:g} deg" if sign > 0 else None
+        axes.axhline(sign * threshold_deg, color=COLOURS["fault"], lw=1.0, ls="--", label=label)
+    largest = float(np.nanmax(np.abs(judged))) if np.any(residuals.settled) else 0.0
+    limit = 1.15 * max(largest, 1.3 * threshold_deg)
+    axes.set_ylim(-limit, limit)
+    alarm = (np.abs(judged) >= threshold_deg).astype(float)
+    axes.fill_between(
+        *_thin_flags(residuals.time_s, alarm, -limit, -0.92 * limit),
+        color=COLOURS["fault"],
+        lw=0,
+        label="alarm",
+    )
+    axes.set_ylabel("residual [deg]")
+    axes.set_xlabel("time [s]")
+
+
+def _shade(axes: Axes, audit: SurfaceAudit) -> None:
+    """Time from onset to end of each fault."""
+    residuals = audit.residuals
+    if residuals is None:
+        return
+    for number, episode in enumerate(audit.episodes):
+        end_s = residuals.time_s[-1] if episode.end_s is None else episode.end_s
+        label = "fault" if number == 0 else None
+        axes.axvspan(episode.start_s, end_s, color=COLOURS["fault"], alpha=0.12, lw=0, label=label)
+        axes.axvline(episode.alarm_s, color=COLOURS["fault"], lw=0.8)
+
+
+def _thin(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Keep the smallest and the largest sample of each pixel column, so that no spike is lost."""
+    if time_s.size <= _WIDEST:
+        return time_s, values
+    edges = np.linspace(0, time_s.size, _WIDEST // 2 + 1).astype(int)[:-1]
+    missing = ~np.isfinite(values)
+    low = np.minimum.reduceat(np.where(missing, np.inf, values), edges)
+    high = np.maximum.reduceat(np.where(missing, -np.inf, values), edges)
+    empty = low > high
+    both = np.column_stack([np.where(empty, np.nan, low), np.where(empty, np.nan, high)]).ravel()
+    return np.repeat(time_s[edges], 2), both
+
+
+def _thin_flags(
+    time_s: FloatArray, flags: FloatArray, bottom: float, top: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Outline of a bar that is there while a flag is set."""
+    thin_s, thin = _thin(time_s, flags)
+    raised: BoolArray = thin > 0.0
+    return thin_s, np.full(thin_s.size, bottom), np.where(raised, top, bottom)

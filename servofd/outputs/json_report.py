@@ -1,0 +1,115 @@
+"""The audit as JSON, schema servofd.audit/1."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from logparsers.records import Damage
+    from servofd.detection.alarm import Episode
+    from servofd.detection.audit import LogAudit, SurfaceAudit
+
+__all__ = ["FailedLog", "audit_document", "to_json"]
+
+
+@dataclass(frozen=True, slots=True)
+class FailedLog:
+    """A log that could not be read at all, and why."""
+
+    path: str
+    error: str
+
+
+def audit_document(results: Sequence[LogAudit | FailedLog]) -> dict[str, Any]:
+    """Everything an audit found, as plain dictionaries and lists.
+
+    Examples
+    --------
+    >>> audit_document([FailedLog("a.csv", "a.csv: no such file")])["logs"][0]["error"]
+    'a.csv: no such file'
+    """
+    return {"schema": "servofd.audit/1", "logs": [_log(result) for result in results]}
+
+
+def to_json(document: dict[str, Any]) -> str:
+    """Text of a document; values that JSON cannot hold (NaN, infinity) become null."""
+    return json.dumps(_finite(document), indent=2, allow_nan=False) + "\n"
+
+
+def _log(result: LogAudit | FailedLog) -> dict[str, Any]:
+    if isinstance(result, FailedLog):
+        return {
+            "path": result.path,
+            "format": None,
+            "duration_s": None,
+            "error": result.error,
+            "damage": [],
+            "surfaces": {},
+        }
+    log = result.log
+    return {
+        "path": str(log.source),
+        "run": log.run or None,
+        "format": log.format,
+        "duration_s": log.duration_s,
+        "error": None,
+        "damage": [_damage(damage) for damage in log.damage],
+        "surfaces": {surface.surface: _surface(surface) for surface in result.surfaces},
+    }
+
+
+def _surface(surface: SurfaceAudit) -> dict[str, Any]:
+    statistics = surface.statistics
+    return {
+        "status": surface.status,
+        "reason": surface.reason,
+        "servo": surface.servo,
+        "threshold": {"kind": "constant", "deg": surface.threshold_deg},
+        "residual": None
+        if statistics is None
+        else {
+            "mean_deg": statistics.mean_deg,
+            "std_deg": statistics.std_deg,
+            "max_abs_deg": statistics.max_abs_deg,
+        },
+        "simulation_error_rms_deg": None if statistics is None else statistics.simulation_error_rms_deg,
+        "false_alarms_per_hour": surface.false_alarms_per_hour,
+        "faults": [_fault(episode) for episode in surface.episodes],
+    }
+
+
+def _fault(episode: Episode) -> dict[str, Any]:
+    return {
+        "kind": "unknown",
+        "start_s": episode.start_s,
+        "alarm_s": episode.alarm_s,
+        "end_s": episode.end_s,
+        "parameters": {},
+        "probability": None,
+        "alternatives": [],
+    }
+
+
+def _damage(damage: Damage) -> dict[str, Any]:
+    return {
+        "kind": damage.kind,
+        "note": damage.note,
+        "count": damage.count,
+        "start_s": damage.start_s,
+        "end_s": damage.end_s,
+    }
+
+
+def _finite(value: Any) -> Any:  # noqa: ANN401 - any JSON value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_finite(item) for item in value]
+    return value

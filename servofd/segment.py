@@ -1,0 +1,123 @@
+"""Segments: what was asked of one surface and what it did, on true time stamps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from logparsers.errors import MissingChannel
+from logparsers.records import own
+from servofd.errors import NoMeasurement
+
+if TYPE_CHECKING:
+    from logparsers.records import Channel, FlightLog
+    from servofd.aircraft import Surface
+    from servofd.types import FloatArray
+
+__all__ = ["SLOWEST_RATE_HZ", "Segment", "cut"]
+
+SLOWEST_RATE_HZ = 10.0
+"""Below this a healthy servo's residual passes 0.9 deg for lack of samples (measured on simulated flights)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Segment:
+    """Command and measured deflection of one surface over one log.
+
+    Parameters
+    ----------
+    surface : str
+        Name of the surface.
+    command_s, command_deg : ndarray, shape (n,)
+        When each command was logged [s], rising, and what it asked for [deg], as the servo receives it.
+    measured_s, measured_deg : ndarray, shape (m,)
+        When the deflection was measured [s], rising, and what it was [deg]; NaN where it was not.
+    command_period_s : float or None
+        If given, the log holds fewer commands than the servo received (one every `command_period_s`), and the
+        command is taken to run straight between them. None: every command is in the log and holds until the next.
+
+    Examples
+    --------
+    >>> Segment("rudder", np.arange(3.0), np.zeros(3), np.arange(3.0), np.zeros(3)).duration_s
+    2.0
+    """
+
+    surface: str
+    command_s: FloatArray
+    command_deg: FloatArray
+    measured_s: FloatArray
+    measured_deg: FloatArray
+    command_period_s: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("command_s", "command_deg", "measured_s", "measured_deg"):
+            object.__setattr__(self, name, own(getattr(self, name)))
+        if self.command_s.shape != self.command_deg.shape or self.measured_s.shape != self.measured_deg.shape:
+            raise ValueError(f"{self.surface}: times and values differ in number")
+
+    @property
+    def duration_s(self) -> float:
+        """From the first to the last measurement [s]."""
+        return float(self.measured_s[-1] - self.measured_s[0]) if self.measured_s.size else 0.0
+
+    @property
+    def period_s(self) -> float:
+        """Median time between two measurements that have a value [s]; NaN if there are fewer than two."""
+        times = self.measured_s[np.isfinite(self.measured_deg)]
+        return float(np.median(np.diff(times))) if times.size > 1 else float("nan")
+
+
+def cut(log: FlightLog, name: str, surface: Surface) -> Segment:
+    """Take one surface out of a log, in degrees.
+
+    Parameters
+    ----------
+    log : FlightLog
+        What was recorded.
+    name : str
+        Name of the surface.
+    surface : Surface
+        Its channels and calibration.
+
+    Raises
+    ------
+    NoMeasurement
+        If the log does not tell where the surface was, or what was asked of it; the message is the reason.
+    """
+    command = _channel(log, surface.command.channel, "command")
+    if surface.measured is None:
+        raise NoMeasurement("the aircraft file names no measured channel for this surface")
+    measured = _channel(log, surface.measured.channel, "position")
+    if measured.is_constant:
+        value = measured.values[np.isfinite(measured.values)][0]
+        raise NoMeasurement(f"position channel {measured.name!r} never changes (always {value:g}): not a measurement")
+    given = np.isfinite(command.values)
+    command_deg = surface.command.to_deg(command.values[given])
+    if surface.command_saturation_deg is not None:
+        command_deg = np.clip(command_deg, *surface.command_saturation_deg)
+    measured_deg = surface.measured.to_deg(measured.values)
+    if _is_echo(command, measured, surface.command.to_deg(command.values), measured_deg):
+        raise NoMeasurement("position equals command in every sample: an echo of the command, not a measurement")
+    return Segment(name, command.time_s[given], command_deg, measured.time_s, measured_deg, surface.command_period_s)
+
+
+def _channel(log: FlightLog, name: str, kind: str) -> Channel:
+    try:
+        channel = log[name]
+    except MissingChannel as error:
+        raise NoMeasurement(f"no {kind}: " + str(error).removeprefix(f"{log.label}: ")) from None
+    if not np.any(np.isfinite(channel.values)):
+        raise NoMeasurement(f"{kind} channel {name!r} holds no value")
+    return channel
+
+
+def _is_echo(command: Channel, measured: Channel, command_deg: FloatArray, measured_deg: FloatArray) -> bool:
+    """A position that equals a moving command to the last bit was never measured: no servo is that fast."""
+    if command.time_s.shape != measured.time_s.shape or not np.array_equal(command.time_s, measured.time_s):
+        return False
+    both = np.isfinite(command_deg) & np.isfinite(measured_deg)
+    return bool(
+        both.any() and np.ptp(command_deg[both]) > 0.0 and np.array_equal(command_deg[both], measured_deg[both])
+    )

@@ -1,0 +1,110 @@
+"""Simulated flights: an aircraft's servos under a command sequence, healthy or with faults."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servofd.errors import ConfigError, UnknownName, suggest
+from servofd.simulation.commands import COMMANDS
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from servofd.aircraft import Aircraft
+    from servofd.models.effects import Effect
+    from servofd.models.faults import Fault
+    from servofd.types import FloatArray
+
+__all__ = ["SimulatedFlight", "simulate_flight"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimulatedFlight:
+    """What a log of the flight would hold, in degrees."""
+
+    surfaces: tuple[str, ...]
+    time_s: FloatArray
+    """Of shape (n,)."""
+    command_deg: FloatArray
+    """Of shape (n, s)."""
+    measured_deg: FloatArray
+    """Of shape (n, s)."""
+
+
+def simulate_flight(
+    aircraft: Aircraft,
+    *,
+    command: str = "flight",
+    duration_s: float = 60.0,
+    rate_hz: float = 100.0,
+    seed: int = 0,
+    faults: Mapping[str, Fault] | None = None,
+    effects: Mapping[str, Sequence[Effect]] | None = None,
+    noise_deg: float = 0.1,
+) -> SimulatedFlight:
+    """Fly all surfaces of an aircraft.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+        Its surfaces and servos.
+    command : str
+        One of `servofd.simulation.commands.COMMANDS`; each surface gets its own variation.
+    duration_s, rate_hz : float
+        Length [s] and sample rate [Hz].
+    seed : int
+        The same seed gives the same flight.
+    faults : mapping of surface to Fault, optional
+        What fails.
+    effects : mapping of surface to effects, optional
+        What the servo has beyond its description.
+    noise_deg : float
+        Standard deviation of white noise on the measured deflection [deg].
+
+    Raises
+    ------
+    UnknownName
+        If a surface or the command does not exist.
+    ConfigError
+        If duration, rate or noise make no sense.
+
+    Examples
+    --------
+    >>> from servofd.aircraft import plain_aircraft
+    >>> from servofd.models.faults import Stuck
+    >>> flown = simulate_flight(plain_aircraft(["rudder"]), duration_s=20.0, noise_deg=0.0,
+    ...                         faults={"rudder": Stuck(10.0)})
+    >>> bool(np.ptp(flown.measured_deg[1001:, 0]) == 0.0)
+    True
+    """
+    if command not in COMMANDS:
+        raise UnknownName(suggest("command", command, COMMANDS))
+    for name in (*(faults or {}), *(effects or {})):
+        if name not in aircraft.surfaces:
+            raise UnknownName(suggest("surface", name, aircraft.surfaces))
+    if not (0.0 < rate_hz <= 10_000.0 and 2.0 <= duration_s * rate_hz <= 1e8 and 0.0 <= noise_deg < 1e3):
+        raise ConfigError(
+            f"cannot simulate {duration_s} s at {rate_hz} Hz with {noise_deg} deg of noise: "
+            "give a positive duration, a rate of at most 10000 Hz and a noise of zero or more"
+        )
+    time_s = np.round(np.arange(round(duration_s * rate_hz)) / rate_hz, 9)
+    commanded, measured = [], []
+    for index, (name, surface) in enumerate(aircraft.surfaces.items()):
+        rng = np.random.default_rng([seed, index])
+        asked_deg = COMMANDS[command](time_s, rng)
+        received_deg = np.clip(asked_deg, *(surface.command_saturation_deg or (-np.inf, np.inf)))
+        model = aircraft.model(name)
+        for effect in (effects or {}).get(name, ()):
+            model = model + effect
+        fault = (faults or {}).get(name)
+        deflection_deg = (
+            fault.deflection(model, time_s, received_deg, time_s)
+            if fault
+            else model.simulate(time_s, received_deg, time_s)
+        )
+        commanded.append(asked_deg)
+        measured.append(deflection_deg + noise_deg * rng.standard_normal(time_s.size))
+    return SimulatedFlight(tuple(aircraft.surfaces), time_s, np.column_stack(commanded), np.column_stack(measured))

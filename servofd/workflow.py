@@ -1,0 +1,108 @@
+"""What the command line does, as functions for a notebook."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import logparsers
+from servofd.aircraft import DEFAULT_SERVO, Aircraft, load_aircraft, plain_aircraft
+from servofd.detection.audit import LogAudit, audit_log
+from servofd.errors import NoMeasurement, UnknownName, suggest
+from servofd.servos import servo_named
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from logparsers import FlightLog
+
+__all__ = ["aircraft_for", "audit"]
+
+_COMMAND_SUFFIX = "_cmd_deg"
+
+
+def audit(
+    path: str | Path,
+    aircraft: Aircraft | str | Path | None = None,
+    *,
+    servo: str | None = None,
+    threshold_deg: float | None = None,
+    surfaces: tuple[str, ...] = (),
+    progress: Callable[[str], None] = lambda _surface: None,
+) -> Iterator[LogAudit]:
+    """Judge every surface of a log; one result for each run that the file holds.
+
+    Parameters
+    ----------
+    path : str or Path
+        The log.
+    aircraft : Aircraft, str or Path, optional
+        An aircraft, its file, or the name of one that comes with servofd. Left out, FASER logs use ``faser`` and
+        plain tables the surfaces of their header.
+    servo : str, optional
+        Library servo to assume for all surfaces.
+    threshold_deg : float, optional
+        Alarm level for all surfaces [deg].
+    surfaces : tuple of str
+        Which to judge; all if empty.
+    progress : callable
+        Called with the name of each surface that is done.
+
+    Yields
+    ------
+    LogAudit
+        Verdicts on the surfaces of one run.
+
+    Raises
+    ------
+    LogError
+        If the log is of no use.
+    ServofdError
+        If the aircraft is not what it should be, or a name is unknown.
+
+    Examples
+    --------
+    >>> [result.has_fault for result in audit("sample_logs/faser_healthy_flight.mat")]
+    [False]
+    """
+    known = load_aircraft(aircraft) if isinstance(aircraft, str | Path) else aircraft
+    if servo is not None:
+        servo_named(servo)
+    for log in logparsers.read_all(path, _layout(known)):
+        flown = _with_servo(known or aircraft_for(log), servo)
+        for name in surfaces:
+            if name not in flown.surfaces:
+                raise UnknownName(f"{log.label}: {suggest('surface', name, flown.surfaces)}")
+        yield audit_log(log, flown, threshold_deg=threshold_deg, surfaces=surfaces, progress=progress)
+
+
+def aircraft_for(log: FlightLog) -> Aircraft:
+    """Aircraft to assume for a log that comes without a file of its own.
+
+    Raises
+    ------
+    NoMeasurement
+        If the log has no columns that name a surface.
+    """
+    if log.format == "faser":
+        return load_aircraft("faser")
+    names = [name.removesuffix(_COMMAND_SUFFIX) for name in log.channels if name.endswith(_COMMAND_SUFFIX)]
+    if not names:
+        raise NoMeasurement(
+            f"{log.label}: no surface found: a plain table needs columns <surface>_cmd_deg and <surface>_pos_deg; "
+            f"for other names write an aircraft file (-c). Its columns: {', '.join(list(log.channels)[:12])}"
+        )
+    return plain_aircraft(names, DEFAULT_SERVO)
+
+
+def _layout(aircraft: Aircraft | None) -> logparsers.TableLayout | None:
+    if aircraft is None or aircraft.table is None:
+        return None
+    return logparsers.TableLayout(**aircraft.table.model_dump())
+
+
+def _with_servo(aircraft: Aircraft, servo: str | None) -> Aircraft:
+    if servo is None:
+        return aircraft
+    changed = {name: surface.model_copy(update={"servo": servo}) for name, surface in aircraft.surfaces.items()}
+    return aircraft.model_copy(update={"surfaces": changed, "servos": {}})
