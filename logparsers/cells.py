@@ -104,7 +104,7 @@ def _cells(column: np.ndarray[Any, Any], decimal: str, *, wanted: bool) -> Cells
 
 
 def _number(text: str, decimal: str) -> float | None:
-    if text.lower().lstrip("+-") in ("", "nan"):
+    if text.lower() in ("", "nan", "-nan", "+nan"):
         return np.nan
     if "_" in text:  # Python reads 1_000 as a number, a log does not write it
         return None

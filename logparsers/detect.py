@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from logparsers.errors import UnknownFormat
 from logparsers.faser import read_hdf5, read_level4, read_level5
-from logparsers.matlab import header4
+from logparsers.matlab4 import header4
 from logparsers.table import TableLayout, read_table
 
 if TYPE_CHECKING:
@@ -121,13 +121,15 @@ def detect(head: bytes, label: str) -> Reader:
     'read_table'
     >>> detect(b"\x89PNG\r\n", "flight.mat")  # doctest: +ELLIPSIS
     Traceback (most recent call last):
-    logparsers.errors.UnknownFormat: flight.mat: its format is PNG image, which cannot be read by this version; it reads ...
+    logparsers.errors.UnknownFormat: flight.mat: its format is PNG image, which cannot be read by this version; ...
     """
     known = ", ".join(found.name for found in FORMATS if found.read)
     for found in FORMATS:
         if found.matches(head):
             if found.read:
                 return found.read
-            raise UnknownFormat(f"{label}: its format is {found.name}, which cannot be read by this version; it reads {known}")
+            raise UnknownFormat(
+                f"{label}: its format is {found.name}, which cannot be read by this version; it reads {known}"
+            )
     first = head[:8].hex(" ")
     raise UnknownFormat(f"{label}: its first bytes ({first}) belong to no known format; this version reads {known}")

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 
 from logparsers.assemble import Column, assemble
 from logparsers.errors import MissingChannel
-from logparsers.matlab import level4, level5
+from logparsers.matlab4 import level4
+from logparsers.matlab5 import level5
 from logparsers.records import Damage
 from logparsers.source import decoding
 from logparsers.units import COMMANDS, faser_unit, is_faser
@@ -28,8 +29,8 @@ __all__ = ["from_variables", "read_hdf5", "read_level4", "read_level5"]
 CLOCKS = {"time": 1.0, "Time_us": 1e-6}
 """Seconds per unit of the variables that carry time stamps, FASER's and RAPTRS'."""
 
-FIRST = ("/Control/", "/Sensors/Fmu/")
-"""Groups of RAPTRS whose channels keep their short name where others repeat it."""
+COMMAND_GROUP = "/Control/"
+"""Where RAPTRS keeps its commands; they keep their short names where other groups repeat them."""
 
 
 def read_level4(source: Source, _: TableLayout | None = None) -> tuple[FlightLog, ...]:
@@ -99,8 +100,8 @@ def _clock(path: Path, variables: Mapping[str, FloatArray]) -> str:
 
 
 def _rank(path: str, home: str) -> int:
-    """Channels beside the clock come first, then those of RAPTRS' main groups, then the rest as the file has them."""
-    groups = (home, *FIRST) if home != "/" else FIRST
+    """RAPTRS' commands come first, then channels beside the clock, then the rest as the file has them."""
+    groups = (COMMAND_GROUP, home)
     return next((rank for rank, group in enumerate(groups) if path.startswith(group)), len(groups))
 
 

@@ -54,7 +54,8 @@ def vectors(source: Source) -> dict[str, FloatArray]:
     found: dict[str, FloatArray] = {}
 
     def visit(name: str, item: object) -> None:
-        if isinstance(item, h5py.Dataset) and _is_vector(item):
+        cell = name.startswith("#")  # MATLAB 7.3 keeps the contents of cells in #refs#
+        if isinstance(item, h5py.Dataset) and not cell and _is_vector(item):
             found["/" + name] = np.asarray(item[()]).reshape(-1).astype(np.float64)
 
     with decoding(source, "HDF5 file"), h5py.File(source.file, "r") as file:

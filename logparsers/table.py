@@ -129,11 +129,10 @@ def _guess(path: Path, grid: Grid) -> Literal["faser", "table"]:
         return "table"
     if "time" in grid.names and any(is_faser(name) for name in grid.names):
         return "faser"
-    hint = "name the time column, or a sample rate, in a table layout"
-    if all(name.strip("+-").replace(".", "").replace("e", "").isdigit() for name in grid.names):
-        hint = "its first line is data: name its columns in a table layout"
-    known = ", ".join(grid.names[:12])
-    raise MissingChannel(f"{path}: no column 'time_s' (nor FASER's 'time' and {COMMANDS[0]!r}) in {known}; {hint}")
+    raise MissingChannel(
+        f"{path}: no column 'time_s' (nor FASER's 'time' and {COMMANDS[0]!r}) in {', '.join(grid.names[:12])}; "
+        "name the time column, or a sample rate, in a table layout"
+    )
 
 
 def _check_names(path: Path, grid: Grid, layout: TableLayout) -> None:
@@ -162,6 +161,9 @@ class _Reading:
         for name, cells in self.cells.items():
             if self._is_channel(name, cells, damage):
                 columns.append(Column(name, cells.values, self._unit(name), name))
+        if not columns:
+            hint = damage[-1].note if damage else "a log needs at least one"
+            raise MissingChannel(f"{self.path}: no column of numbers beside the time; {hint}")
         return tuple(self._log(run, rows, columns, tuple(damage)) for run, rows in self._runs().items())
 
     def _is_channel(self, name: str, cells: Cells, damage: list[Damage]) -> bool:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from logparsers.errors import EmptyLog, UnreadableLog
+from logparsers.errors import EmptyLog, MissingChannel, UnreadableLog
 from logparsers.records import Damage
 
 if TYPE_CHECKING:
@@ -75,6 +75,8 @@ def read_grid(path: Path, content: bytes, columns: tuple[str, ...] = ()) -> Grid
     ------
     EmptyLog
         If there is no header or no row.
+    MissingChannel
+        If numbers stand where the header should be.
     UnreadableLog
         If the file is not text, a name stands twice in the header, or a line has too many cells.
 
@@ -90,14 +92,9 @@ def read_grid(path: Path, content: bytes, columns: tuple[str, ...] = ()) -> Grid
     end = text.find(b"\n", start)
     first = text[start:] if end < 0 else text[start:end]
     delimiter = next((d for d in ("\t", ";", ",") if d.encode() in first), " ")
-    if columns:
-        names, rest = columns, text[start:]
-    else:
-        names, rest = (
-            _names(path, first.decode("utf-8", "replace"), delimiter, skipped + 1),
-            text[start + len(first) + 1 :],
-        )
-        skipped += 1
+    names = columns or _names(path, first.decode("utf-8", "replace"), delimiter, skipped + 1)
+    rest = text[start:] if columns else text[start + len(first) + 1 :]
+    skipped += not columns
     if delimiter == " ":  # any number of blanks separates
         rest, delimiter = re.sub(rb"[ \t]+", b"\t", re.sub(rb"(?m)^[ \t]+|[ \t]+$", b"", rest)), "\t"
     sample = rest[:SAMPLE_BYTES]
@@ -134,10 +131,20 @@ def _names(path: Path, header: str, delimiter: str, line: int) -> tuple[str, ...
     except csv.Error as error:
         raise UnreadableLog(f"{path}: line {line}, the header, cannot be read: {error}") from error
     names = tuple(cell.strip() for cell in cells)
+    if all(map(_is_number, names)):
+        raise MissingChannel(f"{path}: line {line} is data, no header; name its columns in a table layout")
     twice = next((name for place, name in enumerate(names) if name and name in names[:place]), None)
     if twice is not None:
         raise UnreadableLog(f"{path}: line {line}: the header has two columns {twice!r}; give each a name of its own")
     return names
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell.replace(",", "."))
+    except ValueError:
+        return False
+    return True
 
 
 def _unquoted(path: Path, rest: bytes, delimiter: str, skipped: int) -> bytes:

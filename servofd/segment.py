@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -56,6 +56,18 @@ class Segment:
             object.__setattr__(self, name, own(getattr(self, name)))
         if self.command_s.shape != self.command_deg.shape or self.measured_s.shape != self.measured_deg.shape:
             raise ValueError(f"{self.surface}: times and values differ in number")
+
+    def with_measured(self, deflection_deg: float) -> Segment:
+        """Return the same segment with a surface that rests at one deflection wherever it was measured.
+
+        Examples
+        --------
+        >>> segment = Segment("x", np.arange(2.0), np.ones(2), np.arange(2.0), np.array([3.0, np.nan]))
+        >>> segment.with_measured(0.0).measured_deg
+        array([ 0., nan])
+        """
+        measured_deg = np.where(np.isfinite(self.measured_deg), deflection_deg, np.nan)
+        return replace(self, measured_deg=measured_deg)
 
     @property
     def duration_s(self) -> float:

@@ -85,7 +85,10 @@ def aircraft_for(log: FlightLog) -> Aircraft:
         If the log has no columns that name a surface.
     """
     if log.format == "faser":
-        return load_aircraft("faser")
+        faser = load_aircraft("faser")
+        logged = {name: s for name, s in faser.surfaces.items() if s.command.channel in log.channels}
+        if logged:
+            return faser.model_copy(update={"surfaces": logged})
     names = [name.removesuffix(_COMMAND_SUFFIX) for name in log.channels if name.endswith(_COMMAND_SUFFIX)]
     if not names:
         raise NoMeasurement(

@@ -137,13 +137,22 @@ def _write_folder(folder: Path, audits: list[LogAudit], document: str) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ConfigError(f"{folder}: cannot make this folder: {error.strerror}") from None
-    for audit in audits:
-        stem = audit.log.source.stem + (f"-{audit.log.run}" if audit.log.run else "")
+    for audit, stem in zip(audits, _distinct_names(audits), strict=True):
         for surface in audit.surfaces:
             if surface.residuals is not None:
                 save_figure(surface, folder / f"{stem}-{surface.surface}.png", audit.log.source.name)
         save_recording(audit, folder / f"{stem}.rrd")
     write_whole(folder / "audit.json", document.encode())
+
+
+def _distinct_names(audits: list[LogAudit]) -> list[str]:
+    """A file stem for each log; what would be the same twice gets a number."""
+    names: list[str] = []
+    for audit in audits:
+        stem = audit.log.source.stem + (f"-{audit.log.run}" if audit.log.run else "")
+        taken = sum(name == stem or name.startswith(f"{stem}~") for name in names)
+        names.append(f"{stem}~{taken + 1}" if taken else stem)
+    return names
 
 
 def _print(options: argparse.Namespace, results: list[LogAudit | FailedLog]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -27,7 +28,7 @@ __all__ = ["LogAudit", "Statistics", "Status", "SurfaceAudit", "audit_log"]
 Status = Literal["healthy", "suspect", "fault", "no_data", "unknown"]
 
 _SECONDS_FOR_ODDS = 10.0
-_SHORTEST_JUDGED_S = 1.0
+_SHORTEST_JUDGED_S = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +51,7 @@ class SurfaceAudit:
     servo: str
     threshold_deg: float
     expected: bool
-    """False if the aircraft file names no measured channel, so that "no data" is what it asks for."""
+    """False if the aircraft file names no measured channel, or the log knows nothing of this surface."""
     episodes: tuple[Episode, ...] = ()
     statistics: Statistics | None = None
     false_alarms_per_hour: float | None = None
@@ -137,7 +138,7 @@ def _audit_surface(log: FlightLog, aircraft: Aircraft, name: str, threshold_deg:
         surface=name,
         servo=surface.servo,
         threshold_deg=threshold_deg,
-        expected=surface.measured is not None,
+        expected=_is_expected(log, aircraft, name),
     )
     try:
         segment = cut(log, name, surface)
@@ -150,10 +151,13 @@ def _audit_surface(log: FlightLog, aircraft: Aircraft, name: str, threshold_deg:
     residuals = generator.run(segment)
     judged_s = np.count_nonzero(residuals.settled) * segment.period_s
     if judged_s < _SHORTEST_JUDGED_S:
-        reason_text = f"only {judged_s:.1f} s of command and position together, at least 1 s is needed"
+        reason_text = f"only {judged_s:.1f} s of command and position together; {_SHORTEST_JUDGED_S:g} s are needed"
         return verdict(status="unknown", reason=reason_text, segment=segment, residuals=residuals)
-    episodes = find_episodes(segment, residuals, threshold_deg)
     statistics = _statistics(residuals)
+    episodes: tuple[Episode, ...] = ()
+    if statistics.max_abs_deg >= threshold_deg:
+        immobile_deg = generator.run(segment.with_measured(0.0)).residual_deg
+        episodes = find_episodes(residuals, immobile_deg, threshold_deg)
     status, reason_text = _verdict(segment, residuals, statistics, episodes, threshold_deg)
     return verdict(
         status=status,
@@ -164,6 +168,23 @@ def _audit_surface(log: FlightLog, aircraft: Aircraft, name: str, threshold_deg:
         segment=segment,
         residuals=residuals,
     )
+
+
+def _is_expected(log: FlightLog, aircraft: Aircraft, name: str) -> bool:
+    """Whether this log should tell about a surface.
+
+    An aircraft may have more surfaces than a log holds. But a channel that is missing while a similar one is
+    claimed by nobody has most likely been misspelt, and that must not pass for "not in this log".
+    """
+    surface = aircraft.surfaces[name]
+    if surface.measured is None:
+        return False
+    wanted = (surface.command.channel, surface.measured.channel)
+    if any(channel in log.channels for channel in wanted):
+        return True
+    claimed = {c.channel for s in aircraft.surfaces.values() for c in (s.command, s.measured) if c is not None}
+    unclaimed = [channel for channel in log.channels if channel not in claimed]
+    return any(difflib.get_close_matches(channel, unclaimed, n=1, cutoff=0.8) for channel in wanted)
 
 
 def _too_little(segment: Segment) -> str:

@@ -35,6 +35,8 @@ _GAP_PERIODS = 3.0
 _BLANKING_TIME_CONSTANTS = 8.0
 _LOST_SAMPLE = 1.75
 """An interval this many times the median holds a lost sample. Jitter of 3 ms at 100 Hz stays below 1.6."""
+_REGULAR_SPREAD = 0.5
+"""Middle half of all intervals within this share of the median: a regular log. Jitter of 3 ms at 100 Hz: 0.35."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,7 +183,9 @@ def _with_lost_commands(
     if time_s.size < 3:
         return time_s, command_deg
     step_s = np.diff(time_s)
-    period_s = float(np.median(step_s))
+    quarter_s, period_s, three_quarters_s = np.percentile(step_s, [25.0, 50.0, 75.0])
+    if three_quarters_s - quarter_s > _REGULAR_SPREAD * period_s:
+        return time_s, command_deg  # commands come as they please: a long interval is no sign of a loss
     lost = np.where((step_s > _LOST_SAMPLE * period_s) & (step_s <= longest_gap_s), np.round(step_s / period_s) - 1, 0)
     if not lost.any():
         return time_s, command_deg

@@ -284,16 +284,19 @@ def _advance(servo: ServoParameters, memory: Memory, until_s: float) -> None:
 
 
 @compiled
-def _settle(servo: ServoParameters, memory: Memory, time_s: float) -> None:
-    """Start at `time_s` in the steady state of the command that is in force."""
-    motion = memory.motion
-    if motion[2] != 0.0:
-        motion[1] += motion[2] * (time_s - motion[0])
-    gain = 0.0
+def _settle(servo: ServoParameters, memory: Memory, time_s: float, measured_deg: float, commanded: bool) -> None:
+    """Start at rest where the surface was measured, or else where the command in force wants it."""
+    motion, gain = memory.motion, 0.0
     for i in range(servo.decay_rad_s.size):
-        memory.modes[i] = motion[1]
         gain += servo.weight[i].real
-    motion[0], motion[3], motion[4] = time_s, gain * motion[1], 0.0
+    motion[1] += motion[2] * (time_s - motion[0])
+    rest = motion[1] if math.isnan(measured_deg) else measured_deg / gain
+    if not commanded and not math.isnan(measured_deg):
+        # No command has arrived yet: what holds the surface where it is can only be an earlier one.
+        motion[1] = rest
+    for i in range(servo.decay_rad_s.size):
+        memory.modes[i] = rest
+    motion[0], motion[3], motion[4] = time_s, gain * rest, 0.0
 
 
 @compiled
@@ -362,11 +365,11 @@ def observe(
         c = memory.cursor[0]
         if restart[k] == RESTART_ALL:
             if c == 0 and effective_s.size > 0:
-                motion[1], motion[2] = command_deg[0], 0.0
+                motion[0], motion[1], motion[2] = now, command_deg[0], 0.0
             while c < effective_s.size and effective_s[c] <= now:
                 motion[0], motion[1], motion[2] = effective_s[c], command_deg[c], slope_deg_s[c]
                 c += 1
-            _settle(servo, memory, now)
+            _settle(servo, memory, now, measured_deg[k], c > 0)
         while c < effective_s.size and effective_s[c] <= now:
             _advance(servo, memory, effective_s[c])
             motion[1], motion[2] = command_deg[c], slope_deg_s[c]

@@ -75,10 +75,10 @@ def save_figure(audit: SurfaceAudit, path: Path, title: str) -> None:
 def _draw_deflection(axes: Axes, segment: Segment, residuals: Residuals) -> None:
     time_s, command_deg = _thin(segment.command_s, segment.command_deg)
     axes.plot(time_s, command_deg, color=COLOURS["command"], lw=0.9, drawstyle="steps-post", label="command")
-    time_s, measured_deg = _thin(residuals.time_s, residuals.measured_deg)
-    axes.plot(time_s, measured_deg, color=COLOURS["measured"], lw=1.4, label="measured")
     time_s, simulated_deg = _thin(residuals.time_s, residuals.simulated_deg)
-    axes.plot(time_s, simulated_deg, color=COLOURS["simulated"], lw=0.9, label="simulated")
+    axes.plot(time_s, simulated_deg, color=COLOURS["simulated"], lw=2.0, label="simulated")
+    time_s, measured_deg = _thin(residuals.time_s, residuals.measured_deg)
+    axes.plot(time_s, measured_deg, color=COLOURS["measured"], lw=0.9, label="measured")
     axes.set_ylabel("deflection [deg]")
 
 

@@ -143,7 +143,7 @@ def _command_at(segment: Segment, residuals: Residuals) -> FloatArray:
 
 
 def _report(audit: LogAudit) -> str:
-    rows = "\n".join(f"| {s.surface} | {s.status} | {s.reason} |" for s in audit.surfaces)
+    rows = "\n".join(f"| {s.surface} | {s.status} | {s.reason.replace('|', chr(92) + '|')} |" for s in audit.surfaces)
     damage = "\n".join(f"- {d.kind}: {d.note}" for d in audit.log.damage) or "none"
     return (
         f"# {audit.log.source.name}\n\n| surface | status | reason |\n|---|---|---|\n{rows}\n\n"

@@ -1,0 +1,60 @@
+"""Make every sample log anew, byte for byte: ``python sample_logs/make.py [FOLDER]``."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from servofd.aircraft import Aircraft, load_aircraft
+from servofd.models.faults import DeadBand, Fault, Stuck
+from servofd.simulation.flight import simulate_flight
+from servofd.simulation.writers import write_flight
+
+FLIGHT_S, CHIRP_S = 40.0, 120.0
+RATE_HZ = 100.0
+NOISE_DEG = 0.1
+
+FLIGHTS: dict[str, dict[str, Fault]] = {
+    "faser_healthy_flight": {},
+    "faser_deadband_flight": {"aileron_right": DeadBand(start_s=0.0, width_deg=6.0)},
+    "faser_stuck_flight": {"elevator": Stuck(start_s=5.0)},
+}
+CHIRPS: dict[str, dict[str, Fault]] = {
+    "faser_healthy_chirp": {},
+    "faser_deadband_chirp": {"aileron_right": DeadBand(start_s=0.0, width_deg=6.0)},
+    "faser_stuck_chirp": {"aileron_right": Stuck(start_s=0.0)},
+}
+
+
+def bench(aircraft: Aircraft) -> Aircraft:
+    """One aileron servo on the bench."""
+    return aircraft.model_copy(update={"surfaces": {"aileron_right": aircraft.surfaces["aileron_right"]}})
+
+
+def make(folder: Path) -> list[Path]:
+    """Write all sample logs into a folder."""
+    aircraft = load_aircraft("faser")
+    written = []
+    for command, duration_s, flown, cases in (
+        ("flight", FLIGHT_S, aircraft, FLIGHTS),
+        ("chirp", CHIRP_S, bench(aircraft), CHIRPS),
+    ):
+        for name, faults in cases.items():
+            flight = simulate_flight(
+                flown,
+                command=command,
+                duration_s=duration_s,
+                rate_hz=RATE_HZ,
+                seed=7,
+                faults=faults,
+                noise_deg=NOISE_DEG,
+            )
+            path = folder / f"{name}.mat"
+            write_flight(path, flight, flown)
+            written.append(path)
+    return written
+
+
+if __name__ == "__main__":
+    for path in make(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent):
+        print(path)

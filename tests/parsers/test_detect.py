@@ -1,0 +1,142 @@
+from __future__ import annotations
+
+import io
+import os
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import logparsers
+from logparsers import LogError, MissingLog, UnknownFormat
+from logparsers.detect import FORMATS
+from tests.parsers import writers
+
+MAVLINK1 = b"\xfe\x09" + bytes(4) + bytes(9) + b"\x12\x34"
+MAVLINK2 = b"\xfd\x09\x00" + bytes(7) + bytes(9) + b"\x12\x34"
+SIGNED = b"\xfd\x09\x01" + bytes(7) + bytes(9) + b"\x12\x34" + bytes(13)
+STAMP = struct.pack(">Q", 1_700_000_000_000_000)
+
+
+@pytest.mark.parametrize(
+    ("head", "name"),
+    [
+        (b"\x89PNG\r\n\x1a\n" + bytes(40), "PNG"),
+        (b"\xff\xd8\xff\xe0\x00\x10JFIF", "JPEG"),
+        (b"%PDF-1.7\n", "PDF"),
+        (b"PK\x03\x04" + bytes(30), "ZIP"),
+        (b"\x1f\x8b\x08" + bytes(30), "gzip"),
+        ("time_s,x\n".encode("utf-16"), "UTF-16"),
+        (b"\xa3\x95\x80\x80\x59FMT", "DataFlash"),
+        (b"ULog\x01\x12\x35\x01" + bytes(8), "ULog"),
+        ((STAMP + MAVLINK1) * 3, "MAVLink"),
+        ((STAMP + MAVLINK2) * 3, "MAVLink"),
+        ((STAMP + SIGNED) * 3, "MAVLink"),
+        (MAVLINK2 + MAVLINK1, "MAVLink"),
+        (STAMP + MAVLINK2, "MAVLink"),
+    ],
+)
+def test_strangers_are_named_whatever_they_are_called(tmp_path: Path, head: bytes, name: str) -> None:
+    path = tmp_path / "flight.mat"
+    path.write_bytes(head)
+    with pytest.raises(
+        UnknownFormat, match=rf"flight\.mat: its format is .*{name}.* cannot be read by this version; it reads"
+    ):
+        logparsers.read(path)
+
+
+@pytest.mark.parametrize("head", [bytes(64), b"\x01\x02\x03", b"\xfe\x00", STAMP + b"\xfe\xff\xff", b"MATLAB\x00\x00"])
+def test_unknown_bytes_are_shown(head: bytes) -> None:
+    with pytest.raises(UnknownFormat, match="first bytes"):
+        logparsers.read(io.BytesIO(head))
+
+
+@pytest.mark.parametrize(
+    ("content", "name"),
+    [
+        (writers.flight_level4(), "MATLAB level 4"),
+        (writers.flight_level4("<"), "MATLAB level 4"),
+        (writers.matlab(writers.FLIGHT), "MATLAB level 5"),
+        (writers.matlab73(writers.FLIGHT), "HDF5"),
+        (writers.raptrs(), "HDF5"),
+        (b"time_s,x\n", "text table"),
+        ("zeit_s;höhe\n".encode("latin-1"), "text table"),
+    ],
+)
+def test_the_first_line_of_the_registry_that_matches_decides(content: bytes, name: str) -> None:
+    found = next(known for known in FORMATS if known.matches(content[:4096]))
+    assert found.name.startswith(name)
+    assert found.read is not None
+
+
+def test_a_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(MissingLog, match=r"nothing\.csv: no such file; give the path of a flight log"):
+        logparsers.read(tmp_path / "nothing.csv")
+
+
+def test_a_directory(tmp_path: Path) -> None:
+    with pytest.raises(MissingLog, match="is a directory; give one of the files in it"):
+        logparsers.read(tmp_path)
+
+
+def test_a_pipe_would_block_and_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(MissingLog, match="not a regular file"):
+        logparsers.read(tmp_path / "pipe")
+
+
+def test_a_file_object_that_cannot_seek() -> None:
+    end, other = os.pipe()
+    os.close(other)
+    with os.fdopen(end, "rb") as file, pytest.raises(MissingLog, match="give a file that can seek"):
+        logparsers.read(file)
+
+
+def test_a_name_no_file_can_have() -> None:
+    with pytest.raises(LogError, match="cannot be opened"):
+        logparsers.read("a\0b")
+    with pytest.raises(LogError):
+        logparsers.read("a" * 5000)
+
+
+def test_no_permission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "locked.csv"
+    path.write_bytes(b"time_s,x\n0,1\n")
+
+    def refuse(*_: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "open", refuse)  # the superuser may read every file, so modes prove nothing
+    with pytest.raises(MissingLog, match="no permission"):
+        logparsers.read(path)
+
+
+def test_a_disk_that_fails() -> None:
+    class Broken(io.BytesIO):
+        def read(self, size: int | None = -1, /) -> bytes:
+            if size == -1:
+                raise OSError(5, "Input/output error")
+            return super().read(size)
+
+    with pytest.raises(LogError, match="cannot be read to its end: Input/output error"):
+        logparsers.read(Broken(b"time_s,x\n0,1\n"))
+
+
+def test_a_text_file_object_is_a_mistake_of_the_caller() -> None:
+    with pytest.raises(TypeError, match="'rb'"):
+        logparsers.read(io.StringIO("time_s,x\n0,1\n"))  # type: ignore[arg-type]
+
+
+def test_the_name_of_a_file_object_is_its_label(tmp_path: Path) -> None:
+    path = tmp_path / "flight.csv"
+    path.write_bytes(b"time_s,x\n0,1\n")
+    with path.open("rb") as file:
+        assert logparsers.read(file).source == path
+
+
+def test_importing_stays_light() -> None:
+    code = "import sys, logparsers; print([m for m in ('pandas', 'scipy', 'h5py', 'servofd') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,108 @@
+"""Arrows point one way, files stay small, and the public names are what they claim to be."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+MODULES = sorted([*ROOT.glob("servofd/**/*.py"), *ROOT.glob("logparsers/**/*.py")])
+
+# Who may import which part of servofd; a part may always import itself.
+PARTS = {
+    "errors": set(),
+    "types": set(),
+    "models": {"errors", "types", "servos"},
+    "servos": {"errors", "types", "models"},
+    "calibration": {"errors", "types"},
+    "aircraft": {"errors", "types", "models", "servos", "calibration"},
+    "segment": {"errors", "types", "aircraft"},
+    "detection": {"errors", "types", "models", "servos", "aircraft", "segment"},
+    "simulation": {"errors", "types", "models", "aircraft", "outputs"},
+    "outputs": {"errors", "types", "detection", "segment"},
+    "workflow": {"errors", "aircraft", "servos", "detection"},
+    "cli": {"errors", "types", "aircraft", "servos", "models", "detection", "simulation", "outputs", "workflow"},
+}
+ONLY_IN = {
+    "rerun": {"servofd/outputs/recording.py"},
+    "matplotlib": {"servofd/outputs/figure.py", "servofd/cli/design.py"},
+    "argparse": {f"servofd/cli/{name}.py" for name in ("__init__", "audit", "design", "servos", "simulate")},
+    "numba": {"servofd/models/kernel.py", "servofd/models/play.py"},
+    "h5py": {"logparsers/hdf5.py"},
+    "control": {"servofd/models/transfer.py"},
+}
+
+
+def imports(path: Path) -> set[str]:
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found.add(node.module)
+    return found
+
+
+def relative(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+@pytest.mark.parametrize("path", MODULES, ids=relative)
+def test_imports_point_one_way(path: Path) -> None:
+    parts = relative(path).removesuffix(".py").split("/")
+    used = imports(path)
+    if parts[0] == "logparsers":
+        assert not {name for name in used if name.split(".")[0] == "servofd"}
+        return
+    part = parts[1]
+    if part in ("__init__", "__main__"):
+        return
+    own = {name.split(".")[1] for name in used if name.startswith("servofd.")}
+    assert own <= PARTS[part] | {part}, f"{part} may not import {own - PARTS[part] - {part}}"
+
+
+@pytest.mark.parametrize("package", ONLY_IN)
+def test_heavy_packages_have_one_home(package: str) -> None:
+    users = {relative(path) for path in MODULES if package in {name.split(".")[0] for name in imports(path)}}
+    assert users == ONLY_IN[package]
+
+
+@pytest.mark.parametrize("path", MODULES, ids=relative)
+def test_files_stay_small(path: Path) -> None:
+    assert len(path.read_text().splitlines()) <= 400
+
+
+@pytest.mark.parametrize("path", MODULES, ids=relative)
+def test_every_public_name_exists_and_is_documented(path: Path) -> None:
+    module = importlib.import_module(relative(path).removesuffix(".py").removesuffix("/__init__").replace("/", "."))
+    assert module.__doc__
+    for name in getattr(module, "__all__", ()):
+        thing = getattr(module, name)
+        if callable(thing) and getattr(thing, "__module__", "").startswith(("servofd", "logparsers")):
+            assert thing.__doc__, f"{name} has no docstring"
+
+
+def test_servofd_exports_what_it_lists() -> None:
+    import servofd
+
+    assert set(servofd.__all__) <= set(dir(servofd))
+    for name in servofd.__all__:
+        assert getattr(servofd, name) is not None
+    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+        servofd.nonsense  # noqa: B018
+
+
+def test_import_and_help_load_no_heavy_package() -> None:
+    """Half a second is the promise; what would break it is one of these."""
+    heavy = ("numba", "scipy", "pandas", "matplotlib", "rerun", "control", "pydantic", "rich", "h5py")
+    code = (
+        "import sys, servofd, servofd.cli; servofd.cli.build_parser().format_help();"
+        f"print([name for name in {heavy!r} if name in sys.modules])"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "[]"
