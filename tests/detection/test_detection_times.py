@@ -43,7 +43,7 @@ def test_a_stuck_servo_is_found_within_80_ms_of_a_4_deg_step() -> None:
     assert delay_to_alarm(step(4.0), Stuck(5.0)) <= 0.08 + 1e-9
 
 
-@pytest.mark.parametrize(("size_deg", "rate_deg_s"), [(6.0, 115.0), (12.0, 115.0), (4.0, 150.0)])
+@pytest.mark.parametrize(("size_deg", "rate_deg_s"), [(6.0, 140.0), (12.0, 140.0), (4.0, 200.0)])
 def test_a_stuck_servo_is_found_within_80_ms_of_a_brisk_ramp(size_deg: float, rate_deg_s: float) -> None:
     assert delay_to_alarm(ramp(size_deg, rate_deg_s), Stuck(5.0)) <= 0.08 + 1e-9
 
@@ -55,7 +55,7 @@ def test_slower_manoeuvres_take_as_long_as_the_filter_needs(rate_deg_s: float, e
     assert expected_s < found_s < expected_s + 0.025
 
 
-@pytest.mark.parametrize("rate_deg_s", [150.0, 205.0])
+@pytest.mark.parametrize("rate_deg_s", [175.0, 205.0])
 def test_an_increased_dead_band_is_found_within_80_ms_of_a_brisk_manoeuvre(rate_deg_s: float) -> None:
     assert delay_to_alarm(ramp(12.0, rate_deg_s), DeadBand(0.0, width_deg=8.0)) <= 0.08 + 1e-9
 

@@ -161,8 +161,15 @@ def test_thinned_logs_are_bridged_by_straight_lines() -> None:
     assert peak(generator, held) > 5 * peak(generator, linear)
 
 
-def test_lost_commands_are_put_back_only_where_the_log_is_regular() -> None:
-    time_s = np.array([0.0, 0.01, 0.02, 0.05, 0.06, 0.07, 1.0, 1.01])
-    segment = Segment("x", time_s, time_s, time_s, time_s)
-    commands = commands_at_servo(segment, 0.0, 0.1)
-    np.testing.assert_allclose(commands.effective_s, [0.0, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.07, 1.0, 1.01])
+def test_lost_commands_are_put_back_on_a_straight_line() -> None:
+    time_s = np.array([0.0, 0.01, 0.02, 0.05, 0.06, 0.07, 0.08, 0.09, 1.0, 1.01])
+    commands = commands_at_servo(Segment("x", time_s, time_s, time_s, time_s), 0.0, 0.1)
+    filled = [0.0, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.07, 0.08, 0.09, 1.0, 1.01]
+    np.testing.assert_allclose(commands.effective_s, filled)
+    np.testing.assert_allclose(commands.command_deg, filled)
+
+
+def test_no_command_is_made_up_where_commands_come_as_they_please() -> None:
+    time_s = np.cumsum(np.random.default_rng(5).uniform(0.001, 0.05, 200))
+    commands = commands_at_servo(Segment("x", time_s, time_s, time_s, time_s), 0.0, 0.1)
+    assert np.array_equal(commands.effective_s, time_s)
