@@ -39,7 +39,7 @@ def false_alarms_per_hour(threshold_deg: float, sigma_deg: float, correlation: f
     Examples
     --------
     >>> rate = false_alarms_per_hour(5.0, 1.0, 0.62066, 0.01)
-    >>> round(1.0 - np.exp(-rate), 3)
+    >>> round(float(1.0 - np.exp(-rate)), 3)
     0.184
     """
     from scipy.special import log_ndtr, ndtr

@@ -1,0 +1,172 @@
+"""``servofd audit`` as tools and people use it."""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from servofd.cli import main
+
+SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"
+STATUSES = {"healthy", "suspect", "fault", "no_data", "unknown"}
+
+
+def audited(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, dict[str, Any]]:
+    code = main(["audit", *arguments, "--json", "-"])
+    return code, json.loads(capsys.readouterr().out)
+
+
+def test_the_json_is_what_the_contract_says(capsys: pytest.CaptureFixture[str]) -> None:
+    path = str(SAMPLES / "faser_stuck_flight.mat")
+    code, document = audited([path], capsys)
+    assert code == 1
+    assert document["schema"] == "servofd.audit/1"
+    (log,) = document["logs"]
+    assert (log["path"], log["format"], log["error"], log["damage"]) == (path, "faser", None, [])
+    assert log["duration_s"] == pytest.approx(40.0, abs=0.02)
+    for surface in log["surfaces"].values():
+        assert surface["status"] in STATUSES
+        assert surface["reason"]
+        assert surface["servo"] == "hs225bb-eq31"
+        assert surface["threshold"] == {"kind": "constant", "deg": 1.5}
+    elevator = log["surfaces"]["elevator"]
+    assert elevator["status"] == "fault"
+    (fault,) = elevator["faults"]
+    assert fault["kind"] == "unknown"
+    assert fault["start_s"] == pytest.approx(5.0, abs=0.2)
+    assert fault["start_s"] <= fault["alarm_s"]
+    assert fault["end_s"] is None
+    rudder = log["surfaces"]["rudder"]
+    assert rudder["status"] == "healthy"
+    assert rudder["faults"] == []
+    assert rudder["residual"]["max_abs_deg"] < 0.3
+    assert rudder["simulation_error_rms_deg"] == pytest.approx(0.1, abs=0.01)
+    assert 0.0 <= rudder["false_alarms_per_hour"] < 1e-9
+
+
+@pytest.mark.parametrize("command", ["flight", "chirp", "steps", "doublets"])
+@pytest.mark.parametrize("suffix", ["csv", "mat"])
+def test_what_simulate_writes_audit_reads(
+    command: str, suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / f"flown.{suffix}"
+    assert main(["simulate", "-o", str(path), "--command", command, "--duration", "30"]) == 0
+    capsys.readouterr()
+    code, document = audited([str(path)], capsys)
+    assert code == 0
+    assert {s["status"] for s in document["logs"][0]["surfaces"].values()} <= {"healthy", "no_data"}
+
+
+def test_a_noise_free_table_comes_back_to_the_nanodegree(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "clean.csv"
+    main(["simulate", "-o", str(path), "--noise-deg", "0", "--command", "doublets"])
+    capsys.readouterr()
+    _, document = audited([str(path)], capsys)
+    assert document["logs"][0]["surfaces"]["elevator"]["residual"]["max_abs_deg"] < 1e-9
+
+
+def test_another_servo_can_be_assumed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = str(tmp_path / "fast.csv")
+    main(["simulate", "-o", path, "--servo", "s9254", "--command", "steps"])
+    capsys.readouterr()
+    right, document = audited([path, "--servo", "s9254"], capsys)
+    wrong, _ = audited([path], capsys)
+    assert (right, wrong) == (0, 1)
+    assert document["logs"][0]["surfaces"]["elevator"]["servo"] == "s9254"
+
+
+def test_the_threshold_can_be_chosen(capsys: pytest.CaptureFixture[str]) -> None:
+    path = str(SAMPLES / "faser_stuck_flight.mat")
+    code, document = audited([path, "--threshold-deg", "12"], capsys)
+    assert code == 0
+    assert document["logs"][0]["surfaces"]["elevator"]["threshold"]["deg"] == 12.0
+
+
+def test_a_surface_can_be_chosen(capsys: pytest.CaptureFixture[str]) -> None:
+    code, document = audited([str(SAMPLES / "faser_stuck_flight.mat"), "-s", "rudder"], capsys)
+    assert code == 0
+    assert list(document["logs"][0]["surfaces"]) == ["rudder"]
+
+
+def test_a_surface_without_data_keeps_the_log_from_being_called_healthy(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "half.csv"
+    main(["simulate", "-o", str(path)])
+    lines = path.read_text().splitlines()
+    column = lines[0].split(",").index("rudder_pos_deg")
+    rows = [line.split(",") for line in lines[1:]]
+    for row in rows:
+        row[column] = "nan"
+    path.write_text("\n".join([lines[0], *(",".join(row) for row in rows)]) + "\n")
+    capsys.readouterr()
+    code = main(["audit", str(path), "--json", str(tmp_path / "a.json")])
+    captured = capsys.readouterr()
+    surfaces = json.loads((tmp_path / "a.json").read_text())["logs"][0]["surfaces"]
+    assert code == 2
+    assert "rudder" in captured.err
+    assert surfaces["rudder"]["status"] == "no_data"
+    assert surfaces["elevator"]["status"] == "healthy"
+
+
+def test_damage_is_recorded_and_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "gap.csv"
+    main(["simulate", "-o", str(path)])
+    lines = path.read_text().splitlines(keepends=True)
+    path.write_text("".join(lines[:2000] + lines[2300:-1]) + lines[-1][:12])
+    capsys.readouterr()
+    code, document = audited([str(path)], capsys)
+    kinds = {damage["kind"] for damage in document["logs"][0]["damage"]}
+    assert kinds == {"gap", "truncated"}
+    assert code == 0
+    main(["audit", str(path)])
+    assert "damage: gap" in capsys.readouterr().out
+
+
+def test_json_never_holds_nan(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "short.csv"
+    time_s = np.arange(12) * 0.01
+    rows = "".join(f"{t:.2f},{5 * math.sin(40 * t)},{4 * math.sin(40 * t)}\n" for t in time_s)
+    path.write_text("time_s,elevator_cmd_deg,elevator_pos_deg\n" + rows)
+    code = main(["audit", str(path), "--json", "-"])
+    text = capsys.readouterr().out
+    assert code == 2
+    assert json.loads(text, parse_constant=lambda name: pytest.fail(f"JSON holds {name}"))
+
+
+def test_a_folder_gets_everything_and_names_never_collide(tmp_path: Path) -> None:
+    for name in ("f.csv", "f.mat"):
+        main(["simulate", "-o", str(tmp_path / name), "--duration", "10"])
+    assert main(["audit", str(tmp_path / "f.csv"), str(tmp_path / "f.mat"), "-o", str(tmp_path / "out")]) == 0
+    written = {path.name for path in (tmp_path / "out").iterdir()}
+    assert {"audit.json", "f.rrd", "f~2.rrd", "f-elevator.png", "f~2-elevator.png"} <= written
+
+
+def test_a_second_run_replaces_the_first(tmp_path: Path) -> None:
+    target = tmp_path / "a.json"
+    target.write_text("old")
+    assert main(["audit", str(SAMPLES / "faser_healthy_flight.mat"), "--json", str(target)]) == 0
+    assert json.loads(target.read_text())["logs"]
+    assert [path.name for path in tmp_path.iterdir()] == ["a.json"]
+
+
+def test_results_go_to_stdout_and_nothing_else_does() -> None:
+    path = str(SAMPLES / "faser_healthy_flight.mat")
+    command = [sys.executable, "-m", "servofd", "audit", path, "--json", "-"]
+    result = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert json.loads(result.stdout)
+    assert result.stderr == ""
+
+
+def test_a_reader_that_goes_away_is_no_error() -> None:
+    command = f"{sys.executable} -m servofd servos --json | head -n 1"
+    result = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=True)  # noqa: S607
+    assert result.stdout.strip() == "{"
+    assert result.stderr == ""

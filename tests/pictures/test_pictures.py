@@ -1,0 +1,187 @@
+"""Pictures and recordings: what they show is what was audited."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import servofd
+from servofd.detection.audit import LogAudit
+from servofd.outputs.figure import save_figure
+from servofd.outputs.recording import save_recording
+
+SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"
+
+
+@pytest.fixture(scope="module")
+def stuck() -> LogAudit:
+    (result,) = servofd.audit(SAMPLES / "faser_stuck_flight.mat")
+    return result
+
+
+@pytest.fixture(scope="module")
+def recording(stuck: LogAudit, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("recording") / "stuck.rrd"
+    save_recording(stuck, path)
+    return path
+
+
+def colour_share(path: Path, colour: str, tolerance: float = 0.1) -> float:
+    """Share of pixels close to a colour."""
+    from matplotlib.colors import to_rgb
+    from matplotlib.image import imread
+
+    picture = imread(path)[:, :, :3]
+    return float(np.mean(np.max(np.abs(picture - np.array(to_rgb(colour))), axis=2) < tolerance))
+
+
+def test_the_figure_shows_curves_threshold_and_fault(stuck: LogAudit, tmp_path: Path) -> None:
+    from servofd.outputs.figure import COLOURS
+
+    fault, healthy = tmp_path / "fault.png", tmp_path / "healthy.png"
+    save_figure(stuck.surfaces[0], fault, "stuck")
+    save_figure(stuck.surfaces[1], healthy, "healthy")
+    for colour in ("simulated", "measured", "fault"):
+        assert colour_share(fault, COLOURS[colour]) > 3e-4
+    # The alarm strip and the alarm line are there in one picture and not in the other.
+    assert colour_share(fault, COLOURS["fault"]) > 1.5 * colour_share(healthy, COLOURS["fault"])
+
+
+def test_no_spike_is_lost_in_a_long_figure() -> None:
+    from servofd.outputs.figure import _thin
+
+    values = np.zeros(1_000_000)
+    values[123_456], values[654_321] = 7.0, -5.0
+    time_s, thin = _thin(np.arange(1_000_000.0), values)
+    assert (thin.max(), thin.min()) == (7.0, -5.0)
+    assert abs(time_s[np.argmax(thin)] - 123_456) < 600
+
+
+def test_a_surface_without_residual_is_not_drawn(stuck: LogAudit, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="nothing to draw"):
+        save_figure(stuck.surfaces[-1], tmp_path / "x.png", "flap")
+    assert not list(tmp_path.iterdir())
+
+
+def columns(path: Path, entity: str, component: str) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    """Times [s] and values of one component, read back without servofd."""
+    from rerun.chunk import RrdReader
+
+    times, values = [], []
+    stream = RrdReader(str(path)).stream().filter(content=entity, has_timeline="time_boot", components=component)
+    for chunk in stream:
+        batch = chunk.to_record_batch()
+        times.append(batch.column("time_boot").to_numpy(zero_copy_only=False).astype("int64") / 1e9)
+        cells = batch.column(component)
+        values.append(cells.flatten().to_numpy(zero_copy_only=False).reshape(len(cells), -1))
+    order = np.argsort(np.concatenate(times), kind="stable")
+    return np.concatenate(times)[order], np.concatenate(values)[order]
+
+
+def test_the_recording_reads_back_what_was_audited(stuck: LogAudit, recording: Path) -> None:
+    elevator = stuck.surfaces[0]
+    assert elevator.residuals is not None
+    time_s, deflection = columns(recording, "/surfaces/elevator/deflection", "Scalars:scalars")
+    np.testing.assert_allclose(time_s, elevator.residuals.time_s, atol=0.5e-6)
+    assert np.array_equal(deflection[:, 1], elevator.residuals.simulated_deg)
+    assert np.array_equal(deflection[:, 2], elevator.residuals.measured_deg)
+    _, residual = columns(recording, "/surfaces/elevator/residual", "Scalars:scalars")
+    settled = elevator.residuals.settled
+    assert np.array_equal(residual[settled, 0], elevator.residuals.residual_deg[settled])
+    assert np.isnan(residual[~settled, 0]).all()
+    assert (residual[:, 1] == 1.5).all()
+    assert (residual[:, 2] == -1.5).all()
+    when, states = columns(recording, "/surfaces/elevator/state", "StateChange:state")
+    assert states[:, 0].tolist() == ["OK", "FAULT"]
+    assert when[1] == pytest.approx(elevator.episodes[0].alarm_s, abs=1e-6)
+
+
+def test_the_recording_tells_nothing_of_the_machine(recording: Path) -> None:
+    assert str(SAMPLES.parent).encode() not in recording.read_bytes()
+
+
+def test_the_recording_passes_the_viewers_own_check(recording: Path) -> None:
+    viewer = Path(sys.executable).with_name("rerun")
+    result = subprocess.run([viewer, "rrd", "verify", recording], capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+
+
+@pytest.mark.slow
+def test_every_tab_of_the_viewer_shows_something(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from rerun.experimental import ViewerClient
+
+    viewer = shutil.which("rerun", path=str(Path(sys.executable).parent))
+    probe = [
+        str(viewer),
+        "--headless",
+        "--bind",
+        "127.0.0.1",
+        "--port",
+        "9917",
+        "--hide-welcome-screen",
+        "--window-size",
+        "800x500",
+    ]
+    monkeypatch.setenv("CI", "1")  # keeps the viewer from asking about analytics
+    monkeypatch.setenv("RUST_LOG", "error")
+    shot = subprocess.run(
+        [*probe, "--screenshot-to", str(tmp_path / "probe.png"), str(recording)],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    if shot.returncode != 0:
+        pytest.skip("no software renderer (Debian: mesa-vulkan-drivers)")
+    client = ViewerClient.spawn(headless=True, port=9918, executable_path=viewer, hide_welcome_screen=True)
+    try:
+        client.open(str(recording))
+        blueprint = wait_for_tabs(client)
+        (root,) = (k for k, v in blueprint.items() if v.get("ContainerBlueprint", {}).get("container_kind") == "Tabs")
+        tabs = blueprint[root]["ContainerBlueprint"]["contents"]
+        assert len(tabs) == 5  # overview, and four surfaces with a measurement
+        pictures = []
+        for tab in tabs[:3]:
+            blueprint[root]["ContainerBlueprint"]["active_tab"] = tab
+            client.set_blueprint(blueprint, "recording")
+            pictures.append(settled_picture(client))
+        assert len(set(pictures)) == 3
+        assert not [report for view in client.get_state().views for report in view.reports]
+        elevator = tmp_path / "elevator.png"
+        elevator.write_bytes(pictures[1])
+        for colour in ("#e69f00", "#56b4e9", "#d55e00"):
+            # Thin lines on black, scaled down: their colour is never quite reached.
+            assert colour_share(elevator, colour, tolerance=0.25) > 1e-4
+    finally:
+        client.quit()
+
+
+def wait_for_tabs(client: Any) -> dict[str, Any]:
+    """Blueprint of the recording, once the viewer has loaded it."""
+    for _ in range(100):
+        blueprint: dict[str, Any] = client.get_blueprint("recording").blueprint
+        if any(v.get("ContainerBlueprint", {}).get("container_kind") == "Tabs" for v in blueprint.values()):
+            return blueprint
+        time.sleep(0.1)  # a poll of another program, bounded to ten seconds
+    pytest.fail("the viewer did not load the recording")
+
+
+def settled_picture(client: Any) -> bytes:
+    """Screenshot once two in a row are the same."""
+    last = b""
+    for _ in range(40):
+        picture: bytes = client.take_screenshot(max_size=1000)
+        if picture == last:
+            return picture
+        last = picture
+        time.sleep(0.2)
+    return last
