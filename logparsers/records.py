@@ -27,6 +27,13 @@ def own(values: ArrayLike) -> FloatArray:
     >>> own([1, 2]).flags.writeable
     False
     """
+    if (
+        isinstance(values, np.ndarray)
+        and values.dtype == np.float64
+        and values.base is None
+        and not values.flags.writeable
+    ):
+        return values  # nobody else can change it either
     array: FloatArray = np.array(values, dtype=np.float64)
     array.setflags(write=False)
     return array

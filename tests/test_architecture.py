@@ -32,7 +32,7 @@ ONLY_IN = {
     "rerun": {"servofd/outputs/recording.py"},
     "matplotlib": {"servofd/outputs/figure.py", "servofd/cli/design.py"},
     "argparse": {f"servofd/cli/{name}.py" for name in ("__init__", "audit", "design", "servos", "simulate")},
-    "numba": {"servofd/models/kernel.py", "servofd/models/play.py"},
+    "numba": {"servofd/models/kernel.py", "servofd/models/play.py", "servofd/detection/starts.py"},
     "h5py": {"logparsers/hdf5.py"},
     "control": {"servofd/models/transfer.py"},
 }

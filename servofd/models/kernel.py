@@ -71,7 +71,8 @@ class Memory(NamedTuple):
     modes: ComplexArray
     """Of shape (m,): position each mode would reach [deg]."""
     motion: FloatArray
-    """Of shape (5,): time [s], held command [deg], its slope [deg/s], position [deg], rate-limited (-1, 0, 1)."""
+    """Of shape (6,): time [s], held command [deg], its slope [deg/s], position [deg], rate-limited (-1, 0, 1), and
+    the fastest that the linear motion can become under this command [deg/s]."""
     lags: FloatArray
     """Of shape (n + 1,): successive lags of the simulation error [deg]."""
     lag_weights: FloatArray
@@ -93,7 +94,7 @@ def new_memory(servo: ServoParameters, residual_filter: FilterParameters) -> Mem
     modes, order = servo.decay_rad_s.size, residual_filter.decay_rad_s.size
     return Memory(
         modes=np.zeros(modes, dtype=np.complex128),
-        motion=np.zeros(5),
+        motion=np.zeros(6),
         lags=np.zeros(order + 1),
         lag_weights=np.zeros(order + 1),
         lag_step=np.array([-1.0, 0.0, 0.0]),
@@ -145,7 +146,7 @@ def _linear_rate(servo: ServoParameters, memory: Memory, after_s: float) -> floa
 
 @inlined
 def _fastest_possible(servo: ServoParameters, memory: Memory) -> float:
-    """Upper bound of the linear rate during the coming interval [deg/s]."""
+    """Upper bound of the linear rate from now until the next command [deg/s]."""
     held, slope = memory.motion[1], memory.motion[2]
     bound = 0.0
     for i in range(servo.decay_rad_s.size):
@@ -260,7 +261,7 @@ def _advance(servo: ServoParameters, memory: Memory, until_s: float) -> None:
     step_s = until_s - motion[0]
     if step_s <= _NO_STEP_S:
         return
-    limited = motion[4] != 0.0 or _fastest_possible(servo, memory) > min(servo.rate_up_deg_s, servo.rate_down_deg_s)
+    limited = motion[4] != 0.0 or motion[5] > min(servo.rate_up_deg_s, servo.rate_down_deg_s)
     position, direction = _limited(servo, memory, step_s) if limited else (0.0, 0.0)
     slot = _slot_for(servo, memory, step_s)
     rest_s = step_s - memory.slot_step_s[slot]
@@ -297,6 +298,7 @@ def _settle(servo: ServoParameters, memory: Memory, time_s: float, measured_deg:
     for i in range(servo.decay_rad_s.size):
         memory.modes[i] = rest
     motion[0], motion[3], motion[4] = time_s, gain * rest, 0.0
+    motion[5] = _fastest_possible(servo, memory)
 
 
 @compiled
@@ -373,6 +375,7 @@ def observe(
         while c < effective_s.size and effective_s[c] <= now:
             _advance(servo, memory, effective_s[c])
             motion[1], motion[2] = command_deg[c], slope_deg_s[c]
+            motion[5] = _fastest_possible(servo, memory)
             c += 1
         memory.cursor[0] = c
         _advance(servo, memory, now)

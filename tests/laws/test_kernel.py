@@ -43,7 +43,7 @@ def test_linear_motion_equals_the_reference_twin_on_irregular_samples(name: str)
 @pytest.mark.parametrize("delay_s", [0.0, 0.0004, 0.004, 0.01, 0.015, 0.0371])
 def test_any_delay_equals_the_reference_twin(delay_s: float) -> None:
     rng = np.random.default_rng(2)
-    time_s = np.arange(200) * 0.01
+    time_s = np.arange(200) / 100.0
     command_deg = rng.uniform(-10.0, 10.0, 200)
     model = ServoModel((Delay(delay_s), LinearDynamics(servo_named("hs225bb-eq31").transfer)))
     twin = linear_deflection(model.transfer, delay_s, time_s, command_deg, time_s)
@@ -55,7 +55,7 @@ def test_repeated_poles_equal_the_reference_twin(multiplicity: int) -> None:
     rng = np.random.default_rng(3)
     denominator = np.poly(np.full(multiplicity, -40.0))
     transfer = TransferFunction((denominator[-1],), tuple(denominator))
-    time_s = np.arange(200) * 0.01
+    time_s = np.arange(200) / 100.0
     command_deg = rng.uniform(-10.0, 10.0, 200)
     simulated = ServoModel((LinearDynamics(transfer),)).simulate(time_s, command_deg, time_s)
     twin = linear_deflection(transfer, 0.0, time_s, command_deg, time_s)
@@ -101,7 +101,7 @@ def test_rate_limit_equals_the_reference_twin(up: float, down: float) -> None:
     transfer = servo_named("hs225bb-eq31").transfer
     model = ServoModel((LinearDynamics(transfer), RateLimit(up, down)))
     command_s, command_deg = np.array([0.0, 0.3, 0.6, 0.65]), np.array([0.0, 50.0, -30.0, 20.0])
-    fine_s = np.arange(20_000) * 5e-5
+    fine_s = np.arange(20_000) / 20_000.0
     linear = ServoModel((LinearDynamics(transfer),)).simulate(command_s, command_deg, fine_s)
     twin = limited_deflection(linear, 5e-5, up) if up == down else None
     deflection = model.simulate(command_s, command_deg, fine_s[::200])
@@ -119,7 +119,7 @@ def test_the_rate_limit_reproduces_the_published_peaks() -> None:
 
     servo = servo_named("hs225bb-eq31")
     linear = ServoModel((Delay(servo.transport_delay_s), LinearDynamics(servo.printed)))
-    time_s = np.arange(300) * 0.01
+    time_s = np.arange(300) / 100.0
     peaks = []
     for size_deg in (20.0, 25.0, 30.0, 40.0, 60.0):
         command_deg = np.where(time_s >= 0.5, size_deg, 0.0)

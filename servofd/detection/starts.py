@@ -1,0 +1,101 @@
+"""Where model and filter have to start anew, and which samples may be judged."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from servofd.models.kernel import RESTART_ALL, RESTART_FILTER, RESTART_NONE
+from servofd.types import BoolArray, FloatArray
+
+if TYPE_CHECKING:
+    from servofd.segment import Segment
+
+__all__ = ["Starts", "find_starts"]
+
+
+class Starts(NamedTuple):
+    """All arrays of shape (n,), one entry per measurement time."""
+
+    measured_deg: FloatArray
+    """NaN where there was no position, or no recent command to judge it by."""
+    restart: NDArray[np.int8]
+    """What has to start anew at this sample: nothing, the filter, or model and filter."""
+    settled: BoolArray
+    """True where a position is there and the last start lies far enough back."""
+
+
+def find_starts(segment: Segment, longest_gap_s: float, blanking_s: float) -> Starts:
+    """Mark the samples of a segment.
+
+    Parameters
+    ----------
+    segment : Segment
+        Commands and measurements.
+    longest_gap_s : float
+        Longest interval without commands, or without positions, that is bridged [s].
+    blanking_s : float
+        How long after a start nothing is judged [s].
+
+    Examples
+    --------
+    >>> from servofd.segment import Segment
+    >>> time_s = np.array([0.0, 0.1, 0.2, 5.0, 5.1, 5.2])
+    >>> starts = find_starts(Segment("x", time_s, time_s, time_s, time_s), 0.3, 0.15)
+    >>> starts.restart.tolist(), starts.settled.tolist()
+    ([2, 0, 0, 2, 0, 0], [False, False, True, False, False, True])
+    """
+    size = segment.measured_s.size
+    starts = Starts(np.empty(size), np.empty(size, dtype=np.int8), np.empty(size, dtype=bool))
+    _mark(
+        segment.command_s,
+        segment.measured_s,
+        segment.measured_deg,
+        longest_gap_s,
+        blanking_s,
+        starts.measured_deg,
+        starts.restart,
+        starts.settled,
+    )
+    return starts
+
+
+@njit(cache=True, nogil=True)
+def _mark(
+    command_s: FloatArray,
+    measured_s: FloatArray,
+    measured_deg: FloatArray,
+    longest_gap_s: float,
+    blanking_s: float,
+    usable_deg: FloatArray,
+    restart: NDArray[np.int8],
+    settled: BoolArray,
+) -> None:
+    c = 0
+    servo_known, filter_known = False, False
+    last_used_s = last_start_s = -np.inf
+    for k in range(measured_s.size):
+        now = measured_s[k]
+        while c < command_s.size and command_s[c] <= now:
+            # What the servo did while no command was logged for long, nobody knows.
+            if c > 0 and command_s[c] - command_s[c - 1] > longest_gap_s:
+                servo_known = False
+            c += 1
+        commanded = c > 0 and now - command_s[c - 1] <= longest_gap_s
+        usable = commanded and np.isfinite(measured_deg[k])
+        restart[k] = RESTART_NONE
+        if commanded and not servo_known:
+            restart[k] = RESTART_ALL
+            servo_known, filter_known = True, usable
+        elif usable and (not filter_known or now - last_used_s > longest_gap_s):
+            restart[k] = RESTART_FILTER
+            filter_known = True
+        if restart[k] != RESTART_NONE:
+            last_start_s = now
+        if usable:
+            last_used_s = now
+        usable_deg[k] = measured_deg[k] if usable else np.nan
+        settled[k] = usable and now - last_start_s >= blanking_s
