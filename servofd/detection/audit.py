@@ -158,7 +158,7 @@ def _audit_surface(log: FlightLog, aircraft: Aircraft, name: str, threshold_deg:
     if statistics.max_abs_deg >= threshold_deg:
         immobile_deg = generator.run(segment.with_measured(0.0)).residual_deg
         episodes = find_episodes(residuals, immobile_deg, threshold_deg)
-    status, reason_text = _verdict(segment, residuals, statistics, episodes, threshold_deg)
+    status, reason_text = _verdict(residuals, statistics, episodes, threshold_deg)
     return verdict(
         status=status,
         reason=reason_text,
@@ -198,7 +198,6 @@ def _too_little(segment: Segment) -> str:
 
 
 def _verdict(
-    segment: Segment,
     residuals: Residuals,
     statistics: Statistics,
     episodes: tuple[Episode, ...],
@@ -211,11 +210,12 @@ def _verdict(
             f"servo or its feedback left the model at {first.start_s:.2f} s "
             f"(alarm {first.alarm_s:.2f} s, |residual| up to {statistics.max_abs_deg:.1f} deg){more}"
         )
-    seen = np.searchsorted(segment.command_s, residuals.time_s[residuals.settled], side="right") - 1
-    moved_deg = float(np.ptp(segment.command_deg[np.maximum(seen, 0)]))
-    if moved_deg < threshold_deg:
+    first_deg = residuals.measured_deg[np.flatnonzero(np.isfinite(residuals.measured_deg))[0]]
+    asked_deg = float(np.max(np.abs(residuals.simulated_deg[residuals.settled] - first_deg)))
+    if asked_deg < threshold_deg:
         return "unknown", (
-            f"the command moved by {moved_deg:.2g} deg only: a servo stuck all along would not have shown"
+            f"never asked to go further than {asked_deg:.2g} deg from where it started: "
+            "a servo stuck all along would not have shown"
         )
     return (
         "healthy",

@@ -83,10 +83,12 @@ def test_another_servo_can_be_assumed(tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 def test_the_threshold_can_be_chosen(capsys: pytest.CaptureFixture[str]) -> None:
-    path = str(SAMPLES / "faser_stuck_flight.mat")
-    code, document = audited([path, "--threshold-deg", "12"], capsys)
+    path = str(SAMPLES / "faser_healthy_flight.mat")
+    code, document = audited([path, "--threshold-deg", "3"], capsys)
     assert code == 0
-    assert document["logs"][0]["surfaces"]["elevator"]["threshold"]["deg"] == 12.0
+    assert document["logs"][0]["surfaces"]["elevator"]["threshold"]["deg"] == 3.0
+    below_the_noise, _ = audited([path, "--threshold-deg", "0.05"], capsys)
+    assert below_the_noise == 1
 
 
 def test_a_surface_can_be_chosen(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,0 +1,111 @@
+"""Whatever the documentation shows, happens."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+import runpy
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from servofd.aircraft import load_aircraft
+from servofd.cli import main
+
+ROOT = Path(__file__).parent.parent.parent
+README = (ROOT / "README.md").read_text()
+PAGES = sorted([*ROOT.glob("docs/*.md"), *ROOT.glob("*.md"), *ROOT.glob("sample_logs/*.md")])
+
+
+def blocks(text: str, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
+
+
+def plain(text: str) -> list[list[str]]:
+    """Words of each line that has any, without rules and folding."""
+    return [line.split() for line in text.splitlines() if line.strip() and not set(line.strip()) <= set("─ ")]
+
+
+def test_the_readme_has_exactly_two_set_up_commands() -> None:
+    commands = [line for block in blocks(README, "sh") for line in block.splitlines()]
+    assert len(commands) == 2
+    assert all(command.startswith("python3 -m venv .venv && .venv/bin/pip install") for command in commands)
+
+
+def test_the_audit_of_the_readme_prints_what_the_readme_shows(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (shown,) = [block for block in blocks(README, "text") if "aileron_left" in block]
+    monkeypatch.chdir(ROOT)
+    command = re.search(r"bin/servofd (audit .*?) -o out", README)
+    assert command is not None
+    assert main([*shlex.split(command[1]), "-o", str(tmp_path)]) == 1
+    assert plain(capsys.readouterr().out) == plain(shown)
+    assert (tmp_path / "audit.json").exists()
+    assert (tmp_path / "faser_stuck_flight.rrd").exists()
+
+
+def test_the_verbs_of_the_readme_run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+    table = README.split("## The other verbs")[1].split("##")[0]
+    commands = re.findall(r"\| `servofd (.*?)` \|", table)
+    assert len(commands) == 3
+    for command in commands:
+        assert main(shlex.split(command)) == 0
+
+
+def test_the_python_of_the_readme_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    (code,) = blocks(README, "python")
+    output = io.StringIO()
+    with contextlib.redirect_stdout(output):
+        exec(compile(code, "README.md", "exec"), {})  # noqa: S102 - our own README
+    assert "elevator fault [8.1" in output.getvalue()
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
+def test_links_and_pictures_exist(path: Path) -> None:
+    for target in re.findall(r"\]\((?!http)([^)#]+)\)", path.read_text()):
+        assert (path.parent / target).exists(), target
+
+
+def test_the_thesis_page_is_what_its_script_writes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    runpy.run_path(str(ROOT / "docs" / "make_thesis.py"))["main"](tmp_path)
+    capsys.readouterr()
+    assert (tmp_path / "thesis.md").read_text() == (ROOT / "docs" / "thesis.md").read_text()
+    assert {p.name for p in (tmp_path / "images").iterdir()} == {p.name for p in (ROOT / "docs" / "images").iterdir()}
+
+
+def test_the_aircraft_files_of_the_documentation_are_valid(tmp_path: Path) -> None:
+    first, servo, table, appendix_c = blocks((ROOT / "docs" / "aircraft-file.md").read_text(), "toml")
+    config = tmp_path / "plane.toml"
+    config.write_text(first + servo + table)
+    aircraft = load_aircraft(config)
+    assert aircraft.servos["my-servo"].delay_s == 0.012
+    assert aircraft.table is not None
+    config.write_text(appendix_c)
+    assert load_aircraft(config).table is not None
+
+
+def test_the_bench_output_of_appendix_c_is_audited(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Tab-separated `meas pwm cmd` at 1 kHz without header or time, a step from 500 to 900 us."""
+    from servofd.models.servo_model import ServoModel
+    from servofd.servos import servo_named
+
+    config = tmp_path / "bench.toml"
+    config.write_text(blocks((ROOT / "docs" / "aircraft-file.md").read_text(), "toml")[-1])
+    time_s = np.arange(3000) / 1000.0
+    command_us = np.where(time_s < 1.0, 500.0, 900.0)
+    command_deg = 0.15 * (command_us - 700.0)
+    deflection_deg = ServoModel.of(servo_named("hs225bb-eq31")).simulate(time_s, command_deg, time_s)
+    counts = np.round(30000.0 + deflection_deg / 0.004).astype(int)
+    rows = [f"{c}\t0\t{u:.2f}" for c, u in zip(counts, command_us, strict=True)]
+    (tmp_path / "step.txt").write_text("\n".join(rows) + "\n")
+    assert main(["audit", str(tmp_path / "step.txt"), "-c", str(config)]) == 0
+    assert "healthy" in capsys.readouterr().out
+    stuck = [f"{counts[0] + k % 2}\t0\t{u:.2f}" for k, u in enumerate(command_us)]
+    (tmp_path / "stuck.txt").write_text("\n".join(stuck) + "\n")
+    assert main(["audit", str(tmp_path / "stuck.txt"), "-c", str(config)]) == 1
