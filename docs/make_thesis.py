@@ -19,7 +19,7 @@ from servofd.outputs.figure import save_figure
 from servofd.segment import Segment
 from servofd.servos import servo_named
 from servofd.simulation.commands import chirp, flight
-from servofd.types import ComplexArray, FloatArray
+from servofd.types import BoolArray, ComplexArray, FloatArray
 
 HERE = Path(__file__).parent
 SAMPLES = HERE.parent / "sample_logs"
@@ -192,7 +192,7 @@ def chirp_residual() -> str:
     noisy = measured_deg + 0.25 * np.random.default_rng(1).standard_normal(time_s.size)
     with_noise = ResidualGenerator(model, POLE_RAD_S).run(Segment("chirp", time_s, command_deg, time_s, noisy))
 
-    def variance(residual_deg: FloatArray, settled: FloatArray) -> str:
+    def variance(residual_deg: FloatArray, settled: BoolArray) -> str:
         return f"{float(np.var(residual_deg[settled])):.4f}"
 
     return f"""## Fig. 4.3: healthy chirp
@@ -209,7 +209,7 @@ So the delay that Eq. 4.9 drops accounts for a good part of the thesis' variance
 
 
 def detection_times() -> str:
-    rows = [
+    rows: list[tuple[str, str, Fault]] = [
         ("stuck (Fig. 4.7: 2.97 s to 3.05 s)", "0.08", Stuck(5.0)),
         ("increased dead band (Fig. 4.5: 7.98 s to 8.05 s)", "0.07", DeadBand(0.0, width_deg=8.0)),
     ]
