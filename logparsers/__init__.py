@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from logparsers.detect import detect
@@ -16,9 +18,13 @@ from logparsers.errors import (
     UnknownFormat,
     UnreadableLog,
 )
-from logparsers.records import Channel, Damage, FlightLog
+from logparsers.only import Only
+from logparsers.records import Channel, Damage, FlightLog, Text
 from logparsers.source import LogFile, opened
 from logparsers.table import TableLayout
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 __all__ = [
     "Channel",
@@ -32,6 +38,7 @@ __all__ = [
     "MissingLog",
     "SeveralRuns",
     "TableLayout",
+    "Text",
     "TruncatedLog",
     "UnknownFormat",
     "UnreadableLog",
@@ -40,7 +47,7 @@ __all__ = [
 ]
 
 
-def read(path: LogFile, layout: TableLayout | None = None) -> FlightLog:
+def read(path: LogFile, layout: TableLayout | None = None, *, only: Sequence[str] | None = None) -> FlightLog:
     r"""Read one log.
 
     Parameters
@@ -49,11 +56,14 @@ def read(path: LogFile, layout: TableLayout | None = None) -> FlightLog:
         The file, or a binary file object that can seek; it is read from its beginning and left open.
     layout : TableLayout, optional
         How to read a text table with names of its own; other formats describe themselves.
+    only : sequence of str, optional
+        Channels that are wanted, all if None: names (``"CSRV[0].Pos"``), what they begin with (``"RCOU"``,
+        ``"actuator_servos"``), or patterns with ``*`` and ``?``. Large logs are read faster for it.
 
     Returns
     -------
     FlightLog
-        Its channels, and what is wrong with it.
+        Its channels, and what is wrong with it. Those of an autopilot's log are decoded when they are looked up.
 
     Raises
     ------
@@ -73,7 +83,7 @@ def read(path: LogFile, layout: TableLayout | None = None) -> FlightLog:
     >>> [damage.note for damage in log.damage]
     ['elevator_cmd_deg: 1 of 3 values are missing']
     """
-    logs = read_all(path, layout)
+    logs = read_all(path, layout, only=only)
     if len(logs) > 1:
         runs = ", ".join(log.run for log in logs[:12]) + (" ..." if len(logs) > 12 else "")
         column = layout.run if layout else "run"
@@ -83,7 +93,9 @@ def read(path: LogFile, layout: TableLayout | None = None) -> FlightLog:
     return logs[0]
 
 
-def read_all(path: LogFile, layout: TableLayout | None = None) -> tuple[FlightLog, ...]:
+def read_all(
+    path: LogFile, layout: TableLayout | None = None, *, only: Sequence[str] | None = None
+) -> tuple[FlightLog, ...]:
     r"""Read every run of a file, in the order of the file; all but tables with a run column hold one.
 
     Parameters
@@ -92,6 +104,9 @@ def read_all(path: LogFile, layout: TableLayout | None = None) -> tuple[FlightLo
         The file, or a binary file object that can seek; it is read from its beginning and left open.
     layout : TableLayout, optional
         How to read a text table with names of its own; other formats describe themselves.
+    only : sequence of str, optional
+        Channels that are wanted, all if None: names (``"CSRV[0].Pos"``), what they begin with (``"RCOU"``,
+        ``"actuator_servos"``), or patterns with ``*`` and ``?``. Large logs are read faster for it.
 
     Raises
     ------
@@ -106,4 +121,4 @@ def read_all(path: LogFile, layout: TableLayout | None = None) -> tuple[FlightLo
     [('a', 2), ('b', 1)]
     """
     with opened(path) as source, np.errstate(all="ignore"):  # what overflows is counted as damage
-        return detect(source.head, str(source.path))(source, layout)
+        return detect(source.head, str(source.path))(source, layout, Only.of(only))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
+from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 
     from logparsers.records import FloatArray
 
-__all__ = ["gaps", "order"]
+__all__ = ["gaps", "order", "rise", "utc_date"]
 
 FEW_ROWS = 5
 FEW_SHARE = 0.01
@@ -27,6 +28,13 @@ GAP_S = 0.1
 
 CLOCK_JUMP_S = 3600.0
 """No flight recorder pauses for an hour; a clock that is set by GPS jumps by years."""
+
+LATE_S = 10.0
+"""Messages overtake each other by less; a stamp that is further behind what was logged before it is wrong."""
+
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+YEARS = range(2000, 2100)
+"""A clock that shows another year was never set."""
 
 MOST_GAPS = 100
 """A log in tatters is told from its longest gaps; the others are summed up."""
@@ -115,6 +123,62 @@ def _rising(stamps: FloatArray) -> NDArray[np.bool_]:
     return kept
 
 
+def rise(
+    time_s: FloatArray, label: str, sound: NDArray[np.bool_] | None = None
+) -> tuple[NDArray[np.intp], Damage | None]:
+    """Choose rows of a telemetry series, in an order in which their time stamps rise strictly.
+
+    Links and loggers let messages overtake each other, so that rows which came late are sorted in, unlike those of
+    a table (see `order`). Of rows with one stamp the first stays. What is left out is counted.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,)
+        Time stamps in the order of the file [s].
+    label : str
+        What the rows are, for the note.
+    sound : ndarray of bool, shape (n,), optional
+        False for rows whose stamp is known to be wrong.
+
+    Returns
+    -------
+    rows : ndarray of int, shape (m,)
+        m <= n.
+    damage : Damage or None
+        Rows that came late or were left out.
+
+    Examples
+    --------
+    >>> rows, damage = rise(np.array([0.0, 2.0, 1.0, 2.0, 3.0]), "ATTITUDE")
+    >>> rows.tolist(), damage.note
+    ([0, 2, 1, 4], 'ATTITUDE: 1 rows came late and are sorted in, 1 rows with repeated or wrong stamps left out')
+    """
+    usable = np.isfinite(time_s)
+    if sound is not None:
+        usable &= sound
+    rows = np.flatnonzero(usable)
+    stamps = time_s if rows.size == time_s.size else time_s[rows]
+    step = np.diff(stamps)
+    if step.size and step.min() < -LATE_S:  # some stamp is wrong; which, tells the longest series without it
+        rising = _rising(stamps)
+        before = np.maximum.accumulate(np.where(rising, stamps, -np.inf))
+        near = rising | ((stamps <= before) & (stamps > before - LATE_S))
+        rows, stamps = rows[near], stamps[near]
+        step = np.diff(stamps)
+    late = int(np.count_nonzero(step < 0.0))
+    if step.size and step.min() <= 0.0:
+        rank = np.argsort(stamps, kind="stable")
+        fresh = np.diff(stamps[rank], prepend=-np.inf) > 0.0
+        rows = rows[rank[fresh]]
+    dropped = time_s.size - rows.size
+    if not late and not dropped:
+        return rows, None
+    words = [f"{late} rows came late and are sorted in"] if late else []
+    words += [f"{dropped} rows with repeated or wrong stamps left out"] if dropped else []
+    where = (float(time_s[rows].min()), float(time_s[rows].max())) if rows.size else (None, None)
+    return rows, Damage("out_of_order", f"{label}: {', '.join(words)}", late + dropped, *where)
+
+
 def gaps(time_s: FloatArray) -> tuple[Damage, ...]:
     """Find where samples are missing.
 
@@ -160,3 +224,23 @@ def _gap(time_s: FloatArray, place: int, period_s: float) -> Damage:
 def _samples(missing_s: float, period_s: float) -> int:
     """Samples between two stamps; forged stamps lie further apart than any integer counts."""
     return round(min(missing_s / period_s, 1e15)) - 1
+
+
+def utc_date(unix_s: float) -> datetime | None:
+    """Date of a time since 1970; None if no clock that was set can have shown it.
+
+    Parameters
+    ----------
+    unix_s : float
+        Time since 1970-01-01, UTC [s].
+
+    Examples
+    --------
+    >>> utc_date(1.7e9).isoformat(), utc_date(0.0)
+    ('2023-11-14T22:13:20+00:00', None)
+    """
+    try:
+        date = EPOCH + timedelta(seconds=unix_s)
+    except (OverflowError, ValueError):  # beyond the year 9999, or no number
+        return None
+    return date if date.year in YEARS else None

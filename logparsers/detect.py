@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import wraps
 from typing import TYPE_CHECKING
 
 from logparsers.errors import UnknownFormat
@@ -12,15 +14,19 @@ from logparsers.matlab4 import header4
 from logparsers.table import TableLayout, read_table
 
 if TYPE_CHECKING:
+    from logparsers.only import Only
     from logparsers.records import FlightLog
     from logparsers.source import Source
 
 __all__ = ["FORMATS", "Format", "detect"]
 
 Test = Callable[[bytes], bool]
-Reader = Callable[["Source", TableLayout | None], "tuple[FlightLog, ...]"]
+Reader = Callable[["Source", TableLayout | None, "Only"], "tuple[FlightLog, ...]"]
 
 HDF5 = b"\x89HDF\r\n\x1a\n"
+FMT_RECORD, FMT_LINE = b"\xa3\x95\x80", re.compile(rb"(?:^|\n)FMT, ?\d+, ?\d+, ?\w")
+FRAMES = 3
+"""MAVLink frames one behind the other are no accident."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,13 +71,37 @@ def _is_text(head: bytes) -> bool:
     return not any(c < 32 and c not in b"\t\f\r" for c in line)
 
 
+def _is_dataflash(head: bytes) -> bool:
+    """The definition of a message stands first, in binary or as text."""
+    return head.startswith(FMT_RECORD[:2]) or FMT_LINE.match(head) is not None
+
+
+def _has_dataflash(head: bytes) -> bool:
+    """The definition of a message stands behind damage or a comment."""
+    return FMT_RECORD in head or FMT_LINE.search(head) is not None
+
+
 def _is_telemetry(head: bytes) -> bool:
     """MAVLink frames, each behind eight bytes of time as ground stations store them, or one after the other."""
-    for stamp in (8, 0):
-        end = _frame_end(head, stamp)
-        if end and (end == len(head) or _frame_end(head, end + stamp)):
+    return any(_frames_on(head, stamp, stamp, 2) for stamp in (8, 0))
+
+
+def _has_telemetry(head: bytes) -> bool:
+    """Several frames in a row stand behind damage."""
+    starts = [found.start() for found in re.finditer(rb"[\xfd\xfe]", head)]
+    return any(_frames_on(head, at, stamp, FRAMES) for at in starts for stamp in (8, 0))
+
+
+def _frames_on(head: bytes, at: int, stamp: int, number: int) -> bool:
+    """That many frames begin at `at`, or all there is room for."""
+    for _ in range(number):
+        end = _frame_end(head, at)
+        if not end:
+            return False
+        if end == len(head):
             return True
-    return False
+        at = end + stamp
+    return True
 
 
 def _frame_end(head: bytes, at: int) -> int:
@@ -82,20 +112,50 @@ def _frame_end(head: bytes, at: int) -> int:
     return at + rest[0] + (8 if magic == b"\xfe" else 25 if rest[1] & 1 else 12)
 
 
+def _eager(read: Callable[[Source, TableLayout | None], tuple[FlightLog, ...]]) -> Reader:
+    """Make a reader of one that reads every channel anyway."""
+
+    @wraps(read)
+    def reading(source: Source, layout: TableLayout | None, only: Only) -> tuple[FlightLog, ...]:
+        return tuple(log.only(only) for log in read(source, layout))
+
+    return reading
+
+
+def _dataflash(source: Source, _: TableLayout | None, only: Only) -> tuple[FlightLog, ...]:
+    from logparsers.dataflash import read_dataflash
+
+    return (read_dataflash(source, only),)
+
+
+def _telemetry(source: Source, _: TableLayout | None, only: Only) -> tuple[FlightLog, ...]:
+    from logparsers.telemetry import read_telemetry
+
+    return (read_telemetry(source, only),)
+
+
+def _ulog(source: Source, _: TableLayout | None, only: Only) -> tuple[FlightLog, ...]:
+    from logparsers.ulog import read_ulog
+
+    return (read_ulog(source, only),)
+
+
 FORMATS = (
-    Format("HDF5 (MATLAB 7.3, RAPTRS)", _is_hdf5, read_hdf5),
-    Format("MATLAB level 5", _starts(b"MATLAB 5.0"), read_level5),
+    Format("HDF5 (MATLAB 7.3, RAPTRS)", _is_hdf5, _eager(read_hdf5)),
+    Format("MATLAB level 5", _starts(b"MATLAB 5.0"), _eager(read_level5)),
     Format("PNG image", _starts(b"\x89PNG")),
     Format("JPEG image", _starts(b"\xff\xd8\xff")),
     Format("PDF document", _starts(b"%PDF")),
     Format("ZIP archive", _starts(b"PK\x03\x04", b"PK\x05\x06")),
     Format("gzip archive", _starts(b"\x1f\x8b")),
     Format("UTF-16 text", _starts(b"\xff\xfe", b"\xfe\xff")),
-    Format("ArduPilot DataFlash log", _starts(b"\xa3\x95")),
-    Format("PX4 ULog", _starts(b"ULog")),
-    Format("MAVLink telemetry log", _is_telemetry),
-    Format("MATLAB level 4", _is_level4, read_level4),
-    Format("text table", _is_text, read_table),
+    Format("ArduPilot DataFlash log", _is_dataflash, _dataflash),
+    Format("PX4 ULog", _starts(b"ULog"), _ulog),
+    Format("MAVLink telemetry log", _is_telemetry, _telemetry),
+    Format("MATLAB level 4", _is_level4, _eager(read_level4)),
+    Format("damaged ArduPilot DataFlash log", _has_dataflash, _dataflash),
+    Format("damaged MAVLink telemetry log", _has_telemetry, _telemetry),
+    Format("text table", _is_text, _eager(read_table)),
 )
 """Tried from top to bottom; to add a format is to give its line a reader."""
 
@@ -123,7 +183,7 @@ def detect(head: bytes, label: str) -> Reader:
     Traceback (most recent call last):
     logparsers.errors.UnknownFormat: flight.mat: its format is PNG image, which cannot be read by this version; ...
     """
-    known = ", ".join(found.name for found in FORMATS if found.read)
+    known = ", ".join(f.name for f in FORMATS if f.read and not f.name.startswith("damaged"))
     for found in FORMATS:
         if found.matches(head):
             if found.read:

@@ -4,17 +4,24 @@ from __future__ import annotations
 
 import difflib
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from logparsers.errors import MissingChannel
+from logparsers.only import Only
 
-__all__ = ["Channel", "Damage", "FlightLog", "own"]
+if TYPE_CHECKING:
+    from datetime import datetime
+
+    import pandas as pd
+
+__all__ = ["Channel", "Damage", "FlightLog", "Text", "own"]
 
 FloatArray = NDArray[np.float64]
 
@@ -22,10 +29,13 @@ FloatArray = NDArray[np.float64]
 def own(values: ArrayLike) -> FloatArray:
     """Copy to a read-only float64 array, so that no record can change behind its owner's back.
 
+    An array that is one already is shared: the channels of one message have one array of time stamps.
+
     Examples
     --------
-    >>> own([1, 2]).flags.writeable
-    False
+    >>> stamps = own([1, 2])
+    >>> stamps.flags.writeable, own(stamps) is stamps
+    (False, True)
     """
     if (
         isinstance(values, np.ndarray)
@@ -93,14 +103,24 @@ class Damage:
     Parameters
     ----------
     kind : str
-        ``"gap"``, ``"clock_jump"``, ``"out_of_order"``, ``"truncated"``, ``"non_finite"``, ``"not_numeric"`` or
-        ``"wrong_length"``.
+        One of the words in the notes below.
     note : str
         What happened, in words, with numbers.
     count : int
-        Samples, rows or cells concerned.
+        How much was lost or is concerned: samples, rows, cells or messages; bytes where the note says bytes.
     start_s, end_s : float or None
         Where it happened [s], if it can be placed.
+
+    Notes
+    -----
+    Time: ``"gap"`` (nothing logged), ``"clock_jump"`` (the clock was set), ``"reboot"`` (the vehicle's clock began
+    again), ``"arrival_jump"`` (the receiver's clock was set), ``"no_arrival_time"``, ``"out_of_order"`` (rows whose
+    stamps repeat or do not rise; those that were left out are counted).
+
+    Bytes: ``"corrupt"`` (no record can be read there), ``"bad_checksum"``, ``"truncated"`` (the file or a row ends
+    early), ``"bad_format"`` (the log contradicts itself about its own layout), ``"unknown_message"``.
+
+    Values: ``"non_finite"``, ``"not_numeric"``, ``"wrong_length"``.
     """
 
     kind: str
@@ -108,6 +128,33 @@ class Damage:
     count: int = 1
     start_s: float | None = None
     end_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Text:
+    """Something that was said in words.
+
+    Parameters
+    ----------
+    time_s : float
+        When, on the time base of the log [s]; NaN if the log does not say.
+    text : str
+        The words.
+    severity : int or None
+        0 emergency ... 7 debug; None if the log does not say.
+    source : str
+        Who, as ``"system/component"``; empty if there is only one.
+
+    Examples
+    --------
+    >>> Text(12.5, "Throttle armed").severity is None
+    True
+    """
+
+    time_s: float
+    text: str
+    severity: int | None = None
+    source: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,13 +166,25 @@ class FlightLog:
     source : Path
         The file.
     format : str
-        ``"faser"`` or ``"table"``.
+        ``"faser"``, ``"table"``, ``"dataflash"``, ``"tlog"`` or ``"ulog"``.
     channels : Mapping[str, Channel]
-        By name, in the order of the file.
+        By name, in the order of the file. In a log of an autopilot each is decoded when it is looked up.
     damage : tuple of Damage
         Everything that was found to be wrong.
     run : str
         Which experiment of a file that holds several; empty otherwise.
+    parameters : Mapping[str, float]
+        Settings of the autopilot by name, each with its last value.
+    texts : tuple of Text
+        What the vehicle and others said.
+    vehicle : str
+        Kind of aircraft, as MAVLink calls it (``"fixed wing"``); empty if the log does not say.
+    firmware : str
+        For example ``"ArduPlane V4.5.1 (1a2b3c4d)"`` or ``"PX4 1.15.0"``; empty if the log does not say.
+    start_utc : datetime or None
+        Date and time at ``time_s = 0``, when the vehicle was booted; None if the log does not say.
+    span_s : tuple of float, or None
+        First and last time of the log [s]; None: those of its channels.
     """
 
     source: Path
@@ -133,9 +192,17 @@ class FlightLog:
     channels: Mapping[str, Channel]
     damage: tuple[Damage, ...] = ()
     run: str = ""
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    texts: tuple[Text, ...] = ()
+    vehicle: str = ""
+    firmware: str = ""
+    start_utc: datetime | None = None
+    span_s: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "channels", MappingProxyType(dict(self.channels)))
+        channels = dict(self.channels) if isinstance(self.channels, dict) else self.channels  # a lazy one stays lazy
+        object.__setattr__(self, "channels", MappingProxyType(channels))
+        object.__setattr__(self, "parameters", MappingProxyType(dict(self.parameters)))
 
     def __getitem__(self, name: str) -> Channel:
         """Channel by name.
@@ -154,6 +221,21 @@ class FlightLog:
                 f"{self.label}: no channel {name!r}; it has {len(self.channels)}, among them {known}"
             ) from None
 
+    def only(self, wanted: Only) -> FlightLog:
+        """The same log with a choice of its channels.
+
+        Raises
+        ------
+        MissingChannel
+            If it has none of them.
+        """
+        if wanted.patterns is None:
+            return self
+        found = wanted.pick(self.channels)
+        if not found:
+            self[", ".join(wanted.patterns)]
+        return replace(self, channels={name: self.channels[name] for name in found})
+
     @property
     def label(self) -> str:
         """File name, and the run where there are several."""
@@ -161,9 +243,46 @@ class FlightLog:
 
     @property
     def duration_s(self) -> float:
-        """From the first to the last time stamp of any channel [s]."""
+        """From the first to the last time stamp of the log [s]; decodes nothing."""
+        if self.span_s is not None:
+            return self.span_s[1] - self.span_s[0]
         spans = [(c.time_s[0], c.time_s[-1]) for c in self.channels.values() if c.time_s.size]
         return float(max(s[1] for s in spans) - min(s[0] for s in spans)) if spans else 0.0
+
+    def to_pandas(self, names: str | Sequence[str] | None = None) -> pd.DataFrame:
+        """Put channels into one table, one row per time stamp.
+
+        Parameters
+        ----------
+        names : str or sequence of str, optional
+            Names, prefixes (``"RCOU"`` is all of that message) or patterns with ``*`` and ``?``; all channels if None.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Index ``time_s`` [s], one column per channel; ``attrs["units"]`` has their units. Channels keep their own
+            time stamps: a cell is NaN where its channel has no sample, and nothing is interpolated.
+
+        Raises
+        ------
+        MissingChannel
+            If no channel has such a name.
+        ValueError
+            If the table would have more than `logparsers.joined.MOST_CELLS` cells.
+
+        Examples
+        --------
+        >>> import logparsers
+        >>> log = logparsers.read("sample_logs/faser_healthy_flight.mat")
+        >>> log.to_pandas(["de", "de_pos"]).columns.tolist()
+        ['de', 'de_pos']
+        """
+        from logparsers.joined import joined
+
+        found = Only.of(names).pick(self.channels)
+        if not found:
+            self[str(names)]
+        return joined([self.channels[name] for name in found])
 
     def __repr__(self) -> str:
         kinds = Counter(d.kind for d in self.damage)

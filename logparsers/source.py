@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mmap
 import warnings
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -9,15 +10,22 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
+import numpy as np
+
 from logparsers.errors import EmptyLog, LogError, MissingLog, UnreadableLog
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["HEAD_BYTES", "LogFile", "Source", "decoding", "opened"]
+    from numpy.typing import NDArray
+
+__all__ = ["HEAD_BYTES", "LogBytes", "LogFile", "Source", "decoding", "mapped", "opened"]
 
 LogFile = str | PathLike[str] | BinaryIO
 """What a reader accepts: a path, or a binary file that can seek."""
+
+LogBytes = LogFile | bytes
+"""Or the content itself."""
 
 HEAD_BYTES = 4096
 """Bytes from which the format is told: room for a HDF5 signature behind a MATLAB header, or for two frames."""
@@ -61,6 +69,55 @@ class Source:
             return self.file.read()
         except (OSError, MemoryError) as error:
             raise UnreadableLog(f"{self.path}: cannot be read to its end: {_reason(error)}") from error
+
+    def mapped(self) -> NDArray[np.uint8]:
+        """Every byte of the file, mapped into memory rather than read where the system can; read only.
+
+        The file may be closed afterwards: the map lives as long as the last array that shows it.
+
+        Raises
+        ------
+        UnreadableLog
+            As for `content`.
+        """
+        try:
+            return np.frombuffer(mmap.mmap(self.file.fileno(), 0, access=mmap.ACCESS_READ), np.uint8)
+        except (OSError, ValueError):  # a file in memory, or a system that cannot
+            return np.frombuffer(self.content(), np.uint8)
+
+
+def mapped(file: LogBytes) -> tuple[NDArray[np.uint8], str]:
+    """All bytes of a log, and what to call it.
+
+    Parameters
+    ----------
+    file : str, PathLike, BinaryIO or bytes
+        A path, a binary file that can seek, or the content itself.
+
+    Returns
+    -------
+    content : ndarray of uint8, shape (n,), n > 0
+        Read only.
+    label : str
+        For messages.
+
+    Raises
+    ------
+    LogError
+        If there is no such file, it cannot be read, or it is empty.
+
+    Examples
+    --------
+    >>> content, label = mapped(b"ULog")
+    >>> content.tolist(), label
+    ([85, 76, 111, 103], '<4 bytes>')
+    """
+    if isinstance(file, bytes):
+        if not file:
+            raise EmptyLog("<0 bytes>: the file is empty (0 bytes); was the log copied completely?")
+        return np.frombuffer(file, np.uint8), f"<{len(file)} bytes>"
+    with opened(file) as source:
+        return source.mapped(), str(source.path)
 
 
 @contextmanager

@@ -32,7 +32,14 @@ ONLY_IN = {
     "rerun": {"servofd/outputs/recording.py"},
     "matplotlib": {"servofd/outputs/figure.py", "servofd/cli/design.py"},
     "argparse": {f"servofd/cli/{name}.py" for name in ("__init__", "audit", "design", "servos", "simulate")},
-    "numba": {"servofd/models/kernel.py", "servofd/models/play.py", "servofd/detection/starts.py"},
+    "numba": {
+        "servofd/models/kernel.py",
+        "servofd/models/play.py",
+        "servofd/detection/starts.py",
+        "logparsers/compiled.py",
+    },
+    "pymavlink": {"logparsers/mavlink.py"},
+    "pyulog": {"logparsers/ulog/bounded.py"},
     "h5py": {"logparsers/hdf5.py"},
     "control": {"servofd/models/transfer.py"},
 }
@@ -99,7 +106,19 @@ def test_servofd_exports_what_it_lists() -> None:
 
 def test_import_and_help_load_no_heavy_package() -> None:
     """Half a second is the promise; what would break it is one of these."""
-    heavy = ("numba", "scipy", "pandas", "matplotlib", "rerun", "control", "pydantic", "rich", "h5py")
+    heavy = (
+        "numba",
+        "scipy",
+        "pandas",
+        "matplotlib",
+        "rerun",
+        "control",
+        "pydantic",
+        "rich",
+        "h5py",
+        "pymavlink",
+        "pyulog",
+    )
     code = (
         "import sys, servofd, servofd.cli; servofd.cli.build_parser().format_help();"
         f"print([name for name in {heavy!r} if name in sys.modules])"

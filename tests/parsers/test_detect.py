@@ -11,9 +11,11 @@ import pytest
 
 import logparsers
 from logparsers import LogError, MissingLog, UnknownFormat
+from logparsers.dataflash.encode import Message, encode
 from logparsers.detect import FORMATS
 from tests.parsers import writers
 
+DATAFLASH = encode([Message("RCOU", "QH", {"TimeUS": [1], "C1": [1500]})])
 MAVLINK1 = b"\xfe\x09" + bytes(4) + bytes(9) + b"\x12\x34"
 MAVLINK2 = b"\xfd\x09\x00" + bytes(7) + bytes(9) + b"\x12\x34"
 SIGNED = b"\xfd\x09\x01" + bytes(7) + bytes(9) + b"\x12\x34" + bytes(13)
@@ -29,13 +31,6 @@ STAMP = struct.pack(">Q", 1_700_000_000_000_000)
         (b"PK\x03\x04" + bytes(30), "ZIP"),
         (b"\x1f\x8b\x08" + bytes(30), "gzip"),
         ("time_s,x\n".encode("utf-16"), "UTF-16"),
-        (b"\xa3\x95\x80\x80\x59FMT", "DataFlash"),
-        (b"ULog\x01\x12\x35\x01" + bytes(8), "ULog"),
-        ((STAMP + MAVLINK1) * 3, "MAVLink"),
-        ((STAMP + MAVLINK2) * 3, "MAVLink"),
-        ((STAMP + SIGNED) * 3, "MAVLink"),
-        (MAVLINK2 + MAVLINK1, "MAVLink"),
-        (STAMP + MAVLINK2, "MAVLink"),
     ],
 )
 def test_strangers_are_named_whatever_they_are_called(tmp_path: Path, head: bytes, name: str) -> None:
@@ -63,6 +58,17 @@ def test_unknown_bytes_are_shown(head: bytes) -> None:
         (writers.raptrs(), "HDF5"),
         (b"time_s,x\n", "text table"),
         ("zeit_s;höhe\n".encode("latin-1"), "text table"),
+        (DATAFLASH, "ArduPilot DataFlash"),
+        (b"FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns\n", "ArduPilot DataFlash"),
+        (bytes(700) + DATAFLASH, "damaged ArduPilot DataFlash"),
+        (b"# exported\nFMT, 128, 89, FMT, BBnNZ, Type\n", "damaged ArduPilot DataFlash"),
+        (b"ULog\x01\x12\x35\x01" + bytes(8), "PX4 ULog"),
+        ((STAMP + MAVLINK1) * 3, "MAVLink"),
+        ((STAMP + MAVLINK2) * 3, "MAVLink"),
+        ((STAMP + SIGNED) * 3, "MAVLink"),
+        (MAVLINK2 + MAVLINK1, "MAVLink"),
+        (STAMP + MAVLINK2, "MAVLink"),
+        (bytes(700) + (STAMP + MAVLINK2) * 4, "damaged MAVLink"),
     ],
 )
 def test_the_first_line_of_the_registry_that_matches_decides(content: bytes, name: str) -> None:

@@ -1,0 +1,171 @@
+"""Channels of large logs: names first, numbers when they are looked up."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from logparsers import clock
+from logparsers.errors import MissingChannel
+from logparsers.records import Channel, Damage, own
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from logparsers.only import Only
+    from logparsers.records import FloatArray
+
+__all__ = ["LazyChannels", "Recording", "Series", "as_float"]
+
+MOST_NOTES = 100
+"""Groups of channels whose rows are out of order and that are told one by one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """Where the numbers of a channel are.
+
+    Parameters
+    ----------
+    group : hashable
+        Message and instance: channels of one group share their rows, and so their time stamps.
+    field : str
+        Column of the group.
+    element : int or None
+        Of an array; None for a scalar.
+    unit, origin : str
+        As in `Channel`.
+    """
+
+    group: Hashable
+    field: str
+    element: int | None
+    unit: str
+    origin: str
+
+
+class Recording(Protocol):
+    """What a file must tell so that its columns become channels."""
+
+    def series(self) -> Mapping[str, Series]:
+        """Every numeric series by the name of its channel."""
+
+    def stamps(self, group: Any) -> tuple[FloatArray, NDArray[np.bool_] | None]:  # noqa: ANN401 - its own kind of key
+        """Time of each row of a group in the order of the file [s], and which of them are sound (None: all)."""
+
+    def values(self, series: Series) -> NDArray[Any]:
+        """Numbers of a series in the order of the file, shape (n,)."""
+
+
+def as_float(values: NDArray[Any]) -> FloatArray:
+    """Convert to float64; a signalling NaN in a damaged or forged message is just a NaN.
+
+    Examples
+    --------
+    >>> as_float(np.array([1, 2], dtype=np.uint16))
+    array([1., 2.])
+    """
+    with np.errstate(invalid="ignore"):
+        return values.astype(np.float64)
+
+
+class LazyChannels(Mapping[str, Channel]):
+    """Channels by name, each decoded when it is looked up; time stamps are kept, values are not.
+
+    Rows that came late are sorted in, rows whose stamps repeat or are wrong are left out: `survey` counts them.
+
+    Parameters
+    ----------
+    recording : Recording
+        The file.
+    names : Mapping[str, Series], optional
+        A choice of its series; all if None.
+    """
+
+    def __init__(self, recording: Recording, names: Mapping[str, Series] | None = None) -> None:
+        self._recording = recording
+        self._series = recording.series() if names is None else names
+        self._clocks: dict[Hashable, tuple[FloatArray, NDArray[np.intp] | None]] = {}
+
+    def only(self, wanted: Only, path: Path) -> LazyChannels:
+        """Restrict to those that are wanted.
+
+        Raises
+        ------
+        MissingChannel
+            If none is.
+        """
+        names = wanted.pick(self._series)
+        if not names and wanted.patterns is not None:
+            known = list(dict.fromkeys(name.partition(".")[0] for name in self._series))
+            more = f" and {len(known) - 12} more" if len(known) > 12 else ""
+            asked, some = ", ".join(wanted.patterns), ", ".join(known[:12]) or "no channels at all"
+            raise MissingChannel(f"{path}: no channel {asked}; the log has {some}{more}")
+        return LazyChannels(self._recording, {name: self._series[name] for name in names})
+
+    def __getitem__(self, name: str) -> Channel:
+        """Decode a channel.
+
+        Raises
+        ------
+        KeyError
+            If there is none of that name.
+        """
+        series = self._series[name]
+        time_s, rows = self._clock(series.group)
+        values = self._recording.values(series)
+        if rows is not None:
+            values = values[rows]
+        floats = as_float(values)
+        floats.setflags(write=False)
+        return Channel(name, time_s, floats, series.unit, series.origin)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._series)
+
+    def __len__(self) -> int:
+        return len(self._series)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._series
+
+    def survey(self) -> tuple[tuple[Damage, ...], tuple[float, float] | None]:
+        """Look at the time stamps of all channels, and at no value.
+
+        Returns
+        -------
+        damage : tuple of Damage
+            Rows out of order, for each message.
+        span_s : tuple of float, or None
+            First and last time stamp [s]; None if there is none.
+        """
+        found, ends = [], []
+        for group, label in self._groups().items():
+            time_s, sound = self._recording.stamps(group)
+            rows, damage = clock.rise(time_s, label, sound)
+            if damage:
+                found.append(damage)
+            if rows.size:
+                ends += [float(time_s[rows[0]]), float(time_s[rows[-1]])]
+        told, rest = found[:MOST_NOTES], found[MOST_NOTES:]
+        if rest:
+            total = sum(damage.count for damage in rest)
+            told.append(Damage("out_of_order", f"{total} rows of {len(rest)} more messages", total))
+        return tuple(told), (min(ends), max(ends)) if ends else None
+
+    def _groups(self) -> dict[Any, str]:
+        """Groups, and what to call them: the name of a channel up to its last dot."""
+        return {series.group: name.rpartition(".")[0] for name, series in self._series.items()}
+
+    def _clock(self, group: Hashable) -> tuple[FloatArray, NDArray[np.intp] | None]:
+        """Time stamps of a group, and its rows in that order; None for all as they are."""
+        if group not in self._clocks:
+            time_s, sound = self._recording.stamps(group)
+            rows, damage = clock.rise(time_s, "", sound)
+            self._clocks[group] = (own(time_s), None) if damage is None else (own(time_s[rows]), rows)
+        return self._clocks[group]

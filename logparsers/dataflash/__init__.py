@@ -1,0 +1,51 @@
+"""ArduPilot DataFlash logs, binary (``.bin``) and text (``.log``): columnar, memory-mapped, lazy."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from logparsers.channels import LazyChannels
+from logparsers.dataflash.about import ParameterChange
+from logparsers.dataflash.channels import DataFlashRecording
+from logparsers.dataflash.file import DataFlashFile
+from logparsers.dataflash.formats import Field, Layout
+from logparsers.dataflash.store import Step, Stretch
+from logparsers.records import FlightLog
+
+if TYPE_CHECKING:
+    from logparsers.only import Only
+    from logparsers.source import Source
+
+__all__ = ["DataFlashFile", "Field", "Layout", "ParameterChange", "Step", "Stretch", "read_dataflash"]
+
+
+def read_dataflash(source: Source, only: Only) -> FlightLog:
+    """Read a DataFlash log; channels are decoded when they are looked up.
+
+    Parameters
+    ----------
+    source : Source
+        The file.
+    only : Only
+        Which channels.
+
+    Raises
+    ------
+    LogError
+        If it defines no message, or has none of the channels.
+    """
+    file = DataFlashFile.of(source.mapped(), str(source.path))
+    channels = LazyChannels(DataFlashRecording(file)).only(only, source.path)
+    disorder, span_s = channels.survey()
+    return FlightLog(
+        source.path,
+        "dataflash",
+        channels,
+        (*file.damage, *disorder),
+        parameters=file.parameters,
+        texts=file.texts,
+        vehicle=file.vehicle,
+        firmware=file.firmware,
+        start_utc=file.start_utc,
+        span_s=span_s,
+    )

@@ -1,0 +1,326 @@
+"""The binary form (``.bin``): an index of record offsets per message, and columns gathered when asked for."""
+
+from __future__ import annotations
+
+import dataclasses
+from array import array
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from logparsers.dataflash import scan
+from logparsers.dataflash.formats import FMT, Field, Layout, decode_text, is_consistent, parse_fmt, with_units
+from logparsers.dataflash.store import Step, Stretch
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+__all__ = ["BinaryStore"]
+
+ROWS_AT_ONCE: Final = 4096  # a block of records stays in the cache while its columns are taken apart
+LISTED_STRETCHES: Final = 1000
+LAYOUT_LIMIT: Final = 2048  # a log has at most 255 types; forged ones could define a new one every 89 bytes
+
+
+class BinaryStore:
+    """Index of a binary DataFlash log.
+
+    Parameters
+    ----------
+    data : memoryview
+        The log; it is kept, and read from when columns are asked for.
+    compiled : bool or None
+        Whether to compile the walk over the records; None decides by size.
+
+    Examples
+    --------
+    >>> BinaryStore(memoryview(bytes(100))).stretches
+    [Stretch(offset=0, length=100, kind='zeros', before_us=None, after_us=None)]
+    """
+
+    def __init__(self, data: memoryview, compiled: bool | None = None) -> None:
+        self.size = len(data)
+        self.layouts: dict[str, Layout] = {}
+        self.stretches: list[Stretch] = []
+        self.more_stretches = (0, 0)
+        self.steps: list[Step] = []
+        self.notes: list[str] = []
+        self._data = data
+        self._pieces: dict[str, list[NDArray[Any]]] = {}
+        self._names: dict[int, str] = {}
+        self._odd = array("q")
+        self._bad: list[tuple[int, int, int, int]] = []
+        self._walk = scan.Walk(data, compiled)
+        self._define(FMT, 0)
+        self._walk.defined[FMT.type] = -1
+        self._index()
+        self._describe_stretches()
+        self._apply_units()
+        del self._walk  # its buffers are large
+
+    def count(self, name: str) -> int:
+        """Count the rows of a message.
+
+        Parameters
+        ----------
+        name : str
+            Of the message.
+
+        Returns
+        -------
+        int
+            0 for a message that is defined and never logged.
+        """
+        return sum(len(p) for p in self._pieces.get(name, ()))
+
+    def offsets(self, name: str) -> NDArray[Any]:
+        """Where the rows of a message begin.
+
+        Parameters
+        ----------
+        name : str
+            Of the message.
+
+        Returns
+        -------
+        ndarray of uint32 or int64, shape (n,)
+            Byte offsets in the order of the file.
+        """
+        pieces = self._pieces.get(name, [])
+        if len(pieces) != 1:
+            pieces = [np.concatenate(pieces) if pieces else np.zeros(0, np.uint32)]
+            pieces[0].sort()  # two types may share one name
+            self._pieces[name] = pieces
+        return pieces[0]
+
+    def read(self, name: str, fields: Sequence[str], rows: NDArray[np.intp] | None = None) -> dict[str, NDArray[Any]]:
+        """Gather and decode columns of one message in one pass over its records.
+
+        Parameters
+        ----------
+        name : str
+            Of the message.
+        fields : sequence of str
+            Which columns.
+        rows : ndarray of int, shape (n,), or None
+            Which rows; None for all.
+
+        Returns
+        -------
+        dict of str to ndarray, shape (n,) each
+            In the order asked for. The arrays are copies: they outlive the file.
+        """
+        layout = self.layouts[name]
+        wanted = {f: layout.fields[f] for f in fields}
+        offsets = self.offsets(name) if rows is None else self.offsets(name)[rows]
+        columns = {k: np.empty((len(offsets), *c.dtype.shape), c.decoded) for k, c in wanted.items()}
+        if len(offsets) and wanted:
+            self._gather(layout, wanted, offsets, columns)
+        return {k: _finish(layout, wanted[k], v) for k, v in columns.items()}
+
+    def _gather(
+        self,
+        layout: Layout,
+        wanted: Mapping[str, Field],
+        offsets: NDArray[Any],
+        columns: Mapping[str, NDArray[Any]],
+    ) -> None:
+        """Copy records block by block, and each block column by column."""
+        record = np.dtype(
+            {
+                "names": list(wanted),
+                "formats": [c.dtype for c in wanted.values()],
+                "offsets": [c.offset for c in wanted.values()],
+                "itemsize": layout.length,
+            }
+        )
+        anywhere = np.ndarray(
+            (self.size - layout.length + 1,), np.dtype((np.void, layout.length)), self._data, strides=(1,)
+        )
+        for start in range(0, len(offsets), ROWS_AT_ONCE):
+            block = anywhere[offsets[start : start + ROWS_AT_ONCE]].view(record)
+            for key, column in wanted.items():
+                into = columns[key][start : start + ROWS_AT_ONCE]
+                if column.character == "g":
+                    with np.errstate(invalid="ignore"):  # signalling NaN
+                        into[...] = block[key]
+                elif column.divisor is None:
+                    into[...] = block[key]
+                else:
+                    np.divide(block[key], column.divisor, out=into)
+
+    def suspect(self, name: str) -> NDArray[np.bool_]:
+        """Rows whose time stamp contradicts the records around them: damaged inside.
+
+        Parameters
+        ----------
+        name : str
+            Of the message.
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+            All False if most rows would be meant: then the message simply keeps another clock.
+        """
+        offsets = self.offsets(name)
+        mask = np.isin(offsets, np.frombuffer(self._odd, np.int64)) if self._odd else np.zeros(len(offsets), np.bool_)
+        return mask if 2 * np.count_nonzero(mask) <= len(mask) else np.zeros(len(mask), np.bool_)
+
+    def _index(self) -> None:
+        why = scan.FULL
+        while why != scan.END:
+            why, n = self._walk.run()
+            self._collect(n)
+            if why == scan.NEW_FORMAT:
+                self._redefine(self._walk.state[scan.AT])
+        scan.finish(self._walk.state, self._walk.odd, self._walk.steps)
+        self._take_events()
+
+    def _collect(self, n: int) -> None:
+        """Sort a batch of records by message."""
+        self._take_events()
+        if not n:
+            return
+        types = np.frombuffer(self._walk.types, np.uint8, n)
+        small = np.uint32 if self.size < 1 << 32 else np.int64
+        order = np.argsort(types, kind="stable")
+        offsets = np.frombuffer(self._walk.offsets, np.int64, n)[order].astype(small)
+        ends = np.cumsum(np.bincount(types, minlength=256))
+        for kind in np.flatnonzero(np.diff(ends, prepend=0)):
+            begin = ends[kind - 1] if kind else 0
+            # a copy: a view would keep the whole batch alive
+            self._pieces.setdefault(self._names[int(kind)], []).append(offsets[begin : ends[kind]].copy())
+
+    def _take_events(self) -> None:
+        walk = self._walk
+        room = LISTED_STRETCHES - len(self._bad)
+        bad = _fours(walk.bad)
+        more, size = self.more_stretches
+        for start, stop, kind, before in bad:
+            last = self._bad[-1] if self._bad else None
+            if last is not None and last[1] == start and not more:  # what resynchronising left in pieces
+                self._bad[-1] = (last[0], stop, last[2], last[3])
+            elif room > 0:
+                self._bad.append((start, stop, kind, before))
+                room -= 1
+            else:
+                more, size = more + 1, size + stop - start
+        self.more_stretches = (more, size)
+        self._odd.extend(four[0] for four in _fours(walk.odd))
+        for at, before, after, _ in _fours(walk.steps):
+            if len(self.steps) < LISTED_STRETCHES:
+                self.steps.append(Step(at, before, after))
+        for events in (walk.bad, walk.odd, walk.steps):
+            events[0] = 0
+
+    def _redefine(self, at: int) -> None:
+        """Take over the FMT record at `at`, unless it contradicts itself."""
+        self._walk.state[scan.DONE_FMT] = at
+        layout = parse_fmt(bytes(self._data[at : at + FMT.length]))
+        if layout is None or (layout.type == FMT.type and layout.length != FMT.length):
+            self._note(f"byte {at}: not a message definition; ignored")
+            return
+        known = self.layouts.get(self._names.get(layout.type, ""))
+        if known is not None and not is_consistent(layout):
+            self._note(f"byte {at}: contradictory second definition of type {layout.type}; ignored")
+        elif len(self.layouts) < LAYOUT_LIMIT:
+            self._define(layout, at)
+
+    def _define(self, layout: Layout, at: int) -> None:
+        if not is_consistent(layout):
+            self._note(f"byte {at}: definition of {layout.name} disagrees with itself; read as far as it goes")
+        layout = dataclasses.replace(layout, name=self._free_name(layout))
+        kind = layout.type
+        self.layouts[layout.name] = layout
+        self._names[kind] = layout.name
+        self._walk.length[kind] = layout.length
+        self._walk.defined[kind] = at
+        first = layout.clock and layout.clock[0] == layout.columns[0]
+        self._walk.clock[kind] = 0 if not first else 1 if layout.clock == ("TimeUS", 1) else 2
+
+    def _free_name(self, layout: Layout) -> str:
+        """Keep the name, or make it ``NAME~2`` if the name is taken by another layout."""
+        name, turn = layout.name, 1
+        while name in self.layouts and not _alike(self.layouts[name], layout):
+            turn += 1
+            name = f"{layout.name}~{turn}"
+        return name
+
+    def _note(self, text: str) -> None:
+        if len(self.notes) < LISTED_STRETCHES:
+            self.notes.append(text)
+
+    def _describe_stretches(self) -> None:
+        for start, stop, kind, before in self._bad:
+            after = self._time_after(stop)
+            what = self._kind(start, stop, kind)
+            self.stretches.append(Stretch(start, stop - start, what, None if before < 0 else before, after))
+
+    def _kind(self, start: int, stop: int, kind: int) -> str:
+        if kind != scan.BAD_HEADER:
+            return "cut_record" if kind == scan.BAD_CUT else "truncated"
+        sample = np.frombuffer(self._data[start : min(stop, start + 4096)], np.uint8)
+        if sample.max() == 0:
+            return "zeros"
+        if sample.min() == 255:
+            return "erased"
+        return "unknown_type" if bytes(sample[:2]) == b"\xa3\x95" else "garbage"
+
+    def _time_after(self, at: int) -> int | None:
+        """Time of the first timed record from `at` on, if one comes soon."""
+        walk = self._walk
+        for _ in range(32):
+            if not scan.is_header(self._data, at, self.size, walk.length):
+                return None
+            kind = self._data[at + 2]
+            if at + walk.length[kind] > self.size:
+                return None
+            if walk.clock[kind]:
+                time = scan.read_time(self._data, at, walk.clock[kind])
+                return None if time == scan.NO_TIME else time
+            at += walk.length[kind]
+        return None
+
+    def _apply_units(self) -> None:
+        """Give the columns their units: FMTU by characters, which UNIT and MULT spell out."""
+        units = self._lookup("UNIT", "Label")
+        multipliers = {k: float(f"{v:.7g}") for k, v in self._lookup("MULT", "Mult").items()}
+        needed = ("FmtType", "UnitIds", "MultIds")
+        if "FMTU" not in self.layouts or any(f not in self.layouts["FMTU"].fields for f in needed):
+            return
+        rows = self.read("FMTU", needed)
+        for kind, unit_ids, multiplier_ids in zip(*(rows[f].tolist() for f in needed), strict=True):
+            for name, layout in self.layouts.items():
+                if layout.type == kind:
+                    self.layouts[name] = with_units(layout, unit_ids, multiplier_ids, units, multipliers)
+
+    def _lookup(self, name: str, value: str) -> dict[str, Any]:
+        layout = self.layouts.get(name)
+        if layout is None or any(f not in layout.fields for f in ("Id", value)):
+            return {}
+        rows = self.read(name, ("Id", value))
+        return {chr(k & 255): v for k, v in zip(rows["Id"].tolist(), rows[value].tolist(), strict=True)}
+
+
+def _fours(events: Sequence[int]) -> list[tuple[int, int, int, int]]:
+    """Take apart what `scan.put` wrote."""
+    fill = events[0]
+    values = list(events[1 : fill + 1])
+    return list(zip(values[0::4], values[1::4], values[2::4], values[3::4], strict=True))
+
+
+def _alike(a: Layout, b: Layout) -> bool:
+    return (a.length, a.format, a.columns) == (b.length, b.format, b.columns)
+
+
+def _finish(layout: Layout, column: Field, values: NDArray[Any]) -> NDArray[Any]:
+    """Decode text; the contents of files that are logged in pieces stay bytes."""
+    if not column.is_text:
+        return values
+    return (
+        values.view(f"V{values.itemsize}")
+        if layout.name == "FILE" and column.character == "Z" and column.name == "Data"
+        else decode_text(values)
+    )

@@ -1,0 +1,160 @@
+"""Write binary DataFlash logs: for simulated flights, and for tests of whoever reads them."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from logparsers.dataflash.formats import FMT, HEADER_SIZE, Layout, define, stored_size
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["Message", "encode"]
+
+FIRST_FREE_TYPE: Final = 129
+UNITS: Final[Mapping[str, str]] = {
+    "-": "", "?": "UNKNOWN", "#": "instance", "s": "s", "d": "deg", "k": "deg/s", "%": "%", "v": "V",
+    "A": "A", "O": "degC", "Y": "us", "m": "m", "n": "m/s", "P": "Pa", "o": "m/s/s", "E": "rad/s",
+    "D": "deglatitude", "U": "deglongitude", "h": "degheading", "t": "N.m", "S": "satellites", "b": "B",
+}  # fmt: skip
+MULTIPLIERS: Final[Mapping[str, float]] = {
+    "-": 0.0, "?": 1.0, "0": 1.0, "A": 1e-1, "B": 1e-2, "C": 1e-3, "F": 1e-6, "G": 1e-7,
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Message:
+    """All rows of one message.
+
+    Parameters
+    ----------
+    name : str
+        Up to four characters.
+    format : str
+        One format character per column.
+    columns : Mapping[str, array_like of shape (n,)]
+        In the unit a reader shall see: scaled characters (``c``, ``L``, ...) are scaled here. The first
+        column orders the log; it should be ``TimeUS``.
+    units, multipliers : str
+        One id per column, for FMTU; empty to leave it out.
+    """
+
+    name: str
+    format: str
+    columns: Mapping[str, ArrayLike]
+    units: str = ""
+    multipliers: str = ""
+
+    def layout(self, kind: int) -> Layout:
+        """Lay out the records with type number `kind`."""
+        length = stored_size(self.format) or 0
+        columns = ",".join(self.columns)
+        return define(type=kind, name=self.name, length=length, format=self.format, columns=columns)
+
+
+def encode(messages: Sequence[Message], *, start_us: int | None = None) -> bytes:
+    """Write a log: definitions first, then all rows in the order of time.
+
+    Parameters
+    ----------
+    messages : sequence of Message
+        Rows of equal time keep the order of this sequence.
+    start_us : int or None
+        Time of the definitions [us]; None for that of the first row.
+
+    Returns
+    -------
+    bytes
+        The content of a ``.bin`` file.
+
+    Examples
+    --------
+    >>> from logparsers.dataflash import DataFlashFile
+    >>> rcou = Message("RCOU", "QH", {"TimeUS": [10, 20], "C1": [1500, 1510]}, "sY", "F-")
+    >>> DataFlashFile.open(encode([rcou])).formats["RCOU"].fields["C1"].unit
+    'us'
+    """
+    clocks = [np.asarray(next(iter(m.columns.values())), np.int64) for m in messages]
+    if start_us is None:
+        start_us = min((int(c.min()) for c in clocks if c.size), default=0)
+    everything = [*_dictionary(messages, start_us), *messages]
+    layouts = [m.layout(FIRST_FREE_TYPE + i) for i, m in enumerate(everything)]
+    head = b"".join(_fmt_record(layout) for layout in (FMT, *layouts))
+    records = [_records(m, layout) for m, layout in zip(everything, layouts, strict=True)]
+    times = np.concatenate([np.asarray(next(iter(m.columns.values())), np.int64) for m in everything])
+    lengths = np.repeat([layout.length for layout in layouts], [len(r) for r in records])
+    order = np.argsort(times, kind="stable")
+    offsets = np.empty(len(times), np.int64)
+    offsets[order] = np.cumsum(lengths[order]) - lengths[order]
+    body = np.zeros(int(lengths.sum()), np.uint8)
+    begin = 0
+    for rows in records:
+        if len(rows):
+            size = rows.dtype.itemsize
+            anywhere = np.ndarray((len(body) - size + 1,), rows.dtype, body.data, strides=(1,))
+            anywhere[offsets[begin : begin + len(rows)]] = rows
+        begin += len(rows)
+    return head + body.tobytes()
+
+
+def _dictionary(messages: Sequence[Message], start_us: int) -> list[Message]:
+    """Make UNIT, MULT and FMTU rows for the messages that have units."""
+    described = [(i, m) for i, m in enumerate(messages) if m.units]
+    if not described:
+        return []
+
+    def at(n: int) -> NDArray[np.int64]:
+        return np.full(n, start_us, np.int64)
+
+    units: Mapping[str, ArrayLike] = {
+        "TimeUS": at(len(UNITS)),
+        "Id": [ord(c) for c in UNITS],
+        "Label": list(UNITS.values()),
+    }
+    scales: Mapping[str, ArrayLike] = {
+        "TimeUS": at(len(MULTIPLIERS)),
+        "Id": [ord(c) for c in MULTIPLIERS],
+        "Mult": list(MULTIPLIERS.values()),
+    }
+    rows: Mapping[str, ArrayLike] = {
+        "TimeUS": at(len(described)),
+        "FmtType": [FIRST_FREE_TYPE + 3 + i for i, _ in described],
+        "UnitIds": [m.units for _, m in described],
+        "MultIds": [m.multipliers for _, m in described],
+    }
+    return [Message("UNIT", "QbZ", units), Message("MULT", "Qbd", scales), Message("FMTU", "QBNN", rows)]
+
+
+def _fmt_record(layout: Layout) -> bytes:
+    texts = (layout.name, layout.format, ",".join(layout.columns))
+    return struct.pack("<3sBB4s16s64s", b"\xa3\x95\x80", layout.type, layout.length, *(t.encode() for t in texts))
+
+
+def _records(message: Message, layout: Layout) -> NDArray[Any]:
+    """All rows of one message, packed."""
+    first = np.atleast_1d(np.asarray(next(iter(message.columns.values()))))
+    fields = list(layout.fields.values())
+    record = np.dtype(
+        {
+            "names": ["header", *(f.name for f in fields)],
+            "formats": ["V3", *(f.dtype for f in fields)],
+            "offsets": [0, *(f.offset for f in fields)],
+            "itemsize": layout.length,
+        }
+    )
+    rows = np.zeros(len(first), record)
+    rows.view(np.uint8).reshape(len(first), layout.length)[:, :HEADER_SIZE] = (0xA3, 0x95, layout.type)
+    for field in fields:
+        values = np.asarray(message.columns[field.name])
+        if field.divisor is not None:
+            values = np.rint(values * field.divisor)
+        if field.is_text and values.dtype.kind == "U":
+            values = np.char.encode(values, "utf-8")
+        rows[field.name] = values.astype(field.dtype.base)
+    return rows

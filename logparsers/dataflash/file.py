@@ -1,0 +1,375 @@
+"""A DataFlash log as a whole: any message by name, any column when it is asked for."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from functools import cached_property
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from logparsers.dataflash import about
+from logparsers.dataflash.binary import BinaryStore
+from logparsers.dataflash.report import describe
+from logparsers.dataflash.scan import BACK_US
+from logparsers.dataflash.text import TextStore
+from logparsers.errors import MissingChannel, UnreadableLog
+from logparsers.source import mapped
+from logparsers.texts import split_rows
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from datetime import datetime
+    from typing import Self
+
+    from numpy.typing import NDArray
+
+    from logparsers.dataflash.about import ParameterChange
+    from logparsers.dataflash.formats import Layout
+    from logparsers.dataflash.store import Store, Stretch
+    from logparsers.records import Damage, Text
+    from logparsers.source import LogBytes
+
+__all__ = ["DataFlashFile"]
+
+REBOOT_US: Final = 1_000_000  # set between two runs of the clock in one file; the true pause is unknown
+HEAD_SIZE: Final = 8192
+
+
+def _is_text(head: bytes) -> bool:
+    return re.search(rb"(?:^|\n)FMT, ?\d", head[:HEAD_SIZE]) is not None and head[:2] != b"\xa3\x95"
+
+
+class DataFlashFile:
+    r"""An ArduPilot DataFlash log, binary (``.bin``) or text (``.log``), read column by column.
+
+    The file is mapped, not loaded; only its records are located when it is opened. Every array that is
+    handed out is a copy that outlives the file.
+
+    Parameters
+    ----------
+    source : str
+        For messages.
+    store : Store
+        The index.
+
+    Attributes
+    ----------
+    stretches : sequence of Stretch
+        Bytes that belong to no sound record, with place, length and kind.
+
+    Examples
+    --------
+    >>> log = DataFlashFile.open(b"FMT,7,13,RCOU,QH,TimeUS,C1\nRCOU,1000000,1500\nRCOU,1040000,1512\n")
+    >>> log.column("RCOU", "C1").tolist(), log.times_s("RCOU").tolist()
+    ([1500, 1512], [1.0, 1.04])
+    """
+
+    def __init__(self, source: str, store: Store) -> None:
+        self.source = source
+        self._store = store
+        self._instances: dict[str, dict[Any, NDArray[np.intp]]] = {}
+        self._suspect: dict[str, NDArray[np.bool_]] = {}
+
+    @classmethod
+    def open(cls, source: LogBytes) -> Self:
+        """Open a log and locate its records.
+
+        Parameters
+        ----------
+        source : str, PathLike, BinaryIO or bytes
+            A path, an open file, or the content itself.
+
+        Returns
+        -------
+        DataFlashFile
+            Nothing is decoded yet.
+
+        Raises
+        ------
+        LogError
+            If the file cannot be read, is empty, or no message is defined in it.
+        """
+        return cls.of(*mapped(source))
+
+    @classmethod
+    def of(cls, content: NDArray[np.uint8], label: str) -> Self:
+        """Locate the records of a log.
+
+        Parameters
+        ----------
+        content : ndarray of uint8, shape (n,)
+            The file; kept, not copied.
+        label : str
+            For messages.
+
+        Raises
+        ------
+        UnreadableLog
+            If no message is defined in it.
+        """
+        data = content.data
+        form: Callable[[memoryview], Store] = TextStore if _is_text(bytes(data[:HEAD_SIZE])) else BinaryStore
+        store = form(data)
+        if not any(name != "FMT" for name in store.layouts):
+            raise UnreadableLog(f"{label}: no DataFlash message definition (FMT) in it; copy the log again")
+        return cls(label, store)
+
+    @property
+    def formats(self) -> Mapping[str, Layout]:
+        """Every message the log defines, logged or not, by name."""
+        return MappingProxyType(dict(self._store.layouts))
+
+    @property
+    def stretches(self) -> Sequence[Stretch]:
+        """Bytes that belong to no sound record; the first thousand one by one."""
+        return self._store.stretches
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Messages with at least one row."""
+        return tuple(n for n in self._store.layouts if self._store.count(n))
+
+    def count(self, name: str) -> int:
+        """Count the rows of a message.
+
+        Parameters
+        ----------
+        name : str
+            Of the message.
+
+        Returns
+        -------
+        int
+            0 if it was never logged, or is not known.
+        """
+        return self._store.count(name)
+
+    def instances(self, name: str) -> tuple[Any, ...]:
+        """Which sensors, servos or names a message speaks of.
+
+        Parameters
+        ----------
+        name : str
+            Of the message.
+
+        Returns
+        -------
+        tuple of int or of str
+            Sorted; empty if the message has no instances.
+        """
+        return tuple(self._instance_rows(name))
+
+    def column(self, name: str, field: str, instance: int | str | None = None) -> NDArray[Any]:
+        """One column of a message.
+
+        Parameters
+        ----------
+        name, field : str
+            For example ``"CSRV"``, ``"Pos"``.
+        instance : int, str or None
+            Only the rows of this instance; None for all.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Scaled to the unit in `formats`. Bytes of ``a`` columns have shape (n, 32).
+
+        Raises
+        ------
+        MissingChannel
+            If the log has no such message, column or instance.
+        """
+        return self.table(name, (field,), instance)[field]
+
+    def table(
+        self, name: str, fields: Iterable[str] | None = None, instance: int | str | None = None
+    ) -> dict[str, NDArray[Any]]:
+        """Several columns of a message in one pass: faster than one by one.
+
+        Parameters
+        ----------
+        name : str
+            Of the message.
+        fields : iterable of str or None
+            Which columns; None for all.
+        instance : int, str or None
+            Only the rows of this instance; None for all.
+
+        Returns
+        -------
+        dict of str to ndarray, shape (n,) each
+            In the order asked for.
+
+        Raises
+        ------
+        MissingChannel
+            If the log has no such message, column or instance.
+        """
+        known = self._layout(name).fields
+        wanted = tuple(known) if fields is None else tuple(fields)
+        for wrong in (f for f in wanted if f not in known):
+            raise MissingChannel(f"{self.source}: {name} has no column {wrong!r}; it has {', '.join(known)}")
+        return self._store.read(name, wanted, self._rows(name, instance))
+
+    def times_us(self, name: str, instance: int | str | None = None) -> NDArray[np.int64]:
+        """When each row was logged, exactly as the vehicle's clock had it.
+
+        Parameters
+        ----------
+        name : str
+            Of the message.
+        instance : int, str or None
+            Only the rows of this instance; None for all.
+
+        Returns
+        -------
+        ndarray of int64, shape (n,)
+            Microseconds since boot.
+
+        Raises
+        ------
+        MissingChannel
+            If the message carries no time.
+        """
+        clock = self._layout(name).clock
+        if clock is None:
+            raise MissingChannel(f"{self.source}: {name} carries no time")
+        return self._times_us(name, clock, self._rows(name, instance))
+
+    def _times_us(self, name: str, clock: tuple[str, int], rows: NDArray[np.intp] | None) -> NDArray[np.int64]:
+        ticks = self._store.read(name, (clock[0],), rows)[clock[0]]
+        if ticks.dtype.kind == "f":  # a text log with a broken cell
+            ticks = np.clip(np.nan_to_num(ticks), 0, 2**53)
+        times: NDArray[np.int64] = ticks.astype(np.int64)
+        times *= clock[1]
+        return times
+
+    def times_s(self, name: str, instance: int | str | None = None) -> NDArray[np.float64]:
+        """When each row was logged.
+
+        Parameters
+        ----------
+        name : str
+            Of the message.
+        instance : int, str or None
+            Only the rows of this instance; None for all.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Since boot [s]; NaN if the message carries no time. If the vehicle rebooted within the file, its
+            clock continues one second after the last record before (`damage` says so).
+        """
+        return self._times_s(name, self._rows(name, instance))
+
+    def _times_s(self, name: str, rows: NDArray[np.intp] | None) -> NDArray[np.float64]:
+        clock = self._layout(name).clock
+        if clock is None:
+            return np.full(self.count(name) if rows is None else len(rows), np.nan)
+        times = self._times_us(name, clock, rows)
+        starts, shifts = self._reboots
+        if starts.size:
+            where = self._store.offsets(name)
+            times += shifts[np.searchsorted(starts, where if rows is None else where[rows], side="right")]
+        return times / 1.0e6
+
+    def suspect(self, name: str, instance: int | str | None = None) -> NDArray[np.bool_]:
+        """Rows whose time stamp contradicts their neighbours: nothing in them can be trusted.
+
+        Parameters
+        ----------
+        name : str
+            Of the message.
+        instance : int, str or None
+            Only the rows of this instance; None for all.
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+            True where suspect.
+        """
+        if name not in self._suspect:
+            self._suspect[name] = self._store.suspect(name)
+        mask, rows = self._suspect[name], self._rows(name, instance)
+        return mask if rows is None else mask[rows]
+
+    @cached_property
+    def parameter_changes(self) -> tuple[ParameterChange, ...]:
+        """Every value a parameter was given, in order; repetitions of the same value left out."""
+        return about.parameter_changes(self)
+
+    @cached_property
+    def parameters(self) -> Mapping[str, float]:
+        """The last value of each parameter."""
+        return MappingProxyType({c.name: c.value for c in self.parameter_changes})
+
+    @cached_property
+    def texts(self) -> tuple[Text, ...]:
+        """What the vehicle said (MSG), in order."""
+        return about.texts(self, "MSG", "Message")
+
+    @cached_property
+    def firmware(self) -> str:
+        """For example ``"ArduPlane V4.5.1 (1a2b3c4d)"``, from VER or MSG; empty if the log does not say."""
+        return about.firmware(self)
+
+    @property
+    def vehicle(self) -> str:
+        """Kind of aircraft, for example ``"fixed wing"``; empty if the log does not say."""
+        return about.vehicle(self)
+
+    @cached_property
+    def start_utc(self) -> datetime | None:
+        """When the vehicle was booted, by the first GPS message with a 3D fix; None without one."""
+        return about.start_utc(self)
+
+    @cached_property
+    def damage(self) -> tuple[Damage, ...]:
+        """All that is wrong with the log: bytes lost, gaps, jumps of the clock."""
+        return describe(self._store)
+
+    @cached_property
+    def _reboots(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Where the clock began again [bytes], and what to add to it before the first, from it on, ... [us]."""
+        steps = [step for step in self._store.steps if step.after_us < step.before_us - BACK_US]
+        starts = np.array([step.offset for step in steps], np.int64)
+        shifts = np.array([0, *(step.before_us + REBOOT_US - step.after_us for step in steps)], np.int64)
+        return starts, np.cumsum(shifts)
+
+    def _layout(self, name: str) -> Layout:
+        try:
+            return self._store.layouts[name]
+        except KeyError:
+            near = difflib.get_close_matches(name, self.names, n=3) or self.names[:12]
+            known = ", ".join(near) or "none at all"
+            raise MissingChannel(
+                f"{self.source}: no message {name!r}; it has {len(self.names)}, among them {known}"
+            ) from None
+
+    def _instance_rows(self, name: str) -> dict[Any, NDArray[np.intp]]:
+        """Rows of each instance of a message, by one sort, however many there are."""
+        if name not in self._instances:
+            field = self._layout(name).instance
+            found: dict[Any, NDArray[np.intp]] = {}
+            if field is not None and self.count(name):
+                values, codes = np.unique(self._store.read(name, (field,))[field], return_inverse=True)
+                found = split_rows(values.tolist(), codes)
+            self._instances[name] = found
+        return self._instances[name]
+
+    def _rows(self, name: str, instance: int | str | None) -> NDArray[np.intp] | None:
+        if instance is None:
+            return None
+        known = self._instance_rows(name)
+        if instance not in known:
+            raise MissingChannel(
+                f"{self.source}: no {name}[{instance}]; instances: {', '.join(map(str, known)) or 'none'}"
+            )
+        return known[instance]
+
+    def __repr__(self) -> str:
+        rows = sum(self.count(n) for n in self.names)
+        return f"<DataFlashFile {self.source}: {len(self.names)} messages, {rows} rows>"

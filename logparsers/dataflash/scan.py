@@ -1,0 +1,286 @@
+"""Walk the chain of records of a binary log: where each begins, which bytes are damaged, where time jumps.
+
+A record is ``A3 95 type payload`` with the length its type was given; there is no checksum. The only
+evidence is the chain: behind a sound record the next one begins. Where the chain breaks, a record that hides
+the beginning of another, sound one is itself damage (cut short, or a header that never was one).
+
+The functions here are plain Python over integers and buffers, and numba compiles the very same functions
+for large logs; small logs are walked without paying for the import of a compiler.
+"""
+
+from __future__ import annotations
+
+import sys
+from array import array
+from dataclasses import dataclass, field
+from functools import cache
+from types import FunctionType
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    Ints = array[int]
+
+__all__ = [
+    "BACK_US",
+    "BAD_CUT",
+    "BAD_HEADER",
+    "BAD_TAIL",
+    "END",
+    "FULL",
+    "GAP_US",
+    "NEW_FORMAT",
+    "NO_TIME",
+    "Walk",
+    "finish",
+    "is_header",
+    "read_time",
+]
+
+COMPILE_FROM: Final = 1 << 21  # bytes; below, the plain walk beats the import of numba (about 0.5 s)
+
+# state
+AT, DONE_FMT, CLOCK, PENDING, WAITING_US, WAITING_AT = 0, 1, 2, 3, 4, 8
+CONFIRM: Final = 4  # records that must agree before a jump of the clock is believed
+STATE_SIZE: Final = WAITING_AT + CONFIRM
+
+# why walk() returned
+FULL, NEW_FORMAT, END = 0, 1, 2
+
+# kinds of damaged stretches
+BAD_HEADER, BAD_CUT, BAD_TAIL = 0, 1, 2
+
+GAP_US: Final = 1_000_000  # silence of all messages that is worth a line in the report
+BACK_US: Final = 2_000_000  # some messages carry the time of their measurement, not of their writing
+AHEAD_US: Final = 86_400_000_000
+NO_TIME: Final = -1
+
+BATCH: Final = 1 << 18  # records per call
+EVENTS: Final = 1 << 12
+
+
+def is_header(data: memoryview, at: int, size: int, length: Ints) -> bool:
+    """Tell whether a known message type begins here."""
+    return at + 3 <= size and data[at] == 0xA3 and data[at + 1] == 0x95 and length[data[at + 2]] > 0
+
+
+def is_chained(data: memoryview, at: int, size: int, length: Ints) -> bool:
+    """Tell whether a known message type begins here, and another where it ends."""
+    if not is_header(data, at, size, length):
+        return False
+    end = at + length[data[at + 2]]
+    return end == size or is_header(data, end, size, length)
+
+
+def hidden(data: memoryview, at: int, end: int, size: int, length: Ints) -> int:
+    """Find a record inside ``(at, end)`` with a better claim to these bytes than that at `at`, or -1."""
+    found = -1
+    inner, stop = at + 1, min(end, size - 2)
+    while inner < stop:
+        if is_chained(data, inner, size, length):
+            found = inner
+            stop = min(inner + length[data[inner + 2]], size - 2)  # which may itself hide a better one
+        inner += 1
+    return found if found < end else -1
+
+
+def same(data: memoryview, a: int, b: int, n: int) -> bool:
+    """Tell whether the `n` bytes at `a` and at `b` are equal."""
+    for i in range(n):  # noqa: SIM110 - numba compiles the loop
+        if data[a + i] != data[b + i]:
+            return False
+    return True
+
+
+def read_time(data: memoryview, at: int, kind: int) -> int:
+    """Read the first column of the record at `at` [us]: stored in us (kind 1) or ms (kind 2)."""
+    low = data[at + 3] + (data[at + 4] << 8) + (data[at + 5] << 16) + (data[at + 6] << 24)
+    if kind == 2:
+        return int(low) * 1000
+    if data[at + 9] != 0 or data[at + 10] != 0:  # more than eight years
+        return NO_TIME
+    high = data[at + 7] + (data[at + 8] << 8)
+    return int(low) + (int(high) << 32)
+
+
+def put(events: Ints, a: int, b: int, c: int, d: int) -> None:
+    """Append four numbers to a list whose first element is its fill; drop them when it is full."""
+    n = events[0]
+    if n + 4 < len(events):
+        events[n + 1], events[n + 2], events[n + 3], events[n + 4] = a, b, c, d
+        events[0] = n + 4
+
+
+def settle(state: Ints, steps: Ints) -> None:
+    """Believe the waiting time stamps: the clock did jump, or nothing was logged for a while."""
+    clock = state[CLOCK]
+    for i in range(state[PENDING]):
+        time = state[WAITING_US + i]
+        if clock != NO_TIME and (time - clock > GAP_US or time - clock < -BACK_US):
+            put(steps, state[WAITING_AT + i], clock, time, 0)
+        if clock == NO_TIME or time > clock or time - clock < -BACK_US:
+            clock = time
+    state[CLOCK] = clock
+    state[PENDING] = 0
+
+
+def finish(state: Ints, odd: Ints, steps: Ints) -> None:
+    """At the end of the log: fewer than `CONFIRM` records may tell of a gap, but not of a reboot."""
+    if state[PENDING] > 0 and state[CLOCK] != NO_TIME and state[WAITING_US] < state[CLOCK]:
+        reject(state, odd)
+    settle(state, steps)
+
+
+def reject(state: Ints, odd: Ints) -> None:
+    """Disbelieve the waiting time stamps: they came and went, so those records are damaged."""
+    for i in range(state[PENDING]):
+        put(odd, state[WAITING_AT + i], 0, 0, 0)
+    state[PENDING] = 0
+
+
+def watch(time: int, at: int, state: Ints, odd: Ints, steps: Ints) -> None:
+    """Follow the vehicle's clock; an unlikely step waits until `CONFIRM` records agree on it."""
+    if time == NO_TIME:
+        put(odd, at, 0, 0, 0)
+        return
+    step = time - state[CLOCK]
+    if state[CLOCK] != NO_TIME and -BACK_US <= step <= GAP_US:
+        if state[PENDING] > 0:
+            reject(state, odd)
+        if step > 0:
+            state[CLOCK] = time
+        return
+    if state[PENDING] > 0:
+        step = time - state[WAITING_US + state[PENDING] - 1]
+        if step < -BACK_US or step > AHEAD_US:
+            reject(state, odd)
+    n = state[PENDING]
+    state[WAITING_US + n] = time
+    state[WAITING_AT + n] = at
+    state[PENDING] = n + 1
+    if n + 1 == CONFIRM:
+        settle(state, steps)
+
+
+def walk(
+    data: memoryview, length: Ints, clock: Ints, defined: Ints, state: Ints, offsets: Ints, types: Ints,
+    bad: Ints, odd: Ints, steps: Ints,
+) -> tuple[int, int]:  # fmt: skip
+    """Walk on from ``state[AT]``; return why it stopped and how many records it put into `offsets`.
+
+    Parameters
+    ----------
+    data : bytes or ndarray of uint8, shape (size,)
+        The log.
+    length, clock, defined : buffer of int64, shape (256,)
+        Per type: length of a record [bytes] (0: unknown), kind of time stamp (0: none), and where the
+        definition in force stands.
+    state : buffer of int64
+        Where the walk is, and what it knows of the clock.
+    offsets, types : buffer of int64 and of uint8, shape (BATCH,)
+        Filled with the beginning and the type of each record.
+    bad, odd, steps : buffer of int64
+        Filled, four numbers each, with damaged stretches (start, end, kind, clock), records with a
+        wrong time stamp (start) and steps of the clock (start, from, to).
+    """
+    size, at, n = len(data), state[AT], 0
+    room = len(bad) - 8
+    doubt = False  # right behind damage, a record has no sound one before it to vouch for it
+    while at + 3 <= size and n < len(offsets) and max(bad[0], odd[0] + 16, steps[0] + 16) < room:
+        if not is_header(data, at, size, length):
+            start = at
+            at += 1
+            while at + 3 <= size and not is_header(data, at, size, length):
+                at += 1
+            if at + 3 > size:
+                at = size
+            put(bad, start, at, BAD_HEADER, state[CLOCK])
+            doubt = True
+            continue
+        kind = data[at + 2]
+        end = at + length[kind]
+        if doubt or (end != size and not is_header(data, end, size, length)):
+            inner = hidden(data, at, end, size, length)
+            if inner >= 0 or end > size:
+                stop = inner if inner >= 0 else size
+                put(bad, at, stop, BAD_CUT if inner >= 0 else BAD_TAIL, state[CLOCK])
+                at = stop
+                continue
+        doubt = False
+        if kind == 128 and at != state[DONE_FMT]:
+            before = defined[data[at + 3]]
+            if before < 0 or not same(data, before, at, 89):
+                state[AT] = at
+                return NEW_FORMAT, n
+        offsets[n] = at
+        types[n] = kind
+        n += 1
+        if clock[kind] > 0:
+            watch(read_time(data, at, clock[kind]), at, state, odd, steps)
+        at = end
+    if at < size and at + 3 > size:
+        put(bad, at, size, BAD_TAIL, state[CLOCK])
+        at = size
+    state[AT] = at
+    return (END if at >= size else FULL), n
+
+
+@cache
+def compiled_walk() -> Callable[..., tuple[int, int]]:
+    """`walk` and all it calls, compiled; kept on disk between runs where the disk allows it."""
+    from logparsers.compiled import compiled  # takes half a second, and small logs do without
+
+    scope: dict[str, Any] = dict(globals())
+    for part in (is_header, is_chained, hidden, same, read_time, put, settle, reject, watch, walk):
+        scope[part.__name__] = compiled(FunctionType(part.__code__, scope, part.__name__))
+    return scope["walk"]  # type: ignore[no-any-return]
+
+
+@dataclass
+class Walk:
+    """One walk over one log: its tables, its buffers, and where it stands.
+
+    Parameters
+    ----------
+    data : memoryview
+        The log.
+    compiled : bool or None
+        Whether to use the compiled walk; None decides by size.
+    """
+
+    data: memoryview
+    compiled: bool | None = None
+    length: array[int] = field(default_factory=lambda: array("q", bytes(8 * 256)))
+    clock: array[int] = field(default_factory=lambda: array("q", bytes(8 * 256)))
+    defined: array[int] = field(default_factory=lambda: array("q", [-1]) * 256)
+    state: array[int] = field(default_factory=lambda: array("q", bytes(8 * STATE_SIZE)))
+
+    def __post_init__(self) -> None:
+        self.state[DONE_FMT] = -1
+        self.state[CLOCK] = NO_TIME
+        if self.compiled is None:
+            self.compiled = len(self.data) >= (1 << 18 if "numba" in sys.modules else COMPILE_FROM)
+        room = min(BATCH, len(self.data) // 4 + 16)
+        self.offsets = array("q", bytes(8 * room))
+        self.types = array("B", bytes(room))
+        self.bad, self.odd, self.steps = (array("q", bytes(8 * (4 * EVENTS + 1))) for _ in range(3))
+        buffers = (self.length, self.clock, self.defined, self.state, self.offsets)
+        events = (self.bad, self.odd, self.steps)
+        self._step: Callable[[], tuple[int, int]]
+        if self.compiled:
+            step, raw = compiled_walk(), np.frombuffer(self.data, np.uint8)
+            raw.flags.writeable = False
+            ints = [np.frombuffer(b, np.int64) for b in buffers]
+            types, lists = np.frombuffer(self.types, np.uint8), [np.frombuffer(b, np.int64) for b in events]
+            self._step = lambda: step(raw, *ints, types, *lists)
+        else:
+            self._step = lambda: walk(self.data, *buffers, self.types, *events)
+
+    def run(self) -> tuple[int, int]:
+        """Walk on; return why it stopped (`FULL`, `NEW_FORMAT`, `END`) and how many records it found."""
+        for events in (self.bad, self.odd, self.steps):
+            events[0] = 0
+        return self._step()

@@ -1,0 +1,260 @@
+"""The text form (``.log``): one message per line, name first, commas between values, already scaled."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from logparsers.dataflash.formats import FMT, Layout, define, with_units
+from logparsers.dataflash.scan import BACK_US, GAP_US
+from logparsers.dataflash.store import Step, Stretch
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from logparsers.dataflash.formats import Field
+
+__all__ = ["TextStore"]
+
+NAME_SIZE: Final = 4
+BYTES_AT_ONCE: Final = 1 << 24
+LISTED: Final = 1000
+BAD: Final = -1
+COMMA, NEWLINE = ord(","), ord("\n")
+
+
+class TextStore:
+    r"""Index of a text DataFlash log: which lines belong to which message.
+
+    Parameters
+    ----------
+    data : memoryview
+        The log.
+
+    Examples
+    --------
+    >>> log = TextStore(memoryview(b"FMT, 9, 11, ABC, Q, TimeUS\nABC, 1000\nABC, 20\n"))
+    >>> log.read("ABC", ["TimeUS"])["TimeUS"].tolist()
+    [1000, 20]
+    """
+
+    def __init__(self, data: memoryview) -> None:
+        self.size = len(data)
+        self.layouts: dict[str, Layout] = {"FMT": FMT}
+        self.stretches: list[Stretch] = []
+        self.more_stretches = (0, 0)
+        self.steps: list[Step] = []
+        self.notes: list[str] = []
+        self._data = data
+        self._lines: dict[str, NDArray[np.int64]] = {}
+        starts, commas, names = _lines(np.frombuffer(data, np.uint8))
+        self._starts = starts
+        self._index(commas, names)
+        self._apply_units()
+        self._find_steps()
+
+    def count(self, name: str) -> int:
+        """Count the rows of a message.
+
+        Parameters
+        ----------
+        name : str
+            Of the message.
+
+        Returns
+        -------
+        int
+            Lines with all their columns.
+        """
+        return len(self._lines.get(name, ()))
+
+    def offsets(self, name: str) -> NDArray[Any]:
+        """Where the lines of a message begin.
+
+        Parameters
+        ----------
+        name : str
+            Of the message.
+
+        Returns
+        -------
+        ndarray of int64, shape (n,)
+            Byte offsets.
+        """
+        lines = self._lines.get(name, np.zeros(0, np.int64))
+        offsets: NDArray[np.int64] = self._starts[lines]
+        return offsets
+
+    def read(self, name: str, fields: Sequence[str], rows: NDArray[np.intp] | None = None) -> dict[str, NDArray[Any]]:
+        """Parse columns of one message.
+
+        Parameters
+        ----------
+        name : str
+            Of the message.
+        fields : sequence of str
+            Which columns.
+        rows : ndarray of int, shape (n,), or None
+            Which rows; None for all.
+
+        Returns
+        -------
+        dict of str to ndarray, shape (n,) each
+            Whole numbers as int64, others as float64, NaN where a cell is not a number; text as str.
+        """
+        layout = self.layouts[name]
+        lines = self._lines.get(name, np.zeros(0, np.int64))
+        lines = lines if rows is None else lines[rows]
+        wanted = [layout.fields[f] for f in fields]
+        cells: list[list[bytes]] = [[] for _ in wanted]
+        for line in lines.tolist():
+            parts = self._line(line).split(b",", len(layout.columns))
+            for column, into in zip(wanted, cells, strict=True):
+                into.append(parts[column.position + 1].strip())
+        return {c.name: _parse(c, column) for c, column in zip(wanted, cells, strict=True)}
+
+    def suspect(self, name: str) -> NDArray[np.bool_]:
+        """No row is suspect: a line that is complete was written complete.
+
+        Parameters
+        ----------
+        name : str
+            Of the message.
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+            All False.
+        """
+        return np.zeros(self.count(name), np.bool_)
+
+    def _line(self, line: int) -> bytes:
+        stop = self._starts[line + 1] if line + 1 < len(self._starts) else self.size
+        return bytes(self._data[self._starts[line] : stop])
+
+    def _index(self, commas: NDArray[Any], names: NDArray[Any]) -> None:
+        order = np.argsort(names, kind="stable")
+        keys, first = np.unique(names[order], return_index=True)
+        groups = dict(zip(keys.tolist(), np.split(order, first[1:]), strict=True))
+        good = np.zeros(len(names), np.bool_)
+        for line in groups.get(_key(b"FMT"), np.zeros(0, np.int64)).tolist():
+            good[line] = self._define(line)
+        self._lines["FMT"] = np.flatnonzero(good)
+        for name, layout in self.layouts.items():
+            lines = groups.get(_key(name.encode()))
+            if lines is not None and name != "FMT":
+                lines = lines[commas[lines] >= len(layout.columns)]
+                good[lines] = True
+                self._lines[name] = lines
+        for line in np.flatnonzero(~good).tolist():
+            raw = self._line(line)
+            if raw.strip():
+                self._damaged(int(self._starts[line]), len(raw))
+
+    def _define(self, line: int) -> bool:
+        parts = [p.strip() for p in self._line(line).decode("latin-1").split(",")]
+        if len(parts) < 6 or not parts[1].isdecimal() or not parts[2].isdecimal():
+            return False
+        name, columns = parts[3], ",".join(parts[5:])
+        if not 0 < len(name) <= NAME_SIZE or len(parts[1]) > 3 or len(parts[2]) > 3:
+            return False
+        layout = define(type=int(parts[1]), name=name, length=255, format=parts[4], columns=columns)
+        if name == "FMT":
+            return True
+        fields = {
+            n: dataclasses.replace(f, character="Z") if f.character == "M" else f for n, f in layout.fields.items()
+        }
+        layout = dataclasses.replace(layout, fields=fields)
+        known = self.layouts.setdefault(name, layout)
+        if (known.format, known.columns) != (layout.format, layout.columns):
+            self.notes.append(f"byte {self._starts[line]}: second definition of {name}; ignored")
+        return True
+
+    def _damaged(self, offset: int, length: int) -> None:
+        if len(self.stretches) < LISTED:
+            self.stretches.append(Stretch(offset, length, "bad_line"))
+        else:
+            self.more_stretches = (self.more_stretches[0] + 1, self.more_stretches[1] + length)
+
+    def _apply_units(self) -> None:
+        units = self._lookup("UNIT", "Label")
+        multipliers = self._lookup("MULT", "Mult")
+        needed = ("FmtType", "UnitIds", "MultIds")
+        if "FMTU" not in self.layouts or any(f not in self.layouts["FMTU"].fields for f in needed):
+            return
+        rows = self.read("FMTU", needed)
+        by_type = {layout.type: name for name, layout in self.layouts.items()}
+        for kind, unit_ids, multiplier_ids in zip(*(rows[f].tolist() for f in needed), strict=True):
+            if kind in by_type:
+                name = by_type[kind]
+                self.layouts[name] = with_units(self.layouts[name], unit_ids, multiplier_ids, units, multipliers)
+
+    def _lookup(self, name: str, value: str) -> Mapping[str, Any]:
+        layout = self.layouts.get(name)
+        if layout is None or any(f not in layout.fields for f in ("Id", value)):
+            return {}
+        rows = self.read(name, ("Id", value))
+        pairs = zip(rows["Id"].tolist(), rows[value].tolist(), strict=True)
+        return {chr(int(k) & 255): v for k, v in pairs if k == k}  # noqa: PLR0124 - not NaN
+
+    def _find_steps(self) -> None:
+        """Follow the clock of the busiest message."""
+        timed = {n: self.count(n) for n, layout in self.layouts.items() if layout.clock}
+        if not timed or max(timed.values()) < 2:
+            return
+        name = max(timed, key=timed.__getitem__)
+        field, scale = self.layouts[name].clock or ("", 1)
+        times = np.nan_to_num(self.read(name, [field])[field].astype(np.float64)) * scale
+        delta = np.diff(times)
+        for row in np.flatnonzero((delta > GAP_US) | (delta < -BACK_US))[:LISTED].tolist():
+            offset = int(self.offsets(name)[row + 1])
+            self.steps.append(Step(offset, int(times[row]), int(times[row + 1])))
+
+
+def _key(name: bytes) -> int:
+    return int.from_bytes(name.ljust(NAME_SIZE, b"\0"), "big")
+
+
+def _lines(raw: NDArray[np.uint8]) -> tuple[NDArray[np.int64], NDArray[Any], NDArray[Any]]:
+    """Where each line begins, how many commas it has, and its name as a number (`BAD` without one)."""
+    breaks = [at + np.flatnonzero(raw[at : at + BYTES_AT_ONCE] == NEWLINE) for at in range(0, len(raw), BYTES_AT_ONCE)]
+    starts = np.concatenate([np.zeros(1, np.int64), *(b + 1 for b in breaks)])
+    starts = starts[starts < len(raw)]
+    commas = np.zeros(len(starts), np.int64)
+    names = np.full(len(starts), BAD, np.int64)
+    for begin in range(0, len(starts), 1 << 16):
+        here = starts[begin : begin + (1 << 16)]
+        stop = int(starts[begin + (1 << 16)]) if begin + (1 << 16) < len(starts) else len(raw)
+        block = raw[here[0] : stop]
+        commas[begin : begin + len(here)] = np.add.reduceat(block == COMMA, here - here[0], dtype=np.int64)
+        heads = raw[np.minimum(here[:, None] + np.arange(NAME_SIZE + 1), len(raw) - 1)]
+        comma = np.argmax(heads == COMMA, axis=1)
+        letters = np.where(np.arange(NAME_SIZE) < comma[:, None], heads[:, :NAME_SIZE], 0).astype(np.int64)
+        key = letters @ (256 ** np.arange(NAME_SIZE - 1, -1, -1))
+        names[begin : begin + len(here)] = np.where(comma > 0, key, BAD)
+    return starts, commas, names
+
+
+def _parse(column: Field, cells: list[bytes]) -> NDArray[Any]:
+    """Turn cells into numbers where the format says number."""
+    if not column.is_number:
+        return np.array([c.decode("utf-8", "replace") for c in cells], np.str_)
+    whole = column.divisor is None and column.character not in "fdg"
+    kinds = ([np.uint64] if column.character == "Q" else [np.int64]) if whole else []
+    for kind in (*kinds, np.float64):
+        try:
+            return np.array(cells or [], np.bytes_).astype(kind)
+        except (ValueError, OverflowError):
+            continue
+    return np.array([_number(c) for c in cells], np.float64)
+
+
+def _number(cell: bytes) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return float("nan")

@@ -1,0 +1,345 @@
+"""What MAVLink messages look like: field layouts, units and check-sum seeds, taken from pymavlink.
+
+The only file that imports pymavlink. Nothing is written down twice: a message that pymavlink learns to
+read, this package reads.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import pkgutil
+import struct
+from dataclasses import dataclass, field
+from functools import cache
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pymavlink.dialects.v20
+
+from logparsers.errors import LogError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+__all__ = [
+    "DEFAULT_DIALECT",
+    "Dialect",
+    "Field",
+    "Layout",
+    "dialect",
+    "dialect_names",
+    "enum_name",
+    "pack",
+    "rival_names",
+    "version_text",
+]
+
+DEFAULT_DIALECT = "all"
+"""Knows every message of every dialect, except where two dialects use one number twice."""
+
+_DTYPES = {
+    "char": "u1",
+    "uint8_t": "u1",
+    "int8_t": "i1",
+    "uint16_t": "<u2",
+    "int16_t": "<i2",
+    "uint32_t": "<u4",
+    "int32_t": "<i4",
+    "uint64_t": "<u8",
+    "int64_t": "<i8",
+    "float": "<f4",
+    "double": "<f8",
+    "uint8_t_mavlink_version": "u1",
+}
+
+_CLOCK_FIELDS = {
+    "time_boot_ms": 1e-3,
+    "time_usec": 1e-6,
+    "time_boot_us": 1e-6,
+    "time_us": 1e-6,
+    "usec": 1e-6,
+    "timestamp": 0.0,  # its unit differs between messages
+    "sue_time": 1e-3,
+}
+"""Fields that say when a message was made, and how long one count lasts [s]; 0 = see its unit."""
+
+_RELEASES = ((255, ""), (192, "-rc"), (128, "-beta"), (64, "-alpha"), (0, "-dev"))  # FIRMWARE_VERSION_TYPE
+_TICK_S = {"us": 1e-6, "ms": 1e-3}
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """One field of a message, where it lies in the payload.
+
+    Parameters
+    ----------
+    name : str
+        Name, for example ``"servo3_raw"``.
+    dtype : numpy.dtype
+        Of one element, little-endian as on the wire.
+    length : int
+        Elements of an array; 0 for a scalar.
+    offset : int
+        First byte within the payload [bytes].
+    unit : str
+        As the protocol states it, for example ``"us"``; empty if it states none.
+    is_text : bool
+        True for characters.
+    """
+
+    name: str
+    dtype: np.dtype[Any]
+    length: int
+    offset: int
+    unit: str
+    is_text: bool
+
+    @property
+    def width(self) -> int:
+        """Size in the payload [bytes]."""
+        return self.dtype.itemsize * max(self.length, 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """One message type.
+
+    Parameters
+    ----------
+    id, name : int, str
+        Number and name of the message.
+    fields : Mapping[str, Field]
+        In the order in which the protocol declares them.
+    size : int
+        Full payload, extension fields included [bytes].
+    base_size : int
+        Payload without extension fields: what MAVLink 1 sends [bytes].
+    seed : int
+        The byte that ends its check-sum (``crc_extra``).
+    instance : str
+        Field that tells several sources within one component apart; empty if there is none.
+    """
+
+    id: int
+    name: str
+    fields: Mapping[str, Field]
+    size: int
+    base_size: int
+    seed: int
+    instance: str
+
+    @property
+    def clock(self) -> tuple[Field, float] | None:
+        """Time stamp field and the length of its tick [s], or None if the message carries no time."""
+        for name, tick_s in _CLOCK_FIELDS.items():
+            known = self.fields.get(name)
+            if known is None or known.length or known.dtype.kind != "u":
+                continue
+            tick_s = tick_s or _TICK_S.get(known.unit, 0.0)  # noqa: PLW2901
+            if tick_s:
+                return known, tick_s
+        return None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Dialect:
+    """A set of message types.
+
+    Parameters
+    ----------
+    name : str
+        As pymavlink calls it, for example ``"ardupilotmega"``.
+    layouts : Mapping[str, Layout]
+        By name, in the order of their ids.
+    slots : ndarray of int32, shape (highest id + 1,)
+        Position of an id in `layouts`; -1 where the id is unknown.
+    seeds : ndarray of uint8, shape (n,)
+        Check-sum seed per position.
+    """
+
+    name: str
+    layouts: Mapping[str, Layout]
+    slots: NDArray[np.int32] = field(repr=False)
+    seeds: NDArray[np.uint8] = field(repr=False)
+
+
+def dialect_names() -> tuple[str, ...]:
+    """Every dialect that pymavlink ships, the default one first.
+
+    Examples
+    --------
+    >>> dialect_names()[0], "matrixpilot" in dialect_names()
+    ('all', True)
+    """
+    names = {module.name for module in pkgutil.iter_modules(pymavlink.dialects.v20.__path__)}
+    return (DEFAULT_DIALECT, *sorted(names - {DEFAULT_DIALECT}))
+
+
+@cache
+def rival_names() -> tuple[str, ...]:
+    """Dialects that read some message which the default one does not know, or takes for another.
+
+    Examples
+    --------
+    >>> rival_names()
+    ('matrixpilot', 'paparazzi')
+    """
+    known = _module(DEFAULT_DIALECT).mavlink_map
+    seeds = {number: message.crc_extra for number, message in known.items()}
+    return tuple(
+        name
+        for name in dialect_names()[1:]
+        if any(seeds.get(number) != message.crc_extra for number, message in _module(name).mavlink_map.items())
+    )
+
+
+@cache
+def _module(name: str) -> Any:  # noqa: ANN401 - a generated module
+    if name not in dialect_names():
+        known = ", ".join(dialect_names())
+        raise LogError(f"no MAVLink dialect {name!r}; pymavlink has {known}")
+    return importlib.import_module(f"pymavlink.dialects.v20.{name}")
+
+
+@cache
+def dialect(name: str = DEFAULT_DIALECT) -> Dialect:
+    """Message types of a dialect.
+
+    Parameters
+    ----------
+    name : str
+        One of `dialect_names`.
+
+    Returns
+    -------
+    Dialect
+        Shared between callers; read only.
+
+    Raises
+    ------
+    LogError
+        If pymavlink has no such dialect.
+
+    Examples
+    --------
+    >>> servo = dialect("common").layouts["SERVO_OUTPUT_RAW"]
+    >>> servo.fields["servo3_raw"].unit, servo.base_size, servo.size, servo.instance
+    ('us', 21, 37, 'port')
+    """
+    by_id = dict(sorted(_module(name).mavlink_map.items()))
+    layouts = [_layout(message) for message in by_id.values()]
+    slots = np.full(max(by_id) + 1, -1, dtype=np.int32)
+    slots[list(by_id)] = np.arange(len(by_id))
+    seeds = np.array([layout.seed for layout in layouts], dtype=np.uint8)
+    for shared in (slots, seeds):
+        shared.setflags(write=False)
+    return Dialect(name, MappingProxyType({layout.name: layout for layout in layouts}), slots, seeds)
+
+
+def _layout(message: Any) -> Layout:  # noqa: ANN401 - a generated class
+    """Offsets follow the wire order; fields are listed as declared."""
+    types = dict(zip(message.fieldnames, message.fieldtypes, strict=True))
+    wire: dict[str, Field] = {}
+    offset = 0
+    for name, length in zip(message.ordered_fieldnames, message.array_lengths, strict=True):
+        dtype = np.dtype(_DTYPES[types[name]])
+        unit = message.fieldunits_by_name.get(name, "")
+        wire[name] = Field(name, dtype, int(length), offset, unit, types[name] == "char")
+        offset += wire[name].width
+    size = int(message.unpacker.size)
+    if offset != size:
+        raise LogError(f"{message.msgname}: fields fill {offset} bytes, pymavlink reads {size}")
+    extensions = _extension_names(message)
+    return Layout(
+        id=int(message.id),
+        name=str(message.msgname),
+        fields=MappingProxyType({name: wire[name] for name in message.fieldnames}),
+        size=size,
+        base_size=size - sum(wire[name].width for name in extensions),
+        seed=int(message.crc_extra),
+        instance=message.instance_field or "",
+    )
+
+
+def _extension_names(message: Any) -> list[str]:  # noqa: ANN401
+    """Extension fields are those a sender may leave out: pymavlink gives them a default."""
+    parameters = inspect.signature(message.__init__).parameters
+    return [name for name in message.fieldnames if parameters[name].default is not inspect.Parameter.empty]
+
+
+def enum_name(enum: str, value: int, *, prefix: str = "") -> str:
+    """Name of an enumerated value, without its prefix and in lower case.
+
+    Parameters
+    ----------
+    enum : str
+        For example ``"MAV_TYPE"``.
+    value : int
+        The number in the message.
+    prefix : str
+        What to cut off; the enum's own name and an underscore if empty.
+
+    Returns
+    -------
+    str
+        Words in lower case; ``"<enum> <value>"`` if the value has no name.
+
+    Examples
+    --------
+    >>> enum_name("MAV_TYPE", 1), enum_name("MAV_TYPE", 250)
+    ('fixed wing', 'MAV_TYPE 250')
+    """
+    entry = _module(DEFAULT_DIALECT).enums.get(enum, {}).get(value)
+    if entry is None or entry.name.endswith("_ENUM_END"):
+        return f"{enum} {value}"
+    return str(entry.name).removeprefix(prefix or f"{enum}_").replace("_", " ").lower()
+
+
+def version_text(number: int) -> str:
+    """Write out a firmware version as ArduPilot and PX4 pack it: one byte each, the last says how ripe it is.
+
+    Examples
+    --------
+    >>> version_text(0x040600FF), version_text(0x010F0040)
+    ('4.6.0', '1.15.0-alpha')
+    """
+    major, minor, patch, release = (number & 0xFFFFFFFF).to_bytes(4, "big")
+    return f"{major}.{minor}.{patch}" + next(word for low, word in _RELEASES if release >= low)
+
+
+def pack(name: str, values: Mapping[str, Any], *, dialect_name: str = DEFAULT_DIALECT) -> bytes:
+    """Full payload of one message, in wire order: what a writer puts into a frame.
+
+    Parameters
+    ----------
+    name : str
+        Message name.
+    values : Mapping[str, object]
+        Numbers, sequences of numbers, or text for character arrays; a field left out is zero.
+    dialect_name : str
+        One of `dialect_names`.
+
+    Returns
+    -------
+    bytes
+        All fields, extensions included.
+
+    Examples
+    --------
+    >>> pack("NAMED_VALUE_FLOAT", {"time_boot_ms": 1, "name": "POS", "value": 1.0}).hex(" ", 4)
+    '0100 00000000 803f504f 53000000 00000000'
+    """
+    layout = dialect(dialect_name).layouts[name]
+    payload = bytearray(layout.size)
+    for key, value in values.items():
+        known = layout.fields[key]
+        if known.is_text:
+            raw = str(value).encode("ascii")[: known.width]
+        else:
+            raw = np.asarray(value, dtype=known.dtype).tobytes()[: known.width]
+        struct.pack_into(f"{len(raw)}s", payload, known.offset, raw)
+    return bytes(payload)

@@ -1,0 +1,59 @@
+"""MAVLink telemetry logs (``.tlog``): opened in one checked pass, decoded one column at a time."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from logparsers.channels import LazyChannels
+from logparsers.records import FlightLog
+from logparsers.telemetry.channels import TelemetryRecording
+from logparsers.telemetry.file import TelemetryFile
+from logparsers.telemetry.messages import Sender
+from logparsers.telemetry.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from logparsers.only import Only
+    from logparsers.source import Source
+
+__all__ = ["Sender", "TelemetryFile", "Vehicle", "read_telemetry"]
+
+_AUTOPILOTS = {"ardupilotmega": "ArduPilot", "px4": "PX4"}
+
+
+def read_telemetry(source: Source, only: Only) -> FlightLog:
+    """Read a telemetry log; channels are decoded when they are looked up.
+
+    Parameters
+    ----------
+    source : Source
+        The file.
+    only : Only
+        Which channels.
+
+    Raises
+    ------
+    LogError
+        If it holds no good message, or none of the channels.
+    """
+    file = TelemetryFile(source.mapped(), str(source.path))
+    channels = LazyChannels(TelemetryRecording(file)).only(only, source.path)
+    craft = file.vehicle
+    disorder, span_s = channels.survey()
+    return FlightLog(
+        source.path,
+        "tlog",
+        channels,
+        (*file.damage, *disorder),
+        parameters=file.parameters,
+        texts=file.texts,
+        vehicle=craft.type if craft else "",
+        firmware=_firmware(craft) if craft else "",
+        start_utc=file.start_utc,
+        span_s=span_s,
+    )
+
+
+def _firmware(craft: Vehicle) -> str:
+    """Name and version; a version alone gets the name of the autopilot."""
+    name = _AUTOPILOTS.get(craft.autopilot, craft.autopilot)
+    return f"{name} {craft.firmware}" if craft.firmware[:1].isdigit() else craft.firmware or name

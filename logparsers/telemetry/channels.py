@@ -1,0 +1,97 @@
+"""The fields of telemetry messages as channels."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from logparsers.channels import Series
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from logparsers.telemetry.file import TelemetryFile
+    from logparsers.telemetry.messages import Sender
+
+__all__ = ["Stream", "TelemetryRecording"]
+
+_NO_SERIES = ("PARAM_", "MISSION_", "STATUSTEXT", "FILE_TRANSFER", "LOG_", "REMOTE_LOG", "TERRAIN_DATA")
+"""Messages that carry lists, files or words: their numbers are no signal over time."""
+
+
+class Stream(NamedTuple):
+    """Messages that share a clock: one type, from one sender, of one instance."""
+
+    message: str
+    source: Sender | None
+    instance: object
+
+
+class TelemetryRecording:
+    """Every numeric series of a telemetry log.
+
+    Parameters
+    ----------
+    file : TelemetryFile
+        An open log.
+
+    Notes
+    -----
+    A name is ``MESSAGE.field``; the elements of an array ``MESSAGE.field[0]`` and on. A message that comes in
+    several instances has its value in brackets, ``NAMED_VALUE_FLOAT[SRVP1].value``; the number 0 is left out
+    (``SERVO_OUTPUT_RAW.servo3_raw`` is port 0, ``SERVO_OUTPUT_RAW[1].servo3_raw`` port 1). ``1/1:`` stands
+    before it, system and component, where several sources send that message. Lists, files and words
+    (parameters, missions, texts) are no channels.
+
+    Examples
+    --------
+    >>> from logparsers.channels import LazyChannels
+    >>> from logparsers.telemetry import TelemetryFile
+    >>> frame = bytes.fromhex("fe 09 00 01 01 00 00 00 00 00 01 0c 00 00 03 30 11")
+    >>> log = TelemetryFile.open((1_700_000_000_000_000).to_bytes(8, "big") + frame)
+    >>> LazyChannels(TelemetryRecording(log))["HEARTBEAT.type"].values
+    array([1.])
+    """
+
+    def __init__(self, file: TelemetryFile) -> None:
+        self._file = file
+
+    def series(self) -> dict[str, Series]:
+        """Every series by the name of its channel."""
+        found: dict[str, Series] = {}
+        for message in self._file.messages:
+            if message.startswith(_NO_SERIES):
+                continue
+            senders: tuple[Sender | None, ...] = self._file.sources(message)
+            several = len(senders) > 1
+            for sender in senders if several else (None,):
+                prefix = f"{sender.system}/{sender.component}:" if sender else ""
+                found.update(self._of(message, sender, prefix))
+        return found
+
+    def stamps(self, group: Stream) -> tuple[NDArray[Any], None]:
+        """Time of each message [s]; those that could not be placed have their arrival time."""
+        return self._file.time_s(group.message, source=group.source, instance=group.instance), None
+
+    def values(self, series: Series) -> NDArray[Any]:
+        """Numbers of a series in the order of the file."""
+        stream: Stream = series.group  # type: ignore[assignment]
+        return self._file.column(
+            stream.message, series.field, source=stream.source, instance=stream.instance, element=series.element
+        )
+
+    def _of(self, message: str, source: Sender | None, prefix: str) -> dict[str, Series]:
+        """Series of one sender's messages of one type."""
+        layout = self._file.layout(message)
+        clock = layout.clock[0].name if layout.clock else ""
+        fields = [f for f in layout.fields.values() if not f.is_text and f.name not in (clock, layout.instance)]
+        found: dict[str, Series] = {}
+        for instance in self._file.instances(message, source) or (None,):
+            bracket = "" if instance is None or instance == 0 else f"[{instance}]"
+            stream = Stream(message, source, instance)
+            for field in fields:
+                stem, origin = f"{prefix}{message}{bracket}.{field.name}", f"{message}.{field.name}"
+                if not field.length:
+                    found[stem] = Series(stream, field.name, None, field.unit, origin)
+                for k in range(field.length):
+                    found[f"{stem}[{k}]"] = Series(stream, field.name, k, field.unit, f"{origin}[{k}]")
+        return found

@@ -1,0 +1,239 @@
+"""MAVLink telemetry logs (.tlog): opened in one pass over the file, decoded one column at a time.
+
+Opening finds and checks every frame (MAVLink 1 and 2, signed or not) and decodes none. A column is copied out
+of the mapped file when it is asked for, bit for bit as pymavlink decodes it. Damage costs the frames it hit.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from logparsers.errors import UnreadableLog
+from logparsers.mavlink import DEFAULT_DIALECT, Dialect, rival_names
+from logparsers.mavlink import dialect as dialect_called
+from logparsers.records import Damage
+from logparsers.source import mapped
+from logparsers.telemetry import frames
+from logparsers.telemetry.clock import TelemetryClock
+from logparsers.telemetry.messages import MessageTable
+from logparsers.telemetry.vehicle import read_parameters, read_texts, read_vehicle
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from datetime import datetime
+
+    from numpy.typing import NDArray
+
+    from logparsers.records import Text
+    from logparsers.source import LogBytes
+    from logparsers.telemetry.messages import Sender
+    from logparsers.telemetry.timeline import Timeline
+    from logparsers.telemetry.vehicle import Vehicle
+
+    FloatArray = NDArray[np.float64]
+
+__all__ = ["TelemetryFile"]
+
+_SAMPLE_BYTES = 1 << 17  # read again in other dialects, where something cannot be read in the default one
+_KINDS = {
+    frames.BAD_CHECKSUM: ("bad_checksum", "a message with a wrong check-sum"),
+    frames.LOST_SYNC: ("corrupt", "no message can be read"),
+    frames.TRUNCATED: ("truncated", "the file ends inside a message"),
+}
+
+
+class TelemetryFile(MessageTable):
+    """One telemetry log.
+
+    Parameters
+    ----------
+    data : ndarray of uint8, shape (n,)
+        The file; kept, not copied.
+    name : str
+        What to call it in messages.
+    dialect : str or None
+        Dialect to read it with. None: the one that knows all messages, unless another reads more of the file.
+
+    Attributes
+    ----------
+    dialect : str
+        The dialect in use.
+    size : int
+        Length of the file [bytes].
+    lost_bytes : int
+        Of these, how many belong to no good message.
+    unknown : int
+        Frames of messages the dialect does not know: kept in step, never decoded.
+
+    Raises
+    ------
+    UnreadableLog
+        If there is no good message.
+
+    Examples
+    --------
+    A heartbeat of a PX4 aeroplane, as MAVLink 1, after its arrival time:
+
+    >>> frame = bytes.fromhex("fe 09 00 01 01 00 00 00 00 00 01 0c 00 00 03 30 11")
+    >>> log = TelemetryFile.open((1_700_000_000_000_000).to_bytes(8, "big") + frame)
+    >>> log.count("HEARTBEAT"), log.sources("HEARTBEAT"), int(log.column("HEARTBEAT", "autopilot")[0])
+    (1, (Sender(system=1, component=1),), 12)
+    >>> log.vehicle.type
+    'fixed wing'
+    """
+
+    def __init__(self, data: NDArray[np.uint8], name: str, dialect: str | None = None) -> None:
+        known, (markers, kinds, unstamped, spans, hurt, lost) = _read(data, dialect)
+        if markers.size == 0:
+            raise UnreadableLog(f"{name}: no MAVLink message with a correct check-sum in {data.size} bytes")
+        grouped = frames.group(markers, kinds, known.seeds.size + 1)
+        self.unknown = int(grouped.pop().size)
+        positions = {key: found for key, found in zip(known.layouts, grouped, strict=True) if found.size}
+        super().__init__(name, data, positions, known.layouts, unstamped)
+        self.dialect, self.size, self.lost_bytes = known.name, int(data.size), lost
+        self._spans: NDArray[Any] = spans
+        self._hurt: int = hurt
+        self._bare = bool(unstamped.size > markers.size // 2)
+        self._clock = TelemetryClock(self, bare=self._bare)
+
+    @classmethod
+    def open(cls, source: LogBytes, *, dialect: str | None = None) -> TelemetryFile:
+        """Map a file, or take bytes, and find its messages.
+
+        Parameters
+        ----------
+        source : str, PathLike, bytes or BinaryIO
+            A path, the content itself, or an open binary file.
+        dialect : str, optional
+            One of `logparsers.mavlink.dialect_names`.
+
+        Returns
+        -------
+        TelemetryFile
+            Nothing decoded yet.
+
+        Raises
+        ------
+        LogError
+            If there is no such file, nothing can be read from it, or the dialect does not exist.
+        """
+        return cls(*mapped(source), dialect)
+
+    def __repr__(self) -> str:
+        total = sum(self.count(message) for message in self.messages)
+        kinds = len(self.messages)
+        return f"<TelemetryFile {self.name}: {total} messages of {kinds} types, {self.lost_bytes} bytes lost>"
+
+    def time_s(self, message: str, *, source: Sender | None = None, instance: object = None) -> FloatArray:
+        """When each message was made, on the time base of the file.
+
+        Parameters
+        ----------
+        message : str
+            Name of a message in the file.
+        source, instance : optional
+            As for `column`.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Seconds since the vehicle's first boot [s], in the order of the file (not always rising: messages
+            overtake each other). From the message's own clock, overflows added; from its arrival time,
+            mapped onto the vehicle's clock, if it has none. Without a vehicle clock: since the first message.
+
+        Raises
+        ------
+        MissingChannel
+            If the file has no such message or instance.
+        """
+        self.layout(message)
+        time = self._clock.time_s(message, source)
+        chosen: FloatArray = time[self.pick(message, source, instance)]
+        return chosen
+
+    @property
+    def timeline(self) -> Timeline:
+        """The vehicle's clock against arrival time, over the whole file."""
+        return self._clock.timeline
+
+    @property
+    def damage(self) -> tuple[Damage, ...]:
+        """What is wrong with bytes and clocks."""
+        return (*self._byte_damage, *self._clock.damage)
+
+    @cached_property
+    def start_utc(self) -> datetime | None:
+        """Date and time at 0 s: by the vehicle's clock (SYSTEM_TIME) if it was set, else by the receiver's."""
+        return self._clock.start_utc
+
+    @property
+    def damaged_bytes(self) -> NDArray[Any]:
+        """Stretches without good messages: ``offset``, ``length`` [bytes] and ``kind``; the first 1000."""
+        return self._spans
+
+    @cached_property
+    def parameters(self) -> Mapping[str, float]:
+        """Last value of each parameter of the vehicle."""
+        return read_parameters(self)
+
+    @cached_property
+    def texts(self) -> tuple[Text, ...]:
+        """What the vehicle and others said in words, in the order of the file."""
+        return read_texts(self)
+
+    @cached_property
+    def vehicle(self) -> Vehicle | None:
+        """What kind of aircraft, and what flies it; None if no autopilot introduced itself."""
+        return read_vehicle(self)
+
+    @cached_property
+    def _byte_damage(self) -> tuple[Damage, ...]:
+        found = [self._describe(span) for span in self._spans]
+        more = self._hurt - self._spans.size
+        if more:
+            rest = self.lost_bytes - int(self._spans["length"].sum())
+            found.append(Damage("corrupt", f"{more} more damaged stretches, {rest} bytes in all", rest))
+        if self.unknown:
+            note = f"{self.unknown} messages that dialect {self.dialect!r} does not know, or with a damaged id"
+            found.append(Damage("unknown_message", note, self.unknown))
+        if self._bare:
+            found.append(Damage("no_arrival_time", "frames were stored without arrival times", self._unstamped.size))
+        elif self._unstamped.size:
+            note = "good messages whose arrival time was damaged; a neighbour's is used"
+            found.append(Damage("no_arrival_time", note, self._unstamped.size))
+        return tuple(found)
+
+    def _describe(self, span: Any) -> Damage:  # noqa: ANN401 - a row of SPAN
+        """Place a damaged stretch in time by the first good frame after it."""
+        offset, length = int(span["offset"]), int(span["length"])
+        kind, words = _KINDS[int(span["kind"])]
+        time_s = None
+        follower = np.array([offset + length + frames.STAMP_BYTES], dtype=np.int64)
+        if follower[0] < self.size and not self._bare and follower[0] not in self._unstamped:
+            time_s = float(self._clock.timeline.from_arrival(self._clock.arrival_s(follower), follower)[0])
+        return Damage(kind, f"{words}: {length} bytes at offset {offset}", length, time_s, time_s)
+
+
+def _read(data: NDArray[np.uint8], chosen: str | None) -> tuple[Dialect, tuple[Any, ...]]:
+    """Find the frames; without a choice, in the dialect that finds most."""
+    known = dialect_called(chosen or DEFAULT_DIALECT)
+    found = frames.scan(data, known.slots, known.seeds)
+    _, kinds, _, spans, _, _ = found
+    misread = (spans["kind"] != frames.TRUNCATED).any() or (kinds == known.seeds.size).any()
+    if chosen is not None or not misread:
+        return known, found
+    pieces = [data[span["offset"] : span["offset"] + span["length"]][:_SAMPLE_BYTES] for span in spans[:200]]
+    sample = np.concatenate([data[:_SAMPLE_BYTES], *pieces])[: 2 * _SAMPLE_BYTES]
+    best, most = known, _decodable(sample, known)
+    for rival in (dialect_called(name) for name in rival_names()):
+        if (read := _decodable(sample, rival)) > most:
+            best, most = rival, read
+    return (best, frames.scan(data, best.slots, best.seeds)) if best is not known else (known, found)
+
+
+def _decodable(sample: NDArray[np.uint8], known: Dialect) -> int:
+    """Messages that a dialect can check and decode."""
+    return int(np.count_nonzero(frames.scan(sample, known.slots, known.seeds)[1] < known.seeds.size))

@@ -1,0 +1,292 @@
+"""MAVLink frames in a file: find them, check them, gather columns out of them. Compiled; no meaning.
+
+A telemetry log is a sequence of records: arrival time (big-endian uint64 [us]), then one MAVLink frame.
+The position of a frame is that of its first byte, the marker; its arrival time stands 8 bytes before.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from logparsers.compiled import compiled
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Bytes = NDArray[np.uint8]
+    Slots = NDArray[np.int32]
+
+__all__ = [
+    "BAD_CHECKSUM",
+    "LOST_SYNC",
+    "SPAN",
+    "TRUNCATED",
+    "arrivals_us",
+    "check_sum",
+    "gather",
+    "group",
+    "origins",
+    "scan",
+]
+
+STAMP_BYTES = 8
+_V1, _V2 = 0xFE, 0xFD
+_SIGNED = 0x01
+
+BAD_CHECKSUM, LOST_SYNC, TRUNCATED = 1, 2, 3
+"""Kinds of a damaged stretch."""
+
+SPAN = np.dtype([("offset", "<i8"), ("length", "<i8"), ("kind", "<i8")])
+"""A damaged stretch of a file [bytes]."""
+
+_NOT_A_FRAME, _BAD, _BEYOND, _UNKNOWN, _GOOD = 0, 1, 2, 3, 4
+_LOOKAHEAD = 4
+
+
+def _crc_table() -> NDArray[np.uint16]:
+    table = np.arange(256, dtype=np.uint16)
+    for _ in range(8):
+        table = np.where(table & 1, (table >> 1) ^ 0x8408, table >> 1).astype(np.uint16)
+    return table
+
+
+_CRC = _crc_table()
+
+
+@compiled
+def check_sum(data: Bytes, start: int, stop: int, seed: int) -> int:
+    """Check-sum of MAVLink (CRC-16/MCRF4XX) over ``data[start:stop]`` and the seed of the message.
+
+    Examples
+    --------
+    >>> hex(check_sum(np.frombuffer(b"12345678", np.uint8), 0, 8, ord("9")))
+    '0x6f91'
+    """
+    crc = 0xFFFF
+    for i in range(start, stop):
+        crc = (crc >> 8) ^ _CRC[(crc ^ data[i]) & 0xFF]
+    last: int = (crc >> 8) ^ _CRC[(crc ^ seed) & 0xFF]
+    return last
+
+
+@compiled
+def _inspect(data: Bytes, at: int, slots: Slots, seeds: Bytes) -> tuple[int, int, int]:  # noqa: PLR0911
+    """Judge what stands at `at`: (verdict, length of the frame, slot of its message)."""
+    size = data.size
+    if at >= size:
+        return _NOT_A_FRAME, 0, -1
+    if data[at] == _V1:
+        if at + 8 > size:
+            return _BEYOND, 0, -1
+        header, trailer = 6, 2
+        message = np.int64(data[at + 5])
+    elif data[at] == _V2:
+        if at + 12 > size:
+            return _BEYOND, 0, -1
+        if data[at + 2] & ~_SIGNED:
+            return _NOT_A_FRAME, 0, -1
+        header, trailer = 10, 2 + 13 * (data[at + 2] & _SIGNED)
+        message = np.int64(data[at + 7]) | np.int64(data[at + 8]) << 8 | np.int64(data[at + 9]) << 16
+    else:
+        return _NOT_A_FRAME, 0, -1
+    body = at + header + data[at + 1]
+    if body + trailer > size:
+        return _BEYOND, 0, -1
+    slot = slots[message] if message < slots.size else -1
+    if slot < 0:
+        return _UNKNOWN, body + trailer - at, seeds.size
+    stored = np.int64(data[body]) | np.int64(data[body + 1]) << 8
+    verdict = _GOOD if check_sum(data, at + 1, body, seeds[slot]) == stored else _BAD
+    return verdict, body + trailer - at, slot
+
+
+@compiled
+def _leads_on(data: Bytes, start: int, slots: Slots, seeds: Bytes) -> bool:
+    """Tell whether a frame nobody can check ends where another begins."""
+    for _ in range(_LOOKAHEAD):
+        if start == data.size:
+            return True
+        verdict, length, _ = _inspect(data, start + STAMP_BYTES, slots, seeds)
+        if verdict == _GOOD:
+            return True
+        if verdict != _UNKNOWN:
+            return False
+        start += STAMP_BYTES + length
+    return True
+
+
+@compiled
+def _resume(data: Bytes, start: int, slots: Slots, seeds: Bytes) -> int:
+    """Find the first good frame at or after `start`; the end of the data if there is none."""
+    for at in range(start, data.size):
+        if (data[at] == _V1 or data[at] == _V2) and _inspect(data, at, slots, seeds)[0] == _GOOD:
+            return at
+    return data.size
+
+
+@compiled
+def _scan(
+    data: Bytes,
+    slots: Slots,
+    seeds: Bytes,
+    out: tuple[NDArray[Any], NDArray[np.uint16], NDArray[np.int64], NDArray[Any]],
+) -> tuple[int, int, int, int]:
+    """Fill markers, kinds, unstamped and spans; return how much of each was used, and the bytes lost."""
+    markers, kinds, unstamped, spans = out
+    found, bare, hurt, lost, start = 0, 0, 0, 0, 0
+    while start < data.size:
+        at = start + STAMP_BYTES
+        verdict, length, slot = _inspect(data, at, slots, seeds)
+        end = at + length
+        if verdict == _GOOD or (verdict == _UNKNOWN and _leads_on(data, end, slots, seeds)):
+            markers[found] = at
+            kinds[found] = slot
+            found += 1
+            start = end
+            continue
+        kind = LOST_SYNC
+        if verdict == _BAD and _inspect(data, end + STAMP_BYTES, slots, seeds)[0] == _GOOD:
+            kind, at = BAD_CHECKSUM, end + STAMP_BYTES  # its length was right: do not look inside it
+        else:
+            at = _resume(data, start, slots, seeds)
+            if at == data.size and (verdict == _BEYOND or start + STAMP_BYTES >= data.size):
+                kind = TRUNCATED
+        resumed = data.size if at == data.size else max(at - STAMP_BYTES, start)
+        if at < data.size:
+            _, length, slot = _inspect(data, at, slots, seeds)
+            if at - STAMP_BYTES < start:  # the frame survived, its arrival time did not
+                resumed = at
+                unstamped[bare] = at
+                bare += 1
+            markers[found] = at
+            kinds[found] = slot
+            found += 1
+        if resumed > start:
+            if hurt < spans.size:
+                spans[hurt]["offset"] = start
+                spans[hurt]["length"] = resumed - start
+                spans[hurt]["kind"] = kind
+            hurt += 1
+            lost += resumed - start
+        start = at + length if at < data.size else data.size
+    return found, bare, hurt, lost
+
+
+@compiled
+def _group(markers: NDArray[Any], kinds: NDArray[np.uint16], starts: NDArray[np.int64], grouped: NDArray[Any]) -> None:
+    """Sort by counting, which keeps the order of the file within a kind."""
+    for i in range(kinds.size):
+        starts[kinds[i] + 1] += 1
+    for slot in range(starts.size - 1):
+        starts[slot + 1] += starts[slot]
+    filled = starts[:-1].copy()
+    for i in range(kinds.size):
+        grouped[filled[kinds[i]]] = markers[i]
+        filled[kinds[i]] += 1
+
+
+@compiled
+def _gather(data: Bytes, markers: NDArray[Any], offset: int, out: Bytes) -> None:
+    for i in range(markers.size):
+        at = np.int64(markers[i])
+        header = 6 if data[at] == _V1 else 10
+        available = np.int64(data[at + 1]) - offset  # the sender cuts trailing zeros off
+        source = at + header + offset
+        for k in range(out.shape[1]):
+            out[i, k] = data[source + k] if k < available else 0
+
+
+@compiled
+def _copy(data: Bytes, markers: NDArray[Any], back: int, out: Bytes) -> None:
+    for i in range(markers.size):
+        at = np.int64(markers[i])
+        first = at + back if back < 0 else at + (3 if data[at] == _V1 else 5)
+        for k in range(out.shape[1]):
+            out[i, k] = data[first + k]
+
+
+def scan(
+    data: Bytes, slots: Slots, seeds: Bytes, *, max_spans: int = 1000
+) -> tuple[NDArray[Any], NDArray[np.uint16], NDArray[np.int64], NDArray[Any], int, int]:
+    """Find every good frame.
+
+    Parameters
+    ----------
+    data : ndarray of uint8, shape (n,)
+        The file.
+    slots, seeds : ndarray
+        Of the dialect.
+    max_spans : int
+        Damaged stretches to describe; further ones are only counted.
+
+    Returns
+    -------
+    markers : ndarray of uint32 or int64, shape (m,)
+        Position of each frame [bytes], rising.
+    kinds : ndarray of uint16, shape (m,)
+        Slot of its message; ``len(seeds)`` for messages the dialect does not know.
+    unstamped : ndarray of int64
+        Positions of frames whose arrival time is lost.
+    spans : ndarray of SPAN
+        Damaged stretches, at most `max_spans`.
+    hurt, lost : int
+        Number of damaged stretches, and the bytes in them.
+
+    Examples
+    --------
+    >>> from logparsers.mavlink import dialect
+    >>> known = dialect("minimal")
+    >>> markers, *_, lost = scan(np.zeros(100, np.uint8), known.slots, known.seeds)
+    >>> len(markers), lost
+    (0, 100)
+    """
+    room = data.size // 8 + 1  # a frame has at least 8 bytes; untouched pages cost nothing
+    markers = np.empty(room, dtype=np.uint32 if data.size < 2**32 else np.int64)
+    kinds = np.empty(room, dtype=np.uint16)
+    unstamped = np.empty(room, dtype=np.int64)
+    spans = np.zeros(max_spans, dtype=SPAN)
+    found, bare, hurt, lost = _scan(data, slots, seeds, (markers, kinds, unstamped, spans))
+    return markers[:found], kinds[:found], unstamped[:bare].copy(), spans[:hurt].copy(), int(hurt), int(lost)
+
+
+def group(markers: NDArray[Any], kinds: NDArray[np.uint16], count: int) -> list[NDArray[Any]]:
+    """Positions of the frames of each of `count` kinds, in the order of the file.
+
+    Examples
+    --------
+    >>> [list(map(int, g)) for g in group(np.array([8, 40, 90]), np.array([1, 0, 1], np.uint16), 2)]
+    [[40], [8, 90]]
+    """
+    starts = np.zeros(count + 1, dtype=np.int64)
+    grouped = np.empty_like(markers)
+    _group(markers, kinds, starts, grouped)
+    return [grouped[starts[k] : starts[k + 1]] for k in range(count)]
+
+
+def gather(data: Bytes, markers: NDArray[Any], offset: int, width: int) -> Bytes:
+    """Copy `width` payload bytes of each frame, from `offset` on; bytes the sender cut off are zero.
+
+    Returns
+    -------
+    ndarray of uint8, shape (m, width)
+        One row per frame.
+    """
+    out = np.empty((markers.size, width), dtype=np.uint8)
+    _gather(data, markers, offset, out)
+    return out
+
+
+def arrivals_us(data: Bytes, markers: NDArray[Any]) -> NDArray[np.uint64]:
+    """Arrival times before each frame [us since 1970]. Positions below 8 have none: do not ask."""
+    out = np.empty((markers.size, STAMP_BYTES), dtype=np.uint8)
+    _copy(data, markers, -STAMP_BYTES, out)
+    return out.view(">u8")[:, 0].astype(np.uint64)
+
+
+def origins(data: Bytes, markers: NDArray[Any]) -> NDArray[np.uint16]:
+    """System * 256 + component of each frame."""
+    out = np.empty((markers.size, 2), dtype=np.uint8)
+    _copy(data, markers, 0, out)
+    return out.view(">u2")[:, 0].astype(np.uint16)

@@ -1,0 +1,196 @@
+"""The good messages of a telemetry log: who sent how many, and their columns, copied out when asked for."""
+
+from __future__ import annotations
+
+import difflib
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from logparsers.errors import MissingChannel
+from logparsers.telemetry import frames
+from logparsers.texts import distinct_texts, split_rows
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from logparsers.mavlink import Layout
+
+__all__ = ["MessageTable", "Sender"]
+
+
+class Sender(NamedTuple):
+    """Who sent a message."""
+
+    system: int
+    component: int
+
+
+class MessageTable:
+    """Messages by type, each a list of positions in the file.
+
+    Parameters
+    ----------
+    name : str
+        What to call the file in messages.
+    data : ndarray of uint8, shape (n,)
+        The file; kept, not copied.
+    positions : Mapping[str, ndarray]
+        Markers of the frames of each type, in the order of the file [bytes].
+    layouts : Mapping[str, Layout]
+        Of every message of `positions`, at least.
+    unstamped : ndarray of int64
+        Markers of frames that have no arrival time.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        data: NDArray[np.uint8],
+        positions: Mapping[str, NDArray[Any]],
+        layouts: Mapping[str, Layout],
+        unstamped: NDArray[np.int64],
+    ) -> None:
+        self.name, self._data, self._positions, self._layouts = name, data, positions, layouts
+        self._unstamped = unstamped
+        self._senders: dict[str, tuple[Sender, ...]] = {}
+        self._streams: dict[tuple[str, Sender], NDArray[Any]] = {}
+        self._rows: dict[tuple[str, Sender | None], dict[Any, NDArray[np.intp]]] = {}
+
+    @property
+    def messages(self) -> tuple[str, ...]:
+        """Names of the messages in the file, in the order of their ids."""
+        return tuple(self._positions)
+
+    def layout(self, message: str) -> Layout:
+        """Fields of a message of this file.
+
+        Raises
+        ------
+        MissingChannel
+            If the file has none of it.
+        """
+        if message not in self._positions:
+            near = difflib.get_close_matches(message, self._positions, n=3, cutoff=0.4) or list(self._positions)[:12]
+            raise MissingChannel(f"{self.name}: no message {message!r}; it has {', '.join(near)}")
+        return self._layouts[message]
+
+    def count(self, message: str) -> int:
+        """Good messages of a type; 0 if there are none."""
+        found = self._positions.get(message)
+        return 0 if found is None else int(found.size)
+
+    def sources(self, message: str) -> tuple[Sender, ...]:
+        """Systems and components that sent a message, sorted; empty if none did."""
+        if message not in self._positions:
+            return ()
+        if message not in self._senders:
+            found = np.unique(frames.origins(self._data, self._positions[message]))
+            self._senders[message] = tuple(Sender(*divmod(int(sender), 256)) for sender in found)
+        return self._senders[message]
+
+    def instances(self, message: str, source: Sender | None = None) -> tuple[Any, ...]:
+        """Values of the instance field (texts or integers), sorted; empty if there is no such field."""
+        return tuple(self._instances(message, source)) if self.layout(message).instance else ()
+
+    def column(
+        self,
+        message: str,
+        field: str,
+        *,
+        source: Sender | None = None,
+        instance: object = None,
+        element: int | None = None,
+    ) -> NDArray[Any]:
+        """Values of one field, in the order of the file.
+
+        Parameters
+        ----------
+        message, field : str
+            For example ``"SERVO_OUTPUT_RAW"``, ``"servo3_raw"``.
+        source : Sender, optional
+            Only from this system and component; from all if None.
+        instance : str or int, optional
+            Only with this value of the message's instance field; all if None.
+        element : int, optional
+            Only this element of an array; all if None.
+
+        Returns
+        -------
+        ndarray, shape (n,) or (n, length)
+            Of the field's own type, in the unit of the protocol; texts as ``str``, cut at the first NUL.
+            Extension fields that were not sent are zero.
+
+        Raises
+        ------
+        MissingChannel
+            If the file has no such message, or the message no such field.
+        """
+        layout = self.layout(message)
+        if field not in layout.fields:
+            raise MissingChannel(f"{message} has no field {field!r}; it has {', '.join(layout.fields)}")
+        known = layout.fields[field]
+        markers = self.stream(message, source)[self.pick(message, source, instance)]
+        if element is not None:
+            size = known.dtype.itemsize
+            alone = frames.gather(self._data, markers, known.offset + element * size, size)
+            return alone.view(known.dtype).reshape(-1)
+        raw = frames.gather(self._data, markers, known.offset, known.width)
+        if known.is_text:
+            texts, codes = distinct_texts(raw)
+            return np.array([*texts, ""])[codes]
+        values = raw.view(known.dtype)
+        return values if known.length else values.reshape(-1)
+
+    def arrival_us(self, message: str, source: Sender | None = None) -> NDArray[np.uint64]:
+        """When each message arrived [us since 1970], shape (n,), as written; 0 where the file lost it."""
+        self.layout(message)
+        return self.arrivals_us(self.stream(message, source))
+
+    def pick(self, message: str, source: Sender | None, instance: object) -> Any:  # noqa: ANN401 - an index
+        """Rows of a message that belong to one instance: an index array, or a slice of all."""
+        if instance is None:
+            return slice(None)
+        known = self._instances(message, source)
+        if instance not in known:
+            raise MissingChannel(f"{message} has no instance {instance!r}; it has {list(known)[:12]}")
+        return known[instance]
+
+    def stream(self, message: str, source: Sender | None = None) -> NDArray[Any]:
+        """Positions of a message's frames in the file [bytes], rising, shape (n,)."""
+        found = self._positions[message]
+        if source is None:
+            return found
+        key = (message, Sender(*source))
+        if key not in self._streams:
+            sent = frames.origins(self._data, found) == source[0] * 256 + source[1]
+            self._streams[key] = found if sent.all() else found[sent]
+        return self._streams[key]
+
+    def _instances(self, message: str, source: Sender | None) -> dict[Any, NDArray[np.intp]]:
+        """Rows of each instance."""
+        key = (message, source)
+        if key not in self._rows:
+            layout = self.layout(message)
+            if not layout.instance:
+                raise MissingChannel(f"{message} has no instances")
+            known = layout.fields[layout.instance]
+            raw = frames.gather(self._data, self.stream(message, source), known.offset, known.width)
+            if known.is_text:
+                values, codes = distinct_texts(raw)
+            else:
+                numbers, codes = np.unique(raw.view(known.dtype).reshape(-1), return_inverse=True)
+                values = numbers.tolist()
+            self._rows[key] = split_rows(values, codes)
+        return self._rows[key]
+
+    def arrivals_us(self, markers: NDArray[Any]) -> NDArray[np.uint64]:
+        """Arrival times of frames at given positions [us since 1970], shape (n,); 0 where lost."""
+        if not self._unstamped.size:
+            return frames.arrivals_us(self._data, markers)
+        lost = np.isin(markers, self._unstamped)
+        arrivals = np.zeros(markers.size, dtype=np.uint64)
+        arrivals[~lost] = frames.arrivals_us(self._data, markers[~lost])
+        return arrivals

@@ -1,0 +1,260 @@
+"""One time base for a telemetry log: seconds since the vehicle's first boot.
+
+Three clocks meet in such a log. The vehicle stamps most messages with its time since boot (exact, but
+the counter overflows, and restarts with the vehicle). The receiver stamps every frame when it arrives
+(late by the link, and its clock may be set). A companion computer may use a third. Pure functions of
+arrays; no clock is read here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from logparsers.telemetry.unwrap import lower_line, unwrap
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    FloatArray = NDArray[np.float64]
+    IntArray = NDArray[np.int64]
+
+__all__ = ["Break", "Timeline", "build_timeline", "find_breaks", "place"]
+
+BACKWARD_S = 1.0
+"""A counter that falls by more, and stays there, has restarted: links reorder by less."""
+FORWARD_S = 5.0
+"""A clock that gains more on the other at once has been set: nothing arrives before it was sent."""
+_PERSISTS = 20  # samples that must confirm a restart,
+_AT_LEAST = 3  # and how many of them the file must hold
+_YOUNG_S = 120.0  # a vehicle is heard again within two minutes of its restart; later, its clock was set back
+
+
+@dataclass(frozen=True, slots=True)
+class Break:
+    """A place where clocks do not run on.
+
+    Parameters
+    ----------
+    kind : str
+        ``"reboot"`` (the counter restarted), ``"clock_jump"`` (it was set, either way) or
+        ``"arrival_jump"`` (the receiver's clock was set).
+    index : int
+        First sample after it.
+    """
+
+    kind: str
+    index: int
+
+
+def find_breaks(stamp_s: FloatArray, arrival_s: FloatArray) -> list[Break]:
+    """Restarts and jumps of two clocks that should advance together.
+
+    Parameters
+    ----------
+    stamp_s, arrival_s : ndarray, shape (n,)
+        Unwrapped device time and despiked arrival time, in the order of the file [s].
+
+    Returns
+    -------
+    list of Break
+        In the order of the file.
+    """
+    if stamp_s.size < 2:
+        return []
+    step, lapse = np.diff(stamp_s), np.diff(arrival_s)
+    lead = stamp_s - arrival_s  # falls with delay, rises only if a clock is set
+    before = _best_of(lead[:-1][::-1])[::-1]
+    after = _best_of(lead[1:])
+    fell = (step < -BACKWARD_S) & (after < before - BACKWARD_S)  # not just one message that came late
+    fell[step.size - _AT_LEAST + 1 :] = False
+    kinds: dict[int, str] = {}
+    for i in (int(row) for row in np.flatnonzero(fell)):
+        fresh = stamp_s[i + 1] < min(stamp_s[i] / 2, max(lapse[i], 0.0) + _YOUNG_S)
+        kinds[i + 1] = "reboot" if fresh else "clock_jump"
+    edges = [0, *sorted(kinds), stamp_s.size]
+    for first, last in pairwise(edges):
+        part = lead[first:last]
+        best = np.maximum.accumulate(part)
+        later = np.maximum.accumulate(part[::-1])[::-1]
+        gained = np.flatnonzero(np.diff(best) > FORWARD_S)
+        dropped = np.flatnonzero((later[1:] < best[:-1] - FORWARD_S) & (np.diff(part) < -FORWARD_S))
+        for i in (int(row) + first for row in gained):
+            kinds[i + 1] = "arrival_jump" if lapse[i] < -BACKWARD_S else "clock_jump"
+        for i in (int(row) + first for row in dropped):
+            kinds[i + 1] = "arrival_jump"
+    return [Break(kind, index) for index, kind in sorted(kinds.items())]
+
+
+def _best_of(lead_s: FloatArray) -> FloatArray:
+    """Highest of each value and the few that follow it."""
+    padded = np.pad(lead_s, (0, _PERSISTS - 1), constant_values=-np.inf)
+    highest: FloatArray = sliding_window_view(padded, _PERSISTS).max(axis=1)
+    return highest
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Timeline:
+    """One time base for a whole log: seconds since the vehicle's first boot.
+
+    Parameters
+    ----------
+    positions : ndarray of int64, shape (k,)
+        File position at which each part begins [bytes]; the first is 0.
+    shift_s : ndarray, shape (k,)
+        What to add to a device stamp of that part [s]: 0 until the first restart.
+    offset_s, drift : ndarray, shape (k,)
+        A message stamped ``t`` on the timeline arrives at ``t + offset_s + drift * t`` or later [s], [s/s].
+    """
+
+    positions: IntArray
+    shift_s: FloatArray
+    offset_s: FloatArray
+    drift: FloatArray
+
+    def part(self, positions: ArrayLike) -> IntArray:
+        """Index of the part each file position lies in."""
+        found = np.searchsorted(self.positions, np.asarray(positions, dtype=np.int64), side="right") - 1
+        return np.maximum(found, 0)
+
+    def from_arrival(self, arrival_s: ArrayLike, positions: ArrayLike) -> FloatArray:
+        """Arrival times put on the timeline; each is late by what its frame waited.
+
+        Parameters
+        ----------
+        arrival_s, positions : array_like, shape (n,)
+            Arrival time [s] and file position [bytes].
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Time on the timeline [s].
+        """
+        part = self.part(positions)
+        late: FloatArray = np.asarray(arrival_s, dtype=np.float64) - self.offset_s[part]
+        return late / (1.0 + self.drift[part])
+
+
+def build_timeline(stamp_s: ArrayLike, arrival_s: ArrayLike, positions: ArrayLike) -> tuple[Timeline, list[Break]]:
+    """Timeline of a log from the messages of its vehicle that carry time since boot.
+
+    Parameters
+    ----------
+    stamp_s : array_like, shape (n,)
+        Unwrapped device time in the order of the file [s]; n may be 0.
+    arrival_s : array_like, shape (n,)
+        Despiked arrival time [s].
+    positions : array_like, shape (n,)
+        File positions, rising [bytes].
+
+    Returns
+    -------
+    Timeline
+        Without samples: arrival time itself.
+    list of Break
+        What had to be bridged.
+
+    Examples
+    --------
+    A vehicle that restarts after 100 s; time runs on:
+
+    >>> stamp = np.concatenate([np.arange(100.0), np.arange(50.0)])
+    >>> line, breaks = build_timeline(stamp, 1e9 + np.arange(150.0), np.arange(150))
+    >>> breaks[0].kind, float(line.from_arrival([1e9 + 120.0], [120])[0])
+    ('reboot', 120.0)
+    """
+    stamp, arrival = np.asarray(stamp_s, dtype=np.float64), np.asarray(arrival_s, dtype=np.float64)
+    where = np.asarray(positions, dtype=np.int64)
+    if stamp.size == 0:
+        zero = np.zeros(1)
+        return Timeline(np.zeros(1, dtype=np.int64), zero, zero, zero), []
+    breaks = find_breaks(stamp, arrival)
+    edges = [0, *(b.index for b in breaks), stamp.size]
+    rows: list[tuple[int, float, float, float]] = []
+    for first, last in pairwise(edges):
+        offset, drift = lower_line(stamp[first:last], arrival[first:last] - stamp[first:last])
+        if not rows:
+            rows.append((0, 0.0, offset, drift))
+            continue
+        _, shift, before, slope = rows[-1]
+        ended = float(np.max(stamp[edges[len(rows) - 1] : first])) + shift
+        if next(b.kind for b in breaks if b.index == first) != "arrival_jump":
+            predicted = (arrival[first] - before) / (1.0 + slope)
+            begun = (arrival[first] - offset) / (1.0 + drift)
+            shift = max(predicted - begun, ended - float(np.min(stamp[first:last])) + 1e-6)
+        rows.append((int(where[first]), shift, offset - shift * (1.0 + drift), drift))
+    starts, *columns = (np.array(column) for column in zip(*rows, strict=True))
+    return Timeline(starts.astype(np.int64), *columns), breaks
+
+
+def place(
+    counter: ArrayLike,
+    tick_s: float,
+    *,
+    bits: int,
+    arrival_s: ArrayLike,
+    positions: ArrayLike,
+    timeline: Timeline,
+) -> FloatArray:
+    """Put the stamped messages of one stream on the timeline.
+
+    Parameters
+    ----------
+    counter : array_like of unsigned integers, shape (n,)
+        Raw stamps.
+    tick_s : float
+        Length of one count [s].
+    bits : int
+        Width of the counter: 32 or 64.
+    arrival_s, positions : array_like, shape (n,)
+        Despiked arrival time [s] and file position [bytes].
+    timeline : Timeline
+        Where to.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Stamps of the vehicle's own clock are kept exactly (whole overflows and restarts added). A clock of
+        its own is shifted, so that the fastest message of the stream took as long as the vehicle's. A stamp
+        of 0, or stamps that never move, were not filled in and give arrival time.
+
+    Examples
+    --------
+    >>> line, _ = build_timeline(np.arange(5000.0), np.arange(5000.0), np.arange(5000))
+    >>> stamps = np.array([4294000000, 32704], dtype=np.uint32)
+    >>> [float(t) for t in place(stamps, 1e-6, bits=32, arrival_s=[4294.0, 4295.0],
+    ...                          positions=[4294, 4295], timeline=line)]
+    [4294.0, 4295.0]
+    """
+    raw, where = np.asarray(counter), np.asarray(positions)
+    expected = timeline.from_arrival(arrival_s, where)
+    if raw.size == 0 or (raw.size > 1 and raw.min() == raw.max()) or not raw.any():
+        return expected
+    filled = raw > 0
+    shift = timeline.shift_s[timeline.part(where)]
+    stamp = raw.astype(np.int64) if bits < 64 else raw.astype(np.float64)
+    own = stamp * tick_s
+    if bits < 64:
+        overflows = np.rint((expected - shift - own) / (tick_s * 2.0**bits))
+        own = (stamp + overflows.astype(np.int64) * (1 << bits)) * tick_s
+    own += shift
+    strayed = np.abs(own - expected) > 2 * FORWARD_S
+    if np.mean(strayed[filled]) < 0.5:
+        return np.where(strayed | ~filled, expected, own)
+    foreign = unwrap(raw[filled], bits=bits, elapsed=expected[filled] / tick_s).astype(np.float64) * tick_s
+    placed = expected.copy()
+    placed[filled] = _place_foreign(foreign, expected[filled], where[filled])
+    return placed
+
+
+def _place_foreign(stamp_s: FloatArray, expected_s: FloatArray, where: IntArray) -> FloatArray:
+    """Shift a clock that is not the vehicle's onto the timeline, by the arrival of its fastest messages."""
+    line, _ = build_timeline(stamp_s, expected_s, where)
+    part = line.part(where)
+    stamp = stamp_s + line.shift_s[part]
+    placed: FloatArray = stamp + line.offset_s[part] + line.drift[part] * stamp
+    return placed

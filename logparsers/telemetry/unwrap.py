@@ -1,0 +1,150 @@
+"""Counters that overflow and arrival times that are late: the arithmetic of clocks, on arrays alone."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    FloatArray = NDArray[np.float64]
+    IntArray = NDArray[np.int64]
+
+__all__ = ["despike", "lower_line", "unwrap"]
+
+_ABSURD_S = 3 * 86_400.0  # no message waits longer than three days for the next
+_BINS = 512  # points that a lower line is drawn under
+_DRIFT_LIMIT = 1e-3  # crystals are 10 to 100 times better
+_DRIFT_SPAN_S = 60.0  # below this, drift cannot be told from delay
+
+
+def despike(time_s: ArrayLike, tolerance_s: float = 5.0) -> FloatArray:
+    """Replace single wild time stamps by a neighbour's.
+
+    Parameters
+    ----------
+    time_s : array_like, shape (n,)
+        Arrival times in the order of the file [s]; NaN where unknown.
+    tolerance_s : float
+        How far one stamp may stand out from the middle of itself and its two neighbours [s].
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Finite unless nothing is known.
+
+    Examples
+    --------
+    >>> [float(t) for t in despike([1.0, 2.0, 9e9, 4.0, float("nan"), 5.0])]
+    [1.0, 2.0, 4.0, 4.0, 4.0, 5.0]
+    """
+    time = np.array(time_s, dtype=np.float64)
+    known = np.flatnonzero(np.isfinite(time))
+    if known.size < time.size and known.size:
+        last = np.searchsorted(known, np.arange(time.size), side="right") - 1
+        time = time[known[np.maximum(last, 0)]]
+    if time.size < 3:
+        return time
+    before, after = time[:-2], time[2:]
+    middle = np.clip(time[1:-1], np.minimum(before, after), np.maximum(before, after))
+    clean = time.copy()
+    clean[1:-1] = np.where(np.abs(time[1:-1] - middle) > tolerance_s, middle, time[1:-1])
+    for end, neighbour in ((0, 1), (-1, -2)):  # an end has one neighbour: only the absurd can be told
+        if abs(clean[end] - clean[neighbour]) > _ABSURD_S:
+            clean[end] = clean[neighbour]
+    return clean
+
+
+def unwrap(counter: ArrayLike, *, bits: int = 32, elapsed: ArrayLike | None = None) -> IntArray:
+    """Count on where a counter overflowed.
+
+    Parameters
+    ----------
+    counter : array_like of unsigned integers, shape (n,)
+        Raw counts in the order of the file.
+    bits : int
+        Width of the counter; 64 never overflows.
+    elapsed : array_like, shape (n,), optional
+        Another clock in the same ticks, of any offset: tells how often the counter overflowed in a gap.
+
+    Returns
+    -------
+    ndarray of int64, shape (n,)
+        Equal to `counter` modulo ``2**bits``, and to its first value at the start; small steps back
+        (messages that overtook each other) stay steps back.
+
+    Examples
+    --------
+    >>> [int(n) for n in unwrap(np.array([4294967290, 4294967288, 4, 10], dtype=np.uint32))]
+    [4294967290, 4294967288, 4294967300, 4294967306]
+    >>> [int(n) for n in unwrap(np.array([10, 20], dtype=np.uint32), elapsed=[0, 2**33])]
+    [10, 8589934612]
+    """
+    raw = np.asarray(counter)
+    if bits >= 64 or raw.size == 0:
+        return raw.astype(np.int64)
+    period = 1 << bits
+    counts = raw.astype(np.int64)
+    step = counts[1:] - counts[:-1]
+    expected: FloatArray = np.zeros(step.shape)
+    if elapsed is not None:
+        expected = np.diff(np.asarray(elapsed, dtype=np.float64))
+    step += period * np.rint((expected - step) / period).astype(np.int64)
+    return np.concatenate([raw[:1].astype(np.int64), raw[:1].astype(np.int64) + np.cumsum(step)])
+
+
+def lower_line(x: ArrayLike, y: ArrayLike) -> tuple[float, float]:
+    """Line under all points, as close to them as one line can be: the fastest link, not the average one.
+
+    Parameters
+    ----------
+    x, y : array_like, shape (n,)
+        Device time [s], and how much later than it each message arrived [s]; n > 0.
+
+    Returns
+    -------
+    offset : float
+        Height of the line at ``x = 0`` [s].
+    slope : float
+        Drift of one clock against the other [s/s]; 0 where less than a minute is known.
+
+    Notes
+    -----
+    The edge of the lower convex hull above the mean of `x` minimises the summed distance to the points
+    among all lines below them (Moon, Skelly and Towsley, INFOCOM 1999). Delays are never negative, so that
+    edge is not moved by congestion.
+
+    Examples
+    --------
+    >>> x = np.arange(1000.0)
+    >>> offset, slope = lower_line(x, 3.0 + 2e-5 * x + (x % 7) * 0.1)
+    >>> round(offset, 6), round(slope * 1e6, 3)
+    (3.0, 20.0)
+    """
+    x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
+    span = float(np.ptp(x))
+    if span < _DRIFT_SPAN_S:
+        return float(np.min(y)), 0.0
+    cells = np.minimum(((x - np.min(x)) * (_BINS / span)).astype(np.int64), _BINS - 1)
+    order = np.lexsort((y, cells))
+    lowest = order[np.concatenate([[True], np.diff(cells[order]) > 0])]
+    lowest = lowest[np.argsort(x[lowest], kind="stable")]
+    hull: list[tuple[float, float]] = []
+    for point in zip(x[lowest].tolist(), y[lowest].tolist(), strict=True):
+        while len(hull) > 1 and _turns_down(hull[-2], hull[-1], point):
+            hull.pop()
+        hull.append(point)
+    middle = float(np.mean(x))
+    for (x0, y0), (x1, y1) in pairwise(hull):
+        if x0 <= middle <= x1 and x1 > x0:
+            slope = (y1 - y0) / (x1 - x0)
+            if abs(slope) <= _DRIFT_LIMIT:
+                return y0 - slope * x0, slope
+    return float(np.min(y)), 0.0
+
+
+def _turns_down(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> bool:
+    return (b[1] - a[1]) * (c[0] - a[0]) >= (c[1] - a[1]) * (b[0] - a[0])

@@ -1,0 +1,48 @@
+"""PX4 logs (``.ulg``), decoded by pyulog topic by topic."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from logparsers.channels import LazyChannels
+from logparsers.records import FlightLog
+from logparsers.ulog.channels import UlogRecording
+from logparsers.ulog.file import AUDIT_TOPICS, UlogFile
+
+if TYPE_CHECKING:
+    from logparsers.only import Only
+    from logparsers.source import Source
+
+__all__ = ["AUDIT_TOPICS", "UlogFile", "read_ulog"]
+
+
+def read_ulog(source: Source, only: Only) -> FlightLog:
+    """Read the topics of a PX4 log that have wanted channels; the others never reach memory.
+
+    Parameters
+    ----------
+    source : Source
+        The file.
+    only : Only
+        Which channels.
+
+    Raises
+    ------
+    LogError
+        If it is too broken to be read, or has none of the channels.
+    """
+    file = UlogFile(source.mapped(), str(source.path), only.topics)
+    channels = LazyChannels(UlogRecording(file)).only(only, source.path)
+    disorder, span_s = channels.survey()
+    return FlightLog(
+        source.path,
+        "ulog",
+        channels,
+        (*file.damage, *disorder),
+        parameters=file.parameters,
+        texts=file.texts,
+        vehicle=file.vehicle,
+        firmware=file.firmware,
+        start_utc=file.start_utc,
+        span_s=span_s,
+    )

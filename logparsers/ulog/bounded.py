@@ -1,0 +1,141 @@
+"""pyulog, kept within bounds on forged files, and quiet. The only file that imports it."""
+
+from __future__ import annotations
+
+import io
+import struct
+import threading
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from pyulog import core
+from pyulog.exceptions import ULogException
+
+from logparsers.errors import UnreadableLog
+
+if TYPE_CHECKING:
+    from collections.abc import Container, Iterator
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+__all__ = ["Reader", "load"]
+
+_MAX_FIELDS = 200_000  # over all topics of a file; the richest logs have some ten thousand
+_MAX_MESSAGE = 65_535  # fields: a message has at most as many bytes
+_MAX_DEPTH = 16  # messages within messages; PX4 nests two
+_MAX_SKIPS = 20_000  # times that pyulog may look for the next message byte by byte
+_FAILURES = (
+    ULogException,
+    ArithmeticError,
+    AttributeError,
+    LookupError,
+    MemoryError,
+    OSError,
+    RecursionError,
+    TypeError,
+    ValueError,
+    struct.error,
+)
+_QUIET = threading.Lock()
+
+
+class _Formats(dict[str, Any]):
+    """Message formats, and how many fields may still be made of them."""
+
+    left = _MAX_FIELDS
+
+
+class _Subscription(core.ULog._MessageAddLogged):  # type: ignore[misc]
+    """A topic of a log; refuses formats that spread out beyond what a message can hold."""
+
+    def _parse_nested_type(self, prefix_str: str, type_name: str, message_formats: _Formats) -> None:
+        wanted = sum(max(size, 1) for _, size, _ in message_formats[type_name].fields)
+        message_formats.left -= wanted
+        if message_formats.left < 0 or len(self.field_data) + wanted > _MAX_MESSAGE:
+            raise ValueError(f"{type_name}: too many fields")
+        if prefix_str.count(".") > _MAX_DEPTH:
+            raise ValueError(f"{type_name} contains itself")
+        super()._parse_nested_type(prefix_str, type_name, message_formats)
+
+
+class Reader(core.ULog):  # type: ignore[misc]
+    """pyulog within bounds: forged counts and nesting are refused, hopeless searches given up."""
+
+    _MessageAddLogged = _Subscription
+
+    def __init__(self) -> None:
+        super().__init__(None)
+        self._message_formats = _Formats()
+        self.skips, self.start = 0, 0
+
+    @property
+    def subscribed(self) -> bool:
+        """True if the log announces any topic, read or not."""
+        return bool(self._filtered_message_ids)
+
+    def load(self, handle: io.BytesIO, wanted: Container[str]) -> None:
+        """Read all at once."""
+        self._load_file(handle, wanted)
+
+    def _read_file_definitions(self) -> None:
+        super()._read_file_definitions()
+        self.start = self._file_handle.tell()
+
+    def _check_packet_corruption(self, header: Any) -> bool:  # noqa: ANN401
+        corrupt = bool(super()._check_packet_corruption(header))
+        self.skips += corrupt
+        if self.skips > _MAX_SKIPS:
+            if not self.start:
+                raise UnreadableLog("the definitions at its start are destroyed")
+            raise struct.error("too damaged")  # ends pyulog's loop, and keeps what it has
+        return corrupt
+
+
+def load(data: NDArray[np.uint8], name: str, wanted: Container[str]) -> tuple[Reader, tuple[str, ...], str]:
+    """Read the chosen topics of a log.
+
+    Parameters
+    ----------
+    data : ndarray of uint8, shape (n,)
+        The file.
+    name : str
+        What to call it in messages.
+    wanted : container of str
+        Topics.
+
+    Returns
+    -------
+    reader : Reader
+        With all that pyulog knows.
+    said : tuple of str
+        The first lines pyulog would have printed.
+    stopped : str
+        Why reading was given up early; empty if it was not.
+
+    Raises
+    ------
+    UnreadableLog
+        If it is no PX4 log, or too broken to be read.
+    """
+    reader = Reader()
+    try:
+        with _quiet() as said:
+            reader.load(io.BytesIO(data.tobytes()), wanted)
+    except UnreadableLog as error:
+        raise UnreadableLog(f"{name}: {error}; copy the log again") from None
+    except _FAILURES as error:
+        raise UnreadableLog(f"{name}: not a sound PX4 log: {str(error) or type(error).__name__}") from error
+    return reader, tuple(said), "too damaged: reading was given up" if reader.skips > _MAX_SKIPS else ""
+
+
+@contextmanager
+def _quiet() -> Iterator[list[str]]:
+    """Collect what pyulog would print. Only its own `print` is replaced: other threads keep their output."""
+    said: list[str] = []
+    with _QUIET:
+        vars(core)["print"] = lambda *words: said.append(" ".join(map(str, words))) if len(said) < 10 else None
+        try:
+            yield said
+        finally:
+            del vars(core)["print"]

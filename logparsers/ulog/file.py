@@ -1,0 +1,230 @@
+"""PX4 logs (``.ulg``): read by pyulog, of which only the topics that are asked for reach memory.
+
+What pyulog skips becomes `Damage`, what stops it becomes `LogError`.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from logparsers.clock import utc_date
+from logparsers.errors import EmptyLog, MissingChannel
+from logparsers.mavlink import enum_name, version_text
+from logparsers.only import Only
+from logparsers.records import Damage, Text
+from logparsers.source import mapped
+from logparsers.ulog.bounded import load
+from logparsers.ulog.sieve import chain, sieve
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from datetime import datetime
+
+    from numpy.typing import NDArray
+
+    from logparsers.source import LogBytes
+
+    FloatArray = NDArray[np.float64]
+
+__all__ = ["AUDIT_TOPICS", "UlogFile"]
+
+AUDIT_TOPICS = (
+    "actuator_*",
+    "airspeed*",
+    "adc_report",
+    "battery_status",
+    "control_allocator_status",
+    "debug_*",
+    "failure_detector_status",
+    "servo_*",
+    "system_power",
+    "vehicle_status",
+    "vehicle_torque_setpoint",
+)
+"""Commands, what may carry measured positions, and what loads or feeds a servo."""
+
+_CLOCK_TOPICS = ("vehicle_gps_position", "sensor_gps", "vehicle_global_position")
+"""Small topics that know the date; always read, shown only if they are asked for."""
+
+
+class UlogFile:
+    """One PX4 log.
+
+    Parameters
+    ----------
+    data : ndarray of uint8, shape (n,)
+        The file.
+    name : str
+        What to call it in messages.
+    only : Only
+        Topics to read.
+
+    Raises
+    ------
+    UnreadableLog
+        If it is no PX4 log, or too broken to be read.
+    EmptyLog
+        If it holds no topic at all.
+    """
+
+    def __init__(self, data: NDArray[np.uint8], name: str, only: Only) -> None:
+        self.name = name
+        sieved = sieve(data, _WithClock(only))
+        self._log, self._said, self._stopped = load(data if sieved is None else sieved, name, _WithClock(only))
+        if not self._log.data_list and not self._log.subscribed:
+            raise EmptyLog(f"{name}: the log has no topics")
+        self._tail = 0 if sieved is None else int(data.size - chain(data))
+        self._topics: dict[tuple[str, int], list[Any]] = {}
+        self._extra: dict[str, list[Any]] = {}
+        for found in self._log.data_list:
+            if "timestamp" not in found.data:
+                continue
+            if found.name in only:
+                self._topics.setdefault((found.name, found.multi_id), []).append(found)
+            if found.name in _CLOCK_TOPICS:
+                self._extra.setdefault(found.name, []).append(found)
+
+    @classmethod
+    def open(cls, source: LogBytes, *, only: Sequence[str] | None = None) -> UlogFile:
+        """Read the chosen topics of a file, or of bytes.
+
+        Parameters
+        ----------
+        source : str, PathLike, bytes or BinaryIO
+            A path, the content itself, or an open binary file.
+        only : sequence of str, optional
+            Topics to read, with ``*`` and ``?`` as in file names; all if None.
+
+        Returns
+        -------
+        UlogFile
+            With the topics that the log has of these.
+
+        Raises
+        ------
+        LogError
+            If there is no such file, or nothing can be read from it.
+        """
+        return cls(*mapped(source), Only.of(only))
+
+    def __repr__(self) -> str:
+        return f"<UlogFile {self.name}: {len(self._topics)} topics, {len(self.damage)} defects>"
+
+    @property
+    def begin_s(self) -> float:
+        """When logging began, by the head of the file [s since boot]."""
+        return float(self._log.start_timestamp) * 1e-6
+
+    @property
+    def topics(self) -> tuple[tuple[str, int], ...]:
+        """Name and instance of each topic that was read, sorted."""
+        return tuple(self._topics)
+
+    def count(self, topic: str, instance: int = 0) -> int:
+        """Count the samples of a topic; 0 if it was not read."""
+        return sum(len(part.data["timestamp"]) for part in self._topics.get((topic, instance), ()))
+
+    def fields(self, topic: str, instance: int = 0) -> Mapping[str, str]:
+        """Type of each field of a topic; arrays and nested messages are spread out.
+
+        Raises
+        ------
+        MissingChannel
+            If the topic was not read.
+        """
+        return {field.field_name: field.type_str for field in self._parts(topic, instance)[0].field_data}
+
+    def column(self, topic: str, field: str, *, instance: int = 0) -> NDArray[Any]:
+        """Values of one field in the order of the file, shape (n,), in the type that pyulog gives them.
+
+        Raises
+        ------
+        MissingChannel
+            If the topic was not read, or has no such field.
+        """
+        parts = self._parts(topic, instance)
+        if any(field not in part.data for part in parts):
+            raise MissingChannel(f"{topic} has no field {field!r}; it has {', '.join(parts[0].data)}")
+        columns = [part.data[field] for part in parts]
+        return columns[0] if len(columns) == 1 else np.concatenate(columns)
+
+    def time_s(self, topic: str, *, instance: int = 0) -> FloatArray:
+        """Time stamps of a topic [s since boot], shape (n,), in the order of the file."""
+        time: FloatArray = self.column(topic, "timestamp", instance=instance) * 1e-6
+        return time
+
+    @cached_property
+    def parameters(self) -> Mapping[str, float]:
+        """Parameters, as changed in flight: the last value counts."""
+        changed = {name: value for _, name, value in self._log.changed_parameters}
+        known = {**self._log.initial_parameters, **changed}
+        return MappingProxyType({k: float(v) for k, v in known.items() if isinstance(v, int | float)})
+
+    @cached_property
+    def texts(self) -> tuple[Text, ...]:
+        """What the autopilot logged in words, in the order of time."""
+        tagged = [said for group in self._log.logged_messages_tagged.values() for said in group]
+        said = sorted([*self._log.logged_messages, *tagged], key=lambda entry: entry.timestamp)
+        return tuple(Text(s.timestamp * 1e-6, s.message.rstrip("\t\0"), s.log_level - ord("0")) for s in said)
+
+    @cached_property
+    def vehicle(self) -> str:
+        """Kind of aircraft (from ``MAV_TYPE``), for example ``"fixed wing"``; empty if the log does not say."""
+        kind = self.parameters.get("MAV_TYPE", math.nan)
+        return enum_name("MAV_TYPE", int(kind)) if math.isfinite(kind) else ""
+
+    @cached_property
+    def firmware(self) -> str:
+        """For example ``"PX4 1.15.0"``; without a number if the log does not say."""
+        release = self._log.msg_info_dict.get("ver_sw_release")
+        return f"PX4 {version_text(release)}" if isinstance(release, int) else "PX4"
+
+    @cached_property
+    def start_utc(self) -> datetime | None:
+        """Date and time at 0 s, when the autopilot was booted, by the first GPS fix; None without one."""
+        for field in ("time_utc_usec", "gps_time_utc_usec"):
+            for part in (part for parts in self._extra.values() for part in parts if field in part.data):
+                stamps, utc = part.data["timestamp"], part.data[field]
+                fixed = np.flatnonzero(utc)
+                if fixed.size:
+                    return utc_date((float(utc[fixed[0]]) - float(stamps[fixed[0]])) * 1e-6)
+        return None
+
+    @property
+    def damage(self) -> tuple[Damage, ...]:
+        """Everything found to be wrong so far."""
+        found = []
+        for drop in self._log.dropouts:
+            start_s, lasted_s = drop.timestamp * 1e-6, drop.duration * 1e-3
+            note = f"the logger was too slow for {drop.duration} ms"
+            found.append(Damage("gap", note, 1, start_s, start_s + lasted_s))
+        if self._log.file_corruption:
+            words = "; ".join(self._said) or "parts were skipped"
+            found.append(Damage("corrupt", f"the file is corrupt: {words}", max(self._log.skips, 1)))
+        if self._stopped:
+            found.append(Damage("truncated", self._stopped))
+        if self._tail:
+            note = f"the file ends inside a message: {self._tail} bytes"
+            found.append(Damage("truncated", note, self._tail))
+        return tuple(found)
+
+    def _parts(self, topic: str, instance: int) -> list[Any]:
+        if (topic, instance) not in self._topics:
+            known = ", ".join(f"{name}[{number}]" for name, number in self._topics)
+            raise MissingChannel(f"{self.name}: no topic {topic}[{instance}] was read; there are {known}")
+        return self._topics[topic, instance]
+
+
+class _WithClock:
+    """The topics that are asked for, and those that know the date."""
+
+    def __init__(self, only: Only) -> None:
+        self._only = only
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._only or name in _CLOCK_TOPICS

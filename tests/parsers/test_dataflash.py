@@ -1,0 +1,461 @@
+"""The DataFlash reader: what pymavlink reads, it reads, bit for bit; and more where the file is damaged."""
+
+from __future__ import annotations
+
+import array
+import contextlib
+import io
+import math
+import random
+import time
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from pymavlink import DFReader
+
+from logparsers.channels import LazyChannels
+from logparsers.dataflash import DataFlashFile
+from logparsers.dataflash.binary import BinaryStore
+from logparsers.dataflash.channels import DataFlashRecording
+from logparsers.dataflash.encode import Message, encode
+from logparsers.errors import EmptyLog, LogError, MissingChannel, MissingLog, UnreadableLog
+from tests.fuzz.harness import mutated
+from tests.parsers.dataflash_writer import SEED, as_text, servo_flight
+from tests.parsers.external import real_logs
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+REAL_LOGS = (
+    "ardupilot_copter_2015.bin",
+    "ardupilot_no_gps.bin",
+    "ardupilot_plane_1s.bin",
+    "ardupilot_sitl_feedback.bin",
+)
+
+
+def real(name: str) -> Path:
+    return next(path for path in real_logs(".bin") if path.name == name)
+
+
+def pymavlink_rows(path: Path) -> Iterator[Any]:
+    with contextlib.redirect_stderr(io.StringIO()), contextlib.redirect_stdout(io.StringIO()):
+        reader = DFReader.DFReader_binary(str(path))
+        while (row := reader.recv_msg()) is not None:
+            yield row
+        reader.close()
+
+
+def pymavlink_counts(path: Path) -> Counter[str]:
+    return Counter(row.get_type() for row in pymavlink_rows(path))
+
+
+def same_value(ours: Any, theirs: Any) -> bool:
+    if isinstance(theirs, bytes):
+        return bool(ours.tobytes() == theirs)
+    if isinstance(theirs, array.array):
+        return bool(ours.tolist() == theirs.tolist())
+    if isinstance(theirs, str):
+        return str(ours) == theirs
+    mine = ours.item()
+    return bool(mine == theirs or (math.isnan(mine) and math.isnan(theirs)))
+
+
+def assert_equal_to_pymavlink(path: Path) -> None:
+    log = DataFlashFile.open(path)
+    tables: dict[str, dict[str, Any]] = {}
+    seen: Counter[str] = Counter()
+    for row in pymavlink_rows(path):
+        name = row.get_type()
+        table = tables.setdefault(name, log.table(name)) if name not in tables else tables[name]
+        for field in row.get_fieldnames():
+            value = getattr(row, field)
+            assert same_value(table[field][seen[name]], value), (name, field, seen[name], value)
+        seen[name] += 1
+    assert {n: log.count(n) for n in log.names} == seen
+
+
+def channels(log: DataFlashFile) -> LazyChannels:
+    return LazyChannels(DataFlashRecording(log))
+
+
+def use_up(log: DataFlashFile) -> None:
+    """Ask for everything a log has."""
+    for name in log.names:
+        log.table(name)
+    everything = channels(log)
+    for name in list(everything)[:40]:
+        assert (np.diff(everything[name].time_s) > 0).all()
+    assert isinstance(log.damage, tuple)
+    assert log.parameters is not None
+    assert log.texts is not None
+    assert log.start_utc is None or log.start_utc.year > 1900
+
+
+# -- sound logs -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", REAL_LOGS)
+def test_every_value_of_a_real_log_equals_pymavlinks(name: str) -> None:
+    assert_equal_to_pymavlink(real(name))
+
+
+def test_every_value_of_a_made_log_equals_pymavlinks(tmp_path: Path) -> None:
+    path = tmp_path / "made.bin"
+    path.write_bytes(encode(servo_flight()))
+    assert_equal_to_pymavlink(path)
+    assert DataFlashFile.open(path).damage == ()
+
+
+def test_what_was_encoded_is_what_is_read() -> None:
+    messages = servo_flight()
+    log = DataFlashFile.open(encode(messages))
+    for message in messages:
+        order = np.argsort(np.asarray(message.columns["TimeUS"]), kind="stable")
+        for field, values in message.columns.items():
+            written = np.asarray(values)[order]
+            read = log.column(message.name, field)
+            if written.dtype.kind == "f":
+                assert np.allclose(read, written, rtol=1e-6, equal_nan=True)
+            else:
+                assert (read == written).all(), (message.name, field)
+
+
+def test_the_compiled_and_the_plain_walk_agree_on_damaged_logs() -> None:
+    rng = random.Random(SEED)  # noqa: S311 - a seed, not a secret
+    sound = encode(servo_flight(20))
+    for _ in range(30):
+        data = memoryview(mutated(rng, sound))
+        plain, compiled = BinaryStore(data, compiled=False), BinaryStore(data, compiled=True)
+        assert plain.stretches == compiled.stretches
+        assert plain.steps == compiled.steps
+        assert plain.layouts == compiled.layouts
+        for name in plain.layouts:
+            assert (plain.offsets(name) == compiled.offsets(name)).all()
+            assert (plain.suspect(name) == compiled.suspect(name)).all()
+
+
+def test_units_come_from_the_log() -> None:
+    fields = DataFlashFile.open(encode(servo_flight())).formats
+    assert {f.name: f.unit for f in fields["CSRV"].fields.values()} == {
+        "TimeUS": "us", "Id": "", "Pos": "deg", "PosCmd": "deg", "V": "V",
+    }  # fmt: skip
+    assert fields["RCOU"].fields["C1"].unit == "us"
+    assert fields["SCAL"].fields["L"].unit == ""  # no FMTU row for it
+
+
+def test_servo_positions_without_a_unit_are_radians() -> None:
+    """ArduPilot up to 4.6 logs DroneCAN's radians; from 4.7 on degrees, and says so."""
+    log = DataFlashFile.open(encode(servo_flight(radians=True)))
+    assert log.formats["CSRV"].fields["Pos"].unit == "rad"
+    assert channels(log)["CSRV[0].Pos"].unit == "rad"
+
+
+def test_instances_are_told_apart() -> None:
+    log = DataFlashFile.open(encode(servo_flight()))
+    assert log.instances("CSRV") == (0, 1, 8)
+    assert log.instances("RCOU") == ()
+    whole, ids = log.column("CSRV", "Pos"), log.column("CSRV", "Id")
+    assert (log.column("CSRV", "Pos", instance=8) == whole[ids == 8]).all()
+    assert (log.times_us("CSRV", 8) == log.times_us("CSRV")[ids == 8]).all()
+    with pytest.raises(MissingChannel, match=r"no CSRV\[2\]; instances: 0, 1, 8"):
+        log.column("CSRV", "Pos", instance=2)
+
+
+def test_channels_are_named_after_message_instance_and_field() -> None:
+    log = DataFlashFile.open(encode(servo_flight()))
+    known = channels(log)
+    assert {"RCOU.C1", "CSRV[0].Pos", "CSRV[8].V", "SCAL.L"} <= set(known)
+    assert not {"PARM.Value", "TXT.N", "ODD.Data", "RCOU.TimeUS", "CSRV.Pos", "CSRV[0].Id"} & set(known)
+    channel = known["RCOU.C1"]
+    assert (channel.unit, channel.origin) == ("us", "RCOU.C1")
+    assert channel.values[:3].tolist() == [1500.0, 1501.0, 1502.0]
+    assert channel.time_s[:2].tolist() == [5.00002, 5.04002]
+    for wrong in ("RCOU", "RCOU.C9", "RCOU[0].C1", "CSRV.Pos", "CSRV[3].Pos", "NONE.X", "TXT.N", ""):
+        assert wrong not in known
+        with pytest.raises(KeyError):
+            known[wrong]
+
+
+def test_parameters_texts_and_firmware() -> None:
+    log = DataFlashFile.open(encode(servo_flight()))
+    assert dict(log.parameters) == {"SERVO1_FUNCTION": 4.0, "SERVO1_TRIM": 1512.0}
+    assert [(c.time_s, c.name, c.value) for c in log.parameter_changes][-1] == (7.0, "SERVO1_TRIM", 1512.0)
+    assert (log.firmware, log.vehicle) == ("ArduPlane V4.5.1 (1a2b3c4d)", "fixed wing")
+    assert log.texts[1].text == "Throttle armed"
+
+
+def test_gps_tells_when_the_vehicle_was_booted() -> None:
+    log = DataFlashFile.open(encode(servo_flight()))
+    assert log.start_utc is not None
+    assert log.start_utc.isoformat() == "2024-02-03T23:59:37.999970+00:00"  # week 2300 + 1 s - 18 s - 5.00003 s
+
+
+def test_a_real_arduplane_log_tells_its_story() -> None:
+    log = DataFlashFile.open(real("ardupilot_sitl_feedback.bin"))
+    assert log.vehicle == "fixed wing"
+    assert log.instances("CSRV") == (0, 1, 3, 8, 9, 11)
+    assert log.formats["CSRV"].fields["Pos"].unit == "deg"
+    assert log.parameters["SERVO1_FUNCTION"] == 4.0
+    assert log.damage == ()
+
+
+def test_asking_for_what_is_not_there_names_what_is() -> None:
+    log = DataFlashFile.open(encode(servo_flight()))
+    with pytest.raises(MissingChannel, match=r"no message 'RCUO'.*RCOU"):
+        log.column("RCUO", "C1")
+    with pytest.raises(MissingChannel, match="RCOU has no column 'C3'; it has TimeUS, C1, C2"):
+        log.column("RCOU", "C3")
+    assert log.count("RCUO") == 0
+
+
+def test_columns_outlive_the_file_and_are_not_views(tmp_path: Path) -> None:
+    path = tmp_path / "made.bin"
+    path.write_bytes(encode(servo_flight()))
+    log = DataFlashFile.open(path)
+    column = log.column("RCOU", "C1")
+    column[:] = 0
+    assert log.column("RCOU", "C1")[0] == 1500
+
+
+# -- clocks -----------------------------------------------------------------------------------------------
+
+
+def test_a_log_of_an_old_firmware_counts_milliseconds() -> None:
+    old = Message("RCOU", "IH", {"TimeMS": [1000, 1020, 1040, 1060, 1080], "Ch1": [1500] * 5})
+    log = DataFlashFile.open(encode([old]))
+    assert log.times_us("RCOU").tolist() == [1_000_000, 1_020_000, 1_040_000, 1_060_000, 1_080_000]
+    assert log.times_s("RCOU")[1] == 1.02
+
+
+def test_a_silence_is_reported_as_a_gap() -> None:
+    ticks = np.arange(200) * 20_000
+    ticks[100:] += 3_000_000
+    log = DataFlashFile.open(encode([Message("RCOU", "QH", {"TimeUS": ticks, "C1": ticks % 1000})]))
+    (gap,) = log.damage
+    assert (gap.kind, gap.start_s, gap.end_s) == ("gap", 1.98, 5.0)
+
+
+def test_a_reboot_is_reported_and_time_goes_on() -> None:
+    first = encode(servo_flight(first_us=60_000_000))
+    log = DataFlashFile.open(first + encode(servo_flight(first_us=5_000_000)))
+    jumps = [d for d in log.damage if d.kind == "reboot"]
+    assert len(jumps) == 1
+    assert jumps[0].end_s == pytest.approx(5.0, abs=0.1)
+    assert log.times_us("RCOU")[100] == 5_000_020
+    times = log.times_s("RCOU")
+    assert (np.diff(times) > 0).all()
+    assert times[100] - times[99] == pytest.approx(1.0, abs=0.1)
+    assert channels(log)["RCOU.C1"].values.size == 200
+
+
+def test_one_wrong_time_stamp_is_not_believed() -> None:
+    content = bytearray(encode(servo_flight()))
+    at = int(BinaryStore(memoryview(bytes(content))).offsets("RCOU")[50])
+    content[at + 7] ^= 0x40  # ahead by 2**38 us: three days
+    log = DataFlashFile.open(bytes(content))
+    assert log.damage == ()
+    assert np.flatnonzero(log.suspect("RCOU")).tolist() == [50]
+    assert channels(log)["RCOU.C1"].values.size == 99
+    (lost,), _ = channels(log).survey()
+    assert (lost.kind, lost.count) == ("out_of_order", 1)
+    assert lost.note == "RCOU: 1 rows with repeated or wrong stamps left out"
+
+
+# -- damaged logs -----------------------------------------------------------------------------------------
+
+
+def damaged(sound: bytes, kind: str, at: int, rng: np.random.Generator) -> tuple[bytes, int, int, int]:
+    """Return the damaged log, the bytes [lost_from, lost_to) of the sound one, and the shift behind them."""
+    if kind == "zeros":
+        return sound[:at] + bytes(512) + sound[at + 512 :], at, at + 512, 0
+    if kind == "inserted":
+        return sound[:at] + rng.bytes(700) + sound[at:], at, at, 700
+    if kind == "removed":
+        return sound[:at] + sound[at + 300 :], at, at + 300, -300
+    if kind == "fake_header":
+        return sound[:at] + b"\xa3\x95\x84" + sound[at:], at, at, 3
+    if kind == "fake_record":
+        return sound[:at] + b"\xa3\x95\x84" + rng.bytes(9) + sound[at:], at, at, 12
+    return sound[:at], at, len(sound), 0
+
+
+KINDS = ("zeros", "inserted", "removed", "fake_header", "fake_record", "truncated")
+
+
+def untouched(store: BinaryStore, lost_from: int, lost_to: int, shift: int) -> dict[str, set[int]]:
+    """Where the records that the damage did not touch are now."""
+    kept = {}
+    for name, layout in store.layouts.items():
+        offsets = store.offsets(name).astype(np.int64)
+        before, behind = offsets[offsets + layout.length <= lost_from], offsets[offsets >= lost_to]
+        kept[name] = {*before.tolist(), *(behind + shift).tolist()}
+    return kept
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_record_the_damage_did_not_touch_is_recovered(kind: str, tmp_path: Path) -> None:
+    rng = np.random.default_rng(SEED)
+    sound = encode(servo_flight(8))
+    store = BinaryStore(memoryview(sound))
+    first = int(store.offsets("RCOU")[5])
+    path = tmp_path / "damaged.bin"
+    for _ in range(25):
+        at = int(rng.integers(first, len(sound) - 1000))
+        bad, lost_from, lost_to, shift = damaged(sound, kind, at, rng)
+        found = BinaryStore(memoryview(bad))
+        for name, offsets in untouched(store, lost_from, lost_to, shift).items():
+            missing = offsets - set(found.offsets(name).tolist())
+            assert not missing, (kind, at, name, missing)
+        path.write_bytes(bad)
+        ours = sum(found.count(n) for n in found.layouts)
+        assert ours >= pymavlink_counts(path).total(), (kind, at)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", REAL_LOGS)
+def test_a_damaged_real_log_gives_at_least_what_pymavlink_gets(name: str, kind: str, tmp_path: Path) -> None:
+    rng = np.random.default_rng(SEED)
+    sound = real(name).read_bytes()[:1_000_000]
+    at = len(sound) // 2 + int(rng.integers(500))
+    bad, lost_from, lost_to, shift = damaged(sound, kind, at, rng)
+    found = BinaryStore(memoryview(bad))
+    for message, offsets in untouched(BinaryStore(memoryview(sound)), lost_from, lost_to, shift).items():
+        assert offsets <= set(found.offsets(message).tolist()), message
+    path = tmp_path / "damaged.bin"
+    path.write_bytes(bad)
+    assert sum(found.count(n) for n in found.layouts) >= pymavlink_counts(path).total()
+
+
+def test_damage_is_reported_with_its_place_its_size_and_its_kind() -> None:
+    sound = encode(servo_flight())
+    at = int(BinaryStore(memoryview(sound)).offsets("RCOU")[50])
+    log = DataFlashFile.open(sound[:at] + bytes(512) + sound[at:] + sound[at : at + 5])
+    assert [(s.offset, s.length, s.kind) for s in log.stretches] == [
+        (at, 512, "zeros"),
+        (len(sound) + 512, 5, "truncated"),
+    ]
+    corrupt, cut = log.damage
+    assert (corrupt.kind, corrupt.count, corrupt.note) == ("corrupt", 512, f"512 bytes at byte {at}: zeros")
+    assert corrupt.end_s == pytest.approx(7.00002)
+    assert corrupt.start_s == pytest.approx(7.0, abs=0.05)
+    assert cut.kind == "truncated"
+
+
+def test_unused_space_of_the_last_flash_page_is_not_damage() -> None:
+    log = DataFlashFile.open(encode(servo_flight()) + b"\xff" * 200)
+    assert [(s.length, s.kind) for s in log.stretches] == [(200, "erased")]
+    assert log.damage == ()
+
+
+def test_a_message_without_definition_is_reported() -> None:
+    sound = encode(servo_flight())
+    log = DataFlashFile.open(sound + b"\xa3\x95\xf0" + b"\x01" * 20)
+    assert [(s.length, s.kind) for s in log.stretches] == [(23, "unknown_type")]
+
+
+def test_a_contradictory_length_does_not_cost_a_message() -> None:
+    content = bytearray(encode(servo_flight()))
+    at = content.index(b"RCOU") - 1
+    content[at] = 200
+    assert DataFlashFile.open(bytes(content)).count("RCOU") == 100
+
+
+def test_two_layouts_of_one_name_are_kept_apart() -> None:
+    short = Message("RCOU", "QH", {"TimeUS": np.arange(50) * 1000, "C1": np.arange(50)})
+    long = Message("RCOU", "QHH", {"TimeUS": np.arange(50) * 1000 + 10**6, "C1": [1] * 50, "C2": [2] * 50})
+    log = DataFlashFile.open(encode([short]) + encode([long]))
+    assert (log.count("RCOU"), log.count("RCOU~2")) == (50, 50)
+    assert log.column("RCOU~2", "C2").tolist() == [2] * 50
+
+
+HEADERS = encode(servo_flight())[:89] + b"\xa3\x95\x80\x81\x03T".ljust(89, b"\0")
+HOSTILE = {
+    "headers": b"\xa3\x95\x80",
+    "definitions": HEADERS,
+    "different_definitions": None,
+    "empty_records": b"\xa3\x95\x81",
+    "half_headers": b"\xa3\x95",
+    "one_bad_byte_each": b"\xa3\x95\x81\x00",
+    "zeros": b"\0",
+    "cut_records": b"\xa3\x95\x80\x81\x03\xa3\x95",
+}
+
+
+@pytest.mark.parametrize("kind", HOSTILE)
+def test_hostile_files_take_bounded_time_and_memory(kind: str) -> None:
+    pattern = HOSTILE[kind]
+    size = 3_000_000
+    if pattern is None:
+        names = [b"%04X" % i for i in range(size // 89)]
+        body = b"".join(b"\xa3\x95\x80\x82\x0b" + n + b"Q".ljust(16, b"\0") + b"TimeUS".ljust(64, b"\0") for n in names)
+    else:
+        body = pattern * (size // len(pattern))
+    begin = time.perf_counter()
+    with contextlib.suppress(LogError):
+        log = DataFlashFile.open(HEADERS + body)
+        use_up(log)
+        assert len(log.stretches) <= 1000
+        assert len(log.damage) <= 3001
+    assert time.perf_counter() - begin < 60.0  # twenty microseconds for each byte
+
+
+def test_useless_files_are_refused_with_a_reason(tmp_path: Path) -> None:
+    with pytest.raises(EmptyLog, match="empty"):
+        DataFlashFile.open(b"")
+    with pytest.raises(UnreadableLog, match="FMT"):
+        DataFlashFile.open(b"time_s,elevator_cmd_deg\n0,1\n")
+    with pytest.raises(UnreadableLog, match="FMT"):
+        DataFlashFile.open(bytes(5000))
+    with pytest.raises(MissingLog, match=r"none\.bin"):
+        DataFlashFile.open(tmp_path / "none.bin")
+    (tmp_path / "empty.bin").touch()
+    with pytest.raises(EmptyLog):
+        DataFlashFile.open(tmp_path / "empty.bin")
+
+
+# -- text -------------------------------------------------------------------------------------------------
+
+
+def test_the_text_form_gives_what_pymavlink_gives(tmp_path: Path) -> None:
+    path = tmp_path / "made.log"
+    path.write_bytes(as_text(servo_flight()))
+    log = DataFlashFile.open(path)
+    seen: Counter[str] = Counter()
+    with DFReader.DFReader_text(str(path)) as reader:
+        tables = {n: log.table(n) for n in log.names}
+        while (row := reader.recv_msg()) is not None:
+            name = row.get_type()
+            if name == "UNIT":  # pymavlink drops the one with an empty label
+                continue
+            for field in row.get_fieldnames():
+                if name not in ("FMT", "ODD"):
+                    value = getattr(row, field)
+                    assert same_value(tables[name][field][seen[name]], value), (name, field, value)
+            seen[name] += 1
+    assert {n: log.count(n) for n in log.names if n != "UNIT"} == seen
+
+
+def test_the_text_form_gives_what_the_binary_form_gives() -> None:
+    text, binary = DataFlashFile.open(as_text(servo_flight())), DataFlashFile.open(encode(servo_flight()))
+    assert list(channels(text)) == [c for c in channels(binary) if c != "ODD.M"]
+    for name in ("RCOU.C1", "CSRV[8].Pos", "SCAL.c", "PLN.q", "ODD.Half"):
+        mine, other = channels(text)[name], channels(binary)[name]
+        assert mine.unit == other.unit
+        assert (mine.time_s == other.time_s).all()
+        assert np.allclose(mine.values, other.values, rtol=1e-6)
+    assert text.parameters == binary.parameters
+    assert text.texts == binary.texts
+    assert text.instances("CSRV") == (0, 1, 8)
+
+
+def test_bad_lines_of_a_text_log_are_reported() -> None:
+    content = as_text(servo_flight()).replace(b"\nRCOU", b"\nRCO\x00, 1\nRCOU, 12\nRCOU", 1)
+    log = DataFlashFile.open(content)
+    assert log.count("RCOU") == 100
+    assert [s.kind for s in log.stretches] == ["bad_line", "bad_line"]
+    broken = content.replace(b", 1500,", b", 15x0,", 1)
+    assert np.isnan(DataFlashFile.open(broken).column("RCOU", "C1")).sum() == 1
