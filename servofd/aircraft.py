@@ -62,6 +62,8 @@ class Surface(_Entry):
     command: Calibration
     measured: Calibration | None = None
     """None: this aircraft does not measure the surface, and no verdict is expected for it."""
+    alive: tuple[str, ...] = ()
+    """Channels of the same telemetry that change as long as it lives; rows in which nothing does say nothing."""
     command_saturation_deg: tuple[float, float] | None = None
     """Limits applied to the command after it is logged and before the servo sees it."""
     position_limit_deg: tuple[float, float] | None = None
@@ -194,7 +196,7 @@ def _validated(content: Mapping[str, object], source: str) -> Aircraft:
 def _sentence(detail: ErrorDetails) -> str:
     """One validation error in words: where, what, and which keys would have worked."""
     # The unit that a discriminated union inserts is no key of the file.
-    units = {"deg", "rad", "us", "count", "rad_or_count"}
+    units = {"deg", "rad", "us", "count", "norm", "rad_or_count"}
     path = [str(part) for part in detail["loc"] if str(part) not in units]
     where = ".".join(path) or "the file"
     kind, message = detail["type"], detail["msg"].removeprefix("Value error, ")
@@ -203,7 +205,7 @@ def _sentence(detail: ErrorDetails) -> str:
     if kind == "missing":
         return f"{where}: this key is missing"
     if kind == "union_tag_not_found":
-        return f'{where}: needs unit = "deg", "rad", "us", "count" or "rad_or_count"'
+        return f'{where}: needs unit = "deg", "rad", "us", "count", "norm" or "rad_or_count"'
     given = detail.get("input")
     shown = f" (given: {given!r})" if isinstance(given, str | int | float | bool | list) else ""
     return f"{where}: {message}{shown}" if not message.startswith(f"{where}") else message

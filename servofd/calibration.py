@@ -14,6 +14,7 @@ __all__ = [
     "Calibration",
     "CountCalibration",
     "DegreeCalibration",
+    "NormCalibration",
     "PulseCalibration",
     "RadianCalibration",
     "RadianOrCountCalibration",
@@ -113,8 +114,9 @@ class PulseCalibration(_Scaled):
         return self
 
     def to_deg(self, values: FloatArray) -> FloatArray:
-        """Deflection [deg], same shape as `values` [us]."""
-        return self._scale(values, self.trim_us, self.slope_deg_per_us, self.cubic_deg)
+        """Deflection [deg], same shape as `values` [us]; NaN where no pulse was sent (logged as 0)."""
+        pulses = np.where(values > 0.0, values, np.nan)
+        return self._scale(pulses, self.trim_us, self.slope_deg_per_us, self.cubic_deg)
 
     def from_deg(self, deflection_deg: FloatArray) -> FloatArray:
         """Logged value [us] of a deflection [deg]."""
@@ -141,6 +143,28 @@ class CountCalibration(_Scaled):
     def from_deg(self, deflection_deg: FloatArray) -> FloatArray:
         """Logged value [counts] of a deflection [deg]."""
         return self._unscale(deflection_deg, self.trim_count, self.slope_deg_per_count)
+
+
+class NormCalibration(_Scaled):
+    """A command from -1 to 1: ``deflection = sign * slope_deg * (value - trim)``.
+
+    Examples
+    --------
+    >>> NormCalibration(channel="control[0]", unit="norm", slope_deg=25.0).to_deg(np.array([-1.0, 0.5]))
+    array([-25. ,  12.5])
+    """
+
+    unit: Literal["norm"]
+    trim: Finite = 0.0
+    slope_deg: Finite
+
+    def to_deg(self, values: FloatArray) -> FloatArray:
+        """Deflection [deg], same shape as `values` [-1 to 1]."""
+        return self._scale(values, self.trim, self.slope_deg, None)
+
+    def from_deg(self, deflection_deg: FloatArray) -> FloatArray:
+        """Logged value [-1 to 1] of a deflection [deg]."""
+        return self._unscale(deflection_deg, self.trim, self.slope_deg)
 
 
 class RadianOrCountCalibration(_Scaled):
@@ -176,6 +200,11 @@ class RadianOrCountCalibration(_Scaled):
 
 
 Calibration = Annotated[
-    DegreeCalibration | RadianCalibration | PulseCalibration | CountCalibration | RadianOrCountCalibration,
+    DegreeCalibration
+    | RadianCalibration
+    | PulseCalibration
+    | CountCalibration
+    | NormCalibration
+    | RadianOrCountCalibration,
     Field(discriminator="unit"),
 ]

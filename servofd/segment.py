@@ -10,6 +10,7 @@ import numpy as np
 from logparsers.errors import MissingChannel
 from logparsers.records import own
 from servofd.errors import NoMeasurement
+from servofd.frozen import frozen_rows, republished_rows
 
 if TYPE_CHECKING:
     from logparsers.records import Channel, FlightLog
@@ -50,6 +51,10 @@ class Segment:
     measured_s: FloatArray
     measured_deg: FloatArray
     command_period_s: float | None = None
+    frozen_s: float = 0.0
+    """Time during which a dead telemetry repeated its last row [s]; those rows are missing values here."""
+    frozen_to_end: bool = False
+    """True if it never came back."""
 
     def __post_init__(self) -> None:
         for name in ("command_s", "command_deg", "measured_s", "measured_deg"):
@@ -105,14 +110,40 @@ def cut(log: FlightLog, name: str, surface: Surface) -> Segment:
     if measured.is_constant:
         value = measured.values[np.isfinite(measured.values)][0]
         raise NoMeasurement(f"position channel {measured.name!r} never changes (always {value:g}): not a measurement")
-    given = np.isfinite(command.values)
-    command_deg = surface.command.to_deg(command.values[given])
+    command_deg = surface.command.to_deg(command.values)
+    given = np.isfinite(command_deg)
+    if not given.any():
+        raise NoMeasurement(f"command channel {command.name!r} holds no command (a pulse of 0 us is none)")
+    command_deg = command_deg[given]
     if surface.command_saturation_deg is not None:
         command_deg = np.clip(command_deg, *surface.command_saturation_deg)
     measured_deg = surface.measured.to_deg(measured.values)
     if _is_echo(command, measured, surface.command.to_deg(command.values), measured_deg):
         raise NoMeasurement("position equals command in every sample: an echo of the command, not a measurement")
-    return Segment(name, command.time_s[given], command_deg, measured.time_s, measured_deg, surface.command_period_s)
+    segment = Segment(name, command.time_s[given], command_deg, measured.time_s, measured_deg, surface.command_period_s)
+    return _without_dead_telemetry(segment, measured, log, surface) if surface.alive else segment
+
+
+def _without_dead_telemetry(segment: Segment, measured: Channel, log: FlightLog, surface: Surface) -> Segment:
+    """Take out the rows that only repeat what was said before."""
+    siblings = [
+        channel.values
+        for channel in (log[name] for name in surface.alive if name in log.channels)
+        if np.array_equal(channel.time_s, measured.time_s)
+    ]
+    held = np.searchsorted(segment.command_s, measured.time_s, side="right") - 1
+    asked_deg = segment.command_deg[np.maximum(held, 0)]
+    frozen = frozen_rows(measured.time_s, measured.values, siblings, asked_deg)
+    repeated = republished_rows(measured.time_s, measured.values, siblings)
+    if frozen.all() or np.count_nonzero(~frozen) < 2:
+        raise NoMeasurement("telemetry is frozen: every field repeats to the last bit while the command moves")
+    step_s = np.diff(measured.time_s, append=measured.time_s[-1])
+    return replace(
+        segment,
+        measured_deg=np.where(frozen | repeated, np.nan, segment.measured_deg),
+        frozen_s=float(step_s[frozen].sum()),
+        frozen_to_end=bool(frozen[-1]),
+    )
 
 
 def _channel(log: FlightLog, name: str, kind: str) -> Channel:

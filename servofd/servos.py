@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from servofd.errors import DesignError, UnknownName, suggest
 from servofd.models.transfer import BANDWIDTH_DROP_DB, TransferFunction
 
-__all__ = ["Servo", "library", "servo_named"]
+__all__ = ["Servo", "library", "second_order", "servo_named"]
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
@@ -73,7 +73,7 @@ class Servo(BaseModel):
             return TransferFunction(self.numerator, self.denominator)
         if self.bandwidth_hz is None or self.damping is None:
             raise DesignError(f"{self.title}: neither polynomials nor bandwidth and damping")
-        return _second_order(2.0 * np.pi * self.bandwidth_hz, self.damping)
+        return second_order(2.0 * np.pi * self.bandwidth_hz, self.damping)
 
     @property
     def transfer(self) -> TransferFunction:
@@ -88,8 +88,14 @@ class Servo(BaseModel):
         return max(0.0, self.delay_s - self.hold_period_s / 2.0)
 
 
-def _second_order(bandwidth_rad_s: float, damping: float) -> TransferFunction:
-    """Second order with the given bandwidth 3.00 dB below dc."""
+def second_order(bandwidth_rad_s: float, damping: float) -> TransferFunction:
+    """Second order with the given bandwidth 3.00 dB below dc [rad/s].
+
+    Examples
+    --------
+    >>> round(second_order(30.0, 0.7).bandwidth_rad_s, 9)
+    30.0
+    """
     drop = 10.0 ** (BANDWIDTH_DROP_DB / 10.0)
     # |G|^2 = 1 / ((1 - x)^2 + 4 damping^2 x) with x = (w / wn)^2; solve for |G|^2 = 1 / drop.
     half = 1.0 - 2.0 * damping**2

@@ -9,6 +9,7 @@ import logparsers
 from servofd.aircraft import DEFAULT_SERVO, Aircraft, load_aircraft, plain_aircraft
 from servofd.detection.audit import LogAudit, audit_log
 from servofd.errors import NoMeasurement, UnknownName, suggest
+from servofd.feedback.draft import draft_aircraft
 from servofd.servos import servo_named
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
     from logparsers import FlightLog
 
-__all__ = ["aircraft_for", "audit"]
+__all__ = ["aircraft_for", "audit", "layout_of"]
 
 _COMMAND_SUFFIX = "_cmd_deg"
 
@@ -68,7 +69,7 @@ def audit(
     known = load_aircraft(aircraft) if isinstance(aircraft, str | Path) else aircraft
     if servo is not None:
         servo_named(servo)
-    for log in logparsers.read_all(path, _layout(known)):
+    for log in logparsers.read_all(path, layout_of(known)):
         flown = _with_servo(known or aircraft_for(log), servo)
         for name in surfaces:
             if name not in flown.surfaces:
@@ -89,6 +90,8 @@ def aircraft_for(log: FlightLog) -> Aircraft:
         logged = {name: s for name, s in faser.surfaces.items() if s.command.channel in log.channels}
         if logged:
             return faser.model_copy(update={"surfaces": logged})
+    if log.format in ("dataflash", "tlog", "ulog"):
+        return draft_aircraft(log).aircraft()
     names = [name.removesuffix(_COMMAND_SUFFIX) for name in log.channels if name.endswith(_COMMAND_SUFFIX)]
     if not names:
         raise NoMeasurement(
@@ -98,7 +101,8 @@ def aircraft_for(log: FlightLog) -> Aircraft:
     return plain_aircraft(names, DEFAULT_SERVO)
 
 
-def _layout(aircraft: Aircraft | None) -> logparsers.TableLayout | None:
+def layout_of(aircraft: Aircraft | None) -> logparsers.TableLayout | None:
+    """How to read a text table that belongs to this aircraft; None if it does not say."""
     if aircraft is None or aircraft.table is None:
         return None
     return logparsers.TableLayout(**aircraft.table.model_dump())

@@ -21,17 +21,34 @@ PARTS = {
     "servos": {"errors", "types", "models"},
     "calibration": {"errors", "types"},
     "aircraft": {"errors", "types", "models", "servos", "calibration"},
-    "segment": {"errors", "types", "aircraft"},
+    "frozen": {"types"},
+    "segment": {"errors", "types", "aircraft", "frozen"},
+    "feedback": {"errors", "types", "aircraft", "servos", "models", "segment", "detection"},
+    "survey": {"errors", "aircraft", "segment", "feedback", "workflow"},
     "detection": {"errors", "types", "models", "servos", "aircraft", "segment"},
     "simulation": {"errors", "types", "models", "aircraft", "outputs"},
     "outputs": {"errors", "types", "detection", "segment"},
-    "workflow": {"errors", "aircraft", "servos", "detection"},
-    "cli": {"errors", "types", "aircraft", "servos", "models", "detection", "simulation", "outputs", "workflow"},
+    "workflow": {"errors", "aircraft", "servos", "detection", "feedback"},
+    "cli": {
+        "errors",
+        "types",
+        "aircraft",
+        "servos",
+        "models",
+        "detection",
+        "simulation",
+        "outputs",
+        "workflow",
+        "feedback",
+        "survey",
+    },
 }
 ONLY_IN = {
     "rerun": {"servofd/outputs/recording.py"},
     "matplotlib": {"servofd/outputs/figure.py", "servofd/cli/design.py"},
-    "argparse": {f"servofd/cli/{name}.py" for name in ("__init__", "audit", "design", "servos", "simulate")},
+    "argparse": {
+        f"servofd/cli/{name}.py" for name in ("__init__", "audit", "config", "design", "info", "servos", "simulate")
+    },
     "numba": {
         "servofd/models/kernel.py",
         "servofd/models/play.py",

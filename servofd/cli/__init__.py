@@ -12,7 +12,7 @@ import sys
 from typing import TYPE_CHECKING, NoReturn
 
 from servofd import __version__
-from servofd.cli import audit, design, servos, simulate
+from servofd.cli import audit, config, design, info, servos, simulate
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -39,7 +39,7 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"servofd {__version__}")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
-    for verb in (audit, simulate, servos, design):
+    for verb in (info, config, audit, simulate, servos, design):
         verb.add_parser(verbs)
     return parser
 

@@ -159,6 +159,10 @@ def _audit_surface(log: FlightLog, aircraft: Aircraft, name: str, threshold_deg:
         immobile_deg = generator.run(segment.with_measured(0.0)).residual_deg
         episodes = find_episodes(residuals, immobile_deg, threshold_deg)
     status, reason_text = _verdict(residuals, statistics, episodes, threshold_deg)
+    if segment.frozen_s > 0.0:
+        reason_text += f"; {segment.frozen_s:.1f} s of frozen telemetry not judged"
+        if segment.frozen_to_end and status != "fault":
+            status, reason_text = "no_data", "telemetry froze and never came back; before that, " + reason_text
     return verdict(
         status=status,
         reason=reason_text,

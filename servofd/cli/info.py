@@ -1,0 +1,75 @@
+"""``servofd info``: what is in a log, and whether it can be audited."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from servofd.survey import Survey
+
+__all__ = ["add_parser", "run"]
+
+
+def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
+    """Declare the verb."""
+    parser = verbs.add_parser(
+        "info",
+        help="what is in a log, and can it be audited?",
+        description="Prints format, duration, damage, vehicle, the rate and gaps of the channels that matter, which "
+        "surfaces can be audited, and for the others what would have to be logged.",
+        epilog="Example: servofd info flight.bin",
+    )
+    parser.add_argument("log", metavar="LOG")
+    parser.add_argument("-c", "--config", metavar="AIRCRAFT.toml", help="aircraft file, or the name of a shipped one")
+    parser.add_argument("--channels", action="store_true", help="list every channel, not only those of surfaces")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of text")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Survey the log and print."""
+    from servofd.survey import survey
+
+    surveys = survey(options.log, options.config, every_channel=options.channels)
+    if options.json:
+        print(json.dumps({"schema": "servofd.info/1", "logs": [s.as_dict() for s in surveys]}, indent=2))
+    else:
+        for found in surveys:
+            _print(found)
+    return 0
+
+
+def _print(found: Survey) -> None:
+    from servofd.cli.tables import print_table
+
+    log = found.log
+    print(f"{log.label}: {log.format}, {log.duration_s:.1f} s, {len(log.channels)} channels")
+    for label, value in (("vehicle", log.vehicle), ("firmware", log.firmware), ("booted", log.start_utc)):
+        if value:
+            print(f"  {label}: {value}")
+    for damage in log.damage:
+        print(f"  damage: {damage.kind}: {damage.note}")
+    if found.surfaces:
+        print_table(
+            ["surface", "can be audited", "position [Hz]", "command [Hz]", "channels"],
+            [
+                [s.name, s.verdict, _rate(s.position_hz), _rate(s.command_hz), f"{s.command}, {s.position}"]
+                for s in found.surfaces
+            ],
+        )
+    if found.channels:
+        print_table(
+            ["channel", "unit", "samples", "rate [Hz]", "gaps", "longest gap [s]"],
+            [
+                [c.name, c.unit, str(c.samples), _rate(c.rate_hz), str(c.gaps), f"{c.longest_gap_s:.2f}"]
+                for c in found.channels
+            ],
+        )
+    if found.advice:
+        print(f"  to audit this aircraft: {found.advice}")
+
+
+def _rate(rate_hz: float | None) -> str:
+    return "-" if rate_hz is None else f"{rate_hz:.1f}"

@@ -1,0 +1,36 @@
+"""What a pilot would have to log so that a servo can be judged."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from logparsers.records import FlightLog
+
+__all__ = ["what_to_log"]
+
+
+def what_to_log(log: FlightLog) -> str:
+    """One sentence: how this kind of autopilot gets servo positions into its logs.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from logparsers import FlightLog
+    >>> what_to_log(FlightLog(Path("a.ulg"), "ulog", {}))[:30]
+    'send the positions as DEBUG_FL'
+    """
+    if log.format == "ulog":
+        return (
+            "send the positions as DEBUG_FLOAT_ARRAY (name SRVP) and log debug topics (SDLOG_PROFILE bit 5); "
+            "actuator_outputs and actuator_servos are commands"
+        )
+    if log.format == "tlog":
+        return (
+            "send the positions as NAMED_VALUE_FLOAT SRVP1, SRVP2, ... in degrees (a Lua script can read them from "
+            "servo telemetry), or audit the autopilot's own .bin log; SERVO_OUTPUT_RAW is a command"
+        )
+    return (
+        "RCOU is a command; servos with feedback log CSRV: Volz (SERIALn_PROTOCOL = 14, SERVO_VOLZ_MASK) or DroneCAN "
+        "(CAN_D1_PROTOCOL = 1, CAN_D1_UC_SRV_BM), with LOG_BITMASK including RC output"
+    )

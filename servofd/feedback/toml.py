@@ -1,0 +1,68 @@
+"""A drafted aircraft as a commented TOML file."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+from servofd.feedback.draft import servo_entry
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from servofd.feedback.draft import Draft, DraftedSurface
+
+__all__ = ["draft_to_toml"]
+
+
+def draft_to_toml(draft: Draft) -> str:
+    """Text of an aircraft file that `servofd audit -c` accepts as it is."""
+    log = draft.log
+    lines = [
+        f"# Drafted from {log.source.name} ({', '.join(filter(None, (log.firmware, log.vehicle)))}).",
+        "# The servos below were fitted roughly to this one log: a starting point, no calibration. Check the names and",
+        "# signs, replace the servos by identified ones (`servofd servos` lists known types), and set thresholds from",
+        "# flights that you know to be good. If this flight had a faulty servo, its numbers are wrong.",
+        "#",
+        f"# Threshold {draft.threshold_deg:g} deg: what most surfaces of this log stay below, with a margin.",
+        "",
+        f"name = {_value(log.vehicle or log.format)}",
+    ]
+    for surface in draft.surfaces:
+        lines += ["", *_surface_lines(surface, draft.threshold_deg)]
+    return "\n".join(lines) + "\n"
+
+
+def _surface_lines(surface: DraftedSurface, threshold_deg: float) -> list[str]:
+    pair, output, key = surface.pair, surface.pair.output, _key(surface.pair.surface)
+    function = "function unknown" if output.function is None else f"SERVO{output.number}_FUNCTION = {output.function}"
+    scale = (
+        ""
+        if pair.command == pair.position.command
+        else f"  # output {output.number}: pulses of {output.min_us:g} to {output.max_us:g} us; scale fitted"
+    )
+    lines = [
+        f"[surfaces.{key}]  # output {output.number}, {function}",
+        f"servo = {_value(f'{pair.surface}-draft')}",
+        f"threshold_deg = {threshold_deg:g}  # largest residual in this log: {surface.peak_deg:.1f} deg",
+    ]
+    if pair.position.alive:
+        lines.append(f"alive = {_value(list(pair.position.alive))}  # all still, and the position too: dead telemetry")
+    lines += [f"command = {_inline(surface.command)}{scale}", f"measured = {_inline(surface.measured)}", ""]
+    lines.append(f"[servos.{_key(f'{pair.surface}-draft')}]")
+    lines += [f"{name} = {_value(value)}" for name, value in servo_entry(surface).items()]
+    return lines
+
+
+def _key(name: str) -> str:
+    return name if name.replace("_", "").replace("-", "").isalnum() and name.isascii() else json.dumps(name)
+
+
+def _inline(table: Mapping[str, Any]) -> str:
+    return "{ " + ", ".join(f"{key} = {_value(value)}" for key, value in table.items()) + " }"
+
+
+def _value(value: Any) -> str:  # noqa: ANN401 - anything a TOML file can hold here
+    if isinstance(value, str | list | tuple):
+        return json.dumps(value, ensure_ascii=False)
+    return repr(value)
