@@ -21,15 +21,16 @@ if TYPE_CHECKING:
 
 __all__ = ["RoughFit", "fit_roughly", "typical_error_deg"]
 
-_MOST_SAMPLES = 6_000
+_MOST_SAMPLES = 4_000
 _ORDINARY_SHARE = 0.02
 _BANDWIDTHS_HZ = (1.5, 2.3, 3.5, 5.0, 8.0, 12.0, 20.0)
 _DAMPINGS = (0.7, 2.0)
-_DELAYS_S = (0.0, 0.01, 0.02, 0.035, 0.05, 0.08, 0.12)
+_DELAYS_S = (0.0, 0.015, 0.03, 0.05, 0.08, 0.12)
 _RATES_DEG_S = (600.0, 400.0, 250.0, 150.0, 100.0, 60.0)
 _WORTH_A_LIMIT = 0.95
-_MOST_EVALUATIONS = 160
-_STARTS = 5
+_MOST_EVALUATIONS = 100
+_STARTS = 3
+_REWEIGHTINGS = 5
 _BANDWIDTH_RANGE_HZ, _DAMPING_RANGE = (0.2, 100.0), (0.2, 10.0)
 _FEWEST_ROWS = 50
 _SLOWEST_SHARE = 0.1
@@ -182,13 +183,14 @@ def _judged(fit: RoughFit, segment: Segment, moving: BoolArray, *, free_scale: b
 
 def _line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
     """Straight line with small absolute deviations: reweighted least squares, which outliers do not pull."""
-    weight = np.ones(x.size)
+    weight = np.full(x.size, 1.0 / x.size)
     slope, offset = 1.0, 0.0
-    for _ in range(8):
-        centre_x, centre_y = np.average(x, weights=weight), np.average(y, weights=weight)
-        power = np.average((x - centre_x) ** 2, weights=weight)
-        slope = float(np.average((x - centre_x) * (y - centre_y), weights=weight) / max(power, 1e-12))
-        offset = float(centre_y - slope * centre_x)
+    for _ in range(_REWEIGHTINGS):
+        centre_x, centre_y = float(weight @ x), float(weight @ y)
+        weighted = weight * (x - centre_x)
+        slope = float(weighted @ (y - centre_y)) / max(float(weighted @ (x - centre_x)), 1e-12)
+        offset = centre_y - slope * centre_x
         deviation = np.abs(y - slope * x - offset)
-        weight = 1.0 / np.maximum(deviation, 1e-3 + 0.5 * np.median(deviation))
+        weight = 1.0 / (deviation + 1e-3 + 0.5 * float(deviation.mean()))
+        weight /= weight.sum()
     return slope, offset

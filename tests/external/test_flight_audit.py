@@ -1,0 +1,63 @@
+"""A software-in-the-loop flight with servo feedback, in which two servos jam; nothing is configured by hand.
+
+The aileron on output 1 is frozen from 93.5 to 128.4 s, the elevator on output 10 from 133.4 to 168.1 s; the other
+four servos are healthy, and of two different types.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import servofd
+from servofd.cli import main
+from tests.external.test_bench_tables import DATA
+
+LOGS = DATA / "logs"
+
+pytestmark = pytest.mark.skipif(
+    not LOGS.is_dir(), reason="no flight logs: set SERVOFD_EXTERNAL_DATA to the directory that holds bench/ and logs/"
+)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "aileron", "elevator"), [("bin", "aileron_1", "elevator_10"), ("tlog", "servo_1", "servo_10")]
+)
+def test_both_jams_are_found_and_nothing_else(suffix: str, aileron: str, elevator: str) -> None:
+    (result,) = servofd.audit(LOGS / f"ardupilot_sitl_feedback.{suffix}")
+    verdicts = {verdict.surface: verdict for verdict in result.surfaces}
+    assert len(verdicts) == 6
+    assert {name for name, verdict in verdicts.items() if verdict.status == "fault"} == {aileron, elevator}
+    assert all(v.status == "healthy" for name, v in verdicts.items() if name not in (aileron, elevator))
+    assert verdicts[aileron].episodes[0].alarm_s == pytest.approx(93.5, abs=1.0)
+    # The elevator rested when it jammed; its first motion comes at 142 s.
+    assert verdicts[elevator].episodes[0].alarm_s == pytest.approx(143.0, abs=1.5)
+
+
+def test_the_drafted_file_gives_the_same_verdicts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = str(LOGS / "ardupilot_sitl_feedback.bin")
+    assert main(["config", log]) == 0
+    config = tmp_path / "plane.toml"
+    config.write_text(capsys.readouterr().out)
+    assert main(["audit", log, "-c", str(config)]) == 1
+    shown = capsys.readouterr().out
+    assert sum(" fault " in line for line in shown.splitlines()) == 2
+    assert sum(" healthy " in line for line in shown.splitlines()) == 4
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("ardupilot_sitl_feedback.bin", "ArduPlane V4.7.0-dev"),
+        ("ardupilot_plane_1s.bin", "ArduPlane V3.8.2-dev"),
+        ("ardupilot_no_gps.bin", "ArduCopter V3.6.8"),
+        ("ardupilot_vtol.tlog", "NAMED_VALUE_FLOAT SRVP1"),
+        ("px4_small.ulg", "DEBUG_FLOAT_ARRAY"),
+    ],
+)
+def test_info_tells_what_is_there_and_what_is_missing(
+    name: str, expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["info", str(LOGS / name)]) == 0
+    assert expected in capsys.readouterr().out
