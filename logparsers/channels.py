@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from logparsers import clock
-from logparsers.errors import MissingChannel
+from logparsers.errors import EmptyLog, MissingChannel
 from logparsers.records import Channel, Damage, own
 
 if TYPE_CHECKING:
@@ -97,14 +97,18 @@ class LazyChannels(Mapping[str, Channel]):
 
         Raises
         ------
+        EmptyLog
+            If the log has no channel at all.
         MissingChannel
-            If none is.
+            If none is wanted.
         """
+        if not self._series:
+            raise EmptyLog(f"{path}: no message with numbers and a time stamp in it; was the log copied completely?")
         names = wanted.pick(self._series)
         if not names and wanted.patterns is not None:
             known = list(dict.fromkeys(name.partition(".")[0] for name in self._series))
             more = f" and {len(known) - 12} more" if len(known) > 12 else ""
-            asked, some = ", ".join(wanted.patterns), ", ".join(known[:12]) or "no channels at all"
+            asked, some = ", ".join(wanted.patterns), ", ".join(known[:12])
             raise MissingChannel(f"{path}: no channel {asked}; the log has {some}{more}")
         return LazyChannels(self._recording, {name: self._series[name] for name in names})
 

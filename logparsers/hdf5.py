@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
+import struct
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from logparsers.errors import UnreadableLog
 from logparsers.source import decoding
 
 if TYPE_CHECKING:
@@ -15,6 +18,9 @@ if TYPE_CHECKING:
     from logparsers.source import Source
 
 __all__ = ["vectors"]
+
+SIGNATURE = re.compile(rb"\x89HDF\r\n\x1a\n")
+TREE_HEAD = struct.Struct("<4sBBHQQ")
 
 BEST_COMPRESSION = 1100
 """Deflate never shrinks data further than 1032 times: a data set that claims more is forged, or was never written."""
@@ -58,9 +64,45 @@ def vectors(source: Source) -> dict[str, FloatArray]:
         if isinstance(item, h5py.Dataset) and not cell and _is_vector(item):
             found["/" + name] = np.asarray(item[()]).reshape(-1).astype(np.float64)
 
-    with decoding(source, "HDF5 file"), h5py.File(source.file, "r") as file:
-        file.visititems(visit)
+    with decoding(source, "HDF5 file"):
+        if _has_endless_tree(source.mapped().data):
+            raise UnreadableLog(f"{source.path}: not a sound HDF5 file: its index runs in circles; copy it again")
+        with h5py.File(source.file, "r") as file:
+            file.visititems(visit)
     return found
+
+
+def _has_endless_tree(content: memoryview) -> bool:
+    """Tell whether a search tree leads back into itself: the library would follow it for ever.
+
+    A node is ``TREE``, type, level, number of entries, left and right sibling, then keys and children in turn. Siblings
+    are of one level, children of the level below; those of data (type 1) have keys of any size and are not followed.
+    """
+    signature = SIGNATURE.search(content)
+    base = signature.start() if signature else 0
+    right: dict[int, int] = {}
+    for found in re.finditer(rb"TREE[\0\1]", content):
+        at = found.start()
+        if at + TREE_HEAD.size > len(content):
+            break
+        _, kind, level, entries, _, right[at - base] = TREE_HEAD.unpack_from(content, at)
+        if kind == 0 and level:
+            pairs = content[at + TREE_HEAD.size : at + TREE_HEAD.size + 16 * entries]
+            for _, child in struct.iter_unpack("<2Q", pairs[: len(pairs) // 16 * 16]):
+                below = bytes(content[base + child : base + child + 6])
+                if below[:4] == b"TREE" and below[5:6] != bytes((level - 1,)):
+                    return True
+    ended: set[int] = set()
+    for start in right:
+        chain: set[int] = set()
+        node = start
+        while node in right and node not in ended:
+            if node in chain:
+                return True
+            chain.add(node)
+            node = right[node]
+        ended |= chain
+    return False
 
 
 def _is_vector(data: h5py.Dataset) -> bool:

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from logparsers.dataflash.formats import NUMBER, WORDS
 from logparsers.records import Text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
     from logparsers.dataflash.file import DataFlashFile
 
@@ -74,7 +75,7 @@ def parameter_changes(file: DataFlashFile) -> tuple[ParameterChange, ...]:
     """
     last: dict[str, float] = {}
     changes = []
-    for time, name, value in _rows(file, "PARM", "Name", "Value"):
+    for time, name, value in _rows(file, "PARM", {"Name": WORDS, "Value": NUMBER}):
         if last.get(name) != value:
             last[name] = value
             changes.append(ParameterChange(time, name, value))
@@ -96,7 +97,7 @@ def texts(file: DataFlashFile, message: str, field: str) -> tuple[Text, ...]:
     tuple of Text
         Empty if the log has no such column.
     """
-    return tuple(Text(time, text) for time, text in _rows(file, message, field))
+    return tuple(Text(time, text) for time, text in _rows(file, message, {field: WORDS}))
 
 
 def firmware(file: DataFlashFile) -> str:
@@ -152,7 +153,7 @@ def start_utc(file: DataFlashFile) -> datetime | None:
     if layout is None or layout.clock is None:
         return None
     week, ms = ("GWk", "GMS") if "GWk" in layout.fields else ("Week", "TimeMS")
-    if any(f not in layout.fields or not layout.fields[f].is_number for f in (week, ms, "Status")):
+    if not layout.has({week: NUMBER, ms: NUMBER, "Status": NUMBER}):
         return None
     rows = file.table("GPS", (week, ms, "Status"))
     fixed = np.flatnonzero((rows["Status"] >= FIX_3D) & (rows[week] > FIRST_WEEK) & ~file.suspect("GPS"))
@@ -168,10 +169,10 @@ def start_utc(file: DataFlashFile) -> datetime | None:
         return None
 
 
-def _rows(file: DataFlashFile, name: str, *fields: str) -> Iterable[tuple[Any, ...]]:
+def _rows(file: DataFlashFile, name: str, fields: Mapping[str, bool]) -> Iterable[tuple[Any, ...]]:
     """Time [s] and columns, row by row; nothing if the log has no such columns."""
     layout = file.formats.get(name)
-    if layout is None or any(f not in layout.fields for f in fields):
+    if layout is None or not layout.has(fields):
         return ()
-    rows = file.table(name, fields)
+    rows = file.table(name, tuple(fields))
     return zip(file.times_s(name).tolist(), *(rows[f].tolist() for f in fields), strict=True)

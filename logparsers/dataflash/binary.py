@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from logparsers.dataflash import scan
-from logparsers.dataflash.formats import FMT, Field, Layout, decode_text, is_consistent, parse_fmt, with_units
+from logparsers.dataflash.formats import FMT, Field, Layout, decode_text, is_consistent, parse_fmt
 from logparsers.dataflash.store import Step, Stretch
+from logparsers.dataflash.units import apply_units
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -57,7 +58,7 @@ class BinaryStore:
         self._walk.defined[FMT.type] = -1
         self._index()
         self._describe_stretches()
-        self._apply_units()
+        apply_units(self.layouts, self.read)
         del self._walk  # its buffers are large
 
     def count(self, name: str) -> int:
@@ -282,26 +283,6 @@ class BinaryStore:
                 return None if time == scan.NO_TIME else time
             at += walk.length[kind]
         return None
-
-    def _apply_units(self) -> None:
-        """Give the columns their units: FMTU by characters, which UNIT and MULT spell out."""
-        units = self._lookup("UNIT", "Label")
-        multipliers = {k: float(f"{v:.7g}") for k, v in self._lookup("MULT", "Mult").items()}
-        needed = ("FmtType", "UnitIds", "MultIds")
-        if "FMTU" not in self.layouts or any(f not in self.layouts["FMTU"].fields for f in needed):
-            return
-        rows = self.read("FMTU", needed)
-        for kind, unit_ids, multiplier_ids in zip(*(rows[f].tolist() for f in needed), strict=True):
-            for name, layout in self.layouts.items():
-                if layout.type == kind:
-                    self.layouts[name] = with_units(layout, unit_ids, multiplier_ids, units, multipliers)
-
-    def _lookup(self, name: str, value: str) -> dict[str, Any]:
-        layout = self.layouts.get(name)
-        if layout is None or any(f not in layout.fields for f in ("Id", value)):
-            return {}
-        rows = self.read(name, ("Id", value))
-        return {chr(k & 255): v for k, v in zip(rows["Id"].tolist(), rows[value].tolist(), strict=True)}
 
 
 def _fours(events: Sequence[int]) -> list[tuple[int, int, int, int]]:

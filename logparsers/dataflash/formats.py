@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 __all__ = [
     "FMT",
     "HEADER_SIZE",
+    "NUMBER",
+    "WORDS",
     "Field",
     "Layout",
     "decode_text",
@@ -60,6 +62,7 @@ CHARACTERS: Final[Mapping[str, tuple[str, float | None]]] = {
     "Q": ("<u8", None),
 }
 TEXT: Final = "nNZ"
+NUMBER, WORDS = True, False  # what a column holds
 COLUMN_NAME: Final = re.compile(r"[!-\-/-Z\\^-~]+")  # printable, and free of the . [ ] of channel names
 PREFIXES: Final[Mapping[float, str]] = {
     0.0: "", 1.0: "", 1.0e-1: "d", 1.0e-2: "c", 1.0e-3: "m", 1.0e-6: "u", 1.0e-9: "n",
@@ -157,6 +160,22 @@ class Layout:
     columns: tuple[str, ...]
     fields: Mapping[str, Field] = field(repr=False)
     instance: str | None = None
+
+    def has(self, wanted: Mapping[str, bool]) -> bool:
+        """Tell whether it has these columns, and they hold numbers or words as they should.
+
+        Parameters
+        ----------
+        wanted : Mapping[str, bool]
+            `NUMBER` or `WORDS` by name.
+
+        Examples
+        --------
+        >>> FMT.has({"Type": NUMBER, "Name": WORDS}), FMT.has({"Type": WORDS}), FMT.has({"Unit": WORDS})
+        (True, False, False)
+        """
+        fields = self.fields
+        return all(f in fields and (fields[f].is_number if n else fields[f].is_text) for f, n in wanted.items())
 
     @cached_property
     def clock(self) -> tuple[str, int] | None:

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from logparsers.dataflash.formats import FMT, Layout, define, with_units
+from logparsers.dataflash.formats import FMT, Layout, define
 from logparsers.dataflash.scan import BACK_US, GAP_US
 from logparsers.dataflash.store import Step, Stretch
+from logparsers.dataflash.units import apply_units
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
@@ -54,7 +55,7 @@ class TextStore:
         starts, commas, names = _lines(np.frombuffer(data, np.uint8))
         self._starts = starts
         self._index(commas, names)
-        self._apply_units()
+        apply_units(self.layouts, self.read)
         self._find_steps()
 
     def count(self, name: str) -> int:
@@ -179,27 +180,6 @@ class TextStore:
             self.stretches.append(Stretch(offset, length, "bad_line"))
         else:
             self.more_stretches = (self.more_stretches[0] + 1, self.more_stretches[1] + length)
-
-    def _apply_units(self) -> None:
-        units = self._lookup("UNIT", "Label")
-        multipliers = self._lookup("MULT", "Mult")
-        needed = ("FmtType", "UnitIds", "MultIds")
-        if "FMTU" not in self.layouts or any(f not in self.layouts["FMTU"].fields for f in needed):
-            return
-        rows = self.read("FMTU", needed)
-        by_type = {layout.type: name for name, layout in self.layouts.items()}
-        for kind, unit_ids, multiplier_ids in zip(*(rows[f].tolist() for f in needed), strict=True):
-            if kind in by_type:
-                name = by_type[kind]
-                self.layouts[name] = with_units(self.layouts[name], unit_ids, multiplier_ids, units, multipliers)
-
-    def _lookup(self, name: str, value: str) -> Mapping[str, Any]:
-        layout = self.layouts.get(name)
-        if layout is None or any(f not in layout.fields for f in ("Id", value)):
-            return {}
-        rows = self.read(name, ("Id", value))
-        pairs = zip(rows["Id"].tolist(), rows[value].tolist(), strict=True)
-        return {chr(int(k) & 255): v for k, v in pairs if k == k}  # noqa: PLR0124 - not NaN
 
     def _find_steps(self) -> None:
         """Follow the clock of the busiest message."""

@@ -187,3 +187,12 @@ def test_structures_within_structures_have_an_end() -> None:
         variables = {"s": variables}
     with pytest.raises(UnreadableLog, match="more than 16 structures"):
         read(writers.matlab(variables))
+
+
+def test_an_hdf5_index_that_leads_back_into_itself_is_refused() -> None:
+    """The HDF5 library follows it for ever: this hung a seeded mutation."""
+    content = bytearray(writers.raptrs())
+    node = content.index(b"TREE")
+    content[node + 16 : node + 24] = struct.pack("<Q", node)  # its right sibling is itself
+    with pytest.raises(UnreadableLog, match="runs in circles"):
+        logparsers.read(io.BytesIO(bytes(content)))
