@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -92,8 +92,17 @@ class LazyChannels(Mapping[str, Channel]):
         self._series = recording.series() if names is None else names
         self._clocks: dict[Hashable, tuple[FloatArray, NDArray[np.intp] | None]] = {}
 
-    def only(self, wanted: Only, path: Path) -> LazyChannels:
+    def only(self, wanted: Only, path: Path, others: Iterable[str] = ()) -> LazyChannels:
         """Restrict to those that are wanted.
+
+        Parameters
+        ----------
+        wanted : Only
+            The choice.
+        path : Path
+            The file, for messages.
+        others : iterable of str
+            Messages of the file that are not among these channels, because nobody asked for them.
 
         Raises
         ------
@@ -102,11 +111,11 @@ class LazyChannels(Mapping[str, Channel]):
         MissingChannel
             If none is wanted.
         """
-        if not self._series:
+        if not self._series and (wanted.patterns is None or not others):
             raise EmptyLog(f"{path}: no message with numbers and a time stamp in it; was the log copied completely?")
         names = wanted.pick(self._series)
         if not names and wanted.patterns is not None:
-            known = list(dict.fromkeys(name.partition(".")[0] for name in self._series))
+            known = list(dict.fromkeys([*(name.partition(".")[0] for name in self._series), *others]))
             more = f" and {len(known) - 12} more" if len(known) > 12 else ""
             asked, some = ", ".join(wanted.patterns), ", ".join(known[:12])
             raise MissingChannel(f"{path}: no channel {asked}; the log has {some}{more}")

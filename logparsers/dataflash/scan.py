@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     Ints = array[int]
 
@@ -36,6 +36,7 @@ __all__ = [
     "NO_TIME",
     "Walk",
     "finish",
+    "follow",
     "is_header",
     "read_time",
 ]
@@ -226,6 +227,46 @@ def walk(
         at = size
     state[AT] = at
     return (END if at >= size else FULL), n
+
+
+def follow(times_us: Sequence[int], offsets: Sequence[int]) -> tuple[list[int], list[tuple[int, int, int]]]:
+    """Follow a clock that was read already; for logs that are not walked byte by byte.
+
+    Parameters
+    ----------
+    times_us, offsets : sequence of int
+        Time stamp [us] or `NO_TIME`, and place [bytes], of each record in the order of the file.
+
+    Returns
+    -------
+    odd : list of int
+        Places of records whose time stamp contradicts the records around them.
+    steps : list of (place, before [us], after [us])
+        Gaps and jumps of the clock.
+
+    Examples
+    --------
+    >>> follow([10, 20, 30, 40, 10**12, 50, 60], [0, 1, 2, 3, 4, 5, 6])
+    ([4], [])
+    """
+    state = array("q", bytes(8 * STATE_SIZE))
+    state[CLOCK] = NO_TIME
+    odd, steps = (array("q", bytes(8 * 64)) for _ in range(2))
+    odd_places: list[int] = []
+    step_places: list[tuple[int, int, int]] = []
+
+    def collect() -> None:
+        odd_places.extend(odd[1 : odd[0] + 1 : 4])
+        step_places.extend((steps[i], steps[i + 1], steps[i + 2]) for i in range(1, steps[0] + 1, 4))
+        odd[0] = steps[0] = 0
+
+    for time, at in zip(times_us, offsets, strict=True):
+        watch(time, at, state, odd, steps)
+        if odd[0] or steps[0]:
+            collect()
+    finish(state, odd, steps)
+    collect()
+    return odd_places, step_places
 
 
 @cache

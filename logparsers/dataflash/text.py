@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from logparsers.dataflash.formats import FMT, Layout, define
-from logparsers.dataflash.scan import BACK_US, GAP_US
+from logparsers.dataflash.scan import BACK_US, GAP_US, NO_TIME, follow
 from logparsers.dataflash.store import Step, Stretch
 from logparsers.dataflash.units import apply_units
 
@@ -25,6 +25,7 @@ NAME_SIZE: Final = 4
 BYTES_AT_ONCE: Final = 1 << 24
 LISTED: Final = 1000
 BAD: Final = -1
+MOST_US: Final = 2**48  # more than eight years
 COMMA, NEWLINE = ord(","), ord("\n")
 
 
@@ -56,7 +57,8 @@ class TextStore:
         self._starts = starts
         self._index(commas, names)
         apply_units(self.layouts, self.read)
-        self._find_steps()
+        self._odd = np.zeros(0, np.int64)
+        self._follow_clock()
 
     def count(self, name: str) -> int:
         """Count the rows of a message.
@@ -119,7 +121,7 @@ class TextStore:
         return {c.name: _parse(c, column) for c, column in zip(wanted, cells, strict=True)}
 
     def suspect(self, name: str) -> NDArray[np.bool_]:
-        """No row is suspect: a line that is complete was written complete.
+        """Rows whose time stamp contradicts the lines around them.
 
         Parameters
         ----------
@@ -129,9 +131,10 @@ class TextStore:
         Returns
         -------
         ndarray of bool, shape (n,)
-            All False.
+            All False if most rows would be meant: then the message simply keeps another clock.
         """
-        return np.zeros(self.count(name), np.bool_)
+        mask = np.isin(self.offsets(name), self._odd)
+        return mask if 2 * np.count_nonzero(mask) <= mask.size else np.zeros(mask.size, np.bool_)
 
     def _line(self, line: int) -> bytes:
         stop = self._starts[line + 1] if line + 1 < len(self._starts) else self.size
@@ -181,18 +184,32 @@ class TextStore:
         else:
             self.more_stretches = (self.more_stretches[0] + 1, self.more_stretches[1] + length)
 
-    def _find_steps(self) -> None:
-        """Follow the clock of the busiest message."""
-        timed = {n: self.count(n) for n, layout in self.layouts.items() if layout.clock}
-        if not timed or max(timed.values()) < 2:
+    def _follow_clock(self) -> None:
+        """Find gaps and jumps of the clock, and lines whose time stamp is wrong."""
+        timed = [name for name, layout in self.layouts.items() if self.count(name) and _is_timed(layout)]
+        if not timed:
             return
-        name = max(timed, key=timed.__getitem__)
+        offsets = np.concatenate([self.offsets(name) for name in timed])
+        times = np.concatenate([self._times_us(name) for name in timed])
+        order = np.argsort(offsets)
+        offsets, times = offsets[order], times[order]
+        step = np.diff(times)
+        if times.min() >= 0 and (not step.size or (step.min() >= -BACK_US and step.max() <= GAP_US)):
+            return
+        odd, steps = follow(times.tolist(), offsets.tolist())
+        self._odd = np.array(odd, np.int64)
+        self.steps += [Step(*found) for found in steps[:LISTED]]
+
+    def _times_us(self, name: str) -> NDArray[np.int64]:
         field, scale = self.layouts[name].clock or ("", 1)
-        times = np.nan_to_num(self.read(name, [field])[field].astype(np.float64)) * scale
-        delta = np.diff(times)
-        for row in np.flatnonzero((delta > GAP_US) | (delta < -BACK_US))[:LISTED].tolist():
-            offset = int(self.offsets(name)[row + 1])
-            self.steps.append(Step(offset, int(times[row]), int(times[row + 1])))
+        times = self.read(name, [field])[field].astype(np.float64) * scale
+        known = (times >= 0.0) & (times < MOST_US)  # NaN is not
+        return np.where(known, times, NO_TIME).astype(np.int64)
+
+
+def _is_timed(layout: Layout) -> bool:
+    """The vehicle's clock stands first, as in the binary form."""
+    return layout.clock is not None and layout.clock[0] == layout.columns[0]
 
 
 def _key(name: bytes) -> int:

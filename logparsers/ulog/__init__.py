@@ -32,7 +32,7 @@ def read_ulog(source: Source, only: Only) -> FlightLog:
         If it is too broken to be read, or has none of the channels.
     """
     file = UlogFile(source.mapped(), str(source.path), only.topics)
-    channels = LazyChannels(UlogRecording(file)).only(only, source.path)
+    channels = LazyChannels(UlogRecording(file)).only(only, source.path, file.announced)
     disorder, span_s = channels.survey()
     return FlightLog(
         source.path,

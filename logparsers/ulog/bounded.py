@@ -14,7 +14,7 @@ from pyulog.exceptions import ULogException
 from logparsers.errors import UnreadableLog
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterator
+    from collections.abc import Container, Iterable, Iterator
 
     import numpy as np
     from numpy.typing import NDArray
@@ -43,11 +43,18 @@ _QUIET = threading.Lock()
 class _Formats(dict[str, Any]):
     """Message formats, and how many fields may still be made of them."""
 
-    left = _MAX_FIELDS
+    def __init__(self) -> None:
+        super().__init__()
+        self.left = _MAX_FIELDS
+        self.announced: dict[str, None] = {}
 
 
 class _Subscription(core.ULog._MessageAddLogged):  # type: ignore[misc]
     """A topic of a log; refuses formats that spread out beyond what a message can hold."""
+
+    def __init__(self, content: bytes, header: object, message_formats: _Formats) -> None:
+        super().__init__(content, header, message_formats)
+        message_formats.announced[str(self.message_name)] = None
 
     def _parse_nested_type(self, prefix_str: str, type_name: str, message_formats: _Formats) -> None:
         wanted = sum(max(size, 1) for _, size, _ in message_formats[type_name].fields)
@@ -70,9 +77,9 @@ class Reader(core.ULog):  # type: ignore[misc]
         self.skips, self.start = 0, 0
 
     @property
-    def subscribed(self) -> bool:
-        """True if the log announces any topic, read or not."""
-        return bool(self._filtered_message_ids)
+    def announced(self) -> Iterable[str]:
+        """Topics that the log says it has, read or not."""
+        return self._message_formats.announced
 
     def load(self, handle: io.BytesIO, wanted: Container[str]) -> None:
         """Read all at once."""

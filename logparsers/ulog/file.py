@@ -76,7 +76,7 @@ class UlogFile:
         self.name = name
         sieved = sieve(data, _WithClock(only))
         self._log, self._said, self._stopped = load(data if sieved is None else sieved, name, _WithClock(only))
-        if not self._log.data_list and not self._log.subscribed:
+        if not self._log.data_list and not self._log.announced:
             raise EmptyLog(f"{name}: the log has no topics")
         self._tail = 0 if sieved is None else int(data.size - chain(data))
         self._topics: dict[tuple[str, int], list[Any]] = {}
@@ -119,6 +119,11 @@ class UlogFile:
     def begin_s(self) -> float:
         """When logging began, by the head of the file [s since boot]."""
         return float(self._log.start_timestamp) * 1e-6
+
+    @property
+    def announced(self) -> tuple[str, ...]:
+        """Names of the topics that the log has, whether they were read or not."""
+        return tuple(self._log.announced)
 
     @property
     def topics(self) -> tuple[tuple[str, int], ...]:

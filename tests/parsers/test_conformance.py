@@ -12,7 +12,8 @@ import pytest
 
 import logparsers
 from logparsers import FlightLog, LogError, TableLayout
-from tests.parsers import writers
+from logparsers.dataflash.encode import encode
+from tests.parsers import dataflash_writer, reference, tlog_writer, ulog_writer, writers
 from tests.parsers.writers import COMMAND, FLIGHT, POSITION, TIME_S, Floats
 
 MICROSECOND = 1e-6
@@ -50,7 +51,7 @@ class Conformance:
         assert {name: log[name].origin for name in self.origins} == self.origins
         assert log.damage == ()
 
-    @pytest.mark.parametrize("name", ["flight.mat", "flight.csv", "flight"])
+    @pytest.mark.parametrize("name", ["flight.mat", "flight.csv", "flight.bin", "flight.tlog", "flight"])
     def test_path_whatever_its_name(self, tmp_path: Path, name: str) -> None:
         path = tmp_path / name
         path.write_bytes(self.content)
@@ -158,3 +159,120 @@ class TestTableWithLayout(Conformance):
     units: ClassVar[Mapping[str, str]] = {"meas": "count", "cmd": ""}
     origins: ClassVar[Mapping[str, str]] = {"cmd": "cmd"}
     prefixes_are_logs = True
+
+
+class Autopilot(Conformance):
+    """A log of an autopilot: expected is what the reference decoder reads; a cut file is still a log."""
+
+    prefixes_are_logs = True
+
+    @staticmethod
+    def decoder(content: bytes) -> reference.Series:
+        """Read it by other software."""
+        raise NotImplementedError
+
+    about: ClassVar[tuple[str, str]]
+    last_is_unsure: ClassVar[bool] = False
+    """A text that is cut inside its last cell still has all its cells."""
+
+    def check(self, log: FlightLog) -> None:
+        assert log.format == self.kind
+        expected = self.decoder(self.content)
+        assert set(log.channels) == set(expected)
+        for name, (time_s, values) in expected.items():
+            np.testing.assert_array_equal(log[name].values, values, err_msg=name)
+            np.testing.assert_allclose(log[name].time_s, time_s, rtol=0.0, atol=MICROSECOND, err_msg=name)
+        assert {name: log[name].unit for name in self.units} == self.units
+        assert {name: log[name].origin for name in self.origins} == self.origins
+        assert log.damage == ()
+        assert (log.vehicle, log.firmware) == self.about
+        assert log.parameters
+        assert log.texts
+
+    @pytest.mark.parametrize("share", [0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.97])
+    def test_truncated(self, share: float) -> None:
+        whole = self.read(self.content)
+        log = self.outcome(self.content[: int(len(self.content) * share)])
+        if isinstance(log, LogError):
+            assert "\n" not in str(log)
+            assert share < 0.5  # what defines the messages was cut off
+            return
+        assert set(log.channels) <= set(whole.channels)
+        for name in log.channels:
+            size = log[name].values.size
+            sure = max(size - self.last_is_unsure, 0)
+            np.testing.assert_array_equal(log[name].values[:sure], whole[name].values[:sure])
+            np.testing.assert_allclose(log[name].time_s, whole[name].time_s[:size], rtol=0.0, atol=MICROSECOND)
+
+    def test_only_some_channels(self) -> None:
+        name = next(iter(self.units))
+        whole = self.read(self.content)
+        stem = name.rpartition(".")[0]
+        some = logparsers.read(io.BytesIO(self.content), only=[stem])
+        assert list(some.channels) == [known for known in whole.channels if known.rpartition(".")[0] == stem]
+        (one,) = logparsers.read(io.BytesIO(self.content), only=name).channels.values()
+        np.testing.assert_array_equal(one.values, whole[name].values)
+        assert (some.parameters, some.texts, some.firmware) == (whole.parameters, whole.texts, whole.firmware)
+        with pytest.raises(logparsers.MissingChannel, match="no channel FLUX"):
+            logparsers.read(io.BytesIO(self.content), only=["FLUX"])
+
+    def test_its_length_and_summary_decode_no_channel(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        log = self.read(self.content)
+        ends = [(c.time_s[0], c.time_s[-1]) for c in log.channels.values()]
+        monkeypatch.setattr("logparsers.channels.Channel", None)
+        assert log.duration_s == max(end for _, end in ends) - min(start for start, _ in ends)
+        assert f"{len(ends)} channels, no damage" in repr(log)
+
+    def test_channels_of_a_message_share_their_time_stamps(self) -> None:
+        log = self.read(self.content)
+        name = next(iter(self.units))
+        group = [known for known in log.channels if known.rpartition(".")[0] == name.rpartition(".")[0]]
+        assert len({id(log[known].time_s) for known in group}) == 1
+
+
+class TestDataFlash(Autopilot):
+    kind = "dataflash"
+    content = encode(dataflash_writer.servo_flight(2.5))
+
+    @staticmethod
+    def decoder(content: bytes) -> reference.Series:
+        return reference.dataflash(content)
+
+    units: ClassVar[Mapping[str, str]] = {"RCOU.C1": "us", "CSRV[0].Pos": "deg"}
+    origins: ClassVar[Mapping[str, str]] = {"CSRV[8].Pos": "CSRV.Pos"}
+    about = ("fixed wing", "ArduPlane V4.5.1 (1a2b3c4d)")
+
+
+class TestDataFlashText(TestDataFlash):
+    last_is_unsure = True
+    content = dataflash_writer.as_text(dataflash_writer.servo_flight(2.5))
+
+    @staticmethod
+    def decoder(content: bytes) -> reference.Series:
+        return reference.dataflash_text(content)
+
+
+class TestTelemetry(Autopilot):
+    kind = "tlog"
+    content = tlog_writer.flight(4.0)
+
+    @staticmethod
+    def decoder(content: bytes) -> reference.Series:
+        return reference.tlog(content)
+
+    units: ClassVar[Mapping[str, str]] = {"SERVO_OUTPUT_RAW.servo3_raw": "us", "ATTITUDE.roll": "rad"}
+    origins: ClassVar[Mapping[str, str]] = {"NAMED_VALUE_FLOAT[SRVP1].value": "NAMED_VALUE_FLOAT.value"}
+    about = ("fixed wing", "ArduPlane V4.6.0 (abc)")
+
+
+class TestUlog(Autopilot):
+    kind = "ulog"
+    content = ulog_writer.flight(20, dropout=False)
+
+    @staticmethod
+    def decoder(content: bytes) -> reference.Series:
+        return reference.ulog(content)
+
+    units: ClassVar[Mapping[str, str]] = {"actuator_servos[0].control[3]": "", "sensor_baro[0].pressure": ""}
+    origins: ClassVar[Mapping[str, str]] = {"actuator_servos[0].control[3]": "actuator_servos.control[3]"}
+    about = ("fixed wing", "PX4 1.15.1")

@@ -459,3 +459,15 @@ def test_bad_lines_of_a_text_log_are_reported() -> None:
     assert [s.kind for s in log.stretches] == ["bad_line", "bad_line"]
     broken = content.replace(b", 1500,", b", 15x0,", 1)
     assert np.isnan(DataFlashFile.open(broken).column("RCOU", "C1")).sum() == 1
+
+
+@pytest.mark.parametrize("wrong", [b"9000000", b"-5", b"18446744073709551615", b"1e300", b"x", b"nan"])
+def test_one_wrong_time_stamp_in_a_text_log_is_not_believed(wrong: bytes) -> None:
+    content = as_text(servo_flight())
+    stamps = DataFlashFile.open(content).times_us("RCOU")
+    log = DataFlashFile.open(content.replace(b"RCOU, %d," % stamps[50], b"RCOU, %s," % wrong))
+    assert log.damage == ()
+    assert channels(log)["RCOU.C1"].values.size == 99
+    assert (channels(log)["RCOU.C1"].time_s == np.delete(stamps, 50) / 1e6).all()
+    (lost,), _ = channels(log).survey()
+    assert (lost.kind, lost.count) == ("out_of_order", 1)

@@ -33,7 +33,7 @@ FORMATS = (
 )
 
 
-def flight(rows: int = 40) -> bytes:
+def flight(rows: int = 40, *, dropout: bool = True) -> bytes:
     """Commands on two outputs, positions as debug arrays of two senders, a parameter changed in flight."""
     out = [header(), info("uint32_t ver_sw_release", struct.pack("<I", 0x010F01FF))]
     out += [message("F", text.encode()) for text in FORMATS]
@@ -57,6 +57,7 @@ def flight(rows: int = 40) -> bytes:
         out.append(data(4, stamp + struct.pack("<f", 101_325.0 + k)))
         if k == rows // 2:
             out.append(info("float TRIM", struct.pack("<f", 0.75), "P"))
-            out.append(message("O", struct.pack("<H", 30)))
+            if dropout:
+                out.append(message("O", struct.pack("<H", 30)))
             out.append(message("L", b"4" + stamp + b"[commander] low battery"))
     return b"".join(out)
