@@ -58,7 +58,8 @@ def read(path: LogFile, layout: TableLayout | None = None, *, only: Sequence[str
         How to read a text table with names of its own; other formats describe themselves.
     only : sequence of str, optional
         Channels that are wanted, all if None: names (``"CSRV[0].Pos"``), what they begin with (``"RCOU"``,
-        ``"actuator_servos"``), or patterns with ``*`` and ``?``. Large logs are read faster for it.
+        ``"actuator_servos"``), or patterns with ``*`` and ``?``. Those that fit nothing are passed over unless all
+        do. Large logs are read faster for it.
 
     Returns
     -------
@@ -106,7 +107,8 @@ def read_all(
         How to read a text table with names of its own; other formats describe themselves.
     only : sequence of str, optional
         Channels that are wanted, all if None: names (``"CSRV[0].Pos"``), what they begin with (``"RCOU"``,
-        ``"actuator_servos"``), or patterns with ``*`` and ``?``. Large logs are read faster for it.
+        ``"actuator_servos"``), or patterns with ``*`` and ``?``. Those that fit nothing are passed over unless all
+        do. Large logs are read faster for it.
 
     Raises
     ------

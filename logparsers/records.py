@@ -266,7 +266,7 @@ class FlightLog:
         Raises
         ------
         MissingChannel
-            If no channel has such a name.
+            If one of the names fits no channel.
         ValueError
             If the table would have more than `logparsers.joined.MOST_CELLS` cells.
 
@@ -279,9 +279,11 @@ class FlightLog:
         """
         from logparsers.joined import joined
 
-        found = Only.of(names).pick(self.channels)
-        if not found:
-            self[str(names)]
+        wanted = Only.of(names)
+        for pattern in wanted.patterns or ():
+            if not Only.of(pattern).pick(self.channels):
+                self[pattern]
+        found = wanted.pick(self.channels)
         return joined([self.channels[name] for name in found])
 
     def __repr__(self) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import itertools
 import random
 
 import numpy as np
@@ -40,7 +39,8 @@ EXTREMES = (
     b"\xa3\x95\x80",
     b"\xfd\xff\0\0",
 )
-MOST_CHANNELS = 60
+MOST_CHANNELS = 12
+"""Looked up in each file, spread over all of them; the time stamps of every one are looked at anyway."""
 
 
 def mutated(rng: random.Random, content: bytes) -> bytes:
@@ -85,7 +85,8 @@ def outcome(content: bytes) -> FlightLog | LogError:
         assert "\n" not in str(log)
         assert str(log).startswith("<file>: ")
         return log
-    for name in itertools.islice(log.channels, MOST_CHANNELS):
+    names = list(log.channels)
+    for name in names[:: len(names) // MOST_CHANNELS + 1]:
         channel = log[name]
         assert (np.diff(channel.time_s) > 0.0).all(), name
         assert channel.values.shape == channel.time_s.shape

@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from logparsers import Channel, Damage, FlightLog, MissingChannel
+from logparsers.only import Only
 
 LOG = FlightLog(
     Path("a.csv"),
@@ -42,3 +44,57 @@ def test_a_channel_owns_its_arrays() -> None:
     assert channel.values[0] == 0.0
     assert channel.is_constant
     assert not LOG["tail_cmd_deg"].is_constant
+
+
+def test_a_table_joins_channels_on_their_own_time_stamps() -> None:
+    table = LOG.to_pandas()
+    assert table.index.name == "time_s"
+    assert table.index.tolist() == [1.0, 1.5, 2.0, 4.0]
+    np.testing.assert_array_equal(table["tail_cmd_deg"], [0.0, np.nan, 1.0, np.nan])
+    assert table.attrs["units"] == {"tail_cmd_deg": "deg", "tail_pos_deg": "deg"}
+    assert LOG.to_pandas("tail_pos_deg").index.tolist() == [1.5, 4.0]
+    assert LOG.to_pandas(["*_cmd_*"]).columns.tolist() == ["tail_cmd_deg"]
+    with pytest.raises(MissingChannel, match="no channel 'nose'"):
+        LOG.to_pandas(["tail_cmd_deg", "nose"])
+
+
+def test_a_table_that_would_fill_the_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("logparsers.joined.MOST_CELLS", 7)
+    with pytest.raises(ValueError, match=r"2 channels on 4 time stamps .* to_pandas\('tail_cmd_deg'\)"):
+        LOG.to_pandas()
+    assert LOG.to_pandas("tail_cmd_deg").size == 2
+
+
+def test_a_choice_of_channels() -> None:
+    names = ["RCOU.C1", "RCO2.C15", "1/1:ATTITUDE.roll", "a[0].x[3]", "a[0][SRVP].x"]
+    for patterns, found in {
+        ("RCOU",): names[:1],
+        ("RCO?",): names[:2],
+        ("RC",): [],
+        ("ATTITUDE",): [names[2]],
+        ("1/1:ATTITUDE.roll",): [names[2]],
+        ("2/1:ATTITUDE",): [],
+        ("a[0]",): names[3:],
+        ("a[0].x",): [names[3]],
+        ("*.x*", "RCOU"): [names[0], *names[3:]],
+        (): [],
+    }.items():
+        assert Only.of(patterns).pick(names) == found, patterns
+    assert Only.of(None).pick(names) == names
+    assert Only.of("actuator_servos[0].control[3]").topics == Only(("actuator_servos",))
+
+
+def test_a_lazy_mapping_of_channels_stays_lazy() -> None:
+    class Never(Mapping[str, Channel]):
+        def __getitem__(self, name: str) -> Channel:
+            raise AssertionError(name)
+
+        def __iter__(self) -> Iterator[str]:
+            return iter(["a", "b"])
+
+        def __len__(self) -> int:
+            return 2
+
+    log = FlightLog(Path("a.bin"), "dataflash", Never(), span_s=(1.0, 3.5))
+    assert repr(log) == "<FlightLog a.bin: dataflash, 2.5 s, 2 channels, no damage>"
+    assert (log.parameters, log.texts, log.vehicle, log.firmware, log.start_utc) == ({}, (), "", "", None)
