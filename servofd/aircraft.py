@@ -5,7 +5,7 @@ from __future__ import annotations
 import tomllib
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -70,10 +70,10 @@ class Surface(_Entry):
     """Stops of the linkage."""
     command_hold: Literal["zoh", "linear"] = "zoh"
     """ "linear" for logs that hold fewer commands than the servo received."""
-    command_period_s: Positive | None = None
+    command_period_s: Annotated[float, Field(gt=0.0, le=1.0, strict=True)] | None = None
     """Period at which the autopilot really updates the command; for "linear" alone."""
     threshold_deg: Positive = DEFAULT_THRESHOLD_DEG
-    filter_pole_rad_s: Positive | None = None
+    filter_pole_rad_s: Annotated[float, Field(ge=0.1, le=1000.0, strict=True)] | None = None
     """Speed of the residual filter; None: the fastest with a noise gain of at most 0.5."""
 
     @model_validator(mode="after")
@@ -202,6 +202,8 @@ def _sentence(detail: ErrorDetails) -> str:
     kind, message = detail["type"], detail["msg"].removeprefix("Value error, ")
     if kind == "extra_forbidden":
         return f"{where}: unknown key; {_siblings(path)}"
+    if kind == "too_short":
+        return f"{where}: at least one entry is needed, for example [surfaces.elevator]"
     if kind == "missing":
         return f"{where}: this key is missing"
     if kind == "union_tag_not_found":

@@ -20,7 +20,7 @@ __all__ = [
     "RadianOrCountCalibration",
 ]
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 Cubic = tuple[Finite, Finite, Finite, Finite]
 
 _LARGEST_ANGLE_RAD = 2.0 * np.pi
@@ -170,7 +170,7 @@ class NormCalibration(_Scaled):
 class RadianOrCountCalibration(_Scaled):
     """The FASER position columns: documented in radians, written as raw converter counts.
 
-    Whole numbers beyond any angle in radians are counts; everything else is taken as radians.
+    Values that mostly lie beyond any angle in radians are counts; everything else is taken as radians.
 
     Examples
     --------
@@ -187,8 +187,7 @@ class RadianOrCountCalibration(_Scaled):
     def to_deg(self, values: FloatArray) -> FloatArray:
         """Deflection [deg], same shape as `values` [rad or counts]."""
         finite = values[np.isfinite(values)]
-        counts = finite.size > 0 and np.all(finite == np.round(finite)) and np.ptp(finite) > 0.0
-        if counts and np.max(np.abs(finite)) > _LARGEST_ANGLE_RAD:
+        if finite.size and np.median(np.abs(finite)) > _LARGEST_ANGLE_RAD:
             return self._scale(values, self.trim_count, self.slope_deg_per_count, None)
         deflection: FloatArray = self.sign * np.degrees(values)
         return deflection

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 
 __all__ = ["SLOWEST_RATE_HZ", "Segment", "cut"]
 
+_LARGEST_DEG = 1e6
+"""No servo turns so far; a motor drive in millimetres may."""
+
 SLOWEST_RATE_HZ = 10.0
 """Below this a healthy servo's residual passes 0.9 deg for lack of samples (measured on simulated flights)."""
 
@@ -118,6 +121,12 @@ def cut(log: FlightLog, name: str, surface: Surface) -> Segment:
     if surface.command_saturation_deg is not None:
         command_deg = np.clip(command_deg, *surface.command_saturation_deg)
     measured_deg = surface.measured.to_deg(measured.values)
+    for channel, values_deg in ((command, command_deg), (measured, measured_deg)):
+        largest_deg = float(np.nanmax(np.abs(values_deg)))
+        if largest_deg > _LARGEST_DEG:
+            raise NoMeasurement(
+                f"channel {channel.name!r} reaches {largest_deg:.3g} deg: check its unit and calibration"
+            )
     if _is_echo(command, measured, surface.command.to_deg(command.values), measured_deg):
         raise NoMeasurement("position equals command in every sample: an echo of the command, not a measurement")
     segment = Segment(name, command.time_s[given], command_deg, measured.time_s, measured_deg, surface.command_period_s)

@@ -15,8 +15,11 @@ from servofd.models.transfer import BANDWIDTH_DROP_DB, TransferFunction
 
 __all__ = ["Servo", "library", "second_order", "servo_named"]
 
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False, strict=True)]
+NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False, strict=True)]
+Bandwidth = Annotated[float, Field(ge=0.01, le=10_000.0, strict=True)]
+Damping = Annotated[float, Field(ge=0.01, le=100.0, strict=True)]
+Delay = Annotated[float, Field(ge=0.0, le=10.0, strict=True)]
 
 
 class Servo(BaseModel):
@@ -36,9 +39,9 @@ class Servo(BaseModel):
     title: str
     numerator: tuple[float, ...] | None = None
     denominator: tuple[float, ...] | None = None
-    bandwidth_hz: Positive | None = None
-    damping: Positive | None = None
-    delay_s: NonNegative
+    bandwidth_hz: Bandwidth | None = None
+    damping: Damping | None = None
+    delay_s: Delay
     hold: Literal["zoh", "none"]
     """Whether `delay_s` excludes ("zoh") or contains ("none") the mean lag of the command's hold."""
     hold_period_s: Positive | None = None
@@ -60,6 +63,8 @@ class Servo(BaseModel):
             raise ValueError("give either numerator and denominator, or bandwidth_hz and damping")
         if (self.hold == "none") != (self.hold_period_s is not None):
             raise ValueError('hold_period_s belongs to hold = "none", and to that alone')
+        if not 0.0 < abs(self.printed.dc_gain) < float("inf"):
+            raise ValueError("the dc gain of a servo must be finite and not zero")
         try:
             self.transfer.modes()
         except DesignError as error:

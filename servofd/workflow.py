@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import logparsers
 from servofd.aircraft import DEFAULT_SERVO, Aircraft, load_aircraft, plain_aircraft
 from servofd.detection.audit import LogAudit, audit_log
-from servofd.errors import NoMeasurement, UnknownName, suggest
+from servofd.errors import ConfigError, NoMeasurement, UnknownName, suggest
 from servofd.feedback.draft import draft_aircraft
 from servofd.servos import servo_named
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["aircraft_for", "audit", "layout_of"]
 
-_COMMAND_SUFFIX = "_cmd_deg"
+_COMMAND_SUFFIX, _POSITION_SUFFIX = "_cmd_deg", "_pos_deg"
 
 
 def audit(
@@ -92,7 +92,12 @@ def aircraft_for(log: FlightLog) -> Aircraft:
             return faser.model_copy(update={"surfaces": logged})
     if log.format in ("dataflash", "tlog", "ulog"):
         return draft_aircraft(log).aircraft()
-    names = [name.removesuffix(_COMMAND_SUFFIX) for name in log.channels if name.endswith(_COMMAND_SUFFIX)]
+    names = dict.fromkeys(
+        name.removesuffix(suffix)
+        for name in log.channels
+        for suffix in (_COMMAND_SUFFIX, _POSITION_SUFFIX)
+        if name.endswith(suffix)
+    )
     if not names:
         raise NoMeasurement(
             f"{log.label}: no surface found: a plain table needs columns <surface>_cmd_deg and <surface>_pos_deg; "
@@ -105,7 +110,10 @@ def layout_of(aircraft: Aircraft | None) -> logparsers.TableLayout | None:
     """How to read a text table that belongs to this aircraft; None if it does not say."""
     if aircraft is None or aircraft.table is None:
         return None
-    return logparsers.TableLayout(**aircraft.table.model_dump())
+    try:
+        return logparsers.TableLayout(**aircraft.table.model_dump())
+    except ValueError as error:
+        raise ConfigError(f"table: {error}") from None
 
 
 def _with_servo(aircraft: Aircraft, servo: str | None) -> Aircraft:

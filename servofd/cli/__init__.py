@@ -9,10 +9,12 @@ import argparse
 import os
 import signal
 import sys
-from typing import TYPE_CHECKING, NoReturn
+import threading
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from servofd import __version__
 from servofd.cli import audit, config, design, info, servos, simulate
+from servofd.cli.tables import one_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,7 +26,10 @@ _INTERRUPTED = 128 + signal.SIGINT
 
 
 class _OneLineParser(argparse.ArgumentParser):
-    """Reports a wrong call in one line, with the way to help."""
+    """Reports a wrong call in one line, with the way to help; options must be spelt out."""
+
+    def __init__(self, **options: Any) -> None:  # noqa: ANN401 - whatever argparse takes
+        super().__init__(**(options | {"allow_abbrev": False}))
 
     def error(self, message: str) -> NoReturn:
         self.exit(_COULD_NOT_TELL, f"{self.prog}: {message} (see '{self.prog} --help')\n")
@@ -58,22 +63,37 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Futaba S9254...
     0
     """
+    if sys.stdout is not None:
+        sys.stdout.reconfigure(errors="replace")  # type: ignore[union-attr]
     options = build_parser().parse_args(arguments)
+    if threading.current_thread() is threading.main_thread():
+        # A terminated run cleans up like an interrupted one.
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
     # Importing these takes a while; `servofd --help` does without.
     from logparsers import LogError
     from servofd.errors import ServofdError
 
     try:
         code: int = options.run(options)
-        sys.stdout.flush()
+        if sys.stdout is not None:
+            sys.stdout.flush()
     except (LogError, ServofdError) as error:
-        print(f"servofd: {error}", file=sys.stderr)
+        print(f"servofd: {one_line(error)}", file=sys.stderr)
         return _COULD_NOT_TELL
     except KeyboardInterrupt:
         print("servofd: interrupted; nothing half-written was left behind", file=sys.stderr)
         return _INTERRUPTED
     except BrokenPipeError:
         # The reader of our output has gone (`servofd ... | head`); keep Python from complaining at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _silence()
+        return _COULD_NOT_TELL
+    except OSError as error:
+        print(f"servofd: cannot write the result: {error.strerror or error}", file=sys.stderr)
+        _silence()
         return _COULD_NOT_TELL
     return code
+
+
+def _silence() -> None:
+    """Keep Python from trying again, and complaining, when it exits."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

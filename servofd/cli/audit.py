@@ -29,6 +29,7 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument("--servo", metavar="NAME", help="library servo to assume for all surfaces")
     parser.add_argument("-s", "--surface", action="append", default=[], metavar="NAME", help="judge only this surface")
     parser.add_argument("--threshold-deg", type=_positive, metavar="X", help="alarm level [deg] (default: 1.5)")
+    parser.add_argument("--threshold", choices=["constant", "interval"], default="constant", help="kind of threshold")
     parser.add_argument("--json", metavar="FILE", help="write the result as JSON; - prints it instead of the table")
     parser.add_argument("--rrd", metavar="FILE", help="write a Rerun recording (of one log)")
     parser.add_argument("-o", "--output", metavar="DIR", help="write figures, recordings and audit.json to a folder")
@@ -41,16 +42,32 @@ def run(options: argparse.Namespace) -> int:
     from servofd.errors import ConfigError
     from servofd.servos import servo_named
 
+    if options.threshold == "interval":
+        raise ConfigError(
+            "--threshold interval is not available in this version; give a constant one: --threshold-deg X"
+        )
     aircraft = load_aircraft(options.config) if options.config else None
     if options.servo:
         servo_named(options.servo)
-    for name in filter(None, (options.rrd, options.json if options.json != "-" else None)):
-        if not Path(name).parent.is_dir():
-            raise ConfigError(f"{name}: the folder {Path(name).parent} does not exist")
+    _check_outputs(options)
     results = [result for path in options.logs for result in _audit(path, aircraft, options)]
     _write(options, results)
     _print(options, results)
     return max(_exit_codes(results), key=(0, 1, 2).index)
+
+
+def _check_outputs(options: argparse.Namespace) -> None:
+    """Refuse outputs that cannot be written, or would overwrite a log or each other."""
+    from servofd.errors import ConfigError
+
+    taken = {Path(log).resolve(): "a log" for log in options.logs}
+    for name in filter(None, (options.rrd, options.json if options.json != "-" else None)):
+        target = Path(name).resolve()
+        if not target.parent.is_dir():
+            raise ConfigError(f"{name}: the folder {target.parent} does not exist")
+        if target in taken:
+            raise ConfigError(f"{name}: is {taken[target]} already; choose another file for this output")
+        taken[target] = "another output"
 
 
 def _audit(path: str, aircraft: Aircraft | None, options: argparse.Namespace) -> list[LogAudit | FailedLog]:
@@ -82,17 +99,18 @@ def _audit(path: str, aircraft: Aircraft | None, options: argparse.Namespace) ->
 
 def _exit_codes(results: list[LogAudit | FailedLog]) -> list[int]:
     """One exit code per log; the reason for each 2 goes to stderr."""
+    from servofd.cli.tables import one_line
     from servofd.outputs.json_report import FailedLog
 
     codes = []
     for result in results:
         if isinstance(result, FailedLog):
-            print(f"servofd: {result.error}", file=sys.stderr)
+            print(f"servofd: {one_line(result.error)}", file=sys.stderr)
             codes.append(2)
         elif result.has_fault:
             codes.append(1)
         elif result.unjudged or not any(s.is_judged for s in result.surfaces):
-            print(f"servofd: {result.log.label}: {_why_not(result)}", file=sys.stderr)
+            print(f"servofd: {one_line(result.log.label)}: {one_line(_why_not(result))}", file=sys.stderr)
             codes.append(2)
         else:
             codes.append(0)
@@ -130,29 +148,24 @@ def _write(options: argparse.Namespace, results: list[LogAudit | FailedLog]) -> 
 def _write_folder(folder: Path, audits: list[LogAudit], document: str) -> None:
     from servofd.errors import ConfigError
     from servofd.outputs.figure import save_figure
-    from servofd.outputs.files import write_whole
+    from servofd.outputs.files import distinct_file_names, write_whole
     from servofd.outputs.recording import save_recording
 
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ConfigError(f"{folder}: cannot make this folder: {error.strerror}") from None
-    for audit, stem in zip(audits, _distinct_names(audits), strict=True):
-        for surface in audit.surfaces:
+    for audit, stem in zip(audits, distinct_file_names([_stem(audit) for audit in audits]), strict=True):
+        names = distinct_file_names([surface.surface for surface in audit.surfaces])
+        for surface, name in zip(audit.surfaces, names, strict=True):
             if surface.residuals is not None:
-                save_figure(surface, folder / f"{stem}-{surface.surface}.png", audit.log.source.name)
+                save_figure(surface, folder / f"{stem}-{name}.png", audit.log.source.name)
         save_recording(audit, folder / f"{stem}.rrd")
     write_whole(folder / "audit.json", document.encode())
 
 
-def _distinct_names(audits: list[LogAudit]) -> list[str]:
-    """A file stem for each log; what would be the same twice gets a number."""
-    names: list[str] = []
-    for audit in audits:
-        stem = audit.log.source.stem + (f"-{audit.log.run}" if audit.log.run else "")
-        taken = sum(name == stem or name.startswith(f"{stem}~") for name in names)
-        names.append(f"{stem}~{taken + 1}" if taken else stem)
-    return names
+def _stem(audit: LogAudit) -> str:
+    return audit.log.source.stem + (f"-{audit.log.run}" if audit.log.run else "")
 
 
 def _print(options: argparse.Namespace, results: list[LogAudit | FailedLog]) -> None:
@@ -173,7 +186,10 @@ def _print(options: argparse.Namespace, results: list[LogAudit | FailedLog]) -> 
 
 
 def _positive(text: str) -> float:
-    value = float(text)
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
     if not 0.0 < value < float("inf"):
         raise argparse.ArgumentTypeError(f"must be a positive number of degrees, not {text}")
     return value

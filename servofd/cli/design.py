@@ -88,8 +88,11 @@ def _plot(servo: Servo, sampled: PulseFilter, path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
+    from servofd.errors import ConfigError
     from servofd.outputs.files import whole_file
 
+    if path.suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise ConfigError(f"{path}: draws .png, .svg or .pdf, not {path.suffix or 'a file without suffix'}")
     count = max(2, round(0.3 / sampled.sample_time_s)) + 1
     figure = Figure(figsize=(8, 4.5), layout="constrained")
     FigureCanvasAgg(figure)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -81,13 +82,30 @@ def run(options: argparse.Namespace) -> int:
         duration_s=options.duration,
         rate_hz=options.rate_hz,
         seed=options.seed,
-        faults=dict(_fault(text) for text in options.fault),
+        faults=_faults(options.fault, options.duration),
         effects=effects,
         noise_deg=options.noise_deg,
     )
     write_flight(options.output, flown, aircraft)
     print(f"{options.output}: {options.duration:g} s at {options.rate_hz:g} Hz, {', '.join(flown.surfaces)}")
     return 0
+
+
+def _faults(texts: list[str], duration_s: float) -> dict[str, Fault]:
+    """One fault for each surface, within the flight."""
+    from servofd.errors import ConfigError
+
+    faults: dict[str, Fault] = {}
+    for text in texts:
+        surface, fault = _fault(text)
+        if surface in faults:
+            raise ConfigError(f"--fault {text}: {surface} has a fault already; one for each surface")
+        if not 0.0 <= fault.start_s < duration_s:
+            raise ConfigError(
+                f"--fault {text}: starts at {fault.start_s:g} s, the flight lasts from 0 to {duration_s:g} s"
+            )
+        faults[surface] = fault
+    return faults
 
 
 def _fault(text: str) -> tuple[str, Fault]:
@@ -102,6 +120,8 @@ def _fault(text: str) -> tuple[str, Fault]:
         raise ConfigError(f"--fault {text}: write SURFACE:KIND@START, for example elevator:stuck@20")
     if kind not in FAULTS:
         raise UnknownName(f"--fault {text}: {suggest('fault', kind, FAULTS)}")
+    if any(pair.startswith("start_s=") for pair in pairs):
+        raise ConfigError(f"--fault {text}: the time stands after the @, not in start_s")
     values = _numbers(f"--fault {text}", [f"start_s={start}", *pairs])
     fault: Fault = _made(FAULTS[kind], values, f"--fault {text}")
     return surface, fault
@@ -127,11 +147,13 @@ def _numbers(where: str, pairs: list[str]) -> dict[str, float]:
 
     values = {}
     for pair in pairs:
-        key, equals, number = pair.partition("=")
+        key, _, number = pair.partition("=")
         try:
             values[key] = float(number)
         except ValueError:
-            raise ConfigError(f"{where}: {pair!r} is not KEY=NUMBER" if equals else f"{where}: {pair!r}") from None
+            raise ConfigError(f"{where}: {pair!r} is not KEY=NUMBER") from None
+        if not math.isfinite(values[key]):
+            raise ConfigError(f"{where}: {pair!r} is not finite")
     return values
 
 

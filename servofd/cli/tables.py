@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-__all__ = ["STATUS_STYLE", "print_table", "progress_bar"]
+__all__ = ["STATUS_STYLE", "one_line", "print_table", "progress_bar"]
 
 STATUS_STYLE = {
     "healthy": "green",
@@ -18,6 +18,17 @@ STATUS_STYLE = {
     "no_data": "dim",
     "unknown": "yellow",
 }
+
+
+def one_line(message: object) -> str:
+    r"""Text of a message on one line, whatever a file name brought into it.
+
+    Examples
+    --------
+    >>> one_line("a\nb.csv: empty")
+    'a b.csv: empty'
+    """
+    return " ".join(str(message).split())
 
 
 def print_table(headings: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -> None:

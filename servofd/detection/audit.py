@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from logparsers.records import FlightLog
     from servofd.aircraft import Aircraft
+    from servofd.types import FloatArray
 
 __all__ = ["LogAudit", "Statistics", "Status", "SurfaceAudit", "audit_log"]
 
@@ -29,6 +30,8 @@ Status = Literal["healthy", "suspect", "fault", "no_data", "unknown"]
 
 _SECONDS_FOR_ODDS = 10.0
 _SHORTEST_JUDGED_S = 0.25
+_MOST_OF_THE_LOG = 0.9
+_FASTEST_RATE_HZ = 50_000.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,11 +157,14 @@ def _audit_surface(log: FlightLog, aircraft: Aircraft, name: str, threshold_deg:
         reason_text = f"only {judged_s:.1f} s of command and position together; {_SHORTEST_JUDGED_S:g} s are needed"
         return verdict(status="unknown", reason=reason_text, segment=segment, residuals=residuals)
     statistics = _statistics(residuals)
-    episodes: tuple[Episode, ...] = ()
-    if statistics.max_abs_deg >= threshold_deg:
-        immobile_deg = generator.run(segment.with_measured(0.0)).residual_deg
-        episodes = find_episodes(residuals, immobile_deg, threshold_deg)
-    status, reason_text = _verdict(residuals, statistics, episodes, threshold_deg)
+    if not np.isfinite(statistics.max_abs_deg):
+        return verdict(status="unknown", reason="the residual is not a number: check model and units", segment=segment)
+    immobile_deg = generator.run(segment.with_measured(0.0)).residual_deg
+    episodes = find_episodes(residuals, immobile_deg, threshold_deg)
+    status, reason_text = _verdict(residuals, immobile_deg, statistics, episodes, threshold_deg)
+    judged_share = np.count_nonzero(residuals.settled) * segment.period_s / max(log.duration_s, 1e-9)
+    if judged_share < _MOST_OF_THE_LOG:
+        reason_text += f"; judged for {judged_share:.0%} of the log"
     if segment.frozen_s > 0.0:
         reason_text += f"; {segment.frozen_s:.1f} s of frozen telemetry not judged"
         if segment.frozen_to_end and status != "fault":
@@ -198,11 +204,14 @@ def _too_little(segment: Segment) -> str:
     rate_hz = 1.0 / segment.period_s
     if rate_hz < SLOWEST_RATE_HZ * (1.0 - 1e-6):
         return f"position comes at {rate_hz:.2g} Hz; a servo cannot be judged below {SLOWEST_RATE_HZ:g} Hz"
+    if rate_hz > _FASTEST_RATE_HZ:
+        return f"position comes at {rate_hz:.2g} Hz: check the unit of the time stamps"
     return ""
 
 
 def _verdict(
     residuals: Residuals,
+    immobile_deg: FloatArray,
     statistics: Statistics,
     episodes: tuple[Episode, ...],
     threshold_deg: float,
@@ -214,17 +223,26 @@ def _verdict(
             f"servo or its feedback left the model at {first.start_s:.2f} s "
             f"(alarm {first.alarm_s:.2f} s, |residual| up to {statistics.max_abs_deg:.1f} deg){more}"
         )
-    first_deg = residuals.measured_deg[np.flatnonzero(np.isfinite(residuals.measured_deg))[0]]
-    asked_deg = float(np.max(np.abs(residuals.simulated_deg[residuals.settled] - first_deg)))
-    if asked_deg < threshold_deg:
+    shown_deg = _would_have_shown(residuals, immobile_deg)
+    if shown_deg < threshold_deg:
         return "unknown", (
-            f"never asked to go further than {asked_deg:.2g} deg from where it started: "
-            "a servo stuck all along would not have shown"
+            f"hardly asked to move: a servo stuck all along would have left a residual of {shown_deg:.2g} deg only"
         )
     return (
         "healthy",
         f"|residual| stayed below {threshold_deg:g} deg (largest {statistics.max_abs_deg:.2f} deg)",
     )
+
+
+def _would_have_shown(residuals: Residuals, immobile_deg: FloatArray) -> float:
+    """Smallest residual that a stuck servo would have left, wherever it was stuck [deg].
+
+    From what the filter sees of the commands; or from the position itself, which a stuck servo does not change
+    (its outermost values left out, they may be glitches).
+    """
+    asked_deg = float(np.ptp(immobile_deg[residuals.settled])) / 2.0
+    low_deg, high_deg = np.nanpercentile(residuals.measured_deg, [5.0, 95.0])
+    return max(asked_deg, float(high_deg - low_deg) / 2.0)
 
 
 def _statistics(residuals: Residuals) -> Statistics:

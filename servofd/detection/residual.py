@@ -34,6 +34,7 @@ _BLANKING_TIME_CONSTANTS = 8.0
 _LOST_SAMPLE = 1.75
 """An interval this many times the median holds a lost sample. Jitter of 3 ms at 100 Hz stays below 1.6."""
 _INTERVALS_FOR_PERIOD = 10_000
+_FEWEST_COMMANDS = 3
 _REGULAR_SPREAD = 0.5
 """Middle half of all intervals within this share of the median: a regular log. Jitter of 3 ms at 100 Hz: 0.35."""
 
@@ -130,7 +131,9 @@ class ResidualGenerator:
         from servofd.models.kernel import new_memory, observe
 
         longest_gap_s = self.longest_gap_s(segment)
-        starts = find_starts(segment, longest_gap_s, self.blanking_s)
+        starts = find_starts(
+            segment, longest_gap_s, self.blanking_s, _LOST_SAMPLE * _regular_period_s(segment.command_s)
+        )
         commands = commands_at_servo(segment, self.model.plan.delay_s, longest_gap_s)
         servo, residual_filter = self.model.parameters(), self.filter_parameters()
         simulated, residual = np.empty(starts.restart.size), np.empty(starts.restart.size)
@@ -180,13 +183,9 @@ def commands_at_servo(segment: Segment, delay_s: float, longest_gap_s: float) ->
 def _with_lost_commands(
     time_s: FloatArray, command_deg: FloatArray, longest_gap_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    if time_s.size < 3:
+    step_s, period_s = np.diff(time_s), _regular_period_s(time_s)
+    if not np.isfinite(period_s):
         return time_s, command_deg
-    step_s = np.diff(time_s)
-    some_s = step_s[:: 1 + step_s.size // _INTERVALS_FOR_PERIOD]
-    quarter_s, period_s, three_quarters_s = np.percentile(some_s, [25.0, 50.0, 75.0])
-    if three_quarters_s - quarter_s > _REGULAR_SPREAD * period_s:
-        return time_s, command_deg  # commands come as they please: a long interval is no sign of a loss
     lost = np.where((step_s > _LOST_SAMPLE * period_s) & (step_s <= longest_gap_s), np.round(step_s / period_s) - 1, 0)
     if not lost.any():
         return time_s, command_deg
@@ -196,3 +195,13 @@ def _with_lost_commands(
     share = place / pieces[owner]
     filled_s = np.append(time_s[owner] + share * step_s[owner], time_s[-1])
     return filled_s, np.append(command_deg[owner] + share * np.diff(command_deg)[owner], command_deg[-1])
+
+
+def _regular_period_s(command_s: FloatArray) -> float:
+    """Period of a regular command log [s]; infinite where commands come as they please, and no interval is a loss."""
+    if command_s.size < _FEWEST_COMMANDS:
+        return float("inf")
+    step_s = np.diff(command_s)
+    some_s = step_s[:: 1 + step_s.size // _INTERVALS_FOR_PERIOD]
+    quarter_s, period_s, three_quarters_s = np.percentile(some_s, [25.0, 50.0, 75.0])
+    return float(period_s) if three_quarters_s - quarter_s <= _REGULAR_SPREAD * period_s else float("inf")

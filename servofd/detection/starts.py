@@ -28,7 +28,7 @@ class Starts(NamedTuple):
     """True where a position is there and the last start lies far enough back."""
 
 
-def find_starts(segment: Segment, longest_gap_s: float, blanking_s: float) -> Starts:
+def find_starts(segment: Segment, longest_gap_s: float, blanking_s: float, fresh_s: float = np.inf) -> Starts:
     """Mark the samples of a segment.
 
     Parameters
@@ -39,6 +39,8 @@ def find_starts(segment: Segment, longest_gap_s: float, blanking_s: float) -> St
         Longest interval without commands, or without positions, that is bridged [s].
     blanking_s : float
         How long after a start nothing is judged [s].
+    fresh_s : float
+        Age of a command beyond which the next one is known to have been lost [s].
 
     Examples
     --------
@@ -55,6 +57,7 @@ def find_starts(segment: Segment, longest_gap_s: float, blanking_s: float) -> St
         segment.measured_s,
         segment.measured_deg,
         longest_gap_s,
+        fresh_s,
         blanking_s,
         starts.measured_deg,
         starts.restart,
@@ -69,6 +72,7 @@ def _mark(
     measured_s: FloatArray,
     measured_deg: FloatArray,
     longest_gap_s: float,
+    fresh_s: float,
     blanking_s: float,
     usable_deg: FloatArray,
     restart: NDArray[np.int8],
@@ -98,4 +102,6 @@ def _mark(
         if usable:
             last_used_s = now
         usable_deg[k] = measured_deg[k] if usable else np.nan
-        settled[k] = usable and now - last_start_s >= blanking_s
+        # Inside a hole the command is made up from the one after it, which a monitor in flight does not have yet.
+        made_up = now - command_s[c - 1] > fresh_s and c < command_s.size if c > 0 else False
+        settled[k] = usable and now - last_start_s >= blanking_s and not made_up

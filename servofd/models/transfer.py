@@ -18,6 +18,8 @@ BANDWIDTH_DROP_DB = 3.0
 """Below dc. Exactly 3.00 dB reproduces the bandwidth column of thesis Fig. 3.10; 3.0103 dB does not."""
 
 _ROUND_OFF = 2.2e-16
+_LARGEST_CANCELLATION = 1e9
+"""Sum of the modes' weights; times round-off it is the error of the simulation, relative to the deflection."""
 
 
 class Modes(NamedTuple):
@@ -169,6 +171,8 @@ class TransferFunction:
         residues = [
             np.polyval(self.numerator, p) / (self.denominator[0] * np.prod(p - poles[poles != p])) for p in upper
         ]
+        if not np.all(np.isfinite(residues)) or np.sum(np.abs(np.array(residues) / upper)) > _LARGEST_CANCELLATION:
+            raise DesignError("poles lie too close for so high an order: use a simpler model of this servo")
         doubled = np.where(upper.imag > 0.0, 2.0, 1.0)
         return Modes(-upper, doubled * np.array(residues) / -upper)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -65,10 +66,10 @@ def save_figure(audit: SurfaceAudit, path: Path, title: str) -> None:
         axes.grid(visible=True, color="0.9")
         axes.spines[["top", "right"]].set_visible(False)
     upper.set_title(f"{title}   {audit.surface}: {audit.status}\n{audit.reason}", loc="left", fontsize=10)
-    figure.canvas.draw()
     for axes in (upper, lower):
         axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
-    with whole_file(path) as temporary:
+    with whole_file(path) as temporary, warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph .* missing")  # names in scripts that the font lacks
         figure.savefig(temporary, dpi=110)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import tempfile
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,9 +12,28 @@ from typing import TYPE_CHECKING
 from servofd.errors import ConfigError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
-__all__ = ["whole_file", "write_whole"]
+__all__ = ["distinct_file_names", "whole_file", "write_whole"]
+
+_LONGEST_NAME = 80
+
+
+def distinct_file_names(names: Sequence[str]) -> list[str]:
+    """Make a part of a file name out of each name: short, without separators, and no two the same.
+
+    Examples
+    --------
+    >>> distinct_file_names(["elevator", "a/b", "a:b", "elevator"])
+    ['elevator', 'a_b', 'a_b~2', 'elevator~2']
+    """
+    used: dict[str, int] = {}
+    result = []
+    for name in names:
+        plain = re.sub(r"[^\w.~-]", "_", name)[:_LONGEST_NAME].lstrip(".") or "_"
+        used[plain] = used.get(plain, 0) + 1
+        result.append(plain if used[plain] == 1 else f"{plain}~{used[plain]}")
+    return result
 
 
 @contextmanager
@@ -27,9 +47,15 @@ def whole_file(path: str | Path) -> Iterator[Path]:
     ConfigError
         If the folder does not exist or cannot be written to.
     """
-    target = Path(path)
+    target = Path(path).resolve()
+    if target.exists() and not target.is_file():
+        with _beside(path) as temporary:
+            yield temporary
+            # A device or a pipe cannot be replaced, only written to.
+            _written_into(target, temporary.read_bytes(), path)
+        return
     try:
-        handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=target.suffix, dir=target.parent)
+        handle, name = tempfile.mkstemp(prefix=".servofd-", suffix=target.suffix, dir=target.parent)
     except OSError as error:
         raise ConfigError(f"{path}: cannot write here: {error.strerror}") from None
     os.close(handle)
@@ -42,6 +68,20 @@ def whole_file(path: str | Path) -> Iterator[Path]:
         raise ConfigError(f"{path}: cannot write here: {error.strerror or error}") from None
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def _beside(path: str | Path) -> Iterator[Path]:
+    """Temporary file somewhere else, of the same suffix."""
+    with tempfile.TemporaryDirectory() as folder:
+        yield Path(folder) / f"whole{Path(path).suffix}"
+
+
+def _written_into(target: Path, content: bytes, path: str | Path) -> None:
+    try:
+        target.write_bytes(content)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot write here: {error.strerror or error}") from None
 
 
 def write_whole(path: str | Path, content: bytes) -> None:

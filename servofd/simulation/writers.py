@@ -49,13 +49,16 @@ def write_flight(path: str | Path, flight: SimulatedFlight, aircraft: Aircraft) 
 
 
 def _csv(flight: SimulatedFlight, aircraft: Aircraft) -> bytes:  # noqa: ARG001 - all writers share a form
-    import pandas as pd
+    import pyarrow as pa
+    from pyarrow import csv
 
     columns = {"time_s": flight.time_s}
     for i, name in enumerate(flight.surfaces):
         columns[f"{name}_cmd_deg"] = np.round(flight.command_deg[:, i], _CSV_DECIMALS)
         columns[f"{name}_pos_deg"] = np.round(flight.measured_deg[:, i], _CSV_DECIMALS)
-    return pd.DataFrame(columns).to_csv(index=False).encode()
+    sink = io.BytesIO()
+    csv.write_csv(pa.table(columns), sink, csv.WriteOptions(quoting_style="needed"))
+    return sink.getvalue()
 
 
 def _mat(flight: SimulatedFlight, aircraft: Aircraft) -> bytes:
