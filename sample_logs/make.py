@@ -5,9 +5,10 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from servofd.aircraft import Aircraft, load_aircraft
+from servofd.aircraft import Aircraft, load_aircraft, plain_aircraft
 from servofd.models.faults import DeadBand, Fault, Stuck
-from servofd.simulation.flight import simulate_flight
+from servofd.simulation.flight import SimulatedFlight, simulate_flight
+from servofd.simulation.pulses import outputs_of
 from servofd.simulation.writers import write_flight
 
 FLIGHT_S, CHIRP_S = 40.0, 120.0
@@ -24,11 +25,35 @@ CHIRPS: dict[str, dict[str, Fault]] = {
     "faser_deadband_chirp": {"aileron_right": DeadBand(start_s=0.0, width_deg=6.0)},
     "faser_stuck_chirp": {"aileron_right": Stuck(start_s=0.0)},
 }
+# File, generation of servo telemetry, sample rate [Hz], what is hidden in it.
+AUTOPILOTS: dict[str, tuple[str | None, float, dict[str, Fault]]] = {
+    "ardupilot_volz_stuck.bin": ("volz", 40.0, {"elevator": Stuck(start_s=20.0)}),
+    "ardupilot_dronecan_healthy.bin": ("dronecan", 40.0, {}),
+    "telemetry_stuck.tlog": (None, 40.0, {"elevator": Stuck(start_s=20.0)}),
+    "px4_stuck.ulg": (None, 25.0, {"elevator": Stuck(start_s=20.0)}),
+}
+SURFACES = ("aileron", "elevator", "rudder")
 
 
 def bench(aircraft: Aircraft) -> Aircraft:
     """One aileron servo on the bench."""
     return aircraft.model_copy(update={"surfaces": {"aileron_right": aircraft.surfaces["aileron_right"]}})
+
+
+def flown_by_autopilot(name: str) -> tuple[Aircraft, SimulatedFlight]:
+    """Aircraft and flight of one of `AUTOPILOTS`: the truth behind its log."""
+    _, rate_hz, faults = AUTOPILOTS[name]
+    aircraft = plain_aircraft(SURFACES)
+    flight = simulate_flight(
+        aircraft,
+        duration_s=FLIGHT_S,
+        rate_hz=rate_hz,
+        seed=7,
+        faults=faults,
+        noise_deg=NOISE_DEG,
+        outputs=outputs_of(aircraft),
+    )
+    return aircraft, flight
 
 
 def make(folder: Path) -> list[Path]:
@@ -52,6 +77,10 @@ def make(folder: Path) -> list[Path]:
             path = folder / f"{name}.mat"
             write_flight(path, flight, flown)
             written.append(path)
+    for name, (generation, _, _) in AUTOPILOTS.items():
+        aircraft, flight = flown_by_autopilot(name)
+        write_flight(folder / name, flight, aircraft, generation=generation)
+        written.append(folder / name)
     return written
 
 

@@ -26,7 +26,7 @@ PARTS = {
     "feedback": {"errors", "types", "aircraft", "servos", "models", "segment", "detection"},
     "survey": {"errors", "aircraft", "segment", "feedback", "workflow"},
     "detection": {"errors", "types", "models", "servos", "aircraft", "segment"},
-    "simulation": {"errors", "types", "models", "aircraft", "outputs"},
+    "simulation": {"errors", "types", "models", "calibration", "aircraft", "outputs"},
     "outputs": {"errors", "types", "detection", "segment"},
     "workflow": {"errors", "aircraft", "servos", "detection", "feedback"},
     "cli": {

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from logparsers.dataflash.formats import FMT, HEADER_SIZE, Layout, define, stored_size
+from logparsers.interleave import interleave
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -87,20 +88,8 @@ def encode(messages: Sequence[Message], *, start_us: int | None = None) -> bytes
     layouts = [m.layout(FIRST_FREE_TYPE + i) for i, m in enumerate(everything)]
     head = b"".join(_fmt_record(layout) for layout in (FMT, *layouts))
     records = [_records(m, layout) for m, layout in zip(everything, layouts, strict=True)]
-    times = np.concatenate([np.asarray(next(iter(m.columns.values())), np.int64) for m in everything])
-    lengths = np.repeat([layout.length for layout in layouts], [len(r) for r in records])
-    order = np.argsort(times, kind="stable")
-    offsets = np.empty(len(times), np.int64)
-    offsets[order] = np.cumsum(lengths[order]) - lengths[order]
-    body = np.zeros(int(lengths.sum()), np.uint8)
-    begin = 0
-    for rows in records:
-        if len(rows):
-            size = rows.dtype.itemsize
-            anywhere = np.ndarray((len(body) - size + 1,), rows.dtype, body.data, strides=(1,))
-            anywhere[offsets[begin : begin + len(rows)]] = rows
-        begin += len(rows)
-    return head + body.tobytes()
+    times = [np.asarray(next(iter(m.columns.values())), np.int64) for m in everything]
+    return head + interleave(times, records)
 
 
 def _dictionary(messages: Sequence[Message], start_us: int) -> list[Message]:

@@ -29,6 +29,7 @@ _BREAKS = {
     "clock_jump": "the vehicle's clock was set forward; times run on by arrival time",
     "arrival_jump": "the receiver's clock was set; the vehicle's own time stamps are not affected",
 }
+_MOST_BREAKS = 100  # told one by one
 _RELAYED = ("NAMED_VALUE", "DEBUG", "SET_", "HIL_", "VISION", "TIMESYNC")  # often stamped by someone else
 
 
@@ -51,8 +52,8 @@ class TelemetryClock:
         """Time of each message of a stream, shape (n,) [s]; kept, so that its columns can share it."""
         key = (message, source)
         if key not in self._times:
-            senders = self._table.sources(message)
-            if source is None and len(senders) > 1:
+            senders = self._table.sources(message) if source is None else ()
+            if len(senders) > 1:
                 markers = self._table.stream(message)
                 time = np.empty(markers.size)
                 for sender in senders:
@@ -74,11 +75,14 @@ class TelemetryClock:
         """Restarts and jumps of either clock."""
         found = []
         timeline, breaks, times = self._built
-        for number, point in enumerate(breaks, start=1):
+        for number, point in enumerate(breaks[:_MOST_BREAKS], start=1):
             step = float(timeline.shift_s[number] - timeline.shift_s[number - 1])
             before, after = float(times[point.index - 1]), float(times[point.index])
             note = f"{_BREAKS[point.kind]} ({step:+.1f} s)" if step else _BREAKS[point.kind]
             found.append(Damage(point.kind, note, 1, before, after))
+        rest = len(breaks) - len(found)
+        if rest:
+            found.append(Damage("clock_jump", f"{rest} more restarts and jumps of the clocks", rest))
         return tuple(found)
 
     @cached_property

@@ -55,8 +55,7 @@ class MessageTable:
     ) -> None:
         self.name, self._data, self._positions, self._layouts = name, data, positions, layouts
         self._unstamped = unstamped
-        self._senders: dict[str, tuple[Sender, ...]] = {}
-        self._streams: dict[tuple[str, Sender], NDArray[Any]] = {}
+        self._senders: dict[str, dict[Sender, NDArray[Any]]] = {}
         self._rows: dict[tuple[str, Sender | None], dict[Any, NDArray[np.intp]]] = {}
 
     @property
@@ -84,12 +83,7 @@ class MessageTable:
 
     def sources(self, message: str) -> tuple[Sender, ...]:
         """Systems and components that sent a message, sorted; empty if none did."""
-        if message not in self._positions:
-            return ()
-        if message not in self._senders:
-            found = np.unique(frames.origins(self._data, self._positions[message]))
-            self._senders[message] = tuple(Sender(*divmod(int(sender), 256)) for sender in found)
-        return self._senders[message]
+        return tuple(self._by_sender(message)) if message in self._positions else ()
 
     def instances(self, message: str, source: Sender | None = None) -> tuple[Any, ...]:
         """Values of the instance field (texts or integers), sorted; empty if there is no such field."""
@@ -161,13 +155,17 @@ class MessageTable:
     def stream(self, message: str, source: Sender | None = None) -> NDArray[Any]:
         """Positions of a message's frames in the file [bytes], rising, shape (n,)."""
         found = self._positions[message]
-        if source is None:
-            return found
-        key = (message, Sender(*source))
-        if key not in self._streams:
-            sent = frames.origins(self._data, found) == source[0] * 256 + source[1]
-            self._streams[key] = found if sent.all() else found[sent]
-        return self._streams[key]
+        return found if source is None else self._by_sender(message).get(Sender(*source), found[:0])
+
+    def _by_sender(self, message: str) -> dict[Sender, NDArray[Any]]:
+        """Positions of each sender's frames, by one sort however many senders there are."""
+        if message not in self._senders:
+            found = self._positions[message]
+            origins, codes = np.unique(frames.origins(self._data, found), return_inverse=True)
+            senders = [Sender(*divmod(int(origin), 256)) for origin in origins]
+            rows = split_rows(senders, codes) if len(senders) > 1 else dict.fromkeys(senders, slice(None))
+            self._senders[message] = {sender: found[mine] for sender, mine in rows.items()}
+        return self._senders[message]
 
     def _instances(self, message: str, source: Sender | None) -> dict[Any, NDArray[np.intp]]:
         """Rows of each instance."""

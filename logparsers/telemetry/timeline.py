@@ -173,7 +173,8 @@ def build_timeline(stamp_s: ArrayLike, arrival_s: ArrayLike, positions: ArrayLik
         zero = np.zeros(1)
         return Timeline(np.zeros(1, dtype=np.int64), zero, zero, zero), []
     breaks = find_breaks(stamp, arrival)
-    edges = [0, *(b.index for b in breaks), stamp.size]
+    kinds = {b.index: b.kind for b in breaks}
+    edges = [0, *kinds, stamp.size]
     rows: list[tuple[int, float, float, float]] = []
     for first, last in pairwise(edges):
         offset, drift = lower_line(stamp[first:last], arrival[first:last] - stamp[first:last])
@@ -182,7 +183,7 @@ def build_timeline(stamp_s: ArrayLike, arrival_s: ArrayLike, positions: ArrayLik
             continue
         _, shift, before, slope = rows[-1]
         ended = float(np.max(stamp[edges[len(rows) - 1] : first])) + shift
-        if next(b.kind for b in breaks if b.index == first) != "arrival_jump":
+        if kinds[first] != "arrival_jump":
             predicted = (arrival[first] - before) / (1.0 + slope)
             begun = (arrival[first] - offset) / (1.0 + drift)
             shift = max(predicted - begun, ended - float(np.min(stamp[first:last])) + 1e-6)

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 __all__ = ["add_parser", "run"]
 
+OUTPUTS = ".csv (plain table), .mat (FASER), .bin (ArduPilot DataFlash), .tlog (MAVLink) or .ulg (PX4)"
+
 _Made = TypeVar("_Made")
 
 
@@ -26,11 +28,11 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
         description="Simulates an aircraft's servos and writes the log of the flight, healthy or with faults.",
         epilog="Example: servofd simulate -o flight.csv --fault elevator:deadband@20:width_deg=3",
     )
-    parser.add_argument("-o", "--output", required=True, metavar="FILE", help=".csv (plain table) or .mat (FASER log)")
+    parser.add_argument("-o", "--output", required=True, metavar="FILE", help=OUTPUTS)
     parser.add_argument("-c", "--config", metavar="AIRCRAFT.toml", help="aircraft file, or the name of a shipped one")
     parser.add_argument("--servo", metavar="NAME", help="library servo for all surfaces")
     parser.add_argument("--duration", type=float, default=60.0, metavar="S", help="length [s] (default: 60)")
-    parser.add_argument("--rate-hz", type=float, default=100.0, metavar="HZ", help="sample rate (default: 100)")
+    parser.add_argument("--rate-hz", type=float, metavar="HZ", help="sample rate (default: 100; in a .tlog 40)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="the same seed gives the same flight")
     parser.add_argument("--command", default="flight", help="flight, chirp, steps or doublets (default: flight)")
     parser.add_argument(
@@ -50,6 +52,12 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
         metavar="SURFACE:EFFECT[:KEY=VALUE]",
         help="delay, rate_limit or position_limit",
     )
+    parser.add_argument(
+        "--generation",
+        metavar="NAME",
+        help="servo telemetry of a .bin: volz (ArduPilot 4.7: degrees, with the command; default) or dronecan "
+        "(up to 4.6: radians)",
+    )
     parser.set_defaults(run=run)
 
 
@@ -59,8 +67,11 @@ def run(options: argparse.Namespace) -> int:
     from servofd.errors import ConfigError
     from servofd.servos import servo_named
     from servofd.simulation.flight import simulate_flight
-    from servofd.simulation.writers import write_flight
+    from servofd.simulation.pulses import outputs_of
+    from servofd.simulation.writers import write_flight, writer_for
 
+    writer = writer_for(options.output, options.generation)
+    rate_hz = writer.rate_hz if options.rate_hz is None else options.rate_hz
     if options.servo:
         servo_named(options.servo)
     if options.seed < 0:
@@ -80,14 +91,15 @@ def run(options: argparse.Namespace) -> int:
         aircraft,
         command=options.command,
         duration_s=options.duration,
-        rate_hz=options.rate_hz,
+        rate_hz=rate_hz,
         seed=options.seed,
         faults=_faults(options.fault, options.duration),
         effects=effects,
         noise_deg=options.noise_deg,
+        outputs=outputs_of(aircraft) if writer.pulses else (),
     )
-    write_flight(options.output, flown, aircraft)
-    print(f"{options.output}: {options.duration:g} s at {options.rate_hz:g} Hz, {', '.join(flown.surfaces)}")
+    write_flight(options.output, flown, aircraft, generation=options.generation)
+    print(f"{options.output}: {options.duration:g} s at {rate_hz:g} Hz, {', '.join(flown.surfaces)}")
     return 0
 
 

@@ -45,7 +45,7 @@ def flight(time_s: FloatArray, rng: np.random.Generator) -> FloatArray:
         size_deg = rng.uniform(4.0, 12.0) * rng.choice([-1.0, 1.0])
         for sign, at_s in ((1.0, begin_s), (-1.0, begin_s + _TURN_S)):
             rise_s, hold_s = rng.uniform(0.08, 0.3), rng.uniform(0.4, 1.0)
-            command_deg += sign * size_deg * _pulse(time_s, at_s, rise_s, hold_s)
+            _add_pulse(command_deg, sign * size_deg, time_s, at_s, rise_s, hold_s)
         begin_s += _TURN_S + rng.uniform(0.7, 1.3) * _LEG_S
     return command_deg
 
@@ -71,8 +71,8 @@ def doublets(time_s: FloatArray, rng: np.random.Generator) -> FloatArray:
     command_deg = np.zeros(time_s.size)
     for begin_s in np.arange(time_s[0] + 2.0, time_s[-1], 4.0):
         size_deg = rng.uniform(4.0, 10.0)
-        command_deg += size_deg * _pulse(time_s, begin_s, 0.1, 0.4)
-        command_deg -= size_deg * _pulse(time_s, begin_s + 0.6, 0.1, 0.4)
+        _add_pulse(command_deg, size_deg, time_s, begin_s, 0.1, 0.4)
+        _add_pulse(command_deg, -size_deg, time_s, begin_s + 0.6, 0.1, 0.4)
     return command_deg
 
 
@@ -96,11 +96,15 @@ def _activity(time_s: FloatArray, rng: np.random.Generator) -> FloatArray:
     return activity
 
 
-def _pulse(time_s: FloatArray, begin_s: float, rise_s: float, hold_s: float) -> FloatArray:
-    """Unit pulse with smooth flanks: up from `begin_s` in `rise_s`, held, and back."""
-    up = _smooth_step((time_s - begin_s) / rise_s)
-    down = _smooth_step((time_s - begin_s - rise_s - hold_s) / rise_s)
-    return up - down
+def _add_pulse(
+    command_deg: FloatArray, size_deg: float, time_s: FloatArray, begin_s: float, rise_s: float, hold_s: float
+) -> None:
+    """Add to `command_deg` a pulse with smooth flanks: up from `begin_s` in `rise_s`, held, and back."""
+    during = slice(*np.searchsorted(time_s, (begin_s, begin_s + 2.0 * rise_s + hold_s)).tolist())
+    at_s = time_s[during]
+    up = _smooth_step((at_s - begin_s) / rise_s)
+    down = _smooth_step((at_s - begin_s - rise_s - hold_s) / rise_s)
+    command_deg[during] += size_deg * (up - down)
 
 
 def _smooth_step(x: FloatArray) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,14 +16,15 @@ if TYPE_CHECKING:
     from servofd.aircraft import Aircraft
     from servofd.models.effects import Effect
     from servofd.models.faults import Fault
-    from servofd.types import FloatArray
+    from servofd.simulation.pulses import Output
+    from servofd.types import FloatArray, IntArray
 
 __all__ = ["SimulatedFlight", "simulate_flight"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedFlight:
-    """What a log of the flight would hold, in degrees."""
+    """What a log of the flight would hold, in degrees of surface deflection."""
 
     surfaces: tuple[str, ...]
     time_s: FloatArray
@@ -32,6 +33,12 @@ class SimulatedFlight:
     """Of shape (n, s)."""
     measured_deg: FloatArray
     """Of shape (n, s)."""
+    outputs: tuple[Output, ...] = ()
+    """Of an autopilot, one for each surface; empty if the servos were commanded in degrees."""
+    pulse_us: IntArray = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int64))
+    """Pulses that were sent [us], of shape (n, s); `command_deg` is what they asked for. Empty without outputs."""
+    seed: int = 0
+    """What the flight was drawn from; whatever a log adds to it is drawn from that too."""
 
 
 def simulate_flight(
@@ -44,6 +51,7 @@ def simulate_flight(
     faults: Mapping[str, Fault] | None = None,
     effects: Mapping[str, Sequence[Effect]] | None = None,
     noise_deg: float = 0.1,
+    outputs: Sequence[Output] = (),
 ) -> SimulatedFlight:
     """Fly all surfaces of an aircraft.
 
@@ -63,13 +71,17 @@ def simulate_flight(
         What the servo has beyond its description.
     noise_deg : float
         Standard deviation of white noise on the measured deflection [deg].
+    outputs : sequence of Output
+        Of the autopilot that commands the servos, in the order of the surfaces: what a servo receives is the pulse,
+        a whole number of microseconds, and times are whole microseconds too, from one period after 0 s. Without them
+        a servo receives degrees, and saturates them after they were logged.
 
     Raises
     ------
     UnknownName
         If a surface or the command does not exist.
     ConfigError
-        If duration, rate or noise make no sense.
+        If duration, rate or noise make no sense, or the outputs are not those of the surfaces.
 
     Examples
     --------
@@ -90,12 +102,19 @@ def simulate_flight(
             f"cannot simulate {duration_s} s at {rate_hz} Hz with {noise_deg} deg of noise: "
             "give a positive duration, a rate of at most 10000 Hz and a noise of zero or more"
         )
-    time_s = np.round(np.arange(round(duration_s * rate_hz)) / rate_hz, 9)
-    commanded, measured = [], []
+    if outputs and [output.surface for output in outputs] != list(aircraft.surfaces):
+        raise ConfigError(f"outputs of {', '.join(o.surface for o in outputs)}: give one for each surface, in order")
+    samples = np.arange(round(duration_s * rate_hz))
+    # An autopilot stamps with 0 what it does not know the time of: its first sample is one period after it booted.
+    time_s = np.round((samples + 1) / rate_hz, 6) if outputs else np.round(samples / rate_hz, 9)
+    commanded, measured, pulses = [], [], []
     for index, (name, surface) in enumerate(aircraft.surfaces.items()):
         rng = np.random.default_rng([seed, index])
         asked_deg = COMMANDS[command](time_s, rng)
         received_deg = np.clip(asked_deg, *(surface.command_saturation_deg or (-np.inf, np.inf)))
+        if outputs:
+            pulses.append(outputs[index].pulse_us(received_deg))
+            asked_deg = received_deg = outputs[index].deflection_deg(pulses[-1])
         model = aircraft.model(name)
         for effect in (effects or {}).get(name, ()):
             model = model + effect
@@ -107,4 +126,12 @@ def simulate_flight(
         )
         commanded.append(asked_deg)
         measured.append(deflection_deg + noise_deg * rng.standard_normal(time_s.size))
-    return SimulatedFlight(tuple(aircraft.surfaces), time_s, np.column_stack(commanded), np.column_stack(measured))
+    return SimulatedFlight(
+        tuple(aircraft.surfaces),
+        time_s,
+        np.column_stack(commanded),
+        np.column_stack(measured),
+        tuple(outputs),
+        np.column_stack(pulses) if pulses else np.zeros((0, 0), dtype=np.int64),
+        seed,
+    )

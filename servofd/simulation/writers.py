@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import struct
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +13,9 @@ import numpy as np
 
 from servofd.errors import ConfigError, suggest
 from servofd.outputs.files import write_whole
+from servofd.simulation.dataflash_writer import GENERATIONS, dataflash_log
+from servofd.simulation.telemetry_writer import telemetry_log
+from servofd.simulation.ulog_writer import ulog_log
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,33 +24,75 @@ if TYPE_CHECKING:
     from servofd.simulation.flight import SimulatedFlight
     from servofd.types import FloatArray
 
-__all__ = ["WRITERS", "write_flight"]
+__all__ = ["WRITERS", "Writer", "write_flight", "writer_for"]
 
 _BIG_ENDIAN_SINGLE = 1010
 _CSV_DECIMALS = 9
 
 
-def write_flight(path: str | Path, flight: SimulatedFlight, aircraft: Aircraft) -> None:
+@dataclass(frozen=True, slots=True)
+class Writer:
+    """One format."""
+
+    encode: Callable[[SimulatedFlight, Aircraft], bytes]
+    """Content of the file."""
+    rate_hz: float = 100.0
+    """Sample rate of a flight that nobody chose another for [Hz]."""
+    pulses: bool = False
+    """True for logs of autopilots: the flight must be simulated with outputs."""
+
+
+def writer_for(path: str | Path, generation: str | None = None) -> Writer:
+    """Choose the format by the suffix.
+
+    Parameters
+    ----------
+    path : str or Path
+        ``.csv`` (servofd's plain table), ``.mat`` (FASER log: level 4, big-endian, single precision), ``.bin``
+        (ArduPilot DataFlash), ``.tlog`` (MAVLink telemetry) or ``.ulg`` (PX4).
+    generation : str, optional
+        One of `servofd.simulation.dataflash_writer.GENERATIONS`, for ``.bin`` alone; the newest if None.
+
+    Raises
+    ------
+    ConfigError
+        If no writer has that suffix, there is no such generation, or the format has none.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in WRITERS:
+        raise ConfigError(f"{path}: {suggest('output suffix', suffix, WRITERS)}")
+    writer = WRITERS[suffix]
+    if generation is None:
+        return writer
+    if suffix != ".bin":
+        raise ConfigError(f"{path}: a generation of servo telemetry belongs to a .bin log, and to that alone")
+    if generation not in GENERATIONS:
+        raise ConfigError(suggest("generation", generation, GENERATIONS))
+    return replace(writer, encode=partial(dataflash_log, generation=GENERATIONS[generation]))
+
+
+def write_flight(
+    path: str | Path, flight: SimulatedFlight, aircraft: Aircraft, *, generation: str | None = None
+) -> None:
     """Write a flight; the suffix chooses the format.
 
     Parameters
     ----------
     path : str or Path
-        ``.csv`` (servofd's plain table) or ``.mat`` (FASER log: level 4, big-endian, single precision).
+        As in `writer_for`.
     flight : SimulatedFlight
         What to write.
     aircraft : Aircraft
-        Its calibration turns degrees into what a FASER log holds.
+        Its calibration turns degrees into what a FASER log holds; its measured channels tell which servos report.
+    generation : str, optional
+        As in `writer_for`.
 
     Raises
     ------
     ConfigError
-        If no writer has that suffix, or the file cannot be written.
+        If no writer has that suffix, the flight lacks what it writes, or the file cannot be written.
     """
-    suffix = Path(path).suffix.lower()
-    if suffix not in WRITERS:
-        raise ConfigError(f"{path}: {suggest('output suffix', suffix, WRITERS)}")
-    write_whole(path, WRITERS[suffix](flight, aircraft))
+    write_whole(path, writer_for(path, generation).encode(flight, aircraft))
 
 
 def _csv(flight: SimulatedFlight, aircraft: Aircraft) -> bytes:  # noqa: ARG001 - all writers share a form
@@ -81,5 +128,11 @@ def _level_4_variable(name: str, values: FloatArray) -> bytes:
     return header + label + values.astype(">f4").tobytes()
 
 
-WRITERS: dict[str, Callable[[SimulatedFlight, Aircraft], bytes]] = {".csv": _csv, ".mat": _mat}
+WRITERS: dict[str, Writer] = {
+    ".csv": Writer(_csv),
+    ".mat": Writer(_mat),
+    ".bin": Writer(dataflash_log, pulses=True),
+    ".tlog": Writer(telemetry_log, rate_hz=40.0, pulses=True),  # the most an ArduPlane sends
+    ".ulg": Writer(ulog_log, pulses=True),
+}
 """Formats by suffix."""

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+import logparsers
 from logparsers import mavlink
 from logparsers.channels import LazyChannels
 from logparsers.errors import EmptyLog, LogError, MissingChannel, MissingLog, UnreadableLog
@@ -486,3 +487,22 @@ def test_missing_messages_and_fields_are_named(flight: Path) -> None:
         log.column("SERVO_OUTPUT_RAW", "servo99_raw")
     with pytest.raises(MissingChannel, match="SRVP1"):
         log.column("NAMED_VALUE_FLOAT", "value", instance="SRVP9")
+
+
+def test_thousands_of_senders_names_and_restarts_take_a_bounded_time() -> None:
+    """Each of these took time with the square of the length of the file."""
+    rows = 20_000
+    stamps = np.random.default_rng(0).integers(0, 2**32, rows).tolist()
+    value = {"name": "A", "value": 1.0}
+    floods = (
+        writer.log(
+            (k * 0.01, writer.frame("NAMED_VALUE_FLOAT", value, source=(k % 250, k // 250))) for k in range(rows)
+        ),
+        writer.log((k * 0.01, writer.frame("NAMED_VALUE_FLOAT", {"name": f"N{k}", "value": 1.0})) for k in range(rows)),
+        writer.log((k * 0.01, writer.frame("ATTITUDE", {"time_boot_ms": stamp})) for k, stamp in enumerate(stamps)),
+    )
+    for content in floods:
+        begun = time.process_time()
+        log = logparsers.read(io.BytesIO(content))
+        assert time.process_time() - begun < 20e-6 * len(content)
+        assert len(log.damage) <= 300

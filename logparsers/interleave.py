@@ -1,0 +1,72 @@
+"""Put the records of several streams into one file, in the order of time."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["interleave", "places"]
+
+
+def places(times: Sequence[ArrayLike], lengths: Sequence[ArrayLike]) -> tuple[list[NDArray[np.int64]], int]:
+    """Where each record begins in the file.
+
+    Parameters
+    ----------
+    times : sequence of array_like, each of shape (n_i,)
+        When each record of a stream was written; records of equal time keep the order of the streams.
+    lengths : sequence of array_like, each of shape (n_i,)
+        Their sizes [bytes].
+
+    Returns
+    -------
+    starts : list of ndarray of int64, each of shape (n_i,)
+        First byte of each record.
+    size : int
+        Of all records together [bytes].
+
+    Examples
+    --------
+    >>> starts, size = places([[0, 20], [10]], [[3, 3], [5]])
+    >>> [s.tolist() for s in starts], size
+    ([[0, 8], [3]], 11)
+    """
+    counts = [np.size(t) for t in times]
+    if not sum(counts):
+        return [np.zeros(0, np.int64) for _ in counts], 0
+    size = np.concatenate([np.asarray(n, np.int64) for n in lengths])
+    order = np.argsort(np.concatenate([np.asarray(t, np.int64) for t in times]), kind="stable")
+    starts = np.empty(size.size, np.int64)
+    starts[order] = np.cumsum(size[order]) - size[order]
+    return np.split(starts, np.cumsum(counts)[:-1]), int(size.sum())
+
+
+def interleave(times: Sequence[ArrayLike], records: Sequence[NDArray[Any]]) -> bytes:
+    """Write packed records of equal size per stream.
+
+    Parameters
+    ----------
+    times : sequence of array_like, each of shape (n_i,)
+        When each record was written.
+    records : sequence of structured ndarray, each of shape (n_i,)
+        The records of each stream, as they shall stand in the file.
+
+    Examples
+    --------
+    >>> interleave([[0, 2], [1]], [np.array([b"a", b"c"]), np.array([b"bb"])])
+    b'abbc'
+    """
+    starts, size = places(times, [np.full(len(r), r.dtype.itemsize) for r in records])
+    body = np.zeros(size, np.uint8)
+    for at, rows in zip(starts, records, strict=True):
+        if len(rows):
+            width = rows.dtype.itemsize
+            anywhere = np.ndarray((size - width + 1,), rows.dtype, body.data, strides=(1,))
+            anywhere[at] = rows
+    return body.tobytes()

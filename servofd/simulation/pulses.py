@@ -1,0 +1,210 @@
+"""What an autopilot makes of commands: outputs, and the pulses that it sends through them."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from servofd.calibration import PulseCalibration
+from servofd.errors import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+    from servofd.aircraft import Aircraft
+    from servofd.calibration import Calibration
+    from servofd.types import FloatArray, IntArray
+
+__all__ = ["FULL_TRAVEL_DEG", "MOST_OUTPUTS", "THROTTLE", "THROTTLE_FUNCTION", "THROTTLE_US", "Output", "outputs_of"]
+
+FULL_TRAVEL_DEG: Final = 45.0
+"""Deflection at SERVOn_MIN and SERVOn_MAX [deg]: neither firmware nor log knows it, so it is assumed."""
+MOST_OUTPUTS: Final = 14
+"""Outputs of one RCOU message."""
+THROTTLE: Final = 3
+"""Output of the throttle, which turns no surface."""
+THROTTLE_FUNCTION: Final = 70
+THROTTLE_US: Final = 1620
+"""What it is sent, all the time [us]."""
+
+_HALF_RANGE_US: Final = 500
+_FLAP: Final = 2
+_ANYTHING: Final = 94  # Script1: an output that only its script knows
+_USUAL: Final[dict[int, int]] = {
+    4: 1,
+    19: 2,
+    21: 4,
+}  # outputs of aileron, elevator and rudder as they come with ArduPlane
+_FUNCTIONS: Final = (
+    ("elevon", 77, 78),
+    ("vtail", 79, 80),
+    ("flaperon", 24, 25),
+    ("flap", _FLAP, _FLAP),
+    ("spoiler", 16, 17),
+    ("airbrake", 110, 110),
+    ("aileron", 4, 4),
+    ("elevator", 19, 19),
+    ("rudder", 21, 21),
+)
+"""Words in the names of surfaces, and their SERVOn_FUNCTION on the left and on the right."""
+_NUMBERED: Final = re.compile(r"(?:RCOU\.C|\.servo)(\d+)(?:_raw)?$")
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """One output of an autopilot, as the parameters SERVOn_* describe it.
+
+    Parameters
+    ----------
+    surface : str
+        What its servo turns.
+    number : int
+        Counted from 1: the n of SERVOn.
+    function : int
+        SERVOn_FUNCTION.
+    min_us, trim_us, max_us : int
+        SERVOn_MIN, _TRIM and _MAX [us].
+    travel_deg : float
+        Deflection at MAX, and with the other sign at MIN [deg].
+    reversed : bool
+        SERVOn_REVERSED: a positive deflection takes a shorter pulse, and the servo's arm turns the other way.
+
+    Examples
+    --------
+    >>> elevator = Output("elevator", number=2, function=19)
+    >>> elevator.pulse_us(np.array([0.0, 10.0, -10.0, 60.0]))
+    array([1500, 1611, 1389, 2000])
+    >>> elevator.deflection_deg(np.array([1611])).round(3)
+    array([9.99])
+    """
+
+    surface: str
+    number: int
+    function: int
+    min_us: int = 1000
+    trim_us: int = 1500
+    max_us: int = 2000
+    travel_deg: float = FULL_TRAVEL_DEG
+    reversed: bool = False
+
+    @property
+    def is_range(self) -> bool:
+        """True if the firmware counts this function from MIN to MAX, not from TRIM both ways."""
+        return self.function == _FLAP
+
+    def pulse_us(self, deflection_deg: FloatArray) -> IntArray:
+        """Pulse that the firmware sends for a deflection [us], of the same shape.
+
+        It computes in single precision and cuts fractions of a microsecond off, towards TRIM (angles) or MIN
+        (ranges): ``SRV_Channel::pwm_from_angle`` and ``pwm_from_range``.
+        """
+        x = np.clip(np.asarray(deflection_deg, dtype=np.float32) / np.float32(self.travel_deg), -1.0, 1.0)
+        if self.reversed:
+            x = -x
+        if self.is_range:
+            zero_us, away_us = self.min_us, (x + 1.0) * np.float32(0.5 * (self.max_us - self.min_us))
+        else:
+            half_us = np.where(x > 0.0, self.max_us - self.trim_us, self.trim_us - self.min_us)
+            zero_us, away_us = self.trim_us, x * half_us.astype(np.float32)
+        pulse_us: IntArray = zero_us + np.trunc(away_us).astype(np.int64)
+        return pulse_us
+
+    def deflection_deg(self, pulse_us: IntArray) -> FloatArray:
+        """Deflection that a pulse asks for [deg], of the same shape: the inverse, without cutting."""
+        middle_us = 0.5 * (self.min_us + self.max_us) if self.is_range else float(self.trim_us)
+        away_us = np.asarray(pulse_us, dtype=np.float64) - middle_us
+        half_us = np.where(away_us > 0.0, self.max_us - middle_us, middle_us - self.min_us)
+        return self.arm_deg(self.travel_deg * away_us / half_us)
+
+    def arm_deg(self, deflection_deg: FloatArray) -> FloatArray:
+        """Angle of the servo's arm, which is what it reports [deg]; also turns arm angles into deflections."""
+        return -deflection_deg if self.reversed else deflection_deg
+
+
+def outputs_of(aircraft: Aircraft) -> tuple[Output, ...]:
+    """Connect the surfaces of an aircraft to the outputs of an autopilot.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+        A command in microseconds gives its output's trim, scale and direction, and its number if the channel has
+        one (``RCOU.C2``, ``SERVO_OUTPUT_RAW.servo2_raw``); any other only its direction.
+
+    Returns
+    -------
+    tuple of Output
+        In the order of the surfaces. The function follows from the surface's name (``aileron``, ``elevator``,
+        ``rudder``, ``flap``, ``elevon``, ``vtail``, ...); a name that says nothing gets one of the scripts'.
+
+    Raises
+    ------
+    ConfigError
+        If there are too many surfaces, or two that claim one output.
+
+    Examples
+    --------
+    >>> from servofd.aircraft import plain_aircraft
+    >>> [(o.number, o.function) for o in outputs_of(plain_aircraft(["elevator", "vtail_right", "gimbal"]))]
+    [(2, 19), (5, 80), (6, 94)]
+    """
+    if len(aircraft.surfaces) >= MOST_OUTPUTS:
+        raise ConfigError(f"{len(aircraft.surfaces)} surfaces: an autopilot's log has room for {MOST_OUTPUTS - 1}")
+    claimed = {name: _number(surface.command) for name, surface in aircraft.surfaces.items()}
+    taken = {number for number in claimed.values() if number}
+    if len(taken) < sum(number is not None for number in claimed.values()) or max(taken, default=0) > MOST_OUTPUTS:
+        raise ConfigError(f"each command needs an output of its own from 1 to {MOST_OUTPUTS}, not {claimed}")
+    functions = _functions(aircraft.surfaces)
+    found = []
+    for name, surface in aircraft.surfaces.items():
+        number = claimed[name] or _free(functions[name], taken)
+        taken.add(number)
+        found.append(_output(name, number, functions[name], surface.command))
+    return tuple(found)
+
+
+def _output(name: str, number: int, function: int, command: Calibration) -> Output:
+    trim_us, slope = 1500, FULL_TRAVEL_DEG / _HALF_RANGE_US
+    if isinstance(command, PulseCalibration) and command.slope_deg_per_us is not None:
+        trim_us, slope = round(command.trim_us), command.slope_deg_per_us
+    return Output(
+        surface=name,
+        number=number,
+        function=function,
+        min_us=trim_us - _HALF_RANGE_US,
+        trim_us=trim_us,
+        max_us=trim_us + _HALF_RANGE_US,
+        travel_deg=abs(slope) * _HALF_RANGE_US,
+        reversed=slope * command.sign < 0.0,
+    )
+
+
+def _number(command: Calibration) -> int | None:
+    """Output that a channel's name tells; None if it tells none."""
+    found = _NUMBERED.search(command.channel)
+    return int(found[1]) if found else None
+
+
+def _free(function: int, taken: Collection[int]) -> int:
+    """The usual output of a function, or the first that is free behind those of ArduPlane."""
+    candidates: list[int] = [_USUAL.get(function, 5), *range(5, MOST_OUTPUTS + 1), *_USUAL.values()]
+    return next(number for number in candidates if number not in taken)
+
+
+def _functions(surfaces: Collection[str]) -> dict[str, int]:
+    """SERVOn_FUNCTION by the names of surfaces; of two without a side the first is the left one."""
+    functions: dict[str, int] = {}
+    unknown = 0
+    for name in surfaces:
+        plain = name.lower().replace("-", "").replace("_tail", "tail")
+        pair = next(((left, right) for word, left, right in _FUNCTIONS if word in plain), None)
+        if pair is None:
+            functions[name] = _ANYTHING + unknown
+            unknown += 1
+            continue
+        is_right = "right" in plain or plain.endswith("_r")
+        is_left = "left" in plain or plain.endswith("_l")
+        functions[name] = pair[1] if is_right or (not is_left and pair[0] in functions.values()) else pair[0]
+    return functions

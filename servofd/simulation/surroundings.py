@@ -1,0 +1,127 @@
+"""What a log holds beside commands and positions: the air, the power, the state of each servo. Context, not truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from servofd.simulation.flight import SimulatedFlight
+    from servofd.types import FloatArray, IntArray
+
+__all__ = ["EPOCH_US", "ServoState", "Surroundings", "microseconds", "servo_state", "sparse", "surroundings"]
+
+EPOCH_US: Final = 1_700_000_000_000_000
+"""When every simulated vehicle was booted [us since 1970]: the same flight gives the same file."""
+
+_SPEED_M_S = 22.0
+_RAIL_V = 7.4
+_EARTH_M_PER_DEG = 111_195.0
+_FIELD_DEG = (44.725, -93.075)  # UMore Park, where FASER flew
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surroundings:
+    """Flight state at some times, each of shape (n,)."""
+
+    roll_deg: FloatArray
+    pitch_deg: FloatArray
+    yaw_deg: FloatArray
+    """From 0 to 360."""
+    airspeed_m_s: FloatArray
+    altitude_m: FloatArray
+    latitude_deg: FloatArray
+    longitude_deg: FloatArray
+    rail_v: FloatArray
+    """Supply of the servos."""
+    board_v: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ServoState:
+    """What a servo reports of itself, each of shape (n,)."""
+
+    voltage_v: FloatArray
+    current_a: FloatArray
+    motor_degc: FloatArray
+    board_degc: FloatArray
+    speed_deg_s: FloatArray
+
+
+def surroundings(time_s: FloatArray, seed: int) -> Surroundings:
+    """Circle over a field at 22 m/s, with a little noise.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,)
+        When [s].
+    seed : int
+        Of the noise.
+
+    Examples
+    --------
+    >>> surroundings(np.array([0.0, 45.0]), seed=0).yaw_deg.round().tolist()
+    [0.0, 180.0]
+    """
+    rng = np.random.default_rng([seed, 1000])
+
+    def noise(deviation: float) -> FloatArray:
+        return deviation * rng.standard_normal(time_s.size)
+
+    turn = 2.0 * np.pi * time_s / 90.0
+    radius_deg = _SPEED_M_S * 90.0 / (2.0 * np.pi) / _EARTH_M_PER_DEG
+    return Surroundings(
+        roll_deg=28.0 + 2.0 * np.sin(0.9 * time_s) + noise(0.2),
+        pitch_deg=3.0 + np.sin(0.7 * time_s) + noise(0.1),
+        yaw_deg=np.degrees(turn) % 360.0,
+        airspeed_m_s=_SPEED_M_S + np.sin(0.3 * time_s) + noise(0.3),
+        altitude_m=120.0 + 3.0 * np.sin(0.1 * time_s) + noise(0.1),
+        latitude_deg=_FIELD_DEG[0] + radius_deg * np.sin(turn),
+        longitude_deg=_FIELD_DEG[1] + radius_deg * (1.0 - np.cos(turn)) / np.cos(np.radians(_FIELD_DEG[0])),
+        rail_v=_RAIL_V + noise(0.02),
+        board_v=5.05 + noise(0.01),
+    )
+
+
+def servo_state(flight: SimulatedFlight, surface: int) -> ServoState:
+    """Electrical and thermal state of a servo: it draws current as it turns, and it is never perfectly still.
+
+    Parameters
+    ----------
+    flight : SimulatedFlight
+        The flight.
+    surface : int
+        Index of the surface.
+    """
+    rng = np.random.default_rng([flight.seed, surface, 1001])
+    time_s, measured_deg = flight.time_s, flight.measured_deg[:, surface]
+    speed_deg_s = np.gradient(measured_deg, time_s)
+    load = np.minimum(np.abs(speed_deg_s) / 200.0, 1.0)
+    current_a = np.abs(0.06 + 0.9 * load + 0.01 * rng.standard_normal(time_s.size))
+    warm = 1.0 - np.exp(-(time_s - time_s[0]) / 300.0)
+    return ServoState(
+        voltage_v=_RAIL_V - 0.15 * current_a + 0.01 * rng.standard_normal(time_s.size),
+        current_a=current_a,
+        motor_degc=np.round(25.0 + 12.0 * warm + 0.2 * rng.standard_normal(time_s.size)),
+        board_degc=np.round(27.0 + 6.0 * warm + 0.2 * rng.standard_normal(time_s.size)),
+        speed_deg_s=speed_deg_s,
+    )
+
+
+def sparse(time_s: FloatArray, rate_hz: float) -> IntArray:
+    """Indices of the samples that a slower message would hold, shape (m,).
+
+    Examples
+    --------
+    >>> sparse(np.arange(10) / 10.0, 2.5).tolist()
+    [0, 4, 8]
+    """
+    at_s = np.arange(time_s[0], time_s[-1] + 1e-9, 1.0 / rate_hz)
+    return np.unique(np.searchsorted(time_s, at_s - 1e-9)).astype(np.int64)
+
+
+def microseconds(time_s: FloatArray) -> IntArray:
+    """Time since boot as autopilots stamp it [us], of the same shape."""
+    return np.rint(time_s * 1e6).astype(np.int64)

@@ -1,0 +1,145 @@
+"""MAVLink telemetry log (``.tlog``) of a simulated flight: commands, and positions as named values."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from logparsers.telemetry.encode import Message, encode
+from servofd.simulation.ardupilot import banner, outputs_needed, parameters
+from servofd.simulation.pulses import THROTTLE, THROTTLE_US
+from servofd.simulation.surroundings import EPOCH_US, microseconds, sparse, surroundings
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import ArrayLike
+
+    from servofd.aircraft import Aircraft
+    from servofd.simulation.flight import SimulatedFlight
+    from servofd.types import IntArray
+
+    Sent = tuple[str, IntArray, dict[str, ArrayLike]]
+
+__all__ = ["VERSION", "telemetry_log", "telemetry_messages"]
+
+VERSION: Final = "4.7.0-dev"
+
+_FASTEST_LINK_US: Final = 12_000
+_WAITING_US: Final = 3_000
+_PLANE, _ARDUPILOT, _ACTIVE, _REAL32 = 1, 3, 4, 9  # MAV_TYPE, MAV_AUTOPILOT, MAV_STATE, MAV_PARAM_TYPE
+_ARMED_AUTO: Final = 128 | 16 | 8 | 4 | 1  # MAV_MODE_FLAG
+_WRAP: Final = 2**32
+
+
+def telemetry_log(flight: SimulatedFlight, aircraft: Aircraft) -> bytes:
+    """Content of a ``.tlog`` file.
+
+    Raises
+    ------
+    ConfigError
+        If the flight was simulated without outputs.
+    """
+    return encode(telemetry_messages(flight, aircraft))
+
+
+def telemetry_messages(flight: SimulatedFlight, aircraft: Aircraft) -> list[Message]:
+    """Frames of each message, with the times at which a ground station received them.
+
+    Parameters
+    ----------
+    flight : SimulatedFlight
+        With outputs; flight time 0 is when the autopilot was booted. Its clocks overflow after 71.6 minutes
+        (``time_usec``) and 49.7 days (``time_boot_ms``), as those of the real one do.
+    aircraft : Aircraft
+        A surface without a measured channel has a servo that reports nothing.
+
+    Returns
+    -------
+    list of Message
+        ``SERVO_OUTPUT_RAW``, and ``NAMED_VALUE_FLOAT`` named ``SRVP<n>`` for the arm of the servo on output n [deg],
+        at the rate of the flight; HEARTBEAT, SYSTEM_TIME, ATTITUDE and VFR_HUD more seldom; parameters and words
+        at the beginning.
+
+    Raises
+    ------
+    ConfigError
+        If the flight was simulated without outputs.
+    """
+    outputs_needed(flight)
+    sent = [*_words(flight, aircraft), *_servos(flight, aircraft), *_air(flight)]
+    arrivals = _arrivals([made_us for _, made_us, _ in sent], np.random.default_rng([flight.seed, 1002]))
+    return [Message(name, at_us, columns) for (name, _, columns), at_us in zip(sent, arrivals, strict=True)]
+
+
+def _words(flight: SimulatedFlight, aircraft: Aircraft) -> list[Sent]:
+    seconds_us = microseconds(flight.time_s[sparse(flight.time_s, 1.0)])
+    start_us = seconds_us[:1]
+    known = parameters(flight, aircraft, "script")
+    param: dict[str, ArrayLike] = {
+        "param_id": list(known),
+        "param_value": list(known.values()),
+        "param_type": [_REAL32] * len(known),
+        "param_count": [len(known)] * len(known),
+        "param_index": np.arange(len(known)),
+    }
+    beat = {"type": _PLANE, "autopilot": _ARDUPILOT, "base_mode": _ARMED_AUTO, "custom_mode": 10}
+    beat |= {"system_status": _ACTIVE, "mavlink_version": 3}
+    return [
+        ("HEARTBEAT", seconds_us, {name: np.full(seconds_us.size, value) for name, value in beat.items()}),
+        ("STATUSTEXT", start_us, {"severity": [6], "text": [banner(VERSION)]}),
+        ("PARAM_VALUE", np.repeat(start_us, len(known)), param),
+        ("SYSTEM_TIME", seconds_us, {"time_unix_usec": EPOCH_US + seconds_us, "time_boot_ms": _boot_ms(seconds_us)}),
+    ]
+
+
+def _servos(flight: SimulatedFlight, aircraft: Aircraft) -> list[Sent]:
+    made_us = microseconds(flight.time_s)
+    pulses: dict[str, ArrayLike] = {f"servo{o.number}_raw": flight.pulse_us[:, i] for i, o in enumerate(flight.outputs)}
+    pulses.setdefault(f"servo{THROTTLE}_raw", np.full(made_us.size, THROTTLE_US))
+    sent: list[Sent] = [("SERVO_OUTPUT_RAW", made_us, {"time_usec": made_us % _WRAP, **pulses})]
+    for i, output in enumerate(flight.outputs):
+        if aircraft.surfaces[output.surface].measured is not None:
+            position: dict[str, ArrayLike] = {
+                "time_boot_ms": _boot_ms(made_us),
+                "name": [f"SRVP{output.number}"] * made_us.size,
+                "value": output.arm_deg(flight.measured_deg[:, i]),
+            }
+            sent.append(("NAMED_VALUE_FLOAT", made_us, position))
+    return sent
+
+
+def _air(flight: SimulatedFlight) -> list[Sent]:
+    at_s = flight.time_s[sparse(flight.time_s, 10.0)]
+    air, made_us = surroundings(at_s, flight.seed), microseconds(at_s)
+    seldom = sparse(at_s, 2.0)
+    attitude: dict[str, ArrayLike] = {
+        "time_boot_ms": _boot_ms(made_us),
+        "roll": np.radians(air.roll_deg),
+        "pitch": np.radians(air.pitch_deg),
+        "yaw": np.radians((air.yaw_deg + 180.0) % 360.0 - 180.0),
+    }
+    hud: dict[str, ArrayLike] = {
+        "airspeed": air.airspeed_m_s[seldom],
+        "groundspeed": air.airspeed_m_s[seldom],
+        "heading": air.yaw_deg[seldom].astype(np.int64),
+        "throttle": np.full(seldom.size, 55),
+        "alt": air.altitude_m[seldom],
+    }
+    return [("ATTITUDE", made_us, attitude), ("VFR_HUD", made_us[seldom], hud)]
+
+
+def _boot_ms(made_us: IntArray) -> IntArray:
+    """The autopilot's other clock: whole milliseconds, cut off."""
+    return made_us // 1000 % _WRAP
+
+
+def _arrivals(made_us: Sequence[IntArray], rng: np.random.Generator) -> list[IntArray]:
+    """When frames arrive over a link that delays them and keeps their order, in the shapes of `made_us`."""
+    together = np.concatenate(made_us)
+    order = np.argsort(together, kind="stable")
+    late_us = _FASTEST_LINK_US + np.rint(rng.exponential(_WAITING_US, together.size)).astype(np.int64)
+    arrival_us = np.empty_like(together)
+    arrival_us[order] = np.maximum.accumulate(EPOCH_US + together[order] + late_us[order])
+    return np.split(arrival_us, np.cumsum([m.size for m in made_us])[:-1])

@@ -1,0 +1,146 @@
+"""PX4 log (``.ulg``) of a simulated flight: commands as controls, positions as a debug array."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from logparsers.records import Text
+from logparsers.ulog.encode import Topic, encode
+from servofd.errors import ConfigError
+from servofd.simulation.ardupilot import outputs_needed
+from servofd.simulation.pulses import THROTTLE, THROTTLE_US
+from servofd.simulation.surroundings import EPOCH_US, microseconds, sparse, surroundings
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from servofd.aircraft import Aircraft
+    from servofd.simulation.flight import SimulatedFlight
+    from servofd.simulation.pulses import Output
+
+    Columns = dict[str, NDArray[Any]]
+
+__all__ = ["MOST_SERVOS", "ulog_log", "ulog_parameters", "ulog_topics"]
+
+MOST_SERVOS: Final = 8
+"""Controls of the topic ``actuator_servos``."""
+
+_RELEASE: Final = 0x010F00FF  # 1.15.0
+_SERVO_1, _MOTOR_1 = 201, 101  # PWM_MAIN_FUNCn
+_FIXED_WING: Final = 1
+_DEBUG_SLOTS, _OUTPUT_SLOTS = 58, 16
+_CUSTOM: Final = 12
+_TYPES: Final = {  # of ArduPilot's functions in CA_SV_CSk_TYPE
+    4: 15, 19: 3, 21: 4, 77: 5, 78: 6, 79: 7, 80: 8, 24: 1, 25: 2, 2: 9, 110: 11, 16: 17, 17: 18,
+}  # fmt: skip
+_ON_THE_RIGHT: Final = {15: 2, 9: 10}
+_ON_THE_LEFT: Final = {15: 1}
+
+
+def ulog_log(flight: SimulatedFlight, aircraft: Aircraft) -> bytes:
+    """Content of a ``.ulg`` file.
+
+    Raises
+    ------
+    ConfigError
+        If the flight was simulated without outputs, or has more surfaces than PX4 has servos.
+    """
+    said = Text(float(flight.time_s[0]), "[servofd] simulated flight", 6)
+    information: dict[str, int | str] = {"sys_name": "PX4", "ver_hw": "SIMULATED", "ver_sw_release": _RELEASE}
+    topics = ulog_topics(flight, aircraft)
+    return encode(topics, parameters=ulog_parameters(flight), information=information, texts=[said])
+
+
+def ulog_topics(flight: SimulatedFlight, aircraft: Aircraft) -> list[Topic]:
+    """Samples of each topic.
+
+    Parameters
+    ----------
+    flight : SimulatedFlight
+        With outputs; flight time 0 is when the autopilot was booted.
+    aircraft : Aircraft
+        A surface without a measured channel has a servo that reports nothing.
+
+    Returns
+    -------
+    list of Topic
+        ``actuator_servos`` (``control[k]``: -1 to 1 is the whole travel of servo k + 1, the surfaces in order) and
+        ``debug_array`` named SRVP (``data[k]``: arm of the same servo [deg]; NaN: it reports nothing) at the rate of
+        the flight; ``actuator_outputs`` (pulses [us] by output), ``airspeed``, ``system_power`` and
+        ``vehicle_gps_position`` more seldom.
+
+    Raises
+    ------
+    ConfigError
+        If the flight was simulated without outputs, or has more surfaces than PX4 has servos.
+    """
+    outputs_needed(flight)
+    if len(flight.outputs) > MOST_SERVOS:
+        raise ConfigError(f"{len(flight.outputs)} surfaces: a PX4 log has room for {MOST_SERVOS}; write a .bin instead")
+    stamps = microseconds(flight.time_s).astype(np.uint64)
+    control = np.full((stamps.size, MOST_SERVOS), np.nan, np.float32)
+    data = np.full((stamps.size, _DEBUG_SLOTS), np.nan, np.float32)
+    for k, output in enumerate(flight.outputs):
+        control[:, k] = flight.command_deg[:, k] / output.travel_deg
+        if aircraft.surfaces[output.surface].measured is not None:
+            data[:, k] = output.arm_deg(flight.measured_deg[:, k])
+    positions: Columns = {
+        "timestamp": stamps,
+        "data": data,
+        "id": np.ones(stamps.size, np.uint16),
+        "name": np.full(stamps.size, b"SRVP", "S10"),
+    }
+    return [
+        Topic("actuator_servos", {"timestamp": stamps, "timestamp_sample": stamps, "control": control}),
+        Topic("debug_array", positions),
+        _pulses(flight),
+        *_air(flight),
+    ]
+
+
+def ulog_parameters(flight: SimulatedFlight) -> dict[str, int | float]:
+    """Settings of a PX4 that flies these outputs, by name."""
+    known: dict[str, int | float] = {"MAV_TYPE": _FIXED_WING, "CA_AIRFRAME": 1, "CA_SV_CS_COUNT": len(flight.outputs)}
+    known |= {"SDLOG_PROFILE": 1 | 16 | 32}  # default, high rate, debug
+    for k, output in enumerate(flight.outputs):
+        known |= {f"CA_SV_CS{k}_TYPE": _type(output), f"CA_SV_CS{k}_TRIM": 0.0}
+        n = output.number
+        known |= {f"PWM_MAIN_FUNC{n}": _SERVO_1 + k, f"PWM_MAIN_DIS{n}": output.trim_us}
+        known |= {f"PWM_MAIN_MIN{n}": output.min_us, f"PWM_MAIN_MAX{n}": output.max_us}
+    known.setdefault(f"PWM_MAIN_FUNC{THROTTLE}", _MOTOR_1)
+    known["PWM_MAIN_REV"] = sum(1 << (o.number - 1) for o in flight.outputs if o.reversed)
+    return known
+
+
+def _type(output: Output) -> int:
+    """CA_SV_CSk_TYPE; ailerons and flaps have sides that ArduPilot does not tell apart."""
+    kind = _TYPES.get(output.function, _CUSTOM)
+    name = output.surface.lower()
+    if "right" in name or name.endswith("_r"):
+        return _ON_THE_RIGHT.get(kind, kind)
+    return _ON_THE_LEFT.get(kind, kind) if "left" in name or name.endswith("_l") else kind
+
+
+def _pulses(flight: SimulatedFlight) -> Topic:
+    rows = sparse(flight.time_s, 10.0)
+    pulses = np.zeros((rows.size, _OUTPUT_SLOTS), np.float32)
+    pulses[:, THROTTLE - 1] = THROTTLE_US
+    for k, output in enumerate(flight.outputs):
+        pulses[:, output.number - 1] = flight.pulse_us[rows, k]
+    columns: Columns = {"timestamp": microseconds(flight.time_s[rows]).astype(np.uint64), "output": pulses}
+    columns["noutputs"] = np.full(rows.size, max(THROTTLE, *(o.number for o in flight.outputs)), np.uint32)
+    return Topic("actuator_outputs", columns)
+
+
+def _air(flight: SimulatedFlight) -> list[Topic]:
+    at_s = flight.time_s[sparse(flight.time_s, 5.0)]
+    air, stamps = surroundings(at_s, flight.seed), microseconds(at_s).astype(np.uint64)
+    speed: Columns = {"timestamp": stamps, "indicated_airspeed_m_s": air.airspeed_m_s.astype(np.float32)}
+    power: Columns = {"timestamp": stamps, "voltage5v_v": air.board_v.astype(np.float32)}
+    power["servo_valid"] = np.ones(stamps.size, np.uint8)
+    fix: Columns = {"timestamp": stamps, "time_utc_usec": stamps + np.uint64(EPOCH_US)}
+    fix |= {"lat": np.rint(air.latitude_deg * 1e7).astype(np.int32)}
+    fix |= {"lon": np.rint(air.longitude_deg * 1e7).astype(np.int32), "fix_type": np.full(stamps.size, 3, np.uint8)}
+    return [Topic("airspeed", speed), Topic("system_power", power), Topic("vehicle_gps_position", fix)]
