@@ -6,6 +6,7 @@ Exit codes: 0 done and healthy, 1 done and at least one fault, 2 could not tell 
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import signal
 import sys
@@ -63,8 +64,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Futaba S9254...
     0
     """
-    if sys.stdout is not None:
-        sys.stdout.reconfigure(errors="replace")  # type: ignore[union-attr]
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # a terminal that cannot show a sign shows a question mark
     options = build_parser().parse_args(arguments)
     if threading.current_thread() is threading.main_thread():
         # A terminated run cleans up like an interrupted one.

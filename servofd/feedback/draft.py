@@ -177,6 +177,8 @@ def _borrowed(log: FlightLog, surface: DraftedSurface, sound: list[DraftedSurfac
                 command |= {key: sibling.command[key], "sign": surface.pair.output.sign}
         if "trim_us" in command:
             command["trim_us"] = surface.pair.output.trim_us
+        elif "trim" in command:
+            command["trim"] = 0.0
         candidate = replace(surface, fit=sibling.fit, command=command)
         try:
             segment = _cut(log, surface.pair, command, surface.measured)

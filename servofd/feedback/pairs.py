@@ -103,9 +103,15 @@ def find_pairs(log: FlightLog) -> tuple[Pair, ...]:
     for number in sorted(numbered):
         position = numbered[number]
         command = _command_channel(log, number, position)
-        if command:
+        if command and _says_something(log[command]) and _says_something(log[position.channel]):
             pairs.append(Pair(names[number], outputs.get(number, Output(number)), command, position))
     return tuple(pairs)
+
+
+def _says_something(channel: Channel) -> bool:
+    """False for the unused places of an array: no value at all, or zero throughout."""
+    finite = channel.values[np.isfinite(channel.values)]
+    return bool(finite.size and np.any(finite != 0.0))
 
 
 def _first_output(log: FlightLog, members: list[Position]) -> int:

@@ -104,7 +104,8 @@ def _csv(flight: SimulatedFlight, aircraft: Aircraft) -> bytes:  # noqa: ARG001 
         columns[f"{name}_cmd_deg"] = np.round(flight.command_deg[:, i], _CSV_DECIMALS)
         columns[f"{name}_pos_deg"] = np.round(flight.measured_deg[:, i], _CSV_DECIMALS)
     sink = io.BytesIO()
-    csv.write_csv(pa.table(columns), sink, csv.WriteOptions(quoting_style="needed"))
+    sink.write((",".join(columns) + "\n").encode())  # pyarrow would put every name in quotes
+    csv.write_csv(pa.table(columns), sink, csv.WriteOptions(include_header=False))
     return sink.getvalue()
 
 
