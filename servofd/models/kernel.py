@@ -33,6 +33,8 @@ _SAME_STEP_S = 1e-7
 """Steps this close share an exponential, corrected by a three-term series (error below 1e-15)."""
 
 _NO_STEP_S = 1e-12
+_ROUND_OFF_S = 5e-13
+"""Differences of time stamps vary by this much for rounding alone, after an hour; it moves no servo by 1e-9 deg."""
 _SEARCH_STEP_S, _SEARCH_GROWTH, _FASTEST_SHARE = 1e-3, 1.3, 0.1
 _BISECTIONS = 50
 
@@ -269,7 +271,7 @@ def _advance(servo: ServoParameters, memory: Memory, until_s: float) -> None:
     total = 0.0
     for i in range(servo.decay_rad_s.size):
         factor = memory.slot_factor[slot, i]
-        if rest_s != 0.0:
+        if abs(rest_s) > _ROUND_OFF_S:
             x = servo.decay_rad_s[i] * rest_s
             factor *= 1.0 - x * (1.0 - 0.5 * x)
         if slope == 0.0:
