@@ -50,7 +50,7 @@ ONLY_IN = {
         f"servofd/cli/{name}.py" for name in ("__init__", "audit", "config", "design", "info", "servos", "simulate")
     },
     "numba": {
-        "servofd/models/kernel.py",
+        "servofd/models/state.py",
         "servofd/models/play.py",
         "servofd/detection/starts.py",
         "logparsers/compiled.py",

@@ -14,7 +14,7 @@ import numpy as np
 from servofd.detection.alarm import Episode, find_episodes
 from servofd.detection.probability import false_alarms_per_hour
 from servofd.detection.residual import ResidualGenerator, Residuals
-from servofd.errors import NoMeasurement
+from servofd.errors import DesignError, NoMeasurement
 from servofd.segment import SLOWEST_RATE_HZ, Segment, cut
 
 if TYPE_CHECKING:
@@ -150,7 +150,10 @@ def _audit_surface(log: FlightLog, aircraft: Aircraft, name: str, threshold_deg:
     problem = _too_little(segment)
     if problem:
         return verdict(status="unknown", reason=problem, segment=segment)
-    generator = ResidualGenerator.fitting(aircraft.model(name), segment, surface.filter_pole_rad_s)
+    try:
+        generator = ResidualGenerator.fitting(aircraft.model(name), segment, surface.filter_pole_rad_s)
+    except DesignError as error:
+        return verdict(status="unknown", reason=str(error), segment=segment)
     residuals = generator.run(segment)
     judged_s = np.count_nonzero(residuals.settled) * segment.period_s
     if judged_s < _SHORTEST_JUDGED_S:

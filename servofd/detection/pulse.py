@@ -38,6 +38,7 @@ PREFERRED_POLES_RAD_S = (120.0, 80.0, 50.0, 30.0, 20.0, 15.0, 10.0, 5.0)
 """Poles to choose from, fastest first; 50 rad/s is that of thesis Eq. 4.10."""
 
 LARGEST_NOISE_GAIN = 0.5
+_USELESS_NOISE_GAIN = 5.0
 _WHOLE_SAMPLE = 1e-9
 
 
@@ -211,15 +212,24 @@ def design_pulse_filter(
 def fastest_pole_rad_s(transfer: TransferFunction, sample_time_s: float) -> float:
     """Fastest of the preferred poles whose noise gain stays at or below 0.5 [rad/s].
 
+    Raises
+    ------
+    DesignError
+        If even the slowest amplifies noise five times: the model asks for more derivatives than data can give.
+
     Examples
     --------
     >>> from servofd.servos import servo_named
     >>> [fastest_pole_rad_s(servo_named(name).transfer, 0.01) for name in ("hs225bb-eq31", "s3151")]
     [50.0, 30.0]
     """
+    noise_gain = float("inf")
     for pole in PREFERRED_POLES_RAD_S:
-        if design_pulse_filter(transfer, 0.0, sample_time_s, pole).noise_gain <= LARGEST_NOISE_GAIN:
+        noise_gain = design_pulse_filter(transfer, 0.0, sample_time_s, pole).noise_gain
+        if noise_gain <= LARGEST_NOISE_GAIN:
             return pole
+    if not noise_gain <= _USELESS_NOISE_GAIN:
+        raise DesignError(f"even the slowest filter would amplify noise {noise_gain:.1g} times: use a simpler model")
     return PREFERRED_POLES_RAD_S[-1]
 
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from logparsers.records import own
 from servofd.detection.pulse import fastest_pole_rad_s
+from servofd.errors import DesignError
 
 if TYPE_CHECKING:
     from servofd.models.kernel import FilterParameters
@@ -31,6 +32,7 @@ __all__ = ["Commands", "ResidualGenerator", "Residuals", "commands_at_servo"]
 _GAP_TIME_CONSTANTS = 5.0
 _GAP_PERIODS = 3.0
 _BLANKING_TIME_CONSTANTS = 8.0
+_LARGEST_GAIN_ERROR = 1e-6
 _LOST_SAMPLE = 1.75
 """An interval this many times the median holds a lost sample. Jitter of 3 ms at 100 Hz stays below 1.6."""
 _INTERVALS_FOR_PERIOD = 10_000
@@ -106,7 +108,24 @@ class ResidualGenerator:
     @classmethod
     def fitting(cls, model: ServoModel, segment: Segment, pole_rad_s: float | None = None) -> ResidualGenerator:
         """Generator with the given pole, or the fastest that the segment's sample rate allows."""
-        return cls(model, pole_rad_s or fastest_pole_rad_s(model.transfer, segment.period_s))
+        generator = cls(model, pole_rad_s or fastest_pole_rad_s(model.transfer, segment.period_s))
+        generator.check(segment.period_s)
+        return generator
+
+    def check(self, step_s: float) -> None:
+        """Certify that the filter passes a constant error with the inverse dc gain, up to round-off.
+
+        Raises
+        ------
+        DesignError
+            If so many digits cancel that it does not: the model's order is too high for this step.
+        """
+        from servofd.models.kernel import lag_weights
+
+        parameters = self.filter_parameters()
+        total = float(np.sum(lag_weights(parameters, step_s))) * parameters.dc_gain
+        if not abs(total - 1.0) < _LARGEST_GAIN_ERROR:
+            raise DesignError("the residual filter of this servo model loses all digits: use a model of lower order")
 
     @property
     def blanking_s(self) -> float:

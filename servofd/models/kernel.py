@@ -8,7 +8,7 @@ result does not depend on how the samples are spaced:
 2. **Rate limit**: the position follows the linear motion until that becomes too fast, then runs at the limit
    until it meets the linear motion again; both instants are located by bisection.
 3. **Position limit**: a stop.
-4. **Residual filter**: ``Qy`` of the nullspace filter in the lag form, see `servofd.detection.lags`.
+4. **Residual filter**: ``Qy`` of the nullspace filter in the lag form, see `servofd.detection.residual`.
 
 A whole log and a single live sample run through the same `observe`.
 """
@@ -16,18 +16,13 @@ A whole log and a single live sample run through the same `observe`.
 from __future__ import annotations
 
 import math
-from functools import partial
-from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from servofd.types import ComplexArray, FloatArray
+from servofd.models.state import SLOTS, FilterParameters, Memory, ServoParameters, compiled, inlined, new_memory
+from servofd.types import FloatArray
 
-__all__ = ["FilterParameters", "Memory", "ServoParameters", "new_memory", "observe"]
-
-_SLOTS = 4
-"""Step lengths whose exponentials are kept. A uniform log with a fractional delay alternates between two."""
+__all__ = ["FilterParameters", "Memory", "ServoParameters", "lag_weights", "new_memory", "observe"]
 
 _SAME_STEP_S = 1e-7
 """Steps this close share an exponential, corrected by a three-term series (error below 1e-15)."""
@@ -38,83 +33,17 @@ _ROUND_OFF_S = 5e-13
 _SEARCH_STEP_S, _SEARCH_GROWTH, _FASTEST_SHARE = 1e-3, 1.3, 0.1
 _BISECTIONS = 50
 
-compiled = partial(njit, cache=True, nogil=True, error_model="numpy", fastmath={"contract"}, _nrt=False)()
-inlined = partial(
-    njit, cache=True, nogil=True, error_model="numpy", fastmath={"contract"}, _nrt=False, inline="always"
-)()
-"""No reference counting inside: nothing here allocates, and it would take 9/10 of the time (measured)."""
-
 RESTART_NONE, RESTART_FILTER, RESTART_ALL = 0, 1, 2
-
-
-class ServoParameters(NamedTuple):
-    """A servo as the kernel sees it; an effect that is absent has its neutral value."""
-
-    decay_rad_s: ComplexArray
-    weight: ComplexArray
-    rate_down_deg_s: float
-    rate_up_deg_s: float
-    lower_deg: float
-    upper_deg: float
-
-
-class FilterParameters(NamedTuple):
-    """The measured branch ``Qy`` of a nullspace filter."""
-
-    pole_rad_s: float
-    decay_rad_s: ComplexArray
-    """All poles of the servo, negated, both members of each pair, of shape (n,)."""
-    dc_gain: float
-
-
-class Memory(NamedTuple):
-    """Everything that changes from sample to sample; arrays, so that it can be updated in place and copied."""
-
-    modes: ComplexArray
-    """Of shape (m,): position each mode would reach [deg]."""
-    motion: FloatArray
-    """Of shape (6,): time [s], held command [deg], its slope [deg/s], position [deg], rate-limited (-1, 0, 1), and
-    the fastest that the linear motion can become under this command [deg/s]."""
-    lags: FloatArray
-    """Of shape (n + 1,): successive lags of the simulation error [deg]."""
-    lag_weights: FloatArray
-    """Of shape (n + 1,): shares of the lags in the residual for the step length below."""
-    lag_step: FloatArray
-    """Of shape (3,): step length [s] of the weights, its lag factor, time of the last filtered sample [s]."""
-    polynomial: ComplexArray
-    """Of shape (n + 1,): room for the calculation of the weights."""
-    cursor: np.ndarray[tuple[int], np.dtype[np.int64]]
-    """Of shape (2,): next command to take effect, next exponential slot to overwrite."""
-    slot_step_s: FloatArray
-    """Of shape (slots,)."""
-    slot_factor: ComplexArray
-    """Of shape (slots, m)."""
-
-
-def new_memory(servo: ServoParameters, residual_filter: FilterParameters) -> Memory:
-    """Memory before the first sample."""
-    modes, order = servo.decay_rad_s.size, residual_filter.decay_rad_s.size
-    return Memory(
-        modes=np.zeros(modes, dtype=np.complex128),
-        motion=np.zeros(6),
-        lags=np.zeros(order + 1),
-        lag_weights=np.zeros(order + 1),
-        lag_step=np.array([-1.0, 0.0, 0.0]),
-        polynomial=np.zeros(order + 1, dtype=np.complex128),
-        cursor=np.zeros(2, dtype=np.int64),
-        slot_step_s=np.full(_SLOTS, -1.0),
-        slot_factor=np.zeros((_SLOTS, modes), dtype=np.complex128),
-    )
 
 
 @inlined
 def _slot_for(servo: ServoParameters, memory: Memory, step_s: float) -> int:
     """Index of the cached exponentials for a step of about this length, filled if need be."""
-    for slot in range(_SLOTS):
+    for slot in range(SLOTS):
         if abs(memory.slot_step_s[slot] - step_s) <= _SAME_STEP_S:
             return slot
     slot = memory.cursor[1]
-    memory.cursor[1] = (slot + 1) % _SLOTS
+    memory.cursor[1] = (slot + 1) % SLOTS
     memory.slot_step_s[slot] = step_s
     for i in range(servo.decay_rad_s.size):
         memory.slot_factor[slot, i] = np.exp(-servo.decay_rad_s[i] * step_s)
@@ -326,6 +255,14 @@ def _weigh_lags(residual_filter: FilterParameters, memory: Memory, step_s: float
         scale *= 1.0 - lag
     memory.lag_step[0] = step_s
     memory.lag_step[1] = lag
+
+
+def lag_weights(residual_filter: FilterParameters, step_s: float) -> FloatArray:
+    """Shares of the lags in the residual for one step length, of shape (n + 1,)."""
+    servo = ServoParameters(np.zeros(0, complex), np.zeros(0, complex), 0.0, 0.0, 0.0, 0.0)
+    memory = new_memory(servo, residual_filter)
+    _weigh_lags(residual_filter, memory, step_s)
+    return memory.lag_weights
 
 
 @inlined

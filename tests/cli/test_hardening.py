@@ -1,0 +1,205 @@
+"""What an outsider broke once, and must not break again."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from servofd.cli import main
+from servofd.types import FloatArray
+
+SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"
+HEALTHY = str(SAMPLES / "faser_healthy_flight.mat")
+
+
+def write(path: Path, command_deg: FloatArray, measured_deg: FloatArray, rate_hz: float = 100.0) -> str:
+    time_s = np.arange(command_deg.size) / rate_hz
+    rows = [f"{t:.6f},{u:.6f},{y:.6f}" for t, u, y in zip(time_s, command_deg, measured_deg, strict=True)]
+    path.write_text("time_s,elevator_cmd_deg,elevator_pos_deg\n" + "\n".join(rows) + "\n")
+    return str(path)
+
+
+def status(path: str, capsys: pytest.CaptureFixture[str]) -> str:
+    main(["audit", path, "--json", "-"])
+    surfaces = json.loads(capsys.readouterr().out)["logs"][0]["surfaces"]
+    return str(surfaces["elevator"]["status"])
+
+
+class TestOutputs:
+    def test_a_pipe_is_written_to_and_not_replaced(self, tmp_path: Path) -> None:
+        pipe = tmp_path / "pipe"
+        os.mkfifo(pipe)
+        reader = subprocess.Popen(["cat", str(pipe)], stdout=subprocess.PIPE)  # noqa: S607
+        assert main(["audit", HEALTHY, "--json", str(pipe)]) == 0
+        out, _ = reader.communicate(timeout=30)
+        assert json.loads(out)["schema"] == "servofd.audit/1"
+        assert pipe.is_fifo()
+
+    def test_a_link_is_followed(self, tmp_path: Path) -> None:
+        real, link = tmp_path / "real.json", tmp_path / "link.json"
+        real.write_text("old")
+        link.symlink_to(real)
+        assert main(["audit", HEALTHY, "--json", str(link)]) == 0
+        assert link.is_symlink()
+        assert json.loads(real.read_text())["logs"]
+
+    def test_neither_the_log_nor_another_output_is_overwritten(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        log = tmp_path / "flight.mat"
+        log.write_bytes(Path(HEALTHY).read_bytes())
+        assert main(["audit", str(log), "--json", str(log)]) == 2
+        assert "is a log already" in capsys.readouterr().err
+        assert log.read_bytes() == Path(HEALTHY).read_bytes()
+        assert main(["audit", str(log), "--json", str(tmp_path / "z"), "--rrd", str(tmp_path / "z")]) == 2
+        assert "another output" in capsys.readouterr().err
+
+    def test_names_that_are_no_file_names(self, tmp_path: Path) -> None:
+        text = (tmp_path / "plain.csv").parent / "odd.csv"
+        write(text, 5.0 * np.sin(np.arange(600) / 30.0), 5.0 * np.sin(np.arange(600) / 30.0 - 0.19))
+        odd = "../../a b/c"
+        text.write_text(text.read_text().replace("elevator", odd))
+        assert main(["audit", str(text), "-o", str(tmp_path / "out")]) == 0
+        names = {path.name for path in (tmp_path / "out").iterdir()}
+        assert names == {"audit.json", "odd.rrd", "odd-_.._a_b_c.png"}
+
+    def test_a_full_disk_is_told(self) -> None:
+        if not Path("/dev/full").exists():
+            pytest.skip("no /dev/full on this system")
+        command = f"{sys.executable} -m servofd servos --json > /dev/full"
+        result = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)  # noqa: S607
+        assert result.returncode == 2
+        assert "Traceback" not in result.stderr
+        assert "No space left" in result.stderr
+
+    def test_a_terminated_run_leaves_nothing_half_written(self, tmp_path: Path) -> None:
+        log = tmp_path / "big.csv"
+        main(["simulate", "-o", str(log), "--duration", "1200"])
+        process = subprocess.Popen([sys.executable, "-m", "servofd", "audit", str(log), "-o", str(tmp_path / "out")])
+        for _ in range(600):  # wait for the first output file, bounded
+            if process.poll() is not None or any((tmp_path / "out").glob("*")):
+                break
+            time.sleep(0.05)
+        process.send_signal(signal.SIGTERM)
+        process.wait(timeout=60)
+        assert not [path.name for path in (tmp_path / "out").glob(".*")]
+
+
+class TestVerdicts:
+    @pytest.mark.parametrize(("size_deg", "frequency_hz"), [(3.5, 6.0), (8.0, 10.0), (10.0, 12.0)])
+    def test_a_stuck_servo_under_fast_commands_is_not_called_healthy(
+        self, size_deg: float, frequency_hz: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        time_s = np.arange(3000) / 100.0
+        command_deg = size_deg * np.sin(2.0 * np.pi * frequency_hz * time_s)
+        stuck_deg = 0.05 * np.random.default_rng(0).standard_normal(3000)
+        assert status(write(tmp_path / "fast.csv", command_deg, stuck_deg), capsys) in ("unknown", "fault")
+
+    def test_a_glitch_does_not_prove_motion(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        time_s = np.arange(6000) / 100.0
+        measured_deg = 0.05 * np.random.default_rng(0).standard_normal(6000)
+        measured_deg[0] = 10.0
+        command_deg = 1.2 * np.sin(2.0 * np.pi * 0.2 * time_s)
+        assert status(write(tmp_path / "glitch.csv", command_deg, measured_deg), capsys) == "unknown"
+
+    def test_a_position_without_a_command_is_listed(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        path = tmp_path / "lone.csv"
+        write(path, 5.0 * np.sin(np.arange(600) / 30.0), 5.0 * np.sin(np.arange(600) / 30.0 - 0.19))
+        path.write_text(path.read_text().replace("elevator_cmd_deg", "elevator_cmd"))
+        assert main(["audit", str(path), "--json", "-"]) == 2
+        assert json.loads(capsys.readouterr().out)["logs"][0]["surfaces"]["elevator"]["status"] == "no_data"
+
+    def test_positions_inside_a_hole_of_the_commands_are_not_judged(self) -> None:
+        from servofd.detection.starts import find_starts
+        from servofd.segment import Segment
+
+        time_s = np.arange(200) / 100.0
+        kept = (time_s <= 1.0) | (time_s >= 1.04)
+        segment = Segment("x", time_s[kept], np.zeros(kept.sum()), time_s, np.zeros(200))
+        starts = find_starts(segment, 0.1, 0.16, fresh_s=0.0175)
+        assert not starts.settled[102:104].any()
+        assert starts.settled[[101, 104]].all()
+
+    @pytest.mark.parametrize(("rate_hz", "expected"), [(1e9, "check the unit"), (1e6, "check the unit")])
+    def test_a_wrong_time_unit_is_told(
+        self, rate_hz: float, expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        path = tmp_path / "units.csv"
+        rows = "".join(f"{k / rate_hz:.12f},{5 * np.sin(k / 30)},{5 * np.sin(k / 30 - 0.1)}\n" for k in range(600))
+        path.write_text("time_s,elevator_cmd_deg,elevator_pos_deg\n" + rows)
+        assert main(["audit", str(path)]) == 2
+        assert expected in capsys.readouterr().err
+
+    def test_absurd_values_are_told(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        command_deg = 5.0 * np.sin(np.arange(600) / 30.0)
+        path = write(tmp_path / "absurd.csv", command_deg, 1e150 * command_deg)
+        assert main(["audit", path]) == 2
+        assert "check its unit and calibration" in capsys.readouterr().err
+
+    def test_counts_need_not_be_whole(self) -> None:
+        from servofd.calibration import RadianOrCountCalibration
+
+        faser = RadianOrCountCalibration(channel="x", unit="rad_or_count", trim_count=2048.0, slope_deg_per_count=0.05)
+        assert faser.to_deg(np.array([2048.5, 2068.0])) == pytest.approx([0.025, 1.0])
+
+
+SERVO = "[servos.mine]\ntitle='x'\n{body}\ndelay_s=0.0\nhold='zoh'\nsource='x'\n"
+SERVO += "[surfaces.elevator]\nservo='mine'\n{more}"
+CHANNELS = "command={channel='elevator_cmd_deg',unit='deg'}\nmeasured={channel='elevator_pos_deg',unit='deg'}\n"
+NINE_POLES = "[1.0,9.0,36.0,84.0,126.0,126.0,84.0,36.0,9.0,1.0]"
+
+
+@pytest.mark.parametrize(
+    ("body", "more", "expected"),
+    [
+        ("numerator=[0.0]\ndenominator=[1.0,1.0]", "", "dc gain"),
+        ("numerator=[1.0,0.0]\ndenominator=[1.0,5.0,6.0]", "", "dc gain"),
+        ("bandwidth_hz=1e200\ndamping=0.7", "", "bandwidth_hz"),
+        ("bandwidth_hz=5.0\ndamping=1e9", "", "damping"),
+        (f"numerator=[1.0]\ndenominator={NINE_POLES}", "", "lower order"),
+        ("bandwidth_hz=5.0\ndamping=0.7", "filter_pole_rad_s=1e9\n", "filter_pole_rad_s"),
+        ("bandwidth_hz=5.0\ndamping=0.7", "threshold_deg=true\n", "threshold_deg"),
+    ],
+)
+def test_servos_that_cannot_be(
+    body: str, more: str, expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = tmp_path / "plane.toml"
+    config.write_text(SERVO.format(body=body, more=more) + CHANNELS)
+    motion_deg = 5.0 * np.sin(np.arange(600) / 30.0)
+    log = write(tmp_path / "flight.csv", motion_deg, motion_deg * 0.9)
+    assert main(["audit", log, "-c", str(config)]) == 2
+    err = capsys.readouterr().err
+    assert expected in err
+    assert "Traceback" not in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["--fault", "elevator:stuck@nan"], "not finite"),
+        (["--fault", "elevator:stuck@1000"], "the flight lasts"),
+        (["--fault", "elevator:stuck@5", "--fault", "elevator:deadband@8"], "a fault already"),
+        (["--fault", "elevator:stuck@5:start_s=3"], "after the @"),
+        (["--fault", "elevator:stuck@5:position_deg=nan"], "not finite"),
+    ],
+)
+def test_simulated_faults_must_happen(
+    arguments: list[str], expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["simulate", "-o", str(tmp_path / "a.csv"), *arguments]) == 2
+    assert expected in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_interval_threshold_says_that_it_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["audit", HEALTHY, "--threshold", "interval"]) == 2
+    assert "--threshold-deg" in capsys.readouterr().err
