@@ -21,6 +21,7 @@ pytestmark = pytest.mark.skipif(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("suffix", "aileron", "elevator"), [("bin", "aileron_1", "elevator_10"), ("tlog", "servo_1", "servo_10")]
 )
@@ -35,6 +36,7 @@ def test_both_jams_are_found_and_nothing_else(suffix: str, aileron: str, elevato
     assert verdicts[elevator].episodes[0].alarm_s == pytest.approx(143.0, abs=1.5)
 
 
+@pytest.mark.slow
 def test_the_drafted_file_gives_the_same_verdicts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = str(LOGS / "ardupilot_sitl_feedback.bin")
     assert main(["config", log]) == 0

@@ -35,6 +35,7 @@ def survive(kind: str, number: int) -> set[str]:
     return outcomes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", SEEDS)
 def test_damaged_bytes_are_a_log_or_a_log_error(kind: str, capfd: pytest.CaptureFixture[str]) -> None:
     assert "FlightLog" in survive(kind, FEW)

@@ -98,6 +98,7 @@ def use_up(log: DataFlashFile) -> None:
 # -- sound logs -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", REAL_LOGS)
 def test_every_value_of_a_real_log_equals_pymavlinks(name: str) -> None:
     assert_equal_to_pymavlink(real(name))
@@ -385,6 +386,7 @@ HOSTILE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", HOSTILE)
 def test_hostile_files_take_bounded_time_and_memory(kind: str) -> None:
     pattern = HOSTILE[kind]

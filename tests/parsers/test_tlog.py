@@ -83,6 +83,7 @@ def flight(tmp_path: Path) -> Path:
 # ------------------------------------------------------------------ values
 
 
+@pytest.mark.slow
 def test_every_value_of_real_logs_equals_pymavlinks() -> None:
     for path in real_logs(".tlog"):
         assert assert_equal_to_pymavlink(path) > 10_000
@@ -432,6 +433,7 @@ def test_forged_but_correct_frames_are_survived() -> None:
         use_everything(content)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "pattern", [b"\x00", b"\xff", b"\xfe", b"\xfd", b"\xfe\xff", b"\xfd\x00", b"\xfe\xff\x00\x01\x01\x00"]
 )
@@ -489,6 +491,7 @@ def test_missing_messages_and_fields_are_named(flight: Path) -> None:
         log.column("NAMED_VALUE_FLOAT", "value", instance="SRVP9")
 
 
+@pytest.mark.slow
 def test_thousands_of_senders_names_and_restarts_take_a_bounded_time() -> None:
     """Each of these took time with the square of the length of the file."""
     rows = 20_000

@@ -81,3 +81,35 @@ def test_the_script_makes_the_same_bytes(tmp_path: Path) -> None:
             # Single precision on file; another CPU may round the last bit of the simulation otherwise.
             np.testing.assert_allclose(ours[channel].values, stored[channel].values, rtol=2e-7, atol=1.0)
         assert path.stat().st_size == (SAMPLES / path.name).stat().st_size
+
+
+# Format, surface that jams at 20 s (None: all healthy), latest alarm: its first brisk command after the jam [s].
+AUTOPILOT_VERDICTS: dict[str, tuple[str, str | None, float]] = {
+    "ardupilot_dronecan_healthy.bin": ("dataflash", None, 0.0),
+    "ardupilot_volz_stuck.bin": ("dataflash", "elevator", 25.3),
+    "telemetry_stuck.tlog": ("tlog", "elevator", 25.3),
+    "px4_stuck.ulg": ("ulog", "servo_2", 25.6),
+}
+
+
+@pytest.mark.parametrize("name", AUTOPILOT_VERDICTS)
+@pytest.mark.parametrize("configured", [False, True])
+def test_autopilot_logs_are_audited_with_nothing_configured_by_hand(
+    name: str, configured: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from servofd.cli import main
+
+    log_format, jammed, alarm_s = AUTOPILOT_VERDICTS[name]
+    config = None
+    if configured:
+        assert main(["config", str(SAMPLES / name)]) == 0
+        config = tmp_path / "plane.toml"
+        config.write_text(capsys.readouterr().out)
+    (result,) = servofd.audit(SAMPLES / name, config)
+    assert result.log.format == log_format
+    assert len(result.surfaces) == 3
+    for verdict in result.surfaces:
+        assert verdict.status == ("fault" if verdict.surface == jammed else "healthy")
+        for episode in verdict.episodes:
+            assert 20.0 <= episode.start_s <= episode.alarm_s <= alarm_s
+            assert episode.end_s is None
