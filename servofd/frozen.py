@@ -9,6 +9,8 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.typing import NDArray
+
     from servofd.types import BoolArray, FloatArray
 
 __all__ = ["frozen_rows", "republished_rows"]
@@ -65,10 +67,11 @@ def frozen_rows(
     elsewhere = ~same_position
     changes = int(np.count_nonzero(~same_sibling[1:] & elsewhere[1:]))
     per_row = changes / max(int(np.count_nonzero(elsewhere[1:])), 1)
-    for first, last in _runs(same_position):
+    firsts, lasts = _runs(same_position)
+    long_enough = (time_s[lasts] - time_s[firsts] >= _SHORTEST_S) & ((lasts - firsts) * per_row >= _EXPECTED_CHANGES)
+    for first, last in zip(firsts[long_enough], lasts[long_enough], strict=True):
         alive = not np.all(same_sibling[first + 1 : last + 1])
-        long_enough = time_s[last] - time_s[first] >= _SHORTEST_S and (last - first) * per_row >= _EXPECTED_CHANGES
-        if long_enough and not alive and np.ptp(command_deg[first : last + 1]) >= _COMMAND_MOVES_DEG:
+        if not alive and np.ptp(command_deg[first : last + 1]) >= _COMMAND_MOVES_DEG:
             rows[first : last + 1] = True
     return rows
 
@@ -89,9 +92,9 @@ def republished_rows(time_s: FloatArray, position: FloatArray, siblings: Sequenc
     if time_s.size < 2:
         return rows
     same = np.all([_same_as_before(values) for values in (position, *siblings)], axis=0)
-    for first, last in _runs(same):
-        if time_s[last] - time_s[first] < _REPUBLISHED_S:
-            rows[first + 1 : last + 1] = True
+    firsts, lasts = _runs(same)
+    short = np.repeat(time_s[lasts] - time_s[firsts] < _REPUBLISHED_S, lasts - firsts)
+    rows[np.flatnonzero(same)] = short
     return rows
 
 
@@ -102,7 +105,7 @@ def _same_as_before(values: FloatArray) -> BoolArray:
     return same
 
 
-def _runs(same: BoolArray) -> list[tuple[int, int]]:
+def _runs(same: BoolArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """First and last row of each stretch of repetitions, the row that is repeated included."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
-    return [(int(begin) - 1, int(end) - 1) for begin, end in zip(edges[::2], edges[1::2], strict=True)]
+    return edges[::2] - 1, edges[1::2] - 1

@@ -26,6 +26,7 @@ _FALLBACK_MARGIN = 20.0
 _FULL_NORM_DEG = 25.0
 _FIT_FAILS = 2.5
 _ENOUGH_SIBLINGS = 2
+_SHORTEST_PERIOD_S, _LONGEST_PERIOD_S = 1e-4, 0.2
 _ANGLES = {"deg", "rad"}
 
 
@@ -120,11 +121,14 @@ def _draft(log: FlightLog, pair: Pair) -> DraftedSurface | None:
         segment = _cut(log, pair, command, measured)
     except NoMeasurement:
         return DraftedSurface(pair, RoughFit(), command, measured, 0.0, 0.0)
+    if not _SHORTEST_PERIOD_S < segment.period_s < _LONGEST_PERIOD_S:
+        return DraftedSurface(pair, RoughFit(), command, measured, 0.0, 0.0)
     fit = fit_roughly(segment, free_scale=not angle_command)
     if not angle_command and np.isfinite(fit.error_deg) and fit.gain != 0.0:
         command = _rescaled(command, fit)
         fit = replace(fit, gain=1.0, bias_deg=0.0)
-    return _measured_draft(log, DraftedSurface(pair, fit, command, measured, 0.0, 0.0))
+        segment = _cut(log, pair, command, measured)
+    return _with_residual(DraftedSurface(pair, fit, command, measured, 0.0, 0.0), segment)
 
 
 def _cut(log: FlightLog, pair: Pair, command: dict[str, Any], measured: dict[str, Any]) -> Segment:
@@ -194,6 +198,10 @@ def _measured_draft(log: FlightLog, surface: DraftedSurface) -> DraftedSurface:
         segment = _cut(log, surface.pair, surface.command, surface.measured)
     except NoMeasurement:
         return surface
+    return _with_residual(surface, segment)
+
+
+def _with_residual(surface: DraftedSurface, segment: Segment) -> DraftedSurface:
     residuals = ResidualGenerator.fitting(surface.fit.model, segment).run(segment)
     size_deg = np.abs(residuals.residual_deg[residuals.settled])
     if size_deg.size == 0:
