@@ -90,6 +90,10 @@ def aircraft_for(log: FlightLog) -> Aircraft:
         logged = {name: s for name, s in faser.surfaces.items() if s.command.channel in log.channels}
         if logged:
             return faser.model_copy(update={"surfaces": logged})
+        raise NoMeasurement(
+            f"{log.label}: no measured deflection: this log holds {', '.join(list(log.channels)[:8])}; a position "
+            "per surface is needed (de_pos, dr_pos, da_l_pos, ...), or an aircraft file (-c) that names other channels"
+        )
     if log.format in ("dataflash", "tlog", "ulog"):
         return draft_aircraft(log).aircraft()
     names = dict.fromkeys(

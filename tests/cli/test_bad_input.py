@@ -35,6 +35,15 @@ def with_text_in_a_cell() -> str:
     return "\n".join(lines) + "\n"
 
 
+def commands_only(path: Path) -> None:
+    """RAPTRS log: HDF5 with commands, and no position."""
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        file["/Sensors/Fmu/Time_us"] = np.arange(500) * 20_000
+        file["/Control/cmdElev_rad"] = 0.1 * np.sin(np.arange(500) / 50.0)
+
+
 LOGS: dict[str, tuple[str, Callable[[Path], object], str]] = {
     "missing file": ("no_such_file.csv", lambda _path: None, "no such file"),
     "folder": ("folder", lambda path: path.mkdir(), "folder"),
@@ -85,6 +94,7 @@ LOGS: dict[str, tuple[str, Callable[[Path], object], str]] = {
         lambda path: path.write_text(table(time_s=np.arange(600) * 0.2)),
         "5 Hz",
     ),
+    "commands only": ("raptrs.h5", commands_only, "no measured deflection"),
     "one sample": ("one.csv", lambda path: path.write_text(table(1)), "never changes"),
 }
 
