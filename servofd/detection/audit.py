@@ -155,7 +155,7 @@ def _audit_surface(log: FlightLog, aircraft: Aircraft, name: str, threshold_deg:
     except DesignError as error:
         return verdict(status="unknown", reason=str(error), segment=segment)
     residuals = generator.run(segment)
-    judged_s = np.count_nonzero(residuals.settled) * segment.period_s
+    judged_s = _judged_s(residuals, generator.longest_gap_s(segment))
     if judged_s < _SHORTEST_JUDGED_S:
         reason_text = f"only {judged_s:.1f} s of command and position together; {_SHORTEST_JUDGED_S:g} s are needed"
         return verdict(status="unknown", reason=reason_text, segment=segment, residuals=residuals)
@@ -165,7 +165,7 @@ def _audit_surface(log: FlightLog, aircraft: Aircraft, name: str, threshold_deg:
     immobile_deg = generator.run(segment.with_measured(0.0)).residual_deg
     episodes = find_episodes(residuals, immobile_deg, threshold_deg)
     status, reason_text = _verdict(residuals, immobile_deg, statistics, episodes, threshold_deg)
-    judged_share = np.count_nonzero(residuals.settled) * segment.period_s / max(log.duration_s, 1e-9)
+    judged_share = judged_s / max(log.duration_s, 1e-9)
     if judged_share < _MOST_OF_THE_LOG:
         reason_text += f"; judged for {judged_share:.0%} of the log"
     if segment.frozen_s > 0.0:
@@ -246,6 +246,12 @@ def _would_have_shown(residuals: Residuals, immobile_deg: FloatArray) -> float:
     asked_deg = float(np.ptp(immobile_deg[residuals.settled])) / 2.0
     low_deg, high_deg = np.nanpercentile(residuals.measured_deg, [5.0, 95.0])
     return max(asked_deg, float(high_deg - low_deg) / 2.0)
+
+
+def _judged_s(residuals: Residuals, longest_gap_s: float) -> float:
+    """Time covered by judged samples, intervals that the filter bridges included [s]."""
+    step_s = np.diff(residuals.time_s[residuals.settled])
+    return float(step_s[step_s <= longest_gap_s].sum())
 
 
 def _statistics(residuals: Residuals) -> Statistics:
