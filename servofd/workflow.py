@@ -10,7 +10,6 @@ from servofd.aircraft import DEFAULT_SERVO, Aircraft, load_aircraft, plain_aircr
 from servofd.detection.audit import LogAudit, audit_log
 from servofd.errors import ConfigError, NoMeasurement, UnknownName, suggest
 from servofd.feedback.draft import draft_aircraft
-from servofd.servos import servo_named
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -67,10 +66,10 @@ def audit(
     [False]
     """
     known = load_aircraft(aircraft) if isinstance(aircraft, str | Path) else aircraft
-    if servo is not None:
-        servo_named(servo)
     for log in logparsers.read_all(path, layout_of(known)):
-        flown = _with_servo(known or aircraft_for(log), servo)
+        flown = known or aircraft_for(log)
+        if servo is not None:
+            flown = flown.with_servo(servo)
         for name in surfaces:
             if name not in flown.surfaces:
                 raise UnknownName(f"{log.label}: {suggest('surface', name, flown.surfaces)}")
@@ -118,10 +117,3 @@ def layout_of(aircraft: Aircraft | None) -> logparsers.TableLayout | None:
         return logparsers.TableLayout(**aircraft.table.model_dump())
     except ValueError as error:
         raise ConfigError(f"table: {error}") from None
-
-
-def _with_servo(aircraft: Aircraft, servo: str | None) -> Aircraft:
-    if servo is None:
-        return aircraft
-    changed = {name: surface.model_copy(update={"servo": servo}) for name, surface in aircraft.surfaces.items()}
-    return aircraft.model_copy(update={"surfaces": changed, "servos": {}})

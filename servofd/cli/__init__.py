@@ -10,11 +10,11 @@ import io
 import os
 import signal
 import sys
-import threading
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from servofd import __version__
 from servofd.cli import audit, config, design, info, servos, simulate
+from servofd.cli.interrupt import interruptible
 from servofd.cli.tables import one_line
 
 if TYPE_CHECKING:
@@ -67,17 +67,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # a terminal that cannot show a sign shows a question mark
     options = build_parser().parse_args(arguments)
-    if threading.current_thread() is threading.main_thread():
-        # A terminated run cleans up like an interrupted one.
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
     # Importing these takes a while; `servofd --help` does without.
     from logparsers import LogError
     from servofd.errors import ServofdError
 
     try:
-        code: int = options.run(options)
-        if sys.stdout is not None:
-            sys.stdout.flush()
+        with interruptible():
+            code: int = options.run(options)
+            if sys.stdout is not None:
+                sys.stdout.flush()
     except (LogError, ServofdError) as error:
         print(f"servofd: {one_line(error)}", file=sys.stderr)
         return _COULD_NOT_TELL

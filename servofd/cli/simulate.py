@@ -81,8 +81,7 @@ def run(options: argparse.Namespace) -> int:
     surfaces = ("elevator", "aileron", "rudder")
     aircraft = load_aircraft(config) if config else plain_aircraft(surfaces, options.servo or DEFAULT_SERVO)
     if config and options.servo:
-        changed = {n: s.model_copy(update={"servo": options.servo}) for n, s in aircraft.surfaces.items()}
-        aircraft = aircraft.model_copy(update={"surfaces": changed, "servos": {}})
+        aircraft = aircraft.with_servo(options.servo)
     effects: dict[str, list[Effect]] = {}
     for text in options.effect:
         surface, effect = _effect(text)

@@ -87,7 +87,7 @@ def draft_aircraft(log: FlightLog) -> Draft:
     NoMeasurement
         If the log holds no position of a servo; the message says what would have to be logged.
     """
-    surfaces = [drafted for drafted in (_draft(log, pair) for pair in find_pairs(log)) if drafted]
+    surfaces = [_draft(log, pair) for pair in find_pairs(log)]
     if not surfaces:
         raise NoMeasurement(f"{log.label}: no measured deflection in this log: {what_to_log(log)}")
     surfaces = _helped_by_siblings(log, surfaces)
@@ -110,8 +110,8 @@ def servo_entry(surface: DraftedSurface) -> dict[str, Any]:
     return entry
 
 
-def _draft(log: FlightLog, pair: Pair) -> DraftedSurface | None:
-    """Draft of one surface; None if its position is no measurement."""
+def _draft(log: FlightLog, pair: Pair) -> DraftedSurface:
+    """Draft of one surface; with an ordinary servo if its position is no measurement."""
     command_unit = log[pair.command].unit
     angle_command = pair.command == pair.position.command
     command = _command_entry(pair, command_unit, is_angle=angle_command)

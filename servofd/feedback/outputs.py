@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["SURFACE_FUNCTIONS", "Output", "named_outputs", "outputs_of"]
+__all__ = ["SURFACE_FUNCTIONS", "LoggedOutput", "named_outputs", "outputs_of"]
 
 SURFACE_FUNCTIONS = {
     2: "flap",
@@ -42,7 +42,7 @@ _FULL_TRAVEL_DEG = 45.0
 
 
 @dataclass(frozen=True, slots=True)
-class Output:
+class LoggedOutput:
     """One servo output.
 
     Parameters
@@ -70,7 +70,7 @@ class Output:
 
         Examples
         --------
-        >>> Output(1, 4, trim_us=1500.0, min_us=1100.0, max_us=1900.0).slope_deg_per_us
+        >>> LoggedOutput(1, 4, trim_us=1500.0, min_us=1100.0, max_us=1900.0).slope_deg_per_us
         0.1125
         """
         span_us = max(self.max_us - self.min_us, 1.0)
@@ -87,7 +87,7 @@ class Output:
         return self.function is None or self.function in SURFACE_FUNCTIONS
 
 
-def outputs_of(parameters: Mapping[str, float]) -> dict[int, Output]:
+def outputs_of(parameters: Mapping[str, float]) -> dict[int, LoggedOutput]:
     """Servo outputs that a log's parameters describe, by number.
 
     Examples
@@ -99,7 +99,7 @@ def outputs_of(parameters: Mapping[str, float]) -> dict[int, Output]:
     for number in range(1, 33):
         function = parameters.get(f"SERVO{number}_FUNCTION")
         if function is not None and function != 0.0:
-            outputs[number] = Output(
+            outputs[number] = LoggedOutput(
                 number,
                 int(function),
                 trim_us=parameters.get(f"SERVO{number}_TRIM", 1500.0),
@@ -110,12 +110,12 @@ def outputs_of(parameters: Mapping[str, float]) -> dict[int, Output]:
     return outputs
 
 
-def named_outputs(outputs: Mapping[int, Output], numbers: list[int]) -> dict[int, str]:
+def named_outputs(outputs: Mapping[int, LoggedOutput], numbers: list[int]) -> dict[int, str]:
     """Name a surface for each output; functions that several outputs share get the output's number.
 
     Examples
     --------
-    >>> named_outputs({1: Output(1, 4), 2: Output(2, 19), 9: Output(9, 4)}, [1, 2, 9])
+    >>> named_outputs({1: LoggedOutput(1, 4), 2: LoggedOutput(2, 19), 9: LoggedOutput(9, 4)}, [1, 2, 9])
     {1: 'aileron_1', 2: 'elevator', 9: 'aileron_9'}
     """
     plain = {}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.feedback.outputs import Output, named_outputs, outputs_of
+from servofd.feedback.outputs import LoggedOutput, named_outputs, outputs_of
 
 if TYPE_CHECKING:
     from logparsers.records import Channel, FlightLog
@@ -52,7 +52,7 @@ class Pair:
     """One servo: what it was told, and where it said it was."""
 
     surface: str
-    output: Output
+    output: LoggedOutput
     command: str
     position: Position
 
@@ -96,7 +96,7 @@ def find_pairs(log: FlightLog) -> tuple[Pair, ...]:
         base = _first_output(log, members)
         for position in members:
             number = position.id + base
-            if (outputs.get(number) or Output(number)).turns_something:
+            if (outputs.get(number) or LoggedOutput(number)).turns_something:
                 numbered.setdefault(number, position)
     names = named_outputs(outputs, sorted(numbered))
     pairs = []
@@ -104,7 +104,7 @@ def find_pairs(log: FlightLog) -> tuple[Pair, ...]:
         position = numbered[number]
         command = _command_channel(log, number, position)
         if command and _says_something(log[command]) and _says_something(log[position.channel]):
-            pairs.append(Pair(names[number], outputs.get(number, Output(number)), command, position))
+            pairs.append(Pair(names[number], outputs.get(number, LoggedOutput(number)), command, position))
     return tuple(pairs)
 
 
@@ -115,7 +115,7 @@ def _says_something(channel: Channel) -> bool:
 
 
 def _first_output(log: FlightLog, members: list[Position]) -> int:
-    """Output number of id 0: 1 where ids start at 0, and 0 where they start at 1."""
+    """LoggedOutput number of id 0: 1 where ids start at 0, and 0 where they start at 1."""
     ids = {position.id for position in members}
     if 0 in ids:
         return 1

@@ -1,0 +1,39 @@
+"""An interrupt ends a run wherever it strikes."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+
+import pytest
+
+from servofd.cli.interrupt import interruptible
+
+
+class Finaliser:
+    """Something whose finaliser is struck by Ctrl-C."""
+
+    def __del__(self) -> None:
+        raise KeyboardInterrupt
+
+
+def struck_and_waiting() -> None:
+    """Five seconds at most; the interrupt comes again after a hundredth of one."""
+    Finaliser()
+    for _ in range(500):
+        time.sleep(0.01)
+
+
+def test_an_interrupt_inside_a_finaliser_is_not_lost() -> None:
+    hook = sys.unraisablehook
+    with pytest.raises(KeyboardInterrupt), interruptible():
+        struck_and_waiting()
+    assert sys.unraisablehook is hook
+
+
+def test_a_termination_is_an_interrupt_and_the_old_handler_comes_back() -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(KeyboardInterrupt), interruptible():
+        signal.raise_signal(signal.SIGTERM)
+    assert signal.getsignal(signal.SIGTERM) is before
