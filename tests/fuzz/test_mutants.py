@@ -30,7 +30,11 @@ def survive(kind: str, number: int) -> set[str]:
         content = mutated(rng, SEEDS[kind])
         begun = time.process_time()
         outcomes.add(type(outcome(content)).__name__)
-        assert time.process_time() - begun < LONGEST_S, f"mutant {turn} of {kind}"
+        if time.process_time() - begun >= LONGEST_S:
+            # The first damaged file of all compiles what reads damage; a slow file is slow the second time too.
+            begun = time.process_time()
+            outcome(content)
+            assert time.process_time() - begun < LONGEST_S, f"mutant {turn} of {kind}"
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < MOST_KILOBYTES
     return outcomes
 
