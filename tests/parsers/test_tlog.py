@@ -439,6 +439,8 @@ def test_forged_but_correct_frames_are_survived() -> None:
 )
 def test_a_megabyte_of_nonsense_takes_a_bounded_time(pattern: bytes) -> None:
     content = (pattern * (1_000_000 // len(pattern) + 1))[:1_000_000]
+    with contextlib.suppress(LogError):
+        TelemetryFile.open(content[:1000])  # compiles
     begun = time.process_time()
     with contextlib.suppress(LogError):
         TelemetryFile.open(content)
@@ -505,6 +507,7 @@ def test_thousands_of_senders_names_and_restarts_take_a_bounded_time() -> None:
         writer.log((k * 0.01, writer.frame("ATTITUDE", {"time_boot_ms": stamp})) for k, stamp in enumerate(stamps)),
     )
     for content in floods:
+        logparsers.read(io.BytesIO(content[:1000]))  # compiles
         begun = time.process_time()
         log = logparsers.read(io.BytesIO(content))
         assert time.process_time() - begun < 20e-6 * len(content)
