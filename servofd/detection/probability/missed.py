@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.detection.probability.upcrossing import false_alarms_per_hour
+
 if TYPE_CHECKING:
     from servofd.detection.probability.noise import Noise
     from servofd.detection.pulse import PulseFilter
@@ -14,8 +16,11 @@ if TYPE_CHECKING:
 
 __all__ = ["Detection", "bias_response", "detect", "smallest_bias_deg"]
 
-_NODES = 64
-_NEVER = 1e-15
+_MOST_DRAWS, _FEWEST_DRAWS, _NUMBERS = 4096, 256, 4_000_000
+_ROUND_OFF = 1e-12
+_RARE = 0.99
+"""While this share is still missed at the end, alarms are too rare for draws; crossings of a settled mean are counted."""
+_SMALLEST = np.finfo(float).tiny
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,26 +30,24 @@ class Detection:
     least: FloatArray
     """Largest marginal probability so far: the truth is never below it."""
     likely: FloatArray
-    """Estimate that takes the correlation of neighbouring samples into account."""
+    """The probability itself, with the colour of the noise; its numerical error is about 1 %."""
     most: FloatArray
     """As if the samples were independent."""
+    steady_per_s: float
+    """Rate of alarms at the end [1/s], once the response has settled."""
     sample_time_s: float
 
     @property
     def mean_delay_s(self) -> float:
-        """Expected time from the fault to the alarm [s].
-
-        The response is taken to have settled at the end: from there on, alarms come at the rate of the last sample.
-        """
+        """Expected time from the fault to the alarm [s]; after the last sample alarms come at the steady rate."""
         missed = 1.0 - self.likely
-        if missed[-1] <= _NEVER:
-            return self.sample_time_s * float(missed.sum())
-        hazard = 1.0 - missed[-1] / missed[-2] if missed[-2] > 0.0 else 1.0
-        tail = missed[-1] * (1.0 - hazard) / hazard if hazard > _NEVER else np.inf
-        return self.sample_time_s * float(missed.sum() + tail)
+        seen_s = self.sample_time_s * float(missed[:-1].sum())
+        if missed[-1] == 0.0:
+            return seen_s
+        return seen_s + float(missed[-1]) / self.steady_per_s if self.steady_per_s > 0.0 else float("inf")
 
     def delay_s(self, probability: float) -> float:
-        """Time by which an alarm has been raised with this probability, by the estimate [s]; infinite if never."""
+        """Time by which an alarm has been raised with this probability [s]; infinite if not within the response."""
         reached = np.flatnonzero(self.likely >= probability)
         return float(reached[0]) * self.sample_time_s if reached.size else float("inf")
 
@@ -54,8 +57,8 @@ def detect(response_deg: FloatArray, threshold_deg: float, noise: Noise) -> Dete
 
     Parameters
     ----------
-    response_deg : ndarray, shape (n,)
-        Mean residual that the fault causes [deg], from the sample at which it sets in.
+    response_deg : ndarray, shape (n,), n at least 2
+        Mean residual that the fault causes [deg], from the sample at which it sets in until it has settled.
     threshold_deg : float
         Alarm level, on both sides [deg].
     noise : Noise
@@ -64,15 +67,14 @@ def detect(response_deg: FloatArray, threshold_deg: float, noise: Noise) -> Dete
     Returns
     -------
     Detection
-        Bounds and an estimate.
+        Bounds, and the probability between them.
 
     Notes
     -----
     With :math:`p_i = P(|r_i| \ge \tau)` the probability of an alarm by sample k lies between
     :math:`\max_{i \le k} p_i` and, for positively correlated residuals, :math:`1 - \prod_{i \le k} (1 - p_i)`.
-    The estimate chains neighbours,
-    :math:`1 - (1-p_0) \prod P(|r_i| < \tau \mid |r_{i-1}| < \tau)`, with the bivariate Gaussian integrated over
-    Gauss-Legendre nodes, and is kept between the bounds.
+    The probability itself is :math:`1 - E \prod_{i \le k} P(|r_i| < \tau \mid r_{i-1}, r_{i-2}, \dots)`: each sample is
+    drawn from inside the threshold, given those before it, and weighted with the chance of being there (A. Genz, 1992).
 
     Examples
     --------
@@ -85,16 +87,16 @@ def detect(response_deg: FloatArray, threshold_deg: float, noise: Noise) -> Dete
     """
     from scipy.special import ndtr
 
-    upper = (threshold_deg - response_deg - noise.mean_deg) / noise.sigma_deg
-    lower = (-threshold_deg - response_deg - noise.mean_deg) / noise.sigma_deg
+    # Seen from the side to which the fault pushes: small probabilities then keep their digits.
+    mean_deg = response_deg + noise.mean_deg
+    mean_deg = mean_deg * (1.0 if mean_deg[np.argmax(np.abs(mean_deg))] >= 0.0 else -1.0)
+    lower, upper = (-threshold_deg - mean_deg) / noise.sigma_deg, (threshold_deg - mean_deg) / noise.sigma_deg
     seen = ndtr(-upper) + ndtr(lower)
     least = np.maximum.accumulate(seen)
-    most = 1.0 - np.cumprod(1.0 - seen)
-    both = _both_inside(lower, upper, noise.correlation)
-    stay = np.where(both > 0.0, both / np.maximum(1.0 - seen[:-1], np.finfo(float).tiny), 0.0)
-    chain = 1.0 - (1.0 - seen[0]) * np.cumprod(np.append(1.0, np.minimum(stay, 1.0)))
-    likely = np.maximum.accumulate(np.clip(chain, least, np.maximum(most, least)))
-    return Detection(least, likely, most, noise.sample_time_s)
+    most = np.maximum(1.0 - np.cumprod(1.0 - seen), least)
+    likely = np.maximum.accumulate(np.clip(1.0 - _never_outside(lower, upper, noise), least, most))
+    steady_per_s = _steady_per_s(likely, float(mean_deg[-1]), threshold_deg, noise)
+    return Detection(least, likely, most, steady_per_s, noise.sample_time_s)
 
 
 def bias_response(design: PulseFilter, duration_s: float) -> FloatArray:
@@ -130,17 +132,37 @@ def smallest_bias_deg(
     return (threshold_deg + abs(noise.mean_deg) + float(ndtri(probability)) * noise.sigma_deg) / reach
 
 
-def _both_inside(lower: FloatArray, upper: FloatArray, correlation: float) -> FloatArray:
-    """Probability that a sample and the one before it are inside their limits [sigma], shape (n - 1,)."""
-    from scipy.special import ndtr
+def _never_outside(lower: FloatArray, upper: FloatArray, noise: Noise) -> FloatArray:
+    """Probability of having stayed inside the limits [sigma] up to each sample, shape (n,)."""
+    from scipy.special import ndtr, ndtri
 
-    rho = min(max(correlation, -1.0 + 1e-9), 1.0 - 1e-9)
-    spread = np.sqrt(1.0 - rho**2)
-    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
-    # Beyond nine standard deviations there is nothing left to integrate.
-    low, high = np.clip(lower[:-1, None], -9.0, 9.0), np.clip(upper[:-1, None], -9.0, 9.0)
-    x = low + 0.5 * (high - low) * (nodes + 1.0)
-    inside = ndtr((upper[1:, None] - rho * x) / spread) - ndtr((lower[1:, None] - rho * x) / spread)
-    density = np.exp(-0.5 * x**2) / np.sqrt(2.0 * np.pi)
-    probability: FloatArray = (0.5 * (high - low) * weights * density * inside).sum(axis=1)
-    return probability
+    draws = max(_FEWEST_DRAWS, min(_MOST_DRAWS, _NUMBERS // upper.size))
+    random = np.random.default_rng(1).random((upper.size, draws))
+    drawn = np.empty((upper.size, draws))
+    weight, stayed = np.ones(draws), np.empty(upper.size)
+    forecasts = [noise.prediction(known) for known in range(min(noise.order, upper.size - 1) + 1)]
+    for k in range(upper.size):
+        weights, spread = forecasts[min(k, len(forecasts) - 1)]
+        expected = weights @ drawn[k - weights.size : k][::-1]
+        low, high = ndtr((lower[k] - expected) / spread), ndtr((upper[k] - expected) / spread)
+        weight = weight * (high - low)
+        stayed[k] = weight.mean()
+        share = np.clip(low + random[k] * (high - low), _SMALLEST, 1.0 - np.finfo(float).epsneg)
+        drawn[k] = expected + spread * ndtri(share)
+    return stayed
+
+
+def _steady_per_s(likely: FloatArray, mean_deg: float, threshold_deg: float, noise: Noise) -> float:
+    """Rate of alarms at the end of a response [1/s]."""
+    missed = 1.0 - likely
+    half = missed.size // 2
+    if missed[-1] > _RARE:
+        near, far = threshold_deg - abs(mean_deg), threshold_deg + abs(mean_deg)
+        both_sides = sum(
+            false_alarms_per_hour(level, noise.sigma_deg, noise.correlation, noise.sample_time_s)
+            for level in (near, far)
+        )
+        return 0.5 * both_sides / 3600.0
+    if not missed[-1] > _ROUND_OFF:
+        return float("inf")
+    return float(np.log(missed[half] / missed[-1])) / ((missed.size - 1 - half) * noise.sample_time_s)

@@ -111,17 +111,44 @@ class Noise:
         """What the mean leaves of a threshold, on the side where it leaves less [deg]."""
         return max(threshold_deg - abs(self.mean_deg), 0.0)
 
-    def sample(self, shape: tuple[int, int], seed: int) -> FloatArray:
-        """Gaussian noise of this size and colour, without mean [deg], shape (runs, samples).
+    @property
+    def order(self) -> int:
+        """Number of earlier samples that tell about the next one."""
+        return min(_AR_ORDER, self.autocorrelation.size - 1)
 
-        An autoregression with these correlations (Yule and Walker), after it has forgotten its start.
+    def prediction(self, known: int) -> tuple[FloatArray, float]:
+        """Best forecast of a sample from those before it (Yule and Walker).
+
+        Parameters
+        ----------
+        known : int
+            How many earlier samples are used, at most `order`.
+
+        Returns
+        -------
+        weights, spread
+            Weights of the earlier samples, latest first, shape (known,), and the standard deviation of what remains, as a
+            share of `sigma_deg`.
+
+        Examples
+        --------
+        >>> weights, spread = Noise(1.0, np.array([1.0, 0.6, 0.36]), 0.01).prediction(2)
+        >>> weights.round(9).tolist(), round(spread, 9)
+        ([0.6, 0.0], 0.8)
         """
         from scipy.linalg import solve_toeplitz
+
+        if known == 0:
+            return np.empty(0), 1.0
+        rho = self.autocorrelation[: known + 1]
+        weights: FloatArray = solve_toeplitz(rho[:-1], rho[1:])
+        return weights, float(np.sqrt(max(1.0 - float(weights @ rho[1:]), 0.0)))
+
+    def sample(self, shape: tuple[int, int], seed: int) -> FloatArray:
+        """Gaussian noise of this size and colour, without mean [deg], shape (runs, samples)."""
         from scipy.signal import lfilter
 
-        rho = self.autocorrelation[: _AR_ORDER + 1]
-        weights = solve_toeplitz(rho[:-1], rho[1:])
-        innovation = self.sigma_deg * np.sqrt(max(1.0 - float(weights @ rho[1:]), 0.0))
+        weights, spread = self.prediction(self.order)
         white = np.random.default_rng(seed).standard_normal((shape[0], shape[1] + _WARM_UP))
-        coloured: FloatArray = lfilter([innovation], np.append(1.0, -weights), white)[:, _WARM_UP:]
+        coloured: FloatArray = lfilter([self.sigma_deg * spread], np.append(1.0, -weights), white)[:, _WARM_UP:]
         return coloured

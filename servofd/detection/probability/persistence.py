@@ -13,9 +13,10 @@ if TYPE_CHECKING:
     from servofd.detection.probability.noise import Noise
     from servofd.types import FloatArray
 
-__all__ = ["persistent_false_alarms_per_hour", "persistent_threshold_deg"]
+__all__ = ["persistent_delay_s", "persistent_false_alarms_per_hour", "persistent_threshold_deg"]
 
 _POINTS_LOG2 = 13
+_SHARE_SEEN = 0.95
 _SMALLEST = np.finfo(float).tiny
 _LARGEST_BELOW_ONE = float(np.nextafter(1.0, 0.0))
 
@@ -44,9 +45,9 @@ def persistent_false_alarms_per_hour(threshold_deg: float, noise: Noise, samples
     .. math:: \nu_n = \frac{2}{T}\,
               \left[P(r_1 > \tau, \dots, r_n > \tau) - P(r_1 > \tau, \dots, r_{n+1} > \tau)\right]
 
-    (a run begun is a run ended, so "not before" may be read as "not after"). The orthant probabilities are integrals over
-    the Cholesky factor of the correlation, each variable drawn from its tail given those before it (A. Genz, 1992),
-    on a fixed low-discrepancy net: accurate relative to their own size, however small, and smooth in the threshold.
+    (a run begun is a run ended, so "not before" may be read as "not after"). The orthant probabilities are integrals
+    over the Cholesky factor of the correlation, each variable drawn from its tail given those before it (A. Genz,
+    1992), on a fixed low-discrepancy net: accurate relative to their own size, and smooth in the threshold.
 
     Examples
     --------
@@ -81,6 +82,45 @@ def persistent_threshold_deg(rate_per_hour: float, noise: Noise, samples: int) -
         factor = _factor(noise, samples)
         z = root_of_rate(lambda level: _rate(level, factor, noise.sample_time_s), rate_per_hour)
     return z * noise.sigma_deg + abs(noise.mean_deg)
+
+
+def persistent_delay_s(
+    response_deg: FloatArray, threshold_deg: float, noise: Noise, samples: int, *, runs: int = 400, seed: int = 1
+) -> float:
+    """Expected time from a fault to this many samples in a row over the threshold, by simulation [s].
+
+    Parameters
+    ----------
+    response_deg : ndarray, shape (n,)
+        Mean residual that the fault causes [deg], from the sample at which it sets in.
+    threshold_deg : float
+        Alarm level, on both sides [deg].
+    noise : Noise
+        Of the healthy residual, taken to be Gaussian.
+    samples : int
+        Samples in a row, all on one side.
+    runs : int
+        Flights to simulate; the standard error is about the delay over their square root.
+    seed : int
+        Of the random numbers.
+
+    Returns
+    -------
+    float
+        Mean delay; infinite if more than one run in twenty saw no alarm within the response.
+    """
+    residual = noise.sample((runs, response_deg.size), seed) + response_deg + noise.mean_deg
+    hit = np.zeros(residual.shape, dtype=bool)
+    for side in (residual >= threshold_deg, residual <= -threshold_deg):
+        held = side.copy()
+        for back in range(1, samples):
+            held[:, back:] &= side[:, :-back]
+            held[:, :back] = False
+        hit |= held
+    seen = hit.any(axis=1)
+    if np.count_nonzero(seen) < _SHARE_SEEN * runs:
+        return float("inf")
+    return float(np.where(seen, hit.argmax(axis=1), response_deg.size).mean()) * noise.sample_time_s
 
 
 def _factor(noise: Noise, samples: int) -> FloatArray:

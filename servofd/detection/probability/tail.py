@@ -20,6 +20,8 @@ _LEVEL_QUANTILE = 0.999
 _FEWEST_PEAKS = 200
 _MOST_EXCEEDANCES = 0.05
 _EXTRAPOLATION = 10.0
+_SERIES = 1e-4
+"""Below this the derivative by xi is taken from its limit for xi = 0, before all digits cancel."""
 
 
 class Quoted(NamedTuple):
@@ -85,6 +87,36 @@ class TailFit:
         excess = max(threshold_deg - self.level_deg, 0.0)
         rate = self.peaks_per_hour * float(genpareto.sf(excess, self.index, scale=self.scale_deg))
         return Quoted(rate, rate < self.lowest_rate_per_hour)
+
+    def log_rate_error(self, threshold_deg: float) -> float:
+        r"""Standard error of the logarithm of the rate at a threshold: 0.4 means a factor of 1.5 either way.
+
+        Notes
+        -----
+        First-order propagation of the asymptotic covariance of the fit (R. L. Smith, 1987),
+
+        .. math:: \frac{1+\xi}{n} \begin{pmatrix} 1+\xi & -\beta \\ -\beta & 2\beta^2 \end{pmatrix}
+
+        and of the number of peaks. Beyond the end of a tail with xi < 0 it is infinite.
+
+        Examples
+        --------
+        >>> fit = TailFit(1.0, 0.1, 0.15, 0.026, 2000, 10.0)
+        >>> round(fit.log_rate_error(1.5), 2), round(fit.log_rate_error(2.5), 2)
+        (0.09, 0.4)
+        """
+        y = max(threshold_deg - self.level_deg, 0.0) / self.scale_deg
+        stretch = 1.0 + self.index * y
+        if stretch <= 0.0:
+            return float("inf")
+        by_scale = y / (self.scale_deg * stretch)
+        by_index = y**2 / 2.0
+        if abs(self.index) * y > _SERIES:
+            by_index = (np.log(stretch) - self.index * y / stretch) / self.index**2
+        gradient = np.array([by_index, by_scale])
+        one = 1.0 + self.index
+        covariance = one * np.array([[one, -self.scale_deg], [-self.scale_deg, 2.0 * self.scale_deg**2]])
+        return float(np.sqrt((gradient @ covariance @ gradient + 1.0) / self.peaks))
 
     def threshold_deg(self, rate_per_hour: float) -> Quoted:
         """Threshold for a wanted rate [deg]; the level itself if more alarms are wanted than it has.
