@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from servofd.bank.explanation import Estimate, Explanation, Ridge
+from servofd.detection.bank.explanation import Estimate, Explanation, Ridge
 
 if TYPE_CHECKING:
-    from servofd.bank.window import Window
+    from servofd.detection.bank.window import Window
 
 __all__ = ["Floating", "Hardover", "Stuck"]
 
@@ -72,7 +72,14 @@ def _resting(kind: str, window: Window) -> Explanation:
     position_deg = float(np.mean(window.measured_deg))
     misfit = window.measured_deg - position_deg
     parameters = {"position_deg": Estimate.of(position_deg, window.noise_deg / float(np.sqrt(misfit.size)))}
-    return Explanation(kind, np.full(misfit.size, position_deg), float(misfit @ misfit), 1.0, parameters)
+    return Explanation(
+        kind,
+        np.full(misfit.size, position_deg),
+        float(misfit @ misfit),
+        1.0,
+        parameters,
+        predict=lambda other: np.full(other.time_s.size, position_deg),
+    )
 
 
 def _ran_away(window: Window, position_deg: float) -> bool:

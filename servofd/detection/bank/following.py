@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from servofd.bank.explanation import Estimate, Explanation, Ridge
+from servofd.detection.bank.explanation import Estimate, Explanation, Ridge
 
 if TYPE_CHECKING:
-    from servofd.bank.window import Window
+    from servofd.detection.bank.window import Window
     from servofd.types import FloatArray
 
 __all__ = ["Bias", "Healthy", "LossOfEffectiveness", "Oscillation"]
@@ -19,6 +20,8 @@ _GAIN, _BIAS = 0, 3
 """Columns of `Window.nuisances`."""
 _LARGEST_BIAS_DEG = 30.0
 _LARGEST_TRIM_DEG = 5.0
+_STUCK_GAIN = 0.1
+"""A servo that moves less is called stuck."""
 _SLOWEST_HZ = 0.3
 _FASTEST_SHARE_OF_RATE = 0.4
 _FEWEST_CYCLES = 1.5
@@ -52,7 +55,14 @@ class Bias:
         if abs(bias.value) <= window.tolerance.bias_deg:
             return None
         predicted_deg = window.healthy_deg + fit.predicted_deg
-        return Explanation(self.kind, predicted_deg, fit.cost_deg2, 1.0, {"bias_deg": bias})
+        return Explanation(
+            self.kind,
+            predicted_deg,
+            fit.cost_deg2,
+            1.0,
+            {"bias_deg": bias},
+            predict=partial(_with, fit.coefficients),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,9 +78,13 @@ class LossOfEffectiveness:
             ridge = _widened(window, spread)
             fit = ridge.fit(window.error_deg)
             gain = ridge.estimate(fit, window.error_deg, _GAIN, offset=1.0)
-            if 0.0 < gain.value < 1.0 - window.tolerance.gain:
+            if _STUCK_GAIN < gain.value < 1.0 - window.tolerance.gain:
                 predicted_deg = window.healthy_deg + fit.predicted_deg
-                fits.append(Explanation(self.kind, predicted_deg, fit.cost_deg2, freedom, {"gain": gain}))
+                fits.append(
+                    Explanation(
+                        self.kind, predicted_deg, fit.cost_deg2, freedom, {"gain": gain}, predict=partial(_with, fit.coefficients)
+                    )
+                )
         return min(fits, key=window.score, default=None)
 
 
@@ -88,6 +102,11 @@ class Oscillation:
         still = Ridge(np.ones((window.time_s.size, 1)), np.array([np.inf]), window.noise_deg)
         instead = _cycle(window, window.measured_deg, still)
         return min((fit for fit in (upon, instead) if fit is not None), key=window.score, default=None)
+
+
+def _with(coefficients: FloatArray, window: Window) -> FloatArray:
+    """Healthy deflection with these nuisances."""
+    return window.healthy_deg + window.nuisances @ coefficients
 
 
 def _widened(window: Window, spread: dict[int, float]) -> Ridge:

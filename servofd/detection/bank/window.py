@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from servofd.bank.explanation import Ridge
+from servofd.detection.bank.explanation import Ridge
 
 if TYPE_CHECKING:
-    from servofd.bank.explanation import Explanation
+    from servofd.detection.bank.explanation import Explanation
     from servofd.detection.residual import Commands, Residuals
     from servofd.models.kernel import ServoParameters
     from servofd.models.servo_model import ServoModel
@@ -25,6 +25,8 @@ _SMALL_CHANGE = 0.02
 _MAD_TO_SIGMA = 1.4826
 _SMALLEST_NOISE_DEG = 0.01
 _START_SAMPLES = 3
+_COLOUR = 4.0
+"""Misfits of neighbouring samples are alike: so many samples tell as much as one."""
 _PENALTY = 1.5
 _FLOOR = 0.5
 
@@ -118,10 +120,10 @@ class Window:
         return _spread(self.tolerance)
 
     def score(self, explanation: Explanation) -> float:
-        """Information criterion (after Schwarz) of an explanation; smaller is better."""
-        size = self.time_s.size
-        power = max(explanation.cost_deg2 / size, _FLOOR * self.noise_deg**2)
-        return float(size * np.log(power) + _PENALTY * explanation.freedom * np.log(size))
+        """Information criterion (after Schwarz) of an explanation: twice the negative logarithm of its weight."""
+        samples = max(self.time_s.size / _COLOUR, 2.0)
+        power = max(explanation.cost_deg2 / self.time_s.size, _FLOOR * self.noise_deg**2)
+        return float(samples * np.log(power) + _PENALTY * explanation.freedom * np.log(samples) + explanation.doubt)
 
     @property
     def duration_s(self) -> float:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
-    from servofd.bank.window import Window
+    from servofd.detection.bank.window import Window
     from servofd.types import FloatArray
 
 __all__ = ["Estimate", "Explanation", "Hypothesis", "Regression", "Ridge"]
@@ -43,6 +43,10 @@ class Explanation:
     freedom: float
     """Number of free parameters."""
     parameters: Mapping[str, Estimate] = field(default_factory=dict)
+    doubt: float = 0.0
+    """Twice the negative logarithm of how plausible the parameters are in themselves."""
+    predict: Callable[[Window], FloatArray] | None = None
+    """Deflection that this fault would cause in another window [deg], shape (n,)."""
 
 
 class Hypothesis(Protocol):

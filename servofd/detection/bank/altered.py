@@ -2,29 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numba import njit
 
-from servofd.bank.explanation import Estimate, Explanation
-from servofd.bank.window import slower
+from servofd.detection.bank.explanation import Estimate, Explanation
+from servofd.detection.bank.window import slower
 from servofd.models.play import play
 from servofd.types import FloatArray
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from servofd.bank.window import Window
+    from servofd.detection.bank.window import Window
 
 __all__ = ["DeadBand", "Slow"]
 
 _NARROWEST_DEG = 0.3
+_WIDE_DEG = 6.0
 _GRID = 14
 _REFINEMENTS = 10
-_FASTEST_SLOW, _SLOWEST = 0.93, 0.12
-_SLOWEST_RATE, _USED_RATE = 0.03, 0.97
+_SLOWEST = 0.12
+_SLOWEST_RATE = 0.03
 _FREEDOM = {"deadband": 2.0, "slow": 1.0}
 """A dead band also remembers where the surface rested before."""
 _GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
@@ -55,11 +56,11 @@ class Slow:
 
     def explain(self, window: Window) -> Explanation | None:
         """Fit the share of the bandwidth that is left, or a new rate limit."""
-        scales = np.geomspace(_SLOWEST, _FASTEST_SLOW, _GRID)
+        scales = np.geomspace(_SLOWEST, 1.0 - window.tolerance.bandwidth, _GRID)
         found = [_search(self.kind, window, _slower, scales, "bandwidth_scale")]
         fastest_deg_s = float(np.max(np.abs(window.rate_deg_s)))
         if fastest_deg_s > 0.0:
-            rates = fastest_deg_s * np.geomspace(_SLOWEST_RATE, _USED_RATE, _GRID // 2)
+            rates = fastest_deg_s * np.geomspace(_SLOWEST_RATE, 1.0 - window.tolerance.rate, _GRID // 2)
             found.append(_search(self.kind, window, _limited, rates, "rate_limit_deg_s"))
         return min(found, key=lambda fit: fit.cost_deg2)
 
@@ -76,7 +77,7 @@ def _search(
 
     def cost(value: float) -> float:
         if value not in tried:
-            tried[value] = _fit(kind, window, predict(window, value), name, value)
+            tried[value] = _fit(kind, window, predict, name, value)
         return tried[value].cost_deg2
 
     costs = [cost(float(value)) for value in grid]
@@ -88,11 +89,27 @@ def _search(
     return _with_interval(min(tried.values(), key=lambda fit: fit.cost_deg2), tried, window, name)
 
 
-def _fit(kind: str, window: Window, predicted_deg: FloatArray, name: str, value: float) -> Explanation:
+def _fit(
+    kind: str, window: Window, predict: Callable[[Window, float], FloatArray], name: str, value: float
+) -> Explanation:
     """A prediction with the nuisances of a working servo upon it."""
+    predicted_deg = predict(window, value)
     fit = window.ridge.fit(window.measured_deg - predicted_deg)
     parameters = {name: Estimate(value, value, value)}
-    return Explanation(kind, predicted_deg + fit.predicted_deg, fit.cost_deg2, _FREEDOM[kind], parameters)
+    return Explanation(
+        kind,
+        predicted_deg + fit.predicted_deg,
+        fit.cost_deg2,
+        _FREEDOM[kind],
+        parameters,
+        _doubt(name, value),
+        lambda other: predict(other, value) + other.nuisances @ fit.coefficients,
+    )
+
+
+def _doubt(name: str, value: float) -> float:
+    """Dead bands of more than a few degrees are rare."""
+    return (value / _WIDE_DEG) ** 2 if name == "width_deg" else 0.0
 
 
 def _with_interval(best: Explanation, tried: dict[float, Explanation], window: Window, name: str) -> Explanation:
@@ -104,7 +121,7 @@ def _with_interval(best: Explanation, tried: dict[float, Explanation], window: W
     distance, rise = curved[0] if curved else (value, variance)
     deviation = distance * float(np.sqrt(variance / rise))
     interval = {name: Estimate.of(value, deviation)}
-    return Explanation(best.kind, best.predicted_deg, best.cost_deg2, best.freedom, interval)
+    return replace(best, parameters=interval)
 
 
 def _resting_commands(window: Window, width_deg: float) -> tuple[FloatArray, int, float]:

@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.bank.altered import DeadBand, Slow
-from servofd.bank.explanation import Explanation
-from servofd.bank.following import Bias, Healthy, LossOfEffectiveness, Oscillation
-from servofd.bank.lost import Floating, Hardover, Stuck
+from servofd.detection.bank.altered import DeadBand, Slow
+from servofd.detection.bank.explanation import Explanation
+from servofd.detection.bank.following import Bias, Healthy, LossOfEffectiveness, Oscillation
+from servofd.detection.bank.lost import Floating, Hardover, Stuck
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from servofd.bank.explanation import Hypothesis
-    from servofd.bank.window import Window
+    from servofd.detection.bank.explanation import Hypothesis
+    from servofd.detection.bank.window import Window
 
 __all__ = ["BANK", "Naming", "name_fault", "scores"]
 
@@ -35,7 +35,6 @@ BANK: tuple[Hypothesis, ...] = (
 
 _UNEXPLAINED_SHARE = 0.25
 _UNKNOWN_FREEDOM = 6.0
-_TEMPERATURE = 4.0
 _WORTH_MENTIONING = 0.02
 
 
@@ -70,7 +69,7 @@ def name_fault(window: Window) -> Naming:
     found = {h.kind: e for h in BANK if (e := h.explain(window)) is not None}
     marks = scores(window, found)
     kinds = sorted(marks, key=marks.__getitem__)
-    weights = np.exp(-0.5 / _TEMPERATURE * (np.array([marks[kind] for kind in kinds]) - marks[kinds[0]]))
+    weights = np.exp(-0.5 * (np.array([marks[kind] for kind in kinds]) - marks[kinds[0]]))
     shares = weights / weights.sum()
     return Naming(found.get(kinds[0]), {k: float(s) for k, s in zip(kinds, shares, strict=True)})
 
