@@ -34,7 +34,11 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument("--duration", type=float, default=60.0, metavar="S", help="length [s] (default: 60)")
     parser.add_argument("--rate-hz", type=float, metavar="HZ", help="sample rate (default: 100; in a .tlog 40)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="the same seed gives the same flight")
-    parser.add_argument("--command", default="flight", help="flight, chirp, steps or doublets (default: flight)")
+    parser.add_argument(
+        "--command",
+        default="flight",
+        help="flight, calm, lively, cruise or hand_flown; on the bench chirp, steps or doublets (default: flight)",
+    )
     parser.add_argument(
         "--noise-deg", type=float, default=0.1, metavar="X", help="noise of the position (default: 0.1)"
     )

@@ -38,8 +38,8 @@ __all__ = [
 _STOP_DEG = 25.0
 """Where a servo that runs away comes to rest if nothing says where its stop is: the FASER surfaces' full travel."""
 _UNLOADED_RATE_DEG_S = 400.0
-"""Speed of a servo that runs away if its rate limit is not known: between those of thesis Fig. 3.10 (370 deg/s for
-the HS-225BB, 265 to 1263 deg/s over all)."""
+"""Speed of a servo that runs away if its rate limit is not known: thesis Appendix A gives 332 deg/s at 4.8 V and
+417 deg/s at 6 V for the HS-225BB."""
 _TONES = 32
 """Sines that make up a surface's motion in the wind: enough for deflections to be spread like Gaussian ones."""
 
