@@ -55,22 +55,22 @@ def flight(time_s: FloatArray, rng: np.random.Generator) -> FloatArray:
 
 
 def calm(time_s: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """The same pattern in still air, inputs of 2 to 6 deg in 0.5 to 1.2 s (measured: 1.6 deg rms, peak rate 17 deg/s)."""
+    """In still air: inputs of 2 to 6 deg in 0.5 to 1.2 s (measured: 1.6 deg rms, peak rate 17 deg/s)."""
     return _pattern(time_s, rng, _Style(0.3, 1.0, (2.0, 6.0), (0.5, 1.2)))
 
 
 def lively(time_s: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """The same pattern in gusts, turns twice as often (measured: 3.1 deg rms, peak rate 172 deg/s)."""
+    """In gusts, with turns twice as often (measured: 3.1 deg rms, peak rate 172 deg/s)."""
     return _pattern(time_s, rng, _Style(1.2, 2.0, leg_s=_LEG_S / 2.0))
 
 
 def cruise(time_s: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Straight and level, trim activity only, a slow turn about once a minute (measured: 0.2 deg rms, peak rate 2 deg/s)."""
+    """Trim activity, a slow turn about once a minute (measured: 0.2 deg rms, peak rate 2 deg/s)."""
     return _pattern(time_s, rng, _Style(0.12, 0.5, (0.4, 0.9), (1.5, 3.0), 5.0 * _LEG_S))
 
 
 def hand_flown(time_s: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Stick inputs of 1 to 8 deg, 0.1 to 0.5 s each way, one every 1.2 s on average (measured: 3.5 deg rms, peak rate 110 deg/s)."""
+    """By hand: 1 to 8 deg every 1.2 s or so, 0.1 to 0.5 s each way (measured: 3.5 deg rms, peak rate 110 deg/s)."""
     command_deg = _activity(time_s, rng, 0.15, 0.5)
     begin_s = time_s[0] + rng.exponential(1.2)
     while begin_s < time_s[-1]:
