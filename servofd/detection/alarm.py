@@ -21,7 +21,6 @@ Level = Literal["suspect", "fault"]
 
 _QUIET_SHARE = 0.5
 _TRAVEL_TO_CLEAR = 20.0
-_ONSET_SHARE = 0.1
 _ONSET_SIGMAS = 4.5
 _QUIET_BEFORE_ONSET_S = 0.5
 _SAMPLES_FOR_NOISE = 100
@@ -100,7 +99,7 @@ def find_episodes(
         if raised is not None:
             cleared = quiet_deg[end - 1] >= enough_deg
             earliest = int(loud[first - 1]) + 1 if first else 0
-            onset = _onset(time_s, size_deg, earliest, raised, float(level_deg[raised]))
+            onset = _onset(time_s, size_deg, threshold.tolerance_deg[judged], earliest, raised)
             end_s = float(time_s[group[-1]]) if cleared else None
             episodes.append(Episode(float(time_s[onset]), float(time_s[raised]), end_s, level))
     return tuple(episodes)
@@ -138,15 +137,15 @@ def _large_travel(immobile_deg: FloatArray, threshold_deg: float) -> FloatArray:
     return travel
 
 
-def _onset(time_s: FloatArray, size_deg: FloatArray, earliest: int, alarm: int, threshold_deg: float) -> int:
-    """First sample outside the noise after the last quiet half second before the alarm."""
+def _onset(
+    time_s: FloatArray, size_deg: FloatArray, tolerance_deg: FloatArray, earliest: int, alarm: int
+) -> int:
+    """First sample beyond noise and tolerance after the last quiet half second before the alarm."""
     before = size_deg[earliest:alarm]
-    level_deg = _ONSET_SHARE * threshold_deg
+    level_deg = tolerance_deg[earliest : alarm + 1]
     if before.size >= _SAMPLES_FOR_NOISE:
-        level_deg = max(level_deg, _ONSET_SIGMAS * _MAD_TO_SIGMA * float(np.median(before)))
-    level_deg = min(level_deg, threshold_deg)  # with no healthy time before it, the noise is the fault itself
+        level_deg = np.maximum(level_deg, _ONSET_SIGMAS * _MAD_TO_SIGMA * float(np.median(before)))
+    level_deg = np.minimum(level_deg, size_deg[alarm])  # with no healthy time before it, the noise is the fault itself
     outside = earliest + np.flatnonzero(size_deg[earliest : alarm + 1] >= level_deg)
-    if outside.size == 0:
-        return alarm
     pauses_s = np.diff(time_s[outside], prepend=-np.inf)
     return int(outside[np.flatnonzero(pauses_s >= _QUIET_BEFORE_ONSET_S)[-1]])

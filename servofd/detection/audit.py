@@ -11,13 +11,10 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from servofd.detection.alarm import find_episodes
-from servofd.detection.bank.isolate import Fault, Flight, isolate
-from servofd.detection.bank.window import noise_deg
+from servofd.detection.judge import judge
 from servofd.detection.plausible import wiring_problem
 from servofd.detection.probability import false_alarms_per_hour
-from servofd.detection.residual import ResidualGenerator, Residuals, commands_at_servo
-from servofd.detection.threshold import Threshold, ThresholdKind, constant_threshold, interval_threshold, suspicion
+from servofd.detection.residual import ResidualGenerator, Residuals
 from servofd.detection.words import describe
 from servofd.errors import DesignError, NoMeasurement
 from servofd.segment import SLOWEST_RATE_HZ, Segment, cut
@@ -27,6 +24,8 @@ if TYPE_CHECKING:
 
     from logparsers.records import FlightLog
     from servofd.aircraft import Aircraft, Surface
+    from servofd.detection.bank.isolate import Fault
+    from servofd.detection.threshold import Threshold, ThresholdKind
 
 __all__ = ["LogAudit", "Statistics", "Status", "SurfaceAudit", "audit_log"]
 
@@ -179,7 +178,8 @@ def _audit_surface(log: FlightLog, aircraft: Aircraft, name: str, surface: Surfa
     statistics = _statistics(residuals)
     if not np.isfinite(statistics.max_abs_deg):
         return verdict(status="unknown", reason="the residual is not a number: check model and units", segment=segment)
-    threshold = _threshold(generator, segment, residuals, surface)
+    judgement = judge(generator, segment, residuals, surface)
+    threshold, faults, suspicions = judgement.threshold, judgement.faults, judgement.suspicions
     verdict = partial(
         verdict,
         statistics=statistics,
@@ -188,12 +188,9 @@ def _audit_surface(log: FlightLog, aircraft: Aircraft, name: str, surface: Surfa
         threshold=threshold,
         threshold_deg=threshold.typical_deg,
     )
-    named = _named(generator, segment, residuals, threshold, surface)
-    problem = wiring_problem(residuals) if named else ""
+    problem = wiring_problem(residuals) if faults or suspicions else ""
     if problem:
         return verdict(status="unknown", reason=problem)
-    faults = tuple(fault for fault in named if fault.level == "fault" and fault.kind != "healthy")
-    suspicions = tuple(fault for fault in named if fault not in faults)
     status, reason_text = _verdict(residuals, statistics, faults, suspicions, threshold)
     judged_share = judged_s / max(log.duration_s, 1e-9)
     if judged_share < _MOST_OF_THE_LOG:
@@ -209,28 +206,6 @@ def _audit_surface(log: FlightLog, aircraft: Aircraft, name: str, surface: Surfa
         suspicions=suspicions,
         false_alarms_per_hour=_odds(residuals, faults + suspicions, segment.period_s, threshold.typical_deg),
     )
-
-
-def _threshold(
-    generator: ResidualGenerator, segment: Segment, residuals: Residuals, surface: Surface
-) -> Threshold:
-    interval = interval_threshold(generator, segment, residuals, surface.tolerances)
-    return interval if surface.threshold == "interval" else constant_threshold(interval, surface.threshold_deg)
-
-
-def _named(
-    generator: ResidualGenerator, segment: Segment, residuals: Residuals, threshold: Threshold, surface: Surface
-) -> tuple[Fault, ...]:
-    """Alarms and suspicions, each with the hypothesis that explains it best."""
-    episodes = find_episodes(
-        residuals, threshold, persistence=surface.persistence, suspicion=suspicion(residuals, threshold)
-    )
-    if not episodes:
-        return ()
-    commands = commands_at_servo(segment, generator.model.plan.delay_s, generator.longest_gap_s(segment))
-    noise = noise_deg(residuals.error_deg[residuals.settled])
-    flight = Flight(generator.model, surface.tolerances, noise, residuals, commands)
-    return tuple(fault for episode in episodes for fault in isolate(flight, episode))
 
 
 def _is_expected(log: FlightLog, aircraft: Aircraft, name: str) -> bool:

@@ -11,7 +11,9 @@ for poles :math:`-a_i`. The interval threshold bounds each term by its tolerance
 .. math:: \tau(t) = b + z \sigma_r + |\delta_k| [r_0] + |\delta_\tau| [\dot r_0] + |\delta_\omega| [\sum \dots] + [r_{sat}]
 
 where :math:`[\cdot]` is a peak hold that decays within 0.15 s, and :math:`r_{sat}` what a servo leaves whose rate limit
-is off by its tolerance, while it runs at it.
+is off by its tolerance, while it runs at it. A command that was lost from the log, and put back on a straight line, adds
+what half the recent curvature of the command would cause if it lasted one sample: at most :math:`0.224 |p| T` of it passes
+the filter's four or so lags (the peak of :math:`p\,(pt)^3 e^{-pt}/6`).
 """
 
 from __future__ import annotations
@@ -42,6 +44,8 @@ _FASTEST_NOISE_CHANGE, _SLOWEST_NOISE_CHANGE = 0.2, 0.004
 _MAD_TO_SIGMA = 1.4826
 _SMALLEST_NOISE_DEG = 1e-3
 _AT_LIMIT = 0.98
+_RECENT_COMMANDS = 10
+_PEAK_OF_LAGS = 0.224
 _KAPPA = 0.5
 _SUSPICIONS_PER_HOUR = 1e-3
 
@@ -124,6 +128,7 @@ def interval_threshold(
         residuals.error_deg,
         residuals.restart != 0,
         saturated_deg,
+        _unseen(segment, generator, residuals.time_s),
         generator.model.parameters().decay_rad_s,
         np.array([tolerance.gain, tolerance.delay_s, tolerance.bandwidth, tolerance.bias_deg, tolerance.noise_deg]),
         pulse.noise_gain,
@@ -160,6 +165,26 @@ def _rate_error(
     return generator.filtered(residuals.time_s, known, residuals.restart)
 
 
+def _unseen(segment: Segment, generator: ResidualGenerator, time_s: FloatArray) -> FloatArray:
+    """What lost commands may add to the residual from each sample on [deg], shape (n,); empty if none was lost."""
+    from servofd.detection.residual import lost_commands
+
+    lost = lost_commands(segment.command_s, generator.longest_gap_s(segment))
+    if segment.command_period_s is not None or not lost.any():
+        return np.zeros(0)
+    before = np.flatnonzero(lost)
+    curvature_deg = np.abs(np.diff(segment.command_deg, 2, prepend=segment.command_deg[:1], append=segment.command_deg[-1:]))
+    recent_deg = np.lib.stride_tricks.sliding_window_view(np.pad(curvature_deg, (_RECENT_COMMANDS, 0)), _RECENT_COMMANDS)
+    # A chord over n + 1 intervals is off by ((n + 1) / 2)^2 times as much as one over two, for n commands.
+    size_deg = 0.5 * recent_deg[before].max(axis=1) * lost[before] * (0.5 * (lost[before] + 1)) ** 2
+    passed = _PEAK_OF_LAGS * generator.pole_rad_s * segment.period_s
+    unseen_deg = np.zeros(time_s.size)
+    # It reaches the servo before the next command does, and the log with the first position after that.
+    at = np.searchsorted(time_s, segment.command_s[before] + generator.model.plan.delay_s)
+    np.add.at(unseen_deg, np.minimum(at, time_s.size - 1), passed * size_deg)
+    return unseen_deg
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def _follow(
     time_s: FloatArray,
@@ -167,6 +192,7 @@ def _follow(
     error_deg: FloatArray,
     restarted: BoolArray,
     rate_error_deg: FloatArray,
+    unseen_deg: FloatArray,
     decay_rad_s: ComplexArray,
     bounds: FloatArray,
     noise_gain: float,
@@ -175,7 +201,7 @@ def _follow(
 ) -> None:
     """Tolerance and noise at each instant; `bounds` are of gain, delay, bandwidth, bias and noise."""
     slow = np.zeros(decay_rad_s.size, dtype=np.complex128)
-    peak_gain = peak_delay = peak_bandwidth = peak_rate = 0.0
+    peak_gain = peak_delay = peak_bandwidth = peak_rate = unseen = 0.0
     last_s = last_deg = np.nan
     before = before_that = np.nan
     noise, seen = bounds[4], 0
@@ -200,6 +226,9 @@ def _follow(
             peak_gain = max(abs(value), fade * peak_gain)
             peak_delay = max(abs(speed), fade * peak_delay)
             peak_bandwidth = max(abs(quick), fade * peak_bandwidth)
+            unseen *= fade
+            if unseen_deg.size > 0:
+                unseen += unseen_deg[k]
             if rate_error_deg.size > 0:
                 peak_rate = max(abs(rate_error_deg[k]), fade * peak_rate)
             curvature = error_deg[k] - 2.0 * before + before_that
@@ -216,5 +245,6 @@ def _follow(
             + bounds[1] * peak_delay
             + bounds[2] * peak_bandwidth
             + peak_rate
+            + unseen
         )
         sigma_deg[k] = noise_gain * (noise if seen >= _NOISE_SAMPLES else max(noise, bounds[4]))

@@ -25,9 +25,7 @@ _WIDE_DEG = 6.0
 _GRID = 14
 _REFINEMENTS = 10
 _SLOWEST = 0.12
-_SLOWEST_RATE = 0.03
-_FREEDOM = {"deadband": 2.0, "slow": 1.0}
-"""A dead band also remembers where the surface rested before."""
+_SLOWEST_RATE = 0.1
 _GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
 
 
@@ -44,7 +42,8 @@ class DeadBand:
         if widest_deg <= _NARROWEST_DEG:
             return None
         grid = np.geomspace(_NARROWEST_DEG, widest_deg, _GRID)
-        found = [_search(self.kind, window, way, grid, "width_deg") for way in (_before, _sticking, _behind)]
+        ways = [_before, _sticking, _behind] + ([_before_since_onset] if window.onset else [])
+        found = [_search(self.kind, window, way, grid, "width_deg") for way in ways]
         return min(found, key=lambda fit: fit.cost_deg2)
 
 
@@ -100,7 +99,7 @@ def _fit(
         kind,
         predicted_deg + fit.predicted_deg,
         fit.cost_deg2,
-        _FREEDOM[kind],
+        1.0,
         parameters,
         _doubt(name, value),
         lambda other: predict(other, value) + other.nuisances @ fit.coefficients,
@@ -137,6 +136,14 @@ def _resting_commands(window: Window, width_deg: float) -> tuple[FloatArray, int
 def _before(window: Window, width_deg: float) -> FloatArray:
     command_deg, begin, held_deg = _resting_commands(window, width_deg)
     command_deg[begin:] = play(command_deg[begin:], width_deg, held_deg)
+    return window.simulate(window.servo, command_deg)
+
+
+def _before_since_onset(window: Window, width_deg: float) -> FloatArray:
+    command_deg = window.commands.command_deg.copy()
+    onset_s = window.onset.time_s if window.onset else -np.inf
+    begin = max(int(np.searchsorted(window.commands.effective_s, onset_s, side="right")), 1)
+    command_deg[begin:] = play(command_deg[begin:], width_deg, float(command_deg[begin - 1]))
     return window.simulate(window.servo, command_deg)
 
 

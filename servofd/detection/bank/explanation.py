@@ -13,8 +13,10 @@ if TYPE_CHECKING:
     from servofd.detection.bank.window import Window
     from servofd.types import FloatArray
 
-__all__ = ["Estimate", "Explanation", "Hypothesis", "Regression", "Ridge"]
+__all__ = ["COLOUR", "Estimate", "Explanation", "Hypothesis", "Regression", "Ridge"]
 
+COLOUR = 4.0
+"""Misfits of neighbouring samples are alike: so many samples tell as much as one."""
 _Z_95 = 1.96
 
 
@@ -95,9 +97,9 @@ class Ridge:
         self.inverse = np.linalg.inv(self.gram + np.diag(self.weight + 1e-12 * len(regressors)))
 
     @property
-    def freedom(self) -> float:
-        """Effective number of parameters: the trace of the hat matrix."""
-        return float(np.sum(self.inverse * self.gram))
+    def occam(self) -> float:
+        """Twice the negative logarithm of the share of the prior that fits this well: evidence's price of freedom."""
+        return float(-np.linalg.slogdet(self.inverse)[1] - np.sum(np.log(self.weight)))
 
     def fit(self, target_deg: FloatArray) -> Regression:
         """Explain a target of shape (n,) [deg]."""

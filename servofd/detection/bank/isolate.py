@@ -27,7 +27,7 @@ _SETTLING_S = 0.25
 _WINDOWS_S = (2.0, 4.0, 8.0, 16.0)
 _ENOUGH_MOTION_DEG = 4.0
 _SURE = 0.95
-_MORE_LIKELY_THAN_NOT = 0.5
+_LIKELY = 0.4
 _FEWEST_SAMPLES = 12
 _BLOCK_S = 3.0
 _LONGEST_BLOCK_S = 12.0
@@ -144,7 +144,7 @@ def _name(
 
 
 def _fault(naming: Naming, episode: Episode, start_s: float) -> Fault:
-    if naming.probability < _MORE_LIKELY_THAN_NOT:
+    if naming.probability < _LIKELY:
         kinds = tuple(kind for kind in (naming.kind, *naming.alternatives) if kind != "unknown")
         probability = naming.probabilities["unknown"]
         return Fault("unknown", start_s, episode.alarm_s, episode.end_s, {}, probability, kinds, episode.level)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from servofd.detection.bank.explanation import Estimate, Explanation, Ridge
+from servofd.detection.bank.explanation import COLOUR, Estimate, Explanation, Ridge
 
 if TYPE_CHECKING:
     from servofd.detection.bank.window import Window
@@ -64,7 +64,8 @@ class Floating:
         ridge = Ridge(columns, spread, window.noise_deg)
         fit = ridge.fit(window.measured_deg)
         swing = Estimate.of(float(np.ptp(fit.predicted_deg)) / 2.0, window.noise_deg)
-        return Explanation(self.kind, fit.predicted_deg, fit.cost_deg2, ridge.freedom, {"amplitude_deg": swing})
+        doubt = ridge.occam / COLOUR
+        return Explanation(self.kind, fit.predicted_deg, fit.cost_deg2, 0.0, {"amplitude_deg": swing}, doubt)
 
 
 def _resting(kind: str, window: Window) -> Explanation:

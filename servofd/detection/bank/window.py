@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from servofd.detection.bank.explanation import Ridge
+from servofd.detection.bank.explanation import COLOUR, Ridge
 
 if TYPE_CHECKING:
     from servofd.detection.bank.explanation import Explanation
@@ -25,8 +25,6 @@ _SMALL_CHANGE = 0.02
 _MAD_TO_SIGMA = 1.4826
 _SMALLEST_NOISE_DEG = 0.01
 _START_SAMPLES = 3
-_COLOUR = 4.0
-"""Misfits of neighbouring samples are alike: so many samples tell as much as one."""
 _PENALTY = 1.5
 _FLOOR = 0.5
 
@@ -121,7 +119,7 @@ class Window:
 
     def score(self, explanation: Explanation) -> float:
         """Information criterion (after Schwarz) of an explanation: twice the negative logarithm of its weight."""
-        samples = max(self.time_s.size / _COLOUR, 2.0)
+        samples = max(self.time_s.size / COLOUR, 2.0)
         power = max(explanation.cost_deg2 / self.time_s.size, _FLOOR * self.noise_deg**2)
         return float(samples * np.log(power) + _PENALTY * explanation.freedom * np.log(samples) + explanation.doubt)
 
