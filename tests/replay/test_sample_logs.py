@@ -20,7 +20,14 @@ VERDICTS: dict[str, tuple[str, str, float | None, float | None]] = {
     "faser_deadband_chirp": ("aileron_right", "fault", 0.0, 0.3),
     "faser_stuck_flight": ("elevator", "fault", 5.0, 8.2),
     "faser_stuck_chirp": ("aileron_right", "fault", 0.0, 0.3),
+    "faser_bias_flight": ("rudder", "fault", 12.0, 12.3),
+    "faser_hardover_flight": ("elevator", "fault", 20.0, 20.1),
+    "faser_floating_flight": ("aileron_left", "fault", 12.0, 12.5),
+    "faser_oscillation_flight": ("elevator", "fault", 18.0, 18.3),
+    "faser_slow_flight": ("aileron_right", "fault", 12.0, 15.3),
+    "faser_loss_flight": ("rudder", "fault", 12.0, 15.4),
 }
+TABLE = "table_three_faults.csv"
 # Of the logs of autopilots, named by their files: commands, positions, what turns the latter into degrees, and to
 # how many [deg] they are logged.
 AUTOPILOTS: dict[str, tuple[str, str, float, float]] = {
@@ -45,6 +52,24 @@ def test_verdicts(name: str) -> None:
         (episode,) = verdicts[surface].episodes
         assert onset_s <= episode.start_s <= episode.alarm_s <= alarm_s
         assert episode.end_s is None
+
+
+def test_one_fault_passes_another_follows_and_a_second_surface_fails_meanwhile() -> None:
+    (result,) = servofd.audit(SAMPLES / TABLE)
+    verdicts = {verdict.surface: verdict for verdict in result.surfaces}
+    assert {name: verdict.status for name, verdict in verdicts.items()} == {
+        "aileron": "healthy",
+        "elevator": "fault",
+        "rudder": "fault",
+    }
+    band, jam = verdicts["elevator"].episodes
+    assert 5.0 <= band.start_s <= band.alarm_s < 6.0
+    assert band.end_s is not None
+    assert 14.0 <= band.end_s < 29.0
+    assert 30.0 <= jam.start_s <= jam.alarm_s < 32.0
+    assert jam.end_s is None
+    (bias,) = verdicts["rudder"].episodes
+    assert 10.0 <= bias.start_s <= bias.alarm_s < 10.3
 
 
 @pytest.mark.parametrize("name", AUTOPILOTS)
@@ -73,7 +98,7 @@ def test_logs_of_autopilots_hold_the_truth(name: str) -> None:
 
 def test_the_script_makes_the_same_bytes(tmp_path: Path) -> None:
     made = MAKE["make"](tmp_path)
-    assert {path.name for path in made} == {*(f"{name}.mat" for name in VERDICTS), *AUTOPILOTS}
+    assert {path.name for path in made} == {*(f"{name}.mat" for name in VERDICTS), TABLE, *AUTOPILOTS}
     for path in made:
         ours, stored = logparsers.read(path), logparsers.read(SAMPLES / path.name)
         assert list(ours.channels) == list(stored.channels)
