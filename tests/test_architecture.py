@@ -52,6 +52,7 @@ ONLY_IN = {
     "numba": {
         "servofd/models/state.py",
         "servofd/models/play.py",
+        "servofd/detection/probability/cusum.py",
         "servofd/detection/starts.py",
         "logparsers/compiled.py",
     },

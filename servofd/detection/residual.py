@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from logparsers.records import own
 from servofd.detection.pulse import fastest_pole_rad_s
@@ -63,9 +64,13 @@ class Residuals:
     """NaN where `measured_deg` is."""
     settled: BoolArray
     """False while the filter still forgets how it was started: no verdict may use these samples."""
+    immobile_deg: FloatArray
+    """What the residual would be if the surface rested at 0 deg: all that the filter sees of the command [deg]."""
+    restart: NDArray[np.int8]
+    """Where the filter, or filter and model, started anew."""
 
     def __post_init__(self) -> None:
-        for name in ("time_s", "simulated_deg", "measured_deg", "residual_deg"):
+        for name in ("time_s", "simulated_deg", "measured_deg", "residual_deg", "immobile_deg"):
             object.__setattr__(self, name, own(getattr(self, name)))
 
     @property
@@ -169,9 +174,23 @@ class ResidualGenerator:
             simulated,
             residual,
         )
-        for array in (simulated, residual, starts.measured_deg):
+        usable = np.isfinite(starts.measured_deg)
+        immobile_deg = self.filtered(segment.measured_s, np.where(usable, -simulated, np.nan), starts.restart)
+        for array in (simulated, residual, starts.measured_deg, immobile_deg):
             array.setflags(write=False)
-        return Residuals(segment.measured_s, simulated, starts.measured_deg, residual, starts.settled)
+        return Residuals(
+            segment.measured_s, simulated, starts.measured_deg, residual, starts.settled, immobile_deg, starts.restart
+        )
+
+    def filtered(self, time_s: FloatArray, error_deg: FloatArray, restart: NDArray[np.int8]) -> FloatArray:
+        """Residual of a simulation error [deg], shape (n,), that starts anew where `restart` is not zero."""
+        from servofd.models.kernel import evaluate, new_memory
+
+        servo, residual_filter = self.model.parameters(), self.filter_parameters()
+        filtered_deg = np.empty(time_s.size)
+        memory = new_memory(servo, residual_filter)
+        evaluate(residual_filter, memory, time_s, error_deg, restart, filtered_deg)
+        return filtered_deg
 
 
 def commands_at_servo(segment: Segment, delay_s: float, longest_gap_s: float) -> Commands:

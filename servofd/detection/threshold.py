@@ -1,0 +1,220 @@
+r"""Thresholds: a constant one, and one that follows the activity of the command.
+
+The error of a healthy model reaches the residual as filtered commands. With :math:`r_0 = Q_y \hat y` (what the
+residual would be, but for the sign, if the surface did not move at all), a servo whose gain, delay and bandwidth are
+off by :math:`\delta_k, \delta_\tau, \delta_\omega` leaves to first order
+
+.. math:: r = \delta_k r_0 - \delta_\tau \dot r_0 + \delta_\omega \sum_i \frac{s}{s + a_i} r_0
+
+for poles :math:`-a_i`. The interval threshold bounds each term by its tolerance times the recent peak of its signal:
+
+.. math:: \tau(t) = b + z \sigma_r + |\delta_k| [r_0] + |\delta_\tau| [\dot r_0] + |\delta_\omega| [\sum \dots] + [r_{sat}]
+
+where :math:`[\cdot]` is a peak hold that decays within 0.15 s, and :math:`r_{sat}` what a servo leaves whose rate limit
+is off by its tolerance, while it runs at it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numba import njit
+
+from servofd.types import BoolArray, ComplexArray, FloatArray
+
+if TYPE_CHECKING:
+    from servofd.detection.probability import CusumDesign
+    from servofd.detection.residual import ResidualGenerator, Residuals
+    from servofd.segment import Segment
+    from servofd.tolerance import Tolerance
+
+__all__ = ["Threshold", "ThresholdKind", "constant_threshold", "interval_threshold", "suspicion"]
+
+ThresholdKind = Literal["constant", "interval"]
+
+_PEAK_HOLD_S = 0.15
+_SIGMAS = 6.0
+"""Gaussian noise in a residual of this colour exceeds 6 standard deviations 7e-4 times an hour."""
+_NOISE_SAMPLES = 200
+_FASTEST_NOISE_CHANGE, _SLOWEST_NOISE_CHANGE = 0.2, 0.004
+_MAD_TO_SIGMA = 1.4826
+_SMALLEST_NOISE_DEG = 1e-3
+_AT_LIMIT = 0.98
+_KAPPA = 0.5
+_SUSPICIONS_PER_HOUR = 1e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Threshold:
+    """Alarm level over time, and what of it is tolerance."""
+
+    kind: ThresholdKind
+    level_deg: FloatArray
+    """Of shape (n,)."""
+    tolerance_deg: FloatArray
+    """Largest residual of a healthy servo without noise, of shape (n,)."""
+    sigma_deg: FloatArray
+    """Standard deviation of the residual from noise, as known at each instant, of shape (n,)."""
+    cusum: CusumDesign
+    """Cumulative sum of what exceeds the tolerance."""
+
+    @property
+    def typical_deg(self) -> float:
+        """Median level [deg]; of a constant threshold the level itself."""
+        return float(np.median(self.level_deg)) if self.level_deg.size else float("nan")
+
+
+def constant_threshold(interval: Threshold, level_deg: float) -> Threshold:
+    """The same level all the time; what is tolerance remains known."""
+    level = np.full(interval.level_deg.size, level_deg)
+    return Threshold("constant", level, interval.tolerance_deg, interval.sigma_deg, interval.cusum)
+
+
+def interval_threshold(
+    generator: ResidualGenerator, segment: Segment, residuals: Residuals, tolerance: Tolerance
+) -> Threshold:
+    """Largest residual that a healthy servo may have under the commands that it gets.
+
+    Parameters
+    ----------
+    generator : ResidualGenerator
+        Healthy model and filter.
+    segment : Segment
+        Commands and measurements.
+    residuals : Residuals
+        Of the segment.
+    tolerance : Tolerance
+        How far a healthy servo may differ from the model.
+
+    Returns
+    -------
+    Threshold
+        Causal: no level uses a later sample, but for the median sample time.
+
+    Examples
+    --------
+    At rest only bias and noise remain; in motion there is more to be wrong:
+
+    >>> from servofd.models.servo_model import ServoModel
+    >>> from servofd.segment import Segment
+    >>> from servofd.servos import servo_named
+    >>> from servofd.tolerance import Tolerance
+    >>> model = ServoModel.of(servo_named("hs225bb-eq31"))
+    >>> time_s = np.arange(0.0, 20.0, 0.01)
+    >>> command_deg = np.where(time_s > 10.0, 10.0, 0.0)
+    >>> measured_deg = model.simulate(time_s, command_deg, time_s) + 0.1 * np.random.default_rng(1).normal(size=2000)
+    >>> segment = Segment("elevator", time_s, command_deg, time_s, measured_deg)
+    >>> generator = ResidualGenerator(model, 50.0)
+    >>> level_deg = interval_threshold(generator, segment, generator.run(segment), Tolerance()).level_deg
+    >>> bool(0.4 < level_deg[900] < 0.7 < level_deg[1010])
+    True
+    """
+    from servofd.detection.probability import Noise, design_cusum
+    from servofd.detection.pulse import design_pulse_filter
+
+    pulse = design_pulse_filter(generator.model.transfer, 0.0, segment.period_s, generator.pole_rad_s)
+    size = residuals.time_s.size
+    tolerated, sigma = np.empty(size), np.empty(size)
+    saturated_deg = _rate_error(generator, segment, residuals, tolerance.rate)
+    _follow(
+        residuals.time_s,
+        residuals.immobile_deg,
+        residuals.error_deg,
+        residuals.restart != 0,
+        saturated_deg,
+        generator.model.parameters().decay_rad_s,
+        np.array([tolerance.gain, tolerance.delay_s, tolerance.bandwidth, tolerance.bias_deg, tolerance.noise_deg]),
+        pulse.noise_gain,
+        tolerated,
+        sigma,
+    )
+    cusum = design_cusum(_KAPPA, _SUSPICIONS_PER_HOUR, Noise.designed(pulse, 1.0))
+    return Threshold("interval", tolerated + _SIGMAS * sigma, tolerated, sigma, cusum)
+
+
+def suspicion(residuals: Residuals, threshold: Threshold) -> BoolArray:
+    """Samples, of shape (n,), at which the cumulative sum of what exceeds the tolerance is beyond its limit."""
+    from servofd.detection.probability import cusum
+
+    excess_deg = np.abs(residuals.residual_deg) - threshold.tolerance_deg
+    beyond = np.sign(residuals.residual_deg) * np.maximum(excess_deg, 0.0) / threshold.sigma_deg
+    judged = np.where(residuals.settled, beyond, np.nan)
+    return cusum(judged, threshold.cusum.kappa, residuals.restart != 0) >= threshold.cusum.limit
+
+
+def _rate_error(
+    generator: ResidualGenerator, segment: Segment, residuals: Residuals, share: float
+) -> FloatArray:
+    """Residual of a servo whose rate limit is off by its tolerance [deg], shape (n,); empty if it never runs at it."""
+    from servofd.models.effects import RateLimit
+
+    limit_deg_s = min(generator.model.plan.rate_up_deg_s, generator.model.plan.rate_down_deg_s)
+    step_s, step_deg = np.diff(residuals.time_s), np.abs(np.diff(residuals.simulated_deg))
+    if not np.any(step_deg >= _AT_LIMIT * limit_deg_s * step_s):
+        return np.zeros(0)
+    slower = type(generator)(generator.model + RateLimit((1.0 - share) * limit_deg_s), generator.pole_rad_s)
+    error_deg = slower.run(segment).simulated_deg - residuals.simulated_deg
+    known = np.where(np.isfinite(residuals.measured_deg), error_deg, np.nan)
+    return generator.filtered(residuals.time_s, known, residuals.restart)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _follow(
+    time_s: FloatArray,
+    immobile_deg: FloatArray,
+    error_deg: FloatArray,
+    restarted: BoolArray,
+    rate_error_deg: FloatArray,
+    decay_rad_s: ComplexArray,
+    bounds: FloatArray,
+    noise_gain: float,
+    tolerated_deg: FloatArray,
+    sigma_deg: FloatArray,
+) -> None:
+    """Tolerance and noise at each instant; `bounds` are of gain, delay, bandwidth, bias and noise."""
+    slow = np.zeros(decay_rad_s.size, dtype=np.complex128)
+    peak_gain = peak_delay = peak_bandwidth = peak_rate = 0.0
+    last_s = last_deg = np.nan
+    before = before_that = np.nan
+    noise, seen = bounds[4], 0
+    for k in range(time_s.size):
+        value = immobile_deg[k]
+        if not np.isnan(value):
+            step_s = time_s[k] - last_s
+            if np.isnan(last_deg) or restarted[k]:
+                slow[:] = value
+                step_s, speed = 0.0, 0.0
+                before = before_that = np.nan
+            else:
+                speed = (value - last_deg) / step_s
+            quick = 0.0
+            for i in range(decay_rad_s.size):
+                half = 0.5 * decay_rad_s[i] * step_s
+                # The trapezoidal rule: a bound needs no exponential.
+                slow[i] = ((1.0 - half) * slow[i] + half * (value + (last_deg if step_s > 0.0 else value))) / (1.0 + half)
+                share = value - slow[i]
+                quick += share.real if decay_rad_s[i].imag == 0.0 else 2.0 * share.real
+            fade = 1.0 / (1.0 + step_s / _PEAK_HOLD_S)
+            peak_gain = max(abs(value), fade * peak_gain)
+            peak_delay = max(abs(speed), fade * peak_delay)
+            peak_bandwidth = max(abs(quick), fade * peak_bandwidth)
+            if rate_error_deg.size > 0:
+                peak_rate = max(abs(rate_error_deg[k]), fade * peak_rate)
+            curvature = error_deg[k] - 2.0 * before + before_that
+            if curvature == curvature:
+                seen += 1
+                change = max(_FASTEST_NOISE_CHANGE / (1.0 + 0.2 * seen), _SLOWEST_NOISE_CHANGE)
+                tried = abs(curvature) * _MAD_TO_SIGMA / np.sqrt(6.0)
+                noise = max(noise * (1.0 + change if tried > noise else 1.0 - change), _SMALLEST_NOISE_DEG)
+            before_that, before = before, error_deg[k]
+            last_s, last_deg = time_s[k], value
+        tolerated_deg[k] = (
+            bounds[3]
+            + bounds[0] * peak_gain
+            + bounds[1] * peak_delay
+            + bounds[2] * peak_bandwidth
+            + peak_rate
+        )
+        sigma_deg[k] = noise_gain * (noise if seen >= _NOISE_SAMPLES else max(noise, bounds[4]))

@@ -1,0 +1,145 @@
+"""The odds as JSON, schema servofd.odds/1, and as rows of a table."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from servofd.detection.odds import SurfaceOdds
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from servofd.detection.odds import Operating
+    from servofd.detection.probability import Quoted
+
+__all__ = ["odds_document", "odds_rows"]
+
+
+def odds_document(odds: Sequence[SurfaceOdds], missing: dict[str, str]) -> dict[str, Any]:
+    """Everything that is known about the odds, as plain dictionaries and lists.
+
+    Parameters
+    ----------
+    odds : sequence of SurfaceOdds
+        Of the surfaces that could be told.
+    missing : dict of str to str
+        Surfaces or logs that could not be told, and why.
+
+    Examples
+    --------
+    >>> odds_document([], {"elevator": "fault"})["missing"]
+    {'elevator': 'fault'}
+    """
+    return {"schema": "servofd.odds/1", "surfaces": {o.surface: _surface(o) for o in odds}, "missing": missing}
+
+
+def _surface(odds: SurfaceOdds) -> dict[str, Any]:
+    noise, tail = odds.noise, odds.tail
+    return {
+        "servo": odds.servo,
+        "sample_rate_hz": 1.0 / noise.sample_time_s,
+        "filter_pole_rad_s": odds.design.pole_rad_s,
+        "healthy_hours": odds.hours,
+        "notes": list(odds.notes),
+        "residual": {
+            "mean_deg": noise.mean_deg,
+            "std_deg": noise.sigma_deg,
+            "correlation": noise.correlation,
+            "long_run_factor": noise.long_run_factor,
+        },
+        "tail": None
+        if tail is None
+        else {
+            "index": tail.index,
+            "index_error": tail.index_error,
+            "level_deg": tail.level_deg,
+            "scale_deg": tail.scale_deg,
+            "peaks": tail.peaks,
+            "log_rate_error_in_force": tail.log_rate_error(odds.in_force.threshold_deg),
+            "log_rate_error_wished": tail.log_rate_error(odds.wished.threshold_deg),
+        },
+        "wished": {
+            "false_alarms_per_hour": odds.wish.false_alarms_per_hour,
+            "threshold_deg": {
+                "gaussian": odds.gaussian_threshold_deg,
+                "tail": _quoted(odds.tail_threshold_deg),
+                "in_a_row": {str(n): value for n, value in odds.in_a_row_threshold_deg.items()},
+            },
+            "cusum": {"kappa_sigma": odds.cusum.kappa, "limit_sigma": odds.cusum.limit, "delay_s": odds.cusum_delay_s},
+        },
+        "fault_deg": odds.wish.fault_deg,
+        "at_threshold_in_force": _operating(odds.in_force),
+        "at_wished_threshold": _operating(odds.wished),
+    }
+
+
+def _operating(operating: Operating) -> dict[str, Any]:
+    return {
+        "threshold_deg": operating.threshold_deg,
+        "false_alarms_per_hour": {
+            "gaussian": operating.gaussian_per_hour,
+            "tail": _quoted(operating.tail_per_hour),
+            "in_a_row": {str(n): rate for n, rate in operating.in_a_row_per_hour.items()},
+        },
+        "smallest_bias_deg": {f"within_{s:g}_s": size for s, size in operating.smallest_bias_deg.items()},
+        "delay_s": operating.delay_s,
+    }
+
+
+def _quoted(quoted: Quoted | None) -> dict[str, Any] | None:
+    return None if quoted is None else {"value": quoted.value, "extrapolation": quoted.extrapolated}
+
+
+def odds_rows(odds: Sequence[SurfaceOdds]) -> list[list[str]]:
+    """Rows of a table with one column per surface; the first cell of each names the quantity and its unit."""
+    columns = [_column(o) for o in odds]
+    return [[name, *(column[name] for column in columns)] for name in columns[0]] if columns else []
+
+
+def _column(odds: SurfaceOdds) -> dict[str, str]:
+    noise, tail, wish = odds.noise, odds.tail, odds.wish
+    now, then = odds.in_force, odds.wished
+    rate = f"{wish.false_alarms_per_hour:g}/h"
+    column = {
+        "servo": odds.servo,
+        "sample rate [Hz], filter pole [rad/s]": f"{1.0 / noise.sample_time_s:.4g}, {odds.design.pole_rad_s:g}",
+        "healthy data [h]": f"{odds.hours:.3g}" if odds.hours else "none (design)",
+        "residual sigma [deg], rho1": f"{noise.sigma_deg:.4f}, {noise.correlation:.3f}",
+        "tail index xi": "-" if tail is None else f"{tail.index:.2f} ± {tail.index_error:.2f}",
+        "threshold in force [deg]": f"{now.threshold_deg:g}",
+        "  false alarms/h, Gaussian": _rate(now.gaussian_per_hour),
+        "  false alarms/h, measured tail": "-" if now.tail_per_hour is None else _marked(now.tail_per_hour, ".1e"),
+    }
+    for n in now.in_a_row_per_hour:
+        column[f"  false alarms/h, {n} in a row"] = _rate(now.in_a_row_per_hour[n])
+    column |= _seen(now, wish.fault_deg)
+    column[f"threshold for {rate} [deg], Gaussian"] = f"{odds.gaussian_threshold_deg:.3f}"
+    quoted = odds.tail_threshold_deg
+    column[f"threshold for {rate} [deg], measured tail"] = "-" if quoted is None else _marked(quoted, ".3f")
+    for n, value in odds.in_a_row_threshold_deg.items():
+        column[f"threshold for {rate} [deg], {n} in a row"] = f"{value:.3f}"
+    which = "Gaussian" if quoted is None else "measured tail"
+    column |= {f"{name}, {rate} {which}": text for name, text in _seen(then, wish.fault_deg).items()}
+    column[f"CUSUM limit for {rate} [sigma], kappa {odds.cusum.kappa:g}"] = f"{odds.cusum.limit:.1f}"
+    column[f"  delay for {wish.fault_deg:g} deg [s], CUSUM"] = _seconds(odds.cusum_delay_s)
+    return column
+
+
+def _seen(operating: Operating, fault_deg: float) -> dict[str, str]:
+    rows = {
+        f"  bias seen within {within_s:g} s, 99 % [deg]": f"{size:.2f}"
+        for within_s, size in operating.smallest_bias_deg.items()
+    }
+    return rows | {f"  delay for {fault_deg:g} deg [s]": _seconds(operating.delay_s)}
+
+
+def _rate(per_hour: float) -> str:
+    return f"{per_hour:.1e}" if per_hour > 1e-100 else "below 1e-100"
+
+
+def _marked(quoted: Quoted, style: str) -> str:
+    return f"{quoted.value:{style}}" + (" (extrapolation)" if quoted.extrapolated else "")
+
+
+def _seconds(delay_s: float) -> str:
+    return f"{delay_s:.3g}" if delay_s < 3600.0 else "over an hour"
