@@ -118,8 +118,7 @@ def _column(odds: SurfaceOdds) -> dict[str, str]:
     column[f"threshold for {rate} [deg], measured tail"] = "-" if quoted is None else _marked(quoted, ".3f")
     for n, value in odds.in_a_row_threshold_deg.items():
         column[f"threshold for {rate} [deg], {n} in a row"] = f"{value:.3f}"
-    which = "Gaussian" if quoted is None else "measured tail"
-    column |= {f"{name}, {rate} {which}": text for name, text in _seen(then, wish.fault_deg).items()}
+    column |= {f"{name}, then": text for name, text in _seen(then, wish.fault_deg).items()}
     column[f"CUSUM limit for {rate} [sigma], kappa {odds.cusum.kappa:g}"] = f"{odds.cusum.limit:.1f}"
     column[f"  delay for {wish.fault_deg:g} deg [s], CUSUM"] = _seconds(odds.cusum_delay_s)
     return column

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 __all__ = ["Noise"]
 
 _FEWEST_SAMPLES = 100
+_FEWEST_LAGS = 5
 _AR_ORDER = 30
 _WARM_UP = 1000
 
@@ -73,7 +74,7 @@ class Noise:
         sample_time_s : float
             Sample time [s].
         lags : int
-            Number of lags after lag 0; at least the time in which the filter forgets.
+            Most lags after lag 0 to look at; at least the time in which the filter forgets.
 
         Raises
         ------
@@ -95,7 +96,9 @@ class Noise:
         products = correlate(np.append(centred, np.zeros(lags)), centred, mode="valid", method="fft")
         scaled = products / power
         scaled[0] = 1.0
-        return cls(float(np.sqrt(power / count)), scaled, sample_time_s, mean)
+        # From the first correlation that is not positive on there is more estimation error than correlation.
+        end = max(int(np.argmax(np.append(scaled, -1.0) <= 0.0)), _FEWEST_LAGS + 1)
+        return cls(float(np.sqrt(power / count)), scaled[:end], sample_time_s, mean)
 
     @property
     def correlation(self) -> float:
@@ -127,8 +130,8 @@ class Noise:
         Returns
         -------
         weights, spread
-            Weights of the earlier samples, latest first, shape (known,), and the standard deviation of what remains, as a
-            share of `sigma_deg`.
+            Weights of the earlier samples, latest first, shape (known,), and the standard deviation of what remains,
+            as a share of `sigma_deg`.
 
         Examples
         --------

@@ -128,8 +128,7 @@ def _factor(noise: Noise, samples: int) -> FloatArray:
 
     if not 1 <= samples < noise.autocorrelation.size:
         raise ValueError(f"{samples} samples in a row: the colour is known for 1 to {noise.autocorrelation.size - 1}")
-    factor: FloatArray = np.linalg.cholesky(toeplitz(noise.autocorrelation[: samples + 1]))
-    return factor
+    return np.asarray(np.linalg.cholesky(toeplitz(noise.autocorrelation[: samples + 1])), dtype=np.float64)
 
 
 def _rate(z: float, factor: FloatArray, sample_time_s: float) -> float:
