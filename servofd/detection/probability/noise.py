@@ -135,9 +135,9 @@ class Noise:
 
         Examples
         --------
-        >>> weights, spread = Noise(1.0, np.array([1.0, 0.6, 0.36]), 0.01).prediction(2)
+        >>> weights, spread = Noise(1.0, np.array([1.0, 0.6, 0.5]), 0.01).prediction(2)
         >>> weights.round(9).tolist(), round(spread, 9)
-        ([0.6, 0.0], 0.8)
+        ([0.46875, 0.21875], 0.780625)
         """
         from scipy.linalg import solve_toeplitz
 

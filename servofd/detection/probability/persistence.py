@@ -58,7 +58,7 @@ def persistent_false_alarms_per_hour(threshold_deg: float, noise: Noise, samples
     >>> noise = Noise.designed(design, noise_deg=0.1)
     >>> rate = persistent_false_alarms_per_hour(4.0 * noise.sigma_deg, noise, samples=3)
     >>> round(float(1.0 - np.exp(-rate)), 3)
-    0.08
+    0.078
     """
     margin_deg = noise.margin_deg(threshold_deg)
     if samples == 1:

@@ -103,7 +103,7 @@ class TailFit:
         --------
         >>> fit = TailFit(1.0, 0.1, 0.15, 0.026, 2000, 10.0)
         >>> round(fit.log_rate_error(1.5), 2), round(fit.log_rate_error(2.5), 2)
-        (0.09, 0.4)
+        (0.11, 0.47)
         """
         y = max(threshold_deg - self.level_deg, 0.0) / self.scale_deg
         stretch = 1.0 + self.index * y
