@@ -71,7 +71,7 @@ def test_runs_of_white_noise_have_a_closed_form(samples: int) -> None:
 
 def test_runs_of_one_are_crossings() -> None:
     run = persistent_false_alarms_per_hour(5.0, NOISE, 1)
-    assert run == false_alarms_per_hour(5.0, 1.0, NOISE.correlation, 0.01)
+    assert run == pytest.approx(false_alarms_per_hour(5.0, 1.0, NOISE.correlation, 0.01), rel=1e-12)
     with pytest.raises(ValueError, match="in a row"):
         persistent_false_alarms_per_hour(5.0, WHITE, 8)
 
@@ -84,8 +84,9 @@ def test_three_in_a_row_is_worth_more_than_one_sigma() -> None:
 
 def test_a_mean_takes_its_size_off_the_margin() -> None:
     shifted = Noise(1.0, NOISE.autocorrelation, 0.01, mean_deg=-0.5)
-    assert persistent_threshold_deg(1e-3, shifted, 3) == persistent_threshold_deg(1e-3, NOISE, 3) + 0.5
-    assert persistent_false_alarms_per_hour(4.5, shifted, 3) == persistent_false_alarms_per_hour(4.0, NOISE, 3)
+    assert persistent_threshold_deg(1e-3, shifted, 3) == pytest.approx(persistent_threshold_deg(1e-3, NOISE, 3) + 0.5)
+    rate = persistent_false_alarms_per_hour(4.0, NOISE, 3)
+    assert persistent_false_alarms_per_hour(4.5, shifted, 3) == pytest.approx(rate, rel=1e-9)
 
 
 def test_measured_noise_has_the_colour_that_was_put_in() -> None:
@@ -167,8 +168,9 @@ def test_two_hours_are_needed_for_a_tail() -> None:
 def test_heavy_tails_are_told_from_gaussian_ones() -> None:
     rng = np.random.default_rng(6)
     normal, heavy = fit_tail(rng.standard_normal(1_500_000), 0.01), fit_tail(rng.standard_t(4, 1_500_000), 0.01)
+    # Far out it would be 0 and 1/4; at the level where the data are, both are still below that.
     assert abs(normal.index) < 0.1
-    assert heavy.index == pytest.approx(0.25, abs=0.1)  # 1/4 for four degrees of freedom
+    assert 4.0 * heavy.index_error < heavy.index < 0.25
 
 
 @pytest.mark.parametrize("shift", [2.5, 3.5, 4.5, 6.0])

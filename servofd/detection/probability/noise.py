@@ -137,7 +137,7 @@ class Noise:
         --------
         >>> weights, spread = Noise(1.0, np.array([1.0, 0.6, 0.5]), 0.01).prediction(2)
         >>> weights.round(9).tolist(), round(spread, 9)
-        ([0.46875, 0.21875], 0.780625)
+        ([0.46875, 0.21875], 0.78062475)
         """
         from scipy.linalg import solve_toeplitz
 
