@@ -71,8 +71,8 @@ def _draw_characteristic(axes: Axes, odds: SurfaceOdds) -> None:
     noise, tail = odds.noise, odds.tail
     thresholds = abs(noise.mean_deg) + noise.sigma_deg * np.linspace(3.0, 8.0, _THRESHOLDS)
     if tail is not None:
-        thresholds = np.append(thresholds, np.linspace(tail.level_deg, tail.threshold_deg(1e-3).value, _THRESHOLDS))
-        thresholds.sort()
+        rates = np.geomspace(_LOWEST_RATE, tail.peaks_per_hour, 2 * _THRESHOLDS)
+        thresholds = np.sort(np.append(thresholds, [tail.threshold_deg(rate).value for rate in rates]))
     gaussian = np.array(
         [
             false_alarms_per_hour(noise.margin_deg(t), noise.sigma_deg, noise.correlation, noise.sample_time_s)
