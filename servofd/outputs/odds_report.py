@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 __all__ = ["odds_document", "odds_rows"]
 
+_SHORTEST_S, _LONGEST_S = 1e-4, 3600.0
+
 
 def odds_document(odds: Sequence[SurfaceOdds], missing: dict[str, str]) -> dict[str, Any]:
     """Everything that is known about the odds, as plain dictionaries and lists.
@@ -141,4 +143,6 @@ def _marked(quoted: Quoted, style: str) -> str:
 
 
 def _seconds(delay_s: float) -> str:
-    return f"{delay_s:.3g}" if delay_s < 3600.0 else "over an hour"
+    if delay_s < _SHORTEST_S:
+        return "at once"
+    return f"{delay_s:.3g}" if delay_s < _LONGEST_S else "over an hour"

@@ -108,6 +108,12 @@ def test_noise_is_not_told_from_nothing() -> None:
         Noise(0.0, np.ones(2), 0.01)
 
 
+def test_a_very_smooth_residual_is_no_trouble() -> None:
+    smooth = Noise(1.0, np.cos(0.1 * np.arange(40)), 0.01)
+    assert 0.0 < detect(np.full(50, 4.0), 5.0, smooth).likely[-1] <= 1.0
+    assert np.isfinite(persistent_threshold_deg(1e-3, smooth, 3))
+
+
 @pytest.mark.parametrize("index", [-0.2, 0.0, 0.2])
 def test_the_tail_index_is_recovered(index: float) -> None:
     from scipy.stats import genpareto
@@ -251,7 +257,7 @@ def part(record: np.ndarray[tuple[int, ...], np.dtype[np.float64]], servo: str =
 
 def test_logs_are_pooled_and_what_is_left_out_is_said() -> None:
     records = NOISE.sample((3, 400_000), seed=11) * 0.05
-    parts = [part(records[0]), LeftOut("elevator", "bad.csv", "fault: stuck"), part(records[1])]
+    parts: list[Part | LeftOut] = [part(records[0]), LeftOut("elevator", "bad.csv", "fault: stuck"), part(records[1])]
     (odds,) = odds_from_logs([*parts, part(records[2], servo="s9254")], Wish())
     assert not isinstance(odds, LeftOut)
     assert odds.hours == pytest.approx(800_000 / 360_000)
