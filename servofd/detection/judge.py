@@ -50,9 +50,8 @@ def judge(generator: ResidualGenerator, segment: Segment, residuals: Residuals, 
     threshold = interval_threshold(generator, segment, residuals, surface.tolerances)
     if surface.threshold == "constant":
         threshold = constant_threshold(threshold, surface.threshold_deg)
-    episodes = find_episodes(
-        residuals, threshold, persistence=surface.persistence, suspicion=suspicion(residuals, threshold)
-    )
+    suspects = suspicion(residuals, threshold) if surface.tells_small_faults else None
+    episodes = find_episodes(residuals, threshold, persistence=surface.persistence, suspicion=suspects)
     if not episodes:
         return Judgement(threshold, (), ())
     commands = commands_at_servo(segment, generator.model.plan.delay_s, generator.longest_gap_s(segment))

@@ -51,7 +51,7 @@ class Bias:
         """Fit an offset larger than a healthy servo may have."""
         ridge = _widened(window, {_BIAS: _LARGEST_BIAS_DEG})
         fit = ridge.fit(window.error_deg)
-        bias = ridge.estimate(fit, window.error_deg, _BIAS)
+        bias = ridge.estimate(fit, window.error_deg, _BIAS, habit=window.spread[_BIAS])
         if abs(bias.value) <= window.tolerance.bias_deg:
             return None
         predicted_deg = window.healthy_deg + fit.predicted_deg
@@ -78,7 +78,7 @@ class LossOfEffectiveness:
         for spread, freedom in (({_GAIN: 1.0}, 1.0), ({_GAIN: 1.0, _BIAS: _LARGEST_TRIM_DEG}, 2.0)):
             ridge = _widened(window, spread)
             fit = ridge.fit(window.error_deg)
-            gain = ridge.estimate(fit, window.error_deg, _GAIN, offset=1.0)
+            gain = ridge.estimate(fit, window.error_deg, _GAIN, offset=1.0, habit=window.spread[_GAIN])
             if _STUCK_GAIN < gain.value < 1.0 - window.tolerance.gain:
                 predicted_deg = window.healthy_deg + fit.predicted_deg
                 fits.append(
