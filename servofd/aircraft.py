@@ -14,6 +14,7 @@ from servofd.errors import ConfigError, suggest
 from servofd.models.effects import PositionLimit
 from servofd.models.servo_model import ServoModel
 from servofd.servos import Positive, Servo, library, servo_named
+from servofd.tolerance import Tolerance
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -73,8 +74,25 @@ class Surface(_Entry):
     command_period_s: Annotated[float, Field(gt=0.0, le=1.0, strict=True)] | None = None
     """Period at which the autopilot really updates the command; for "linear" alone."""
     threshold_deg: Positive = DEFAULT_THRESHOLD_DEG
+    threshold: Literal["constant", "interval"] = "constant"
+    """ "interval" follows the activity of the command, within `tolerance`."""
+    persistence: Annotated[int, Field(ge=1, le=100, strict=True)] = 1
+    """Samples in a row, all on one side, that make an alarm."""
+    tolerance: Tolerance | None = None
+    """How far a healthy servo may differ from its model; None: as far as `threshold_deg` was made for."""
     filter_pole_rad_s: Annotated[float, Field(ge=0.1, le=1000.0, strict=True)] | None = None
     """Speed of the residual filter; None: the fastest with a noise gain of at most 0.5."""
+
+    @property
+    def tolerances(self) -> Tolerance:
+        """Those of the file; else those for which the constant threshold is right.
+
+        Examples
+        --------
+        >>> plain_aircraft(["rudder"]).surfaces["rudder"].tolerances.gain
+        0.03
+        """
+        return self.tolerance or Tolerance().scaled(max(1.0, self.threshold_deg / DEFAULT_THRESHOLD_DEG))
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -234,6 +252,8 @@ def _siblings(path: list[str]) -> str:
     """Keys that exist where an unknown one stands."""
     models: dict[int, type[BaseModel]] = {1: Aircraft, 3: Surface}
     model = models.get(len(path))
+    if len(path) == 4 and path[2] == "tolerance":
+        model = Tolerance
     if len(path) == 2 and path[0] == "table":
         model = Table
     if len(path) == 3 and path[0] == "servos":

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from logparsers import FlightLog
+    from servofd.detection.threshold import ThresholdKind
 
 __all__ = ["aircraft_for", "audit", "layout_of"]
 
@@ -27,6 +28,7 @@ def audit(
     *,
     servo: str | None = None,
     threshold_deg: float | None = None,
+    threshold: ThresholdKind | None = None,
     surfaces: tuple[str, ...] = (),
     progress: Callable[[str], None] = lambda _surface: None,
 ) -> Iterator[LogAudit]:
@@ -42,7 +44,9 @@ def audit(
     servo : str, optional
         Library servo to assume for all surfaces.
     threshold_deg : float, optional
-        Alarm level for all surfaces [deg].
+        Constant alarm level for all surfaces [deg].
+    threshold : {"constant", "interval"}, optional
+        Kind of threshold for all surfaces.
     surfaces : tuple of str
         Which to judge; all if empty.
     progress : callable
@@ -73,7 +77,9 @@ def audit(
         for name in surfaces:
             if name not in flown.surfaces:
                 raise UnknownName(f"{log.label}: {suggest('surface', name, flown.surfaces)}")
-        yield audit_log(log, flown, threshold_deg=threshold_deg, surfaces=surfaces, progress=progress)
+        yield audit_log(
+            log, flown, threshold_deg=threshold_deg, threshold=threshold, surfaces=surfaces, progress=progress
+        )
 
 
 def aircraft_for(log: FlightLog) -> Aircraft:

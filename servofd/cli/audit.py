@@ -29,7 +29,7 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument("--servo", metavar="NAME", help="library servo to assume for all surfaces")
     parser.add_argument("-s", "--surface", action="append", default=[], metavar="NAME", help="judge only this surface")
     parser.add_argument("--threshold-deg", type=_positive, metavar="X", help="alarm level [deg] (default: 1.5)")
-    parser.add_argument("--threshold", choices=["constant", "interval"], default="constant", help="kind of threshold")
+    parser.add_argument("--threshold", choices=["constant", "interval"], help="kind (default: constant)")
     parser.add_argument("--json", metavar="FILE", help="write the result as JSON; - prints it instead of the table")
     parser.add_argument("--rrd", metavar="FILE", help="write a Rerun recording (of one log)")
     parser.add_argument("-o", "--output", metavar="DIR", help="write figures, recordings and audit.json to a folder")
@@ -42,10 +42,8 @@ def run(options: argparse.Namespace) -> int:
     from servofd.errors import ConfigError
     from servofd.servos import servo_named
 
-    if options.threshold == "interval":
-        raise ConfigError(
-            "--threshold interval is not available in this version; give a constant one: --threshold-deg X"
-        )
+    if options.threshold == "interval" and options.threshold_deg is not None:
+        raise ConfigError("--threshold-deg gives a constant threshold; leave it out, or leave out --threshold interval")
     aircraft = load_aircraft(options.config) if options.config else None
     if options.servo:
         servo_named(options.servo)
@@ -88,6 +86,7 @@ def _audit(path: str, aircraft: Aircraft | None, options: argparse.Namespace) ->
                     aircraft,
                     servo=options.servo,
                     threshold_deg=options.threshold_deg,
+                    threshold=options.threshold,
                     surfaces=tuple(options.surface),
                     progress=step,
                 )

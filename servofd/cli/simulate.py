@@ -34,7 +34,11 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument("--duration", type=float, default=60.0, metavar="S", help="length [s] (default: 60)")
     parser.add_argument("--rate-hz", type=float, metavar="HZ", help="sample rate (default: 100; in a .tlog 40)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="the same seed gives the same flight")
-    parser.add_argument("--command", default="flight", help="flight, chirp, steps or doublets (default: flight)")
+    parser.add_argument(
+        "--command",
+        default="flight",
+        help="flight, calm, lively, cruise or hand_flown; on the bench chirp, steps or doublets (default: flight)",
+    )
     parser.add_argument(
         "--noise-deg", type=float, default=0.1, metavar="X", help="noise of the position (default: 0.1)"
     )
@@ -43,7 +47,8 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
         action="append",
         default=[],
         metavar="SURFACE:KIND@START[:KEY=VALUE]",
-        help="stuck or deadband",
+        help="stuck, bias, hardover, floating, oscillation, deadband, slow or loss_of_effectiveness, from START [s] on "
+        "(until end_s=... if it passes); may be given again, on one surface for a later time",
     )
     parser.add_argument(
         "--effect",
@@ -102,20 +107,22 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _faults(texts: list[str], duration_s: float) -> dict[str, Fault]:
-    """One fault for each surface, within the flight."""
+def _faults(texts: list[str], duration_s: float) -> dict[str, tuple[Fault, ...]]:
+    """Faults of each surface, within the flight and one at a time."""
     from servofd.errors import ConfigError
+    from servofd.models.failing import in_order
 
-    faults: dict[str, Fault] = {}
+    faults: dict[str, tuple[Fault, ...]] = {}
     for text in texts:
         surface, fault = _fault(text)
-        if surface in faults:
-            raise ConfigError(f"--fault {text}: {surface} has a fault already; one for each surface")
         if not 0.0 <= fault.start_s < duration_s:
             raise ConfigError(
                 f"--fault {text}: starts at {fault.start_s:g} s, the flight lasts from 0 to {duration_s:g} s"
             )
-        faults[surface] = fault
+        try:
+            faults[surface] = in_order([*faults.get(surface, ()), fault])
+        except ConfigError as error:
+            raise ConfigError(f"--fault {text}: {error}") from None
     return faults
 
 
@@ -178,4 +185,7 @@ def _made(kind: Callable[..., _Made], values: dict[str, float], where: str) -> _
     required = {n for n, f in fields.items() if f.default is dataclasses.MISSING}
     if set(values) - set(fields) or required - set(values):
         raise ConfigError(f"{where}: takes {', '.join(fields)}; {', '.join(sorted(required))} must be given")
-    return kind(**values)
+    try:
+        return kind(**values)
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}") from None

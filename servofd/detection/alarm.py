@@ -1,10 +1,10 @@
-"""From residual to faults: threshold, latching, onset."""
+"""From residual to faults: threshold, persistence, suspicion, latching, onset."""
 
 from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -12,13 +12,15 @@ from servofd.models.play import play
 
 if TYPE_CHECKING:
     from servofd.detection.residual import Residuals
-    from servofd.types import FloatArray
+    from servofd.detection.threshold import Threshold
+    from servofd.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["Episode", "find_episodes"]
+__all__ = ["Episode", "Level", "crossings", "find_episodes"]
+
+Level = Literal["suspect", "fault"]
 
 _QUIET_SHARE = 0.5
 _TRAVEL_TO_CLEAR = 20.0
-_ONSET_SHARE = 0.1
 _ONSET_SIGMAS = 4.5
 _QUIET_BEFORE_ONSET_S = 0.5
 _SAMPLES_FOR_NOISE = 100
@@ -27,24 +29,31 @@ _MAD_TO_SIGMA = 1.4826
 
 @dataclass(frozen=True, slots=True)
 class Episode:
-    """A fault from its onset until the surface has proved to be well again.
+    """A fault, or the suspicion of one, from its onset until the surface has proved to be well again.
 
     Parameters
     ----------
     start_s : float
-        Best estimate of when it began to show [s]: the residual leaves its noise and does not come back.
+        First estimate of when it began to show [s]: the residual leaves its noise and does not come back. Of a
+        suspicion, when it was raised.
     alarm_s : float
-        First instant at which |residual| >= threshold (thesis Eq. 4.12) [s]; uses no later sample.
+        First instant at which |residual| >= threshold (thesis Eq. 4.12) for as many samples as asked for, or of a
+        suspicion, at which the cumulative sum reaches its limit [s]; uses no later sample.
     end_s : float or None
         When it was last seen [s]; None if it lasts to the end of the log.
+    level : {"suspect", "fault"}
+        Whether the threshold was crossed, or only the limit of the cumulative sum.
     """
 
     start_s: float
     alarm_s: float
     end_s: float | None
+    level: Level = "fault"
 
 
-def find_episodes(residuals: Residuals, immobile_deg: FloatArray, threshold_deg: float) -> tuple[Episode, ...]:
+def find_episodes(
+    residuals: Residuals, threshold: Threshold, *, persistence: int = 1, suspicion: BoolArray | None = None
+) -> tuple[Episode, ...]:
     """Group threshold crossings into faults.
 
     The alarm latches. It clears only on evidence: |residual| stayed below half the threshold during manoeuvres in
@@ -56,10 +65,12 @@ def find_episodes(residuals: Residuals, immobile_deg: FloatArray, threshold_deg:
     ----------
     residuals : Residuals
         Of one surface.
-    immobile_deg : ndarray, shape (n,)
-        Residual that the same command would cause if the surface did not move at all [deg].
-    threshold_deg : float
-        Alarm level [deg].
+    threshold : Threshold
+        Alarm level over time.
+    persistence : int
+        How many judged samples in a row, all on one side, make an alarm.
+    suspicion : ndarray of bool, shape (n,), optional
+        Where something too small for the threshold has lasted too long.
 
     Returns
     -------
@@ -68,27 +79,58 @@ def find_episodes(residuals: Residuals, immobile_deg: FloatArray, threshold_deg:
     """
     judged = np.flatnonzero(residuals.settled)
     size_deg = np.abs(residuals.residual_deg[judged])
-    time_s = residuals.time_s[judged]
-    loud = np.flatnonzero(size_deg >= _QUIET_SHARE * threshold_deg)
-    if loud.size == 0:
+    level_deg, time_s = threshold.level_deg[judged], residuals.time_s[judged]
+    alarms = crossings(residuals.residual_deg[judged], level_deg, persistence)
+    suspects = np.zeros(judged.size, dtype=bool)
+    if suspicion is not None:
+        suspects = suspicion[judged]
+    loud = np.flatnonzero((size_deg >= _QUIET_SHARE * level_deg) | suspects)
+    if loud.size == 0 or not (alarms.any() or suspects.any()):
         return ()
-    travel_deg = _large_travel(immobile_deg[judged], threshold_deg)
-    enough_deg = _TRAVEL_TO_CLEAR * threshold_deg
+    typical_deg = threshold.typical_deg
+    travel_deg = _large_travel(residuals.immobile_deg[judged], typical_deg)
+    enough_deg = _TRAVEL_TO_CLEAR * typical_deg
     quiet_deg = np.diff(np.append(travel_deg[loud], travel_deg[-1]))
     last_of_group = np.flatnonzero(quiet_deg >= enough_deg)
     bounds = np.concatenate([[0], last_of_group + 1, [loud.size]])
     episodes = []
     for first, end in itertools.pairwise(bounds):
         group = loud[first:end]
-        crossings = group[size_deg[group] >= threshold_deg]
-        if crossings.size:
+        raised, level = _raised(group, alarms, suspects)
+        if raised is not None:
             cleared = quiet_deg[end - 1] >= enough_deg
-            alarm = int(crossings[0])
             earliest = int(loud[first - 1]) + 1 if first else 0
-            onset = _onset(time_s, size_deg, earliest, alarm, threshold_deg)
+            onset = raised
+            if level == "fault":
+                onset = _onset(time_s, size_deg, threshold.tolerance_deg[judged], earliest, raised)
             end_s = float(time_s[group[-1]]) if cleared else None
-            episodes.append(Episode(float(time_s[onset]), float(time_s[alarm]), end_s))
+            episodes.append(Episode(float(time_s[onset]), float(time_s[raised]), end_s, level))
     return tuple(episodes)
+
+
+def crossings(residual_deg: FloatArray, level_deg: FloatArray, persistence: int = 1) -> BoolArray:
+    """Samples at which |residual| has been at or over its level for some samples in a row, on one side.
+
+    Examples
+    --------
+    >>> crossings(np.array([2.0, 2.0, -2.0, -2.0, -3.0]), np.full(5, 1.5), 3)
+    array([False, False, False, False,  True])
+    """
+    side = np.sign(residual_deg) * (np.abs(residual_deg) >= level_deg)
+    if persistence == 1 or side.size < persistence:
+        return np.asarray(side != 0.0) if persistence == 1 else np.zeros(side.size, dtype=bool)
+    runs = np.abs(np.lib.stride_tricks.sliding_window_view(side, persistence).sum(axis=1)) == persistence
+    return np.concatenate([np.zeros(persistence - 1, dtype=bool), runs])
+
+
+def _raised(group: IntArray, alarms: BoolArray, suspects: BoolArray) -> tuple[int | None, Level]:
+    """First alarm of a group; without one, the first suspicion."""
+    levels: tuple[tuple[BoolArray, Level], ...] = ((alarms, "fault"), (suspects, "suspect"))
+    for flags, level in levels:
+        raised = group[flags[group]]
+        if raised.size:
+            return int(raised[0]), level
+    return None, "suspect"
 
 
 def _large_travel(immobile_deg: FloatArray, threshold_deg: float) -> FloatArray:
@@ -98,13 +140,15 @@ def _large_travel(immobile_deg: FloatArray, threshold_deg: float) -> FloatArray:
     return travel
 
 
-def _onset(time_s: FloatArray, size_deg: FloatArray, earliest: int, alarm: int, threshold_deg: float) -> int:
-    """First sample outside the noise after the last quiet half second before the alarm."""
+def _onset(
+    time_s: FloatArray, size_deg: FloatArray, tolerance_deg: FloatArray, earliest: int, alarm: int
+) -> int:
+    """First sample beyond noise and tolerance after the last quiet half second before the alarm."""
     before = size_deg[earliest:alarm]
-    level_deg = _ONSET_SHARE * threshold_deg
+    level_deg = tolerance_deg[earliest : alarm + 1]
     if before.size >= _SAMPLES_FOR_NOISE:
-        level_deg = max(level_deg, _ONSET_SIGMAS * _MAD_TO_SIGMA * float(np.median(before)))
-    level_deg = min(level_deg, threshold_deg)  # with no healthy time before it, the noise is the fault itself
+        level_deg = np.maximum(level_deg, _ONSET_SIGMAS * _MAD_TO_SIGMA * float(np.median(before)))
+    level_deg = np.minimum(level_deg, size_deg[alarm])  # with no healthy time before it, the noise is the fault itself
     outside = earliest + np.flatnonzero(size_deg[earliest : alarm + 1] >= level_deg)
     pauses_s = np.diff(time_s[outside], prepend=-np.inf)
     return int(outside[np.flatnonzero(pauses_s >= _QUIET_BEFORE_ONSET_S)[-1]])

@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from servofd.detection.alarm import Episode, find_episodes
+from servofd.detection.judge import judge
+from servofd.detection.plausible import wiring_problem
 from servofd.detection.probability import false_alarms_per_hour
 from servofd.detection.residual import ResidualGenerator, Residuals
+from servofd.detection.words import describe
 from servofd.errors import DesignError, NoMeasurement
 from servofd.segment import SLOWEST_RATE_HZ, Segment, cut
 
@@ -21,8 +23,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from logparsers.records import FlightLog
-    from servofd.aircraft import Aircraft
-    from servofd.types import FloatArray
+    from servofd.aircraft import Aircraft, Surface
+    from servofd.detection.bank.isolate import Fault
+    from servofd.detection.threshold import Threshold, ThresholdKind
 
 __all__ = ["LogAudit", "Statistics", "Status", "SurfaceAudit", "audit_log"]
 
@@ -52,14 +55,19 @@ class SurfaceAudit:
     status: Status
     reason: str
     servo: str
+    threshold_kind: ThresholdKind
     threshold_deg: float
+    """Of an interval threshold the median level."""
     expected: bool
     """False if the aircraft file names no measured channel, or the log knows nothing of this surface."""
-    episodes: tuple[Episode, ...] = ()
+    faults: tuple[Fault, ...] = ()
+    suspicions: tuple[Fault, ...] = ()
+    """What only a cumulative sum noticed, or the tolerances of a working servo explain."""
     statistics: Statistics | None = None
     false_alarms_per_hour: float | None = None
     segment: Segment | None = None
     residuals: Residuals | None = None
+    threshold: Threshold | None = None
 
     @property
     def is_judged(self) -> bool:
@@ -91,6 +99,7 @@ def audit_log(
     aircraft: Aircraft,
     *,
     threshold_deg: float | None = None,
+    threshold: ThresholdKind | None = None,
     surfaces: tuple[str, ...] = (),
     progress: Callable[[str], None] = lambda _surface: None,
 ) -> LogAudit:
@@ -103,7 +112,9 @@ def audit_log(
     aircraft : Aircraft
         Surfaces, calibrations and servos.
     threshold_deg : float, optional
-        Alarm level for all surfaces [deg]; each has its own in the aircraft.
+        Constant alarm level for all surfaces [deg]; each has its own in the aircraft.
+    threshold : {"constant", "interval"}, optional
+        Kind of threshold for all surfaces; each has its own in the aircraft.
     surfaces : tuple of str
         Which to judge; all if empty.
     progress : callable
@@ -125,7 +136,12 @@ def audit_log(
     chosen = surfaces or tuple(aircraft.surfaces)
 
     def one(name: str) -> SurfaceAudit:
-        verdict = _audit_surface(log, aircraft, name, threshold_deg or aircraft.surfaces[name].threshold_deg)
+        surface = aircraft.surfaces[name]
+        if threshold_deg is not None:
+            surface = surface.model_copy(update={"threshold_deg": threshold_deg, "threshold": "constant"})
+        if threshold is not None:
+            surface = surface.model_copy(update={"threshold": threshold})
+        verdict = _audit_surface(log, aircraft, name, surface)
         progress(name)
         return verdict
 
@@ -134,13 +150,13 @@ def audit_log(
         return LogAudit(log, aircraft, tuple(pool.map(one, chosen)))
 
 
-def _audit_surface(log: FlightLog, aircraft: Aircraft, name: str, threshold_deg: float) -> SurfaceAudit:
-    surface = aircraft.surfaces[name]
+def _audit_surface(log: FlightLog, aircraft: Aircraft, name: str, surface: Surface) -> SurfaceAudit:
     verdict = partial(
         SurfaceAudit,
         surface=name,
         servo=surface.servo,
-        threshold_deg=threshold_deg,
+        threshold_kind=surface.threshold,
+        threshold_deg=surface.threshold_deg,
         expected=_is_expected(log, aircraft, name),
     )
     try:
@@ -162,9 +178,20 @@ def _audit_surface(log: FlightLog, aircraft: Aircraft, name: str, threshold_deg:
     statistics = _statistics(residuals)
     if not np.isfinite(statistics.max_abs_deg):
         return verdict(status="unknown", reason="the residual is not a number: check model and units", segment=segment)
-    immobile_deg = generator.run(segment.with_measured(0.0)).residual_deg
-    episodes = find_episodes(residuals, immobile_deg, threshold_deg)
-    status, reason_text = _verdict(residuals, immobile_deg, statistics, episodes, threshold_deg)
+    judgement = judge(generator, segment, residuals, surface)
+    threshold, faults, suspicions = judgement.threshold, judgement.faults, judgement.suspicions
+    verdict = partial(
+        verdict,
+        statistics=statistics,
+        segment=segment,
+        residuals=residuals,
+        threshold=threshold,
+        threshold_deg=threshold.typical_deg,
+    )
+    problem = wiring_problem(residuals) if faults or suspicions else ""
+    if problem:
+        return verdict(status="unknown", reason=problem)
+    status, reason_text = _verdict(residuals, statistics, faults, suspicions, threshold)
     judged_share = judged_s / max(log.duration_s, 1e-9)
     if judged_share < _MOST_OF_THE_LOG:
         reason_text += f"; judged for {judged_share:.0%} of the log"
@@ -175,11 +202,9 @@ def _audit_surface(log: FlightLog, aircraft: Aircraft, name: str, threshold_deg:
     return verdict(
         status=status,
         reason=reason_text,
-        episodes=episodes,
-        statistics=statistics,
-        false_alarms_per_hour=_odds(residuals, episodes, segment.period_s, threshold_deg),
-        segment=segment,
-        residuals=residuals,
+        faults=faults,
+        suspicions=suspicions,
+        false_alarms_per_hour=_odds(residuals, faults + suspicions, segment.period_s, threshold.typical_deg),
     )
 
 
@@ -214,36 +239,37 @@ def _too_little(segment: Segment) -> str:
 
 def _verdict(
     residuals: Residuals,
-    immobile_deg: FloatArray,
     statistics: Statistics,
-    episodes: tuple[Episode, ...],
-    threshold_deg: float,
+    faults: tuple[Fault, ...],
+    suspicions: tuple[Fault, ...],
+    threshold: Threshold,
 ) -> tuple[Status, str]:
-    if episodes:
-        first = episodes[0]
-        more = f"; {len(episodes)} separate faults" if len(episodes) > 1 else ""
-        return "fault", (
-            f"servo or its feedback left the model at {first.start_s:.2f} s "
-            f"(alarm {first.alarm_s:.2f} s, |residual| up to {statistics.max_abs_deg:.1f} deg){more}"
-        )
-    shown_deg = _would_have_shown(residuals, immobile_deg)
-    if shown_deg < threshold_deg:
+    if faults:
+        found = "; then ".join(describe(fault) for fault in faults)
+        return "fault", f"servo or its feedback: {found}"
+    if suspicions:
+        found = "; ".join(describe(fault) for fault in suspicions)
+        return "suspect", f"beyond its tolerances, within the threshold: {found}"
+    shown_deg = _would_have_shown(residuals)
+    if shown_deg < threshold.typical_deg:
         return "unknown", (
             f"hardly asked to move: a servo stuck all along would have left a residual of {shown_deg:.2g} deg only"
         )
     return (
         "healthy",
-        f"|residual| stayed below {threshold_deg:g} deg (largest {statistics.max_abs_deg:.2f} deg)",
+        f"|residual| stayed below {threshold.typical_deg:.3g} deg (largest {statistics.max_abs_deg:.2f} deg)"
+        if threshold.kind == "constant"
+        else f"|residual| stayed below its interval threshold (largest {statistics.max_abs_deg:.2f} deg)",
     )
 
 
-def _would_have_shown(residuals: Residuals, immobile_deg: FloatArray) -> float:
+def _would_have_shown(residuals: Residuals) -> float:
     """Smallest residual that a stuck servo would have left, wherever it was stuck [deg].
 
     From what the filter sees of the commands; or from the position itself, which a stuck servo does not change
     (its outermost values left out, they may be glitches).
     """
-    asked_deg = float(np.ptp(immobile_deg[residuals.settled])) / 2.0
+    asked_deg = float(np.ptp(residuals.immobile_deg[residuals.settled])) / 2.0
     low_deg, high_deg = np.nanpercentile(residuals.measured_deg, [5.0, 95.0])
     return max(asked_deg, float(high_deg - low_deg) / 2.0)
 
@@ -265,9 +291,9 @@ def _statistics(residuals: Residuals) -> Statistics:
     )
 
 
-def _odds(residuals: Residuals, episodes: tuple[Episode, ...], period_s: float, threshold_deg: float) -> float | None:
+def _odds(residuals: Residuals, found: tuple[Fault, ...], period_s: float, threshold_deg: float) -> float | None:
     """False alarms per hour, from the residual before the first fault; None if that is too short."""
-    healthy = residuals.settled & (residuals.time_s < (episodes[0].start_s if episodes else np.inf))
+    healthy = residuals.settled & (residuals.time_s < min((fault.start_s for fault in found), default=np.inf))
     residual = residuals.residual_deg[healthy]
     if residual.size * period_s < _SECONDS_FOR_ODDS:
         return None

@@ -13,9 +13,10 @@ no step length at which it fails.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from logparsers.records import own
 from servofd.detection.pulse import fastest_pole_rad_s
@@ -25,16 +26,18 @@ if TYPE_CHECKING:
     from servofd.models.kernel import FilterParameters
     from servofd.models.servo_model import ServoModel
     from servofd.segment import Segment
-    from servofd.types import BoolArray, FloatArray
+    from servofd.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["Commands", "ResidualGenerator", "Residuals", "commands_at_servo"]
+__all__ = ["Commands", "ResidualGenerator", "Residuals", "commands_at_servo", "lost_commands"]
 
 _GAP_TIME_CONSTANTS = 5.0
 _GAP_PERIODS = 3.0
 _BLANKING_TIME_CONSTANTS = 8.0
 _LARGEST_GAIN_ERROR = 1e-6
-_LOST_SAMPLE = 1.75
-"""An interval this many times the median holds a lost sample. Jitter of 3 ms at 100 Hz stays below 1.6."""
+_LOST_SAMPLE = (1.5, 1.75)
+"""An interval at least this many times the median holds a lost sample: the more, the more the time stamps jitter."""
+_LOW_QUANTILE, _TRIANGLE = 5.0, 1.0 - 0.1**0.5
+"""Two uniform jitters make a triangular one; its lower 5 % lie beyond this share of its half width."""
 _INTERVALS_FOR_PERIOD = 10_000
 _FEWEST_COMMANDS = 3
 _REGULAR_SPREAD = 0.5
@@ -63,9 +66,13 @@ class Residuals:
     """NaN where `measured_deg` is."""
     settled: BoolArray
     """False while the filter still forgets how it was started: no verdict may use these samples."""
+    immobile_deg: FloatArray
+    """What the residual would be if the surface rested at 0 deg: all that the filter sees of the command [deg]."""
+    restart: NDArray[np.int8]
+    """Where the filter, or filter and model, started anew."""
 
     def __post_init__(self) -> None:
-        for name in ("time_s", "simulated_deg", "measured_deg", "residual_deg"):
+        for name in ("time_s", "simulated_deg", "measured_deg", "residual_deg", "immobile_deg"):
             object.__setattr__(self, name, own(getattr(self, name)))
 
     @property
@@ -151,7 +158,7 @@ class ResidualGenerator:
 
         longest_gap_s = self.longest_gap_s(segment)
         starts = find_starts(
-            segment, longest_gap_s, self.blanking_s, _LOST_SAMPLE * _regular_period_s(segment.command_s)
+            segment, longest_gap_s, self.blanking_s, _rhythm(segment.command_s).longest_s
         )
         commands = commands_at_servo(segment, self.model.plan.delay_s, longest_gap_s)
         servo, residual_filter = self.model.parameters(), self.filter_parameters()
@@ -169,9 +176,23 @@ class ResidualGenerator:
             simulated,
             residual,
         )
-        for array in (simulated, residual, starts.measured_deg):
+        usable = np.isfinite(starts.measured_deg)
+        immobile_deg = self.filtered(segment.measured_s, np.where(usable, -simulated, np.nan), starts.restart)
+        for array in (simulated, residual, starts.measured_deg, immobile_deg):
             array.setflags(write=False)
-        return Residuals(segment.measured_s, simulated, starts.measured_deg, residual, starts.settled)
+        return Residuals(
+            segment.measured_s, simulated, starts.measured_deg, residual, starts.settled, immobile_deg, starts.restart
+        )
+
+    def filtered(self, time_s: FloatArray, error_deg: FloatArray, restart: NDArray[np.int8]) -> FloatArray:
+        """Residual of a simulation error [deg], shape (n,), that starts anew where `restart` is not zero."""
+        from servofd.models.kernel import evaluate, new_memory
+
+        servo, residual_filter = self.model.parameters(), self.filter_parameters()
+        filtered_deg = np.empty(time_s.size)
+        memory = new_memory(servo, residual_filter)
+        evaluate(residual_filter, memory, time_s, error_deg, restart, filtered_deg)
+        return filtered_deg
 
 
 def commands_at_servo(segment: Segment, delay_s: float, longest_gap_s: float) -> Commands:
@@ -199,28 +220,50 @@ def commands_at_servo(segment: Segment, delay_s: float, longest_gap_s: float) ->
     return Commands(time_s + delay_s, command_deg, np.zeros(time_s.size))
 
 
+def lost_commands(command_s: FloatArray, longest_gap_s: float) -> IntArray:
+    """How many commands a regular log has lost after each of its own, of shape (n,); holes are not counted.
+
+    Examples
+    --------
+    >>> lost_commands(np.array([0.0, 0.01, 0.03, 0.04]), 0.1)
+    array([0, 1, 0, 0])
+    """
+    step_s, rhythm = np.diff(command_s), _rhythm(command_s)
+    missing = (step_s > rhythm.longest_s) & (step_s <= longest_gap_s)
+    lost = np.zeros(command_s.size, dtype=np.int64)
+    lost[:-1][missing] = np.round(step_s[missing] / rhythm.period_s).astype(np.int64) - 1
+    return lost
+
+
 def _with_lost_commands(
     time_s: FloatArray, command_deg: FloatArray, longest_gap_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    step_s, period_s = np.diff(time_s), _regular_period_s(time_s)
-    if not np.isfinite(period_s):
-        return time_s, command_deg
-    lost = np.where((step_s > _LOST_SAMPLE * period_s) & (step_s <= longest_gap_s), np.round(step_s / period_s) - 1, 0)
+    lost = lost_commands(time_s, longest_gap_s)
     if not lost.any():
         return time_s, command_deg
-    pieces = lost.astype(int) + 1
+    pieces = lost[:-1] + 1
     owner = np.repeat(np.arange(pieces.size), pieces)
     place = np.arange(owner.size) - np.repeat(np.cumsum(pieces) - pieces, pieces)
     share = place / pieces[owner]
-    filled_s = np.append(time_s[owner] + share * step_s[owner], time_s[-1])
+    filled_s = np.append(time_s[owner] + share * np.diff(time_s)[owner], time_s[-1])
     return filled_s, np.append(command_deg[owner] + share * np.diff(command_deg)[owner], command_deg[-1])
 
 
-def _regular_period_s(command_s: FloatArray) -> float:
-    """Period of a regular command log [s]; infinite where commands come as they please, and no interval is a loss."""
+class _Rhythm(NamedTuple):
+    period_s: float
+    longest_s: float
+    """A longer interval holds a lost command."""
+
+
+def _rhythm(command_s: FloatArray) -> _Rhythm:
+    """Of a regular command log; infinite where commands come as they please, and no interval is a loss."""
     if command_s.size < _FEWEST_COMMANDS:
-        return float("inf")
+        return _Rhythm(float("inf"), float("inf"))
     step_s = np.diff(command_s)
     some_s = step_s[:: 1 + step_s.size // _INTERVALS_FOR_PERIOD]
-    quarter_s, period_s, three_quarters_s = np.percentile(some_s, [25.0, 50.0, 75.0])
-    return float(period_s) if three_quarters_s - quarter_s <= _REGULAR_SPREAD * period_s else float("inf")
+    low_s, quarter_s, period_s, three_quarters_s = np.percentile(some_s, [_LOW_QUANTILE, 25.0, 50.0, 75.0]).tolist()
+    if three_quarters_s - quarter_s > _REGULAR_SPREAD * period_s:
+        return _Rhythm(float("inf"), float("inf"))
+    jitter_s = (period_s - low_s) / _TRIANGLE
+    least, most = (share * period_s for share in _LOST_SAMPLE)
+    return _Rhythm(period_s, min(max(period_s + jitter_s, least), most))

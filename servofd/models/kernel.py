@@ -22,7 +22,7 @@ import numpy as np
 from servofd.models.state import SLOTS, FilterParameters, Memory, ServoParameters, compiled, inlined, new_memory
 from servofd.types import FloatArray
 
-__all__ = ["FilterParameters", "Memory", "ServoParameters", "lag_weights", "new_memory", "observe"]
+__all__ = ["FilterParameters", "Memory", "ServoParameters", "evaluate", "lag_weights", "new_memory", "observe"]
 
 _SAME_STEP_S = 1e-7
 """Steps this close share an exponential, corrected by a three-term series (error below 1e-15)."""
@@ -329,3 +329,25 @@ def observe(
             residual_deg[k] = error / residual_filter.dc_gain
         else:
             residual_deg[k] = _filter(residual_filter, memory, now, error)
+
+
+@compiled
+def evaluate(
+    residual_filter: FilterParameters,
+    memory: Memory,
+    measured_s: FloatArray,
+    error_deg: FloatArray,
+    restart: np.ndarray[tuple[int], np.dtype[np.int8]],
+    residual_deg: FloatArray,
+) -> None:
+    """Filter a simulation error that is already there, as `observe` would; the result goes into the last array."""
+    for k in range(measured_s.size):
+        error = error_deg[k]
+        if math.isnan(error):
+            residual_deg[k] = math.nan
+        elif restart[k] != RESTART_NONE:
+            memory.lags[:] = error
+            memory.lag_step[2] = measured_s[k]
+            residual_deg[k] = error / residual_filter.dc_gain
+        else:
+            residual_deg[k] = _filter(residual_filter, memory, measured_s[k], error)

@@ -13,6 +13,7 @@ from servofd.models.effects import Delay, Effect, LinearDynamics, Plan, RateLimi
 
 if TYPE_CHECKING:
     from servofd.models.kernel import ServoParameters
+    from servofd.models.motion import Motion
     from servofd.models.transfer import TransferFunction
     from servofd.servos import Servo
     from servofd.types import FloatArray
@@ -113,26 +114,14 @@ class ServoModel:
         >>> model.simulate(np.array([0.0, 0.1]), np.array([0.0, 5.0]), np.array([0.0, 0.1, 0.5])).round(3)
         array([0., 0., 5.])
         """
-        from servofd.models.kernel import RESTART_ALL, FilterParameters, new_memory, observe
+        return self.motion(command_s, command_deg).at(np.asarray(at_s, dtype=float))
 
-        servo = self.parameters()
-        unused = FilterParameters(1.0, servo.decay_rad_s, 1.0)
-        # One more instant, at the first command: that is where the servo rests.
-        instants_s = np.concatenate([np.asarray(command_s, dtype=float)[:1], np.asarray(at_s, dtype=float)])
-        restart = np.zeros(instants_s.size, dtype=np.int8)
-        restart[:1] = RESTART_ALL
-        simulated, residual = np.empty(instants_s.size), np.empty(instants_s.size)
-        observe(
-            servo,
-            unused,
-            new_memory(servo, unused),
-            np.asarray(command_s, dtype=float) + self.plan.delay_s,
-            np.asarray(command_deg, dtype=float),
-            np.zeros(len(command_deg)),
-            instants_s,
-            np.full(instants_s.size, np.nan),
-            restart,
-            simulated,
-            residual,
-        )
-        return simulated[1:]
+    def motion(self, command_s: FloatArray, command_deg: FloatArray) -> Motion:
+        """The servo at rest at the first of its commands, to be simulated piece by piece."""
+        from servofd.models.motion import Motion
+
+        command_s, command_deg = np.asarray(command_s, dtype=float), np.asarray(command_deg, dtype=float)
+        motion = Motion(self.parameters(), command_s + self.plan.delay_s, command_deg)
+        if command_s.size:
+            motion.rest(float(command_s[0]))
+        return motion

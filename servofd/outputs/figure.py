@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from servofd.detection.audit import SurfaceAudit
     from servofd.detection.residual import Residuals
+    from servofd.detection.threshold import Threshold
     from servofd.segment import Segment
     from servofd.types import BoolArray, FloatArray
 
@@ -51,7 +52,7 @@ def save_figure(audit: SurfaceAudit, path: Path, title: str) -> None:
     ValueError
         If the surface has no residuals: there is nothing to draw.
     """
-    if audit.segment is None or audit.residuals is None:
+    if audit.segment is None or audit.residuals is None or audit.threshold is None:
         raise ValueError(f"{audit.surface}: nothing to draw, {audit.reason}")
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -60,7 +61,7 @@ def save_figure(audit: SurfaceAudit, path: Path, title: str) -> None:
     FigureCanvasAgg(figure)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
     _draw_deflection(upper, audit.segment, audit.residuals)
-    _draw_residual(lower, audit.residuals, audit.threshold_deg)
+    _draw_residual(lower, audit.residuals, audit.threshold)
     for axes in (upper, lower):
         _shade(axes, audit)
         axes.grid(visible=True, color="0.9")
@@ -83,17 +84,19 @@ def _draw_deflection(axes: Axes, segment: Segment, residuals: Residuals) -> None
     axes.set_ylabel("deflection [deg]")
 
 
-def _draw_residual(axes: Axes, residuals: Residuals, threshold_deg: float) -> None:
+def _draw_residual(axes: Axes, residuals: Residuals, threshold: Threshold) -> None:
     judged = np.where(residuals.settled, residuals.residual_deg, np.nan)
     time_s, residual_deg = _thin(residuals.time_s, judged)
     axes.plot(time_s, residual_deg, color="black", lw=0.8, label="residual")
+    level_s, level_deg = _thin(residuals.time_s, threshold.level_deg)
     for sign in (1.0, -1.0):
-        label = f"threshold ±{threshold_deg:g} deg" if sign > 0 else None
-        axes.axhline(sign * threshold_deg, color=COLOURS["fault"], lw=1.0, ls="--", label=label)
+        about = "about " if threshold.kind == "interval" else ""
+        label = f"threshold {about}±{threshold.typical_deg:.3g} deg" if sign > 0 else None
+        axes.plot(level_s, sign * level_deg, color=COLOURS["fault"], lw=1.0, ls="--", label=label)
     largest = float(np.nanmax(np.abs(judged))) if np.any(residuals.settled) else 0.0
-    limit = 1.15 * max(largest, 1.3 * threshold_deg)
+    limit = 1.15 * max(largest, 1.3 * threshold.typical_deg)
     axes.set_ylim(-limit, limit)
-    alarm = (np.abs(judged) >= threshold_deg).astype(float)
+    alarm = (np.abs(judged) >= threshold.level_deg).astype(float)
     axes.fill_between(
         *_thin_flags(residuals.time_s, alarm, -limit, -0.92 * limit),
         color=COLOURS["fault"],
@@ -109,11 +112,11 @@ def _shade(axes: Axes, audit: SurfaceAudit) -> None:
     residuals = audit.residuals
     if residuals is None:
         return
-    for number, episode in enumerate(audit.episodes):
-        end_s = residuals.time_s[-1] if episode.end_s is None else episode.end_s
-        label = "fault" if number == 0 else None
-        axes.axvspan(episode.start_s, end_s, color=COLOURS["fault"], alpha=0.12, lw=0, label=label)
-        axes.axvline(episode.alarm_s, color=COLOURS["fault"], lw=0.8)
+    for number, fault in enumerate(audit.faults + audit.suspicions):
+        end_s = residuals.time_s[-1] if fault.end_s is None else fault.end_s
+        label = fault.kind if number == 0 else None
+        axes.axvspan(fault.start_s, end_s, color=COLOURS["fault"], alpha=0.12, lw=0, label=label)
+        axes.axvline(fault.alarm_s, color=COLOURS["fault"], lw=0.8)
 
 
 def _thin(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:

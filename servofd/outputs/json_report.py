@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from logparsers.records import Damage
-    from servofd.detection.alarm import Episode
     from servofd.detection.audit import LogAudit, SurfaceAudit
+    from servofd.detection.bank.isolate import Fault
 
 __all__ = ["FailedLog", "audit_document", "to_json"]
 
@@ -69,7 +69,7 @@ def _surface(surface: SurfaceAudit) -> dict[str, Any]:
         "status": surface.status,
         "reason": surface.reason,
         "servo": surface.servo,
-        "threshold": {"kind": "constant", "deg": surface.threshold_deg},
+        "threshold": {"kind": surface.threshold_kind, "deg": surface.threshold_deg},
         "residual": None
         if statistics is None
         else {
@@ -79,19 +79,21 @@ def _surface(surface: SurfaceAudit) -> dict[str, Any]:
         },
         "simulation_error_rms_deg": None if statistics is None else statistics.simulation_error_rms_deg,
         "false_alarms_per_hour": surface.false_alarms_per_hour,
-        "faults": [_fault(episode) for episode in surface.episodes],
+        "faults": [_fault(fault) for fault in surface.faults],
+        "suspicions": [_fault(fault) for fault in surface.suspicions],
     }
 
 
-def _fault(episode: Episode) -> dict[str, Any]:
+def _fault(fault: Fault) -> dict[str, Any]:
     return {
-        "kind": "unknown",
-        "start_s": episode.start_s,
-        "alarm_s": episode.alarm_s,
-        "end_s": episode.end_s,
-        "parameters": {},
-        "probability": None,
-        "alternatives": [],
+        "kind": fault.kind,
+        "start_s": fault.start_s,
+        "alarm_s": fault.alarm_s,
+        "end_s": fault.end_s,
+        "parameters": {name: estimate.value for name, estimate in fault.parameters.items()},
+        "intervals": {name: [estimate.low, estimate.high] for name, estimate in fault.parameters.items()},
+        "probability": fault.probability,
+        "alternatives": list(fault.alternatives),
     }
 
 

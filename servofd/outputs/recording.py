@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from servofd.detection.words import describe
 from servofd.outputs.files import whole_file
 
 if TYPE_CHECKING:
@@ -52,7 +53,7 @@ def save_recording(audit: LogAudit, path: Path) -> None:
             rr.AnyValues(
                 source=audit.log.source.name,
                 format=audit.log.format,
-                faults=sum(len(s.episodes) for s in audit.surfaces),
+                faults=sum(len(s.faults) for s in audit.surfaces),
                 surfaces=[s.surface for s in audit.surfaces],
             ),
         )
@@ -61,18 +62,18 @@ def save_recording(audit: LogAudit, path: Path) -> None:
 def _log_surface(recording: Any, audit: SurfaceAudit) -> None:  # noqa: ANN401 - rerun is untyped here
     import rerun as rr
 
-    if audit.segment is None or audit.residuals is None:
+    if audit.segment is None or audit.residuals is None or audit.threshold is None:
         return
     place, residuals = f"/surfaces/{audit.surface}", audit.residuals
     _style(recording, f"{place}/deflection", ["command", "simulated", "measured"], ["grey", "blue", "orange"])
     _style(recording, f"{place}/residual", ["residual", "+threshold", "-threshold"], ["green", "red", "red"])
     command_deg = _command_at(audit.segment, residuals)
     judged_deg = np.where(residuals.settled, residuals.residual_deg, np.nan)
-    limit_deg = np.full(judged_deg.size, audit.threshold_deg)
+    limit_deg = audit.threshold.level_deg
     deflection = np.column_stack([command_deg, residuals.simulated_deg, residuals.measured_deg])
     _send(recording, f"{place}/deflection", residuals.time_s, deflection)
     _send(recording, f"{place}/residual", residuals.time_s, np.column_stack([judged_deg, limit_deg, -limit_deg]))
-    flag = np.abs(judged_deg) >= audit.threshold_deg
+    flag = np.abs(judged_deg) >= limit_deg
     edges = np.flatnonzero(np.diff(flag, prepend=~flag[0])) if flag.size else np.array([], dtype=int)
     recording.log(f"{place}/flag", rr.SeriesLines(names="alarm", interpolation_mode="StepAfter"), static=True)
     _send(recording, f"{place}/flag", residuals.time_s[edges], flag[edges].astype(float))
@@ -85,12 +86,12 @@ def _log_states(recording: Any, place: str, audit: SurfaceAudit, residuals: Resi
 
     states = [(residuals.time_s[0], "OK" if audit.is_judged else "NO DATA")]
     texts = []
-    for episode in audit.episodes:
-        states.append((episode.alarm_s, "FAULT"))
-        texts.append((episode.alarm_s, "ERROR", f"{audit.surface}: alarm, onset {episode.start_s:.2f} s"))
-        if episode.end_s is not None:
-            states.append((episode.end_s, "OK"))
-            texts.append((episode.end_s, "INFO", f"{audit.surface}: last sign of the fault"))
+    for fault in audit.faults:
+        states.append((fault.alarm_s, "FAULT"))
+        texts.append((fault.alarm_s, "ERROR", f"{audit.surface}: {describe(fault)}"))
+        if fault.end_s is not None:
+            states.append((fault.end_s, "OK"))
+            texts.append((fault.end_s, "INFO", f"{audit.surface}: last sign of the fault"))
     if not texts:
         texts.append((residuals.time_s[-1], "INFO", f"{audit.surface}: {audit.status}, {audit.reason}"))
     configuration = rr.StateConfiguration(

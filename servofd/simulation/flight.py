@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.errors import ConfigError, UnknownName, suggest
+from servofd.models.failing import Fault, failing_deflection, in_order
 from servofd.simulation.commands import COMMANDS
 
 if TYPE_CHECKING:
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
 
     from servofd.aircraft import Aircraft
     from servofd.models.effects import Effect
-    from servofd.models.faults import Fault
     from servofd.simulation.pulses import Output
     from servofd.types import FloatArray, IntArray
 
@@ -48,7 +48,7 @@ def simulate_flight(
     duration_s: float = 60.0,
     rate_hz: float = 100.0,
     seed: int = 0,
-    faults: Mapping[str, Fault] | None = None,
+    faults: Mapping[str, Fault | Sequence[Fault]] | None = None,
     effects: Mapping[str, Sequence[Effect]] | None = None,
     noise_deg: float = 0.1,
     outputs: Sequence[Output] = (),
@@ -65,8 +65,8 @@ def simulate_flight(
         Length [s] and sample rate [Hz].
     seed : int
         The same seed gives the same flight.
-    faults : mapping of surface to Fault, optional
-        What fails.
+    faults : mapping of surface to one or several Faults, optional
+        What fails; on one surface one after the other.
     effects : mapping of surface to effects, optional
         What the servo has beyond its description.
     noise_deg : float
@@ -81,7 +81,8 @@ def simulate_flight(
     UnknownName
         If a surface or the command does not exist.
     ConfigError
-        If duration, rate or noise make no sense, or the outputs are not those of the surfaces.
+        If duration, rate or noise make no sense, faults of one surface overlap, or the outputs are not those of the
+        surfaces.
 
     Examples
     --------
@@ -104,6 +105,7 @@ def simulate_flight(
         )
     if outputs and [output.surface for output in outputs] != list(aircraft.surfaces):
         raise ConfigError(f"outputs of {', '.join(o.surface for o in outputs)}: give one for each surface, in order")
+    failing = {name: in_order([what] if isinstance(what, Fault) else what) for name, what in (faults or {}).items()}
     samples = np.arange(round(duration_s * rate_hz))
     # An autopilot stamps with 0 what it does not know the time of: its first sample is one period after it booted.
     time_s = np.round((samples + 1) / rate_hz, 6) if outputs else np.round(samples / rate_hz, 9)
@@ -118,12 +120,7 @@ def simulate_flight(
         model = aircraft.model(name)
         for effect in (effects or {}).get(name, ()):
             model = model + effect
-        fault = (faults or {}).get(name)
-        deflection_deg = (
-            fault.deflection(model, time_s, received_deg, time_s)
-            if fault
-            else model.simulate(time_s, received_deg, time_s)
-        )
+        deflection_deg = failing_deflection(model, failing.get(name, ()), time_s, received_deg, time_s)
         commanded.append(asked_deg)
         measured.append(deflection_deg + noise_deg * rng.standard_normal(time_s.size))
     return SimulatedFlight(

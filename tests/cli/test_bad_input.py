@@ -174,6 +174,8 @@ def test_bad_aircraft_files(name: str, tmp_path: Path, capsys: pytest.CaptureFix
         (["simulate", "-o", "a.csv", "--fault", "elevator:stuck@soon"], "start_s=soon"),
         (["simulate", "-o", "a.csv", "--fault", "elevator:deadband@1:width=2"], "width_deg"),
         (["simulate", "-o", "a.csv", "--fault", "elevator:deadband@1:width_deg=-2"], "positive"),
+        (["simulate", "-o", "a.csv", "--fault", "elevator:slow@1:bandwidth_scale=2"], "at most 1"),
+        (["simulate", "-o", "a.csv", "--fault", "elevator:bias@1:end_s=soon"], "end_s=soon"),
         (["simulate", "-o", "a.csv", "--effect", "elevator:delai:delay_s=1"], "did you mean delay?"),
         (["simulate", "-o", "a.csv", "--effect", "elevator:delay"], "must be given"),
         (["simulate", "-o", "a.csv", "--effect", "elevator:delay:delay_s=-1"], "zero or more"),

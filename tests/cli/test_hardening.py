@@ -187,7 +187,8 @@ def test_servos_that_cannot_be(
     [
         (["--fault", "elevator:stuck@nan"], "not finite"),
         (["--fault", "elevator:stuck@1000"], "the flight lasts"),
-        (["--fault", "elevator:stuck@5", "--fault", "elevator:deadband@8"], "a fault already"),
+        (["--fault", "elevator:stuck@5", "--fault", "elevator:deadband@8"], "one fault at a time on a surface"),
+        (["--fault", "elevator:stuck@5:end_s=4"], "end_s must be later"),
         (["--fault", "elevator:stuck@5:start_s=3"], "after the @"),
         (["--fault", "elevator:stuck@5:position_deg=nan"], "not finite"),
     ],
@@ -198,6 +199,24 @@ def test_simulated_faults_must_happen(
     assert main(["simulate", "-o", str(tmp_path / "a.csv"), *arguments]) == 2
     assert expected in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+def test_every_fault_can_be_asked_for_and_passes(tmp_path: Path) -> None:
+    from servofd.models.faults import FAULTS
+
+    path = tmp_path / "a.csv"
+    times = {kind: 2.0 + 4.0 * index for index, kind in enumerate(FAULTS)}
+    texts = [f"elevator:{kind}@{start_s}:end_s={start_s + 2.0}" for kind, start_s in times.items()]
+    run = ["simulate", "-o", str(path), "--duration", "36", "--noise-deg", "0"]
+    columns = {}
+    for name, faults in (("healthy", []), ("failing", texts)):
+        assert main([*run, *(word for text in faults for word in ("--fault", text))]) == 0
+        columns[name] = np.genfromtxt(path, delimiter=",", names=True)
+    time_s = columns["healthy"]["time_s"]
+    difference_deg = abs(columns["failing"]["elevator_pos_deg"] - columns["healthy"]["elevator_pos_deg"])
+    for start_s in times.values():
+        assert difference_deg[(time_s > start_s) & (time_s < start_s + 2.0)].max() > 0.05
+        assert difference_deg[(time_s > start_s + 3.3) & (time_s < start_s + 4.0)].max() < 1e-6
 
 
 def test_the_interval_threshold_says_that_it_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,15 +12,22 @@ import logparsers
 import servofd
 
 SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"
-# Status of the surface that matters, onset and alarm [s] (None: healthy).
-VERDICTS: dict[str, tuple[str, str, float | None, float | None]] = {
-    "faser_healthy_flight": ("aileron_right", "healthy", None, None),
-    "faser_healthy_chirp": ("aileron_right", "healthy", None, None),
-    "faser_deadband_flight": ("aileron_right", "fault", 0.0, 3.5),
-    "faser_deadband_chirp": ("aileron_right", "fault", 0.0, 0.3),
-    "faser_stuck_flight": ("elevator", "fault", 5.0, 8.2),
-    "faser_stuck_chirp": ("aileron_right", "fault", 0.0, 0.3),
+# Kind of the fault of the surface that matters, its onset and the latest alarm [s] (None: healthy).
+VERDICTS: dict[str, tuple[str, str | None, float, float]] = {
+    "faser_healthy_flight": ("aileron_right", None, 0.0, 0.0),
+    "faser_healthy_chirp": ("aileron_right", None, 0.0, 0.0),
+    "faser_deadband_flight": ("aileron_right", "deadband", 0.0, 3.5),
+    "faser_deadband_chirp": ("aileron_right", "deadband", 0.0, 0.3),
+    "faser_stuck_flight": ("elevator", "stuck", 5.0, 8.2),
+    "faser_stuck_chirp": ("aileron_right", "stuck", 0.0, 0.3),
+    "faser_bias_flight": ("rudder", "bias", 12.0, 12.3),
+    "faser_hardover_flight": ("elevator", "hardover", 20.0, 20.1),
+    "faser_floating_flight": ("aileron_left", "floating", 12.0, 12.5),
+    "faser_oscillation_flight": ("elevator", "oscillation", 18.0, 18.3),
+    "faser_slow_flight": ("aileron_right", "slow", 12.0, 15.3),
+    "faser_loss_flight": ("rudder", "loss_of_effectiveness", 12.0, 15.4),
 }
+TABLE = "table_three_faults.csv"
 # Of the logs of autopilots, named by their files: commands, positions, what turns the latter into degrees, and to
 # how many [deg] they are logged.
 AUTOPILOTS: dict[str, tuple[str, str, float, float]] = {
@@ -34,17 +41,37 @@ MAKE = runpy.run_path(str(SAMPLES / "make.py"))
 
 @pytest.mark.parametrize("name", VERDICTS)
 def test_verdicts(name: str) -> None:
-    surface, status, onset_s, alarm_s = VERDICTS[name]
+    surface, kind, onset_s, alarm_s = VERDICTS[name]
     (result,) = servofd.audit(SAMPLES / f"{name}.mat")
     verdicts = {verdict.surface: verdict for verdict in result.surfaces}
-    assert verdicts[surface].status == status
     for other, verdict in verdicts.items():
-        if other != surface:
+        if other != surface or kind is None:
             assert verdict.status == ("no_data" if other.startswith("flap") else "healthy")
-    if onset_s is not None and alarm_s is not None:
-        (episode,) = verdicts[surface].episodes
-        assert onset_s <= episode.start_s <= episode.alarm_s <= alarm_s
-        assert episode.end_s is None
+    if kind is not None:
+        assert verdicts[surface].status == "fault"
+        (fault,) = verdicts[surface].faults
+        assert (fault.kind, fault.end_s) == (kind, None)
+        assert onset_s <= fault.start_s <= fault.alarm_s <= alarm_s
+
+
+def test_one_fault_passes_another_follows_and_a_second_surface_fails_meanwhile() -> None:
+    (result,) = servofd.audit(SAMPLES / TABLE)
+    verdicts = {verdict.surface: verdict for verdict in result.surfaces}
+    assert {name: verdict.status for name, verdict in verdicts.items()} == {
+        "aileron": "healthy",
+        "elevator": "fault",
+        "rudder": "fault",
+    }
+    band, jam = verdicts["elevator"].faults
+    assert (band.kind, jam.kind) == ("deadband", "stuck")
+    assert 5.0 <= band.start_s <= band.alarm_s < 6.0
+    assert band.end_s is not None
+    assert 14.0 <= band.end_s < 29.0
+    assert 30.0 <= jam.start_s <= jam.alarm_s < 32.0
+    assert jam.end_s is None
+    (bias,) = verdicts["rudder"].faults
+    assert (bias.kind, bias.end_s) == ("bias", None)
+    assert 10.0 <= bias.start_s <= bias.alarm_s < 10.3
 
 
 @pytest.mark.parametrize("name", AUTOPILOTS)
@@ -73,7 +100,7 @@ def test_logs_of_autopilots_hold_the_truth(name: str) -> None:
 
 def test_the_script_makes_the_same_bytes(tmp_path: Path) -> None:
     made = MAKE["make"](tmp_path)
-    assert {path.name for path in made} == {*(f"{name}.mat" for name in VERDICTS), *AUTOPILOTS}
+    assert {path.name for path in made} == {*(f"{name}.mat" for name in VERDICTS), TABLE, *AUTOPILOTS}
     for path in made:
         ours, stored = logparsers.read(path), logparsers.read(SAMPLES / path.name)
         assert list(ours.channels) == list(stored.channels)
@@ -110,6 +137,6 @@ def test_autopilot_logs_are_audited_with_nothing_configured_by_hand(
     assert len(result.surfaces) == 3
     for verdict in result.surfaces:
         assert verdict.status == ("fault" if verdict.surface == jammed else "healthy")
-        for episode in verdict.episodes:
-            assert 20.0 <= episode.start_s <= episode.alarm_s <= alarm_s
-            assert episode.end_s is None
+        for fault in verdict.faults:
+            assert 20.0 <= fault.start_s <= fault.alarm_s <= alarm_s
+            assert (fault.kind, fault.end_s) == ("stuck", None)

@@ -1,0 +1,184 @@
+"""Hypotheses that need a simulation each: dead band or stiction, and a slow servo."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from numba import njit
+
+from servofd.detection.bank.explanation import Estimate, Explanation
+from servofd.detection.bank.window import slower
+from servofd.models.play import play
+from servofd.types import FloatArray
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from servofd.detection.bank.window import Window
+
+__all__ = ["DeadBand", "Slow"]
+
+_NARROWEST_DEG = 0.3
+_WIDE_DEG = 6.0
+_GRID = 14
+_REFINEMENTS = 10
+_SLOWEST = 0.12
+_SLOWEST_RATE = 0.1
+_WELL_EXPLAINED = 1.2
+_GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class DeadBand:
+    """Increased dead band, stiction or play: the surface rests until it is half the width off."""
+
+    kind: ClassVar[str] = "deadband"
+
+    def explain(self, window: Window) -> Explanation | None:
+        """Fit the width: before the servo, smooth or jerky, or behind it."""
+        reach_deg = float(np.ptp(window.commands.command_deg))
+        widest_deg = 2.0 * max(reach_deg, float(np.max(np.abs(window.error_deg))))
+        if widest_deg <= _NARROWEST_DEG:
+            return None
+        grid = np.geomspace(_NARROWEST_DEG, widest_deg, _GRID)
+        ways = [_before, _sticking, _behind] + ([_before_since_onset] if window.onset else [])
+        found = [_search(self.kind, window, way, grid, "width_deg") for way in ways]
+        return min(found, key=window.score)
+
+
+@dataclass(frozen=True, slots=True)
+class Slow:
+    """The servo has lost bandwidth, or speed."""
+
+    kind: ClassVar[str] = "slow"
+
+    def explain(self, window: Window) -> Explanation | None:
+        """Fit the share of the bandwidth that is left, or a new rate limit."""
+        scales = np.geomspace(_SLOWEST, 1.0 - window.tolerance.bandwidth, _GRID)
+        found = [_search(self.kind, window, _slower, scales, "bandwidth_scale")]
+        fastest_deg_s = float(np.max(np.abs(window.rate_deg_s)))
+        explained = found[0].cost_deg2 <= _WELL_EXPLAINED * window.time_s.size * window.noise_deg**2
+        if fastest_deg_s > 0.0 and not explained:
+            rates = fastest_deg_s * np.geomspace(_SLOWEST_RATE, 1.0 - window.tolerance.rate, _GRID // 2)
+            found.append(_search(self.kind, window, _limited, rates, "rate_limit_deg_s"))
+        return min(found, key=window.score)
+
+
+def _search(
+    kind: str,
+    window: Window,
+    predict: Callable[[Window, float], FloatArray],
+    grid: FloatArray,
+    name: str,
+) -> Explanation:
+    """Best value on a grid, refined by golden section between its neighbours."""
+    tried: dict[float, Explanation] = {}
+
+    def objective(fit: Explanation) -> float:
+        return fit.cost_deg2 + window.noise_deg**2 * fit.doubt
+
+    def cost(value: float) -> float:
+        if value not in tried:
+            tried[value] = _fit(kind, window, predict, name, value)
+        return objective(tried[value])
+
+    costs = [cost(float(value)) for value in grid]
+    best = int(np.argmin(costs))
+    low, high = float(grid[max(best - 1, 0)]), float(grid[min(best + 1, grid.size - 1)])
+    for _ in range(_REFINEMENTS // 2):
+        left, right = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
+        low, high = (low, right) if cost(left) <= cost(right) else (left, high)
+    return _with_interval(min(tried.values(), key=objective), tried, window, name)
+
+
+def _fit(
+    kind: str, window: Window, predict: Callable[[Window, float], FloatArray], name: str, value: float
+) -> Explanation:
+    """A prediction with the nuisances of a working servo upon it."""
+    predicted_deg = predict(window, value)
+    fit = window.ridge.fit(window.measured_deg - predicted_deg)
+    parameters = {name: Estimate(value, value, value)}
+    return Explanation(
+        kind,
+        predicted_deg + fit.predicted_deg,
+        fit.cost_deg2,
+        1.0,
+        parameters,
+        _doubt(name, value) + fit.doubt,
+        lambda other: predict(other, value) + other.nuisances @ fit.coefficients,
+    )
+
+
+def _doubt(name: str, value: float) -> float:
+    """Dead bands of more than a few degrees are rare."""
+    return (value / _WIDE_DEG) ** 2 if name == "width_deg" else 0.0
+
+
+def _with_interval(best: Explanation, tried: dict[float, Explanation], window: Window, name: str) -> Explanation:
+    """Add the 95 % interval: where the cost, a parabola about the best, has risen by 1.96^2 noise variances."""
+    value = best.parameters[name].value
+    variance = max(window.noise_deg**2, best.cost_deg2 / window.time_s.size)
+    others = sorted((abs(v - value), fit.cost_deg2 - best.cost_deg2) for v, fit in tried.items() if v != value)
+    curved = [(distance, rise) for distance, rise in others if rise > variance]
+    distance, rise = curved[0] if curved else (value, variance)
+    deviation = distance * float(np.sqrt(variance / rise))
+    interval = {name: Estimate.of(value, deviation)}
+    return replace(best, parameters=interval)
+
+
+def _resting_commands(window: Window, width_deg: float) -> tuple[FloatArray, int, float]:
+    """Commands with the lead-in replaced by what brings the surface where it was, where the window begins, and that."""
+    command_deg = window.commands.command_deg.copy()
+    begin = int(np.searchsorted(window.commands.effective_s, window.time_s[0], side="right"))
+    asked_deg = float(command_deg[max(begin - 1, 0)])
+    held_deg = min(max(window.start_deg, asked_deg - width_deg / 2.0), asked_deg + width_deg / 2.0)
+    command_deg[:begin] = held_deg
+    return command_deg, begin, held_deg
+
+
+def _before(window: Window, width_deg: float) -> FloatArray:
+    command_deg, begin, held_deg = _resting_commands(window, width_deg)
+    command_deg[begin:] = play(command_deg[begin:], width_deg, held_deg)
+    return window.simulate(window.servo, command_deg)
+
+
+def _before_since_onset(window: Window, width_deg: float) -> FloatArray:
+    command_deg = window.commands.command_deg.copy()
+    onset_s = window.onset.time_s if window.onset else -np.inf
+    begin = max(int(np.searchsorted(window.commands.effective_s, onset_s, side="right")), 1)
+    command_deg[begin:] = play(command_deg[begin:], width_deg, float(command_deg[begin - 1]))
+    return window.simulate(window.servo, command_deg)
+
+
+def _sticking(window: Window, width_deg: float) -> FloatArray:
+    command_deg, begin, held_deg = _resting_commands(window, width_deg)
+    _stick(command_deg[begin:], width_deg / 2.0, held_deg)
+    return window.simulate(window.servo, command_deg)
+
+
+def _behind(window: Window, width_deg: float) -> FloatArray:
+    return play(window.healthy_deg, width_deg, window.start_deg)
+
+
+def _slower(window: Window, bandwidth_scale: float) -> FloatArray:
+    return window.simulate(slower(window.servo, bandwidth_scale))
+
+
+def _limited(window: Window, rate_deg_s: float) -> FloatArray:
+    up_deg_s, down_deg_s = window.servo.rate_up_deg_s, window.servo.rate_down_deg_s
+    return window.simulate(
+        window.servo._replace(
+            rate_up_deg_s=min(rate_deg_s, up_deg_s), rate_down_deg_s=min(rate_deg_s, down_deg_s)
+        )
+    )
+
+
+@njit(cache=True, nogil=True)
+def _stick(command_deg: FloatArray, half_width_deg: float, held_deg: float) -> None:
+    """Hold until the command is half a width away, then go all the way."""
+    for k in range(command_deg.size):
+        if abs(command_deg[k] - held_deg) > half_width_deg:
+            held_deg = command_deg[k]
+        command_deg[k] = held_deg

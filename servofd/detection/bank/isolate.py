@@ -1,0 +1,204 @@
+"""From an alarm to named faults: which, since when, until when, how large, how sure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from servofd.detection.bank.classify import Naming, name_fault
+from servofd.detection.bank.onset import BEFORE_S, refine_onset_s
+from servofd.detection.bank.window import Onset, Window
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from servofd.detection.alarm import Episode, Level
+    from servofd.detection.bank.explanation import Estimate
+    from servofd.detection.residual import Commands, Residuals
+    from servofd.models.servo_model import ServoModel
+    from servofd.tolerance import Tolerance
+
+__all__ = ["SURE", "Fault", "Flight", "isolate"]
+
+_SETTLING_S = 0.25
+"""Left out after the onset: faults that set in abruptly still move the surface as a healthy servo would."""
+_WINDOWS_S = (2.0, 4.0, 8.0, 16.0)
+_ENOUGH_MOTION_DEG = 4.0
+SURE = 0.95
+_LIKELY = 0.4
+_FEWEST_SAMPLES = 12
+_BLOCK_S = 3.0
+_LONGEST_BLOCK_S = 12.0
+_SUSPICION_LASTS_S = 15.0
+"""The cumulative sum and the habits look back about ten seconds."""
+_ONSET_BEFORE_RECORD_S = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One fault of one surface."""
+
+    kind: str
+    """`unknown` if no hypothesis explains it, or several do alike."""
+    start_s: float
+    """Best estimate of the onset [s]."""
+    alarm_s: float
+    """When the alarm would have been raised in flight [s]."""
+    end_s: float | None
+    """When it was last seen [s]; None if it lasts to the end of the log."""
+    parameters: Mapping[str, Estimate]
+    probability: float
+    alternatives: tuple[str, ...]
+    level: Level = "fault"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flight:
+    """All that the bank needs to know of one surface's flight."""
+
+    model: ServoModel
+    tolerance: Tolerance
+    noise_deg: float
+    residuals: Residuals
+    commands: Commands
+
+    def window(self, from_s: float, to_s: float, onset: Onset | None) -> Window | None:
+        """Cut out a stretch; None if it holds too few samples."""
+        time_s = self.residuals.time_s
+        first, last = (int(i) for i in np.searchsorted(time_s, (from_s, to_s + 1e-9)))
+        span = slice(first, last)
+        if np.count_nonzero(self.residuals.settled[span]) < _FEWEST_SAMPLES:
+            return None
+        return Window.of(self.model, self.tolerance, self.noise_deg, self.residuals, self.commands, span, onset)
+
+    @property
+    def end_s(self) -> float:
+        """Last sample [s]."""
+        return float(self.residuals.time_s[-1])
+
+
+def isolate(flight: Flight, episode: Episode) -> tuple[Fault, ...]:
+    """Name what happened during an alarm.
+
+    Parameters
+    ----------
+    flight : Flight
+        The surface.
+    episode : Episode
+        Since when something is wrong, and until when.
+
+    Returns
+    -------
+    tuple of Fault
+        One; or several, if one turned into another. The kind `healthy` says that the tolerances of a working servo
+        explain the alarm.
+    """
+    until_s = flight.end_s if episode.end_s is None else episode.end_s
+    onset = _onset(flight, episode.start_s)
+    naming, window = _name(flight, episode.start_s + _SETTLING_S, until_s, onset)
+    if naming is None or window is None:
+        return (Fault("unknown", episode.start_s, episode.alarm_s, episode.end_s, {}, 0.0, (), episode.level),)
+    start_s = episode.start_s
+    if onset is not None and naming.best is not None and naming.kind != "healthy":
+        before_s = BEFORE_S if episode.level == "fault" else _SUSPICION_LASTS_S
+        start_s = min(refine_onset_s(flight, naming.best, episode.start_s, window, before_s), episode.alarm_s)
+    first = _fault(naming, episode, start_s)
+    change = _change(flight, naming.kind, float(window.time_s[-1]), until_s)
+    if change is None:
+        return (first,)
+    changed_s, then = change
+    if then.kind == "healthy":
+        return (replace(first, end_s=changed_s),)
+    second = _fault(then, replace(episode, alarm_s=changed_s), changed_s)
+    return (replace(first, end_s=changed_s), second)
+
+
+def _onset(flight: Flight, start_s: float) -> Onset | None:
+    """How the fault came; None if the record begins with it."""
+    residuals = flight.residuals
+    judged_s = residuals.time_s[residuals.settled]
+    if start_s - judged_s[0] < _ONSET_BEFORE_RECORD_S:
+        return None
+    first, last = np.searchsorted(residuals.time_s, (start_s, start_s + _SETTLING_S)).tolist()
+    near = residuals.measured_deg[max(first - 3, 0) : first + 1]
+    near = near[np.isfinite(near)]
+    healthy_deg = residuals.simulated_deg[first : last + 1]
+    if near.size == 0 or healthy_deg.size == 0:
+        return None
+    return Onset(start_s, float(np.median(near)), float(healthy_deg.min()), float(healthy_deg.max()))
+
+
+def _name(
+    flight: Flight, from_s: float, until_s: float, onset: Onset | None
+) -> tuple[Naming | None, Window | None]:
+    """Name the fault from the shortest window that is sure."""
+    best: tuple[Naming | None, Window | None] = (None, None)
+    for length_s in _WINDOWS_S:
+        window = flight.window(from_s, min(from_s + length_s, until_s), onset)
+        if window is not None:
+            best = (name_fault(window), window)
+            if best[0].probability >= SURE and window.motion_deg >= _ENOUGH_MOTION_DEG:
+                return best
+        if from_s + length_s >= until_s:
+            break
+    return best
+
+
+def _fault(naming: Naming, episode: Episode, start_s: float) -> Fault:
+    if naming.probability < _LIKELY:
+        kinds = tuple(kind for kind in (naming.kind, *naming.alternatives) if kind != "unknown")
+        probability = naming.probabilities["unknown"]
+        return Fault("unknown", start_s, episode.alarm_s, episode.end_s, {}, probability, kinds, episode.level)
+    parameters = naming.best.parameters if naming.best else {}
+    return Fault(
+        naming.kind,
+        start_s,
+        episode.alarm_s,
+        episode.end_s,
+        parameters,
+        naming.probability,
+        naming.alternatives,
+        episode.level,
+    )
+
+
+def _change(flight: Flight, kind: str, from_s: float, until_s: float) -> tuple[float, Naming] | None:
+    """When the fault turned into another, or went away, and into what; found by bisection."""
+    last = _block(flight, until_s - _BLOCK_S, from_s, until_s)
+    if last is None or not _differs(last.naming, kind):
+        return None
+    confirmed = _block(flight, last.begin_s - _BLOCK_S, from_s, last.begin_s)
+    if confirmed is None or confirmed.naming.kind != last.naming.kind:
+        return None
+    low_s, high_s = from_s, confirmed.begin_s
+    while high_s - low_s > _BLOCK_S / 2.0:
+        middle_s = 0.5 * (low_s + high_s)
+        block = _block(flight, middle_s, from_s, until_s)
+        if block is not None and block.naming.kind == last.naming.kind:
+            high_s = middle_s
+        else:
+            low_s = middle_s
+    return high_s, last.naming
+
+
+def _differs(naming: Naming, kind: str) -> bool:
+    return naming.kind not in (kind, "unknown") and naming.probability >= SURE
+
+
+class _Block(NamedTuple):
+    begin_s: float
+    naming: Naming
+
+
+def _block(flight: Flight, begin_s: float, earliest_s: float, latest_s: float) -> _Block | None:
+    """Name what happens about some instant, in as long a block as it takes to see motion."""
+    length_s = _BLOCK_S
+    while length_s <= _LONGEST_BLOCK_S:
+        first_s = max(earliest_s, min(begin_s, latest_s - length_s))
+        window = flight.window(first_s, min(first_s + length_s, latest_s), None)
+        if window is not None and window.motion_deg >= _ENOUGH_MOTION_DEG:
+            return _Block(first_s, name_fault(window))
+        length_s *= 2.0
+    return None

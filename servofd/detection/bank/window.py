@@ -1,0 +1,204 @@
+"""A stretch of flight as the hypotheses of the bank see it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from servofd.detection.bank.explanation import COLOUR, Ridge
+
+if TYPE_CHECKING:
+    from servofd.detection.bank.explanation import Explanation
+    from servofd.detection.residual import Commands, Residuals
+    from servofd.models.kernel import ServoParameters
+    from servofd.models.servo_model import ServoModel
+    from servofd.tolerance import Tolerance
+    from servofd.types import FloatArray
+
+__all__ = ["Onset", "Window", "noise_deg", "simulate", "slower"]
+
+_LEAD_S = 1.5
+"""Simulations start this long before the window, so that how they start is forgotten (lags are below 0.15 s)."""
+_SMALL_CHANGE = 0.02
+_MAD_TO_SIGMA = 1.4826
+_SMALLEST_NOISE_DEG = 0.01
+_START_SAMPLES = 3
+_PENALTY = 1.5
+_FLOOR = 0.5
+
+
+class Onset(NamedTuple):
+    """How a fault came."""
+
+    time_s: float
+    position_deg: float
+    """Where the surface was."""
+    low_deg: float
+    high_deg: float
+    """Range of the healthy deflection from then to the beginning of the window."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Window:
+    """What was asked, what a healthy servo would have done, and what happened; arrays of shape (n,).
+
+    Only samples with a position are in it.
+    """
+
+    servo: ServoParameters
+    """The healthy servo."""
+    tolerance: Tolerance
+    noise_deg: float
+    """Standard deviation of the position measurement [deg]."""
+    time_s: FloatArray
+    measured_deg: FloatArray
+    healthy_deg: FloatArray
+    rate_deg_s: FloatArray
+    """Speed of the healthy servo [deg/s]."""
+    nuisances: FloatArray
+    """What gain, delay, bandwidth and bias would add to the healthy deflection, of shape (n, 4)."""
+    ridge: Ridge
+    """Explains by these nuisances, within the tolerances of a working servo."""
+    commands: Commands
+    """As they reach the servo, from before the window on."""
+    reach_deg: tuple[float, float]
+    """Range of the healthy deflection in the flight so far [deg]."""
+    onset: Onset | None
+    """None if the fault is older than the record, which then tells nothing about how it came."""
+
+    @classmethod
+    def of(
+        cls,
+        model: ServoModel,
+        tolerance: Tolerance,
+        noise: float,
+        residuals: Residuals,
+        commands: Commands,
+        span: slice,
+        onset: Onset | None = None,
+    ) -> Window:
+        """Cut samples `span` out of the residuals of a whole flight."""
+        usable = np.flatnonzero(np.isfinite(residuals.measured_deg[span])) + span.start
+        time_s, healthy_deg = residuals.time_s[usable], residuals.simulated_deg[usable]
+        first = int(np.searchsorted(commands.effective_s, time_s[0] - _LEAD_S, side="right")) - 1
+        last = int(np.searchsorted(commands.effective_s, time_s[-1], side="right"))
+        cut = slice(max(first, 0), last)
+        near = type(commands)(commands.effective_s[cut], commands.command_deg[cut], commands.slope_deg_s[cut])
+        servo = model.parameters()
+        quick, slow = (simulate(slower(servo, 1.0 + change), near, time_s) for change in (_SMALL_CHANGE, -_SMALL_CHANGE))
+        rate_deg_s = np.gradient(healthy_deg, time_s)
+        quickness_deg = (quick - slow) / (2.0 * _SMALL_CHANGE)
+        nuisances = np.column_stack([healthy_deg, -rate_deg_s, quickness_deg, np.ones(time_s.size)])
+        noise = max(noise, _SMALLEST_NOISE_DEG)
+        return cls(
+            servo=servo,
+            tolerance=tolerance,
+            noise_deg=noise,
+            time_s=time_s,
+            measured_deg=residuals.measured_deg[usable],
+            healthy_deg=healthy_deg,
+            rate_deg_s=rate_deg_s,
+            nuisances=nuisances,
+            ridge=Ridge(nuisances, _spread(tolerance), noise),
+            commands=near,
+            reach_deg=_range(residuals.simulated_deg[: span.stop]),
+            onset=onset,
+        )
+
+    @property
+    def error_deg(self) -> FloatArray:
+        """Simulation error of the healthy model [deg]."""
+        return self.measured_deg - self.healthy_deg
+
+    @property
+    def spread(self) -> FloatArray:
+        """Prior standard deviation of each nuisance, of shape (4,)."""
+        return _spread(self.tolerance)
+
+    def score(self, explanation: Explanation) -> float:
+        """Information criterion (after Schwarz) of an explanation: twice the negative logarithm of its weight."""
+        samples = max(self.time_s.size / COLOUR, 2.0)
+        power = max(explanation.cost_deg2 / self.time_s.size, _FLOOR * self.noise_deg**2)
+        return float(samples * np.log(power) + _PENALTY * explanation.freedom * np.log(samples) + explanation.doubt)
+
+    @property
+    def duration_s(self) -> float:
+        """From the first to the last sample [s]."""
+        return float(self.time_s[-1] - self.time_s[0])
+
+    @property
+    def start_deg(self) -> float:
+        """Where the surface was at the start [deg]."""
+        return float(np.median(self.measured_deg[:_START_SAMPLES]))
+
+    @property
+    def motion_deg(self) -> float:
+        """How far a healthy servo would have moved, from end to end [deg]."""
+        return float(np.ptp(self.healthy_deg))
+
+    def simulate(self, servo: ServoParameters, command_deg: FloatArray | None = None) -> FloatArray:
+        """Deflection of another servo, or under other commands, at the times of the window [deg]."""
+        commands = self.commands
+        if command_deg is not None:
+            slope_deg_s = commands.slope_deg_s
+            if slope_deg_s.any():
+                steps_s = np.diff(commands.effective_s, append=np.inf)
+                slope_deg_s = np.where(slope_deg_s != 0.0, np.diff(command_deg, append=command_deg[-1]) / steps_s, 0.0)
+            commands = type(commands)(commands.effective_s, command_deg, slope_deg_s)
+        return simulate(servo, commands, self.time_s)
+
+
+def slower(servo: ServoParameters, bandwidth_scale: float) -> ServoParameters:
+    """Servo with every pole scaled: its modes keep their weights."""
+    return servo._replace(decay_rad_s=servo.decay_rad_s * bandwidth_scale)
+
+
+def simulate(servo: ServoParameters, commands: Commands, at_s: FloatArray) -> FloatArray:
+    """Deflection at given times, from rest at the first command [deg]."""
+    from servofd.models.kernel import RESTART_ALL, FilterParameters, new_memory, observe
+
+    unused = FilterParameters(1.0, servo.decay_rad_s, 1.0)
+    instants_s = np.concatenate([commands.effective_s[:1], at_s])
+    restart = np.zeros(instants_s.size, dtype=np.int8)
+    restart[0] = RESTART_ALL
+    simulated, residual = np.empty(instants_s.size), np.empty(instants_s.size)
+    observe(
+        servo,
+        unused,
+        new_memory(servo, unused),
+        commands.effective_s,
+        commands.command_deg,
+        commands.slope_deg_s,
+        instants_s,
+        np.full(instants_s.size, np.nan),
+        restart,
+        simulated,
+        residual,
+    )
+    return simulated[1:]
+
+
+def _spread(tolerance: Tolerance) -> FloatArray:
+    """Standard deviations of uniform spreads within the tolerances."""
+    return np.array([tolerance.gain, tolerance.delay_s, tolerance.bandwidth, tolerance.bias_deg]) / np.sqrt(3.0)
+
+
+def _range(values_deg: FloatArray) -> tuple[float, float]:
+    return float(np.min(values_deg)), float(np.max(values_deg))
+
+
+def noise_deg(error_deg: FloatArray) -> float:
+    """Standard deviation of white measurement noise in a simulation error, whatever moves slowly in it [deg].
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> round(noise_deg(0.1 * rng.standard_normal(100_000) + np.sin(np.arange(1e5) / 100.0)), 2)
+    0.1
+    """
+    curvature = np.diff(error_deg[np.isfinite(error_deg)], 2)
+    if curvature.size == 0:
+        return 0.0
+    return float(_MAD_TO_SIGMA * np.median(np.abs(curvature)) / np.sqrt(6.0))

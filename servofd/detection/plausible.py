@@ -1,0 +1,64 @@
+"""Whether position and command belong together at all: sign and scale."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from servofd.detection.residual import Residuals
+    from servofd.types import IntArray
+
+__all__ = ["wiring_problem"]
+
+_FIT = 0.9
+"""Share of the position's variance that a line through the healthy deflection has to explain."""
+_SAME_SLOPE = 0.15
+_SMALLEST_GAIN, _LARGEST_GAIN = 0.1, 1.3
+_ENOUGH_MOTION_DEG = 1.0
+_PARTS = 3
+
+
+def wiring_problem(residuals: Residuals) -> str:
+    """Tell if position follows the command with a gain that no servo has, from the first to the last third.
+
+    Returns
+    -------
+    str
+        A sentence; empty if sign and scale are plausible, or the position does not follow at all.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from servofd.detection.residual import ResidualGenerator
+    >>> from servofd.models.servo_model import ServoModel
+    >>> from servofd.segment import Segment
+    >>> from servofd.servos import servo_named
+    >>> model = ServoModel.of(servo_named("hs225bb-eq31"))
+    >>> time_s = np.arange(0.0, 9.0, 0.01)
+    >>> command_deg = 5.0 * np.sin(5.0 * time_s)
+    >>> position_deg = -model.simulate(time_s, command_deg, time_s)
+    >>> wiring_problem(ResidualGenerator(model, 50.0).run(Segment("x", time_s, command_deg, time_s, position_deg)))
+    'position is -1.00x the command throughout: check the sign of the calibration'
+    """
+    parts = [_gain(residuals, part) for part in np.array_split(np.flatnonzero(residuals.settled), _PARTS)]
+    gains = [gain for gain in parts if gain is not None]
+    if not gains or not all(gains):
+        return ""
+    gain = float(np.median(gains))
+    if _SMALLEST_GAIN <= gain <= _LARGEST_GAIN or max(abs(g - gain) for g in gains) > _SAME_SLOPE * abs(gain):
+        return ""
+    what = "sign" if gain < 0.0 else "scale"
+    return f"position is {gain:.2f}x the command throughout: check the {what} of the calibration"
+
+
+def _gain(residuals: Residuals, part: IntArray) -> float | None:
+    """Slope of the position over the healthy deflection; 0 if it does not follow, None without motion."""
+    asked, measured = residuals.simulated_deg[part], residuals.measured_deg[part]
+    if part.size < 2 or np.std(asked) < _ENOUGH_MOTION_DEG / 2.0:
+        return None
+    spread = np.cov(asked, measured)
+    slope = spread[0, 1] / spread[0, 0]
+    explained = spread[0, 1] ** 2 / max(spread[0, 0] * spread[1, 1], 1e-300)
+    return float(slope) if explained >= _FIT else 0.0

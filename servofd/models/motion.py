@@ -1,0 +1,81 @@
+"""A servo on its way: simulated piece by piece, its state going along."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servofd.models.kernel import RESTART_ALL, FilterParameters, new_memory, observe
+
+if TYPE_CHECKING:
+    from servofd.models.kernel import ServoParameters
+    from servofd.types import FloatArray
+
+__all__ = ["Motion"]
+
+
+class Motion:
+    """Where a servo is, from one piece of time to the next, under commands that are known beforehand.
+
+    Parameters
+    ----------
+    servo : ServoParameters
+        The servo.
+    effective_s, command_deg : ndarray, shape (n,)
+        When each command reaches the servo [s] and what it asks for [deg].
+
+    Examples
+    --------
+    >>> from servofd.models.servo_model import ServoModel
+    >>> from servofd.servos import servo_named
+    >>> motion = ServoModel.of(servo_named("s9254")).motion(np.array([0.0, 0.1]), np.array([0.0, 5.0]))
+    >>> motion.at(np.array([0.1, 0.5])).round(3)
+    array([0., 5.])
+    >>> motion.rest(0.6, -2.0)
+    >>> motion.at(np.array([0.6, 1.0])).round(3)
+    array([-2.,  5.])
+    """
+
+    def __init__(self, servo: ServoParameters, effective_s: FloatArray, command_deg: FloatArray) -> None:
+        self.servo = servo
+        self._effective_s = effective_s
+        self._command_deg = command_deg
+        self._no_filter = FilterParameters(1.0, servo.decay_rad_s, 1.0)
+        self._memory = new_memory(servo, self._no_filter)
+
+    def at(self, at_s: FloatArray) -> FloatArray:
+        """Deflection at the next instants [deg], shape (m,); `at_s` [s], shape (m,), not before the last of them."""
+        return self._observe(at_s, np.full(at_s.size, math.nan), np.zeros(at_s.size, dtype=np.int8))
+
+    def rest(self, now_s: float, deflection_deg: float = math.nan) -> None:
+        """Go on from rest at a deflection [deg]; from where the command in force wants it, if that is NaN."""
+        self._observe(np.array([now_s]), np.array([deflection_deg]), np.full(1, RESTART_ALL, dtype=np.int8))
+
+    def become(self, servo: ServoParameters) -> None:
+        """Go on as another servo with as many modes; each mode starts where it is, so the position does not jump."""
+        if servo is self.servo:
+            return
+        self.servo = servo
+        self._memory.slot_step_s[:] = -1.0  # what is kept there are exponentials of the servo that was
+        self._memory.motion[5] = math.inf  # it may be too fast for its limit already: have the kernel look
+
+    def _observe(
+        self, at_s: FloatArray, measured_deg: FloatArray, restart: np.ndarray[tuple[int], np.dtype[np.int8]]
+    ) -> FloatArray:
+        simulated_deg, residual_deg = np.empty(at_s.size), np.empty(at_s.size)
+        observe(
+            self.servo,
+            self._no_filter,
+            self._memory,
+            self._effective_s,
+            self._command_deg,
+            np.zeros(self._command_deg.size),
+            at_s,
+            measured_deg,
+            restart,
+            simulated_deg,
+            residual_deg,
+        )
+        return simulated_deg
