@@ -140,9 +140,7 @@ def _large_travel(immobile_deg: FloatArray, threshold_deg: float) -> FloatArray:
     return travel
 
 
-def _onset(
-    time_s: FloatArray, size_deg: FloatArray, tolerance_deg: FloatArray, earliest: int, alarm: int
-) -> int:
+def _onset(time_s: FloatArray, size_deg: FloatArray, tolerance_deg: FloatArray, earliest: int, alarm: int) -> int:
     """First sample beyond noise and tolerance after the last quiet half second before the alarm."""
     before = size_deg[earliest:alarm]
     level_deg = tolerance_deg[earliest : alarm + 1]
