@@ -77,6 +77,9 @@ def find_episodes(
     tuple of Episode
         In order of time.
     """
+    noticeable = np.abs(residuals.residual_deg) >= _QUIET_SHARE * threshold.level_deg
+    if not np.any(residuals.settled & (noticeable if suspicion is None else noticeable | suspicion)):
+        return ()
     judged = np.flatnonzero(residuals.settled)
     size_deg = np.abs(residuals.residual_deg[judged])
     level_deg, time_s = threshold.level_deg[judged], residuals.time_s[judged]

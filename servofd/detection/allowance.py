@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from servofd.models.state import compiled, inlined
 from servofd.types import BoolArray, ComplexArray, FloatArray
 
-__all__ = ["Bounds", "Signals", "follow"]
+__all__ = ["Bounds", "Signals", "follow", "new_work"]
 
 _PEAK_HOLD_S = 0.15
 """Time constant with which the peaks fade: about as long as the filter remembers."""
@@ -51,23 +51,56 @@ class Bounds(NamedTuple):
     """Sum of the residual's autocorrelation over all lags."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+class Work(NamedTuple):
+    """Room for `follow`, which allocates nothing."""
+
+    slow: ComplexArray
+    """Low passes of the immobile residual, one for each mode."""
+    x: FloatArray
+    """What deviations of gain, delay, bandwidth and bias by one would add."""
+    peak: FloatArray
+    gram: FloatArray
+    moment: FloatArray
+    healthy: FloatArray
+    """Prior weights of healthy habits, per power of the noise."""
+    anything: FloatArray
+    """Those of any habits."""
+    factor: FloatArray
+    solved: FloatArray
+
+
+def new_work(bounds: Bounds, modes: int) -> Work:
+    """Room for a servo with so many modes."""
+    return Work(
+        slow=np.zeros(modes, dtype=np.complex128),
+        x=np.ones(4),
+        peak=np.ones(4),
+        gram=np.zeros((4, 4)),
+        moment=np.zeros(4),
+        # Uniform within its bounds, a habit has a third of their square as variance.
+        healthy=3.0 / np.maximum(bounds.habits, 1e-9) ** 2,
+        anything=1.0 / _ANYTHING**2,
+        factor=np.zeros((4, 4)),
+        solved=np.zeros(4),
+    )
+
+
+@compiled
 def follow(
     signals: Signals,
     bounds: Bounds,
+    work: Work,
     decay_rad_s: ComplexArray,
     tolerated_deg: FloatArray,
     sigma_deg: FloatArray,
     drift: FloatArray,
 ) -> None:
     """Fill the last three arrays, each of shape (n,): tolerance, noise of the residual, evidence of strange habits."""
-    slow = np.zeros(decay_rad_s.size, dtype=np.complex128)
-    # What gain, delay, bandwidth and bias would add, its peaks, and the rate limit's peak.
-    x, peak, peak_rate, unseen = np.zeros(4), np.zeros(4), 0.0, 0.0
-    gram, moment = np.zeros((4, 4)), np.zeros(4)
+    slow, x, peak = work.slow, work.x, work.peak
+    peak_rate = unseen = 0.0
+    peak[:3] = 0.0
     last_s = last_deg = before = before_that = np.nan
     noise, seen, odds, next_s = bounds.noise_deg, 0, 0.0, -np.inf
-    x[3] = peak[3] = 1.0
     for k in range(signals.time_s.size):
         value = signals.immobile_deg[k]
         if not np.isnan(value):
@@ -96,17 +129,17 @@ def follow(
             residual = signals.judged_deg[k]
             # What a made-up command caused says nothing about the servo's habits.
             if not np.isnan(residual) and unseen < bounds.noise_gain * noise:
-                _learn(gram, moment, x, residual, 1.0 / (1.0 + step_s / _MEMORY_S))
+                _learn(work.gram, work.moment, x, residual, 1.0 / (1.0 + step_s / _MEMORY_S))
                 if last_s >= next_s:
                     power = bounds.colour * (bounds.noise_gain * noise) ** 2
-                    odds = _odds(gram, moment, bounds.habits, power)
+                    odds = _explained(work, work.anything, power) - _explained(work, work.healthy, power)
                     next_s = last_s + _EVERY_S
         drift[k] = odds
-        tolerated_deg[k] = np.sum(bounds.habits * peak) + peak_rate + unseen
+        tolerated_deg[k] = _total(bounds.habits, peak) + peak_rate + unseen
         sigma_deg[k] = bounds.noise_gain * (noise if seen >= _NOISE_SAMPLES else max(noise, bounds.noise_deg))
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@inlined
 def _quick(slow: ComplexArray, decay_rad_s: ComplexArray, value: float, last: float, step_s: float) -> float:
     """Sum of the high passes s / (s + a), by the trapezoidal rule: a bound needs no exponential."""
     quick = 0.0
@@ -118,14 +151,14 @@ def _quick(slow: ComplexArray, decay_rad_s: ComplexArray, value: float, last: fl
     return quick
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@inlined
 def _nearer(noise: float, curvature: float, seen: int) -> float:
     """Move the noise towards the median that second differences of the simulation error speak for."""
     change = max(_FASTEST_NOISE_CHANGE / (1.0 + 0.2 * seen), _SLOWEST_NOISE_CHANGE)
     return noise * (1.0 + change if curvature * _MAD_TO_SIGMA / np.sqrt(6.0) > noise else 1.0 - change)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@inlined
 def _learn(gram: FloatArray, moment: FloatArray, x: FloatArray, residual: float, keep: float) -> None:
     """Normal equations of the residual on what habits would add, the past fading away."""
     for i in range(4):
@@ -134,30 +167,30 @@ def _learn(gram: FloatArray, moment: FloatArray, x: FloatArray, residual: float,
             gram[i, j] = keep * gram[i, j] + x[i] * x[j]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _odds(gram: FloatArray, moment: FloatArray, habits: FloatArray, power: float) -> float:
-    """How much better habits of any size explain the residual than those within the tolerances."""
-    anything = power / _ANYTHING**2
-    # Uniform within its bounds, a habit has a third of their square as variance.
-    healthy = 3.0 * power / np.maximum(habits, 1e-9) ** 2
-    return (_explained(gram, anything, moment) - _explained(gram, healthy, moment)) / power
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _explained(gram: FloatArray, weight: FloatArray, moment: FloatArray) -> float:
-    """Quadratic form m' (G + W)^-1 m for a lower triangle G and a diagonal W, by Cholesky's factors."""
-    size = moment.size
-    factor, solved = np.zeros((size, size)), np.zeros(size)
+@inlined
+def _total(bounds: FloatArray, peak: FloatArray) -> float:
     total = 0.0
-    for i in range(size):
+    for i in range(4):
+        total += bounds[i] * peak[i]
+    return total
+
+
+@compiled
+def _explained(work: Work, weight: FloatArray, power: float) -> float:
+    """How much of the residual habits explain: m' (G + p W)^-1 m / p for the normal equations, by Cholesky's factors."""
+    gram, factor, solved = work.gram, work.factor, work.solved
+    total = 0.0
+    for i in range(4):
         for j in range(i + 1):
-            rest = gram[i, j] + (weight[i] if i == j else 0.0)
+            rest = gram[i, j]
+            if i == j:
+                rest += power * weight[i]
             for m in range(j):
                 rest -= factor[i, m] * factor[j, m]
             factor[i, j] = np.sqrt(max(rest, 1e-300)) if i == j else rest / factor[j, j]
-        rest = moment[i]
+        rest = work.moment[i]
         for m in range(i):
             rest -= factor[i, m] * solved[m]
         solved[i] = rest / factor[i, i]
         total += solved[i] ** 2
-    return float(total)
+    return total / power

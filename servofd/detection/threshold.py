@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from servofd.detection.allowance import Bounds, Signals, follow
+from servofd.detection.allowance import Bounds, Signals, follow, new_work
 
 if TYPE_CHECKING:
     from servofd.detection.probability import CusumDesign
@@ -125,29 +125,24 @@ def interval_threshold(
     size = residuals.time_s.size
     tolerated, sigma, drift = np.empty(size), np.empty(size), np.zeros(size)
     cusum = design_cusum(_KAPPA, _SUSPICIONS_PER_HOUR, Noise.designed(pulse, 1.0))
-    saturated_deg = _rate_error(generator, segment, residuals, tolerance.rate)
-    follow(
-        Signals(
-            residuals.time_s,
-            residuals.immobile_deg,
-            residuals.error_deg,
-            np.where(residuals.settled, residuals.residual_deg, np.nan),
-            residuals.restart != 0,
-            saturated_deg,
-            _unseen(segment, generator, residuals.time_s),
-        ),
-        Bounds(
-            np.array([tolerance.gain, tolerance.delay_s, tolerance.bandwidth, tolerance.bias_deg]),
-            tolerance.noise_deg,
-            max(_step_deg(residuals.measured_deg) / np.sqrt(12.0), _SMALLEST_NOISE_DEG),
-            pulse.noise_gain,
-            cusum.factor,
-        ),
-        generator.model.parameters().decay_rad_s,
-        tolerated,
-        sigma,
-        drift,
+    bounds = Bounds(
+        np.array([tolerance.gain, tolerance.delay_s, tolerance.bandwidth, tolerance.bias_deg]),
+        tolerance.noise_deg,
+        max(_step_deg(residuals.measured_deg) / np.sqrt(12.0), _SMALLEST_NOISE_DEG),
+        pulse.noise_gain,
+        cusum.factor,
     )
+    signals = Signals(
+        residuals.time_s,
+        residuals.immobile_deg,
+        residuals.error_deg,
+        np.where(residuals.settled, residuals.residual_deg, np.nan),
+        residuals.restart != 0,
+        _rate_error(generator, segment, residuals, tolerance.rate),
+        _unseen(segment, generator, residuals.time_s),
+    )
+    decay_rad_s = generator.model.parameters().decay_rad_s
+    follow(signals, bounds, new_work(bounds, decay_rad_s.size), decay_rad_s, tolerated, sigma, drift)
     return Threshold("interval", tolerated + _SIGMAS * sigma, tolerated, sigma, cusum, drift)
 
 
@@ -160,10 +155,13 @@ def suspicion(residuals: Residuals, threshold: Threshold) -> BoolArray:
     from servofd.detection.probability import cusum
 
     excess_deg = np.abs(residuals.residual_deg) - threshold.tolerance_deg
+    drifted = threshold.drift >= _SUSPICIOUS_DRIFT
+    if not np.any(excess_deg > 0.0):
+        return drifted
     beyond = np.sign(residuals.residual_deg) * np.maximum(excess_deg, 0.0) / threshold.sigma_deg
     judged = np.where(residuals.settled, beyond, np.nan)
     sums = cusum(judged, threshold.cusum.kappa, residuals.restart != 0)
-    return ((sums >= threshold.cusum.limit) & (excess_deg > 0.0)) | (threshold.drift >= _SUSPICIOUS_DRIFT)
+    return ((sums >= threshold.cusum.limit) & (excess_deg > 0.0)) | drifted
 
 
 def _rate_error(generator: ResidualGenerator, segment: Segment, residuals: Residuals, share: float) -> FloatArray:
@@ -171,6 +169,8 @@ def _rate_error(generator: ResidualGenerator, segment: Segment, residuals: Resid
     from servofd.models.effects import RateLimit
 
     limit_deg_s = min(generator.model.plan.rate_up_deg_s, generator.model.plan.rate_down_deg_s)
+    if not np.isfinite(limit_deg_s):
+        return np.zeros(0)
     step_s, step_deg = np.diff(residuals.time_s), np.abs(np.diff(residuals.simulated_deg))
     if not np.any(step_deg >= _AT_LIMIT * limit_deg_s * step_s):
         return np.zeros(0)
