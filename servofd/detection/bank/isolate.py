@@ -24,6 +24,7 @@ __all__ = ["SURE", "Fault", "Flight", "isolate"]
 
 _SETTLING_S = 0.25
 """Left out after the onset: faults that set in abruptly still move the surface as a healthy servo would."""
+_TAKES_ANYTHING = ("floating", "unknown")
 _WINDOWS_S = (2.0, 4.0, 8.0, 16.0)
 _ENOUGH_MOTION_DEG = 4.0
 SURE = 0.95
@@ -98,11 +99,17 @@ def isolate(flight: Flight, episode: Episode) -> tuple[Fault, ...]:
     until_s = flight.end_s if episode.end_s is None else episode.end_s
     onset = _onset(flight, episode.start_s)
     naming, window = _name(flight, episode.start_s + _SETTLING_S, until_s, onset)
+    if naming is not None and naming.kind in _TAKES_ANYTHING:
+        # The window may begin too early, and hold the transition; what fits only that is no wonder.
+        later, later_window = _name(flight, episode.alarm_s + 2.0 * _SETTLING_S, until_s, onset)
+        if later is not None and later.kind not in _TAKES_ANYTHING and later.probability >= SURE:
+            naming, window = later, later_window
     if naming is None or window is None:
         return (Fault("unknown", episode.start_s, episode.alarm_s, episode.end_s, {}, 0.0, (), episode.level),)
     start_s = episode.start_s
     if onset is not None and naming.best is not None and naming.kind != "healthy":
-        before_s = BEFORE_S if episode.level == "fault" else _SUSPICION_LASTS_S
+        announced = episode.level == "suspect" or episode.suspected_s is not None
+        before_s = _SUSPICION_LASTS_S if announced else BEFORE_S
         start_s = min(refine_onset_s(flight, naming.best, episode.start_s, window, before_s), episode.alarm_s)
     first = _fault(naming, episode, start_s)
     change = _change(flight, naming.kind, float(window.time_s[-1]), until_s)
