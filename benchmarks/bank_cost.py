@@ -1,8 +1,8 @@
 """What threshold and bank cost: ``OPENBLAS_NUM_THREADS=1 python benchmarks/bank_cost.py``.
 
 The peer is servofd's own healthy residual in the same run: an hour of six healthy surfaces at 100 Hz without any alarm,
-with and without judgement, on one thread. And the time of one classification, over windows of 2 and 16 s of each kind of
-fault.
+with and without judgement, on one thread. And the time of one classification, over windows of 2 and 16 s of each kind
+of fault.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Cost(NamedTuple):
 
     def __str__(self) -> str:
         lines = [
-            f"\n  one classification, {length_s:4.0f} s: median {np.median(times_ms):.1f} ms, largest {max(times_ms):.1f} ms (target 20)"
+            f"\n  one naming of {length_s:2.0f} s: median {np.median(times_ms):.1f} ms, most {max(times_ms):.1f}"
             for length_s, times_ms in self.classification_ms.items()
         ]
         return (

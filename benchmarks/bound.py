@@ -1,22 +1,24 @@
 r"""The best that any causal detector can do: it knows the fault, when it sets in, and the servo's tolerances.
 
-The log-likelihood ratio of "this fault, since then" against "healthy", sample by sample. The residual is the simulation
-error :math:`e` through a filter that can be inverted, so the ratio of both is the same, and that of the error is simple: its
-noise is white, and a working servo adds :math:`N\theta` with :math:`\theta` normal of the tolerances' spread. With the
-signature :math:`d` of the fault (faulty minus healthy deflection of that very flight, without noise),
+The log-likelihood ratio of "this fault, since then" against "healthy", sample by sample. The residual is the
+simulation error :math:`e` through a filter that can be inverted, so the ratio of both is the same; and that of the
+error is simple: its noise is white, and a working servo adds :math:`N\theta` with :math:`\theta` normal of the
+tolerances' spread. With the signature :math:`d` of the fault (faulty minus healthy deflection of that very flight,
+without noise),
 
-.. math:: \Lambda_k = d^T \Sigma_k^{-1} (e - d/2), \qquad \Sigma_k = \sigma^2 I + N P N^T \quad \text{(samples up to } k)
+.. math:: \Lambda_k = d^T \Sigma_k^{-1} (e - d/2), \qquad \Sigma_k = \sigma^2 I + N P N^T \quad \text{(up to sample } k)
 
-which by Woodbury's identity needs running sums and one 4 by 4 system a sample. What came before the onset is in it: this
-detector has learnt what its servo is like. Two limits:
+which by Woodbury's identity needs running sums and one 4 by 4 system a sample. What came before the onset is in it:
+this detector has learnt what its servo is like. Two limits:
 
-- :math:`\ln(1/\alpha)`: exceeded in at most a share :math:`\alpha` of healthy flights (Wald), by a detector that is switched on
-  at the onset. Nobody can know the onset: this is a bound that cannot be reached.
-- :math:`\ln(\gamma)`: a cumulative sum of the same ratio, started anew at every sample, has a mean time of at least
-  :math:`\gamma` samples between false alarms, and no detector with that many is faster in its worst case (Lorden, Procedures
-  for reacting to a change in distribution, 1971). This is the bound at an equal rate of false alarms.
+- :math:`\ln(1/\alpha)`: exceeded in at most a share :math:`\alpha` of healthy flights (Wald), by a detector that is
+  switched on at the onset. Nobody can know the onset: this is a bound that cannot be reached.
+- :math:`\ln \gamma`: a cumulative sum of the same ratio has a mean time of at least :math:`\gamma` samples between
+  false alarms, and no detector with that many is faster in its worst case (G. Lorden, Procedures for reacting to a
+  change in distribution, 1971). This is the bound at an equal rate of false alarms.
 
-The model of health is not quite right (converters, lost commands): no limit is below the largest ratio that healthy flights give.
+The model of health is not quite right (converters, lost commands): no limit is below the largest ratio that healthy
+flights give.
 """
 
 from __future__ import annotations

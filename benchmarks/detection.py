@@ -1,15 +1,16 @@
 """How well faults are found and named: ``python benchmarks/detection.py [--seeds N] [--healthy N] [--workers N]``.
 
-The fleet of `fleet.py` flies every style with every kind and size of fault, N seeds of each, and N healthy flights of 120 s.
-Printed are: names (confusion matrices), false alarms, delays beside the best that any detector could do (`bound.py`), errors
-of the onset, whether probabilities mean what they say, and cost (`bank_cost.py`).
+The fleet of `fleet.py` flies every style with every kind and size of fault, N seeds of each, and N healthy flights of
+120 s. Printed are: names (confusion matrices), false alarms, delays beside the best that any detector could do
+(`bound.py`), errors of the onset, whether probabilities mean what they say, and cost (`bank_cost.py`).
 
-- A fault counts as visible with enough motion if, after the onset, the healthy surface turns faster than 5 deg/s for at least
-  2 s in all, over a range of at least 4 deg. Other flights are shown by themselves.
-- A fault that was not detected stays in every denominator, but for the one that is called "of those detected".
-- Delays of faults that show only in motion (stuck, dead band, slow, loss of effectiveness) are also counted from the first
-  motion. A missed fault has an infinite delay, and takes part in medians.
-- The bank acquits some threshold crossings by what it sees after them, up to 16 s; its delay is that of the alarm all the same.
+- A fault has enough motion if, after its onset, the healthy surface turns faster than 5 deg/s for at least 2 s in
+  all, over a range of at least 4 deg. Other flights are shown by themselves.
+- A fault that was not detected stays in every denominator, but for that of the column "right of detected".
+- Delays of faults that show only in motion (stuck, dead band, slow, loss of effectiveness) are also counted from the
+  first motion. A missed fault has an infinite delay, and takes part in medians.
+- The bank acquits some crossings of the threshold by what it sees after them, up to 16 s. The delay of a fault is
+  that of its alarm all the same: what is late then is the acquittal of others.
 """
 
 from __future__ import annotations
@@ -195,9 +196,7 @@ def calibration(named: Sequence[Trial]) -> str:
     for low, high in itertools.pairwise(PROBABILITIES):
         group = [one for one in named if low < one.probability <= high or (low == 0.0 and one.probability == 0.0)]
         if group:
-            predicted, right = (
-                np.mean([v(one) for one in group]) for v in (lambda t: t.probability, lambda t: t.right)
-            )
+            predicted, right = np.mean([(one.probability, float(one.right)) for one in group], axis=0)
             rows.append([f"{low:g} to {high:g}", len(group), f"{predicted:.3f}", f"{right:.3f}"])
     return _table(
         "Probabilities of all names given, beside the share right", ["", "flights", "predicted", "right"], rows
@@ -245,7 +244,8 @@ def _fine(one: Trial) -> bool:
 
 
 def _listed(one: Trial) -> str:
-    return f"{one.case} at {one.start_s:.2f} s: {one.found or one.name}, {one.alarms} false alarms, {one.suspicions} suspicions"
+    counts = f"{one.alarms} false alarms, {one.suspicions} suspicions"
+    return f"{one.case} at {one.start_s:.2f} s: {one.found or one.name}, {counts}"
 
 
 def _table(title: str, head: Sequence[object], rows: Sequence[Sequence[object]]) -> str:

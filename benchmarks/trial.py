@@ -75,7 +75,7 @@ class Trial:
     interval_delay_s: float
     bank_delay_s: float
     constant_peak: float
-    """Largest |residual| over the constant threshold: in a healthy flight at all, in others within 1 s of being visible."""
+    """Largest |residual| over the constant threshold: of a healthy flight, of others until 1 s after it can be seen."""
     interval_peak: float
     evidence: FloatArray
     """Log-likelihood ratio of the true fault since its onset, of shape (n,); empty in a healthy flight."""
