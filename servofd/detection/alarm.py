@@ -34,7 +34,8 @@ class Episode:
     Parameters
     ----------
     start_s : float
-        First estimate of when it began to show [s]: the residual leaves its noise and does not come back.
+        First estimate of when it began to show [s]: the residual leaves its noise and does not come back. Of a
+        suspicion, when it was raised.
     alarm_s : float
         First instant at which |residual| >= threshold (thesis Eq. 4.12) for as many samples as asked for, or of a
         suspicion, at which the cumulative sum reaches its limit [s]; uses no later sample.
@@ -69,7 +70,7 @@ def find_episodes(
     persistence : int
         How many judged samples in a row, all on one side, make an alarm.
     suspicion : ndarray of bool, shape (n,), optional
-        Where a cumulative sum is beyond its limit.
+        Where something too small for the threshold has lasted too long.
 
     Returns
     -------
@@ -82,7 +83,7 @@ def find_episodes(
     alarms = crossings(residuals.residual_deg[judged], level_deg, persistence)
     suspects = np.zeros(judged.size, dtype=bool)
     if suspicion is not None:
-        suspects = suspicion[judged] & (size_deg > threshold.tolerance_deg[judged])
+        suspects = suspicion[judged]
     loud = np.flatnonzero((size_deg >= _QUIET_SHARE * level_deg) | suspects)
     if loud.size == 0 or not (alarms.any() or suspects.any()):
         return ()
@@ -99,7 +100,9 @@ def find_episodes(
         if raised is not None:
             cleared = quiet_deg[end - 1] >= enough_deg
             earliest = int(loud[first - 1]) + 1 if first else 0
-            onset = _onset(time_s, size_deg, threshold.tolerance_deg[judged], earliest, raised)
+            onset = raised
+            if level == "fault":
+                onset = _onset(time_s, size_deg, threshold.tolerance_deg[judged], earliest, raised)
             end_s = float(time_s[group[-1]]) if cleared else None
             episodes.append(Episode(float(time_s[onset]), float(time_s[raised]), end_s, level))
     return tuple(episodes)

@@ -138,7 +138,9 @@ def audit_log(
     def one(name: str) -> SurfaceAudit:
         surface = aircraft.surfaces[name]
         if threshold_deg is not None:
-            surface = surface.model_copy(update={"threshold_deg": threshold_deg, "threshold": "constant"})
+            known = surface.tolerances if surface.tells_small_faults else None
+            change = {"threshold_deg": threshold_deg, "threshold": "constant", "tolerance": known}
+            surface = surface.model_copy(update=change)
         if threshold is not None:
             surface = surface.model_copy(update={"threshold": threshold})
         verdict = _audit_surface(log, aircraft, name, surface)

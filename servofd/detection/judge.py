@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from servofd.detection.alarm import find_episodes
-from servofd.detection.bank.isolate import Fault, Flight, isolate
+from servofd.detection.bank.isolate import SURE, Fault, Flight, isolate
 from servofd.detection.bank.window import noise_deg
 from servofd.detection.residual import commands_at_servo
 from servofd.detection.threshold import Threshold, constant_threshold, interval_threshold, suspicion
@@ -49,14 +50,19 @@ def judge(generator: ResidualGenerator, segment: Segment, residuals: Residuals, 
     threshold = interval_threshold(generator, segment, residuals, surface.tolerances)
     if surface.threshold == "constant":
         threshold = constant_threshold(threshold, surface.threshold_deg)
-    episodes = find_episodes(
-        residuals, threshold, persistence=surface.persistence, suspicion=suspicion(residuals, threshold)
-    )
+    suspects = suspicion(residuals, threshold) if surface.tells_small_faults else None
+    episodes = find_episodes(residuals, threshold, persistence=surface.persistence, suspicion=suspects)
     if not episodes:
         return Judgement(threshold, (), ())
     commands = commands_at_servo(segment, generator.model.plan.delay_s, generator.longest_gap_s(segment))
     noise = noise_deg(residuals.error_deg[residuals.settled])
     flight = Flight(generator.model, surface.tolerances, noise, residuals, commands)
-    named = [fault for episode in episodes for fault in isolate(flight, episode)]
+    named = [_confirmed(fault, threshold) for episode in episodes for fault in isolate(flight, episode)]
     faults = tuple(fault for fault in named if fault.level == "fault" and fault.kind != "healthy")
     return Judgement(threshold, faults, tuple(fault for fault in named if fault not in faults))
+
+
+def _confirmed(fault: Fault, threshold: Threshold) -> Fault:
+    """A suspicion that the bank can name for sure is a fault, unless a constant threshold says what is large enough."""
+    sure = fault.probability >= SURE and fault.kind not in ("healthy", "unknown")
+    return replace(fault, level="fault") if threshold.kind == "interval" and sure else fault

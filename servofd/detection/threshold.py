@@ -43,8 +43,14 @@ _NOISE_SAMPLES = 200
 _FASTEST_NOISE_CHANGE, _SLOWEST_NOISE_CHANGE = 0.2, 0.004
 _MAD_TO_SIGMA = 1.4826
 _SMALLEST_NOISE_DEG = 1e-3
+_SAMPLES_FOR_STEP, _FEW_VALUES = 20_000, 0.5
 _AT_LIMIT = 0.98
 _RECENT_COMMANDS = 10
+_MEMORY_S, _EVERY_S = 10.0, 0.5
+_SUSPICIOUS_DRIFT = 40.0
+"""In 400 flights of 120 s, healthy servos with parameters anywhere within their tolerances reached 22."""
+_ANYTHING = np.array([1.0, 0.1, 1.0, 10.0])
+"""Deviations of gain, delay [s], bandwidth and bias [deg] that no fault exceeds by much."""
 _PEAK_OF_LAGS = 0.224
 _KAPPA = 0.5
 _SUSPICIONS_PER_HOUR = 1e-3
@@ -63,6 +69,9 @@ class Threshold:
     """Standard deviation of the residual from noise, as known at each instant, of shape (n,)."""
     cusum: CusumDesign
     """Cumulative sum of what exceeds the tolerance."""
+    drift: FloatArray
+    """How much better gain, delay, bandwidth and bias beyond their tolerances explain the residual of the last ten
+    seconds than those within, as twice a logarithm of odds, of shape (n,)."""
 
     @property
     def typical_deg(self) -> float:
@@ -73,7 +82,7 @@ class Threshold:
 def constant_threshold(interval: Threshold, level_deg: float) -> Threshold:
     """The same level all the time; what is tolerance remains known."""
     level = np.full(interval.level_deg.size, level_deg)
-    return Threshold("constant", level, interval.tolerance_deg, interval.sigma_deg, interval.cusum)
+    return Threshold("constant", level, interval.tolerance_deg, interval.sigma_deg, interval.cusum, interval.drift)
 
 
 def interval_threshold(
@@ -120,7 +129,8 @@ def interval_threshold(
 
     pulse = design_pulse_filter(generator.model.transfer, 0.0, segment.period_s, generator.pole_rad_s)
     size = residuals.time_s.size
-    tolerated, sigma = np.empty(size), np.empty(size)
+    tolerated, sigma, drift = np.empty(size), np.empty(size), np.zeros(size)
+    cusum = design_cusum(_KAPPA, _SUSPICIONS_PER_HOUR, Noise.designed(pulse, 1.0))
     saturated_deg = _rate_error(generator, segment, residuals, tolerance.rate)
     _follow(
         residuals.time_s,
@@ -131,22 +141,30 @@ def interval_threshold(
         _unseen(segment, generator, residuals.time_s),
         generator.model.parameters().decay_rad_s,
         np.array([tolerance.gain, tolerance.delay_s, tolerance.bandwidth, tolerance.bias_deg, tolerance.noise_deg]),
+        max(_step_deg(residuals.measured_deg) / np.sqrt(12.0), _SMALLEST_NOISE_DEG),
         pulse.noise_gain,
+        cusum.factor,
+        np.where(residuals.settled, residuals.residual_deg, np.nan),
         tolerated,
         sigma,
+        drift,
     )
-    cusum = design_cusum(_KAPPA, _SUSPICIONS_PER_HOUR, Noise.designed(pulse, 1.0))
-    return Threshold("interval", tolerated + _SIGMAS * sigma, tolerated, sigma, cusum)
+    return Threshold("interval", tolerated + _SIGMAS * sigma, tolerated, sigma, cusum, drift)
 
 
 def suspicion(residuals: Residuals, threshold: Threshold) -> BoolArray:
-    """Samples, of shape (n,), at which the cumulative sum of what exceeds the tolerance is beyond its limit."""
+    """Samples, of shape (n,), at which something too small for the threshold has lasted too long for chance.
+
+    Either the cumulative sum of what exceeds the tolerance is beyond its limit, or the servo's habits of the last ten
+    seconds are not those of a healthy one.
+    """
     from servofd.detection.probability import cusum
 
     excess_deg = np.abs(residuals.residual_deg) - threshold.tolerance_deg
     beyond = np.sign(residuals.residual_deg) * np.maximum(excess_deg, 0.0) / threshold.sigma_deg
     judged = np.where(residuals.settled, beyond, np.nan)
-    return cusum(judged, threshold.cusum.kappa, residuals.restart != 0) >= threshold.cusum.limit
+    sums = cusum(judged, threshold.cusum.kappa, residuals.restart != 0)
+    return ((sums >= threshold.cusum.limit) & (excess_deg > 0.0)) | (threshold.drift >= _SUSPICIOUS_DRIFT)
 
 
 def _rate_error(
@@ -163,6 +181,15 @@ def _rate_error(
     error_deg = slower.run(segment).simulated_deg - residuals.simulated_deg
     known = np.where(np.isfinite(residuals.measured_deg), error_deg, np.nan)
     return generator.filtered(residuals.time_s, known, residuals.restart)
+
+
+def _step_deg(measured_deg: FloatArray) -> float:
+    """Resolution of the position: the smallest difference between its values, if they are few [deg]."""
+    some_deg = measured_deg[np.isfinite(measured_deg)][:_SAMPLES_FOR_STEP]
+    values_deg = np.unique(some_deg)
+    if values_deg.size < 2 or values_deg.size > _FEW_VALUES * some_deg.size:
+        return 0.0
+    return float(np.median(np.diff(values_deg)))
 
 
 def _unseen(segment: Segment, generator: ResidualGenerator, time_s: FloatArray) -> FloatArray:
@@ -186,6 +213,26 @@ def _unseen(segment: Segment, generator: ResidualGenerator, time_s: FloatArray) 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _explained(gram: FloatArray, weight: FloatArray, moment: FloatArray) -> float:
+    """Quadratic form m' (G + W)^-1 m for a lower triangle G and a diagonal W, by Cholesky's factors."""
+    size = moment.size
+    factor, solved = np.zeros((size, size)), np.zeros(size)
+    total = 0.0
+    for i in range(size):
+        for j in range(i + 1):
+            rest = gram[i, j] + (weight[i] if i == j else 0.0)
+            for m in range(j):
+                rest -= factor[i, m] * factor[j, m]
+            factor[i, j] = np.sqrt(max(rest, 1e-300)) if i == j else rest / factor[j, j]
+        rest = moment[i]
+        for m in range(i):
+            rest -= factor[i, m] * solved[m]
+        solved[i] = rest / factor[i, i]
+        total += solved[i] ** 2
+    return total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _follow(
     time_s: FloatArray,
     immobile_deg: FloatArray,
@@ -195,9 +242,13 @@ def _follow(
     unseen_deg: FloatArray,
     decay_rad_s: ComplexArray,
     bounds: FloatArray,
+    floor_deg: float,
     noise_gain: float,
+    colour: float,
+    residual_deg: FloatArray,
     tolerated_deg: FloatArray,
     sigma_deg: FloatArray,
+    drift: FloatArray,
 ) -> None:
     """Tolerance and noise at each instant; `bounds` are of gain, delay, bandwidth, bias and noise."""
     slow = np.zeros(decay_rad_s.size, dtype=np.complex128)
@@ -205,6 +256,10 @@ def _follow(
     last_s = last_deg = np.nan
     before = before_that = np.nan
     noise, seen = bounds[4], 0
+    gram, moment, x = np.zeros((4, 4)), np.zeros(4), np.zeros(4)
+    tight = 3.0 / bounds[:4] ** 2
+    wide = 1.0 / _ANYTHING**2
+    next_s, odds = -np.inf, 0.0
     for k in range(time_s.size):
         value = immobile_deg[k]
         if not np.isnan(value):
@@ -236,9 +291,22 @@ def _follow(
                 seen += 1
                 change = max(_FASTEST_NOISE_CHANGE / (1.0 + 0.2 * seen), _SLOWEST_NOISE_CHANGE)
                 tried = abs(curvature) * _MAD_TO_SIGMA / np.sqrt(6.0)
-                noise = max(noise * (1.0 + change if tried > noise else 1.0 - change), _SMALLEST_NOISE_DEG)
+                noise = max(noise * (1.0 + change if tried > noise else 1.0 - change), floor_deg)
             before_that, before = before, error_deg[k]
             last_s, last_deg = time_s[k], value
+            # What a made-up command caused says nothing about the servo's habits.
+            if not np.isnan(residual_deg[k]) and unseen < noise_gain * noise:
+                x[0], x[1], x[2], x[3] = value, speed, quick, 1.0
+                keep = 1.0 / (1.0 + step_s / _MEMORY_S)
+                for i in range(4):
+                    moment[i] = keep * moment[i] + x[i] * residual_deg[k]
+                    for j in range(i + 1):
+                        gram[i, j] = keep * gram[i, j] + x[i] * x[j]
+                if time_s[k] >= next_s:
+                    power = colour * (noise_gain * noise) ** 2
+                    odds = (_explained(gram, wide * power, moment) - _explained(gram, tight * power, moment)) / power
+                    next_s = time_s[k] + _EVERY_S
+        drift[k] = odds
         tolerated_deg[k] = (
             bounds[3]
             + bounds[0] * peak_gain
