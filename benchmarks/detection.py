@@ -31,7 +31,7 @@ from bound import KNOWN_ONSET, UNKNOWN_ONSET
 from fleet import KINDS, SIZES, STYLES, cases
 from trial import Case, Trial, trial
 
-__all__ = ["fly", "limits", "main", "tables"]
+__all__ = ["fly", "limits", "main", "quantile", "tables"]
 
 FLIGHT_S = 120.0
 NAMES = (*KINDS, "unknown", "healthy", "suspect", "none")
@@ -160,7 +160,7 @@ def delays(
             [one.bound_delay_s(limit[one.case.kind or ""][0]) for one in group],
         ]
         waited = [[d - w if np.isfinite(w) else np.inf for d, w in zip(c, waits_s, strict=True)] for c in columns]
-        medians = [_quantile(c, 0.5) for c in waited]
+        medians = [quantile(c, 0.5) for c in waited]
         worse = sum(i > c for c, i in zip(waited[0], waited[1], strict=True))
         rows.append([name, len(group), *map(_delay, waited), f"{medians[1] / medians[3]:.2f}", worse])
     head = [
@@ -225,10 +225,10 @@ def _group(one: Trial, by_size: bool) -> str:
 
 def _delay(values_s: Sequence[float]) -> str:
     missed = sum(not np.isfinite(value) for value in values_s)
-    return f"{_quantile(values_s, 0.5):.2f} {_quantile(values_s, 0.9):.2f} {missed / len(values_s):.0%}"
+    return f"{quantile(values_s, 0.5):.2f} {quantile(values_s, 0.9):.2f} {missed / len(values_s):.0%}"
 
 
-def _quantile(values: Sequence[float], share: float) -> float:
+def quantile(values: Sequence[float], share: float) -> float:
     """Of values some of which may be infinite: the smallest that at least this share does not exceed."""
     return sorted(values)[int(np.ceil(share * len(values))) - 1]
 

@@ -6,8 +6,9 @@ The numbers of the text come from the constants in the code; section "Measured" 
 
 from __future__ import annotations
 
+import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,7 +16,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
 
-from detection import NAMES, calibration, delays, false_alarms, fly, limits, onsets, shares
+from detection import NAMES, calibration, delays, false_alarms, fly, limits, onsets, quantile, shares
 from fleet import KINDS, flight
 from servofd.detection import alarm, threshold
 from servofd.detection.bank import classify, explanation, following, isolate, lost, onset, window
@@ -35,15 +36,16 @@ MEASURED = "## Measured\n"
 
 def main(folder: Path, seeds: int = 8, healthy: int = 1000) -> None:
     faulty, well = fly(seeds, healthy, first=0, workers=None)
-    (folder / "images").mkdir(exist_ok=True)
-    draw(folder / "images", faulty, well)
+    (folder / "detection").mkdir(exist_ok=True)
+    draw(folder / "detection", faulty, well)
     (folder / "detection.md").write_text(page(measured(faulty, well)), encoding="utf-8")
     print(folder / "detection.md")
 
 
 def page(results: str) -> str:
     """The whole page, around what was measured."""
-    return "\n".join([introduction(), thresholds(), latching(), bank(), onsets_text(), results])
+    text = "\n".join([introduction(), thresholds(), latching(), bank(), onsets_text(), results])
+    return re.sub(r"^(    .*?) +(\(D\d+\))$", lambda match: f"{match[1]:<110} {match[2]}", text, flags=re.MULTILINE)
 
 
 def introduction() -> str:
@@ -95,7 +97,7 @@ It uses no later sample. At rest it is lower than {CONSTANT_DEG:g} deg and sees 
 and stays silent. The noise is measured from second differences of the simulation error, in which nothing that a fault
 does at the speed of a servo counts.
 
-![One flight](images/detection_example.png)
+![One flight](detection/example.png)
 
 **Persistence.** `persistence = n` asks for n judged samples in a row, all on one side:
 
@@ -104,13 +106,21 @@ does at the speed of a servo counts.
 The rate of false alarms under coloured noise is that of runs of at least n samples
 (`servofd.detection.probability.persistent_false_alarms_per_hour`).
 
-**Suspicion.** A two-sided cumulative sum gathers what exceeds the tolerance, in standard deviations,
+**Suspicion.** Some faults are too small for the threshold, but last. A two-sided cumulative sum gathers what exceeds the
+tolerance, in standard deviations,
 
-    z(k) = sign r max(|r| - T, 0) / sigma_r,     S+(k) = max(0, S+(k-1) + z(k) - {threshold._KAPPA:g}),     S-(k) likewise,      (D5)
+    z(k) = sign r max(|r| - T, 0) / sigma_r,  S+(k) = max(0, S+(k-1) + z(k) - {threshold._KAPPA:g}),  S-(k) likewise,     (D5)
 
-and at S >= h the surface is *suspect*: not a fault, and no alarm, but worth a look. h is such that noise alone would reach it
-{threshold._SUSPICIONS_PER_HOUR:g} times an hour (Siegmund's run length, multiplied by the long-run factor of the residual's
-colour).
+and is beyond its limit when it has gathered what noise alone would {threshold._SUSPICIONS_PER_HOUR:g} times an hour (Siegmund's run length,
+multiplied by the long-run factor of the residual's colour). And the servo's habits of the last {threshold._MEMORY_S:g} s are fitted
+to the residual by the terms x = [r0, dr0/dt, sum_i ..., 1] of D2, once with what tolerances allow and once freely:
+
+    H = min_tight - min_free,  min = min over theta of sum (r - x theta)² / (S sigma_r²) + sum theta_j² / s_j²,   (D6)
+
+S being the long-run factor. H >= {threshold._SUSPICIOUS_DRIFT:g} means that gain, delay, bandwidth or bias is not that of a healthy servo. Both
+raise a *suspicion*. It goes through the bank like an alarm; under an interval threshold it becomes a fault if the bank is sure
+of its name (P >= {isolate.SURE:g}), else the surface is *suspect*. Rough models (drafts with a wider threshold and no tolerances of
+their own) raise none.
 """
 
 
@@ -120,7 +130,7 @@ def latching() -> str:
 An alarm lasts until the surface has *proved* to be well. A jammed servo between two manoeuvres has no residual. So an
 episode ends only if |r| stayed below {alarm._QUIET_SHARE:g} tau while the residual of an immobile surface would have travelled
 
-    sum |d play(r0, 2 tau)| >= {alarm._TRAVEL_TO_CLEAR:g} tau                                                           (D6)
+    sum |d play(r0, 2 tau)| >= {alarm._TRAVEL_TO_CLEAR:g} tau                                                           (D7)
 
 (play: motion within a zone of twice the median threshold does not count), and then at the last sample at which it was louder.
 """
@@ -132,9 +142,11 @@ def bank() -> str:
 
 Each alarm is handed to a bank of hypotheses ({names}), each of which explains the measured deflection y in a window after
 the onset as best it can. What a working servo may add is free in all that still follow the command: with the nuisances
-N = [ŷ, -dŷ/dt, dŷ/d(bandwidth), 1] and a normal prior of the tolerances' spread on their coefficients,
+N = [ŷ, -dŷ/dt, dŷ/d(bandwidth), 1] and a normal prior of the tolerances' spread on their coefficients, theta minimises
 
-    J = min over theta of |y - f - N theta|² + sigma² sum theta_j² / s_j²,     s_j = tolerance_j / sqrt(3).      (D7)
+    |y - f - N theta|² / sigma² + sum theta_j² / s_j²,     s_j = tolerance_j / sqrt(3).               (D8)
+
+J is the sum of squared misfits that remains, and the second sum goes into the doubt D.
 
 | hypothesis | f, and what is free in it |
 |---|---|
@@ -150,24 +162,24 @@ N = [ŷ, -dŷ/dt, dŷ/d(bandwidth), 1] and a normal prior of the tolerances' spr
 | unknown | whatever removes all but {classify._UNEXPLAINED_SHARE:.0%} of the simulation error, at the price of {classify._UNKNOWN_FREEDOM:g} parameters |
 
 **Score.** With n samples, of which {explanation.COLOUR:g} in a row tell as much as one, p free parameters and a doubt D (twice the negative
-logarithm of how plausible the parameters are in themselves: wide dead bands are rare, smooth wind is what the priors of
-its cosines expect),
+logarithm of how plausible the parameters are in themselves: a servo's habits are within its tolerances, wide dead bands
+are rare, smooth wind is what the priors of its cosines expect),
 
-    B = n/{explanation.COLOUR:g} ln(max(J/n, {window._FLOOR:g} sigma²)) + {window._PENALTY:g} p ln(n/{explanation.COLOUR:g}) + D                                        (D8)
+    B = n/{explanation.COLOUR:g} ln(max(J/n, {window._FLOOR:g} sigma²)) + {window._PENALTY:g} p ln(n/{explanation.COLOUR:g}) + D                                        (D9)
 
 after Schwarz; smaller is better. The probability of hypothesis i, all being equally likely before, is
 
-    P_i = exp(-B_i/2) / sum_j exp(-B_j/2).                                                            (D9)
+    P_i = exp(-B_i/2) / sum_j exp(-B_j/2).                                                            (D10)
 
 **How long to look.** Windows begin {isolate._SETTLING_S:g} s after the onset and last {_list(isolate._WINDOWS_S)} s; the first in which a hypothesis has
-P >= {isolate._SURE:g} *and* the healthy deflection covers {isolate._ENOUGH_MOTION_DEG:g} deg decides. **Not enough motion**: a jam and a dead band, a bias and a jam,
+P >= {isolate.SURE:g} *and* the healthy deflection covers {isolate._ENOUGH_MOTION_DEG:g} deg decides. **Not enough motion**: a jam and a dead band, a bias and a jam,
 differ only in motion. If no window has enough of it the longest decides, with the probability that it gives, and names the
 alternatives of {classify._WORTH_MENTIONING:.0%} and more; below {isolate._LIKELY:g} the name is `unknown` and all that can be said is "at fault, with too little
 motion to tell which". If the winner is *healthy*, the tolerances of a working servo explain the alarm: it is acquitted
 and listed as a suspicion.
 
 **Faults that change.** The end of an episode is judged once more, in blocks of {isolate._BLOCK_S:g} s (up to {isolate._LONGEST_BLOCK_S:g} s until there is motion). If
-another hypothesis is sure of it, the instant of the change is found by bisection.
+another hypothesis is sure of it, and of the block before, the instant of the change is found by bisection.
 """
 
 
@@ -177,9 +189,9 @@ def onsets_text() -> str:
 First estimate: the first sample with |r| beyond the tolerance T and {alarm._ONSET_SIGMAS:g} standard deviations after the last quiet
 {alarm._QUIET_BEFORE_ONSET_S:g} s before the alarm. Then, with the winner's prediction f, the split that makes the data most likely,
 
-    k* = argmin sum_(j<k) min(e_j², 16 sigma²) + sum_(j>=k) min((y_j - f_j)², 16 sigma²),                (D10)
+    k* = argmin sum_(j<k) min(e_j², 16 sigma²) + sum_(j>=k) min((y_j - f_j)², 16 sigma²),                (D11)
 
-from {onset._BEFORE_S:g} s before that estimate to the end of the window, e being the simulation error less the servo's habits (N theta, fitted to
+from {onset.BEFORE_S:g} s before that estimate ({isolate._SUSPICION_LASTS_S:g} s for a suspicion) to the end of the window, e being the simulation error less the servo's habits (N theta, fitted to
 what was surely healthy). Splits within {onset._UNDECIDED:g} sigma² of the best are equally good, for instance because the surface did not
 move; the last of them is taken, which is the first motion that the fault spoils. The onset of a jam can be no earlier than
 that: it is when the fault began to *show*.
@@ -214,13 +226,13 @@ def measured(faulty: Sequence[Trial], healthy: Sequence[Trial]) -> str:
 onset the healthy surface turns faster than 5 deg/s for at least 2 s in all, over a range of at least 4 deg. A fault that was not
 detected counts as not right. `python benchmarks/detection.py` prints all of it, and more.
 
-![Names](images/detection_names.png)
+![Names](detection/names.png)
 
 {names}
 Healthy flights:
 
 {alarms}
-![False alarms and detections](images/detection_roc.png)
+![False alarms and detections](detection/roc.png)
 
 Delays beside two bounds. Both detectors know the fault's exact signature in that very flight and the spread of servos, and
 learn from the flight what their servo is like; **bound** has the same rate of false alarms, one in 1000 flights (a cumulative
@@ -229,7 +241,7 @@ nobody can be (`benchmarks/bound.py`). Delays are from the onset to the alarm; a
 
 {late}
 {steps}
-![Delays](images/detection_delays.png)
+![Delays](detection/delays.png)
 
 Onset, and what the probabilities are worth:
 
@@ -250,7 +262,7 @@ def draw(folder: Path, faulty: Sequence[Trial], healthy: Sequence[Trial]) -> Non
     for name, (picture, size) in pictures.items():
         figure = Figure(figsize=size, layout="constrained")
         picture(figure, faulty, healthy)
-        figure.savefig(folder / f"detection_{name}.png", dpi=100)
+        figure.savefig(folder / f"{name}.png", dpi=100)
 
 
 def draw_names(figure: Figure, faulty: Sequence[Trial], _: Sequence[Trial]) -> None:
@@ -293,7 +305,8 @@ def draw_roc(figure: Figure, faulty: Sequence[Trial], healthy: Sequence[Trial]) 
         axes.plot(per_hour, 100.0 * detected, color=colour, label=f"{name} threshold, scaled", drawstyle="steps-post")
         at = ((well >= 1.0).sum() / max(len(well) * FLIGHT_H, 1e-9), 100.0 * float((ill >= 1.0).mean()))
         axes.plot(*at, "o", color=colour, label=f"{name} threshold as it is")
-    axes.set_xscale("symlog", linthresh=0.05, linscale=0.3)
+    axes.set_xscale("symlog", linthresh=0.1, linscale=0.5)
+    axes.set_xticks([0.0, 0.1, 1.0, 10.0], ["0", "0.1", "1", "10"])
     axes.set_xlim(left=-0.01)
     axes.set_ylim(0.0, 100.0)
     axes.set_xlabel("healthy flights with a false alarm, per hour flown")
@@ -307,14 +320,14 @@ def draw_delays(figure: Figure, faulty: Sequence[Trial], _: Sequence[Trial]) -> 
     axes = figure.subplots()
     large = [one for one in faulty if one.enough_motion and one.case.size != "small"]
     limit = limits(faulty)
-    detectors = (
+    detectors: tuple[tuple[str, str, Callable[[Trial], float]], ...] = (
         ("constant 1.5 deg", COLOURS["measured"], lambda t: t.constant_delay_s),
         ("interval threshold and bank", COLOURS["simulated"], lambda t: t.bank_delay_s),
-        ("bound", COLOURS["ok"], lambda t: t.bound_delay_s(limit[t.case.kind][1])),
+        ("bound", COLOURS["ok"], lambda t: t.bound_delay_s(limit[t.case.kind or ""][1])),
     )
     kinds = [kind for kind in KINDS if any(one.case.kind == kind for one in large)]
     for number, (name, colour, delay) in enumerate(detectors):
-        medians = [float(np.median([delay(one) for one in large if one.case.kind == kind])) for kind in kinds]
+        medians = [quantile([delay(one) for one in large if one.case.kind == kind], 0.5) for kind in kinds]
         axes.bar(np.arange(len(kinds)) + 0.27 * (number - 1), medians, 0.25, color=colour, label=name)
     axes.set_yscale("log")
     axes.set_ylabel("median delay from the onset [s]")
