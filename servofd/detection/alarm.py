@@ -77,6 +77,9 @@ def find_episodes(
     tuple of Episode
         In order of time.
     """
+    noticeable = np.abs(residuals.residual_deg) >= _QUIET_SHARE * threshold.level_deg
+    if not np.any(residuals.settled & (noticeable if suspicion is None else noticeable | suspicion)):
+        return ()
     judged = np.flatnonzero(residuals.settled)
     size_deg = np.abs(residuals.residual_deg[judged])
     level_deg, time_s = threshold.level_deg[judged], residuals.time_s[judged]
@@ -140,9 +143,7 @@ def _large_travel(immobile_deg: FloatArray, threshold_deg: float) -> FloatArray:
     return travel
 
 
-def _onset(
-    time_s: FloatArray, size_deg: FloatArray, tolerance_deg: FloatArray, earliest: int, alarm: int
-) -> int:
+def _onset(time_s: FloatArray, size_deg: FloatArray, tolerance_deg: FloatArray, earliest: int, alarm: int) -> int:
     """First sample beyond noise and tolerance after the last quiet half second before the alarm."""
     before = size_deg[earliest:alarm]
     level_deg = tolerance_deg[earliest : alarm + 1]

@@ -8,12 +8,13 @@ off by :math:`\delta_k, \delta_\tau, \delta_\omega` leaves to first order
 
 for poles :math:`-a_i`. The interval threshold bounds each term by its tolerance times the recent peak of its signal:
 
-.. math:: \tau(t) = b + z \sigma_r + |\delta_k| [r_0] + |\delta_\tau| [\dot r_0] + |\delta_\omega| [\sum \dots] + [r_{sat}]
+.. math:: \tau(t) = b + z \sigma_r
+          + |\delta_k| [r_0] + |\delta_\tau| [\dot r_0] + |\delta_\omega| [\sum \dots] + [r_{sat}]
 
 where :math:`[\cdot]` is a peak hold that decays within 0.15 s, and :math:`r_{sat}` what a servo leaves whose rate limit
-is off by its tolerance, while it runs at it. A command that was lost from the log, and put back on a straight line, adds
-what half the recent curvature of the command would cause if it lasted one sample: at most :math:`0.224 |p| T` of it passes
-the filter's four or so lags (the peak of :math:`p\,(pt)^3 e^{-pt}/6`).
+is off by its tolerance, while it runs at it. A command that was lost from the log, and put back on a straight line,
+adds what half the recent curvature of the command would cause if it lasted one sample: at most :math:`0.224 |p| T` of
+it passes the filter's four or so lags (the peak of :math:`p\,(pt)^3 e^{-pt}/6`).
 """
 
 from __future__ import annotations
@@ -22,35 +23,28 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numba import njit
 
-from servofd.types import BoolArray, ComplexArray, FloatArray
+from servofd.detection.allowance import Bounds, Signals, follow, new_work
 
 if TYPE_CHECKING:
     from servofd.detection.probability import CusumDesign
     from servofd.detection.residual import ResidualGenerator, Residuals
     from servofd.segment import Segment
     from servofd.tolerance import Tolerance
+    from servofd.types import BoolArray, FloatArray
 
 __all__ = ["Threshold", "ThresholdKind", "constant_threshold", "interval_threshold", "suspicion"]
 
 ThresholdKind = Literal["constant", "interval"]
 
-_PEAK_HOLD_S = 0.15
 _SIGMAS = 6.0
 """Gaussian noise in a residual of this colour exceeds 6 standard deviations 7e-4 times an hour."""
-_NOISE_SAMPLES = 200
-_FASTEST_NOISE_CHANGE, _SLOWEST_NOISE_CHANGE = 0.2, 0.004
-_MAD_TO_SIGMA = 1.4826
 _SMALLEST_NOISE_DEG = 1e-3
 _SAMPLES_FOR_STEP, _FEW_VALUES = 20_000, 0.5
 _AT_LIMIT = 0.98
 _RECENT_COMMANDS = 10
-_MEMORY_S, _EVERY_S = 10.0, 0.5
 _SUSPICIOUS_DRIFT = 40.0
 """In 400 flights of 120 s, healthy servos with parameters anywhere within their tolerances reached 22."""
-_ANYTHING = np.array([1.0, 0.1, 1.0, 10.0])
-"""Deviations of gain, delay [s], bandwidth and bias [deg] that no fault exceeds by much."""
 _PEAK_OF_LAGS = 0.224
 _KAPPA = 0.5
 _SUSPICIONS_PER_HOUR = 1e-3
@@ -131,24 +125,24 @@ def interval_threshold(
     size = residuals.time_s.size
     tolerated, sigma, drift = np.empty(size), np.empty(size), np.zeros(size)
     cusum = design_cusum(_KAPPA, _SUSPICIONS_PER_HOUR, Noise.designed(pulse, 1.0))
-    saturated_deg = _rate_error(generator, segment, residuals, tolerance.rate)
-    _follow(
-        residuals.time_s,
-        residuals.immobile_deg,
-        residuals.error_deg,
-        residuals.restart != 0,
-        saturated_deg,
-        _unseen(segment, generator, residuals.time_s),
-        generator.model.parameters().decay_rad_s,
-        np.array([tolerance.gain, tolerance.delay_s, tolerance.bandwidth, tolerance.bias_deg, tolerance.noise_deg]),
+    bounds = Bounds(
+        np.array([tolerance.gain, tolerance.delay_s, tolerance.bandwidth, tolerance.bias_deg]),
+        tolerance.noise_deg,
         max(_step_deg(residuals.measured_deg) / np.sqrt(12.0), _SMALLEST_NOISE_DEG),
         pulse.noise_gain,
         cusum.factor,
-        np.where(residuals.settled, residuals.residual_deg, np.nan),
-        tolerated,
-        sigma,
-        drift,
     )
+    signals = Signals(
+        residuals.time_s,
+        residuals.immobile_deg,
+        residuals.error_deg,
+        np.where(residuals.settled, residuals.residual_deg, np.nan),
+        residuals.restart != 0,
+        _rate_error(generator, segment, residuals, tolerance.rate),
+        _unseen(segment, generator, residuals.time_s),
+    )
+    decay_rad_s = generator.model.parameters().decay_rad_s
+    follow(signals, bounds, new_work(bounds, decay_rad_s.size), decay_rad_s, tolerated, sigma, drift)
     return Threshold("interval", tolerated + _SIGMAS * sigma, tolerated, sigma, cusum, drift)
 
 
@@ -161,19 +155,22 @@ def suspicion(residuals: Residuals, threshold: Threshold) -> BoolArray:
     from servofd.detection.probability import cusum
 
     excess_deg = np.abs(residuals.residual_deg) - threshold.tolerance_deg
+    drifted = threshold.drift >= _SUSPICIOUS_DRIFT
+    if not np.any(excess_deg > 0.0):
+        return drifted
     beyond = np.sign(residuals.residual_deg) * np.maximum(excess_deg, 0.0) / threshold.sigma_deg
     judged = np.where(residuals.settled, beyond, np.nan)
     sums = cusum(judged, threshold.cusum.kappa, residuals.restart != 0)
-    return ((sums >= threshold.cusum.limit) & (excess_deg > 0.0)) | (threshold.drift >= _SUSPICIOUS_DRIFT)
+    return ((sums >= threshold.cusum.limit) & (excess_deg > 0.0)) | drifted
 
 
-def _rate_error(
-    generator: ResidualGenerator, segment: Segment, residuals: Residuals, share: float
-) -> FloatArray:
+def _rate_error(generator: ResidualGenerator, segment: Segment, residuals: Residuals, share: float) -> FloatArray:
     """Residual of a servo whose rate limit is off by its tolerance [deg], shape (n,); empty if it never runs at it."""
     from servofd.models.effects import RateLimit
 
     limit_deg_s = min(generator.model.plan.rate_up_deg_s, generator.model.plan.rate_down_deg_s)
+    if not np.isfinite(limit_deg_s):
+        return np.zeros(0)
     step_s, step_deg = np.diff(residuals.time_s), np.abs(np.diff(residuals.simulated_deg))
     if not np.any(step_deg >= _AT_LIMIT * limit_deg_s * step_s):
         return np.zeros(0)
@@ -200,8 +197,12 @@ def _unseen(segment: Segment, generator: ResidualGenerator, time_s: FloatArray) 
     if segment.command_period_s is not None or not lost.any():
         return np.zeros(0)
     before = np.flatnonzero(lost)
-    curvature_deg = np.abs(np.diff(segment.command_deg, 2, prepend=segment.command_deg[:1], append=segment.command_deg[-1:]))
-    recent_deg = np.lib.stride_tricks.sliding_window_view(np.pad(curvature_deg, (_RECENT_COMMANDS, 0)), _RECENT_COMMANDS)
+    curvature_deg = np.abs(
+        np.diff(segment.command_deg, 2, prepend=segment.command_deg[:1], append=segment.command_deg[-1:])
+    )
+    recent_deg = np.lib.stride_tricks.sliding_window_view(
+        np.pad(curvature_deg, (_RECENT_COMMANDS, 0)), _RECENT_COMMANDS
+    )
     # A chord over n + 1 intervals is off by ((n + 1) / 2)^2 times as much as one over two, for n commands.
     size_deg = 0.5 * recent_deg[before].max(axis=1) * lost[before] * (0.5 * (lost[before] + 1)) ** 2
     passed = _PEAK_OF_LAGS * generator.pole_rad_s * segment.period_s
@@ -210,109 +211,3 @@ def _unseen(segment: Segment, generator: ResidualGenerator, time_s: FloatArray) 
     at = np.searchsorted(time_s, segment.command_s[before] + generator.model.plan.delay_s)
     np.add.at(unseen_deg, np.minimum(at, time_s.size - 1), passed * size_deg)
     return unseen_deg
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _explained(gram: FloatArray, weight: FloatArray, moment: FloatArray) -> float:
-    """Quadratic form m' (G + W)^-1 m for a lower triangle G and a diagonal W, by Cholesky's factors."""
-    size = moment.size
-    factor, solved = np.zeros((size, size)), np.zeros(size)
-    total = 0.0
-    for i in range(size):
-        for j in range(i + 1):
-            rest = gram[i, j] + (weight[i] if i == j else 0.0)
-            for m in range(j):
-                rest -= factor[i, m] * factor[j, m]
-            factor[i, j] = np.sqrt(max(rest, 1e-300)) if i == j else rest / factor[j, j]
-        rest = moment[i]
-        for m in range(i):
-            rest -= factor[i, m] * solved[m]
-        solved[i] = rest / factor[i, i]
-        total += solved[i] ** 2
-    return total
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _follow(
-    time_s: FloatArray,
-    immobile_deg: FloatArray,
-    error_deg: FloatArray,
-    restarted: BoolArray,
-    rate_error_deg: FloatArray,
-    unseen_deg: FloatArray,
-    decay_rad_s: ComplexArray,
-    bounds: FloatArray,
-    floor_deg: float,
-    noise_gain: float,
-    colour: float,
-    residual_deg: FloatArray,
-    tolerated_deg: FloatArray,
-    sigma_deg: FloatArray,
-    drift: FloatArray,
-) -> None:
-    """Tolerance and noise at each instant; `bounds` are of gain, delay, bandwidth, bias and noise."""
-    slow = np.zeros(decay_rad_s.size, dtype=np.complex128)
-    peak_gain = peak_delay = peak_bandwidth = peak_rate = unseen = 0.0
-    last_s = last_deg = np.nan
-    before = before_that = np.nan
-    noise, seen = bounds[4], 0
-    gram, moment, x = np.zeros((4, 4)), np.zeros(4), np.zeros(4)
-    tight = 3.0 / bounds[:4] ** 2
-    wide = 1.0 / _ANYTHING**2
-    next_s, odds = -np.inf, 0.0
-    for k in range(time_s.size):
-        value = immobile_deg[k]
-        if not np.isnan(value):
-            step_s = time_s[k] - last_s
-            if np.isnan(last_deg) or restarted[k]:
-                slow[:] = value
-                step_s, speed = 0.0, 0.0
-                before = before_that = np.nan
-            else:
-                speed = (value - last_deg) / step_s
-            quick = 0.0
-            for i in range(decay_rad_s.size):
-                half = 0.5 * decay_rad_s[i] * step_s
-                # The trapezoidal rule: a bound needs no exponential.
-                slow[i] = ((1.0 - half) * slow[i] + half * (value + (last_deg if step_s > 0.0 else value))) / (1.0 + half)
-                share = value - slow[i]
-                quick += share.real if decay_rad_s[i].imag == 0.0 else 2.0 * share.real
-            fade = 1.0 / (1.0 + step_s / _PEAK_HOLD_S)
-            peak_gain = max(abs(value), fade * peak_gain)
-            peak_delay = max(abs(speed), fade * peak_delay)
-            peak_bandwidth = max(abs(quick), fade * peak_bandwidth)
-            unseen *= fade
-            if unseen_deg.size > 0:
-                unseen += unseen_deg[k]
-            if rate_error_deg.size > 0:
-                peak_rate = max(abs(rate_error_deg[k]), fade * peak_rate)
-            curvature = error_deg[k] - 2.0 * before + before_that
-            if curvature == curvature:
-                seen += 1
-                change = max(_FASTEST_NOISE_CHANGE / (1.0 + 0.2 * seen), _SLOWEST_NOISE_CHANGE)
-                tried = abs(curvature) * _MAD_TO_SIGMA / np.sqrt(6.0)
-                noise = max(noise * (1.0 + change if tried > noise else 1.0 - change), floor_deg)
-            before_that, before = before, error_deg[k]
-            last_s, last_deg = time_s[k], value
-            # What a made-up command caused says nothing about the servo's habits.
-            if not np.isnan(residual_deg[k]) and unseen < noise_gain * noise:
-                x[0], x[1], x[2], x[3] = value, speed, quick, 1.0
-                keep = 1.0 / (1.0 + step_s / _MEMORY_S)
-                for i in range(4):
-                    moment[i] = keep * moment[i] + x[i] * residual_deg[k]
-                    for j in range(i + 1):
-                        gram[i, j] = keep * gram[i, j] + x[i] * x[j]
-                if time_s[k] >= next_s:
-                    power = colour * (noise_gain * noise) ** 2
-                    odds = (_explained(gram, wide * power, moment) - _explained(gram, tight * power, moment)) / power
-                    next_s = time_s[k] + _EVERY_S
-        drift[k] = odds
-        tolerated_deg[k] = (
-            bounds[3]
-            + bounds[0] * peak_gain
-            + bounds[1] * peak_delay
-            + bounds[2] * peak_bandwidth
-            + peak_rate
-            + unseen
-        )
-        sigma_deg[k] = noise_gain * (noise if seen >= _NOISE_SAMPLES else max(noise, bounds[4]))

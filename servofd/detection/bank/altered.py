@@ -169,9 +169,7 @@ def _slower(window: Window, bandwidth_scale: float) -> FloatArray:
 def _limited(window: Window, rate_deg_s: float) -> FloatArray:
     up_deg_s, down_deg_s = window.servo.rate_up_deg_s, window.servo.rate_down_deg_s
     return window.simulate(
-        window.servo._replace(
-            rate_up_deg_s=min(rate_deg_s, up_deg_s), rate_down_deg_s=min(rate_deg_s, down_deg_s)
-        )
+        window.servo._replace(rate_up_deg_s=min(rate_deg_s, up_deg_s), rate_down_deg_s=min(rate_deg_s, down_deg_s))
     )
 
 

@@ -83,7 +83,13 @@ class LossOfEffectiveness:
                 predicted_deg = window.healthy_deg + fit.predicted_deg
                 fits.append(
                     Explanation(
-                        self.kind, predicted_deg, fit.cost_deg2, freedom, {"gain": gain}, fit.doubt,partial(_with, fit.coefficients)
+                        self.kind,
+                        predicted_deg,
+                        fit.cost_deg2,
+                        freedom,
+                        {"gain": gain},
+                        fit.doubt,
+                        partial(_with, fit.coefficients),
                     )
                 )
         return min(fits, key=window.score, default=None)
@@ -135,7 +141,10 @@ def _cycle(window: Window, target_deg: FloatArray, others: Ridge) -> Explanation
     # The cost has one minimum within half a line width of the spectrum's peak.
     near_hz = (max(start_hz - 0.5 / duration_s, 0.1 * start_hz), start_hz + 0.5 / duration_s)
     best = minimize_scalar(
-        lambda f: _objective(ridge(f).fit(target_deg), window), bounds=near_hz, method="bounded", options={"maxiter": 12}
+        lambda f: _objective(ridge(f).fit(target_deg), window),
+        bounds=near_hz,
+        method="bounded",
+        options={"maxiter": 12},
     )
     fitted = ridge(float(best.x))
     fit = fitted.fit(target_deg)

@@ -130,9 +130,7 @@ def _onset(flight: Flight, start_s: float) -> Onset | None:
     return Onset(start_s, float(np.median(near)), float(healthy_deg.min()), float(healthy_deg.max()))
 
 
-def _name(
-    flight: Flight, from_s: float, until_s: float, onset: Onset | None
-) -> tuple[Naming | None, Window | None]:
+def _name(flight: Flight, from_s: float, until_s: float, onset: Onset | None) -> tuple[Naming | None, Window | None]:
     """Name the fault from the shortest window that is sure."""
     best: tuple[Naming | None, Window | None] = (None, None)
     for length_s in _WINDOWS_S:

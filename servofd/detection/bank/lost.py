@@ -62,7 +62,7 @@ class Floating:
         place = (window.time_s - window.time_s[0]) / max(window.duration_s, 1e-9)
         columns = np.cos(np.pi * place[:, None] * np.arange(count))
         frequency_hz = 0.5 * np.arange(count) / max(window.duration_s, 1e-9)
-        spread = _LARGEST_SWING_DEG / (1.0 + (frequency_hz / _WIND_HZ) ** 2)
+        spread = np.asarray(_LARGEST_SWING_DEG / (1.0 + (frequency_hz / _WIND_HZ) ** 2), dtype=np.float64)
         ridge = Ridge(columns, spread, window.noise_deg)
         fit = ridge.fit(window.measured_deg)
         swing = Estimate.of(float(np.ptp(fit.predicted_deg)) / 2.0, window.noise_deg)
