@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
 
 from detection import NAMES, calibration, delays, false_alarms, fly, limits, onsets, quantile, shares
 from fleet import KINDS, flight
-from servofd.detection import alarm, threshold
+from servofd.detection import alarm, allowance, threshold
 from servofd.detection.bank import classify, explanation, following, isolate, lost, onset, window
 from servofd.outputs.figure import COLOURS
 from servofd.tolerance import Tolerance
@@ -90,7 +90,7 @@ compares D2 with servos that are simulated with these errors.)
 | dw | bandwidth | {tolerance.bandwidth:.0%} |
 | r_sat | residual of a servo whose rate limit is lower by its tolerance, while the model runs at it | {tolerance.rate:.0%} |
 | lost | commands that never reached the log: half their recent curvature, times what the filter lets pass of one sample, {threshold._PEAK_OF_LAGS:g} \\|p\\| T | |
-| [x] | peak hold: max(\\|x\\|, the last peak / (1 + T/{threshold._PEAK_HOLD_S:g} s)) | |
+| [x] | peak hold: max(\\|x\\|, the last peak / (1 + T/{allowance._PEAK_HOLD_S:g} s)) | |
 | sigma_r | noise gain of the filter times the noise of the position, measured as the flight goes on (starts at {tolerance.noise_deg:g} deg) | |
 
 It uses no later sample. At rest it is lower than {CONSTANT_DEG:g} deg and sees small faults; in a brisk manoeuvre it is higher
@@ -112,7 +112,7 @@ tolerance, in standard deviations,
     z(k) = sign r max(|r| - T, 0) / sigma_r,  S+(k) = max(0, S+(k-1) + z(k) - {threshold._KAPPA:g}),  S-(k) likewise,     (D5)
 
 and is beyond its limit when it has gathered what noise alone would {threshold._SUSPICIONS_PER_HOUR:g} times an hour (Siegmund's run length,
-multiplied by the long-run factor of the residual's colour). And the servo's habits of the last {threshold._MEMORY_S:g} s are fitted
+multiplied by the long-run factor of the residual's colour). And the servo's habits of the last {allowance._MEMORY_S:g} s are fitted
 to the residual by the terms x = [r0, dr0/dt, sum_i ..., 1] of D2, once with what tolerances allow and once freely:
 
     H = min_tight - min_free,  min = min over theta of sum (r - x theta)² / (S sigma_r²) + sum theta_j² / s_j²,   (D6)
@@ -140,8 +140,8 @@ def bank() -> str:
     names = ", ".join(h.kind for h in classify.BANK)
     return f"""## The bank
 
-Each alarm is handed to a bank of hypotheses ({names}), each of which explains the measured deflection y in a window after
-the onset as best it can. What a working servo may add is free in all that still follow the command: with the nuisances
+Each alarm is handed to a bank of hypotheses: {names}.
+Each explains the measured deflection y in a window after the onset as best it can. What a working servo may add is free in all that still follow the command: with the nuisances
 N = [ŷ, -dŷ/dt, dŷ/d(bandwidth), 1] and a normal prior of the tolerances' spread on their coefficients, theta minimises
 
     |y - f - N theta|² / sigma² + sum theta_j² / s_j²,     s_j = tolerance_j / sqrt(3).               (D8)
@@ -191,8 +191,8 @@ First estimate: the first sample with |r| beyond the tolerance T and {alarm._ONS
 
     k* = argmin sum_(j<k) min(e_j², 16 sigma²) + sum_(j>=k) min((y_j - f_j)², 16 sigma²),                (D11)
 
-from {onset.BEFORE_S:g} s before that estimate ({isolate._SUSPICION_LASTS_S:g} s for a suspicion) to the end of the window, e being the simulation error less the servo's habits (N theta, fitted to
-what was surely healthy). Splits within {onset._UNDECIDED:g} sigma² of the best are equally good, for instance because the surface did not
+from {onset.BEFORE_S:g} s before that estimate ({isolate._SUSPICION_LASTS_S:g} s for a suspicion) to the end of the window, e being the simulation
+error less the servo's habits (N theta, fitted to what was surely healthy). Splits within {onset._UNDECIDED:g} sigma² of the best are equally good, for instance because the surface did not
 move; the last of them is taken, which is the first motion that the fault spoils. The onset of a jam can be no earlier than
 that: it is when the fault began to *show*.
 """
