@@ -177,7 +177,7 @@ def _total(bounds: FloatArray, peak: FloatArray) -> float:
 
 @compiled
 def _explained(work: Work, weight: FloatArray, power: float) -> float:
-    """How much of the residual habits explain: m' (G + p W)^-1 m / p for the normal equations, by Cholesky's factors."""
+    """How much of the residual habits explain, m' (G + p W)^-1 m / p of the normal equations, by Cholesky's factors."""
     gram, factor, solved = work.gram, work.factor, work.solved
     total = 0.0
     for i in range(4):
