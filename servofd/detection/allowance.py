@@ -9,7 +9,7 @@ import numpy as np
 from servofd.models.state import compiled, inlined
 from servofd.types import BoolArray, ComplexArray, FloatArray
 
-__all__ = ["Bounds", "Signals", "follow", "new_work"]
+__all__ = ["LARGEST_NOISE", "Bounds", "Signals", "follow", "new_work"]
 
 _PEAK_HOLD_S = 0.15
 """Time constant with which the peaks fade: about as long as the filter remembers."""
@@ -17,6 +17,8 @@ _NOISE_SAMPLES = 200
 """Until so many positions have been seen, noise is not taken to be smaller than its tolerance."""
 _FASTEST_NOISE_CHANGE, _SLOWEST_NOISE_CHANGE = 0.2, 0.004
 _MAD_TO_SIGMA = 1.4826
+LARGEST_NOISE = 6.0
+"""Gaussian noise in a residual of this colour exceeds 6 standard deviations 7e-4 times an hour."""
 _MEMORY_S, _EVERY_S = 10.0, 0.5
 """How far back a servo's habits are remembered, and how often they are looked at."""
 _ANYTHING = np.array([1.0, 0.1, 1.0, 10.0])
@@ -127,8 +129,9 @@ def follow(
             before_that, before = before, signals.error_deg[k]
             last_s, last_deg = signals.time_s[k], value
             residual = signals.judged_deg[k]
-            # What a made-up command caused says nothing about the servo's habits.
-            if not np.isnan(residual) and unseen < bounds.noise_gain * noise:
+            # A made-up command says nothing about the servo's habits, and what is beyond all tolerance is no habit.
+            allowed = _total(bounds.habits, peak) + peak_rate + LARGEST_NOISE * bounds.noise_gain * noise
+            if abs(residual) <= allowed and unseen < bounds.noise_gain * noise:
                 _learn(work.gram, work.moment, x, residual, 1.0 / (1.0 + step_s / _MEMORY_S))
                 if last_s >= next_s:
                     power = bounds.colour * (bounds.noise_gain * noise) ** 2

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
 from servofd.detection.alarm import find_episodes
 from servofd.detection.bank.isolate import SURE, Fault, Flight, isolate
 from servofd.detection.bank.window import noise_deg
@@ -13,6 +15,7 @@ from servofd.detection.threshold import Threshold, constant_threshold, interval_
 
 if TYPE_CHECKING:
     from servofd.aircraft import Surface
+    from servofd.detection.alarm import Episode
     from servofd.detection.residual import ResidualGenerator, Residuals
     from servofd.segment import Segment
 
@@ -56,13 +59,18 @@ def judge(generator: ResidualGenerator, segment: Segment, residuals: Residuals, 
         return Judgement(threshold, (), ())
     commands = commands_at_servo(segment, generator.model.plan.delay_s, generator.longest_gap_s(segment))
     noise = noise_deg(residuals.error_deg[residuals.settled])
-    flight = Flight(generator.model, surface.tolerances, noise, residuals, commands)
-    named = [_confirmed(fault, threshold) for episode in episodes for fault in isolate(flight, episode)]
+    sigma_deg = float(np.median(threshold.sigma_deg))
+    flight = Flight(generator, surface.tolerances, noise, sigma_deg, residuals, commands)
+    named = [fault for episode in episodes for fault in _confirmed(isolate(flight, episode), episode, threshold)]
     faults = tuple(fault for fault in named if fault.level == "fault" and fault.kind != "healthy")
     return Judgement(threshold, faults, tuple(fault for fault in named if fault not in faults))
 
 
-def _confirmed(fault: Fault, threshold: Threshold) -> Fault:
-    """A suspicion that the bank can name for sure is a fault, unless a constant threshold says what is large enough."""
-    sure = fault.probability >= SURE and fault.kind not in ("healthy", "unknown")
-    return replace(fault, level="fault") if threshold.kind == "interval" and sure else fault
+def _confirmed(named: tuple[Fault, ...], episode: Episode, threshold: Threshold) -> tuple[Fault, ...]:
+    """Suspicions that the bank can name for sure are alarms, unless a constant threshold says what is large enough."""
+    first = named[0]
+    sure = first.probability >= SURE and first.kind not in ("healthy", "unknown")
+    if threshold.kind == "constant" or not sure:
+        return named
+    alarm_s = first.alarm_s if episode.suspected_s is None else max(episode.suspected_s, first.start_s)
+    return (replace(first, level="fault", alarm_s=alarm_s), *named[1:])

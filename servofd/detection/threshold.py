@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from servofd.detection.allowance import Bounds, Signals, follow, new_work
+from servofd.detection.allowance import LARGEST_NOISE, Bounds, Signals, follow, new_work
 
 if TYPE_CHECKING:
     from servofd.detection.probability import CusumDesign
@@ -37,8 +37,6 @@ __all__ = ["Threshold", "ThresholdKind", "constant_threshold", "interval_thresho
 
 ThresholdKind = Literal["constant", "interval"]
 
-_SIGMAS = 6.0
-"""Gaussian noise in a residual of this colour exceeds 6 standard deviations 7e-4 times an hour."""
 _SMALLEST_NOISE_DEG = 1e-3
 _SAMPLES_FOR_STEP, _FEW_VALUES = 20_000, 0.5
 _AT_LIMIT = 0.98
@@ -143,7 +141,7 @@ def interval_threshold(
     )
     decay_rad_s = generator.model.parameters().decay_rad_s
     follow(signals, bounds, new_work(bounds, decay_rad_s.size), decay_rad_s, tolerated, sigma, drift)
-    return Threshold("interval", tolerated + _SIGMAS * sigma, tolerated, sigma, cusum, drift)
+    return Threshold("interval", tolerated + LARGEST_NOISE * sigma, tolerated, sigma, cusum, drift)
 
 
 def suspicion(residuals: Residuals, threshold: Threshold) -> BoolArray:
