@@ -16,7 +16,6 @@ import numpy as np
 from fleet import KINDS, flight
 from servofd.aircraft import plain_aircraft
 from servofd.detection.bank.classify import name_fault
-from servofd.detection.bank.isolate import Flight
 from servofd.detection.bank.window import Onset, Window, noise_deg
 from servofd.detection.judge import judge
 from servofd.detection.residual import ResidualGenerator, commands_at_servo
@@ -100,11 +99,8 @@ def _window(kind: str, length_s: float) -> Window:
     at = int(np.searchsorted(log.residuals.time_s, start_s))
     position_deg = float(log.residuals.simulated_deg[at])
     onset = Onset(start_s, position_deg, position_deg, position_deg)
-    whole = Flight(log.generator.model, Tolerance(), noise, log.residuals, commands)
-    window = whole.window(start_s + _SETTLING_S, start_s + _SETTLING_S + length_s, onset)
-    if window is None:
-        raise ValueError(f"seed 0, lively, {kind}: fewer than a dozen samples after the onset")
-    return window
+    span = slice(*np.searchsorted(log.residuals.time_s, start_s + _SETTLING_S + np.array([0.0, length_s])).tolist())
+    return Window.of(log.generator.model, Tolerance(), noise, log.residuals, commands, span, onset)
 
 
 def _timed(action: Callable[[], object]) -> float:

@@ -88,8 +88,12 @@ def tables(faulty: Sequence[Trial], healthy: Sequence[Trial]) -> Iterable[str]:
         limit,
         by_size=True,
     )
+    yield "Limits of the evidence, at an equal rate and with the onset known: " + ", ".join(
+        f"{kind} {equal:.1f} and {known:.1f}" for kind, (known, equal) in limit.items()
+    )
     yield onsets(large)
-    yield calibration([one for one in faulty if one.found is not None])
+    yield calibration("Probabilities of names given, with enough motion", visible)
+    yield calibration("The same with too little motion", [one for one in faulty if not one.enough_motion])
 
 
 def confusion(title: str, trials: Sequence[Trial]) -> str:
@@ -190,17 +194,15 @@ def onsets(trials: Sequence[Trial]) -> str:
     )
 
 
-def calibration(named: Sequence[Trial]) -> str:
-    """Predicted probability beside the share that was right."""
-    rows = []
+def calibration(title: str, trials: Sequence[Trial]) -> str:
+    """Predicted probability of each name beside the share that was right."""
+    named, rows = [one for one in trials if one.found is not None], []
     for low, high in itertools.pairwise(PROBABILITIES):
         group = [one for one in named if low < one.probability <= high or (low == 0.0 and one.probability == 0.0)]
         if group:
             predicted, right = np.mean([(one.probability, float(one.right)) for one in group], axis=0)
             rows.append([f"{low:g} to {high:g}", len(group), f"{predicted:.3f}", f"{right:.3f}"])
-    return _table(
-        "Probabilities of all names given, beside the share right", ["", "flights", "predicted", "right"], rows
-    )
+    return _table(title, ["", "flights", "predicted", "right"], rows)
 
 
 def _cells(trials: Sequence[Trial], kind: str | None) -> list[str]:

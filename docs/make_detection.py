@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
 from detection import NAMES, calibration, delays, false_alarms, fly, limits, onsets, quantile, shares
 from fleet import KINDS, flight
 from servofd.detection import alarm, allowance, threshold
-from servofd.detection.bank import classify, explanation, following, isolate, lost, onset, window
+from servofd.detection.bank import classify, explanation, following, isolate, lost, onset, signature, window
 from servofd.outputs.figure import COLOURS
 from servofd.tolerance import Tolerance
 from trial import CONSTANT_DEG, Trial, judged
@@ -79,7 +79,7 @@ compares D2 with servos that are simulated with these errors.)
 
 **Interval.** `threshold = "interval"` bounds each term of D2 by its tolerance times the recent peak of its signal:
 
-    tau(t) = T(t) + {threshold._SIGMAS:g} sigma_r(t)
+    tau(t) = T(t) + {allowance.LARGEST_NOISE:g} sigma_r(t)
     T(t)   = b + |dk| [r0] + |dt| [dr0/dt] + |dw| [sum_i ...] + [r_sat] + lost                        (D3)
 
 | in D3 | | default |
@@ -117,10 +117,11 @@ to the residual by the terms x = [r0, dr0/dt, sum_i ..., 1] of D2, once with wha
 
     H = min_tight - min_free,  min = min over theta of sum (r - x theta)² / (S sigma_r²) + sum theta_j² / s_j²,   (D6)
 
-S being the long-run factor. H >= {threshold._SUSPICIOUS_DRIFT:g} means that gain, delay, bandwidth or bias is not that of a healthy servo. Both
-raise a *suspicion*. It goes through the bank like an alarm; under an interval threshold it becomes a fault if the bank is sure
-of its name (P >= {isolate.SURE:g}), else the surface is *suspect*. Rough models (drafts with a wider threshold and no tolerances of
-their own) raise none.
+S being the long-run factor; what is beyond all tolerance, or rests on lost commands, teaches no habits.
+H >= {threshold._SUSPICIOUS_DRIFT:g} means that gain, delay, bandwidth or bias is not that of a healthy servo. Both raise a *suspicion*, which ends when
+none was raised for {alarm._SUSPICION_LASTS_S:g} s. It goes through the bank like an alarm; under an interval threshold it becomes a fault if the
+bank is sure of its name (P >= {isolate.SURE:g}), with the suspicion as its alarm, else the surface is *suspect*. Rough models (drafts with a
+wider threshold and no tolerances of their own) raise none.
 """
 
 
@@ -171,12 +172,20 @@ after Schwarz; smaller is better. The probability of hypothesis i, all being equ
 
     P_i = exp(-B_i/2) / sum_j exp(-B_j/2).                                                            (D10)
 
-**How long to look.** Windows begin {isolate._SETTLING_S:g} s after the onset and last {_list(isolate._WINDOWS_S)} s; the first in which a hypothesis has
+**How long to look.** Windows begin {isolate._SETTLING_S:g} s after the onset and last {", ".join(f"{length_s:g}" for length_s in isolate._WINDOWS_S)} s; the first in which a hypothesis has
 P >= {isolate.SURE:g} *and* the healthy deflection covers {isolate._ENOUGH_MOTION_DEG:g} deg decides. **Not enough motion**: a jam and a dead band, a bias and a jam,
 differ only in motion. If no window has enough of it the longest decides, with the probability that it gives, and names the
 alternatives of {classify._WORTH_MENTIONING:.0%} and more; below {isolate._LIKELY:g} the name is `unknown` and all that can be said is "at fault, with too little
 motion to tell which". If the winner is *healthy*, the tolerances of a working servo explain the alarm: it is acquitted
 and listed as a suspicion.
+
+**Floating and unknown** explain anything. Before they are believed, a window that begins {2.0 * isolate._SETTLING_S:g} s after the alarm is named as well:
+the first may have held the transition, and if another hypothesis is sure of the second, it wins.
+
+**First signs.** What a fault could have been for all that was known within its first second: the hypotheses that are silent,
+each by a residual of its own, r_i = Qy (y - y_i), evaluated by Narendra's filter with Varga's defaults,
+
+    x(k+1) = {signature._GAMMA:g} x(k) + |r_i(k)|,     {1.0 - signature._GAMMA:.2g} x <= {signature._QUIET:g} sqrt(2/pi) sigma_r.                              (D11)
 
 **Faults that change.** The end of an episode is judged once more, in blocks of {isolate._BLOCK_S:g} s (up to {isolate._LONGEST_BLOCK_S:g} s until there is motion). If
 another hypothesis is sure of it, and of the block before, the instant of the change is found by bisection.
@@ -189,11 +198,11 @@ def onsets_text() -> str:
 First estimate: the first sample with |r| beyond the tolerance T and {alarm._ONSET_SIGMAS:g} standard deviations after the last quiet
 {alarm._QUIET_BEFORE_ONSET_S:g} s before the alarm. Then, with the winner's prediction f, the split that makes the data most likely,
 
-    k* = argmin sum_(j<k) min(e_j², 16 sigma²) + sum_(j>=k) min((y_j - f_j)², 16 sigma²),                (D11)
+    k* = argmin sum_(j<k) min(e_j², 16 sigma²) + sum_(j>=k) min((y_j - f_j)², 16 sigma²),                (D12)
 
 from {onset.BEFORE_S:g} s before that estimate ({isolate._SUSPICION_LASTS_S:g} s for a suspicion) to the end of the window, e being the simulation
-error less the servo's habits (N theta, fitted to what was surely healthy). Splits within {onset._UNDECIDED:g} sigma² of the best are equally good, for instance because the surface did not
-move; the last of them is taken, which is the first motion that the fault spoils. The onset of a jam can be no earlier than
+error less the servo's habits (N theta, fitted to what was surely healthy). Splits within {onset._UNDECIDED:g} sigma² of the best are
+equally good, for instance because the surface did not move; the last of them is taken, which is the first motion that the fault spoils. The onset of a jam can be no earlier than
 that: it is when the fault began to *show*.
 """
 
@@ -217,7 +226,9 @@ def measured(faulty: Sequence[Trial], healthy: Sequence[Trial]) -> str:
             "Steps (bias) of any size and motion [s]", [t for t in faulty if t.case.kind == "bias"], limit, by_size=True
         ),
         onsets(large),
-        calibration([one for one in faulty if one.found is not None]),
+        calibration("Probabilities of names given, with enough motion", visible)
+        + "\n\n"
+        + calibration("The same with too little motion", rest),
     ]
     names, alarms, late, steps, starts, odds = (f"```text\n{text}\n```\n" for text in texts)
     return f"""{MEASURED}
@@ -293,10 +304,7 @@ def draw_roc(figure: Figure, faulty: Sequence[Trial], healthy: Sequence[Trial]) 
     """False alarms against detections within a second, as thresholds are scaled."""
     axes = figure.subplots()
     seen = [one for one in faulty if np.isfinite(one.motion_wait_s)]
-    sets = (
-        ("constant", COLOURS["measured"], "constant_peak"),
-        ("interval", COLOURS["simulated"], "interval_peak"),
-    )
+    sets = (("constant", COLOURS["measured"], "constant_peak"), ("interval", COLOURS["simulated"], "interval_peak"))
     for name, colour, field in sets:
         well, ill = (np.array([getattr(one, field) for one in trials]) for trials in (healthy, seen))
         scale = np.geomspace(0.2, 5.0, 300)
@@ -380,10 +388,6 @@ def _plain(axes: Axes) -> None:
 
 def _words(kind: str) -> str:
     return kind.replace("_", " ")
-
-
-def _list(values: Sequence[float]) -> str:
-    return ", ".join(f"{value:g}" for value in values[:-1]) + f" or {values[-1]:g}"
 
 
 if __name__ == "__main__":
