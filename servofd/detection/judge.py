@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
 from servofd.detection.alarm import find_episodes
 from servofd.detection.bank.isolate import SURE, Fault, Flight, isolate
 from servofd.detection.bank.window import noise_deg
@@ -57,7 +59,8 @@ def judge(generator: ResidualGenerator, segment: Segment, residuals: Residuals, 
         return Judgement(threshold, (), ())
     commands = commands_at_servo(segment, generator.model.plan.delay_s, generator.longest_gap_s(segment))
     noise = noise_deg(residuals.error_deg[residuals.settled])
-    flight = Flight(generator.model, surface.tolerances, noise, residuals, commands)
+    sigma_deg = float(np.median(threshold.sigma_deg))
+    flight = Flight(generator, surface.tolerances, noise, sigma_deg, residuals, commands)
     named = [fault for episode in episodes for fault in _confirmed(isolate(flight, episode), episode, threshold)]
     faults = tuple(fault for fault in named if fault.level == "fault" and fault.kind != "healthy")
     return Judgement(threshold, faults, tuple(fault for fault in named if fault not in faults))

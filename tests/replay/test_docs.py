@@ -108,6 +108,25 @@ def test_the_pictures_of_the_odds_are_what_their_script_draws(
     assert {p.name for p in (tmp_path / "odds").iterdir()} == {p.name for p in (ROOT / "docs" / "odds").iterdir()}
 
 
+def test_the_page_on_detection_tells_the_constants_of_the_code() -> None:
+    """What was measured is taken as it stands: flying it takes minutes."""
+    script = runpy.run_path(str(ROOT / "docs" / "make_detection.py"))
+    text = (ROOT / "docs" / "detection.md").read_text()
+    assert script["page"](text[text.index(script["MEASURED"]) :]) == text
+    assert re.findall(r"\((D\d+)\)$", text, re.MULTILINE) == [f"D{n}" for n in range(1, 13)]
+
+
+@pytest.mark.slow
+def test_the_pictures_of_detection_are_what_their_script_draws(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runpy.run_path(str(ROOT / "docs" / "make_detection.py"))["main"](tmp_path, seeds=1, healthy=10)
+    assert capsys.readouterr().out.endswith("detection.md\n")
+    drawn = {p.name for p in (tmp_path / "detection").iterdir()}
+    assert drawn == {p.name for p in (ROOT / "docs" / "detection").iterdir()}
+    assert drawn == set(re.findall(r"\]\(detection/(.*?)\)", (tmp_path / "detection.md").read_text()))
+
+
 def test_the_aircraft_files_of_the_documentation_are_valid(tmp_path: Path) -> None:
     first, servo, table, appendix_c = blocks((ROOT / "docs" / "aircraft-file.md").read_text(), "toml")
     config = tmp_path / "plane.toml"

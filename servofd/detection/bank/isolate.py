@@ -9,6 +9,7 @@ import numpy as np
 
 from servofd.detection.bank.classify import Naming, name_fault
 from servofd.detection.bank.onset import BEFORE_S, refine_onset_s
+from servofd.detection.bank.signature import first_signs
 from servofd.detection.bank.window import Onset, Window
 
 if TYPE_CHECKING:
@@ -16,8 +17,7 @@ if TYPE_CHECKING:
 
     from servofd.detection.alarm import Episode, Level
     from servofd.detection.bank.explanation import Estimate
-    from servofd.detection.residual import Commands, Residuals
-    from servofd.models.servo_model import ServoModel
+    from servofd.detection.residual import Commands, ResidualGenerator, Residuals
     from servofd.tolerance import Tolerance
 
 __all__ = ["SURE", "Fault", "Flight", "isolate"]
@@ -32,6 +32,7 @@ _LIKELY = 0.4
 _FEWEST_SAMPLES = 12
 _BLOCK_S = 3.0
 _LONGEST_BLOCK_S = 12.0
+_FIRST_S = 1.0 - _SETTLING_S
 _SUSPICION_LASTS_S = 15.0
 """The cumulative sum and the habits look back about ten seconds."""
 _ONSET_BEFORE_RECORD_S = 0.5
@@ -53,15 +54,20 @@ class Fault:
     probability: float
     alternatives: tuple[str, ...]
     level: Level = "fault"
+    first_signs: tuple[str, ...] = ()
+    """What it could have been for all that was known within its first second."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Flight:
     """All that the bank needs to know of one surface's flight."""
 
-    model: ServoModel
+    generator: ResidualGenerator
     tolerance: Tolerance
     noise_deg: float
+    """Of the position."""
+    sigma_deg: float
+    """Of the healthy residual."""
     residuals: Residuals
     commands: Commands
 
@@ -72,7 +78,9 @@ class Flight:
         span = slice(first, last)
         if np.count_nonzero(self.residuals.settled[span]) < _FEWEST_SAMPLES:
             return None
-        return Window.of(self.model, self.tolerance, self.noise_deg, self.residuals, self.commands, span, onset)
+        return Window.of(
+            self.generator.model, self.tolerance, self.noise_deg, self.residuals, self.commands, span, onset
+        )
 
     @property
     def end_s(self) -> float:
@@ -108,10 +116,11 @@ def isolate(flight: Flight, episode: Episode) -> tuple[Fault, ...]:
         return (Fault("unknown", episode.start_s, episode.alarm_s, episode.end_s, {}, 0.0, (), episode.level),)
     start_s = episode.start_s
     if onset is not None and naming.best is not None and naming.kind != "healthy":
-        announced = episode.level == "suspect" or episode.suspected_s is not None
-        before_s = _SUSPICION_LASTS_S if announced else BEFORE_S
+        before_s = BEFORE_S if episode.level == "fault" else _SUSPICION_LASTS_S
+        if episode.suspected_s is not None:
+            before_s = _SUSPICION_LASTS_S + max(episode.start_s - episode.suspected_s, 0.0)
         start_s = min(refine_onset_s(flight, naming.best, episode.start_s, window, before_s), episode.alarm_s)
-    first = _fault(naming, episode, start_s)
+    first = replace(_fault(naming, episode, start_s), first_signs=_first_signs(flight, episode, until_s, onset))
     change = _change(flight, naming.kind, float(window.time_s[-1]), until_s)
     if change is None:
         return (first,)
@@ -135,6 +144,12 @@ def _onset(flight: Flight, start_s: float) -> Onset | None:
     if near.size == 0 or healthy_deg.size == 0:
         return None
     return Onset(start_s, float(np.median(near)), float(healthy_deg.min()), float(healthy_deg.max()))
+
+
+def _first_signs(flight: Flight, episode: Episode, until_s: float, onset: Onset | None) -> tuple[str, ...]:
+    begin_s = episode.start_s + _SETTLING_S
+    window = flight.window(begin_s, min(begin_s + _FIRST_S, until_s), onset)
+    return first_signs(window, flight.generator, flight.sigma_deg) if window is not None else ()
 
 
 def _name(flight: Flight, from_s: float, until_s: float, onset: Onset | None) -> tuple[Naming | None, Window | None]:
