@@ -25,7 +25,7 @@ _SURE = 1.959963984540054
 _OUT_OF_REACH_DEG = 1e4
 _DEVIATION_LAGS = 20
 _SMOOTH_STEP, _KINKED_STEP = 1e-6, 1e-4
-"""Relative steps of derivatives; dead bands make the motion piecewise smooth only."""
+"""Of derivatives, in the units of `ServoCandidate.vector`; rate limits and dead bands leave kinks in the motion."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,12 +59,15 @@ class ServoCandidate:
         Rate limits [deg/s].
     dead_band_deg : float or None
         Full width of the zone in which the command may move without effect [deg].
+    fixed_gain : bool
+        True if the dc gain is known, and not fitted.
     """
 
     linear: LinearServo
     rate_up_deg_s: float | None = None
     rate_down_deg_s: float | None = None
     dead_band_deg: float | None = None
+    fixed_gain: bool = False
 
     @property
     def model(self) -> ServoModel:
@@ -84,15 +87,18 @@ class ServoCandidate:
     def vector(self) -> FloatArray:
         """Numbers to fit: logarithms of what must stay positive, milliseconds, degrees."""
         linear = self.linear
-        numbers = [*linear.shape, 1e3 * linear.delay_s, np.log(abs(linear.gain))]
+        numbers = [*linear.shape, 1e3 * linear.delay_s]
+        numbers += [] if self.fixed_gain else [np.log(abs(linear.gain))]
         numbers += [np.log(r) for r in (self.rate_up_deg_s, self.rate_down_deg_s) if r is not None]
         return np.array(numbers + ([self.dead_band_deg] if self.dead_band_deg is not None else []))
 
     def with_vector(self, x: FloatArray) -> ServoCandidate:
         """The same kind of servo with other numbers."""
-        n, sign = self.linear.order, np.sign(self.linear.gain)
-        linear = LinearServo(tuple(float(v) for v in x[:n]), 1e-3 * float(x[n]), float(sign * np.exp(x[n + 1])))
-        rest = [float(v) for v in x[n + 2 :]]
+        n, gain = self.linear.order, self.linear.gain
+        rest = [float(v) for v in x[n + 1 :]]
+        if not self.fixed_gain:
+            gain = float(np.sign(gain) * np.exp(rest.pop(0)))
+        linear = LinearServo(tuple(float(v) for v in x[:n]), 1e-3 * float(x[n]), gain)
         rates = {
             name: float(np.exp(rest.pop(0)))
             for name in ("rate_up_deg_s", "rate_down_deg_s")
@@ -196,15 +202,23 @@ def fit_motion(runs: Sequence[Run], start: ServoCandidate, *, evaluations: int =
     if start.dead_band_deg is not None:
         lower[-1] = 0.0
     kinked = start.dead_band_deg is not None or start.rate_up_deg_s is not None
+    step = _KINKED_STEP if kinked else _SMOOTH_STEP
 
     def errors(x: FloatArray) -> tuple[tuple[FloatArray, ...], FloatArray]:
         return _errors(runs, start.with_vector(x))
 
+    def joined(x: FloatArray) -> FloatArray:
+        return np.concatenate(errors(x)[0])
+
+    def slopes(x: FloatArray) -> FloatArray:
+        here = joined(x)
+        return np.column_stack([(joined(x + step * unit) - here) / step for unit in np.eye(x.size)])
+
     found = least_squares(
-        lambda x: np.concatenate(errors(x)[0]),
+        joined,
         np.maximum(start.vector(), lower + 1e-3),
+        jac=slopes,
         bounds=(lower, np.inf),
-        diff_step=_KINKED_STEP if kinked else _SMOOTH_STEP,
         x_scale="jac",
         max_nfev=evaluations,
         xtol=1e-7,
