@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from servofd.identification.records import Run
     from servofd.types import FloatArray
 
-__all__ = ["Interval", "MotionFit", "ServoCandidate", "fit_motion"]
+__all__ = ["Interval", "MotionFit", "ServoCandidate", "evaluated", "fit_motion"]
 
 _SURE = 1.959963984540054
 """Standard deviations of a 95 % interval."""
@@ -205,7 +205,7 @@ def fit_motion(runs: Sequence[Run], start: ServoCandidate, *, evaluations: int =
     step = _KINKED_STEP if kinked else _SMOOTH_STEP
 
     def errors(x: FloatArray) -> tuple[tuple[FloatArray, ...], FloatArray]:
-        return _errors(runs, start.with_vector(x))
+        return evaluated(runs, start.with_vector(x))
 
     def joined(x: FloatArray) -> FloatArray:
         return np.concatenate(errors(x)[0])
@@ -228,8 +228,8 @@ def fit_motion(runs: Sequence[Run], start: ServoCandidate, *, evaluations: int =
     return MotionFit(start.with_vector(found.x), offsets_deg, parts, _covariance(found.jac, parts))
 
 
-def _errors(runs: Sequence[Run], servo: ServoCandidate) -> tuple[tuple[FloatArray, ...], FloatArray]:
-    """Errors of all runs, and the offset of each servo that was taken out of them."""
+def evaluated(runs: Sequence[Run], servo: ServoCandidate) -> tuple[tuple[FloatArray, ...], FloatArray]:
+    """Errors of all runs, and the offset of each servo that was taken out of them [deg]."""
     try:
         errors = [run.measured_deg - servo.simulate(run) for run in runs]
     except DesignError:

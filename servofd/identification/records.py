@@ -66,8 +66,8 @@ def prepared(segment: Segment, servo: int = 0) -> Run:
     --------
     >>> from servofd.segment import Segment
     >>> run = prepared(Segment("x", np.arange(3.0), np.ones(3), np.arange(3.0), np.array([0.0, np.nan, 1.0])))
-    >>> run.command_deg[0], run.measured_deg
-    (np.float64(0.0), array([0., 1.]))
+    >>> run.measured_deg
+    array([0., 1.])
     """
     known = np.isfinite(segment.measured_deg)
     measured_s, measured_deg = segment.measured_s[known], segment.measured_deg[known]

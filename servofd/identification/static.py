@@ -8,14 +8,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.models.play import play
+
 if TYPE_CHECKING:
     from servofd.identification.records import Run
     from servofd.types import FloatArray
 
 __all__ = ["CalibrationLine", "StaticLine", "calibration_line", "static_line"]
 
-_SLOW_SHARE = 0.5
-"""Of the fastest motion: faster commands may have met the rate limit."""
+_WIDEST_SHARE, _WIDTHS = 0.3, 40
+"""Dead bands are searched up to this part of the range of motion, in so many steps before the last refinement."""
 _WINDOW_S = 0.1
 
 
@@ -45,15 +47,14 @@ class CalibrationLine:
 
 
 def static_line(runs: Sequence[Run]) -> StaticLine:
-    """Regress position on command, its direction and its rate, over slow motion.
+    """Regress position on command behind a dead band, and on its rate; the width that leaves least is the dead band.
 
-    A servo that is late lags a ramp in proportion to its rate, a dead band by half its width whatever the rate:
-    that tells them apart.
+    A servo that is late lags a ramp in proportion to its rate; a dead band holds it at every turn.
 
     Parameters
     ----------
     runs : sequence of Run
-        Slow motion among them: ramps, triangles, slow sines.
+        Slow motion: ramps, triangles, slow sines.
 
     Returns
     -------
@@ -63,32 +64,38 @@ def static_line(runs: Sequence[Run]) -> StaticLine:
     Examples
     --------
     >>> from servofd.identification.records import prepared
-    >>> from servofd.models.play import play
     >>> from servofd.segment import Segment
     >>> t = np.arange(2000) / 100.0
     >>> command = 20.0 * np.abs(np.mod(t / 5.0, 2.0) - 1.0)
     >>> line = static_line([prepared(Segment("x", t, command, t, 1.0 + 0.9 * play(command, 2.0, 20.0)))])
-    >>> round(line.gain, 2), round(line.dead_band_deg, 1)
+    >>> round(line.gain, 2), round(line.dead_band_deg, 2)
     (0.9, 2.0)
     """
-    commands, directions, rates, positions = [], [], [], []
+    from scipy.optimize import minimize_scalar
+
+    widest_deg = _WIDEST_SHARE * max(run.span_deg for run in runs)
+    grid = np.linspace(0.0, widest_deg, _WIDTHS)
+    best = int(np.argmin([_regressed(runs, width)[1] for width in grid]))
+    around = grid[max(best - 1, 0)], grid[min(best + 1, _WIDTHS - 1)]
+    found = minimize_scalar(lambda width: _regressed(runs, width)[1], bounds=around, method="bounded")
+    width = float(found.x) if found.fun < _regressed(runs, 0.0)[1] else 0.0
+    (gain, lag, offset), _ = _regressed(runs, width)
+    return StaticLine(float(gain), float(offset), width, float(-lag / gain))
+
+
+def _regressed(runs: Sequence[Run], width_deg: float) -> tuple[FloatArray, float]:
+    """Coefficients of command, rate and constant, and the squared error."""
+    rows, positions = [], []
     for run in runs:
         at = np.searchsorted(run.command_s, run.measured_s + 1e-9, side="right") - 1
-        command = run.command_deg[at]
-        before = np.interp(run.measured_s - _WINDOW_S, run.measured_s, command)
-        rate = (command - before) / _WINDOW_S
-        held = np.concatenate([[0], np.flatnonzero(rate)])
-        last = held[np.searchsorted(held, np.arange(rate.size), side="right") - 1]
-        commands.append(command)
-        directions.append(np.sign(rate)[last])
-        rates.append(rate)
+        command = play(run.command_deg, width_deg, float(run.command_deg[0]))[at]
+        rate = (command - np.interp(run.measured_s - _WINDOW_S, run.measured_s, command)) / _WINDOW_S
+        rows.append(np.column_stack([command, rate, np.ones(rate.size)]))
         positions.append(run.measured_deg)
-    command, direction, rate, position = (np.concatenate(x) for x in (commands, directions, rates, positions))
-    fastest = float(np.quantile(np.abs(rate[rate != 0.0]), 0.9)) if np.any(rate) else 0.0
-    slow = np.abs(rate) <= _SLOW_SHARE * fastest if np.ptp(np.abs(rate)) > 0.1 * fastest else np.ones(rate.size, bool)
-    matrix = np.column_stack([command, direction, rate, np.ones(rate.size)])[slow]
-    gain, half, lag, offset = np.linalg.lstsq(matrix, position[slow], rcond=None)[0]
-    return StaticLine(float(gain), float(offset), max(0.0, float(-2.0 * half / gain)), float(-lag / gain))
+    matrix, position = np.vstack(rows), np.concatenate(positions)
+    solution = np.linalg.lstsq(matrix, position, rcond=None)[0]
+    error = position - matrix @ solution
+    return solution, float(error @ error)
 
 
 def calibration_line(reading: FloatArray, angle_deg: FloatArray) -> CalibrationLine:

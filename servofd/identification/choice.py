@@ -1,0 +1,177 @@
+"""Which model the data ask for: how many poles, unity gain or not, rate limits, dead band."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servofd.errors import IdentificationError
+from servofd.identification.fit import fit_response
+from servofd.identification.output_error import MotionFit, ServoCandidate, fit_motion
+from servofd.identification.rate import step_slopes
+from servofd.identification.shape import HIGHEST_ORDER, LinearServo
+from servofd.servos import second_order
+
+if TYPE_CHECKING:
+    from servofd.identification.frequency_response import FrequencyResponse
+    from servofd.identification.records import Run
+
+__all__ = ["Choice", "choose_linear", "choose_nonlinear", "is_white", "with_unity_gain"]
+
+_WHITE = 1.6
+"""Von Neumann's ratio above which the errors are as good as noise (2 for white noise)."""
+_WORTH = 0.98
+"""An effect must take so much off the root mean square error, beside winning by BIC."""
+_EQUAL_RMS = 1.001
+_BANDWIDTHS_HZ, _DAMPINGS, _DELAYS_S = (2.0, 4.0, 8.0, 16.0), (0.7, 1.6), (0.0, 0.02, 0.05)
+_STARTS = 2
+_DEAD_BAND_SHARE = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """The model that won, and whether one more pole would fit just as well."""
+
+    fit: MotionFit
+    further_pole_is_free: bool = False
+
+
+def is_white(fit: MotionFit) -> bool:
+    """True if what the model leaves is as good as noise.
+
+    Examples
+    --------
+    >>> servo = ServoCandidate(LinearServo((3.4,), 0.004))
+    >>> noise = np.random.default_rng(0).standard_normal(1000)
+    >>> is_white(MotionFit(servo, np.zeros(1), (noise,), np.eye(3)))
+    True
+    """
+    return fit.whiteness > _WHITE
+
+
+def choose_linear(runs: Sequence[Run], response: FrequencyResponse | None, order: int | None) -> Choice:
+    """Fit 1 to 3 poles, or as many as asked for, and take the number with the smallest BIC.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Tests of small motion.
+    response : FrequencyResponse or None
+        Their response within the band; None if they have none, then starts come from a grid.
+    order : int or None
+        Number of poles; None to let the data choose.
+
+    Raises
+    ------
+    IdentificationError
+        If no start leads anywhere.
+    """
+    orders = range(1, HIGHEST_ORDER + 1) if order is None else (order,)
+    fits: dict[int, MotionFit] = {}
+    for n in orders:
+        starts = [fit_response(response, n)] if response is not None else _grid_starts(runs, n)
+        found = [fit_motion(runs, ServoCandidate(start)) for start in starts]
+        fits[n] = min(found, key=lambda fit: fit.rms_deg)
+    best = min(fits, key=lambda n: fits[n].bic)
+    if not np.isfinite(fits[best].rms_deg):
+        raise IdentificationError("no servo model comes near this motion")
+    more = fits.get(best + 1)
+    return Choice(fits[best], more is not None and more.rms_deg > fits[best].rms_deg / _EQUAL_RMS)
+
+
+def with_unity_gain(runs: Sequence[Run], fit: MotionFit) -> MotionFit | None:
+    """The same servo with a dc gain of exactly 1, if the data do not object (smaller BIC); else None.
+
+    Thesis Appendix A does the same ("a0 = b0"): a chirp hardly shows the gain at zero frequency, and its error
+    would spread to bandwidth and poles.
+    """
+    linear = replace(fit.servo.linear, gain=1.0)
+    fixed = fit_motion(runs, replace(fit.servo, linear=linear, fixed_gain=True))
+    return fixed if fixed.bic < fit.bic else None
+
+
+def choose_nonlinear(runs: Sequence[Run], linear: MotionFit, order: int | None) -> MotionFit:
+    """Add rate limits and a dead band as far as they explain what the linear servo does not.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        All tests, large motion among them.
+    linear : MotionFit
+        Linear servo fitted to them.
+    order : int or None
+        Number of poles; None to let the data choose.
+
+    Returns
+    -------
+    MotionFit
+        `linear` itself if nothing is worth adding.
+    """
+    best = linear
+    rate_deg_s = _typical_rate(runs)
+    shapes = [linear.servo.linear, *_grid(order or 2)]
+    limited = [ServoCandidate(replace(s, gain=np.sign(s.gain)), rate_deg_s, rate_deg_s) for s in shapes]
+    best = _better(best, _best_of(runs, limited))
+    width_deg = _DEAD_BAND_SHARE * max(run.span_deg for run in runs)
+    best = _better(best, fit_motion(runs, replace(best.servo, dead_band_deg=width_deg)))
+    if best is linear or order is not None:
+        return best
+    for n in (1, 3):
+        other = fit_motion(runs, replace(best.servo, linear=_reordered(best.servo.linear, n)))
+        if other.bic < best.bic and other.rms_deg < _WORTH * best.rms_deg:
+            best = other
+    return best
+
+
+def _better(old: MotionFit, new: MotionFit) -> MotionFit:
+    return new if new.bic < old.bic and new.rms_deg < _WORTH * old.rms_deg else old
+
+
+def _best_of(runs: Sequence[Run], starts: Sequence[ServoCandidate]) -> MotionFit:
+    """Fit from the few most promising of many starts."""
+    scored = sorted(starts, key=lambda start: _score(runs, start))
+    return min((fit_motion(runs, start) for start in scored[:_STARTS]), key=lambda fit: fit.rms_deg)
+
+
+def _score(runs: Sequence[Run], start: ServoCandidate) -> float:
+    errors = [run.measured_deg - start.simulate(run) for run in runs]
+    return float(sum(error @ error for error in errors))
+
+
+def _grid(order: int) -> list[LinearServo]:
+    second = [
+        LinearServo.of(second_order(2.0 * np.pi * hz, damping), delay_s)
+        for hz, damping, delay_s in itertools.product(_BANDWIDTHS_HZ, _DAMPINGS, _DELAYS_S)
+    ]
+    return [_reordered(servo, order) for servo in second]
+
+
+def _grid_starts(runs: Sequence[Run], order: int) -> list[LinearServo]:
+    starts = sorted(_grid(order), key=lambda linear: _score(runs, ServoCandidate(linear)))
+    return starts[:_STARTS]
+
+
+def _reordered(servo: LinearServo, order: int) -> LinearServo:
+    """A servo of another order with about the same bandwidth."""
+    if servo.order == order:
+        return servo
+    bandwidth = servo.transfer.bandwidth_rad_s
+    shapes = {
+        1: (np.log(bandwidth),),
+        2: (np.log(4.0 * bandwidth**2), np.log(4.0 * bandwidth)),
+        3: (np.log(3.0 * bandwidth), np.log(4.0 * bandwidth**2), np.log(4.0 * bandwidth)),
+    }
+    return LinearServo(tuple(float(v) for v in shapes[order]), servo.delay_s, servo.gain)
+
+
+def _typical_rate(runs: Sequence[Run]) -> float:
+    """Speed of the steps, or else the speed that is hardly ever passed [deg/s]."""
+    slopes = [abs(slope.slope_deg_s) for slope in step_slopes(runs)]
+    if slopes:
+        return float(np.quantile(slopes, 0.75))
+    speeds = [np.abs(np.gradient(run.measured_deg, run.measured_s)) for run in runs]
+    return float(np.quantile(np.concatenate(speeds), 0.95)) or 1.0
