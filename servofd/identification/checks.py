@@ -9,7 +9,7 @@ import numpy as np
 from servofd.errors import IdentificationError
 
 if TYPE_CHECKING:
-    from servofd.identification.records import Run
+    from servofd.identification.records import Run, Uniform
     from servofd.segment import Segment
     from servofd.types import FloatArray
 
@@ -96,17 +96,8 @@ def check_saturation(run: Run, label: str) -> None:
         )
 
 
-def check_order_of_columns(command_deg: FloatArray, measured_deg: FloatArray, sample_time_s: float, label: str) -> None:
+def check_order_of_columns(uniform: Uniform, label: str) -> None:
     """Refuse a position that moves before its command.
-
-    Parameters
-    ----------
-    command_deg, measured_deg : ndarray, shape (n,)
-        On uniform time stamps [deg].
-    sample_time_s : float
-        Their period [s].
-    label : str
-        What to call the record.
 
     Raises
     ------
@@ -115,6 +106,7 @@ def check_order_of_columns(command_deg: FloatArray, measured_deg: FloatArray, sa
     """
     from scipy.signal import correlate, correlation_lags
 
+    command_deg, measured_deg, sample_time_s = uniform.command_deg, uniform.measured_deg, uniform.sample_time_s
     lag = correlation_lags(command_deg.size, command_deg.size)
     near = np.abs(lag) * sample_time_s <= 1.0
     product = correlate(np.diff(measured_deg, prepend=measured_deg[0]), np.diff(command_deg, prepend=command_deg[0]))

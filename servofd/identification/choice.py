@@ -29,15 +29,17 @@ _WORTH = 0.98
 _EQUAL_RMS = 1.001
 _BANDWIDTHS_HZ, _DAMPINGS, _DELAYS_S = (2.0, 4.0, 8.0, 16.0), (0.7, 1.6), (0.0, 0.02, 0.05)
 _STARTS = 2
+_FEW = 8
+"""Simulations of a descent that shall only show whether the start was a good one."""
 _DEAD_BAND_SHARE = 0.02
 
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """The model that won, and whether one more pole would fit just as well."""
+    """The model that won, and the one with one more pole if it fits just as well."""
 
     fit: MotionFit
-    further_pole_is_free: bool = False
+    further: MotionFit | None = None
 
 
 def is_white(fit: MotionFit) -> bool:
@@ -74,13 +76,17 @@ def choose_linear(runs: Sequence[Run], response: FrequencyResponse | None, order
     fits: dict[int, MotionFit] = {}
     for n in orders:
         starts = [fit_response(response, n)] if response is not None else _grid_starts(runs, n)
-        found = [fit_motion(runs, ServoCandidate(start)) for start in starts]
+        few = 30 if response is not None else _FEW
+        found = [fit_motion(runs, ServoCandidate(start), evaluations=few) for start in starts]
         fits[n] = min(found, key=lambda fit: fit.rms_deg)
+        if response is None and is_white(fits[n]):
+            fits[n] = fit_motion(runs, fits[n].servo)
     best = min(fits, key=lambda n: fits[n].bic)
     if not np.isfinite(fits[best].rms_deg):
         raise IdentificationError("no servo model comes near this motion")
     more = fits.get(best + 1)
-    return Choice(fits[best], more is not None and more.rms_deg > fits[best].rms_deg / _EQUAL_RMS)
+    as_good = more is not None and more.rms_deg > fits[best].rms_deg / _EQUAL_RMS
+    return Choice(fits[best], more if as_good else None)
 
 
 def with_unity_gain(runs: Sequence[Run], fit: MotionFit) -> MotionFit | None:
@@ -114,14 +120,17 @@ def choose_nonlinear(runs: Sequence[Run], linear: MotionFit, order: int | None) 
     best = linear
     rate_deg_s = _typical_rate(runs)
     shapes = [linear.servo.linear, *_grid(order or 2)]
-    limited = [ServoCandidate(replace(s, gain=np.sign(s.gain)), rate_deg_s, rate_deg_s) for s in shapes]
+    # Steps in one direction alone cannot show a limit in the other.
+    down_deg_s = None if len({np.sign(slope.travel_deg) for slope in step_slopes(runs)}) == 1 else rate_deg_s
+    limited = [ServoCandidate(replace(s, gain=float(np.sign(s.gain))), rate_deg_s, down_deg_s) for s in shapes]
     best = _better(best, _best_of(runs, limited))
     width_deg = _DEAD_BAND_SHARE * max(run.span_deg for run in runs)
     best = _better(best, fit_motion(runs, replace(best.servo, dead_band_deg=width_deg)))
     if best is linear or order is not None:
         return best
     for n in (1, 3):
-        other = fit_motion(runs, replace(best.servo, linear=_reordered(best.servo.linear, n)))
+        start = replace(best.servo, linear=_reordered(best.servo.linear, n))
+        other = fit_motion(runs, start, evaluations=_FEW)
         if other.bic < best.bic and other.rms_deg < _WORTH * best.rms_deg:
             best = other
     return best
@@ -134,7 +143,8 @@ def _better(old: MotionFit, new: MotionFit) -> MotionFit:
 def _best_of(runs: Sequence[Run], starts: Sequence[ServoCandidate]) -> MotionFit:
     """Fit from the few most promising of many starts."""
     scored = sorted(starts, key=lambda start: _score(runs, start))
-    return min((fit_motion(runs, start) for start in scored[:_STARTS]), key=lambda fit: fit.rms_deg)
+    rough = [fit_motion(runs, start, evaluations=_FEW) for start in scored[:_STARTS]]
+    return fit_motion(runs, min(rough, key=lambda fit: fit.rms_deg).servo)
 
 
 def _score(runs: Sequence[Run], start: ServoCandidate) -> float:

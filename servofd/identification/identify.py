@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 import numpy as np
 
@@ -25,12 +25,15 @@ if TYPE_CHECKING:
 __all__ = ["Method", "identify"]
 
 Method = Literal["response", "magnitude"]
+_T = TypeVar("_T")
 
 _SHORTEST_SWEEP_S = 10.0
 _NARROWEST_SWEEP = 3.0
 """Ratio of the highest to the lowest coherent frequency."""
 _STEPWISE = 0.1
 """A command that changes in fewer of the samples consists of steps."""
+_LEVELS = 10
+"""So does one that has no more levels."""
 _LARGEST_ERROR = 0.3
 """Of the position's own deviation; the worst real servo so far leaves 0.06."""
 _FOLLOWS = 0.7
@@ -94,19 +97,20 @@ def identify(
     _check_follows(free, tests)
     fit, limits = _with_effects(tests, free, order)
     free = fit
-    unity = with_unity_gain(tests.fitted(fit), fit) if fit.servo.linear.gain > 0.0 else None
+    unity = with_unity_gain(tests.fitted(fit), fit) if is_white(fit) and fit.servo.linear.gain > 0.0 else None
     if unity is not None:
         fit = unity
         notes.append("dc gain does not differ from 1 within its interval, and is set to 1 (thesis Appendix A)")
     final = _with_rates(fit, limits, notes)
     parts, offsets = evaluated(tests.runs, final)
-    intervals = intervals_of(free, final, limits)
+    choice = Choice(free, choice.further if free is choice.fit else None)
+    intervals = intervals_of(choice, final, limits)
     result = Identification(
         surface=sets[0][0].surface,
         method="response" if tests.nominal is not None else "motion",
         servo=final,
         intervals=intervals,
-        notes=tuple(notes + notes_on_servo(replace(choice, fit=free), intervals, tests.span_rad_s)),
+        notes=tuple(notes + notes_on_servo(choice, tests.span_rad_s)),
         runs=tests.runs,
         errors_deg=parts,
         offset_deg=float(offsets.mean()),
@@ -188,23 +192,29 @@ def _is_usable(segment: Segment) -> bool:
 
 
 def _check_all(runs: Sequence[Run], uniform: Sequence[Uniform], labels: Sequence[str]) -> None:
-    for run, u, label in zip(runs, uniform, labels, strict=True):
-        if np.ptp(u.command_deg) > 0.0:
-            checks.check_clipping(run, label)
-            checks.check_order_of_columns(u.command_deg, u.measured_deg, u.sample_time_s, label)
-    if not any(_is_stepwise(run) for run in runs):
-        saturated = []
-        for run, label in zip(runs, labels, strict=True):
-            try:
-                checks.check_saturation(run, label)
-            except IdentificationError as error:
-                saturated.append(error)
-        if len(saturated) == len(runs):
-            raise saturated[0]
+    """Refuse what most runs refuse; among many runs a single one may be odd."""
+    moving = [k for k, u in enumerate(uniform) if np.ptp(u.command_deg) > 0.0]
+    smooth = [k for k in moving if not _is_stepwise(runs[k])]
+    _refuse_most([(runs[k], labels[k]) for k in smooth], checks.check_clipping)
+    _refuse_most([(uniform[k], labels[k]) for k in moving], checks.check_order_of_columns)
+    if len(smooth) == len(runs):
+        _refuse_most([(runs[k], labels[k]) for k in smooth], checks.check_saturation)
+
+
+def _refuse_most(tests: Sequence[tuple[_T, str]], check: Callable[[_T, str], None]) -> None:
+    refusals = []
+    for test, label in tests:
+        try:
+            check(test, label)
+        except IdentificationError as error:
+            refusals.append(error)
+    if 2 * len(refusals) > len(tests):
+        raise refusals[0]
 
 
 def _is_stepwise(run: Run) -> bool:
-    return bool(np.count_nonzero(np.diff(run.command_deg)) < _STEPWISE * run.measured_s.size)
+    seldom = np.count_nonzero(np.diff(run.command_deg)) < _STEPWISE * run.measured_s.size
+    return bool(seldom or np.unique(run.command_deg).size <= _LEVELS)
 
 
 def _sweep(run: Run, uniform: Uniform) -> FrequencyResponse | None:

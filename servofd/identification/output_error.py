@@ -163,7 +163,7 @@ class MotionFit:
         return Interval(value, value - _SURE * deviation, value + _SURE * deviation)
 
 
-def fit_motion(runs: Sequence[Run], start: ServoCandidate, *, evaluations: int = 60) -> MotionFit:
+def fit_motion(runs: Sequence[Run], start: ServoCandidate, *, evaluations: int = 30) -> MotionFit:
     """Fit a servo to all runs at once: least squares of measured minus simulated position.
 
     The mean error of each servo is its offset. The covariance takes the memory of the errors into account, so that
@@ -222,7 +222,7 @@ def fit_motion(runs: Sequence[Run], start: ServoCandidate, *, evaluations: int =
         x_scale="jac",
         max_nfev=evaluations,
         xtol=1e-7,
-        ftol=1e-9,
+        ftol=1e-8,
     )
     parts, offsets_deg = errors(found.x)
     return MotionFit(start.with_vector(found.x), offsets_deg, parts, _covariance(found.jac, parts))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -25,20 +25,25 @@ _UNIDENTIFIABLE = 1.0
 _OTHER_BANDWIDTH, _OTHER_DELAY_S = 1.4, 0.02
 """Servos of one kind differ by 10 % in bandwidth and 3 ms in delay; these are of different kinds."""
 _FAR = 1.0
+_COMMON = ("delay_s", "dc_gain", "bandwidth_rad_s", "lag_s", "pole_0_real_rad_s")
+"""What servos of any order have."""
 
 
-def intervals_of(fit: MotionFit, servo: ServoCandidate, limits: RateLimits) -> dict[str, Interval]:
+def intervals_of(choice: Choice, servo: ServoCandidate, limits: RateLimits) -> dict[str, Interval]:
     """95 % intervals of everything that is reported, about the values of `servo`.
+
+    Where one more pole fits as well, nobody knows which model is true: the intervals embrace both.
 
     Parameters
     ----------
-    fit : MotionFit
-        With the dc gain free: what is fixed afterwards makes nothing more certain.
+    choice : Choice
+        Fits with the dc gain free: what is fixed afterwards makes nothing more certain.
     servo : ServoCandidate
         The servo that is reported.
     limits : RateLimits
         From steps.
     """
+    fit = choice.fit
     quantities: dict[str, Callable[[ServoCandidate], float]] = {
         "delay_s": lambda s: s.linear.delay_s,
         "dc_gain": lambda s: s.linear.gain,
@@ -57,22 +62,29 @@ def intervals_of(fit: MotionFit, servo: ServoCandidate, limits: RateLimits) -> d
     found = {}
     for name, quantity in quantities.items():
         interval = fit.interval(quantity)
-        found[name] = replace(interval, value=quantity(servo))
+        if choice.further is not None and name in _COMMON:
+            other = choice.further.interval(quantity)
+            interval = Interval(interval.value, min(interval.low, other.low), max(interval.high, other.high))
+        found[name] = _bounded(interval, quantity(servo), positive="pole" not in name and name != "dc_gain")
     for name, limit in (("rate_up_deg_s", limits.up), ("rate_down_deg_s", limits.down)):
         if limit is not None and name not in found:
             found[name] = limit
     return found
 
 
-def notes_on_servo(choice: Choice, intervals: Mapping[str, Interval], highest_rad_s: float | None) -> list[str]:
+def _bounded(interval: Interval, value: float, *, positive: bool) -> Interval:
+    """The same interval about the value that is reported; what cannot be negative ends at zero."""
+    low, high = min(interval.low, value), max(interval.high, value)
+    return Interval(value, max(0.0, low) if positive else low, high)
+
+
+def notes_on_servo(choice: Choice, highest_rad_s: float | None) -> list[str]:
     """What must be said about the numbers.
 
     Parameters
     ----------
     choice : Choice
         The fit, and whether one more pole would do as well.
-    intervals : Mapping[str, Interval]
-        Of the reported numbers.
     highest_rad_s : float or None
         Highest frequency with coherence [rad/s].
     """
@@ -91,7 +103,7 @@ def notes_on_servo(choice: Choice, intervals: Mapping[str, Interval], highest_ra
     lag = f"total lag {1e3 * linear.lag_s:.2f} ms is"
     if vague:
         notes.append(f"far pole not identifiable ({', '.join(vague)} rad/s is a guess), merged into delay; {lag} well known")
-    elif linear.order == 1 or choice.further_pole_is_free:
+    elif linear.order == 1 or choice.further is not None:
         which = "far pole" if linear.order == 1 else f"a pole beyond these {linear.order}, if there is one, is"
         notes.append(f"{which} not identifiable, merged into delay; {lag} well known")
     bandwidth = linear.transfer.bandwidth_rad_s
