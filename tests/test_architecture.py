@@ -27,7 +27,9 @@ PARTS = {
     "survey": {"errors", "aircraft", "segment", "feedback", "workflow"},
     "detection": {"errors", "types", "models", "servos", "aircraft", "segment"},
     "simulation": {"errors", "types", "models", "calibration", "aircraft", "outputs"},
-    "outputs": {"errors", "types", "detection", "segment"},
+    "identification": {"errors", "types", "models", "servos", "segment"},
+    "bench": {"errors", "types", "aircraft", "segment", "identification", "workflow"},
+    "outputs": {"errors", "types", "detection", "segment", "identification"},
     "workflow": {"errors", "aircraft", "servos", "detection", "feedback"},
     "cli": {
         "errors",
@@ -41,13 +43,20 @@ PARTS = {
         "workflow",
         "feedback",
         "survey",
+        "identification",
+        "bench",
     },
 }
 ONLY_IN = {
     "rerun": {"servofd/outputs/recording.py"},
-    "matplotlib": {"servofd/outputs/figure.py", "servofd/cli/design.py"},
+    "matplotlib": {
+        "servofd/outputs/figure.py",
+        "servofd/outputs/identify_figures.py",
+        "servofd/cli/design.py",
+    },
+    "jinja2": {"servofd/outputs/identify_page.py"},
     "argparse": {
-        f"servofd/cli/{name}.py" for name in ("__init__", "audit", "config", "design", "info", "servos", "simulate")
+        f"servofd/cli/{name}.py" for name in ("__init__", "audit", "config", "design", "identify", "info", "servos", "simulate")
     },
     "numba": {
         "servofd/models/state.py",

@@ -29,8 +29,8 @@ _WORTH = 0.98
 _EQUAL_RMS = 1.001
 _BANDWIDTHS_HZ, _DAMPINGS, _DELAYS_S = (2.0, 4.0, 8.0, 16.0), (0.7, 1.6), (0.0, 0.02, 0.05)
 _STARTS = 2
-_FEW = 8
-"""Simulations of a descent that shall only show whether the start was a good one."""
+_FEW, _MANY = 8, 60
+"""Simulations of a descent that shall only show whether the start was a good one, and of the last one."""
 _DEAD_BAND_SHARE = 0.02
 
 
@@ -126,14 +126,14 @@ def choose_nonlinear(runs: Sequence[Run], linear: MotionFit, order: int | None) 
     best = _better(best, _best_of(runs, limited))
     width_deg = _DEAD_BAND_SHARE * max(run.span_deg for run in runs)
     best = _better(best, fit_motion(runs, replace(best.servo, dead_band_deg=width_deg)))
-    if best is linear or order is not None:
+    if best is linear:
         return best
-    for n in (1, 3):
+    for n in () if order else (1, 3):
         start = replace(best.servo, linear=_reordered(best.servo.linear, n))
         other = fit_motion(runs, start, evaluations=_FEW)
         if other.bic < best.bic and other.rms_deg < _WORTH * best.rms_deg:
             best = other
-    return best
+    return fit_motion(runs, best.servo, evaluations=_MANY)
 
 
 def _better(old: MotionFit, new: MotionFit) -> MotionFit:
