@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,17 +10,16 @@ import numpy as np
 from servofd.errors import IdentificationError
 
 if TYPE_CHECKING:
+    from servofd.identification.output_error import ServoCandidate
     from servofd.identification.records import Run, Uniform
     from servofd.segment import Segment
-    from servofd.types import FloatArray
 
 __all__ = ["check_clipping", "check_order_of_columns", "check_saturation", "check_segment"]
 
 _SLOWEST_HZ, _FASTEST_HZ = 10.0, 20_000.0
 _FEWEST_SAMPLES = 30
 _CLIPPED_SAMPLES, _CLIPPED_COMMAND = 0.05, 0.15
-_CONSTANT_SPEED, _SATURATED_TIME = 0.12, 0.6
-_SPEED_WINDOW_S = 0.03
+_AT_LIMIT, _SATURATED_TIME, _DENSE_S = 0.97, 0.8, 2e-3
 _LEAD_S = 0.01
 
 
@@ -75,24 +75,24 @@ def check_clipping(run: Run, label: str) -> None:
             )
 
 
-def check_saturation(run: Run, label: str) -> None:
-    """Refuse a servo that runs at one speed for most of the time: that is its rate limit, not its dynamics.
+def check_saturation(run: Run, servo: ServoCandidate, label: str) -> None:
+    """Refuse a servo that runs at its rate limit all the time: a triangle shows no dynamics.
 
     Raises
     ------
     IdentificationError
-        If the rate limit governs more than 60 % of the time.
+        If the rate limit governs more than 80 % of the time.
     """
-    speed_deg_s = np.abs(_smooth_speed(run.measured_s, run.measured_deg))
-    fast = speed_deg_s[speed_deg_s > 0.5 * np.quantile(speed_deg_s, 0.95)]
-    if fast.size < 2:
+    if servo.rate_up_deg_s is None:
         return
-    usual = float(np.median(fast))
-    share = float(np.mean(np.abs(speed_deg_s - usual) < _CONSTANT_SPEED * usual))
+    slowest_deg_s = min(servo.rate_up_deg_s, servo.rate_down_deg_s or servo.rate_up_deg_s)
+    dense_s = np.arange(run.measured_s[0], run.measured_s[-1], _DENSE_S)
+    speed_deg_s = np.abs(np.diff(servo.simulate(replace(run, measured_s=dense_s, measured_deg=dense_s)))) / _DENSE_S
+    share = float(np.mean(speed_deg_s > _AT_LIMIT * slowest_deg_s))
     if share > _SATURATED_TIME:
         raise IdentificationError(
-            f"{label}: the servo moves at about {usual:.0f} deg/s for {share:.0%} of the time: saturated at its rate "
-            "limit, which hides its dynamics; use a smaller amplitude"
+            f"{label}: the servo moves at its rate limit of about {slowest_deg_s:.0f} deg/s for {share:.0%} of the time, "
+            "which hides its dynamics; use a smaller amplitude"
         )
 
 
@@ -115,10 +115,3 @@ def check_order_of_columns(uniform: Uniform, label: str) -> None:
         raise IdentificationError(
             f"{label}: the position moves {1e3 * lead_s:.0f} ms before the command: are the two columns swapped?"
         )
-
-
-def _smooth_speed(time_s: FloatArray, position_deg: FloatArray) -> FloatArray:
-    """Differences over about 30 ms, so that noise counts less [deg/s]."""
-    step = max(1, round(_SPEED_WINDOW_S / float(np.median(np.diff(time_s)))))
-    speed: FloatArray = (position_deg[step:] - position_deg[:-step]) / (time_s[step:] - time_s[:-step])
-    return speed

@@ -31,7 +31,8 @@ _BANDWIDTHS_HZ, _DAMPINGS, _DELAYS_S = (2.0, 4.0, 8.0, 16.0), (0.7, 1.6), (0.0, 
 _STARTS = 2
 _FEW, _MANY = 8, 60
 """Simulations of a descent that shall only show whether the start was a good one, and of the last one."""
-_DEAD_BAND_SHARE = 0.02
+_DEAD_BAND_SHARES = (0.02, 0.04)
+"""Of the range of motion, where the search for a dead band begins."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,12 +76,10 @@ def choose_linear(runs: Sequence[Run], response: FrequencyResponse | None, order
     orders = range(1, HIGHEST_ORDER + 1) if order is None else (order,)
     fits: dict[int, MotionFit] = {}
     for n in orders:
-        starts = [fit_response(response, n)] if response is not None else _grid_starts(runs, n)
-        few = 30 if response is not None else _FEW
-        found = [fit_motion(runs, ServoCandidate(start), evaluations=few) for start in starts]
-        fits[n] = min(found, key=lambda fit: fit.rms_deg)
-        if response is None and is_white(fits[n]):
-            fits[n] = fit_motion(runs, fits[n].servo)
+        if response is not None:
+            fits[n] = fit_motion(runs, ServoCandidate(fit_response(response, n)))
+        else:
+            fits[n] = _best_of(runs, [ServoCandidate(start) for start in _grid(n)])
     best = min(fits, key=lambda n: fits[n].bic)
     if not np.isfinite(fits[best].rms_deg):
         raise IdentificationError("no servo model comes near this motion")
@@ -124,16 +123,19 @@ def choose_nonlinear(runs: Sequence[Run], linear: MotionFit, order: int | None) 
     down_deg_s = None if len({np.sign(slope.travel_deg) for slope in step_slopes(runs)}) == 1 else rate_deg_s
     limited = [ServoCandidate(replace(s, gain=float(np.sign(s.gain))), rate_deg_s, down_deg_s) for s in shapes]
     best = _better(best, _best_of(runs, limited))
-    width_deg = _DEAD_BAND_SHARE * max(run.span_deg for run in runs)
-    best = _better(best, fit_motion(runs, replace(best.servo, dead_band_deg=width_deg)))
+    span_deg = max(run.span_deg for run in runs)
+    wide = [replace(s, dead_band_deg=w * span_deg) for s in (best.servo, *limited) for w in _DEAD_BAND_SHARES]
+    best = _better(best, _best_of(runs, wide))
     if best is linear:
         return best
     for n in () if order else (1, 3):
-        start = replace(best.servo, linear=_reordered(best.servo.linear, n))
-        other = fit_motion(runs, start, evaluations=_FEW)
-        if other.bic < best.bic and other.rms_deg < _WORTH * best.rms_deg:
+        shapes = [_reordered(best.servo.linear, n), *(_grid(n) if is_white(best) else ())]
+        other = _best_of(runs, [replace(best.servo, linear=shape) for shape in shapes])
+        if other.bic < best.bic and (is_white(best) or other.rms_deg < _WORTH * best.rms_deg):
             best = other
-    return fit_motion(runs, best.servo, evaluations=_MANY)
+    best = fit_motion(runs, best.servo, evaluations=_MANY)
+    plain = fit_motion(runs, replace(best.servo, rate_up_deg_s=None, rate_down_deg_s=None, dead_band_deg=None))
+    return plain if plain.bic <= best.bic or plain.rms_deg < best.rms_deg / _EQUAL_RMS else best
 
 
 def _better(old: MotionFit, new: MotionFit) -> MotionFit:
@@ -153,16 +155,17 @@ def _score(runs: Sequence[Run], start: ServoCandidate) -> float:
 
 
 def _grid(order: int) -> list[LinearServo]:
-    second = [
-        LinearServo.of(second_order(2.0 * np.pi * hz, damping), delay_s)
-        for hz, damping, delay_s in itertools.product(_BANDWIDTHS_HZ, _DAMPINGS, _DELAYS_S)
-    ]
-    return [_reordered(servo, order) for servo in second]
-
-
-def _grid_starts(runs: Sequence[Run], order: int) -> list[LinearServo]:
-    starts = sorted(_grid(order), key=lambda linear: _score(runs, ServoCandidate(linear)))
-    return starts[:_STARTS]
+    """Servos all over the range of hobby servos."""
+    combinations = itertools.product(_BANDWIDTHS_HZ, _DAMPINGS, _DELAYS_S)
+    if order < 3:
+        second = (LinearServo.of(second_order(2.0 * np.pi * hz, damping), delay) for hz, damping, delay in combinations)
+        return [_reordered(servo, order) for servo in second]
+    shapes = []
+    for hz, damping, delay_s in combinations:
+        # Thesis Eq. 3.1: a real pole at the bandwidth, and a pair 2.5 times as fast.
+        pole, pair = 2.0 * np.pi * hz, 2.5 * 2.0 * np.pi * hz
+        shapes.append(LinearServo((np.log(pole), 2.0 * np.log(pair), np.log(1.4 * damping * pair)), delay_s))
+    return shapes
 
 
 def _reordered(servo: LinearServo, order: int) -> LinearServo:

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from servofd.types import BoolArray, ComplexArray, FloatArray
 
-__all__ = ["FrequencyResponse", "Spread", "average", "estimate", "raw_response"]
+__all__ = ["LAGS_S", "FrequencyResponse", "Spread", "average", "estimate", "raw_response"]
 
 LAGS_S = 4.0
 """Reach of the lag window: 400 lags at 100 Hz. With 100 (thesis Appendix A) poles come out four times as wrong,
@@ -26,6 +26,7 @@ _EXCITED_SHARE = 0.1
 _UPPER_SHARE = 0.8
 """Of the highest excited frequency: the thesis sweeps to 25 Hz and fits to 20 Hz (Appendix A)."""
 _FREQUENCIES = 4096
+_LEAST_POWER = 1e-100
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,7 +135,7 @@ def estimate(
     u, y = command_deg - command_deg.mean(), measured_deg - measured_deg.mean()
     size = 2 * max(_FREQUENCIES, 1 << int(np.ceil(np.log2(2 * reach + 1))))
     spectra = [_spectrum(window * _covariance(a, b, reach), reach, size) for a, b in ((y, u), (u, u), (y, y))]
-    cross, command, position = spectra[0], np.maximum(spectra[1].real, 1e-300), np.maximum(spectra[2].real, 1e-300)
+    cross, command, position = spectra[0], *(np.maximum(s.real, _LEAST_POWER) for s in spectra[1:])
     frequency_rad_s = 2.0 * np.pi * np.arange(size // 2 + 1) / (size * sample_time_s)
     coherence = np.minimum(np.abs(cross) ** 2 / (command * position), 1.0)
     inner = slice(1, -1)
@@ -144,16 +145,17 @@ def estimate(
 
 
 def raw_response(command_deg: FloatArray, measured_deg: FloatArray) -> ComplexArray:
-    """Ratio of the plain Fourier transforms, thesis' "raw" response, shape (n // 2 + 1,).
+    """Ratio of the plain Fourier transforms, thesis' "raw" response, shape (n // 2 + 1,); NaN where nothing was excited.
 
     Examples
     --------
     >>> bool(np.allclose(raw_response(np.array([2.0, 0.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0])), 0.5))
     True
     """
-    command = np.fft.rfft(command_deg)
-    command[np.abs(command) < 1e-12 * np.abs(command).max()] = np.nan
-    ratio: ComplexArray = np.fft.rfft(measured_deg) / command
+    command, measured = np.fft.rfft(command_deg), np.fft.rfft(measured_deg)
+    excited = np.abs(command) > 1e-12 * np.abs(command).max()
+    ratio: ComplexArray = np.full(command.size, np.nan, dtype=complex)
+    ratio[excited] = measured[excited] / command[excited]
     return ratio
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from servofd.errors import IdentificationError
 from servofd.identification import checks
 from servofd.identification.choice import Choice, choose_linear, choose_nonlinear, is_white, with_unity_gain
-from servofd.identification.frequency_response import FrequencyResponse, average, estimate
+from servofd.identification.frequency_response import LAGS_S, FrequencyResponse, average, estimate
 from servofd.identification.magnitude import fit_magnitude
 from servofd.identification.output_error import Interval, MotionFit, ServoCandidate, evaluated, fit_motion
 from servofd.identification.rate import RateLimits, rate_limits
@@ -38,7 +38,8 @@ _LARGEST_ERROR = 0.3
 """Of the position's own deviation; the worst real servo so far leaves 0.06."""
 _FOLLOWS = 0.7
 _SWAPPED_RAD = 0.05
-_MAGNITUDE_ORDER = 3
+_MAGNITUDE_ORDER, _MAGNITUDE_LAGS_S = 3, 1.0
+"""The largest deviation of a wide window would be noise: thesis Appendix A takes 100 lags at 100 Hz."""
 
 
 def identify(
@@ -89,7 +90,8 @@ def identify(
     """
     sets = records if isinstance(records, Sequence) else [[records]]
     names = labels or [segments[0].surface for segments in sets]
-    tests = _Tests.of(sets, names)
+    tests = _Tests.of(sets, names, _MAGNITUDE_LAGS_S if method == "magnitude" else LAGS_S)
+    spread_notes = notes_on_spread(tests.responses, order or _MAGNITUDE_ORDER, tests.swept)
     if method == "magnitude":
         return _by_magnitude(tests, order or _MAGNITUDE_ORDER, sets[0][0].surface)
     choice = choose_linear(tests.small or tests.runs, tests.nominal_in_band, order)
@@ -110,7 +112,7 @@ def identify(
         method="response" if tests.nominal is not None else "motion",
         servo=final,
         intervals=intervals,
-        notes=tuple(notes + notes_on_servo(choice, tests.span_rad_s)),
+        notes=tuple(notes + notes_on_servo(choice, tests.span_rad_s) + list(spread_notes)),
         runs=tests.runs,
         errors_deg=parts,
         offset_deg=float(offsets.mean()),
@@ -120,7 +122,10 @@ def identify(
         band_rad_s=tests.band_rad_s,
     )
     _check_explained(result, tests)
-    return replace(result, notes=result.notes + notes_on_spread(tests.runs, result, names))
+    if not any(_is_stepwise(run) for run in tests.runs):
+        named = [(run, tests.names[run.servo]) for run in tests.runs]
+        _refuse_most(named, lambda run, label: checks.check_saturation(run, final, label))
+    return result
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,9 +140,11 @@ class _Tests:
     nominal: FrequencyResponse | None
     band_rad_s: tuple[float, float] | None
     notes: tuple[str, ...]
+    swept: tuple[str, ...] = ()
+    """Names of the servos that have a response."""
 
     @classmethod
-    def of(cls, sets: Sequence[Sequence[Segment]], names: Sequence[str]) -> _Tests:
+    def of(cls, sets: Sequence[Sequence[Segment]], names: Sequence[str], lags_s: float) -> _Tests:
         runs, labels = [], []
         for servo, (segments, name) in enumerate(zip(sets, names, strict=True)):
             for segment in segments:
@@ -149,7 +156,7 @@ class _Tests:
             raise IdentificationError(f"{names[0]}: no test long enough; a chirp or steps are needed")
         uniform = [longest_uniform(run) for run in runs]
         _check_all(runs, uniform, labels)
-        sweeps = [(run, u, response) for run, u in zip(runs, uniform, strict=True) if (response := _sweep(run, u))]
+        sweeps = [(run, u, response) for run, u in zip(runs, uniform, strict=True) if (response := _sweep(run, u, lags_s))]
         responses = tuple(
             average([response for run, _, response in sweeps if run.servo == servo])[0]
             for servo in sorted({run.servo for run, _, _ in sweeps})
@@ -167,7 +174,8 @@ class _Tests:
         band = nominal.band_rad_s()
         _check_phase(nominal, band, labels[0])
         small = tuple(run for run, _, _ in sweeps)
-        return cls(tuple(names), tuple(runs), small, responses, nominal, band, tuple(notes))
+        swept = tuple(names[servo] for servo in sorted({run.servo for run in small}))
+        return cls(tuple(names), tuple(runs), small, responses, nominal, band, tuple(notes), swept)
 
     @property
     def nominal_in_band(self) -> FrequencyResponse | None:
@@ -195,10 +203,8 @@ def _check_all(runs: Sequence[Run], uniform: Sequence[Uniform], labels: Sequence
     """Refuse what most runs refuse; among many runs a single one may be odd."""
     moving = [k for k, u in enumerate(uniform) if np.ptp(u.command_deg) > 0.0]
     smooth = [k for k in moving if not _is_stepwise(runs[k])]
-    _refuse_most([(runs[k], labels[k]) for k in smooth], checks.check_clipping)
     _refuse_most([(uniform[k], labels[k]) for k in moving], checks.check_order_of_columns)
-    if len(smooth) == len(runs):
-        _refuse_most([(runs[k], labels[k]) for k in smooth], checks.check_saturation)
+    _refuse_most([(runs[k], labels[k]) for k in smooth], checks.check_clipping)
 
 
 def _refuse_most(tests: Sequence[tuple[_T, str]], check: Callable[[_T, str], None]) -> None:
@@ -217,12 +223,13 @@ def _is_stepwise(run: Run) -> bool:
     return bool(seldom or np.unique(run.command_deg).size <= _LEVELS)
 
 
-def _sweep(run: Run, uniform: Uniform) -> FrequencyResponse | None:
+def _sweep(run: Run, uniform: Uniform, lags_s: float) -> FrequencyResponse | None:
     """Frequency response of a run that sweeps far enough; None if it does not."""
     duration_s = uniform.sample_time_s * uniform.command_deg.size
     if duration_s < _SHORTEST_SWEEP_S or np.ptp(uniform.command_deg) == 0.0 or _is_stepwise(run):
         return None
-    response = estimate(uniform.command_deg, uniform.measured_deg, uniform.sample_time_s)
+    lags = min(round(lags_s / uniform.sample_time_s), uniform.command_deg.size // 4)
+    response = estimate(uniform.command_deg, uniform.measured_deg, uniform.sample_time_s, lags)
     band = response.band_rad_s()
     return response if band is not None and band[1] >= _NARROWEST_SWEEP * band[0] else None
 

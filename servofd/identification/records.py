@@ -16,8 +16,9 @@ __all__ = ["Run", "Uniform", "longest_uniform", "prepared"]
 _FAR_AWAY_S = 60.0
 """The servo rests for so long before a run that nothing is left of how it came there."""
 _STEP_SHARE = 0.1
-"""Of the range of a run: a position further from the first command than this was asked for by an earlier one."""
-_GAP_PERIODS = 5.0
+"""Of the range of a run: a position further from the first command than this, apart from the offset of the whole run,
+was asked for by an earlier one."""
+_GAP_PERIODS = 10.0
 _REGULAR = 0.01
 """Of a period: stamps that differ by less are those of a regular clock, rounded."""
 
@@ -73,7 +74,8 @@ def prepared(segment: Segment, servo: int = 0) -> Run:
     measured_s, measured_deg = segment.measured_s[known], segment.measured_deg[known]
     first_deg, rest_deg = float(segment.command_deg[0]), float(np.median(measured_deg[:3]))
     span_deg = max(float(np.ptp(segment.command_deg)), float(np.ptp(measured_deg)))
-    if abs(rest_deg - first_deg) <= _STEP_SHARE * span_deg:
+    offset_deg = float(np.mean(measured_deg) - np.mean(segment.command_deg))
+    if abs(rest_deg - first_deg - offset_deg) <= _STEP_SHARE * span_deg:
         rest_deg = first_deg
     begin_s = min(float(segment.command_s[0]), float(measured_s[0])) - _FAR_AWAY_S
     return Run(

@@ -3,26 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from servofd.errors import IdentificationError
 from servofd.identification.choice import is_white
-from servofd.identification.output_error import Interval, MotionFit, ServoCandidate, fit_motion
+from servofd.identification.fit import fit_response
+from servofd.identification.output_error import Interval, MotionFit, ServoCandidate
 
 if TYPE_CHECKING:
     from servofd.identification.choice import Choice
+    from servofd.identification.frequency_response import FrequencyResponse
     from servofd.identification.rate import RateLimits
-    from servofd.identification.records import Run
-    from servofd.identification.result import Identification
 
 __all__ = ["intervals_of", "notes_on_servo", "notes_on_spread"]
 
 _UNIDENTIFIABLE = 1.0
 """Standard deviation of the logarithm of a pole: a factor of e either way is no knowledge."""
-_OTHER_BANDWIDTH, _OTHER_DELAY_S = 1.4, 0.02
+_OTHER_BANDWIDTH, _OTHER_LAG_S = 1.4, 0.02
 """Servos of one kind differ by 10 % in bandwidth and 3 ms in delay; these are of different kinds."""
 _FAR = 1.0
 _COMMON = ("delay_s", "dc_gain", "bandwidth_rad_s", "lag_s", "pole_0_real_rad_s")
@@ -109,6 +108,8 @@ def notes_on_servo(choice: Choice, highest_rad_s: float | None) -> list[str]:
     bandwidth = linear.transfer.bandwidth_rad_s
     if highest_rad_s is not None and bandwidth > _FAR * highest_rad_s:
         notes.append(f"bandwidth {bandwidth:.4g} rad/s lies beyond the tested {highest_rad_s:.4g} rad/s: extrapolated")
+    if highest_rad_s is None and choice.fit.servo.rate_up_deg_s is not None:
+        notes.append("poles and delay rest on motion at the rate limit alone: a chirp of small amplitude shows them better")
     if linear.delay_s < 1e-6:
         notes.append("delay came out as zero: it is shorter than the data can tell")
     if linear.gain < 0.0:
@@ -116,29 +117,38 @@ def notes_on_servo(choice: Choice, highest_rad_s: float | None) -> list[str]:
     return notes
 
 
-def notes_on_spread(runs: Sequence[Run], result: Identification, names: Sequence[str]) -> tuple[str, ...]:
-    """How far several servos differ, from a fit to each.
+def notes_on_spread(responses: Sequence[FrequencyResponse], order: int, names: Sequence[str]) -> tuple[str, ...]:
+    """How far several servos differ, from a fit to the response of each.
+
+    Parameters
+    ----------
+    responses : sequence of FrequencyResponse
+        Of each servo.
+    order : int
+        Number of poles.
+    names : sequence of str
+        What to call them.
 
     Raises
     ------
     IdentificationError
         If they differ by more than servos of one kind do.
     """
-    servos = sorted({run.servo for run in runs})
-    if len(servos) < 2:
+    bands = [response.band_rad_s() for response in responses]
+    linear = [fit_response(r.within(band), order) for r, band in zip(responses, bands, strict=True) if band]
+    if len(linear) < 2:
         return ()
-    free = replace(result.servo, fixed_gain=False)
-    linear = [fit_motion([replace(r, servo=0) for r in runs if r.servo == k], free).servo.linear for k in servos]
     bandwidths = np.array([one.transfer.bandwidth_rad_s for one in linear])
     delays, gains = np.array([one.delay_s for one in linear]), np.array([one.gain for one in linear])
+    lags = np.array([one.lag_s for one in linear])
     slow, fast = int(np.argmin(bandwidths)), int(np.argmax(bandwidths))
-    if bandwidths[fast] > _OTHER_BANDWIDTH * bandwidths[slow] or np.ptp(delays) > _OTHER_DELAY_S:
+    if bandwidths[fast] > _OTHER_BANDWIDTH * bandwidths[slow] or np.ptp(lags) > _OTHER_LAG_S:
         raise IdentificationError(
             f"these are servos of different kinds: bandwidth {bandwidths[slow]:.4g} rad/s ({names[slow]}) and "
             f"{bandwidths[fast]:.4g} rad/s ({names[fast]}); identify each on its own"
         )
     return (
-        f"{len(servos)} servos: bandwidth {bandwidths[slow]:.4g} to {bandwidths[fast]:.4g} rad/s, delay "
+        f"{len(linear)} servos: bandwidth {bandwidths[slow]:.4g} to {bandwidths[fast]:.4g} rad/s, delay "
         f"{1e3 * delays.min():.2f} to {1e3 * delays.max():.2f} ms, dc gain {gains.min():.4f} to {gains.max():.4f}",
     )
 

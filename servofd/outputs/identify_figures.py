@@ -89,7 +89,6 @@ def _bode(found: Identification) -> Picture:
     stride = max(1, int(np.count_nonzero(chosen)) // _RAW_POINTS)
     w_raw, raw = w_raw[chosen][::stride], raw[chosen][::stride]
     upper.plot(w_raw, _decibels(raw), ".", ms=1.5, color="0.75", label="raw")
-    lower.plot(w_raw, np.degrees(np.angle(raw)), ".", ms=1.5, color="0.75")
     for k, response in enumerate(found.responses):
         style = {"color": _SERVOS[k % len(_SERVOS)], "lw": 1.2, "ls": ":" if len(found.responses) > 1 else "-"}
         label = f"smoothed, servo {k + 1}" if len(found.responses) > 1 else "smoothed"
@@ -97,6 +96,9 @@ def _bode(found: Identification) -> Picture:
         lower.plot(response.frequency_rad_s, np.degrees(response.phase_rad), **style)
     nominal = found.responses[0]
     fit = found.servo.linear.sampled_response(nominal.frequency_rad_s, nominal.sample_time_s)
+    at_raw = found.servo.linear.sampled_response(w_raw, nominal.sample_time_s)
+    near = np.unwrap(np.angle(at_raw)) + np.angle(raw / at_raw)  # on the branch of the fit
+    lower.plot(w_raw, np.degrees(near), ".", ms=1.5, color="0.75", zorder=0)
     upper.plot(nominal.frequency_rad_s, _decibels(fit), color=COLOURS["measured"], lw=2, ls="--", label="fit")
     lower.plot(nominal.frequency_rad_s, np.degrees(np.unwrap(np.angle(fit))), color=COLOURS["measured"], lw=2, ls="--")
     upper.set_ylabel("magnitude [dB]")
