@@ -41,7 +41,9 @@ class BenchTest:
     """Commands as pulses [us], shape (n,), if nobody knows how many degrees one asks for."""
 
 
-def bench_tests(path: str | Path, aircraft: Aircraft | None = None, surface: str | None = None) -> tuple[BenchTest, ...]:
+def bench_tests(
+    path: str | Path, aircraft: Aircraft | None = None, surface: str | None = None
+) -> tuple[BenchTest, ...]:
     """Take the tests of one servo out of a log; several if the file holds several runs.
 
     Parameters
@@ -140,7 +142,9 @@ def _of_surface(log: FlightLog, aircraft: Aircraft, surface: str | None) -> Benc
         name, reason = next(iter(reasons.items()))
         raise NoMeasurement(f"{log.label}: {name}: {reason}")
     if len(segments) > 1:
-        raise ConfigError(f"{log.label}: {len(segments)} servos were measured: choose one of {', '.join(segments)} with -s")
+        raise ConfigError(
+            f"{log.label}: {len(segments)} servos were measured: choose one of {', '.join(segments)} with -s"
+        )
     ((name, segment),) = segments.items()
     entry = aircraft.surfaces[name]
     measured = entry.measured.channel if entry.measured is not None else ""

@@ -56,7 +56,8 @@ ONLY_IN = {
     },
     "jinja2": {"servofd/outputs/identify_page.py"},
     "argparse": {
-        f"servofd/cli/{name}.py" for name in ("__init__", "audit", "config", "design", "identify", "info", "servos", "simulate")
+        f"servofd/cli/{name}.py"
+        for name in ("__init__", "audit", "config", "design", "identify", "info", "servos", "simulate")
     },
     "numba": {
         "servofd/models/state.py",

@@ -26,7 +26,9 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
     )
     parser.add_argument("logs", nargs="+", metavar="LOG", help="FASER .mat, RAPTRS .h5, or a CSV table")
     parser.add_argument("-c", "--config", metavar="AIRCRAFT.toml", help="aircraft file, or the name of a shipped one")
-    parser.add_argument("--servo", metavar="NAME", help="servo to assume for all surfaces: of the library, or FILE.toml")
+    parser.add_argument(
+        "--servo", metavar="NAME", help="servo to assume for all surfaces: of the library, or FILE.toml"
+    )
     parser.add_argument("-s", "--surface", action="append", default=[], metavar="NAME", help="judge only this surface")
     parser.add_argument("--threshold-deg", type=_positive, metavar="X", help="alarm level [deg] (default: 1.5)")
     parser.add_argument("--threshold", choices=["constant", "interval"], default="constant", help="kind of threshold")

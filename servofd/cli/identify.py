@@ -22,7 +22,9 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
         "2: the test does not show what the servo is like.",
         epilog="Example: servofd identify chirp.csv step.csv --save my_servo.toml --html my_servo.html",
     )
-    parser.add_argument("logs", nargs="+", metavar="LOG", help="table, FASER log, or DataFlash log (chirp applet: SCRP)")
+    parser.add_argument(
+        "logs", nargs="+", metavar="LOG", help="table, FASER log, or DataFlash log (chirp applet: SCRP)"
+    )
     parser.add_argument("-s", "--surface", metavar="SURFACE", help="which servo, if the logs hold several")
     parser.add_argument("-c", "--config", metavar="AIRCRAFT.toml", help="aircraft file: columns, calibration")
     parser.add_argument(
@@ -117,7 +119,11 @@ def _text(found: Identification) -> str:
         ("dc gain", f"{linear.gain:.5g}", _interval(found, "dc_gain")),
         ("delay [ms], hold apart", f"{1e3 * linear.delay_s:.3f}", _interval(found, "delay_s", 1e3)),
         ("total lag [ms]", f"{1e3 * linear.lag_s:.2f}", _interval(found, "lag_s", 1e3)),
-        ("bandwidth [rad/s]", f"{bandwidth:.2f} ({bandwidth / 6.283185307:.3f} Hz)", _interval(found, "bandwidth_rad_s")),
+        (
+            "bandwidth [rad/s]",
+            f"{bandwidth:.2f} ({bandwidth / 6.283185307:.3f} Hz)",
+            _interval(found, "bandwidth_rad_s"),
+        ),
     ]
     for way, rate in (("up", servo.rate_up_deg_s), ("down", servo.rate_down_deg_s)):
         if rate is not None:

@@ -124,13 +124,16 @@ def choose_nonlinear(runs: Sequence[Run], linear: MotionFit, order: int | None) 
     limited = [ServoCandidate(replace(s, gain=float(np.sign(s.gain))), rate_deg_s, down_deg_s) for s in shapes]
     best = _better(best, _best_of(runs, limited))
     span_deg = max(run.span_deg for run in runs)
-    wide = [replace(s, dead_band_deg=w * span_deg) for s in (best.servo, *limited) for w in _DEAD_BAND_SHARES]
+    wide = [replace(best.servo, dead_band_deg=share * span_deg) for share in _DEAD_BAND_SHARES]
     best = _better(best, _best_of(runs, wide))
     if best is linear:
         return best
     for n in () if order else (1, 3):
-        shapes = [_reordered(best.servo.linear, n), *(_grid(n) if is_white(best) else ())]
-        other = _best_of(runs, [replace(best.servo, linear=shape) for shape in shapes])
+        start = replace(best.servo, linear=_reordered(best.servo.linear, n))
+        if is_white(best):
+            other = _best_of(runs, [start, *(replace(start, linear=shape) for shape in _grid(n))])
+        else:
+            other = fit_motion(runs, start, evaluations=_FEW)
         if other.bic < best.bic and (is_white(best) or other.rms_deg < _WORTH * best.rms_deg):
             best = other
     best = fit_motion(runs, best.servo, evaluations=_MANY)

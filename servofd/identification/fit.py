@@ -93,8 +93,7 @@ def _starts(response: FrequencyResponse, order: int) -> list[LinearServo]:
         one = start_value(response, 1)
         pole = float(np.exp(one.shape[0]))
         starts += [
-            LinearServo((np.log(far * pole**2), np.log((1.0 + far) * pole)), one.delay_s, one.gain)
-            for far in FAR_POLES
+            LinearServo((np.log(far * pole**2), np.log((1.0 + far) * pole)), one.delay_s, one.gain) for far in FAR_POLES
         ]
     return starts
 

@@ -156,7 +156,9 @@ class _Tests:
             raise IdentificationError(f"{names[0]}: no test long enough; a chirp or steps are needed")
         uniform = [longest_uniform(run) for run in runs]
         _check_all(runs, uniform, labels)
-        sweeps = [(run, u, response) for run, u in zip(runs, uniform, strict=True) if (response := _sweep(run, u, lags_s))]
+        sweeps = [
+            (run, u, response) for run, u in zip(runs, uniform, strict=True) if (response := _sweep(run, u, lags_s))
+        ]
         responses = tuple(
             average([response for run, _, response in sweeps if run.servo == servo])[0]
             for servo in sorted({run.servo for run, _, _ in sweeps})

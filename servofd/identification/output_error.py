@@ -24,7 +24,7 @@ _SURE = 1.959963984540054
 """Standard deviations of a 95 % interval."""
 _OUT_OF_REACH_DEG = 1e4
 _DEVIATION_LAGS = 20
-_SMOOTH_STEP, _KINKED_STEP = 1e-6, 1e-4
+_SMOOTH_STEP, _KINKED_STEP = 1e-6, 2e-3
 """Of derivatives, in the units of `ServoCandidate.vector`; rate limits and dead bands leave kinks in the motion."""
 
 
@@ -104,9 +104,7 @@ class ServoCandidate:
             for name in ("rate_up_deg_s", "rate_down_deg_s")
             if getattr(self, name) is not None
         }
-        return replace(
-            self, linear=linear, **rates, dead_band_deg=rest[0] if self.dead_band_deg is not None else None
-        )
+        return replace(self, linear=linear, **rates, dead_band_deg=rest[0] if self.dead_band_deg is not None else None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -64,7 +64,8 @@ class Identification:
     def fits_percent(self) -> tuple[float, ...]:
         """Of each run: 100 (1 - |error| / |position about its mean|), MATLAB's fit."""
         return tuple(
-            100.0 * (1.0 - float(np.linalg.norm(e) / max(np.linalg.norm(r.measured_deg - r.measured_deg.mean()), 1e-12)))
+            100.0
+            * (1.0 - float(np.linalg.norm(e) / max(np.linalg.norm(r.measured_deg - r.measured_deg.mean()), 1e-12)))
             for r, e in zip(self.runs, self.errors_deg, strict=True)
         )
 

@@ -101,7 +101,9 @@ def notes_on_servo(choice: Choice, highest_rad_s: float | None) -> list[str]:
     ]
     lag = f"total lag {1e3 * linear.lag_s:.2f} ms is"
     if vague:
-        notes.append(f"far pole not identifiable ({', '.join(vague)} rad/s is a guess), merged into delay; {lag} well known")
+        notes.append(
+            f"far pole not identifiable ({', '.join(vague)} rad/s is a guess), merged into delay; {lag} well known"
+        )
     elif linear.order == 1 or choice.further is not None:
         which = "far pole" if linear.order == 1 else f"a pole beyond these {linear.order}, if there is one, is"
         notes.append(f"{which} not identifiable, merged into delay; {lag} well known")
@@ -109,7 +111,9 @@ def notes_on_servo(choice: Choice, highest_rad_s: float | None) -> list[str]:
     if highest_rad_s is not None and bandwidth > _FAR * highest_rad_s:
         notes.append(f"bandwidth {bandwidth:.4g} rad/s lies beyond the tested {highest_rad_s:.4g} rad/s: extrapolated")
     if highest_rad_s is None and choice.fit.servo.rate_up_deg_s is not None:
-        notes.append("poles and delay rest on motion at the rate limit alone: a chirp of small amplitude shows them better")
+        notes.append(
+            "poles and delay rest on motion at the rate limit alone: a chirp of small amplitude shows them better"
+        )
     if linear.delay_s < 1e-6:
         notes.append("delay came out as zero: it is shorter than the data can tell")
     if linear.gain < 0.0:

@@ -83,7 +83,9 @@ def _bode(found: Identification) -> Picture:
     figure, (upper, lower) = _axes(2, height=6.0)
     run = next(r for r in found.runs if r.command_s.size > 2)
     uniform = longest_uniform(run)
-    raw = raw_response(uniform.command_deg - uniform.command_deg.mean(), uniform.measured_deg - uniform.measured_deg.mean())
+    raw = raw_response(
+        uniform.command_deg - uniform.command_deg.mean(), uniform.measured_deg - uniform.measured_deg.mean()
+    )
     w_raw = 2.0 * np.pi * np.fft.rfftfreq(uniform.command_deg.size, uniform.sample_time_s)
     chosen = (w_raw > 0.0) & np.isfinite(raw)
     stride = max(1, int(np.count_nonzero(chosen)) // _RAW_POINTS)
@@ -185,7 +187,9 @@ def _steps(found: Identification) -> Picture:
     axes.set_xlabel("time [s]")
     axes.set_ylabel("angle [deg]")
     _finish(axes)
-    text = f"A step of {step.travel_deg:.1f} deg runs at {abs(step.slope_deg_s):.0f} deg/s between 20 and 80 % of its way."
+    text = (
+        f"A step of {step.travel_deg:.1f} deg runs at {abs(step.slope_deg_s):.0f} deg/s between 20 and 80 % of its way."
+    )
     return Picture("step", "Step (thesis Fig. 3.3)", text, figure)
 
 

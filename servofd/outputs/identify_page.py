@@ -74,14 +74,18 @@ def identify_page(found: Identification, source: str) -> str:
         {"title": p.title, "text": p.text, "svg": Markup(_inline(p))}  # noqa: S704 - our own figures, no user's text
         for p in identify_figures(found)
     ]
-    return Environment(autoescape=True).from_string(_TEMPLATE).render(
-        surface=found.surface,
-        order=found.servo.linear.order,
-        method=found.method,
-        source=source,
-        rows=_rows(found),
-        notes=found.notes,
-        pictures=pictures,
+    return (
+        Environment(autoescape=True)
+        .from_string(_TEMPLATE)
+        .render(
+            surface=found.surface,
+            order=found.servo.linear.order,
+            method=found.method,
+            source=source,
+            rows=_rows(found),
+            notes=found.notes,
+            pictures=pictures,
+        )
     )
 
 

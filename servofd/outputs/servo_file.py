@@ -72,7 +72,9 @@ def _numbers(values: Sequence[float]) -> str:
 
 
 def _poles(found: Identification) -> str:
-    return ", ".join(f"{p.real:.4g}" + (f" +- {p.imag:.4g}i" if p.imag else "") for p in found.poles_rad_s if p.imag >= 0.0)
+    return ", ".join(
+        f"{p.real:.4g}" + (f" +- {p.imag:.4g}i" if p.imag else "") for p in found.poles_rad_s if p.imag >= 0.0
+    )
 
 
 def _comment(text: str) -> str:
