@@ -163,23 +163,22 @@ def _chirp_script(log: FlightLog) -> BenchTest:
         )
     measured_deg = values[fresh]
     sign = np.sign(np.corrcoef(np.interp(position.time_s[fresh], command.time_s, command.values), measured_deg)[0, 1])
-    slope = float(sign or 1.0) * float(np.std(measured_deg) / max(np.std(command.values), 1e-9))
+    slope = float(sign or 1.0) * float(np.std(measured_deg)) / max(float(np.std(command.values)), 1e-9)
     command_deg = slope * (command.values - float(np.mean(command.values)))
     rate_hz = np.count_nonzero(fresh) / max(log.duration_s, 1e-9)
     return BenchTest(
         Segment(_CHIRP_SURFACE, command.time_s, command_deg, position.time_s[fresh], measured_deg),
-        f"command from {_CHIRP_COMMAND} [us], position from {_CHIRP_POSITION} (ArduPilot actuator_chirp.lua); rows that "
-        f"repeat a position were left out, which leaves {rate_hz:.0f} Hz",
+        f"command from {_CHIRP_COMMAND} [us], position from {_CHIRP_POSITION} (ArduPilot actuator_chirp.lua); rows "
+        f"that repeat a position were left out, which leaves {rate_hz:.0f} Hz",
         pulse_us=command.values,
     )
 
 
 def _slope_deg_per_us(test: BenchTest) -> float:
+    """Degrees per microsecond that the conversion of a test amounts to."""
     if test.pulse_us is None:
         return 1.0
-    return float(np.std(test.segment.command_deg) / max(np.std(test.pulse_us), 1e-9)) * float(
-        np.sign(np.corrcoef(test.segment.command_deg, test.pulse_us)[0, 1])
-    )
+    return float(np.polyfit(test.pulse_us, test.segment.command_deg, 1)[0])
 
 
 def _rescaled(segment: Segment, gain: float, offset_deg: float) -> Segment:

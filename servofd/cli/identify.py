@@ -17,9 +17,9 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
     parser = verbs.add_parser(
         "identify",
         help="identify a servo from bench tests",
-        description="Identifies a servo from chirps, steps or other motion: poles, dc gain, delay, bandwidth, rate limits "
-        "and dead band, with 95 %% intervals. One log for each of several servos of one kind gives their mean. Exit code "
-        "2: the test does not show what the servo is like.",
+        description="Identifies a servo from chirps, steps or other motion: poles, dc gain, delay, bandwidth, rate "
+        "limits and dead band, with 95 %% intervals. Several logs: tests of one servo, or servos of one kind, which "
+        "gives their mean. Exit code 2: the test does not show what the servo is like.",
         epilog="Example: servofd identify chirp.csv step.csv --save my_servo.toml --html my_servo.html",
     )
     parser.add_argument(

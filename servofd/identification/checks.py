@@ -91,8 +91,8 @@ def check_saturation(run: Run, servo: ServoCandidate, label: str) -> None:
     share = float(np.mean(speed_deg_s > _AT_LIMIT * slowest_deg_s))
     if share > _SATURATED_TIME:
         raise IdentificationError(
-            f"{label}: the servo moves at its rate limit of about {slowest_deg_s:.0f} deg/s for {share:.0%} of the time, "
-            "which hides its dynamics; use a smaller amplitude"
+            f"{label}: the servo moves at its rate limit of about {slowest_deg_s:.0f} deg/s for {share:.0%} of the "
+            "time, which hides its dynamics; use a smaller amplitude"
         )
 
 

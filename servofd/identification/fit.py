@@ -43,7 +43,7 @@ def start_value(response: FrequencyResponse, order: int) -> LinearServo:
     w, half = response.frequency_rad_s, 0.5 * response.sample_time_s
     plain = response.response / (np.sinc(w * half / np.pi) * np.exp(-1j * w * half))
     scale = float(np.sqrt(w[0] * w[-1]))
-    s, weight = 1j * w / scale, _weights(response)
+    s, weight = np.asarray(1j * w / scale, dtype=complex), _weights(response)
     best, smallest = None, np.inf
     for delay_s in np.arange(0.0, _LONGEST_DELAY_S, _DELAY_STEP_S):
         denominator, gain, error = _all_pole(s, plain * np.exp(1j * w * delay_s), weight, order)

@@ -136,7 +136,7 @@ def estimate(
     size = 2 * max(_FREQUENCIES, 1 << int(np.ceil(np.log2(2 * reach + 1))))
     spectra = [_spectrum(window * _covariance(a, b, reach), reach, size) for a, b in ((y, u), (u, u), (y, y))]
     cross, command, position = spectra[0], *(np.maximum(s.real, _LEAST_POWER) for s in spectra[1:])
-    frequency_rad_s = 2.0 * np.pi * np.arange(size // 2 + 1) / (size * sample_time_s)
+    frequency_rad_s: FloatArray = np.arange(size // 2 + 1, dtype=float) * (2.0 * np.pi / (size * sample_time_s))
     coherence = np.minimum(np.abs(cross) ** 2 / (command * position), 1.0)
     inner = slice(1, -1)
     return FrequencyResponse(
@@ -145,7 +145,7 @@ def estimate(
 
 
 def raw_response(command_deg: FloatArray, measured_deg: FloatArray) -> ComplexArray:
-    """Ratio of the plain Fourier transforms, thesis' "raw" response, shape (n // 2 + 1,); NaN where nothing was excited.
+    """Ratio of the plain Fourier transforms, the thesis' "raw" response, shape (n // 2 + 1,); NaN where unexcited.
 
     Examples
     --------
@@ -160,7 +160,7 @@ def raw_response(command_deg: FloatArray, measured_deg: FloatArray) -> ComplexAr
 
 
 def average(responses: Sequence[FrequencyResponse]) -> tuple[FrequencyResponse, Spread]:
-    """Average servos of one kind: logarithm of the magnitude and unwrapped phase, weighted by coherence (thesis 3.3).
+    """Average servos of one kind: logarithm of magnitude and unwrapped phase, weighted by coherence (thesis 3.3).
 
     Parameters
     ----------

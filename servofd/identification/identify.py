@@ -254,8 +254,8 @@ def _check_follows(fit: MotionFit, tests: _Tests) -> None:
     runs = tests.fitted(fit)
     if fit.rms_deg > _FOLLOWS * _deviation_deg(runs) and not any(_is_stepwise(run) for run in runs):
         raise IdentificationError(
-            f"{tests.names[0]}: the position does not follow the command: the best servo leaves {fit.rms_deg:.3g} deg rms "
-            f"of a motion of {_deviation_deg(runs):.3g} deg; is this the right position channel, and was it moving?"
+            f"{tests.names[0]}: the position does not follow the command: the best servo leaves {fit.rms_deg:.3g} deg "
+            f"rms of a motion of {_deviation_deg(runs):.3g} deg; is this the right position channel, and was it moving?"
         )
 
 

@@ -72,7 +72,7 @@ def fit_magnitude(response: FrequencyResponse, order: int) -> LinearServo:
     denominator = np.poly(poles).real
     gain = float(1.0 / np.sqrt(polynomial[-1]))
     transfer = TransferFunction((gain * float(denominator[-1]),), tuple(denominator.tolist()))
-    phase_rad = np.unwrap(np.angle(plain / transfer.at(1j * w)))
+    phase_rad = np.unwrap(np.angle(plain / transfer.at(np.asarray(1j * w, dtype=complex))))
     phase_rad -= 2.0 * np.pi * np.round(phase_rad[0] / (2.0 * np.pi))
     return LinearServo.of(transfer, float(-(phase_rad @ w) / (w @ w)))
 

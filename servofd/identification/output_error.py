@@ -99,12 +99,14 @@ class ServoCandidate:
         if not self.fixed_gain:
             gain = float(np.sign(gain) * np.exp(rest.pop(0)))
         linear = LinearServo(tuple(float(v) for v in x[:n]), 1e-3 * float(x[n]), gain)
-        rates = {
-            name: float(np.exp(rest.pop(0)))
-            for name in ("rate_up_deg_s", "rate_down_deg_s")
-            if getattr(self, name) is not None
-        }
-        return replace(self, linear=linear, **rates, dead_band_deg=rest[0] if self.dead_band_deg is not None else None)
+        up, down = self.rate_up_deg_s, self.rate_down_deg_s
+        return replace(
+            self,
+            linear=linear,
+            rate_up_deg_s=None if up is None else float(np.exp(rest.pop(0))),
+            rate_down_deg_s=None if down is None else float(np.exp(rest.pop(0))),
+            dead_band_deg=None if self.dead_band_deg is None else rest[0],
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,8 +129,8 @@ class MotionFit:
     @property
     def bic(self) -> float:
         """Bayesian information criterion: a further parameter must pay for itself."""
-        count = sum(error.size for error in self.errors_deg)
-        parameters = self.covariance.shape[0] + self.offsets_deg.size
+        count = int(np.concatenate(self.errors_deg).size)
+        parameters = int(self.covariance.shape[0] + self.offsets_deg.size)
         return 2.0 * count * float(np.log(max(self.rms_deg, 1e-12))) + parameters * float(np.log(count))
 
     @property
@@ -157,7 +159,8 @@ class MotionFit:
             gradient[k] = (quantity(self.servo.with_vector(x + step)) - quantity(self.servo.with_vector(x - step))) / (
                 2.0 * step[k]
             )
-        deviation = float(np.sqrt(max(gradient @ self.covariance @ gradient, 0.0)))
+        variance = float(gradient @ self.covariance @ gradient)
+        deviation = float(np.sqrt(max(variance, 0.0)))
         return Interval(value, value - _SURE * deviation, value + _SURE * deviation)
 
 
@@ -223,7 +226,9 @@ def fit_motion(runs: Sequence[Run], start: ServoCandidate, *, evaluations: int =
         ftol=1e-8,
     )
     parts, offsets_deg = errors(found.x)
-    return MotionFit(start.with_vector(found.x), offsets_deg, parts, _covariance(found.jac, parts))
+    return MotionFit(
+        start.with_vector(found.x), offsets_deg, parts, _covariance(np.asarray(found.jac, dtype=float), parts)
+    )
 
 
 def evaluated(runs: Sequence[Run], servo: ServoCandidate) -> tuple[tuple[FloatArray, ...], FloatArray]:
@@ -247,7 +252,7 @@ def _covariance(jacobian: FloatArray, errors: Sequence[FloatArray]) -> FloatArra
     every = np.concatenate(errors)
     variance = float(every @ every) / max(every.size - jacobian.shape[1] - 1, 1)
     # A pseudo-inverse that knows no small singular values: what is not identifiable must come out as wide.
-    left, sizes, right = np.linalg.svd(jacobian, full_matrices=False)
+    _, sizes, right = np.linalg.svd(jacobian, full_matrices=False)
     sizes = np.maximum(sizes, 1e-12 * max(sizes[0], 1e-300))
     inverse = (right.T / sizes) @ (right / sizes[:, np.newaxis])
     covariance: FloatArray = inverse * variance * _memory(errors)

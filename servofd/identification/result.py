@@ -63,14 +63,14 @@ class Identification:
     @property
     def fits_percent(self) -> tuple[float, ...]:
         """Of each run: 100 (1 - |error| / |position about its mean|), MATLAB's fit."""
-        return tuple(
-            100.0
-            * (1.0 - float(np.linalg.norm(e) / max(np.linalg.norm(r.measured_deg - r.measured_deg.mean()), 1e-12)))
-            for r, e in zip(self.runs, self.errors_deg, strict=True)
-        )
+        fits = []
+        for run, error in zip(self.runs, self.errors_deg, strict=True):
+            motion = float(np.linalg.norm(run.measured_deg - run.measured_deg.mean()))
+            fits.append(100.0 * (1.0 - float(np.linalg.norm(error)) / max(motion, 1e-12)))
+        return tuple(fits)
 
     def normalized_errors(self) -> tuple[FloatArray, ...]:
-        r"""Of each servo :math:`|G_{sm,i} - G_{fit}| / |G_{fit}|` at the frequencies of `responses` (thesis Eq. 3.2)."""
+        r"""Of each servo, at the frequencies of `responses`: :math:`|G_{sm,i} - G_{fit}| / |G_{fit}|` (Eq. 3.2)."""
         return tuple(
             np.abs(r.response / self.servo.linear.sampled_response(r.frequency_rad_s, r.sample_time_s) - 1.0)
             for r in self.responses

@@ -81,7 +81,7 @@ class LinearServo:
 
     @property
     def lag_s(self) -> float:
-        """Delay and a1/a0 together: how late a slow ramp is followed [s]. Well determined even where its parts are not."""
+        """Delay and a1/a0 together: how late a slow ramp is followed [s]; known even where its parts are not."""
         denominator = self.transfer.denominator
         return self.delay_s + denominator[-2] / denominator[-1]
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -50,9 +51,9 @@ def intervals_of(choice: Choice, servo: ServoCandidate, limits: RateLimits) -> d
         "lag_s": lambda s: s.linear.lag_s,
     }
     for k, pole in enumerate(servo.linear.poles_rad_s):
-        quantities[f"pole_{k}_real_rad_s"] = lambda s, k=k: float(s.linear.poles_rad_s[k].real)
+        quantities[f"pole_{k}_real_rad_s"] = partial(_pole_part, index=k, part="real")
         if pole.imag != 0.0:
-            quantities[f"pole_{k}_imag_rad_s"] = lambda s, k=k: float(s.linear.poles_rad_s[k].imag)
+            quantities[f"pole_{k}_imag_rad_s"] = partial(_pole_part, index=k, part="imag")
     if fit.servo.rate_up_deg_s is not None:
         quantities["rate_up_deg_s"] = lambda s: s.rate_up_deg_s or 0.0
         quantities["rate_down_deg_s"] = lambda s: s.rate_down_deg_s or 0.0
@@ -69,6 +70,10 @@ def intervals_of(choice: Choice, servo: ServoCandidate, limits: RateLimits) -> d
         if limit is not None and name not in found:
             found[name] = limit
     return found
+
+
+def _pole_part(servo: ServoCandidate, index: int, part: Literal["real", "imag"]) -> float:
+    return float(getattr(servo.linear.poles_rad_s[index], part))
 
 
 def _bounded(interval: Interval, value: float, *, positive: bool) -> Interval:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -86,13 +85,17 @@ def _bode(found: Identification) -> Picture:
     raw = raw_response(
         uniform.command_deg - uniform.command_deg.mean(), uniform.measured_deg - uniform.measured_deg.mean()
     )
-    w_raw = 2.0 * np.pi * np.fft.rfftfreq(uniform.command_deg.size, uniform.sample_time_s)
+    w_raw = np.asarray(2.0 * np.pi * np.fft.rfftfreq(uniform.command_deg.size, uniform.sample_time_s), dtype=float)
     chosen = (w_raw > 0.0) & np.isfinite(raw)
     stride = max(1, int(np.count_nonzero(chosen)) // _RAW_POINTS)
     w_raw, raw = w_raw[chosen][::stride], raw[chosen][::stride]
     upper.plot(w_raw, _decibels(raw), ".", ms=1.5, color="0.75", label="raw")
     for k, response in enumerate(found.responses):
-        style = {"color": _SERVOS[k % len(_SERVOS)], "lw": 1.2, "ls": ":" if len(found.responses) > 1 else "-"}
+        style: dict[str, Any] = {
+            "color": _SERVOS[k % len(_SERVOS)],
+            "lw": 1.2,
+            "ls": ":" if len(found.responses) > 1 else "-",
+        }
         label = f"smoothed, servo {k + 1}" if len(found.responses) > 1 else "smoothed"
         upper.plot(response.frequency_rad_s, _decibels(response.response), label=label, **style)
         lower.plot(response.frequency_rad_s, np.degrees(response.phase_rad), **style)
