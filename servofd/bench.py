@@ -110,7 +110,7 @@ def identify_logs(
 
     Examples
     --------
-    >>> found = identify_logs(["sample_logs/faser_healthy_chirp.mat"], surface="rudder")
+    >>> found = identify_logs(["sample_logs/faser_healthy_chirp.mat"], surface="aileron_right")
     >>> abs(found.servo.linear.transfer.bandwidth_rad_s / 28.49 - 1.0) < 0.05
     True
     """

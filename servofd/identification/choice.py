@@ -99,7 +99,7 @@ def with_unity_gain(runs: Sequence[Run], fit: MotionFit) -> MotionFit | None:
     return fixed if fixed.bic < fit.bic else None
 
 
-def choose_nonlinear(runs: Sequence[Run], linear: MotionFit, order: int | None) -> MotionFit:
+def choose_nonlinear(runs: Sequence[Run], linear: MotionFit, order: int | None, *, swept: bool) -> MotionFit:
     """Add rate limits and a dead band as far as they explain what the linear servo does not.
 
     Parameters
@@ -110,6 +110,8 @@ def choose_nonlinear(runs: Sequence[Run], linear: MotionFit, order: int | None) 
         Linear servo fitted to them.
     order : int or None
         Number of poles; None to let the data choose.
+    swept : bool
+        True if `linear` comes from a frequency response: it is a good start then, and few others are tried.
 
     Returns
     -------
@@ -118,11 +120,14 @@ def choose_nonlinear(runs: Sequence[Run], linear: MotionFit, order: int | None) 
     """
     best = linear
     rate_deg_s = _typical_rate(runs)
-    shapes = [linear.servo.linear, *_grid(order or 2)]
+    grid = _grid(order or 2)
+    shapes = [linear.servo.linear, *(grid[:: len(_DELAYS_S) * len(_DAMPINGS)] if swept else grid)]
     # Steps in one direction alone cannot show a limit in the other.
     down_deg_s = None if len({np.sign(slope.travel_deg) for slope in step_slopes(runs)}) == 1 else rate_deg_s
     limited = [ServoCandidate(replace(s, gain=float(np.sign(s.gain))), rate_deg_s, down_deg_s) for s in shapes]
     best = _better(best, _best_of(runs, limited))
+    if is_white(best) and swept:
+        return _without_needless(runs, best)
     span_deg = max(run.span_deg for run in runs)
     wide = [replace(best.servo, dead_band_deg=share * span_deg) for share in _DEAD_BAND_SHARES]
     best = _better(best, _best_of(runs, wide))
@@ -136,9 +141,13 @@ def choose_nonlinear(runs: Sequence[Run], linear: MotionFit, order: int | None) 
             other = fit_motion(runs, start, evaluations=_FEW)
         if other.bic < best.bic and (is_white(best) or other.rms_deg < _WORTH * best.rms_deg):
             best = other
-    best = fit_motion(runs, best.servo, evaluations=_MANY)
-    plain = fit_motion(runs, replace(best.servo, rate_up_deg_s=None, rate_down_deg_s=None, dead_band_deg=None))
-    return plain if plain.bic <= best.bic or plain.rms_deg < best.rms_deg / _EQUAL_RMS else best
+    return _without_needless(runs, fit_motion(runs, best.servo, evaluations=_MANY))
+
+
+def _without_needless(runs: Sequence[Run], fit: MotionFit) -> MotionFit:
+    """The linear servo from here, if it does as well after all: it may have begun in the wrong place."""
+    plain = fit_motion(runs, replace(fit.servo, rate_up_deg_s=None, rate_down_deg_s=None, dead_band_deg=None))
+    return plain if plain.bic <= fit.bic else fit
 
 
 def _better(old: MotionFit, new: MotionFit) -> MotionFit:

@@ -280,7 +280,7 @@ def _with_effects(tests: _Tests, linear: MotionFit, order: int | None) -> tuple[
     everything = linear if len(linear.errors_deg) == len(tests.runs) else fit_motion(tests.runs, linear.servo)
     if is_white(everything):
         return everything, limits
-    fit = choose_nonlinear(tests.runs, everything, order)
+    fit = choose_nonlinear(tests.runs, everything, order, swept=tests.nominal is not None)
     return fit, rate_limits(tests.runs, fit.servo.linear)
 
 

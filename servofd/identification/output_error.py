@@ -222,8 +222,8 @@ def fit_motion(runs: Sequence[Run], start: ServoCandidate, *, evaluations: int =
         bounds=(lower, np.inf),
         x_scale="jac",
         max_nfev=evaluations,
-        xtol=1e-7,
-        ftol=1e-8,
+        xtol=1e-6,
+        ftol=1e-7,
     )
     parts, offsets_deg = errors(found.x)
     return MotionFit(

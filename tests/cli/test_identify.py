@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from logparsers.dataflash.encode import Message, encode
 from servofd.cli import main
+from servofd.models.servo_model import ServoModel
 from servofd.segment import Segment
-from servofd.servos import find_servo
-from tests.parsers.dataflash_writer import DataflashWriter
+from servofd.servos import find_servo, servo_named
 from tests.recovery.bench import step, sweep, written
 
 QUICK = sweep("hs225bb-eq31", duration_s=40.0)
@@ -160,3 +161,78 @@ def test_a_servo_file_that_is_none(
     servo.write_text(text)
     assert main(["audit", str(path), "--servo", str(servo)]) == 2
     assert sentence in capsys.readouterr().err
+
+
+def chirp_applet(*, telemetry: bool = True) -> bytes:
+    """Log of ArduPilot's actuator_chirp.lua: 200 Hz, exponential sweep, position telemetry at 50 Hz."""
+    time_s = np.arange(12000) / 200.0
+    swept = np.expm1(np.log(40.0) * time_s / 60.0) * 60.0 / np.log(40.0)
+    pulse_us = np.floor(1450.0 + 150.0 * np.sin(2.0 * np.pi * 0.5 * swept))
+    deflection_deg = ServoModel.of(servo_named("s3151")).simulate(time_s, 0.1 * (pulse_us - 1500.0), time_s)
+    deflection_deg += 0.05 * np.random.default_rng(0).standard_normal(time_s.size)
+    position_deg = np.repeat(deflection_deg[::4], 4) if telemetry else np.full(time_s.size, -1.0)
+    rows = {
+        "TimeUS": 1_000_000 + np.round(1e6 * time_s).astype(np.int64),
+        "PWM": pulse_us,
+        "Freq": 0.5 * np.exp(np.log(40.0) * time_s / 60.0),
+        "Pos": position_deg,
+    }
+    return encode([Message("SCRP", "Qfff", rows)])
+
+
+def test_the_chirp_applet_of_ardupilot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "chirp.bin"
+    path.write_bytes(chirp_applet())
+    assert main(["identify", str(path), "--json", "-"]) == 0
+    document: dict[str, Any] = json.loads(capsys.readouterr().out)
+    truth = servo_named("s3151")
+    assert document["bandwidth_rad_s"] == pytest.approx(truth.transfer.bandwidth_rad_s, rel=0.02)
+    assert document["delay_s"] == pytest.approx(truth.transport_delay_s, abs=5e-4)
+    assert document["dc_gain"] == pytest.approx(1.0, abs=0.01)
+    notes = " ".join(document["notes"])
+    assert "command from SCRP.PWM [us], position from SCRP.Pos" in notes
+    assert "which leaves 50 Hz" in notes
+    scale = re.search(r"dc gain of 1: ([\d.]+) deg/us", notes)
+    assert scale is not None
+    assert float(scale[1]) == pytest.approx(0.1, rel=0.01)
+
+
+def test_the_chirp_applet_without_telemetry(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "chirp.bin"
+    path.write_bytes(chirp_applet(telemetry=False))
+    assert main(["identify", str(path)]) == 2
+    assert "SCRP holds no position" in capsys.readouterr().err
+
+
+APPENDIX_C = """
+[table]
+columns = ["meas", "pwm", "cmd"]
+sample_rate_hz = 1000.0
+[surfaces.servo]
+command = { channel = "cmd", unit = "us", trim_us = 700.0, slope_deg_per_us = 0.15 }
+measured = { channel = "meas", unit = "count", trim_count = 30000.0, slope_deg_per_count = 0.004 }
+"""
+
+
+def test_the_step_of_appendix_c(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Tab-separated `meas pwm cmd` at 1 kHz without header or time, a step from 500 to 900 us."""
+    time_s = np.arange(3000) / 1000.0
+    command_us = np.where(time_s < 1.0, 500.0, 900.0)
+    deflection_deg = ServoModel.of(servo_named("hs225bb-eq31")).simulate(time_s, 0.15 * (command_us - 700.0), time_s)
+    noise_deg = 0.02 * np.random.default_rng(0).standard_normal(time_s.size)
+    counts = np.round(30000.0 + (deflection_deg + noise_deg) / 0.004).astype(int)
+    rows = [f"{c}\t0\t{u:.2f}" for c, u in zip(counts, command_us, strict=True)]
+    (tmp_path / "step.txt").write_text("\n".join(rows) + "\n")
+    (tmp_path / "bench.toml").write_text(APPENDIX_C)
+    assert main(["identify", str(tmp_path / "step.txt"), "-c", str(tmp_path / "bench.toml"), "--json", "-"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["rate_limit_deg_s"] == pytest.approx(370.0, rel=0.005)
+    assert document["coherence_band_rad_s"] is None
+
+
+def test_a_log_of_several_servos_asks_which(capsys: pytest.CaptureFixture[str]) -> None:
+    path = Path(__file__).parent.parent.parent / "sample_logs" / "faser_healthy_flight.mat"
+    assert main(["identify", str(path)]) == 2
+    assert "choose one of elevator, rudder" in capsys.readouterr().err
+    assert main(["identify", str(path), "-s", "wing"]) == 2
+    assert "unknown surface 'wing'" in capsys.readouterr().err

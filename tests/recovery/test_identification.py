@@ -186,7 +186,10 @@ def test_an_average_of_equal_responses_changes_nothing() -> None:
 
 
 def test_the_sampled_response_is_that_of_the_simulation() -> None:
-    servo = LinearServo.of(HS225.transfer, 0.0137, )
+    servo = LinearServo.of(
+        HS225.transfer,
+        0.0137,
+    )
     time_s = np.arange(4000) / 100.0
     w = 2.0 * np.pi * 3.0
     command_deg = np.sin(w * time_s)
