@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import control
@@ -34,7 +35,7 @@ def main() -> None:
         servo = servo_named(name)
         rows = []
         for seed in range(SEEDS):
-            seconds, found = timed(lambda s=seed: identify(record(name, s)))  # type: ignore[misc]
+            seconds, found = timed(partial(identify, record(name, seed)))
             linear = found.servo.linear
             rows.append(
                 (

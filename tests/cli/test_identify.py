@@ -122,7 +122,7 @@ BAD: dict[str, tuple[Segment, str]] = {
         "which hides its dynamics; use a smaller amplitude",
     ),
     "short": (
-        Segment("x", *(array[:20] for array in (QUICK.command_s, QUICK.command_deg, QUICK.measured_s, NOISE_DEG))),
+        Segment("x", QUICK.command_s[:20], QUICK.command_deg[:20], QUICK.measured_s[:20], NOISE_DEG[:20]),
         "only 20 measured positions",
     ),
 }

@@ -45,10 +45,10 @@ def test_smart_servo_under_gravity() -> None:
 
 
 def test_slew_against_load_of_the_digital_servo() -> None:
-    slopes = defaultdict(list)
+    slopes: defaultdict[float, list[float]] = defaultdict(list)
     for log in logs_of("digital_servo_loads"):
         if np.isfinite(log["cmd"].values).any():
-            slopes[log["load_g"].values[0]] += [s.slope_deg_s for s in step_slopes([prepared(segment(log))])]
+            slopes[float(log["load_g"].values[0])] += [s.slope_deg_s for s in step_slopes([prepared(segment(log))])]
     expected = {0.0: 388.0, 100.0: 367.0, 200.0: 344.0, 300.0: 325.0, 400.0: 303.0}
     for load_g, slope_deg_s in expected.items():
         assert np.mean(slopes[load_g]) == pytest.approx(slope_deg_s, rel=0.02)

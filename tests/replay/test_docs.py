@@ -52,7 +52,14 @@ def test_the_verbs_of_the_readme_run(monkeypatch: pytest.MonkeyPatch, tmp_path: 
     (tmp_path / "sample_logs").symlink_to(ROOT / "sample_logs")
     monkeypatch.chdir(tmp_path)
     commands = [c for c in re.findall(r"\| `servofd (.*?)` \|", README) if not c.startswith("audit")]
-    assert {shlex.split(command)[0] for command in commands} == {"info", "config", "simulate", "servos", "design"}
+    assert {shlex.split(command)[0] for command in commands} == {
+        "info",
+        "config",
+        "identify",
+        "simulate",
+        "servos",
+        "design",
+    }
     for command in commands:
         assert main(shlex.split(command)) == 0
 
@@ -78,6 +85,22 @@ def test_the_thesis_page_is_what_its_script_writes(tmp_path: Path, capsys: pytes
     capsys.readouterr()
     assert (tmp_path / "thesis.md").read_text() == (ROOT / "docs" / "thesis.md").read_text()
     assert {p.name for p in (tmp_path / "images").iterdir()} == {p.name for p in (ROOT / "docs" / "images").iterdir()}
+
+
+def test_the_examples_of_identification_run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    page = (ROOT / "docs" / "identify.md").read_text()
+    (tmp_path / "sample_logs").symlink_to(ROOT / "sample_logs")
+    monkeypatch.chdir(tmp_path)
+    commands = [line.removeprefix("servofd ") for block in blocks(page, "sh") for line in block.splitlines()]
+    assert len(commands) >= 4
+    for command in commands:
+        assert main(shlex.split(command)) == 0, command
+    assert (tmp_path / "my_servo.html").exists()
+    output = io.StringIO()
+    with contextlib.redirect_stdout(output):
+        for code in blocks(page, "python"):
+            exec(compile(code, "identify.md", "exec"), {})  # noqa: S102 - our own page
+    assert output.getvalue().split() == blocks(page, "text")[-1].split()
 
 
 def test_the_aircraft_files_of_the_documentation_are_valid(tmp_path: Path) -> None:
