@@ -113,14 +113,16 @@ def _refine(response: FrequencyResponse, start: LinearServo) -> tuple[LinearServ
         return np.concatenate([ratio.real, ratio.imag])
 
     x0 = np.array([*start.shape, 1e3 * start.delay_s, np.log(abs(start.gain))])
-    lower = np.append(np.full(x0.size, -np.inf), [])
+    lower = np.full(x0.size, -np.inf)
     lower[-2] = 0.0
     x0[-2] = max(x0[-2], 1e-3)
     with np.errstate(all="ignore"):
         if not np.all(np.isfinite(residual(x0))):
             return start, np.inf
         try:
-            found = least_squares(residual, x0, bounds=(lower, np.inf), loss="soft_l1", x_scale=1.0, max_nfev=100)
+            found = least_squares(
+                residual, x0, bounds=(lower, np.inf), loss="soft_l1", ftol=1e-6, xtol=1e-5, max_nfev=50
+            )
         except ValueError:  # a step ran out of the numbers' range
             return start, np.inf
     return servo(found.x), float(found.cost)

@@ -143,6 +143,8 @@ def notes_on_spread(responses: Sequence[FrequencyResponse], order: int, names: S
     IdentificationError
         If they differ by more than servos of one kind do.
     """
+    if len(responses) < 2:
+        return ()
     bands = [response.band_rad_s() for response in responses]
     linear = [fit_response(r.within(band), order) for r, band in zip(responses, bands, strict=True) if band]
     if len(linear) < 2:
