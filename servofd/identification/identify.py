@@ -106,7 +106,7 @@ def identify(
     final = _with_rates(fit, limits, notes)
     parts, offsets = evaluated(tests.runs, final)
     choice = Choice(free, choice.further if free is choice.fit else None)
-    intervals = intervals_of(choice, final, limits)
+    intervals = intervals_of(tests.fitted(free), choice, final, limits)
     result = Identification(
         surface=sets[0][0].surface,
         method="response" if tests.nominal is not None else "motion",

@@ -11,12 +11,14 @@ import numpy as np
 from servofd.errors import IdentificationError
 from servofd.identification.choice import is_white
 from servofd.identification.fit import fit_response
+from servofd.identification.merged import lowest_delay_s
 from servofd.identification.output_error import Interval, MotionFit, ServoCandidate
 
 if TYPE_CHECKING:
     from servofd.identification.choice import Choice
     from servofd.identification.frequency_response import FrequencyResponse
     from servofd.identification.rate import RateLimits
+    from servofd.identification.records import Run
 
 __all__ = ["intervals_of", "notes_on_servo", "notes_on_spread"]
 
@@ -29,13 +31,15 @@ _COMMON = ("delay_s", "dc_gain", "bandwidth_rad_s", "lag_s", "pole_0_real_rad_s"
 """What servos of any order have."""
 
 
-def intervals_of(choice: Choice, servo: ServoCandidate, limits: RateLimits) -> dict[str, Interval]:
+def intervals_of(runs: Sequence[Run], choice: Choice, servo: ServoCandidate, limits: RateLimits) -> dict[str, Interval]:
     """95 % intervals of everything that is reported, about the values of `servo`.
 
     Where one more pole fits as well, nobody knows which model is true: the intervals embrace both.
 
     Parameters
     ----------
+    runs : sequence of Run
+        Tests the choice rests on.
     choice : Choice
         Fits with the dc gain free: what is fixed afterwards makes nothing more certain.
     servo : ServoCandidate
@@ -65,6 +69,10 @@ def intervals_of(choice: Choice, servo: ServoCandidate, limits: RateLimits) -> d
         if choice.further is not None and name in _COMMON:
             other = choice.further.interval(quantity)
             interval = Interval(interval.value, min(interval.low, other.low), max(interval.high, other.high))
+        if choice.further is not None and name == "delay_s":
+            # As much below the smallest delay that a far pole leaves possible.
+            lowest = lowest_delay_s(runs, fit) - (interval.value - interval.low)
+            interval = Interval(interval.value, min(interval.low, lowest), interval.high)
         found[name] = _bounded(interval, quantity(servo), positive="pole" not in name and name != "dc_gain")
     for name, limit in (("rate_up_deg_s", limits.up), ("rate_down_deg_s", limits.down)):
         if limit is not None and name not in found:
