@@ -85,7 +85,7 @@ def choose_linear(runs: Sequence[Run], response: FrequencyResponse | None, order
             fits[n] = fit_motion(runs, ServoCandidate(fit_response(response, n)))
         else:
             fits[n] = _best_of(runs, [ServoCandidate(start) for start in _grid(n)])
-    best = min(fits, key=lambda n: _criterion(fits[n]))
+    best = min(fits, key=lambda n: _criterion(runs, fits[n]))
     if not np.isfinite(fits[best].rms_deg):
         raise IdentificationError("no servo model comes near this motion")
     more = fits.get(best + 1)
@@ -93,11 +93,12 @@ def choose_linear(runs: Sequence[Run], response: FrequencyResponse | None, order
     return Choice(fits[best], more if as_good else None)
 
 
-def _criterion(fit: MotionFit) -> float:
-    """Twice the negative logarithm of the likelihood, and the price of the poles."""
+def _criterion(runs: Sequence[Run], fit: MotionFit) -> float:
+    """BIC with a lower price for the poles; with a dc gain of 1 if that is better, for a free gain hides a pole."""
+    unity = with_unity_gain(runs, fit) if is_white(fit) and fit.servo.linear.gain > 0.0 else None
     count = int(np.concatenate(fit.errors_deg).size)
-    price = min(_CHANCE, float(np.log(count)))
-    return 2.0 * count * float(np.log(max(fit.rms_deg, 1e-12))) + price * fit.servo.linear.order
+    rebate = max(0.0, float(np.log(count)) - _CHANCE) * fit.servo.linear.order
+    return (unity or fit).bic - rebate
 
 
 def with_unity_gain(runs: Sequence[Run], fit: MotionFit) -> MotionFit | None:

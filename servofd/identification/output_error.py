@@ -24,6 +24,8 @@ _SURE = 1.959963984540054
 """Standard deviations of a 95 % interval."""
 _OUT_OF_REACH_DEG = 1e4
 _DEVIATION_LAGS = 20
+_SMALLEST_SHARE, _SMALLEST = 1e-12, 1e-100
+"""Singular values below are as good as zero; the second keeps the inverse within the range of numbers."""
 _SMOOTH_STEP, _KINKED_STEP = 1e-6, 2e-3
 """Of derivatives, in the units of `ServoCandidate.vector`; rate limits and dead bands leave kinks in the motion."""
 
@@ -253,7 +255,7 @@ def _covariance(jacobian: FloatArray, errors: Sequence[FloatArray]) -> FloatArra
     variance = float(every @ every) / max(every.size - jacobian.shape[1] - 1, 1)
     # A pseudo-inverse that knows no small singular values: what is not identifiable must come out as wide.
     _, sizes, right = np.linalg.svd(jacobian, full_matrices=False)
-    sizes = np.maximum(sizes, 1e-12 * max(sizes[0], 1e-300))
+    sizes = np.maximum(sizes, max(_SMALLEST_SHARE * sizes[0], _SMALLEST))
     inverse = (right.T / sizes) @ (right / sizes[:, np.newaxis])
     covariance: FloatArray = inverse * variance * _memory(errors)
     return covariance
