@@ -156,7 +156,8 @@ def suspicion(residuals: Residuals, threshold: Threshold) -> BoolArray:
     drifted = threshold.drift >= _SUSPICIOUS_DRIFT
     if not np.any(excess_deg > 0.0):
         return drifted
-    beyond = np.sign(residuals.residual_deg) * np.maximum(excess_deg, 0.0) / threshold.sigma_deg
+    # Of either sign, so that oscillations add up; less one sigma, so that the sum of noise alone falls.
+    beyond = np.maximum(excess_deg - threshold.sigma_deg, 0.0) / threshold.sigma_deg
     judged = np.where(residuals.settled, beyond, np.nan)
     sums = cusum(judged, threshold.cusum.kappa, residuals.restart != 0)
     return ((sums >= threshold.cusum.limit) & (excess_deg > 0.0)) | drifted

@@ -70,7 +70,7 @@ def test_the_python_of_the_readme_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     output = io.StringIO()
     with contextlib.redirect_stdout(output):
         exec(compile(code, "README.md", "exec"), {})  # noqa: S102 - our own README
-    assert "elevator fault [8.1" in output.getvalue()
+    assert "elevator fault [('stuck', 8.1" in output.getvalue()
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)

@@ -32,6 +32,11 @@ class Estimate(NamedTuple):
         """Estimate with a standard deviation."""
         return cls(value, value - _Z_95 * deviation, value + _Z_95 * deviation)
 
+    @property
+    def deviation(self) -> float:
+        """Standard deviation."""
+        return (self.high - self.low) / (2.0 * _Z_95)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Explanation:

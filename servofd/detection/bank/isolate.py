@@ -116,8 +116,9 @@ def isolate(flight: Flight, episode: Episode) -> tuple[Fault, ...]:
         return (Fault("unknown", episode.start_s, episode.alarm_s, episode.end_s, {}, 0.0, (), episode.level),)
     start_s = episode.start_s
     if onset is not None and naming.best is not None and naming.kind != "healthy":
-        announced = episode.level == "suspect" or episode.suspected_s is not None
-        before_s = _SUSPICION_LASTS_S if announced else BEFORE_S
+        before_s = BEFORE_S if episode.level == "fault" else _SUSPICION_LASTS_S
+        if episode.suspected_s is not None:
+            before_s = _SUSPICION_LASTS_S + max(episode.start_s - episode.suspected_s, 0.0)
         start_s = min(refine_onset_s(flight, naming.best, episode.start_s, window, before_s), episode.alarm_s)
     first = replace(_fault(naming, episode, start_s), first_signs=_first_signs(flight, episode, until_s, onset))
     change = _change(flight, naming.kind, float(window.time_s[-1]), until_s)
