@@ -11,8 +11,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-HERE = Path(__file__).parent
-sys.path[:0] = [str(HERE), str(HERE.parent / "benchmarks")]
+sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).parent))
 
 from detection import calibration, delays, false_alarms, fly, limits, onsets, shares
 from detection_pictures import draw
@@ -31,6 +31,7 @@ from servofd.detection.bank import (
 from servofd.tolerance import Tolerance
 from trial import CONSTANT_DEG, Trial
 
+HERE = Path(__file__).parent
 MEASURED = "## Measured\n"
 
 
