@@ -19,7 +19,17 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
 from detection import NAMES, calibration, delays, false_alarms, fly, limits, onsets, quantile, shares
 from fleet import KINDS, flight
 from servofd.detection import alarm, allowance, threshold
-from servofd.detection.bank import classify, explanation, following, isolate, lost, onset, signature, window
+from servofd.detection.bank import (
+    classify,
+    explanation,
+    following,
+    isolate,
+    lost,
+    onset,
+    oscillation,
+    signature,
+    window,
+)
 from servofd.outputs.figure import COLOURS
 from servofd.tolerance import Tolerance
 from trial import CONSTANT_DEG, Trial, judged
@@ -154,7 +164,7 @@ J is the sum of squared misfits that remains, and the second sum goes into the d
 | healthy | f = ŷ |
 | bias | the same, with a spread of {following._LARGEST_BIAS_DEG:g} deg for the constant; it must be beyond the tolerance |
 | loss_of_effectiveness | the same, with a spread of 1 for the gain, about zero or about another trim; gain between {following._STUCK_GAIN:g} and 1 less its tolerance |
-| oscillation | ŷ, or a constant, and a sine from {following._SLOWEST_HZ:g} Hz on, {following._FEWEST_CYCLES:g} cycles or more |
+| oscillation | ŷ, or a constant, and a sine from {oscillation._SLOWEST_HZ:g} Hz on, {oscillation._FEWEST_CYCLES:g} cycles or more |
 | stuck | a constant where commands have led |
 | hardover | a constant where none has: at a stop, {lost._OUT_OF_REACH_DEG:g} deg beyond the range of ŷ so far, or {lost._UNCOMMANDED_RUN_DEG:g} deg away from where the onset and the command would have left it |
 | floating | cosines of up to {lost._FASTEST_WIND_HZ:g} Hz, whose spread falls with the square of the frequency beyond {lost._WIND_HZ:g} Hz |

@@ -33,7 +33,11 @@ HIDDEN: dict[str, tuple[str, str, dict[str, tuple[float, float]]]] = {
     "faser_bias_flight": ("rudder", "bias", {"bias_deg": (3.0, 0.05)}),
     "faser_hardover_flight": ("elevator", "hardover", {"position_deg": (-20.0, 0.05)}),
     "faser_floating_flight": ("aileron_left", "floating", {}),
-    "faser_oscillation_flight": ("elevator", "oscillation", {"amplitude_deg": (2.0, 0.05), "frequency_hz": (3.0, 0.05)}),
+    "faser_oscillation_flight": (
+        "elevator",
+        "oscillation",
+        {"amplitude_deg": (2.0, 0.05), "frequency_hz": (3.0, 0.05)},
+    ),
     "faser_slow_flight": ("aileron_right", "slow", {"bandwidth_scale": (0.4, 0.02)}),
     "faser_loss_flight": ("rudder", "loss_of_effectiveness", {"gain": (0.4, 0.02)}),
 }
