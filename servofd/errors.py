@@ -6,7 +6,8 @@
     ├── ConfigError       an aircraft or servo file does not say what it must
     ├── UnknownName       a servo, surface, fault or effect that does not exist
     ├── NoMeasurement     nothing in the log tells where a surface was
-    └── DesignError       no filter with the wanted properties exists for this model
+    ├── DesignError       no filter with the wanted properties exists for this model
+    └── IdentificationError   a test does not show what a servo is like
 """
 
 from __future__ import annotations
@@ -14,7 +15,15 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
-__all__ = ["ConfigError", "DesignError", "NoMeasurement", "ServofdError", "UnknownName", "suggest"]
+__all__ = [
+    "ConfigError",
+    "DesignError",
+    "IdentificationError",
+    "NoMeasurement",
+    "ServofdError",
+    "UnknownName",
+    "suggest",
+]
 
 
 class ServofdError(Exception):
@@ -35,6 +44,10 @@ class NoMeasurement(ServofdError):  # noqa: N818
 
 class DesignError(ServofdError):
     """No filter with the wanted properties exists for this model."""
+
+
+class IdentificationError(ServofdError):
+    """A test does not show what a servo is like."""
 
 
 def suggest(kind: str, name: str, known: Iterable[str]) -> str:

@@ -29,7 +29,9 @@ PARTS = {
     "odds": {"errors", "types", "aircraft", "detection"},
     "detection": {"errors", "types", "models", "servos", "aircraft", "segment", "tolerance"},
     "simulation": {"errors", "types", "models", "calibration", "aircraft", "outputs"},
-    "outputs": {"errors", "types", "detection", "segment"},
+    "identification": {"errors", "types", "models", "servos", "segment"},
+    "bench": {"errors", "types", "aircraft", "segment", "identification", "workflow"},
+    "outputs": {"errors", "types", "detection", "segment", "identification"},
     "workflow": {"errors", "aircraft", "servos", "detection", "feedback"},
     "cli": {
         "errors",
@@ -44,14 +46,22 @@ PARTS = {
         "feedback",
         "survey",
         "odds",
+        "identification",
+        "bench",
     },
 }
 ONLY_IN = {
     "rerun": {"servofd/outputs/recording.py"},
-    "matplotlib": {"servofd/outputs/figure.py", "servofd/outputs/odds_figure.py", "servofd/cli/design.py"},
+    "matplotlib": {
+        "servofd/outputs/figure.py",
+        "servofd/outputs/identify_figures.py",
+        "servofd/outputs/odds_figure.py",
+        "servofd/cli/design.py",
+    },
+    "jinja2": {"servofd/outputs/identify_page.py"},
     "argparse": {
         f"servofd/cli/{name}.py"
-        for name in ("__init__", "audit", "config", "design", "info", "odds", "servos", "simulate")
+        for name in ("__init__", "audit", "config", "design", "identify", "info", "odds", "servos", "simulate")
     },
     "numba": {
         "servofd/models/state.py",

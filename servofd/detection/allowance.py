@@ -21,6 +21,8 @@ LARGEST_NOISE = 6.0
 """Gaussian noise in a residual of this colour exceeds 6 standard deviations 7e-4 times an hour."""
 _MEMORY_S, _EVERY_S = 10.0, 0.5
 """How far back a servo's habits are remembered, and how often they are looked at."""
+_TRIFLE = 0.1
+"""Strange habits that leave less than this share of the tolerated bias are of no interest, however sure they are."""
 _ANYTHING = np.array([1.0, 0.1, 1.0, 10.0])
 """Deviations of gain, delay [s], bandwidth and bias [deg] that no fault exceeds by much."""
 
@@ -134,7 +136,7 @@ def follow(
             if abs(residual) <= allowed and unseen < bounds.noise_gain * noise:
                 _learn(work.gram, work.moment, x, residual, 1.0 / (1.0 + step_s / _MEMORY_S))
                 if last_s >= next_s:
-                    power = bounds.colour * (bounds.noise_gain * noise) ** 2
+                    power = bounds.colour * max(bounds.noise_gain * noise, _TRIFLE * bounds.habits[3]) ** 2
                     odds = _explained(work, work.anything, power) - _explained(work, work.healthy, power)
                     next_s = last_s + _EVERY_S
         drift[k] = odds

@@ -40,6 +40,8 @@ ThresholdKind = Literal["constant", "interval"]
 _SMALLEST_NOISE_DEG = 1e-3
 _SAMPLES_FOR_STEP, _FEW_VALUES = 20_000, 0.5
 _AT_LIMIT = 0.98
+_SECOND_ORDER = 1.05
+"""Differences over one sample are that much too small for the fastest motion that a servo follows."""
 _RECENT_COMMANDS = 10
 _SUSPICIOUS_DRIFT = 40.0
 """In 400 flights of 120 s, healthy servos with parameters anywhere within their tolerances reached 22."""
@@ -102,6 +104,7 @@ def interval_threshold(
     --------
     At rest only bias and noise remain; in motion there is more to be wrong:
 
+    >>> from servofd.detection.residual import ResidualGenerator
     >>> from servofd.models.servo_model import ServoModel
     >>> from servofd.segment import Segment
     >>> from servofd.servos import servo_named
@@ -124,7 +127,9 @@ def interval_threshold(
     tolerated, sigma, drift = np.empty(size), np.empty(size), np.zeros(size)
     cusum = design_cusum(_KAPPA, _SUSPICIONS_PER_HOUR, Noise.designed(pulse, 1.0))
     bounds = Bounds(
-        np.array([tolerance.gain, tolerance.delay_s, tolerance.bandwidth, tolerance.bias_deg]),
+        np.array(
+            [tolerance.gain, _SECOND_ORDER * tolerance.delay_s, _slowest(tolerance.bandwidth), tolerance.bias_deg]
+        ),
         tolerance.noise_deg,
         max(_step_deg(residuals.measured_deg) / np.sqrt(12.0), _SMALLEST_NOISE_DEG),
         pulse.noise_gain,
@@ -171,12 +176,18 @@ def _rate_error(generator: ResidualGenerator, segment: Segment, residuals: Resid
     if not np.isfinite(limit_deg_s):
         return np.zeros(0)
     step_s, step_deg = np.diff(residuals.time_s), np.abs(np.diff(residuals.simulated_deg))
-    if not np.any(step_deg >= _AT_LIMIT * limit_deg_s * step_s):
+    # The slower servo runs at its limit before the model does.
+    if not np.any(step_deg >= _AT_LIMIT * (1.0 - share) * limit_deg_s * step_s):
         return np.zeros(0)
     slower = type(generator)(generator.model + RateLimit((1.0 - share) * limit_deg_s), generator.pole_rad_s)
     error_deg = slower.run(segment).simulated_deg - residuals.simulated_deg
     known = np.where(np.isfinite(residuals.measured_deg), error_deg, np.nan)
     return generator.filtered(residuals.time_s, known, residuals.restart)
+
+
+def _slowest(share: float) -> float:
+    """A bandwidth lower by a share lengthens all lags by more than that share."""
+    return share / (1.0 - share)
 
 
 def _step_deg(measured_deg: FloatArray) -> float:

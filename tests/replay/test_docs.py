@@ -56,6 +56,7 @@ def test_the_verbs_of_the_readme_run(monkeypatch: pytest.MonkeyPatch, tmp_path: 
         "info",
         "config",
         "odds",
+        "identify",
         "simulate",
         "servos",
         "design",
@@ -125,6 +126,22 @@ def test_the_pictures_of_detection_are_what_their_script_draws(
     drawn = {p.name for p in (tmp_path / "detection").iterdir()}
     assert drawn == {p.name for p in (ROOT / "docs" / "detection").iterdir()}
     assert drawn == set(re.findall(r"\]\(detection/(.*?)\)", (tmp_path / "detection.md").read_text()))
+
+
+def test_the_examples_of_identification_run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    page = (ROOT / "docs" / "identify.md").read_text()
+    (tmp_path / "sample_logs").symlink_to(ROOT / "sample_logs")
+    monkeypatch.chdir(tmp_path)
+    commands = [line.removeprefix("servofd ") for block in blocks(page, "sh") for line in block.splitlines()]
+    assert len(commands) >= 4
+    for command in commands:
+        assert main(shlex.split(command)) == 0, command
+    assert (tmp_path / "my_servo.html").exists()
+    output = io.StringIO()
+    with contextlib.redirect_stdout(output):
+        for code in blocks(page, "python"):
+            exec(compile(code, "identify.md", "exec"), {})  # noqa: S102 - our own page
+    assert output.getvalue().split() == blocks(page, "text")[-1].split()
 
 
 def test_the_aircraft_files_of_the_documentation_are_valid(tmp_path: Path) -> None:
