@@ -8,6 +8,7 @@ from servofd.aircraft import plain_aircraft
 from servofd.detection.bank.window import Window
 from servofd.detection.judge import Judgement, judge
 from servofd.detection.residual import ResidualGenerator, Residuals, commands_at_servo
+from servofd.detection.threshold import ThresholdKind
 from servofd.models.faults import Fault
 from servofd.segment import Segment
 from servofd.simulation.commands import COMMANDS
@@ -47,8 +48,11 @@ def residuals_of(time_s: FloatArray, command_deg: FloatArray, measured_deg: Floa
     return GENERATOR.run(Segment("x", time_s, command_deg, time_s, measured_deg))
 
 
-def judged(time_s: FloatArray, command_deg: FloatArray, measured_deg: FloatArray) -> Judgement:
-    """Faults of a surface with a constant threshold of 1.5 deg."""
+def judged(
+    time_s: FloatArray, command_deg: FloatArray, measured_deg: FloatArray, threshold: ThresholdKind = "constant"
+) -> Judgement:
+    """Faults of a surface; a constant threshold is at 1.5 deg."""
     segment = Segment("x", time_s, command_deg, time_s, measured_deg)
     generator = ResidualGenerator.fitting(MODEL, segment, None)
-    return judge(generator, segment, generator.run(segment), plain_aircraft(["x"]).surfaces["x"])
+    surface = plain_aircraft(["x"]).surfaces["x"].model_copy(update={"threshold": threshold})
+    return judge(generator, segment, generator.run(segment), surface)
