@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from servofd.aircraft import load_aircraft
+from servofd.tolerance import Tolerance
 from servofd.cli import main
 
 ROOT = Path(__file__).parent.parent.parent
@@ -145,7 +146,7 @@ def test_the_examples_of_identification_run(monkeypatch: pytest.MonkeyPatch, tmp
 
 
 def test_the_aircraft_files_of_the_documentation_are_valid(tmp_path: Path) -> None:
-    first, servo, table, appendix_c = blocks((ROOT / "docs" / "aircraft-file.md").read_text(), "toml")
+    first, limits, servo, table, appendix_c = blocks((ROOT / "docs" / "aircraft-file.md").read_text(), "toml")
     config = tmp_path / "plane.toml"
     config.write_text(first + servo + table)
     aircraft = load_aircraft(config)
@@ -153,6 +154,10 @@ def test_the_aircraft_files_of_the_documentation_are_valid(tmp_path: Path) -> No
     assert aircraft.table is not None
     config.write_text(appendix_c)
     assert load_aircraft(config).table is not None
+    config.write_text(limits)
+    elevator = load_aircraft(config).surfaces["elevator"]
+    assert (elevator.threshold, elevator.persistence) == ("interval", 1)
+    assert elevator.tolerance == Tolerance()
 
 
 def test_the_bench_output_of_appendix_c_is_audited(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
