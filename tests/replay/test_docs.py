@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from servofd.aircraft import load_aircraft
-from servofd.tolerance import Tolerance
 from servofd.cli import main
+from servofd.tolerance import Tolerance
 
 ROOT = Path(__file__).parent.parent.parent
 README = (ROOT / "README.md").read_text()
