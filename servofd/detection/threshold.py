@@ -40,8 +40,6 @@ ThresholdKind = Literal["constant", "interval"]
 _SMALLEST_NOISE_DEG = 1e-3
 _SAMPLES_FOR_STEP, _FEW_VALUES = 20_000, 0.5
 _AT_LIMIT = 0.98
-_SECOND_ORDER = 1.05
-"""Differences over one sample are that much too small for the fastest motion that a servo follows."""
 _RECENT_COMMANDS = 10
 _SUSPICIOUS_DRIFT = 40.0
 """In 400 flights of 120 s, healthy servos with parameters anywhere within their tolerances reached 22."""
@@ -128,7 +126,7 @@ def interval_threshold(
     cusum = design_cusum(_KAPPA, _SUSPICIONS_PER_HOUR, Noise.designed(pulse, 1.0))
     bounds = Bounds(
         np.array(
-            [tolerance.gain, _SECOND_ORDER * tolerance.delay_s, _slowest(tolerance.bandwidth), tolerance.bias_deg]
+            [tolerance.gain, tolerance.delay_s, _slowest(tolerance.bandwidth), tolerance.bias_deg]
         ),
         tolerance.noise_deg,
         max(_step_deg(residuals.measured_deg) / np.sqrt(12.0), _SMALLEST_NOISE_DEG),
