@@ -125,9 +125,7 @@ def interval_threshold(
     tolerated, sigma, drift = np.empty(size), np.empty(size), np.zeros(size)
     cusum = design_cusum(_KAPPA, _SUSPICIONS_PER_HOUR, Noise.designed(pulse, 1.0))
     bounds = Bounds(
-        np.array(
-            [tolerance.gain, tolerance.delay_s, _slowest(tolerance.bandwidth), tolerance.bias_deg]
-        ),
+        np.array([tolerance.gain, tolerance.delay_s, _slowest(tolerance.bandwidth), tolerance.bias_deg]),
         tolerance.noise_deg,
         max(_step_deg(residuals.measured_deg) / np.sqrt(12.0), _SMALLEST_NOISE_DEG),
         pulse.noise_gain,

@@ -14,6 +14,7 @@ import pytest
 
 from servofd.aircraft import load_aircraft
 from servofd.cli import main
+from servofd.tolerance import Tolerance
 
 ROOT = Path(__file__).parent.parent.parent
 README = (ROOT / "README.md").read_text()
@@ -145,10 +146,12 @@ def test_the_examples_of_identification_run(monkeypatch: pytest.MonkeyPatch, tmp
 
 
 def test_the_aircraft_files_of_the_documentation_are_valid(tmp_path: Path) -> None:
-    first, servo, table, appendix_c = blocks((ROOT / "docs" / "aircraft-file.md").read_text(), "toml")
+    first, judging, servo, table, appendix_c = blocks((ROOT / "docs" / "aircraft-file.md").read_text(), "toml")
     config = tmp_path / "plane.toml"
-    config.write_text(first + servo + table)
+    config.write_text(first + judging + servo + table)
     aircraft = load_aircraft(config)
+    elevator = aircraft.surfaces["elevator"]
+    assert (elevator.threshold, elevator.persistence, elevator.tolerances) == ("interval", 1, Tolerance())
     assert aircraft.servos["my-servo"].delay_s == 0.012
     assert aircraft.table is not None
     config.write_text(appendix_c)
