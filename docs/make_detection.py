@@ -121,7 +121,7 @@ to the residual by the terms x = [r0, dr0/dt, sum_i ..., 1] of D2, once with wha
 S being the long-run factor; what is beyond all tolerance, or rests on lost commands, teaches no habits.
 H >= {threshold._SUSPICIOUS_DRIFT:g} means that gain, delay, bandwidth or bias is not that of a healthy servo. Both raise a *suspicion*, which ends when
 none was raised for {alarm._SUSPICION_LASTS_S:g} s. It goes through the bank like an alarm; under an interval threshold it becomes a fault if the
-bank is sure of its name (P >= {isolate.SURE:g}), with the suspicion as its alarm, else the surface is *suspect*. Rough models (drafts with a
+bank is sure of its name (P >= {confirm.SURE:g}), with the suspicion as its alarm, else the surface is *suspect*. Rough models (drafts with a
 wider threshold and no tolerances of their own) raise none.
 """
 
@@ -174,7 +174,7 @@ after Schwarz; smaller is better. The probability of hypothesis i, all being equ
     P_i = exp(-B_i/2) / sum_j exp(-B_j/2).                                                            (D10)
 
 **How long to look.** Windows begin {isolate._SETTLING_S:g} s after the onset and last {", ".join(f"{length_s:g}" for length_s in isolate._WINDOWS_S)} s; the first in which a hypothesis has
-P >= {isolate.SURE:g} *and* the healthy deflection covers {isolate._ENOUGH_MOTION_DEG:g} deg decides. **Not enough motion**: a jam and a dead band, a bias and a jam,
+P >= {confirm.SURE:g} *and* the healthy deflection covers {isolate._ENOUGH_MOTION_DEG:g} deg decides. **Not enough motion**: a jam and a dead band, a bias and a jam,
 differ only in motion. If no window has enough of it the longest decides, with the probability that it gives, and names the
 alternatives of {classify._WORTH_MENTIONING:.0%} and more; below {isolate._LIKELY:g} the name is `unknown` and all that can be said is "at fault, with too little
 motion to tell which". If the winner is *healthy*, the tolerances of a working servo explain the alarm: it is acquitted
