@@ -19,6 +19,7 @@ from detection_pictures import draw
 from servofd.detection import alarm, allowance, threshold
 from servofd.detection.bank import (
     classify,
+    confirm,
     explanation,
     following,
     isolate,
