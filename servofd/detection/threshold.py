@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numba import njit
 
+from servofd.aircraft import DEFAULT_SIGMAS
 from servofd.types import BoolArray, ComplexArray, FloatArray
 
 if TYPE_CHECKING:
@@ -37,8 +38,6 @@ __all__ = ["Threshold", "ThresholdKind", "constant_threshold", "interval_thresho
 ThresholdKind = Literal["constant", "interval"]
 
 _PEAK_HOLD_S = 0.15
-_SIGMAS = 6.0
-"""Gaussian noise in a residual of this colour exceeds 6 standard deviations 7e-4 times an hour."""
 _NOISE_SAMPLES = 200
 _FASTEST_NOISE_CHANGE, _SLOWEST_NOISE_CHANGE = 0.2, 0.004
 _MAD_TO_SIGMA = 1.4826
@@ -77,7 +76,11 @@ def constant_threshold(interval: Threshold, level_deg: float) -> Threshold:
 
 
 def interval_threshold(
-    generator: ResidualGenerator, segment: Segment, residuals: Residuals, tolerance: Tolerance
+    generator: ResidualGenerator,
+    segment: Segment,
+    residuals: Residuals,
+    tolerance: Tolerance,
+    sigmas: float = DEFAULT_SIGMAS,
 ) -> Threshold:
     """Largest residual that a healthy servo may have under the commands that it gets.
 
@@ -91,6 +94,8 @@ def interval_threshold(
         Of the segment.
     tolerance : Tolerance
         How far a healthy servo may differ from the model.
+    sigmas : float
+        Standard deviations of noise in the threshold.
 
     Returns
     -------
@@ -136,7 +141,7 @@ def interval_threshold(
         sigma,
     )
     cusum = design_cusum(_KAPPA, _SUSPICIONS_PER_HOUR, Noise.designed(pulse, 1.0))
-    return Threshold("interval", tolerated + _SIGMAS * sigma, tolerated, sigma, cusum)
+    return Threshold("interval", tolerated + sigmas * sigma, tolerated, sigma, cusum)
 
 
 def suspicion(residuals: Residuals, threshold: Threshold) -> BoolArray:

@@ -1,0 +1,80 @@
+"""How far a healthy servo strays from its own mean: tolerances from the stretches of good flights."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servofd.calibrating.stretches import NUISANCES
+from servofd.tolerance import Tolerance
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from servofd.calibrating.stretches import Stretch
+    from servofd.types import FloatArray
+
+__all__ = ["FLOORS", "spread", "tolerance_from"]
+
+FLOORS = Tolerance(gain=0.01, delay_s=0.001, bandwidth=0.033, rate=0.05, bias_deg=0.1, noise_deg=0.02)
+"""A third of what a fleet of servos strays (the default `Tolerance`); half of it for the rate, which follows the supply.
+One servo strays less than a fleet, but a flight or two do not show all temperatures, supply voltages and airloads."""
+_MAD_TO_SIGMA = 1.4826
+_BEYOND = 1e-3
+"""Chance that one more stretch strays beyond a tolerance, on either side, if strays are Gaussian."""
+_NOISE_MARGIN = 1.2
+_LARGEST = {"gain": 0.3, "delay_s": 0.05, "bandwidth": 0.6, "bias_deg": 1e3}
+
+
+def spread(stretches: Sequence[Stretch]) -> FloatArray:
+    """Standard deviation of each nuisance over stretches, what noise causes taken out; shape (4,).
+
+    The median absolute deviation: some faulty stretches do not widen it.
+    """
+    deviation = np.array([s.deviation for s in stretches])
+    doubt = np.array([s.doubt for s in stretches])
+    mad = _MAD_TO_SIGMA * np.median(np.abs(deviation - np.median(deviation, axis=0)), axis=0)
+    result: FloatArray = np.sqrt(np.maximum(mad**2 - np.median(doubt, axis=0) ** 2, 0.0))
+    return result
+
+
+def tolerance_from(
+    stretches: Sequence[Stretch], half_widths: Mapping[str, float], prior: Tolerance, noise_deg: float
+) -> Tolerance:
+    """Tolerances that one more stretch of the same servo will keep, as far as these tell.
+
+    Parameters
+    ----------
+    stretches : sequence of Stretch
+        At least one.
+    half_widths : mapping of nuisance to float
+        Half the 95 % interval of what was fitted; "rate" too if the rate limit was. What is missing was kept from the
+        aircraft file, along with its tolerance.
+    prior : Tolerance
+        Of the aircraft file.
+    noise_deg : float
+        Standard deviation of the position measurement [deg].
+
+    Returns
+    -------
+    Tolerance
+        Spread times Student's factor for one more draw, plus the doubt of the fit; never below `FLOORS`.
+
+    Notes
+    -----
+    With n stretches of spread s, one more lies within :math:`t_{n-1} s \\sqrt{1 + 1/n}` of their mean. For fewer than
+    five stretches the factor of five is used (8.6 at one in a thousand): below that it says nothing but "unknown".
+    """
+    from scipy.stats import t
+
+    count = max(len(stretches), 5)
+    factor = float(t.isf(_BEYOND / 2.0, count - 1)) * np.sqrt(1.0 + 1.0 / count)
+    strays = dict(zip(NUISANCES, (factor * spread(stretches)).tolist(), strict=True)) if stretches else {}
+    values = {}
+    for name in NUISANCES:
+        kept = 0.0 if name in half_widths else getattr(prior, name)
+        wanted = max(getattr(FLOORS, name), kept, strays.get(name, 0.0)) + half_widths.get(name, 0.0)
+        values[name] = min(wanted, max(_LARGEST[name], kept))
+    rate = FLOORS.rate + half_widths["rate"] if "rate" in half_widths else prior.rate
+    return Tolerance(**values, rate=min(rate, 0.9), noise_deg=max(FLOORS.noise_deg, _NOISE_MARGIN * noise_deg))
