@@ -85,11 +85,11 @@ def busiest(flight: Flight, most_samples: int) -> Flight:
 
 
 def _smoothed(command_deg: FloatArray, period_s: float) -> FloatArray:
-    """What a servo with a bandwidth of 2 Hz would make of a command: the fast end of a chirp moves no servo."""
+    """What a slow servo, two lags at 2 Hz, would make of a command: the fast end of a chirp moves no servo."""
     from scipy.signal import lfilter
 
     kept = float(np.exp(-_SLOW_RAD_S * period_s))
-    smooth_deg: FloatArray = lfilter([1.0 - kept], [1.0, -kept], command_deg - command_deg[0])
+    smooth_deg: FloatArray = lfilter([(1.0 - kept) ** 2], [1.0, -2.0 * kept, kept**2], command_deg - command_deg[0])
     return smooth_deg
 
 

@@ -20,7 +20,7 @@ __all__ = ["FLOORS", "spread", "tolerance_from"]
 FLOORS = Tolerance(gain=0.01, delay_s=0.001, bandwidth=0.033, rate=0.05, bias_deg=0.1, noise_deg=0.02)
 """A third of what a fleet of servos strays (the default `Tolerance`); half of it for the rate, which follows the supply.
 One servo strays less than a fleet, but a flight or two do not show all temperatures, supply voltages and airloads."""
-_MAD_TO_SIGMA = 1.4826
+_CHI2_MEDIAN = 0.4549
 _BEYOND = 1e-3
 """Chance that one more stretch strays beyond a tolerance, on either side, if strays are Gaussian."""
 _NOISE_MARGIN = 1.2
@@ -28,15 +28,28 @@ _LARGEST = {"gain": 0.3, "delay_s": 0.05, "bandwidth": 0.6, "bias_deg": 1e3}
 
 
 def spread(stretches: Sequence[Stretch]) -> FloatArray:
-    """Standard deviation of each nuisance over stretches, what noise causes taken out; shape (4,).
+    r"""Standard deviation of each nuisance over stretches, what noise causes taken out; shape (4,).
 
-    The median absolute deviation: some faulty stretches do not widen it.
+    A stretch that tells little of a nuisance has little say; some faulty stretches do not widen it.
+
+    Notes
+    -----
+    With deviations :math:`d_i` known to :math:`s_i` the spread :math:`\tau` is where the median of
+    :math:`d_i^2 / (\tau^2 + s_i^2)` is that of a chi-squared variable of one degree, 0.455; zero if noise explains all.
     """
     deviation = np.array([s.deviation for s in stretches])
     doubt = np.array([s.doubt for s in stretches])
-    mad = _MAD_TO_SIGMA * np.median(np.abs(deviation - np.median(deviation, axis=0)), axis=0)
-    result: FloatArray = np.sqrt(np.maximum(mad**2 - np.median(doubt, axis=0) ** 2, 0.0))
-    return result
+    return np.array([_spread_of(d, s) for d, s in zip(deviation.T, doubt.T, strict=True)])
+
+
+def _spread_of(deviation: FloatArray, doubt: FloatArray) -> float:
+    from scipy.optimize import brentq
+
+    def excess(tau: float) -> float:
+        return float(np.median(deviation**2 / (tau**2 + doubt**2 + 1e-18))) - _CHI2_MEDIAN
+
+    most = 2.0 * float(np.max(np.abs(deviation))) + 1e-9
+    return 0.0 if excess(0.0) <= 0.0 else float(brentq(excess, 0.0, most))
 
 
 def tolerance_from(
