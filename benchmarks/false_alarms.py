@@ -31,6 +31,8 @@ THREADS = 2
 
 
 class Outcome(NamedTuple):
+    """One threshold, what was predicted for it, and what happened."""
+
     what: str
     threshold_deg: float
     predicted_per_hour: float
@@ -39,14 +41,17 @@ class Outcome(NamedTuple):
 
     @property
     def observed_per_hour(self) -> float:
+        """Alarms per simulated hour."""
         return self.alarms / self.hours
 
     @property
     def standard_error_per_hour(self) -> float:
+        """Of the observed rate: alarms are rare and independent."""
         return float(np.sqrt(max(self.alarms, 1))) / self.hours
 
     @property
     def ratio(self) -> float:
+        """Observed over predicted."""
         return self.observed_per_hour / self.predicted_per_hour
 
 
@@ -57,7 +62,8 @@ def gaussian(rng: np.random.Generator, size: int) -> FloatArray:
 def student(rng: np.random.Generator, size: int) -> FloatArray:
     """Heavy-tailed noise of the same standard deviation."""
     unit = rng.standard_normal(size) / np.sqrt(rng.standard_gamma(DEGREES_OF_FREEDOM / 2.0, size))
-    return NOISE_DEG * np.sqrt((DEGREES_OF_FREEDOM - 2.0) / 2.0) * unit
+    scaled: FloatArray = NOISE_DEG * np.sqrt((DEGREES_OF_FREEDOM - 2.0) / 2.0) * unit
+    return scaled
 
 
 def hour_of_residual(

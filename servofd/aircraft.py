@@ -102,6 +102,11 @@ class Surface(_Entry):
         """
         return self.tolerance or Tolerance().scaled(max(1.0, self.threshold_deg / DEFAULT_THRESHOLD_DEG))
 
+    @property
+    def tells_small_faults(self) -> bool:
+        """Whether the model is known well enough for suspicions below the threshold: drafted thresholds are not."""
+        return self.tolerance is not None or self.threshold_deg <= DEFAULT_THRESHOLD_DEG
+
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         for key in ("command_saturation_deg", "position_limit_deg"):

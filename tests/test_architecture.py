@@ -25,6 +25,7 @@ PARTS = {
     "segment": {"errors", "types", "aircraft", "frozen"},
     "feedback": {"errors", "types", "aircraft", "servos", "models", "segment", "detection"},
     "survey": {"errors", "aircraft", "segment", "feedback", "workflow"},
+    "odds": {"errors", "types", "aircraft", "detection"},
     "detection": {"errors", "types", "models", "servos", "aircraft", "segment"},
     "simulation": {"errors", "types", "models", "calibration", "aircraft", "outputs"},
     "outputs": {"errors", "types", "detection", "segment"},
@@ -41,13 +42,15 @@ PARTS = {
         "workflow",
         "feedback",
         "survey",
+        "odds",
     },
 }
 ONLY_IN = {
     "rerun": {"servofd/outputs/recording.py"},
-    "matplotlib": {"servofd/outputs/figure.py", "servofd/cli/design.py"},
+    "matplotlib": {"servofd/outputs/figure.py", "servofd/outputs/odds_figure.py", "servofd/cli/design.py"},
     "argparse": {
-        f"servofd/cli/{name}.py" for name in ("__init__", "audit", "config", "design", "info", "servos", "simulate")
+        f"servofd/cli/{name}.py"
+        for name in ("__init__", "audit", "config", "design", "info", "odds", "servos", "simulate")
     },
     "numba": {
         "servofd/models/state.py",

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.calibrating.spread import spread
+from servofd.calibrating.stretches import telling
 from servofd.detection.judge import judge
 from servofd.detection.words import describe
 
@@ -68,7 +69,7 @@ def problem(
     for label, fault in faults:
         if fault.kind in _ALWAYS_FAULTY and fault.probability >= _SURE:
             return f"{label}: {describe(fault)}"
-    odd = _gross(stretches)
+    odd = _gross(telling(stretches))
     if odd is None:
         odd = _loud(flights, stretches, terms, tolerance, sigmas)
     if odd is None:

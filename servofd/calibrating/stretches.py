@@ -12,23 +12,26 @@ from servofd.detection.bank.window import Window
 from servofd.detection.residual import ResidualGenerator, commands_at_servo
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from servofd.calibrating.flights import Flight
     from servofd.detection.residual import Residuals
     from servofd.models.servo_model import ServoModel
     from servofd.tolerance import Tolerance
     from servofd.types import FloatArray
 
-__all__ = ["NUISANCES", "Flown", "Stretch", "flown", "stretches_of"]
+__all__ = ["NUISANCES", "Flown", "Stretch", "flown", "stretches_of", "telling"]
 
 NUISANCES = ("gain", "delay_s", "bandwidth", "bias_deg")
 
-_WIDE = np.array([0.5, 0.05, 0.5, 10.0])
+_WIDE = np.array([0.2, 0.02, 0.3, 10.0])
 """Prior standard deviations of `NUISANCES`: wide, they only keep what a stretch does not excite from running away."""
 _SHORTEST_S, _LONGEST_S, _WANTED = 3.0, 20.0, 8
 _FORGOTTEN_S = 1.0
 _FEWEST_SAMPLES = 30
 _MOTION_NOISES = 10.0
 """Less motion than ten times the noise tells nothing of gain, delay and bandwidth."""
+_TELLING = 0.25
 _SIGMA_95 = 1.96
 
 
@@ -53,8 +56,6 @@ class Stretch:
     """Standard deviation of that."""
     motion_deg: float
     """How far the fitted servo moves, from end to end [deg]."""
-    peak_deg: float
-    """Largest residual [deg]."""
 
 
 def flown(flight: Flight, model: ServoModel, pole_rad_s: float | None) -> Flown:
@@ -99,16 +100,21 @@ def stretches_of(what: Flown, tolerance: Tolerance, noise_deg: float) -> list[St
             continue
         window = Window.of(what.generator.model, tolerance, noise_deg, residuals, commands, span)
         if window.motion_deg > _MOTION_NOISES * noise_deg:
-            found.append(_fitted(what, window, span))
+            found.append(_fitted(what, window))
     return found
 
 
-def _fitted(what: Flown, window: Window, span: slice) -> Stretch:
+def telling(stretches: Sequence[Stretch]) -> list[Stretch]:
+    """Stretches that move about as much as the others; what hardly moves differs for other reasons than the servo."""
+    most_deg = max((s.motion_deg for s in stretches), default=0.0)
+    return [s for s in stretches if s.motion_deg >= _TELLING * most_deg]
+
+
+def _fitted(what: Flown, window: Window) -> Stretch:
     ridge = Ridge(window.nuisances, _WIDE, window.noise_deg)
     error_deg = window.error_deg
     fit = ridge.fit(error_deg)
     estimates = [ridge.estimate(fit, error_deg, k) for k in range(len(NUISANCES))]
-    judged = what.residuals.settled[span]
     return Stretch(
         what.flight.label,
         float(window.time_s[0]),
@@ -116,5 +122,4 @@ def _fitted(what: Flown, window: Window, span: slice) -> Stretch:
         np.array([e.value for e in estimates]),
         np.array([(e.high - e.low) / (2.0 * _SIGMA_95) for e in estimates]),
         window.motion_deg,
-        float(np.max(np.abs(what.residuals.residual_deg[span][judged]))),
     )

@@ -13,7 +13,7 @@ from servofd.calibrating.result import Before, CalibratedSurface, FlightRecord
 from servofd.calibrating.servo import FlownServo
 from servofd.calibrating.sound import problem
 from servofd.calibrating.spread import tolerance_from
-from servofd.calibrating.stretches import flown, stretches_of
+from servofd.calibrating.stretches import flown, stretches_of, telling
 from servofd.errors import CalibrationError
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def calibrate_surface(
     stretches = [s for run in runs for s in stretches_of(run, surface.tolerances, fit.noise_deg)]
     if not stretches:
         raise CalibrationError(f"{name}: no stretch of 3 s in which the surface moves: fly, or move the sticks, for longer")
-    tolerance = tolerance_from(stretches, _half_widths(fit), surface.tolerances, fit.noise_deg)
+    tolerance = tolerance_from(telling(stretches), _half_widths(fit), surface.tolerances, fit.noise_deg)
     sigmas = sigmas_for(rate_per_hour, runs[0])
     terms = terms_of(runs, tolerance)
     wrong = problem(runs, stretches, terms, tolerance, sigmas, surface)
@@ -101,7 +101,7 @@ def calibrate_surface(
         levels,
         _before(flights, aircraft),
         tuple(FlightRecord(flight.label, flight.segment.duration_s) for flight in flights),
-        len(stretches),
+        len(telling(stretches)),
         _notes(fit, prior),
     )
 

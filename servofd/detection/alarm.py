@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -24,6 +24,8 @@ _TRAVEL_TO_CLEAR = 20.0
 _ONSET_SIGMAS = 4.5
 _QUIET_BEFORE_ONSET_S = 0.5
 _SAMPLES_FOR_NOISE = 100
+_SUSPICION_LASTS_S = 10.0
+"""The cumulative sum and the habits look back about that far."""
 _MAD_TO_SIGMA = 1.4826
 
 
@@ -34,31 +36,38 @@ class Episode:
     Parameters
     ----------
     start_s : float
-        First estimate of when it began to show [s]: the residual leaves its noise and does not come back.
+        First estimate of when it began to show [s]: the residual leaves its noise and does not come back. Of a
+        suspicion, when it was raised.
     alarm_s : float
         First instant at which |residual| >= threshold (thesis Eq. 4.12) for as many samples as asked for, or of a
-        suspicion, at which the cumulative sum reaches its limit [s]; uses no later sample.
+        suspicion, when it was raised [s]; uses no later sample.
     end_s : float or None
         When it was last seen [s]; None if it lasts to the end of the log.
     level : {"suspect", "fault"}
-        Whether the threshold was crossed, or only the limit of the cumulative sum.
+        Whether the threshold was crossed.
+    suspected_s : float or None
+        When a suspicion came before the alarm of a fault [s].
     """
 
     start_s: float
     alarm_s: float
     end_s: float | None
     level: Level = "fault"
+    suspected_s: float | None = None
 
 
 def find_episodes(
     residuals: Residuals, threshold: Threshold, *, persistence: int = 1, suspicion: BoolArray | None = None
 ) -> tuple[Episode, ...]:
-    """Group threshold crossings into faults.
+    """Group threshold crossings into faults, and what lies between them into suspicions.
 
     The alarm latches. It clears only on evidence: |residual| stayed below half the threshold during manoeuvres in
     which that of an immobile surface would have made large moves (beyond a zone of twice the threshold, 20
     thresholds of travel in all). A stuck servo between two manoeuvres is quiet without being well, and stays
     one fault; so does one that is commanded faster than the filter can see.
+
+    Suspicions remember: they end when none was raised for 10 s, and what is raised within 10 s after a fault is an
+    echo of that.
 
     Parameters
     ----------
@@ -69,23 +78,43 @@ def find_episodes(
     persistence : int
         How many judged samples in a row, all on one side, make an alarm.
     suspicion : ndarray of bool, shape (n,), optional
-        Where a cumulative sum is beyond its limit.
+        Where something too small for the threshold has lasted too long.
 
     Returns
     -------
     tuple of Episode
         In order of time.
     """
+    noticeable = np.abs(residuals.residual_deg) >= _QUIET_SHARE * threshold.level_deg
+    if not np.any(residuals.settled & (noticeable if suspicion is None else noticeable | suspicion)):
+        return ()
     judged = np.flatnonzero(residuals.settled)
+    time_s = residuals.time_s[judged]
+    faults = _faults(residuals, threshold, judged, persistence)
+    if suspicion is None:
+        return faults
+    suspected = _suspected(time_s, time_s[suspicion[judged] & ~_echoes(time_s, faults)])
+    raised = [_with_suspicion(fault, suspected) for fault in faults]
+    alone = (s for s in suspected if not any(_announces(s, fault) for fault in faults))
+    return tuple(sorted([*raised, *alone], key=lambda episode: episode.start_s))
+
+
+def _echoes(time_s: FloatArray, faults: tuple[Episode, ...]) -> BoolArray:
+    """Instants during a fault and shortly after it, when suspicion is no news."""
+    echo = np.zeros(time_s.size, dtype=bool)
+    for fault in faults:
+        after_s = np.inf if fault.end_s is None else fault.end_s + _SUSPICION_LASTS_S
+        echo |= (time_s >= fault.alarm_s) & (time_s <= after_s)
+    return echo
+
+
+def _faults(residuals: Residuals, threshold: Threshold, judged: IntArray, persistence: int) -> tuple[Episode, ...]:
     size_deg = np.abs(residuals.residual_deg[judged])
     level_deg, time_s = threshold.level_deg[judged], residuals.time_s[judged]
     alarms = crossings(residuals.residual_deg[judged], level_deg, persistence)
-    suspects = np.zeros(judged.size, dtype=bool)
-    if suspicion is not None:
-        suspects = suspicion[judged] & (size_deg > threshold.tolerance_deg[judged])
-    loud = np.flatnonzero((size_deg >= _QUIET_SHARE * level_deg) | suspects)
-    if loud.size == 0 or not (alarms.any() or suspects.any()):
+    if not alarms.any():
         return ()
+    loud = np.flatnonzero(size_deg >= _QUIET_SHARE * level_deg)
     typical_deg = threshold.typical_deg
     travel_deg = _large_travel(residuals.immobile_deg[judged], typical_deg)
     enough_deg = _TRAVEL_TO_CLEAR * typical_deg
@@ -95,14 +124,43 @@ def find_episodes(
     episodes = []
     for first, end in itertools.pairwise(bounds):
         group = loud[first:end]
-        raised, level = _raised(group, alarms, suspects)
-        if raised is not None:
+        raised = group[alarms[group]]
+        if raised.size:
+            alarm = int(raised[0])
             cleared = quiet_deg[end - 1] >= enough_deg
             earliest = int(loud[first - 1]) + 1 if first else 0
-            onset = _onset(time_s, size_deg, threshold.tolerance_deg[judged], earliest, raised)
+            onset = _onset(time_s, size_deg, threshold.tolerance_deg[judged], earliest, alarm)
             end_s = float(time_s[group[-1]]) if cleared else None
-            episodes.append(Episode(float(time_s[onset]), float(time_s[raised]), end_s, level))
+            episodes.append(Episode(float(time_s[onset]), float(time_s[alarm]), end_s))
     return tuple(episodes)
+
+
+def _suspected(time_s: FloatArray, raised_s: FloatArray) -> list[Episode]:
+    """Stretches of suspicion."""
+    if raised_s.size == 0:
+        return []
+    stretches = np.split(raised_s, np.flatnonzero(np.diff(raised_s) > _SUSPICION_LASTS_S) + 1)
+    return [
+        Episode(
+            float(stretch[0]),
+            float(stretch[0]),
+            float(stretch[-1]) if time_s[-1] - stretch[-1] > _SUSPICION_LASTS_S else None,
+            "suspect",
+        )
+        for stretch in stretches
+    ]
+
+
+def _announces(suspect: Episode, fault: Episode) -> bool:
+    """Whether a suspicion came shortly before an alarm."""
+    ends_s = np.inf if suspect.end_s is None else suspect.end_s
+    return bool(suspect.start_s < fault.alarm_s and ends_s + _SUSPICION_LASTS_S >= fault.start_s)
+
+
+def _with_suspicion(fault: Episode, suspected: list[Episode]) -> Episode:
+    """A fault with the suspicion that announced it."""
+    before = [s.alarm_s for s in suspected if _announces(s, fault)]
+    return replace(fault, suspected_s=before[-1]) if before else fault
 
 
 def crossings(residual_deg: FloatArray, level_deg: FloatArray, persistence: int = 1) -> BoolArray:
@@ -120,16 +178,6 @@ def crossings(residual_deg: FloatArray, level_deg: FloatArray, persistence: int 
     return np.concatenate([np.zeros(persistence - 1, dtype=bool), runs])
 
 
-def _raised(group: IntArray, alarms: BoolArray, suspects: BoolArray) -> tuple[int | None, Level]:
-    """First alarm of a group; without one, the first suspicion."""
-    levels: tuple[tuple[BoolArray, Level], ...] = ((alarms, "fault"), (suspects, "suspect"))
-    for flags, level in levels:
-        raised = group[flags[group]]
-        if raised.size:
-            return int(raised[0]), level
-    return None, "suspect"
-
-
 def _large_travel(immobile_deg: FloatArray, threshold_deg: float) -> FloatArray:
     """Path that the residual of an immobile surface covers beyond a zone of twice the threshold [deg]."""
     coarse = play(immobile_deg, 2.0 * threshold_deg, float(immobile_deg[0]))
@@ -137,9 +185,7 @@ def _large_travel(immobile_deg: FloatArray, threshold_deg: float) -> FloatArray:
     return travel
 
 
-def _onset(
-    time_s: FloatArray, size_deg: FloatArray, tolerance_deg: FloatArray, earliest: int, alarm: int
-) -> int:
+def _onset(time_s: FloatArray, size_deg: FloatArray, tolerance_deg: FloatArray, earliest: int, alarm: int) -> int:
     """First sample beyond noise and tolerance after the last quiet half second before the alarm."""
     before = size_deg[earliest:alarm]
     level_deg = tolerance_deg[earliest : alarm + 1]

@@ -138,7 +138,9 @@ def audit_log(
     def one(name: str) -> SurfaceAudit:
         surface = aircraft.surfaces[name]
         if threshold_deg is not None:
-            surface = surface.model_copy(update={"threshold_deg": threshold_deg, "threshold": "constant"})
+            known = surface.tolerances if surface.tells_small_faults else None
+            change = {"threshold_deg": threshold_deg, "threshold": "constant", "tolerance": known}
+            surface = surface.model_copy(update=change)
         if threshold is not None:
             surface = surface.model_copy(update={"threshold": threshold})
         verdict = _audit_surface(log, aircraft, name, surface)
@@ -190,8 +192,8 @@ def _audit_surface(log: FlightLog, aircraft: Aircraft, name: str, surface: Surfa
     )
     problem = wiring_problem(residuals) if faults or suspicions else ""
     if problem:
-        return verdict(status="unknown", reason=problem)
-    status, reason_text = _verdict(residuals, statistics, faults, suspicions, threshold)
+        faults = suspicions = ()
+    status, reason_text = _verdict(residuals, statistics, faults, suspicions, threshold, problem)
     judged_share = judged_s / max(log.duration_s, 1e-9)
     if judged_share < _MOST_OF_THE_LOG:
         reason_text += f"; judged for {judged_share:.0%} of the log"
@@ -243,7 +245,10 @@ def _verdict(
     faults: tuple[Fault, ...],
     suspicions: tuple[Fault, ...],
     threshold: Threshold,
+    problem: str,
 ) -> tuple[Status, str]:
+    if problem:
+        return "unknown", problem
     if faults:
         found = "; then ".join(describe(fault) for fault in faults)
         return "fault", f"servo or its feedback: {found}"

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from servofd.detection.probability import (
     CusumDesign,
     Noise,
@@ -174,9 +172,7 @@ def _operating(
     detection = detect(response_deg, threshold_deg, noise)
     return Operating(
         threshold_deg=threshold_deg,
-        gaussian_per_hour=false_alarms_per_hour(
-            margin_deg, noise.sigma_deg, noise.correlation, noise.sample_time_s
-        ),
+        gaussian_per_hour=false_alarms_per_hour(margin_deg, noise.sigma_deg, noise.correlation, noise.sample_time_s),
         tail_per_hour=tail.false_alarms_per_hour(threshold_deg) if tail else None,
         in_a_row_per_hour={
             n: persistent_false_alarms_per_hour(threshold_deg, noise, n) for n in IN_A_ROW if n <= noise.order

@@ -157,9 +157,7 @@ class ResidualGenerator:
         from servofd.models.kernel import new_memory, observe
 
         longest_gap_s = self.longest_gap_s(segment)
-        starts = find_starts(
-            segment, longest_gap_s, self.blanking_s, _rhythm(segment.command_s).longest_s
-        )
+        starts = find_starts(segment, longest_gap_s, self.blanking_s, _rhythm(segment.command_s).longest_s)
         commands = commands_at_servo(segment, self.model.plan.delay_s, longest_gap_s)
         servo, residual_filter = self.model.parameters(), self.filter_parameters()
         simulated, residual = np.empty(starts.restart.size), np.empty(starts.restart.size)

@@ -8,12 +8,13 @@ off by :math:`\delta_k, \delta_\tau, \delta_\omega` leaves to first order
 
 for poles :math:`-a_i`. The interval threshold bounds each term by its tolerance times the recent peak of its signal:
 
-.. math:: \tau(t) = b + z \sigma_r + |\delta_k| [r_0] + |\delta_\tau| [\dot r_0] + |\delta_\omega| [\sum \dots] + [r_{sat}]
+.. math:: \tau(t) = b + z \sigma_r
+          + |\delta_k| [r_0] + |\delta_\tau| [\dot r_0] + |\delta_\omega| [\sum \dots] + [r_{sat}]
 
 where :math:`[\cdot]` is a peak hold that decays within 0.15 s, and :math:`r_{sat}` what a servo leaves whose rate limit
-is off by its tolerance, while it runs at it. A command that was lost from the log, and put back on a straight line, adds
-what half the recent curvature of the command would cause if it lasted one sample: at most :math:`0.224 |p| T` of it passes
-the filter's four or so lags (the peak of :math:`p\,(pt)^3 e^{-pt}/6`).
+is off by its tolerance, while it runs at it. A command that was lost from the log, and put back on a straight line,
+adds what half the recent curvature of the command would cause if it lasted one sample: at most :math:`0.224 |p| T` of
+it passes the filter's four or so lags (the peak of :math:`p\,(pt)^3 e^{-pt}/6`).
 """
 
 from __future__ import annotations
@@ -22,28 +23,27 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numba import njit
 
 from servofd.aircraft import DEFAULT_SIGMAS
-from servofd.types import BoolArray, ComplexArray, FloatArray
+from servofd.detection.allowance import Bounds, Signals, follow, new_work
 
 if TYPE_CHECKING:
     from servofd.detection.probability import CusumDesign
     from servofd.detection.residual import ResidualGenerator, Residuals
     from servofd.segment import Segment
     from servofd.tolerance import Tolerance
+    from servofd.types import BoolArray, FloatArray
 
 __all__ = ["Threshold", "ThresholdKind", "constant_threshold", "interval_threshold", "suspicion"]
 
 ThresholdKind = Literal["constant", "interval"]
 
-_PEAK_HOLD_S = 0.15
-_NOISE_SAMPLES = 200
-_FASTEST_NOISE_CHANGE, _SLOWEST_NOISE_CHANGE = 0.2, 0.004
-_MAD_TO_SIGMA = 1.4826
 _SMALLEST_NOISE_DEG = 1e-3
+_SAMPLES_FOR_STEP, _FEW_VALUES = 20_000, 0.5
 _AT_LIMIT = 0.98
 _RECENT_COMMANDS = 10
+_SUSPICIOUS_DRIFT = 40.0
+"""In 400 flights of 120 s, healthy servos with parameters anywhere within their tolerances reached 22."""
 _PEAK_OF_LAGS = 0.224
 _KAPPA = 0.5
 _SUSPICIONS_PER_HOUR = 1e-3
@@ -62,6 +62,9 @@ class Threshold:
     """Standard deviation of the residual from noise, as known at each instant, of shape (n,)."""
     cusum: CusumDesign
     """Cumulative sum of what exceeds the tolerance."""
+    drift: FloatArray
+    """How much better gain, delay, bandwidth and bias beyond their tolerances explain the residual of the last ten
+    seconds than those within, as twice a logarithm of odds, of shape (n,)."""
 
     @property
     def typical_deg(self) -> float:
@@ -72,7 +75,7 @@ class Threshold:
 def constant_threshold(interval: Threshold, level_deg: float) -> Threshold:
     """The same level all the time; what is tolerance remains known."""
     level = np.full(interval.level_deg.size, level_deg)
-    return Threshold("constant", level, interval.tolerance_deg, interval.sigma_deg, interval.cusum)
+    return Threshold("constant", level, interval.tolerance_deg, interval.sigma_deg, interval.cusum, interval.drift)
 
 
 def interval_threshold(
@@ -125,42 +128,54 @@ def interval_threshold(
 
     pulse = design_pulse_filter(generator.model.transfer, 0.0, segment.period_s, generator.pole_rad_s)
     size = residuals.time_s.size
-    tolerated, sigma = np.empty(size), np.empty(size)
-    saturated_deg = _rate_error(generator, segment, residuals, tolerance.rate)
-    _follow(
+    tolerated, sigma, drift = np.empty(size), np.empty(size), np.zeros(size)
+    cusum = design_cusum(_KAPPA, _SUSPICIONS_PER_HOUR, Noise.designed(pulse, 1.0))
+    bounds = Bounds(
+        np.array([tolerance.gain, tolerance.delay_s, tolerance.bandwidth, tolerance.bias_deg]),
+        tolerance.noise_deg,
+        max(_step_deg(residuals.measured_deg) / np.sqrt(12.0), _SMALLEST_NOISE_DEG),
+        pulse.noise_gain,
+        cusum.factor,
+    )
+    signals = Signals(
         residuals.time_s,
         residuals.immobile_deg,
         residuals.error_deg,
+        np.where(residuals.settled, residuals.residual_deg, np.nan),
         residuals.restart != 0,
-        saturated_deg,
+        _rate_error(generator, segment, residuals, tolerance.rate),
         _unseen(segment, generator, residuals.time_s),
-        generator.model.parameters().decay_rad_s,
-        np.array([tolerance.gain, tolerance.delay_s, tolerance.bandwidth, tolerance.bias_deg, tolerance.noise_deg]),
-        pulse.noise_gain,
-        tolerated,
-        sigma,
     )
-    cusum = design_cusum(_KAPPA, _SUSPICIONS_PER_HOUR, Noise.designed(pulse, 1.0))
-    return Threshold("interval", tolerated + sigmas * sigma, tolerated, sigma, cusum)
+    decay_rad_s = generator.model.parameters().decay_rad_s
+    follow(signals, bounds, new_work(bounds, decay_rad_s.size), decay_rad_s, tolerated, sigma, drift)
+    return Threshold("interval", tolerated + sigmas * sigma, tolerated, sigma, cusum, drift)
 
 
 def suspicion(residuals: Residuals, threshold: Threshold) -> BoolArray:
-    """Samples, of shape (n,), at which the cumulative sum of what exceeds the tolerance is beyond its limit."""
+    """Samples, of shape (n,), at which something too small for the threshold has lasted too long for chance.
+
+    Either the cumulative sum of what exceeds the tolerance is beyond its limit, or the servo's habits of the last ten
+    seconds are not those of a healthy one.
+    """
     from servofd.detection.probability import cusum
 
     excess_deg = np.abs(residuals.residual_deg) - threshold.tolerance_deg
+    drifted = threshold.drift >= _SUSPICIOUS_DRIFT
+    if not np.any(excess_deg > 0.0):
+        return drifted
     beyond = np.sign(residuals.residual_deg) * np.maximum(excess_deg, 0.0) / threshold.sigma_deg
     judged = np.where(residuals.settled, beyond, np.nan)
-    return cusum(judged, threshold.cusum.kappa, residuals.restart != 0) >= threshold.cusum.limit
+    sums = cusum(judged, threshold.cusum.kappa, residuals.restart != 0)
+    return ((sums >= threshold.cusum.limit) & (excess_deg > 0.0)) | drifted
 
 
-def _rate_error(
-    generator: ResidualGenerator, segment: Segment, residuals: Residuals, share: float
-) -> FloatArray:
+def _rate_error(generator: ResidualGenerator, segment: Segment, residuals: Residuals, share: float) -> FloatArray:
     """Residual of a servo whose rate limit is off by its tolerance [deg], shape (n,); empty if it never runs at it."""
     from servofd.models.effects import RateLimit
 
     limit_deg_s = min(generator.model.plan.rate_up_deg_s, generator.model.plan.rate_down_deg_s)
+    if not np.isfinite(limit_deg_s):
+        return np.zeros(0)
     step_s, step_deg = np.diff(residuals.time_s), np.abs(np.diff(residuals.simulated_deg))
     if not np.any(step_deg >= _AT_LIMIT * limit_deg_s * step_s):
         return np.zeros(0)
@@ -168,6 +183,15 @@ def _rate_error(
     error_deg = slower.run(segment).simulated_deg - residuals.simulated_deg
     known = np.where(np.isfinite(residuals.measured_deg), error_deg, np.nan)
     return generator.filtered(residuals.time_s, known, residuals.restart)
+
+
+def _step_deg(measured_deg: FloatArray) -> float:
+    """Resolution of the position: the smallest difference between its values, if they are few [deg]."""
+    some_deg = measured_deg[np.isfinite(measured_deg)][:_SAMPLES_FOR_STEP]
+    values_deg = np.unique(some_deg)
+    if values_deg.size < 2 or values_deg.size > _FEW_VALUES * some_deg.size:
+        return 0.0
+    return float(np.median(np.diff(values_deg)))
 
 
 def _unseen(segment: Segment, generator: ResidualGenerator, time_s: FloatArray) -> FloatArray:
@@ -178,8 +202,12 @@ def _unseen(segment: Segment, generator: ResidualGenerator, time_s: FloatArray) 
     if segment.command_period_s is not None or not lost.any():
         return np.zeros(0)
     before = np.flatnonzero(lost)
-    curvature_deg = np.abs(np.diff(segment.command_deg, 2, prepend=segment.command_deg[:1], append=segment.command_deg[-1:]))
-    recent_deg = np.lib.stride_tricks.sliding_window_view(np.pad(curvature_deg, (_RECENT_COMMANDS, 0)), _RECENT_COMMANDS)
+    curvature_deg = np.abs(
+        np.diff(segment.command_deg, 2, prepend=segment.command_deg[:1], append=segment.command_deg[-1:])
+    )
+    recent_deg = np.lib.stride_tricks.sliding_window_view(
+        np.pad(curvature_deg, (_RECENT_COMMANDS, 0)), _RECENT_COMMANDS
+    )
     # A chord over n + 1 intervals is off by ((n + 1) / 2)^2 times as much as one over two, for n commands.
     size_deg = 0.5 * recent_deg[before].max(axis=1) * lost[before] * (0.5 * (lost[before] + 1)) ** 2
     passed = _PEAK_OF_LAGS * generator.pole_rad_s * segment.period_s
@@ -188,68 +216,3 @@ def _unseen(segment: Segment, generator: ResidualGenerator, time_s: FloatArray) 
     at = np.searchsorted(time_s, segment.command_s[before] + generator.model.plan.delay_s)
     np.add.at(unseen_deg, np.minimum(at, time_s.size - 1), passed * size_deg)
     return unseen_deg
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _follow(
-    time_s: FloatArray,
-    immobile_deg: FloatArray,
-    error_deg: FloatArray,
-    restarted: BoolArray,
-    rate_error_deg: FloatArray,
-    unseen_deg: FloatArray,
-    decay_rad_s: ComplexArray,
-    bounds: FloatArray,
-    noise_gain: float,
-    tolerated_deg: FloatArray,
-    sigma_deg: FloatArray,
-) -> None:
-    """Tolerance and noise at each instant; `bounds` are of gain, delay, bandwidth, bias and noise."""
-    slow = np.zeros(decay_rad_s.size, dtype=np.complex128)
-    peak_gain = peak_delay = peak_bandwidth = peak_rate = unseen = 0.0
-    last_s = last_deg = np.nan
-    before = before_that = np.nan
-    noise, seen = bounds[4], 0
-    for k in range(time_s.size):
-        value = immobile_deg[k]
-        if not np.isnan(value):
-            step_s = time_s[k] - last_s
-            if np.isnan(last_deg) or restarted[k]:
-                slow[:] = value
-                step_s, speed = 0.0, 0.0
-                before = before_that = np.nan
-            else:
-                speed = (value - last_deg) / step_s
-            quick = 0.0
-            for i in range(decay_rad_s.size):
-                half = 0.5 * decay_rad_s[i] * step_s
-                # The trapezoidal rule: a bound needs no exponential.
-                slow[i] = ((1.0 - half) * slow[i] + half * (value + (last_deg if step_s > 0.0 else value))) / (1.0 + half)
-                share = value - slow[i]
-                quick += share.real if decay_rad_s[i].imag == 0.0 else 2.0 * share.real
-            fade = 1.0 / (1.0 + step_s / _PEAK_HOLD_S)
-            peak_gain = max(abs(value), fade * peak_gain)
-            peak_delay = max(abs(speed), fade * peak_delay)
-            peak_bandwidth = max(abs(quick), fade * peak_bandwidth)
-            unseen *= fade
-            if unseen_deg.size > 0:
-                unseen += unseen_deg[k]
-            if rate_error_deg.size > 0:
-                peak_rate = max(abs(rate_error_deg[k]), fade * peak_rate)
-            curvature = error_deg[k] - 2.0 * before + before_that
-            if curvature == curvature:
-                seen += 1
-                change = max(_FASTEST_NOISE_CHANGE / (1.0 + 0.2 * seen), _SLOWEST_NOISE_CHANGE)
-                tried = abs(curvature) * _MAD_TO_SIGMA / np.sqrt(6.0)
-                noise = max(noise * (1.0 + change if tried > noise else 1.0 - change), _SMALLEST_NOISE_DEG)
-            before_that, before = before, error_deg[k]
-            last_s, last_deg = time_s[k], value
-        tolerated_deg[k] = (
-            bounds[3]
-            + bounds[0] * peak_gain
-            + bounds[1] * peak_delay
-            + bounds[2] * peak_bandwidth
-            + peak_rate
-            + unseen
-        )
-        sigma_deg[k] = noise_gain * (noise if seen >= _NOISE_SAMPLES else max(noise, bounds[4]))

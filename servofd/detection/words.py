@@ -39,7 +39,11 @@ def describe(fault: Fault) -> str:
     """
     values = {name: estimate.value for name, estimate in fault.parameters.items()}
     text = next((form for name, form in _SLOW.items() if name in values), None) or _NAMES[fault.kind]
-    since = f"from {fault.start_s:.2f} to {fault.end_s:.2f} s" if fault.end_s is not None else f"since {fault.start_s:.2f} s"
+    since = (
+        f"from {fault.start_s:.2f} to {fault.end_s:.2f} s"
+        if fault.end_s is not None
+        else f"since {fault.start_s:.2f} s"
+    )
     doubt = ""
     if fault.kind == "unknown" and fault.alternatives:
         text, doubt = "at fault, with too little motion to tell which", f"; {' or '.join(fault.alternatives)}"

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 __all__ = ["odds_document", "odds_rows"]
 
+_SHORTEST_S, _LONGEST_S = 1e-4, 3600.0
+
 
 def odds_document(odds: Sequence[SurfaceOdds], missing: dict[str, str]) -> dict[str, Any]:
     """Everything that is known about the odds, as plain dictionaries and lists.
@@ -118,8 +120,7 @@ def _column(odds: SurfaceOdds) -> dict[str, str]:
     column[f"threshold for {rate} [deg], measured tail"] = "-" if quoted is None else _marked(quoted, ".3f")
     for n, value in odds.in_a_row_threshold_deg.items():
         column[f"threshold for {rate} [deg], {n} in a row"] = f"{value:.3f}"
-    which = "Gaussian" if quoted is None else "measured tail"
-    column |= {f"{name}, {rate} {which}": text for name, text in _seen(then, wish.fault_deg).items()}
+    column |= {f"{name}, then": text for name, text in _seen(then, wish.fault_deg).items()}
     column[f"CUSUM limit for {rate} [sigma], kappa {odds.cusum.kappa:g}"] = f"{odds.cusum.limit:.1f}"
     column[f"  delay for {wish.fault_deg:g} deg [s], CUSUM"] = _seconds(odds.cusum_delay_s)
     return column
@@ -142,4 +143,6 @@ def _marked(quoted: Quoted, style: str) -> str:
 
 
 def _seconds(delay_s: float) -> str:
-    return f"{delay_s:.3g}" if delay_s < 3600.0 else "over an hour"
+    if delay_s < _SHORTEST_S:
+        return "at once"
+    return f"{delay_s:.3g}" if delay_s < _LONGEST_S else "over an hour"

@@ -52,7 +52,14 @@ def test_the_verbs_of_the_readme_run(monkeypatch: pytest.MonkeyPatch, tmp_path: 
     (tmp_path / "sample_logs").symlink_to(ROOT / "sample_logs")
     monkeypatch.chdir(tmp_path)
     commands = [c for c in re.findall(r"\| `servofd (.*?)` \|", README) if not c.startswith("audit")]
-    assert {shlex.split(command)[0] for command in commands} == {"info", "config", "simulate", "servos", "design"}
+    assert {shlex.split(command)[0] for command in commands} == {
+        "info",
+        "config",
+        "odds",
+        "simulate",
+        "servos",
+        "design",
+    }
     for command in commands:
         assert main(shlex.split(command)) == 0
 
@@ -78,6 +85,27 @@ def test_the_thesis_page_is_what_its_script_writes(tmp_path: Path, capsys: pytes
     capsys.readouterr()
     assert (tmp_path / "thesis.md").read_text() == (ROOT / "docs" / "thesis.md").read_text()
     assert {p.name for p in (tmp_path / "images").iterdir()} == {p.name for p in (ROOT / "docs" / "images").iterdir()}
+
+
+def test_the_odds_of_the_documentation_are_printed(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(ROOT)
+    page = (ROOT / "docs" / "odds.md").read_text()
+    (command,), (shown,), (code,) = (blocks(page, language) for language in ("sh", "text", "python"))
+    assert main(shlex.split(command)[1:]) == 0
+    assert plain(capsys.readouterr().out) == plain(shown)
+    exec(compile(code, "odds.md", "exec"), {})  # noqa: S102 - our own page
+    assert capsys.readouterr().out == "0.292 deg, 3 in a row 0.234 deg\n"
+
+
+@pytest.mark.slow
+def test_the_pictures_of_the_odds_are_what_their_script_draws(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runpy.run_path(str(ROOT / "docs" / "make_odds.py"))["main"](tmp_path)
+    assert capsys.readouterr().out.count(".png") == 2
+    assert {p.name for p in (tmp_path / "odds").iterdir()} == {p.name for p in (ROOT / "docs" / "odds").iterdir()}
 
 
 def test_the_aircraft_files_of_the_documentation_are_valid(tmp_path: Path) -> None:

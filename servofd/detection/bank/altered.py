@@ -26,6 +26,7 @@ _GRID = 14
 _REFINEMENTS = 10
 _SLOWEST = 0.12
 _SLOWEST_RATE = 0.1
+_WELL_EXPLAINED = 1.2
 _GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
 
 
@@ -44,7 +45,7 @@ class DeadBand:
         grid = np.geomspace(_NARROWEST_DEG, widest_deg, _GRID)
         ways = [_before, _sticking, _behind] + ([_before_since_onset] if window.onset else [])
         found = [_search(self.kind, window, way, grid, "width_deg") for way in ways]
-        return min(found, key=lambda fit: fit.cost_deg2)
+        return min(found, key=window.score)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,10 +59,11 @@ class Slow:
         scales = np.geomspace(_SLOWEST, 1.0 - window.tolerance.bandwidth, _GRID)
         found = [_search(self.kind, window, _slower, scales, "bandwidth_scale")]
         fastest_deg_s = float(np.max(np.abs(window.rate_deg_s)))
-        if fastest_deg_s > 0.0:
+        explained = found[0].cost_deg2 <= _WELL_EXPLAINED * window.time_s.size * window.noise_deg**2
+        if fastest_deg_s > 0.0 and not explained:
             rates = fastest_deg_s * np.geomspace(_SLOWEST_RATE, 1.0 - window.tolerance.rate, _GRID // 2)
             found.append(_search(self.kind, window, _limited, rates, "rate_limit_deg_s"))
-        return min(found, key=lambda fit: fit.cost_deg2)
+        return min(found, key=window.score)
 
 
 def _search(
@@ -74,10 +76,13 @@ def _search(
     """Best value on a grid, refined by golden section between its neighbours."""
     tried: dict[float, Explanation] = {}
 
+    def objective(fit: Explanation) -> float:
+        return fit.cost_deg2 + window.noise_deg**2 * fit.doubt
+
     def cost(value: float) -> float:
         if value not in tried:
             tried[value] = _fit(kind, window, predict, name, value)
-        return tried[value].cost_deg2
+        return objective(tried[value])
 
     costs = [cost(float(value)) for value in grid]
     best = int(np.argmin(costs))
@@ -85,7 +90,7 @@ def _search(
     for _ in range(_REFINEMENTS // 2):
         left, right = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
         low, high = (low, right) if cost(left) <= cost(right) else (left, high)
-    return _with_interval(min(tried.values(), key=lambda fit: fit.cost_deg2), tried, window, name)
+    return _with_interval(min(tried.values(), key=objective), tried, window, name)
 
 
 def _fit(
@@ -101,7 +106,7 @@ def _fit(
         fit.cost_deg2,
         1.0,
         parameters,
-        _doubt(name, value),
+        _doubt(name, value) + fit.doubt,
         lambda other: predict(other, value) + other.nuisances @ fit.coefficients,
     )
 
@@ -164,9 +169,7 @@ def _slower(window: Window, bandwidth_scale: float) -> FloatArray:
 def _limited(window: Window, rate_deg_s: float) -> FloatArray:
     up_deg_s, down_deg_s = window.servo.rate_up_deg_s, window.servo.rate_down_deg_s
     return window.simulate(
-        window.servo._replace(
-            rate_up_deg_s=min(rate_deg_s, up_deg_s), rate_down_deg_s=min(rate_deg_s, down_deg_s)
-        )
+        window.servo._replace(rate_up_deg_s=min(rate_deg_s, up_deg_s), rate_down_deg_s=min(rate_deg_s, down_deg_s))
     )
 
 

@@ -68,7 +68,9 @@ class Regression(NamedTuple):
     predicted_deg: FloatArray
     """Of shape (n,)."""
     cost_deg2: float
-    """Sum of squared misfits, and what the priors add."""
+    """Sum of squared misfits [deg^2]."""
+    doubt: float
+    """Sum of squared coefficients in standard deviations of their priors."""
 
 
 class Ridge:
@@ -106,12 +108,16 @@ class Ridge:
         coefficients = self.inverse @ (self.regressors.T @ target_deg)
         predicted_deg = self.regressors @ coefficients
         misfit = target_deg - predicted_deg
-        return Regression(coefficients, predicted_deg, float(misfit @ misfit + self.weight @ coefficients**2))
+        doubt = float(self.weight @ coefficients**2) / self.noise_deg**2
+        return Regression(coefficients, predicted_deg, float(misfit @ misfit), doubt)
 
-    def estimate(self, fit: Regression, target_deg: FloatArray, index: int, offset: float = 0.0) -> Estimate:
-        """One coefficient with its interval."""
+    def estimate(
+        self, fit: Regression, target_deg: FloatArray, index: int, offset: float = 0.0, habit: float = 0.0
+    ) -> Estimate:
+        """One coefficient with its interval; `habit` is the deviation that the servo may have had all along."""
         doubt = _misfit_deviation(target_deg - fit.predicted_deg, self.noise_deg)
-        return Estimate.of(offset + float(fit.coefficients[index]), doubt * float(np.sqrt(self.inverse[index, index])))
+        deviation = float(np.hypot(doubt * np.sqrt(self.inverse[index, index]), habit))
+        return Estimate.of(offset + float(fit.coefficients[index]), deviation)
 
 
 def _misfit_deviation(misfit_deg: FloatArray, noise_deg: float) -> float:

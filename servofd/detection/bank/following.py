@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from servofd.detection.bank.explanation import Estimate, Explanation, Ridge
+from servofd.detection.bank.explanation import Estimate, Explanation, Regression, Ridge
 
 if TYPE_CHECKING:
     from servofd.detection.bank.window import Window
@@ -38,7 +38,7 @@ class Healthy:
     def explain(self, window: Window) -> Explanation:
         """Fit the nuisances."""
         fit = window.ridge.fit(window.error_deg)
-        return Explanation(self.kind, window.healthy_deg + fit.predicted_deg, fit.cost_deg2, 0.0)
+        return Explanation(self.kind, window.healthy_deg + fit.predicted_deg, fit.cost_deg2, 0.0, doubt=fit.doubt)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ class Bias:
         """Fit an offset larger than a healthy servo may have."""
         ridge = _widened(window, {_BIAS: _LARGEST_BIAS_DEG})
         fit = ridge.fit(window.error_deg)
-        bias = ridge.estimate(fit, window.error_deg, _BIAS)
+        bias = ridge.estimate(fit, window.error_deg, _BIAS, habit=window.spread[_BIAS])
         if abs(bias.value) <= window.tolerance.bias_deg:
             return None
         predicted_deg = window.healthy_deg + fit.predicted_deg
@@ -61,6 +61,7 @@ class Bias:
             fit.cost_deg2,
             1.0,
             {"bias_deg": bias},
+            fit.doubt,
             predict=partial(_with, fit.coefficients),
         )
 
@@ -77,12 +78,18 @@ class LossOfEffectiveness:
         for spread, freedom in (({_GAIN: 1.0}, 1.0), ({_GAIN: 1.0, _BIAS: _LARGEST_TRIM_DEG}, 2.0)):
             ridge = _widened(window, spread)
             fit = ridge.fit(window.error_deg)
-            gain = ridge.estimate(fit, window.error_deg, _GAIN, offset=1.0)
+            gain = ridge.estimate(fit, window.error_deg, _GAIN, offset=1.0, habit=window.spread[_GAIN])
             if _STUCK_GAIN < gain.value < 1.0 - window.tolerance.gain:
                 predicted_deg = window.healthy_deg + fit.predicted_deg
                 fits.append(
                     Explanation(
-                        self.kind, predicted_deg, fit.cost_deg2, freedom, {"gain": gain}, predict=partial(_with, fit.coefficients)
+                        self.kind,
+                        predicted_deg,
+                        fit.cost_deg2,
+                        freedom,
+                        {"gain": gain},
+                        fit.doubt,
+                        partial(_with, fit.coefficients),
                     )
                 )
         return min(fits, key=window.score, default=None)
@@ -134,7 +141,10 @@ def _cycle(window: Window, target_deg: FloatArray, others: Ridge) -> Explanation
     # The cost has one minimum within half a line width of the spectrum's peak.
     near_hz = (max(start_hz - 0.5 / duration_s, 0.1 * start_hz), start_hz + 0.5 / duration_s)
     best = minimize_scalar(
-        lambda f: ridge(f).fit(target_deg).cost_deg2, bounds=near_hz, method="bounded", options={"maxiter": 12}
+        lambda f: _objective(ridge(f).fit(target_deg), window),
+        bounds=near_hz,
+        method="bounded",
+        options={"maxiter": 12},
     )
     fitted = ridge(float(best.x))
     fit = fitted.fit(target_deg)
@@ -148,7 +158,11 @@ def _cycle(window: Window, target_deg: FloatArray, others: Ridge) -> Explanation
         "amplitude_deg": Estimate.of(size_deg, doubt_deg),
         "frequency_hz": Estimate.of(float(best.x), float(doubt_hz)),
     }
-    return Explanation("oscillation", fit.predicted_deg, fit.cost_deg2, 3.0, parameters)
+    return Explanation("oscillation", fit.predicted_deg, fit.cost_deg2, 3.0, parameters, fit.doubt)
+
+
+def _objective(fit: Regression, window: Window) -> float:
+    return fit.cost_deg2 + window.noise_deg**2 * fit.doubt
 
 
 def _strongest_hz(time_s: FloatArray, values_deg: FloatArray, lowest_hz: float) -> float | None:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from servofd.detection.bank.classify import Naming, name_fault
-from servofd.detection.bank.onset import refine_onset_s
+from servofd.detection.bank.onset import BEFORE_S, refine_onset_s
 from servofd.detection.bank.window import Onset, Window
 
 if TYPE_CHECKING:
@@ -20,17 +20,20 @@ if TYPE_CHECKING:
     from servofd.models.servo_model import ServoModel
     from servofd.tolerance import Tolerance
 
-__all__ = ["Fault", "Flight", "isolate"]
+__all__ = ["SURE", "Fault", "Flight", "isolate"]
 
 _SETTLING_S = 0.25
 """Left out after the onset: faults that set in abruptly still move the surface as a healthy servo would."""
+_TAKES_ANYTHING = ("floating", "unknown")
 _WINDOWS_S = (2.0, 4.0, 8.0, 16.0)
 _ENOUGH_MOTION_DEG = 4.0
-_SURE = 0.95
+SURE = 0.95
 _LIKELY = 0.4
 _FEWEST_SAMPLES = 12
 _BLOCK_S = 3.0
 _LONGEST_BLOCK_S = 12.0
+_SUSPICION_LASTS_S = 15.0
+"""The cumulative sum and the habits look back about ten seconds."""
 _ONSET_BEFORE_RECORD_S = 0.5
 
 
@@ -96,11 +99,18 @@ def isolate(flight: Flight, episode: Episode) -> tuple[Fault, ...]:
     until_s = flight.end_s if episode.end_s is None else episode.end_s
     onset = _onset(flight, episode.start_s)
     naming, window = _name(flight, episode.start_s + _SETTLING_S, until_s, onset)
+    if naming is not None and naming.kind in _TAKES_ANYTHING:
+        # The window may begin too early, and hold the transition; what fits only that is no wonder.
+        later, later_window = _name(flight, episode.alarm_s + 2.0 * _SETTLING_S, until_s, onset)
+        if later is not None and later.kind not in _TAKES_ANYTHING and later.probability >= SURE:
+            naming, window = later, later_window
     if naming is None or window is None:
         return (Fault("unknown", episode.start_s, episode.alarm_s, episode.end_s, {}, 0.0, (), episode.level),)
     start_s = episode.start_s
     if onset is not None and naming.best is not None and naming.kind != "healthy":
-        start_s = min(refine_onset_s(flight, naming.best, episode.start_s, window), episode.alarm_s)
+        announced = episode.level == "suspect" or episode.suspected_s is not None
+        before_s = _SUSPICION_LASTS_S if announced else BEFORE_S
+        start_s = min(refine_onset_s(flight, naming.best, episode.start_s, window, before_s), episode.alarm_s)
     first = _fault(naming, episode, start_s)
     change = _change(flight, naming.kind, float(window.time_s[-1]), until_s)
     if change is None:
@@ -127,16 +137,14 @@ def _onset(flight: Flight, start_s: float) -> Onset | None:
     return Onset(start_s, float(np.median(near)), float(healthy_deg.min()), float(healthy_deg.max()))
 
 
-def _name(
-    flight: Flight, from_s: float, until_s: float, onset: Onset | None
-) -> tuple[Naming | None, Window | None]:
+def _name(flight: Flight, from_s: float, until_s: float, onset: Onset | None) -> tuple[Naming | None, Window | None]:
     """Name the fault from the shortest window that is sure."""
     best: tuple[Naming | None, Window | None] = (None, None)
     for length_s in _WINDOWS_S:
         window = flight.window(from_s, min(from_s + length_s, until_s), onset)
         if window is not None:
             best = (name_fault(window), window)
-            if best[0].probability >= _SURE and window.motion_deg >= _ENOUGH_MOTION_DEG:
+            if best[0].probability >= SURE and window.motion_deg >= _ENOUGH_MOTION_DEG:
                 return best
         if from_s + length_s >= until_s:
             break
@@ -164,26 +172,38 @@ def _fault(naming: Naming, episode: Episode, start_s: float) -> Fault:
 def _change(flight: Flight, kind: str, from_s: float, until_s: float) -> tuple[float, Naming] | None:
     """When the fault turned into another, or went away, and into what; found by bisection."""
     last = _block(flight, until_s - _BLOCK_S, from_s, until_s)
-    if last is None or last.kind in (kind, "unknown") or last.probability < _SURE:
+    if last is None or not _differs(last.naming, kind):
         return None
-    low_s, high_s, then = from_s, until_s - _BLOCK_S, last
+    confirmed = _block(flight, last.begin_s - _BLOCK_S, from_s, last.begin_s)
+    if confirmed is None or confirmed.naming.kind != last.naming.kind:
+        return None
+    low_s, high_s = from_s, confirmed.begin_s
     while high_s - low_s > _BLOCK_S / 2.0:
         middle_s = 0.5 * (low_s + high_s)
         block = _block(flight, middle_s, from_s, until_s)
-        if block is not None and block.kind == then.kind:
+        if block is not None and block.naming.kind == last.naming.kind:
             high_s = middle_s
         else:
             low_s = middle_s
-    return high_s, then
+    return high_s, last.naming
 
 
-def _block(flight: Flight, begin_s: float, earliest_s: float, latest_s: float) -> Naming | None:
+def _differs(naming: Naming, kind: str) -> bool:
+    return naming.kind not in (kind, "unknown") and naming.probability >= SURE
+
+
+class _Block(NamedTuple):
+    begin_s: float
+    naming: Naming
+
+
+def _block(flight: Flight, begin_s: float, earliest_s: float, latest_s: float) -> _Block | None:
     """Name what happens about some instant, in as long a block as it takes to see motion."""
     length_s = _BLOCK_S
     while length_s <= _LONGEST_BLOCK_S:
         first_s = max(earliest_s, min(begin_s, latest_s - length_s))
         window = flight.window(first_s, min(first_s + length_s, latest_s), None)
         if window is not None and window.motion_deg >= _ENOUGH_MOTION_DEG:
-            return name_fault(window)
+            return _Block(first_s, name_fault(window))
         length_s *= 2.0
     return None

@@ -19,6 +19,7 @@ _UNCOMMANDED_RUN_DEG = 3.0
 _STOP_SHARE = 0.9
 _WIND_HZ = 1.0
 _FASTEST_WIND_HZ = 8.0
+_MOST_COSINES = 128
 _LARGEST_SWING_DEG = 10.0
 
 
@@ -54,17 +55,18 @@ class Floating:
 
     def explain(self, window: Window) -> Explanation | None:
         """Fit a random smooth motion: cosines, the faster the smaller."""
-        count = min(1 + int(np.ceil(2.0 * _FASTEST_WIND_HZ * window.duration_s)), window.time_s.size // 2)
+        count = 1 + int(np.ceil(2.0 * _FASTEST_WIND_HZ * window.duration_s))
+        count = min(count, _MOST_COSINES, window.time_s.size // 2)
         if count < 1:
             return None
         place = (window.time_s - window.time_s[0]) / max(window.duration_s, 1e-9)
         columns = np.cos(np.pi * place[:, None] * np.arange(count))
         frequency_hz = 0.5 * np.arange(count) / max(window.duration_s, 1e-9)
-        spread = _LARGEST_SWING_DEG / (1.0 + (frequency_hz / _WIND_HZ) ** 2)
+        spread = np.asarray(_LARGEST_SWING_DEG / (1.0 + (frequency_hz / _WIND_HZ) ** 2), dtype=np.float64)
         ridge = Ridge(columns, spread, window.noise_deg)
         fit = ridge.fit(window.measured_deg)
         swing = Estimate.of(float(np.ptp(fit.predicted_deg)) / 2.0, window.noise_deg)
-        doubt = ridge.occam / COLOUR
+        doubt = (ridge.occam + fit.doubt) / COLOUR
         return Explanation(self.kind, fit.predicted_deg, fit.cost_deg2, 0.0, {"amplitude_deg": swing}, doubt)
 
 

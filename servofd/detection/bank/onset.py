@@ -11,16 +11,18 @@ if TYPE_CHECKING:
     from servofd.detection.bank.isolate import Flight
     from servofd.detection.bank.window import Window
 
-__all__ = ["refine_onset_s"]
+__all__ = ["BEFORE_S", "refine_onset_s"]
 
-_BEFORE_S = 4.0
+BEFORE_S = 4.0
 _HEALTHY_BEFORE_S = 0.3
 _FEWEST_HEALTHY = 30
 _UNDECIDED = 4.0
 """Splits whose log-likelihood is this close to the best, in units of 1/2, are equally good."""
 
 
-def refine_onset_s(flight: Flight, fault: Explanation, rough_s: float, window: Window) -> float:
+def refine_onset_s(
+    flight: Flight, fault: Explanation, rough_s: float, window: Window, before_s: float = BEFORE_S
+) -> float:
     """Move the onset to where the fault begins to explain the data better than health does [s].
 
     Where several instants do alike, because the surface did not move, the last of them is taken: it is the first
@@ -28,10 +30,10 @@ def refine_onset_s(flight: Flight, fault: Explanation, rough_s: float, window: W
     """
     if fault.predict is None:
         return rough_s
-    wide = flight.window(rough_s - _BEFORE_S, float(window.time_s[-1]), window.onset)
+    wide = flight.window(rough_s - before_s, float(window.time_s[-1]), window.onset)
     if wide is None:
         return rough_s
-    surely_healthy = wide.time_s < rough_s - _HEALTHY_BEFORE_S
+    surely_healthy = wide.time_s < wide.time_s[0] + 0.5 * before_s - _HEALTHY_BEFORE_S
     error_deg = wide.error_deg
     if np.count_nonzero(surely_healthy) >= _FEWEST_HEALTHY:
         known = type(wide.ridge)(wide.nuisances[surely_healthy], wide.spread, wide.noise_deg)

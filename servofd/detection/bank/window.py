@@ -24,6 +24,7 @@ _LEAD_S = 1.5
 _SMALL_CHANGE = 0.02
 _MAD_TO_SIGMA = 1.4826
 _SMALLEST_NOISE_DEG = 0.01
+_SMALLEST_TOLERANCE = 1e-6
 _START_SAMPLES = 3
 _PENALTY = 1.5
 _FLOOR = 0.5
@@ -87,7 +88,9 @@ class Window:
         cut = slice(max(first, 0), last)
         near = type(commands)(commands.effective_s[cut], commands.command_deg[cut], commands.slope_deg_s[cut])
         servo = model.parameters()
-        quick, slow = (simulate(slower(servo, 1.0 + change), near, time_s) for change in (_SMALL_CHANGE, -_SMALL_CHANGE))
+        quick, slow = (
+            simulate(slower(servo, 1.0 + change), near, time_s) for change in (_SMALL_CHANGE, -_SMALL_CHANGE)
+        )
         rate_deg_s = np.gradient(healthy_deg, time_s)
         quickness_deg = (quick - slow) / (2.0 * _SMALL_CHANGE)
         nuisances = np.column_stack([healthy_deg, -rate_deg_s, quickness_deg, np.ones(time_s.size)])
@@ -182,7 +185,8 @@ def simulate(servo: ServoParameters, commands: Commands, at_s: FloatArray) -> Fl
 
 def _spread(tolerance: Tolerance) -> FloatArray:
     """Standard deviations of uniform spreads within the tolerances."""
-    return np.array([tolerance.gain, tolerance.delay_s, tolerance.bandwidth, tolerance.bias_deg]) / np.sqrt(3.0)
+    bounds: FloatArray = np.array([tolerance.gain, tolerance.delay_s, tolerance.bandwidth, tolerance.bias_deg])
+    return np.maximum(bounds, _SMALLEST_TOLERANCE) / float(np.sqrt(3.0))
 
 
 def _range(values_deg: FloatArray) -> tuple[float, float]:

@@ -60,6 +60,7 @@ class CusumDesign:
         .. math:: N = S\,\frac{e^{-2\Delta b/S} + 2\Delta b/S - 1}{2\Delta^2}, \qquad b = h + 1.166\,\sqrt{S}
 
         and the delay is the time by which the response has gathered as much as N samples of the settled shift would.
+        Within a fifth of simulated delays, or two samples.
         """
         drift = abs(float(shift_sigma[-1])) - self.kappa
         if drift <= 0.0:

@@ -19,7 +19,7 @@ __all__ = ["Detection", "bias_response", "detect", "smallest_bias_deg"]
 _MOST_DRAWS, _FEWEST_DRAWS, _NUMBERS = 4096, 256, 4_000_000
 _ROUND_OFF = 1e-12
 _RARE = 0.99
-"""While this share is still missed at the end, alarms are too rare for draws; crossings of a settled mean are counted."""
+"""With more than this still missed at the end, alarms are too rare for draws: crossings of the settled mean count."""
 _SMALLEST = np.finfo(float).tiny
 
 

@@ -17,8 +17,10 @@ if TYPE_CHECKING:
 __all__ = ["Noise"]
 
 _FEWEST_SAMPLES = 100
+_FEWEST_LAGS = 5
 _AR_ORDER = 30
 _WARM_UP = 1000
+_WHITE_SHARE = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +75,7 @@ class Noise:
         sample_time_s : float
             Sample time [s].
         lags : int
-            Number of lags after lag 0; at least the time in which the filter forgets.
+            Most lags after lag 0 to look at; at least the time in which the filter forgets.
 
         Raises
         ------
@@ -95,7 +97,9 @@ class Noise:
         products = correlate(np.append(centred, np.zeros(lags)), centred, mode="valid", method="fft")
         scaled = products / power
         scaled[0] = 1.0
-        return cls(float(np.sqrt(power / count)), scaled, sample_time_s, mean)
+        # From the first correlation that is not positive on there is more estimation error than correlation.
+        end = max(int(np.argmax(np.append(scaled, -1.0) <= 0.0)), _FEWEST_LAGS + 1)
+        return cls(float(np.sqrt(power / count)), scaled[:end], sample_time_s, mean)
 
     @property
     def correlation(self) -> float:
@@ -127,21 +131,22 @@ class Noise:
         Returns
         -------
         weights, spread
-            Weights of the earlier samples, latest first, shape (known,), and the standard deviation of what remains, as a
-            share of `sigma_deg`.
+            Weights of the earlier samples, latest first, shape (known,), and the standard deviation of what remains,
+            as a share of `sigma_deg`.
 
         Examples
         --------
-        >>> weights, spread = Noise(1.0, np.array([1.0, 0.6, 0.36]), 0.01).prediction(2)
-        >>> weights.round(9).tolist(), round(spread, 9)
-        ([0.6, 0.0], 0.8)
+        >>> weights, spread = Noise(1.0, np.array([1.0, 0.6, 0.5]), 0.01).prediction(2)
+        >>> weights.round(6).tolist(), round(spread, 6)
+        ([0.46875, 0.21875], 0.780625)
         """
         from scipy.linalg import solve_toeplitz
 
         if known == 0:
             return np.empty(0), 1.0
         rho = self.autocorrelation[: known + 1]
-        weights: FloatArray = solve_toeplitz(rho[:-1], rho[1:])
+        # A trace of white noise keeps the equations of a very smooth residual from being singular.
+        weights: FloatArray = solve_toeplitz(np.append(1.0 + _WHITE_SHARE, rho[1:-1]), rho[1:])
         return weights, float(np.sqrt(max(1.0 - float(weights @ rho[1:]), 0.0)))
 
     def sample(self, shape: tuple[int, int], seed: int) -> FloatArray:

@@ -17,6 +17,7 @@ __all__ = ["persistent_delay_s", "persistent_false_alarms_per_hour", "persistent
 
 _POINTS_LOG2 = 13
 _SHARE_SEEN = 0.95
+_WHITE_SHARE = 1e-12
 _SMALLEST = np.finfo(float).tiny
 _LARGEST_BELOW_ONE = float(np.nextafter(1.0, 0.0))
 
@@ -58,7 +59,7 @@ def persistent_false_alarms_per_hour(threshold_deg: float, noise: Noise, samples
     >>> noise = Noise.designed(design, noise_deg=0.1)
     >>> rate = persistent_false_alarms_per_hour(4.0 * noise.sigma_deg, noise, samples=3)
     >>> round(float(1.0 - np.exp(-rate)), 3)
-    0.08
+    0.078
     """
     margin_deg = noise.margin_deg(threshold_deg)
     if samples == 1:
@@ -128,8 +129,9 @@ def _factor(noise: Noise, samples: int) -> FloatArray:
 
     if not 1 <= samples < noise.autocorrelation.size:
         raise ValueError(f"{samples} samples in a row: the colour is known for 1 to {noise.autocorrelation.size - 1}")
-    factor: FloatArray = np.linalg.cholesky(toeplitz(noise.autocorrelation[: samples + 1]))
-    return factor
+    correlation = toeplitz(noise.autocorrelation[: samples + 1])
+    # A trace of white noise keeps the matrix of a very smooth residual from being singular.
+    return np.asarray(np.linalg.cholesky(correlation + _WHITE_SHARE * np.eye(samples + 1)), dtype=np.float64)
 
 
 def _rate(z: float, factor: FloatArray, sample_time_s: float) -> float:

@@ -33,7 +33,7 @@ class Quoted(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class TailFit:
-    """Generalised Pareto distribution of the peaks of \\|residual\\| over a level.
+    """Generalised Pareto distribution of the peaks of the residual's size over a level.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ class TailFit:
         --------
         >>> fit = TailFit(1.0, 0.1, 0.15, 0.026, 2000, 10.0)
         >>> round(fit.log_rate_error(1.5), 2), round(fit.log_rate_error(2.5), 2)
-        (0.09, 0.4)
+        (0.11, 0.47)
         """
         y = max(threshold_deg - self.level_deg, 0.0) / self.scale_deg
         stretch = 1.0 + self.index * y
@@ -151,8 +151,8 @@ def fit_tail(residual_deg: FloatArray, sample_time_s: float, apart_samples: int 
     Returns
     -------
     TailFit
-        Maximum-likelihood fit. The level is the 99.9 % quantile of \|residual\|; lower if that leaves fewer than 200
-        exceedances, but never below 95 %.
+        Maximum-likelihood fit. The level is the 99.9 % quantile of the residual's size; lower if that leaves fewer
+        than 200 exceedances, but never below 95 %.
 
     Raises
     ------

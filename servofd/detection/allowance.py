@@ -1,0 +1,198 @@
+"""What a healthy servo may leave in the residual, sample by sample: the compiled part of the interval threshold."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from servofd.aircraft import DEFAULT_SIGMAS
+from servofd.models.state import compiled, inlined
+from servofd.types import BoolArray, ComplexArray, FloatArray
+
+__all__ = ["Bounds", "Signals", "follow", "new_work"]
+
+_PEAK_HOLD_S = 0.15
+"""Time constant with which the peaks fade: about as long as the filter remembers."""
+_NOISE_SAMPLES = 200
+"""Until so many positions have been seen, noise is not taken to be smaller than its tolerance."""
+_FASTEST_NOISE_CHANGE, _SLOWEST_NOISE_CHANGE = 0.2, 0.004
+_MAD_TO_SIGMA = 1.4826
+_MEMORY_S, _EVERY_S = 10.0, 0.5
+"""How far back a servo's habits are remembered, and how often they are looked at."""
+_ANYTHING = np.array([1.0, 0.1, 1.0, 10.0])
+"""Deviations of gain, delay [s], bandwidth and bias [deg] that no fault exceeds by much."""
+
+
+class Signals(NamedTuple):
+    """Of one surface; all of shape (n,), but for the last two, which may be empty."""
+
+    time_s: FloatArray
+    immobile_deg: FloatArray
+    error_deg: FloatArray
+    judged_deg: FloatArray
+    """Residual; NaN where it is not judged."""
+    restarted: BoolArray
+    rate_error_deg: FloatArray
+    """Residual that a rate limit at the edge of its tolerance would leave."""
+    unseen_deg: FloatArray
+    """What commands that were lost from the log add from each sample on."""
+
+
+class Bounds(NamedTuple):
+    """Tolerances and noise."""
+
+    habits: FloatArray
+    """Of gain, delay [s], bandwidth and bias [deg], of shape (4,)."""
+    noise_deg: float
+    floor_deg: float
+    """Smallest believable noise: that of the position's resolution."""
+    noise_gain: float
+    colour: float
+    """Sum of the residual's autocorrelation over all lags."""
+
+
+class Work(NamedTuple):
+    """Room for `follow`, which allocates nothing."""
+
+    slow: ComplexArray
+    """Low passes of the immobile residual, one for each mode."""
+    x: FloatArray
+    """What deviations of gain, delay, bandwidth and bias by one would add."""
+    peak: FloatArray
+    gram: FloatArray
+    moment: FloatArray
+    healthy: FloatArray
+    """Prior weights of healthy habits, per power of the noise."""
+    anything: FloatArray
+    """Those of any habits."""
+    factor: FloatArray
+    solved: FloatArray
+
+
+def new_work(bounds: Bounds, modes: int) -> Work:
+    """Room for a servo with so many modes."""
+    return Work(
+        slow=np.zeros(modes, dtype=np.complex128),
+        x=np.ones(4),
+        peak=np.ones(4),
+        gram=np.zeros((4, 4)),
+        moment=np.zeros(4),
+        # Uniform within its bounds, a habit has a third of their square as variance.
+        healthy=3.0 / np.maximum(bounds.habits, 1e-9) ** 2,
+        anything=1.0 / _ANYTHING**2,
+        factor=np.zeros((4, 4)),
+        solved=np.zeros(4),
+    )
+
+
+@compiled
+def follow(
+    signals: Signals,
+    bounds: Bounds,
+    work: Work,
+    decay_rad_s: ComplexArray,
+    tolerated_deg: FloatArray,
+    sigma_deg: FloatArray,
+    drift: FloatArray,
+) -> None:
+    """Fill the last three arrays, each of shape (n,): tolerance, noise of the residual, evidence of strange habits."""
+    slow, x, peak = work.slow, work.x, work.peak
+    peak_rate = unseen = 0.0
+    peak[:3] = 0.0
+    last_s = last_deg = before = before_that = np.nan
+    noise, seen, odds, next_s = bounds.noise_deg, 0, 0.0, -np.inf
+    for k in range(signals.time_s.size):
+        value = signals.immobile_deg[k]
+        if not np.isnan(value):
+            step_s = signals.time_s[k] - last_s
+            if np.isnan(last_deg) or signals.restarted[k]:
+                step_s, last_deg = 0.0, value
+                slow[:] = value
+                before = before_that = np.nan
+            x[0] = value
+            x[1] = (value - last_deg) / step_s if step_s > 0.0 else 0.0
+            x[2] = _quick(slow, decay_rad_s, value, last_deg, step_s)
+            fade = 1.0 / (1.0 + step_s / _PEAK_HOLD_S)
+            for i in range(3):
+                peak[i] = max(abs(x[i]), fade * peak[i])
+            unseen *= fade
+            if signals.unseen_deg.size > 0:
+                unseen += signals.unseen_deg[k]
+            if signals.rate_error_deg.size > 0:
+                peak_rate = max(abs(signals.rate_error_deg[k]), fade * peak_rate)
+            curvature = signals.error_deg[k] - 2.0 * before + before_that
+            if not np.isnan(curvature):
+                seen += 1
+                noise = max(_nearer(noise, abs(curvature), seen), bounds.floor_deg)
+            before_that, before = before, signals.error_deg[k]
+            last_s, last_deg = signals.time_s[k], value
+            residual = signals.judged_deg[k]
+            # A made-up command says nothing about the servo's habits, and what is beyond all tolerance is no habit.
+            allowed = _total(bounds.habits, peak) + peak_rate + DEFAULT_SIGMAS * bounds.noise_gain * noise
+            if abs(residual) <= allowed and unseen < bounds.noise_gain * noise:
+                _learn(work.gram, work.moment, x, residual, 1.0 / (1.0 + step_s / _MEMORY_S))
+                if last_s >= next_s:
+                    power = bounds.colour * (bounds.noise_gain * noise) ** 2
+                    odds = _explained(work, work.anything, power) - _explained(work, work.healthy, power)
+                    next_s = last_s + _EVERY_S
+        drift[k] = odds
+        tolerated_deg[k] = _total(bounds.habits, peak) + peak_rate + unseen
+        sigma_deg[k] = bounds.noise_gain * (noise if seen >= _NOISE_SAMPLES else max(noise, bounds.noise_deg))
+
+
+@inlined
+def _quick(slow: ComplexArray, decay_rad_s: ComplexArray, value: float, last: float, step_s: float) -> float:
+    """Sum of the high passes s / (s + a), by the trapezoidal rule: a bound needs no exponential."""
+    quick = 0.0
+    for i in range(decay_rad_s.size):
+        half = 0.5 * decay_rad_s[i] * step_s
+        slow[i] = ((1.0 - half) * slow[i] + half * (value + last)) / (1.0 + half)
+        share = value - slow[i]
+        quick += share.real if decay_rad_s[i].imag == 0.0 else 2.0 * share.real
+    return quick
+
+
+@inlined
+def _nearer(noise: float, curvature: float, seen: int) -> float:
+    """Move the noise towards the median that second differences of the simulation error speak for."""
+    change = max(_FASTEST_NOISE_CHANGE / (1.0 + 0.2 * seen), _SLOWEST_NOISE_CHANGE)
+    return noise * (1.0 + change if curvature * _MAD_TO_SIGMA / np.sqrt(6.0) > noise else 1.0 - change)
+
+
+@inlined
+def _learn(gram: FloatArray, moment: FloatArray, x: FloatArray, residual: float, keep: float) -> None:
+    """Normal equations of the residual on what habits would add, the past fading away."""
+    for i in range(4):
+        moment[i] = keep * moment[i] + x[i] * residual
+        for j in range(i + 1):
+            gram[i, j] = keep * gram[i, j] + x[i] * x[j]
+
+
+@inlined
+def _total(bounds: FloatArray, peak: FloatArray) -> float:
+    total = 0.0
+    for i in range(4):
+        total += bounds[i] * peak[i]
+    return total
+
+
+@compiled
+def _explained(work: Work, weight: FloatArray, power: float) -> float:
+    """How much of the residual habits explain, m' (G + p W)^-1 m / p of the normal equations, by Cholesky's factors."""
+    gram, factor, solved = work.gram, work.factor, work.solved
+    total = 0.0
+    for i in range(4):
+        for j in range(i + 1):
+            rest = gram[i, j]
+            if i == j:
+                rest += power * weight[i]
+            for m in range(j):
+                rest -= factor[i, m] * factor[j, m]
+            factor[i, j] = np.sqrt(max(rest, 1e-300)) if i == j else rest / factor[j, j]
+        rest = work.moment[i]
+        for m in range(i):
+            rest -= factor[i, m] * solved[m]
+        solved[i] = rest / factor[i, i]
+        total += solved[i] ** 2
+    return total / power
