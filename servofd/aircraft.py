@@ -88,6 +88,8 @@ class Surface(_Entry):
     """Samples in a row, all on one side, that make an alarm."""
     tolerance: Tolerance | None = None
     """How far a healthy servo may differ from its model; None: as far as `threshold_deg` was made for."""
+    suspicions: bool = True
+    """Whether what stays below the threshold may be suspect; not if the model does not reach down to the noise."""
     filter_pole_rad_s: Annotated[float, Field(ge=0.1, le=1000.0, strict=True)] | None = None
     """Speed of the residual filter; None: the fastest with a noise gain of at most 0.5."""
 
@@ -105,7 +107,8 @@ class Surface(_Entry):
     @property
     def tells_small_faults(self) -> bool:
         """Whether the model is known well enough for suspicions below the threshold: drafted thresholds are not."""
-        return self.tolerance is not None or self.threshold_deg <= DEFAULT_THRESHOLD_DEG
+        known = self.tolerance is not None or self.threshold_deg <= DEFAULT_THRESHOLD_DEG
+        return known and self.suspicions
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

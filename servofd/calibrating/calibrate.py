@@ -111,6 +111,8 @@ def _entry(surface: Surface, one: CalibratedSurface, servo: str) -> Surface:
             "measured": measured.model_copy(update={"correction": rounded}),
             "threshold": "interval",
             "threshold_deg": _two_digits_up(levels.constant_deg),
+            "filter_pole_rad_s": float(one.filter_pole_rad_s),
+            "suspicions": one.suspicions,
             "threshold_sigmas": round(levels.sigmas, 2),
             "tolerance": levels.tolerance.model_copy(
                 update={key: _two_digits_up(value) for key, value in levels.tolerance.model_dump().items()}

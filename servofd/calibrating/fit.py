@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = ["ServoFit", "fit_servo"]
 
-_COARSE_SAMPLES, _FINE_SAMPLES = 4_000, 40_000
+_COARSE_SAMPLES, _FINE_SAMPLES, _FEWEST_SAMPLES = 6_000, 40_000, 2_000
 _SCALES = (0.3, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0)
 _DAMPINGS = (0.6, 0.9, 1.6)
 _DELAYS_S = (0.0, 0.01, 0.02, 0.04, 0.07, 0.11)
@@ -105,19 +105,22 @@ def fit_servo(flights: Sequence[Flight], prior: FlownServo, tolerance: Tolerance
     >>> round(fit.servo.delay_s, 4), round(fit.gain.value, 3), round(fit.offset_deg.value, 3)
     (0.017, 0.9, -2.0)
     """
-    share = max(1, _COARSE_SAMPLES // len(flights))
-    few = Motion.of([busiest(flight, share) for flight in flights], prior)
+    few = _motion(flights, prior, _COARSE_SAMPLES)
     starts = _coarse(few, prior)
     gain, offset_deg, _ = line(few.simulated_deg(starts[0]), few.measured_deg)
     _check_follows(few, starts[0], (gain, offset_deg))
     # In degrees of the command from here on, so that a start begins where the servo is.
     scaled = [flight.with_scale(gain, offset_deg) for flight in flights]
-    share = max(1, _FINE_SAMPLES // len(flights))
-    motion = Motion.of([busiest(flight, share) for flight in scaled], prior)
-    few = Motion.of([busiest(flight, max(1, _COARSE_SAMPLES // len(flights))) for flight in scaled], prior)
+    motion, few = _motion(scaled, prior, _FINE_SAMPLES), _motion(scaled, prior, _COARSE_SAMPLES)
     best = min((_descended(few, start, start.numbers) for start in _with_limits(few, starts)), key=_cost)
     fit, kept = _settled(motion, best.servo, prior, tolerance)
     return _reported(motion, fit, kept, (gain, offset_deg))
+
+
+def _motion(flights: Sequence[Flight], prior: FlownServo, most_samples: int) -> Motion:
+    """The busiest parts of all flights, of about so many samples in all."""
+    share = max(_FEWEST_SAMPLES, most_samples // len(flights))
+    return Motion.of([piece for flight in flights for piece in busiest(flight, share)], prior)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

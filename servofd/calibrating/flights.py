@@ -9,11 +9,12 @@ import numpy as np
 
 if TYPE_CHECKING:
     from servofd.segment import Segment
-    from servofd.types import FloatArray, IntArray
+    from servofd.types import FloatArray
 
 __all__ = ["Flight", "Span", "asked_deg", "busiest", "cropped"]
 
 _SLOW_RAD_S = 12.6
+_PIECES = 8
 
 Span = tuple[float, float]
 """From when to when [s], on the clock of the log."""
@@ -51,35 +52,48 @@ def cropped(segment: Segment, spans: tuple[Span, ...]) -> Segment:
     return replace(segment, measured_s=segment.measured_s[inside], measured_deg=segment.measured_deg[inside])
 
 
-def busiest(flight: Flight, most_samples: int) -> Flight:
-    """Stretch of a flight with most motion, as a slow servo would move, of at most so many samples.
+def busiest(flight: Flight, most_samples: int) -> list[Flight]:
+    """Pieces of a flight with most motion, as a slow servo would move, of at most so many samples in all.
+
+    Each eighth of the flight gives one: what a fault does to the commands must not draw all of them to itself.
 
     Examples
     --------
     >>> from servofd.segment import Segment
-    >>> t = np.arange(6.0)
-    >>> busiest(Flight("a", Segment("x", t, np.array([0, 0, 0, 5, 0, 5.0]), t, t)), 3).segment.measured_s
-    array([3., 4., 5.])
+    >>> t = np.arange(100.0)
+    >>> long = Flight("a", Segment("x", t, np.where(t > 50.0, 5.0, 0.0), t, t))
+    >>> [piece.segment.measured_s.size for piece in busiest(long, 40)]
+    [5, 5, 5, 5, 5, 5, 5, 5]
     """
     segment = flight.segment
     size = segment.measured_s.size
     if size <= most_samples:
-        return flight
+        return [flight]
     smooth_deg = _smoothed(asked_deg(segment), segment.period_s)
     travel_deg = np.cumsum(np.abs(np.diff(smooth_deg, prepend=smooth_deg[0])))
-    begin = int(np.argmax(travel_deg[most_samples - 1 :] - travel_deg[: size - most_samples + 1]))
-    rows: IntArray = np.arange(begin, begin + most_samples)
-    from_s, to_s = (float(segment.measured_s[k]) for k in (rows[0], rows[-1]))
-    first, last = np.searchsorted(segment.command_s, (from_s, to_s), side="right").tolist()
-    part = slice(max(first - 1, 0), max(last, 1))
+    length = most_samples // _PIECES
+    pieces = []
+    for rows in np.array_split(np.arange(size), _PIECES):
+        gained_deg = travel_deg[rows[length - 1 :]] - travel_deg[rows[: rows.size - length + 1]]
+        first = int(rows[0]) + int(np.argmax(gained_deg))
+        pieces.append(_piece(flight, first, first + length))
+    return pieces
+
+
+def _piece(flight: Flight, first: int, last: int) -> Flight:
+    """Measurements of some rows, with the commands in force from the first to the last of them."""
+    segment = flight.segment
+    from_s, to_s = (float(segment.measured_s[k]) for k in (first, last - 1))
+    begin, end = np.searchsorted(segment.command_s, (from_s, to_s), side="right").tolist()
+    commands = slice(max(begin - 1, 0), max(end, 1))
     return Flight(
         flight.label,
         replace(
             segment,
-            command_s=segment.command_s[part],
-            command_deg=segment.command_deg[part],
-            measured_s=segment.measured_s[rows],
-            measured_deg=segment.measured_deg[rows],
+            command_s=segment.command_s[commands],
+            command_deg=segment.command_deg[commands],
+            measured_s=segment.measured_s[first:last],
+            measured_deg=segment.measured_deg[first:last],
         ),
     )
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from servofd.segment import Segment
     from servofd.types import FloatArray
 
-__all__ = ["Levels", "Terms", "levels_for", "sigmas_for", "terms_of", "widened"]
+__all__ = ["MARGIN", "Levels", "Terms", "levels_for", "sigmas_for", "terms_of", "widened"]
 
 MARGIN = 1.25
 """Levels stay this much above the largest residual of the good flights: the next flight is not the same."""

@@ -30,10 +30,14 @@ class CalibratedSurface:
     surface: str
     fit: ServoFit
     levels: Levels
+    filter_pole_rad_s: float
+    """Of the residual filter that the levels belong to [rad/s]."""
     before: Before
     flights: tuple[FlightRecord, ...]
     stretches: int
     """How many stretches with motion the tolerances come from."""
+    suspicions: bool
+    """Whether faults below the threshold may be looked for: not if the good flights already look suspect."""
     notes: tuple[str, ...]
     """What a user should know before trusting it."""
 

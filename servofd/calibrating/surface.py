@@ -8,12 +8,15 @@ import numpy as np
 
 from servofd.calibrating.fit import ServoFit, fit_servo
 from servofd.calibrating.flights import asked_deg
-from servofd.calibrating.levels import levels_for, sigmas_for, terms_of, widened
+from servofd.calibrating.levels import MARGIN, levels_for, sigmas_for, terms_of, widened
 from servofd.calibrating.result import Before, CalibratedSurface, FlightRecord
 from servofd.calibrating.servo import FlownServo
 from servofd.calibrating.sound import problem
+from servofd.calibrating.still import stands_still
 from servofd.calibrating.spread import tolerance_from
-from servofd.calibrating.stretches import flown, stretches_of, telling
+from servofd.calibrating.stretches import Flown, flown, stretches_of, telling
+from servofd.detection.judge import judge
+from servofd.detection.pulse import fastest_pole_rad_s
 from servofd.errors import CalibrationError
 
 if TYPE_CHECKING:
@@ -21,6 +24,7 @@ if TYPE_CHECKING:
 
     from servofd.aircraft import Aircraft, Surface
     from servofd.calibrating.flights import Flight
+    from servofd.tolerance import Tolerance
 
 __all__ = ["calibrate_surface", "hardly_moved"]
 
@@ -32,6 +36,8 @@ _SLOWEST_HZ = 20.0
 _GAINS = (0.5, 2.0)
 _USUAL_GAINS = (0.8, 1.25)
 _LARGE_SHARE = 2.0
+_TRIALS = 6
+_ADVICE = "leave that part out (--until, --between), or the surface (-s)"
 
 
 def hardly_moved(flights: Sequence[Flight]) -> str:
@@ -80,10 +86,12 @@ def calibrate_surface(
     name = flights[0].segment.surface
     surface = aircraft.surfaces[name]
     prior = FlownServo.on(aircraft, name)
+    _check_moves(name, flights)
     fit = fit_servo(flights, prior, surface.tolerances)
     _check_scale(name, fit)
     scaled = [flight.with_scale(fit.gain.value, fit.offset_deg.value) for flight in flights]
-    runs = [flown(flight, fit.servo.model, surface.filter_pole_rad_s) for flight in scaled]
+    pole_rad_s = surface.filter_pole_rad_s or _pole_rad_s(fit, flights)
+    runs = [flown(flight, fit.servo.model, pole_rad_s) for flight in scaled]
     stretches = [s for run in runs for s in stretches_of(run, surface.tolerances, fit.noise_deg)]
     if not stretches:
         raise CalibrationError(f"{name}: no stretch of 3 s in which the surface moves: fly, or move the sticks, for longer")
@@ -92,18 +100,53 @@ def calibrate_surface(
     terms = terms_of(runs, tolerance)
     wrong = problem(runs, stretches, terms, tolerance, sigmas, surface)
     if wrong:
-        raise CalibrationError(f"{name}: not a good flight: {wrong}; leave that part out (--until, --between), or the surface")
+        raise CalibrationError(f"{name}: not a good flight: {wrong}; {_ADVICE}")
     tolerance = widened(terms, tolerance, sigmas)
+    tolerance, suspicions = _verified(runs, surface, tolerance, sigmas)
     levels = levels_for(terms, tolerance, rate_per_hour, sigmas, scaled[0].segment.period_s)
     return CalibratedSurface(
         name,
         fit,
         levels,
+        pole_rad_s,
         _before(flights, aircraft),
         tuple(FlightRecord(flight.label, flight.segment.duration_s) for flight in flights),
         len(telling(stretches)),
+        suspicions,
         _notes(fit, prior),
     )
+
+
+def _verified(
+    runs: Sequence[Flown], surface: Surface, tolerance: Tolerance, sigmas: float
+) -> tuple[Tolerance, bool]:
+    """Tolerances under which an audit of these flights finds nothing, and whether it may look for small faults."""
+    for suspicions in (True, False):
+        for _ in range(_TRIALS):
+            judged = surface.model_copy(
+                update={
+                    "threshold": "interval",
+                    "threshold_sigmas": sigmas,
+                    "tolerance": tolerance,
+                    "suspicions": suspicions,
+                }
+            )
+            found = [judge(run.generator, run.flight.segment, run.residuals, judged) for run in runs]
+            if not any(judgement.faults or judgement.suspicions for judgement in found):
+                return tolerance, suspicions
+            if suspicions:
+                break
+            tolerance = tolerance.scaled(MARGIN)
+    raise CalibrationError(
+        f"{runs[0].flight.segment.surface}: no tolerances keep these flights free of alarms: not one servo, or a fault"
+    )
+
+
+def _check_moves(name: str, flights: Sequence[Flight]) -> None:
+    for flight in flights:
+        where = stands_still(flight)
+        if where:
+            raise CalibrationError(f"{name}: not a good flight: {where}; {_ADVICE}")
 
 
 def _check_scale(name: str, fit: ServoFit) -> None:
@@ -113,6 +156,11 @@ def _check_scale(name: str, fit: ServoFit) -> None:
             f"{name}: the position moves {gain:.3g} times as far as the command: check units and channels of the aircraft "
             "file; a calibration corrects factors between 0.5 and 2"
         )
+
+
+def _pole_rad_s(fit: ServoFit, flights: Sequence[Flight]) -> float:
+    """Fastest filter pole that suits all these flights; thresholds hold for the filter that they were found with."""
+    return min(fastest_pole_rad_s(fit.servo.transfer, flight.segment.period_s) for flight in flights)
 
 
 def _half_widths(fit: ServoFit) -> dict[str, float]:

@@ -61,6 +61,7 @@ def _surface(calibration: Calibration, name: str, one: CalibratedSurface | None)
         f"{levels.peak_ratio:.0%} of its level in {_duration(levels.hours)}",
         "threshold_deg": f"for `--threshold constant`; residual {levels.residual_std_deg:.3f} deg std, "
         f"{levels.residual_peak_deg:.2f} deg at most",
+        "suspicions": "good flights already look suspect below the threshold: the model does not reach down to the noise",
         "tolerance": f"from {one.stretches} stretches with motion; never below a third of a fleet's",
     }
     entry.setdefault("threshold_deg", calibration.aircraft.surfaces[name].threshold_deg)
