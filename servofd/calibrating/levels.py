@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from servofd.detection.probability import Noise, fit_tail, threshold_for_rate_deg
-from servofd.detection.probability.tail import HOURS_FOR_TAIL
+from servofd.detection.probability.tail import HOURS_FOR_TAIL, peaks
 from servofd.detection.pulse import design_pulse_filter
 from servofd.detection.threshold import interval_threshold
 from servofd.tolerance import Tolerance
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from servofd.segment import Segment
     from servofd.types import FloatArray
 
-__all__ = ["MARGIN", "Levels", "Terms", "levels_for", "sigmas_for", "terms_of", "widened"]
+__all__ = ["MARGIN", "Levels", "Terms", "levels_for", "sigmas_for", "terms_of", "widened", "with_tail"]
 
 MARGIN = 1.25
 """Levels stay this much above the largest residual of the good flights: the next flight is not the same."""
@@ -31,6 +31,7 @@ _UNIT = 0.5
 _MOST_ROWS = 3_000
 _LARGEST = {"gain": 0.5, "delay_s": 0.1, "bandwidth": 0.8, "bias_deg": 1e3}
 _APART_S = 0.15
+_TAIL, _MOST_TAIL_SAMPLES, _FEWEST_PEAKS, _MOST_WIDENING = 0.01, 2_000, 8, 3.0
 
 
 class Terms(NamedTuple):
@@ -138,6 +139,44 @@ def widened(terms: Terms, tolerance: Tolerance, sigmas: float) -> Tolerance:
     if not found.success:
         return tolerance.model_copy(update={"bias_deg": tolerance.bias_deg + float(missing_deg.max())})
     return tolerance.model_copy(update=dict(zip(_TRIED, (float(f"{x:.4g}") for x in 1.0001 * found.x), strict=True)))
+
+
+def with_tail(
+    terms: Terms, tolerance: Tolerance, sigmas: float, rate_per_hour: float, period_s: float
+) -> Tolerance:
+    """Widen tolerances for what these flights were too short to show.
+
+    Peaks of \|residual\| over its threshold are taken to fall off exponentially (a generalised Pareto tail of index 0,
+    heavier than a Gaussian one), and the threshold to be where they reach the wanted rate.
+
+    Parameters
+    ----------
+    terms : Terms
+        Of the good flights.
+    tolerance : Tolerance
+        Wide enough for the flights themselves.
+    sigmas : float
+        Standard deviations of noise in the threshold.
+    rate_per_hour : float
+        Wanted false alarms of this surface.
+    period_s : float
+        Sample time [s].
+
+    Returns
+    -------
+    Tolerance
+        At most three times as wide; the same if the tail ends below the threshold.
+    """
+    ratio = terms.ratio(tolerance, sigmas)
+    apart = max(1, round(_APART_S / period_s))
+    level = float(np.quantile(ratio, max(1.0 - _TAIL, 1.0 - _MOST_TAIL_SAMPLES / ratio.size)))
+    excess = peaks(_apart(ratio, terms.flight, apart), level, apart) - level
+    if excess.size < _FEWEST_PEAKS:
+        return tolerance
+    per_hour = excess.size / (ratio.size * period_s / 3600.0)
+    factor = level + float(excess.mean()) * float(np.log(max(per_hour / rate_per_hour, 1.0)))
+    wider = tolerance.scaled(float(np.clip(factor, 1.0, _MOST_WIDENING)))
+    return wider.model_copy(update={"rate": tolerance.rate, "noise_deg": tolerance.noise_deg})
 
 
 def levels_for(terms: Terms, tolerance: Tolerance, rate_per_hour: float, sigmas: float, period_s: float) -> Levels:

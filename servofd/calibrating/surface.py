@@ -8,7 +8,7 @@ import numpy as np
 
 from servofd.calibrating.fit import ServoFit, fit_servo
 from servofd.calibrating.flights import asked_deg
-from servofd.calibrating.levels import MARGIN, levels_for, sigmas_for, terms_of, widened
+from servofd.calibrating.levels import MARGIN, levels_for, sigmas_for, terms_of, widened, with_tail
 from servofd.calibrating.result import Before, CalibratedSurface, FlightRecord
 from servofd.calibrating.servo import FlownServo
 from servofd.calibrating.sound import problem
@@ -102,6 +102,7 @@ def calibrate_surface(
     if wrong:
         raise CalibrationError(f"{name}: not a good flight: {wrong}; {_ADVICE}")
     tolerance = widened(terms, tolerance, sigmas)
+    tolerance = with_tail(terms, tolerance, sigmas, rate_per_hour, scaled[0].segment.period_s)
     tolerance, suspicions = _verified(runs, surface, tolerance, sigmas)
     levels = levels_for(terms, tolerance, rate_per_hour, sigmas, scaled[0].segment.period_s)
     return CalibratedSurface(
