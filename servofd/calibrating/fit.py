@@ -28,7 +28,9 @@ _COARSE_SAMPLES, _FINE_SAMPLES, _FEWEST_SAMPLES = 6_000, 40_000, 2_000
 _SCALES = (0.3, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0)
 _DAMPINGS = (0.6, 0.9, 1.6)
 _DELAYS_S = (0.0, 0.01, 0.02, 0.04, 0.07, 0.11)
-_RATE_SHARES = (0.9, 0.7, 0.5, 0.35)
+_RATE_SHARES = (0.9, 0.7, 0.5, 0.35, 0.2, 0.12)
+_USUAL_GAIN = 0.3
+"""Deviation of the logarithm of the gain before calibration: weak, but it decides where the motion does not."""
 _STARTS = 3
 _WORTH_A_LIMIT = 0.97
 _STEP = 1e-4
@@ -39,8 +41,8 @@ _MAD_TO_SIGMA = 1.4826
 _FOLLOWS = 0.5
 """Largest error while the surface should be away from rest, over how far: medians, half the time may be faulty."""
 _AWAY = 0.25
-_LIMIT_PROVED = 25.0
-"""Twice the gain in log-likelihood that a rate limit must bring over the one of the file: five standard deviations."""
+_PROVED = 12.0
+"""Twice the gain in log-likelihood that a number must bring over that of the file: three and a half standard deviations."""
 _NEVER_DEG_S = 0.999
 
 
@@ -111,7 +113,7 @@ def fit_servo(flights: Sequence[Flight], prior: FlownServo, tolerance: Tolerance
     _check_follows(few, starts[0], (gain, offset_deg))
     # In degrees of the command from here on, so that a start begins where the servo is.
     scaled = [flight.with_scale(gain, offset_deg) for flight in flights]
-    motion, few = _motion(scaled, prior, _FINE_SAMPLES), _motion(scaled, prior, _COARSE_SAMPLES)
+    motion, few = (replace(_motion(scaled, prior, n), usual_gain=1.0 / abs(gain)) for n in (_FINE_SAMPLES, _COARSE_SAMPLES))
     best = min((_descended(few, start, start.numbers) for start in _with_limits(few, starts)), key=_cost)
     fit, kept = _settled(motion, best.servo, prior, tolerance)
     return _reported(motion, fit, kept, (gain, offset_deg))
@@ -150,8 +152,13 @@ def _coarse(motion: Motion, prior: FlownServo) -> list[FlownServo]:
         for scale, damping, delay_s in itertools.product(_SCALES, dampings, delays_s)
     ]
     measured_deg = motion.measured_deg
-    left = [line(motion.simulated_deg(servo), measured_deg)[2] for servo in grid]
+    left = [_misfit_deg(*line(motion.simulated_deg(servo), measured_deg)) for servo in grid]
     return [grid[k] for k in np.argsort(left)[:_STARTS]]
+
+
+def _misfit_deg(gain: float, _offset_deg: float, left_deg: float) -> float:
+    """What is left, more so for a gain far from one: a slow servo with a large gain looks much like a quick one."""
+    return left_deg * (1.0 + (np.log(max(abs(gain), 1e-6)) / _USUAL_GAIN) ** 2)
 
 
 def _check_follows(motion: Motion, servo: FlownServo, line_: tuple[float, float]) -> None:
@@ -204,36 +211,36 @@ def _settled(
         top_deg_s = _top_speed_deg_s(motion, replace(servo, rate_limit_deg_s=None))
         without = tuple(name for name in names if name != "rate_limit_deg_s")
         plain = _descended(motion, replace(servo, rate_limit_deg_s=prior.rate_limit_deg_s), without)
-        if _evidence(motion, plain, _descended(motion, servo, names)) < _LIMIT_PROVED:
+        if _evidence(motion, plain, _descended(motion, servo, names)) < _PROVED:
             servo, names = plain.servo, without
             kept["rate_limit_deg_s"] = f"not reached, or hardly: no faster than {top_deg_s:.0f} deg/s in these flights"
             unlimited = _descended(motion, replace(servo, rate_limit_deg_s=None), without)
-            if _evidence(motion, plain, unlimited) >= _LIMIT_PROVED:
+            if _evidence(motion, plain, unlimited) >= _PROVED:
                 servo = unlimited.servo
                 kept["rate_limit_deg_s"] = f"none: up to {top_deg_s:.0f} deg/s these flights contradict that of the file"
-    while True:
-        fit = _descended(motion, servo, names)
-        ours, theirs = fit.servo.vector(names), {n: prior.vector((n,))[0] for n in names if getattr(prior, n)}
-        width = dict(zip(names, 1.96 * fit.deviation[: len(names)], strict=True))
-        vague = [
-            name
-            for name, mine in zip(names, ours.tolist(), strict=True)
-            if name in theirs and width[name] > known[name] and abs(mine - theirs[name]) < 2.0 * width[name]
-        ]
-        if not vague:
-            return fit, kept
-        worst = max(vague, key=lambda name: width[name] / known[name])
-        kept[worst] = "these flights tell less about it than the aircraft file"
-        names = tuple(name for name in names if name != worst)
-        servo = replace(fit.servo, **{worst: getattr(prior, worst)})
+    fit = _descended(motion, servo, names)
+    for name in sorted(names, key=lambda name: _width(fit, name) / known[name], reverse=True):
+        if _width(fit, name) <= known[name] or getattr(prior, name) is None:
+            continue
+        rest = tuple(other for other in fit.names if other != name)
+        without = _descended(motion, replace(fit.servo, **{name: getattr(prior, name)}), rest)
+        if _evidence(motion, without, fit) < _PROVED:
+            fit = without
+            kept[name] = "these flights tell less about it than the aircraft file"
+    return fit, kept
+
+
+def _width(fit: _Descent, name: str) -> float:
+    """Half the 95 % interval of a fitted number, in the units of `FlownServo.vector`."""
+    return 1.96 * float(fit.deviation[fit.names.index(name)])
 
 
 def _evidence(motion: Motion, plain: _Descent, richer: _Descent) -> float:
     """Twice the gain in log-likelihood of one fit over another, the memory of the errors taken into account."""
-    sigma_deg = _MAD_TO_SIGMA * float(np.median(np.abs(richer.error_deg))) + 1e-9
-    most = _ORDINARY * sigma_deg
-    squares = [float(np.sum(np.clip(one.error_deg, -most, most) ** 2)) for one in (plain, richer)]
-    return (squares[0] - squares[1]) / (sigma_deg**2 * motion.memory(richer.error_deg))
+    ordinary_deg = _ORDINARY * _MAD_TO_SIGMA * float(np.median(np.abs(richer.error_deg))) + 1e-9
+    losses = [float(np.mean(np.sqrt(1.0 + (one.error_deg / ordinary_deg) ** 2) - 1.0)) for one in (plain, richer)]
+    samples = richer.error_deg.size / motion.memory(richer.error_deg)
+    return samples * float(np.log(max(losses[0], 1e-300) / max(losses[1], 1e-300)))
 
 
 def _descended(motion: Motion, start: FlownServo, names: tuple[str, ...]) -> _Descent:
@@ -248,13 +255,20 @@ def _descended(motion: Motion, start: FlownServo, names: tuple[str, ...]) -> _De
     def simulated(x: FloatArray) -> FloatArray:
         return motion.simulated_deg(start.with_vector(names, x[:size]))
 
+    # The prior of the gain as one more row, which counts as one independent sample.
+    weight_deg = ordinary_deg * np.sqrt(motion.memory(measured_deg - gain * simulated_deg - offset_deg)) / _USUAL_GAIN
+    usual = motion.usual_gain * np.sign(gain)
+
     def error(x: FloatArray) -> FloatArray:
-        return measured_deg - x[size] * simulated(x) - x[size + 1]
+        return np.append(measured_deg - x[size] * simulated(x) - x[size + 1], weight_deg * (x[size] / usual - 1.0))
 
     def slopes(x: FloatArray) -> FloatArray:
         here = simulated(x)
         shape = [x[size] * (here - simulated(x + _STEP * unit)) / _STEP for unit in np.eye(x.size)[:size]]
-        return np.column_stack([*shape, -here, -np.ones(here.size)])
+        rows = np.column_stack([*shape, -here, -np.ones(here.size)])
+        last = np.zeros(x.size)
+        last[size] = weight_deg / usual
+        return np.vstack([rows, last])
 
     lower = np.full(size + 2, -np.inf)
     if "delay_s" in names:
@@ -272,8 +286,8 @@ def _descended(motion: Motion, start: FlownServo, names: tuple[str, ...]) -> _De
         xtol=1e-6,
         ftol=1e-6,
     )
-    left = error(found.x)
-    deviation = _deviations(slopes(found.x), left, motion.memory(left))
+    left = error(found.x)[:-1]
+    deviation = _deviations(slopes(found.x)[:-1], left, motion.memory(left))
     share = max(float(np.ptp(measured_deg)) * 0.02, 1e-9)
     cost = float(np.mean(np.sqrt(1.0 + (left / (share * max(abs(found.x[size]), 1e-6))) ** 2) - 1.0))
     servo = start.with_vector(names, found.x[:size])
@@ -299,7 +313,7 @@ def _reported(motion: Motion, fit: _Descent, kept: dict[str, str], first: tuple[
     for name, mine, deviation in zip(names, fit.servo.vector(names).tolist(), fit.deviation[:size], strict=True):
         ends = Estimate.of(mine, float(deviation))
         numbers[name] = (
-            Estimate(*(max(1e-3 * end, 0.0) for end in ends)) if name == "delay_s" else Estimate(*np.exp(ends).tolist())
+            Estimate(*(max(1e-3 * end, 0.0) for end in ends)) if name == "delay_s" else Estimate(*np.exp(np.clip(ends, -50.0, 50.0)).tolist())
         )
     total = Estimate.of(first[0] * gain, abs(first[0]) * float(fit.deviation[size]))
     offset = Estimate.of(first[0] * offset_deg + first[1], abs(first[0]) * float(fit.deviation[size + 1]))

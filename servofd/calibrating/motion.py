@@ -23,6 +23,8 @@ _POLE_RAD_S = 30.0
 """Of a filter that only serves to find gaps and starts: gaps beyond 0.17 s, blanking of 0.27 s."""
 _FORGOTTEN_S = 1.0
 """After a start the servo was somewhere nobody knows; the slowest ones of the library forget it by then."""
+_FORGOTTEN_SHARE = 0.1
+"""Of a short test, which begins at rest."""
 _REWEIGHTINGS = 8
 _MEMORY_S = 1.0
 
@@ -34,6 +36,8 @@ class Motion:
     flights: tuple[Flight, ...]
     used: tuple[BoolArray, ...]
     """Rows of each flight with a position that a simulation can be held against."""
+    usual_gain: float = 1.0
+    """Of a position that reads in degrees as the aircraft file says."""
 
     @classmethod
     def of(cls, flights: Sequence[Flight], servo: FlownServo) -> Motion:
@@ -75,7 +79,8 @@ def _usable(flight: Flight, servo: FlownServo) -> BoolArray:
         return np.zeros(residuals.time_s.size, dtype=bool)
     last = np.searchsorted(starts, np.arange(residuals.time_s.size), side="right") - 1
     since_s = residuals.time_s - residuals.time_s[starts[np.maximum(last, 0)]]
-    usable: BoolArray = residuals.settled & (last >= 0) & (since_s >= _FORGOTTEN_S)
+    forgotten_s = min(_FORGOTTEN_S, _FORGOTTEN_SHARE * flight.segment.duration_s)
+    usable: BoolArray = residuals.settled & (last >= 0) & (since_s >= forgotten_s)
     return usable
 
 

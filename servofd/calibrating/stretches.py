@@ -26,9 +26,9 @@ NUISANCES = ("gain", "delay_s", "bandwidth", "bias_deg")
 
 _WIDE = np.array([0.2, 0.02, 0.3, 10.0])
 """Prior standard deviations of `NUISANCES`: wide, they only keep what a stretch does not excite from running away."""
-_SHORTEST_S, _LONGEST_S, _WANTED = 3.0, 20.0, 8
-_FORGOTTEN_S = 1.0
-_FEWEST_SAMPLES = 30
+_SHORTEST_S, _LONGEST_S, _WANTED = 1.0, 20.0, 8
+_FORGOTTEN_S, _FORGOTTEN_SHARE = 1.0, 0.1
+_FEWEST_SAMPLES = 20
 _MOTION_NOISES = 10.0
 """Less motion than ten times the noise tells nothing of gain, delay and bandwidth."""
 _TELLING = 0.25
@@ -65,7 +65,7 @@ def flown(flight: Flight, model: ServoModel, pole_rad_s: float | None) -> Flown:
 
 
 def stretches_of(what: Flown, tolerance: Tolerance, noise_deg: float) -> list[Stretch]:
-    """Cut a flight into stretches of 3 to 20 s, and fit each; those in which the surface hardly moves are left out.
+    """Cut a flight into stretches of 1 to 20 s, and fit each; those in which the surface hardly moves are left out.
 
     Parameters
     ----------
@@ -85,7 +85,8 @@ def stretches_of(what: Flown, tolerance: Tolerance, noise_deg: float) -> list[St
     judged_s = residuals.time_s[residuals.settled]
     if judged_s.size < _FEWEST_SAMPLES:
         return []
-    first_s, last_s = float(judged_s[0]) + _FORGOTTEN_S, float(judged_s[-1])
+    forgotten_s = min(_FORGOTTEN_S, _FORGOTTEN_SHARE * what.flight.segment.duration_s)
+    first_s, last_s = float(judged_s[0]) + forgotten_s, float(judged_s[-1])
     length_s = float(np.clip((last_s - first_s) / _WANTED, _SHORTEST_S, _LONGEST_S))
     count = max(1, int((last_s - first_s) / length_s))
     edges = np.linspace(first_s, last_s, count + 1)

@@ -29,13 +29,14 @@ if TYPE_CHECKING:
 __all__ = ["calibrate_surface", "hardly_moved"]
 
 _ENOUGH_MOTION_DEG = 1.0
-_SHORTEST_S = 8.0
-"""Two stretches of 3 s, and the second after the start that is left out."""
+_SHORTEST_S = 2.5
+"""A bench test that is all motion; a flight says more."""
 _SLOWEST_HZ = 20.0
 """Healthy residuals pass 0.4 deg at 10 Hz and 0.13 deg at 25 Hz for lack of samples: no base for a threshold."""
 _GAINS = (0.5, 2.0)
 _USUAL_GAINS = (0.8, 1.25)
 _LARGE_SHARE = 2.0
+_POOR = 0.1
 _TRIALS = 6
 _ADVICE = "leave that part out (--until, --between), or the surface (-s)"
 
@@ -88,13 +89,14 @@ def calibrate_surface(
     prior = FlownServo.on(aircraft, name)
     _check_moves(name, flights)
     fit = fit_servo(flights, prior, surface.tolerances)
+    _check_fit(name, fit, flights)
     _check_scale(name, fit)
     scaled = [flight.with_scale(fit.gain.value, fit.offset_deg.value) for flight in flights]
     pole_rad_s = surface.filter_pole_rad_s or _pole_rad_s(fit, flights)
     runs = [flown(flight, fit.servo.model, pole_rad_s) for flight in scaled]
     stretches = [s for run in runs for s in stretches_of(run, surface.tolerances, fit.noise_deg)]
     if not stretches:
-        raise CalibrationError(f"{name}: no stretch of 3 s in which the surface moves: fly, or move the sticks, for longer")
+        raise CalibrationError(f"{name}: no stretch of a second in which the surface moves: fly, or move the sticks, for longer")
     tolerance = tolerance_from(telling(stretches), _half_widths(fit), surface.tolerances, fit.noise_deg)
     sigmas = sigmas_for(rate_per_hour, runs[0])
     terms = terms_of(runs, tolerance)
@@ -162,6 +164,18 @@ def _check_scale(name: str, fit: ServoFit) -> None:
 def _pole_rad_s(fit: ServoFit, flights: Sequence[Flight]) -> float:
     """Fastest filter pole that suits all these flights; thresholds hold for the filter that they were found with."""
     return min(fastest_pole_rad_s(fit.servo.transfer, flight.segment.period_s) for flight in flights)
+
+
+def _check_fit(name: str, fit: ServoFit, flights: Sequence[Flight]) -> None:
+    """Refuse a servo that no linear model with a rate limit comes near."""
+    positions = np.concatenate([flight.segment.measured_deg for flight in flights]) / abs(fit.gain.value)
+    low_deg, high_deg = np.nanpercentile(positions, [2.0, 98.0])
+    if fit.error_rms_deg > _POOR * (high_deg - low_deg):
+        raise CalibrationError(
+            f"{name}: the best servo leaves {fit.error_rms_deg:.2g} deg rms of a motion of {high_deg - low_deg:.3g} deg: "
+            "a fault in large parts of these flights, or friction or load beyond the model; `servofd audit` and "
+            "`servofd explain` tell more"
+        )
 
 
 def _half_widths(fit: ServoFit) -> dict[str, float]:
