@@ -23,13 +23,26 @@ PARTS = {
     "aircraft": {"errors", "types", "models", "servos", "calibration"},
     "frozen": {"types"},
     "segment": {"errors", "types", "aircraft", "frozen"},
-    "feedback": {"errors", "types", "aircraft", "servos", "models", "segment", "detection"},
+    "feedback": {"errors", "types", "aircraft", "servos", "models", "segment", "detection", "toml_text"},
+    "toml_text": set(),
+    "calibrating": {
+        "errors",
+        "types",
+        "aircraft",
+        "servos",
+        "models",
+        "segment",
+        "detection",
+        "tolerance",
+        "toml_text",
+    },
+    "sweep": {"errors", "types", "aircraft", "models", "segment", "detection", "tolerance"},
     "survey": {"errors", "aircraft", "segment", "feedback", "workflow"},
     "odds": {"errors", "types", "aircraft", "detection"},
     "detection": {"errors", "types", "models", "servos", "aircraft", "segment"},
     "simulation": {"errors", "types", "models", "calibration", "aircraft", "outputs"},
-    "outputs": {"errors", "types", "detection", "segment"},
-    "workflow": {"errors", "aircraft", "servos", "detection", "feedback"},
+    "outputs": {"errors", "types", "detection", "segment", "sweep"},
+    "workflow": {"errors", "aircraft", "servos", "detection", "feedback", "segment", "calibrating"},
     "cli": {
         "errors",
         "types",
@@ -43,6 +56,8 @@ PARTS = {
         "feedback",
         "survey",
         "odds",
+        "calibrating",
+        "sweep",
     },
 }
 ONLY_IN = {
@@ -50,7 +65,18 @@ ONLY_IN = {
     "matplotlib": {"servofd/outputs/figure.py", "servofd/outputs/odds_figure.py", "servofd/cli/design.py"},
     "argparse": {
         f"servofd/cli/{name}.py"
-        for name in ("__init__", "audit", "config", "design", "info", "odds", "servos", "simulate")
+        for name in (
+            "__init__",
+            "audit",
+            "calibrate",
+            "config",
+            "design",
+            "info",
+            "odds",
+            "servos",
+            "simulate",
+            "sweep",
+        )
     },
     "numba": {
         "servofd/models/state.py",

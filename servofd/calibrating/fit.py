@@ -42,7 +42,7 @@ _FOLLOWS = 0.5
 """Largest error while the surface should be away from rest, over how far: medians, half the time may be faulty."""
 _AWAY = 0.25
 _PROVED = 12.0
-"""Twice the gain in log-likelihood that a number must bring over that of the file: three and a half standard deviations."""
+"""Twice the gain in log-likelihood that a number must bring over that of the file: 3.5 standard deviations."""
 _NEVER_DEG_S = 0.999
 
 
@@ -113,7 +113,9 @@ def fit_servo(flights: Sequence[Flight], prior: FlownServo, tolerance: Tolerance
     _check_follows(few, starts[0], (gain, offset_deg))
     # In degrees of the command from here on, so that a start begins where the servo is.
     scaled = [flight.with_scale(gain, offset_deg) for flight in flights]
-    motion, few = (replace(_motion(scaled, prior, n), usual_gain=1.0 / abs(gain)) for n in (_FINE_SAMPLES, _COARSE_SAMPLES))
+    motion, few = (
+        replace(_motion(scaled, prior, n), usual_gain=1.0 / abs(gain)) for n in (_FINE_SAMPLES, _COARSE_SAMPLES)
+    )
     best = min((_descended(few, start, start.numbers) for start in _with_limits(few, starts)), key=_cost)
     fit, kept = _settled(motion, best.servo, prior, tolerance)
     return _reported(motion, fit, kept, (gain, offset_deg))
@@ -157,8 +159,8 @@ def _coarse(motion: Motion, prior: FlownServo) -> list[FlownServo]:
 
 
 def _misfit_deg(gain: float, _offset_deg: float, left_deg: float) -> float:
-    """What is left, more so for a gain far from one: a slow servo with a large gain looks much like a quick one."""
-    return left_deg * (1.0 + (np.log(max(abs(gain), 1e-6)) / _USUAL_GAIN) ** 2)
+    """Misfit left over, more so for a gain far from one: a slow servo with a large gain looks much like a quick one."""
+    return left_deg * (1.0 + float(np.log(max(abs(gain), 1e-6)) / _USUAL_GAIN) ** 2)
 
 
 def _check_follows(motion: Motion, servo: FlownServo, line_: tuple[float, float]) -> None:
@@ -209,15 +211,17 @@ def _settled(
     names = servo.numbers
     if servo.rate_limit_deg_s is not None:
         top_deg_s = _top_speed_deg_s(motion, replace(servo, rate_limit_deg_s=None))
-        without = tuple(name for name in names if name != "rate_limit_deg_s")
-        plain = _descended(motion, replace(servo, rate_limit_deg_s=prior.rate_limit_deg_s), without)
+        others = tuple(name for name in names if name != "rate_limit_deg_s")
+        plain = _descended(motion, replace(servo, rate_limit_deg_s=prior.rate_limit_deg_s), others)
         if _evidence(motion, plain, _descended(motion, servo, names)) < _PROVED:
-            servo, names = plain.servo, without
+            servo, names = plain.servo, others
             kept["rate_limit_deg_s"] = f"not reached, or hardly: no faster than {top_deg_s:.0f} deg/s in these flights"
-            unlimited = _descended(motion, replace(servo, rate_limit_deg_s=None), without)
+            unlimited = _descended(motion, replace(servo, rate_limit_deg_s=None), others)
             if _evidence(motion, plain, unlimited) >= _PROVED:
                 servo = unlimited.servo
-                kept["rate_limit_deg_s"] = f"none: up to {top_deg_s:.0f} deg/s these flights contradict that of the file"
+                kept["rate_limit_deg_s"] = (
+                    f"none: up to {top_deg_s:.0f} deg/s these flights contradict that of the file"
+                )
     fit = _descended(motion, servo, names)
     for name in sorted(names, key=lambda name: _width(fit, name) / known[name], reverse=True):
         if _width(fit, name) <= known[name] or getattr(prior, name) is None:
@@ -313,7 +317,9 @@ def _reported(motion: Motion, fit: _Descent, kept: dict[str, str], first: tuple[
     for name, mine, deviation in zip(names, fit.servo.vector(names).tolist(), fit.deviation[:size], strict=True):
         ends = Estimate.of(mine, float(deviation))
         numbers[name] = (
-            Estimate(*(max(1e-3 * end, 0.0) for end in ends)) if name == "delay_s" else Estimate(*np.exp(np.clip(ends, -50.0, 50.0)).tolist())
+            Estimate(*(max(1e-3 * end, 0.0) for end in ends))
+            if name == "delay_s"
+            else Estimate(*np.exp(np.clip(ends, -50.0, 50.0)).tolist())
         )
     total = Estimate.of(first[0] * gain, abs(first[0]) * float(fit.deviation[size]))
     offset = Estimate.of(first[0] * offset_deg + first[1], abs(first[0]) * float(fit.deviation[size + 1]))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -133,7 +133,7 @@ def widened(terms: Terms, tolerance: Tolerance, sigmas: float) -> Tolerance:
         return tolerance
     rows = rows[np.argsort(missing_deg[rows])[-_MOST_ROWS:]]
     bounds = [(low, max(low, _LARGEST[name])) for name, low in zip(_TRIED, lowest.tolist(), strict=True)]
-    found = linprog(
+    found: Any = linprog(
         terms.by_tolerance.mean(axis=0), A_ub=-terms.by_tolerance[rows], b_ub=-short_deg[rows], bounds=bounds
     )
     if not found.success:
@@ -141,10 +141,8 @@ def widened(terms: Terms, tolerance: Tolerance, sigmas: float) -> Tolerance:
     return tolerance.model_copy(update=dict(zip(_TRIED, (float(f"{x:.4g}") for x in 1.0001 * found.x), strict=True)))
 
 
-def with_tail(
-    terms: Terms, tolerance: Tolerance, sigmas: float, rate_per_hour: float, period_s: float
-) -> Tolerance:
-    """Widen tolerances for what these flights were too short to show.
+def with_tail(terms: Terms, tolerance: Tolerance, sigmas: float, rate_per_hour: float, period_s: float) -> Tolerance:
+    r"""Widen tolerances for what these flights were too short to show.
 
     Peaks of \|residual\| over its threshold are taken to fall off exponentially (a generalised Pareto tail of index 0,
     heavier than a Gaussian one), and the threshold to be where they reach the wanted rate.

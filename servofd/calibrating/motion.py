@@ -127,4 +127,4 @@ def noise_of(measured_deg: FloatArray, error_deg: FloatArray) -> float:
     """Standard deviation of the measurement noise [deg], that of rounding included."""
     steps = np.diff(np.unique(measured_deg))
     step_deg = float(np.median(steps)) if steps.size > 1 else 0.0
-    return max(noise_deg(error_deg), step_deg / np.sqrt(12.0))
+    return float(max(noise_deg(error_deg), step_deg / np.sqrt(12.0)))

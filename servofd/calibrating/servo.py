@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -120,7 +120,7 @@ class FlownServo:
         0.007
         """
         limits = {"bandwidth_hz": _BANDWIDTHS_HZ, "damping": _DAMPINGS, "rate_limit_deg_s": _RATES_DEG_S}
-        changed = {
+        changed: dict[str, Any] = {
             name: float(np.clip(_MILLISECOND_S * value, 0.0, _LONGEST_DELAY_S))
             if name == "delay_s"
             else float(np.exp(np.clip(value, *np.log(limits[name]))))

@@ -1,4 +1,4 @@
-"""Whether flights that somebody called good are: what no healthy servo does, judged by the model that fits most of them."""
+"""Whether flights that somebody called good are: what no healthy servo does, by the model that fits most of them."""
 
 from __future__ import annotations
 
@@ -25,12 +25,13 @@ __all__ = ["problem"]
 
 _GROSS = np.array([0.15, 0.02, 0.4, 1.5])
 """Deviations of gain, delay [s], bandwidth and bias [deg] within one flight that no healthy servo has: five times what
-a whole fleet strays (the default `Tolerance`), rounded; seven times for the delay, which load on the telemetry link shifts."""
+a whole fleet strays (the default `Tolerance`), rounded; seven times for the delay, which load on the telemetry link
+shifts."""
 _TIMES_SPREAD, _DOUBTS = 6.0, 4.0
 _PEAK, _TIMES_PEAK = 1.5, 3.0
 """A stretch is odd if its residual passes 1.5 thresholds, and three times what the median stretch reaches."""
 _ALWAYS_FAULTY = ("stuck", "hardover", "floating", "oscillation")
-"""What no servo does by nature. A dead band or slowness that lasts from the first to the last second may be how it is."""
+"""What no servo does by nature. A dead band or slowness from the first to the last second may be how it is."""
 _SURE = 0.9
 _FORMS = ("gain {:.2f}", "delay {:+.0f} ms", "bandwidth {:+.0%}", "bias {:+.1f} deg")
 
@@ -81,9 +82,7 @@ def problem(
     return f"{stretch.label}: from {stretch.from_s:.1f} to {stretch.to_s:.1f} s {how}"
 
 
-def _named(
-    flights: Sequence[Flown], tolerance: Tolerance, sigmas: float, surface: Surface
-) -> list[tuple[str, Fault]]:
+def _named(flights: Sequence[Flown], tolerance: Tolerance, sigmas: float, surface: Surface) -> list[tuple[str, Fault]]:
     """What the bank makes of each flight."""
     judged = surface.model_copy(
         update={"tolerance": tolerance, "threshold": "interval", "threshold_sigmas": sigmas, "persistence": 1}
@@ -103,11 +102,11 @@ def _gross(stretches: Sequence[Stretch]) -> tuple[Stretch, str] | None:
     doubt = np.array([s.doubt for s in stretches])
     limit = np.maximum(_GROSS, _TIMES_SPREAD * spread(stretches)) + _DOUBTS * doubt
     excess = np.abs(deviation - np.median(deviation, axis=0)) / limit
-    worst, which = np.unravel_index(int(np.argmax(excess)), excess.shape)
+    worst, which = divmod(int(np.argmax(excess)), excess.shape[1])
     if excess[worst, which] <= 1.0:
         return None
     value = float(deviation[worst, which])
-    shown = {0: 1.0 + value, 1: 1e3 * value}.get(int(which), value)
+    shown = {0: 1.0 + value, 1: 1e3 * value}.get(which, value)
     alone = len({s.label for s in stretches}) == 1
     rest = "the rest of the flight" if alone else "the other flights: a fault, or not the same aircraft"
     return stretches[worst], f"{_FORMS[which].format(shown)} against {rest}"

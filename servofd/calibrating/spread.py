@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["FLOORS", "spread", "tolerance_from"]
 
 FLOORS = Tolerance(gain=0.01, delay_s=0.001, bandwidth=0.033, rate=0.05, bias_deg=0.1, noise_deg=0.02)
-"""A third of what a fleet of servos strays (the default `Tolerance`); half of it for the rate, which follows the supply.
+"""A third of what a fleet of servos strays (the default `Tolerance`); half for the rate, which follows the supply.
 One servo strays less than a fleet, but a flight or two do not show all temperatures, supply voltages and airloads."""
 _CHI2_MEDIAN = 0.4549
 _BEYOND = 1e-3
@@ -55,7 +55,7 @@ def _spread_of(deviation: FloatArray, doubt: FloatArray) -> float:
 def tolerance_from(
     stretches: Sequence[Stretch], half_widths: Mapping[str, float], prior: Tolerance, noise_deg: float
 ) -> Tolerance:
-    """Tolerances that one more stretch of the same servo will keep, as far as these tell.
+    r"""Tolerances that one more stretch of the same servo will keep, as far as these tell.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def tolerance_from(
 
     Notes
     -----
-    With n stretches of spread s, one more lies within :math:`t_{n-1} s \\sqrt{1 + 1/n}` of their mean. For fewer than
+    With n stretches of spread s, one more lies within :math:`t_{n-1} s \sqrt{1 + 1/n}` of their mean. For fewer than
     five stretches the factor of five is used (8.6 at one in a thousand): below that it says nothing but "unknown".
     """
     from scipy.stats import t

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -53,7 +54,10 @@ def stands_still(flight: Flight) -> str:
             windows.append((int(first), int(last)))
     if not windows:
         return ""
-    first, last = windows[0][0], next((b[1] for b, c in zip(windows, windows[1:], strict=False) if c[0] > b[1]), windows[-1][1])
+    first, last = (
+        windows[0][0],
+        next((b[1] for b, c in itertools.pairwise(windows) if c[0] > b[1]), windows[-1][1]),
+    )
     at_deg = float(np.median(measured_deg[first:last]))
     return _told(flight.label, time_s, measured_deg, command_deg, (first, last), at_deg, still_deg)
 
@@ -74,8 +78,8 @@ def _told(
     while last < time_s.size and abs(measured_deg[last] - at_deg) < still_deg:
         last += 1
     return (
-        f"{label}: stands still at {at_deg:.1f} deg from {time_s[first]:.1f} to {time_s[last - 1]:.1f} s while the command "
-        f"moves by {np.ptp(command_deg[first:last]):.0f} deg"
+        f"{label}: stands still at {at_deg:.1f} deg from {time_s[first]:.1f} to {time_s[last - 1]:.1f} s while the "
+        f"command moves by {np.ptp(command_deg[first:last]):.0f} deg"
     )
 
 

@@ -31,7 +31,7 @@ _FORGOTTEN_S, _FORGOTTEN_SHARE = 1.0, 0.1
 _FEWEST_SAMPLES = 20
 _MOTION_NOISES = 10.0
 """Less motion than ten times the noise tells nothing of gain, delay and bandwidth."""
-_TELLING = 0.25
+_TELLING = 0.4
 _SIGMA_95 = 1.96
 
 

@@ -12,8 +12,8 @@ from servofd.calibrating.levels import MARGIN, levels_for, sigmas_for, terms_of,
 from servofd.calibrating.result import Before, CalibratedSurface, FlightRecord
 from servofd.calibrating.servo import FlownServo
 from servofd.calibrating.sound import problem
-from servofd.calibrating.still import stands_still
 from servofd.calibrating.spread import tolerance_from
+from servofd.calibrating.still import stands_still
 from servofd.calibrating.stretches import Flown, flown, stretches_of, telling
 from servofd.detection.judge import judge
 from servofd.detection.pulse import fastest_pole_rad_s
@@ -65,9 +65,7 @@ def hardly_moved(flights: Sequence[Flight]) -> str:
     return ""
 
 
-def calibrate_surface(
-    flights: Sequence[Flight], aircraft: Aircraft, rate_per_hour: float
-) -> CalibratedSurface:
+def calibrate_surface(flights: Sequence[Flight], aircraft: Aircraft, rate_per_hour: float) -> CalibratedSurface:
     """Fit the servo of one surface, then its tolerances and thresholds.
 
     Parameters
@@ -96,7 +94,9 @@ def calibrate_surface(
     runs = [flown(flight, fit.servo.model, pole_rad_s) for flight in scaled]
     stretches = [s for run in runs for s in stretches_of(run, surface.tolerances, fit.noise_deg)]
     if not stretches:
-        raise CalibrationError(f"{name}: no stretch of a second in which the surface moves: fly, or move the sticks, for longer")
+        raise CalibrationError(
+            f"{name}: no stretch of a second in which the surface moves: fly, or move the sticks, for longer"
+        )
     tolerance = tolerance_from(telling(stretches), _half_widths(fit), surface.tolerances, fit.noise_deg)
     sigmas = sigmas_for(rate_per_hour, runs[0])
     terms = terms_of(runs, tolerance)
@@ -120,9 +120,7 @@ def calibrate_surface(
     )
 
 
-def _verified(
-    runs: Sequence[Flown], surface: Surface, tolerance: Tolerance, sigmas: float
-) -> tuple[Tolerance, bool]:
+def _verified(runs: Sequence[Flown], surface: Surface, tolerance: Tolerance, sigmas: float) -> tuple[Tolerance, bool]:
     """Tolerances under which an audit of these flights finds nothing, and whether it may look for small faults."""
     for suspicions in (True, False):
         for _ in range(_TRIALS):
@@ -156,8 +154,8 @@ def _check_scale(name: str, fit: ServoFit) -> None:
     gain = abs(fit.gain.value)
     if not _GAINS[0] <= gain <= _GAINS[1]:
         raise CalibrationError(
-            f"{name}: the position moves {gain:.3g} times as far as the command: check units and channels of the aircraft "
-            "file; a calibration corrects factors between 0.5 and 2"
+            f"{name}: the position moves {gain:.3g} times as far as the command: check units and channels of the "
+            "aircraft file; a calibration corrects factors between 0.5 and 2"
         )
 
 
@@ -170,10 +168,11 @@ def _check_fit(name: str, fit: ServoFit, flights: Sequence[Flight]) -> None:
     """Refuse a servo that no linear model with a rate limit comes near."""
     positions = np.concatenate([flight.segment.measured_deg for flight in flights]) / abs(fit.gain.value)
     low_deg, high_deg = np.nanpercentile(positions, [2.0, 98.0])
-    if fit.error_rms_deg > _POOR * (high_deg - low_deg):
+    beyond_noise_deg = float(np.sqrt(max(fit.error_rms_deg**2 - fit.noise_deg**2, 0.0)))
+    if beyond_noise_deg > _POOR * (high_deg - low_deg):
         raise CalibrationError(
-            f"{name}: the best servo leaves {fit.error_rms_deg:.2g} deg rms of a motion of {high_deg - low_deg:.3g} deg: "
-            "a fault in large parts of these flights, or friction or load beyond the model; `servofd audit` and "
+            f"{name}: the best servo leaves {fit.error_rms_deg:.2g} deg rms of a motion of {high_deg - low_deg:.3g} deg"
+            ": a fault in large parts of these flights, or friction or load beyond the model; `servofd audit` and "
             "`servofd explain` tell more"
         )
 
@@ -214,7 +213,7 @@ def _notes(fit: ServoFit, prior: FlownServo) -> tuple[str, ...]:
         notes.append(f"{share:.2g} times the bandwidth of {prior.prior.title}: is this the right servo?")
     if fit.error_rms_deg > 5.0 * max(fit.noise_deg, 1e-3):
         notes.append(
-            f"the model leaves {fit.error_rms_deg:.2g} deg rms, the noise is {fit.noise_deg:.2g} deg: something else is in "
-            "this servo; thresholds are wide for it"
+            f"the model leaves {fit.error_rms_deg:.2g} deg rms, the noise is {fit.noise_deg:.2g} deg: something else "
+            "is in this servo; thresholds are wide for it"
         )
     return tuple(notes)

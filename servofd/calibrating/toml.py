@@ -21,7 +21,7 @@ def calibration_to_toml(calibration: Calibration) -> str:
     logs = {record.label: None for one in calibration.surfaces for record in one.flights}
     lines = [
         f"# Calibrated by `servofd calibrate` from {', '.join(logs)}: flights taken to be good.",
-        f"# Thresholds are for {calibration.false_alarms_per_hour:g} false alarms per flight hour of the whole aircraft.",
+        f"# Thresholds are for {calibration.false_alarms_per_hour:g} false alarms per hour of the whole aircraft.",
         "# Numbers in square brackets behind a # are 95 % intervals.",
         "",
         f"name = {toml_value(aircraft.name)}",
@@ -61,7 +61,7 @@ def _surface(calibration: Calibration, name: str, one: CalibratedSurface | None)
         f"{levels.peak_ratio:.0%} of its level in {_duration(levels.hours)}",
         "threshold_deg": f"for `--threshold constant`; residual {levels.residual_std_deg:.3f} deg std, "
         f"{levels.residual_peak_deg:.2f} deg at most",
-        "suspicions": "good flights already look suspect below the threshold: the model does not reach down to the noise",
+        "suspicions": "off: below the threshold good flights look suspect, as the model does not reach the noise",
         "tolerance": f"from {one.stretches} stretches with motion; never below a third of a fleet's",
     }
     entry.setdefault("threshold_deg", calibration.aircraft.surfaces[name].threshold_deg)

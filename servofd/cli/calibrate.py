@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from servofd.detection.bank.explanation import Estimate
     from servofd.calibrating.result import CalibratedSurface, Calibration
+    from servofd.detection.bank.explanation import Estimate
 
 __all__ = ["add_parser", "run"]
 
@@ -20,9 +20,9 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
     parser = verbs.add_parser(
         "calibrate",
         help="fit an aircraft file to flights that are known to be good",
-        description="Fits each servo (scale, offset, delay, bandwidth, rate limit as far as the flights show it), how far "
-        "it strays, and its threshold to flights that are known to be good, and writes a new aircraft file. Flights that "
-        "look faulty are refused. Exit code 0: written; 2: not.",
+        description="Fits each servo (scale, offset, delay, bandwidth, rate limit as far as the flights show it), how "
+        "far it strays, and its threshold to flights that are known to be good, and writes a new aircraft file. "
+        "Flights that look faulty are refused. Exit code 0: written; 2: not.",
         epilog="Example: servofd calibrate good_flight.bin -c my_plane.toml -o calibrated.toml",
     )
     parser.add_argument("logs", nargs="+", metavar="LOG", help="flights of one aircraft, all of them good")
@@ -34,10 +34,20 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument("-s", "--surface", action="append", default=[], metavar="NAME", help="calibrate only this one")
     parser.add_argument("--until", type=_seconds, metavar="S", help="use each log up to this time [s] only")
     parser.add_argument(
-        "--between", type=_span, action="append", default=[], metavar="A:B", help="use this part [s] only; may be repeated"
+        "--between",
+        type=_span,
+        action="append",
+        default=[],
+        metavar="A:B",
+        help="use this part [s] only; may be repeated",
     )
     parser.add_argument(
-        "--run", dest="runs", action="append", default=[], metavar="NAME", help="of a table of several runs, use only this"
+        "--run",
+        dest="runs",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="of a table of several runs, use only this",
     )
     parser.set_defaults(run=run)
 

@@ -45,7 +45,9 @@ def _surface_lines(surface: DraftedSurface, threshold_deg: float) -> list[str]:
         f"threshold_deg = {threshold_deg:g}  # largest residual in this log: {surface.peak_deg:.1f} deg",
     ]
     if pair.position.alive:
-        lines.append(f"alive = {toml_value(list(pair.position.alive))}  # all still, and the position too: dead telemetry")
+        lines.append(
+            f"alive = {toml_value(list(pair.position.alive))}  # all still, and the position too: dead telemetry"
+        )
     lines += [f"command = {toml_inline(surface.command)}{scale}", f"measured = {toml_inline(surface.measured)}", ""]
     lines.append(f"[servos.{toml_key(f'{pair.surface}-draft')}]")
     lines += [f"{name} = {toml_value(value)}" for name, value in servo_entry(surface).items()]
