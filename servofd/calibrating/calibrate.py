@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+import os
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 from servofd.aircraft import Aircraft
@@ -71,15 +74,22 @@ def calibrate_aircraft(
     wanted = [name for name in aircraft.surfaces if name not in kept]
     if not wanted:
         raise CalibrationError("; ".join(f"{name}: {reason}" for name, reason in kept.items()))
-    found, wrong = [], []
-    for name in wanted:
+
+    def one(name: str) -> CalibratedSurface | CalibrationError:
         try:
-            found.append(calibrate_surface(flights[name], aircraft, false_alarms_per_hour / len(wanted)))
+            return calibrate_surface(flights[name], aircraft, false_alarms_per_hour / len(wanted))
         except CalibrationError as error:
-            wrong.append(str(error))
-        progress(name)
+            return error
+        finally:
+            progress(name)
+
+    # The kernel runs without the interpreter's lock.
+    with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
+        results = list(pool.map(one, wanted))
+    wrong = [str(result) for result in results if isinstance(result, CalibrationError)]
     if wrong:
         raise CalibrationError("; ".join(wrong))
+    found = [result for result in results if not isinstance(result, CalibrationError)]
     return Calibration(_with(aircraft, found), tuple(found), kept, false_alarms_per_hour)
 
 
@@ -127,8 +137,6 @@ def _two_digits_up(value: float) -> float:
     >>> _two_digits_up(0.03141), _two_digits_up(2.0)
     (0.0315, 2.0)
     """
-    import math
-
     if value <= 0.0:
         return 0.0
     step = 5.0 * 10.0 ** (math.floor(math.log10(value)) - 2)

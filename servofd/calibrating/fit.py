@@ -24,14 +24,14 @@ if TYPE_CHECKING:
 
 __all__ = ["ServoFit", "fit_servo"]
 
-_COARSE_SAMPLES, _FINE_SAMPLES, _FEWEST_SAMPLES = 6_000, 40_000, 2_000
+_COARSE_SAMPLES, _FINE_SAMPLES, _FEWEST_SAMPLES = 5_000, 30_000, 2_000
 _SCALES = (0.3, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0)
 _DAMPINGS = (0.6, 0.9, 1.6)
 _DELAYS_S = (0.0, 0.01, 0.02, 0.04, 0.07, 0.11)
-_RATE_SHARES = (0.9, 0.7, 0.5, 0.35, 0.2, 0.12)
+_RATE_SHARES = (0.8, 0.5, 0.25, 0.12)
 _USUAL_GAIN = 0.3
 """Deviation of the logarithm of the gain before calibration: weak, but it decides where the motion does not."""
-_STARTS = 3
+_STARTS = 2
 _WORTH_A_LIMIT = 0.97
 _STEP = 1e-4
 _EVALUATIONS = 40

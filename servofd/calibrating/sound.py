@@ -27,6 +27,8 @@ _GROSS = np.array([0.15, 0.02, 0.4, 1.5])
 """Deviations of gain, delay [s], bandwidth and bias [deg] within one flight that no healthy servo has: five times what
 a whole fleet strays (the default `Tolerance`), rounded; seven times for the delay, which load on the telemetry link
 shifts."""
+_STRANGE = np.array([0.1, 0.015, 0.3, 1.5])
+"""Differences between two flights of one aircraft that no servo has: three to five times what a fleet strays."""
 _TIMES_SPREAD, _DOUBTS = 6.0, 4.0
 _PEAK, _TIMES_PEAK = 1.5, 3.0
 """A stretch is odd if its residual passes 1.5 thresholds, and three times what the median stretch reaches."""
@@ -70,7 +72,7 @@ def problem(
     for label, fault in faults:
         if fault.kind in _ALWAYS_FAULTY and fault.probability >= _SURE:
             return f"{label}: {describe(fault)}"
-    odd = _gross(telling(stretches))
+    odd = _stranger(telling(stretches)) or _gross(telling(stretches))
     if odd is None:
         odd = _loud(flights, stretches, terms, tolerance, sigmas)
     if odd is None:
@@ -94,6 +96,27 @@ def _named(flights: Sequence[Flown], tolerance: Tolerance, sigmas: float, surfac
     ]
 
 
+def _stranger(stretches: Sequence[Stretch]) -> tuple[Stretch, str] | None:
+    """First stretch of a flight with another servo than the others, if flights differ more than a fleet does."""
+    labels = list(dict.fromkeys(s.label for s in stretches))
+    medians = np.array([np.median([s.deviation for s in stretches if s.label == label], axis=0) for label in labels])
+    doubts = np.array([np.median([s.doubt for s in stretches if s.label == label], axis=0) for label in labels])
+    excess = np.ptp(medians, axis=0) / (_STRANGE + _DOUBTS * doubts.max(axis=0))
+    which = int(np.argmax(excess))
+    if len(labels) < 2 or excess[which] <= 1.0:
+        return None
+    away = np.abs(medians[:, which] - np.median(medians[:, which]))
+    worst = len(labels) - 1 - int(np.argmax(away[::-1]))
+    other = medians[int(np.argmax(np.abs(medians[:, which] - medians[worst, which]))), which]
+    first = next(s for s in stretches if s.label == labels[worst])
+    mine, theirs = _shown(which, float(medians[worst, which])), _shown(which, float(other))
+    return first, f"{mine} against {theirs} in another flight: not the same aircraft, or a fault"
+
+
+def _shown(which: int, value: float) -> str:
+    return _FORMS[which].format({0: 1.0 + value, 1: 1e3 * value}.get(which, value))
+
+
 def _gross(stretches: Sequence[Stretch]) -> tuple[Stretch, str] | None:
     """Stretch in which the servo is another one."""
     if len(stretches) < 2:
@@ -106,10 +129,9 @@ def _gross(stretches: Sequence[Stretch]) -> tuple[Stretch, str] | None:
     if excess[worst, which] <= 1.0:
         return None
     value = float(deviation[worst, which])
-    shown = {0: 1.0 + value, 1: 1e3 * value}.get(which, value)
     alone = len({s.label for s in stretches}) == 1
     rest = "the rest of the flight" if alone else "the other flights: a fault, or not the same aircraft"
-    return stretches[worst], f"{_FORMS[which].format(shown)} against {rest}"
+    return stretches[worst], f"{_shown(which, value)} against {rest}"
 
 
 def _loud(

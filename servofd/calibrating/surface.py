@@ -9,6 +9,7 @@ import numpy as np
 from servofd.calibrating.fit import ServoFit, fit_servo
 from servofd.calibrating.flights import asked_deg
 from servofd.calibrating.levels import MARGIN, levels_for, sigmas_for, terms_of, widened, with_tail
+from servofd.calibrating.order import runs_ahead
 from servofd.calibrating.result import Before, CalibratedSurface, FlightRecord
 from servofd.calibrating.servo import FlownServo
 from servofd.calibrating.sound import problem
@@ -145,6 +146,9 @@ def _verified(runs: Sequence[Flown], surface: Surface, tolerance: Tolerance, sig
 
 def _check_moves(name: str, flights: Sequence[Flight]) -> None:
     for flight in flights:
+        ahead = runs_ahead(flight)
+        if ahead:
+            raise CalibrationError(f"{name}: {ahead}")
         where = stands_still(flight)
         if where:
             raise CalibrationError(f"{name}: not a good flight: {where}; {_ADVICE}")
