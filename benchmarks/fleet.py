@@ -90,6 +90,8 @@ class FleetFlight:
     """Of shape (n,): given at `time_s`, held until the next, some of which are lost."""
     measured_deg: FloatArray
     """Of shape (n,): at `time_s`."""
+    moved_deg: FloatArray
+    """Of shape (n,): where the surface really was, which no log tells."""
 
 
 def cases() -> Iterator[tuple[str, str | None, str]]:
@@ -127,10 +129,12 @@ def flight(
     if kind is not None:
         lot = np.random.default_rng([seed, STYLES.index(style), KINDS.index(kind), list(SIZES[kind][1]).index(size)])
         truth = _truth(lot, kind, size, given_s, given_deg)
-    read_deg = deflection(servo, given_s, given_deg, truth) + servo.bias_deg + noise_deg
+    moved_deg = deflection(servo, given_s, given_deg, truth)
+    read_deg = moved_deg + servo.bias_deg + noise_deg
     if servo.step_deg:
         read_deg = servo.step_deg * np.round(read_deg / servo.step_deg)
-    return FleetFlight(seed, style, servo, truth, given_s[kept], given_deg[kept], read_deg[kept])
+    log = (given_s[kept], given_deg[kept], read_deg[kept], moved_deg[kept])
+    return FleetFlight(seed, style, servo, truth, *log)
 
 
 def deflection(servo: FleetServo, given_s: FloatArray, given_deg: FloatArray, truth: Truth | None = None) -> FloatArray:

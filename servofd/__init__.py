@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from servofd.aircraft import Aircraft as Aircraft
     from servofd.aircraft import Surface as Surface
     from servofd.aircraft import load_aircraft as load_aircraft
+    from servofd.bench import identify_logs as identify_logs
     from servofd.detection.audit import LogAudit as LogAudit
     from servofd.detection.audit import SurfaceAudit as SurfaceAudit
     from servofd.detection.audit import audit_log as audit_log
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from servofd.detection.pulse import design_pulse_filter as design_pulse_filter
     from servofd.detection.residual import ResidualGenerator as ResidualGenerator
     from servofd.errors import ServofdError as ServofdError
+    from servofd.identification.identify import identify as identify
+    from servofd.identification.result import Identification as Identification
     from servofd.models.servo_model import ServoModel as ServoModel
     from servofd.models.transfer import TransferFunction as TransferFunction
     from servofd.segment import Segment as Segment
@@ -35,6 +38,7 @@ __version__ = "0.1.0"
 
 _HOME = {
     "Aircraft": "aircraft",
+    "Identification": "identification.result",
     "LogAudit": "detection.audit",
     "ResidualGenerator": "detection.residual",
     "Segment": "segment",
@@ -50,6 +54,8 @@ _HOME = {
     "cut": "segment",
     "design_nullspace_filter": "detection.nullspace",
     "design_pulse_filter": "detection.pulse",
+    "identify": "identification.identify",
+    "identify_logs": "bench",
     "library": "servos",
     "load_aircraft": "aircraft",
     "servo_named": "servos",
@@ -58,6 +64,7 @@ _HOME = {
 
 __all__ = [
     "Aircraft",
+    "Identification",
     "LogAudit",
     "ResidualGenerator",
     "Segment",
@@ -73,6 +80,8 @@ __all__ = [
     "cut",
     "design_nullspace_filter",
     "design_pulse_filter",
+    "identify",
+    "identify_logs",
     "library",
     "load_aircraft",
     "servo_named",

@@ -13,7 +13,7 @@ from servofd.calibration import Calibration, DegreeCalibration
 from servofd.errors import ConfigError, suggest
 from servofd.models.effects import PositionLimit
 from servofd.models.servo_model import ServoModel
-from servofd.servos import Positive, Servo, library, servo_named
+from servofd.servos import Positive, Servo, find_servo, library
 from servofd.tolerance import Tolerance
 
 if TYPE_CHECKING:
@@ -143,21 +143,23 @@ class Aircraft(_Entry):
         return self.servos[name] if name in self.servos else library()[name]
 
     def with_servo(self, name: str) -> Self:
-        """Return the same aircraft with one library servo on every surface.
+        """Return the same aircraft with one servo on every surface: one of the library, or of a servo file.
 
         Raises
         ------
         UnknownName
             If the library has no such servo.
+        ConfigError
+            If the file does not describe one.
 
         Examples
         --------
         >>> plain_aircraft(["rudder"]).with_servo("s9254").surfaces["rudder"].servo
         's9254'
         """
-        servo_named(name)
-        changed = {surface: entry.model_copy(update={"servo": name}) for surface, entry in self.surfaces.items()}
-        return self.model_copy(update={"surfaces": changed, "servos": {}})
+        key, servo = find_servo(name)
+        changed = {surface: entry.model_copy(update={"servo": key}) for surface, entry in self.surfaces.items()}
+        return self.model_copy(update={"surfaces": changed, "servos": {} if key == name else {key: servo}})
 
     def model(self, surface: str) -> ServoModel:
         """Healthy model of a surface: its servo, and the stops of its linkage.

@@ -7,7 +7,8 @@
     ├── UnknownName       a servo, surface, fault or effect that does not exist
     ├── NoMeasurement     nothing in the log tells where a surface was
     ├── CalibrationError  flights that a calibration must not be made from
-    └── DesignError       no filter with the wanted properties exists for this model
+    ├── DesignError       no filter with the wanted properties exists for this model
+    └── IdentificationError   a test does not show what a servo is like
 """
 
 from __future__ import annotations
@@ -15,7 +16,16 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
-__all__ = ["CalibrationError", "ConfigError", "DesignError", "NoMeasurement", "ServofdError", "UnknownName", "suggest"]
+__all__ = [
+    "CalibrationError",
+    "ConfigError",
+    "DesignError",
+    "IdentificationError",
+    "NoMeasurement",
+    "ServofdError",
+    "UnknownName",
+    "suggest",
+]
 
 
 class ServofdError(Exception):
@@ -40,6 +50,10 @@ class CalibrationError(ServofdError):
 
 class DesignError(ServofdError):
     """No filter with the wanted properties exists for this model."""
+
+
+class IdentificationError(ServofdError):
+    """A test does not show what a servo is like."""
 
 
 def suggest(kind: str, name: str, known: Iterable[str]) -> str:

@@ -65,18 +65,6 @@ class Segment:
         if self.command_s.shape != self.command_deg.shape or self.measured_s.shape != self.measured_deg.shape:
             raise ValueError(f"{self.surface}: times and values differ in number")
 
-    def with_measured(self, deflection_deg: float) -> Segment:
-        """Return the same segment with a surface that rests at one deflection wherever it was measured.
-
-        Examples
-        --------
-        >>> segment = Segment("x", np.arange(2.0), np.ones(2), np.arange(2.0), np.array([3.0, np.nan]))
-        >>> segment.with_measured(0.0).measured_deg
-        array([ 0., nan])
-        """
-        measured_deg = np.where(np.isfinite(self.measured_deg), deflection_deg, np.nan)
-        return replace(self, measured_deg=measured_deg)
-
     @property
     def duration_s(self) -> float:
         """From the first to the last measurement [s]."""

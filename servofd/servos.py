@@ -5,15 +5,16 @@ from __future__ import annotations
 import tomllib
 from functools import lru_cache
 from importlib import resources
+from pathlib import Path
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from servofd.errors import DesignError, UnknownName, suggest
+from servofd.errors import ConfigError, DesignError, UnknownName, suggest
 from servofd.models.transfer import BANDWIDTH_DROP_DB, TransferFunction
 
-__all__ = ["Servo", "library", "second_order", "servo_named"]
+__all__ = ["Servo", "find_servo", "library", "second_order", "servo_named"]
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False, strict=True)]
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False, strict=True)]
@@ -139,3 +140,43 @@ def servo_named(name: str) -> Servo:
     if name not in servos:
         raise UnknownName(suggest("servo", name, servos))
     return servos[name]
+
+
+def find_servo(name: str) -> tuple[str, Servo]:
+    """Servo of the library, or the one of a servo file, with its name.
+
+    Parameters
+    ----------
+    name : str
+        Name in the library, or path of a TOML file with one entry ``[servos.NAME]``, such as ``servofd identify
+        --save`` writes.
+
+    Raises
+    ------
+    UnknownName
+        If the library has none of that name.
+    ConfigError
+        If the file does not describe one servo.
+
+    Examples
+    --------
+    >>> find_servo("s3151")[0]
+    's3151'
+    """
+    if not name.endswith(".toml"):
+        return name, servo_named(name)
+    try:
+        content = tomllib.loads(Path(name).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise ConfigError(f"{name}: cannot read the servo file: {reason}") from None
+    entries = content.get("servos", {})
+    if not isinstance(entries, dict) or len(entries) != 1:
+        raise ConfigError(f"{name}: a servo file has one entry [servos.NAME]; 'servofd identify --save' writes one")
+    ((key, entry),) = entries.items()
+    try:
+        return key, Servo.model_validate(entry)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(str(part) for part in ("servos", key, *first["loc"]))
+        raise ConfigError(f"{name}: {where}: {first['msg'].removeprefix('Value error, ')}") from None

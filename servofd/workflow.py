@@ -45,7 +45,7 @@ def audit(
         An aircraft, its file, or the name of one that comes with servofd. Left out, FASER logs use ``faser`` and
         plain tables the surfaces of their header.
     servo : str, optional
-        Library servo to assume for all surfaces.
+        Servo to assume for all surfaces: a name of the library, or a servo file.
     threshold_deg : float, optional
         Constant alarm level for all surfaces [deg].
     threshold : {"constant", "interval"}, optional

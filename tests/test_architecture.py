@@ -17,10 +17,11 @@ MODULES = sorted([*ROOT.glob("servofd/**/*.py"), *ROOT.glob("logparsers/**/*.py"
 PARTS = {
     "errors": set(),
     "types": set(),
+    "tolerance": set(),
     "models": {"errors", "types", "servos"},
     "servos": {"errors", "types", "models"},
     "calibration": {"errors", "types"},
-    "aircraft": {"errors", "types", "models", "servos", "calibration"},
+    "aircraft": {"errors", "types", "models", "servos", "calibration", "tolerance"},
     "frozen": {"types"},
     "segment": {"errors", "types", "aircraft", "frozen"},
     "feedback": {"errors", "types", "aircraft", "servos", "models", "segment", "detection", "toml_text"},
@@ -39,9 +40,11 @@ PARTS = {
     "sweep": {"errors", "types", "aircraft", "models", "segment", "detection", "tolerance"},
     "survey": {"errors", "aircraft", "segment", "feedback", "workflow"},
     "odds": {"errors", "types", "aircraft", "detection"},
-    "detection": {"errors", "types", "models", "servos", "aircraft", "segment"},
+    "detection": {"errors", "types", "models", "servos", "aircraft", "segment", "tolerance"},
     "simulation": {"errors", "types", "models", "calibration", "aircraft", "outputs"},
-    "outputs": {"errors", "types", "detection", "segment", "sweep"},
+    "identification": {"errors", "types", "models", "servos", "segment"},
+    "bench": {"errors", "types", "aircraft", "segment", "identification", "workflow"},
+    "outputs": {"errors", "types", "detection", "segment", "identification", "sweep"},
     "workflow": {"errors", "aircraft", "servos", "detection", "feedback", "segment", "calibrating"},
     "cli": {
         "errors",
@@ -58,11 +61,19 @@ PARTS = {
         "odds",
         "calibrating",
         "sweep",
+        "identification",
+        "bench",
     },
 }
 ONLY_IN = {
     "rerun": {"servofd/outputs/recording.py"},
-    "matplotlib": {"servofd/outputs/figure.py", "servofd/outputs/odds_figure.py", "servofd/cli/design.py"},
+    "matplotlib": {
+        "servofd/outputs/figure.py",
+        "servofd/outputs/identify_figures.py",
+        "servofd/outputs/odds_figure.py",
+        "servofd/cli/design.py",
+    },
+    "jinja2": {"servofd/outputs/identify_page.py"},
     "argparse": {
         f"servofd/cli/{name}.py"
         for name in (
@@ -71,6 +82,7 @@ ONLY_IN = {
             "calibrate",
             "config",
             "design",
+            "identify",
             "info",
             "odds",
             "servos",
@@ -83,6 +95,7 @@ ONLY_IN = {
         "servofd/models/play.py",
         "servofd/detection/probability/cusum.py",
         "servofd/detection/starts.py",
+        "servofd/detection/bank/altered.py",
         "logparsers/compiled.py",
     },
     "pymavlink": {"logparsers/mavlink.py"},

@@ -11,7 +11,7 @@ import numpy as np
 from servofd.detection.probability import Noise, fit_tail, threshold_for_rate_deg
 from servofd.detection.probability.tail import HOURS_FOR_TAIL, peaks
 from servofd.detection.pulse import design_pulse_filter
-from servofd.detection.threshold import interval_threshold
+from servofd.detection.threshold import habits, interval_threshold
 from servofd.tolerance import Tolerance
 
 if TYPE_CHECKING:
@@ -29,7 +29,8 @@ MARGIN = 1.25
 _TRIED = ("gain", "delay_s", "bandwidth", "bias_deg")
 _UNIT = 0.5
 _MOST_ROWS = 3_000
-_LARGEST = {"gain": 0.5, "delay_s": 0.1, "bandwidth": 0.8, "bias_deg": 1e3}
+_LARGEST = Tolerance(gain=0.5, delay_s=0.1, bandwidth=0.6, bias_deg=999.0)
+"""Of what a linear programme may choose: wider ones no longer describe a servo."""
 _APART_S = 0.15
 _TAIL, _MOST_TAIL_SAMPLES, _FEWEST_PEAKS, _MOST_WIDENING = 0.01, 2_000, 8, 3.0
 
@@ -42,15 +43,14 @@ class Terms(NamedTuple):
     """What no tolerance below changes: rate limit, lost commands."""
     sigma_deg: FloatArray
     by_tolerance: FloatArray
-    """Degrees of threshold per unit of gain, delay, bandwidth and bias tolerance, shape (n, 4)."""
+    """Degrees of threshold per unit of each of `servofd.detection.threshold.habits`, shape (n, 4)."""
     flight: FloatArray
     """Which flight."""
     time_s: FloatArray
 
     def tolerated_deg(self, tolerance: Tolerance) -> FloatArray:
         """Largest residual without noise [deg]."""
-        values = np.array([getattr(tolerance, name) for name in _TRIED])
-        tolerated: FloatArray = self.base_deg + self.by_tolerance @ values
+        tolerated: FloatArray = self.base_deg + self.by_tolerance @ habits(tolerance)
         return tolerated
 
     def ratio(self, tolerance: Tolerance, sigmas: float) -> FloatArray:
@@ -88,7 +88,8 @@ def terms_of(flights: Sequence[Flown], tolerance: Tolerance) -> Terms:
         judged = residuals.settled
         tolerated = partial(_tolerated, generator, flight.segment, residuals)
         base_deg, sigma_deg = tolerated(none)
-        by = [(tolerated(none.model_copy(update={n: _UNIT}))[0] - base_deg) / _UNIT for n in _TRIED]
+        units = [none.model_copy(update={name: _UNIT}) for name in _TRIED]
+        by = [(tolerated(unit)[0] - base_deg) / habits(unit)[index] for index, unit in enumerate(units)]
         parts.append(
             Terms(
                 residuals.residual_deg[judged],
@@ -125,20 +126,22 @@ def widened(terms: Terms, tolerance: Tolerance, sigmas: float) -> Tolerance:
     """
     from scipy.optimize import linprog
 
-    lowest = np.array([getattr(tolerance, name) for name in _TRIED])
+    lowest, largest = habits(tolerance), habits(_LARGEST)
     short_deg = MARGIN * np.abs(terms.residual_deg) - sigmas * terms.sigma_deg - terms.base_deg
     missing_deg = short_deg - terms.by_tolerance @ lowest
     rows = np.flatnonzero(missing_deg > 0.0)
     if rows.size == 0:
         return tolerance
     rows = rows[np.argsort(missing_deg[rows])[-_MOST_ROWS:]]
-    bounds = [(low, max(low, _LARGEST[name])) for name, low in zip(_TRIED, lowest.tolist(), strict=True)]
+    bounds = list(zip(lowest.tolist(), np.maximum(lowest, largest).tolist(), strict=True))
     found: Any = linprog(
         terms.by_tolerance.mean(axis=0), A_ub=-terms.by_tolerance[rows], b_ub=-short_deg[rows], bounds=bounds
     )
     if not found.success:
         return tolerance.model_copy(update={"bias_deg": tolerance.bias_deg + float(missing_deg.max())})
-    return tolerance.model_copy(update=dict(zip(_TRIED, (float(f"{x:.4g}") for x in 1.0001 * found.x), strict=True)))
+    gain, delay_s, lags, bias_deg = (1.0001 * found.x).tolist()
+    changed = {"gain": gain, "delay_s": delay_s, "bandwidth": lags / (1.0 + lags), "bias_deg": bias_deg}
+    return tolerance.model_copy(update=changed)
 
 
 def with_tail(terms: Terms, tolerance: Tolerance, sigmas: float, rate_per_hour: float, period_s: float) -> Tolerance:

@@ -50,7 +50,7 @@ class FlownServo:
     >>> from servofd.servos import servo_named
     >>> servo = FlownServo.of(servo_named("hs225bb-eq31"))
     >>> round(servo.bandwidth_hz, 2), servo.delay_s, servo.numbers
-    (4.54, 0.004, ('bandwidth_hz', 'delay_s', 'rate_limit_deg_s'))
+    (4.53, 0.004, ('bandwidth_hz', 'delay_s', 'rate_limit_deg_s'))
     """
 
     prior: Servo

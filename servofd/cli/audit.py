@@ -26,7 +26,9 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
     )
     parser.add_argument("logs", nargs="+", metavar="LOG", help="FASER .mat, RAPTRS .h5, or a CSV table")
     parser.add_argument("-c", "--config", metavar="AIRCRAFT.toml", help="aircraft file, or the name of a shipped one")
-    parser.add_argument("--servo", metavar="NAME", help="library servo to assume for all surfaces")
+    parser.add_argument(
+        "--servo", metavar="NAME", help="servo to assume for all surfaces: of the library, or FILE.toml"
+    )
     parser.add_argument("-s", "--surface", action="append", default=[], metavar="NAME", help="judge only this surface")
     parser.add_argument("--threshold-deg", type=_positive, metavar="X", help="alarm level [deg] (default: 1.5)")
     parser.add_argument("--threshold", choices=["constant", "interval"], help="kind (default: constant)")
@@ -40,13 +42,13 @@ def run(options: argparse.Namespace) -> int:
     """Audit all logs, then write all outputs, then print."""
     from servofd.aircraft import load_aircraft
     from servofd.errors import ConfigError
-    from servofd.servos import servo_named
+    from servofd.servos import find_servo
 
     if options.threshold == "interval" and options.threshold_deg is not None:
         raise ConfigError("--threshold-deg gives a constant threshold; leave it out, or leave out --threshold interval")
     aircraft = load_aircraft(options.config) if options.config else None
     if options.servo:
-        servo_named(options.servo)
+        find_servo(options.servo)
     _check_outputs(options)
     results = [result for path in options.logs for result in _audit(path, aircraft, options)]
     _write(options, results)

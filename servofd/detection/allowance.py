@@ -10,16 +10,22 @@ from servofd.aircraft import DEFAULT_SIGMAS
 from servofd.models.state import compiled, inlined
 from servofd.types import BoolArray, ComplexArray, FloatArray
 
-__all__ = ["Bounds", "Signals", "follow", "new_work"]
+__all__ = ["CURVATURE_TO_SIGMA", "Bounds", "Signals", "follow", "new_work"]
 
 _PEAK_HOLD_S = 0.15
 """Time constant with which the peaks fade: about as long as the filter remembers."""
 _NOISE_SAMPLES = 200
 """Until so many positions have been seen, noise is not taken to be smaller than its tolerance."""
-_FASTEST_NOISE_CHANGE, _SLOWEST_NOISE_CHANGE = 0.2, 0.004
-_MAD_TO_SIGMA = 1.4826
+_FASTEST_SAMPLES, _NOISE_MEMORY = 10.0, 1000.0
+"""Samples that it takes to change the noise: a few at first, then as many as fill ten seconds."""
+_GLITCH = 5.0
+"""Second differences count as no more than this many standard deviations."""
+CURVATURE_TO_SIGMA = float(np.sqrt(np.pi / 2.0 / 6.0))
+"""Mean absolute second difference of white noise to its standard deviation. The median would fail on coarse steps."""
 _MEMORY_S, _EVERY_S = 10.0, 0.5
 """How far back a servo's habits are remembered, and how often they are looked at."""
+_TRIFLE = 0.1
+"""Strange habits that leave less than this share of the tolerated bias are of no interest, however sure they are."""
 _ANYTHING = np.array([1.0, 0.1, 1.0, 10.0])
 """Deviations of gain, delay [s], bandwidth and bias [deg] that no fault exceeds by much."""
 
@@ -110,12 +116,16 @@ def follow(
                 step_s, last_deg = 0.0, value
                 slow[:] = value
                 before = before_that = np.nan
+            last_speed, last_quick = x[1], x[2]
             x[0] = value
             x[1] = (value - last_deg) / step_s if step_s > 0.0 else 0.0
             x[2] = _quick(slow, decay_rad_s, value, last_deg, step_s)
             fade = 1.0 / (1.0 + step_s / _PEAK_HOLD_S)
-            for i in range(3):
-                peak[i] = max(abs(x[i]), fade * peak[i])
+            peak[0] = max(abs(value), fade * peak[0])
+            # A difference over a step lags by half of it, and an early servo is ahead by its advance.
+            ahead = 0.5 * (1.0 + bounds.habits[1] / step_s) if step_s > 0.0 else 0.0
+            peak[1] = max(abs(x[1]) + ahead * abs(x[1] - last_speed), fade * peak[1])
+            peak[2] = max(abs(x[2]) + ahead * abs(x[2] - last_quick), fade * peak[2])
             unseen *= fade
             if signals.unseen_deg.size > 0:
                 unseen += signals.unseen_deg[k]
@@ -133,7 +143,7 @@ def follow(
             if abs(residual) <= allowed and unseen < bounds.noise_gain * noise:
                 _learn(work.gram, work.moment, x, residual, 1.0 / (1.0 + step_s / _MEMORY_S))
                 if last_s >= next_s:
-                    power = bounds.colour * (bounds.noise_gain * noise) ** 2
+                    power = bounds.colour * max(bounds.noise_gain * noise, _TRIFLE * bounds.habits[3]) ** 2
                     odds = _explained(work, work.anything, power) - _explained(work, work.healthy, power)
                     next_s = last_s + _EVERY_S
         drift[k] = odds
@@ -155,9 +165,9 @@ def _quick(slow: ComplexArray, decay_rad_s: ComplexArray, value: float, last: fl
 
 @inlined
 def _nearer(noise: float, curvature: float, seen: int) -> float:
-    """Move the noise towards the median that second differences of the simulation error speak for."""
-    change = max(_FASTEST_NOISE_CHANGE / (1.0 + 0.2 * seen), _SLOWEST_NOISE_CHANGE)
-    return noise * (1.0 + change if curvature * _MAD_TO_SIGMA / np.sqrt(6.0) > noise else 1.0 - change)
+    """Move the noise towards the mean that second differences of the simulation error speak for."""
+    change = max(1.0 / (1.0 + seen / _FASTEST_SAMPLES), 1.0 / _NOISE_MEMORY)
+    return noise + change * (min(curvature * CURVATURE_TO_SIGMA, _GLITCH * noise) - noise)
 
 
 @inlined

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
 from servofd.detection.alarm import find_episodes
-from servofd.detection.bank.isolate import SURE, Fault, Flight, isolate
+from servofd.detection.bank.confirm import confirmed, joined
+from servofd.detection.bank.isolate import Fault, Flight, isolate
 from servofd.detection.bank.window import noise_deg
 from servofd.detection.residual import commands_at_servo
 from servofd.detection.threshold import Threshold, constant_threshold, interval_threshold, suspicion
@@ -57,17 +59,14 @@ def judge(generator: ResidualGenerator, segment: Segment, residuals: Residuals, 
         return Judgement(threshold, (), ())
     commands = commands_at_servo(segment, generator.model.plan.delay_s, generator.longest_gap_s(segment))
     noise = noise_deg(residuals.error_deg[residuals.settled])
-    flight = Flight(generator.model, surface.tolerances, noise, residuals, commands)
-    named = [fault for episode in episodes for fault in _confirmed(isolate(flight, episode), episode, threshold)]
+    sigma_deg = float(np.median(threshold.sigma_deg))
+    flight = Flight(generator, surface.tolerances, noise, sigma_deg, residuals, commands)
+    named = joined(flight, (fault for episode in episodes for fault in _named(flight, episode, threshold)))
     faults = tuple(fault for fault in named if fault.level == "fault" and fault.kind != "healthy")
     return Judgement(threshold, faults, tuple(fault for fault in named if fault not in faults))
 
 
-def _confirmed(named: tuple[Fault, ...], episode: Episode, threshold: Threshold) -> tuple[Fault, ...]:
-    """Suspicions that the bank can name for sure are alarms, unless a constant threshold says what is large enough."""
-    first = named[0]
-    sure = first.probability >= SURE and first.kind not in ("healthy", "unknown")
-    if threshold.kind == "constant" or not sure:
-        return named
-    alarm_s = first.alarm_s if episode.suspected_s is None else max(episode.suspected_s, first.start_s)
-    return (replace(first, level="fault", alarm_s=alarm_s), *named[1:])
+def _named(flight: Flight, episode: Episode, threshold: Threshold) -> tuple[Fault, ...]:
+    """What happened in an episode. With a constant threshold, a suspicion remains one: the user says what is large."""
+    named = isolate(flight, episode)
+    return confirmed(named, episode) if threshold.kind == "interval" else named

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from servofd.tolerance import Tolerance
     from servofd.types import BoolArray, FloatArray
 
-__all__ = ["Threshold", "ThresholdKind", "constant_threshold", "interval_threshold", "suspicion"]
+__all__ = ["Threshold", "ThresholdKind", "constant_threshold", "habits", "interval_threshold", "suspicion"]
 
 ThresholdKind = Literal["constant", "interval"]
 
@@ -109,6 +109,7 @@ def interval_threshold(
     --------
     At rest only bias and noise remain; in motion there is more to be wrong:
 
+    >>> from servofd.detection.residual import ResidualGenerator
     >>> from servofd.models.servo_model import ServoModel
     >>> from servofd.segment import Segment
     >>> from servofd.servos import servo_named
@@ -131,7 +132,7 @@ def interval_threshold(
     tolerated, sigma, drift = np.empty(size), np.empty(size), np.zeros(size)
     cusum = design_cusum(_KAPPA, _SUSPICIONS_PER_HOUR, Noise.designed(pulse, 1.0))
     bounds = Bounds(
-        np.array([tolerance.gain, tolerance.delay_s, tolerance.bandwidth, tolerance.bias_deg]),
+        habits(tolerance),
         tolerance.noise_deg,
         max(_step_deg(residuals.measured_deg) / np.sqrt(12.0), _SMALLEST_NOISE_DEG),
         pulse.noise_gain,
@@ -163,7 +164,8 @@ def suspicion(residuals: Residuals, threshold: Threshold) -> BoolArray:
     drifted = threshold.drift >= _SUSPICIOUS_DRIFT
     if not np.any(excess_deg > 0.0):
         return drifted
-    beyond = np.sign(residuals.residual_deg) * np.maximum(excess_deg, 0.0) / threshold.sigma_deg
+    # Of either sign, so that oscillations add up; less one sigma, so that the sum of noise alone falls.
+    beyond = np.maximum(excess_deg - threshold.sigma_deg, 0.0) / threshold.sigma_deg
     judged = np.where(residuals.settled, beyond, np.nan)
     sums = cusum(judged, threshold.cusum.kappa, residuals.restart != 0)
     return ((sums >= threshold.cusum.limit) & (excess_deg > 0.0)) | drifted
@@ -177,12 +179,28 @@ def _rate_error(generator: ResidualGenerator, segment: Segment, residuals: Resid
     if not np.isfinite(limit_deg_s):
         return np.zeros(0)
     step_s, step_deg = np.diff(residuals.time_s), np.abs(np.diff(residuals.simulated_deg))
-    if not np.any(step_deg >= _AT_LIMIT * limit_deg_s * step_s):
+    # The slower servo runs at its limit before the model does.
+    if not np.any(step_deg >= _AT_LIMIT * (1.0 - share) * limit_deg_s * step_s):
         return np.zeros(0)
     slower = type(generator)(generator.model + RateLimit((1.0 - share) * limit_deg_s), generator.pole_rad_s)
     error_deg = slower.run(segment).simulated_deg - residuals.simulated_deg
     known = np.where(np.isfinite(residuals.measured_deg), error_deg, np.nan)
     return generator.filtered(residuals.time_s, known, residuals.restart)
+
+
+def habits(tolerance: Tolerance) -> FloatArray:
+    """Largest relative changes of gain, delay [s], lags and bias [deg] that the tolerances allow, of shape (4,).
+
+    A bandwidth lower by a share lengthens all lags by more than that share.
+
+    Examples
+    --------
+    >>> from servofd.tolerance import Tolerance
+    >>> habits(Tolerance(bandwidth=0.5)).tolist()
+    [0.03, 0.003, 1.0, 0.3]
+    """
+    lags = tolerance.bandwidth / (1.0 - tolerance.bandwidth)
+    return np.array([tolerance.gain, tolerance.delay_s, lags, tolerance.bias_deg])
 
 
 def _step_deg(measured_deg: FloatArray) -> float:

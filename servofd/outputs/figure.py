@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 import warnings
 from typing import TYPE_CHECKING
 
@@ -27,10 +28,12 @@ COLOURS = {
     "simulated": "#0072b2",
     "measured": "#e69f00",
     "fault": "#d55e00",
+    "suspicion": "#cc79a7",
     "ok": "#009e73",
 }
 """Okabe and Ito's palette, which colour-blind eyes can tell apart."""
 
+_TITLE_COLUMNS = 130
 _WIDEST = 4000
 """Points drawn per curve; more cannot be told apart, and slow the drawing down."""
 
@@ -63,10 +66,11 @@ def save_figure(audit: SurfaceAudit, path: Path, title: str) -> None:
     _draw_deflection(upper, audit.segment, audit.residuals)
     _draw_residual(lower, audit.residuals, audit.threshold)
     for axes in (upper, lower):
-        _shade(axes, audit)
+        _shade(axes, audit, named=axes is upper)
         axes.grid(visible=True, color="0.9")
         axes.spines[["top", "right"]].set_visible(False)
-    upper.set_title(f"{title}   {audit.surface}: {audit.status}\n{audit.reason}", loc="left", fontsize=10)
+    reason = textwrap.fill(audit.reason, _TITLE_COLUMNS)
+    upper.set_title(f"{title}   {audit.surface}: {audit.status}\n{reason}", loc="left", fontsize=10)
     for axes in (upper, lower):
         axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
     with whole_file(path) as temporary, warnings.catch_warnings():
@@ -107,16 +111,21 @@ def _draw_residual(axes: Axes, residuals: Residuals, threshold: Threshold) -> No
     axes.set_xlabel("time [s]")
 
 
-def _shade(axes: Axes, audit: SurfaceAudit) -> None:
-    """Time from onset to end of each fault."""
-    residuals = audit.residuals
-    if residuals is None:
+def _shade(axes: Axes, audit: SurfaceAudit, *, named: bool) -> None:
+    """Time from onset to end of each fault and suspicion; their names at the top if `named`."""
+    if audit.residuals is None:
         return
-    for number, fault in enumerate(audit.faults + audit.suspicions):
-        end_s = residuals.time_s[-1] if fault.end_s is None else fault.end_s
-        label = fault.kind if number == 0 else None
-        axes.axvspan(fault.start_s, end_s, color=COLOURS["fault"], alpha=0.12, lw=0, label=label)
-        axes.axvline(fault.alarm_s, color=COLOURS["fault"], lw=0.8)
+    last_s = float(audit.residuals.time_s[-1])
+    for found, colour, label in ((audit.faults, "fault", "fault"), (audit.suspicions, "suspicion", "suspicion")):
+        for number, fault in enumerate(found):
+            end_s = last_s if fault.end_s is None else fault.end_s
+            shown = label if number == 0 else None
+            axes.axvspan(fault.start_s, end_s, color=COLOURS[colour], alpha=0.12, lw=0, label=shown)
+            axes.axvline(fault.alarm_s, color=COLOURS[colour], lw=0.8)
+            if named:
+                name = "within tolerance" if fault.kind == "healthy" else fault.kind.replace("_", " ")
+                place = axes.get_xaxis_transform()
+                axes.text(fault.start_s, 1.0, f" {name}", transform=place, va="top", fontsize=9, color=COLOURS[colour])
 
 
 def _thin(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:

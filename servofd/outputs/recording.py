@@ -86,18 +86,21 @@ def _log_states(recording: Any, place: str, audit: SurfaceAudit, residuals: Resi
 
     states = [(residuals.time_s[0], "OK" if audit.is_judged else "NO DATA")]
     texts = []
-    for fault in audit.faults:
-        states.append((fault.alarm_s, "FAULT"))
-        texts.append((fault.alarm_s, "ERROR", f"{audit.surface}: {describe(fault)}"))
-        if fault.end_s is not None:
-            states.append((fault.end_s, "OK"))
-            texts.append((fault.end_s, "INFO", f"{audit.surface}: last sign of the fault"))
+    for found, state, level in ((audit.faults, "FAULT", "ERROR"), (audit.suspicions, "SUSPECT", "WARN")):
+        for fault in found:
+            states.append((fault.alarm_s, state))
+            texts.append((fault.alarm_s, level, f"{audit.surface}: {describe(fault)}"))
+            if fault.end_s is not None:
+                states.append((fault.end_s, "OK"))
+                texts.append((fault.end_s, "INFO", f"{audit.surface}: last sign of it"))
+    states.sort(key=lambda change: change[0])
+    texts.sort(key=lambda text: text[0])
     if not texts:
         texts.append((residuals.time_s[-1], "INFO", f"{audit.surface}: {audit.status}, {audit.reason}"))
     configuration = rr.StateConfiguration(
-        values=["OK", "FAULT", "NO DATA"],
-        labels=["OK", "FAULT", "NO DATA"],
-        colors=np.array([_RGBA["green"], _RGBA["red"], _RGBA["grey"]], dtype=np.uint32),
+        values=["OK", "SUSPECT", "FAULT", "NO DATA"],
+        labels=["OK", "SUSPECT", "FAULT", "NO DATA"],
+        colors=np.array([_RGBA["green"], _RGBA["orange"], _RGBA["red"], _RGBA["grey"]], dtype=np.uint32),
     )
     recording.log(f"{place}/state", configuration, static=True)
     times = [time_s for time_s, _ in states]

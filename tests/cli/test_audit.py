@@ -39,10 +39,11 @@ def test_the_json_is_what_the_contract_says(capsys: pytest.CaptureFixture[str]) 
     elevator = log["surfaces"]["elevator"]
     assert elevator["status"] == "fault"
     (fault,) = elevator["faults"]
-    assert fault["kind"] == "unknown"
+    assert fault["kind"] == "stuck"
     assert fault["start_s"] == pytest.approx(5.0, abs=0.2)
     assert fault["start_s"] <= fault["alarm_s"]
     assert fault["end_s"] is None
+    assert elevator["suspicions"] == []
     rudder = log["surfaces"]["rudder"]
     assert rudder["status"] == "healthy"
     assert rudder["faults"] == []

@@ -7,10 +7,12 @@ import pytest
 
 from servofd.detection.alarm import Episode, find_episodes
 from servofd.detection.residual import ResidualGenerator, Residuals
+from servofd.detection.threshold import constant_threshold, interval_threshold
 from servofd.models.faults import DeadBand, Fault, Stuck
 from servofd.models.servo_model import ServoModel
 from servofd.segment import Segment
 from servofd.servos import servo_named
+from servofd.tolerance import Tolerance
 from servofd.types import FloatArray
 
 THRESHOLD_DEG = 1.5
@@ -19,11 +21,16 @@ TIME_S = np.arange(2000) / 100.0
 MANOEUVRE_S = 8.0
 
 
+def found(generator: ResidualGenerator, segment: Segment) -> tuple[Episode, ...]:
+    residuals = generator.run(segment)
+    interval = interval_threshold(generator, segment, residuals, Tolerance())
+    return find_episodes(residuals, constant_threshold(interval, THRESHOLD_DEG))
+
+
 def episodes(command_deg: FloatArray, measured_deg: FloatArray) -> tuple[Episode, ...]:
     segment = Segment("x", TIME_S, command_deg, TIME_S, measured_deg)
     generator = ResidualGenerator(MODEL, 50.0)
-    immobile_deg = generator.run(segment.with_measured(0.0)).residual_deg
-    return find_episodes(generator.run(segment), immobile_deg, THRESHOLD_DEG)
+    return found(generator, segment)
 
 
 def delay_to_alarm(command_deg: FloatArray, fault: Fault) -> float:
@@ -92,13 +99,16 @@ def test_alarms_use_no_later_sample() -> None:
     cut = int(np.searchsorted(TIME_S, whole.alarm_s)) + 1
     segment = Segment("x", TIME_S[:cut], command_deg[:cut], TIME_S[:cut], measured_deg[:cut])
     generator = ResidualGenerator(MODEL, 50.0)
-    immobile_deg = generator.run(segment.with_measured(0.0)).residual_deg
-    (early,) = find_episodes(generator.run(segment), immobile_deg, THRESHOLD_DEG)
+    (early,) = found(generator, segment)
     assert early.alarm_s == whole.alarm_s
     assert early.start_s == whole.start_s
 
 
 def test_nothing_is_found_in_nothing() -> None:
     quiet = np.zeros(100)
-    residuals = Residuals(TIME_S[:100], quiet, quiet, quiet, np.ones(100, dtype=bool))
-    assert find_episodes(residuals, quiet, THRESHOLD_DEG) == ()
+    settled, restart = np.ones(100, dtype=bool), np.zeros(100, dtype=np.int8)
+    residuals = Residuals(TIME_S[:100], quiet, quiet, quiet, settled, quiet, restart)
+    segment = Segment("x", TIME_S[:100], quiet, TIME_S[:100], quiet)
+    interval = interval_threshold(ResidualGenerator(MODEL, 50.0), segment, residuals, Tolerance())
+    for threshold in (interval, constant_threshold(interval, THRESHOLD_DEG)):
+        assert find_episodes(residuals, threshold) == ()

@@ -31,9 +31,9 @@ def test_both_jams_are_found_and_nothing_else(suffix: str, aileron: str, elevato
     assert len(verdicts) == 6
     assert {name for name, verdict in verdicts.items() if verdict.status == "fault"} == {aileron, elevator}
     assert all(v.status == "healthy" for name, v in verdicts.items() if name not in (aileron, elevator))
-    assert verdicts[aileron].episodes[0].alarm_s == pytest.approx(93.5, abs=1.0)
+    assert verdicts[aileron].faults[0].alarm_s == pytest.approx(93.5, abs=1.0)
     # The elevator rested when it jammed; its first motion comes at 142 s.
-    assert verdicts[elevator].episodes[0].alarm_s == pytest.approx(143.0, abs=1.5)
+    assert verdicts[elevator].faults[0].alarm_s == pytest.approx(143.0, abs=1.5)
 
 
 @pytest.mark.slow

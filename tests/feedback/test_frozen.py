@@ -62,7 +62,9 @@ def test_a_live_servo_is_healthy() -> None:
 def test_a_jam_is_a_fault() -> None:
     verdict = audited(NEVER, between(20.0, 60.0))
     assert verdict.status == "fault"
-    assert 20.0 <= verdict.episodes[0].start_s < 29.0
+    (fault,) = verdict.faults
+    assert fault.kind == "stuck"
+    assert 20.0 <= fault.start_s < 29.0
 
 
 def test_telemetry_that_dies_for_a_while_is_not_judged_meanwhile() -> None:

@@ -100,7 +100,7 @@ def test_the_recording_reads_back_what_was_audited(stuck: LogAudit, recording: P
     assert (residual[:, 2] == -1.5).all()
     when, states = columns(recording, "/surfaces/elevator/state", "StateChange:state")
     assert states[:, 0].tolist() == ["OK", "FAULT"]
-    assert when[1] == pytest.approx(elevator.episodes[0].alarm_s, abs=1e-6)
+    assert when[1] == pytest.approx(elevator.faults[0].alarm_s, abs=1e-6)
 
 
 def test_the_recording_tells_nothing_of_the_machine(recording: Path) -> None:

@@ -14,6 +14,7 @@ import pytest
 
 from servofd.aircraft import load_aircraft
 from servofd.cli import main
+from servofd.tolerance import Tolerance
 
 ROOT = Path(__file__).parent.parent.parent
 README = (ROOT / "README.md").read_text()
@@ -56,6 +57,7 @@ def test_the_verbs_of_the_readme_run(monkeypatch: pytest.MonkeyPatch, tmp_path: 
         "info",
         "config",
         "odds",
+        "identify",
         "simulate",
         "servos",
         "design",
@@ -70,7 +72,7 @@ def test_the_python_of_the_readme_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     output = io.StringIO()
     with contextlib.redirect_stdout(output):
         exec(compile(code, "README.md", "exec"), {})  # noqa: S102 - our own README
-    assert "elevator fault [8.1" in output.getvalue()
+    assert "elevator fault [('stuck', 8.1" in output.getvalue()
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
@@ -108,9 +110,47 @@ def test_the_pictures_of_the_odds_are_what_their_script_draws(
     assert {p.name for p in (tmp_path / "odds").iterdir()} == {p.name for p in (ROOT / "docs" / "odds").iterdir()}
 
 
+def test_the_page_on_detection_tells_the_constants_of_the_code() -> None:
+    """What was measured is taken as it stands: flying it takes minutes."""
+    script = runpy.run_path(str(ROOT / "docs" / "make_detection.py"))
+    text = (ROOT / "docs" / "detection.md").read_text()
+    assert script["page"](text[text.index(script["MEASURED"]) :]) == text
+    assert re.findall(r"\((D\d+)\)$", text, re.MULTILINE) == [f"D{n}" for n in range(1, 13)]
+
+
+@pytest.mark.slow
+def test_the_pictures_of_detection_are_what_their_script_draws(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runpy.run_path(str(ROOT / "docs" / "make_detection.py"))["main"](tmp_path, seeds=1, healthy=10)
+    assert capsys.readouterr().out.endswith("detection.md\n")
+    drawn = {p.name for p in (tmp_path / "detection").iterdir()}
+    assert drawn == {p.name for p in (ROOT / "docs" / "detection").iterdir()}
+    assert drawn == set(re.findall(r"\]\(detection/(.*?)\)", (tmp_path / "detection.md").read_text()))
+
+
+def test_the_examples_of_identification_run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    page = (ROOT / "docs" / "identify.md").read_text()
+    (tmp_path / "sample_logs").symlink_to(ROOT / "sample_logs")
+    monkeypatch.chdir(tmp_path)
+    commands = [line.removeprefix("servofd ") for block in blocks(page, "sh") for line in block.splitlines()]
+    assert len(commands) >= 4
+    for command in commands:
+        assert main(shlex.split(command)) == 0, command
+    assert (tmp_path / "my_servo.html").exists()
+    output = io.StringIO()
+    with contextlib.redirect_stdout(output):
+        for code in blocks(page, "python"):
+            exec(compile(code, "identify.md", "exec"), {})  # noqa: S102 - our own page
+    assert output.getvalue().split() == blocks(page, "text")[-1].split()
+
+
 def test_the_aircraft_files_of_the_documentation_are_valid(tmp_path: Path) -> None:
-    first, servo, table, appendix_c = blocks((ROOT / "docs" / "aircraft-file.md").read_text(), "toml")
+    first, judging, servo, table, appendix_c = blocks((ROOT / "docs" / "aircraft-file.md").read_text(), "toml")
     config = tmp_path / "plane.toml"
+    config.write_text(judging)
+    elevator = load_aircraft(config).surfaces["elevator"]
+    assert (elevator.threshold, elevator.persistence, elevator.tolerances) == ("interval", 1, Tolerance())
     config.write_text(first + servo + table)
     aircraft = load_aircraft(config)
     assert aircraft.servos["my-servo"].delay_s == 0.012

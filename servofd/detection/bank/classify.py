@@ -9,8 +9,9 @@ import numpy as np
 
 from servofd.detection.bank.altered import DeadBand, Slow
 from servofd.detection.bank.explanation import Explanation
-from servofd.detection.bank.following import Bias, Healthy, LossOfEffectiveness, Oscillation
+from servofd.detection.bank.following import Bias, Healthy, LossOfEffectiveness
 from servofd.detection.bank.lost import Floating, Hardover, Stuck
+from servofd.detection.bank.oscillation import Oscillation
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from servofd.detection.bank.classify import Naming, name_fault
+from servofd.detection.bank.classify import BANK, Naming, name_fault
+from servofd.detection.bank.confirm import SURE
 from servofd.detection.bank.onset import BEFORE_S, refine_onset_s
+from servofd.detection.bank.signature import first_signs
 from servofd.detection.bank.window import Onset, Window
 
 if TYPE_CHECKING:
@@ -16,22 +18,21 @@ if TYPE_CHECKING:
 
     from servofd.detection.alarm import Episode, Level
     from servofd.detection.bank.explanation import Estimate
-    from servofd.detection.residual import Commands, Residuals
-    from servofd.models.servo_model import ServoModel
+    from servofd.detection.residual import Commands, ResidualGenerator, Residuals
     from servofd.tolerance import Tolerance
 
-__all__ = ["SURE", "Fault", "Flight", "isolate"]
+__all__ = ["Fault", "Flight", "isolate"]
 
 _SETTLING_S = 0.25
 """Left out after the onset: faults that set in abruptly still move the surface as a healthy servo would."""
 _TAKES_ANYTHING = ("floating", "unknown")
 _WINDOWS_S = (2.0, 4.0, 8.0, 16.0)
 _ENOUGH_MOTION_DEG = 4.0
-SURE = 0.95
 _LIKELY = 0.4
 _FEWEST_SAMPLES = 12
 _BLOCK_S = 3.0
 _LONGEST_BLOCK_S = 12.0
+_FIRST_S = 1.0 - _SETTLING_S
 _SUSPICION_LASTS_S = 15.0
 """The cumulative sum and the habits look back about ten seconds."""
 _ONSET_BEFORE_RECORD_S = 0.5
@@ -51,17 +52,25 @@ class Fault:
     """When it was last seen [s]; None if it lasts to the end of the log."""
     parameters: Mapping[str, Estimate]
     probability: float
+    """Of that kind; of the likeliest alternative if several do alike."""
     alternatives: tuple[str, ...]
     level: Level = "fault"
+    named_s: float | None = None
+    """When there were data enough for this name [s]."""
+    first_signs: tuple[str, ...] = ()
+    """What it could have been for all that was known within its first second."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Flight:
     """All that the bank needs to know of one surface's flight."""
 
-    model: ServoModel
+    generator: ResidualGenerator
     tolerance: Tolerance
     noise_deg: float
+    """Of the position."""
+    sigma_deg: float
+    """Of the healthy residual."""
     residuals: Residuals
     commands: Commands
 
@@ -72,7 +81,9 @@ class Flight:
         span = slice(first, last)
         if np.count_nonzero(self.residuals.settled[span]) < _FEWEST_SAMPLES:
             return None
-        return Window.of(self.model, self.tolerance, self.noise_deg, self.residuals, self.commands, span, onset)
+        return Window.of(
+            self.generator.model, self.tolerance, self.noise_deg, self.residuals, self.commands, span, onset
+        )
 
     @property
     def end_s(self) -> float:
@@ -105,13 +116,19 @@ def isolate(flight: Flight, episode: Episode) -> tuple[Fault, ...]:
         if later is not None and later.kind not in _TAKES_ANYTHING and later.probability >= SURE:
             naming, window = later, later_window
     if naming is None or window is None:
-        return (Fault("unknown", episode.start_s, episode.alarm_s, episode.end_s, {}, 0.0, (), episode.level),)
+        alike = 1.0 / len(BANK)
+        return (Fault("unknown", episode.start_s, episode.alarm_s, episode.end_s, {}, alike, (), episode.level),)
     start_s = episode.start_s
     if onset is not None and naming.best is not None and naming.kind != "healthy":
-        announced = episode.level == "suspect" or episode.suspected_s is not None
-        before_s = _SUSPICION_LASTS_S if announced else BEFORE_S
+        before_s = BEFORE_S if episode.level == "fault" else _SUSPICION_LASTS_S
+        if episode.suspected_s is not None:
+            before_s = _SUSPICION_LASTS_S + max(episode.start_s - episode.suspected_s, 0.0)
         start_s = min(refine_onset_s(flight, naming.best, episode.start_s, window, before_s), episode.alarm_s)
-    first = _fault(naming, episode, start_s)
+    first = replace(
+        _fault(naming, episode, start_s),
+        named_s=float(window.time_s[-1]),
+        first_signs=_first_signs(flight, episode, until_s, onset),
+    )
     change = _change(flight, naming.kind, float(window.time_s[-1]), until_s)
     if change is None:
         return (first,)
@@ -137,6 +154,12 @@ def _onset(flight: Flight, start_s: float) -> Onset | None:
     return Onset(start_s, float(np.median(near)), float(healthy_deg.min()), float(healthy_deg.max()))
 
 
+def _first_signs(flight: Flight, episode: Episode, until_s: float, onset: Onset | None) -> tuple[str, ...]:
+    begin_s = episode.start_s + _SETTLING_S
+    window = flight.window(begin_s, min(begin_s + _FIRST_S, until_s), onset)
+    return first_signs(window, flight.generator, flight.sigma_deg) if window is not None else ()
+
+
 def _name(flight: Flight, from_s: float, until_s: float, onset: Onset | None) -> tuple[Naming | None, Window | None]:
     """Name the fault from the shortest window that is sure."""
     best: tuple[Naming | None, Window | None] = (None, None)
@@ -154,8 +177,7 @@ def _name(flight: Flight, from_s: float, until_s: float, onset: Onset | None) ->
 def _fault(naming: Naming, episode: Episode, start_s: float) -> Fault:
     if naming.probability < _LIKELY:
         kinds = tuple(kind for kind in (naming.kind, *naming.alternatives) if kind != "unknown")
-        probability = naming.probabilities["unknown"]
-        return Fault("unknown", start_s, episode.alarm_s, episode.end_s, {}, probability, kinds, episode.level)
+        return Fault("unknown", start_s, episode.alarm_s, episode.end_s, {}, naming.probability, kinds, episode.level)
     parameters = naming.best.parameters if naming.best else {}
     return Fault(
         naming.kind,
@@ -189,7 +211,7 @@ def _change(flight: Flight, kind: str, from_s: float, until_s: float) -> tuple[f
 
 
 def _differs(naming: Naming, kind: str) -> bool:
-    return naming.kind not in (kind, "unknown") and naming.probability >= SURE
+    return naming.kind not in (kind, "unknown") and naming.probabilities.get(kind, 0.0) <= 1.0 - SURE
 
 
 class _Block(NamedTuple):

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from servofd.detection.allowance import CURVATURE_TO_SIGMA
 from servofd.detection.bank.explanation import COLOUR, Ridge
 
 if TYPE_CHECKING:
@@ -22,7 +23,8 @@ __all__ = ["Onset", "Window", "noise_deg", "simulate", "slower"]
 _LEAD_S = 1.5
 """Simulations start this long before the window, so that how they start is forgotten (lags are below 0.15 s)."""
 _SMALL_CHANGE = 0.02
-_MAD_TO_SIGMA = 1.4826
+_MOST, _GLITCH = 90.0, 3.0
+"""Second differences count as no more than this many times the ninth decile, 5 standard deviations of white noise."""
 _SMALLEST_NOISE_DEG = 0.01
 _SMALLEST_TOLERANCE = 1e-6
 _START_SAMPLES = 3
@@ -205,4 +207,6 @@ def noise_deg(error_deg: FloatArray) -> float:
     curvature = np.diff(error_deg[np.isfinite(error_deg)], 2)
     if curvature.size == 0:
         return 0.0
-    return float(_MAD_TO_SIGMA * np.median(np.abs(curvature)) / np.sqrt(6.0))
+    size_deg = np.abs(curvature)
+    glitch_deg = _GLITCH * float(np.percentile(size_deg, _MOST))
+    return CURVATURE_TO_SIGMA * float(np.mean(np.minimum(size_deg, glitch_deg)))

@@ -1,0 +1,161 @@
+"""``servofd identify``: from bench tests to a servo."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from servofd.identification.result import Identification
+
+__all__ = ["add_parser", "run"]
+
+
+def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
+    """Declare the verb."""
+    parser = verbs.add_parser(
+        "identify",
+        help="identify a servo from bench tests",
+        description="Identifies a servo from chirps, steps or other motion: poles, dc gain, delay, bandwidth, rate "
+        "limits and dead band, with 95 %% intervals. Several logs: tests of one servo, or servos of one kind, which "
+        "gives their mean. Exit code 2: the test does not show what the servo is like.",
+        epilog="Example: servofd identify chirp.csv step.csv --save my_servo.toml --html my_servo.html",
+    )
+    parser.add_argument(
+        "logs", nargs="+", metavar="LOG", help="table, FASER log, or DataFlash log (chirp applet: SCRP)"
+    )
+    parser.add_argument("-s", "--surface", metavar="SURFACE", help="which servo, if the logs hold several")
+    parser.add_argument("-c", "--config", metavar="AIRCRAFT.toml", help="aircraft file: columns, calibration")
+    parser.add_argument(
+        "--method",
+        choices=["response", "magnitude"],
+        default="response",
+        help="response: exact hold and delay, refined on the motion (default); magnitude: the thesis' fit",
+    )
+    parser.add_argument("--order", type=int, choices=[1, 2, 3], help="number of poles (default: the data choose)")
+    parser.add_argument("--json", metavar="FILE", help="write the result as JSON; - prints it instead of the text")
+    parser.add_argument("--save", metavar="SERVO.toml", help="write a servo file, for --servo and aircraft files")
+    parser.add_argument("--html", metavar="FILE", help="write a page with all figures")
+    parser.add_argument("-o", "--output", metavar="DIR", help="write figures (PNG) and identify.json to a folder")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Identify, then write all outputs, then print."""
+    from servofd.aircraft import load_aircraft
+    from servofd.bench import identify_logs
+    from servofd.cli.tables import progress_bar
+    from servofd.outputs.json_report import to_json
+
+    _check_outputs(options)
+    aircraft = load_aircraft(options.config) if options.config else None
+    with progress_bar("identify", 1) as step:
+        found = identify_logs(
+            options.logs, aircraft, surface=options.surface, method=options.method, order=options.order
+        )
+        step("done")
+    _write(options, found)
+    print(to_json(found.document()) if options.json == "-" else _text(found), end="")
+    return 0
+
+
+def _check_outputs(options: argparse.Namespace) -> None:
+    """Refuse outputs that cannot be written, or would overwrite a log or each other."""
+    from servofd.errors import ConfigError
+
+    taken = {Path(log).resolve() for log in options.logs}
+    for name in (options.json if options.json != "-" else None, options.save, options.html):
+        if name is None:
+            continue
+        target = Path(name).resolve()
+        if not target.parent.is_dir():
+            raise ConfigError(f"{name}: the folder {target.parent} does not exist")
+        if target in taken:
+            raise ConfigError(f"{name}: is a log or another output already; choose another file")
+        taken.add(target)
+
+
+def _write(options: argparse.Namespace, found: Identification) -> None:
+    from servofd.outputs.files import write_whole
+    from servofd.outputs.json_report import to_json
+
+    source = ", ".join(Path(log).name for log in options.logs)
+    document = to_json(found.document()).encode()
+    if options.json and options.json != "-":
+        write_whole(options.json, document)
+    if options.save:
+        from servofd.outputs.servo_file import servo_file
+
+        write_whole(options.save, servo_file(found, Path(options.save).stem, source).encode())
+    if options.html:
+        from servofd.outputs.identify_page import identify_page
+
+        write_whole(options.html, identify_page(found, source).encode())
+    if options.output:
+        _write_folder(Path(options.output), found, document)
+
+
+def _write_folder(folder: Path, found: Identification, document: bytes) -> None:
+    from servofd.errors import ConfigError
+    from servofd.outputs.files import write_whole
+    from servofd.outputs.identify_figures import identify_figures
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot make this folder: {error.strerror}") from None
+    for picture in identify_figures(found):
+        write_whole(folder / f"{picture.name}.png", picture.png())
+    write_whole(folder / "identify.json", document)
+
+
+def _text(found: Identification) -> str:
+    """Everything that was found, a line each."""
+    linear, servo = found.servo.linear, found.servo
+    bandwidth = linear.transfer.bandwidth_rad_s
+    rows = [
+        ("poles [rad/s]", _poles(found), _of_poles(found)),
+        ("dc gain", f"{linear.gain:.5g}", _interval(found, "dc_gain")),
+        ("delay [ms], hold apart", f"{1e3 * linear.delay_s:.3f}", _interval(found, "delay_s", 1e3)),
+        ("total lag [ms]", f"{1e3 * linear.lag_s:.2f}", _interval(found, "lag_s", 1e3)),
+        (
+            "bandwidth [rad/s]",
+            f"{bandwidth:.2f} ({bandwidth / 6.283185307:.3f} Hz)",
+            _interval(found, "bandwidth_rad_s"),
+        ),
+    ]
+    for way, rate in (("up", servo.rate_up_deg_s), ("down", servo.rate_down_deg_s)):
+        if rate is not None:
+            rows.append((f"rate limit {way} [deg/s]", f"{rate:.1f}", _interval(found, f"rate_{way}_deg_s")))
+    if servo.dead_band_deg is not None:
+        rows.append(("dead band [deg]", f"{servo.dead_band_deg:.2f}", _interval(found, "dead_band_deg")))
+    rows.append(("rms error [deg]", f"{found.rms_deg:.4f}", ""))
+    if found.band_rad_s is not None and found.max_normalized_error is not None:
+        low, high = found.band_rad_s
+        rows.append(("normalised error", f"up to {found.max_normalized_error:.3f}", f"{low:.1f} to {high:.1f} rad/s"))
+    lines = [f"{found.surface}: order {linear.order}, method {found.method}   (in brackets: 95 % intervals)"]
+    lines += [f"  {name:<24} {value:<28} {interval}".rstrip() for name, value, interval in rows]
+    return "\n".join([*lines, *(f"  - {note}" for note in found.notes)]) + "\n"
+
+
+def _poles(found: Identification) -> str:
+    poles = found.poles_rad_s
+    real = [f"{p.real:.2f}" for p in poles if p.imag == 0.0]
+    return ", ".join(real + [f"{p.real:.2f} ± {p.imag:.2f}i" for p in poles if p.imag > 0.0])
+
+
+def _of_poles(found: Identification) -> str:
+    names = [
+        name
+        for k, pole in enumerate(found.poles_rad_s)
+        if pole.imag >= 0.0
+        for name in (f"pole_{k}_real_rad_s", f"pole_{k}_imag_rad_s")
+        if name in found.intervals
+    ]
+    return " ".join(_interval(found, name) for name in names)
+
+
+def _interval(found: Identification, name: str, scale: float = 1.0) -> str:
+    interval = found.intervals.get(name)
+    return "" if interval is None else f"[{scale * interval.low:.5g}, {scale * interval.high:.5g}]"

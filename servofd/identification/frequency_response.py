@@ -1,0 +1,232 @@
+"""Smoothed frequency response of a servo from a sweep: Blackman and Tukey's method, MATLAB's ``spa`` (thesis 3.3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from servofd.types import BoolArray, ComplexArray, FloatArray
+
+__all__ = ["LAGS_S", "FrequencyResponse", "Spread", "average", "estimate", "raw_response"]
+
+LAGS_S = 4.0
+"""Reach of the lag window: 400 lags at 100 Hz. With 100 (thesis Appendix A) poles come out four times as wrong,
+because a narrow window smears the resonance; with more the estimate is no longer smooth (measured)."""
+
+LOWEST_COHERENCE = 0.8
+"""Below this the response says nothing (thesis 3.4)."""
+
+_EXCITED_SHARE = 0.1
+"""Of the strongest power of the command, per hertz or per octave: linear and exponential sweeps count as a whole."""
+_UPPER_SHARE = 0.8
+"""Of the highest excited frequency: the thesis sweeps to 25 Hz and fits to 20 Hz (Appendix A)."""
+_FREQUENCIES = 4096
+_LEAST_POWER = 1e-100
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrequencyResponse:
+    """Response of sampled position to sampled command; it contains the hold of the command.
+
+    Parameters
+    ----------
+    frequency_rad_s : ndarray, shape (m,)
+        Rising, above zero [rad/s].
+    response : ndarray, shape (m,)
+        Complex gain [deg/deg].
+    coherence : ndarray, shape (m,)
+        Between 0 and 1: share of the position's power that a linear servo explains.
+    command_power : ndarray, shape (m,)
+        Spectral density of the command, of any scale.
+    sample_time_s : float
+        Period of the samples and of the hold [s].
+    """
+
+    frequency_rad_s: FloatArray
+    response: ComplexArray
+    coherence: FloatArray
+    command_power: FloatArray
+    sample_time_s: float
+
+    @property
+    def phase_rad(self) -> FloatArray:
+        """Unwrapped phase, shape (m,)."""
+        phase: FloatArray = np.unwrap(np.angle(self.response))
+        return phase
+
+    def band_rad_s(self) -> tuple[float, float] | None:
+        """Range of frequencies that were excited and in which the position follows the command.
+
+        Returns
+        -------
+        tuple of float, or None
+            Lowest and highest frequency [rad/s]; None if the coherence is nowhere above 0.8.
+        """
+        per_octave = self.frequency_rad_s * self.command_power
+        excited = (self.command_power >= _EXCITED_SHARE * self.command_power.max()) | (
+            per_octave >= _EXCITED_SHARE * per_octave.max()
+        )
+        highest = _UPPER_SHARE * self.frequency_rad_s[excited][-1]
+        good = excited & (self.frequency_rad_s <= highest) & (self.coherence > LOWEST_COHERENCE)
+        first, last = _longest_run(good)
+        return (float(self.frequency_rad_s[first]), float(self.frequency_rad_s[last])) if last > first else None
+
+    def within(self, band_rad_s: tuple[float, float], count: int = 150) -> FrequencyResponse:
+        """About `count` frequencies of a band, evenly spaced on a logarithmic scale, for a fit."""
+        wanted = np.geomspace(*band_rad_s, count)
+        return self._at(np.unique(np.searchsorted(self.frequency_rad_s, wanted * (1.0 - 1e-12))))
+
+    def _at(self, index: np.ndarray[tuple[int], np.dtype[np.int64]]) -> FrequencyResponse:
+        return FrequencyResponse(
+            self.frequency_rad_s[index],
+            self.response[index],
+            self.coherence[index],
+            self.command_power[index],
+            self.sample_time_s,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spread:
+    """How far servos of one kind differ: standard deviations at each frequency, shape (m,)."""
+
+    log_magnitude: FloatArray
+    phase_rad: FloatArray
+
+
+def estimate(
+    command_deg: FloatArray, measured_deg: FloatArray, sample_time_s: float, lags: int | None = None
+) -> FrequencyResponse:
+    """Estimate the response from uniform samples.
+
+    Biased covariances up to `lags`, a Hann window over them, and their Fourier transforms: the ratio of the cross
+    to the command's spectrum is the response, what remains of the position's spectrum sets the coherence.
+
+    Parameters
+    ----------
+    command_deg, measured_deg : ndarray, shape (n,)
+        Command and position [deg] at the same instants.
+    sample_time_s : float
+        Period [s].
+    lags : int, optional
+        Reach of the window; 4 s, at most a quarter of the data, if left out.
+
+    Returns
+    -------
+    FrequencyResponse
+        Up to the Nyquist frequency.
+
+    Examples
+    --------
+    A gain of one half, one sample late:
+
+    >>> command = np.random.default_rng(0).standard_normal(4000)
+    >>> found = estimate(command, 0.5 * np.roll(command, 1), 0.01, lags=50)
+    >>> bool(np.all(np.abs(np.abs(found.response) - 0.5) < 0.01))
+    True
+    """
+    reach = min(round(LAGS_S / sample_time_s), command_deg.size // 4) if lags is None else lags
+    window = 0.5 * (1.0 + np.cos(np.pi * np.arange(-reach, reach + 1) / reach))
+    u, y = command_deg - command_deg.mean(), measured_deg - measured_deg.mean()
+    size = 2 * max(_FREQUENCIES, 1 << int(np.ceil(np.log2(2 * reach + 1))))
+    spectra = [_spectrum(window * _covariance(a, b, reach), reach, size) for a, b in ((y, u), (u, u), (y, y))]
+    cross, command, position = spectra[0], *(np.maximum(s.real, _LEAST_POWER) for s in spectra[1:])
+    frequency_rad_s: FloatArray = np.arange(size // 2 + 1, dtype=float) * (2.0 * np.pi / (size * sample_time_s))
+    coherence = np.minimum(np.abs(cross) ** 2 / (command * position), 1.0)
+    inner = slice(1, -1)
+    return FrequencyResponse(
+        frequency_rad_s[inner], (cross / command)[inner], coherence[inner], command[inner], sample_time_s
+    )
+
+
+def raw_response(command_deg: FloatArray, measured_deg: FloatArray) -> ComplexArray:
+    """Ratio of the plain Fourier transforms, the thesis' "raw" response, shape (n // 2 + 1,); NaN where unexcited.
+
+    Examples
+    --------
+    >>> bool(np.allclose(raw_response(np.array([2.0, 0.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0])), 0.5))
+    True
+    """
+    command, measured = np.fft.rfft(command_deg), np.fft.rfft(measured_deg)
+    excited = np.abs(command) > 1e-12 * np.abs(command).max()
+    ratio: ComplexArray = np.full(command.size, np.nan, dtype=complex)
+    ratio[excited] = measured[excited] / command[excited]
+    return ratio
+
+
+def average(responses: Sequence[FrequencyResponse]) -> tuple[FrequencyResponse, Spread]:
+    """Average servos of one kind: logarithm of magnitude and unwrapped phase, weighted by coherence (thesis 3.3).
+
+    Parameters
+    ----------
+    responses : sequence of FrequencyResponse
+        At least one; the others are interpolated to the frequencies of the first.
+
+    Returns
+    -------
+    FrequencyResponse
+        Nominal response.
+    Spread
+        Standard deviations of the servos about it; zero for a single one.
+
+    Examples
+    --------
+    >>> command = np.random.default_rng(0).standard_normal(4000)
+    >>> one, two = (estimate(command, gain * command, 0.01, lags=50) for gain in (0.5, 2.0))
+    >>> bool(np.allclose(average([one, two])[0].response, 1.0, atol=1e-6))
+    True
+    """
+    grid = responses[0].frequency_rad_s
+    rows = [
+        [np.interp(grid, r.frequency_rad_s, v) for v in (np.log(np.abs(r.response)), r.phase_rad, r.coherence)]
+        for r in responses
+    ]
+    magnitudes, phases, coherences = (np.array(values) for values in zip(*rows, strict=True))
+    weights = coherences + 1e-12
+    weights /= weights.sum(axis=0)
+    magnitude, phase = (weights * magnitudes).sum(axis=0), (weights * phases).sum(axis=0)
+    spread = Spread(
+        np.sqrt((weights * (magnitudes - magnitude) ** 2).sum(axis=0)),
+        np.sqrt((weights * (phases - phase) ** 2).sum(axis=0)),
+    )
+    power = np.mean([np.interp(grid, r.frequency_rad_s, r.command_power) for r in responses], axis=0)
+    nominal = FrequencyResponse(
+        grid, np.exp(magnitude + 1j * phase), (weights * coherences).sum(axis=0), power, responses[0].sample_time_s
+    )
+    return nominal, spread
+
+
+def _covariance(a: FloatArray, b: FloatArray, reach: int) -> FloatArray:
+    """Biased covariance of a(t + k) and b(t) for k from -reach to reach."""
+    from scipy.fft import irfft, next_fast_len, rfft
+
+    size = next_fast_len(a.size + reach, real=True)
+    circular = irfft(rfft(a, size) * np.conj(rfft(b, size)), size)
+    covariance: FloatArray = np.concatenate([circular[-reach:], circular[: reach + 1]]) / a.size
+    return covariance
+
+
+def _spectrum(covariance: FloatArray, reach: int, size: int) -> ComplexArray:
+    """Fourier transform of a windowed covariance, lag zero in the middle."""
+    folded = np.zeros(size)
+    folded[: reach + 1], folded[-reach:] = covariance[reach:], covariance[:reach]
+    spectrum: ComplexArray = np.fft.rfft(folded)
+    return spectrum
+
+
+def _longest_run(flags: BoolArray) -> tuple[int, int]:
+    """First and last index of the longest stretch of true flags; a hole of one tenth of it may be bridged."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
+    runs = [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    merged: list[tuple[int, int]] = []
+    for first, last in runs:
+        if merged and first - merged[-1][1] <= 0.1 * (merged[-1][1] - merged[-1][0]):
+            merged[-1] = (merged[-1][0], last)
+        else:
+            merged.append((first, last))
+    return max(merged, key=lambda run: run[1] - run[0], default=(0, -1))

@@ -1,0 +1,331 @@
+"""From bench tests to a servo: thesis chapter 3."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal, TypeVar
+
+import numpy as np
+
+from servofd.errors import IdentificationError
+from servofd.identification import checks
+from servofd.identification.choice import Choice, choose_linear, choose_nonlinear, is_white, with_unity_gain
+from servofd.identification.frequency_response import LAGS_S, FrequencyResponse, average, estimate
+from servofd.identification.magnitude import fit_magnitude
+from servofd.identification.output_error import Interval, MotionFit, ServoCandidate, evaluated, fit_motion
+from servofd.identification.rate import RateLimits, rate_limits
+from servofd.identification.records import Run, Uniform, longest_uniform, prepared
+from servofd.identification.result import Identification
+from servofd.identification.summary import intervals_of, notes_on_servo, notes_on_spread
+
+if TYPE_CHECKING:
+    from servofd.segment import Segment
+
+__all__ = ["Method", "identify"]
+
+Method = Literal["response", "magnitude"]
+_T = TypeVar("_T")
+
+_SHORTEST_SWEEP_S = 10.0
+_NARROWEST_SWEEP = 3.0
+"""Ratio of the highest to the lowest coherent frequency."""
+_STEPWISE = 0.1
+"""A command that changes in fewer of the samples consists of steps."""
+_LEVELS = 10
+"""So does one that has no more levels."""
+_LARGEST_ERROR = 0.3
+"""Of the position's own deviation; the worst real servo so far leaves 0.06."""
+_FOLLOWS = 0.7
+_SWAPPED_RAD = 0.05
+_MAGNITUDE_ORDER, _MAGNITUDE_LAGS_S = 3, 1.0
+"""The largest deviation of a wide window would be noise: thesis Appendix A takes 100 lags at 100 Hz."""
+
+
+def identify(
+    records: Segment | Sequence[Sequence[Segment]],
+    *,
+    method: Method = "response",
+    order: int | None = None,
+    labels: Sequence[str] = (),
+) -> Identification:
+    """Identify a servo from chirps, steps or other motion.
+
+    Parameters
+    ----------
+    records : Segment, or sequence of sequences of Segment
+        One test; or for each of several servos of one kind its tests. The servo is their mean, `notes` tell how far
+        they differ.
+    method : {"response", "magnitude"}
+        "response": frequency response with the exact hold and delay, refined on the motion itself; without a sweep
+        the motion alone. "magnitude": the thesis' log-Chebyshev fit.
+    order : int, optional
+        Number of poles, 1 to 3; left out, the data choose.
+    labels : sequence of str
+        What to call each servo in messages.
+
+    Returns
+    -------
+    Identification
+        Poles, dc gain, delay without the hold, bandwidth, rate limits, dead band, intervals, notes.
+
+    Raises
+    ------
+    IdentificationError
+        If the tests do not show what the servo is like; the message is the reason.
+
+    Examples
+    --------
+    >>> from servofd.models.servo_model import ServoModel
+    >>> from servofd.segment import Segment
+    >>> from servofd.servos import servo_named
+    >>> from servofd.simulation.commands import chirp
+    >>> rng, time_s = np.random.default_rng(0), np.arange(12000) / 100.0
+    >>> command_deg = chirp(time_s, rng)
+    >>> measured_deg = ServoModel.of(servo_named("hs225bb-eq31")).simulate(time_s, command_deg, time_s)
+    >>> measured_deg += 0.1 * rng.standard_normal(time_s.size)
+    >>> found = identify(Segment("elevator", time_s, command_deg, time_s, measured_deg))
+    >>> found.servo.linear.order, round(1e3 * found.servo.linear.delay_s, 1), found.servo.linear.gain
+    (3, 4.0, 1.0)
+    """
+    sets = records if isinstance(records, Sequence) else [[records]]
+    names = labels or [segments[0].surface for segments in sets]
+    tests = _Tests.of(sets, names, _MAGNITUDE_LAGS_S if method == "magnitude" else LAGS_S)
+    spread_notes = notes_on_spread(tests.responses, order or _MAGNITUDE_ORDER, tests.swept)
+    if method == "magnitude":
+        return _by_magnitude(tests, order or _MAGNITUDE_ORDER, sets[0][0].surface)
+    choice = choose_linear(tests.small or tests.runs, tests.nominal_in_band, order)
+    free, notes = choice.fit, list(tests.notes)
+    _check_follows(free, tests)
+    fit, limits = _with_effects(tests, free, order)
+    free = fit
+    unity = with_unity_gain(tests.fitted(fit), fit) if is_white(fit) and fit.servo.linear.gain > 0.0 else None
+    if unity is not None:
+        fit = unity
+        notes.append("dc gain does not differ from 1 within its interval, and is set to 1 (thesis Appendix A)")
+    final = _with_rates(fit, limits, notes)
+    parts, offsets = evaluated(tests.runs, final)
+    choice = Choice(free, choice.further if free is choice.fit else None)
+    intervals = intervals_of(tests.fitted(free), choice, final, limits)
+    result = Identification(
+        surface=sets[0][0].surface,
+        method="response" if tests.nominal is not None else "motion",
+        servo=final,
+        intervals=intervals,
+        notes=tuple(notes + notes_on_servo(choice, tests.span_rad_s) + list(spread_notes)),
+        runs=tests.runs,
+        errors_deg=parts,
+        offset_deg=float(offsets.mean()),
+        response=tests.nominal,
+        responses=tests.responses,
+        spread=average(tests.responses)[1] if tests.responses else None,
+        band_rad_s=tests.band_rad_s,
+    )
+    _check_explained(result, tests)
+    if not any(_is_stepwise(run) for run in tests.runs):
+        named = [(run, tests.names[run.servo]) for run in tests.runs]
+        _refuse_most(named, lambda run, label: checks.check_saturation(run, final, label))
+    return result
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Tests:
+    """All tests, sorted into those that sweep the frequencies and others."""
+
+    names: tuple[str, ...]
+    runs: tuple[Run, ...]
+    small: tuple[Run, ...]
+    """Sweeps; the frequency response rests on them."""
+    responses: tuple[FrequencyResponse, ...]
+    nominal: FrequencyResponse | None
+    band_rad_s: tuple[float, float] | None
+    notes: tuple[str, ...]
+    swept: tuple[str, ...] = ()
+    """Names of the servos that have a response."""
+
+    @classmethod
+    def of(cls, sets: Sequence[Sequence[Segment]], names: Sequence[str], lags_s: float) -> _Tests:
+        runs, labels = [], []
+        for servo, (segments, name) in enumerate(zip(sets, names, strict=True)):
+            for segment in segments:
+                if len(segments) == 1 or _is_usable(segment):
+                    checks.check_segment(segment, name)
+                    runs.append(prepared(segment, servo))
+                    labels.append(name)
+        if not runs:
+            raise IdentificationError(f"{names[0]}: no test long enough; a chirp or steps are needed")
+        uniform = [longest_uniform(run) for run in runs]
+        _check_all(runs, uniform, labels)
+        sweeps = [
+            (run, u, response) for run, u in zip(runs, uniform, strict=True) if (response := _sweep(run, u, lags_s))
+        ]
+        responses = tuple(
+            average([response for run, _, response in sweeps if run.servo == servo])[0]
+            for servo in sorted({run.servo for run, _, _ in sweeps})
+        )
+        notes = []
+        if any(u.resampled for _, u, _ in sweeps):
+            notes.append(
+                "time stamps are irregular: resampled for the frequency response alone (commands held, positions "
+                "interpolated); the motion was fitted on the true stamps"
+            )
+        if not responses:
+            notes.append("no sweep long enough for a frequency response: fitted to the motion alone")
+            return cls(tuple(names), tuple(runs), (), (), None, None, tuple(notes))
+        nominal = average(responses)[0]
+        band = nominal.band_rad_s()
+        _check_phase(nominal, band, labels[0])
+        small = tuple(run for run, _, _ in sweeps)
+        swept = tuple(names[servo] for servo in sorted({run.servo for run in small}))
+        return cls(tuple(names), tuple(runs), small, responses, nominal, band, tuple(notes), swept)
+
+    @property
+    def nominal_in_band(self) -> FrequencyResponse | None:
+        return self.nominal.within(self.band_rad_s) if self.nominal is not None and self.band_rad_s else None
+
+    @property
+    def span_rad_s(self) -> float | None:
+        return self.band_rad_s[1] if self.band_rad_s else None
+
+    def fitted(self, fit: MotionFit) -> tuple[Run, ...]:
+        """The runs a fit rests on."""
+        return self.runs if len(fit.errors_deg) == len(self.runs) else self.small
+
+
+def _is_usable(segment: Segment) -> bool:
+    """False for runs of a file with many that hold no test, such as those without motion."""
+    try:
+        checks.check_segment(segment, segment.surface)
+    except IdentificationError:
+        return False
+    return True
+
+
+def _check_all(runs: Sequence[Run], uniform: Sequence[Uniform], labels: Sequence[str]) -> None:
+    """Refuse what most runs refuse; among many runs a single one may be odd."""
+    moving = [k for k, u in enumerate(uniform) if np.ptp(u.command_deg) > 0.0]
+    smooth = [k for k in moving if not _is_stepwise(runs[k])]
+    _refuse_most([(uniform[k], labels[k]) for k in moving], checks.check_order_of_columns)
+    _refuse_most([(runs[k], labels[k]) for k in smooth], checks.check_clipping)
+
+
+def _refuse_most(tests: Sequence[tuple[_T, str]], check: Callable[[_T, str], None]) -> None:
+    refusals = []
+    for test, label in tests:
+        try:
+            check(test, label)
+        except IdentificationError as error:
+            refusals.append(error)
+    if 2 * len(refusals) > len(tests):
+        raise refusals[0]
+
+
+def _is_stepwise(run: Run) -> bool:
+    seldom = np.count_nonzero(np.diff(run.command_deg)) < _STEPWISE * run.measured_s.size
+    return bool(seldom or np.unique(run.command_deg).size <= _LEVELS)
+
+
+def _sweep(run: Run, uniform: Uniform, lags_s: float) -> FrequencyResponse | None:
+    """Frequency response of a run that sweeps far enough; None if it does not."""
+    duration_s = uniform.sample_time_s * uniform.command_deg.size
+    if duration_s < _SHORTEST_SWEEP_S or np.ptp(uniform.command_deg) == 0.0 or _is_stepwise(run):
+        return None
+    lags = min(round(lags_s / uniform.sample_time_s), uniform.command_deg.size // 4)
+    response = estimate(uniform.command_deg, uniform.measured_deg, uniform.sample_time_s, lags)
+    band = response.band_rad_s()
+    return response if band is not None and band[1] >= _NARROWEST_SWEEP * band[0] else None
+
+
+def _check_phase(response: FrequencyResponse, band: tuple[float, float] | None, label: str) -> None:
+    """A position that leads its command on average is a command."""
+    if band is None:
+        raise IdentificationError(f"{label}: the tests have no frequencies in common in which position follows command")
+    inside = (response.frequency_rad_s >= band[0]) & (response.frequency_rad_s <= band[1])
+    phase = response.phase_rad[inside]
+    phase = phase - np.pi * np.round(phase[0] / np.pi)
+    if float(np.mean(phase)) > _SWAPPED_RAD:
+        raise IdentificationError(
+            f"{label}: the position leads the command by {np.degrees(np.mean(phase)):.0f} deg of phase on average: "
+            "are the two columns swapped?"
+        )
+
+
+def _check_follows(fit: MotionFit, tests: _Tests) -> None:
+    runs = tests.fitted(fit)
+    if fit.rms_deg > _FOLLOWS * _deviation_deg(runs) and not any(_is_stepwise(run) for run in runs):
+        raise IdentificationError(
+            f"{tests.names[0]}: the position does not follow the command: the best servo leaves {fit.rms_deg:.3g} deg "
+            f"rms of a motion of {_deviation_deg(runs):.3g} deg; is this the right position channel, and was it moving?"
+        )
+
+
+def _check_explained(result: Identification, tests: _Tests) -> None:
+    deviation = _deviation_deg(result.runs)
+    if result.rms_deg > _LARGEST_ERROR * deviation:
+        raise IdentificationError(
+            f"{tests.names[0]}: no servo model explains this motion: {result.rms_deg:.3g} deg rms are left of "
+            f"{deviation:.3g} deg; data of two servos mixed, a loose sensor, or time stamps that are wrong?"
+        )
+
+
+def _deviation_deg(runs: Sequence[Run]) -> float:
+    return float(np.std(np.concatenate([run.measured_deg - run.measured_deg.mean() for run in runs])))
+
+
+def _with_effects(tests: _Tests, linear: MotionFit, order: int | None) -> tuple[MotionFit, RateLimits]:
+    """Rate limits from steps, and everything the errors of the linear servo ask for."""
+    limits = rate_limits(tests.runs, linear.servo.linear)
+    if is_white(linear) and tests.small:
+        return linear, limits
+    everything = linear if len(linear.errors_deg) == len(tests.runs) else fit_motion(tests.runs, linear.servo)
+    if is_white(everything):
+        return everything, limits
+    fit = choose_nonlinear(tests.runs, everything, order, swept=tests.nominal is not None)
+    return fit, rate_limits(tests.runs, fit.servo.linear)
+
+
+def _with_rates(fit: MotionFit, limits: RateLimits, notes: list[str]) -> ServoCandidate:
+    """The servo with the rate limits of its steps, unless the motion gave them already."""
+    servo = fit.servo
+    if servo.rate_up_deg_s is not None:
+        return servo
+    up, down = limits.up or limits.down, limits.down or limits.up
+    if up is None or down is None:
+        notes.append(f"rate limit not identified: {limits.reason}")
+        return servo
+    notes.append(f"rate limit: {limits.reason}")
+    return replace(servo, rate_up_deg_s=up.value, rate_down_deg_s=down.value)
+
+
+def _by_magnitude(tests: _Tests, order: int, surface: str) -> Identification:
+    """The thesis' fit; no intervals, for the method gives none."""
+    response, notes = tests.nominal_in_band, list(tests.notes)
+    if response is None:
+        raise IdentificationError(f"{tests.names[0]}: --method magnitude needs a sweep; --method response does without")
+    linear = fit_magnitude(response, order)
+    if linear.delay_s < 0.0:
+        notes.append(f"phase asks for a delay of {1e3 * linear.delay_s:.2f} ms: set to 0")
+        linear = replace(linear, delay_s=0.0)
+    limits = rate_limits(tests.runs, linear)
+    fit = MotionFit(ServoCandidate(linear), np.zeros(1), (), np.zeros((order + 2, order + 2)))
+    servo = _with_rates(fit, limits, notes)
+    errors, offsets = evaluated(tests.runs, servo)
+    return Identification(
+        surface=surface,
+        method="magnitude",
+        servo=servo,
+        intervals=_rate_intervals(limits),
+        notes=(*notes, "magnitude fit (thesis 3.3): no intervals; --method response gives them"),
+        runs=tests.runs,
+        errors_deg=errors,
+        offset_deg=float(offsets.mean()),
+        response=tests.nominal,
+        responses=tests.responses,
+        spread=average(tests.responses)[1],
+        band_rad_s=tests.band_rad_s,
+    )
+
+
+def _rate_intervals(limits: RateLimits) -> dict[str, Interval]:
+    pairs = (("rate_up_deg_s", limits.up), ("rate_down_deg_s", limits.down))
+    return {name: interval for name, interval in pairs if interval is not None}

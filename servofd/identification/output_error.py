@@ -1,0 +1,271 @@
+"""Fit of a servo to its motion: simulate, compare, correct, on true time stamps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servofd.errors import DesignError
+from servofd.identification.shape import LinearServo
+from servofd.models.effects import Delay, Effect, LinearDynamics, RateLimit
+from servofd.models.play import play
+from servofd.models.servo_model import ServoModel
+
+if TYPE_CHECKING:
+    from servofd.identification.records import Run
+    from servofd.types import FloatArray
+
+__all__ = ["Interval", "MotionFit", "ServoCandidate", "evaluated", "fit_motion"]
+
+_SURE = 1.959963984540054
+"""Standard deviations of a 95 % interval."""
+_OUT_OF_REACH_DEG = 1e4
+_DEVIATION_LAGS = 20
+_SMALLEST_SHARE, _SMALLEST = 1e-12, 1e-100
+"""Singular values below are as good as zero; the second keeps the inverse within the range of numbers."""
+_SMOOTH_STEP, _KINKED_STEP = 1e-6, 2e-3
+"""Of derivatives, in the units of `ServoCandidate.vector`; rate limits and dead bands leave kinks in the motion."""
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """A value, and where it lies with a probability of 95 %.
+
+    Examples
+    --------
+    >>> Interval(4.0, 3.9, 4.1).covers(4.05)
+    True
+    """
+
+    value: float
+    low: float
+    high: float
+
+    def covers(self, truth: float) -> bool:
+        """True if a number lies within."""
+        return self.low <= truth <= self.high
+
+
+@dataclass(frozen=True, slots=True)
+class ServoCandidate:
+    """A servo with everything that a bench test can show.
+
+    Parameters
+    ----------
+    linear : LinearServo
+        Delay, dc gain, poles.
+    rate_up_deg_s, rate_down_deg_s : float or None
+        Rate limits [deg/s].
+    dead_band_deg : float or None
+        Full width of the zone in which the command may move without effect [deg].
+    fixed_gain : bool
+        True if the dc gain is known, and not fitted.
+    """
+
+    linear: LinearServo
+    rate_up_deg_s: float | None = None
+    rate_down_deg_s: float | None = None
+    dead_band_deg: float | None = None
+    fixed_gain: bool = False
+
+    @property
+    def model(self) -> ServoModel:
+        """Model without the dead band."""
+        effects: list[Effect] = [Delay(self.linear.delay_s), LinearDynamics(self.linear.transfer)]
+        if self.rate_up_deg_s is not None:
+            effects.append(RateLimit(self.rate_up_deg_s, self.rate_down_deg_s))
+        return ServoModel(tuple(effects))
+
+    def simulate(self, run: Run) -> FloatArray:
+        """Position in a run [deg], shape (m,), without the offset of the measurement."""
+        command_deg = run.command_deg
+        if self.dead_band_deg is not None:
+            command_deg = play(command_deg, self.dead_band_deg, float(command_deg[0]))
+        return self.model.simulate(run.command_s, command_deg, run.measured_s)
+
+    def vector(self) -> FloatArray:
+        """Numbers to fit: logarithms of what must stay positive, milliseconds, degrees."""
+        linear = self.linear
+        numbers = [*linear.shape, 1e3 * linear.delay_s]
+        numbers += [] if self.fixed_gain else [np.log(abs(linear.gain))]
+        numbers += [np.log(r) for r in (self.rate_up_deg_s, self.rate_down_deg_s) if r is not None]
+        return np.array(numbers + ([self.dead_band_deg] if self.dead_band_deg is not None else []))
+
+    def with_vector(self, x: FloatArray) -> ServoCandidate:
+        """The same kind of servo with other numbers."""
+        n, gain = self.linear.order, self.linear.gain
+        rest = [float(v) for v in x[n + 1 :]]
+        if not self.fixed_gain:
+            gain = float(np.sign(gain) * np.exp(rest.pop(0)))
+        linear = LinearServo(tuple(float(v) for v in x[:n]), 1e-3 * float(x[n]), gain)
+        up, down = self.rate_up_deg_s, self.rate_down_deg_s
+        return replace(
+            self,
+            linear=linear,
+            rate_up_deg_s=None if up is None else float(np.exp(rest.pop(0))),
+            rate_down_deg_s=None if down is None else float(np.exp(rest.pop(0))),
+            dead_band_deg=None if self.dead_band_deg is None else rest[0],
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionFit:
+    """A servo fitted to its motion."""
+
+    servo: ServoCandidate
+    offsets_deg: FloatArray
+    """Of the measurement, one for each servo, shape (servos,)."""
+    errors_deg: tuple[FloatArray, ...]
+    """Measured minus simulated position of each run [deg]."""
+    covariance: FloatArray
+    """Of `servo.vector()`."""
+
+    @property
+    def rms_deg(self) -> float:
+        """Root mean square of all errors [deg]."""
+        return float(np.sqrt(np.mean(np.concatenate(self.errors_deg) ** 2)))
+
+    @property
+    def bic(self) -> float:
+        """Bayesian information criterion: a further parameter must pay for itself."""
+        count = int(np.concatenate(self.errors_deg).size)
+        parameters = int(self.covariance.shape[0] + self.offsets_deg.size)
+        return 2.0 * count * float(np.log(max(self.rms_deg, 1e-12))) + parameters * float(np.log(count))
+
+    @property
+    def whiteness(self) -> float:
+        """Von Neumann's ratio: 2 for errors without memory, near 0 where the servo does what the model does not."""
+        errors = [error for error in self.errors_deg if error.size > 2]
+        return float(sum(np.sum(np.diff(e) ** 2) for e in errors) / max(sum(np.sum(e**2) for e in errors), 1e-300))
+
+    def interval(self, quantity: Callable[[ServoCandidate], float]) -> Interval:
+        """95 % interval of anything that follows from the servo, from the linear part of its dependence.
+
+        Examples
+        --------
+        >>> servo = ServoCandidate(LinearServo((3.4,), 0.004))
+        >>> fit = MotionFit(servo, np.zeros(1), (np.ones(3),), np.diag([0.0, 1e-4, 0.0]))
+        >>> fit.interval(lambda servo: servo.linear.delay_s).high.__round__(7)
+        0.0040196
+        """
+        x = self.servo.vector()
+        value = quantity(self.servo)
+        scales = np.sqrt(np.diag(self.covariance))
+        gradient = np.zeros(x.size)
+        for k in range(x.size):
+            step = np.zeros(x.size)
+            step[k] = min(1e-2 * scales[k], 1e-3) or 1e-9
+            gradient[k] = (quantity(self.servo.with_vector(x + step)) - quantity(self.servo.with_vector(x - step))) / (
+                2.0 * step[k]
+            )
+        variance = float(gradient @ self.covariance @ gradient)
+        deviation = float(np.sqrt(max(variance, 0.0)))
+        return Interval(value, value - _SURE * deviation, value + _SURE * deviation)
+
+
+def fit_motion(runs: Sequence[Run], start: ServoCandidate, *, evaluations: int = 30) -> MotionFit:
+    """Fit a servo to all runs at once: least squares of measured minus simulated position.
+
+    The mean error of each servo is its offset. The covariance takes the memory of the errors into account, so that
+    intervals stay honest where the model is not the whole truth.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Tests.
+    start : ServoCandidate
+        Where to begin; what is None in it is not fitted.
+    evaluations : int
+        Most simulations for the descent, those of derivatives not counted.
+
+    Returns
+    -------
+    MotionFit
+        The nearest minimum.
+
+    Examples
+    --------
+    >>> from servofd.identification.records import prepared
+    >>> from servofd.segment import Segment
+    >>> t = np.arange(500) / 100.0
+    >>> truth = ServoCandidate(LinearServo((3.4,), 0.004))
+    >>> command = np.sign(np.sin(3.0 * t**2))
+    >>> measured = truth.simulate(prepared(Segment("x", t, command, t, 0.0 * t)))
+    >>> fit = fit_motion([prepared(Segment("x", t, command, t, measured))], ServoCandidate(LinearServo((3.0,), 0.01)))
+    >>> round(1e3 * fit.servo.linear.delay_s, 4)
+    4.0
+    """
+    from scipy.optimize import least_squares
+
+    lower = np.full(start.vector().size, -np.inf)
+    lower[start.linear.order] = 0.0
+    if start.dead_band_deg is not None:
+        lower[-1] = 0.0
+    kinked = start.dead_band_deg is not None or start.rate_up_deg_s is not None
+    step = _KINKED_STEP if kinked else _SMOOTH_STEP
+
+    def errors(x: FloatArray) -> tuple[tuple[FloatArray, ...], FloatArray]:
+        return evaluated(runs, start.with_vector(x))
+
+    def joined(x: FloatArray) -> FloatArray:
+        return np.concatenate(errors(x)[0])
+
+    def slopes(x: FloatArray) -> FloatArray:
+        here = joined(x)
+        return np.column_stack([(joined(x + step * unit) - here) / step for unit in np.eye(x.size)])
+
+    found = least_squares(
+        joined,
+        np.maximum(start.vector(), lower + 1e-3),
+        jac=slopes,
+        bounds=(lower, np.inf),
+        x_scale="jac",
+        max_nfev=evaluations,
+        xtol=1e-6,
+        ftol=1e-7,
+    )
+    parts, offsets_deg = errors(found.x)
+    return MotionFit(
+        start.with_vector(found.x), offsets_deg, parts, _covariance(np.asarray(found.jac, dtype=float), parts)
+    )
+
+
+def evaluated(runs: Sequence[Run], servo: ServoCandidate) -> tuple[tuple[FloatArray, ...], FloatArray]:
+    """Errors of all runs, and the offset of each servo that was taken out of them [deg]."""
+    try:
+        errors = [run.measured_deg - servo.simulate(run) for run in runs]
+    except DesignError:
+        errors = [np.full(run.measured_deg.size, _OUT_OF_REACH_DEG) for run in runs]
+        return tuple(errors), np.zeros(max(run.servo for run in runs) + 1)
+    offsets = np.array(
+        [
+            np.concatenate([e for e, run in zip(errors, runs, strict=True) if run.servo == servo_]).mean()
+            for servo_ in range(max(run.servo for run in runs) + 1)
+        ]
+    )
+    return tuple(e - offsets[run.servo] for e, run in zip(errors, runs, strict=True)), offsets
+
+
+def _covariance(jacobian: FloatArray, errors: Sequence[FloatArray]) -> FloatArray:
+    """Of the parameters; larger by the memory of the errors, if they have any."""
+    every = np.concatenate(errors)
+    variance = float(every @ every) / max(every.size - jacobian.shape[1] - 1, 1)
+    # A pseudo-inverse that knows no small singular values: what is not identifiable must come out as wide.
+    _, sizes, right = np.linalg.svd(jacobian, full_matrices=False)
+    sizes = np.maximum(sizes, max(_SMALLEST_SHARE * sizes[0], _SMALLEST))
+    inverse = (right.T / sizes) @ (right / sizes[:, np.newaxis])
+    covariance: FloatArray = inverse * variance * _memory(errors)
+    return covariance
+
+
+def _memory(errors: Sequence[FloatArray]) -> float:
+    """Long-run variance of the errors over their variance, at least 1."""
+    total = sum(float(e @ e) for e in errors)
+    if total == 0.0:
+        return 1.0
+    lags = range(1, _DEVIATION_LAGS + 1)
+    products = [sum(float(e[k:] @ e[:-k]) for e in errors if e.size > k) / total for k in lags]
+    return max(1.0, 1.0 + 2.0 * sum((1.0 - k / (_DEVIATION_LAGS + 1)) * p for k, p in zip(lags, products, strict=True)))

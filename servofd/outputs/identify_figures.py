@@ -1,0 +1,245 @@
+"""An identification as pictures, after thesis Figs 3.3 to 3.9."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from servofd.identification.frequency_response import raw_response
+from servofd.identification.rate import step_slopes
+from servofd.identification.records import longest_uniform
+from servofd.outputs.figure import COLOURS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from servofd.identification.result import Identification
+    from servofd.types import FloatArray
+
+__all__ = ["Picture", "identify_figures"]
+
+_EXCERPT_S = 4.0
+_STEP_S = 0.6
+_RAW_POINTS = 3000
+_SERVOS = ("#0072b2", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """One figure and what it shows in words."""
+
+    name: str
+    title: str
+    text: str
+    """What somebody must know who cannot see it."""
+    figure: Figure
+
+    def png(self) -> bytes:
+        """The picture as PNG."""
+        return self._saved("png")
+
+    def svg(self) -> str:
+        """The picture as SVG, the same bytes for the same data."""
+        from matplotlib import rc_context
+
+        with rc_context({"svg.hashsalt": self.name, "svg.fonttype": "none"}):
+            return self._saved("svg").decode()
+
+    def _saved(self, kind: str) -> bytes:
+        buffer = io.BytesIO()
+        self.figure.savefig(buffer, format=kind, dpi=110, metadata={"Date": None} if kind == "svg" else None)
+        return buffer.getvalue()
+
+
+def identify_figures(found: Identification) -> tuple[Picture, ...]:
+    """All figures that the tests allow: response, coherence, normalised error, steps, motion.
+
+    Parameters
+    ----------
+    found : Identification
+        The servo and its evidence.
+
+    Returns
+    -------
+    tuple of Picture
+        In the order of the thesis.
+    """
+    pictures = []
+    if step_slopes(found.runs):
+        pictures.append(_steps(found))
+    pictures.append(_motion(found))
+    if found.response is not None:
+        pictures += [_bode(found), _coherence(found), _error(found)]
+    pictures.append(_validation(found))
+    return tuple(pictures)
+
+
+def _bode(found: Identification) -> Picture:
+    figure, (upper, lower) = _axes(2, height=6.0)
+    run = next(r for r in found.runs if r.command_s.size > 2)
+    uniform = longest_uniform(run)
+    raw = raw_response(
+        uniform.command_deg - uniform.command_deg.mean(), uniform.measured_deg - uniform.measured_deg.mean()
+    )
+    w_raw = np.asarray(2.0 * np.pi * np.fft.rfftfreq(uniform.command_deg.size, uniform.sample_time_s), dtype=float)
+    chosen = (w_raw > 0.0) & np.isfinite(raw)
+    stride = max(1, int(np.count_nonzero(chosen)) // _RAW_POINTS)
+    w_raw, raw = w_raw[chosen][::stride], raw[chosen][::stride]
+    upper.plot(w_raw, _decibels(raw), ".", ms=1.5, color="0.75", label="raw")
+    for k, response in enumerate(found.responses):
+        style: dict[str, Any] = {
+            "color": _SERVOS[k % len(_SERVOS)],
+            "lw": 1.2,
+            "ls": ":" if len(found.responses) > 1 else "-",
+        }
+        label = f"smoothed, servo {k + 1}" if len(found.responses) > 1 else "smoothed"
+        upper.plot(response.frequency_rad_s, _decibels(response.response), label=label, **style)
+        lower.plot(response.frequency_rad_s, np.degrees(response.phase_rad), **style)
+    nominal = found.responses[0]
+    fit = found.servo.linear.sampled_response(nominal.frequency_rad_s, nominal.sample_time_s)
+    at_raw = found.servo.linear.sampled_response(w_raw, nominal.sample_time_s)
+    near = np.unwrap(np.angle(at_raw)) + np.angle(raw / at_raw)  # on the branch of the fit
+    lower.plot(w_raw, np.degrees(near), ".", ms=1.5, color="0.75", zorder=0)
+    upper.plot(nominal.frequency_rad_s, _decibels(fit), color=COLOURS["measured"], lw=2, ls="--", label="fit")
+    lower.plot(nominal.frequency_rad_s, np.degrees(np.unwrap(np.angle(fit))), color=COLOURS["measured"], lw=2, ls="--")
+    upper.set_ylabel("magnitude [dB]")
+    lower.set_ylabel("phase [deg]")
+    inside = _shown(found)
+    upper.set_ylim(float(_decibels(fit[inside]).min()) - 12.0, max(6.0, float(_decibels(fit[inside]).max()) + 4.0))
+    lower.set_ylim(float(np.degrees(np.unwrap(np.angle(fit)))[inside].min()) - 60.0, 60.0)
+    _frequency_axis(found, upper, lower)
+    low, high = found.band_rad_s or (0.0, 0.0)
+    text = f"The fit follows the smoothed response between {low:.1f} and {high:.1f} rad/s (shaded); hold included."
+    return Picture("response", "Frequency response", text, figure)
+
+
+def _coherence(found: Identification) -> Picture:
+    figure, (axes,) = _axes(1)
+    for k, response in enumerate(found.responses):
+        label = f"servo {k + 1}" if len(found.responses) > 1 else "command to position"
+        axes.plot(response.frequency_rad_s, response.coherence, color=_SERVOS[k % len(_SERVOS)], label=label)
+    axes.axhline(0.8, color=COLOURS["fault"], lw=1.0, ls="--", label="0.8")
+    axes.set_ylim(0.0, 1.05)
+    axes.set_ylabel("coherence")
+    _frequency_axis(found, axes)
+    low, high = found.band_rad_s or (0.0, 0.0)
+    text = f"Coherence is above 0.8 from {low:.1f} to {high:.1f} rad/s, the band of the fit."
+    return Picture("coherence", "Coherence (thesis Fig. 3.7)", text, figure)
+
+
+def _error(found: Identification) -> Picture:
+    figure, (axes,) = _axes(1)
+    for k, (response, error) in enumerate(zip(found.responses, found.normalized_errors(), strict=True)):
+        label = f"servo {k + 1}" if len(found.responses) > 1 else "|G smoothed - G fit| / |G fit|"
+        axes.semilogy(response.frequency_rad_s, error, color=_SERVOS[k % len(_SERVOS)], label=label)
+    axes.set_ylim(1e-4, 10.0)
+    axes.set_ylabel("normalised error")
+    _frequency_axis(found, axes)
+    text = f"Normalised error of Eq. 3.2: at most {found.max_normalized_error or 0.0:.3f} within the band."
+    return Picture("normalised_error", "Normalised error (thesis Fig. 3.8, Eq. 3.2)", text, figure)
+
+
+def _motion(found: Identification) -> Picture:
+    """First seconds of the first test, thesis Fig. 3.4."""
+    run, error = found.runs[0], found.errors_deg[0]
+    begin_s = float(run.measured_s[0])
+    figure, (axes,) = _axes(1)
+    inside = run.measured_s <= begin_s + _EXCERPT_S
+    _draw(axes, found, 0, inside)
+    axes.set_xlabel("time [s]")
+    axes.set_ylabel("angle [deg]")
+    _finish(axes)
+    text = f"Command, measured and simulated position; the error is {np.std(error[inside]):.3g} deg rms here."
+    return Picture("motion", f"First {_EXCERPT_S:g} s of the test (thesis Fig. 3.4)", text, figure)
+
+
+def _validation(found: Identification) -> Picture:
+    """All of the longest test, thesis Fig. 3.9."""
+    index = int(np.argmax([run.measured_s.size for run in found.runs]))
+    run, error = found.runs[index], found.errors_deg[index]
+    figure, (upper, lower) = _axes(2, height=5.0)
+    _draw(upper, found, index, np.ones(run.measured_s.size, dtype=bool))
+    lower.plot(run.measured_s, error, color="black", lw=0.6, label="measured - simulated")
+    upper.set_ylabel("angle [deg]")
+    lower.set_ylabel("error [deg]")
+    lower.set_xlabel("time [s]")
+    _finish(upper, lower)
+    text = f"Simulation of the whole test: {np.std(error):.3g} deg rms, fit {found.fits_percent[index]:.1f} %."
+    return Picture("validation", "Validation in time (thesis Fig. 3.9)", text, figure)
+
+
+def _steps(found: Identification) -> Picture:
+    """Largest step with the line whose slope is the rate limit, thesis Fig. 3.3."""
+    step = max(step_slopes(found.runs), key=lambda one: abs(one.travel_deg))
+    run = found.runs[step.run]
+    figure, (axes,) = _axes(1)
+    inside = (run.measured_s >= step.start_s - 0.1) & (run.measured_s <= min(step.start_s + _STEP_S, step.end_s))
+    _draw(axes, found, step.run, inside)
+    after = (run.measured_s >= step.start_s) & inside
+    begin_deg = float(run.measured_deg[after][0])
+    way = (run.measured_deg[after] - begin_deg) / step.travel_deg
+    middle_s = float(np.interp(0.5, np.maximum.accumulate(way), run.measured_s[after]))
+    half_s = 0.4 * abs(step.travel_deg / step.slope_deg_s)
+    line_s = middle_s + np.array([-half_s, half_s])
+    line_deg = begin_deg + 0.5 * step.travel_deg + step.slope_deg_s * (line_s - middle_s)
+    axes.plot(line_s, line_deg, color=COLOURS["fault"], lw=2.5, ls="--", label=f"{abs(step.slope_deg_s):.0f} deg/s")
+    axes.set_xlabel("time [s]")
+    axes.set_ylabel("angle [deg]")
+    _finish(axes)
+    text = (
+        f"A step of {step.travel_deg:.1f} deg runs at {abs(step.slope_deg_s):.0f} deg/s between 20 and 80 % of its way."
+    )
+    return Picture("step", "Step (thesis Fig. 3.3)", text, figure)
+
+
+def _draw(axes: Axes, found: Identification, index: int, inside: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> None:
+    run = found.runs[index]
+    time_s, measured_deg = run.measured_s[inside], run.measured_deg[inside]
+    held = np.searchsorted(run.command_s, time_s, side="right") - 1
+    axes.plot(time_s, run.command_deg[held], color=COLOURS["command"], lw=0.9, drawstyle="steps-post", label="command")
+    axes.plot(time_s, measured_deg, color=COLOURS["measured"], lw=2.0, label="measured")
+    simulated_deg = measured_deg - found.errors_deg[index][inside]
+    axes.plot(time_s, simulated_deg, color=COLOURS["simulated"], lw=0.9, label="simulated")
+
+
+def _decibels(response: np.ndarray[tuple[int], np.dtype[np.complex128]]) -> FloatArray:
+    decibels: FloatArray = 20.0 * np.log10(np.maximum(np.abs(response), 1e-9))
+    return decibels
+
+
+def _shown(found: Identification) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    low, high = found.band_rad_s or (1.0, 100.0)
+    w = found.responses[0].frequency_rad_s
+    shown: np.ndarray[tuple[int], np.dtype[np.bool_]] = (w >= 0.5 * low) & (w <= 1.6 * high)
+    return shown
+
+
+def _frequency_axis(found: Identification, *all_axes: Axes) -> None:
+    low, high = found.band_rad_s or (1.0, 100.0)
+    for axes in all_axes:
+        axes.set_xscale("log")
+        axes.set_xlim(0.5 * low, 1.6 * high)
+        axes.axvspan(low, high, color=COLOURS["ok"], alpha=0.08, lw=0)
+    all_axes[-1].set_xlabel("frequency [rad/s]")
+    _finish(*all_axes)
+
+
+def _axes(count: int, height: float = 3.6) -> tuple[Figure, tuple[Axes, ...]]:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure as NewFigure
+
+    figure = NewFigure(figsize=(9.0, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure, tuple(np.atleast_1d(figure.subplots(count, 1, sharex=True)))
+
+
+def _finish(*all_axes: Axes) -> None:
+    for axes in all_axes:
+        axes.grid(visible=True, color="0.9")
+        axes.spines[["top", "right"]].set_visible(False)
+        if axes.get_legend_handles_labels()[1]:
+            axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)

@@ -1,0 +1,241 @@
+"""``servofd identify`` as tools and people use it; whatever is wrong with a test is told in a sentence."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from logparsers.dataflash.encode import Message, encode
+from servofd.cli import main
+from servofd.models.servo_model import ServoModel
+from servofd.segment import Segment
+from servofd.servos import find_servo, servo_named
+from tests.recovery.bench import step, sweep, written
+
+QUICK = sweep("hs225bb-eq31", duration_s=40.0)
+
+
+def test_the_json_is_what_the_contract_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = written(tmp_path / "chirp.csv", QUICK)
+    assert main(["identify", str(path), "--json", "-"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["schema"] == "servofd.identify/1"
+    assert sorted(document["poles"])[-1] == pytest.approx([-24.84, 0.0], abs=0.6)
+    assert document["hold"] == "zoh"
+    assert document["delay_s"] == pytest.approx(0.004, abs=3e-4)
+    assert document["dc_gain"] == pytest.approx(1.0, abs=0.005)
+    assert document["bandwidth_rad_s"] == pytest.approx(28.49, rel=0.02)
+    assert document["rate_limit_deg_s"] is None
+    low, high = document["coherence_band_rad_s"]
+    assert low < 10.0
+    assert 100.0 < high < 157.0
+    assert document["fit_error"]["rms_deg"] == pytest.approx(0.1, abs=0.01)
+    assert 0.0 < document["fit_error"]["max_normalized_error"] < 0.5
+    assert document["uncertainty"]["delay_s"]["low"] < 0.004 < document["uncertainty"]["delay_s"]["high"]
+    assert any("elevator_cmd_deg" in note for note in document["notes"])
+
+
+class _Page(HTMLParser):
+    def __init__(self) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+
+def test_every_output_and_the_servo_file_in_an_audit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    chirp, large = written(tmp_path / "chirp.csv", QUICK), written(tmp_path / "step.csv", step(72.0))
+    saved, page, folder = tmp_path / "mine.toml", tmp_path / "mine.html", tmp_path / "out"
+    options = ["--save", str(saved), "--html", str(page), "-o", str(folder)]
+    assert main(["identify", str(chirp), str(large), *options]) == 0
+    assert "rate limit up" in capsys.readouterr().out
+
+    name, servo = find_servo(str(saved))
+    assert name == "mine"
+    assert servo.rate_limit_deg_s == pytest.approx(370.0, rel=0.005)
+    assert servo.transfer.bandwidth_rad_s == pytest.approx(28.49, rel=0.02)
+    assert main(["audit", str(chirp), "--servo", str(saved)]) == 0
+    assert "healthy" in capsys.readouterr().out
+
+    names = {"coherence", "motion", "normalised_error", "response", "step", "validation"}
+    assert {picture.stem for picture in folder.glob("*.png")} == names
+    assert json.loads((folder / "identify.json").read_text())["schema"] == "servofd.identify/1"
+
+    text = page.read_text()
+    parser = _Page()
+    parser.feed(text)
+    pictures = [attributes for tag, attributes in parser.tags if tag == "svg"]
+    assert len(pictures) == len(names)
+    assert all(p["role"] == "img" and p["aria-label"] for p in pictures)
+    assert "script" not in {tag for tag, _ in parser.tags}
+    for svg in re.findall(r"<svg.*?</svg>", text, re.DOTALL):
+        assert ElementTree.fromstring(svg).tag.endswith("svg")  # noqa: S314 - our own page
+    ids = [attributes["id"] for _, attributes in parser.tags if "id" in attributes]
+    assert len(ids) == len(set(ids))
+    # Nothing is fetched: addresses occur as names of XML vocabularies only.
+    assert not re.search(r'(src|href)="(?!#)', text)
+
+
+def _mixed(one: Segment, other: Segment) -> Segment:
+    half = one.measured_s < 0.5 * one.measured_s[-1]
+    return replace(one, measured_deg=np.where(half, one.measured_deg, other.measured_deg))
+
+
+FAST = sweep("s9254", duration_s=40.0)
+NOISE_DEG = 0.1 * np.random.default_rng(0).standard_normal(QUICK.measured_s.size)
+BAD: dict[str, tuple[Segment, str]] = {
+    "no excitation": (
+        Segment("x", QUICK.measured_s, 0.0 * NOISE_DEG, QUICK.measured_s, NOISE_DEG),
+        "no excitation: the command is 0 deg throughout",
+    ),
+    "clipped": (replace(QUICK, measured_deg=np.clip(QUICK.measured_deg, -1.5, 1.5)), "position is clipped"),
+    "milliseconds": (
+        replace(QUICK, command_s=1e3 * QUICK.command_s, measured_s=1e3 * QUICK.measured_s),
+        "Are the time stamps in milliseconds?",
+    ),
+    "too fast": (
+        replace(QUICK, command_s=1e-3 * QUICK.command_s, measured_s=1e-3 * QUICK.measured_s),
+        "too fast to see a servo",
+    ),
+    "swapped": (
+        Segment("x", QUICK.measured_s, QUICK.measured_deg, QUICK.measured_s, QUICK.command_deg),
+        "are the two columns swapped?",
+    ),
+    "swapped, fast servo": (
+        Segment("x", FAST.measured_s, FAST.measured_deg, FAST.measured_s, FAST.command_deg),
+        "are the two columns swapped?",
+    ),
+    "swapped, steps": (
+        Segment("x", step(72.0).measured_s, step(72.0).measured_deg, step(72.0).measured_s, step(72.0).command_deg),
+        "are the two columns swapped?",
+    ),
+    "noise only": (replace(QUICK, measured_deg=NOISE_DEG), "the position does not follow the command"),
+    "two servos": (_mixed(QUICK, FAST), "data of two servos mixed"),
+    "saturated": (
+        sweep("hs225bb-eq31", duration_s=15.0, amplitude=10.0, rate_deg_s=60.0),
+        "which hides its dynamics; use a smaller amplitude",
+    ),
+    "short": (
+        Segment("x", QUICK.command_s[:20], QUICK.command_deg[:20], QUICK.measured_s[:20], NOISE_DEG[:20]),
+        "only 20 measured positions",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_what_cannot_be_used_is_told_in_a_sentence(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    segment, sentence = BAD[name]
+    path = written(tmp_path / "bad.csv", segment)
+    outputs = ["--save", str(tmp_path / "s.toml"), "--html", str(tmp_path / "p.html"), "--json", str(tmp_path / "j")]
+    assert main(["identify", str(path), *outputs, "-o", str(tmp_path / "out")]) == 2
+    printed = capsys.readouterr()
+    (line,) = printed.err.strip().splitlines()
+    assert sentence in line
+    assert "bad.csv" in line
+    assert printed.out == ""
+    assert [p.name for p in tmp_path.iterdir()] == ["bad.csv"]
+
+
+def test_outputs_do_not_overwrite_logs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = written(tmp_path / "chirp.csv", QUICK)
+    assert main(["identify", str(path), "--save", str(path)]) == 2
+    assert "choose another file" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [("nonsense", "cannot read the servo file"), ("", "one entry"), ('[servos.x]\ntitle = "x"', "servos.x")],
+)
+def test_a_servo_file_that_is_none(
+    text: str, sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    servo, path = tmp_path / "servo.toml", written(tmp_path / "chirp.csv", QUICK)
+    servo.write_text(text)
+    assert main(["audit", str(path), "--servo", str(servo)]) == 2
+    assert sentence in capsys.readouterr().err
+
+
+def chirp_applet(*, telemetry: bool = True) -> bytes:
+    """Log of ArduPilot's actuator_chirp.lua: 200 Hz, exponential sweep, position telemetry at 50 Hz."""
+    time_s = np.arange(6000) / 200.0
+    swept = np.expm1(np.log(40.0) * time_s / 30.0) * 30.0 / np.log(40.0)
+    pulse_us = np.floor(1450.0 + 150.0 * np.sin(2.0 * np.pi * 0.5 * swept))
+    deflection_deg = ServoModel.of(servo_named("s3151")).simulate(time_s, 0.1 * (pulse_us - 1500.0), time_s)
+    deflection_deg += 0.05 * np.random.default_rng(0).standard_normal(time_s.size)
+    position_deg = np.repeat(deflection_deg[::4], 4) if telemetry else np.full(time_s.size, -1.0)
+    rows = {
+        "TimeUS": 1_000_000 + np.round(1e6 * time_s).astype(np.int64),
+        "PWM": pulse_us,
+        "Freq": 0.5 * np.exp(np.log(40.0) * time_s / 30.0),
+        "Pos": position_deg,
+    }
+    return encode([Message("SCRP", "Qfff", rows)])
+
+
+def test_the_chirp_applet_of_ardupilot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "chirp.bin"
+    path.write_bytes(chirp_applet())
+    assert main(["identify", str(path), "--json", "-"]) == 0
+    document: dict[str, Any] = json.loads(capsys.readouterr().out)
+    truth = servo_named("s3151")
+    assert document["bandwidth_rad_s"] == pytest.approx(truth.transfer.bandwidth_rad_s, rel=0.02)
+    assert document["delay_s"] == pytest.approx(truth.transport_delay_s, abs=5e-4)
+    assert document["dc_gain"] == pytest.approx(1.0, abs=0.01)
+    notes = " ".join(document["notes"])
+    assert "command from SCRP.PWM [us], position from SCRP.Pos" in notes
+    assert "which leaves 50 Hz" in notes
+    scale = re.search(r"dc gain of 1: ([\d.]+) deg/us", notes)
+    assert scale is not None
+    assert float(scale[1]) == pytest.approx(0.1, rel=0.01)
+
+
+def test_the_chirp_applet_without_telemetry(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "chirp.bin"
+    path.write_bytes(chirp_applet(telemetry=False))
+    assert main(["identify", str(path)]) == 2
+    assert "SCRP holds no position" in capsys.readouterr().err
+
+
+APPENDIX_C = """
+[table]
+columns = ["meas", "pwm", "cmd"]
+sample_rate_hz = 1000.0
+[surfaces.servo]
+command = { channel = "cmd", unit = "us", trim_us = 700.0, slope_deg_per_us = 0.15 }
+measured = { channel = "meas", unit = "count", trim_count = 30000.0, slope_deg_per_count = 0.004 }
+"""
+
+
+def test_the_step_of_appendix_c(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Tab-separated `meas pwm cmd` at 1 kHz without header or time, a step from 500 to 900 us."""
+    time_s = np.arange(3000) / 1000.0
+    command_us = np.where(time_s < 1.0, 500.0, 900.0)
+    deflection_deg = ServoModel.of(servo_named("hs225bb-eq31")).simulate(time_s, 0.15 * (command_us - 700.0), time_s)
+    noise_deg = 0.02 * np.random.default_rng(0).standard_normal(time_s.size)
+    counts = np.round(30000.0 + (deflection_deg + noise_deg) / 0.004).astype(int)
+    rows = [f"{c}\t0\t{u:.2f}" for c, u in zip(counts, command_us, strict=True)]
+    (tmp_path / "step.txt").write_text("\n".join(rows) + "\n")
+    (tmp_path / "bench.toml").write_text(APPENDIX_C)
+    assert main(["identify", str(tmp_path / "step.txt"), "-c", str(tmp_path / "bench.toml"), "--json", "-"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["rate_limit_deg_s"] == pytest.approx(370.0, rel=0.005)
+    assert document["coherence_band_rad_s"] is None
+
+
+def test_a_log_of_several_servos_asks_which(capsys: pytest.CaptureFixture[str]) -> None:
+    path = Path(__file__).parent.parent.parent / "sample_logs" / "faser_healthy_flight.mat"
+    assert main(["identify", str(path)]) == 2
+    assert "choose one of elevator, rudder" in capsys.readouterr().err
+    assert main(["identify", str(path), "-s", "wing"]) == 2
+    assert "unknown surface 'wing'" in capsys.readouterr().err

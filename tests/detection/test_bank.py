@@ -1,0 +1,235 @@
+"""The bank: every hypothesis recovers its own fault, and the decision between them is right where it is sure."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from servofd.detection.bank.classify import BANK, name_fault, scores
+from servofd.detection.bank.explanation import Ridge
+from servofd.detection.bank.isolate import Fault as Found
+from servofd.detection.plausible import wiring_problem
+from servofd.models.faults import (
+    Bias,
+    DeadBand,
+    Fault,
+    Floating,
+    HardOver,
+    LossOfEffectiveness,
+    Oscillation,
+    Slow,
+    Stuck,
+)
+from servofd.simulation.commands import COMMANDS
+from servofd.types import FloatArray
+from tests.detection.tolerated import MODEL
+from tests.detection.windows import NOISE_DEG, command, flown, judged, residuals_of, window
+
+HYPOTHESES = {hypothesis.kind: hypothesis for hypothesis in BANK}
+GROSS: dict[str, Fault] = {
+    "bias": Bias(2.0, bias_deg=2.0),
+    "stuck": Stuck(2.0, position_deg=1.0),
+    "hardover": HardOver(2.0, position_deg=30.0),
+    "floating": Floating(2.0, amplitude_deg=5.0),
+    "oscillation": Oscillation(2.0, amplitude_deg=2.0, frequency_hz=2.3),
+    "deadband": DeadBand(2.0, width_deg=4.0),
+    "slow": Slow(2.0, bandwidth_scale=0.4),
+    "loss_of_effectiveness": LossOfEffectiveness(2.0, gain=0.5),
+}
+SEEDS = range(10)
+TIME_S = np.arange(6000) / 100.0
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "truth"),
+    [
+        ("bias", "bias_deg", 2.0),
+        ("stuck", "position_deg", 1.0),
+        ("hardover", "position_deg", 30.0),
+        ("oscillation", "amplitude_deg", 2.0),
+        ("oscillation", "frequency_hz", 2.3),
+        ("slow", "bandwidth_scale", 0.4),
+        ("loss_of_effectiveness", "gain", 0.5),
+        ("deadband", "width_deg", 4.0),
+    ],
+)
+def test_each_fault_is_recovered_within_its_interval(kind: str, name: str, truth: float) -> None:
+    hits = 0
+    for seed in SEEDS:
+        explanation = HYPOTHESES[kind].explain(window(seed, GROSS[kind]))
+        assert explanation is not None
+        estimate = explanation.parameters[name]
+        assert estimate.value == pytest.approx(truth, rel=0.05)
+        assert estimate.low < estimate.value < estimate.high
+        hits += estimate.low <= truth <= estimate.high
+    # 95 % of ten; eight or fewer have a chance of 9 %, seven of 1 %.
+    assert hits >= 8
+
+
+@pytest.mark.parametrize("kind", GROSS)
+@pytest.mark.parametrize("seed", range(2))
+def test_a_gross_fault_gets_its_name_and_is_never_healthy(kind: str, seed: int) -> None:
+    naming = name_fault(window(seed, GROSS[kind]))
+    assert naming.kind == kind
+    assert naming.best is not None
+    assert naming.best.kind == kind
+    assert naming.probabilities["healthy"] < 1e-6
+    assert sum(naming.probabilities.values()) == pytest.approx(1.0)
+    assert list(naming.probabilities.values()) == sorted(naming.probabilities.values(), reverse=True)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_healthy_servo_is_healthy(seed: int) -> None:
+    naming = name_fault(window(seed, None))
+    assert naming.kind == "healthy"
+    assert naming.probability > 0.9
+
+
+def test_what_nothing_explains_is_unknown() -> None:
+    one = window(1, None)
+    rng = np.random.default_rng(5)
+    wild = one.healthy_deg + 8.0 * np.sign(rng.standard_normal(one.time_s.size))
+    object.__setattr__(one, "measured_deg", wild)
+    found = {kind: e for kind, h in HYPOTHESES.items() if (e := h.explain(one)) is not None}
+    marks = scores(one, found)
+    assert min(marks, key=marks.__getitem__) == "unknown"
+    assert name_fault(one).best is None
+
+
+class TestRidge:
+    rng = np.random.default_rng(1)
+    regressors = rng.standard_normal((200, 3))
+    target_deg = regressors @ np.array([1.0, -2.0, 0.5]) + 0.1 * rng.standard_normal(200)
+
+    def test_without_a_prior_it_is_least_squares(self) -> None:
+        fit = Ridge(self.regressors, np.full(3, np.inf), 0.1).fit(self.target_deg)
+        expected, (cost,), *_ = np.linalg.lstsq(self.regressors, self.target_deg, rcond=None)
+        np.testing.assert_allclose(fit.coefficients, expected, rtol=1e-9)
+        assert fit.cost_deg2 == pytest.approx(cost)
+        assert fit.doubt == 0.0
+
+    def test_a_prior_is_a_measurement_of_zero(self) -> None:
+        spread, noise_deg = np.array([0.5, 1.0, 0.02]), 0.1
+        fit = Ridge(self.regressors, spread, noise_deg).fit(self.target_deg)
+        rows = np.vstack([self.regressors, np.diag(noise_deg / spread)])
+        expected = np.linalg.lstsq(rows, np.append(self.target_deg, np.zeros(3)), rcond=None)[0]
+        np.testing.assert_allclose(fit.coefficients, expected, rtol=1e-7)
+        assert fit.doubt == pytest.approx(float(np.sum((expected / spread) ** 2)))
+
+    def test_intervals_hold_the_truth(self) -> None:
+        rng, hits = np.random.default_rng(2), 0
+        ridge = Ridge(self.regressors, np.full(3, np.inf), 0.1)
+        for _ in range(100):
+            target_deg = self.regressors[:, 0] + 0.1 * rng.standard_normal(200)
+            low, high = ridge.estimate(ridge.fit(target_deg), target_deg, 0)[1:]
+            hits += low <= 1.0 <= high
+        assert hits >= 90
+
+
+def only(time_s: FloatArray, command_deg: FloatArray, measured_deg: FloatArray) -> Found:
+    judgement = judged(time_s, command_deg, measured_deg)
+    assert judgement.suspicions == ()
+    (fault,) = judgement.faults
+    return fault
+
+
+class TestFlights:
+    def test_a_jam_while_the_command_stays_within_a_dead_band_has_a_rival(self) -> None:
+        """A surface that rests under small commands may be stuck, or play may swallow them."""
+        command_deg = 2.2 * np.sin(3.0 * TIME_S)
+        resting_deg = np.where(TIME_S < 20.0, MODEL.simulate(TIME_S, command_deg, TIME_S), 0.0)
+        fault = only(TIME_S, command_deg, resting_deg + NOISE_DEG * np.random.default_rng(1).standard_normal(6000))
+        assert {fault.kind, *fault.alternatives} >= {"stuck", "deadband"}
+
+    def test_positions_that_are_lost_in_bursts_change_no_name(self) -> None:
+        measured_deg = flown(1, LossOfEffectiveness(20.0, gain=0.5), TIME_S)
+        for begin in range(500, 6000, 700):
+            measured_deg[begin : begin + 60] = np.nan
+        fault = only(TIME_S, command(1, TIME_S), measured_deg)
+        assert fault.kind == "loss_of_effectiveness"
+        assert fault.parameters["gain"].value == pytest.approx(0.5, abs=0.03)
+
+    @pytest.mark.parametrize("kind", ["stuck", "bias", "loss_of_effectiveness"])
+    def test_a_log_that_is_one_long_fault(self, kind: str) -> None:
+        since_ever = replace(GROSS[kind], start_s=0.0)
+        fault = only(TIME_S, command(2, TIME_S), flown(2, since_ever, TIME_S))
+        assert (fault.kind, fault.end_s) == (kind, None)
+        assert fault.start_s < 5.0
+
+    @pytest.mark.parametrize("kind", ["stuck", "bias", "oscillation"])
+    def test_a_log_that_starts_inside_a_fault_which_passes(self, kind: str) -> None:
+        passing = replace(GROSS[kind], start_s=0.0, end_s=15.0)
+        fault = only(TIME_S, command(2, TIME_S), flown(2, passing, TIME_S))
+        assert fault.kind == kind
+        assert fault.end_s is not None
+        assert 10.0 < fault.end_s < 17.0
+
+    @pytest.mark.parametrize("kind", ["bias", "oscillation", "stuck", "deadband"])
+    def test_a_passing_fault_has_an_end(self, kind: str) -> None:
+        passing = replace(GROSS[kind], start_s=20.0, end_s=30.0)
+        fault = only(TIME_S, command(3, TIME_S), flown(3, passing, TIME_S))
+        assert fault.kind == kind
+        assert 20.0 <= fault.start_s <= fault.alarm_s < 26.0
+        assert fault.end_s is not None
+        assert 25.0 < fault.end_s < 33.0
+
+    def test_two_faults_one_after_the_other(self) -> None:
+        healthy_deg = flown(4, Bias(10.0, end_s=20.0, bias_deg=2.5), TIME_S)
+        measured_deg = np.where(TIME_S < 40.0, healthy_deg, flown(4, Stuck(40.0), TIME_S))
+        bias, jam = judged(TIME_S, command(4, TIME_S), measured_deg).faults
+        assert (bias.kind, jam.kind) == ("bias", "stuck")
+        assert bias.end_s is not None
+        assert 19.0 < bias.end_s < 23.0
+        assert 40.0 <= jam.start_s <= jam.alarm_s < 45.0
+
+    @pytest.mark.parametrize("seed", [0, 2])
+    def test_a_small_lasting_loss_is_one_fault_by_the_interval_threshold(self, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        command_deg = COMMANDS["lively"](TIME_S, rng)
+        measured_deg = LossOfEffectiveness(20.0, gain=0.88).deflection(MODEL, TIME_S, command_deg, TIME_S)
+        measured_deg += NOISE_DEG * rng.standard_normal(TIME_S.size)
+        assert len(judged(TIME_S, command_deg, measured_deg, "interval").faults) == 1
+
+    def test_a_fault_of_unknown_kind_is_as_likely_as_its_likeliest_alternative(self) -> None:
+        command_deg = 8.0 * np.sin(2.0 * np.pi * 10.0 * TIME_S)
+        resting_deg = 0.05 * np.random.default_rng(0).standard_normal(TIME_S.size)
+        (found,) = judged(TIME_S, command_deg, resting_deg).suspicions
+        assert found.kind == "unknown"
+        assert "stuck" in found.alternatives
+        assert 0.01 < found.probability <= 1.0
+
+    @pytest.mark.parametrize("kind", ["bias", "stuck", "hardover", "loss_of_effectiveness"])
+    def test_ten_hertz_are_enough(self, kind: str) -> None:
+        time_s = np.arange(900) / 10.0
+        fault = only(time_s, command(5, time_s), flown(5, replace(GROSS[kind], start_s=30.0), time_s))
+        assert fault.kind == kind
+        assert 29.5 <= fault.start_s <= fault.alarm_s < 40.0
+
+
+class TestWiring:
+    @pytest.mark.parametrize(
+        ("gain", "expected"),
+        [
+            (-0.97, "position is -0.97x the command throughout: check the sign of the calibration"),
+            (57.3, "position is 57.30x the command throughout: check the scale of the calibration"),
+            (0.0175, "position is 0.02x the command throughout: check the scale of the calibration"),
+            (1.0, ""),
+            (0.5, ""),
+        ],
+    )
+    def test_sign_and_scale(self, gain: float, expected: str) -> None:
+        command_deg = command(6, TIME_S)
+        position_deg = gain * MODEL.simulate(TIME_S, command_deg, TIME_S)
+        noise_deg = min(1.0, abs(gain)) * NOISE_DEG * np.random.default_rng(6).standard_normal(TIME_S.size)
+        assert wiring_problem(residuals_of(TIME_S, command_deg, position_deg + noise_deg)) == expected
+
+    def test_a_stuck_surface_is_no_question_of_scale(self) -> None:
+        residuals = residuals_of(TIME_S, command(6, TIME_S), flown(6, Stuck(0.0), TIME_S))
+        assert wiring_problem(residuals) == ""
+
+    def test_a_sign_that_changes_in_flight_is_a_fault(self) -> None:
+        command_deg = command(6, TIME_S)
+        position_deg = MODEL.simulate(TIME_S, command_deg, TIME_S) * np.where(TIME_S < 30.0, 1.0, -1.0)
+        assert wiring_problem(residuals_of(TIME_S, command_deg, position_deg)) == ""

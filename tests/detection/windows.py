@@ -1,0 +1,58 @@
+"""Flights and windows of known faults."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from servofd.aircraft import plain_aircraft
+from servofd.detection.bank.window import Window
+from servofd.detection.judge import Judgement, judge
+from servofd.detection.residual import ResidualGenerator, Residuals, commands_at_servo
+from servofd.detection.threshold import ThresholdKind
+from servofd.models.faults import Fault
+from servofd.segment import Segment
+from servofd.simulation.commands import COMMANDS
+from servofd.tolerance import Tolerance
+from servofd.types import FloatArray
+from tests.detection.tolerated import MODEL
+
+__all__ = ["NOISE_DEG", "command", "flown", "judged", "residuals_of", "window"]
+
+GENERATOR = ResidualGenerator(MODEL, 50.0)
+NOISE_DEG = 0.1
+
+
+def command(seed: int, time_s: FloatArray) -> FloatArray:
+    """Stick work of a pilot [deg], shape (n,)."""
+    return COMMANDS["hand_flown"](time_s, np.random.default_rng(seed))
+
+
+def flown(seed: int, fault: Fault | None, time_s: FloatArray) -> FloatArray:
+    """Measured deflection under that command [deg], shape (n,)."""
+    command_deg = command(seed, time_s)
+    faultless = MODEL.simulate(time_s, command_deg, time_s)
+    deflection_deg = faultless if fault is None else fault.deflection(MODEL, time_s, command_deg, time_s)
+    return deflection_deg + NOISE_DEG * np.random.default_rng([seed, 1]).standard_normal(time_s.size)
+
+
+def window(seed: int, fault: Fault | None) -> Window:
+    """Eight seconds that begin ten seconds after the fault, if that starts at 2 s."""
+    time_s = np.arange(2400) / 100.0
+    segment = Segment("x", time_s, command(seed, time_s), time_s, flown(seed, fault, time_s))
+    commands = commands_at_servo(segment, MODEL.plan.delay_s, GENERATOR.longest_gap_s(segment))
+    return Window.of(MODEL, Tolerance(), NOISE_DEG, GENERATOR.run(segment), commands, slice(1200, 2000))
+
+
+def residuals_of(time_s: FloatArray, command_deg: FloatArray, measured_deg: FloatArray) -> Residuals:
+    """As the HS-225BB's model has them."""
+    return GENERATOR.run(Segment("x", time_s, command_deg, time_s, measured_deg))
+
+
+def judged(
+    time_s: FloatArray, command_deg: FloatArray, measured_deg: FloatArray, threshold: ThresholdKind = "constant"
+) -> Judgement:
+    """Faults of a surface; a constant threshold is at 1.5 deg."""
+    segment = Segment("x", time_s, command_deg, time_s, measured_deg)
+    generator = ResidualGenerator.fitting(MODEL, segment, None)
+    surface = plain_aircraft(["x"]).surfaces["x"].model_copy(update={"threshold": threshold})
+    return judge(generator, segment, generator.run(segment), surface)

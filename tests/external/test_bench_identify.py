@@ -1,0 +1,54 @@
+"""Identification of real servos on the bench."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+
+import numpy as np
+import pytest
+
+from logparsers import FlightLog
+from servofd.identification.identify import identify
+from servofd.identification.rate import step_slopes
+from servofd.identification.records import prepared
+from servofd.segment import Segment
+from tests.external.test_bench_tables import DATA, logs_of
+
+pytestmark = pytest.mark.skipif(
+    not (DATA / "bench").is_dir(),
+    reason="no bench records: set SERVOFD_EXTERNAL_DATA to the directory that holds bench/ and logs/",
+)
+
+
+def segment(log: FlightLog) -> Segment:
+    command, measured = log["cmd"], log["meas"]
+    given = np.isfinite(command.values)
+    return Segment("shaft", command.time_s[given], command.values[given], measured.time_s, measured.values)
+
+
+@pytest.mark.slow
+def test_hobby_servo_with_everything_it_has() -> None:
+    """A linear servo leaves 15.4 deg; with both rate limits and the dead band at most 3.0 deg."""
+    result = identify([[segment(log) for log in logs_of("hobby_servo_encoder")]])
+    assert len(result.runs) == 32
+    assert result.rms_deg <= 3.0
+    assert result.servo.rate_up_deg_s == pytest.approx(255.0, rel=0.05)
+    assert result.servo.rate_down_deg_s == pytest.approx(276.0, rel=0.05)
+    assert result.servo.dead_band_deg is not None
+    assert 3.0 < result.servo.dead_band_deg < 8.0
+    assert 0.03 < result.servo.linear.delay_s < 0.06
+
+
+def test_smart_servo_under_gravity() -> None:
+    result = identify([[segment(log) for log in logs_of("smart_servo_gravity_load")]])
+    assert min(result.fits_percent) >= 99.3
+
+
+def test_slew_against_load_of_the_digital_servo() -> None:
+    slopes: defaultdict[float, list[float]] = defaultdict(list)
+    for log in logs_of("digital_servo_loads"):
+        if np.isfinite(log["cmd"].values).any():
+            slopes[float(log["load_g"].values[0])] += [s.slope_deg_s for s in step_slopes([prepared(segment(log))])]
+    expected = {0.0: 388.0, 100.0: 367.0, 200.0: 344.0, 300.0: 325.0, 400.0: 303.0}
+    for load_g, slope_deg_s in expected.items():
+        assert np.mean(slopes[load_g]) == pytest.approx(slope_deg_s, rel=0.02)
