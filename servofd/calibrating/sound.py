@@ -123,7 +123,7 @@ def _gross(stretches: Sequence[Stretch]) -> tuple[Stretch, str] | None:
         return None
     deviation = np.array([s.deviation for s in stretches])
     doubt = np.array([s.doubt for s in stretches])
-    limit = np.maximum(_GROSS, _TIMES_SPREAD * spread(stretches)) + _DOUBTS * doubt
+    limit = np.clip(_TIMES_SPREAD * spread(stretches), _GROSS, 2.0 * _GROSS) + _DOUBTS * doubt
     excess = np.abs(deviation - np.median(deviation, axis=0)) / limit
     worst, which = divmod(int(np.argmax(excess)), excess.shape[1])
     if excess[worst, which] <= 1.0:
