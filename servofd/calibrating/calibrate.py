@@ -66,7 +66,8 @@ def calibrate_aircraft(
     >>> calibrated.surfaces[0].levels.interval_deg < 0.5
     True
     """
-    kept = {name: "no measured deflection" for name in aircraft.surfaces if not flights.get(name)}
+    kept = {name: "not asked for" for name in aircraft.surfaces if name not in flights}
+    kept |= {name: "no measured deflection" for name, those in flights.items() if not those}
     for name, those in flights.items():
         reason = hardly_moved(those) if those else ""
         if reason:

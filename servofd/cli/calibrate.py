@@ -95,9 +95,9 @@ def _print(calibration: Calibration, output: str) -> None:
     from servofd.cli.tables import print_table
 
     rows = [_row(one) for one in calibration.surfaces]
-    headings = ["surface", "scale", "offset [deg]", "delay [ms]", "bandwidth [Hz]", "rate limit [deg/s]", "noise [deg]"]
+    headings = ["surface", "scale", "offset (deg)", "delay (ms)", "bandwidth (Hz)", "rate limit (deg/s)", "noise (deg)"]
     print_table(headings, rows, "fitted, with 95 % intervals; (kept) means as in the aircraft file before")
-    headings = ["surface", "residual std [deg]", "threshold [deg]", "gain", "delay [ms]", "bandwidth", "bias [deg]"]
+    headings = ["surface", "residual std (deg)", "threshold (deg)", "gain", "delay (ms)", "bandwidth", "bias (deg)"]
     rows = [_tolerance_row(one) for one in calibration.surfaces]
     print_table(headings, rows, "before and after; how far this servo may stray")
     for one in calibration.surfaces:

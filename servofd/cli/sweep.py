@@ -66,7 +66,7 @@ def _print(found: tuple[SurfaceSweep, ...], title: str) -> None:
     from servofd.cli.tables import print_table
 
     words = {"go": "go", "no_go": "NO-GO", "unknown": "cannot tell"}
-    headings = ["surface", "verdict", "travel", "gain", "lag [ms]", "bias", "play", "fastest", "residual", "why"]
+    headings = ["surface", "verdict", "travel", "gain", "extra lag (ms)", "bias", "play", "fastest", "residual", "why"]
     rows = []
     for one in found:
         cells = [""] * 7
