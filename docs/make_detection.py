@@ -19,6 +19,7 @@ from detection_pictures import draw
 from servofd.detection import alarm, allowance, threshold
 from servofd.detection.bank import (
     classify,
+    confirm,
     explanation,
     following,
     isolate,
@@ -118,10 +119,10 @@ to the residual by the terms x = [r0, dr0/dt, sum_i ..., 1] of D2, once with wha
 
     H = min_tight - min_free,  min = min over theta of sum (r - x theta)² / (S sigma_r²) + sum theta_j² / s_j²,   (D6)
 
-S being the long-run factor; what is beyond all tolerance, or rests on lost commands, teaches no habits.
+S being the long-run factor, and sigma_r no less than {allowance._TRIFLE:g} of the tolerated bias; what is beyond all tolerance, or rests on lost commands, teaches no habits.
 H >= {threshold._SUSPICIOUS_DRIFT:g} means that gain, delay, bandwidth or bias is not that of a healthy servo. Both raise a *suspicion*, which ends when
 none was raised for {alarm._SUSPICION_LASTS_S:g} s. It goes through the bank like an alarm; under an interval threshold it becomes a fault if the
-bank is sure of its name (P >= {confirm.SURE:g}), with the suspicion as its alarm, else the surface is *suspect*. Rough models (drafts with a
+bank is sure of its name (P >= {confirm.SURE:g}), and its alarm is raised when the name is; else the surface is *suspect*. Rough models (drafts with a
 wider threshold and no tolerances of their own) raise none.
 """
 

@@ -40,14 +40,20 @@ def joined(flight: Flight, faults: Iterable[Fault]) -> tuple[Fault, ...]:
     """
     result: list[Fault] = []
     for fault in faults:
-        before = result[-1] if result else None
-        if before is None or before.end_s is None or before.kind != fault.kind or before.level != fault.level or _recovered(flight, before.end_s, fault.start_s):
-            result.append(fault)
+        if result and _same(result[-1], fault) and not _recovered(flight, result[-1], fault):
+            result[-1] = replace(result[-1], end_s=fault.end_s)
         else:
-            result[-1] = replace(before, end_s=fault.end_s)
+            result.append(fault)
     return tuple(result)
 
 
-def _recovered(flight: Flight, from_s: float, until_s: float) -> bool:
-    window = flight.window(from_s, until_s, None)
+def _same(before: Fault, after: Fault) -> bool:
+    return before.kind == after.kind and before.level == after.level
+
+
+def _recovered(flight: Flight, before: Fault, after: Fault) -> bool:
+    """Whether the surface was healthy between two faults."""
+    if before.end_s is None:
+        return False
+    window = flight.window(before.end_s, after.start_s, None)
     return window is not None and name_fault(window).kind == "healthy"

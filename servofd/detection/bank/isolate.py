@@ -25,6 +25,7 @@ __all__ = ["Fault", "Flight", "isolate"]
 
 _SETTLING_S = 0.25
 """Left out after the onset: faults that set in abruptly still move the surface as a healthy servo would."""
+_AT_REST = ("stuck", "hardover")
 _TAKES_ANYTHING = ("floating", "unknown")
 _WINDOWS_S = (2.0, 4.0, 8.0, 16.0)
 _ENOUGH_MOTION_DEG = 4.0
@@ -211,6 +212,8 @@ def _change(flight: Flight, kind: str, from_s: float, until_s: float) -> tuple[f
 
 
 def _differs(naming: Naming, kind: str) -> bool:
+    if kind in _AT_REST and naming.kind in _AT_REST:
+        return False  # only the onset, which lies outside the block, tells which
     return naming.kind not in (kind, "unknown") and naming.probabilities.get(kind, 0.0) <= 1.0 - SURE
 
 
