@@ -16,6 +16,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from detection import calibration, delays, false_alarms, fly, limits, onsets, shares
 from detection_pictures import draw
+from servofd.aircraft import DEFAULT_SIGMAS
 from servofd.detection import alarm, allowance, threshold
 from servofd.detection.bank import (
     classify,
@@ -81,7 +82,7 @@ compares D2 with servos that are simulated with these errors.)
 
 **Interval.** `threshold = "interval"` bounds each term of D2 by its tolerance times the recent peak of its signal:
 
-    tau(t) = T(t) + {allowance.LARGEST_NOISE:g} sigma_r(t)
+    tau(t) = T(t) + {DEFAULT_SIGMAS:g} sigma_r(t)
     T(t)   = b + |dk| [r0] + |dt| [dr0/dt] + |dw| [sum_i ...] + [r_sat] + lost                        (D3)
 
 | in D3 | | default |

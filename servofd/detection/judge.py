@@ -50,7 +50,7 @@ def judge(generator: ResidualGenerator, segment: Segment, residuals: Residuals, 
     Judgement
         Faults and suspicions in order of time.
     """
-    threshold = interval_threshold(generator, segment, residuals, surface.tolerances)
+    threshold = interval_threshold(generator, segment, residuals, surface.tolerances, surface.threshold_sigmas)
     if surface.threshold == "constant":
         threshold = constant_threshold(threshold, surface.threshold_deg)
     suspects = suspicion(residuals, threshold) if surface.tells_small_faults else None
