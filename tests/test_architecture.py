@@ -39,7 +39,7 @@ PARTS = {
     },
     "sweep": {"errors", "types", "aircraft", "models", "segment", "detection", "tolerance"},
     "survey": {"errors", "aircraft", "segment", "feedback", "workflow"},
-    "odds": {"errors", "types", "aircraft", "detection"},
+    "odds": {"errors", "types", "aircraft", "detection", "segment"},
     "detection": {"errors", "types", "models", "servos", "aircraft", "segment", "tolerance"},
     "simulation": {"errors", "types", "models", "calibration", "aircraft", "outputs"},
     "identification": {"errors", "types", "models", "servos", "segment"},
