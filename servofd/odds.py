@@ -129,7 +129,7 @@ def odds_from_design(
     """
     if not SLOWEST_RATE_HZ <= rate_hz <= _FASTEST_RATE_HZ:
         raise ConfigError(
-            f"{rate_hz:g} Hz is no rate at which positions are logged: give {SLOWEST_RATE_HZ:g} to {_FASTEST_RATE_HZ:g} Hz"
+            f"{rate_hz:g} Hz is no rate of positions: give {SLOWEST_RATE_HZ:g} to {_FASTEST_RATE_HZ:g} Hz"
         )
     result = []
     for name in surfaces or [name for name, surface in aircraft.surfaces.items() if surface.measured is not None]:

@@ -19,7 +19,7 @@ it passes the filter's four or so lags (the peak of :math:`p\,(pt)^3 e^{-pt}/6`)
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -58,6 +58,8 @@ class Threshold:
     """Of shape (n,)."""
     tolerance_deg: FloatArray
     """Largest residual of a healthy servo without noise, of shape (n,)."""
+    saturated_deg: FloatArray
+    """What of it comes from running at the rate limit, of shape (n,)."""
     sigma_deg: FloatArray
     """Standard deviation of the residual from noise, as known at each instant, of shape (n,)."""
     cusum: CusumDesign
@@ -69,13 +71,14 @@ class Threshold:
     @property
     def typical_deg(self) -> float:
         """Median level [deg]; of a constant threshold the level itself."""
+        if self.kind == "constant" and self.level_deg.size:
+            return float(np.min(self.level_deg))
         return float(np.median(self.level_deg)) if self.level_deg.size else float("nan")
 
 
 def constant_threshold(interval: Threshold, level_deg: float) -> Threshold:
-    """The same level all the time; what is tolerance remains known."""
-    level = np.full(interval.level_deg.size, level_deg)
-    return Threshold("constant", level, interval.tolerance_deg, interval.sigma_deg, interval.cusum, interval.drift)
+    """The same level all the time, but for what a servo may leave that runs at its rate limit."""
+    return replace(interval, kind="constant", level_deg=level_deg + interval.saturated_deg)
 
 
 def interval_threshold(
@@ -129,7 +132,7 @@ def interval_threshold(
 
     pulse = design_pulse_filter(generator.model.transfer, 0.0, segment.period_s, generator.pole_rad_s)
     size = residuals.time_s.size
-    tolerated, sigma, drift = np.empty(size), np.empty(size), np.zeros(size)
+    tolerated, saturated, sigma, drift = (np.zeros(size) for _ in range(4))
     cusum = design_cusum(_KAPPA, _SUSPICIONS_PER_HOUR, Noise.designed(pulse, 1.0))
     bounds = Bounds(
         habits(tolerance),
@@ -148,8 +151,8 @@ def interval_threshold(
         _unseen(segment, generator, residuals.time_s),
     )
     decay_rad_s = generator.model.parameters().decay_rad_s
-    follow(signals, bounds, new_work(bounds, decay_rad_s.size), decay_rad_s, tolerated, sigma, drift)
-    return Threshold("interval", tolerated + sigmas * sigma, tolerated, sigma, cusum, drift)
+    follow(signals, bounds, new_work(bounds, decay_rad_s.size), decay_rad_s, tolerated, saturated, sigma, drift)
+    return Threshold("interval", tolerated + sigmas * sigma, tolerated, saturated, sigma, cusum, drift)
 
 
 def suspicion(residuals: Residuals, threshold: Threshold) -> BoolArray:

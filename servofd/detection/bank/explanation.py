@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol
 
@@ -102,6 +103,13 @@ class Ridge:
         self.weight = noise_deg**2 / spread**2
         self.gram = regressors.T @ regressors
         self.inverse = np.linalg.inv(self.gram + np.diag(self.weight + 1e-12 * len(regressors)))
+
+    def respread(self, spread: FloatArray) -> Ridge:
+        """Return the same regressors with other priors."""
+        other = copy(self)
+        other.weight = self.noise_deg**2 / spread**2
+        other.inverse = np.linalg.inv(self.gram + np.diag(other.weight + 1e-12 * len(self.regressors)))
+        return other
 
     @property
     def occam(self) -> float:

@@ -31,6 +31,7 @@ _WINDOWS_S = (2.0, 4.0, 8.0, 16.0)
 _ENOUGH_MOTION_DEG = 4.0
 _LIKELY = 0.4
 _FEWEST_SAMPLES = 12
+_SHORT_S = 1.0
 _BLOCK_S = 3.0
 _LONGEST_BLOCK_S = 12.0
 _FIRST_S = 1.0 - _SETTLING_S
@@ -108,14 +109,11 @@ def isolate(flight: Flight, episode: Episode) -> tuple[Fault, ...]:
         One; or several, if one turned into another. The kind `healthy` says that the tolerances of a working servo
         explain the alarm.
     """
-    until_s = flight.end_s if episode.end_s is None else episode.end_s
+    until_s = flight.end_s if episode.end_s is None else max(episode.end_s, episode.alarm_s + _SHORT_S)
     onset = _onset(flight, episode.start_s)
     naming, window = _name(flight, episode.start_s + _SETTLING_S, until_s, onset)
-    if naming is not None and naming.kind in _TAKES_ANYTHING:
-        # The window may begin too early, and hold the transition; what fits only that is no wonder.
-        later, later_window = _name(flight, episode.alarm_s + 2.0 * _SETTLING_S, until_s, onset)
-        if later is not None and later.kind not in _TAKES_ANYTHING and later.probability >= SURE:
-            naming, window = later, later_window
+    if naming is not None and not _is_sure(naming):
+        naming, window = _second_look(flight, episode, until_s, onset) or (naming, window)
     if naming is None or window is None:
         alike = 1.0 / len(BANK)
         return (Fault("unknown", episode.start_s, episode.alarm_s, episode.end_s, {}, alike, (), episode.level),)
@@ -136,7 +134,9 @@ def isolate(flight: Flight, episode: Episode) -> tuple[Fault, ...]:
     changed_s, then = change
     if then.kind == "healthy":
         return (replace(first, end_s=changed_s),)
-    second = _fault(then, replace(episode, alarm_s=changed_s), changed_s)
+    # A monitor that is in alarm already learns of it when two blocks agree.
+    known_s = min(changed_s + 2.0 * _BLOCK_S, until_s)
+    second = replace(_fault(then, replace(episode, alarm_s=known_s), changed_s), named_s=known_s)
     return (replace(first, end_s=changed_s), second)
 
 
@@ -167,12 +167,37 @@ def _name(flight: Flight, from_s: float, until_s: float, onset: Onset | None) ->
     for length_s in _WINDOWS_S:
         window = flight.window(from_s, min(from_s + length_s, until_s), onset)
         if window is not None:
-            best = (name_fault(window), window)
-            if best[0].probability >= SURE and window.motion_deg >= _ENOUGH_MOTION_DEG:
+            naming = name_fault(window)
+            # What a shorter window told for sure, a longer one that holds the end of it does not undo.
+            if best[0] is None or not (_is_sure(best[0]) and naming.kind in _TAKES_ANYTHING):
+                best = naming, window
+            if _is_sure(naming) and window.motion_deg >= _ENOUGH_MOTION_DEG:
                 return best
         if from_s + length_s >= until_s:
             break
     return best
+
+
+def _second_look(flight: Flight, episode: Episode, until_s: float, onset: Onset | None) -> tuple[Naming, Window] | None:
+    """Look again where the first window may have held the wrong stretch.
+
+    It may begin too early, and hold the transition; hold the end of a short fault; or leave out the only fast motion.
+    """
+    for from_s, to_s in (
+        (episode.alarm_s + 2.0 * _SETTLING_S, episode.alarm_s + 2.0 * _SETTLING_S + _WINDOWS_S[0]),
+        (episode.start_s + _SETTLING_S, episode.start_s + _SETTLING_S + _SHORT_S),
+        (episode.start_s, episode.alarm_s + _SHORT_S),
+    ):
+        window = flight.window(from_s, min(to_s, until_s), onset)
+        if window is not None:
+            naming = name_fault(window)
+            if _is_sure(naming):
+                return naming, window
+    return None
+
+
+def _is_sure(naming: Naming) -> bool:
+    return naming.probability >= SURE and naming.kind not in (*_TAKES_ANYTHING, "healthy")
 
 
 def _fault(naming: Naming, episode: Episode, start_s: float) -> Fault:
@@ -214,7 +239,7 @@ def _change(flight: Flight, kind: str, from_s: float, until_s: float) -> tuple[f
 def _differs(naming: Naming, kind: str) -> bool:
     if kind in _AT_REST and naming.kind in _AT_REST:
         return False  # only the onset, which lies outside the block, tells which
-    return naming.kind not in (kind, "unknown") and naming.probabilities.get(kind, 0.0) <= 1.0 - SURE
+    return naming.kind not in (kind, *_TAKES_ANYTHING) and naming.probabilities.get(kind, 0.0) <= 1.0 - SURE
 
 
 class _Block(NamedTuple):
