@@ -144,7 +144,8 @@ def audit_log(
             surface = surface.model_copy(update=change)
         if threshold is not None:
             surface = surface.model_copy(update={"threshold": threshold})
-        verdict = _audit_surface(log, aircraft, name, surface)
+        # Whoever names a level wants to know what reaches it.
+        verdict = _audit_surface(log, aircraft, name, surface, acquit=threshold_deg is None)
         progress(name)
         return verdict
 
@@ -153,7 +154,7 @@ def audit_log(
         return LogAudit(log, aircraft, tuple(pool.map(one, chosen)))
 
 
-def _audit_surface(log: FlightLog, aircraft: Aircraft, name: str, surface: Surface) -> SurfaceAudit:
+def _audit_surface(log: FlightLog, aircraft: Aircraft, name: str, surface: Surface, *, acquit: bool) -> SurfaceAudit:
     verdict = partial(
         SurfaceAudit,
         surface=name,
@@ -181,7 +182,7 @@ def _audit_surface(log: FlightLog, aircraft: Aircraft, name: str, surface: Surfa
     statistics = _statistics(residuals)
     if not np.isfinite(statistics.max_abs_deg):
         return verdict(status="unknown", reason="the residual is not a number: check model and units", segment=segment)
-    judgement = judge(generator, segment, residuals, surface)
+    judgement = judge(generator, segment, residuals, surface, acquit=acquit)
     threshold, faults, suspicions = judgement.threshold, judgement.faults, judgement.suspicions
     verdict = partial(
         verdict,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -31,7 +32,9 @@ class Judgement(NamedTuple):
     """What only the cumulative sum noticed, or the tolerances of a working servo explain."""
 
 
-def judge(generator: ResidualGenerator, segment: Segment, residuals: Residuals, surface: Surface) -> Judgement:
+def judge(
+    generator: ResidualGenerator, segment: Segment, residuals: Residuals, surface: Surface, *, acquit: bool = True
+) -> Judgement:
     """Compare the residual with its threshold, and name each alarm.
 
     Parameters
@@ -44,6 +47,8 @@ def judge(generator: ResidualGenerator, segment: Segment, residuals: Residuals, 
         What the generator makes of the segment.
     surface : Surface
         Its threshold, persistence and tolerances.
+    acquit : bool
+        Whether an alarm that the tolerances of a working servo explain is only a suspicion.
 
     Returns
     -------
@@ -62,6 +67,8 @@ def judge(generator: ResidualGenerator, segment: Segment, residuals: Residuals, 
     sigma_deg = float(np.median(threshold.sigma_deg))
     flight = Flight(generator, surface.tolerances, noise, sigma_deg, residuals, commands)
     named = joined(flight, (fault for episode in episodes for fault in _named(flight, episode, threshold)))
+    if not acquit:
+        named = tuple(_held(fault) for fault in named)
     faults = tuple(fault for fault in named if fault.level == "fault" and fault.kind != "healthy")
     return Judgement(threshold, faults, tuple(fault for fault in named if fault not in faults))
 
@@ -70,3 +77,9 @@ def _named(flight: Flight, episode: Episode, threshold: Threshold) -> tuple[Faul
     """What happened in an episode. With a constant threshold, a suspicion remains one: the user says what is large."""
     named = isolate(flight, episode)
     return confirmed(named, episode) if threshold.kind == "interval" else named
+
+
+def _held(fault: Fault) -> Fault:
+    """An alarm remains an alarm, even if a healthy servo could have raised it; what it is, is not known then."""
+    acquitted = fault.level == "fault" and fault.kind == "healthy"
+    return replace(fault, kind="unknown", probability=1.0 - fault.probability) if acquitted else fault

@@ -17,6 +17,7 @@ __all__ = ["Prepared", "glitches", "prepared"]
 _GLITCH_SIGMAS, _AGREEMENT_SIGMAS = 10.0, 8.0
 _MOST_GLITCHES = 0.02
 """Where more than this share of the positions jump, jumping is what this position does."""
+_FEW_GLITCHES = 2
 _SMALLEST_NOISE_DEG = 0.02
 _THIN_PERIOD_S = 0.039
 """Logs at up to 25 Hz may hold fewer commands than the servo received; autopilots command at 50 Hz and more."""
@@ -74,7 +75,7 @@ def glitches(error_deg: FloatArray) -> BoolArray:
     curvature = np.abs(np.diff(values, 2))
     noise_deg = max(float(np.median(curvature)) * 1.4826 / np.sqrt(6.0), _SMALLEST_NOISE_DEG)
     candidates = np.flatnonzero(curvature > _GLITCH_SIGMAS * noise_deg) + 1
-    if candidates.size == 0 or candidates.size > 6.0 * _MOST_GLITCHES * values.size:
+    if candidates.size == 0:
         return found
     for width in (1, 2):
         # The neighbours of a jump from `first` on: two before, two after.
@@ -86,7 +87,7 @@ def glitches(error_deg: FloatArray) -> BoolArray:
         jumps = first[agree & (away > _GLITCH_SIGMAS * noise_deg)]
         for i in range(width):
             found[known[jumps + i]] = True
-    if np.count_nonzero(found) > _MOST_GLITCHES * values.size:
+    if np.count_nonzero(found) > max(_MOST_GLITCHES * values.size, _FEW_GLITCHES):
         found[:] = False
     return found
 
