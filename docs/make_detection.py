@@ -66,11 +66,21 @@ feedback** behaves as if ...".
 
 def thresholds() -> str:
     tolerance = Tolerance()
-    return f"""## Thresholds
+    return f"""## Before judging
+
+A position that jumps away for one or two samples and back, while its neighbours agree, is no servo's motion: it is left out, and
+counted in the verdict's sentence. Where positions come at 25 Hz or less and straight lines between the commands leave a clearly
+smaller residual than steps do, the commands were logged more thinly than they were given, and the lines are used; the sentence
+says so.
+
+## Thresholds
 
 **Constant.** Thesis Eq. 4.12: an alarm is raised at the first sample with
 
     |r(t)| >= tau,    tau = {CONSTANT_DEG:g} deg by default.                                                     (D1)
+
+While a servo runs at its rate limit, what an error of that limit would leave (r_sat below) is added. A threshold that is named in
+the call (`--threshold-deg`) acquits nobody: what reaches it is a fault, whatever explains it.
 
 What it must tolerate is what healthy servos of one type differ by, and that grows with the command. To first order, a servo
 whose gain, delay and bandwidth are off by dk, dt, dw leaves
@@ -155,7 +165,7 @@ J is the sum of squared misfits that remains, and the second sum goes into the d
 | hypothesis | f, and what is free in it |
 |---|---|
 | healthy | f = ŷ |
-| bias | the same, with a spread of {following._LARGEST_BIAS_DEG:g} deg for the constant; it must be beyond the tolerance |
+| bias | the same, with a spread of {following._LARGEST_BIAS_DEG:g} deg for the constant, which stays or grows by up to about {following._FASTEST_GROWTH_DEG_S:g} deg/s; it must be beyond the tolerance |
 | loss_of_effectiveness | the same, with a spread of 1 for the gain, about zero or about another trim; gain between {following._STUCK_GAIN:g} and 1 less its tolerance |
 | oscillation | ŷ, or a constant, and a sine from {oscillation._SLOWEST_HZ:g} Hz on, {oscillation._FEWEST_CYCLES:g} cycles or more |
 | stuck | a constant where commands have led |
@@ -163,7 +173,7 @@ J is the sum of squared misfits that remains, and the second sum goes into the d
 | floating | cosines of up to {lost._FASTEST_WIND_HZ:g} Hz, whose spread falls with the square of the frequency beyond {lost._WIND_HZ:g} Hz |
 | deadband | play before or behind the servo, or stiction; its width on a grid, then by golden section |
 | slow | every pole scaled, or a lower rate limit; the same search |
-| unknown | whatever removes all but {classify._UNEXPLAINED_SHARE:.0%} of the simulation error, at the price of {classify._UNKNOWN_FREEDOM:g} parameters |
+| unknown | whatever removes all but {classify._UNEXPLAINED_SHARE:.0%} of the simulation error, at the price of {classify._UNKNOWN_FREEDOM:g} parameters; or ŷ with a smooth error, by the same cosines as floating |
 
 **Score.** With n samples, of which {explanation.COLOUR:g} in a row tell as much as one, p free parameters and a doubt D (twice the negative
 logarithm of how plausible the parameters are in themselves: a servo's habits are within its tolerances, wide dead bands
