@@ -1,0 +1,274 @@
+"""Which effects are missing: forward with a beam, backward by significance, judged on blocks that were not fitted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servofd.discrepancy.catalogue import CATALOGUE
+from servofd.discrepancy.fit import Fit, Fitter
+from servofd.discrepancy.noise import long_run_factor, noise_floor_deg
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from servofd.discrepancy.catalogue import MissingEffect
+    from servofd.discrepancy.record import Record
+    from servofd.types import FloatArray
+
+__all__ = ["Rung", "Selection", "select"]
+
+_BEAM = 2
+_MOST_EFFECTS = 4
+_SHARE_OF_NOISE, _SHARE_OF_GAP = 0.03, 0.02
+"""An effect must take away this share of the noise variance, and of the gap that is left."""
+_CHI_SQUARED = 30.0
+"""And this much of the held-out error in units of the noise: 25 effects and their grids are tried each time."""
+_BLOCK_T = 3.0
+_TIE_CHI_SQUARED = 10.0
+_TIE_OF_EXCESS = 0.15
+"""Where something stays unexplained, two effects that differ by less than this share of it are not told apart."""
+_EXCESS_WORTH = 0.06
+"""The floor itself is uncertain by 3 %."""
+_EXCESS_OF_NOISE, _EXCESS_OF_GAP = 0.15, 0.05
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rung:
+    """One effect added, and the ones that it defeated."""
+
+    fit: Fit
+    rivals: tuple[Fit, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Selection:
+    """What was found in one record."""
+
+    nominal: Fit
+    rungs: tuple[Rung, ...]
+    ties: tuple[tuple[str, ...], ...]
+    """Effects that the data cannot tell apart, the named one first."""
+    sigma_deg: float
+    """Noise floor."""
+    unjudged: tuple[type[MissingEffect], ...]
+    """Effects that need what the log does not hold."""
+    covariance: FloatArray
+    simulations: int
+
+    @property
+    def final(self) -> Fit:
+        """The servo with all effects."""
+        return self.rungs[-1].fit if self.rungs else self.nominal
+
+
+def _quietly(_step: str) -> None:
+    """Tell nobody."""
+
+
+def judgeable(record: Record) -> tuple[list[type[MissingEffect]], list[type[MissingEffect]]]:
+    """Effects that this record can judge, and those that need something it does not hold."""
+    held = {
+        name
+        for name, values in (("airspeed_m_s", record.pressure_pa), ("servo_voltage_v", record.voltage_v))
+        if values is not None
+    }
+    able = [effect for effect in CATALOGUE if set(effect.needs) <= held]
+    return able, [effect for effect in CATALOGUE if effect not in able]
+
+
+def select(record: Record, progress: Callable[[str], None] = lambda _step: None) -> Selection:
+    """Find the effects that are missing.
+
+    Parameters
+    ----------
+    record : Record
+        What was asked and what happened.
+    progress : callable
+        Called with the name of each effect that was tried.
+    """
+    fitter = Fitter(record)
+    able, unable = judgeable(record)
+    nominal = fitter.nominal()
+    tried: dict[tuple[str, ...], list[Fit]] = {}
+    beam, best = [nominal], nominal
+    for _ in range(_MOST_EFFECTS):
+        sigma = floor_of(record, best)
+        grown: list[Fit] = []
+        for base in beam:
+            if not _worth_trying(record, base, sigma):
+                continue
+            fits = fitter.with_effects(base, able, progress)
+            tried[_keys(base)] = fits
+            grown += [fit for fit in fits if _accepted(record, base, fit, min(sigma, floor_of(record, fit)))]
+        if not grown:
+            break
+        grown.sort(key=lambda fit: _cost(record, fit))
+        beam = _distinct(grown)[:_BEAM]
+        best = beam[0]
+    best = _pruned(fitter, best)
+    best = _ordered(fitter, best)
+    sigma = floor_of(record, best)
+    rungs = _rungs(fitter, nominal, best, tried, able)
+    ties = _ties(fitter, best, able, sigma, tried)
+    covariance = fitter.covariance(best, _rms(best, record), long_run_factor(best.error_deg[record.trained]))
+    return Selection(nominal, rungs, ties, sigma, tuple(unable), covariance, fitter.simulations)
+
+
+def floor_of(record: Record, fit: Fit) -> float:
+    """Noise floor as this fit shows it [deg]: no more than its own error."""
+    return min(noise_floor_deg(record, fit.error_deg), float(np.sqrt(fit.total / max(record.counts.sum(), 1))))
+
+
+def _rms(fit: Fit, record: Record) -> float:
+    return float(np.sqrt(fit.train / max(record.trained.sum(), 1)))
+
+
+def _keys(fit: Fit) -> tuple[str, ...]:
+    return tuple(sorted(effect.key() for effect in fit.effects))
+
+
+def _cost(record: Record, fit: Fit) -> float:
+    """What ranks fits: the error on all samples, and a little for each parameter."""
+    sigma = floor_of(record, fit)
+    return fit.total + sigma**2 * len(fit.values) * np.log(max(record.counts.sum(), 2))
+
+
+def _distinct(fits: list[Fit]) -> list[Fit]:
+    """One fit for each set of names."""
+    seen: dict[tuple[str, ...], Fit] = {}
+    for fit in fits:
+        seen.setdefault(tuple(sorted(fit.names)), fit)
+    return list(seen.values())
+
+
+def _worth_trying(record: Record, base: Fit, sigma: float) -> bool:
+    """Whether more is left than noise: more variance than the floor, or memory, which white noise does not have."""
+    count = int(record.counts.sum())
+    more = base.total / max(count, 1) / sigma**2 - 1.0
+    error = base.error_deg[record.counts]
+    power = max(float(error @ error), 1e-300)
+    smooth = 0.5 * float(error[1:] @ error[:-1] + error[2:] @ error[:-2]) / power
+    return more > _EXCESS_WORTH or smooth > max(_SHARE_OF_NOISE, 2.5 / np.sqrt(2.0 * max(count, 1)))
+
+
+def _accepted(record: Record, base: Fit, fit: Fit, sigma: float) -> bool:
+    """Whether an effect took enough away on samples it was not fitted to, and none of its parameters ran away."""
+    gain = base.held_out - fit.held_out
+    count = int(record.held_out.sum())
+    gap = max(base.held_out - count * sigma**2, 0.0)
+    if gain < max(_SHARE_OF_NOISE * count * sigma**2, _SHARE_OF_GAP * gap) or base.train <= fit.train:
+        return False
+    factor = long_run_factor(fit.error_deg[record.counts])
+    if gain / (sigma**2 * factor) < _CHI_SQUARED:
+        return False
+    if gain / (sigma**2 * factor) < 4.0 * _CHI_SQUARED and _block_t(record, base, fit) < _BLOCK_T:
+        return False
+    return not any(p.at_bound(v) for p, v in zip(fit.parameters, fit.values, strict=True))
+
+
+def _block_t(record: Record, base: Fit, fit: Fit) -> float:
+    """Mean improvement of a block over its standard error, on the held-out blocks."""
+    where = record.held_out
+    gains = np.bincount(record.block[where], weights=base.error_deg[where] ** 2 - fit.error_deg[where] ** 2)
+    used = np.bincount(record.block[where]) > 0
+    gains = gains[used]
+    return float(gains.mean() / max(gains.std(ddof=1) / np.sqrt(gains.size), 1e-300)) if gains.size > 2 else 0.0
+
+
+def _pruned(fitter: Fitter, best: Fit) -> Fit:
+    """Without the effects that the others made needless."""
+    while len(best.effects) > 1:
+        fewer = [_without(fitter, best, k) for k in range(len(best.effects))]
+        sigma = floor_of(fitter.record, best)
+        loose = [fit for fit in fewer if not _accepted(fitter.record, fit, best, sigma)]
+        if not loose:
+            return best
+        best = min(loose, key=lambda fit: fit.held_out)
+    return best
+
+
+def _without(fitter: Fitter, fit: Fit, index: int) -> Fit:
+    effects = fit.effects[:index] + fit.effects[index + 1 :]
+    first = sum(len(effect.parameters) for effect in fit.effects[:index])
+    values = np.delete(fit.values, range(first, first + len(fit.effects[index].parameters)))
+    return fitter.refitted(effects, values.tolist())
+
+
+def _ordered(fitter: Fitter, fit: Fit) -> Fit:
+    """The effect that would be missed most comes first."""
+    if len(fit.effects) < 2:
+        return fit
+    losses = [_without(fitter, fit, k).held_out for k in range(len(fit.effects))]
+    order = np.argsort(losses)[::-1].tolist()
+    pieces = np.split(fit.values, np.cumsum([len(e.parameters) for e in fit.effects])[:-1])
+    return fitter.judged(tuple(fit.effects[k] for k in order), np.concatenate([pieces[k] for k in order]).tolist())
+
+
+def _rungs(
+    fitter: Fitter,
+    nominal: Fit,
+    best: Fit,
+    tried: dict[tuple[str, ...], list[Fit]],
+    able: list[type[MissingEffect]],
+) -> tuple[Rung, ...]:
+    """The ladder from the nominal servo to the best, refitted at each step, with what was defeated there."""
+    rungs: list[Rung] = []
+    base = nominal
+    for k in range(1, len(best.effects) + 1):
+        if k == len(best.effects):
+            fit = best
+        else:
+            count = sum(len(effect.parameters) for effect in best.effects[:k])
+            fit = fitter.refitted(best.effects[:k], best.values[:count].tolist())
+        if _keys(base) not in tried:
+            tried[_keys(base)] = fitter.with_effects(base, able, _quietly)
+        others: dict[str, Fit] = {}
+        for rival in sorted(tried[_keys(base)], key=lambda r: r.held_out):
+            if rival.names[-1] != fit.names[-1]:
+                others.setdefault(rival.names[-1], rival)
+        rungs.append(Rung(fit, tuple(others.values())))
+        base = fit
+    return tuple(rungs)
+
+
+def _ties(
+    fitter: Fitter,
+    best: Fit,
+    able: list[type[MissingEffect]],
+    sigma: float,
+    tried: dict[tuple[str, ...], list[Fit]],
+) -> tuple[tuple[str, ...], ...]:
+    """For each effect, the others that would do as well in its place."""
+    record, ties = fitter.record, []
+    factor = long_run_factor(best.error_deg[record.counts])
+    for k, effect in enumerate(best.effects):
+        base = _without(fitter, best, k)
+        near: list[str] = []
+        left = max(best.total - float(record.counts.sum()) * sigma**2 * (1.0 + _EXCESS_WORTH), 0.0)
+        margin = max(_TIE_CHI_SQUARED * sigma**2 * factor, _TIE_OF_EXCESS * left)
+        rivals = tried.get(_keys(base))
+        if rivals is None:
+            rivals = fitter.with_effects(base, able, _quietly)
+        for rival in rivals:
+            bounded = not any(p.at_bound(v) for p, v in zip(rival.parameters, rival.values, strict=True))
+            name = rival.names[-1]
+            if name not in best.names and name not in near and bounded and rival.total - best.total < margin:
+                near.append(name)
+        if near:
+            ties.append((effect.name, *near))
+    return tuple(ties)
+
+
+def excess(record: Record, fit: Fit, sigma: float) -> float:
+    """Variance beyond the noise floor on the held-out samples [deg^2]."""
+    return fit.held_out / max(int(record.held_out.sum()), 1) - sigma**2
+
+
+def unexplained(selection: Selection, record: Record) -> bool:
+    """Whether more is left than noise, and more than a rounding of what was there."""
+    left = excess(record, selection.final, selection.sigma_deg)
+    gap = excess(record, selection.nominal, selection.sigma_deg)
+    return left > _EXCESS_OF_NOISE * selection.sigma_deg**2 and left > _EXCESS_OF_GAP * gap
