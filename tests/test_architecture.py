@@ -30,8 +30,10 @@ PARTS = {
     "detection": {"errors", "types", "models", "servos", "aircraft", "segment", "tolerance"},
     "simulation": {"errors", "types", "models", "calibration", "aircraft", "outputs"},
     "identification": {"errors", "types", "models", "servos", "segment"},
+    "discrepancy": {"errors", "types", "models", "segment", "detection"},
+    "explaining": {"errors", "types", "aircraft", "segment", "discrepancy", "workflow"},
     "bench": {"errors", "types", "aircraft", "segment", "identification", "workflow"},
-    "outputs": {"errors", "types", "detection", "segment", "identification"},
+    "outputs": {"errors", "types", "aircraft", "models", "detection", "segment", "identification", "discrepancy"},
     "workflow": {"errors", "aircraft", "servos", "detection", "feedback"},
     "cli": {
         "errors",
@@ -48,6 +50,7 @@ PARTS = {
         "odds",
         "identification",
         "bench",
+        "explaining",
     },
 }
 ONLY_IN = {
@@ -61,7 +64,7 @@ ONLY_IN = {
     "jinja2": {"servofd/outputs/identify_page.py"},
     "argparse": {
         f"servofd/cli/{name}.py"
-        for name in ("__init__", "audit", "config", "design", "identify", "info", "odds", "servos", "simulate")
+        for name in ("__init__", "audit", "config", "design", "explain", "identify", "info", "odds", "servos", "simulate")
     },
     "numba": {
         "servofd/models/state.py",
@@ -69,6 +72,7 @@ ONLY_IN = {
         "servofd/detection/probability/cusum.py",
         "servofd/detection/starts.py",
         "servofd/detection/bank/altered.py",
+        "servofd/discrepancy/kernel.py",
         "logparsers/compiled.py",
     },
     "pymavlink": {"logparsers/mavlink.py"},

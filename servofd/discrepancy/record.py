@@ -132,9 +132,9 @@ def simulate(record: Record, physics: Physics) -> FloatArray:
     nothing = np.zeros(record.time_s.size)
     return run(
         physics,
-        plant.loop(physics.bandwidth_scale, physics.damping_scale),
+        plant.loop(physics.bandwidth_scale, physics.damping_scale, physics.torque_share),
         plant.dc_gain,
-        1.0 if physics.is_linear_loop else _SUBSTEP_S,
+        _longest_step_s(physics),
         sent_s + physics.delay_s,
         deg,
         slope,

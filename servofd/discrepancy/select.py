@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Rung", "Selection", "select"]
 
+Tried = dict[tuple[str, ...], list[Fit]]
+"""Fits that have one effect more than the effects of the key."""
+
 _BEAM = 2
 _MOST_EFFECTS = 4
 _SHARE_OF_NOISE, _SHARE_OF_GAP = 0.03, 0.02
@@ -27,7 +30,8 @@ _SHARE_OF_NOISE, _SHARE_OF_GAP = 0.03, 0.02
 _CHI_SQUARED = 30.0
 """And this much of the held-out error in units of the noise: 25 effects and their grids are tried each time."""
 _BLOCK_T = 3.0
-_TIE_CHI_SQUARED = 10.0
+_TIE_CHI_SQUARED, _EVEN_CHI_SQUARED = 10.0, 4.0
+"""Below the second, the data do not even hint at which it is, and the simplest is named."""
 _TIE_OF_EXCESS = 0.15
 """Where something stays unexplained, two effects that differ by less than this share of it are not told apart."""
 _EXCESS_WORTH = 0.06
@@ -92,7 +96,7 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     fitter = Fitter(record)
     able, unable = judgeable(record)
     nominal = fitter.nominal()
-    tried: dict[tuple[str, ...], list[Fit]] = {}
+    tried: Tried = {}
     beam, best = [nominal], nominal
     for _ in range(_MOST_EFFECTS):
         sigma = floor_of(record, best)
@@ -107,12 +111,18 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
             break
         grown.sort(key=lambda fit: _cost(record, fit))
         beam = _distinct(grown)[:_BEAM]
-        best = beam[0]
-    best = _pruned(fitter, best)
-    best = _ordered(fitter, best)
+        if _cost(record, beam[0]) < _cost(record, best):
+            best = beam[0]
+        if not _worth_trying(record, best, floor_of(record, best)):
+            break
+    best = _ordered(fitter, _simplest(fitter, _pruned(fitter, best), able, tried))
     sigma = floor_of(record, best)
     rungs = _rungs(fitter, nominal, best, tried, able)
-    ties = _ties(fitter, best, able, sigma, tried)
+    ties = tuple(
+        (effect.name, *dict.fromkeys(fit.names[-1] for fit in equals))
+        for effect, equals in zip(best.effects, _equals(fitter, best, able, tried), strict=True)
+        if equals
+    )
     covariance = fitter.covariance(best, _rms(best, record), long_run_factor(best.error_deg[record.trained]))
     return Selection(nominal, rungs, ties, sigma, tuple(unable), covariance, fitter.simulations)
 
@@ -211,7 +221,7 @@ def _rungs(
     fitter: Fitter,
     nominal: Fit,
     best: Fit,
-    tried: dict[tuple[str, ...], list[Fit]],
+    tried: Tried,
     able: list[type[MissingEffect]],
 ) -> tuple[Rung, ...]:
     """The ladder from the nominal servo to the best, refitted at each step, with what was defeated there."""
@@ -234,32 +244,38 @@ def _rungs(
     return tuple(rungs)
 
 
-def _ties(
-    fitter: Fitter,
-    best: Fit,
-    able: list[type[MissingEffect]],
-    sigma: float,
-    tried: dict[tuple[str, ...], list[Fit]],
-) -> tuple[tuple[str, ...], ...]:
-    """For each effect, the others that would do as well in its place."""
-    record, ties = fitter.record, []
+def _equals(fitter: Fitter, best: Fit, able: list[type[MissingEffect]], tried: Tried) -> list[list[Fit]]:
+    """For each effect, the fits with another one in its place that the data cannot tell from it."""
+    record, sigma = fitter.record, floor_of(fitter.record, best)
     factor = long_run_factor(best.error_deg[record.counts])
-    for k, effect in enumerate(best.effects):
+    left = max(best.total - float(record.counts.sum()) * sigma**2 * (1.0 + _EXCESS_WORTH), 0.0)
+    margin = max(_TIE_CHI_SQUARED * sigma**2 * factor, _TIE_OF_EXCESS * left)
+    equals = []
+    for k in range(len(best.effects)):
         base = _without(fitter, best, k)
-        near: list[str] = []
-        left = max(best.total - float(record.counts.sum()) * sigma**2 * (1.0 + _EXCESS_WORTH), 0.0)
-        margin = max(_TIE_CHI_SQUARED * sigma**2 * factor, _TIE_OF_EXCESS * left)
-        rivals = tried.get(_keys(base))
-        if rivals is None:
-            rivals = fitter.with_effects(base, able, _quietly)
-        for rival in rivals:
-            bounded = not any(p.at_bound(v) for p, v in zip(rival.parameters, rival.values, strict=True))
-            name = rival.names[-1]
-            if name not in best.names and name not in near and bounded and rival.total - best.total < margin:
-                near.append(name)
-        if near:
-            ties.append((effect.name, *near))
-    return tuple(ties)
+        rivals = tried.get(_keys(base)) or fitter.with_effects(base, able, _quietly)
+        tried[_keys(base)] = rivals
+        equals.append(
+            [
+                rival
+                for rival in rivals
+                if rival.names[-1] not in best.names
+                and rival.total - best.total < margin
+                and not any(p.at_bound(v) for p, v in zip(rival.parameters, rival.values, strict=True))
+            ]
+        )
+    return equals
+
+
+def _simplest(fitter: Fitter, best: Fit, able: list[type[MissingEffect]], tried: Tried) -> Fit:
+    """The same servo in the simplest of the words that fit equally well."""
+    margin = _EVEN_CHI_SQUARED * floor_of(fitter.record, best) ** 2
+    for k, equals in enumerate(_equals(fitter, best, able, tried)):
+        rank = CATALOGUE.index(best.effects[k])
+        even = [r for r in equals if r.total - best.total < margin and CATALOGUE.index(r.effects[-1]) < rank]
+        if even:
+            return min(even, key=lambda r: CATALOGUE.index(r.effects[-1]))
+    return best
 
 
 def excess(record: Record, fit: Fit, sigma: float) -> float:
