@@ -33,7 +33,17 @@ PARTS = {
     "discrepancy": {"errors", "types", "models", "segment", "detection"},
     "explaining": {"errors", "types", "aircraft", "segment", "discrepancy", "workflow"},
     "bench": {"errors", "types", "aircraft", "segment", "identification", "workflow"},
-    "outputs": {"errors", "types", "aircraft", "models", "detection", "segment", "identification", "discrepancy"},
+    "outputs": {
+        "errors",
+        "types",
+        "aircraft",
+        "calibration",
+        "models",
+        "detection",
+        "segment",
+        "identification",
+        "discrepancy",
+    },
     "workflow": {"errors", "aircraft", "servos", "detection", "feedback"},
     "cli": {
         "errors",
@@ -64,7 +74,18 @@ ONLY_IN = {
     "jinja2": {"servofd/outputs/identify_page.py"},
     "argparse": {
         f"servofd/cli/{name}.py"
-        for name in ("__init__", "audit", "config", "design", "explain", "identify", "info", "odds", "servos", "simulate")
+        for name in (
+            "__init__",
+            "audit",
+            "config",
+            "design",
+            "explain",
+            "identify",
+            "info",
+            "odds",
+            "servos",
+            "simulate",
+        )
     },
     "numba": {
         "servofd/models/state.py",

@@ -1,6 +1,7 @@
 """The command line: one file per verb, and the only place that prints or chooses exit codes.
 
-Exit codes: 0 done and healthy, 1 done and at least one fault or unexplained gap, 2 could not tell (one line on stderr says why).
+Exit codes: 0 done and healthy, 1 done and at least one fault or unexplained gap, 2 could not tell (one line on stderr
+says why).
 """
 
 from __future__ import annotations

@@ -43,9 +43,7 @@ def run(options: argparse.Namespace) -> int:
 
     _check_outputs(options)
     with progress_bar("explain", _STEPS) as step:
-        found = explain_log(
-            options.log, options.config, surface=options.surface, servo=options.servo, progress=step
-        )
+        found = explain_log(options.log, options.config, surface=options.surface, servo=options.servo, progress=step)
     document = to_json(found.explanation.document())
     if options.json and options.json != "-":
         write_whole(options.json, document.encode())

@@ -7,6 +7,7 @@ a healthy servo, and what the log must hold to judge it. A parameter names the f
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Literal
 
@@ -40,6 +41,11 @@ class Parameter:
     """True if the error has many minima in it, and must be searched instead of descended."""
     aside: bool = False
     """True for a number of no interest that the effect needs to fit; it is neither reported nor judged."""
+
+    def away(self, value: float, known: Physics) -> float:
+        """How far a value is from that of the servo as it is known."""
+        neutral = getattr(known, self.fields[0])
+        return abs(value - (neutral if math.isfinite(neutral) else self.neutral))
 
     def at_bound(self, value: float) -> bool:
         """Whether a value has run to the end of its range: a failure, not an answer."""
@@ -291,20 +297,14 @@ class Quantization(MissingEffect):
     """Steps of the position sensor."""
 
     name, place, form = "quantization", Place.SENSOR, "position"
-    parameters = (
-        Parameter("step_deg", ("output_step_deg",), 0.02, 10.0, 0.0, 0.1, _STEPS_DEG, True),
-    )
+    parameters = (Parameter("step_deg", ("output_step_deg",), 0.02, 10.0, 0.0, 0.1, _STEPS_DEG, True),)
 
 
 class CommandSteps(MissingEffect):
     """Steps of the command."""
 
     name, place, form = "quantization", Place.LINK, "command"
-    parameters = (
-        Parameter(
-            "step_deg", ("command_step_deg",), 0.02, 10.0, 0.0, 0.1, _STEPS_DEG, True
-        ),
-    )
+    parameters = (Parameter("step_deg", ("command_step_deg",), 0.02, 10.0, 0.0, 0.1, _STEPS_DEG, True),)
 
 
 class LinkageNonlinearity(MissingEffect):

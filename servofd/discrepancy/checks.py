@@ -50,8 +50,8 @@ def check(record: Record) -> None:
     noise = noise_floor_deg(record, error)
     if float(np.std(asked)) < max(_MOTION_OF_NOISE * noise, _SMALLEST_MOTION_DEG):
         raise NoMeasurement(
-            f"hardly asked to move ({float(np.std(asked)):.2g} deg rms, noise {noise:.2g} deg): no effect can show; fly "
-            "doublets of several degrees"
+            f"hardly asked to move ({float(np.std(asked)):.2g} deg rms, noise {noise:.2g} deg): no effect can show; "
+            "fly doublets of several degrees"
         )
     _check_channels(record, asked, measured)
 

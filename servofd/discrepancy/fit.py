@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import product
 from typing import TYPE_CHECKING
@@ -10,14 +11,14 @@ import numpy as np
 
 from servofd.discrepancy.catalogue import installed
 from servofd.discrepancy.record import simulate
+from servofd.types import FloatArray
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
     from servofd.discrepancy.catalogue import MissingEffect, Parameter
     from servofd.discrepancy.physics import Physics
     from servofd.discrepancy.record import Record
-    from servofd.types import FloatArray
 
 __all__ = ["Fit", "Fitter"]
 
@@ -29,6 +30,9 @@ _PROMISING = 10
 _KINKED_ROUNDS = 2
 _SURE = 1.959963984540054
 """Standard deviations of a 95 % interval."""
+
+
+Values = Sequence[float] | FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,16 +72,16 @@ class Fitter:
     record: Record
     simulations: int = field(default=0, init=False)
 
-    def physics(self, effects: Sequence[type[MissingEffect]], values: Sequence[float]) -> Physics:
+    def physics(self, effects: Sequence[type[MissingEffect]], values: Values) -> Physics:
         """The servo with these effects."""
-        return installed(self.record.plant.neutral, effects, values)
+        return installed(self.record.plant.neutral, effects, [float(v) for v in values])
 
-    def error_deg(self, effects: Sequence[type[MissingEffect]], values: Sequence[float]) -> FloatArray:
+    def error_deg(self, effects: Sequence[type[MissingEffect]], values: Values) -> FloatArray:
         """Measured minus simulated position [deg], shape (n,)."""
         self.simulations += 1
         return self.record.measured_deg - simulate(self.record, self.physics(effects, values))
 
-    def judged(self, effects: tuple[type[MissingEffect], ...], values: Sequence[float]) -> Fit:
+    def judged(self, effects: tuple[type[MissingEffect], ...], values: Values) -> Fit:
         """Fit with given values."""
         error = self.error_deg(effects, values)
         train, held_out = error[self.record.trained], error[self.record.held_out]
@@ -87,7 +91,7 @@ class Fitter:
         """The servo as it is known."""
         return self.judged((), ())
 
-    def loss(self, effects: Sequence[type[MissingEffect]], values: Sequence[float]) -> float:
+    def loss(self, effects: Sequence[type[MissingEffect]], values: Values) -> float:
         """Sum of squares over the fitted samples [deg^2]."""
         error = self.error_deg(effects, values)[self.record.trained]
         return float(error @ error)
@@ -107,7 +111,7 @@ class Fitter:
             self.refitted(fit.effects, fit.values.tolist()) if k < _PROMISING else fit for k, fit in enumerate(fits)
         ]
 
-    def refitted(self, effects: tuple[type[MissingEffect], ...], values: Sequence[float]) -> Fit:
+    def refitted(self, effects: tuple[type[MissingEffect], ...], values: Values) -> Fit:
         """All parameters fitted together, from given values: least squares within the bounds."""
         from scipy.optimize import least_squares
 
@@ -125,7 +129,7 @@ class Fitter:
             whole[free] = x * scale
             return whole
 
-        x0 = np.clip(start[free] / scale, low + 1e-6 * (high - low), high - 1e-6 * (high - low))
+        x0 = np.asarray(np.clip(start[free] / scale, low + 1e-6 * (high - low), high - 1e-6 * (high - low)))
 
         def errors(x: FloatArray) -> FloatArray:
             # What the data do not show stays where it is.

@@ -92,7 +92,9 @@ def _moved(steps: FloatArray, rate: FloatArray, grid_s: float, h: float, x: tupl
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def _flexed(natural: float, damping: float, h: float, drive: tuple[float, float], tip: tuple[float, float]) -> tuple[float, float]:
+def _flexed(
+    natural: float, damping: float, h: float, drive: tuple[float, float], tip: tuple[float, float]
+) -> tuple[float, float]:
     """Position and speed of a flexible tip whose root moves straight from one position to the other."""
     slope = (drive[1] - drive[0]) / h
     lag = 2.0 * damping / natural * slope
@@ -198,8 +200,10 @@ def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would tak
                     flexed = followed
                 played = max(min(played, flexed + half), flexed - half)
                 before = static
-                static = physics.gain * played * (
-                    1.0 + played * (physics.quadratic_per_deg + played * physics.cubic_per_deg2)
+                static = (
+                    physics.gain
+                    * played
+                    * (1.0 + played * (physics.quadratic_per_deg + played * physics.cubic_per_deg2))
                 )
                 static = max(min(static, physics.upper_deg), physics.lower_deg) + physics.bias_deg
                 if physics.lag_s > 0.0:
@@ -226,7 +230,7 @@ def framed(
 ) -> tuple[FloatArray, FloatArray]:
     """Commands as pulse frames carry them: the one in force when each frame begins, held until the next."""
     first = math.ceil(time_s[0] / period_s - phase)
-    count = max(int(math.floor(time_s[-1] / period_s - phase)) - first + 2, 1)
+    count = max(math.floor(time_s[-1] / period_s - phase) - first + 2, 1)
     frame_s, frame_deg = np.empty(count), np.empty(count)
     c = 0
     for k in range(count):

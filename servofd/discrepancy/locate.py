@@ -8,7 +8,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
-    from servofd.types import BoolArray, FloatArray
+    from servofd.types import BoolArray, FloatArray, IntArray
 
 __all__ = ["Map", "bad_seconds", "maps", "sentences"]
 
@@ -49,7 +49,7 @@ def bad_seconds(record: Record, error_deg: FloatArray, sigma_deg: float) -> tupl
     energy = np.bincount(second, weights=error**2) / sigma_deg**2
     used = np.flatnonzero(count >= 5)
     # The noise floor is itself uncertain by a few per cent.
-    chance = chi2.sf(energy[used] / (1.0 + _EXCESS), count[used])
+    chance: FloatArray = np.asarray(chi2.sf(energy[used] / (1.0 + _EXCESS), count[used]), dtype=float)
     order = np.argsort(chance)
     passed = chance[order] <= _FALSE_DISCOVERIES * np.arange(1, order.size + 1) / max(order.size, 1)
     bad = np.sort(used[order[: passed.nonzero()[0].max() + 1]]) if passed.any() else np.zeros(0, dtype=np.int64)
@@ -64,8 +64,8 @@ def maps(record: Record, error_deg: FloatArray, sigma_deg: float) -> tuple[Map, 
     simulated = record.measured_deg[where] - error
     excess = max(float(np.mean(error**2)) - sigma_deg**2, 1e-12)
     command = _command(record)
-    speed = np.gradient(record.measured_deg - error_deg, record.time_s)[where]
-    rate = np.gradient(_smooth(command), record.time_s)[where]
+    speed = _gradient(record.measured_deg - error_deg, record.time_s)[where]
+    rate = _gradient(_smooth(command), record.time_s)[where]
     lag = command[where] - simulated
     quantities: list[tuple[str, str, FloatArray, bool]] = [
         ("command rate", "deg/s", rate, True),
@@ -75,9 +75,7 @@ def maps(record: Record, error_deg: FloatArray, sigma_deg: float) -> tuple[Map, 
         ("time", "s", time_s - time_s[0], False),
     ]
     if record.pressure_pa is not None:
-        quantities.append(
-            ("deflection times dynamic pressure", "deg Pa", simulated * record.pressure_pa[where], True)
-        )
+        quantities.append(("deflection times dynamic pressure", "deg Pa", simulated * record.pressure_pa[where], True))
     if record.voltage_v is not None:
         quantities.append(("supply voltage", "V", record.voltage_v[where], False))
     block = record.block[where]
@@ -151,12 +149,17 @@ def _command(record: Record) -> FloatArray:
     return command
 
 
+def _gradient(values: FloatArray, time_s: FloatArray) -> FloatArray:
+    slope: FloatArray = np.asarray(np.gradient(values, time_s), dtype=float)
+    return slope
+
+
 def _smooth(values: FloatArray) -> FloatArray:
     smooth: FloatArray = np.convolve(np.pad(values, 2, mode="edge"), np.full(5, 0.2), mode="valid")
     return smooth
 
 
-def _predicted(values: FloatArray, error: FloatArray, block: FloatArray, excess: float) -> float:
+def _predicted(values: FloatArray, error: FloatArray, block: IntArray, excess: float) -> float:
     """Share of the excess variance that the means of bins predict, in blocks from which they were not taken."""
     edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _BINS + 1)[1:-1]))
     index = np.searchsorted(edges, values)

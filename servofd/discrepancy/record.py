@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 __all__ = ["BLOCK_S", "Record", "record_of", "simulate"]
 
 BLOCK_S = 0.3
-"""Length of the blocks that are fitted and held out in turn: longer than a servo remembers, shorter than most manoeuvres."""
+"""Length of the blocks that are fitted and held out in turn [s]: longer than a servo remembers, shorter than most
+manoeuvres."""
 _SUBSTEP_S, _SHORT_SUBSTEP_S = 2.5e-3, 1e-3
 """The shorter one for a servo that switches on and off at an edge."""
 _START_S = 0.5
@@ -55,12 +56,14 @@ class Record:
     @property
     def trained(self) -> BoolArray:
         """Samples that are fitted: those of every other block."""
-        return self.counts & (self.block % 2 == 0)
+        trained: BoolArray = self.counts & (self.block % 2 == 0)
+        return trained
 
     @property
     def held_out(self) -> BoolArray:
         """Samples that only judge."""
-        return self.counts & (self.block % 2 == 1)
+        held_out: BoolArray = self.counts & (self.block % 2 == 1)
+        return held_out
 
 
 def record_of(
@@ -130,7 +133,7 @@ def simulate(record: Record, physics: Physics) -> FloatArray:
     known = np.flatnonzero(np.isfinite(record.measured_deg))
     start_deg = float(record.measured_deg[known[0]]) if known.size else 0.0
     nothing = np.zeros(record.time_s.size)
-    return run(
+    position_deg: FloatArray = run(
         physics,
         plant.loop(physics.bandwidth_scale, physics.damping_scale, physics.torque_share),
         plant.dc_gain,
@@ -143,6 +146,7 @@ def simulate(record: Record, physics: Physics) -> FloatArray:
         nothing if record.voltage_v is None else record.voltage_v,
         start_deg,
     )
+    return position_deg
 
 
 def _longest_step_s(physics: Physics) -> float:

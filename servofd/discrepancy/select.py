@@ -14,7 +14,7 @@ from servofd.discrepancy.noise import long_run_factor, noise_floor_deg
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from servofd.discrepancy.catalogue import MissingEffect
+    from servofd.discrepancy.catalogue import MissingEffect, Parameter
     from servofd.discrepancy.record import Record
     from servofd.types import FloatArray
 
@@ -33,7 +33,13 @@ _BLOCK_T = 3.0
 _TIE_CHI_SQUARED, _EVEN_CHI_SQUARED = 10.0, 4.0
 """Below the second, the data do not even hint at which it is, and the simplest is named."""
 _TIE_OF_EXCESS = 0.15
-"""Where something stays unexplained, two effects that differ by less than this share of it are not told apart."""
+"""Where something stays unexplained, two effects that differ by less than this share of it are not told apart, unless
+that is as much of what they take away."""
+_SMALLEST_SIZE = 0.15
+"""Of what is common on healthy servos: 0.5 ms of delay, 0.5 % of gain, 0.05 deg of play."""
+_SURE_Z = 4.0
+_LEAST_SHARE = 0.1
+"""Beside a large unexplained rest, an effect that takes away less of the gap names nothing."""
 _EXCESS_WORTH = 0.06
 """The floor itself is uncertain by 3 %."""
 _EXCESS_OF_NOISE, _EXCESS_OF_GAP = 0.15, 0.05
@@ -115,7 +121,7 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
             best = beam[0]
         if not _worth_trying(record, best, floor_of(record, best)):
             break
-    best = _ordered(fitter, _simplest(fitter, _pruned(fitter, best), able, tried))
+    best = _ordered(fitter, _simplest(fitter, _convincing(fitter, _pruned(fitter, best), nominal), able, tried))
     sigma = floor_of(record, best)
     rungs = _rungs(fitter, nominal, best, tried, able)
     ties = tuple(
@@ -143,7 +149,7 @@ def _keys(fit: Fit) -> tuple[str, ...]:
 def _cost(record: Record, fit: Fit) -> float:
     """What ranks fits: the error on all samples, and a little for each parameter."""
     sigma = floor_of(record, fit)
-    return fit.total + sigma**2 * len(fit.values) * np.log(max(record.counts.sum(), 2))
+    return fit.total + sigma**2 * len(fit.values) * float(np.log(max(int(record.counts.sum()), 2)))
 
 
 def _distinct(fits: list[Fit]) -> list[Fit]:
@@ -176,7 +182,23 @@ def _accepted(record: Record, base: Fit, fit: Fit, sigma: float) -> bool:
         return False
     if gain / (sigma**2 * factor) < 4.0 * _CHI_SQUARED and _block_t(record, base, fit) < _BLOCK_T:
         return False
-    return not any(p.at_bound(v) for p, v in zip(fit.parameters, fit.values, strict=True))
+    return _matters(record, fit) and not any(p.at_bound(v) for p, v in zip(fit.parameters, fit.values, strict=True))
+
+
+def _matters(record: Record, fit: Fit) -> bool:
+    """Whether each effect differs from none by more than servos of one kind do from each other."""
+    first = 0
+    for effect in fit.effects:
+        values = fit.values[first : first + len(effect.parameters)]
+        first += len(effect.parameters)
+        sizes = [
+            p.away(float(v), record.plant.neutral) / p.typical
+            for p, v in zip(effect.parameters, values, strict=True)
+            if not p.aside
+        ]
+        if max(sizes) < _SMALLEST_SIZE:
+            return False
+    return True
 
 
 def _block_t(record: Record, base: Fit, fit: Fit) -> float:
@@ -198,6 +220,38 @@ def _pruned(fitter: Fitter, best: Fit) -> Fit:
             return best
         best = min(loose, key=lambda fit: fit.held_out)
     return best
+
+
+def _convincing(fitter: Fitter, fit: Fit, nominal: Fit) -> Fit:
+    """Without the effects whose size might be none, and those that matter little beside what stays unexplained."""
+    record = fitter.record
+    while fit.effects:
+        sigma, count = floor_of(record, fit), max(float(record.counts.sum()), 1.0)
+        factor = long_run_factor(fit.error_deg[record.trained])
+        deviation = np.sqrt(np.maximum(np.diag(fitter.covariance(fit, _rms(fit, record), factor)), 1e-300))
+        left, gap = (max(each.total - count * sigma**2, 0.0) for each in (fit, nominal))
+        rest_is_large = left > max(_EXCESS_OF_NOISE * count * sigma**2, _EXCESS_OF_GAP * gap)
+        first, losses, sure = 0, [], []
+        for k, effect in enumerate(fit.effects):
+            size = slice(first, first + len(effect.parameters))
+            first = size.stop
+            away = [
+                _kinked_or(p, p.away(float(v), record.plant.neutral) / d)
+                for p, v, d in zip(effect.parameters, fit.values[size], deviation[size], strict=True)
+                if not p.aside
+            ]
+            sure.append(max(away) > _SURE_Z)
+            losses.append(_without(fitter, fit, k).total - fit.total if rest_is_large else np.inf)
+        weak = [k for k in range(len(losses)) if not sure[k] or losses[k] < _LEAST_SHARE * gap]
+        if not weak:
+            break
+        fit = _without(fitter, fit, min(weak, key=lambda k: losses[k]))
+    return fit
+
+
+def _kinked_or(parameter: Parameter, size: float) -> float:
+    """Curvature says nothing about a parameter with many minima."""
+    return np.inf if parameter.kinked else size
 
 
 def _without(fitter: Fitter, fit: Fit, index: int) -> Fit:
@@ -249,12 +303,13 @@ def _equals(fitter: Fitter, best: Fit, able: list[type[MissingEffect]], tried: T
     record, sigma = fitter.record, floor_of(fitter.record, best)
     factor = long_run_factor(best.error_deg[record.counts])
     left = max(best.total - float(record.counts.sum()) * sigma**2 * (1.0 + _EXCESS_WORTH), 0.0)
-    margin = max(_TIE_CHI_SQUARED * sigma**2 * factor, _TIE_OF_EXCESS * left)
     equals = []
     for k in range(len(best.effects)):
         base = _without(fitter, best, k)
         rivals = tried.get(_keys(base)) or fitter.with_effects(base, able, _quietly)
         tried[_keys(base)] = rivals
+        slack = _TIE_OF_EXCESS * min(left, base.total - best.total)
+        margin = max(_TIE_CHI_SQUARED * sigma**2 * factor, slack)
         equals.append(
             [
                 rival
