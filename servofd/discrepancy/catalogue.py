@@ -42,6 +42,9 @@ class Parameter:
     aside: bool = False
     """True for a number of no interest that the effect needs to fit; it is neither reported nor judged."""
 
+    width: float = 0.0
+    """How far around the start the search goes; 0: to the neighbours on the grid."""
+
     def away(self, value: float, known: Physics) -> float:
         """How far a value is from that of the servo as it is known."""
         neutral = getattr(known, self.fields[0])
@@ -100,8 +103,6 @@ _WIDTHS_DEG = (0.1, 0.2, 0.4, 0.8, 1.4, 2.2, 3.5, 6.0)
 _RATES_DEG_S = (20.0, 30.0, 45.0, 60.0, 80.0, 105.0, 140.0, 180.0, 240.0, 320.0, 420.0, 600.0)
 
 
-_FRAMES_S = (*(k / 1000.0 for k in range(10, 31)), 0.004, 0.005, 0.04, 1 / 70, 1 / 60, 1 / 45, 1 / 150, 1 / 333)
-"""Whole milliseconds, and the frame rates that are not."""
 _STEPS_DEG = (360.0 / 4096.0, *(round(0.1 + 0.05 * k, 2) for k in range(39)), 0.18, 360.0 / 1024.0, 2.5, 3.0)
 
 
@@ -181,6 +182,13 @@ class AsymmetricRate(MissingEffect):
         Parameter("rate_up_deg_s", ("rate_up_deg_s",), 2.0, 3e3, 3e3, 60.0, (40.0, 90.0, 180.0, 350.0)),
         Parameter("rate_down_deg_s", ("rate_down_deg_s",), 2.0, 3e3, 3e3, 60.0, (40.0, 90.0, 180.0, 350.0)),
     )
+
+
+class SetPointRate(MissingEffect):
+    """Largest speed of the set point: firmware that lets no step through to the position loop."""
+
+    name, place, form = "rate_limit", Place.LINK, "set point"
+    parameters = (Parameter("rate_limit_deg_s", ("set_point_deg_s",), 2.0, 3e3, 3e3, 60.0, _RATES_DEG_S),)
 
 
 class VoltageRate(MissingEffect):
@@ -279,8 +287,8 @@ class PwmFrame(MissingEffect):
 
     name, place = "pwm_frame", Place.LINK
     parameters = (
-        Parameter("period_s", ("frame_s",), 2e-3, 0.2, 0.0, 0.02, _FRAMES_S, True),
-        Parameter("phase", ("frame_phase",), -1.0, 2.0, 0.0, 0.5, (0.125, 0.375, 0.625, 0.875), True),
+        Parameter("period_s", ("frame_s",), 2e-3, 0.2, 0.0, 0.02, (), True, width=2e-6),
+        Parameter("phase", ("frame_phase",), -1.0, 2.0, 0.0, 0.5, (), True, width=0.06),
     )
 
 
@@ -343,6 +351,7 @@ CATALOGUE: tuple[type[MissingEffect], ...] = (
     SlowDynamics,
     RateLimit,
     FollowedRate,
+    SetPointRate,
     PositionLimit,
     ServoStop,
     DeadBand,
@@ -371,6 +380,6 @@ def effects_named(name: str) -> tuple[type[MissingEffect], ...]:
     Examples
     --------
     >>> [effect.form for effect in effects_named("rate_limit")]
-    ['motor', 'output', 'motor, asymmetric']
+    ['motor', 'output', 'set point', 'motor, asymmetric']
     """
     return tuple(effect for effect in CATALOGUE if effect.name == name)

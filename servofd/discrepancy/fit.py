@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.discrepancy.catalogue import installed
+from servofd.discrepancy.catalogue import PwmFrame, installed
+from servofd.discrepancy.frames import best_frame
 from servofd.discrepancy.record import simulate
 from servofd.types import FloatArray
 
@@ -151,6 +152,8 @@ class Fitter:
 
     def _start(self, base: Fit, effect: type[MissingEffect]) -> list[float]:
         """The best point of the effect's grid."""
+        if effect is PwmFrame:
+            return list(best_frame(self.record, self.physics(base.effects, base.values)))
         grid = product(*(p.grid for p in effect.parameters))
         return list(min(grid, key=lambda point: self.loss((*base.effects, effect), [*base.values, *point])))
 
@@ -196,6 +199,8 @@ class Fitter:
 def _neighbours(parameter: Parameter, value: float) -> tuple[float, float]:
     """Bracket around a grid point."""
     grid = sorted({*parameter.grid, parameter.neutral})
+    if parameter.width > 0.0:
+        return max(parameter.low, value - parameter.width), min(parameter.high, value + parameter.width)
     if value not in grid:
         width = 0.25 * abs(value - parameter.neutral) + 1e-9
         return max(parameter.low, value - width), min(parameter.high, value + width)

@@ -141,6 +141,9 @@ def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would tak
     while c < effective_s.size and effective_s[c] <= clock:
         u, s = command_deg[c] + slope_deg_s[c] * (clock - effective_s[c]), slope_deg_s[c]
         c += 1
+    wanted, slews = u, physics.set_point_deg_s < math.inf
+    if slews:
+        s = 0.0
     for n in range(at_s.size):
         now = at_s[n]
         volt_limit = physics.deg_s_per_v * voltage_v[n] * per_rate if physics.deg_s_per_v < math.inf else math.inf
@@ -153,6 +156,8 @@ def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would tak
             count = math.ceil(total / longest_s - 1e-9) if total > _NO_STEP_S else 0
             h = total / max(count, 1)
             for _ in range(count):
+                if slews:
+                    s = max(min((wanted - u) / h, physics.set_point_deg_s), -physics.set_point_deg_s)
                 middle = y + 0.5 * h * v
                 error = u + 0.5 * h * s - middle
                 bent = error
@@ -215,7 +220,9 @@ def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would tak
                     lagged = static
             if not commanded:
                 break
-            u, s = command_deg[c], slope_deg_s[c]
+            wanted = command_deg[c]
+            if not slews:
+                u, s = wanted, slope_deg_s[c]
             c += 1
         if physics.output_step_deg > 0.0:
             result[n] = physics.output_step_deg * math.floor(lagged / physics.output_step_deg + 0.5)

@@ -44,6 +44,8 @@ class Physics(NamedTuple):
     frame_phase: float = 0.0
     """When frames begin, as a share of the period."""
     command_step_deg: float = 0.0
+    set_point_deg_s: float = math.inf
+    """Rate at which a servo's set point follows its command."""
     bandwidth_scale: float = 1.0
     damping_scale: float = 1.0
     torque_share: float = _TORQUE_SHARE
@@ -84,8 +86,8 @@ class Physics(NamedTuple):
     @property
     def is_linear_loop(self) -> bool:
         """Whether nothing needs shorter steps than the events themselves."""
-        here, plain = self[7:26], Physics()[7:26]
-        return here == plain and self.lag_s == 0.0
+        here, plain = self[8:27], Physics()[8:27]
+        return here == plain and self.lag_s == 0.0 and math.isinf(self.set_point_deg_s)
 
 
 class Loop(NamedTuple):

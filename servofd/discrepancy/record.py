@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.detection.residual import Commands, commands_at_servo
+from servofd.detection.residual import Commands, commands_at_servo, lost_commands
 from servofd.discrepancy.physics import Physics, Plant, plant_of
 
 if TYPE_CHECKING:
@@ -26,6 +26,10 @@ _START_S = 0.5
 """Longest time after a start or a hole during which nothing is compared: the servo forgets where it was."""
 _HOLE_PERIODS, _SHORTEST_HOLE_S = 4.0, 0.1
 _TIME_CONSTANTS = 12.0
+
+
+_LARGEST_GUESS_DEG, _FORGOTTEN_S = 0.25, 0.16
+"""A lost command off by this much moves an HS-225BB by 0.04 deg, for four of its time constants."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,11 +103,25 @@ def record_of(
     begin = np.sort(np.array(starts_s))
     last = begin[np.maximum(np.searchsorted(begin, time_s, side="right") - 1, 0)]
     counts = known & (time_s - last >= start_s) & (time_s >= segment.command_s[0]) & (time_s < until_s)
-    counts &= time_s <= segment.command_s[-1] + hole_s
+    counts &= (time_s <= segment.command_s[-1] + hole_s) & ~_after_lost_commands(segment, hole_s, time_s)
     # Fewer commands than the servo received: they run straight between, later by the mean lag of the hold.
     commands = commands_at_servo(segment, 0.0, hole_s)
     block = ((time_s - time_s[0]) / BLOCK_S).astype(np.int64)
     return Record(plant, commands, time_s, measured_deg, counts, block, pressure_pa, voltage_v)
+
+
+def _after_lost_commands(segment: Segment, hole_s: float, time_s: FloatArray) -> BoolArray:
+    """Samples that follow a lost command nobody can guess: the commands around it do not lie on a line."""
+    after = np.zeros(time_s.size, dtype=bool)
+    if segment.command_period_s is not None or segment.command_s.size < 4:
+        return after
+    lost = np.flatnonzero(lost_commands(segment.command_s, hole_s))
+    bend = np.abs(np.diff(segment.command_deg, 2, prepend=segment.command_deg[:1], append=segment.command_deg[-1:]))
+    for k in lost[np.maximum(bend[lost], bend[np.minimum(lost + 1, bend.size - 1)]) > _LARGEST_GUESS_DEG]:
+        start_s = segment.command_s[k]
+        first, last = np.searchsorted(time_s, (start_s, segment.command_s[k + 1] + _FORGOTTEN_S))
+        after[first:last] = True
+    return after
 
 
 def simulate(record: Record, physics: Physics) -> FloatArray:

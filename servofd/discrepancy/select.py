@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.discrepancy.catalogue import CATALOGUE
+from servofd.discrepancy.catalogue import CATALOGUE, Quantization
 from servofd.discrepancy.fit import Fit, Fitter
 from servofd.discrepancy.noise import long_run_factor, noise_floor_deg
+from servofd.discrepancy.record import simulate
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -40,9 +41,10 @@ _SMALLEST_SIZE = 0.15
 _SURE_Z = 4.0
 _LEAST_SHARE = 0.1
 """Beside a large unexplained rest, an effect that takes away less of the gap names nothing."""
+_NODES = 15
 _EXCESS_WORTH = 0.06
 """The floor itself is uncertain by 3 %."""
-_EXCESS_OF_NOISE, _EXCESS_OF_GAP = 0.15, 0.05
+_EXCESS_OF_NOISE, _EXCESS_OF_GAP = 0.15, 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -341,5 +343,20 @@ def excess(record: Record, fit: Fit, sigma: float) -> float:
 def unexplained(selection: Selection, record: Record) -> bool:
     """Whether more is left than noise, and more than a rounding of what was there."""
     left = excess(record, selection.final, selection.sigma_deg)
+    if Quantization in selection.final.effects:
+        left -= _dithered(record, selection)
     gap = excess(record, selection.nominal, selection.sigma_deg)
     return left > _EXCESS_OF_NOISE * selection.sigma_deg**2 and left > _EXCESS_OF_GAP * gap
+
+
+def _dithered(record: Record, selection: Selection) -> float:
+    """Variance that noise gains by being converted to whole steps [deg^2]: what no model of the servo can remove."""
+    physics = Fitter(record).physics(selection.final.effects, selection.final.values)
+    step_deg = physics.output_step_deg
+    smooth = simulate(record, physics._replace(output_step_deg=0.0))[record.held_out]
+    nodes, weights = np.polynomial.hermite_e.hermegauss(_NODES)
+    variance = 0.0
+    for node, weight in zip(nodes, weights / weights.sum(), strict=True):
+        moved = np.round((smooth + node * selection.sigma_deg) / step_deg) - np.round(smooth / step_deg)
+        variance += float(weight * np.mean(moved**2)) * step_deg**2
+    return max(variance - selection.sigma_deg**2, 0.0)

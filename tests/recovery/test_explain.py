@@ -1,4 +1,4 @@
-"""What is hidden in a servo by a simulator that is not the kernel comes out again, by name and size; and nothing else."""
+"""What a simulator that is not the kernel hides in a servo comes out again, by name and size; and nothing else."""
 
 from __future__ import annotations
 
