@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 __all__ = ["fault_start_s"]
 
-_SHORTEST_S = 5.0
+_SHORTEST_S = 3.0
 _RATIO = 3.0
 _BEYOND = 6.0
 """A sample this many noise floors away is no noise: one in a billion."""

@@ -29,7 +29,10 @@ Conclusion = Literal["nothing_missing", "explained", "partly_explained", "unexpl
 
 _AIR_KG_M3 = 1.225
 """Density of the standard atmosphere at sea level."""
-_MUCH_WORSE = 4.0
+_MUCH_WORSE, _NO_NOISE = 4.0, 5.5
+_MARGINS_S = (0.0, 1.0, 2.5, 5.0)
+"""How long before a change of the error's size a fault may have begun without much to do."""
+_FEWEST_SAMPLES = 100
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,23 +152,35 @@ def explain_gap(
     selection = select(record, progress)
     fault_s, notes = None, []
     if unexplained(selection, record):
-        candidate_s = fault_start_s(record, selection)
-        if candidate_s is not None:
-            before = replace(record, counts=record.counts & (record.time_s < candidate_s))
-            healthy = select(before, progress)
-            if not unexplained(healthy, before) and _fails_after(record, healthy, candidate_s):
-                record, selection, fault_s = before, healthy, candidate_s
-                notes.append(
-                    f"after {fault_s:.1f} s this is a fault, not a missing effect: only what came before is explained"
-                )
+        part = _healthy_part(record, selection, progress)
+        if part is not None:
+            record, selection, fault_s = part
+            notes.append(
+                f"after {fault_s:.1f} s this is a fault, not a missing effect: only what came before is explained"
+            )
     if selection.unjudged:
         notes.append(unjudged_sentence(selection))
     where = sentences(record, selection.nominal.error_deg, selection.sigma_deg)
     return Explanation(segment.surface, record, selection, tuple(where), tuple(notes), fault_s)
 
 
-def _fails_after(record: Record, healthy: Selection, start_s: float) -> bool:
-    """Whether the servo that explains the beginning does not explain the rest."""
-    later = record.counts & (record.time_s >= start_s)
-    error = healthy.final.error_deg[later]
-    return error.size > 0 and float(np.mean(error**2)) > _MUCH_WORSE * healthy.sigma_deg**2
+def _healthy_part(
+    record: Record, selection: Selection, progress: Callable[[str], None]
+) -> tuple[Record, Selection, float] | None:
+    """What comes before a fault, its explanation, and when the fault begins [s]; None if there is no such part."""
+    change_s = fault_start_s(record, selection)
+    if change_s is None:
+        return None
+    for margin_s in _MARGINS_S:
+        before = replace(record, counts=record.counts & (record.time_s < change_s - margin_s))
+        if int(before.held_out.sum()) < _FEWEST_SAMPLES:
+            return None
+        healthy = select(before, progress)
+        if unexplained(healthy, before):
+            continue
+        later = record.counts & ~before.counts
+        error = healthy.final.error_deg
+        wrong = later & (np.abs(error) > _NO_NOISE * healthy.sigma_deg)
+        if wrong.any() and float(np.mean(error[later] ** 2)) > _MUCH_WORSE * healthy.sigma_deg**2:
+            return before, healthy, float(record.time_s[wrong][0])
+    return None

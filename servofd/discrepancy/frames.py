@@ -20,7 +20,9 @@ _WINDOW_S = 4.0
 _PHASES = 4
 _SHARE_OF_BEAT = 0.4
 """Of the change of period that moves the last frame of a window by one period."""
-_ZOOM, _KEPT = 3.0, 9
+_ZOOM, _KEPT = 3.0, 27
+_SHIFTS = (-0.1, -0.04, 0.0, 0.04, 0.1)
+_FINER = (0.5, 0.2)
 _USUAL_S = (*(k / 1000.0 for k in range(10, 26)), 0.004, 0.005, 0.03, 0.04, 0.05, 1 / 70, 1 / 60, 1 / 45, 1 / 150)
 """Whole milliseconds, and common frame rates that are not."""
 
@@ -47,16 +49,21 @@ def best_frame(record: Record, physics: Physics) -> tuple[float, float]:
         near = [frame for one in best for frame in _around(one, centre_s, window_s)]
         best = sorted(near, key=lambda frame: _loss(part, physics, frame))[:kept]
     usual = [(period, phase / _PHASES + 0.125) for period in _USUAL_S for phase in range(_PHASES)]
-    return min([best[0], *usual], key=lambda frame: _loss(record, physics, frame))
+    found = min([best[0], *usual], key=lambda frame: _loss(record, physics, frame))
+    for finer in _FINER:
+        found = min(_around(found, centre_s, window_s, finer), key=lambda frame: _loss(record, physics, frame))
+    return found
 
 
-def _around(frame: tuple[float, float], centre_s: float, window_s: float) -> list[tuple[float, float]]:
+def _around(
+    frame: tuple[float, float], centre_s: float, window_s: float, finer: float = 1.0
+) -> list[tuple[float, float]]:
     """Frames nearby; they are counted from 0 s, so that another period turns the phase in mid-window as well."""
     period, phase = frame
     frames = []
-    for step in (period**2 / window_s * _SHARE_OF_BEAT * np.arange(-4, 5)).tolist():
-        turned = phase + centre_s / period - centre_s / (period + step)
-        frames += [(period + step, (turned + shift) % 1.0) for shift in (-0.1, -0.04, 0.0, 0.04, 0.1)]
+    for step in (period**2 / window_s * _SHARE_OF_BEAT * finer * np.arange(-4, 5)).tolist():
+        turned = phase - centre_s / period + centre_s / (period + step)
+        frames += [(period + step, (turned + finer * shift) % 1.0) for shift in _SHIFTS]
     return frames
 
 

@@ -124,7 +124,7 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
         if not _worth_trying(record, best, floor_of(record, best)):
             break
     best = _ordered(fitter, _simplest(fitter, _convincing(fitter, _pruned(fitter, best), nominal), able, tried))
-    sigma = floor_of(record, best)
+    sigma = max(floor_of(record, best), _before_steps_deg(fitter, best))
     rungs = _rungs(fitter, nominal, best, tried, able)
     ties = tuple(
         (effect.name, *dict.fromkeys(fit.names[-1] for fit in equals))
@@ -347,6 +347,15 @@ def unexplained(selection: Selection, record: Record) -> bool:
         left -= _dithered(record, selection)
     gap = excess(record, selection.nominal, selection.sigma_deg)
     return left > _EXCESS_OF_NOISE * selection.sigma_deg**2 and left > _EXCESS_OF_GAP * gap
+
+
+def _before_steps_deg(fitter: Fitter, fit: Fit) -> float:
+    """Noise before a converter with whole steps [deg], whose differences do not show it; 0 without such a converter."""
+    if Quantization not in fit.effects:
+        return 0.0
+    record, physics = fitter.record, fitter.physics(fit.effects, fit.values)
+    error = (record.measured_deg - simulate(record, physics._replace(output_step_deg=0.0)))[record.counts]
+    return float(np.sqrt(max(float(np.mean(error**2)) - physics.output_step_deg**2 / 12.0, 0.0)))
 
 
 def _dithered(record: Record, selection: Selection) -> float:
