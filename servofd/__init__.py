@@ -20,7 +20,10 @@ if TYPE_CHECKING:
     from servofd.detection.nullspace import design_nullspace_filter as design_nullspace_filter
     from servofd.detection.pulse import design_pulse_filter as design_pulse_filter
     from servofd.detection.residual import ResidualGenerator as ResidualGenerator
+    from servofd.discrepancy.explanation import Explanation as Explanation
+    from servofd.discrepancy.explanation import explain_gap as explain_gap
     from servofd.errors import ServofdError as ServofdError
+    from servofd.explaining import explain_log as explain_log
     from servofd.identification.identify import identify as identify
     from servofd.identification.result import Identification as Identification
     from servofd.models.servo_model import ServoModel as ServoModel
@@ -38,6 +41,7 @@ __version__ = "0.1.0"
 
 _HOME = {
     "Aircraft": "aircraft",
+    "Explanation": "discrepancy.explanation",
     "Identification": "identification.result",
     "LogAudit": "detection.audit",
     "ResidualGenerator": "detection.residual",
@@ -54,6 +58,8 @@ _HOME = {
     "cut": "segment",
     "design_nullspace_filter": "detection.nullspace",
     "design_pulse_filter": "detection.pulse",
+    "explain_gap": "discrepancy.explanation",
+    "explain_log": "explaining",
     "identify": "identification.identify",
     "identify_logs": "bench",
     "library": "servos",
@@ -64,6 +70,7 @@ _HOME = {
 
 __all__ = [
     "Aircraft",
+    "Explanation",
     "Identification",
     "LogAudit",
     "ResidualGenerator",
@@ -80,6 +87,8 @@ __all__ = [
     "cut",
     "design_nullspace_filter",
     "design_pulse_filter",
+    "explain_gap",
+    "explain_log",
     "identify",
     "identify_logs",
     "library",

@@ -1,6 +1,7 @@
 """The command line: one file per verb, and the only place that prints or chooses exit codes.
 
-Exit codes: 0 done and healthy, 1 done and at least one fault, 2 could not tell (one line on stderr says why).
+Exit codes: 0 done and healthy, 1 done and at least one fault or unexplained gap, 2 could not tell (one line on stderr
+says why).
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import sys
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from servofd import __version__
-from servofd.cli import audit, calibrate, config, design, identify, info, odds, servos, simulate, sweep
+from servofd.cli import audit, calibrate, config, design, explain, identify, info, odds, servos, simulate, sweep
 from servofd.cli.interrupt import interruptible
 from servofd.cli.tables import one_line
 
@@ -45,7 +46,7 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"servofd {__version__}")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
-    for verb in (info, config, calibrate, audit, sweep, odds, identify, simulate, servos, design):
+    for verb in (info, config, calibrate, audit, explain, sweep, odds, identify, simulate, servos, design):
         verb.add_parser(verbs)
     return parser
 

@@ -145,6 +145,19 @@ def test_the_examples_of_identification_run(monkeypatch: pytest.MonkeyPatch, tmp
     assert output.getvalue().split() == blocks(page, "text")[-1].split()
 
 
+def test_the_example_of_explain_runs(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = (ROOT / "docs" / "explain.md").read_text()
+    monkeypatch.chdir(tmp_path)
+    (commands,), (shown, answer), (code,) = (blocks(page, language) for language in ("sh", "text", "python"))
+    for command in commands.splitlines():
+        assert main(shlex.split(command.removeprefix("servofd "))) == 0, command
+    assert shown.strip() in capsys.readouterr().out
+    exec(compile(code, "explain.md", "exec"), {})  # noqa: S102 - our own page
+    assert capsys.readouterr().out.split() == answer.split()
+
+
 def test_the_aircraft_files_of_the_documentation_are_valid(tmp_path: Path) -> None:
     first, judging, servo, table, appendix_c = blocks((ROOT / "docs" / "aircraft-file.md").read_text(), "toml")
     config = tmp_path / "plane.toml"

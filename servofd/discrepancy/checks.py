@@ -1,0 +1,98 @@
+"""What makes a record unfit for the question, in sentences."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servofd.discrepancy.noise import noise_floor_deg
+from servofd.discrepancy.record import simulate
+from servofd.errors import NoMeasurement
+
+if TYPE_CHECKING:
+    from servofd.discrepancy.record import Record
+    from servofd.types import FloatArray
+
+__all__ = ["check"]
+
+_SLOWEST_RATE_HZ = 19.0
+"""Below this the effects of a servo fall between the samples: HS-225BB, time constants 15 to 40 ms."""
+_SHORTEST_S = 4.0
+_MOTION_OF_NOISE, _SMALLEST_MOTION_DEG = 2.0, 0.1
+_SAME = 0.9
+_GAINS = (0.3, 1.7)
+_SWAPPED = 0.5
+
+
+def check(record: Record) -> None:
+    """Refuse what cannot show an effect.
+
+    Raises
+    ------
+    NoMeasurement
+        If there is too little, it comes too slowly, nothing was asked, or the channels do not belong together.
+    """
+    rate_hz = 1.0 / record.period_s
+    if rate_hz < _SLOWEST_RATE_HZ:
+        raise NoMeasurement(
+            f"position comes at {rate_hz:.3g} Hz; what a model lacks cannot be told below 20 Hz: log faster"
+        )
+    seconds = float(record.counts.sum()) * record.period_s
+    if seconds < _SHORTEST_S:
+        raise NoMeasurement(
+            f"only {seconds:.1f} s of command and position together; at least {_SHORTEST_S:g} s are needed, and "
+            "30 s with brisk inputs are better"
+        )
+    simulated = simulate(record, record.plant.neutral)
+    error = record.measured_deg - simulated
+    asked, measured = simulated[record.counts], record.measured_deg[record.counts]
+    noise = noise_floor_deg(record, error)
+    if float(np.std(asked)) < max(_MOTION_OF_NOISE * noise, _SMALLEST_MOTION_DEG):
+        raise NoMeasurement(
+            f"hardly asked to move ({float(np.std(asked)):.2g} deg rms, noise {noise:.2g} deg): no effect can show; "
+            "fly doublets of several degrees"
+        )
+    _check_channels(record, asked, measured)
+
+
+def _check_channels(record: Record, asked: FloatArray, measured: FloatArray) -> None:
+    spread = np.cov(asked, measured)
+    gain = float(spread[0, 1] / spread[0, 0])
+    likeness = float(spread[0, 1] ** 2 / max(spread[0, 0] * spread[1, 1], 1e-300))
+    if likeness > _SAME and not _GAINS[0] <= gain <= _GAINS[1]:
+        what = "sign" if gain < 0.0 else "scale"
+        raise NoMeasurement(f"position is {gain:.3g}x the command throughout: check the {what} of the calibration")
+    right, wrong = _misfit(record, 1.0), _misfit(record, -1.0)
+    if wrong < _SWAPPED * right:
+        raise NoMeasurement(
+            "the command follows the position, as a servo follows its command: are the two columns swapped?"
+        )
+
+
+def _misfit(record: Record, direction: float) -> float:
+    """Error of the nominal servo, or of one that takes the position for its command (-1) [deg rms]."""
+    from servofd.discrepancy.kernel import run
+
+    plant = record.plant
+    index = np.maximum(np.searchsorted(record.commands.effective_s, record.time_s, side="right") - 1, 0)
+    command = record.commands.command_deg[index]
+    known = np.isfinite(record.measured_deg)
+    given, answer = (command, record.measured_deg) if direction > 0.0 else (record.measured_deg, command)
+    time_s = record.time_s[known]
+    nothing = np.zeros(time_s.size)
+    simulated = run(
+        plant.neutral,
+        plant.loop(),
+        plant.dc_gain,
+        1.0,
+        time_s + plant.neutral.delay_s,
+        given[known],
+        nothing,
+        time_s,
+        nothing,
+        nothing,
+        float(answer[known][0]),
+    )
+    error = (answer[known] - simulated)[record.counts[known]]
+    return float(np.std(error))

@@ -1,0 +1,186 @@
+"""The whole way from a segment to a named effect: check, locate, select, conclude."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from servofd.discrepancy.break_point import fault_start_s
+from servofd.discrepancy.checks import check
+from servofd.discrepancy.locate import sentences
+from servofd.discrepancy.record import record_of
+from servofd.discrepancy.select import Selection, select, unexplained
+from servofd.discrepancy.words import effect_values, unjudged_sentence
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from servofd.discrepancy.fit import Fit
+    from servofd.discrepancy.record import Record
+    from servofd.models.servo_model import ServoModel
+    from servofd.segment import Segment
+    from servofd.types import FloatArray
+
+__all__ = ["Conclusion", "Explanation", "explain_gap"]
+
+Conclusion = Literal["nothing_missing", "explained", "partly_explained", "unexplained"]
+
+_AIR_KG_M3 = 1.225
+"""Density of the standard atmosphere at sea level."""
+_MUCH_WORSE, _NO_NOISE = 4.0, 5.5
+_MARGINS_S = (0.0, 1.0, 2.5, 5.0)
+"""How long before a change of the error's size a fault may have begun without much to do."""
+_FEWEST_SAMPLES = 100
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Explanation:
+    """Why a servo and its model disagree."""
+
+    surface: str
+    record: Record
+    selection: Selection
+    where: tuple[str, ...]
+    notes: tuple[str, ...]
+    fault_s: float | None = None
+    """When a fault sets in, which is none of the model's business [s]."""
+
+    @property
+    def conclusion(self) -> Conclusion:
+        """In a word."""
+        left = unexplained(self.selection, self.record)
+        if self.selection.rungs:
+            return "partly_explained" if left else "explained"
+        return "unexplained" if left else "nothing_missing"
+
+    def rms_deg(self, fit: Fit) -> dict[str, float]:
+        """Error of a fit on the fitted and on the held-out samples [deg]."""
+        return {
+            "train_rms_deg": float(np.sqrt(fit.train / max(int(self.record.trained.sum()), 1))),
+            "held_out_rms_deg": float(np.sqrt(fit.held_out / max(int(self.record.held_out.sum()), 1))),
+        }
+
+    def document(self) -> dict[str, Any]:
+        """Plain dictionaries and lists, schema servofd.explain/1."""
+        selection = self.selection
+        final = selection.final
+        return {
+            "schema": "servofd.explain/1",
+            "surface": self.surface,
+            "conclusion": self.conclusion,
+            "noise_floor_rms_deg": selection.sigma_deg,
+            "nominal": self.rms_deg(selection.nominal),
+            "where": list(self.where),
+            "steps": [
+                {
+                    "effect": rung.fit.names[-1],
+                    "form": rung.fit.effects[-1].form or None,
+                    "parameters": effect_values(selection, len(rung.fit.effects) - 1),
+                    **self.rms_deg(rung.fit),
+                    "rivals": [
+                        {"effect": rival.names[-1], "held_out_rms_deg": self.rms_deg(rival)["held_out_rms_deg"]}
+                        for rival in rung.rivals
+                    ],
+                }
+                for rung in selection.rungs
+            ],
+            "indistinguishable": [list(tie) for tie in selection.ties],
+            "final": {
+                **self.rms_deg(final),
+                "model": {
+                    effect.name: {name: each["value"] for name, each in effect_values(selection, k).items()}
+                    for k, effect in enumerate(final.effects)
+                },
+            },
+            "notes": list(self.notes),
+            "fault_s": self.fault_s,
+            "simulations": selection.simulations,
+        }
+
+
+def explain_gap(
+    segment: Segment,
+    model: ServoModel,
+    *,
+    airspeed_m_s: FloatArray | None = None,
+    voltage_v: FloatArray | None = None,
+    progress: Callable[[str], None] = lambda _step: None,
+) -> Explanation:
+    """Find where a servo and its model disagree, name what is missing, and show how the gap shrinks.
+
+    Parameters
+    ----------
+    segment : Segment
+        Commands and measurements of one surface.
+    model : ServoModel
+        The servo as it is known.
+    airspeed_m_s, voltage_v : ndarray, shape (m,), optional
+        At the measurements: airspeed [m/s] and supply of the servo [V]. Effects that need what is left out cannot be
+        judged, and the result says so.
+    progress : callable
+        Called with the name of each effect that was tried.
+
+    Raises
+    ------
+    NoMeasurement
+        If the segment cannot show what is missing; the message says why.
+    DesignError
+        If the model has more than three poles, or zeros.
+
+    Examples
+    --------
+    >>> from servofd.models.effects import Delay
+    >>> from servofd.models.servo_model import ServoModel
+    >>> from servofd.segment import Segment
+    >>> from servofd.servos import servo_named
+    >>> t = np.arange(0.0, 20.0, 0.01)
+    >>> command = 5.0 * np.sin(0.5 * t**2)
+    >>> known = ServoModel.of(servo_named("hs225bb-eq31"))
+    >>> noise = 0.1 * np.random.default_rng(0).standard_normal(t.size)
+    >>> measured = (known + Delay(0.02)).simulate(t, command, t) + noise
+    >>> found = explain_gap(Segment("rudder", t, command, t, measured), known)
+    >>> found.conclusion, found.selection.final.names
+    ('explained', ('delay',))
+    >>> round(float(found.selection.final.values[0]), 3)  # 4 ms were known
+    0.024
+    """
+    pressure_pa = None if airspeed_m_s is None else 0.5 * _AIR_KG_M3 * airspeed_m_s**2
+    record = record_of(segment, model, pressure_pa=pressure_pa, voltage_v=voltage_v)
+    check(record)
+    selection = select(record, progress)
+    fault_s, notes = None, []
+    if unexplained(selection, record):
+        part = _healthy_part(record, selection, progress)
+        if part is not None:
+            record, selection, fault_s = part
+            notes.append(
+                f"after {fault_s:.1f} s this is a fault, not a missing effect: only what came before is explained"
+            )
+    if selection.unjudged:
+        notes.append(unjudged_sentence(selection))
+    where = sentences(record, selection.nominal.error_deg, selection.sigma_deg)
+    return Explanation(segment.surface, record, selection, tuple(where), tuple(notes), fault_s)
+
+
+def _healthy_part(
+    record: Record, selection: Selection, progress: Callable[[str], None]
+) -> tuple[Record, Selection, float] | None:
+    """What comes before a fault, its explanation, and when the fault begins [s]; None if there is no such part."""
+    change_s = fault_start_s(record, selection)
+    if change_s is None:
+        return None
+    for margin_s in _MARGINS_S:
+        before = replace(record, counts=record.counts & (record.time_s < change_s - margin_s))
+        if int(before.held_out.sum()) < _FEWEST_SAMPLES:
+            return None
+        healthy = select(before, progress)
+        if unexplained(healthy, before):
+            continue
+        later = record.counts & ~before.counts
+        error = healthy.final.error_deg
+        wrong = later & (np.abs(error) > _NO_NOISE * healthy.sigma_deg)
+        if wrong.any() and float(np.mean(error[later] ** 2)) > _MUCH_WORSE * healthy.sigma_deg**2:
+            return before, healthy, float(record.time_s[wrong][0])
+    return None

@@ -1,0 +1,96 @@
+"""Search for the period of pulse frames: a needle in a long log, a hill in a short one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servofd.discrepancy.record import simulate
+
+if TYPE_CHECKING:
+    from servofd.discrepancy.physics import Physics
+    from servofd.discrepancy.record import Record
+
+__all__ = ["best_frame"]
+
+_SHORTEST_S, _LONGEST_S = 0.01, 0.055
+_WINDOW_S = 4.0
+_PHASES = 4
+_SHARE_OF_BEAT = 0.4
+"""Of the change of period that moves the last frame of a window by one period."""
+_ZOOM, _KEPT = 3.0, 27
+_SHIFTS = (-0.1, -0.04, 0.0, 0.04, 0.1)
+_FINER = (0.5, 0.2)
+_USUAL_S = (*(k / 1000.0 for k in range(10, 26)), 0.004, 0.005, 0.03, 0.04, 0.05, 1 / 70, 1 / 60, 1 / 45, 1 / 150)
+"""Whole milliseconds, and common frame rates that are not."""
+
+
+def best_frame(record: Record, physics: Physics) -> tuple[float, float]:
+    """Period [s] and phase of the frames that explain the liveliest part of a record best.
+
+    A window of length L tells periods T apart that differ by T²/L. Periods are tried at that spacing in a short
+    window, which is then widened step by step around the best.
+    """
+    window_s = _WINDOW_S
+    centre_s = _liveliest_s(record, window_s)
+    total_s = float(record.time_s[-1] - record.time_s[0])
+    part = _window(record, centre_s, window_s)
+    periods = [_SHORTEST_S]
+    while periods[-1] < _LONGEST_S:
+        periods.append(periods[-1] * (1.0 + _SHARE_OF_BEAT * periods[-1] / window_s))
+    grid = [(period, phase / _PHASES) for period in periods for phase in range(_PHASES)]
+    best = sorted(grid, key=lambda frame: _loss(part, physics, frame))[:_KEPT]
+    kept = _KEPT
+    while window_s < total_s:
+        window_s, kept = window_s * _ZOOM, max(kept // 3, 1)
+        part = _window(record, centre_s, window_s)
+        near = [frame for one in best for frame in _around(one, centre_s, window_s)]
+        best = sorted(near, key=lambda frame: _loss(part, physics, frame))[:kept]
+    usual = [(period, phase / _PHASES + 0.125) for period in _USUAL_S for phase in range(_PHASES)]
+    found = min([best[0], *usual], key=lambda frame: _loss(record, physics, frame))
+    for finer in _FINER:
+        found = min(_around(found, centre_s, window_s, finer), key=lambda frame: _loss(record, physics, frame))
+    return found
+
+
+def _around(
+    frame: tuple[float, float], centre_s: float, window_s: float, finer: float = 1.0
+) -> list[tuple[float, float]]:
+    """Frames nearby; they are counted from 0 s, so that another period turns the phase in mid-window as well."""
+    period, phase = frame
+    frames = []
+    for step in (period**2 / window_s * _SHARE_OF_BEAT * finer * np.arange(-4, 5)).tolist():
+        turned = phase - centre_s / period + centre_s / (period + step)
+        frames += [(period + step, (turned + finer * shift) % 1.0) for shift in _SHIFTS]
+    return frames
+
+
+def _liveliest_s(record: Record, window_s: float) -> float:
+    """Middle of the window in which the position moves fastest [s]."""
+    speed = np.gradient(simulate(record, record.plant.neutral), record.time_s)
+    moved = np.where(record.counts, speed, np.nan)
+    number = ((record.time_s - record.time_s[0]) / window_s).astype(int)
+    spread = [np.nanstd(moved[number == k]) if np.isfinite(moved[number == k]).sum() > 50 else 0.0 for k in set(number)]
+    return float(record.time_s[0] + (int(np.argmax(spread)) + 0.5) * window_s)
+
+
+def _window(record: Record, centre_s: float, window_s: float) -> Record:
+    inside = np.abs(record.time_s - centre_s) <= window_s / 2.0
+    inside &= np.isfinite(record.measured_deg)
+    counts = record.counts & (record.time_s >= record.time_s[inside][0] + 0.3)
+    return replace(
+        record,
+        time_s=record.time_s[inside],
+        measured_deg=record.measured_deg[inside],
+        counts=counts[inside],
+        block=record.block[inside],
+        pressure_pa=None if record.pressure_pa is None else record.pressure_pa[inside],
+        voltage_v=None if record.voltage_v is None else record.voltage_v[inside],
+    )
+
+
+def _loss(part: Record, physics: Physics, frame: tuple[float, float]) -> float:
+    error = (part.measured_deg - simulate(part, physics._replace(frame_s=frame[0], frame_phase=frame[1])))[part.counts]
+    return float(error @ error)

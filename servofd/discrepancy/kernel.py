@@ -1,0 +1,248 @@
+"""The compiled simulation: one servo with all effects, each at its physical place, on true time stamps.
+
+Between events (a command taking effect, a position being measured) the loop is advanced by exact matrices. Dead band
+and saturation are straight pieces of slope 1 or 0, chosen by the error in the middle of each substep, so that within
+a piece nothing is approximated. Friction is the constant deceleration that would stop the servo by the end of the
+substep, as far as its strength allows (docs/explain.md, E5 to E7).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from servofd.discrepancy.physics import Loop, Physics
+from servofd.types import FloatArray
+
+__all__ = ["framed", "run", "step_matrices"]
+
+_NO_STEP_S = 1e-10
+_PER_DEG = math.pi / 180.0
+
+
+@njit(cache=True, error_model="numpy")
+def step_matrices(rate: FloatArray, grid_s: float, count: int) -> FloatArray:
+    """States after 1..count grid steps, shape (count, 3, 7), from their derivatives, shape (3, 7)."""
+    size = 7
+    whole = np.zeros((size, size))
+    whole[:3] = rate
+    whole[3, 4] = 1.0  # the command runs on at its slope
+    one = np.eye(size)
+    term = np.eye(size)
+    fine = grid_s / 16.0
+    for k in range(1, 9):
+        term = term @ whole * (fine / k)
+        one += term
+    for _ in range(4):
+        one = one @ one
+    steps = np.zeros((count, 3, size))
+    power = np.eye(size)
+    for k in range(count):
+        power = power @ one
+        steps[k] = power[:3]
+    return steps
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _row(m: FloatArray, k: int, i: int, x: tuple[float, ...]) -> float:
+    """One state after step `k` of a table, from states and inputs."""
+    return float(
+        m[k, i, 0] * x[0]
+        + m[k, i, 1] * x[1]
+        + m[k, i, 2] * x[2]
+        + m[k, i, 3] * x[3]
+        + m[k, i, 4] * x[4]
+        + m[k, i, 5] * x[5]
+        + m[k, i, 6] * x[6]
+    )
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _slope(r: FloatArray, x: tuple[float, ...]) -> tuple[float, float, float]:
+    """Derivatives of the three states; most entries of the matrix are zero by construction."""
+    return (
+        r[0, 0] * x[0] + r[0, 1] * x[1] + r[0, 3] * x[3] + r[0, 5] * x[5] + r[0, 6] * x[6],
+        r[1, 0] * x[0] + r[1, 1] * x[1] + r[1, 2] * x[2] + r[1, 3] * x[3] + r[1, 5] * x[5] + r[1, 6] * x[6],
+        r[2, 0] * x[0] + r[2, 1] * x[1] + r[2, 2] * x[2] + r[2, 3] * x[3] + r[2, 5] * x[5],
+    )
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _moved(steps: FloatArray, rate: FloatArray, grid_s: float, h: float, x: tuple[float, ...]) -> tuple[float, ...]:
+    """States after `h`: whole grid steps from the table, the rest as a series."""
+    count = min(int(h / grid_s + 1e-6), steps.shape[0])
+    rest = h - count * grid_s
+    y, v, torque = x[0], x[1], x[2]
+    if count > 0:
+        k = count - 1
+        y, v, torque = _row(steps, k, 0, x), _row(steps, k, 1, x), _row(steps, k, 2, x)
+    if rest > _NO_STEP_S:
+        # Only the first derivative sees the inputs, the second the command's slope; then they are used up.
+        u = x[3] + x[4] * count * grid_s
+        d1 = _slope(rate, (y, v, torque, u, 0.0, x[5], x[6]))
+        d2 = _slope(rate, (d1[0], d1[1], d1[2], x[4], 0.0, 0.0, 0.0))
+        d3 = _slope(rate, (d2[0], d2[1], d2[2], 0.0, 0.0, 0.0, 0.0))
+        d4 = _slope(rate, (d3[0], d3[1], d3[2], 0.0, 0.0, 0.0, 0.0))
+        y += rest * (d1[0] + rest / 2.0 * (d2[0] + rest / 3.0 * (d3[0] + rest / 4.0 * d4[0])))
+        v += rest * (d1[1] + rest / 2.0 * (d2[1] + rest / 3.0 * (d3[1] + rest / 4.0 * d4[1])))
+        torque += rest * (d1[2] + rest / 2.0 * (d2[2] + rest / 3.0 * (d3[2] + rest / 4.0 * d4[2])))
+    return y, v, torque
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _flexed(
+    natural: float, damping: float, h: float, drive: tuple[float, float], tip: tuple[float, float]
+) -> tuple[float, float]:
+    """Position and speed of a flexible tip whose root moves straight from one position to the other."""
+    slope = (drive[1] - drive[0]) / h
+    lag = 2.0 * damping / natural * slope
+    turn = natural * math.sqrt(1.0 - damping * damping)
+    away, speed = tip[0] - (drive[0] - lag), tip[1] - slope
+    swing = (speed + damping * natural * away) / turn
+    decay, cosine, sine = math.exp(-damping * natural * h), math.cos(turn * h), math.sin(turn * h)
+    position = drive[1] - lag + decay * (away * cosine + swing * sine)
+    return position, slope + decay * (speed * cosine - (away * turn + damping * natural * swing) * sine)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would take most of its time
+    physics: Physics,
+    loop: Loop,
+    dc_gain: float,
+    longest_s: float,
+    effective_s: FloatArray,
+    command_deg: FloatArray,
+    slope_deg_s: FloatArray,
+    at_s: FloatArray,
+    pressure_pa: FloatArray,
+    voltage_v: FloatArray,
+    start_deg: float,
+) -> FloatArray:
+    """Measured position at the rising times `at_s`, shape (m,), from rest at `start_deg`, measured [deg]."""
+    result = np.empty(at_s.size)
+    closed, opened, grid_s, order = loop.closed, loop.opened, loop.grid_s, loop.order
+    longest_s = min(longest_s, grid_s * closed.shape[0])
+    dead = 0.5 * physics.deadband_deg + (physics.friction_deg / dc_gain if order == 1 else 0.0)
+    insensitive = 0.5 * physics.insensitive_deg
+    per_rate, per_error = loop.error_per_rate_s / dc_gain, loop.load_per_error
+    up, down = physics.rate_up_deg_s * per_rate, physics.rate_down_deg_s * per_rate
+    friction = physics.friction_deg / dc_gain * per_error
+    rubs = order > 1 and (friction > 0.0 or physics.load_friction > 0.0)
+    bends = dead > 0.0 or insensitive > 0.0
+    loaded = physics.airload_per_pa != 0.0 or physics.droop_deg != 0.0
+    stop_upper, stop_lower = physics.stop_upper_deg / dc_gain, physics.stop_lower_deg / dc_gain
+    natural, half = 2.0 * math.pi * physics.resonance_hz, 0.5 * physics.backlash_deg
+    followed = (start_deg - physics.bias_deg) / physics.gain
+    flexed, swing, played, static, lagged = followed, 0.0, followed, start_deg, start_deg
+    y, v, torque, u, s = followed / dc_gain, 0.0, 0.0, followed / dc_gain, 0.0
+    clock, c, faded_s, fade = at_s[0], 0, -1.0, 0.0
+    while c < effective_s.size and effective_s[c] <= clock:
+        u, s = command_deg[c] + slope_deg_s[c] * (clock - effective_s[c]), slope_deg_s[c]
+        c += 1
+    wanted, slews = u, physics.set_point_deg_s < math.inf
+    if slews:
+        s = 0.0
+    for n in range(at_s.size):
+        now = at_s[n]
+        volt_limit = physics.deg_s_per_v * voltage_v[n] * per_rate if physics.deg_s_per_v < math.inf else math.inf
+        most, least = min(up, volt_limit), -min(down, volt_limit)
+        while True:
+            commanded = c < effective_s.size and effective_s[c] <= now
+            until = effective_s[c] if commanded else now
+            total = until - clock
+            clock = until
+            count = math.ceil(total / longest_s - 1e-9) if total > _NO_STEP_S else 0
+            h = total / max(count, 1)
+            for _ in range(count):
+                if slews:
+                    s = max(min((wanted - u) / h, physics.set_point_deg_s), -physics.set_point_deg_s)
+                middle = y + 0.5 * h * v
+                error = u + 0.5 * h * s - middle
+                bent = error
+                if bends:
+                    bent = max(error - dead, 0.0) + min(error + dead, 0.0)
+                    if abs(error) < insensitive:
+                        bent = 0.0
+                held = bent > most or bent < least or (bends and bent == 0.0)
+                pushed = max(min(bent, most), least) if held else bent - error
+                load = 0.0
+                if loaded:
+                    load = -per_error * (
+                        physics.airload_per_pa * pressure_pa[n] * middle
+                        + physics.droop_deg * math.sin(middle * _PER_DEG)
+                    )
+                x = (y, v, torque, u, s, pushed, load)
+                if held:
+                    y, v, torque = _moved(opened, loop.opened_rate, grid_s, h, x)
+                else:
+                    y, v, torque = _moved(closed, loop.closed_rate, grid_s, h, x)
+                if rubs:
+                    limit = friction
+                    if physics.load_friction > 0.0:
+                        limit += physics.load_friction * (abs(torque) if order == 3 else abs(bent) * per_error)
+                    steps = opened if held else closed
+                    # Response to a deceleration: exact on the grid, in proportion to the time between.
+                    k = min(max(int(h / grid_s + 0.5), 1), steps.shape[0]) - 1
+                    share = h / ((k + 1) * grid_s)
+                    brake = max(min(-v / (steps[k, 1, 6] * share), limit), -limit)
+                    y += steps[k, 0, 6] * share * share * brake
+                    v += steps[k, 1, 6] * share * brake
+                    torque += steps[k, 2, 6] * share * share * brake
+                u += h * s
+                if y > stop_upper:
+                    y, v = stop_upper, min(v, 0.0)
+                elif y < stop_lower:
+                    y, v = stop_lower, max(v, 0.0)
+                before, position = followed, dc_gain * y
+                followed = max(
+                    min(position, before + physics.follow_up_deg_s * h), before - physics.follow_down_deg_s * h
+                )
+                if natural > 0.0:
+                    flexed, swing = _flexed(natural, physics.resonance_damping, h, (before, followed), (flexed, swing))
+                else:
+                    flexed = followed
+                played = max(min(played, flexed + half), flexed - half)
+                before = static
+                static = (
+                    physics.gain
+                    * played
+                    * (1.0 + played * (physics.quadratic_per_deg + played * physics.cubic_per_deg2))
+                )
+                static = max(min(static, physics.upper_deg), physics.lower_deg) + physics.bias_deg
+                if physics.lag_s > 0.0:
+                    if h != faded_s:
+                        faded_s, fade = h, math.exp(-h / physics.lag_s)
+                    drift = (static - before) / h * physics.lag_s
+                    lagged = static - drift + fade * (lagged - before + drift)
+                else:
+                    lagged = static
+            if not commanded:
+                break
+            wanted = command_deg[c]
+            if not slews:
+                u, s = wanted, slope_deg_s[c]
+            c += 1
+        if physics.output_step_deg > 0.0:
+            result[n] = physics.output_step_deg * math.floor(lagged / physics.output_step_deg + 0.5)
+        else:
+            result[n] = lagged
+    return result
+
+
+@njit(cache=True, error_model="numpy")
+def framed(
+    time_s: FloatArray, command_deg: FloatArray, slope_deg_s: FloatArray, period_s: float, phase: float
+) -> tuple[FloatArray, FloatArray]:
+    """Commands as pulse frames carry them: the one in force when each frame begins, held until the next."""
+    first = math.ceil(time_s[0] / period_s - phase)
+    count = max(math.floor(time_s[-1] / period_s - phase) - first + 2, 1)
+    frame_s, frame_deg = np.empty(count), np.empty(count)
+    c = 0
+    for k in range(count):
+        frame_s[k] = (first + k + phase) * period_s
+        while c + 1 < time_s.size and time_s[c + 1] <= frame_s[k]:
+            c += 1
+        frame_deg[k] = command_deg[c] + slope_deg_s[c] * max(frame_s[k] - time_s[c], 0.0)
+    return frame_s, frame_deg

@@ -1,0 +1,62 @@
+"""How large the disagreement would be if the model were right: the noise floor, from the data themselves."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from servofd.discrepancy.record import Record
+    from servofd.types import FloatArray
+
+__all__ = ["long_run_factor", "noise_floor_deg"]
+
+_TO_SIGMA = 1.482602218505602
+"""Standard deviation over median absolute deviation, of a Gaussian."""
+_THIRD = 20.0**0.5
+"""Standard deviation of third differences (1, -3, 3, -1) of white noise."""
+_LAGS = 25
+_SMALLEST_DEG = 1e-6
+
+
+def noise_floor_deg(record: Record, error_deg: FloatArray) -> float:
+    """Standard deviation of what no servo could follow, from third differences of the error [deg].
+
+    Motion is smooth, noise is not; the median of the differences ignores the few samples at which motion is not.
+
+    Examples
+    --------
+    >>> from servofd.discrepancy.record import record_of
+    >>> from servofd.models.servo_model import ServoModel
+    >>> from servofd.segment import Segment
+    >>> from servofd.servos import servo_named
+    >>> t = np.arange(0.0, 60.0, 0.01)
+    >>> noise = 0.1 * np.random.default_rng(0).standard_normal(t.size)
+    >>> record = record_of(Segment("x", t, 0.0 * t, t, noise), ServoModel.of(servo_named("s9254")))
+    >>> round(noise_floor_deg(record, noise), 2)
+    0.1
+    """
+    joined = record.counts[3:] & record.counts[2:-1] & record.counts[1:-2] & record.counts[:-3]
+    third = np.diff(error_deg, 3)[joined]
+    if third.size < 8:
+        return _SMALLEST_DEG
+    spread = _TO_SIGMA * float(np.median(np.abs(third - np.median(third)))) / _THIRD
+    return max(spread, _SMALLEST_DEG)
+
+
+def long_run_factor(error_deg: FloatArray) -> float:
+    """How much the memory of an error widens the variance of its mean, at least 1.
+
+    Examples
+    --------
+    >>> long_run_factor(np.random.default_rng(0).standard_normal(4000)) < 1.3
+    True
+    """
+    power = float(error_deg @ error_deg)
+    if power <= 0.0 or error_deg.size <= 2 * _LAGS:
+        return 1.0
+    total = 1.0
+    for lag in range(1, _LAGS + 1):
+        total += 2.0 * (1.0 - lag / (_LAGS + 1)) * float(error_deg[lag:] @ error_deg[:-lag]) / power
+    return max(1.0, total)

@@ -1,0 +1,173 @@
+"""What is compared: commands and positions of one surface, the samples that count, and the servo's simulation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servofd.detection.residual import Commands, commands_at_servo, lost_commands
+from servofd.discrepancy.physics import Physics, Plant, plant_of
+
+if TYPE_CHECKING:
+    from servofd.models.servo_model import ServoModel
+    from servofd.segment import Segment
+    from servofd.types import BoolArray, FloatArray, IntArray
+
+__all__ = ["BLOCK_S", "Record", "record_of", "simulate"]
+
+BLOCK_S = 0.3
+"""Length of the blocks that are fitted and held out in turn [s]: longer than a servo remembers, shorter than most
+manoeuvres."""
+_SUBSTEP_S, _SHORT_SUBSTEP_S = 2.5e-3, 1e-3
+"""The shorter one for a servo that switches on and off at an edge."""
+_START_S = 0.5
+"""Longest time after a start or a hole during which nothing is compared: the servo forgets where it was."""
+_HOLE_PERIODS, _SHORTEST_HOLE_S = 4.0, 0.1
+_TIME_CONSTANTS = 12.0
+
+
+_LARGEST_GUESS_DEG, _FORGOTTEN_S = 0.25, 0.16
+"""A lost command off by this much moves an HS-225BB by 0.04 deg, for four of its time constants."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Record:
+    """One surface over one log."""
+
+    plant: Plant
+    commands: Commands
+    """As they leave for the servo; the delay comes on top."""
+    time_s: FloatArray
+    """Of the positions, shape (n,) as all that follow."""
+    measured_deg: FloatArray
+    """NaN where it was not measured."""
+    counts: BoolArray
+    """Samples that are compared."""
+    block: IntArray
+    """Number of the block that each sample lies in."""
+    pressure_pa: FloatArray | None = None
+    """Dynamic pressure."""
+    voltage_v: FloatArray | None = None
+    """Supply of the servo."""
+
+    @property
+    def period_s(self) -> float:
+        """Median step [s]."""
+        return float(np.median(np.diff(self.time_s)))
+
+    @property
+    def trained(self) -> BoolArray:
+        """Samples that are fitted: those of every other block."""
+        trained: BoolArray = self.counts & (self.block % 2 == 0)
+        return trained
+
+    @property
+    def held_out(self) -> BoolArray:
+        """Samples that only judge."""
+        held_out: BoolArray = self.counts & (self.block % 2 == 1)
+        return held_out
+
+
+def record_of(
+    segment: Segment,
+    model: ServoModel,
+    *,
+    pressure_pa: FloatArray | None = None,
+    voltage_v: FloatArray | None = None,
+    until_s: float = float("inf"),
+) -> Record:
+    """Prepare a segment for comparison.
+
+    Parameters
+    ----------
+    segment : Segment
+        Commands and measurements.
+    model : ServoModel
+        The servo as it is known.
+    pressure_pa, voltage_v : ndarray, shape (n,), optional
+        Dynamic pressure [Pa] and supply voltage [V] at the measurements.
+    until_s : float
+        Nothing later counts [s].
+    """
+    time_s, measured_deg = segment.measured_s, segment.measured_deg
+    plant = plant_of(model)
+    hole_s = max(_HOLE_PERIODS * segment.period_s, _SHORTEST_HOLE_S)
+    known = np.isfinite(measured_deg)
+    slowest = float(np.abs(model.transfer.poles_rad_s.real).min())
+    start_s = min(_START_S, _TIME_CONSTANTS / slowest) + model.plan.delay_s
+    starts_s = [time_s[known][0], segment.command_s[0]]
+    for times in (time_s[known], segment.command_s):
+        starts_s += times[1:][np.diff(times) > hole_s].tolist()
+    begin = np.sort(np.array(starts_s))
+    last = begin[np.maximum(np.searchsorted(begin, time_s, side="right") - 1, 0)]
+    counts = known & (time_s - last >= start_s) & (time_s >= segment.command_s[0]) & (time_s < until_s)
+    counts &= (time_s <= segment.command_s[-1] + hole_s) & ~_after_lost_commands(segment, hole_s, time_s)
+    # Fewer commands than the servo received: they run straight between, later by the mean lag of the hold.
+    commands = commands_at_servo(segment, 0.0, hole_s)
+    block = ((time_s - time_s[0]) / BLOCK_S).astype(np.int64)
+    return Record(plant, commands, time_s, measured_deg, counts, block, pressure_pa, voltage_v)
+
+
+def _after_lost_commands(segment: Segment, hole_s: float, time_s: FloatArray) -> BoolArray:
+    """Samples that follow a lost command nobody can guess: the commands around it do not lie on a line."""
+    after = np.zeros(time_s.size, dtype=bool)
+    if segment.command_period_s is not None or segment.command_s.size < 4:
+        return after
+    lost = np.flatnonzero(lost_commands(segment.command_s, hole_s))
+    bend = np.abs(np.diff(segment.command_deg, 2, prepend=segment.command_deg[:1], append=segment.command_deg[-1:]))
+    for k in lost[np.maximum(bend[lost], bend[np.minimum(lost + 1, bend.size - 1)]) > _LARGEST_GUESS_DEG]:
+        start_s = segment.command_s[k]
+        first, last = np.searchsorted(time_s, (start_s, segment.command_s[k + 1] + _FORGOTTEN_S))
+        after[first:last] = True
+    return after
+
+
+def simulate(record: Record, physics: Physics) -> FloatArray:
+    """Position that a servo with these effects would show [deg], shape (n,).
+
+    Examples
+    --------
+    >>> from servofd.models.servo_model import ServoModel
+    >>> from servofd.segment import Segment
+    >>> from servofd.servos import servo_named
+    >>> t = np.arange(0.0, 5.0, 0.01)
+    >>> model = ServoModel.of(servo_named("hs225bb-eq31"))
+    >>> record = record_of(Segment("x", t, 5.0 * np.sin(t**2), t, np.zeros(t.size)), model)
+    >>> moved = simulate(record, record.plant.neutral) - model.simulate(t, 5.0 * np.sin(t**2), t)
+    >>> bool(np.abs(moved).max() < 1e-6)
+    True
+    """
+    from servofd.discrepancy.kernel import framed, run
+
+    commands, plant = record.commands, record.plant
+    sent_s, deg, slope = commands.effective_s, commands.command_deg, commands.slope_deg_s
+    if physics.command_step_deg > 0.0:
+        deg = physics.command_step_deg * np.round(deg / physics.command_step_deg)
+    if physics.frame_s > 0.0:
+        sent_s, deg = framed(sent_s, deg, slope, physics.frame_s, physics.frame_phase)
+        slope = np.zeros(deg.size)
+    known = np.flatnonzero(np.isfinite(record.measured_deg))
+    start_deg = float(record.measured_deg[known[0]]) if known.size else 0.0
+    nothing = np.zeros(record.time_s.size)
+    position_deg: FloatArray = run(
+        physics,
+        plant.loop(physics.bandwidth_scale, physics.damping_scale, physics.torque_share),
+        plant.dc_gain,
+        _longest_step_s(physics),
+        sent_s + physics.delay_s,
+        deg,
+        slope,
+        record.time_s - physics.offset_s,
+        nothing if record.pressure_pa is None else record.pressure_pa,
+        nothing if record.voltage_v is None else record.voltage_v,
+        start_deg,
+    )
+    return position_deg
+
+
+def _longest_step_s(physics: Physics) -> float:
+    if physics.is_linear_loop:
+        return float("inf")
+    return _SHORT_SUBSTEP_S if physics.insensitive_deg > 0.0 else _SUBSTEP_S

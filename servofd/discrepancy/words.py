@@ -1,0 +1,42 @@
+"""Numbers of effects with their intervals, and the sentences about them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from servofd.discrepancy.select import Selection
+
+__all__ = ["effect_values", "unjudged_sentence"]
+
+_SURE = 1.959963984540054
+"""Standard deviations of a 95 % interval."""
+_CONTEXT = {"airspeed_m_s": "airspeed (column airspeed_m_s)", "servo_voltage_v": "supply voltage (servo_voltage_v)"}
+
+
+def effect_values(selection: Selection, index: int) -> dict[str, dict[str, float]]:
+    """Parameters of one of the final effects, with 95 % intervals; infinite where the data do not show them."""
+    final = selection.final
+    first = sum(len(effect.parameters) for effect in final.effects[:index])
+    result = {}
+    for k, parameter in enumerate(final.effects[index].parameters, start=first):
+        if parameter.aside:
+            continue
+        value, deviation = float(final.values[k]), float(np.sqrt(max(selection.covariance[k, k], 0.0)))
+        if not np.isfinite(deviation):
+            value = float("nan")
+        result[parameter.name] = {
+            "value": value,
+            "low": max(value - _SURE * deviation, parameter.low),
+            "high": min(value + _SURE * deviation, parameter.high),
+        }
+    return result
+
+
+def unjudged_sentence(selection: Selection) -> str:
+    """Which effects cannot be judged, and what would have to be logged."""
+    names = ", ".join(dict.fromkeys(effect.name for effect in selection.unjudged))
+    needs = " and ".join(_CONTEXT[need] for need in dict.fromkeys(n for e in selection.unjudged for n in e.needs))
+    return f"cannot be judged: {names}; the log holds no {needs}"

@@ -1,0 +1,181 @@
+"""What a simulator that is not the kernel hides in a servo comes out again, by name and size; and nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from servofd.discrepancy.explanation import Explanation, explain_gap
+from servofd.discrepancy.locate import bad_seconds
+from servofd.discrepancy.physics import Physics
+from servofd.discrepancy.record import record_of, simulate
+from servofd.models.servo_model import ServoModel
+from servofd.segment import Segment
+from servofd.servos import library, servo_named
+from tests.recovery.fine_servo import FineServo, Hidden, hide
+
+KNOWN = ServoModel.of(servo_named("hs225bb-eq31"))
+
+
+def explained(log: Hidden, *, context: bool = True) -> Explanation:
+    segment = Segment("elevator", log.time_s, log.command_deg, log.time_s, log.position_deg)
+    if not context:
+        return explain_gap(segment, KNOWN)
+    return explain_gap(segment, KNOWN, airspeed_m_s=log.airspeed_m_s, voltage_v=log.supply_v)
+
+
+def assert_named(found: Explanation, name: str, value: float, within: float) -> None:
+    document = found.document()
+    assert found.conclusion == "explained", document["steps"]
+    step = document["steps"][0]
+    assert step["effect"] == name
+    first = next(iter(step["parameters"].values()))
+    assert first["value"] == pytest.approx(value, abs=within)
+    assert first["low"] <= first["value"] <= first["high"]
+    assert document["final"]["held_out_rms_deg"] < 1.06 * document["noise_floor_rms_deg"]
+    assert all(rival["held_out_rms_deg"] >= 0.99 * step["held_out_rms_deg"] for rival in step["rivals"])
+
+
+@pytest.mark.parametrize("name", library())
+def test_without_effects_it_is_the_linear_servo(name: str) -> None:
+    rng = np.random.default_rng(0)
+    time_s = np.cumsum(rng.uniform(0.007, 0.013, 1500))
+    command_deg = 6.0 * np.sin(time_s) + 2.0 * np.sin(17.0 * time_s)
+    model = ServoModel.of(servo_named(name)).linear()
+    expected = model.simulate(time_s, command_deg, time_s)
+    segment = Segment("x", time_s, command_deg, time_s, np.full(time_s.size, expected[0]))
+    record = record_of(segment, model)
+    moved = simulate(record, record.plant.neutral)
+    assert np.abs(moved - expected).max() < 1e-6
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"rate_up_deg_s": 60.0, "rate_down_deg_s": 60.0},
+        {"friction_deg": 0.4},
+        {"deadband_deg": 1.0},
+        {"backlash_deg": 0.8},
+        {"resonance_hz": 9.0, "resonance_damping": 0.1},
+        {"lag_s": 0.02},
+    ],
+)
+def test_shorter_steps_change_nothing(change: dict[str, float], monkeypatch: pytest.MonkeyPatch) -> None:
+    from servofd.discrepancy import record as records
+
+    time_s = np.arange(0.0, 20.0, 0.01)
+    command_deg = 8.0 * np.sign(np.sin(1.3 * time_s)) + 2.0 * np.sin(5.0 * time_s)
+    record = record_of(Segment("x", time_s, command_deg, time_s, np.full(time_s.size, 8.0)), KNOWN.linear())
+    coarse = simulate(record, record.plant.neutral._replace(**change))
+    monkeypatch.setattr(records, "_SUBSTEP_S", 2.5e-4)
+    fine = simulate(record, record.plant.neutral._replace(**change))
+    assert np.abs(coarse - fine)[record.counts].max() < 0.03
+    assert np.sqrt(np.mean((coarse - fine)[record.counts] ** 2)) < 0.005
+
+
+def test_a_rate_limit_is_the_largest_speed() -> None:
+    time_s = np.arange(0.0, 4.0, 0.01)
+    command_deg = np.where(time_s < 1.0, 0.0, 40.0)
+    record = record_of(Segment("x", time_s, command_deg, time_s, np.zeros(time_s.size)), KNOWN.linear())
+    moved = simulate(record, record.plant.neutral._replace(rate_up_deg_s=100.0))
+    steady = (time_s > 1.15) & (time_s < 1.3)
+    assert np.polyfit(time_s[steady], moved[steady], 1)[0] == pytest.approx(100.0, rel=2e-3)
+    assert moved[-1] == pytest.approx(40.0, abs=1e-6)
+
+
+def test_neutral_effects_are_absent() -> None:
+    assert Physics().is_linear_loop
+    assert not Physics(friction_deg=0.1).is_linear_loop
+    assert not Physics(backlash_deg=0.1).is_linear_loop
+    assert not Physics(lag_s=0.1).is_linear_loop
+
+
+def test_backlash_is_named_in_flight() -> None:
+    assert_named(explained(hide(FineServo(backlash_deg=0.8))), "backlash", 0.8, 0.02)
+
+
+def test_a_rate_limit_is_named_in_a_chirp() -> None:
+    found = explained(hide(FineServo(rate_deg_s=50.0), "chirp"), context=False)
+    assert_named(found, "rate_limit", 50.0, 1.0)
+    assert any("cannot be judged: airload, voltage_rate" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_nothing_is_missing_from_a_healthy_servo(seed: int) -> None:
+    found = explained(hide(FineServo(), seed=seed))
+    assert found.conclusion == "nothing_missing"
+    assert bad_seconds(found.record, found.selection.nominal.error_deg, found.selection.sigma_deg) == ()
+    assert found.where[0].startswith("nowhere")
+
+
+def test_lost_rows_and_jitter_are_no_effect() -> None:
+    rng = np.random.default_rng(5)
+    log = hide(FineServo(), "lively", seed=4)
+    kept = rng.random(log.time_s.size) > 0.03
+    parts = [values[kept] for values in (log.time_s, log.command_deg, log.position_deg)]
+    parts[0] = parts[0] + 0.001 * rng.uniform(-1.0, 1.0, kept.sum())
+    segment = Segment("elevator", parts[0], parts[1], parts[0], parts[2])
+    assert explain_gap(segment, KNOWN).conclusion == "nothing_missing"
+
+
+def test_a_fault_in_the_middle_is_no_missing_effect() -> None:
+    log = hide(FineServo(), "lively", seed=3)
+    stuck = np.where(log.time_s > 18.0, log.position_deg[1800], log.position_deg)
+    stuck[log.time_s > 18.0] += 0.1 * np.random.default_rng(0).standard_normal(int((log.time_s > 18.0).sum()))
+    found = explained(replace(log, position_deg=stuck))
+    assert found.conclusion == "nothing_missing"
+    assert found.fault_s == pytest.approx(18.0, abs=2.0)
+    assert "a fault, not a missing effect" in found.notes[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ["lively", "chirp"])
+@pytest.mark.parametrize(
+    ("servo", "name", "value", "within"),
+    [
+        (FineServo(delay_s=0.03), "delay", 0.03, 4e-4),
+        (FineServo(slow=0.75), "slow_dynamics", 0.75, 0.01),
+        (FineServo(deadband_deg=1.2), "deadband", 1.2, 0.05),
+        (FineServo(backlash_deg=0.8), "backlash", 0.8, 0.03),
+        (FineServo(friction_deg=0.5), "friction", 0.5, 0.03),
+        (FineServo(gain=0.9), "gain", 0.9, 0.005),
+        (FineServo(bias_deg=0.5), "bias", 0.5, 0.02),
+        (FineServo(airload=8e-4), "airload", 8e-4, 5e-5),
+        (FineServo(deg_s_per_v=7.0), "voltage_rate", 7.0, 0.15),
+        (FineServo(lag_s=0.025), "sensor_lag", 0.025, 1.5e-3),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_single_effects(servo: FineServo, name: str, value: float, within: float, command: str) -> None:
+    assert_named(explained(hide(servo, command, duration_s=60.0)), name, value, within)
+
+
+@pytest.mark.slow
+def test_stops_are_named_where_they_are_reached() -> None:
+    assert_named(
+        explained(hide(FineServo(lower_deg=-5.0, upper_deg=5.0), duration_s=60.0)), "position_limit", -5.0, 0.05
+    )
+
+
+@pytest.mark.slow
+def test_two_effects_are_both_named() -> None:
+    found = explained(hide(FineServo(rate_deg_s=50.0, backlash_deg=0.8), duration_s=60.0))
+    assert set(found.selection.final.names) == {"rate_limit", "backlash"}
+    assert found.conclusion == "explained"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(12))
+def test_healthy_servos_at_several_noises(seed: int) -> None:
+    command = ("lively", "chirp", "doublets", "flight")[seed % 4]
+    found = explained(hide(FineServo(), command, seed=seed, noise_deg=(0.05, 0.1, 0.2)[seed % 3]))
+    assert found.conclusion == "nothing_missing"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1])
+def test_what_no_model_contains_is_not_explained(seed: int) -> None:
+    found = explained(hide(FineServo(cyclic_deg=0.5), seed=seed, duration_s=60.0))
+    assert found.conclusion in ("unexplained", "partly_explained")
