@@ -12,20 +12,20 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.signal import lfilter
 
-from hidden_servo import STEP_S, Machine, Motor, at_rest, run
+from hidden_servo import STEP_S, Machine, Motor, run
 from servofd.simulation.commands import COMMANDS
 
 if TYPE_CHECKING:
     from servofd.types import FloatArray
 
 __all__ = [
-    "CATALOGUE", "EXCITATIONS", "LEVELS", "OUTSIDE", "STRUCTURAL", "Effects", "HiddenRecord", "draw", "effect_rms_deg",
-    "hidden", "sweep",
+    "CATALOGUE", "EXCITATIONS", "LEVELS", "OUTSIDE", "STRUCTURAL", "Air", "Effects", "HiddenRecord", "deflection",
+    "draw", "effect_rms_deg", "hidden", "sweep",
 ]  # fmt: skip
 
 Effects = Mapping[str, Mapping[str, float]]
@@ -87,6 +87,8 @@ _COMMAND_DEG = 0.01
 _STAMP_DIGITS = 4
 _DELAY_S = 0.004
 """Thesis Eq. 3.1."""
+_RATE_LIMIT_DEG_S = 370.0
+"""Thesis Fig. 3.10."""
 _REST_S, _TAIL_S, _COARSE_S = 1.0, 0.3, 100 * STEP_S
 _AIR_KG_M3 = 1.225
 """International standard atmosphere at sea level."""
@@ -105,6 +107,24 @@ class HiddenRecord:
     clean_deg: FloatArray
     """What the position sensor would have said without noise and converter; in no log."""
     truth: Effects
+
+
+class Air(NamedTuple):
+    """What goes on around a servo, each of shape (m,), every 10 ms from one second before the first command on."""
+
+    time_s: FloatArray
+    airspeed_m_s: FloatArray
+    supply_v: FloatArray
+
+    @classmethod
+    def steady(cls, duration_s: float, airspeed_m_s: float, supply_v: float) -> Air:
+        """On a bench."""
+        size = round((duration_s + _REST_S + _TAIL_S) / _COARSE_S)
+        return cls(
+            -_REST_S + _COARSE_S * np.arange(size, dtype=np.float64),
+            np.full(size, airspeed_m_s),
+            np.full(size, supply_v),
+        )
 
 
 def draw(rng: np.random.Generator, name: str, level: str) -> dict[str, float]:
@@ -173,35 +193,66 @@ def hidden(
         raise ValueError(f"there is no effect {', '.join(sorted(unknown))}")
     of_seed = [seed, EXCITATIONS.index(excitation)]
     rng = np.random.default_rng(of_seed)
-    grid_s = np.arange(round(duration_s * 100.0), dtype=np.float64) / 100.0
+    grid_s: FloatArray = np.arange(round(duration_s * 100.0)) / 100.0
     shift_s = rng.uniform(-jitter_s, jitter_s, grid_s.size)
-    time_s: FloatArray = np.round(np.maximum(grid_s + shift_s, 0.0).astype(np.float64), _STAMP_DIGITS)
+    time_s = np.maximum(grid_s + shift_s, 0.0).round(_STAMP_DIGITS)
     command_deg: FloatArray = _WAYS[excitation](grid_s, rng)
     command_deg = np.round(command_deg / _COMMAND_DEG) * _COMMAND_DEG
-    coarse_s = -_REST_S + _COARSE_S * np.arange(round((duration_s + _REST_S + _TAIL_S) / _COARSE_S), dtype=np.float64)
-    airspeed_m_s, supply_v = _surroundings(coarse_s, np.random.default_rng([*of_seed, 1]), excitation)
+    air = _surroundings(duration_s, np.random.default_rng([*of_seed, 1]), excitation)
     lot = np.random.default_rng([*of_seed, 2])
-    motor, machine, delay_s, gain = _built(effects, spread, np.random.default_rng([*of_seed, 3]))
-    heard_s, heard_deg = _heard(effects, time_s, command_deg, lot)
-    pressure_pa = 0.5 * _AIR_KG_M3 * airspeed_m_s**2
-    locked = _locked(effects, coarse_s, lot)
-    _, sensed_deg = run(motor, machine, heard_s + delay_s, gain * heard_deg, -_REST_S, supply_v, pressure_pa, locked)
-    fine_s = -_REST_S + STEP_S * np.arange(1, sensed_deg.size + 1)
-    offset_s = effects.get("clock_offset", {}).get("offset_s", 0.0)
-    clean_deg = np.interp(time_s - offset_s, fine_s, sensed_deg) + effects.get("bias", {}).get("bias_deg", 0.0)
-    clean_deg = _spoilt(effects, clean_deg, time_s, lot)
+    scatter = 1.0 + spread * np.random.default_rng([*of_seed, 3]).uniform(-1.0, 1.0, 4)
+    clean_deg = deflection(effects, time_s, command_deg, air, lot, scatter)
     noise = np.random.default_rng([*of_seed, 4])
     read_deg = clean_deg + noise_deg * noise.standard_normal(time_s.size)
     step_deg = effects.get("quantization", {}).get("step_deg", _CONVERTER_DEG)
     read_deg = step_deg * np.round(read_deg / step_deg)
     kept = noise.random(time_s.size) >= row_loss
-    speed_m_s = np.interp(time_s, coarse_s, airspeed_m_s) + 0.1 * noise.standard_normal(time_s.size)
-    voltage_v = np.interp(time_s, coarse_s, supply_v) + 0.01 * noise.standard_normal(time_s.size)
+    speed_m_s = np.interp(time_s, air.time_s, air.airspeed_m_s) + 0.1 * noise.standard_normal(time_s.size)
+    voltage_v = np.interp(time_s, air.time_s, air.supply_v) + 0.01 * noise.standard_normal(time_s.size)
     truth = MappingProxyType({name: MappingProxyType(dict(values)) for name, values in effects.items()})
     stamp_s = _stamped(effects, time_s, lot)
     return HiddenRecord(
         stamp_s[kept], command_deg[kept], read_deg[kept], speed_m_s[kept], voltage_v[kept], clean_deg[kept], truth
     )
+
+
+def deflection(
+    effects: Effects,
+    time_s: FloatArray,
+    command_deg: FloatArray,
+    air: Air,
+    lot: np.random.Generator,
+    scatter: FloatArray | None = None,
+) -> FloatArray:
+    """What the position sensor says without noise and converter [deg], shape (n,).
+
+    Parameters
+    ----------
+    time_s, command_deg : ndarray, shape (n,)
+        When each command was given [s], from 0 on, and what it asks for [deg]; the servo starts at rest at the first.
+    air : Air
+        From one second before that on.
+    lot : numpy Generator
+        Of what an effect leaves open.
+    scatter : ndarray, shape (4,), optional
+        What bandwidth, damping, delay and gain of the servo are multiplied with.
+    """
+    bandwidth, damping, delay, gain = np.ones(4) if scatter is None else scatter
+    motor = Motor.of(bandwidth * effects.get("slow_dynamics", {}).get("bandwidth_scale", 1.0), damping)
+    clipped_deg = motor.error_at(_RATE_LIMIT_DEG_S)
+    machine = Machine(up_deg=clipped_deg, down_deg=clipped_deg)
+    for name, values in effects.items():
+        if name in _TRANSLATED:
+            machine = machine._replace(**_TRANSLATED[name](motor, values))
+    heard_s, heard_deg = _heard(effects, time_s, command_deg, lot)
+    heard_s = heard_s + effects.get("delay", {}).get("delay_s", delay * _DELAY_S)
+    pressure_pa = 0.5 * _AIR_KG_M3 * air.airspeed_m_s**2
+    locked = _locked(effects, air.time_s, lot)
+    sensed_deg = run(motor, machine, heard_s, gain * heard_deg, -_REST_S, air.supply_v, pressure_pa, locked)
+    fine_s = -_REST_S + STEP_S * np.arange(1, sensed_deg.size + 1)
+    offset_s = effects.get("clock_offset", {}).get("offset_s", 0.0)
+    moved_deg = np.interp(time_s - offset_s, fine_s, sensed_deg) + effects.get("bias", {}).get("bias_deg", 0.0)
+    return _spoilt(effects, moved_deg, time_s, lot)
 
 
 def effect_rms_deg(record: HiddenRecord, healthy: HiddenRecord) -> float:
@@ -228,8 +279,8 @@ _WAYS = {"flight": COMMANDS["lively"], "doublets": COMMANDS["doublets"], "chirp"
 _Translation = Callable[[Motor, Mapping[str, float]], dict[str, float]]
 _TRANSLATED: dict[str, _Translation] = {
     "rate_limit": lambda motor, value: {
-        "up_deg": motor.error_at(value.get("rate_up_deg_s", value.get("rate_limit_deg_s", 370.0))),
-        "down_deg": motor.error_at(value.get("rate_down_deg_s", value.get("rate_limit_deg_s", 370.0))),
+        "up_deg": motor.error_at(value.get("rate_up_deg_s", value.get("rate_limit_deg_s", _RATE_LIMIT_DEG_S))),
+        "down_deg": motor.error_at(value.get("rate_down_deg_s", value.get("rate_limit_deg_s", _RATE_LIMIT_DEG_S))),
     },
     "voltage_rate": lambda motor, value: {"per_volt_deg": motor.error_at(value["deg_s_per_v"])},
     "position_limit": lambda _, value: {"low_deg": value["lower_deg"], "high_deg": value["upper_deg"]},
@@ -257,19 +308,6 @@ _TRANSLATED: dict[str, _Translation] = {
 """What an effect is in a machine; those that are missing act elsewhere."""
 
 
-def _built(effects: Effects, spread: float, rng: np.random.Generator) -> tuple[Motor, Machine, float, float]:
-    """Motor, what hangs on it, delay [s] and the gain of the command."""
-    bandwidth, damping, delay, gain = 1.0 + spread * rng.uniform(-1.0, 1.0, 4)
-    bandwidth *= effects.get("slow_dynamics", {}).get("bandwidth_scale", 1.0)
-    motor = Motor.of(bandwidth, damping)
-    clipped_deg = motor.error_at(370.0)
-    machine = at_rest()[1]._replace(up_deg=clipped_deg, down_deg=clipped_deg)
-    for name, values in effects.items():
-        if name in _TRANSLATED:
-            machine = machine._replace(**_TRANSLATED[name](motor, values))
-    return motor, machine, effects.get("delay", {}).get("delay_s", delay * _DELAY_S), float(gain)
-
-
 def _heard(
     effects: Effects, time_s: FloatArray, command_deg: FloatArray, lot: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
@@ -289,19 +327,21 @@ def _stamped(effects: Effects, time_s: FloatArray, lot: np.random.Generator) -> 
     tick_s = 10.0**-_STAMP_DIGITS * np.arange(time_s.size)
     off_s = effects["stamp_jitter"]["deviation_s"] * np.clip(lot.standard_normal(time_s.size), -3.0, 3.0)
     stamp_s: FloatArray = np.maximum.accumulate(np.maximum(time_s + off_s, 0.0) - tick_s) + tick_s
-    return np.round(stamp_s, _STAMP_DIGITS)
+    return stamp_s.round(_STAMP_DIGITS)
 
 
-def _surroundings(at_s: FloatArray, rng: np.random.Generator, excitation: str) -> tuple[FloatArray, FloatArray]:
-    """Airspeed [m/s] and supply [V]: steady on a bench before a fan, in the air as turns and a battery make them."""
+def _surroundings(duration_s: float, rng: np.random.Generator, excitation: str) -> Air:
+    """Steady on a bench before a fan; in the air as turns, gusts and a battery make them."""
+    steady = Air.steady(duration_s, 20.0, 6.0)
     if excitation not in _IN_THE_AIR:
-        return np.full(at_s.size, 20.0), np.full(at_s.size, 6.0)
+        return steady
+    at_s = steady.time_s
     phase = rng.uniform(0.0, 2.0 * np.pi, 2)
     pattern = 6.0 * np.sin(2.0 * np.pi * at_s / 37.0 + phase[0])
     gust_m_s, sag_v = (_smooth(rng, at_s.size, rms, 0.2) for rms in (1.0, 0.2))
-    airspeed_m_s = np.clip(22.0 + pattern + gust_m_s, 12.0, 34.0)
     discharge = 8.2 - 1.8 * (at_s - at_s[0]) / (at_s[-1] - at_s[0])
-    return airspeed_m_s, np.clip(discharge + 0.3 * np.sin(at_s / 4.0 + phase[1]) + sag_v, 4.8, 8.4)
+    supply_v = np.clip(discharge + 0.3 * np.sin(at_s / 4.0 + phase[1]) + sag_v, 4.8, 8.4)
+    return Air(at_s, np.clip(22.0 + pattern + gust_m_s, 12.0, 34.0), supply_v)
 
 
 def _smooth(rng: np.random.Generator, size: int, rms: float, corner_hz: float) -> FloatArray:

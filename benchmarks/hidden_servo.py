@@ -20,7 +20,7 @@ from numba import njit
 if TYPE_CHECKING:
     from servofd.types import BoolArray, FloatArray
 
-__all__ = ["STEP_S", "Machine", "Motor", "at_rest", "run"]
+__all__ = ["STEP_S", "Machine", "Motor", "run"]
 
 STEP_S = 1e-4
 _FAR = 1e9
@@ -29,8 +29,6 @@ _REAL_POLE_RAD_S, _DAMPING_RAD_S, _STIFFNESS_RAD2_S2 = 24.84, 70.04, 4921.0
 """Thesis Eq. 3.1: (s + 24.84) (s^2 + 70.04 s + 4921)."""
 _VISCOSITY_SHARE = 0.1
 """Share of the losses p + q in the bearing; the rest is in the winding. Eq. 3.1 leaves it open."""
-_RATE_LIMIT_DEG_S = 370.0
-"""Thesis Fig. 3.10."""
 
 
 class Motor(NamedTuple):
@@ -99,17 +97,6 @@ class Machine(NamedTuple):
     lag_s: float = 0.0
 
 
-def at_rest(rate_limit_deg_s: float = _RATE_LIMIT_DEG_S) -> tuple[Motor, Machine]:
-    """The healthy servo.
-
-    >>> at_rest()[1].up_deg.__round__(1)
-    20.2
-    """
-    motor = Motor.of()
-    clipped_deg = motor.error_at(rate_limit_deg_s)
-    return motor, Machine(up_deg=clipped_deg, down_deg=clipped_deg)
-
-
 def run(
     motor: Motor,
     machine: Machine,
@@ -119,7 +106,7 @@ def run(
     supply_v: FloatArray,
     pressure_pa: FloatArray,
     locked: BoolArray,
-) -> tuple[FloatArray, FloatArray]:
+) -> FloatArray:
     """Let the servo follow what it hears.
 
     Parameters
@@ -133,13 +120,13 @@ def run(
 
     Returns
     -------
-    tuple of ndarray, each of shape (100 m,)
-        Deflection of the surface, and what its sensor makes of it [deg], at the ends of the steps.
+    ndarray, shape (100 m,)
+        Deflection as the surface's sensor sees it [deg], at the ends of the steps.
     """
-    shaft_deg, surface_deg, sensed_deg = np.empty((3, 100 * supply_v.size))
+    shaft_deg, sensed_deg = np.empty((2, 100 * supply_v.size))
     _turn(motor, machine, heard_s, heard_deg, start_s, supply_v, pressure_pa, locked, shaft_deg)
-    _carry(machine, shaft_deg, surface_deg, sensed_deg)
-    return surface_deg, sensed_deg
+    _carry(machine, shaft_deg, sensed_deg)
+    return sensed_deg
 
 
 @njit(cache=True, inline="always")
@@ -243,7 +230,7 @@ def _turn(
 
 
 @njit(cache=True)
-def _carry(machine: Machine, shaft_deg: FloatArray, surface_deg: FloatArray, sensed_deg: FloatArray) -> None:
+def _carry(machine: Machine, shaft_deg: FloatArray, sensed_deg: FloatArray) -> None:
     """Carry the shaft's motion on to the surface and its sensor: play, rod, elastic surface, stops, lag."""
     h, half = STEP_S, machine.half_play_deg
     sine, cosine = np.sin(machine.arm_rad), np.cos(machine.arm_rad)
@@ -267,6 +254,5 @@ def _carry(machine: Machine, shaft_deg: FloatArray, surface_deg: FloatArray, sen
             flex += h * middle_speed
             flex_speed += h * (square * (0.5 * (before + horn) - middle) - drain * middle_speed)
             before, surface = horn, flex
-        surface_deg[k] = min(max(surface, machine.low_deg), machine.high_deg)
-        sensed += follow * (surface_deg[k] - sensed)
+        sensed += follow * (min(max(surface, machine.low_deg), machine.high_deg) - sensed)
         sensed_deg[k] = sensed
