@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from servofd.types import FloatArray
 
 __all__ = [
-    "CATALOGUE", "EXCITATIONS", "LEVELS", "OUTSIDE", "STRUCTURAL", "Air", "Effects", "HiddenRecord", "deflection",
-    "draw", "effect_rms_deg", "hidden", "sweep",
+    "CATALOGUE", "CONVERTER_DEG", "EXCITATIONS", "LEVELS", "OUTSIDE", "STRUCTURAL", "Air", "Effects", "HiddenRecord",
+    "deflection", "draw", "effect_rms_deg", "hidden", "sweep",
 ]  # fmt: skip
 
 Effects = Mapping[str, Mapping[str, float]]
@@ -49,14 +49,14 @@ CATALOGUE: _Sizes = {
     "sensor_lag": {"time_constant_s": (0.01, 0.025, 0.06)},
     "quantization": {"step_deg": (0.4, 0.9, 2.0)},
     "linkage_nonlinearity": {"arm_offset_deg": (35.0, 50.0, 62.0)},
-    "resonance": {"frequency_hz": (11.0, 8.0, 4.5), "damping": (0.15, 0.1, 0.08)},
+    "resonance": {"frequency_hz": (11.0, 8.0, 4.5), "damping_ratio": (0.15, 0.1, 0.08)},
     "clock_offset": {"offset_s": (-0.012, -0.025, -0.06)},
-    "gravity_load": {"droop_deg": (0.5, 1.5, 4.0)},
-    "load_friction": {"friction_deg_per_deg": (0.08, 0.18, 0.4)},
+    "gravity_load": {"droop_deg": (3.0, 10.0, 30.0)},
+    "load_friction": {"share": (0.15, 0.3, 0.6)},
 }
-"""Effects of the contract with parameters for `LEVELS`. A clock offset is what is to be subtracted from the stamps of
-the positions: below zero the surface seems to move before its command, which no delay explains. The droop by weight is
-that of a level arm. Friction under load is in degrees of position error for each degree of deflection. The arm of a
+"""Effects of the contract with parameters for `LEVELS`. A clock offset is by how much positions are stamped too late:
+below zero the surface seems to move before its command, which no delay explains. The weight hangs on the horn at 0 deg
+and droops by what is said when its arm is level. Friction under load is a share of the motor's pull. The arm of a
 non-linear linkage is off from square to its rod."""
 STRUCTURAL: _Sizes = {
     "lugre_friction": {"friction_deg": (0.4, 0.8, 2.0), "presliding_deg": (0.1, 0.2, 0.3)},
@@ -65,10 +65,12 @@ STRUCTURAL: _Sizes = {
     "coloured_noise": {"rms_deg": (0.1, 0.2, 0.4), "pole": (0.9, 0.9, 0.9)},
     "stamp_jitter": {"deviation_s": (0.001, 0.003, 0.005)},
     "hard_deadband": {"width_deg": (0.6, 1.5, 4.0)},
+    "bearing_load": {"friction_deg_per_deg": (0.08, 0.18, 0.4)},
     "hard_stop": {"lower_deg": (-6.0, -4.5, -2.5), "upper_deg": (7.0, 4.0, 3.0)},
 }
 """Physics by another law than the catalogue's; hard: the loop sees the whole error once beyond the edge, the shaft
-stalls at its stop instead of straining the linkage. Jitter is that of stamps that are not true."""
+stalls at its stop instead of straining the linkage. Friction of a loaded bearing grows with deflection.
+Jitter is that of stamps that are not true."""
 OUTSIDE: _Sizes = {
     "stick_bursts": {"hold_s": (0.3, 0.6, 1.2), "every_s": (8.0, 6.0, 5.0)},
     "pot_spot": {"centre_deg": (1.5, 1.5, 1.5), "width_deg": (1.0, 1.5, 2.0), "error_deg": (1.0, 2.0, 4.0)},
@@ -81,7 +83,8 @@ EXCITATIONS = ("flight", "doublets", "chirp", "sweep")
 """Lively flight and doublets in varying air at a falling voltage; a chirp of 4 deg and sweeps of 1, 3 and 9 deg at a
 steady 20 m/s and 6 V."""
 _IN_THE_AIR = ("flight", "doublets")
-_CONVERTER_DEG = 180.0 / 4096.0
+CONVERTER_DEG = 180.0 / 4096.0
+"""Step of a converter of 12 bits for 180 deg."""
 _COMMAND_DEG = 0.01
 """To how many degrees commands are given: what a log of two decimals holds is what the servo got."""
 _STAMP_DIGITS = 4
@@ -204,7 +207,7 @@ def hidden(
     clean_deg = deflection(effects, time_s, command_deg, air, lot, scatter)
     noise = np.random.default_rng([*of_seed, 4])
     read_deg = clean_deg + noise_deg * noise.standard_normal(time_s.size)
-    step_deg = effects.get("quantization", {}).get("step_deg", _CONVERTER_DEG)
+    step_deg = effects.get("quantization", {}).get("step_deg", CONVERTER_DEG)
     read_deg = step_deg * np.round(read_deg / step_deg)
     kept = noise.random(time_s.size) >= row_loss
     speed_m_s = np.interp(time_s, air.time_s, air.airspeed_m_s) + 0.1 * noise.standard_normal(time_s.size)
@@ -287,14 +290,15 @@ _TRANSLATED: dict[str, _Translation] = {
     "deadband": lambda _, value: {"half_dead_deg": value["width_deg"] / 2.0},
     "backlash": lambda _, value: {"half_play_deg": value["width_deg"] / 2.0},
     "friction": lambda motor, value: {"friction_pull": motor.pull_of(value["friction_deg"])},
-    "load_friction": lambda motor, value: {"rub_pull": motor.pull_of(value["friction_deg_per_deg"])},
+    "load_friction": lambda _, value: {"rub_share": value["share"]},
+    "bearing_load": lambda motor, value: {"rub_pull": motor.pull_of(value["friction_deg_per_deg"])},
     "airload": lambda motor, value: {"air_pull": motor.pull_of(value["deg_per_deg_pa"])},
     "gravity_load": lambda motor, value: {"weight_pull": motor.pull_of(value["droop_deg"])},
     "gain": lambda _, value: {"gain": value["gain"]},
     "linkage_nonlinearity": lambda _, value: {"arm_rad": math.radians(value["arm_offset_deg"])},
     "resonance": lambda _, value: {
         "flex_rad_s": 2.0 * math.pi * value["frequency_hz"],
-        "flex_damping": value["damping"],
+        "flex_damping": value["damping_ratio"],
     },
     "sensor_lag": lambda _, value: {"lag_s": value["time_constant_s"]},
     "lugre_friction": lambda motor, value: {

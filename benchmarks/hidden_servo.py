@@ -72,11 +72,13 @@ class Machine(NamedTuple):
     air_pull: float = 0.0
     """Acceleration by hinge moment, for each degree and pascal [1/(s^2 Pa)]."""
     weight_pull: float = 0.0
-    """Acceleration by weight with the arm level, which it is at 0 deg [deg/s^2]."""
+    """Acceleration by a weight on the horn that hangs at 0 deg, for a level arm [deg/s^2]."""
     friction_pull: float = 0.0
     """Coulomb friction, as the acceleration it takes away [deg/s^2]."""
     rub_pull: float = 0.0
     """Further friction for each degree of deflection: a loaded bearing [1/s^2]."""
+    rub_share: float = 0.0
+    """Further friction as a share of the motor's pull: loaded teeth."""
     bristle_deg: float = 0.0
     """Pre-sliding of LuGre friction; 0: Coulomb friction."""
     set_point_deg_s: float = _FAR
@@ -147,18 +149,18 @@ def _load(machine: Machine, shaft_deg: float, pressure_pa: float) -> float:
     """Acceleration against the motor by air and weight."""
     pull = machine.air_pull * pressure_pa * shaft_deg
     if machine.weight_pull != 0.0:
-        pull += machine.weight_pull * np.cos(np.radians(shaft_deg))
+        pull += machine.weight_pull * np.sin(np.radians(shaft_deg))
     return pull
 
 
 @njit(cache=True, inline="always")
-def _drag(machine: Machine, shaft: float, speed: float, pull: float) -> tuple[float, bool]:
+def _drag(machine: Machine, shaft: float, speed: float, torque: float, load: float) -> tuple[float, bool]:
     """What Coulomb friction takes away from the acceleration, and whether it holds the shaft (Karnopp)."""
-    grip = machine.friction_pull + machine.rub_pull * abs(shaft)
+    grip = machine.friction_pull + machine.rub_pull * abs(shaft) + machine.rub_share * abs(torque)
     if grip == 0.0:
         return 0.0, False
     if speed == 0.0:
-        return (grip if pull > 0.0 else -grip), abs(pull) <= grip
+        return (grip if torque > load else -grip), abs(torque - load) <= grip
     return (grip if speed > 0.0 else -grip), False
 
 
@@ -206,7 +208,7 @@ def _turn(
             drag, fast = stiffness * bristle + 2.0 * np.sqrt(stiffness) * yielding, False
             bristle += h * yielding
         else:
-            drag, fast = _drag(machine, shaft, speed, torque - load)
+            drag, fast = _drag(machine, shaft, speed, torque, load)
         middle_torque = torque + 0.5 * h * (-q * torque - r * speed + loop * _drive(machine, set_point - shaft, volts))
         if fast or locked[k // 100]:
             speed = 0.0

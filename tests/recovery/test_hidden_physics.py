@@ -53,6 +53,14 @@ def falling(values: FloatArray) -> FloatArray:
     return values[(TIME_S > 6.5) & (TIME_S < 14.0)]
 
 
+def up_from_level(values: FloatArray) -> FloatArray:
+    return values[(TIME_S > 22.0) & (TIME_S < 24.5)]
+
+
+def down_to_level(values: FloatArray) -> FloatArray:
+    return values[(TIME_S > 26.0) & (TIME_S < 28.5)]
+
+
 @pytest.mark.parametrize("excitation", EXCITATIONS)
 def test_without_effects_it_is_the_model(excitation: str) -> None:
     record = hidden(3, {}, excitation, jitter_s=0.002)
@@ -127,9 +135,9 @@ def test_a_soft_dead_band_rests_within_and_a_hard_one_does_not_stop_at_its_edge(
     assert 2.5 < hard_deg < 3.5
 
 
-def test_load_friction_grows_with_deflection() -> None:
-    lag_deg = rising(difference("load_friction", friction_deg_per_deg=0.1))
-    where_deg = rising(moved({"load_friction": {"friction_deg_per_deg": 0.1}}, TRIANGLE_DEG))
+def test_friction_of_a_loaded_bearing_grows_with_deflection() -> None:
+    lag_deg = rising(difference("bearing_load", friction_deg_per_deg=0.1))
+    where_deg = rising(moved({"bearing_load": {"friction_deg_per_deg": 0.1}}, TRIANGLE_DEG))
     np.testing.assert_allclose(lag_deg, -0.1 * np.abs(where_deg), atol=0.03)
 
 
@@ -141,10 +149,22 @@ def test_air_takes_away_deflection_by_its_pressure() -> None:
         assert 6.0 - held_deg == pytest.approx(1e-3 * pressure_pa * held_deg, rel=1e-6)
 
 
-def test_weight_droops_by_the_cosine() -> None:
-    for command_deg in (0.0, 40.0):
-        held_deg = moved({"gravity_load": {"droop_deg": 2.0}}, np.full(TIME_S.size, command_deg))[-1]
-        assert command_deg - held_deg == pytest.approx(2.0 * np.cos(np.radians(held_deg)), rel=1e-6)
+def test_friction_under_load_holds_a_share_of_it() -> None:
+    # Going up against the weight the motor pulls e, of which a share is lost: e (1 - share) = droop sin; going down it
+    # is helped: e (1 + share) = droop sin.
+    weight = {"gravity_load": {"droop_deg": 12.0}}
+    rubbed_deg = moved({**weight, "load_friction": {"share": 0.3}}, TRIANGLE_DEG) - TRIANGLE_DEG
+    free_deg = moved(weight, TRIANGLE_DEG) - TRIANGLE_DEG
+    up, down = (np.mean(where(rubbed_deg)) for where in (up_from_level, down_to_level))
+    free_up, free_down = (np.mean(where(free_deg)) for where in (up_from_level, down_to_level))
+    assert up / free_up == pytest.approx(1.0 / 0.7, rel=0.1)
+    assert down / free_down == pytest.approx(1.0 / 1.3, rel=0.1)
+
+
+def test_weight_droops_by_the_sine() -> None:
+    for command_deg in (10.0, 60.0):
+        held_deg = moved({"gravity_load": {"droop_deg": 20.0}}, np.full(TIME_S.size, command_deg))[-1]
+        assert command_deg - held_deg == pytest.approx(20.0 * np.sin(np.radians(held_deg)), rel=1e-6)
 
 
 def test_gain_bias_and_stops_are_what_they_say() -> None:
@@ -182,7 +202,7 @@ def test_a_sensor_lags_by_its_time_constant() -> None:
 
 def test_an_elastic_rod_rings_at_its_frequency() -> None:
     step_deg = np.where(TIME_S < 1.0, 0.0, 5.0)
-    values = {"frequency_hz": 4.0, "damping": 0.05}
+    values = {"frequency_hz": 4.0, "damping_ratio": 0.05}
     ringing_deg = moved({"resonance": values}, step_deg)[120:520] - 5.0
     crossings = np.flatnonzero(np.diff(np.sign(ringing_deg)))
     assert 0.5 / np.mean(np.diff(crossings) / 100.0) == pytest.approx(4.0 * np.sqrt(1.0 - 0.05**2), rel=0.02)
