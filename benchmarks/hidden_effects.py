@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -35,6 +35,9 @@ from hidden_physics import (
 )
 from hidden_rivals import leftover_sigmas
 from hidden_score import Score, ask, score
+
+if TYPE_CHECKING:
+    from servofd.types import FloatArray
 
 PAIRS = (
     ("delay", "backlash"), ("rate_limit", "backlash"), ("rate_limit", "bias"), ("deadband", "slow_dynamics"),
@@ -91,7 +94,7 @@ def cases(seeds: int, spread: float = 0.0, *, quick: bool = False) -> Iterator[C
     levels = LEVELS[1:2] if quick else LEVELS
     ways = ("flight", "chirp") if quick else EXCITATIONS
     noises = NOISES_DEG[1:2] if quick else NOISES_DEG
-    sets = {
+    sets: dict[str, list[tuple[str, ...]]] = {
         "single": [(name,) for name in CATALOGUE],
         "pair": [*PAIRS[:: 3 if quick else 1]],
         "triple": [*TRIPLES[:: 3 if quick else 1]],
@@ -157,7 +160,9 @@ def report(results: Sequence[Result]) -> None:
         first = Counter(one.score.named[0] if one.score.named else one.score.conclusion for one in group)
         print(f"  {name:22s}", ", ".join(f"{what} {count}" for what, count in first.most_common()))
     print("\nNot separable by their excitation")
-    lost = Counter((one.case.names[0], one.doubt, one.case.excitation) for one in singles if one.sizes >= 1 > one.fair)
+    lost = Counter(
+        (one.case.names[0], one.doubt, one.case.excitation) for one in singles if one.sizes >= 1.0 and not one.fair
+    )
     print("  " + ("; ".join(f"{a} as {b} in {way}: {n}" for (a, b, way), n in lost.most_common()) or "none"))
     _print_sizes(singles)
     _print_rest(results, singles)
@@ -215,19 +220,16 @@ def _print_rest(results: Sequence[Result], singles: list[Result]) -> None:
     doubted = ("unexplained", "partly_explained")
     print("Outside the catalogue, called so:", _percent(one.score.conclusion in doubted for one in outside))
     print("At least one of several named:", _percent(one.score.found > 0 for one in several))
-    ratio, closed, closed_linear, closed_nonlinear, took_s = (
-        np.array([value(one) for one in fair], dtype=float)
-        for value in (
-            lambda one: one.score.floor_ratio,
-            lambda one: one.score.closure,
-            lambda one: one.linear,
-            lambda one: one.nonlinear,
-            lambda one: one.seconds,
-        )
+    ratio = _known(one.score.floor_ratio for one in fair)
+    took_s = _known(one.seconds for one in fair)
+    print("Held-out rms of at most 1.03 times the noise:", _percent(one <= 1.03 for one in ratio))
+    print("Gap closed, median and lowest tenth:", _spread(one.score.closure for one in fair))
+    print(
+        "  linear regression:",
+        _spread(one.linear for one in fair),
+        "  non-linear:",
+        _spread(one.nonlinear for one in fair),
     )
-    print("Held-out rms of at most 1.03 times the noise:", _percent(ratio[np.isfinite(ratio)] <= 1.03))
-    print("Gap closed, median and lowest tenth:", _spread(closed))
-    print("  linear regression:", _spread(closed_linear), "  non-linear:", _spread(closed_nonlinear))
     if has_pysindy():
         grouped = [one for one in fair if one.case.names[0] in GROUPS]
         for way, group in _grouped(grouped, lambda one: one.case.excitation):
@@ -249,8 +251,14 @@ def _percent(flags: Iterable[object]) -> str:
     return f"{100.0 * sum(known) / len(known):.1f} %" if known else ""
 
 
-def _spread(values: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:
-    known = values[np.isfinite(values)]
+def _known(values: Iterable[float]) -> FloatArray:
+    """Values that are numbers."""
+    every = np.array(list(values), dtype=np.float64)
+    return every[np.isfinite(every)]
+
+
+def _spread(values: Iterable[float]) -> str:
+    known = _known(values)
     return f"{100.0 * np.median(known):.1f} %, {100.0 * np.quantile(known, 0.1):.1f} %" if known.size else "unknown"
 
 

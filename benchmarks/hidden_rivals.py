@@ -10,6 +10,8 @@ from scipy.optimize import minimize_scalar
 from hidden_physics import CONVERTER_DEG, Effects, HiddenRecord, hidden
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from servofd.types import FloatArray
 
 __all__ = ["RIVALS", "Doubt", "leftover_sigmas"]
@@ -44,6 +46,8 @@ _RANGES: dict[str, tuple[str, float, float]] = {
     "gravity_load": ("droop_deg", -5.0, 50.0),
 }
 
+_GRID = 13
+
 Doubt = tuple[str, float]
 """The best look-alike, and how far it stays away from the truth [standard deviations of the noise, in all]."""
 
@@ -73,9 +77,17 @@ def leftover_sigmas(record: HiddenRecord, seed: int, effects: Effects, excitatio
             other = hidden(seed, {rival: {key: value}}, excitation, noise_deg, record.time_s.size / 100.0)
             return _distance(record.clean_deg, other.clean_deg)
 
-        least = float(minimize_scalar(away_deg, bounds=(low, high), method="bounded", options={"maxiter": 20}).fun)
+        least = _least(away_deg, low, high)
         best = min(best, (rival, least / floor_deg), key=lambda doubt: doubt[1])
     return best
+
+
+def _least(function: Callable[[float], float], low: float, high: float) -> float:
+    """Smallest value between two bounds: where a grid, finer towards the lower one, is lowest, and then near there."""
+    grid = low + (high - low) * np.linspace(0.0, 1.0, _GRID) ** 2
+    k = int(np.argmin([function(value) for value in grid]))
+    near = (grid[max(k - 1, 0)], grid[min(k + 1, _GRID - 1)])
+    return float(minimize_scalar(function, bounds=near, method="bounded", options={"maxiter": 25, "xatol": 1e-7}).fun)
 
 
 def _distance(one: FloatArray, other: FloatArray) -> float:
