@@ -16,9 +16,11 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from detection import calibration, delays, false_alarms, fly, limits, onsets, shares
 from detection_pictures import draw
+from servofd.aircraft import DEFAULT_SIGMAS
 from servofd.detection import alarm, allowance, threshold
 from servofd.detection.bank import (
     classify,
+    confirm,
     explanation,
     following,
     isolate,
@@ -80,7 +82,7 @@ compares D2 with servos that are simulated with these errors.)
 
 **Interval.** `threshold = "interval"` bounds each term of D2 by its tolerance times the recent peak of its signal:
 
-    tau(t) = T(t) + {allowance.LARGEST_NOISE:g} sigma_r(t)
+    tau(t) = T(t) + {DEFAULT_SIGMAS:g} sigma_r(t)
     T(t)   = b + |dk| [r0] + |dt| [dr0/dt] + |dw| [sum_i ...] + [r_sat] + lost                        (D3)
 
 | in D3 | | default |
@@ -118,10 +120,10 @@ to the residual by the terms x = [r0, dr0/dt, sum_i ..., 1] of D2, once with wha
 
     H = min_tight - min_free,  min = min over theta of sum (r - x theta)² / (S sigma_r²) + sum theta_j² / s_j²,   (D6)
 
-S being the long-run factor; what is beyond all tolerance, or rests on lost commands, teaches no habits.
+S being the long-run factor, and sigma_r no less than {allowance._TRIFLE:g} of the tolerated bias; what is beyond all tolerance, or rests on lost commands, teaches no habits.
 H >= {threshold._SUSPICIOUS_DRIFT:g} means that gain, delay, bandwidth or bias is not that of a healthy servo. Both raise a *suspicion*, which ends when
 none was raised for {alarm._SUSPICION_LASTS_S:g} s. It goes through the bank like an alarm; under an interval threshold it becomes a fault if the
-bank is sure of its name (P >= {isolate.SURE:g}), with the suspicion as its alarm, else the surface is *suspect*. Rough models (drafts with a
+bank is sure of its name (P >= {confirm.SURE:g}), and its alarm is raised when the name is; else the surface is *suspect*. Rough models (drafts with a
 wider threshold and no tolerances of their own) raise none.
 """
 
@@ -174,7 +176,7 @@ after Schwarz; smaller is better. The probability of hypothesis i, all being equ
     P_i = exp(-B_i/2) / sum_j exp(-B_j/2).                                                            (D10)
 
 **How long to look.** Windows begin {isolate._SETTLING_S:g} s after the onset and last {", ".join(f"{length_s:g}" for length_s in isolate._WINDOWS_S)} s; the first in which a hypothesis has
-P >= {isolate.SURE:g} *and* the healthy deflection covers {isolate._ENOUGH_MOTION_DEG:g} deg decides. **Not enough motion**: a jam and a dead band, a bias and a jam,
+P >= {confirm.SURE:g} *and* the healthy deflection covers {isolate._ENOUGH_MOTION_DEG:g} deg decides. **Not enough motion**: a jam and a dead band, a bias and a jam,
 differ only in motion. If no window has enough of it the longest decides, with the probability that it gives, and names the
 alternatives of {classify._WORTH_MENTIONING:.0%} and more; below {isolate._LIKELY:g} the name is `unknown` and all that can be said is "at fault, with too little
 motion to tell which". If the winner is *healthy*, the tolerances of a working servo explain the alarm: it is acquitted

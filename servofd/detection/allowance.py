@@ -6,10 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from servofd.aircraft import DEFAULT_SIGMAS
 from servofd.models.state import compiled, inlined
 from servofd.types import BoolArray, ComplexArray, FloatArray
 
-__all__ = ["CURVATURE_TO_SIGMA", "LARGEST_NOISE", "Bounds", "Signals", "follow", "new_work"]
+__all__ = ["CURVATURE_TO_SIGMA", "Bounds", "Signals", "follow", "new_work"]
 
 _PEAK_HOLD_S = 0.15
 """Time constant with which the peaks fade: about as long as the filter remembers."""
@@ -21,8 +22,6 @@ _GLITCH = 5.0
 """Second differences count as no more than this many standard deviations."""
 CURVATURE_TO_SIGMA = float(np.sqrt(np.pi / 2.0 / 6.0))
 """Mean absolute second difference of white noise to its standard deviation. The median would fail on coarse steps."""
-LARGEST_NOISE = 6.0
-"""Gaussian noise in a residual of this colour exceeds 6 standard deviations 7e-4 times an hour."""
 _MEMORY_S, _EVERY_S = 10.0, 0.5
 """How far back a servo's habits are remembered, and how often they are looked at."""
 _TRIFLE = 0.1
@@ -140,7 +139,7 @@ def follow(
             last_s, last_deg = signals.time_s[k], value
             residual = signals.judged_deg[k]
             # A made-up command says nothing about the servo's habits, and what is beyond all tolerance is no habit.
-            allowed = _total(bounds.habits, peak) + peak_rate + LARGEST_NOISE * bounds.noise_gain * noise
+            allowed = _total(bounds.habits, peak) + peak_rate + DEFAULT_SIGMAS * bounds.noise_gain * noise
             if abs(residual) <= allowed and unseen < bounds.noise_gain * noise:
                 _learn(work.gram, work.moment, x, residual, 1.0 / (1.0 + step_s / _MEMORY_S))
                 if last_s >= next_s:

@@ -254,7 +254,7 @@ def _verdict(
         return "fault", f"servo or its feedback: {found}"
     if suspicions:
         found = "; ".join(describe(fault) for fault in suspicions)
-        return "suspect", f"beyond its tolerances, within the threshold: {found}"
+        return "suspect", f"no alarm stands, but look at it: {found}"
     shown_deg = _would_have_shown(residuals)
     if shown_deg < threshold.typical_deg:
         return "unknown", (

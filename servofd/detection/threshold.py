@@ -24,7 +24,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from servofd.detection.allowance import LARGEST_NOISE, Bounds, Signals, follow, new_work
+from servofd.aircraft import DEFAULT_SIGMAS
+from servofd.detection.allowance import Bounds, Signals, follow, new_work
 
 if TYPE_CHECKING:
     from servofd.detection.probability import CusumDesign
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
     from servofd.tolerance import Tolerance
     from servofd.types import BoolArray, FloatArray
 
-__all__ = ["Threshold", "ThresholdKind", "constant_threshold", "interval_threshold", "suspicion"]
+__all__ = ["Threshold", "ThresholdKind", "constant_threshold", "habits", "interval_threshold", "suspicion"]
 
 ThresholdKind = Literal["constant", "interval"]
 
@@ -78,7 +79,11 @@ def constant_threshold(interval: Threshold, level_deg: float) -> Threshold:
 
 
 def interval_threshold(
-    generator: ResidualGenerator, segment: Segment, residuals: Residuals, tolerance: Tolerance
+    generator: ResidualGenerator,
+    segment: Segment,
+    residuals: Residuals,
+    tolerance: Tolerance,
+    sigmas: float = DEFAULT_SIGMAS,
 ) -> Threshold:
     """Largest residual that a healthy servo may have under the commands that it gets.
 
@@ -92,6 +97,8 @@ def interval_threshold(
         Of the segment.
     tolerance : Tolerance
         How far a healthy servo may differ from the model.
+    sigmas : float
+        Standard deviations of noise in the threshold.
 
     Returns
     -------
@@ -125,7 +132,7 @@ def interval_threshold(
     tolerated, sigma, drift = np.empty(size), np.empty(size), np.zeros(size)
     cusum = design_cusum(_KAPPA, _SUSPICIONS_PER_HOUR, Noise.designed(pulse, 1.0))
     bounds = Bounds(
-        np.array([tolerance.gain, tolerance.delay_s, _slowest(tolerance.bandwidth), tolerance.bias_deg]),
+        habits(tolerance),
         tolerance.noise_deg,
         max(_step_deg(residuals.measured_deg) / np.sqrt(12.0), _SMALLEST_NOISE_DEG),
         pulse.noise_gain,
@@ -142,7 +149,7 @@ def interval_threshold(
     )
     decay_rad_s = generator.model.parameters().decay_rad_s
     follow(signals, bounds, new_work(bounds, decay_rad_s.size), decay_rad_s, tolerated, sigma, drift)
-    return Threshold("interval", tolerated + LARGEST_NOISE * sigma, tolerated, sigma, cusum, drift)
+    return Threshold("interval", tolerated + sigmas * sigma, tolerated, sigma, cusum, drift)
 
 
 def suspicion(residuals: Residuals, threshold: Threshold) -> BoolArray:
@@ -181,9 +188,19 @@ def _rate_error(generator: ResidualGenerator, segment: Segment, residuals: Resid
     return generator.filtered(residuals.time_s, known, residuals.restart)
 
 
-def _slowest(share: float) -> float:
-    """A bandwidth lower by a share lengthens all lags by more than that share."""
-    return share / (1.0 - share)
+def habits(tolerance: Tolerance) -> FloatArray:
+    """Largest relative changes of gain, delay [s], lags and bias [deg] that the tolerances allow, of shape (4,).
+
+    A bandwidth lower by a share lengthens all lags by more than that share.
+
+    Examples
+    --------
+    >>> from servofd.tolerance import Tolerance
+    >>> habits(Tolerance(bandwidth=0.5)).tolist()
+    [0.03, 0.003, 1.0, 0.3]
+    """
+    lags = tolerance.bandwidth / (1.0 - tolerance.bandwidth)
+    return np.array([tolerance.gain, tolerance.delay_s, lags, tolerance.bias_deg])
 
 
 def _step_deg(measured_deg: FloatArray) -> float:

@@ -146,18 +146,17 @@ def test_the_examples_of_identification_run(monkeypatch: pytest.MonkeyPatch, tmp
 
 
 def test_the_aircraft_files_of_the_documentation_are_valid(tmp_path: Path) -> None:
-    first, limits, servo, table, appendix_c = blocks((ROOT / "docs" / "aircraft-file.md").read_text(), "toml")
+    first, judging, servo, table, appendix_c = blocks((ROOT / "docs" / "aircraft-file.md").read_text(), "toml")
     config = tmp_path / "plane.toml"
+    config.write_text(judging)
+    elevator = load_aircraft(config).surfaces["elevator"]
+    assert (elevator.threshold, elevator.persistence, elevator.tolerances) == ("interval", 1, Tolerance())
     config.write_text(first + servo + table)
     aircraft = load_aircraft(config)
     assert aircraft.servos["my-servo"].delay_s == 0.012
     assert aircraft.table is not None
     config.write_text(appendix_c)
     assert load_aircraft(config).table is not None
-    config.write_text(limits)
-    elevator = load_aircraft(config).surfaces["elevator"]
-    assert (elevator.threshold, elevator.persistence) == ("interval", 1)
-    assert elevator.tolerance == Tolerance()
 
 
 def test_the_bench_output_of_appendix_c_is_audited(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -179,3 +178,23 @@ def test_the_bench_output_of_appendix_c_is_audited(tmp_path: Path, capsys: pytes
     stuck = [f"{counts[0] + k % 2}\t0\t{u:.2f}" for k, u in enumerate(command_us)]
     (tmp_path / "stuck.txt").write_text("\n".join(stuck) + "\n")
     assert main(["audit", str(tmp_path / "stuck.txt"), "-c", str(config)]) == 1
+
+
+@pytest.mark.slow
+def test_the_calibration_page_shows_what_its_commands_print(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    codes = {}
+    for block in blocks((ROOT / "docs" / "calibrate.md").read_text(), "console"):
+        for shown in block.split("$ servofd ")[1:]:
+            command, _, output = shown.partition("\n")
+            words, _, target = command.partition(" > ")
+            codes[command] = main(shlex.split(words))
+            printed = capsys.readouterr().out
+            if target:
+                (tmp_path / target).write_text(printed)
+                printed = ""
+            assert plain(printed) == plain(output), command
+    assert codes["audit flight.bin -c calibrated.toml"] == 1
+    assert codes["sweep ground.bin -c calibrated.toml"] == 0

@@ -30,7 +30,7 @@ class Estimate(NamedTuple):
     @classmethod
     def of(cls, value: float, deviation: float) -> Estimate:
         """Estimate with a standard deviation."""
-        return cls(value, value - _Z_95 * deviation, value + _Z_95 * deviation)
+        return cls(float(value), float(value - _Z_95 * deviation), float(value + _Z_95 * deviation))
 
     @property
     def deviation(self) -> float:

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from servofd.detection.bank.classify import Naming, name_fault
+from servofd.detection.bank.classify import BANK, Naming, name_fault
+from servofd.detection.bank.confirm import SURE
 from servofd.detection.bank.onset import BEFORE_S, refine_onset_s
 from servofd.detection.bank.signature import first_signs
 from servofd.detection.bank.window import Onset, Window
@@ -20,14 +21,14 @@ if TYPE_CHECKING:
     from servofd.detection.residual import Commands, ResidualGenerator, Residuals
     from servofd.tolerance import Tolerance
 
-__all__ = ["SURE", "Fault", "Flight", "isolate"]
+__all__ = ["Fault", "Flight", "isolate"]
 
 _SETTLING_S = 0.25
 """Left out after the onset: faults that set in abruptly still move the surface as a healthy servo would."""
+_AT_REST = ("stuck", "hardover")
 _TAKES_ANYTHING = ("floating", "unknown")
 _WINDOWS_S = (2.0, 4.0, 8.0, 16.0)
 _ENOUGH_MOTION_DEG = 4.0
-SURE = 0.95
 _LIKELY = 0.4
 _FEWEST_SAMPLES = 12
 _BLOCK_S = 3.0
@@ -52,8 +53,11 @@ class Fault:
     """When it was last seen [s]; None if it lasts to the end of the log."""
     parameters: Mapping[str, Estimate]
     probability: float
+    """Of that kind; of the likeliest alternative if several do alike."""
     alternatives: tuple[str, ...]
     level: Level = "fault"
+    named_s: float | None = None
+    """When there were data enough for this name [s]."""
     first_signs: tuple[str, ...] = ()
     """What it could have been for all that was known within its first second."""
 
@@ -113,14 +117,19 @@ def isolate(flight: Flight, episode: Episode) -> tuple[Fault, ...]:
         if later is not None and later.kind not in _TAKES_ANYTHING and later.probability >= SURE:
             naming, window = later, later_window
     if naming is None or window is None:
-        return (Fault("unknown", episode.start_s, episode.alarm_s, episode.end_s, {}, 0.0, (), episode.level),)
+        alike = 1.0 / len(BANK)
+        return (Fault("unknown", episode.start_s, episode.alarm_s, episode.end_s, {}, alike, (), episode.level),)
     start_s = episode.start_s
     if onset is not None and naming.best is not None and naming.kind != "healthy":
         before_s = BEFORE_S if episode.level == "fault" else _SUSPICION_LASTS_S
         if episode.suspected_s is not None:
             before_s = _SUSPICION_LASTS_S + max(episode.start_s - episode.suspected_s, 0.0)
         start_s = min(refine_onset_s(flight, naming.best, episode.start_s, window, before_s), episode.alarm_s)
-    first = replace(_fault(naming, episode, start_s), first_signs=_first_signs(flight, episode, until_s, onset))
+    first = replace(
+        _fault(naming, episode, start_s),
+        named_s=float(window.time_s[-1]),
+        first_signs=_first_signs(flight, episode, until_s, onset),
+    )
     change = _change(flight, naming.kind, float(window.time_s[-1]), until_s)
     if change is None:
         return (first,)
@@ -169,8 +178,7 @@ def _name(flight: Flight, from_s: float, until_s: float, onset: Onset | None) ->
 def _fault(naming: Naming, episode: Episode, start_s: float) -> Fault:
     if naming.probability < _LIKELY:
         kinds = tuple(kind for kind in (naming.kind, *naming.alternatives) if kind != "unknown")
-        probability = naming.probabilities["unknown"]
-        return Fault("unknown", start_s, episode.alarm_s, episode.end_s, {}, probability, kinds, episode.level)
+        return Fault("unknown", start_s, episode.alarm_s, episode.end_s, {}, naming.probability, kinds, episode.level)
     parameters = naming.best.parameters if naming.best else {}
     return Fault(
         naming.kind,
@@ -204,7 +212,9 @@ def _change(flight: Flight, kind: str, from_s: float, until_s: float) -> tuple[f
 
 
 def _differs(naming: Naming, kind: str) -> bool:
-    return naming.kind not in (kind, "unknown") and naming.probability >= SURE
+    if kind in _AT_REST and naming.kind in _AT_REST:
+        return False  # only the onset, which lies outside the block, tells which
+    return naming.kind not in (kind, "unknown") and naming.probabilities.get(kind, 0.0) <= 1.0 - SURE
 
 
 class _Block(NamedTuple):
