@@ -126,8 +126,9 @@ def judge(case: Case) -> Result:
     sizes = 0.0 if isinstance(plain, bool) else effect_rms_deg(record, plain) / floor_deg
     alone = case.kind == "single"
     doubt, sigmas = ("", np.inf)
-    if alone and sizes >= 1.0 and case.spread == 0.0:
-        doubt, sigmas = leftover_sigmas(record, case.seed, effects, case.excitation, case.noise_deg)
+    if alone and sizes >= 1.0:
+        exact = hidden(case.seed, effects, case.excitation, case.noise_deg)
+        doubt, sigmas = leftover_sigmas(exact, case.seed, effects, case.excitation, case.noise_deg)
     return Result(
         case=case,
         score=score(answer.said, effects, floor_deg),

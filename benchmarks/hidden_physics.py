@@ -92,6 +92,8 @@ _DELAY_S = 0.004
 """Thesis Eq. 3.1."""
 _RATE_LIMIT_DEG_S = 370.0
 """Thesis Fig. 3.10."""
+_VISCOSITY_SHARES = (0.05, 0.5)
+"""Eq. 3.1 does not tell how the losses of the motor are shared between bearing and winding: every seed has its own."""
 _REST_S, _TAIL_S, _COARSE_S = 1.0, 0.3, 100 * STEP_S
 _AIR_KG_M3 = 1.225
 """International standard atmosphere at sea level."""
@@ -204,7 +206,8 @@ def hidden(
     air = _surroundings(duration_s, np.random.default_rng([*of_seed, 1]), excitation)
     lot = np.random.default_rng([*of_seed, 2])
     scatter = 1.0 + spread * np.random.default_rng([*of_seed, 3]).uniform(-1.0, 1.0, 4)
-    clean_deg = deflection(effects, time_s, command_deg, air, lot, scatter)
+    share = np.random.default_rng([*of_seed, 5]).uniform(*_VISCOSITY_SHARES)
+    clean_deg = deflection(effects, time_s, command_deg, air, lot, scatter, share)
     noise = np.random.default_rng([*of_seed, 4])
     read_deg = clean_deg + noise_deg * noise.standard_normal(time_s.size)
     step_deg = effects.get("quantization", {}).get("step_deg", CONVERTER_DEG)
@@ -226,6 +229,7 @@ def deflection(
     air: Air,
     lot: np.random.Generator,
     scatter: FloatArray | None = None,
+    viscosity_share: float = 0.1,
 ) -> FloatArray:
     """What the position sensor says without noise and converter [deg], shape (n,).
 
@@ -239,9 +243,11 @@ def deflection(
         Of what an effect leaves open.
     scatter : ndarray, shape (4,), optional
         What bandwidth, damping, delay and gain of the servo are multiplied with.
+    viscosity_share : float
+        Share of the motor's losses in its bearing.
     """
     bandwidth, damping, delay, gain = np.ones(4) if scatter is None else scatter
-    motor = Motor.of(bandwidth * effects.get("slow_dynamics", {}).get("bandwidth_scale", 1.0), damping)
+    motor = Motor.of(bandwidth * effects.get("slow_dynamics", {}).get("bandwidth_scale", 1.0), damping, viscosity_share)
     clipped_deg = motor.error_at(_RATE_LIMIT_DEG_S)
     machine = Machine(up_deg=clipped_deg, down_deg=clipped_deg)
     for name, values in effects.items():

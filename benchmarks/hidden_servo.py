@@ -27,8 +27,6 @@ _FAR = 1e9
 """No limit; finite, because 0 times infinity is not a number."""
 _REAL_POLE_RAD_S, _DAMPING_RAD_S, _STIFFNESS_RAD2_S2 = 24.84, 70.04, 4921.0
 """Thesis Eq. 3.1: (s + 24.84) (s^2 + 70.04 s + 4921)."""
-_VISCOSITY_SHARE = 0.1
-"""Share of the losses p + q in the bearing; the rest is in the winding. Eq. 3.1 leaves it open."""
 
 
 class Motor(NamedTuple):
@@ -40,12 +38,16 @@ class Motor(NamedTuple):
     loop_rad3_s3: float
 
     @classmethod
-    def of(cls, bandwidth_scale: float = 1.0, damping_scale: float = 1.0) -> Motor:
-        """Motor whose response is Eq. 3.1, its poles scaled, and the damping of the complex pair on top."""
+    def of(cls, bandwidth_scale: float = 1.0, damping_scale: float = 1.0, viscosity_share: float = 0.1) -> Motor:
+        """Motor whose response is Eq. 3.1, its poles scaled, and the damping of the complex pair on top.
+
+        A share of the losses p + q is in the bearing, the rest in the winding: the response leaves that open, but
+        friction and load act between the two.
+        """
         pole, stiffness = bandwidth_scale * _REAL_POLE_RAD_S, bandwidth_scale**2 * _STIFFNESS_RAD2_S2
         damping = bandwidth_scale * damping_scale * _DAMPING_RAD_S
         losses = pole + damping
-        viscosity = _VISCOSITY_SHARE * losses
+        viscosity = viscosity_share * losses
         winding = losses - viscosity
         return cls(viscosity, winding, stiffness + pole * damping - viscosity * winding, pole * stiffness)
 
