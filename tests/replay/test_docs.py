@@ -58,6 +58,7 @@ def test_the_verbs_of_the_readme_run(monkeypatch: pytest.MonkeyPatch, tmp_path: 
         "config",
         "odds",
         "identify",
+        "explain",
         "simulate",
         "servos",
         "design",
