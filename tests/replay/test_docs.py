@@ -57,6 +57,7 @@ def test_the_verbs_of_the_readme_run(monkeypatch: pytest.MonkeyPatch, tmp_path: 
         "info",
         "config",
         "odds",
+        "explain",
         "identify",
         "simulate",
         "servos",
