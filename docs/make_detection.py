@@ -16,9 +16,11 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from detection import calibration, delays, false_alarms, fly, limits, onsets, shares
 from detection_pictures import draw
+from servofd.aircraft import DEFAULT_SIGMAS
 from servofd.detection import alarm, allowance, threshold
 from servofd.detection.bank import (
     classify,
+    confirm,
     explanation,
     following,
     isolate,
@@ -64,11 +66,21 @@ feedback** behaves as if ...".
 
 def thresholds() -> str:
     tolerance = Tolerance()
-    return f"""## Thresholds
+    return f"""## Before judging
+
+A position that jumps away for one or two samples and back, while its neighbours agree, is no servo's motion: it is left out, and
+counted in the verdict's sentence. Where positions come at 25 Hz or less and straight lines between the commands leave a clearly
+smaller residual than steps do, the commands were logged more thinly than they were given, and the lines are used; the sentence
+says so.
+
+## Thresholds
 
 **Constant.** Thesis Eq. 4.12: an alarm is raised at the first sample with
 
     |r(t)| >= tau,    tau = {CONSTANT_DEG:g} deg by default.                                                     (D1)
+
+While a servo runs at its rate limit, what an error of that limit would leave (r_sat below) is added. A threshold that is named in
+the call (`--threshold-deg`) acquits nobody: what reaches it is a fault, whatever explains it.
 
 What it must tolerate is what healthy servos of one type differ by, and that grows with the command. To first order, a servo
 whose gain, delay and bandwidth are off by dk, dt, dw leaves
@@ -80,7 +92,7 @@ compares D2 with servos that are simulated with these errors.)
 
 **Interval.** `threshold = "interval"` bounds each term of D2 by its tolerance times the recent peak of its signal:
 
-    tau(t) = T(t) + {allowance.LARGEST_NOISE:g} sigma_r(t)
+    tau(t) = T(t) + {DEFAULT_SIGMAS:g} sigma_r(t)
     T(t)   = b + |dk| [r0] + |dt| [dr0/dt] + |dw| [sum_i ...] + [r_sat] + lost                        (D3)
 
 | in D3 | | default |
@@ -118,10 +130,10 @@ to the residual by the terms x = [r0, dr0/dt, sum_i ..., 1] of D2, once with wha
 
     H = min_tight - min_free,  min = min over theta of sum (r - x theta)² / (S sigma_r²) + sum theta_j² / s_j²,   (D6)
 
-S being the long-run factor; what is beyond all tolerance, or rests on lost commands, teaches no habits.
+S being the long-run factor, and sigma_r no less than {allowance._TRIFLE:g} of the tolerated bias; what is beyond all tolerance, or rests on lost commands, teaches no habits.
 H >= {threshold._SUSPICIOUS_DRIFT:g} means that gain, delay, bandwidth or bias is not that of a healthy servo. Both raise a *suspicion*, which ends when
 none was raised for {alarm._SUSPICION_LASTS_S:g} s. It goes through the bank like an alarm; under an interval threshold it becomes a fault if the
-bank is sure of its name (P >= {isolate.SURE:g}), with the suspicion as its alarm, else the surface is *suspect*. Rough models (drafts with a
+bank is sure of its name (P >= {confirm.SURE:g}), and its alarm is raised when the name is; else the surface is *suspect*. Rough models (drafts with a
 wider threshold and no tolerances of their own) raise none.
 """
 
@@ -153,7 +165,7 @@ J is the sum of squared misfits that remains, and the second sum goes into the d
 | hypothesis | f, and what is free in it |
 |---|---|
 | healthy | f = ŷ |
-| bias | the same, with a spread of {following._LARGEST_BIAS_DEG:g} deg for the constant; it must be beyond the tolerance |
+| bias | the same, with a spread of {following._LARGEST_BIAS_DEG:g} deg for the constant, which stays or grows by up to about {following._FASTEST_GROWTH_DEG_S:g} deg/s; it must be beyond the tolerance |
 | loss_of_effectiveness | the same, with a spread of 1 for the gain, about zero or about another trim; gain between {following._STUCK_GAIN:g} and 1 less its tolerance |
 | oscillation | ŷ, or a constant, and a sine from {oscillation._SLOWEST_HZ:g} Hz on, {oscillation._FEWEST_CYCLES:g} cycles or more |
 | stuck | a constant where commands have led |
@@ -161,7 +173,7 @@ J is the sum of squared misfits that remains, and the second sum goes into the d
 | floating | cosines of up to {lost._FASTEST_WIND_HZ:g} Hz, whose spread falls with the square of the frequency beyond {lost._WIND_HZ:g} Hz |
 | deadband | play before or behind the servo, or stiction; its width on a grid, then by golden section |
 | slow | every pole scaled, or a lower rate limit; the same search |
-| unknown | whatever removes all but {classify._UNEXPLAINED_SHARE:.0%} of the simulation error, at the price of {classify._UNKNOWN_FREEDOM:g} parameters |
+| unknown | whatever removes all but {classify._UNEXPLAINED_SHARE:.0%} of the simulation error, at the price of {classify._UNKNOWN_FREEDOM:g} parameters; or ŷ with a smooth error, by the same cosines as floating |
 
 **Score.** With n samples, of which {explanation.COLOUR:g} in a row tell as much as one, p free parameters and a doubt D (twice the negative
 logarithm of how plausible the parameters are in themselves: a servo's habits are within its tolerances, wide dead bands
@@ -174,7 +186,7 @@ after Schwarz; smaller is better. The probability of hypothesis i, all being equ
     P_i = exp(-B_i/2) / sum_j exp(-B_j/2).                                                            (D10)
 
 **How long to look.** Windows begin {isolate._SETTLING_S:g} s after the onset and last {", ".join(f"{length_s:g}" for length_s in isolate._WINDOWS_S)} s; the first in which a hypothesis has
-P >= {isolate.SURE:g} *and* the healthy deflection covers {isolate._ENOUGH_MOTION_DEG:g} deg decides. **Not enough motion**: a jam and a dead band, a bias and a jam,
+P >= {confirm.SURE:g} *and* the healthy deflection covers {isolate._ENOUGH_MOTION_DEG:g} deg decides. **Not enough motion**: a jam and a dead band, a bias and a jam,
 differ only in motion. If no window has enough of it the longest decides, with the probability that it gives, and names the
 alternatives of {classify._WORTH_MENTIONING:.0%} and more; below {isolate._LIKELY:g} the name is `unknown` and all that can be said is "at fault, with too little
 motion to tell which". If the winner is *healthy*, the tolerances of a working servo explain the alarm: it is acquitted

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from servofd.servos import servo_named as servo_named
     from servofd.simulation.flight import simulate_flight as simulate_flight
     from servofd.workflow import audit as audit
+    from servofd.workflow import calibrate as calibrate
 
 __version__ = "0.1.0"
 
@@ -52,6 +53,7 @@ _HOME = {
     "SurfaceAudit": "detection.audit",
     "TransferFunction": "models.transfer",
     "audit": "workflow",
+    "calibrate": "workflow",
     "audit_log": "detection.audit",
     "cut": "segment",
     "design_nullspace_filter": "detection.nullspace",
@@ -81,6 +83,7 @@ __all__ = [
     "TransferFunction",
     "audit",
     "audit_log",
+    "calibrate",
     "cut",
     "design_nullspace_filter",
     "design_pulse_filter",

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "DEFAULT_SERVO",
+    "DEFAULT_SIGMAS",
     "DEFAULT_THRESHOLD_DEG",
     "Aircraft",
     "Surface",
@@ -35,6 +36,11 @@ __all__ = [
 DEFAULT_SERVO = "hs225bb-eq31"
 DEFAULT_THRESHOLD_DEG = 1.5
 """Thesis 4.2: the residuals of healthy HS-225BB servos on FASER commands stay within +-1.5 deg."""
+
+DEFAULT_SIGMAS = 6.0
+"""Gaussian noise in a residual of the default filter's colour exceeds 6 standard deviations 7e-4 times an hour."""
+
+Sigmas = Annotated[float, Field(ge=1.0, le=100.0, strict=True)]
 
 
 class _Entry(BaseModel):
@@ -76,10 +82,14 @@ class Surface(_Entry):
     threshold_deg: Positive = DEFAULT_THRESHOLD_DEG
     threshold: Literal["constant", "interval"] = "constant"
     """ "interval" follows the activity of the command, within `tolerance`."""
+    threshold_sigmas: Sigmas = DEFAULT_SIGMAS
+    """Standard deviations of noise in the interval threshold."""
     persistence: Annotated[int, Field(ge=1, le=100, strict=True)] = 1
     """Samples in a row, all on one side, that make an alarm."""
     tolerance: Tolerance | None = None
     """How far a healthy servo may differ from its model; None: as far as `threshold_deg` was made for."""
+    suspicions: bool = True
+    """Whether what stays below the threshold may be suspect; not if the model does not reach down to the noise."""
     filter_pole_rad_s: Annotated[float, Field(ge=0.1, le=1000.0, strict=True)] | None = None
     """Speed of the residual filter; None: the fastest with a noise gain of at most 0.5."""
 
@@ -97,7 +107,8 @@ class Surface(_Entry):
     @property
     def tells_small_faults(self) -> bool:
         """Whether the model is known well enough for suspicions below the threshold: drafted thresholds are not."""
-        return self.tolerance is not None or self.threshold_deg <= DEFAULT_THRESHOLD_DEG
+        known = self.tolerance is not None or self.threshold_deg <= DEFAULT_THRESHOLD_DEG
+        return known and self.suspicions
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

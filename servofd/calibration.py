@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -26,13 +27,50 @@ Cubic = tuple[Finite, Finite, Finite, Finite]
 _LARGEST_ANGLE_RAD = 2.0 * np.pi
 
 
-class _Channel(BaseModel):
+class _Channel(BaseModel, ABC):
     """One channel of a log, and the sign that makes positive mean trailing edge down (rudder: left)."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     channel: str
     sign: Literal[1, -1] = 1
+    correction: tuple[Finite, Finite] = (1.0, 0.0)
+    """Scale and offset [deg], found by calibration, that turn what is said below into degrees of the command."""
+
+    @model_validator(mode="after")
+    def _invertible(self) -> Self:
+        if self.correction[0] == 0.0:
+            raise ValueError("correction = [scale, offset_deg] needs a scale that is not zero")
+        return self
+
+    def to_deg(self, values: FloatArray) -> FloatArray:
+        """Deflection [deg], same shape as `values` [as logged]."""
+        scale, offset_deg = self.correction
+        return scale * self._convert(values) + offset_deg
+
+    def from_deg(self, deflection_deg: FloatArray) -> FloatArray:
+        """Logged value of a deflection [deg]."""
+        scale, offset_deg = self.correction
+        return self._restore((np.asarray(deflection_deg) - offset_deg) / scale)
+
+    def corrected(self, scale: float, offset_deg: float) -> Self:
+        """Return the same calibration with its result scaled, then shifted [deg].
+
+        Examples
+        --------
+        >>> DegreeCalibration(channel="x", unit="deg").corrected(2.0, 1.0).to_deg(np.array([3.0]))
+        array([7.])
+        """
+        first, shift_deg = self.correction
+        return self.model_copy(update={"correction": (scale * first, scale * shift_deg + offset_deg)})
+
+    @abstractmethod
+    def _convert(self, values: FloatArray) -> FloatArray:
+        """Deflection before the correction [deg]."""
+
+    @abstractmethod
+    def _restore(self, deflection_deg: FloatArray) -> FloatArray:
+        """Undo `_convert`."""
 
 
 class DegreeCalibration(_Channel):
@@ -47,12 +85,10 @@ class DegreeCalibration(_Channel):
     unit: Literal["deg"]
     trim_deg: Finite = 0.0
 
-    def to_deg(self, values: FloatArray) -> FloatArray:
-        """Deflection [deg], same shape as `values` [deg]."""
+    def _convert(self, values: FloatArray) -> FloatArray:
         return self.sign * (values - self.trim_deg)
 
-    def from_deg(self, deflection_deg: FloatArray) -> FloatArray:
-        """Logged value [deg] of a deflection [deg]."""
+    def _restore(self, deflection_deg: FloatArray) -> FloatArray:
         return self.sign * deflection_deg + self.trim_deg
 
 
@@ -62,13 +98,11 @@ class RadianCalibration(_Channel):
     unit: Literal["rad"]
     trim_rad: Finite = 0.0
 
-    def to_deg(self, values: FloatArray) -> FloatArray:
-        """Deflection [deg], same shape as `values` [rad]."""
+    def _convert(self, values: FloatArray) -> FloatArray:
         deflection: FloatArray = self.sign * np.degrees(values - self.trim_rad)
         return deflection
 
-    def from_deg(self, deflection_deg: FloatArray) -> FloatArray:
-        """Logged value [rad] of a deflection [deg]."""
+    def _restore(self, deflection_deg: FloatArray) -> FloatArray:
         logged: FloatArray = self.sign * np.radians(deflection_deg) + self.trim_rad
         return logged
 
@@ -113,13 +147,12 @@ class PulseCalibration(_Scaled):
         _one_of(self.slope_deg_per_us, self.cubic_deg, "slope_deg_per_us")
         return self
 
-    def to_deg(self, values: FloatArray) -> FloatArray:
-        """Deflection [deg], same shape as `values` [us]; NaN where no pulse was sent (logged as 0)."""
+    def _convert(self, values: FloatArray) -> FloatArray:
+        # A pulse that was not sent is logged as 0.
         pulses = np.where(values > 0.0, values, np.nan)
         return self._scale(pulses, self.trim_us, self.slope_deg_per_us, self.cubic_deg)
 
-    def from_deg(self, deflection_deg: FloatArray) -> FloatArray:
-        """Logged value [us] of a deflection [deg]."""
+    def _restore(self, deflection_deg: FloatArray) -> FloatArray:
         return self._unscale(deflection_deg, self.trim_us, self.slope_deg_per_us)
 
 
@@ -136,12 +169,10 @@ class CountCalibration(_Scaled):
         _one_of(self.slope_deg_per_count, self.cubic_deg, "slope_deg_per_count")
         return self
 
-    def to_deg(self, values: FloatArray) -> FloatArray:
-        """Deflection [deg], same shape as `values` [counts]."""
+    def _convert(self, values: FloatArray) -> FloatArray:
         return self._scale(values, self.trim_count, self.slope_deg_per_count, self.cubic_deg)
 
-    def from_deg(self, deflection_deg: FloatArray) -> FloatArray:
-        """Logged value [counts] of a deflection [deg]."""
+    def _restore(self, deflection_deg: FloatArray) -> FloatArray:
         return self._unscale(deflection_deg, self.trim_count, self.slope_deg_per_count)
 
 
@@ -158,12 +189,10 @@ class NormCalibration(_Scaled):
     trim: Finite = 0.0
     slope_deg: Finite
 
-    def to_deg(self, values: FloatArray) -> FloatArray:
-        """Deflection [deg], same shape as `values` [-1 to 1]."""
+    def _convert(self, values: FloatArray) -> FloatArray:
         return self._scale(values, self.trim, self.slope_deg, None)
 
-    def from_deg(self, deflection_deg: FloatArray) -> FloatArray:
-        """Logged value [-1 to 1] of a deflection [deg]."""
+    def _restore(self, deflection_deg: FloatArray) -> FloatArray:
         return self._unscale(deflection_deg, self.trim, self.slope_deg)
 
 
@@ -184,16 +213,15 @@ class RadianOrCountCalibration(_Scaled):
     trim_count: Finite
     slope_deg_per_count: Finite
 
-    def to_deg(self, values: FloatArray) -> FloatArray:
-        """Deflection [deg], same shape as `values` [rad or counts]."""
+    def _convert(self, values: FloatArray) -> FloatArray:
         finite = values[np.isfinite(values)]
         if finite.size and np.median(np.abs(finite)) > _LARGEST_ANGLE_RAD:
             return self._scale(values, self.trim_count, self.slope_deg_per_count, None)
         deflection: FloatArray = self.sign * np.degrees(values)
         return deflection
 
-    def from_deg(self, deflection_deg: FloatArray) -> FloatArray:
-        """Logged value [counts] of a deflection [deg]; a converter gives whole numbers."""
+    def _restore(self, deflection_deg: FloatArray) -> FloatArray:
+        # A converter gives whole numbers.
         counts: FloatArray = np.round(self._unscale(deflection_deg, self.trim_count, self.slope_deg_per_count))
         return counts
 

@@ -6,6 +6,7 @@
     ├── ConfigError       an aircraft or servo file does not say what it must
     ├── UnknownName       a servo, surface, fault or effect that does not exist
     ├── NoMeasurement     nothing in the log tells where a surface was
+    ├── CalibrationError  flights that a calibration must not be made from
     ├── DesignError       no filter with the wanted properties exists for this model
     └── IdentificationError   a test does not show what a servo is like
 """
@@ -16,6 +17,7 @@ import difflib
 from collections.abc import Iterable
 
 __all__ = [
+    "CalibrationError",
     "ConfigError",
     "DesignError",
     "IdentificationError",
@@ -40,6 +42,10 @@ class UnknownName(ServofdError):  # noqa: N818 - reads better without "Error" wh
 
 class NoMeasurement(ServofdError):  # noqa: N818
     """Nothing in the log tells where a surface was."""
+
+
+class CalibrationError(ServofdError):
+    """Flights that a calibration must not be made from."""
 
 
 class DesignError(ServofdError):

@@ -11,7 +11,8 @@ import numpy as np
 from servofd.detection.odds import SurfaceOdds, Wish, surface_odds
 from servofd.detection.probability import Noise, fit_tail
 from servofd.detection.pulse import PulseFilter, design_pulse_filter, fastest_pole_rad_s
-from servofd.errors import NoMeasurement
+from servofd.errors import ConfigError, NoMeasurement
+from servofd.segment import SLOWEST_RATE_HZ
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["LeftOut", "Part", "odds_from_design", "odds_from_logs", "parts_of"]
 
+_FASTEST_RATE_HZ = 10_000.0
 _APART_TIME_CONSTANTS = 7.5
 _SAME_RATE = 0.1
 _SHORTEST_S = 10.0
@@ -125,6 +127,10 @@ def odds_from_design(
     >>> round(odds.gaussian_threshold_deg, 3)
     0.292
     """
+    if not SLOWEST_RATE_HZ <= rate_hz <= _FASTEST_RATE_HZ:
+        raise ConfigError(
+            f"{rate_hz:g} Hz is no rate of positions: give {SLOWEST_RATE_HZ:g} to {_FASTEST_RATE_HZ:g} Hz"
+        )
     result = []
     for name in surfaces or [name for name, surface in aircraft.surfaces.items() if surface.measured is not None]:
         design = _design(aircraft, name, 1.0 / rate_hz)

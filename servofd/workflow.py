@@ -10,14 +10,17 @@ from servofd.aircraft import DEFAULT_SERVO, Aircraft, load_aircraft, plain_aircr
 from servofd.detection.audit import LogAudit, audit_log
 from servofd.errors import ConfigError, NoMeasurement, UnknownName, suggest
 from servofd.feedback.draft import draft_aircraft
+from servofd.segment import cut
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     from logparsers import FlightLog
+    from servofd.calibrating.flights import Flight, Span
+    from servofd.calibrating.result import Calibration
     from servofd.detection.threshold import ThresholdKind
 
-__all__ = ["aircraft_for", "audit", "layout_of"]
+__all__ = ["aircraft_for", "audit", "calibrate", "flights_of", "layout_of"]
 
 _COMMAND_SUFFIX, _POSITION_SUFFIX = "_cmd_deg", "_pos_deg"
 
@@ -80,6 +83,103 @@ def audit(
         yield audit_log(
             log, flown, threshold_deg=threshold_deg, threshold=threshold, surfaces=surfaces, progress=progress
         )
+
+
+def calibrate(
+    paths: Sequence[str | Path],
+    aircraft: Aircraft | str | Path,
+    *,
+    false_alarms_per_hour: float = 1e-3,
+    surfaces: tuple[str, ...] = (),
+    spans: tuple[Span, ...] = (),
+    runs: tuple[str, ...] = (),
+    progress: Callable[[str], None] = lambda _surface: None,
+) -> Calibration:
+    """Calibrate an aircraft on flights that are known to be good.
+
+    Parameters
+    ----------
+    paths : sequence of str or Path
+        Logs of the same aircraft.
+    aircraft : Aircraft, str or Path
+        What is known of it, its file, or the name of one that comes with servofd.
+    false_alarms_per_hour : float
+        Wanted rate of the whole aircraft.
+    surfaces : tuple of str
+        Which to calibrate; all that were measured if empty.
+    spans : tuple of (from_s, to_s)
+        Which parts of each log are good [s]; all of it if empty.
+    runs : tuple of str
+        Which runs of a file that holds several; all if empty.
+    progress : callable
+        Called with the name of each surface that is done.
+
+    Returns
+    -------
+    Calibration
+        `servofd.calibrating.toml.calibration_to_toml` makes a file of it.
+
+    Raises
+    ------
+    LogError
+        If a log is of no use.
+    ServofdError
+        If the aircraft is not what it should be, or the flights are not good.
+
+    Examples
+    --------
+    >>> found = calibrate(["sample_logs/faser_healthy_flight.mat"], "faser", surfaces=("elevator",))
+    >>> found.surfaces[0].levels.interval_deg < 1.0
+    True
+    """
+    from servofd.calibrating.calibrate import calibrate_aircraft
+
+    known = load_aircraft(aircraft) if isinstance(aircraft, str | Path) else aircraft
+    for name in surfaces:
+        if name not in known.surfaces:
+            raise UnknownName(suggest("surface", name, known.surfaces))
+    flights = flights_of(paths, known, surfaces=surfaces, spans=spans, runs=runs)
+    return calibrate_aircraft(known, flights, false_alarms_per_hour=false_alarms_per_hour, progress=progress)
+
+
+def flights_of(
+    paths: Sequence[str | Path],
+    aircraft: Aircraft,
+    *,
+    surfaces: tuple[str, ...] = (),
+    spans: tuple[Span, ...] = (),
+    runs: tuple[str, ...] = (),
+) -> dict[str, list[Flight]]:
+    """Each surface in each log that measured it.
+
+    Raises
+    ------
+    NoMeasurement
+        If no log measured any surface; the message gives a reason for each.
+    """
+    from servofd.calibrating.flights import Flight, cropped
+
+    flights: dict[str, list[Flight]] = {name: [] for name in surfaces or aircraft.surfaces}
+    reasons, seen = [], set()
+    for path in paths:
+        for log in logparsers.read_all(path, layout_of(aircraft)):
+            seen.add(log.run)
+            if runs and log.run not in runs:
+                continue
+            for name, there in flights.items():
+                try:
+                    segment = cropped(cut(log, name, aircraft.surfaces[name]), spans)
+                except NoMeasurement as error:
+                    if aircraft.surfaces[name].measured is not None:
+                        reasons.append(f"{log.label}: {name}: {error}")
+                    continue
+                there.append(Flight(Path(log.label).name, segment))
+    missing = [run for run in runs if run not in seen]
+    if missing:
+        raise UnknownName(suggest("run", missing[0], sorted(seen)))
+    if not any(flights.values()):
+        raise NoMeasurement("; ".join(reasons) or "the aircraft file names no measured channel")
+    return flights
 
 
 def aircraft_for(log: FlightLog) -> Aircraft:

@@ -6,10 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from servofd.aircraft import DEFAULT_SIGMAS
 from servofd.models.state import compiled, inlined
 from servofd.types import BoolArray, ComplexArray, FloatArray
 
-__all__ = ["CURVATURE_TO_SIGMA", "LARGEST_NOISE", "Bounds", "Signals", "follow", "new_work"]
+__all__ = ["CURVATURE_TO_SIGMA", "Bounds", "Signals", "follow", "new_work"]
 
 _PEAK_HOLD_S = 0.15
 """Time constant with which the peaks fade: about as long as the filter remembers."""
@@ -21,8 +22,6 @@ _GLITCH = 5.0
 """Second differences count as no more than this many standard deviations."""
 CURVATURE_TO_SIGMA = float(np.sqrt(np.pi / 2.0 / 6.0))
 """Mean absolute second difference of white noise to its standard deviation. The median would fail on coarse steps."""
-LARGEST_NOISE = 6.0
-"""Gaussian noise in a residual of this colour exceeds 6 standard deviations 7e-4 times an hour."""
 _MEMORY_S, _EVERY_S = 10.0, 0.5
 """How far back a servo's habits are remembered, and how often they are looked at."""
 _TRIFLE = 0.1
@@ -100,15 +99,19 @@ def follow(
     work: Work,
     decay_rad_s: ComplexArray,
     tolerated_deg: FloatArray,
+    saturated_deg: FloatArray,
     sigma_deg: FloatArray,
     drift: FloatArray,
 ) -> None:
-    """Fill the last three arrays, each of shape (n,): tolerance, noise of the residual, evidence of strange habits."""
+    """Fill the last four arrays, each of shape (n,).
+
+    They are the tolerance, the rate limit's part of it, the noise of the residual, and the evidence of strange habits.
+    """
     slow, x, peak = work.slow, work.x, work.peak
     peak_rate = unseen = 0.0
     peak[:3] = 0.0
     last_s = last_deg = before = before_that = np.nan
-    noise, seen, odds, next_s = bounds.noise_deg, 0, 0.0, -np.inf
+    noise, seen, odds, next_s = max(bounds.noise_deg, bounds.floor_deg), 0, 0.0, -np.inf
     for k in range(signals.time_s.size):
         value = signals.immobile_deg[k]
         if not np.isnan(value):
@@ -139,9 +142,9 @@ def follow(
             before_that, before = before, signals.error_deg[k]
             last_s, last_deg = signals.time_s[k], value
             residual = signals.judged_deg[k]
-            # A made-up command says nothing about the servo's habits, and what is beyond all tolerance is no habit.
-            allowed = _total(bounds.habits, peak) + peak_rate + LARGEST_NOISE * bounds.noise_gain * noise
-            if abs(residual) <= allowed and unseen < bounds.noise_gain * noise:
+            # Neither made-up commands nor a saturated servo tell of habits, and what is beyond all tolerance is none.
+            allowed = _total(bounds.habits, peak) + peak_rate + DEFAULT_SIGMAS * bounds.noise_gain * noise
+            if abs(residual) <= allowed and unseen + peak_rate < bounds.noise_gain * noise:
                 _learn(work.gram, work.moment, x, residual, 1.0 / (1.0 + step_s / _MEMORY_S))
                 if last_s >= next_s:
                     power = bounds.colour * max(bounds.noise_gain * noise, _TRIFLE * bounds.habits[3]) ** 2
@@ -149,6 +152,7 @@ def follow(
                     next_s = last_s + _EVERY_S
         drift[k] = odds
         tolerated_deg[k] = _total(bounds.habits, peak) + peak_rate + unseen
+        saturated_deg[k] = peak_rate
         sigma_deg[k] = bounds.noise_gain * (noise if seen >= _NOISE_SAMPLES else max(noise, bounds.noise_deg))
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from servofd.detection.judge import judge
 from servofd.detection.plausible import wiring_problem
+from servofd.detection.prepare import prepared
 from servofd.detection.probability import false_alarms_per_hour
 from servofd.detection.residual import ResidualGenerator, Residuals
 from servofd.detection.words import describe
@@ -143,7 +144,8 @@ def audit_log(
             surface = surface.model_copy(update=change)
         if threshold is not None:
             surface = surface.model_copy(update={"threshold": threshold})
-        verdict = _audit_surface(log, aircraft, name, surface)
+        # Whoever names a level wants to know what reaches it.
+        verdict = _audit_surface(log, aircraft, name, surface, acquit=threshold_deg is None)
         progress(name)
         return verdict
 
@@ -152,7 +154,7 @@ def audit_log(
         return LogAudit(log, aircraft, tuple(pool.map(one, chosen)))
 
 
-def _audit_surface(log: FlightLog, aircraft: Aircraft, name: str, surface: Surface) -> SurfaceAudit:
+def _audit_surface(log: FlightLog, aircraft: Aircraft, name: str, surface: Surface, *, acquit: bool) -> SurfaceAudit:
     verdict = partial(
         SurfaceAudit,
         surface=name,
@@ -172,7 +174,7 @@ def _audit_surface(log: FlightLog, aircraft: Aircraft, name: str, surface: Surfa
         generator = ResidualGenerator.fitting(aircraft.model(name), segment, surface.filter_pole_rad_s)
     except DesignError as error:
         return verdict(status="unknown", reason=str(error), segment=segment)
-    residuals = generator.run(segment)
+    segment, residuals, notes = prepared(generator, segment)
     judged_s = _judged_s(residuals, generator.longest_gap_s(segment))
     if judged_s < _SHORTEST_JUDGED_S:
         reason_text = f"only {judged_s:.1f} s of command and position together; {_SHORTEST_JUDGED_S:g} s are needed"
@@ -180,7 +182,7 @@ def _audit_surface(log: FlightLog, aircraft: Aircraft, name: str, surface: Surfa
     statistics = _statistics(residuals)
     if not np.isfinite(statistics.max_abs_deg):
         return verdict(status="unknown", reason="the residual is not a number: check model and units", segment=segment)
-    judgement = judge(generator, segment, residuals, surface)
+    judgement = judge(generator, segment, residuals, surface, acquit=acquit)
     threshold, faults, suspicions = judgement.threshold, judgement.faults, judgement.suspicions
     verdict = partial(
         verdict,
@@ -194,6 +196,7 @@ def _audit_surface(log: FlightLog, aircraft: Aircraft, name: str, surface: Surfa
     if problem:
         faults = suspicions = ()
     status, reason_text = _verdict(residuals, statistics, faults, suspicions, threshold, problem)
+    reason_text = "; ".join((reason_text, *notes))
     judged_share = judged_s / max(log.duration_s, 1e-9)
     if judged_share < _MOST_OF_THE_LOG:
         reason_text += f"; judged for {judged_share:.0%} of the log"
@@ -254,11 +257,12 @@ def _verdict(
         return "fault", f"servo or its feedback: {found}"
     if suspicions:
         found = "; ".join(describe(fault) for fault in suspicions)
-        return "suspect", f"beyond its tolerances, within the threshold: {found}"
+        return "suspect", f"no alarm stands, but look at it: {found}"
     shown_deg = _would_have_shown(residuals)
     if shown_deg < threshold.typical_deg:
         return "unknown", (
-            f"hardly asked to move: a servo stuck all along would have left a residual of {shown_deg:.2g} deg only"
+            f"hardly asked to move: a servo stuck all along would have left a residual of {shown_deg:.2g} deg only, "
+            f"and the threshold is {threshold.typical_deg:.3g} deg"
         )
     return (
         "healthy",

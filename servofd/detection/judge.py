@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from servofd.detection.alarm import find_episodes
-from servofd.detection.bank.isolate import SURE, Fault, Flight, isolate
+from servofd.detection.bank.confirm import confirmed, joined
+from servofd.detection.bank.isolate import Fault, Flight, isolate
 from servofd.detection.bank.window import noise_deg
 from servofd.detection.residual import commands_at_servo
 from servofd.detection.threshold import Threshold, constant_threshold, interval_threshold, suspicion
@@ -31,7 +32,9 @@ class Judgement(NamedTuple):
     """What only the cumulative sum noticed, or the tolerances of a working servo explain."""
 
 
-def judge(generator: ResidualGenerator, segment: Segment, residuals: Residuals, surface: Surface) -> Judgement:
+def judge(
+    generator: ResidualGenerator, segment: Segment, residuals: Residuals, surface: Surface, *, acquit: bool = True
+) -> Judgement:
     """Compare the residual with its threshold, and name each alarm.
 
     Parameters
@@ -44,13 +47,15 @@ def judge(generator: ResidualGenerator, segment: Segment, residuals: Residuals, 
         What the generator makes of the segment.
     surface : Surface
         Its threshold, persistence and tolerances.
+    acquit : bool
+        Whether an alarm that the tolerances of a working servo explain is only a suspicion.
 
     Returns
     -------
     Judgement
         Faults and suspicions in order of time.
     """
-    threshold = interval_threshold(generator, segment, residuals, surface.tolerances)
+    threshold = interval_threshold(generator, segment, residuals, surface.tolerances, surface.threshold_sigmas)
     if surface.threshold == "constant":
         threshold = constant_threshold(threshold, surface.threshold_deg)
     suspects = suspicion(residuals, threshold) if surface.tells_small_faults else None
@@ -61,16 +66,20 @@ def judge(generator: ResidualGenerator, segment: Segment, residuals: Residuals, 
     noise = noise_deg(residuals.error_deg[residuals.settled])
     sigma_deg = float(np.median(threshold.sigma_deg))
     flight = Flight(generator, surface.tolerances, noise, sigma_deg, residuals, commands)
-    named = [fault for episode in episodes for fault in _confirmed(isolate(flight, episode), episode, threshold)]
+    named = joined(flight, (fault for episode in episodes for fault in _named(flight, episode, threshold)))
+    if not acquit:
+        named = tuple(_held(fault) for fault in named)
     faults = tuple(fault for fault in named if fault.level == "fault" and fault.kind != "healthy")
     return Judgement(threshold, faults, tuple(fault for fault in named if fault not in faults))
 
 
-def _confirmed(named: tuple[Fault, ...], episode: Episode, threshold: Threshold) -> tuple[Fault, ...]:
-    """Suspicions that the bank can name for sure are alarms, unless a constant threshold says what is large enough."""
-    first = named[0]
-    sure = first.probability >= SURE and first.kind not in ("healthy", "unknown")
-    if threshold.kind == "constant" or not sure:
-        return named
-    alarm_s = first.alarm_s if episode.suspected_s is None else max(episode.suspected_s, first.start_s)
-    return (replace(first, level="fault", alarm_s=alarm_s), *named[1:])
+def _named(flight: Flight, episode: Episode, threshold: Threshold) -> tuple[Fault, ...]:
+    """What happened in an episode. With a constant threshold, a suspicion remains one: the user says what is large."""
+    named = isolate(flight, episode)
+    return confirmed(named, episode) if threshold.kind == "interval" else named
+
+
+def _held(fault: Fault) -> Fault:
+    """An alarm remains an alarm, even if a healthy servo could have raised it; what it is, is not known then."""
+    acquitted = fault.level == "fault" and fault.kind == "healthy"
+    return replace(fault, kind="unknown", probability=1.0 - fault.probability) if acquitted else fault

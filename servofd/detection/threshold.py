@@ -19,12 +19,13 @@ it passes the filter's four or so lags (the peak of :math:`p\,(pt)^3 e^{-pt}/6`)
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from servofd.detection.allowance import LARGEST_NOISE, Bounds, Signals, follow, new_work
+from servofd.aircraft import DEFAULT_SIGMAS
+from servofd.detection.allowance import Bounds, Signals, follow, new_work
 
 if TYPE_CHECKING:
     from servofd.detection.probability import CusumDesign
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
     from servofd.tolerance import Tolerance
     from servofd.types import BoolArray, FloatArray
 
-__all__ = ["Threshold", "ThresholdKind", "constant_threshold", "interval_threshold", "suspicion"]
+__all__ = ["Threshold", "ThresholdKind", "constant_threshold", "habits", "interval_threshold", "suspicion"]
 
 ThresholdKind = Literal["constant", "interval"]
 
@@ -57,6 +58,8 @@ class Threshold:
     """Of shape (n,)."""
     tolerance_deg: FloatArray
     """Largest residual of a healthy servo without noise, of shape (n,)."""
+    saturated_deg: FloatArray
+    """What of it comes from running at the rate limit, of shape (n,)."""
     sigma_deg: FloatArray
     """Standard deviation of the residual from noise, as known at each instant, of shape (n,)."""
     cusum: CusumDesign
@@ -68,17 +71,22 @@ class Threshold:
     @property
     def typical_deg(self) -> float:
         """Median level [deg]; of a constant threshold the level itself."""
+        if self.kind == "constant" and self.level_deg.size:
+            return float(np.min(self.level_deg))
         return float(np.median(self.level_deg)) if self.level_deg.size else float("nan")
 
 
 def constant_threshold(interval: Threshold, level_deg: float) -> Threshold:
-    """The same level all the time; what is tolerance remains known."""
-    level = np.full(interval.level_deg.size, level_deg)
-    return Threshold("constant", level, interval.tolerance_deg, interval.sigma_deg, interval.cusum, interval.drift)
+    """The same level all the time, but for what a servo may leave that runs at its rate limit."""
+    return replace(interval, kind="constant", level_deg=level_deg + interval.saturated_deg)
 
 
 def interval_threshold(
-    generator: ResidualGenerator, segment: Segment, residuals: Residuals, tolerance: Tolerance
+    generator: ResidualGenerator,
+    segment: Segment,
+    residuals: Residuals,
+    tolerance: Tolerance,
+    sigmas: float = DEFAULT_SIGMAS,
 ) -> Threshold:
     """Largest residual that a healthy servo may have under the commands that it gets.
 
@@ -92,6 +100,8 @@ def interval_threshold(
         Of the segment.
     tolerance : Tolerance
         How far a healthy servo may differ from the model.
+    sigmas : float
+        Standard deviations of noise in the threshold.
 
     Returns
     -------
@@ -122,10 +132,10 @@ def interval_threshold(
 
     pulse = design_pulse_filter(generator.model.transfer, 0.0, segment.period_s, generator.pole_rad_s)
     size = residuals.time_s.size
-    tolerated, sigma, drift = np.empty(size), np.empty(size), np.zeros(size)
+    tolerated, saturated, sigma, drift = (np.zeros(size) for _ in range(4))
     cusum = design_cusum(_KAPPA, _SUSPICIONS_PER_HOUR, Noise.designed(pulse, 1.0))
     bounds = Bounds(
-        np.array([tolerance.gain, tolerance.delay_s, _slowest(tolerance.bandwidth), tolerance.bias_deg]),
+        habits(tolerance),
         tolerance.noise_deg,
         max(_step_deg(residuals.measured_deg) / np.sqrt(12.0), _SMALLEST_NOISE_DEG),
         pulse.noise_gain,
@@ -141,8 +151,8 @@ def interval_threshold(
         _unseen(segment, generator, residuals.time_s),
     )
     decay_rad_s = generator.model.parameters().decay_rad_s
-    follow(signals, bounds, new_work(bounds, decay_rad_s.size), decay_rad_s, tolerated, sigma, drift)
-    return Threshold("interval", tolerated + LARGEST_NOISE * sigma, tolerated, sigma, cusum, drift)
+    follow(signals, bounds, new_work(bounds, decay_rad_s.size), decay_rad_s, tolerated, saturated, sigma, drift)
+    return Threshold("interval", tolerated + sigmas * sigma, tolerated, saturated, sigma, cusum, drift)
 
 
 def suspicion(residuals: Residuals, threshold: Threshold) -> BoolArray:
@@ -181,9 +191,19 @@ def _rate_error(generator: ResidualGenerator, segment: Segment, residuals: Resid
     return generator.filtered(residuals.time_s, known, residuals.restart)
 
 
-def _slowest(share: float) -> float:
-    """A bandwidth lower by a share lengthens all lags by more than that share."""
-    return share / (1.0 - share)
+def habits(tolerance: Tolerance) -> FloatArray:
+    """Largest relative changes of gain, delay [s], lags and bias [deg] that the tolerances allow, of shape (4,).
+
+    A bandwidth lower by a share lengthens all lags by more than that share.
+
+    Examples
+    --------
+    >>> from servofd.tolerance import Tolerance
+    >>> habits(Tolerance(bandwidth=0.5)).tolist()
+    [0.03, 0.003, 1.0, 0.3]
+    """
+    lags = tolerance.bandwidth / (1.0 - tolerance.bandwidth)
+    return np.array([tolerance.gain, tolerance.delay_s, lags, tolerance.bias_deg])
 
 
 def _step_deg(measured_deg: FloatArray) -> float:

@@ -18,7 +18,7 @@ _NAMES = {
     "deadband": "dead band, stiction or play of {width_deg:.1f} deg",
     "loss_of_effectiveness": "moves by only {gain:.0%} of its command",
     "unknown": "left the model in a way that no known fault explains",
-    "healthy": "crossed the threshold, but the tolerances of a working servo explain it",
+    "healthy": "away from its model for longer than chance allows, yet within the tolerances of a working servo,",
 }
 _SLOW = {
     "bandwidth_scale": "slow: {bandwidth_scale:.0%} of its bandwidth is left",
@@ -49,4 +49,6 @@ def describe(fault: Fault) -> str:
         text, doubt = "at fault, with too little motion to tell which", f"; {' or '.join(fault.alternatives)}"
     elif fault.probability < _SURE and fault.alternatives and fault.kind != "healthy":
         doubt = "; or " + " or ".join(fault.alternatives)
+    if fault.kind == "healthy" and fault.level == "fault":
+        text = "crossed the threshold, but the tolerances of a working servo explain it"
     return f"{text.format(**values)} {since} (alarm {fault.alarm_s:.2f} s{doubt})"

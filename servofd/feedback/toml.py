@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from servofd.feedback.draft import servo_entry
+from servofd.toml_text import toml_inline, toml_key, toml_value
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from servofd.feedback.draft import Draft, DraftedSurface
 
 __all__ = ["draft_to_toml"]
@@ -26,7 +24,7 @@ def draft_to_toml(draft: Draft) -> str:
         "#",
         f"# Threshold {draft.threshold_deg:g} deg: what most surfaces of this log stay below, with a margin.",
         "",
-        f"name = {_value(log.vehicle or log.format)}",
+        f"name = {toml_value(log.vehicle or log.format)}",
     ]
     for surface in draft.surfaces:
         lines += ["", *_surface_lines(surface, draft.threshold_deg)]
@@ -34,7 +32,7 @@ def draft_to_toml(draft: Draft) -> str:
 
 
 def _surface_lines(surface: DraftedSurface, threshold_deg: float) -> list[str]:
-    pair, output, key = surface.pair, surface.pair.output, _key(surface.pair.surface)
+    pair, output, key = surface.pair, surface.pair.output, toml_key(surface.pair.surface)
     function = "function unknown" if output.function is None else f"SERVO{output.number}_FUNCTION = {output.function}"
     scale = (
         ""
@@ -43,26 +41,14 @@ def _surface_lines(surface: DraftedSurface, threshold_deg: float) -> list[str]:
     )
     lines = [
         f"[surfaces.{key}]  # output {output.number}, {function}",
-        f"servo = {_value(f'{pair.surface}-draft')}",
+        f"servo = {toml_value(f'{pair.surface}-draft')}",
         f"threshold_deg = {threshold_deg:g}  # largest residual in this log: {surface.peak_deg:.1f} deg",
     ]
     if pair.position.alive:
-        lines.append(f"alive = {_value(list(pair.position.alive))}  # all still, and the position too: dead telemetry")
-    lines += [f"command = {_inline(surface.command)}{scale}", f"measured = {_inline(surface.measured)}", ""]
-    lines.append(f"[servos.{_key(f'{pair.surface}-draft')}]")
-    lines += [f"{name} = {_value(value)}" for name, value in servo_entry(surface).items()]
+        lines.append(
+            f"alive = {toml_value(list(pair.position.alive))}  # all still, and the position too: dead telemetry"
+        )
+    lines += [f"command = {toml_inline(surface.command)}{scale}", f"measured = {toml_inline(surface.measured)}", ""]
+    lines.append(f"[servos.{toml_key(f'{pair.surface}-draft')}]")
+    lines += [f"{name} = {toml_value(value)}" for name, value in servo_entry(surface).items()]
     return lines
-
-
-def _key(name: str) -> str:
-    return name if name.replace("_", "").replace("-", "").isalnum() and name.isascii() else json.dumps(name)
-
-
-def _inline(table: Mapping[str, Any]) -> str:
-    return "{ " + ", ".join(f"{key} = {_value(value)}" for key, value in table.items()) + " }"
-
-
-def _value(value: Any) -> str:  # noqa: ANN401 - anything a TOML file can hold here
-    if isinstance(value, str | list | tuple):
-        return json.dumps(value, ensure_ascii=False)
-    return repr(value)

@@ -94,6 +94,7 @@ def _fault(fault: Fault) -> dict[str, Any]:
         "intervals": {name: [estimate.low, estimate.high] for name, estimate in fault.parameters.items()},
         "probability": fault.probability,
         "alternatives": list(fault.alternatives),
+        "named_s": fault.named_s,
         "first_signs": list(fault.first_signs),
     }
 

@@ -131,7 +131,10 @@ BAD: dict[str, tuple[Segment, str]] = {
 }
 
 
-@pytest.mark.parametrize("name", BAD)
+SLOW = {"saturated"}
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in BAD])
 def test_what_cannot_be_used_is_told_in_a_sentence(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

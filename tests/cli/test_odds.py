@@ -39,6 +39,7 @@ def test_odds_of_a_servo_scale_with_its_noise(capsys: pytest.CaptureFixture[str]
     assert thresholds[1] == pytest.approx(2.0 * thresholds[0])
 
 
+@pytest.mark.slow
 def test_odds_of_flights(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     command = ["odds", "--log", HEALTHY, STUCK, "-s", "elevator", "-s", "rudder", "--json", "-", "-o", str(tmp_path)]
     assert main(command) == 0

@@ -52,12 +52,7 @@ TIME_S = np.arange(6000) / 100.0
         ("oscillation", "frequency_hz", 2.3),
         ("slow", "bandwidth_scale", 0.4),
         ("loss_of_effectiveness", "gain", 0.5),
-        pytest.param(
-            "deadband",
-            "width_deg",
-            4.0,
-            marks=pytest.mark.xfail(strict=True, reason="the reported interval holds the width half of the time only"),
-        ),
+        ("deadband", "width_deg", 4.0),
     ],
 )
 def test_each_fault_is_recovered_within_its_interval(kind: str, name: str, truth: float) -> None:
@@ -189,7 +184,6 @@ class TestFlights:
         assert 19.0 < bias.end_s < 23.0
         assert 40.0 <= jam.start_s <= jam.alarm_s < 45.0
 
-    @pytest.mark.xfail(strict=True, reason="in motion the interval threshold is so high that half of it means little")
     @pytest.mark.parametrize("seed", [0, 2])
     def test_a_small_lasting_loss_is_one_fault_by_the_interval_threshold(self, seed: int) -> None:
         rng = np.random.default_rng(seed)
@@ -198,8 +192,7 @@ class TestFlights:
         measured_deg += NOISE_DEG * rng.standard_normal(TIME_S.size)
         assert len(judged(TIME_S, command_deg, measured_deg, "interval").faults) == 1
 
-    @pytest.mark.xfail(strict=True, reason="when several kinds are alike, the weight of 'unknown' is given: next to 0")
-    def test_a_fault_of_unknown_kind_is_as_likely_as_its_kinds_together(self) -> None:
+    def test_a_fault_of_unknown_kind_is_as_likely_as_its_likeliest_alternative(self) -> None:
         command_deg = 8.0 * np.sin(2.0 * np.pi * 10.0 * TIME_S)
         resting_deg = 0.05 * np.random.default_rng(0).standard_normal(TIME_S.size)
         (found,) = judged(TIME_S, command_deg, resting_deg).suspicions

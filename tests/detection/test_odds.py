@@ -38,6 +38,7 @@ NOISE = Noise.designed(DESIGN, 1.0 / DESIGN.noise_gain)
 WHITE = Noise(1.0, np.eye(8)[0], 0.01)
 
 
+@pytest.mark.slow
 @settings(max_examples=20, deadline=None)
 @given(st.floats(-280.0, 3.0), st.floats(-0.99, 0.99), st.floats(1e-3, 0.1), st.floats(1e-3, 10.0))
 def test_the_threshold_has_the_rate_it_was_asked_for(

@@ -192,3 +192,23 @@ def test_the_bench_output_of_appendix_c_is_audited(tmp_path: Path, capsys: pytes
     stuck = [f"{counts[0] + k % 2}\t0\t{u:.2f}" for k, u in enumerate(command_us)]
     (tmp_path / "stuck.txt").write_text("\n".join(stuck) + "\n")
     assert main(["audit", str(tmp_path / "stuck.txt"), "-c", str(config)]) == 1
+
+
+@pytest.mark.slow
+def test_the_calibration_page_shows_what_its_commands_print(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    codes = {}
+    for block in blocks((ROOT / "docs" / "calibrate.md").read_text(), "console"):
+        for shown in block.split("$ servofd ")[1:]:
+            command, _, output = shown.partition("\n")
+            words, _, target = command.partition(" > ")
+            codes[command] = main(shlex.split(words))
+            printed = capsys.readouterr().out
+            if target:
+                (tmp_path / target).write_text(printed)
+                printed = ""
+            assert plain(printed) == plain(output), command
+    assert codes["audit flight.bin -c calibrated.toml"] == 1
+    assert codes["sweep ground.bin -c calibrated.toml"] == 0

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numba import njit
 
-from servofd.detection.bank.explanation import Estimate, Explanation
+from servofd.detection.bank.explanation import COLOUR, Estimate, Explanation
 from servofd.detection.bank.window import slower
 from servofd.models.play import play
 from servofd.types import FloatArray
@@ -123,7 +123,10 @@ def _with_interval(best: Explanation, tried: dict[float, Explanation], window: W
     others = sorted((abs(v - value), fit.cost_deg2 - best.cost_deg2) for v, fit in tried.items() if v != value)
     curved = [(distance, rise) for distance, rise in others if rise > variance]
     distance, rise = curved[0] if curved else (value, variance)
-    deviation = distance * float(np.sqrt(variance / rise))
+    random = distance * float(np.sqrt(COLOUR * variance / rise))
+    # A gain that the servo may have had all along widens the zone as well.
+    habit = value * float(window.spread[0]) if name == "width_deg" else 0.0
+    deviation = float(np.hypot(random, habit))
     interval = {name: Estimate.of(value, deviation)}
     return replace(best, parameters=interval)
 

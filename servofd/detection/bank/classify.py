@@ -10,7 +10,7 @@ import numpy as np
 from servofd.detection.bank.altered import DeadBand, Slow
 from servofd.detection.bank.explanation import Explanation
 from servofd.detection.bank.following import Bias, Healthy, LossOfEffectiveness
-from servofd.detection.bank.lost import Floating, Hardover, Stuck
+from servofd.detection.bank.lost import Floating, Hardover, Stuck, Wandering
 from servofd.detection.bank.oscillation import Oscillation
 
 if TYPE_CHECKING:
@@ -80,4 +80,6 @@ def scores(window: Window, found: Mapping[str, Explanation]) -> dict[str, float]
     gap = float(window.error_deg @ window.error_deg)
     cost_deg2 = _UNEXPLAINED_SHARE**2 * gap + window.time_s.size * window.noise_deg**2
     nothing = Explanation("unknown", window.measured_deg, cost_deg2, _UNKNOWN_FREEDOM)
-    return {**{kind: window.score(e) for kind, e in found.items()}, "unknown": window.score(nothing)}
+    wandering = Wandering().explain(window) or nothing
+    unknown = min(window.score(nothing), window.score(wandering))
+    return {**{kind: window.score(e) for kind, e in found.items()}, "unknown": unknown}

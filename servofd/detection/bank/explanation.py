@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol
 
@@ -30,7 +31,7 @@ class Estimate(NamedTuple):
     @classmethod
     def of(cls, value: float, deviation: float) -> Estimate:
         """Estimate with a standard deviation."""
-        return cls(value, value - _Z_95 * deviation, value + _Z_95 * deviation)
+        return cls(float(value), float(value - _Z_95 * deviation), float(value + _Z_95 * deviation))
 
     @property
     def deviation(self) -> float:
@@ -102,6 +103,13 @@ class Ridge:
         self.weight = noise_deg**2 / spread**2
         self.gram = regressors.T @ regressors
         self.inverse = np.linalg.inv(self.gram + np.diag(self.weight + 1e-12 * len(regressors)))
+
+    def respread(self, spread: FloatArray) -> Ridge:
+        """Return the same regressors with other priors."""
+        other = copy(self)
+        other.weight = self.noise_deg**2 / spread**2
+        other.inverse = np.linalg.inv(self.gram + np.diag(other.weight + 1e-12 * len(self.regressors)))
+        return other
 
     @property
     def occam(self) -> float:

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
+import numpy as np
+
 from servofd.detection.bank.explanation import Explanation, Ridge
 
 if TYPE_CHECKING:
@@ -17,6 +19,7 @@ __all__ = ["Bias", "Healthy", "LossOfEffectiveness"]
 _GAIN, _BIAS = 0, 3
 """Columns of `Window.nuisances`."""
 _LARGEST_BIAS_DEG = 30.0
+_FASTEST_GROWTH_DEG_S = 1.0
 _LARGEST_TRIM_DEG = 5.0
 _STUCK_GAIN = 0.1
 """A servo that moves less is called stuck."""
@@ -41,21 +44,32 @@ class Bias:
     kind: ClassVar[str] = "bias"
 
     def explain(self, window: Window) -> Explanation | None:
-        """Fit an offset larger than a healthy servo may have."""
-        ridge = _widened(window, {_BIAS: _LARGEST_BIAS_DEG})
+        """Fit an offset larger than a healthy servo may have, that stays or grows; it is given at the window's end."""
+        fits = (self._fit(window, growing=growing) for growing in (False, True))
+        return min((fit for fit in fits if fit is not None), key=window.score, default=None)
+
+    def _fit(self, window: Window, *, growing: bool) -> Explanation | None:
+        wide = window.spread.copy()
+        wide[_BIAS] = _LARGEST_BIAS_DEG
+        end_s = float(window.time_s[-1])
+        spread = np.append(wide, _FASTEST_GROWTH_DEG_S) if growing else wide
+
+        def columns(other: Window) -> FloatArray:
+            return np.column_stack([other.nuisances, other.time_s - end_s]) if growing else other.nuisances
+
+        ridge = Ridge(columns(window), spread, window.noise_deg)
         fit = ridge.fit(window.error_deg)
         bias = ridge.estimate(fit, window.error_deg, _BIAS, habit=window.spread[_BIAS])
         if abs(bias.value) <= window.tolerance.bias_deg:
             return None
-        predicted_deg = window.healthy_deg + fit.predicted_deg
         return Explanation(
             self.kind,
-            predicted_deg,
+            window.healthy_deg + fit.predicted_deg,
             fit.cost_deg2,
-            1.0,
+            2.0 if growing else 1.0,
             {"bias_deg": bias},
             fit.doubt,
-            predict=partial(_with, fit.coefficients),
+            predict=lambda other: other.healthy_deg + columns(other) @ fit.coefficients,
         )
 
 

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from servofd.detection.bank.classify import Naming, name_fault
+from servofd.detection.bank.classify import BANK, Naming, name_fault
+from servofd.detection.bank.confirm import SURE
 from servofd.detection.bank.onset import BEFORE_S, refine_onset_s
 from servofd.detection.bank.signature import first_signs
 from servofd.detection.bank.window import Onset, Window
@@ -20,16 +21,17 @@ if TYPE_CHECKING:
     from servofd.detection.residual import Commands, ResidualGenerator, Residuals
     from servofd.tolerance import Tolerance
 
-__all__ = ["SURE", "Fault", "Flight", "isolate"]
+__all__ = ["Fault", "Flight", "isolate"]
 
 _SETTLING_S = 0.25
 """Left out after the onset: faults that set in abruptly still move the surface as a healthy servo would."""
+_AT_REST = ("stuck", "hardover")
 _TAKES_ANYTHING = ("floating", "unknown")
 _WINDOWS_S = (2.0, 4.0, 8.0, 16.0)
 _ENOUGH_MOTION_DEG = 4.0
-SURE = 0.95
 _LIKELY = 0.4
 _FEWEST_SAMPLES = 12
+_SHORT_S = 1.0
 _BLOCK_S = 3.0
 _LONGEST_BLOCK_S = 12.0
 _FIRST_S = 1.0 - _SETTLING_S
@@ -52,8 +54,11 @@ class Fault:
     """When it was last seen [s]; None if it lasts to the end of the log."""
     parameters: Mapping[str, Estimate]
     probability: float
+    """Of that kind; of the likeliest alternative if several do alike."""
     alternatives: tuple[str, ...]
     level: Level = "fault"
+    named_s: float | None = None
+    """When there were data enough for this name [s]."""
     first_signs: tuple[str, ...] = ()
     """What it could have been for all that was known within its first second."""
 
@@ -104,30 +109,34 @@ def isolate(flight: Flight, episode: Episode) -> tuple[Fault, ...]:
         One; or several, if one turned into another. The kind `healthy` says that the tolerances of a working servo
         explain the alarm.
     """
-    until_s = flight.end_s if episode.end_s is None else episode.end_s
+    until_s = flight.end_s if episode.end_s is None else max(episode.end_s, episode.alarm_s + _SHORT_S)
     onset = _onset(flight, episode.start_s)
     naming, window = _name(flight, episode.start_s + _SETTLING_S, until_s, onset)
-    if naming is not None and naming.kind in _TAKES_ANYTHING:
-        # The window may begin too early, and hold the transition; what fits only that is no wonder.
-        later, later_window = _name(flight, episode.alarm_s + 2.0 * _SETTLING_S, until_s, onset)
-        if later is not None and later.kind not in _TAKES_ANYTHING and later.probability >= SURE:
-            naming, window = later, later_window
+    if naming is not None and not _is_sure(naming):
+        naming, window = _second_look(flight, episode, until_s, onset) or (naming, window)
     if naming is None or window is None:
-        return (Fault("unknown", episode.start_s, episode.alarm_s, episode.end_s, {}, 0.0, (), episode.level),)
+        alike = 1.0 / len(BANK)
+        return (Fault("unknown", episode.start_s, episode.alarm_s, episode.end_s, {}, alike, (), episode.level),)
     start_s = episode.start_s
     if onset is not None and naming.best is not None and naming.kind != "healthy":
         before_s = BEFORE_S if episode.level == "fault" else _SUSPICION_LASTS_S
         if episode.suspected_s is not None:
             before_s = _SUSPICION_LASTS_S + max(episode.start_s - episode.suspected_s, 0.0)
         start_s = min(refine_onset_s(flight, naming.best, episode.start_s, window, before_s), episode.alarm_s)
-    first = replace(_fault(naming, episode, start_s), first_signs=_first_signs(flight, episode, until_s, onset))
+    first = replace(
+        _fault(naming, episode, start_s),
+        named_s=float(window.time_s[-1]),
+        first_signs=_first_signs(flight, episode, until_s, onset),
+    )
     change = _change(flight, naming.kind, float(window.time_s[-1]), until_s)
     if change is None:
         return (first,)
     changed_s, then = change
     if then.kind == "healthy":
         return (replace(first, end_s=changed_s),)
-    second = _fault(then, replace(episode, alarm_s=changed_s), changed_s)
+    # A monitor that is in alarm already learns of it when two blocks agree.
+    known_s = min(changed_s + 2.0 * _BLOCK_S, until_s)
+    second = replace(_fault(then, replace(episode, alarm_s=known_s), changed_s), named_s=known_s)
     return (replace(first, end_s=changed_s), second)
 
 
@@ -158,19 +167,43 @@ def _name(flight: Flight, from_s: float, until_s: float, onset: Onset | None) ->
     for length_s in _WINDOWS_S:
         window = flight.window(from_s, min(from_s + length_s, until_s), onset)
         if window is not None:
-            best = (name_fault(window), window)
-            if best[0].probability >= SURE and window.motion_deg >= _ENOUGH_MOTION_DEG:
+            naming = name_fault(window)
+            # What a shorter window told for sure, a longer one that holds the end of it does not undo.
+            if best[0] is None or not (_is_sure(best[0]) and naming.kind in _TAKES_ANYTHING):
+                best = naming, window
+            if _is_sure(naming) and window.motion_deg >= _ENOUGH_MOTION_DEG:
                 return best
         if from_s + length_s >= until_s:
             break
     return best
 
 
+def _second_look(flight: Flight, episode: Episode, until_s: float, onset: Onset | None) -> tuple[Naming, Window] | None:
+    """Look again where the first window may have held the wrong stretch.
+
+    It may begin too early, and hold the transition; hold the end of a short fault; or leave out the only fast motion.
+    """
+    for from_s, to_s in (
+        (episode.alarm_s + 2.0 * _SETTLING_S, episode.alarm_s + 2.0 * _SETTLING_S + _WINDOWS_S[0]),
+        (episode.start_s + _SETTLING_S, episode.start_s + _SETTLING_S + _SHORT_S),
+        (episode.start_s, episode.alarm_s + _SHORT_S),
+    ):
+        window = flight.window(from_s, min(to_s, until_s), onset)
+        if window is not None:
+            naming = name_fault(window)
+            if _is_sure(naming):
+                return naming, window
+    return None
+
+
+def _is_sure(naming: Naming) -> bool:
+    return naming.probability >= SURE and naming.kind not in (*_TAKES_ANYTHING, "healthy")
+
+
 def _fault(naming: Naming, episode: Episode, start_s: float) -> Fault:
     if naming.probability < _LIKELY:
         kinds = tuple(kind for kind in (naming.kind, *naming.alternatives) if kind != "unknown")
-        probability = naming.probabilities["unknown"]
-        return Fault("unknown", start_s, episode.alarm_s, episode.end_s, {}, probability, kinds, episode.level)
+        return Fault("unknown", start_s, episode.alarm_s, episode.end_s, {}, naming.probability, kinds, episode.level)
     parameters = naming.best.parameters if naming.best else {}
     return Fault(
         naming.kind,
@@ -204,7 +237,9 @@ def _change(flight: Flight, kind: str, from_s: float, until_s: float) -> tuple[f
 
 
 def _differs(naming: Naming, kind: str) -> bool:
-    return naming.kind not in (kind, "unknown") and naming.probability >= SURE
+    if kind in _AT_REST and naming.kind in _AT_REST:
+        return False  # only the onset, which lies outside the block, tells which
+    return naming.kind not in (kind, *_TAKES_ANYTHING) and naming.probabilities.get(kind, 0.0) <= 1.0 - SURE
 
 
 class _Block(NamedTuple):

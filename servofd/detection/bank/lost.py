@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -11,16 +11,19 @@ from servofd.detection.bank.explanation import COLOUR, Estimate, Explanation, Ri
 
 if TYPE_CHECKING:
     from servofd.detection.bank.window import Window
+    from servofd.types import FloatArray
 
-__all__ = ["Floating", "Hardover", "Stuck"]
+__all__ = ["Floating", "Hardover", "Stuck", "Wandering"]
 
 _OUT_OF_REACH_DEG = 2.0
 _UNCOMMANDED_RUN_DEG = 3.0
 _STOP_SHARE = 0.9
 _WIND_HZ = 1.0
 _FASTEST_WIND_HZ = 8.0
-_MOST_COSINES = 128
-_LARGEST_SWING_DEG = 10.0
+_MOST_COSINES = 96
+_SWINGS_DEG = (3.0, 10.0)
+_UNHEARD_OF = 6.0
+"""Where nothing was commanded, loose and wandering surfaces look alike: then it is called floating, 20 to 1."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,20 +57,48 @@ class Floating:
     kind: ClassVar[str] = "floating"
 
     def explain(self, window: Window) -> Explanation | None:
-        """Fit a random smooth motion: cosines, the faster the smaller."""
-        count = 1 + int(np.ceil(2.0 * _FASTEST_WIND_HZ * window.duration_s))
-        count = min(count, _MOST_COSINES, window.time_s.size // 2)
-        if count < 1:
+        """Fit a random smooth motion."""
+        found = _smooth(self.kind, window, np.zeros(window.time_s.size))
+        if found is None:
             return None
-        place = (window.time_s - window.time_s[0]) / max(window.duration_s, 1e-9)
-        columns = np.cos(np.pi * place[:, None] * np.arange(count))
-        frequency_hz = 0.5 * np.arange(count) / max(window.duration_s, 1e-9)
-        spread = np.asarray(_LARGEST_SWING_DEG / (1.0 + (frequency_hz / _WIND_HZ) ** 2), dtype=np.float64)
-        ridge = Ridge(columns, spread, window.noise_deg)
-        fit = ridge.fit(window.measured_deg)
-        swing = Estimate.of(float(np.ptp(fit.predicted_deg)) / 2.0, window.noise_deg)
-        doubt = (ridge.occam + fit.doubt) / COLOUR
-        return Explanation(self.kind, fit.predicted_deg, fit.cost_deg2, 0.0, {"amplitude_deg": swing}, doubt)
+        swing = Estimate.of(float(np.ptp(found.predicted_deg)) / 2.0, window.noise_deg)
+        return replace(found, parameters={"amplitude_deg": swing})
+
+
+@dataclass(frozen=True, slots=True)
+class Wandering:
+    """The surface follows its command, but for a smooth error that no fault of the bank explains.
+
+    Without it, everything that is smooth would be called floating.
+    """
+
+    kind: ClassVar[str] = "unknown"
+
+    def explain(self, window: Window) -> Explanation | None:
+        """Fit a random smooth error."""
+        found = _smooth(self.kind, window, window.healthy_deg)
+        return None if found is None else replace(found, doubt=found.doubt + _UNHEARD_OF)
+
+
+def _smooth(kind: str, window: Window, base_deg: FloatArray) -> Explanation | None:
+    """Explain what is beyond the base by cosines, the faster the smaller; their size is chosen by the evidence."""
+    count = 1 + int(np.ceil(2.0 * _FASTEST_WIND_HZ * window.duration_s))
+    count = min(count, _MOST_COSINES, window.time_s.size // 2)
+    if count < 1:
+        return None
+    place = (window.time_s - window.time_s[0]) / max(window.duration_s, 1e-9)
+    columns = np.cos(np.pi * place[:, None] * np.arange(count))
+    frequency_hz = 0.5 * np.arange(count) / max(window.duration_s, 1e-9)
+    shape = np.asarray(1.0 / (1.0 + (frequency_hz / _WIND_HZ) ** 2), dtype=np.float64)
+    target_deg = window.measured_deg - base_deg
+    ridge = Ridge(columns, _SWINGS_DEG[0] * shape, window.noise_deg)
+    found = []
+    for swing_deg in _SWINGS_DEG:
+        sized = ridge.respread(swing_deg * shape)
+        fit = sized.fit(target_deg)
+        doubt = (sized.occam + fit.doubt) / COLOUR
+        found.append(Explanation(kind, base_deg + fit.predicted_deg, fit.cost_deg2, 0.0, {}, doubt))
+    return min(found, key=window.score)
 
 
 def _resting(kind: str, window: Window) -> Explanation:

@@ -12,7 +12,7 @@ from servofd.errors import NoMeasurement
 if TYPE_CHECKING:
     from servofd.types import FloatArray
 
-__all__ = ["HOURS_FOR_TAIL", "Quoted", "TailFit", "fit_tail"]
+__all__ = ["HOURS_FOR_TAIL", "Quoted", "TailFit", "fit_tail", "peaks"]
 
 HOURS_FOR_TAIL = 2.0
 """With less healthy data the fitted tail says less than the assumption of a Gaussian one."""
@@ -172,7 +172,7 @@ def fit_tail(residual_deg: FloatArray, sample_time_s: float, apart_samples: int 
         raise NoMeasurement(f"{hours:.2g} h of healthy data; a fit of the tail needs {HOURS_FOR_TAIL:g} h")
     share = min(max(1.0 - _LEVEL_QUANTILE, _FEWEST_PEAKS / known.size), _MOST_EXCEEDANCES)
     level_deg = float(np.quantile(known, 1.0 - share))
-    excess = _peaks(size_deg, level_deg, apart_samples) - level_deg
+    excess = peaks(size_deg, level_deg, apart_samples) - level_deg
     mean, variance = (float(excess.mean()), float(excess.var())) if excess.size > 1 else (0.0, 0.0)
     if not variance > 0.0:
         raise NoMeasurement("the residual has no tail to fit: its peaks are all the same")
@@ -185,7 +185,7 @@ def fit_tail(residual_deg: FloatArray, sample_time_s: float, apart_samples: int 
     return TailFit(level_deg, float(scale) * mean, float(index), float(error), excess.size, hours)
 
 
-def _peaks(size_deg: FloatArray, level_deg: float, apart_samples: int) -> FloatArray:
+def peaks(size_deg: FloatArray, level_deg: float, apart_samples: int) -> FloatArray:
     """Largest value of each cluster of exceedances [deg]."""
     over = np.flatnonzero(size_deg > level_deg)  # a missing value is never over
     if over.size == 0:

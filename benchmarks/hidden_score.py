@@ -1,0 +1,181 @@
+"""What an answer of `servofd explain` is worth, against what is hidden in the log."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import math
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hidden_physics import CATALOGUE, Effects
+
+__all__ = ["ALIKE", "Answer", "Score", "ask", "score"]
+
+ALIKE = {
+    "lugre_friction": ("friction", "deadband", "backlash"),
+    "set_point_speed": ("rate_limit", "voltage_rate"),
+    "hard_deadband": ("deadband", "friction", "backlash"),
+    "bearing_load": ("load_friction", "friction"),
+    "hard_stop": ("position_limit",),
+}
+"""Names that are right for physics by another law: the same thing to the user."""
+_FROM_ONE = ("gain", "bandwidth_scale")
+"""Parameters that do nothing at 1: their error is relative to the deviation from there."""
+_COULD_NOT_TELL = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What the command line said."""
+
+    code: int
+    seconds: float
+    said: Mapping[str, Any] | None
+    """The JSON of the contract; None if there is none."""
+    complaint: str
+    """Last line on stderr."""
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """One answer against the truth; all shares are for the log alone."""
+
+    conclusion: str
+    """Of the contract, or `could_not_tell`."""
+    named: tuple[str, ...]
+    """In the order in which they were named."""
+    hidden: tuple[str, ...]
+    first: bool
+    """All that the catalogue has of what is hidden is named, and before anything else."""
+    in_set: bool
+    """The same, if what is declared indistinguishable from a name counts."""
+    found: int
+    """How many of the hidden effects are named or declared indistinguishable from a name."""
+    extra: tuple[str, ...]
+    """Named, though neither they nor what is declared indistinguishable from them is hidden."""
+    silently_wrong: bool
+    """The gap is said to be explained, or not to exist, and a name is wrong or missing."""
+    set_size: float
+    """Mean number of names offered for a step; 0 without steps."""
+    errors: Mapping[str, float]
+    """Relative error of each parameter of a named effect, by `effect.parameter`."""
+    covered: Mapping[str, bool]
+    """Whether its interval holds the truth."""
+    floor_ratio: float
+    """Held-out rms of the final model, over the noise that is really there."""
+    closure: float
+    """Share of the gap, in mean squares on held-out data, that is gone; NaN if there was none."""
+
+
+def ask(path: Path, surface: str, *options: str) -> Answer:
+    """Have `servofd explain` explain a log, as a user would.
+
+    Parameters
+    ----------
+    path : Path
+        Log.
+    surface : str
+        Surface to explain.
+    *options : str
+        Further words of the command line.
+    """
+    from servofd.cli import main
+
+    with tempfile.TemporaryDirectory() as folder:
+        file, silence, errors = Path(folder) / "answer.json", io.StringIO(), io.StringIO()
+        begin_s = time.perf_counter()
+        with contextlib.redirect_stdout(silence), contextlib.redirect_stderr(errors):
+            try:
+                code = main(["explain", str(path), "-s", surface, "--json", str(file), *options])
+            except SystemExit as left:
+                code = left.code if isinstance(left.code, int) else _COULD_NOT_TELL
+        seconds = time.perf_counter() - begin_s
+        said = json.loads(file.read_text()) if file.exists() else None
+    return Answer(code, seconds, said, (errors.getvalue().strip().splitlines() or [""])[-1])
+
+
+def score(said: Mapping[str, Any] | None, truth: Effects, noise_deg: float) -> Score:
+    """Score one answer.
+
+    Parameters
+    ----------
+    said : mapping or None
+        JSON of the contract; None if the command line could not tell.
+    truth : mapping
+        Parameters of all that is hidden, by name.
+    noise_deg : float
+        Noise that is really there, with that of the converter [deg].
+
+    Examples
+    --------
+    >>> step = {"effect": "gain", "parameters": {"gain": {"value": 0.79, "low": 0.78, "high": 0.81}}}
+    >>> said = {"conclusion": "explained", "nominal": {"held_out_rms_deg": 0.7}, "steps": [step],
+    ...         "indistinguishable": [["gain", "airload"]], "final": {"held_out_rms_deg": 0.1}}
+    >>> one = score(said, {"gain": {"gain": 0.8}}, 0.1)
+    >>> one.first, one.set_size, round(one.errors["gain.gain"], 6), one.covered["gain.gain"], one.silently_wrong
+    (True, 2.0, 0.05, True, False)
+    """
+    said = said or {"conclusion": "could_not_tell", "steps": []}
+    steps: Sequence[Mapping[str, Any]] = said.get("steps", [])
+    named = tuple(step["effect"] for step in steps)
+    offered = [_offered(name, said.get("indistinguishable", [])) for name in named]
+    known = tuple(name for name in truth if name in CATALOGUE)
+    nameless = tuple(name for name in truth if name not in CATALOGUE)
+    right = {*known, *(alike for name in nameless for alike in ALIKE.get(name, ()))}
+    found = sum(any(name in names for names in offered) for name in known)
+    extra = tuple(name for name, names in zip(named, offered, strict=True) if not right & names)
+    missed = found < len(known) or (bool(nameless) and not named)
+    settled = said["conclusion"] in ("explained", "nothing_missing")
+    errors, covered = _sizes(steps, truth)
+    return Score(
+        conclusion=said["conclusion"],
+        named=named,
+        hidden=tuple(truth),
+        first=bool(known) and set(named[: len(known)]) == set(known),
+        in_set=found == len(known),
+        found=found,
+        extra=extra,
+        silently_wrong=settled and (bool(extra) or missed),
+        set_size=sum(map(len, offered)) / len(offered) if offered else 0.0,
+        errors=errors,
+        covered=covered,
+        floor_ratio=_held_out(said, "final") / noise_deg,
+        closure=_closure(_held_out(said, "nominal"), _held_out(said, "final"), noise_deg),
+    )
+
+
+def _offered(name: str, groups: Sequence[Sequence[str]]) -> set[str]:
+    """An effect with all that cannot be told from it."""
+    return {name}.union(*(group for group in groups if name in group))
+
+
+def _sizes(steps: Sequence[Mapping[str, Any]], truth: Effects) -> tuple[dict[str, float], dict[str, bool]]:
+    """Errors of parameters and whether their intervals hold the truth, where name and parameter exist on both sides."""
+    errors, covered = {}, {}
+    for step in steps:
+        for key, found in step.get("parameters", {}).items():
+            true = truth.get(step["effect"], {}).get(key)
+            if true is None:
+                continue
+            name = f"{step['effect']}.{key}"
+            errors[name] = abs(found["value"] - true) / abs(true - (1.0 if key in _FROM_ONE else 0.0))
+            if found.get("low") is not None and found.get("high") is not None:
+                covered[name] = found["low"] <= true <= found["high"]
+    return errors, covered
+
+
+def _held_out(said: Mapping[str, Any], model: str) -> float:
+    value = said.get(model, {}).get("held_out_rms_deg")
+    return math.nan if value is None else float(value)
+
+
+def _closure(before_deg: float, after_deg: float, noise_deg: float) -> float:
+    """Share of what is not noise that is gone."""
+    gap = before_deg**2 - noise_deg**2
+    return 1.0 - max(after_deg**2 - noise_deg**2, 0.0) / gap if gap > 0.02 * noise_deg**2 else math.nan

@@ -1,0 +1,1 @@
+"""Calibration of an aircraft from flights that are known to be good."""

@@ -1,0 +1,149 @@
+"""From known-good flights to a calibrated aircraft."""
+
+from __future__ import annotations
+
+import math
+import os
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING
+
+from servofd.aircraft import Aircraft
+from servofd.calibrating.result import Calibration
+from servofd.calibrating.surface import calibrate_surface, hardly_moved
+from servofd.errors import CalibrationError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from servofd.aircraft import Surface
+    from servofd.calibrating.flights import Flight
+    from servofd.calibrating.result import CalibratedSurface
+
+__all__ = ["calibrate_aircraft"]
+
+
+def calibrate_aircraft(
+    aircraft: Aircraft,
+    flights: Mapping[str, Sequence[Flight]],
+    *,
+    false_alarms_per_hour: float = 1e-3,
+    progress: Callable[[str], None] = lambda _surface: None,
+) -> Calibration:
+    """Fit every surface of an aircraft to flights that are known to be good.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+        What is known so far; its servos may be rough drafts.
+    flights : mapping of surface to Flights
+        Surfaces without any stay as they are.
+    false_alarms_per_hour : float
+        Wanted rate of the whole aircraft; each surface that is calibrated gets its share.
+    progress : callable
+        Called with the name of each surface that is done.
+
+    Returns
+    -------
+    Calibration
+        The aircraft, and how sure everything is.
+
+    Raises
+    ------
+    CalibrationError
+        If no surface moved enough, or one behaves as no healthy servo does.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from servofd.aircraft import plain_aircraft
+    >>> from servofd.calibrating.flights import Flight
+    >>> from servofd.segment import Segment
+    >>> from servofd.simulation.flight import simulate_flight
+    >>> flown = simulate_flight(plain_aircraft(["rudder"], "s9254"), seed=1, noise_deg=0.05)
+    >>> segment = Segment("rudder", flown.time_s, flown.command_deg[:, 0], flown.time_s, flown.measured_deg[:, 0])
+    >>> rough = plain_aircraft(["rudder"], "s9256")
+    >>> calibrated = calibrate_aircraft(rough, {"rudder": [Flight("good.csv", segment)]})
+    >>> calibrated.surfaces[0].levels.interval_deg < 0.5
+    True
+    """
+    kept = {name: "not asked for" for name in aircraft.surfaces if name not in flights}
+    kept |= {name: "no measured deflection" for name, those in flights.items() if not those}
+    for name, those in flights.items():
+        reason = hardly_moved(those) if those else ""
+        if reason:
+            kept[name] = reason
+    wanted = [name for name in aircraft.surfaces if name not in kept]
+    if not wanted:
+        raise CalibrationError("; ".join(f"{name}: {reason}" for name, reason in kept.items()))
+
+    def one(name: str) -> CalibratedSurface | CalibrationError:
+        try:
+            return calibrate_surface(flights[name], aircraft, false_alarms_per_hour / len(wanted))
+        except CalibrationError as error:
+            return error
+        finally:
+            progress(name)
+
+    # The kernel runs without the interpreter's lock.
+    with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
+        results = list(pool.map(one, wanted))
+    wrong = [str(result) for result in results if isinstance(result, CalibrationError)]
+    if wrong:
+        raise CalibrationError("; ".join(wrong))
+    found = [result for result in results if not isinstance(result, CalibrationError)]
+    return Calibration(_with(aircraft, found), tuple(found), kept, false_alarms_per_hour)
+
+
+def _with(aircraft: Aircraft, found: Sequence[CalibratedSurface]) -> Aircraft:
+    """The aircraft with new entries for what was calibrated."""
+    surfaces = dict(aircraft.surfaces)
+    servos = {}
+    for one in found:
+        name = f"{one.surface}-calibrated"
+        surfaces[one.surface] = _entry(surfaces[one.surface], one, name)
+        servos[name] = one.fit.servo.described(_source(one))
+    used = {surface.servo for surface in surfaces.values()}
+    servos |= {name: servo for name, servo in aircraft.servos.items() if name in used and name not in servos}
+    return Aircraft.model_validate(
+        {"name": aircraft.name, "table": aircraft.table, "surfaces": surfaces, "servos": servos}
+    )
+
+
+def _entry(surface: Surface, one: CalibratedSurface, servo: str) -> Surface:
+    if surface.measured is None:
+        raise CalibrationError(f"{one.surface}: the aircraft file names no measured channel for it")
+    gain, offset_deg = one.fit.gain.value, one.fit.offset_deg.value
+    measured = surface.measured.corrected(1.0 / gain, -offset_deg / gain)
+    rounded = (float(f"{measured.correction[0]:.6g}"), round(measured.correction[1], 4))
+    levels = one.levels
+    return surface.model_copy(
+        update={
+            "servo": servo,
+            "measured": measured.model_copy(update={"correction": rounded}),
+            "threshold": "interval",
+            "threshold_deg": _two_digits_up(levels.constant_deg),
+            "filter_pole_rad_s": float(one.filter_pole_rad_s),
+            "suspicions": one.suspicions,
+            "threshold_sigmas": round(levels.sigmas, 2),
+            "tolerance": levels.tolerance.model_copy(
+                update={key: _two_digits_up(value) for key, value in levels.tolerance.model_dump().items()}
+            ),
+        }
+    )
+
+
+def _two_digits_up(value: float) -> float:
+    """Two digits that count and a half, never below the value.
+
+    >>> _two_digits_up(0.03141), _two_digits_up(2.0)
+    (0.0315, 2.0)
+    """
+    if value <= 0.0:
+        return 0.0
+    step = 5.0 * 10.0 ** (math.floor(math.log10(value)) - 2)
+    return float(f"{math.ceil(value / step - 1e-9) * step:.6g}")
+
+
+def _source(one: CalibratedSurface) -> str:
+    logs = ", ".join(f"{record.label} ({record.used_s:.0f} s)" for record in one.flights)
+    return f"fitted to {logs}"

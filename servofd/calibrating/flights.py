@@ -1,0 +1,114 @@
+"""Flights to calibrate from: what of each log is used, and cut into stretches with motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from servofd.segment import Segment
+    from servofd.types import FloatArray
+
+__all__ = ["Flight", "Span", "asked_deg", "busiest", "cropped"]
+
+_SLOW_RAD_S = 12.6
+_PIECES = 8
+
+Span = tuple[float, float]
+"""From when to when [s], on the clock of the log."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flight:
+    """One surface in one log."""
+
+    label: str
+    """Name of the log, without folders; with the run, if the file holds several."""
+    segment: Segment
+
+    def with_scale(self, gain: float, offset_deg: float) -> Flight:
+        """Return the same flight with a position that reads in degrees of the command: (position - offset) / gain."""
+        measured_deg = (self.segment.measured_deg - offset_deg) / gain
+        return Flight(self.label, replace(self.segment, measured_deg=measured_deg))
+
+
+def cropped(segment: Segment, spans: tuple[Span, ...]) -> Segment:
+    """Keep what was measured within some spans; commands stay, they say where the servo was going.
+
+    Examples
+    --------
+    >>> from servofd.segment import Segment
+    >>> t = np.arange(5.0)
+    >>> cropped(Segment("x", t, t, t, t), ((1.0, 3.0),)).measured_s
+    array([1., 2., 3.])
+    """
+    if not spans:
+        return segment
+    inside = np.zeros(segment.measured_s.size, dtype=bool)
+    for from_s, to_s in spans:
+        inside |= (segment.measured_s >= from_s) & (segment.measured_s <= to_s)
+    return replace(segment, measured_s=segment.measured_s[inside], measured_deg=segment.measured_deg[inside])
+
+
+def busiest(flight: Flight, most_samples: int) -> list[Flight]:
+    """Pieces of a flight with most motion, as a slow servo would move, of at most so many samples in all.
+
+    Each eighth of the flight gives one: what a fault does to the commands must not draw all of them to itself.
+
+    Examples
+    --------
+    >>> from servofd.segment import Segment
+    >>> t = np.arange(100.0)
+    >>> long = Flight("a", Segment("x", t, np.where(t > 50.0, 5.0, 0.0), t, t))
+    >>> [piece.segment.measured_s.size for piece in busiest(long, 40)]
+    [5, 5, 5, 5, 5, 5, 5, 5]
+    """
+    segment = flight.segment
+    size = segment.measured_s.size
+    if size <= most_samples:
+        return [flight]
+    smooth_deg = _smoothed(asked_deg(segment), segment.period_s)
+    travel_deg = np.cumsum(np.abs(np.diff(smooth_deg, prepend=smooth_deg[0])))
+    length = most_samples // _PIECES
+    pieces = []
+    for rows in np.array_split(np.arange(size), _PIECES):
+        gained_deg = travel_deg[rows[length - 1 :]] - travel_deg[rows[: rows.size - length + 1]]
+        first = int(rows[0]) + int(np.argmax(gained_deg))
+        pieces.append(_piece(flight, first, first + length))
+    return pieces
+
+
+def _piece(flight: Flight, first: int, last: int) -> Flight:
+    """Measurements of some rows, with the commands in force from the first to the last of them."""
+    segment = flight.segment
+    from_s, to_s = (float(segment.measured_s[k]) for k in (first, last - 1))
+    begin, end = np.searchsorted(segment.command_s, (from_s, to_s), side="right").tolist()
+    commands = slice(max(begin - 1, 0), max(end, 1))
+    return Flight(
+        flight.label,
+        replace(
+            segment,
+            command_s=segment.command_s[commands],
+            command_deg=segment.command_deg[commands],
+            measured_s=segment.measured_s[first:last],
+            measured_deg=segment.measured_deg[first:last],
+        ),
+    )
+
+
+def _smoothed(command_deg: FloatArray, period_s: float) -> FloatArray:
+    """What a slow servo, two lags at 2 Hz, would make of a command: the fast end of a chirp moves no servo."""
+    from scipy.signal import lfilter
+
+    kept = float(np.exp(-_SLOW_RAD_S * period_s))
+    smooth_deg: FloatArray = lfilter([(1.0 - kept) ** 2], [1.0, -2.0 * kept, kept**2], command_deg - command_deg[0])
+    return smooth_deg
+
+
+def asked_deg(segment: Segment) -> FloatArray:
+    """Command in force at each measurement, shape (m,) [deg]."""
+    held = np.searchsorted(segment.command_s, segment.measured_s, side="right") - 1
+    command_deg: FloatArray = segment.command_deg[np.maximum(held, 0)]
+    return command_deg

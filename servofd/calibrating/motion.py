@@ -1,0 +1,130 @@
+"""Simulated against measured motion, for many servos in a row."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servofd.detection.bank.window import noise_deg
+from servofd.detection.residual import ResidualGenerator
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from servofd.calibrating.flights import Flight
+    from servofd.calibrating.servo import FlownServo
+    from servofd.types import BoolArray, FloatArray
+
+__all__ = ["Motion", "line", "memory", "noise_of"]
+
+_POLE_RAD_S = 30.0
+"""Of a filter that only serves to find gaps and starts: gaps beyond 0.17 s, blanking of 0.27 s."""
+_FORGOTTEN_S = 1.0
+"""After a start the servo was somewhere nobody knows; the slowest ones of the library forget it by then."""
+_FORGOTTEN_SHARE = 0.1
+"""Of a short test, which begins at rest."""
+_REWEIGHTINGS = 8
+_MEMORY_S = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """Flights of one surface, ready to be compared with a simulation."""
+
+    flights: tuple[Flight, ...]
+    used: tuple[BoolArray, ...]
+    """Rows of each flight with a position that a simulation can be held against."""
+    usual_gain: float = 1.0
+    """Of a position that reads in degrees as the aircraft file says."""
+
+    @classmethod
+    def of(cls, flights: Sequence[Flight], servo: FlownServo) -> Motion:
+        """Find the rows; they do not depend on the numbers of the servo."""
+        return cls(tuple(flights), tuple(_usable(flight, servo) for flight in flights))
+
+    @property
+    def measured_deg(self) -> FloatArray:
+        """Position in all used rows [deg], shape (n,)."""
+        pairs = zip(self.flights, self.used, strict=True)
+        return np.concatenate([flight.segment.measured_deg[rows] for flight, rows in pairs])
+
+    def simulated_deg(self, servo: FlownServo) -> FloatArray:
+        """Deflection of a servo in all used rows [deg], shape (n,)."""
+        generator = ResidualGenerator(servo.model, _POLE_RAD_S)
+        pairs = zip(self.flights, self.used, strict=True)
+        return np.concatenate([generator.run(flight.segment).simulated_deg[rows] for flight, rows in pairs])
+
+    def split(self, values: FloatArray) -> list[FloatArray]:
+        """What belongs to each flight of an array of shape (n,)."""
+        return np.split(values, np.cumsum([np.count_nonzero(rows) for rows in self.used])[:-1])
+
+    @property
+    def period_s(self) -> float:
+        """Median sample time of the first flight [s]."""
+        return self.flights[0].segment.period_s
+
+    def memory(self, error_deg: FloatArray) -> float:
+        """Long-run variance of an error over its variance, at least 1."""
+        return memory(self.split(error_deg), max(1, round(_MEMORY_S / self.period_s)))
+
+
+def _usable(flight: Flight, servo: FlownServo) -> BoolArray:
+    from servofd.models.kernel import RESTART_ALL
+
+    residuals = ResidualGenerator(servo.model, _POLE_RAD_S).run(flight.segment)
+    starts = np.flatnonzero(residuals.restart == RESTART_ALL)
+    if starts.size == 0:
+        return np.zeros(residuals.time_s.size, dtype=bool)
+    last = np.searchsorted(starts, np.arange(residuals.time_s.size), side="right") - 1
+    since_s = residuals.time_s - residuals.time_s[starts[np.maximum(last, 0)]]
+    forgotten_s = min(_FORGOTTEN_S, _FORGOTTEN_SHARE * flight.segment.duration_s)
+    usable: BoolArray = residuals.settled & (last >= 0) & (since_s >= forgotten_s)
+    return usable
+
+
+def line(x: FloatArray, y: FloatArray) -> tuple[float, float, float]:
+    """Slope and offset of y over x by small absolute deviations, and the median size of what is left.
+
+    Examples
+    --------
+    >>> x = np.arange(100.0)
+    >>> slope, offset, left = line(x, np.where(x < 90, 2.0 * x + 1.0, 0.0))
+    >>> round(slope, 1)
+    2.0
+    """
+    weight = np.full(x.size, 1.0)
+    slope, offset = 1.0, 0.0
+    for _ in range(_REWEIGHTINGS):
+        total = weight.sum()
+        centre_x, centre_y = float(weight @ x) / total, float(weight @ y) / total
+        weighted = weight * (x - centre_x)
+        slope = float(weighted @ (y - centre_y)) / max(float(weighted @ (x - centre_x)), 1e-12)
+        offset = centre_y - slope * centre_x
+        deviation = np.abs(y - slope * x - offset)
+        weight = 1.0 / (deviation + 1e-6 + 0.1 * float(deviation.mean()))
+    return slope, offset, float(np.median(np.abs(y - slope * x - offset)))
+
+
+def memory(errors: Sequence[FloatArray], lags: int) -> float:
+    """Long-run variance over variance (Bartlett's window), at least 1: how many neighbours tell as much as one.
+
+    Examples
+    --------
+    >>> white = np.random.default_rng(0).standard_normal(20_000)
+    >>> round(memory([white], 20), 1), round(memory([np.repeat(white, 3)], 50))
+    (1.0, 3)
+    """
+    total = sum(float(e @ e) for e in errors)
+    if total == 0.0:
+        return 1.0
+    products = [sum(float(e[k:] @ e[:-k]) for e in errors if e.size > k) / total for k in range(1, lags + 1)]
+    return max(1.0, 1.0 + 2.0 * sum((1.0 - k / (lags + 1)) * p for k, p in enumerate(products, start=1)))
+
+
+def noise_of(measured_deg: FloatArray, error_deg: FloatArray) -> float:
+    """Standard deviation of the measurement noise [deg], that of rounding included."""
+    steps = np.diff(np.unique(measured_deg))
+    step_deg = float(np.median(steps)) if steps.size > 1 else 0.0
+    return float(max(noise_deg(error_deg), step_deg / np.sqrt(12.0)))

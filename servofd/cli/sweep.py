@@ -1,0 +1,85 @@
+"""``servofd sweep``: pre-flight check of each surface from a commanded sweep on the ground."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from servofd.sweep.check import SurfaceSweep
+
+__all__ = ["add_parser", "run"]
+
+
+def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
+    """Declare the verb."""
+    parser = verbs.add_parser(
+        "sweep",
+        help="pre-flight check: go or no-go from a short sweep on the ground",
+        description="Judges a log in which each surface was moved to both sides on the ground, by a script or with the "
+        "sticks. Exit code 0: go for all; 1: at least one no-go; 2: could not tell.",
+        epilog="Example: servofd sweep ground_check.bin -c calibrated.toml",
+    )
+    parser.add_argument("log", metavar="LOG", help="log of the sweep")
+    parser.add_argument("-c", "--config", metavar="AIRCRAFT.toml", help="aircraft file, or the name of a shipped one")
+    parser.add_argument("-s", "--surface", action="append", default=[], metavar="NAME", help="judge only this surface")
+    parser.add_argument("--json", metavar="FILE", help="write the result as JSON; - prints it instead of the table")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Check, then write or print."""
+    import logparsers
+    from servofd.aircraft import load_aircraft
+    from servofd.errors import UnknownName, suggest
+    from servofd.outputs.files import write_whole
+    from servofd.outputs.json_report import to_json
+    from servofd.outputs.sweep_report import sweep_document
+    from servofd.sweep.check import check_sweep
+    from servofd.workflow import aircraft_for, layout_of
+
+    known = load_aircraft(options.config) if options.config else None
+    log = logparsers.read(options.log, layout_of(known))
+    aircraft = known or aircraft_for(log)
+    for name in options.surface:
+        if name not in aircraft.surfaces:
+            raise UnknownName(f"{log.label}: {suggest('surface', name, aircraft.surfaces)}")
+    found = check_sweep(log, aircraft, tuple(options.surface))
+    document = to_json(sweep_document(log, found))
+    if options.json and options.json != "-":
+        write_whole(options.json, document.encode())
+    if options.json == "-":
+        print(document, end="")
+    else:
+        _print(found, f"{log.label}   {log.format}, {log.duration_s:.1f} s")
+    return _exit_code(found)
+
+
+def _exit_code(found: tuple[SurfaceSweep, ...]) -> int:
+    statuses = {one.status for one in found if one.expected}
+    if "no_go" in statuses:
+        return 1
+    return 0 if statuses == {"go"} else 2
+
+
+def _print(found: tuple[SurfaceSweep, ...], title: str) -> None:
+    from servofd.cli.tables import print_table
+
+    words = {"go": "go", "no_go": "NO-GO", "unknown": "cannot tell"}
+    headings = ["surface", "verdict", "travel", "gain", "extra lag (ms)", "bias", "play", "fastest", "residual", "why"]
+    rows = []
+    for one in found:
+        cells = [""] * 7
+        if one.numbers is not None:
+            n = one.numbers
+            cells = [
+                f"{n.reached_deg[0]:+.1f} to {n.reached_deg[1]:+.1f} deg",
+                f"{n.gain.value:.3f}",
+                f"{1e3 * n.extra_delay_s.value:+.1f}",
+                f"{n.bias_deg.value:+.2f} deg",
+                f"{max(n.play_deg.value, 0.0):.2f} deg",
+                f"{n.fastest_deg_s:.0f} deg/s",
+                f"{n.residual_peak_deg:.2f} of {n.threshold_deg:.2f} deg",
+            ]
+        rows.append([one.surface, words[one.status], *cells, "; ".join(one.reasons)])
+    print_table(headings, rows, title)

@@ -1,0 +1,1 @@
+"""Pre-flight check: judges a short commanded sweep on the ground."""

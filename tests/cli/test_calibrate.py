@@ -1,0 +1,159 @@
+"""`servofd calibrate` and `servofd sweep`: files written and refused, tables, exit codes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from servofd.aircraft import load_aircraft, plain_aircraft
+from servofd.cli import main
+from servofd.models.faults import Stuck
+from servofd.simulation.flight import SimulatedFlight, simulate_flight
+from servofd.types import FloatArray
+
+AIRCRAFT = """
+[surfaces.rudder]
+servo = "hs225bb-eq31"
+command = { channel = "rudder_cmd_deg", unit = "deg" }
+measured = { channel = "rudder_pos_deg", unit = "deg" }
+"""
+
+
+def written(folder: Path, name: str, time_s: FloatArray, command_deg: FloatArray, measured_deg: FloatArray) -> str:
+    rows = np.column_stack([time_s, command_deg, measured_deg])
+    path = folder / name
+    np.savetxt(path, rows, "%.4f", ",", header="time_s,rudder_cmd_deg,rudder_pos_deg", comments="")
+    return str(path)
+
+
+def flown(seed: int = 1, **options: object) -> SimulatedFlight:
+    return simulate_flight(plain_aircraft(["rudder"]), seed=seed, **({"duration_s": 30.0} | options))  # type: ignore[arg-type]
+
+
+def logged(folder: Path, name: str, flight: SimulatedFlight) -> str:
+    return written(folder, name, flight.time_s, flight.command_deg[:, 0], flight.measured_deg[:, 0])
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> str:
+    path = tmp_path / "plane.toml"
+    path.write_text(AIRCRAFT)
+    return str(path)
+
+
+def test_a_good_flight_gives_an_aircraft_file(tmp_path: Path, config: str, capsys: pytest.CaptureFixture[str]) -> None:
+    flight = flown()
+    good = written(tmp_path, "good.csv", flight.time_s, flight.command_deg[:, 0], 0.9 * flight.measured_deg[:, 0] + 2.0)
+    target = tmp_path / "calibrated.toml"
+    assert main(["calibrate", good, "-c", config, "-o", str(target)]) == 0
+    shown = capsys.readouterr().out
+    assert "0.90" in shown
+    assert "rate_limit_deg_s kept" in shown
+    text = target.read_text()
+    assert "good.csv" in text
+    assert str(tmp_path) not in text
+    surface = load_aircraft(target).surfaces["rudder"]
+    assert surface.threshold == "interval"
+    assert surface.measured is not None
+    assert surface.measured.correction[0] == pytest.approx(1.0 / 0.9, rel=0.005)
+    # The next flight of the same servo is healthy with this file.
+    other = flown(2)
+    after = written(tmp_path, "after.csv", other.time_s, other.command_deg[:, 0], 0.9 * other.measured_deg[:, 0] + 2.0)
+    assert main(["audit", after, "-c", str(target)]) == 0
+
+
+def test_faulty_flights_are_refused_and_their_good_part_is_not(
+    tmp_path: Path, config: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    jammed = logged(tmp_path, "jammed.csv", flown(faults={"rudder": Stuck(20.0)}))
+    target = tmp_path / "calibrated.toml"
+    assert main(["calibrate", jammed, "-c", config, "-o", str(target)]) == 2
+    error = capsys.readouterr().err
+    assert "rudder: not a good flight: jammed.csv: st" in error
+    assert error.count("\n") == 1
+    assert not target.exists()
+    assert main(["calibrate", jammed, "-c", config, "-o", str(target), "--between", "0:18"]) == 0
+
+
+def test_bad_input_is_told_in_a_sentence(tmp_path: Path, config: str, capsys: pytest.CaptureFixture[str]) -> None:
+    rng = np.random.default_rng(0)
+    flight = flown()
+    time_s, command_deg, measured_deg = flight.time_s, flight.command_deg[:, 0], flight.measured_deg[:, 0]
+    slow = slice(None, None, 10)
+    cases = {
+        "rest.csv": ((time_s, 0.1 * np.sin(time_s), 0.1 * rng.standard_normal(time_s.size)), "moves by 0.2 deg only"),
+        "noise.csv": ((time_s, command_deg, rng.standard_normal(time_s.size)), "does not follow the command"),
+        "thin.csv": ((time_s[slow], command_deg[slow], measured_deg[slow]), "10 Hz"),
+        "swapped.csv": ((time_s, measured_deg, command_deg), "before the command"),
+        "clipped.csv": ((time_s, command_deg, np.clip(measured_deg, -2.0, 2.0)), "deg rms of a motion"),
+        "units.csv": ((time_s, command_deg, 10.0 * measured_deg), "10 times as far"),
+    }
+    for name, (columns, words) in cases.items():
+        target = tmp_path / "calibrated.toml"
+        assert main(["calibrate", written(tmp_path, name, *columns), "-c", config, "-o", str(target)]) == 2, name
+        error = capsys.readouterr().err
+        assert words in error, (name, error)
+        assert error.count("\n") == 1
+        assert not target.exists()
+
+
+def test_two_aircraft_are_not_one(tmp_path: Path, config: str, capsys: pytest.CaptureFixture[str]) -> None:
+    one, other = flown(1), flown(2)
+    first = logged(tmp_path, "one.csv", one)
+    second = written(tmp_path, "two.csv", other.time_s, other.command_deg[:, 0], 0.6 * other.measured_deg[:, 0])
+    target = tmp_path / "calibrated.toml"
+    assert main(["calibrate", first, second, "-c", config, "-o", str(target)]) == 2
+    assert "not the same aircraft" in capsys.readouterr().err
+    assert not target.exists()
+
+
+@pytest.mark.parametrize("words", [["--between", "9:3"], ["--until", "x"], ["--false-alarms-per-hour", "0"]])
+def test_wrong_options_are_told(words: list[str], config: str) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["calibrate", "a.csv", "-c", config, "-o", "b.toml", *words])
+    assert stop.value.code == 2
+
+
+def test_a_log_is_not_overwritten(tmp_path: Path, config: str) -> None:
+    good = logged(tmp_path, "good.csv", flown())
+    assert main(["calibrate", good, "-c", config, "-o", good]) == 2
+
+
+def swept(faults: dict[str, Stuck] | None = None) -> SimulatedFlight:
+    return flown(command="steps", duration_s=15.0, faults=faults)
+
+
+def test_a_sweep_is_a_go_or_a_no_go(tmp_path: Path, config: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sweep", logged(tmp_path, "ground.csv", swept()), "-c", config]) == 0
+    assert " go " in capsys.readouterr().out
+    assert main(["sweep", logged(tmp_path, "jam.csv", swept({"rudder": Stuck(5.0)})), "-c", config]) == 1
+    assert "NO-GO" in capsys.readouterr().out
+
+
+def test_a_surface_that_was_not_moved_cannot_be_judged(
+    tmp_path: Path, config: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    time_s = np.arange(0.0, 10.0, 0.01)
+    command_deg = 1.0 * np.sin(time_s)
+    measured_deg = plain_aircraft(["rudder"]).model("rudder").simulate(time_s, command_deg, time_s)
+    log = written(tmp_path, "still.csv", time_s, command_deg, measured_deg + 0.02 * np.sin(50.0 * time_s))
+    assert main(["sweep", log, "-c", config]) == 2
+    assert "move it at least ±3 deg" in capsys.readouterr().out
+
+
+def test_a_sweep_measures_what_is_wrong(tmp_path: Path, config: str, capsys: pytest.CaptureFixture[str]) -> None:
+    time_s = np.arange(0.0, 20.0, 0.01)
+    command_deg = 15.0 * np.sin(3.0 * time_s) * np.sign(np.sin(0.7 * time_s))
+    healthy_deg = plain_aircraft(["rudder"]).model("rudder").simulate(time_s, command_deg, time_s)
+    noise_deg = 0.05 * np.random.default_rng(0).standard_normal(time_s.size)
+    log = written(tmp_path, "weak.csv", time_s, command_deg, 0.94 * healthy_deg + noise_deg)
+    code = main(["sweep", log, "-c", config, "--json", "-"])
+    document = json.loads(capsys.readouterr().out)
+    rudder = document["surfaces"]["rudder"]
+    assert document["schema"] == "servofd.sweep/1"
+    assert (code, rudder["status"]) == (1, "no_go")
+    assert rudder["numbers"]["gain"]["low"] <= 0.94 <= rudder["numbers"]["gain"]["high"]
+    assert rudder["numbers"]["gain"]["value"] == pytest.approx(0.94, abs=0.003)
