@@ -24,7 +24,10 @@ __all__ = ["Rung", "Selection", "select"]
 Tried = dict[tuple[str, ...], list[Fit]]
 """Fits that have one effect more than the effects of the key."""
 
-_BEAM = 2
+_BEAM, _WIDE_BEAM, _FEW = 2, 4, 2
+"""The wide one where something stays, or more than a few effects seem to be needed: two simple ones may do as well."""
+_SAME_LOSS = 1e-3
+"""Relative: the same servo in other words."""
 _MOST_EFFECTS = 4
 _SHARE_OF_NOISE, _SHARE_OF_GAP = 0.03, 0.02
 """An effect must take away this share of the noise variance, and of the gap that is left."""
@@ -105,24 +108,9 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     able, unable = judgeable(record)
     nominal = fitter.nominal()
     tried: Tried = {}
-    beam, best = [nominal], nominal
-    for _ in range(_MOST_EFFECTS):
-        sigma = floor_of(record, best)
-        grown: list[Fit] = []
-        for base in beam:
-            if not _worth_trying(record, base, sigma):
-                continue
-            fits = fitter.with_effects(base, able, progress)
-            tried[_keys(base)] = fits
-            grown += [fit for fit in fits if _accepted(record, base, fit, min(sigma, floor_of(record, fit)))]
-        if not grown:
-            break
-        grown.sort(key=lambda fit: _cost(record, fit))
-        beam = _distinct(grown)[:_BEAM]
-        if _cost(record, beam[0]) < _cost(record, best):
-            best = beam[0]
-        if not _worth_trying(record, best, floor_of(record, best)):
-            break
+    best = _grown(fitter, able, tried, _BEAM, progress)
+    if len(best.effects) > _FEW or _rest_is_large(record, best, nominal):
+        best = min(best, _grown(fitter, able, tried, _WIDE_BEAM, progress), key=lambda fit: _cost(record, fit))
     best = _ordered(fitter, _simplest(fitter, _convincing(fitter, _pruned(fitter, best), nominal), able, tried))
     sigma = max(floor_of(record, best), _before_steps_deg(fitter, best))
     rungs = _rungs(fitter, nominal, best, tried, able)
@@ -133,6 +121,32 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     )
     covariance = fitter.covariance(best, _rms(best, record), long_run_factor(best.error_deg[record.trained]))
     return Selection(nominal, rungs, ties, sigma, tuple(unable), covariance, fitter.simulations)
+
+
+def _grown(
+    fitter: Fitter, able: list[type[MissingEffect]], tried: Tried, width: int, progress: Callable[[str], None]
+) -> Fit:
+    """Forward search: the best few of each length go on."""
+    record, best = fitter.record, fitter.nominal()
+    beam = [best]
+    for _ in range(_MOST_EFFECTS):
+        sigma = floor_of(record, best)
+        grown: list[Fit] = []
+        for base in beam:
+            if not _worth_trying(record, base, sigma):
+                continue
+            fits = tried.get(_keys(base)) or fitter.with_effects(base, able, progress)
+            tried[_keys(base)] = fits
+            grown += [fit for fit in fits if _accepted(record, base, fit, min(sigma, floor_of(record, fit)))]
+        if not grown:
+            break
+        grown.sort(key=lambda fit: _cost(record, fit))
+        beam = _distinct(grown)[:width]
+        if _cost(record, beam[0]) < _cost(record, best):
+            best = beam[0]
+        if not _worth_trying(record, best, floor_of(record, best)):
+            break
+    return best
 
 
 def floor_of(record: Record, fit: Fit) -> float:
@@ -155,10 +169,11 @@ def _cost(record: Record, fit: Fit) -> float:
 
 
 def _distinct(fits: list[Fit]) -> list[Fit]:
-    """One fit for each set of names."""
+    """One fit for each set of names, and one of those that move alike."""
     seen: dict[tuple[str, ...], Fit] = {}
     for fit in fits:
-        seen.setdefault(tuple(sorted(fit.names)), fit)
+        if not any(abs(fit.total - other.total) < _SAME_LOSS * other.total for other in seen.values()):
+            seen.setdefault(tuple(sorted(fit.names)), fit)
     return list(seen.values())
 
 
@@ -224,6 +239,13 @@ def _pruned(fitter: Fitter, best: Fit) -> Fit:
     return best
 
 
+def _rest_is_large(record: Record, fit: Fit, nominal: Fit) -> bool:
+    """Whether more is left than noise, and more than a rounding of what was there."""
+    sigma, count = floor_of(record, fit), max(float(record.counts.sum()), 1.0)
+    left, gap = (max(each.total - count * sigma**2, 0.0) for each in (fit, nominal))
+    return left > max(_EXCESS_OF_NOISE * count * sigma**2, _EXCESS_OF_GAP * gap)
+
+
 def _convincing(fitter: Fitter, fit: Fit, nominal: Fit) -> Fit:
     """Without the effects whose size might be none, and those that matter little beside what stays unexplained."""
     record = fitter.record
@@ -231,8 +253,7 @@ def _convincing(fitter: Fitter, fit: Fit, nominal: Fit) -> Fit:
         sigma, count = floor_of(record, fit), max(float(record.counts.sum()), 1.0)
         factor = long_run_factor(fit.error_deg[record.trained])
         deviation = np.sqrt(np.maximum(np.diag(fitter.covariance(fit, _rms(fit, record), factor)), 1e-300))
-        left, gap = (max(each.total - count * sigma**2, 0.0) for each in (fit, nominal))
-        rest_is_large = left > max(_EXCESS_OF_NOISE * count * sigma**2, _EXCESS_OF_GAP * gap)
+        gap, rest_is_large = max(nominal.total - count * sigma**2, 0.0), _rest_is_large(record, fit, nominal)
         first, losses, sure = 0, [], []
         for k, effect in enumerate(fit.effects):
             size = slice(first, first + len(effect.parameters))
@@ -344,7 +365,7 @@ def unexplained(selection: Selection, record: Record) -> bool:
     """Whether more is left than noise, and more than a rounding of what was there."""
     left = excess(record, selection.final, selection.sigma_deg)
     if Quantization in selection.final.effects:
-        left -= _dithered(record, selection)
+        left = min(left, *(left - more for more in _dithered(record, selection)))
     gap = excess(record, selection.nominal, selection.sigma_deg)
     return left > _EXCESS_OF_NOISE * selection.sigma_deg**2 and left > _EXCESS_OF_GAP * gap
 
@@ -358,14 +379,20 @@ def _before_steps_deg(fitter: Fitter, fit: Fit) -> float:
     return float(np.sqrt(max(float(np.mean(error**2)) - physics.output_step_deg**2 / 12.0, 0.0)))
 
 
-def _dithered(record: Record, selection: Selection) -> float:
-    """Variance that noise gains by being converted to whole steps [deg^2]: what no model of the servo can remove."""
+def _dithered(record: Record, selection: Selection) -> list[float]:
+    """Variance that noise gains by being converted to whole steps [deg^2], which no model of the servo can remove.
+
+    Whole steps hide how large the noise was: for several sizes, up to a third of a step.
+    """
     physics = Fitter(record).physics(selection.final.effects, selection.final.values)
     step_deg = physics.output_step_deg
     smooth = simulate(record, physics._replace(output_step_deg=0.0))[record.held_out]
     nodes, weights = np.polynomial.hermite_e.hermegauss(_NODES)
-    variance = 0.0
-    for node, weight in zip(nodes, weights / weights.sum(), strict=True):
-        moved = np.round((smooth + node * selection.sigma_deg) / step_deg) - np.round(smooth / step_deg)
-        variance += float(weight * np.mean(moved**2)) * step_deg**2
-    return max(variance - selection.sigma_deg**2, 0.0)
+    gained = []
+    for sigma_deg in (selection.sigma_deg, 0.1 * step_deg, 0.2 * step_deg, 0.3 * step_deg):
+        variance = 0.0
+        for node, weight in zip(nodes, weights / weights.sum(), strict=True):
+            moved = np.round((smooth + node * sigma_deg) / step_deg) - np.round(smooth / step_deg)
+            variance += float(weight * np.mean(moved**2)) * step_deg**2
+        gained.append(max(variance - selection.sigma_deg**2, 0.0))
+    return gained
