@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 __all__ = ["LeftOut", "Part", "odds_from_design", "odds_from_logs", "parts_of"]
 
 _FASTEST_RATE_HZ = 10_000.0
+_LARGEST_NOISE_DEG = 10.0
+"""A position that scatters more is none: surfaces move by some 25 deg."""
 _APART_TIME_CONSTANTS = 7.5
 _SAME_RATE = 0.1
 _SHORTEST_S = 10.0
@@ -114,11 +116,16 @@ def odds_from_design(
     wish : Wish
         Wanted rate of false alarms, and the fault to be seen.
     noise_deg : float
-        Standard deviation of the noise of the measured deflection [deg].
+        Standard deviation of the noise of the measured deflection [deg], at most 10.
     rate_hz : float
         Sample rate of the measured deflection [Hz].
     surfaces : tuple of str
         Which; all that are measured if empty.
+
+    Raises
+    ------
+    ConfigError
+        If noise or rate are none that a position can have.
 
     Examples
     --------
@@ -130,6 +137,10 @@ def odds_from_design(
     if not SLOWEST_RATE_HZ <= rate_hz <= _FASTEST_RATE_HZ:
         raise ConfigError(
             f"{rate_hz:g} Hz is no rate of positions: give {SLOWEST_RATE_HZ:g} to {_FASTEST_RATE_HZ:g} Hz"
+        )
+    if not 0.0 < noise_deg <= _LARGEST_NOISE_DEG:
+        raise ConfigError(
+            f"{noise_deg:g} deg is no noise of positions: give more than 0 and at most {_LARGEST_NOISE_DEG:g} deg"
         )
     result = []
     for name in surfaces or [name for name, surface in aircraft.surfaces.items() if surface.measured is not None]:

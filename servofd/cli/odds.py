@@ -63,9 +63,9 @@ def run(options: argparse.Namespace) -> int:
     odds, left_out, failed = _from_logs(options, wish) if options.log else (_from_design(options, wish), [], {})
     missing = failed | {part.surface: part.reason for part in left_out}
     document = to_json(odds_document(odds, missing))
-    if options.json and options.json != "-":
+    if odds and options.json and options.json != "-":
         write_whole(options.json, document.encode())
-    if options.output:
+    if odds and options.output:
         _write_folder(Path(options.output), odds, document)
     _print(options, odds, left_out, document)
     return _exit_code(odds, left_out, failed)

@@ -158,9 +158,16 @@ def choose_nonlinear(runs: Sequence[Run], linear: MotionFit, order: int | None, 
 
 
 def _without_needless(runs: Sequence[Run], fit: MotionFit) -> MotionFit:
-    """The linear servo from here, if it does as well after all: it may have begun in the wrong place."""
-    plain = fit_motion(runs, replace(fit.servo, rate_up_deg_s=None, rate_down_deg_s=None, dead_band_deg=None))
-    return plain if plain.bic <= fit.bic else fit
+    """The servo from here without an effect, if it does as well after all: it may have begun in the wrong place."""
+    servo = fit.servo
+    simpler = [
+        replace(servo, rate_up_deg_s=None, rate_down_deg_s=None),
+        replace(servo, dead_band_deg=None),
+        replace(servo, rate_up_deg_s=None, rate_down_deg_s=None, dead_band_deg=None),
+    ]
+    # The largest number of effects first: of equals, `min` takes the last and simplest of the reversed list.
+    fits = [fit, *(fit_motion(runs, one) for one in simpler if one != servo)]
+    return min(reversed(fits), key=lambda one: one.bic)
 
 
 def _better(old: MotionFit, new: MotionFit) -> MotionFit:

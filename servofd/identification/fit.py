@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.identification.shape import LinearServo
+from servofd.identification.shape import LARGEST_LOG_GAIN, LONGEST_DELAY_S, LinearServo, shape_bounds
 from servofd.models.transfer import TransferFunction
 
 if TYPE_CHECKING:
@@ -113,15 +113,16 @@ def _refine(response: FrequencyResponse, start: LinearServo) -> tuple[LinearServ
         return np.concatenate([ratio.real, ratio.imag])
 
     x0 = np.array([*start.shape, 1e3 * start.delay_s, np.log(abs(start.gain))])
-    lower = np.full(x0.size, -np.inf)
-    lower[-2] = 0.0
-    x0[-2] = max(x0[-2], 1e-3)
+    slowest, fastest = shape_bounds(start.order, response.sample_time_s)
+    lower = np.array([*slowest, 0.0, -LARGEST_LOG_GAIN])
+    upper = np.array([*fastest, 1e3 * LONGEST_DELAY_S, LARGEST_LOG_GAIN])
+    x0 = np.clip(x0, lower + 1e-3, upper - 1e-3)
     with np.errstate(all="ignore"):
         if not np.all(np.isfinite(residual(x0))):
             return start, np.inf
         try:
             found = least_squares(
-                residual, x0, bounds=(lower, np.inf), loss="soft_l1", ftol=1e-6, xtol=1e-5, max_nfev=50
+                residual, x0, bounds=(lower, upper), loss="soft_l1", ftol=1e-6, xtol=1e-5, max_nfev=50
             )
         except ValueError:  # a step ran out of the numbers' range
             return start, np.inf

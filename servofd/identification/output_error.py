@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.errors import DesignError
-from servofd.identification.shape import LinearServo
+from servofd.identification.shape import LARGEST_LOG_GAIN, LONGEST_DELAY_S, LinearServo, shape_bounds
 from servofd.models.effects import Delay, Effect, LinearDynamics, RateLimit
 from servofd.models.play import play
 from servofd.models.servo_model import ServoModel
@@ -26,6 +26,8 @@ _OUT_OF_REACH_DEG = 1e4
 _DEVIATION_LAGS = 20
 _SMALLEST_SHARE, _SMALLEST = 1e-12, 1e-100
 """Singular values below are as good as zero; the second keeps the inverse within the range of numbers."""
+_SLOWEST_DEG_S, _FASTEST_DEG_S = 1.0, 5000.0
+"""Rate limits of servos; the fastest of the library, an S9256, has 1263 deg/s."""
 _SMOOTH_STEP, _KINKED_STEP = 1e-6, 2e-3
 """Of derivatives, in the units of `ServoCandidate.vector`; rate limits and dead bands leave kinks in the motion."""
 
@@ -200,10 +202,7 @@ def fit_motion(runs: Sequence[Run], start: ServoCandidate, *, evaluations: int =
     """
     from scipy.optimize import least_squares
 
-    lower = np.full(start.vector().size, -np.inf)
-    lower[start.linear.order] = 0.0
-    if start.dead_band_deg is not None:
-        lower[-1] = 0.0
+    lower, upper = _bounds(runs, start)
     kinked = start.dead_band_deg is not None or start.rate_up_deg_s is not None
     step = _KINKED_STEP if kinked else _SMOOTH_STEP
 
@@ -219,9 +218,9 @@ def fit_motion(runs: Sequence[Run], start: ServoCandidate, *, evaluations: int =
 
     found = least_squares(
         joined,
-        np.maximum(start.vector(), lower + 1e-3),
+        np.clip(start.vector(), lower + 1e-3, upper - 1e-3),
         jac=slopes,
-        bounds=(lower, np.inf),
+        bounds=(lower, upper),
         x_scale="jac",
         max_nfev=evaluations,
         xtol=1e-6,
@@ -231,6 +230,20 @@ def fit_motion(runs: Sequence[Run], start: ServoCandidate, *, evaluations: int =
     return MotionFit(
         start.with_vector(found.x), offsets_deg, parts, _covariance(np.asarray(found.jac, dtype=float), parts)
     )
+
+
+def _bounds(runs: Sequence[Run], start: ServoCandidate) -> tuple[FloatArray, FloatArray]:
+    """Smallest and largest `ServoCandidate.vector` that a servo in these tests can have."""
+    sample_time_s = min(float(np.median(np.diff(run.measured_s))) for run in runs)
+    slowest, fastest = shape_bounds(start.linear.order, sample_time_s)
+    lower, upper = [*slowest, 0.0], [*fastest, 1e3 * LONGEST_DELAY_S]
+    if not start.fixed_gain:
+        lower, upper = [*lower, -LARGEST_LOG_GAIN], [*upper, LARGEST_LOG_GAIN]
+    for _ in [rate for rate in (start.rate_up_deg_s, start.rate_down_deg_s) if rate is not None]:
+        lower, upper = [*lower, np.log(_SLOWEST_DEG_S)], [*upper, np.log(_FASTEST_DEG_S)]
+    if start.dead_band_deg is not None:
+        lower, upper = [*lower, 0.0], [*upper, max(run.span_deg for run in runs)]
+    return np.array(lower), np.array(upper)
 
 
 def evaluated(runs: Sequence[Run], servo: ServoCandidate) -> tuple[tuple[FloatArray, ...], FloatArray]:

@@ -12,10 +12,17 @@ from servofd.models.transfer import TransferFunction
 if TYPE_CHECKING:
     from servofd.types import ComplexArray, FloatArray
 
-__all__ = ["HIGHEST_ORDER", "LinearServo"]
+__all__ = ["HIGHEST_ORDER", "LARGEST_LOG_GAIN", "LONGEST_DELAY_S", "LinearServo", "shape_bounds"]
 
 HIGHEST_ORDER = 3
 """Of thesis Fig. 3.10."""
+LARGEST_LOG_GAIN = 14.0
+"""Logarithm: a dc gain is within 1e-6 and 1e6, whatever the units."""
+LONGEST_DELAY_S = 0.2
+"""Of a servo with its link: the slowest that was measured needs 0.06 s."""
+_SLOWEST_RAD_S, _NYQUIST_FREQUENCIES = 0.01, 20.0
+"""Poles that a test can show: a slower one does not move within it, a faster one has come to rest before the next
+sample (the fastest of thesis Fig. 3.10, 5074 rad/s, is 16 times the Nyquist frequency of its 100 Hz)."""
 _LOG_RANGE = 14.0
 """Poles are kept within 1e-6 and 1e6 rad/s."""
 
@@ -127,3 +134,27 @@ class LinearServo:
             if np.min(np.abs(poles[:k] - poles[k])) < 1e-3 * abs(poles[k]):
                 poles[k] *= 1.0 + 1e-3 * k
         return poles
+
+
+def shape_bounds(order: int, sample_time_s: float) -> tuple[FloatArray, FloatArray]:
+    """Smallest and largest `LinearServo.shape` whose poles a test can show.
+
+    Parameters
+    ----------
+    order : int
+        Number of poles, 1 to 3.
+    sample_time_s : float
+        Period of the samples [s].
+
+    Returns
+    -------
+    lower, upper : ndarray, shape (order,)
+        No pole within is faster than 20 times the Nyquist frequency.
+
+    Examples
+    --------
+    >>> np.exp(shape_bounds(1, 0.01)[1]).round()
+    array([6283.])
+    """
+    powers = np.array({1: [1.0], 2: [2.0, 1.0], 3: [1.0, 2.0, 1.0]}[order])
+    return powers * np.log(_SLOWEST_RAD_S), powers * np.log(_NYQUIST_FREQUENCIES * np.pi / sample_time_s)

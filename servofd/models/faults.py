@@ -210,6 +210,7 @@ class DeadBand(Fault):
 class Slow(Fault):
     """The servo has become slower: every pole times `bandwidth_scale`, its rate limit (if any) times `rate_scale`.
 
+    Left out, `bandwidth_scale` is 0.5; or 1 if a `rate_scale` below 1 says that the rate limit is what has changed.
     Poles scaled are time stretched: each mode goes on from where it is, only slower, so that the position does not
     jump when the fault comes or goes.
 
@@ -224,10 +225,12 @@ class Slow(Fault):
 
     kind: ClassVar[str] = "slow"
     positive: ClassVar[tuple[str, ...]] = ("bandwidth_scale", "rate_scale")
-    bandwidth_scale: float = 0.5
+    bandwidth_scale: float | None = None
     rate_scale: float = 1.0
 
     def __post_init__(self) -> None:
+        if self.bandwidth_scale is None:
+            object.__setattr__(self, "bandwidth_scale", 1.0 if self.rate_scale < 1.0 else 0.5)
         Fault.__post_init__(self)
         for name in self.positive:
             if getattr(self, name) > 1.0:
@@ -236,7 +239,7 @@ class Slow(Fault):
     def become(self, servo: ServoParameters) -> ServoParameters:
         """The same servo, slower."""
         return servo._replace(
-            decay_rad_s=servo.decay_rad_s * self.bandwidth_scale,
+            decay_rad_s=servo.decay_rad_s * (self.bandwidth_scale or 1.0),
             rate_down_deg_s=servo.rate_down_deg_s * self.rate_scale,
             rate_up_deg_s=servo.rate_up_deg_s * self.rate_scale,
         )

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from servofd.identification.frequency_response import FrequencyResponse
     from servofd.identification.result import Identification
     from servofd.types import FloatArray
 
@@ -90,6 +91,10 @@ def _bode(found: Identification) -> Picture:
     stride = max(1, int(np.count_nonzero(chosen)) // _RAW_POINTS)
     w_raw, raw = w_raw[chosen][::stride], raw[chosen][::stride]
     upper.plot(w_raw, _decibels(raw), ".", ms=1.5, color="0.75", label="raw")
+    nominal = found.responses[0]
+    inside = _shown(found, nominal)
+    fit = found.servo.linear.sampled_response(nominal.frequency_rad_s, nominal.sample_time_s)
+    fit_phase_rad = np.unwrap(np.angle(fit))
     for k, response in enumerate(found.responses):
         style: dict[str, Any] = {
             "color": _SERVOS[k % len(_SERVOS)],
@@ -98,19 +103,20 @@ def _bode(found: Identification) -> Picture:
         }
         label = f"smoothed, servo {k + 1}" if len(found.responses) > 1 else "smoothed"
         upper.plot(response.frequency_rad_s, _decibels(response.response), label=label, **style)
-        lower.plot(response.frequency_rad_s, np.degrees(response.phase_rad), **style)
-    nominal = found.responses[0]
-    fit = found.servo.linear.sampled_response(nominal.frequency_rad_s, nominal.sample_time_s)
+        ahead_rad = response.phase_rad - np.interp(response.frequency_rad_s, nominal.frequency_rad_s, fit_phase_rad)
+        turns = np.round(np.median(ahead_rad[_shown(found, response)]) / (2.0 * np.pi))
+        lower.plot(response.frequency_rad_s, np.degrees(response.phase_rad - 2.0 * np.pi * turns), **style)
     at_raw = found.servo.linear.sampled_response(w_raw, nominal.sample_time_s)
     near = np.unwrap(np.angle(at_raw)) + np.angle(raw / at_raw)  # on the branch of the fit
     lower.plot(w_raw, np.degrees(near), ".", ms=1.5, color="0.75", zorder=0)
     upper.plot(nominal.frequency_rad_s, _decibels(fit), color=COLOURS["measured"], lw=2, ls="--", label="fit")
-    lower.plot(nominal.frequency_rad_s, np.degrees(np.unwrap(np.angle(fit))), color=COLOURS["measured"], lw=2, ls="--")
+    lower.plot(nominal.frequency_rad_s, np.degrees(fit_phase_rad), color=COLOURS["measured"], lw=2, ls="--")
     upper.set_ylabel("magnitude [dB]")
     lower.set_ylabel("phase [deg]")
-    inside = _shown(found)
     upper.set_ylim(float(_decibels(fit[inside]).min()) - 12.0, max(6.0, float(_decibels(fit[inside]).max()) + 4.0))
-    lower.set_ylim(float(np.degrees(np.unwrap(np.angle(fit)))[inside].min()) - 60.0, 60.0)
+    phase_deg = np.degrees(fit_phase_rad[inside])
+    # A servo that runs against its command begins at half a turn.
+    lower.set_ylim(float(phase_deg.min()) - 60.0, float(phase_deg.max()) + 60.0)
     _frequency_axis(found, upper, lower)
     low, high = found.band_rad_s or (0.0, 0.0)
     text = f"The fit follows the smoothed response between {low:.1f} and {high:.1f} rad/s (shaded); hold included."
@@ -211,9 +217,9 @@ def _decibels(response: np.ndarray[tuple[int], np.dtype[np.complex128]]) -> Floa
     return decibels
 
 
-def _shown(found: Identification) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def _shown(found: Identification, response: FrequencyResponse) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
     low, high = found.band_rad_s or (1.0, 100.0)
-    w = found.responses[0].frequency_rad_s
+    w = response.frequency_rad_s
     shown: np.ndarray[tuple[int], np.dtype[np.bool_]] = (w >= 0.5 * low) & (w <= 1.6 * high)
     return shown
 

@@ -15,7 +15,9 @@ import pytest
 
 from logparsers.dataflash.encode import Message, encode
 from servofd.cli import main
+from servofd.identification.identify import identify
 from servofd.models.servo_model import ServoModel
+from servofd.outputs.identify_figures import identify_figures
 from servofd.segment import Segment
 from servofd.servos import find_servo, servo_named
 from tests.recovery.bench import step, sweep, written
@@ -83,6 +85,17 @@ def test_every_output_and_the_servo_file_in_an_audit(tmp_path: Path, capsys: pyt
     assert len(ids) == len(set(ids))
     # Nothing is fetched: addresses occur as names of XML vocabularies only.
     assert not re.search(r'(src|href)="(?!#)', text)
+
+
+def test_a_reversed_servo_stays_within_its_picture() -> None:
+    result = identify(replace(QUICK, measured_deg=-QUICK.measured_deg))
+    (bode,) = [picture for picture in identify_figures(result) if picture.name == "response"]
+    _, phase = bode.figure.axes
+    low_rad_s, high_rad_s = result.band_rad_s or (0.0, 0.0)
+    for line in phase.lines:
+        w, phase_deg = np.asarray(line.get_xdata(), dtype=float), np.asarray(line.get_ydata(), dtype=float)
+        within = phase_deg[(w >= low_rad_s) & (w <= high_rad_s)]
+        assert np.mean((within > phase.get_ylim()[0]) & (within < phase.get_ylim()[1])) > 0.95
 
 
 def _mixed(one: Segment, other: Segment) -> Segment:

@@ -54,9 +54,13 @@ def test_odds_of_flights(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> 
     assert (tmp_path / "odds-rudder.png").stat().st_size > 20_000
 
 
-def test_a_surface_at_fault_tells_nothing(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["odds", "--log", STUCK, "-s", "elevator"]) == 2
+def test_a_surface_at_fault_tells_nothing_and_writes_nothing(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    outputs = ["-o", str(tmp_path / "odds"), "--json", str(tmp_path / "odds.json")]
+    assert main(["odds", "--log", STUCK, "-s", "elevator", *outputs]) == 2
     assert "no healthy surface to learn the odds from: elevator" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_one_bad_log_does_not_stop_the_others(capsys: pytest.CaptureFixture[str]) -> None:
@@ -76,6 +80,7 @@ def test_one_bad_log_does_not_stop_the_others(capsys: pytest.CaptureFixture[str]
         (["--servo", "nonsense"], "unknown servo"),
         (["-c", "faser", "--false-alarms-per-hour", "1e9"], "choose one between"),
         (["-c", "faser", "--log", HEALTHY, "--noise-deg", "0.1"], "leave them out"),
+        (["--servo", "s9254", "--noise-deg", "1e9"], "1e+09 deg is no noise of positions"),
         (["-c", "faser", "--json", "/no/such/folder/x.json"], "cannot write"),
     ],
 )

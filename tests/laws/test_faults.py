@@ -229,6 +229,15 @@ def test_what_no_fault_can_be_is_refused(kind: type[Fault], parameters: dict[str
         kind(START_S, **parameters)
 
 
+def test_a_servo_with_a_lower_rate_limit_keeps_its_poles() -> None:
+    assert (Slow(START_S).bandwidth_scale, Slow(START_S).rate_scale) == (0.5, 1.0)
+    assert Slow(START_S, rate_scale=0.16).bandwidth_scale == 1.0
+    assert Slow(START_S, 0.4, 0.16).bandwidth_scale == 0.4
+    healthy, limited = MODEL.parameters(), Slow(START_S, rate_scale=0.16).become(MODEL.parameters())
+    np.testing.assert_array_equal(limited.decay_rad_s, healthy.decay_rad_s)
+    assert limited.rate_up_deg_s == pytest.approx(0.16 * RATE_DEG_S)
+
+
 def test_one_fault_at_a_time() -> None:
     with pytest.raises(ConfigError, match=r"stuck at 12 s begins before slow at 10 s has ended"):
         failing_deflection(MODEL, [Stuck(12.0), Slow(10.0)], TIME_S, command(), TIME_S)
