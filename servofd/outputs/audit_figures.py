@@ -95,7 +95,7 @@ def residual_picture(surface: SurfaceAudit, odds: SurfaceOdds | None, name: str)
 
 def _draw_histogram(axes: Axes, before_deg: FloatArray, after_deg: FloatArray) -> None:
     both = np.concatenate([before_deg, after_deg])
-    edges = np.linspace(both.min(), both.max() + 1e-9, _BINS + 1)
+    edges = np.linspace(both.min(), both.max() + 1e-9, _BINS + 1).tolist()
     for values, colour, label in ((after_deg, "fault", "after onset"), (before_deg, "residual", "healthy")):
         if values.size:
             axes.hist(values, edges, color=COLOURS[colour], label=label, histtype="stepfilled")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 import warnings
 from dataclasses import fields, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -156,7 +156,7 @@ def _shade(axes: Axes, audit: SurfaceAudit, *, named: bool) -> None:
             if named:
                 name = "within tolerance" if fault.kind == "healthy" else fault.kind.replace("_", " ")
                 place = axes.get_xaxis_transform()
-                style = {"va": "top", "fontsize": 9, "clip_on": True, "color": COLOURS[colour]}
+                style: dict[str, Any] = {"va": "top", "fontsize": 9, "clip_on": True, "color": COLOURS[colour]}
                 axes.text(fault.start_s, 1.0, f" {name}", transform=place, **style)
 
 
