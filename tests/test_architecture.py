@@ -85,6 +85,7 @@ ONLY_IN = {
     "matplotlib": {
         "servofd/outputs/figure.py",
         "servofd/outputs/audit_figures.py",
+        "servofd/outputs/explain_figures.py",
         "servofd/outputs/identify_figures.py",
         "servofd/outputs/odds_figure.py",
         "servofd/outputs/picture.py",
