@@ -111,7 +111,7 @@ ONLY_IN = {
         "servofd/detection/probability/cusum.py",
         "servofd/detection/starts.py",
         "servofd/detection/bank/altered.py",
-        "servofd/discrepancy/kernel.py",
+        "servofd/models/position_loop.py",
         "logparsers/compiled.py",
     },
     "pymavlink": {"logparsers/mavlink.py"},
