@@ -34,7 +34,8 @@ _LOWEST, _HIGHEST = Poles(0.05, 0.05), Poles(40.0, 20.0)
 _STEP = 2e-3
 _TIE_TO_START = 1e-4
 _EVALUATIONS, _FIRST_EVALUATIONS = 25, 6
-_KEPT = 2
+_KEPT, _SETTLED = 2, 2
+"""Starts that are descended from; effects after which the poles are known well enough to be the only start."""
 _REFITTED = 10
 
 
@@ -83,9 +84,11 @@ class PoleFitter(Fitter):
 
     def _with_one(self, base: Fit, effect: type[MissingEffect]) -> Fit:
         effects = (*base.effects, effect)
-        grid = [list(point) for point in product(*(p.grid for p in effect.parameters))]
+        # Where in the motor a load acts is the same question for a servo without a state for its torque.
+        grid = [list(point) for point in product(*(p.grid[:1] if p.aside else p.grid for p in effect.parameters))]
         starts = []
-        for poles in (self.poles(base.effects), *_STARTS):
+        kinked = any(p.kinked for p in effect.parameters)
+        for poles in (self.poles(base.effects), *(() if kinked or len(base.effects) >= _SETTLED else _STARTS)):
             losses = [self._loss(effects, [*base.values, *point], poles) for point in grid]
             starts.append((min(losses), poles, [*base.values, *grid[int(np.argmin(losses))]]))
         starts.sort(key=lambda start: start[0])
