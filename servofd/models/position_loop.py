@@ -27,7 +27,9 @@ _SLOTS, _MOST_BUILT = 4, 64
 """Matrices of that many lengths of step are kept; where the stamps jitter, none are made any more after so many."""
 _PER_DEG = math.pi / 180.0
 _STATES = 14
-_CLOCK, _Y, _V, _TORQUE, _U, _S, _WANTED, _FOLLOWED, _FLEXED, _SWING, _PLAYED, _STATIC, _LAGGED, _CURSOR = range(_STATES)
+_CLOCK, _Y, _V, _TORQUE, _U, _S, _WANTED, _FOLLOWED, _FLEXED, _SWING, _PLAYED, _STATIC, _LAGGED, _CURSOR = range(
+    _STATES
+)
 
 
 def new_memory(start_deg: float) -> FloatArray:
