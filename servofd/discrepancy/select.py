@@ -7,16 +7,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.discrepancy.catalogue import CATALOGUE, Quantization
 from servofd.discrepancy.fit import Fit, Fitter
 from servofd.discrepancy.noise import long_run_factor, noise_floor_deg
+from servofd.discrepancy.poles import PoleFitter
 from servofd.discrepancy.record import simulate
+from servofd.models.catalogue import CATALOGUE, Damping, PwmFrame, Quantization, SlowDynamics
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from servofd.discrepancy.catalogue import MissingEffect, Parameter
     from servofd.discrepancy.record import Record
+    from servofd.models.catalogue import MissingEffect, Parameter
     from servofd.types import FloatArray
 
 __all__ = ["Rung", "Selection", "select"]
@@ -42,7 +43,7 @@ that is as much of what they take away."""
 _SMALLEST_SIZE = 0.15
 """Of what is common on healthy servos: 0.5 ms of delay, 0.5 % of gain, 0.05 deg of play."""
 _SURE_Z = 4.0
-_LEAST_SHARE = 0.1
+_LEAST_SHARE, _LEAST_SHARE_OF_REST = 0.1, 0.05
 """Beside a large unexplained rest, an effect that takes away less of the gap names nothing."""
 _NODES = 15
 _EXCESS_WORTH = 0.06
@@ -91,7 +92,11 @@ def judgeable(record: Record) -> tuple[list[type[MissingEffect]], list[type[Miss
         if values is not None
     }
     able = [effect for effect in CATALOGUE if set(effect.needs) <= held]
-    return able, [effect for effect in CATALOGUE if effect not in able]
+    unable = [effect for effect in CATALOGUE if effect not in able]
+    fitted = {SlowDynamics, Damping} if record.free_poles else set()
+    # Frames run on between separate runs, so that nobody knows when each of them began.
+    fitted |= {PwmFrame} if record.runs else set()
+    return [effect for effect in able if effect not in fitted], unable
 
 
 def select(record: Record, progress: Callable[[str], None] = lambda _step: None) -> Selection:
@@ -104,7 +109,7 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     progress : callable
         Called with the name of each effect that was tried.
     """
-    fitter = Fitter(record)
+    fitter = PoleFitter(record) if record.free_poles else Fitter(record)
     able, unable = judgeable(record)
     nominal = fitter.nominal()
     tried: Tried = {}
@@ -265,7 +270,11 @@ def _convincing(fitter: Fitter, fit: Fit, nominal: Fit) -> Fit:
             ]
             sure.append(max(away) > _SURE_Z)
             losses.append(_without(fitter, fit, k).total - fit.total if rest_is_large else np.inf)
-        weak = [k for k in range(len(losses)) if not sure[k] or losses[k] < _LEAST_SHARE * gap]
+        # Runs that were held out whole vouch for effects that matter to what is left, not only to all of the gap.
+        least = _LEAST_SHARE * gap
+        if record.runs:
+            least = min(least, _LEAST_SHARE_OF_REST * max(fit.total - count * sigma**2, 0.0))
+        weak = [k for k in range(len(losses)) if not sure[k] or losses[k] < least]
         if not weak:
             break
         fit = _without(fitter, fit, min(weak, key=lambda k: losses[k]))
@@ -351,9 +360,16 @@ def _simplest(fitter: Fitter, best: Fit, able: list[type[MissingEffect]], tried:
     for k, equals in enumerate(_equals(fitter, best, able, tried)):
         rank = CATALOGUE.index(best.effects[k])
         even = [r for r in equals if r.total - best.total < margin and CATALOGUE.index(r.effects[-1]) < rank]
+        if _is_kinked(best.effects[k]):
+            # It had as many chances as it has minima: what does as well with one chance is likelier.
+            even += [r for r in equals if not _is_kinked(r.effects[-1])]
         if even:
             return min(even, key=lambda r: CATALOGUE.index(r.effects[-1]))
     return best
+
+
+def _is_kinked(effect: type[MissingEffect]) -> bool:
+    return any(parameter.kinked for parameter in effect.parameters)
 
 
 def excess(record: Record, fit: Fit, sigma: float) -> float:
