@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Any
+from html import unescape
 
 from latex2mathml.converter import convert
 
@@ -12,18 +12,18 @@ _OUTSIDE = re.compile(r"\[([^\]]*)\]\(\.\./[^)]*\)")
 _NUMBER = re.compile(r"\\tag\{(\d+)\}")
 
 
-def on_page_markdown(markdown: str, **_: Any) -> str:
+def on_page_markdown(markdown: str, **_: object) -> str:
     """Links to files of the repository that are no page keep their text."""
     return _OUTSIDE.sub(r"\1", markdown)
 
 
-def on_page_content(html: str, **_: Any) -> str:
+def on_page_content(html: str, **_: object) -> str:
     """Formulas as MathML, which browsers show without script or network."""
     return _FORMULA.sub(_mathml, html)
 
 
 def _mathml(found: re.Match[str]) -> str:
-    import html
-
-    tex = _NUMBER.sub(r"\\qquad \\text{(\1)}", html.unescape(found[2]))
-    return convert(tex, display="block" if found[1] == "div" else "inline")
+    tex = _NUMBER.sub(r"\\qquad \\text{(\1)}", unescape(found[2]))
+    if found[1] == "span":
+        return convert(tex)
+    return f'<div style="overflow-x: auto">{convert(tex, display="block")}</div>'
