@@ -25,5 +25,5 @@ def on_page_content(html: str, **_: object) -> str:
 def _mathml(found: re.Match[str]) -> str:
     tex = _NUMBER.sub(r"\\qquad \\text{(\1)}", unescape(found[2]))
     if found[1] == "span":
-        return convert(tex)
+        return f"{convert(tex)}"
     return f'<div style="overflow-x: auto">{convert(tex, display="block")}</div>'
