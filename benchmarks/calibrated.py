@@ -41,7 +41,7 @@ class Score(NamedTuple):
 
 
 def main() -> None:
-    servos, flights = (int(text) for text in (*sys.argv[1:], "6", "4")[:2])
+    servos, flights = (int(text) for text in (*sys.argv[1:], *("12", "4")[len(sys.argv) - 1 :]))
     scores: dict[str, list[Score]] = {"before": [], "calibrated": [], "true": []}
     for number in range(servos):
         servo = any_servo(np.random.default_rng(number))
