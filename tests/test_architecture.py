@@ -23,7 +23,7 @@ PARTS = {
     "calibration": {"errors", "types"},
     "aircraft": {"errors", "types", "models", "servos", "calibration", "tolerance"},
     "frozen": {"types"},
-    "segment": {"errors", "types", "aircraft", "frozen"},
+    "segment": {"errors", "types", "aircraft", "frozen", "models"},
     "feedback": {"errors", "types", "aircraft", "servos", "models", "segment", "detection", "toml_text"},
     "toml_text": set(),
     "calibrating": {
@@ -57,6 +57,7 @@ PARTS = {
         "identification",
         "discrepancy",
         "sweep",
+        "toml_text",
     },
     "workflow": {"errors", "aircraft", "servos", "detection", "feedback", "segment", "calibrating"},
     "cli": {
@@ -111,7 +112,7 @@ ONLY_IN = {
         "servofd/detection/probability/cusum.py",
         "servofd/detection/starts.py",
         "servofd/detection/bank/altered.py",
-        "servofd/discrepancy/kernel.py",
+        "servofd/models/position_loop.py",
         "logparsers/compiled.py",
     },
     "pymavlink": {"logparsers/mavlink.py"},

@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
     if options.save:
         from servofd.outputs.model_file import model_file
 
-        write_whole(options.save, model_file(found.explanation, found.aircraft, found.source).encode())
+        write_whole(options.save, model_file([found.explanation], found.aircraft, found.source).encode())
     return 1 if found.explanation.conclusion in ("partly_explained", "unexplained") or found.explanation.fault_s else 0
 
 

@@ -13,9 +13,9 @@ from servofd.discrepancy.fit import Fit, Fitter
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from servofd.discrepancy.catalogue import MissingEffect
     from servofd.discrepancy.fit import Values
-    from servofd.discrepancy.physics import Physics
+    from servofd.models.catalogue import MissingEffect
+    from servofd.models.physics import Physics
     from servofd.types import FloatArray
 
 __all__ = ["PoleFitter", "Poles"]
@@ -78,9 +78,7 @@ class PoleFitter(Fitter):
             tried(effect.key())
             fits.append(self._with_one(base, effect))
         fits.sort(key=lambda fit: fit.train)
-        return [
-            self.refitted(fit.effects, fit.values) if k < _REFITTED else fit for k, fit in enumerate(fits)
-        ]
+        return [self.refitted(fit.effects, fit.values) if k < _REFITTED else fit for k, fit in enumerate(fits)]
 
     def _with_one(self, base: Fit, effect: type[MissingEffect]) -> Fit:
         effects = (*base.effects, effect)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.detection.residual import Commands, commands_at_servo, lost_commands
-from servofd.discrepancy.physics import Physics, Plant, plant_of
+from servofd.models.physics import Physics, Plant, longest_step_s, plant_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,8 +22,6 @@ __all__ = ["BLOCK_S", "Record", "joined", "record_of", "simulate"]
 BLOCK_S = 0.3
 """Length of the blocks that are fitted and held out in turn [s]: longer than a servo remembers, shorter than most
 manoeuvres."""
-_SUBSTEP_S, _SHORT_SUBSTEP_S = 2.5e-3, 1e-3
-"""The shorter one for a servo that switches on and off at an edge."""
 _START_S = 0.5
 """Longest time after a start or a hole during which nothing is compared: the servo forgets where it was."""
 _HOLE_PERIODS, _SHORTEST_HOLE_S = 4.0, 0.1
@@ -103,7 +101,7 @@ def record_of(
     model : ServoModel
         The servo as it is known.
     pressure_pa, voltage_v : ndarray, shape (n,), optional
-        Dynamic pressure [Pa] and supply voltage [V] at the measurements.
+        Dynamic pressure [Pa] and supply voltage [V] at the measurements; left out, those of the segment.
     until_s : float
         Nothing later counts [s].
     at_rest : bool
@@ -127,9 +125,12 @@ def record_of(
     # Fewer commands than the servo received: they run straight between, later by the mean lag of the hold.
     commands = commands_at_servo(segment, 0.0, hole_s)
     block = ((time_s - time_s[0]) / BLOCK_S).astype(np.int64)
-    return Record(
-        plant, commands, time_s, measured_deg, counts, block, pressure_pa, voltage_v, free_poles=free_poles
-    )
+    context = segment.context
+    if pressure_pa is None and "airspeed_m_s" in context.logged:
+        pressure_pa = context.pressure_pa(time_s)
+    if voltage_v is None and "servo_voltage_v" in context.logged:
+        voltage_v = context.supply_v(time_s)
+    return Record(plant, commands, time_s, measured_deg, counts, block, pressure_pa, voltage_v, free_poles=free_poles)
 
 
 def joined(records: Sequence[Record]) -> Record:
@@ -203,7 +204,7 @@ def simulate(record: Record, physics: Physics) -> FloatArray:
     >>> bool(np.abs(moved).max() < 1e-6)
     True
     """
-    from servofd.discrepancy.kernel import framed, run
+    from servofd.models.position_loop import framed, new_memory, run
 
     if record.runs:
         return np.concatenate([simulate(each, physics) for each in record.runs])
@@ -221,19 +222,13 @@ def simulate(record: Record, physics: Physics) -> FloatArray:
         physics,
         plant.loop(physics.bandwidth_scale, physics.damping_scale, physics.torque_share),
         plant.dc_gain,
-        _longest_step_s(physics),
+        longest_step_s(physics),
         sent_s + physics.delay_s,
         deg,
         slope,
         record.time_s - physics.offset_s,
         nothing if record.pressure_pa is None else record.pressure_pa,
         nothing if record.voltage_v is None else record.voltage_v,
-        start_deg,
+        new_memory(start_deg),
     )
     return position_deg
-
-
-def _longest_step_s(physics: Physics) -> float:
-    if physics.is_linear_loop:
-        return float("inf")
-    return _SHORT_SUBSTEP_S if physics.insensitive_deg > 0.0 else _SUBSTEP_S

@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.discrepancy.catalogue import CATALOGUE, Damping, PwmFrame, Quantization, SlowDynamics
 from servofd.discrepancy.fit import Fit, Fitter
 from servofd.discrepancy.noise import long_run_factor, noise_floor_deg
 from servofd.discrepancy.poles import PoleFitter
 from servofd.discrepancy.record import simulate
+from servofd.models.catalogue import CATALOGUE, Damping, PwmFrame, Quantization, SlowDynamics
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from servofd.discrepancy.catalogue import MissingEffect, Parameter
     from servofd.discrepancy.record import Record
+    from servofd.models.catalogue import MissingEffect, Parameter
     from servofd.types import FloatArray
 
 __all__ = ["Rung", "Selection", "select"]

@@ -2,7 +2,7 @@
 
 An effect says where it acts, which parameters it has, within which bounds they are physical, how large they may be on
 a healthy servo, and what the log must hold to judge it. A parameter names the fields of
-`servofd.discrepancy.physics.Physics` that it sets; the kernel knows what they do.
+`servofd.models.physics.Physics` that it sets; the kernel knows what they do.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from servofd.models.effects import Place
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servofd.discrepancy.physics import Physics
+    from servofd.models.physics import Physics
 
 __all__ = ["CATALOGUE", "Context", "MissingEffect", "Parameter", "effects_named", "installed"]
 
@@ -86,7 +86,7 @@ def installed(physics: Physics, effects: Sequence[type[MissingEffect]], values: 
 
     Examples
     --------
-    >>> from servofd.discrepancy.physics import Physics
+    >>> from servofd.models.physics import Physics
     >>> installed(Physics(), [Backlash, Gain], [0.5, 0.9]).backlash_deg
     0.5
     """
