@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 import logparsers
 from servofd.aircraft import Aircraft, load_aircraft
 from servofd.discrepancy.explanation import Explanation, explain_gap
@@ -19,13 +17,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from logparsers import FlightLog
-    from servofd.segment import Segment
-    from servofd.types import FloatArray
 
 __all__ = ["ExplainedLog", "explain_log"]
-
-_AIRSPEED = ("airspeed_m_s", "ARSP.Airspeed", "VFR_HUD.airspeed")
-_VOLTAGE = ("servo_voltage_v", "POWR.Vservo")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,8 +74,6 @@ def explain_log(
         found = explain_gap(
             segment,
             flown.model(name),
-            airspeed_m_s=_context(log, _AIRSPEED, segment),
-            voltage_v=_context(log, _VOLTAGE, segment),
             progress=progress,
         )
     except NoMeasurement as error:
@@ -98,16 +89,3 @@ def _chosen(log: FlightLog, aircraft: Aircraft, surface: str | None) -> str:
     if surface not in aircraft.surfaces:
         raise UnknownName(f"{log.label}: {suggest('surface', surface, aircraft.surfaces)}")
     return surface
-
-
-def _context(log: FlightLog, names: tuple[str, ...], segment: Segment) -> FloatArray | None:
-    """A channel at the times of the measurements, between its samples on a straight line; None if not logged."""
-    for name in names:
-        if name not in log.channels:
-            continue
-        channel = log[name]
-        good = np.isfinite(channel.values)
-        if np.count_nonzero(good) > 1:
-            values: FloatArray = np.interp(segment.measured_s, channel.time_s[good], channel.values[good])
-            return values
-    return None

@@ -23,7 +23,7 @@ PARTS = {
     "calibration": {"errors", "types"},
     "aircraft": {"errors", "types", "models", "servos", "calibration", "tolerance"},
     "frozen": {"types"},
-    "segment": {"errors", "types", "aircraft", "frozen"},
+    "segment": {"errors", "types", "aircraft", "frozen", "models"},
     "feedback": {"errors", "types", "aircraft", "servos", "models", "segment", "detection", "toml_text"},
     "toml_text": set(),
     "calibrating": {
@@ -58,6 +58,7 @@ PARTS = {
         "discrepancy",
         "sweep",
         "odds",
+        "toml_text",
     },
     "workflow": {"errors", "aircraft", "servos", "detection", "feedback", "segment", "calibrating"},
     "cli": {
@@ -115,7 +116,7 @@ ONLY_IN = {
         "servofd/detection/probability/cusum.py",
         "servofd/detection/starts.py",
         "servofd/detection/bank/altered.py",
-        "servofd/discrepancy/kernel.py",
+        "servofd/models/position_loop.py",
         "logparsers/compiled.py",
     },
     "pymavlink": {"logparsers/mavlink.py"},

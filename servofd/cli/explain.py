@@ -54,7 +54,7 @@ def run(options: argparse.Namespace) -> int:
     if options.save:
         from servofd.outputs.model_file import model_file
 
-        write_whole(options.save, model_file(found.explanation, found.aircraft, found.source).encode())
+        write_whole(options.save, model_file([found.explanation], found.aircraft, found.source).encode())
     if options.html:
         from servofd.outputs.explain_page import explain_page
 

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from servofd.aircraft import Aircraft, Surface
     from servofd.detection.bank.isolate import Fault
     from servofd.detection.threshold import Threshold, ThresholdKind
+    from servofd.models.servo_model import ServoModel
 
 __all__ = ["LogAudit", "Statistics", "Status", "SurfaceAudit", "audit_log"]
 
@@ -175,6 +176,7 @@ def _audit_surface(log: FlightLog, aircraft: Aircraft, name: str, surface: Surfa
     except DesignError as error:
         return verdict(status="unknown", reason=str(error), segment=segment)
     segment, residuals, notes = prepared(generator, segment)
+    notes = (*notes, *_left_out(generator.model, segment))
     judged_s = _judged_s(residuals, generator.longest_gap_s(segment))
     if judged_s < _SHORTEST_JUDGED_S:
         reason_text = f"only {judged_s:.1f} s of command and position together; {_SHORTEST_JUDGED_S:g} s are needed"
@@ -211,6 +213,17 @@ def _audit_surface(log: FlightLog, aircraft: Aircraft, name: str, surface: Surfa
         suspicions=suspicions,
         false_alarms_per_hour=_odds(residuals, faults + suspicions, segment.period_s, threshold.typical_deg),
     )
+
+
+_LACKING = {
+    "airspeed_m_s": "the log holds no airspeed: the load of the air is left out of the model",
+    "servo_voltage_v": "the log holds no supply voltage: the rate that it limits is left out of the model",
+}
+
+
+def _left_out(model: ServoModel, segment: Segment) -> tuple[str, ...]:
+    """Which effects of the model act as if there were none, for want of what they depend on."""
+    return tuple(_LACKING[need] for need in sorted(model.needs - segment.context.logged))
 
 
 def _is_expected(log: FlightLog, aircraft: Aircraft, name: str) -> bool:

@@ -21,14 +21,17 @@ from numpy.typing import NDArray
 from logparsers.records import own
 from servofd.detection.pulse import fastest_pole_rad_s
 from servofd.errors import DesignError
+from servofd.models.context import NO_CONTEXT, Context
 
 if TYPE_CHECKING:
+    from servofd.detection.starts import Starts
+    from servofd.models.extended import ExtendedServo
     from servofd.models.kernel import FilterParameters
     from servofd.models.servo_model import ServoModel
     from servofd.segment import Segment
     from servofd.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["Commands", "ResidualGenerator", "Residuals", "commands_at_servo", "lost_commands"]
+__all__ = ["Commands", "ResidualGenerator", "Residuals", "commands_at_servo", "followed", "lost_commands"]
 
 _GAP_TIME_CONSTANTS = 5.0
 _GAP_PERIODS = 3.0
@@ -70,6 +73,8 @@ class Residuals:
     """What the residual would be if the surface rested at 0 deg: all that the filter sees of the command [deg]."""
     restart: NDArray[np.int8]
     """Where the filter, or filter and model, started anew."""
+    context: Context = NO_CONTEXT
+    """Airspeed and supply."""
 
     def __post_init__(self) -> None:
         for name in ("time_s", "simulated_deg", "measured_deg", "residual_deg", "immobile_deg"):
@@ -154,13 +159,36 @@ class ResidualGenerator:
     def run(self, segment: Segment) -> Residuals:
         """Residual of a whole segment."""
         from servofd.detection.starts import find_starts
-        from servofd.models.kernel import new_memory, observe
 
         longest_gap_s = self.longest_gap_s(segment)
         starts = find_starts(segment, longest_gap_s, self.blanking_s, _rhythm(segment.command_s).longest_s)
         commands = commands_at_servo(segment, self.model.plan.delay_s, longest_gap_s)
+        simulated, residual = self._observed(segment, commands, starts)
+        usable = np.isfinite(starts.measured_deg)
+        immobile_deg = self.filtered(segment.measured_s, np.where(usable, -simulated, np.nan), starts.restart)
+        for array in (simulated, residual, starts.measured_deg, immobile_deg):
+            array.setflags(write=False)
+        return Residuals(
+            segment.measured_s,
+            simulated,
+            starts.measured_deg,
+            residual,
+            starts.settled,
+            immobile_deg,
+            starts.restart,
+            segment.context,
+        )
+
+    def _observed(self, segment: Segment, commands: Commands, starts: Starts) -> tuple[FloatArray, FloatArray]:
+        """Simulated deflection and residual [deg], each of shape (n,)."""
+        from servofd.models.kernel import new_memory, observe
+
+        time_s, extended = segment.measured_s, self.model.extended(segment.context)
+        if extended is not None:
+            simulated = followed(extended, commands, time_s, starts.measured_deg, starts.restart)
+            return simulated, self.filtered(time_s, starts.measured_deg - simulated, starts.restart)
         servo, residual_filter = self.model.parameters(), self.filter_parameters()
-        simulated, residual = np.empty(starts.restart.size), np.empty(starts.restart.size)
+        simulated, residual = np.empty(time_s.size), np.empty(time_s.size)
         observe(
             servo,
             residual_filter,
@@ -168,19 +196,13 @@ class ResidualGenerator:
             commands.effective_s,
             commands.command_deg,
             commands.slope_deg_s,
-            segment.measured_s,
+            time_s,
             starts.measured_deg,
             starts.restart,
             simulated,
             residual,
         )
-        usable = np.isfinite(starts.measured_deg)
-        immobile_deg = self.filtered(segment.measured_s, np.where(usable, -simulated, np.nan), starts.restart)
-        for array in (simulated, residual, starts.measured_deg, immobile_deg):
-            array.setflags(write=False)
-        return Residuals(
-            segment.measured_s, simulated, starts.measured_deg, residual, starts.settled, immobile_deg, starts.restart
-        )
+        return simulated, residual
 
     def filtered(self, time_s: FloatArray, error_deg: FloatArray, restart: NDArray[np.int8]) -> FloatArray:
         """Residual of a simulation error [deg], shape (n,), that starts anew where `restart` is not zero."""
@@ -191,6 +213,41 @@ class ResidualGenerator:
         memory = new_memory(servo, residual_filter)
         evaluate(residual_filter, memory, time_s, error_deg, restart, filtered_deg)
         return filtered_deg
+
+
+def followed(
+    servo: ExtendedServo,
+    commands: Commands,
+    at_s: FloatArray,
+    measured_deg: FloatArray,
+    restart: NDArray[np.int8],
+) -> FloatArray:
+    """Deflection of a servo with effects [deg], shape (n,), that starts anew where the surface was measured.
+
+    Parameters
+    ----------
+    servo : ExtendedServo
+        The servo.
+    commands : Commands
+        As they reach it.
+    at_s, measured_deg : ndarray, shape (n,)
+        Where the surface was measured [deg], and when [s].
+    restart : ndarray, shape (n,)
+        2 where the servo has to start anew, as `servofd.detection.starts` marks it.
+    """
+    from servofd.models.extended import ExtendedMotion
+    from servofd.models.kernel import RESTART_ALL
+
+    simulated_deg = np.empty(at_s.size)
+    begins = np.union1d(np.flatnonzero(restart == RESTART_ALL), [0])
+    for begin, end in zip(begins, np.append(begins[1:], at_s.size), strict=True):
+        motion = ExtendedMotion(servo, float(measured_deg[begin]))
+        first = max(int(np.searchsorted(commands.effective_s, at_s[begin], side="right")) - 1, 0)
+        last = int(np.searchsorted(commands.effective_s, at_s[end - 1], side="right"))
+        span = slice(first, last)
+        motion.hear(commands.effective_s[span], commands.command_deg[span], commands.slope_deg_s[span])
+        simulated_deg[begin:end] = motion.at(at_s[begin:end])
+    return simulated_deg
 
 
 def commands_at_servo(segment: Segment, delay_s: float, longest_gap_s: float) -> Commands:

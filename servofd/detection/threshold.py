@@ -26,6 +26,7 @@ import numpy as np
 
 from servofd.aircraft import DEFAULT_SIGMAS
 from servofd.detection.allowance import Bounds, Signals, follow, new_work
+from servofd.models.kernel import RESTART_ALL
 
 if TYPE_CHECKING:
     from servofd.detection.probability import CusumDesign
@@ -42,6 +43,8 @@ _SMALLEST_NOISE_DEG = 1e-3
 _SAMPLES_FOR_STEP, _FEW_VALUES = 20_000, 0.5
 _AT_LIMIT = 0.98
 _RECENT_COMMANDS = 10
+_TAKEN_UP = 2.0
+"""Half plays to move until it is known on which side of its play a surface lies."""
 _SUSPICIOUS_DRIFT = 40.0
 """In 400 flights of 120 s, healthy servos with parameters anywhere within their tolerances reached 22."""
 _PEAK_OF_LAGS = 0.224
@@ -152,6 +155,7 @@ def interval_threshold(
     )
     decay_rad_s = generator.model.parameters().decay_rad_s
     follow(signals, bounds, new_work(bounds, decay_rad_s.size), decay_rad_s, tolerated, saturated, sigma, drift)
+    tolerated += _loose(generator, residuals)
     return Threshold("interval", tolerated + sigmas * sigma, tolerated, saturated, sigma, cusum, drift)
 
 
@@ -176,19 +180,32 @@ def suspicion(residuals: Residuals, threshold: Threshold) -> BoolArray:
 
 def _rate_error(generator: ResidualGenerator, segment: Segment, residuals: Residuals, share: float) -> FloatArray:
     """Residual of a servo whose rate limit is off by its tolerance [deg], shape (n,); empty if it never runs at it."""
-    from servofd.models.effects import RateLimit
-
-    limit_deg_s = min(generator.model.plan.rate_up_deg_s, generator.model.plan.rate_down_deg_s)
-    if not np.isfinite(limit_deg_s):
+    slower = replace(generator, model=generator.model.weaker(share))
+    if slower.model is generator.model:
         return np.zeros(0)
+    plan = generator.model.plan
+    limit_deg_s = min(plan.rate_up_deg_s, plan.rate_down_deg_s)
     step_s, step_deg = np.diff(residuals.time_s), np.abs(np.diff(residuals.simulated_deg))
     # The slower servo runs at its limit before the model does.
-    if not np.any(step_deg >= _AT_LIMIT * (1.0 - share) * limit_deg_s * step_s):
+    if plan.physics is None and not np.any(step_deg >= _AT_LIMIT * (1.0 - share) * limit_deg_s * step_s):
         return np.zeros(0)
-    slower = type(generator)(generator.model + RateLimit((1.0 - share) * limit_deg_s), generator.pole_rad_s)
     error_deg = slower.run(segment).simulated_deg - residuals.simulated_deg
     known = np.where(np.isfinite(residuals.measured_deg), error_deg, np.nan)
     return generator.filtered(residuals.time_s, known, residuals.restart)
+
+
+def _loose(generator: ResidualGenerator, residuals: Residuals) -> FloatArray:
+    """What a start at an unknown point of a servo's play leaves until it has moved by more than that [deg], (n,)."""
+    servo = generator.model.extended()
+    loose_deg = np.zeros(residuals.time_s.size)
+    if servo is None or servo.play_deg == 0.0:
+        return loose_deg
+    begins = np.union1d(np.flatnonzero(residuals.restart == RESTART_ALL), [0])
+    for begin, end in zip(begins, np.append(begins[1:], loose_deg.size), strict=True):
+        moved_deg = residuals.simulated_deg[begin:end]
+        travel_deg = np.maximum.accumulate(moved_deg) - np.minimum.accumulate(moved_deg)
+        loose_deg[begin:end] = servo.play_deg * (travel_deg <= _TAKEN_UP * servo.play_deg)
+    return loose_deg / abs(generator.model.transfer.dc_gain)
 
 
 def habits(tolerance: Tolerance) -> FloatArray:

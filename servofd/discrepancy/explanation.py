@@ -117,8 +117,8 @@ def explain_gap(
     model : ServoModel
         The servo as it is known.
     airspeed_m_s, voltage_v : ndarray, shape (m,), optional
-        At the measurements: airspeed [m/s] and supply of the servo [V]. Effects that need what is left out cannot be
-        judged, and the result says so.
+        At the measurements: airspeed [m/s] and supply of the servo [V]; left out, those of the segment. Effects that
+        need what is not there cannot be judged, and the result says so.
     progress : callable
         Called with the name of each effect that was tried.
 

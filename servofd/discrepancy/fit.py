@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.discrepancy.catalogue import PwmFrame, installed
 from servofd.discrepancy.frames import best_frame
 from servofd.discrepancy.record import simulate
+from servofd.models.catalogue import PwmFrame, installed
 from servofd.types import FloatArray
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from servofd.discrepancy.catalogue import MissingEffect, Parameter
-    from servofd.discrepancy.physics import Physics
     from servofd.discrepancy.record import Record
+    from servofd.models.catalogue import MissingEffect, Parameter
+    from servofd.models.physics import Physics
 
 __all__ = ["Fit", "Fitter"]
 
