@@ -1,6 +1,6 @@
 """What MAVLink messages look like: field layouts, units and check-sum seeds, taken from pymavlink.
 
-The only file that imports pymavlink. Nothing is written down twice: a message that pymavlink learns to
+With the codec of live links the only file that imports pymavlink. Nothing is written down twice: a message that pymavlink learns to
 read, this package reads.
 """
 
