@@ -119,7 +119,8 @@ ONLY_IN = {
         "servofd/models/position_loop.py",
         "logparsers/compiled.py",
     },
-    "pymavlink": {"logparsers/mavlink.py"},
+    "pymavlink": {"logparsers/codec.py", "logparsers/mavlink.py"},
+    "serial": {"logparsers/link.py"},
     "pyulog": {"logparsers/ulog/bounded.py"},
     "h5py": {"logparsers/hdf5.py"},
     "control": {"servofd/models/transfer.py"},
@@ -199,6 +200,7 @@ def test_import_and_help_load_no_heavy_package() -> None:
         "h5py",
         "pymavlink",
         "pyulog",
+        "serial",
     )
     code = (
         "import sys, servofd, servofd.cli; servofd.cli.build_parser().format_help();"
