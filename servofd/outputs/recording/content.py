@@ -21,6 +21,17 @@ if TYPE_CHECKING:
 
 __all__ = ["Recording", "Trace", "command_at"]
 
+_CURVES = (
+    "time_s",
+    "command_deg",
+    "simulated_deg",
+    "measured_deg",
+    "residual_deg",
+    "threshold_deg",
+    "asked_s",
+    "asked_deg",
+)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trace:
@@ -38,6 +49,8 @@ class Trace:
         Level of the alarm [deg].
     asked_s, asked_deg : ndarray, shape (m,)
         When each command was logged [s], and what it asked for [deg].
+    frozen_s, frozen_to_end : float, bool
+        As in `Segment`.
     """
 
     time_s: FloatArray
@@ -48,9 +61,11 @@ class Trace:
     threshold_deg: FloatArray
     asked_s: FloatArray
     asked_deg: FloatArray
+    frozen_s: float = 0.0
+    frozen_to_end: bool = False
 
     def __post_init__(self) -> None:
-        for name in self.__slots__:
+        for name in _CURVES:
             object.__setattr__(self, name, own(getattr(self, name)))
 
     @classmethod
@@ -65,6 +80,23 @@ class Trace:
             threshold_deg,
             segment.command_s,
             segment.command_deg,
+            segment.frozen_s,
+            segment.frozen_to_end,
+        )
+
+    def segment(self, surface: str, command_period_s: float | None = None) -> Segment:
+        """What an audit starts from; see `Segment`."""
+        from servofd.segment import Segment
+
+        return Segment(
+            surface,
+            self.asked_s,
+            self.asked_deg,
+            self.time_s,
+            self.measured_deg,
+            command_period_s,
+            self.frozen_s,
+            self.frozen_to_end,
         )
 
     def between(self, from_s: float, to_s: float) -> Self:
@@ -72,9 +104,9 @@ class Trace:
         first, last = np.searchsorted(self.time_s, (from_s, to_s + 1e-9)).tolist()
         asked = int(np.searchsorted(self.asked_s, from_s, side="right")) - 1
         until = int(np.searchsorted(self.asked_s, to_s, side="right"))
-        rows = {name: getattr(self, name)[first:last] for name in self.__slots__ if not name.startswith("asked")}
+        rows = {name: getattr(self, name)[first:last] for name in _CURVES if not name.startswith("asked")}
         commands = slice(max(asked, 0), until)
-        return type(self)(**rows, asked_s=self.asked_s[commands], asked_deg=self.asked_deg[commands])
+        return replace(self, **rows, asked_s=self.asked_s[commands], asked_deg=self.asked_deg[commands])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -41,7 +41,7 @@ def surface_place(surface: str, *parts: str) -> str:
     Examples
     --------
     >>> surface_place("elevator", "residual"), surface_place("a/b")
-    ('/surfaces/elevator/residual', '/surfaces/a\\\\/b')
+    ('/surfaces/elevator/residual', '/surfaces/a\\/b')
     """
     import rerun as rr
 
@@ -164,6 +164,8 @@ class Recorder:
         self.stream.send_recording_name(name)
         if self.clock.start_utc is not None:
             self.stream.send_recording_start_time_nanos(self.clock.start_us * 1000)
+        # Columns overtake what waits to be batched: a recording that was cut short would lack what it needs most.
+        self.stream.flush()
 
 
 @contextmanager

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.outputs.recording.clock import microseconds, seconds
 from servofd.outputs.recording.states import breaks_s, events, ratio, states
 from servofd.outputs.recording.stream import STATES, surface_place
 
@@ -84,8 +85,16 @@ def _send_curves(recorder: Recorder, place: str, trace: Trace) -> None:
 
 def _send_commands(recorder: Recorder, place: str, trace: Trace) -> None:
     """Commands on their own time stamps, unless each came with a measurement: then the curve has them all."""
+    _send_seconds(recorder, f"{place}/seconds", trace.time_s)
     if not np.array_equal(trace.asked_s, trace.time_s):
         recorder.scalars(f"{place}/command", trace.asked_s, trace.asked_deg)
+        _send_seconds(recorder, f"{place}/command_seconds", trace.asked_s)
+
+
+def _send_seconds(recorder: Recorder, place: str, time_s: FloatArray) -> None:
+    """Time stamps that are no whole microseconds (a log of 32-bit floats), so that they can be read back exactly."""
+    if np.any(seconds(microseconds(time_s)) != time_s):
+        recorder.scalars(place, time_s, time_s)
 
 
 def _send_overview(recorder: Recorder, place: str, surface: SurfaceAudit, trace: Trace) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pydantic import ValidationError
 
@@ -22,9 +22,18 @@ if TYPE_CHECKING:
 
     from servofd.outputs.recording.content import Recording
 
-__all__ = ["SCHEMA", "audit_of", "verdicts_of"]
+__all__ = ["SCHEMA", "Verdicts", "audit_of", "verdicts_of"]
 
 SCHEMA = "servofd.recording/1"
+
+
+class Verdicts(NamedTuple):
+    """What the properties of a recording tell."""
+
+    audit: LogAudit
+    notes: tuple[str, ...]
+    frozen: Mapping[str, tuple[float, bool]]
+    """By surface: for how long its telemetry repeated itself [s], and whether to the end."""
 
 
 def verdicts_of(recording: Recording) -> dict[str, Any]:
@@ -34,7 +43,10 @@ def verdicts_of(recording: Recording) -> dict[str, Any]:
     audit, log = recording.audit, recording.audit.log
     (document,) = audit_document([audit])["logs"]
     for surface in audit.surfaces:
-        document["surfaces"][surface.surface]["expected"] = surface.expected
+        entry, trace = document["surfaces"][surface.surface], recording.traces.get(surface.surface)
+        entry |= {"expected": surface.expected}
+        if trace is not None:
+            entry |= {"frozen_s": trace.frozen_s, "frozen_to_end": trace.frozen_to_end}
     document |= {"vehicle": log.vehicle, "firmware": log.firmware, "span_s": log.span_s, "notes": recording.notes}
     document["start_utc"] = log.start_utc.isoformat() if log.start_utc else None
     return {
@@ -52,7 +64,7 @@ def verdicts_of(recording: Recording) -> dict[str, Any]:
     }
 
 
-def audit_of(properties: Mapping[str, Any], name: str) -> tuple[LogAudit, tuple[str, ...]]:
+def audit_of(properties: Mapping[str, Any], name: str) -> Verdicts:
     """Verdicts of a recording, and what its reader should know.
 
     Parameters
@@ -75,7 +87,12 @@ def audit_of(properties: Mapping[str, Any], name: str) -> tuple[LogAudit, tuple[
         document = json.loads(properties["verdicts"])
         aircraft = Aircraft.model_validate_json(properties["models"])
         surfaces = tuple(_surface(key, entry) for key, entry in document["surfaces"].items())
-        return LogAudit(_log(document), aircraft, surfaces), tuple(document["notes"])
+        frozen = {
+            key: (entry["frozen_s"], entry["frozen_to_end"])
+            for key, entry in document["surfaces"].items()
+            if "frozen_s" in entry
+        }
+        return Verdicts(LogAudit(_log(document), aircraft, surfaces), tuple(document["notes"]), frozen)
     except (KeyError, TypeError, ValueError, ValidationError) as error:
         raise RecordingError(
             f"{name}: its verdicts cannot be read ({type(error).__name__}); audit the log again"

@@ -19,7 +19,7 @@ from servofd.outputs.recording.content import Recording
 from servofd.outputs.recording.layout import ALARM_LINE, audit_layout
 from servofd.outputs.recording.motion import attitude_of, geo_of, local_of
 from servofd.outputs.recording.scene import send_scene
-from servofd.outputs.recording.stream import recording_file
+from servofd.outputs.recording.stream import Recorder, recording_file
 from servofd.outputs.recording.surface import send_surface
 from servofd.outputs.recording.verdicts import verdicts_of
 
@@ -27,9 +27,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from servofd.detection.audit import LogAudit
-    from servofd.outputs.recording.stream import Recorder
 
-__all__ = ["application_of", "fill", "recording_of", "save_recording", "write_recording"]
+__all__ = ["application_of", "fill", "recording_of", "save_recording", "send_to_stdout", "write_recording"]
 
 
 def save_recording(
@@ -72,6 +71,17 @@ def write_recording(recording: Recording, path: str | Path) -> None:
     clock = Clock(recording.audit.log.start_utc)
     with recording_file(path, application_of(recording), audit_layout(recording), clock) as recorder:
         fill(recorder, recording)
+
+
+def send_to_stdout(recording: Recording, application: str | None = None, recording_id: str | None = None) -> None:
+    """Send a recording to the viewer that reads our output, under the names that it wants."""
+    import rerun as rr
+
+    application = application or application_of(recording)
+    with rr.RecordingStream(application, recording_id=recording_id, send_properties=False) as stream:
+        rr.set_log_time_enabled(False, recording=stream)
+        stream.stdout(default_blueprint=audit_layout(recording))
+        fill(Recorder(stream, Clock(recording.audit.log.start_utc)), recording)
 
 
 def application_of(recording: Recording) -> str:
