@@ -1,4 +1,4 @@
-"""Calibrated on one good flight, is a servo judged as well as with its true numbers?
+"""How well a servo calibrated on one good flight is judged, against one whose true numbers are known.
 
     python benchmarks/calibrated.py [SERVOS [FLIGHTS]]
 
@@ -41,7 +41,7 @@ class Score(NamedTuple):
 
 
 def main() -> None:
-    servos, flights = (int(text) for text in (*sys.argv[1:], "6", "4")[:2])
+    servos, flights = (int(text) for text in (*sys.argv[1:], *("12", "4")[len(sys.argv) - 1 :]))
     scores: dict[str, list[Score]] = {"before": [], "calibrated": [], "true": []}
     for number in range(servos):
         servo = any_servo(np.random.default_rng(number))
@@ -49,7 +49,8 @@ def main() -> None:
         files = {"before": plain_aircraft(["x"]), "calibrated": learnt, "true": _true(servo, learnt)}
         for name, aircraft in files.items():
             scores[name] += _flown(servo, aircraft, range(100 * number, 100 * number + flights))
-    print(f"{'aircraft file':<14}{'right names':>12}{'median delay':>14}{'false alarms':>14}   of {len(scores['true'])}")
+    print(f"{len(scores['true'])} faulty flights")
+    print(f"{'aircraft file':<14}{'right names':>12}{'median delay':>14}{'false alarms':>14}")
     for name, each in scores.items():
         right, delay_s = np.mean([s.right for s in each]), np.median([s.delay_s for s in each])
         print(f"{name:<14}{right:>12.1%}{delay_s:>12.3f} s{sum(s.false_alarms for s in each):>14}")

@@ -22,7 +22,18 @@ if TYPE_CHECKING:
 
     from servofd.types import FloatArray
 
-__all__ = ["KINDS", "SIZES", "STYLES", "FleetFlight", "FleetServo", "Truth", "any_servo", "cases", "deflection", "flight"]
+__all__ = [
+    "KINDS",
+    "SIZES",
+    "STYLES",
+    "FleetFlight",
+    "FleetServo",
+    "Truth",
+    "any_servo",
+    "cases",
+    "deflection",
+    "flight",
+]
 
 STYLES = ("lively", "calm", "chirp", "hand_flown", "cruise")
 SIZES: dict[str, tuple[str, dict[str, float]]] = {
