@@ -14,7 +14,7 @@ from servofd.discrepancy.record import joined, record_of
 from servofd.discrepancy.run_by_run import RunErrors, run_errors
 from servofd.discrepancy.select import Selection, select, unexplained
 from servofd.segment import Segment
-from servofd.discrepancy.words import effect_values, unjudged_sentence
+from servofd.discrepancy.words import effect_values, linear_sentence, unjudged_sentence
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -181,6 +181,8 @@ def explain_gap(
             notes.append(
                 f"after {fault_s:.1f} s this is a fault, not a missing effect: only what came before is explained"
             )
+    if free_poles:
+        notes.append(linear_sentence(record, selection))
     if selection.unjudged:
         notes.append(unjudged_sentence(selection))
     where = sentences(record, selection.nominal.error_deg, selection.sigma_deg)

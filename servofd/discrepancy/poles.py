@@ -120,7 +120,7 @@ class PoleFitter(Fitter):
         """The best of the fits from several starts; its poles are remembered."""
         key = tuple(sorted(effect.key() for effect in effects))
         found = [self._fitted(effects, values, poles, evaluations) for poles, values in starts]
-        if key in self.known and len(starts) > 1:
+        if key in self.known:
             found.append((list(starts[0][1]), self.known[key]))
         values, poles = min(found, key=lambda each: self._loss(effects, each[0], each[1]))
         self.known[key] = poles
