@@ -44,7 +44,7 @@ PARTS = {
     "simulation": {"errors", "types", "models", "calibration", "aircraft", "outputs"},
     "identification": {"errors", "types", "models", "servos", "segment"},
     "discrepancy": {"errors", "types", "models", "segment", "detection"},
-    "explaining": {"errors", "types", "aircraft", "segment", "discrepancy", "workflow"},
+    "explaining": {"errors", "types", "aircraft", "bench", "models", "servos", "segment", "discrepancy", "workflow"},
     "bench": {"errors", "types", "aircraft", "segment", "identification", "workflow"},
     "outputs": {
         "errors",

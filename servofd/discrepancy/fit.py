@@ -77,6 +77,10 @@ class Fitter:
     def __post_init__(self) -> None:
         self._trained, self._held_out = np.flatnonzero(self.record.trained), np.flatnonzero(self.record.held_out)
 
+    def on(self, record: Record) -> Fitter:
+        """The same for other samples."""
+        return Fitter(record)
+
     def physics(self, effects: Sequence[type[MissingEffect]], values: Values) -> Physics:
         """The servo with these effects."""
         return installed(self.record.plant.neutral, effects, [float(v) for v in values])

@@ -77,7 +77,13 @@ class Selection:
     unjudged: tuple[type[MissingEffect], ...]
     """Effects that need what the log does not hold."""
     covariance: FloatArray
-    simulations: int
+    fitter: Fitter
+    """What fitted it."""
+
+    @property
+    def simulations(self) -> int:
+        """How many it took."""
+        return self.fitter.simulations
 
     @property
     def final(self) -> Fit:
@@ -130,7 +136,7 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
         if equals
     )
     covariance = fitter.covariance(best, _rms(best, record), long_run_factor(best.error_deg[record.trained]))
-    return Selection(nominal, rungs, ties, sigma, tuple(unable), covariance, fitter.simulations)
+    return Selection(nominal, rungs, ties, sigma, tuple(unable), covariance, fitter)
 
 
 def _grown(
