@@ -135,7 +135,9 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
         for effect, equals in zip(best.effects, _equals(fitter, best, able, tried), strict=True)
         if equals
     )
-    covariance = fitter.covariance(best, _rms(best, record), long_run_factor(best.error_deg[record.trained]))
+    final, covariance = fitter.on_all(best)
+    if rungs:
+        rungs = (*rungs[:-1], Rung(final, rungs[-1].rivals))
     return Selection(nominal, rungs, ties, sigma, tuple(unable), covariance, fitter)
 
 
