@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from detection import calibration, delays, false_alarms, fly, limits, onsets, shares
 from detection_pictures import draw
 from servofd.aircraft import DEFAULT_SIGMAS
-from servofd.detection import alarm, allowance, threshold
+from servofd.detection import alarm, allowance, latch, threshold
 from servofd.detection.bank import (
     classify,
     confirm,

@@ -29,7 +29,7 @@ class History:
     >>> for k in range(10):
     ...     history.append(np.full((History.ROWS, 1), float(k)))
     >>> history.first_s, history.last_s, history.size
-    (2.0, 9.0, 8)
+    (3.0, 9.0, 7)
     """
 
     ROWS = 13
@@ -85,8 +85,13 @@ class History:
     def snapshot(self, kind: ThresholdKind, cusum: CusumDesign) -> tuple[Residuals, Threshold, BoolArray]:
         """Residuals, threshold and suspicious samples, copied."""
         rows = self._rows[:, : self.size].copy()
-        residuals = Residuals(*rows[:4], rows[4] != 0.0, rows[5], rows[6].astype(np.int8))
-        return residuals, Threshold(kind, *rows[7:11], cusum, rows[11]), rows[12] != 0.0
+        time_s, simulated_deg, measured_deg, residual_deg, settled, immobile_deg, restart = rows[:7]
+        level_deg, tolerance_deg, saturated_deg, sigma_deg, drift, suspicious = rows[7:]
+        residuals = Residuals(
+            time_s, simulated_deg, measured_deg, residual_deg, settled != 0.0, immobile_deg, restart.astype(np.int8)
+        )
+        threshold = Threshold(kind, level_deg, tolerance_deg, saturated_deg, sigma_deg, cusum, drift)
+        return residuals, threshold, suspicious != 0.0
 
 
 class CommandBuffer:
@@ -110,6 +115,11 @@ class CommandBuffer:
         self.size += 1
         return dropped
 
+    def bend(self, command_deg: float, step_s: float) -> None:
+        """Let the latest command run straight to the next one, which comes so much later."""
+        if self.size:
+            self._rows[2, self.size - 1] = (command_deg - self._rows[1, self.size - 1]) / step_s
+
     @property
     def time_s(self) -> FloatArray:
         """Of shape (n,) [s]."""
@@ -117,4 +127,10 @@ class CommandBuffer:
 
     def commands(self) -> Commands:
         """The same without copies."""
-        return Commands(*self._rows[:, : self.size])
+        effective_s, command_deg, slope_deg_s = self._rows[:, : self.size]
+        return Commands(effective_s, command_deg, slope_deg_s)
+
+    def copied(self) -> Commands:
+        """The same, to be kept."""
+        effective_s, command_deg, slope_deg_s = self._rows[:, : self.size].copy()
+        return Commands(effective_s, command_deg, slope_deg_s)

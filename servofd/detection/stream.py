@@ -86,7 +86,6 @@ class Stream:
         period_s = min(period_s, beat.period_s)
         room = int(MEMORY_S / max(period_s, _FASTEST_COMMANDS_S))
         self.logged, self.effective = CommandBuffer(4096), CommandBuffer(room)
-        self._held_back: tuple[float, float] | None = None
         self._starts, self._glitch, self._latch = new_starts_memory(), new_glitch_memory(), new_latch_memory()
         self._work = new_work(self.evaluation.bounds, self._servo.decay_rad_s.size)
         self._cusum = np.zeros(2)
@@ -109,7 +108,7 @@ class Stream:
             self._add(time_s + shift_s, command_deg, 0.0)
         self._newest_s = time_s
         dropped = self.logged.append(time_s, command_deg, 0.0)
-        self._starts.cursor[0] -= dropped
+        self._starts.cursor[0] = max(self._starts.cursor[0] - dropped, 0)
 
     def position(self, time_s: float, measured_deg: float) -> None:
         """Add a position [deg], NaN where there is none; one that is no later than the one before is left out."""
@@ -117,32 +116,31 @@ class Stream:
             self.latest_s = time_s
             self._positions.append((time_s, measured_deg))
 
-    def evaluate(self, *, final: bool = False) -> Piece:
-        """Evaluate what can be decided by now; everything if nothing more will come."""
-        if final and self._held_back is not None:
-            self._add(*self._held_back, 0.0)
-            self._held_back = None
+    def evaluate(self, *, final: bool = False) -> Piece | None:
+        """Evaluate what can be decided by now; everything if nothing more will come. None if that is nothing."""
         self._simulate(self._ready(final=final))
         pending = self._pending
+        if pending.shape[1] == 0:
+            return None
         glitch = np.zeros(pending.shape[1], dtype=bool)
         error_deg = np.ascontiguousarray(pending[2] - pending[1])
         count = decide(self._glitch, error_deg, pending[4].astype(np.int8), glitch, final)
         self._pending = pending[:, count:]
+        if count == 0:
+            return None
         return self._judged(pending[:, :count], glitch[:count])
 
     def _add(self, effective_s: float, command_deg: float, slope_deg_s: float) -> None:
         dropped = self.effective.append(effective_s, command_deg, slope_deg_s)
         for memory in self._memories[:2]:
-            memory.cursor[0] -= dropped
+            memory.cursor[0] = max(memory.cursor[0] - dropped, 0)
 
     def _straight(self, time_s: float, command_deg: float, shift_s: float) -> None:
-        """Thinned commands run straight to the next one, which has to be known."""
-        if self._held_back is not None:
-            before_s, before_deg = self._held_back
-            step_s = time_s - self._newest_s
-            slope = (command_deg - before_deg) / step_s if step_s <= self.longest_gap_s else 0.0
-            self._add(before_s, before_deg, slope)
-        self._held_back = time_s + shift_s, command_deg
+        """Thinned commands run straight to the next one; no position is evaluated until that is known."""
+        step_s = time_s - self._newest_s
+        if step_s <= self.longest_gap_s:
+            self.effective.bend(command_deg, step_s)
+        self._add(time_s + shift_s, command_deg, 0.0)
 
     def _put_back(self, time_s: float, command_deg: float, shift_s: float) -> None:
         """Commands that were lost, on the straight line between their neighbours."""
