@@ -58,7 +58,9 @@ def run(options: argparse.Namespace) -> int:
     if options.html:
         from servofd.outputs.explain_page import explain_page
 
-        write_whole(options.html, explain_page([found.explanation], ", ".join(Path(log).name for log in options.log)).encode())
+        write_whole(
+            options.html, explain_page([found.explanation], ", ".join(Path(log).name for log in options.log)).encode()
+        )
     return 1 if found.explanation.conclusion in ("partly_explained", "unexplained") or found.explanation.fault_s else 0
 
 
