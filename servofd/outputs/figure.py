@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.outputs.files import whole_file
+from servofd.outputs.palette import COLOURS
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -21,17 +22,7 @@ if TYPE_CHECKING:
     from servofd.segment import Segment
     from servofd.types import BoolArray, FloatArray
 
-__all__ = ["COLOURS", "save_figure"]
-
-COLOURS = {
-    "command": "#7f7f7f",
-    "simulated": "#0072b2",
-    "measured": "#e69f00",
-    "fault": "#d55e00",
-    "suspicion": "#cc79a7",
-    "ok": "#009e73",
-}
-"""Okabe and Ito's palette, which colour-blind eyes can tell apart."""
+__all__ = ["save_figure"]
 
 _TITLE_COLUMNS = 130
 _WIDEST = 4000
@@ -116,7 +107,7 @@ def _shade(axes: Axes, audit: SurfaceAudit, *, named: bool) -> None:
     if audit.residuals is None:
         return
     last_s = float(audit.residuals.time_s[-1])
-    for found, colour, label in ((audit.faults, "fault", "fault"), (audit.suspicions, "suspicion", "suspicion")):
+    for found, colour, label in ((audit.faults, "fault", "fault"), (audit.suspicions, "suspect", "suspicion")):
         for number, fault in enumerate(found):
             end_s = last_s if fault.end_s is None else fault.end_s
             shown = label if number == 0 else None

@@ -11,7 +11,7 @@ import numpy as np
 from servofd.identification.frequency_response import raw_response
 from servofd.identification.rate import step_slopes
 from servofd.identification.records import longest_uniform
-from servofd.outputs.figure import COLOURS
+from servofd.outputs.palette import COLOURS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
