@@ -57,6 +57,7 @@ PARTS = {
         "identification",
         "discrepancy",
         "sweep",
+        "odds",
     },
     "workflow": {"errors", "aircraft", "servos", "detection", "feedback", "segment", "calibrating"},
     "cli": {
@@ -83,11 +84,13 @@ ONLY_IN = {
     "rerun": {"servofd/outputs/recording.py"},
     "matplotlib": {
         "servofd/outputs/figure.py",
+        "servofd/outputs/audit_figures.py",
         "servofd/outputs/identify_figures.py",
         "servofd/outputs/odds_figure.py",
+        "servofd/outputs/picture.py",
         "servofd/cli/design.py",
     },
-    "jinja2": {"servofd/outputs/identify_page.py"},
+    "jinja2": {"servofd/outputs/page.py"},
     "argparse": {
         f"servofd/cli/{name}.py"
         for name in (

@@ -33,6 +33,7 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument("--threshold-deg", type=_positive, metavar="X", help="alarm level [deg] (default: 1.5)")
     parser.add_argument("--threshold", choices=["constant", "interval"], help="kind (default: constant)")
     parser.add_argument("--json", metavar="FILE", help="write the result as JSON; - prints it instead of the table")
+    parser.add_argument("--html", metavar="FILE", help="write a page that can be sent by mail")
     parser.add_argument("--rrd", metavar="FILE", help="write a Rerun recording (of one log)")
     parser.add_argument("-o", "--output", metavar="DIR", help="write figures, recordings and audit.json to a folder")
     parser.set_defaults(run=run)
@@ -41,6 +42,7 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
 def run(options: argparse.Namespace) -> int:
     """Audit all logs, then write all outputs, then print."""
     from servofd.aircraft import load_aircraft
+    from servofd.cli.targets import check_targets
     from servofd.errors import ConfigError
     from servofd.servos import find_servo
 
@@ -49,25 +51,12 @@ def run(options: argparse.Namespace) -> int:
     aircraft = load_aircraft(options.config) if options.config else None
     if options.servo:
         find_servo(options.servo)
-    _check_outputs(options)
+    outputs = (options.rrd, options.json, options.html)
+    check_targets(outputs, {"a log": options.logs, "the aircraft file": [options.config]}, folder=options.output)
     results = [result for path in options.logs for result in _audit(path, aircraft, options)]
     _write(options, results)
     _print(options, results)
     return max(_exit_codes(results), key=(0, 1, 2).index)
-
-
-def _check_outputs(options: argparse.Namespace) -> None:
-    """Refuse outputs that cannot be written, or would overwrite a log or each other."""
-    from servofd.errors import ConfigError
-
-    taken = {Path(log).resolve(): "a log" for log in options.logs}
-    for name in filter(None, (options.rrd, options.json if options.json != "-" else None)):
-        target = Path(name).resolve()
-        if not target.parent.is_dir():
-            raise ConfigError(f"{name}: the folder {target.parent} does not exist")
-        if target in taken:
-            raise ConfigError(f"{name}: is {taken[target]} already; choose another file for this output")
-        taken[target] = "another output"
 
 
 def _audit(path: str, aircraft: Aircraft | None, options: argparse.Namespace) -> list[LogAudit | FailedLog]:
@@ -138,6 +127,10 @@ def _write(options: argparse.Namespace, results: list[LogAudit | FailedLog]) -> 
     document = to_json(audit_document(results))
     if options.json and options.json != "-":
         write_whole(options.json, document.encode())
+    if options.html:
+        from servofd.outputs.audit_page import audit_page
+
+        write_whole(options.html, audit_page(results).encode())
     if options.rrd and audits:
         from servofd.outputs.recording import save_recording
 
@@ -170,20 +163,15 @@ def _stem(audit: LogAudit) -> str:
 
 
 def _print(options: argparse.Namespace, results: list[LogAudit | FailedLog]) -> None:
-    from servofd.cli.tables import print_table
+    from servofd.cli.tables import print_verdicts
     from servofd.outputs.json_report import FailedLog, audit_document, to_json
 
     if options.json == "-":
         print(to_json(audit_document(results)), end="")
         return
     for result in results:
-        if isinstance(result, FailedLog):
-            continue
-        log = result.log
-        rows = [[s.surface, s.status, s.reason] for s in result.surfaces]
-        print_table(["surface", "status", "why"], rows, f"{log.label}   {log.format}, {log.duration_s:.1f} s")
-        for damage in log.damage:
-            print(f"  damage: {damage.kind}: {damage.note}")
+        if not isinstance(result, FailedLog):
+            print_verdicts(result)
 
 
 def _positive(text: str) -> float:
