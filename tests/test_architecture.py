@@ -59,6 +59,7 @@ PARTS = {
         "sweep",
         "odds",
     },
+    "fleet": {"errors", "aircraft", "servos", "detection", "workflow", "outputs"},
     "workflow": {"errors", "aircraft", "servos", "detection", "feedback", "segment", "calibrating"},
     "cli": {
         "errors",
@@ -78,6 +79,7 @@ PARTS = {
         "identification",
         "bench",
         "explaining",
+        "fleet",
     },
 }
 ONLY_IN = {
@@ -96,10 +98,12 @@ ONLY_IN = {
         for name in (
             "__init__",
             "audit",
+            "audit_fleet",
             "calibrate",
             "config",
             "design",
             "explain",
+            "fleet",
             "identify",
             "info",
             "odds",
@@ -121,6 +125,7 @@ ONLY_IN = {
     "pyulog": {"logparsers/ulog/bounded.py"},
     "h5py": {"logparsers/hdf5.py"},
     "control": {"servofd/models/transfer.py"},
+    "distributed": {"servofd/fleet/cluster.py"},
 }
 
 

@@ -62,7 +62,7 @@ def run_on_cluster(
                 result: _Result | Exception = future.result()
             except CancelledError:
                 raise LostCluster(f"{address}: the scheduler went away; start again to go on") from None
-            except Exception as error:  # noqa: BLE001 - whatever one item raises, the others go on
+            except Exception as error:
                 result = error
             yield item, result
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import logparsers
-from logparsers import LogError
+from logparsers import EmptyLog, LogError, MissingChannel, UnknownFormat
 from logparsers.detect import detect
 from logparsers.source import HEAD_BYTES
 from servofd.errors import ConfigError
@@ -53,6 +53,8 @@ class Found:
 
     logs: tuple[LogSource, ...]
     skipped: tuple[Skipped, ...]
+    problems: tuple[str, ...]
+    """What is wrong with inputs that gave no log, a line each."""
 
 
 def find_logs(inputs: Sequence[str], layout: TableLayout | None = None) -> Found:
@@ -71,7 +73,7 @@ def find_logs(inputs: Sequence[str], layout: TableLayout | None = None) -> Found
     Raises
     ------
     ConfigError
-        If a folder or address cannot be read, or holds no log; if a pattern fits nothing.
+        If no input gave any log.
 
     Examples
     --------
@@ -81,13 +83,20 @@ def find_logs(inputs: Sequence[str], layout: TableLayout | None = None) -> Found
     """
     logs: dict[str, LogSource] = {}
     skipped: dict[str, Skipped] = {}
+    problems = []
     for text in inputs:
-        found, passed = _found(text, layout)
-        if not found and not is_plain_file(text):
-            raise ConfigError(f"{text}: {_nothing(text, passed)}")
-        logs |= {os.path.normpath(log.path) if not is_address(log.path) else log.path: log for log in found}
+        try:
+            found, passed = _found(text, layout)
+        except ConfigError as error:
+            problems.append(str(error))
+            continue
+        if not found:
+            problems.append(f"{text}: {_nothing(text, passed)}")
+        logs |= {log.path if is_address(log.path) else os.path.normpath(log.path): log for log in found}
         skipped |= {one.path: one for one in passed}
-    return Found(tuple(logs.values()), tuple(skipped.values()))
+    if not logs:
+        raise ConfigError("; ".join(problems) or "no log was named")
+    return Found(tuple(logs.values()), tuple(skipped.values()), tuple(problems))
 
 
 def is_address(text: str) -> bool:
@@ -122,7 +131,9 @@ def _found(text: str, layout: TableLayout | None) -> tuple[list[LogSource], list
         return _sorted_out(_remote_files(text), layout)
     if is_plain_file(text):
         return [LogSource(text, _size_bytes(text))], []
-    matches = sorted(glob.glob(text, recursive=True)) if is_pattern(text) else [text]
+    matches = [text]
+    if is_pattern(text):
+        matches = sorted(glob.glob(text, recursive=True))  # noqa: PTH207 - Path.glob takes no absolute patterns
     files = (name for match in matches for name in (_walked(match) if Path(match).is_dir() else [match]))
     return _sorted_out(((name, _size_bytes(name), _head) for name in files), layout)
 
@@ -175,8 +186,10 @@ def _why_no_log(name: str, head: Any, layout: TableLayout | None) -> str:  # noq
             text = head(name, _TABLE_HEAD_BYTES)
             whole_lines = text[: text.rfind(b"\n") + 1] or text
             logparsers.read_all(io.BytesIO(whole_lines), layout)
-    except LogError as error:
+    except (UnknownFormat, MissingChannel, EmptyLog) as error:
         return str(error).removeprefix(f"{name}: ").removeprefix("<file>: ")
+    except LogError:
+        return ""  # a table of flight data with something wrong in it: that is for the audit to tell
     except OSError as error:
         return f"cannot be read: {error.strerror or error}"
     return ""

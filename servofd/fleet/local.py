@@ -88,11 +88,11 @@ def _until_broken(
                 suspects.extend(running.values())
                 return
             for future in wait(running, return_when=FIRST_COMPLETED).done:
-                item, error = running.pop(future), future.exception()
-                if isinstance(error, BrokenProcessPool):
+                item, outcome = running.pop(future), _outcome(future)
+                if isinstance(outcome, BrokenProcessPool):
                     suspects.append(item)
                 else:
-                    yield item, _outcome(future)
+                    yield item, outcome
             if suspects:
                 suspects.extend(running.values())
                 return
@@ -101,7 +101,7 @@ def _until_broken(
 def _outcome(future: Future[_Result]) -> _Result | Exception:
     try:
         return future.result()
-    except Exception as error:  # noqa: BLE001 - whatever one item raises, the others go on
+    except Exception as error:
         return error
 
 
@@ -162,5 +162,11 @@ def _interrupts_ignored() -> Iterator[None]:
 def _end_with_parent() -> None:
     """Processes must not outlive a parent that was killed."""
     parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
+    if parent is None:
+        return
+
+    def follow() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=follow, daemon=True).start()

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from servofd.fleet.find import LogSource
     from servofd.fleet.judge import JudgedLog
 
-__all__ = ["FleetStore", "read_table"]
+__all__ = ["FleetStore", "read_logs", "read_table"]
 
 _SCHEMA = "servofd.fleet/1"
 _EARLIER = "earlier"
@@ -132,6 +132,25 @@ def read_table(folder: Path, name: str, columns: list[str] | None = None) -> lis
             reason = str(error).splitlines()[0]
             raise ConfigError(f"{path}: damaged ({reason}); remove it, and its logs are judged again") from None
     return content
+
+
+def read_logs(folder: Path) -> list[dict[str, Any]]:
+    """All logs of a folder of results, by path and run: ``document`` as in servofd.audit/1, and ``untold``.
+
+    Raises
+    ------
+    ConfigError
+        If the folder holds no results, or those of another form.
+    """
+    meta = folder / META_FILE
+    if not meta.is_file():
+        raise ConfigError(f"{folder}: no results of many logs; make them with servofd audit LOGS/ -o {folder}")
+    _read_meta(meta)
+    logs = [
+        {"document": json.loads(row["document"]), "untold": row["untold"] or ""}
+        for row in read_table(folder, "logs", ["document", "untold"])
+    ]
+    return sorted(logs, key=lambda log: (log["document"]["path"], log["document"].get("run") or ""))
 
 
 def _prepared(folder: Path, key: str) -> int:

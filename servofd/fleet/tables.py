@@ -8,13 +8,13 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
 
     import pyarrow as pa
 
     from servofd.fleet.judge import JudgedLog
 
-__all__ = ["TABLES", "documents", "rows", "to_arrow"]
+__all__ = ["TABLES", "rows", "to_arrow"]
 
 _LOG = {"content": "string", "path": "string", "run": "string", "start_utc": "time"}
 TABLES: Mapping[str, Mapping[str, str]] = MappingProxyType(
@@ -98,12 +98,6 @@ def rows(judged: JudgedLog) -> dict[str, list[dict[str, Any]]]:
             for level in ("faults", "suspicions"):
                 tables["faults"] += [{**log, "surface": name, **_fault(fault, level)} for fault in surface[level]]
     return tables
-
-
-def documents(logs: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Entries of ``logs`` in servofd.audit/1, from rows of the table, by path and run."""
-    ordered = sorted(logs, key=lambda row: (row["path"], row["run"] or ""))
-    return [json.loads(row["document"]) for row in ordered]
 
 
 def to_arrow(name: str, content: list[dict[str, Any]]) -> pa.Table:
