@@ -5,12 +5,13 @@ from __future__ import annotations
 import glob
 import io
 import os
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import logparsers
-from logparsers import EmptyLog, LogError, MissingChannel, UnknownFormat
+from logparsers import LogError
 from logparsers.detect import detect
 from logparsers.source import HEAD_BYTES
 from servofd.errors import ConfigError
@@ -183,15 +184,25 @@ def _why_no_log(name: str, head: Any, layout: TableLayout | None) -> str:  # noq
         if not begin:
             return "empty"
         if detect(begin, name).__name__ == "read_table":
-            text = head(name, _TABLE_HEAD_BYTES)
-            whole_lines = text[: text.rfind(b"\n") + 1] or text
-            logparsers.read_all(io.BytesIO(whole_lines), layout)
-    except (UnknownFormat, MissingChannel, EmptyLog) as error:
-        return str(error).removeprefix(f"{name}: ").removeprefix("<file>: ")
-    except LogError:
-        return ""  # a table of flight data with something wrong in it: that is for the audit to tell
+            return _why_no_table(head(name, _TABLE_HEAD_BYTES), layout)
+    except LogError as error:
+        return str(error).removeprefix(f"{name}: ")
     except OSError as error:
         return f"cannot be read: {error.strerror or error}"
+    return ""
+
+
+def _why_no_table(text: bytes, layout: TableLayout | None) -> str:
+    """Why the beginning of a text is no table of flight data; one with something wrong in it is for the audit."""
+    whole_lines = text[: text.rfind(b"\n") + 1] or text
+    try:
+        logparsers.read_all(io.BytesIO(whole_lines), layout)
+    except LogError as error:
+        times = {layout.time} if layout else {"time_s"}
+        header = whole_lines.lstrip().split(b"\n")[0].decode("utf-8", "replace")
+        if times & set(re.split(r"[\s,;]+", header)) or (layout and layout.columns):
+            return ""
+        return str(error).removeprefix("<file>: ")
     return ""
 
 
