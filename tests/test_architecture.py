@@ -18,10 +18,11 @@ PARTS = {
     "errors": set(),
     "types": set(),
     "tolerance": set(),
+    "limits": set(),
     "models": {"errors", "types", "servos"},
     "servos": {"errors", "types", "models"},
     "calibration": {"errors", "types"},
-    "aircraft": {"errors", "types", "models", "servos", "calibration", "tolerance"},
+    "aircraft": {"errors", "types", "models", "servos", "calibration", "tolerance", "limits"},
     "frozen": {"types"},
     "segment": {"errors", "types", "aircraft", "frozen"},
     "feedback": {"errors", "types", "aircraft", "servos", "models", "segment", "detection", "toml_text"},
@@ -60,6 +61,17 @@ PARTS = {
         "odds",
     },
     "fleet": {"errors", "aircraft", "servos", "detection", "workflow", "outputs"},
+    "trend": {
+        "errors",
+        "types",
+        "aircraft",
+        "models",
+        "segment",
+        "detection",
+        "calibrating",
+        "workflow",
+        "fleet",
+    },
     "workflow": {"errors", "aircraft", "servos", "detection", "feedback", "segment", "calibrating"},
     "cli": {
         "errors",
@@ -80,6 +92,7 @@ PARTS = {
         "bench",
         "explaining",
         "fleet",
+        "trend",
     },
 }
 ONLY_IN = {
@@ -110,6 +123,7 @@ ONLY_IN = {
             "servos",
             "simulate",
             "sweep",
+            "trend",
         )
     },
     "numba": {

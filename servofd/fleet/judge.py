@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from logparsers import LogError
-from servofd.errors import ServofdError
-from servofd.fleet.find import is_address
+from servofd.errors import ConfigError, ServofdError
+from servofd.fleet.fetch import fetched
 from servofd.fleet.key import content_key
 from servofd.outputs.json_report import FailedLog, audit_document
 from servofd.workflow import audit
@@ -63,12 +60,11 @@ def judge_log(source: LogSource, job: Job) -> JudgedLog:
         content = content_key(source.path)
     except OSError:
         content = ""  # reading it tells what is wrong, in its own words
-    with tempfile.TemporaryDirectory(prefix="servofd-") as folder:
-        try:
-            local = _fetched(source.path, Path(folder)) if is_address(source.path) else source.path
-        except (OSError, ImportError) as error:
-            return failed(source, f"{source.path}: cannot be fetched: {error}", content)
-        return JudgedLog(source, content, tuple(_verdicts(local, source.path, job)))
+    try:
+        with fetched(source.path) as local:
+            return JudgedLog(source, content, tuple(_verdicts(local, source.path, job)))
+    except ConfigError as error:
+        return failed(source, str(error), content)
 
 
 def failed(source: LogSource, reason: str, content: str = "") -> JudgedLog:
@@ -78,16 +74,6 @@ def failed(source: LogSource, reason: str, content: str = "") -> JudgedLog:
 
 def _untold(path: str, reason: str) -> RunVerdict:
     return RunVerdict(audit_document([FailedLog(path, reason)])["logs"][0], reason)
-
-
-def _fetched(address: str, folder: Path) -> str:
-    """Copy a remote log; its name stays."""
-    import fsspec
-
-    target = folder / (Path(address).name or "log")
-    with fsspec.open(address, "rb") as remote, target.open("wb") as file:
-        shutil.copyfileobj(remote, file)
-    return str(target)
 
 
 def _verdicts(local: str, path: str, job: Job) -> Iterator[RunVerdict]:

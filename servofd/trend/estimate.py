@@ -180,7 +180,8 @@ def _descended(
         return _simulated(motion, prior.with_vector(names, x[1:-2]), float(x[0]))
 
     def error(x: FloatArray) -> FloatArray:
-        return measured_deg - x[-2] * shape(x) - x[-1]
+        left_deg: FloatArray = measured_deg - x[-2] * shape(x) - x[-1]
+        return left_deg
 
     def slopes(x: FloatArray) -> FloatArray:
         shifted = np.vstack([np.diag(steps), np.zeros((2, steps.size))]).T
