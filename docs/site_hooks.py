@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from typing import Any
 
 from latex2mathml.converter import convert
 
@@ -12,12 +11,12 @@ _OUTSIDE = re.compile(r"\[([^\]]*)\]\(\.\./[^)]*\)")
 _NUMBER = re.compile(r"\\tag\{(\d+)\}")
 
 
-def on_page_markdown(markdown: str, **_: Any) -> str:
+def on_page_markdown(markdown: str, **_: object) -> str:
     """Links to files of the repository that are no page keep their text."""
     return _OUTSIDE.sub(r"\1", markdown)
 
 
-def on_page_content(html: str, **_: Any) -> str:
+def on_page_content(html: str, **_: object) -> str:
     """Formulas as MathML, which browsers show without script or network."""
     return _FORMULA.sub(_mathml, html)
 

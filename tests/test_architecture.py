@@ -18,10 +18,11 @@ PARTS = {
     "errors": set(),
     "types": set(),
     "tolerance": set(),
+    "limits": set(),
     "models": {"errors", "types", "servos"},
     "servos": {"errors", "types", "models"},
     "calibration": {"errors", "types"},
-    "aircraft": {"errors", "types", "models", "servos", "calibration", "tolerance"},
+    "aircraft": {"errors", "types", "models", "servos", "calibration", "tolerance", "limits"},
     "frozen": {"types"},
     "segment": {"errors", "types", "aircraft", "frozen", "models"},
     "feedback": {"errors", "types", "aircraft", "servos", "models", "segment", "detection", "toml_text"},
@@ -60,6 +61,18 @@ PARTS = {
         "odds",
         "toml_text",
     },
+    "fleet": {"errors", "aircraft", "servos", "detection", "workflow", "outputs"},
+    "trend": {
+        "errors",
+        "types",
+        "aircraft",
+        "models",
+        "segment",
+        "detection",
+        "calibrating",
+        "workflow",
+        "fleet",
+    },
     "workflow": {"errors", "aircraft", "servos", "detection", "feedback", "segment", "calibrating"},
     "cli": {
         "errors",
@@ -79,6 +92,8 @@ PARTS = {
         "identification",
         "bench",
         "explaining",
+        "fleet",
+        "trend",
     },
 }
 ONLY_IN = {
@@ -98,16 +113,19 @@ ONLY_IN = {
         for name in (
             "__init__",
             "audit",
+            "audit_fleet",
             "calibrate",
             "config",
             "design",
             "explain",
+            "fleet",
             "identify",
             "info",
             "odds",
             "servos",
             "simulate",
             "sweep",
+            "trend",
         )
     },
     "numba": {
@@ -124,6 +142,7 @@ ONLY_IN = {
     "pyulog": {"logparsers/ulog/bounded.py"},
     "h5py": {"logparsers/hdf5.py"},
     "control": {"servofd/models/transfer.py"},
+    "distributed": {"servofd/fleet/cluster.py"},
 }
 
 

@@ -7,6 +7,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from servofd.cli.audit_fleet import add_options, is_fleet, run_fleet
+
 if TYPE_CHECKING:
     from servofd.aircraft import Aircraft
     from servofd.detection.audit import LogAudit
@@ -24,7 +26,12 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
         "2: could not tell.",
         epilog="Example: servofd audit flight.mat -c configs/faser.toml -o report/",
     )
-    parser.add_argument("logs", nargs="+", metavar="LOG", help="FASER .mat, RAPTRS .h5, or a CSV table")
+    parser.add_argument(
+        "logs",
+        nargs="+",
+        metavar="LOG",
+        help="flight log, told by its content; or many of them: folders, patterns, addresses such as s3://bucket/logs",
+    )
     parser.add_argument("-c", "--config", metavar="AIRCRAFT.toml", help="aircraft file, or the name of a shipped one")
     parser.add_argument(
         "--servo", metavar="NAME", help="servo to assume for all surfaces: of the library, or FILE.toml"
@@ -37,7 +44,14 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument("--rrd", metavar="FILE", help="write a Rerun recording (of one log)")
     parser.add_argument("--include-position", action="store_true", help="tell in the recording where it flew")
     parser.add_argument("--map", action="store_true", help="show it there on a map from openstreetmap.org")
-    parser.add_argument("-o", "--output", metavar="DIR", help="write figures, recordings and audit.json to a folder")
+    parser.add_argument(
+        "-o",
+        "--output",
+        metavar="DIR",
+        help="write figures, recordings and audit.json to a folder; "
+        "of many logs, tables (Parquet) and a page, to which the next call adds what is new",
+    )
+    add_options(parser)
     parser.set_defaults(run=run)
 
 
@@ -55,6 +69,8 @@ def run(options: argparse.Namespace) -> int:
         find_servo(options.servo)
     outputs = (options.rrd, options.json, options.html)
     check_targets(outputs, {"a log": options.logs, "the aircraft file": [options.config]}, folder=options.output)
+    if is_fleet(options):
+        return run_fleet(options, aircraft)
     results = [result for path in options.logs for result in _audit(path, aircraft, options)]
     _write(options, results)
     _print(options, results)
@@ -101,20 +117,12 @@ def _exit_codes(results: list[LogAudit | FailedLog]) -> list[int]:
             codes.append(2)
         elif result.has_fault:
             codes.append(1)
-        elif result.unjudged or not any(s.is_judged for s in result.surfaces):
-            print(f"servofd: {one_line(result.log.label)}: {one_line(_why_not(result))}", file=sys.stderr)
+        elif result.untold:
+            print(f"servofd: {one_line(result.log.label)}: {one_line(result.untold)}", file=sys.stderr)
             codes.append(2)
         else:
             codes.append(0)
     return codes
-
-
-def _why_not(result: LogAudit) -> str:
-    """One line: which surfaces could not be judged, and why."""
-    missing = result.unjudged or result.surfaces
-    if not any(s.is_judged for s in result.surfaces) and all(s.status == "no_data" for s in missing):
-        return f"no measured deflection to judge: {missing[0].surface}: {missing[0].reason}"
-    return "could not judge " + "; ".join(f"{s.surface}: {s.reason}" for s in missing)
 
 
 def _write(options: argparse.Namespace, results: list[LogAudit | FailedLog]) -> None:

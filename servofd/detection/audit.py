@@ -95,6 +95,16 @@ class LogAudit:
         """Surfaces that were expected to be judged and could not be."""
         return tuple(s for s in self.surfaces if s.expected and not s.is_judged)
 
+    @property
+    def untold(self) -> str:
+        """Why there is no verdict on the log as a whole, in one line; empty if there is one."""
+        if self.has_fault or (not self.unjudged and any(s.is_judged for s in self.surfaces)):
+            return ""
+        missing = self.unjudged or self.surfaces
+        if not any(s.is_judged for s in self.surfaces) and all(s.status == "no_data" for s in missing):
+            return f"no measured deflection to judge: {missing[0].surface}: {missing[0].reason}"
+        return "could not judge " + "; ".join(f"{s.surface}: {s.reason}" for s in missing)
+
 
 def audit_log(
     log: FlightLog,
@@ -103,6 +113,7 @@ def audit_log(
     threshold_deg: float | None = None,
     threshold: ThresholdKind | None = None,
     surfaces: tuple[str, ...] = (),
+    threads: int | None = None,
     progress: Callable[[str], None] = lambda _surface: None,
 ) -> LogAudit:
     """Judge the surfaces of one log.
@@ -119,6 +130,8 @@ def audit_log(
         Kind of threshold for all surfaces; each has its own in the aircraft.
     surfaces : tuple of str
         Which to judge; all if empty.
+    threads : int, optional
+        How many surfaces are judged at a time; one per core if None.
     progress : callable
         Called with the name of each surface that is done.
 
@@ -157,7 +170,7 @@ def audit_log(
         return verdict
 
     # The kernel runs without the interpreter's lock.
-    with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
+    with ThreadPoolExecutor(max_workers=threads or os.cpu_count()) as pool:
         return LogAudit(log, aircraft, tuple(pool.map(one, chosen)))
 
 
