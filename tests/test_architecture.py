@@ -18,10 +18,11 @@ PARTS = {
     "errors": set(),
     "types": set(),
     "tolerance": set(),
+    "limits": set(),
     "models": {"errors", "types", "servos"},
     "servos": {"errors", "types", "models"},
     "calibration": {"errors", "types"},
-    "aircraft": {"errors", "types", "models", "servos", "calibration", "tolerance"},
+    "aircraft": {"errors", "types", "models", "servos", "calibration", "tolerance", "limits"},
     "frozen": {"types"},
     "segment": {"errors", "types", "aircraft", "frozen", "models"},
     "feedback": {"errors", "types", "aircraft", "servos", "models", "segment", "detection", "toml_text"},
@@ -44,7 +45,7 @@ PARTS = {
     "simulation": {"errors", "types", "models", "calibration", "aircraft", "outputs"},
     "identification": {"errors", "types", "models", "servos", "segment"},
     "discrepancy": {"errors", "types", "models", "segment", "detection"},
-    "explaining": {"errors", "types", "aircraft", "segment", "discrepancy", "workflow"},
+    "explaining": {"errors", "types", "aircraft", "bench", "models", "servos", "segment", "discrepancy", "workflow"},
     "bench": {"errors", "types", "aircraft", "segment", "identification", "workflow"},
     "outputs": {
         "errors",
@@ -59,6 +60,18 @@ PARTS = {
         "sweep",
         "odds",
         "toml_text",
+    },
+    "fleet": {"errors", "aircraft", "servos", "detection", "workflow", "outputs"},
+    "trend": {
+        "errors",
+        "types",
+        "aircraft",
+        "models",
+        "segment",
+        "detection",
+        "calibrating",
+        "workflow",
+        "fleet",
     },
     "workflow": {"errors", "aircraft", "servos", "detection", "feedback", "segment", "calibrating"},
     "cli": {
@@ -79,6 +92,8 @@ PARTS = {
         "identification",
         "bench",
         "explaining",
+        "fleet",
+        "trend",
     },
 }
 ONLY_IN = {
@@ -98,16 +113,19 @@ ONLY_IN = {
         for name in (
             "__init__",
             "audit",
+            "audit_fleet",
             "calibrate",
             "config",
             "design",
             "explain",
+            "fleet",
             "identify",
             "info",
             "odds",
             "servos",
             "simulate",
             "sweep",
+            "trend",
         )
     },
     "numba": {
@@ -119,10 +137,12 @@ ONLY_IN = {
         "servofd/models/position_loop.py",
         "logparsers/compiled.py",
     },
-    "pymavlink": {"logparsers/mavlink.py"},
+    "pymavlink": {"logparsers/codec.py", "logparsers/mavlink.py"},
+    "serial": {"logparsers/link.py"},
     "pyulog": {"logparsers/ulog/bounded.py"},
     "h5py": {"logparsers/hdf5.py"},
     "control": {"servofd/models/transfer.py"},
+    "distributed": {"servofd/fleet/cluster.py"},
 }
 
 
@@ -199,6 +219,7 @@ def test_import_and_help_load_no_heavy_package() -> None:
         "h5py",
         "pymavlink",
         "pyulog",
+        "serial",
     )
     code = (
         "import sys, servofd, servofd.cli; servofd.cli.build_parser().format_help();"

@@ -25,10 +25,10 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
         "or it was found; 1: something stays unexplained; 2: could not tell.",
         epilog="Example: servofd explain flight.csv -s elevator --save better.toml",
     )
-    parser.add_argument("log", metavar="LOG", help="any log that audit reads")
+    parser.add_argument("log", metavar="LOG", nargs="+", help="any log that audit reads; several of the same servo")
     parser.add_argument("-s", "--surface", metavar="SURFACE", help="which surface, if the log holds several")
     parser.add_argument("-c", "--config", metavar="AIRCRAFT.toml", help="aircraft file, or the name of a shipped one")
-    parser.add_argument("--servo", metavar="NAME", help="servo to assume: of the library, or FILE.toml")
+    parser.add_argument("--servo", metavar="NAME", help="servo to assume: of the library, FILE.toml, or unknown")
     parser.add_argument("--json", metavar="FILE", help="write the result as JSON; - prints it instead of the text")
     parser.add_argument("--save", metavar="MODEL.toml", help="write the aircraft with the better model, for audit -c")
     parser.add_argument("--html", metavar="FILE", help="write a page: the gap before and after")
@@ -44,7 +44,7 @@ def run(options: argparse.Namespace) -> int:
     from servofd.outputs.json_report import to_json
 
     outputs = (options.json, options.save, options.html)
-    check_targets(outputs, {"the log": [options.log], "the aircraft file": [options.config]})
+    check_targets(outputs, {"a log": options.log, "the aircraft file": [options.config]})
     with progress_bar("explain", _STEPS) as step:
         found = explain_log(options.log, options.config, surface=options.surface, servo=options.servo, progress=step)
     document = to_json(found.explanation.document())
@@ -58,7 +58,9 @@ def run(options: argparse.Namespace) -> int:
     if options.html:
         from servofd.outputs.explain_page import explain_page
 
-        write_whole(options.html, explain_page([found.explanation], Path(options.log).name).encode())
+        write_whole(
+            options.html, explain_page([found.explanation], ", ".join(Path(log).name for log in options.log)).encode()
+        )
     return 1 if found.explanation.conclusion in ("partly_explained", "unexplained") or found.explanation.fault_s else 0
 
 
@@ -82,6 +84,12 @@ def _text(found: ExplainedLog) -> str:
         rivals = ", ".join(f"{r['effect']} {r['held_out_rms_deg']:.3g}" for r in step["rivals"][:3])
         if rivals:
             lines.append(f"    instead: {rivals}")
+    if document["runs"]:
+        lines += ["", f"{'each run as the others predict it':<34}{'as it was':>10}{'now':>10}   deg rms"]
+        lines += [
+            f"  {each['run'] + 1:<32}{each['nominal_rms_deg']:>10.4f}{each['held_out_rms_deg']:>10.4f}"
+            for each in document["runs"]
+        ]
     for tie in document["indistinguishable"]:
         lines += ["", f"these data cannot tell {tie[0]} from {' or '.join(tie[1:])}"]
     if document["notes"]:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from servofd.detection.audit import LogAudit
 
-__all__ = ["one_line", "print_table", "print_verdicts", "progress_bar"]
+__all__ = ["one_line", "print_table", "print_verdicts", "progress_bar", "progress_with_estimate"]
 
 _WIDEST = 100
 """Columns of a terminal that a table of sentences uses: longer lines are hard to read."""
@@ -106,3 +106,35 @@ def progress_bar(what: str, total: int) -> Iterator[Callable[[str], None]]:
     with Progress(console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task(what, total=total)
         yield lambda step: progress.update(task, advance=1, description=f"{what}: {step}")
+
+
+@contextmanager
+def progress_with_estimate(what: str, total: int, done: int = 0) -> Iterator[Callable[[], None]]:
+    """Show how many of many items are done and how long the rest will take, as `progress_bar` does."""
+    if not sys.stderr.isatty():
+        yield lambda: None
+        return
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left:"),
+        TimeRemainingColumn(),
+    )
+    # Lines on stdout go above the bar if both are on the same terminal, and past it if not.
+    with Progress(
+        *columns, console=Console(stderr=True), transient=True, redirect_stdout=sys.stdout.isatty()
+    ) as progress:
+        task = progress.add_task(what, total=total, completed=done)
+        yield lambda: progress.update(task, advance=1)

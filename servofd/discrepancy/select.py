@@ -29,7 +29,8 @@ _BEAM, _WIDE_BEAM, _FEW = 2, 4, 2
 """The wide one where something stays, or more than a few effects seem to be needed: two simple ones may do as well."""
 _SAME_LOSS = 1e-3
 """Relative: the same servo in other words."""
-_MOST_EFFECTS = 4
+_MOST_EFFECTS, _MOST_ON_BENCH = 4, 5
+"""More where whole runs are held out, which no flexible combination survives for long."""
 _SHARE_OF_NOISE, _SHARE_OF_GAP = 0.03, 0.02
 """An effect must take away this share of the noise variance, and of the gap that is left."""
 _CHI_SQUARED = 30.0
@@ -40,6 +41,10 @@ _TIE_CHI_SQUARED, _EVEN_CHI_SQUARED = 10.0, 4.0
 _TIE_OF_EXCESS = 0.15
 """Where something stays unexplained, two effects that differ by less than this share of it are not told apart, unless
 that is as much of what they take away."""
+_TIE_OF_KIND = 0.7
+"""The same for two of one family, and for a rival of an effect with many minima, which had as many chances."""
+_USUAL_TRAVEL_DEG = 25.0
+"""Of the surfaces for which the sizes of a linkage's curvature are typical."""
 _SMALLEST_SIZE = 0.15
 """Of what is common on healthy servos: 0.5 ms of delay, 0.5 % of gain, 0.05 deg of play."""
 _SURE_Z = 4.0
@@ -72,7 +77,13 @@ class Selection:
     unjudged: tuple[type[MissingEffect], ...]
     """Effects that need what the log does not hold."""
     covariance: FloatArray
-    simulations: int
+    fitter: Fitter
+    """What fitted it."""
+
+    @property
+    def simulations(self) -> int:
+        """How many it took."""
+        return self.fitter.simulations
 
     @property
     def final(self) -> Fit:
@@ -124,8 +135,10 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
         for effect, equals in zip(best.effects, _equals(fitter, best, able, tried), strict=True)
         if equals
     )
-    covariance = fitter.covariance(best, _rms(best, record), long_run_factor(best.error_deg[record.trained]))
-    return Selection(nominal, rungs, ties, sigma, tuple(unable), covariance, fitter.simulations)
+    final, covariance = fitter.on_all(best)
+    if rungs:
+        rungs = (*rungs[:-1], Rung(final, rungs[-1].rivals))
+    return Selection(nominal, rungs, ties, sigma, tuple(unable), covariance, fitter)
 
 
 def _grown(
@@ -134,7 +147,7 @@ def _grown(
     """Forward search: the best few of each length go on."""
     record, best = fitter.record, fitter.nominal()
     beam = [best]
-    for _ in range(_MOST_EFFECTS):
+    for _ in range(_MOST_ON_BENCH if record.runs else _MOST_EFFECTS):
         sigma = floor_of(record, best)
         grown: list[Fit] = []
         for base in beam:
@@ -209,12 +222,12 @@ def _accepted(record: Record, base: Fit, fit: Fit, sigma: float) -> bool:
 
 def _matters(record: Record, fit: Fit) -> bool:
     """Whether each effect differs from none by more than servos of one kind do from each other."""
-    first = 0
+    first, widening = 0, max(float(np.nanmax(np.abs(record.measured_deg))) / _USUAL_TRAVEL_DEG, 1.0)
     for effect in fit.effects:
         values = fit.values[first : first + len(effect.parameters)]
         first += len(effect.parameters)
         sizes = [
-            p.away(float(v), record.plant.neutral) / p.typical
+            p.away(float(v), record.plant.neutral) / p.typical * widening**p.travel_power
             for p, v in zip(effect.parameters, values, strict=True)
             if not p.aside
         ]
@@ -340,31 +353,38 @@ def _equals(fitter: Fitter, best: Fit, able: list[type[MissingEffect]], tried: T
         base = _without(fitter, best, k)
         rivals = tried.get(_keys(base)) or fitter.with_effects(base, able, _quietly)
         tried[_keys(base)] = rivals
-        slack = _TIE_OF_EXCESS * min(left, base.total - best.total)
-        margin = max(_TIE_CHI_SQUARED * sigma**2 * factor, slack)
+        common, unexplained_too = _TIE_CHI_SQUARED * sigma**2 * factor, min(left, base.total - best.total)
         equals.append(
             [
                 rival
                 for rival in rivals
                 if rival.names[-1] not in best.names
-                and rival.total - best.total < margin
+                and rival.total - best.total < max(common, _slack(best.effects[k], rival) * unexplained_too)
                 and not any(p.at_bound(v) for p, v in zip(rival.parameters, rival.values, strict=True))
             ]
         )
     return equals
 
 
+def _slack(effect: type[MissingEffect], rival: Fit) -> float:
+    """Share of what stays unexplained by which a rival may be worse than an effect and still pass for it."""
+    alike = effect.family and effect.family == rival.effects[-1].family
+    return _TIE_OF_KIND if alike or (_is_kinked(effect) and not _is_kinked(rival.effects[-1])) else _TIE_OF_EXCESS
+
+
 def _simplest(fitter: Fitter, best: Fit, able: list[type[MissingEffect]], tried: Tried) -> Fit:
     """The same servo in the simplest of the words that fit equally well."""
+    for k in range(len(best.effects)):
+        if _is_kinked(best.effects[k]):
+            smooth = [r for r in _equals(fitter, best, able, tried)[k] if not _is_kinked(r.effects[-1])]
+            best = min((r for r in smooth if _matters(fitter.record, r)), key=lambda r: r.total, default=best)
     margin = _EVEN_CHI_SQUARED * floor_of(fitter.record, best) ** 2
     for k, equals in enumerate(_equals(fitter, best, able, tried)):
-        rank = CATALOGUE.index(best.effects[k])
-        even = [r for r in equals if r.total - best.total < margin and CATALOGUE.index(r.effects[-1]) < rank]
-        if _is_kinked(best.effects[k]):
-            # It had as many chances as it has minima: what does as well with one chance is likelier.
-            even += [r for r in equals if not _is_kinked(r.effects[-1])]
+        effect = best.effects[k]
+        before = [r for r in equals if CATALOGUE.index(r.effects[-1]) < CATALOGUE.index(effect)]
+        even = [r for r in before if r.total - best.total < margin or (effect.family == r.effects[-1].family != "")]
         if even:
-            return min(even, key=lambda r: CATALOGUE.index(r.effects[-1]))
+            return _simplest(fitter, min(even, key=lambda r: CATALOGUE.index(r.effects[-1])), able, tried)
     return best
 
 
