@@ -18,6 +18,8 @@ from servofd.cli import build_parser
 ROOT = Path(__file__).parent.parent.parent
 PAGES = sorted([*ROOT.glob("docs/*.md"), ROOT / "README.md", *ROOT.glob("sample_logs/*.md")])
 
+NUMBER = re.compile(r"\d+(?:\.\d+)?")
+
 
 def verbs() -> dict[str, str]:
     """Each verb and its line of help."""
@@ -92,7 +94,11 @@ def test_the_tutorial_is_what_its_script_writes(
     runpy.run_path(str(ROOT / "docs" / "make_tutorial.py"))["main"](tmp_path)
     capsys.readouterr()
     text = (tmp_path / "tutorial.md").read_text()
-    assert text == (ROOT / "docs" / "tutorial.md").read_text()
+    kept = (ROOT / "docs" / "tutorial.md").read_text()
+    assert NUMBER.sub("#", text) == NUMBER.sub("#", kept), "run docs/make_tutorial.py"
+    # Fits end in the same place on every machine, but for the last digits.
+    for now, then in zip(NUMBER.findall(text), NUMBER.findall(kept), strict=True):
+        assert float(now) == pytest.approx(float(then), rel=0.05, abs=0.02), f"{now} is not {then}"
     drawn = {path.name for path in (tmp_path / "tutorial").iterdir()}
     assert drawn == {path.name for path in (ROOT / "docs" / "tutorial").iterdir()}
     assert drawn == set(re.findall(r"\]\(tutorial/(.*?)\)", text))
