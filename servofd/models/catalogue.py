@@ -208,6 +208,19 @@ class VoltageRate(MissingEffect):
     )
 
 
+class CurrentLimit(MissingEffect):
+    """Supply that cannot give more current: the torque grows with the root of large position errors.
+
+    The duty cycle is proportional to the error, and what the bridge draws from a limited supply to its square
+    (Rhoban's bam notes the same law for XL330 servos); linear well below the knee.
+    """
+
+    name, place = "current_limit", Place.SERVO
+    parameters = (
+        Parameter("knee_deg", ("knee_deg",), 0.3, 1e3, 1e3, 300.0, (1.0, 3.0, 8.0, 20.0, 50.0)),
+    )
+
+
 class DeadBand(MissingEffect):
     """Position error that the servo's controller ignores, counted from the edge."""
 
@@ -377,6 +390,7 @@ CATALOGUE: tuple[type[MissingEffect], ...] = (
     Damping,
     GravityLoad,
     LoadFriction,
+    CurrentLimit,
     AsymmetricRate,
     LinkageNonlinearity,
     Resonance,
