@@ -25,6 +25,7 @@ _LARGEST_DEG = 1e6
 
 _AIRSPEED = ("airspeed_m_s", "ARSP.Airspeed", "VFR_HUD.airspeed")
 _VOLTAGE = ("servo_voltage_v", "POWR.Vservo")
+_CURRENT = ("servo_current_a", "amps")
 
 SLOWEST_RATE_HZ = 10.0
 """Below this a healthy servo's residual passes 0.9 deg for lack of samples (measured on simulated flights)."""
@@ -63,7 +64,7 @@ class Segment:
     frozen_to_end: bool = False
     """True if it never came back."""
     context: Context = NO_CONTEXT
-    """Airspeed and supply, as far as they were logged."""
+    """Airspeed, supply and current, as far as they were logged."""
 
     def __post_init__(self) -> None:
         for name in ("command_s", "command_deg", "measured_s", "measured_deg"):
@@ -130,7 +131,7 @@ def cut(log: FlightLog, name: str, surface: Surface) -> Segment:
         measured.time_s,
         measured_deg,
         surface.command_period_s,
-        context=Context(*_signal(log, _AIRSPEED), *_signal(log, _VOLTAGE)),
+        context=Context(*_signal(log, _AIRSPEED), *_signal(log, _VOLTAGE), *_signal(log, _CURRENT)),
     )
     return _without_dead_telemetry(segment, measured, log, surface) if surface.alive else segment
 

@@ -99,7 +99,11 @@ def judgeable(record: Record) -> tuple[list[type[MissingEffect]], list[type[Miss
     """Effects that this record can judge, and those that need something it does not hold."""
     held = {
         name
-        for name, values in (("airspeed_m_s", record.pressure_pa), ("servo_voltage_v", record.voltage_v))
+        for name, values in (
+            ("airspeed_m_s", record.pressure_pa),
+            ("servo_voltage_v", record.voltage_v),
+            ("servo_current_a", record.current_a),
+        )
         if values is not None
     }
     able = [effect for effect in CATALOGUE if set(effect.needs) <= held]

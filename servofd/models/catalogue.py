@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["CATALOGUE", "Context", "MissingEffect", "Parameter", "effects_named", "installed"]
 
-Context = Literal["airspeed_m_s", "servo_voltage_v"]
+Context = Literal["airspeed_m_s", "servo_voltage_v", "servo_current_a"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,7 +242,7 @@ class Backlash(MissingEffect):
 
     name, place = "backlash", Place.LINKAGE
     family = "hysteresis"
-    parameters = (Parameter("width_deg", ("backlash_deg",), 0.0, 20.0, 0.0, 0.3, _WIDTHS_DEG),)
+    parameters = (Parameter("width_deg", ("backlash_deg",), 0.0, 8.0, 0.0, 0.3, _WIDTHS_DEG),)
 
 
 class Friction(MissingEffect):
@@ -331,6 +331,13 @@ class Quantization(MissingEffect):
     parameters = (Parameter("step_deg", ("output_step_deg",), 0.02, 10.0, 0.0, 0.1, _STEPS_DEG, True),)
 
 
+class SupplyCoupling(MissingEffect):
+    """Reading that moves with the servo's current, because both hang on one supply: nothing has moved."""
+
+    name, place, needs = "supply_coupling", Place.SENSOR, ("servo_current_a",)
+    parameters = (Parameter("deg_per_a", ("deg_per_a",), -20.0, 20.0, 0.0, 0.3, (-1.0, 1.0)),)
+
+
 class CommandSteps(MissingEffect):
     """Steps of the command."""
 
@@ -387,6 +394,7 @@ CATALOGUE: tuple[type[MissingEffect], ...] = (
     PwmFrame,
     Quantization,
     CommandSteps,
+    SupplyCoupling,
     Damping,
     GravityLoad,
     LoadFriction,

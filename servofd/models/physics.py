@@ -98,6 +98,8 @@ class Physics(NamedTuple):
     bias_deg: float = 0.0
     lag_s: float = 0.0
     output_step_deg: float = 0.0
+    deg_per_a: float = 0.0
+    """How far the reading moves with the current that the servo draws, on a supply that it shares with its sensor."""
     offset_s: float = 0.0
     """How much too late positions are stamped."""
 
