@@ -92,9 +92,7 @@ def explain_log(
     label = logs[0].label if len(logs) == 1 else f"{', '.join(map(str, paths))} ({len(logs)} runs)"
     try:
         segments = _segments(logs, name, flown)
-        found = explain_gap(
-            segments, flown.model(name), on_bench=on_bench, free_poles=free_poles, progress=progress
-        )
+        found = explain_gap(segments, flown.model(name), on_bench=on_bench, free_poles=free_poles, progress=progress)
     except NoMeasurement as error:
         raise NoMeasurement(f"{label}: {name}: {error}") from None
     return ExplainedLog(found, _with_fitted_poles(flown, name, found) if free_poles else flown, label)

@@ -13,8 +13,8 @@ from servofd.discrepancy.locate import sentences
 from servofd.discrepancy.record import joined, record_of
 from servofd.discrepancy.run_by_run import RunErrors, run_errors
 from servofd.discrepancy.select import Selection, select, unexplained
-from servofd.segment import Segment
 from servofd.discrepancy.words import effect_values, linear_sentence, unjudged_sentence
+from servofd.segment import Segment
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.models.catalogue import PwmFrame, installed
 from servofd.discrepancy.frames import best_frame
 from servofd.discrepancy.record import simulate
+from servofd.models.catalogue import PwmFrame, installed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servofd.models.catalogue import MissingEffect, Parameter
     from servofd.discrepancy.record import Record
+    from servofd.models.catalogue import MissingEffect, Parameter
     from servofd.types import FloatArray
 
 __all__ = ["begin", "polish", "telling_part"]

@@ -214,6 +214,9 @@ def _accepted(record: Record, base: Fit, fit: Fit, sigma: float) -> bool:
     gap = max(base.held_out - count * sigma**2, 0.0)
     if gain < max(_SHARE_OF_NOISE * count * sigma**2, _SHARE_OF_GAP * gap) or base.train <= fit.train:
         return False
+    if record.runs and base.train - fit.train < _SHARE_OF_GAP * base.train:
+        # What the fitted runs did not need cannot be told from the others' luck.
+        return False
     factor = long_run_factor(fit.error_deg[record.counts])
     if gain / (sigma**2 * factor) < _CHI_SQUARED:
         return False

@@ -216,9 +216,7 @@ class CurrentLimit(MissingEffect):
     """
 
     name, place = "current_limit", Place.SERVO
-    parameters = (
-        Parameter("knee_deg", ("knee_deg",), 0.3, 1e3, 1e3, 300.0, (1.0, 3.0, 8.0, 20.0, 50.0)),
-    )
+    parameters = (Parameter("knee_deg", ("knee_deg",), 0.3, 1e3, 1e3, 300.0, (1.0, 3.0, 8.0, 20.0, 50.0)),)
 
 
 class DeadBand(MissingEffect):
