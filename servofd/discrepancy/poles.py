@@ -34,10 +34,10 @@ _STARTS = (Poles(0.8, 1.0), Poles(2.0, 1.0), Poles(4.0, 1.5))
 _LOWEST, _HIGHEST = Poles(0.05, 0.05), Poles(40.0, 20.0)
 _STEP = 2e-3
 _TIE_TO_START = 1e-4
-_EVALUATIONS, _FIRST_EVALUATIONS = 25, 6
-_KEPT, _SETTLED = 2, 2
+_EVALUATIONS, _FIRST_EVALUATIONS = 20, 6
+_KEPT, _SETTLED = 2, 1
 """Starts that are descended from; effects after which the poles are known well enough to be the only start."""
-_REFITTED = 10
+_REFITTED = 4
 
 
 class _Known(NamedTuple):

@@ -129,7 +129,8 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     nominal = fitter.nominal()
     tried: Tried = {}
     best = _grown(fitter, able, tried, _BEAM, progress)
-    if len(best.effects) > _FEW or _rest_is_large(record, best, nominal):
+    # Where the poles are free, every start costs several fits, and each effect has had its chance from all of them.
+    if not record.free_poles and (len(best.effects) > _FEW or _rest_is_large(record, best, nominal)):
         best = min(best, _grown(fitter, able, tried, _WIDE_BEAM, progress), key=lambda fit: _cost(record, fit))
     best = _ordered(fitter, _simplest(fitter, _convincing(fitter, _pruned(fitter, best), nominal), able, tried))
     sigma = max(floor_of(record, best), _before_steps_deg(fitter, best))
