@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.discrepancy.noise import noise_floor_deg
+from servofd.discrepancy.noise import long_run_factor, noise_floor_deg
 from servofd.discrepancy.record import simulate
 from servofd.discrepancy.search import begin, polish, telling_part
 from servofd.models.catalogue import Delay, PwmFrame, SensorLag, SlowDynamics, installed
@@ -25,7 +25,7 @@ __all__ = ["Fit", "Fitter"]
 
 _STEP = 2e-3
 _TIE_TO_START = 1e-4
-_EVALUATIONS = 12
+_EVALUATIONS = 30
 _PROMISING = 10
 _LATE_SHARE, _FRAMES_EXCESS = 0.1, 0.06
 _SURE = 1.959963984540054
@@ -173,11 +173,25 @@ class Fitter:
             )
 
         found = least_squares(
-            errors, x0, jac=slopes, bounds=(low, high), max_nfev=_EVALUATIONS, xtol=1e-4, ftol=1e-5, gtol=None
+            errors, x0, jac=slopes, bounds=(low, high), max_nfev=_EVALUATIONS, xtol=1e-4, ftol=1e-6, gtol=None
         )
         best = self.judged(effects, at(found.x))
         given = self.judged(effects, start)
         return best if best.train <= given.train else given
+
+    def on_all(self, fit: Fit) -> tuple[Fit, FloatArray]:
+        """A fit with its values refitted to all samples, and their covariance, shape (p, p).
+
+        The sums of squares stay those of the fit to the fitted blocks alone: they judge, the values are used.
+        """
+        if not fit.effects:
+            return fit, np.zeros((0, 0))
+        whole = Fitter(replace(self.record, block=np.zeros_like(self.record.block)))
+        best = whole.refitted(fit.effects, fit.values)
+        error = best.error_deg[self.record.counts]
+        sigma_deg = float(np.sqrt(np.mean(error**2)))
+        covariance = whole.covariance(best, sigma_deg, long_run_factor(error))
+        return replace(fit, values=best.values, error_deg=best.error_deg), covariance
 
     def covariance(self, fit: Fit, sigma_deg: float, factor: float) -> FloatArray:
         """Of the values of a fit, shape (p, p), from the curvature on both sides; infinite where nothing shows."""

@@ -110,7 +110,7 @@ def judgeable(record: Record) -> tuple[list[type[MissingEffect]], list[type[Miss
     unable = [effect for effect in CATALOGUE if effect not in able]
     fitted = {SlowDynamics, Damping} if record.free_poles else set()
     # Frames run on between separate runs, so that nobody knows when each of them began.
-    fitted |= {PwmFrame} if record.runs else set()
+    fitted |= {PwmFrame} if record.runs or record.free_poles else set()
     return [effect for effect in able if effect not in fitted], unable
 
 
@@ -140,7 +140,9 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
         for effect, equals in zip(best.effects, _equals(fitter, best, able, tried), strict=True)
         if equals
     )
-    covariance = fitter.covariance(best, _rms(best, record), long_run_factor(best.error_deg[record.trained]))
+    final, covariance = fitter.on_all(best)
+    if rungs:
+        rungs = (*rungs[:-1], Rung(final, rungs[-1].rivals))
     return Selection(nominal, rungs, ties, sigma, tuple(unable), covariance, fitter)
 
 

@@ -258,7 +258,7 @@ class LoadFriction(MissingEffect):
     """Friction that grows with the motor's effort."""
 
     name, place = "load_friction", Place.SERVO
-    parameters = (Parameter("share", ("load_friction",), 0.0, 0.95, 0.0, 0.1, (0.05, 0.15, 0.3, 0.6)),)
+    parameters = (Parameter("share", ("load_friction",), 0.0, 0.95, 0.0, 0.1, (0.05, 0.15, 0.3, 0.6)), _SPLIT)
 
 
 class AirLoad(MissingEffect):
