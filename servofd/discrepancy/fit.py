@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.discrepancy.catalogue import Delay, PwmFrame, SensorLag, SlowDynamics, installed
+from servofd.discrepancy.catalogue import Delay, PwmFrame, Quantization, SensorLag, SlowDynamics, installed
 from servofd.discrepancy.noise import long_run_factor, noise_floor_deg
 from servofd.discrepancy.record import simulate
 from servofd.discrepancy.search import begin, polish, telling_part
@@ -27,7 +27,7 @@ _STEP = 2e-3
 _TIE_TO_START = 1e-4
 _EVALUATIONS = 30
 _PROMISING = 10
-_LATE_SHARE, _FRAMES_EXCESS = 0.1, 0.06
+_LATE_SHARE, _FRAMES_EXCESS = 0.1, 0.02
 _SURE = 1.959963984540054
 """Standard deviations of a 95 % interval."""
 
@@ -103,12 +103,17 @@ class Fitter:
         average) and nothing else leaves as little as noise.
         """
         part = telling_part(self.record, base.error_deg)
-        others = [effect for effect in able if effect.name not in base.names and effect is not PwmFrame]
+        others = [effect for effect in able if self._possible(effect, base)]
         fits = self._refitted_best([self._begun(part, base, effect, tried) for effect in others])
         if PwmFrame in able and PwmFrame not in base.effects and self._may_be_frames(base, fits):
             fits.append(self._begun(self.record, base, PwmFrame, tried))
             fits[-1] = self.refitted(fits[-1].effects, fits[-1].values)
         return fits
+
+    def _possible(self, effect: type[MissingEffect], base: Fit) -> bool:
+        """Whether an effect is tried with the others: those whose name is new, and steps only where they are seen."""
+        steps_deg = (self.record.step_deg or 0.0) if effect is Quantization else np.inf
+        return effect.name not in base.names and effect is not PwmFrame and steps_deg >= effect.parameters[0].low
 
     def _begun(self, part: Record, base: Fit, effect: type[MissingEffect], tried: Callable[[str], None]) -> Fit:
         tried(effect.key())
@@ -124,7 +129,7 @@ class Fitter:
     def _settled(self, fit: Fit) -> Fit:
         """All parameters refitted; what cannot be descended is searched on the whole record."""
         values, newest = fit.values.tolist(), fit.effects[-1].parameters
-        if all(p.kinked for p in newest):
+        if all(p.kinked for p in newest) and fit.effects[-1] is not Quantization:
             values, count = polish(self.record, fit.effects, values, len(values) - len(newest))
             self.simulations += count
         return self.refitted(fit.effects, values)

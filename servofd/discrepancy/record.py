@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.detection.residual import Commands, commands_at_servo, lost_commands
+from servofd.discrepancy.noise import comb_step_deg
 from servofd.discrepancy.physics import Physics, Plant, plant_of
 
 if TYPE_CHECKING:
@@ -51,6 +52,8 @@ class Record:
     """Dynamic pressure."""
     voltage_v: FloatArray | None = None
     """Supply of the servo."""
+    step_deg: float | None = None
+    """Of the converter whose whole multiples the positions are."""
 
     @property
     def period_s(self) -> float:
@@ -107,7 +110,9 @@ def record_of(
     # Fewer commands than the servo received: they run straight between, later by the mean lag of the hold.
     commands = commands_at_servo(segment, 0.0, hole_s)
     block = ((time_s - time_s[0]) / BLOCK_S).astype(np.int64)
-    return Record(plant, commands, time_s, measured_deg, counts, block, pressure_pa, voltage_v)
+    return Record(
+        plant, commands, time_s, measured_deg, counts, block, pressure_pa, voltage_v, comb_step_deg(measured_deg)
+    )
 
 
 def _after_lost_commands(segment: Segment, hole_s: float, time_s: FloatArray) -> BoolArray:

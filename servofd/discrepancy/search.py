@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.discrepancy.catalogue import PwmFrame, installed
+from servofd.discrepancy.catalogue import PwmFrame, Quantization, installed
 from servofd.discrepancy.frames import best_frame
 from servofd.discrepancy.record import simulate
 
@@ -60,6 +60,8 @@ def begin(part: Record, effects: Sequence[type[MissingEffect]], known: Sequence[
         values = [*known, *best_frame(part, installed(plant, effects[:-1], known))]
         return polish(part, effects, values, len(known))
     trial = _Trial(part, effects)
+    if newest is Quantization:
+        return [*known, part.step_deg or 0.0], 0
     grid = product(*(p.grid for p in newest.parameters))
     values = [*known, *min(grid, key=lambda point: trial.loss([*known, *point]))]
     polished, count = polish(part, effects, values, len(known))

@@ -10,7 +10,6 @@ import numpy as np
 from servofd.discrepancy.catalogue import CATALOGUE, Quantization
 from servofd.discrepancy.fit import Fit, Fitter
 from servofd.discrepancy.noise import long_run_factor, noise_floor_deg
-from servofd.discrepancy.record import simulate
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -24,6 +23,7 @@ __all__ = ["Rung", "Selection", "select"]
 Tried = dict[tuple[str, ...], list[Fit]]
 """Fits that have one effect more than the effects of the key."""
 
+_STEPS_OF_ERROR = 0.25
 _BEAM, _WIDE_BEAM, _FEW = 2, 4, 2
 """The wide one where something stays, or more than a few effects seem to be needed: two simple ones may do as well."""
 _SAME_LOSS = 1e-3
@@ -44,7 +44,6 @@ _SMALLEST_SIZE = 0.15
 _SURE_Z = 4.0
 _LEAST_SHARE = 0.1
 """Beside a large unexplained rest, an effect that takes away less of the gap names nothing."""
-_NODES = 15
 _EXCESS_WORTH = 0.06
 """The floor itself is uncertain by 3 %."""
 _EXCESS_OF_NOISE, _EXCESS_OF_GAP = 0.15, 0.02
@@ -111,8 +110,9 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     best = _grown(fitter, able, tried, _BEAM, progress)
     if len(best.effects) > _FEW or _rest_is_large(record, best, nominal):
         best = min(best, _grown(fitter, able, tried, _WIDE_BEAM, progress), key=lambda fit: _cost(record, fit))
+    best = _with_steps(fitter, best)
     best = _ordered(fitter, _simplest(fitter, _convincing(fitter, _pruned(fitter, best), nominal), able, tried))
-    sigma = max(floor_of(record, best), _before_steps_deg(fitter, best))
+    sigma = floor_of(record, best)
     rungs = _rungs(fitter, nominal, best, tried, able)
     ties = tuple(
         (effect.name, *dict.fromkeys(fit.names[-1] for fit in equals))
@@ -152,8 +152,18 @@ def _grown(
 
 
 def floor_of(record: Record, fit: Fit) -> float:
-    """Noise floor as this fit shows it [deg]: no more than its own error."""
-    return min(noise_floor_deg(record, fit.error_deg), float(np.sqrt(fit.total / max(record.counts.sum(), 1))))
+    """Noise floor as this fit shows it [deg]: that of a converter's steps at least, but no more than its own error."""
+    noise_deg = max(noise_floor_deg(record, fit.error_deg), (record.step_deg or 0.0) / 12.0**0.5)
+    return min(noise_deg, float(np.sqrt(fit.total / max(record.counts.sum(), 1))))
+
+
+def _with_steps(fitter: Fitter, best: Fit) -> Fit:
+    """With the steps of the position's converter, if they are seen, are much of the error, and help."""
+    step_deg, count = fitter.record.step_deg or 0.0, max(int(fitter.record.counts.sum()), 1)
+    if Quantization in best.effects or step_deg**2 / 12.0 < _STEPS_OF_ERROR * best.total / count:
+        return best
+    stepped = fitter.judged((*best.effects, Quantization), [*best.values, step_deg])
+    return min(best, stepped, key=lambda fit: fit.total)
 
 
 def _rms(fit: Fit, record: Record) -> float:
@@ -366,35 +376,5 @@ def excess(record: Record, fit: Fit, sigma: float) -> float:
 def unexplained(selection: Selection, record: Record) -> bool:
     """Whether more is left than noise, and more than a rounding of what was there."""
     left = excess(record, selection.final, selection.sigma_deg)
-    if Quantization in selection.final.effects:
-        left = min(left, *(left - more for more in _dithered(record, selection)))
     gap = excess(record, selection.nominal, selection.sigma_deg)
     return left > _EXCESS_OF_NOISE * selection.sigma_deg**2 and left > _EXCESS_OF_GAP * gap
-
-
-def _before_steps_deg(fitter: Fitter, fit: Fit) -> float:
-    """Noise before a converter with whole steps [deg], whose differences do not show it; 0 without such a converter."""
-    if Quantization not in fit.effects:
-        return 0.0
-    record, physics = fitter.record, fitter.physics(fit.effects, fit.values)
-    error = (record.measured_deg - simulate(record, physics._replace(output_step_deg=0.0)))[record.counts]
-    return float(np.sqrt(max(float(np.mean(error**2)) - physics.output_step_deg**2 / 12.0, 0.0)))
-
-
-def _dithered(record: Record, selection: Selection) -> list[float]:
-    """Variance that noise gains by being converted to whole steps [deg^2], which no model of the servo can remove.
-
-    Whole steps hide how large the noise was: for several sizes, up to a third of a step.
-    """
-    physics = Fitter(record).physics(selection.final.effects, selection.final.values)
-    step_deg = physics.output_step_deg
-    smooth = simulate(record, physics._replace(output_step_deg=0.0))[record.held_out]
-    nodes, weights = np.polynomial.hermite_e.hermegauss(_NODES)
-    gained = []
-    for sigma_deg in (selection.sigma_deg, 0.1 * step_deg, 0.2 * step_deg, 0.3 * step_deg):
-        variance = 0.0
-        for node, weight in zip(nodes, weights / weights.sum(), strict=True):
-            moved = np.round((smooth + node * sigma_deg) / step_deg) - np.round(smooth / step_deg)
-            variance += float(weight * np.mean(moved**2)) * step_deg**2
-        gained.append(max(variance - selection.sigma_deg**2, 0.0))
-    return gained
