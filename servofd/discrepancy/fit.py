@@ -25,8 +25,9 @@ __all__ = ["Fit", "Fitter"]
 
 _STEP = 2e-3
 _TIE_TO_START = 1e-4
-_EVALUATIONS = 30
-_PROMISING = 10
+_EVALUATIONS, _THOROUGH = 12, 40
+_PROMISING, _FEWER = 10, 6
+"""Of the candidates of a first effect, and of a further one."""
 _LATE_SHARE, _FRAMES_EXCESS = 0.1, 0.02
 _SURE = 1.959963984540054
 """Standard deviations of a 95 % interval."""
@@ -124,7 +125,8 @@ class Fitter:
 
     def _refitted_best(self, fits: list[Fit]) -> list[Fit]:
         fits = sorted(fits, key=lambda fit: fit.train)
-        return [self._settled(fit) for fit in fits[:_PROMISING]] + fits[_PROMISING:]
+        count = _FEWER if len(fits[0].effects) > 1 else _PROMISING
+        return [self._settled(fit) for fit in fits[:count]] + fits[count:]
 
     def _settled(self, fit: Fit) -> Fit:
         """All parameters refitted; what cannot be descended is searched on the whole record."""
@@ -142,7 +144,9 @@ class Fitter:
         least = min(fit.train for fit in fits)
         return helps and least > (1.0 + _FRAMES_EXCESS) * self._trained.size * floor
 
-    def refitted(self, effects: tuple[type[MissingEffect], ...], values: Values) -> Fit:
+    def refitted(
+        self, effects: tuple[type[MissingEffect], ...], values: Values, evaluations: int = _EVALUATIONS
+    ) -> Fit:
         """All parameters fitted together, from given values: least squares within the bounds."""
         from scipy.optimize import least_squares
 
@@ -174,7 +178,14 @@ class Fitter:
             )
 
         found = least_squares(
-            errors, x0, jac=slopes, bounds=(low, high), max_nfev=_EVALUATIONS, xtol=1e-4, ftol=1e-6, gtol=None
+            errors,
+            x0,
+            jac=slopes,
+            bounds=(low, high),
+            max_nfev=evaluations,
+            xtol=1e-4,
+            ftol=1e-7 if evaluations > _EVALUATIONS else 1e-5,
+            gtol=None,
         )
         best = self.judged(effects, at(found.x))
         given = self.judged(effects, start)
@@ -188,7 +199,7 @@ class Fitter:
         if not fit.effects:
             return fit, np.zeros((0, 0))
         whole = Fitter(replace(self.record, block=np.zeros_like(self.record.block)))
-        best = whole.refitted(fit.effects, fit.values)
+        best = whole.refitted(fit.effects, fit.values, _THOROUGH)
         error = best.error_deg[self.record.counts]
         sigma_deg = float(np.sqrt(np.mean(error**2)))
         covariance = whole.covariance(best, sigma_deg, long_run_factor(error))

@@ -26,6 +26,7 @@ Tried = dict[tuple[str, ...], list[Fit]]
 _STEPS_OF_ERROR = 0.25
 _BEAM, _WIDE_BEAM, _FEW = 2, 4, 2
 """The wide one where something stays, or more than a few effects seem to be needed: two simple ones may do as well."""
+_NOT_MUCH_MORE = 2.0
 _SAME_LOSS = 1e-3
 """Relative: the same servo in other words."""
 _MOST_EFFECTS = 4
@@ -44,6 +45,7 @@ _SMALLEST_SIZE = 0.15
 _SURE_Z = 4.0
 _LEAST_SHARE = 0.1
 """Beside a large unexplained rest, an effect that takes away less of the gap names nothing."""
+_MUCH_OF_GAP, _MOST_OF_GAP = 0.1, 0.5
 _EXCESS_WORTH = 0.06
 """The floor itself is uncertain by 3 %."""
 _EXCESS_OF_NOISE, _EXCESS_OF_GAP = 0.15, 0.02
@@ -143,7 +145,7 @@ def _grown(
         if not grown:
             break
         grown.sort(key=lambda fit: _cost(record, fit))
-        beam = _distinct(grown)[:width]
+        beam = _promising(record, _distinct(grown)[:width])
         if _cost(record, beam[0]) < _cost(record, best):
             best = beam[0]
         if not _worth_trying(record, best, floor_of(record, best)):
@@ -187,6 +189,13 @@ def _distinct(fits: list[Fit]) -> list[Fit]:
         if not any(abs(fit.total - other.total) < _SAME_LOSS * other.total for other in seen.values()):
             seen.setdefault(tuple(sorted(fit.names)), fit)
     return list(seen.values())
+
+
+def _promising(record: Record, fits: list[Fit]) -> list[Fit]:
+    """The first two, and of the others those that leave not much more than the first."""
+    floor = float(record.counts.sum()) * floor_of(record, fits[0]) ** 2
+    most = floor + _NOT_MUCH_MORE * max(fits[0].total - floor, 0.0)
+    return fits[:_BEAM] + [fit for fit in fits[_BEAM:] if fit.total < most]
 
 
 def _worth_trying(record: Record, base: Fit, sigma: float) -> bool:
@@ -281,7 +290,24 @@ def _convincing(fitter: Fitter, fit: Fit, nominal: Fit) -> Fit:
         if not weak:
             break
         fit = _without(fitter, fit, min(weak, key=lambda k: losses[k]))
-    return fit
+    return _sober(fitter, fit, nominal)
+
+
+def _sober(fitter: Fitter, fit: Fit, nominal: Fit) -> Fit:
+    """Beside a rest that is much of the gap, at most one effect, and only if it is most of what there was.
+
+    Several effects that together leave much are no physics but a flexible curve.
+    """
+    record = fitter.record
+    if not fit.effects or not _rest_is_large(record, fit, nominal):
+        return fit
+    noise = float(record.counts.sum()) * floor_of(record, fit) ** 2
+    gap = max(nominal.total - noise, 0.0)
+    while len(fit.effects) > 1 and fit.total - noise > _MUCH_OF_GAP * gap:
+        fewer = [_without(fitter, fit, k) for k in range(len(fit.effects))]
+        fit = min(fewer, key=lambda each: each.total)
+    too_little = len(fit.effects) == 1 and fit.total - noise > _MOST_OF_GAP * gap
+    return nominal if too_little else fit
 
 
 def _kinked_or(parameter: Parameter, size: float) -> float:
