@@ -23,9 +23,10 @@ if TYPE_CHECKING:
 
 __all__ = ["Fit", "Fitter"]
 
-_STEP = 2e-3
+_STEP = 3e-2
+"""Of what is common: what sticks or has edges answers to less with jumps, in which the descent loses its way."""
 _TIE_TO_START = 1e-4
-_EVALUATIONS, _THOROUGH = 12, 40
+_EVALUATIONS, _THOROUGH = 20, 40
 _PROMISING, _FEWER = 10, 6
 """Of the candidates of a first effect, and of a further one."""
 _LATE_SHARE, _FRAMES_EXCESS = 0.1, 0.02

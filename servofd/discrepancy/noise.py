@@ -79,6 +79,6 @@ def comb_step_deg(values_deg: FloatArray) -> float | None:
     step_deg = float(np.diff(unique).min())
     for _ in range(2):  # the smallest difference is rounded by the file; all of them together are not
         number = np.round(unique / step_deg)
-        step_deg = float(unique @ number / max(number @ number, 1.0))
+        step_deg = float(unique @ number) / max(float(number @ number), 1.0)
     off = np.abs(unique - number * step_deg).max()
     return round(step_deg, 6) if off < _OFF_COMB * step_deg else None

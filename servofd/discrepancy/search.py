@@ -80,6 +80,8 @@ def polish(
     best = trial.loss(values)
     for _ in range(_KINKED_ROUNDS if kinked else 1):
         for k in range(first, len(values)):
+            if parameters[k].aside and not parameters[k].kinked:  # left to the fit of all parameters together
+                continue
 
             def loss(value: float, before: list[float] = values[:k], after: list[float] = values[k + 1 :]) -> float:
                 return trial.loss([*before, value, *after])
