@@ -65,6 +65,11 @@ class PoleFitter(Fitter):
         other.known = {key: each._replace(loss=np.inf) for key, each in self.known.items()}
         return other
 
+    def adopt(self, other: Fitter) -> None:
+        """Take over the poles that another one found."""
+        if isinstance(other, PoleFitter):
+            self.known.update(other.known)
+
     def poles(self, effects: Sequence[type[MissingEffect]]) -> Poles:
         """Those fitted with these effects, or with as many of them as were ever fitted."""
         for size in range(len(effects), -1, -1):
@@ -84,10 +89,11 @@ class PoleFitter(Fitter):
             self._is_nominal = True
         return self.judged((), ())
 
-    def refitted(self, effects: tuple[type[MissingEffect], ...], values: Values) -> Fit:
+    def refitted(
+        self, effects: tuple[type[MissingEffect], ...], values: Values, evaluations: int = _EVALUATIONS
+    ) -> Fit:
         """All parameters and the poles fitted together: least squares within the bounds."""
-        starts = [(self.poles(effects), list(values))]
-        return self._multi_start(effects, starts, _EVALUATIONS)
+        return self._multi_start(effects, [(self.poles(effects), list(values))], evaluations)
 
     def with_effects(self, base: Fit, able: Sequence[type[MissingEffect]], tried: Callable[[str], None]) -> list[Fit]:
         """The best fits that have one effect more, each from several starts of the poles."""

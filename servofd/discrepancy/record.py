@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.detection.residual import Commands, commands_at_servo, lost_commands
+from servofd.discrepancy.noise import comb_step_deg
 from servofd.models.physics import Physics, Plant, longest_step_s, plant_of
 
 if TYPE_CHECKING:
@@ -55,6 +56,8 @@ class Record:
     """Supply of the servo."""
     current_a: FloatArray | None = None
     """Drawn by the servo."""
+    step_deg: float | None = None
+    """Of the converter whose whole multiples the positions are."""
     runs: tuple[Record, ...] = ()
     """Separate experiments with one servo that this record is the sequence of; none if it is one itself."""
     free_poles: bool = False
@@ -143,6 +146,7 @@ def record_of(
         pressure_pa,
         voltage_v,
         current_a,
+        comb_step_deg(measured_deg),
         free_poles=free_poles,
     )
 
@@ -179,6 +183,7 @@ def joined(records: Sequence[Record]) -> Record:
         _context([each.pressure_pa for each in runs]),
         _context([each.voltage_v for each in runs]),
         _context([each.current_a for each in runs]),
+        records[0].step_deg,
         tuple(runs),
         records[0].free_poles,
     )

@@ -99,7 +99,7 @@ def installed(physics: Physics, effects: Sequence[type[MissingEffect]], values: 
     return physics._replace(**changes)
 
 
-_SPLIT = Parameter("torque_share", ("torque_share",), 0.35, 0.97, 0.8, 0.2, (0.65, 0.9), aside=True)
+_SPLIT = Parameter("torque_share", ("torque_share",), 0.35, 0.97, 0.8, 0.2, (0.8,), aside=True)
 """Where in the motor a load acts is not in the servo's poles."""
 _INFINITE = float("inf")
 _UNFOLLOWED = {"follow_up_deg_s": _INFINITE, "follow_down_deg_s": _INFINITE}
