@@ -138,6 +138,8 @@ class ExtendedMotion:
             self.context.supply_v(at_s),
             self._memory,
         )
+        if physics.deg_per_a != 0.0:
+            position_deg = position_deg + physics.deg_per_a * self.context.drawn_a(at_s)
         if physics.frame_s <= 0.0:
             self._waiting = self._waiting[:, int(self._memory[-1]) :]
         return position_deg
