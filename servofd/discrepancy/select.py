@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.discrepancy.candidates import first_of_each, judgeable
 from servofd.discrepancy.fit import Fit, Fitter
 from servofd.discrepancy.noise import long_run_factor, noise_floor_deg
 from servofd.discrepancy.poles import PoleFitter
 from servofd.discrepancy.record import simulate
-from servofd.models.catalogue import CATALOGUE, Damping, PwmFrame, Quantization, SlowDynamics
+from servofd.models.catalogue import Quantization
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -67,6 +68,8 @@ class Selection:
     rungs: tuple[Rung, ...]
     ties: tuple[tuple[str, ...], ...]
     """Effects that the data cannot tell apart, the named one first."""
+    tied: tuple[tuple[Fit, ...], ...]
+    """For each of these the fits with another effect in the place of the named one, in the same order."""
     sigma_deg: float
     """Noise floor."""
     unjudged: tuple[type[MissingEffect], ...]
@@ -82,21 +85,6 @@ class Selection:
 
 def _quietly(_step: str) -> None:
     """Tell nobody."""
-
-
-def judgeable(record: Record) -> tuple[list[type[MissingEffect]], list[type[MissingEffect]]]:
-    """Effects that this record can judge, and those that need something it does not hold."""
-    held = {
-        name
-        for name, values in (("airspeed_m_s", record.pressure_pa), ("servo_voltage_v", record.voltage_v))
-        if values is not None
-    }
-    able = [effect for effect in CATALOGUE if set(effect.needs) <= held]
-    unable = [effect for effect in CATALOGUE if effect not in able]
-    fitted = {SlowDynamics, Damping} if record.free_poles else set()
-    # Frames run on between separate runs, so that nobody knows when each of them began.
-    fitted |= {PwmFrame} if record.runs else set()
-    return [effect for effect in able if effect not in fitted], unable
 
 
 def select(record: Record, progress: Callable[[str], None] = lambda _step: None) -> Selection:
@@ -119,13 +107,16 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     best = _ordered(fitter, _simplest(fitter, _convincing(fitter, _pruned(fitter, best), nominal), able, tried))
     sigma = max(floor_of(record, best), _before_steps_deg(fitter, best))
     rungs = _rungs(fitter, nominal, best, tried, able)
-    ties = tuple(
-        (effect.name, *dict.fromkeys(fit.names[-1] for fit in equals))
+    equal = [
+        (effect, first_of_each(equals))
         for effect, equals in zip(best.effects, _equals(fitter, best, able, tried), strict=True)
         if equals
-    )
+    ]
+    ties = tuple((effect.name, *(fit.names[-1] for fit in equals)) for effect, equals in equal)
     covariance = fitter.covariance(best, _rms(best, record), long_run_factor(best.error_deg[record.trained]))
-    return Selection(nominal, rungs, ties, sigma, tuple(unable), covariance, fitter.simulations)
+    return Selection(
+        nominal, rungs, ties, tuple(fits for _, fits in equal), sigma, tuple(unable), covariance, fitter.simulations
+    )
 
 
 def _grown(
@@ -358,13 +349,13 @@ def _simplest(fitter: Fitter, best: Fit, able: list[type[MissingEffect]], tried:
     """The same servo in the simplest of the words that fit equally well."""
     margin = _EVEN_CHI_SQUARED * floor_of(fitter.record, best) ** 2
     for k, equals in enumerate(_equals(fitter, best, able, tried)):
-        rank = CATALOGUE.index(best.effects[k])
-        even = [r for r in equals if r.total - best.total < margin and CATALOGUE.index(r.effects[-1]) < rank]
+        rank = able.index(best.effects[k])
+        even = [r for r in equals if r.total - best.total < margin and able.index(r.effects[-1]) < rank]
         if _is_kinked(best.effects[k]):
             # It had as many chances as it has minima: what does as well with one chance is likelier.
             even += [r for r in equals if not _is_kinked(r.effects[-1])]
         if even:
-            return min(even, key=lambda r: CATALOGUE.index(r.effects[-1]))
+            return min(even, key=lambda r: able.index(r.effects[-1]))
     return best
 
 

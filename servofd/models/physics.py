@@ -98,6 +98,11 @@ class Physics(NamedTuple):
     output_step_deg: float = 0.0
     offset_s: float = 0.0
     """How much too late positions are stamped."""
+    own_1: float = math.nan
+    """Parameters of an effect of the user's own; the kernel knows nothing of them."""
+    own_2: float = math.nan
+    own_3: float = math.nan
+    own_4: float = math.nan
 
     @property
     def is_linear_loop(self) -> bool:
