@@ -115,7 +115,7 @@ class ExtendedMotion:
 
     def at(self, at_s: FloatArray) -> FloatArray:
         """Measured position at the next instants [deg], shape (m,); rising, and not before the last of them."""
-        from servofd.models.position_loop import new_memory, run
+        from servofd.models.position_loop import heard, new_memory, run
 
         servo, physics = self._servo, self._servo.physics
         if at_s.size == 0:
@@ -139,7 +139,7 @@ class ExtendedMotion:
             self._memory,
         )
         if physics.frame_s <= 0.0:
-            self._waiting = self._waiting[:, int(self._memory[-1]) :]
+            self._waiting = self._waiting[:, heard(self._memory) :]
         return position_deg
 
     def _first_deg(self, now_s: float) -> float:
