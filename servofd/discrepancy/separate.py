@@ -47,12 +47,21 @@ def _step(size_deg: float) -> Callable[[FloatArray], FloatArray]:
 
 
 def _doublets(size_deg: float) -> Callable[[FloatArray], FloatArray]:
-    return lambda t: size_deg * (((t % 3.0) < 0.5) * 1.0 - ((t % 3.0) >= 0.5) * ((t % 3.0) < 1.0))
+    def command(t: FloatArray) -> FloatArray:
+        since_s = t % 3.0
+        both: FloatArray = size_deg * np.select([since_s < 0.5, since_s < 1.0], [1.0, -1.0], 0.0)
+        return both
+
+    return command
 
 
 def _triangle(size_deg: float, period_s: float) -> Callable[[FloatArray], FloatArray]:
-    corners_s, corners_deg = period_s * np.arange(5) / 4.0, size_deg * np.array([0.0, 1.0, 0.0, -1.0, 0.0])
-    return lambda t: np.interp(t % period_s, corners_s, corners_deg)
+    def command(t: FloatArray) -> FloatArray:
+        corners_s, corners_deg = period_s * np.arange(5) / 4.0, size_deg * np.array([0.0, 1.0, 0.0, -1.0, 0.0])
+        ramps: FloatArray = np.asarray(np.interp(t % period_s, corners_s, corners_deg), dtype=np.float64)
+        return ramps
+
+    return command
 
 
 def _sine(size_deg: float, frequency_hz: float) -> Callable[[FloatArray], FloatArray]:

@@ -11,6 +11,8 @@ import pytest
 import logparsers
 from servofd.aircraft import Aircraft, load_aircraft
 from servofd.detection.audit import SurfaceAudit, audit_log
+from servofd.detection.judge import judge
+from servofd.detection.residual import ResidualGenerator
 from servofd.discrepancy.record import record_of, simulate
 from servofd.errors import ConfigError
 from servofd.models.catalogue import CATALOGUE, installed
@@ -18,11 +20,13 @@ from servofd.models.context import Context
 from servofd.models.effect_table import effects_installed, table_of
 from servofd.models.effects import Extension
 from servofd.models.extended import ExtendedMotion
+from servofd.models.faults import Bias, Fault, HardOver, LossOfEffectiveness, Slow, Stuck
 from servofd.models.physics import plant_of
 from servofd.models.servo_model import ServoModel
 from servofd.segment import Segment
 from servofd.servos import servo_named
 from servofd.simulation.commands import lively
+from servofd.simulation.flight import simulate_flight
 from servofd.types import FloatArray
 from tests.recovery.fine_servo import FineServo, Hidden, hide
 
@@ -56,7 +60,7 @@ FORMS = {
     "quantization command": ("quantization", {"form": "command", "step_deg": 0.5}),
 }
 CASES = {name: (name, size) for name, size in SIZES.items()} | FORMS
-TIME_S = np.round(np.cumsum(np.random.default_rng(3).uniform(0.008, 0.012, 800)), 6)
+TIME_S: FloatArray = np.cumsum(np.random.default_rng(3).uniform(0.008, 0.012, 800))
 COMMAND_DEG = lively(TIME_S, np.random.default_rng(1))
 CONTEXT = Context(TIME_S, 22.0 + 4.0 * np.sin(TIME_S), TIME_S, 6.0 - 0.1 * TIME_S)
 
@@ -111,7 +115,7 @@ def test_the_audit_simulates_what_was_fitted(name: str, size: dict[str, float | 
 
 def audited(log: Hidden, effects: dict[str, dict[str, float]], folder: Path, **changes: object) -> SurfaceAudit:
     path = log.write(folder / "log.csv")
-    surface = {
+    surface: dict[str, object] = {
         "command": {"channel": "elevator_cmd_deg", "unit": "deg"},
         "measured": {"channel": "elevator_pos_deg", "unit": "deg"},
         "effects": effects,
@@ -149,6 +153,33 @@ def test_the_residual_of_a_servo_with_its_effects_is_noise(
 
 def broken(log: Hidden, position_deg: FloatArray) -> Hidden:
     return Hidden(log.time_s, log.command_deg, position_deg, log.airspeed_m_s, log.supply_v)
+
+
+@pytest.mark.parametrize(
+    ("fault", "kind"),
+    [
+        (Bias(8.0, bias_deg=1.0), "bias"),
+        (Stuck(8.0), "stuck"),
+        (HardOver(8.0, -20.0), "hardover"),
+        (Slow(8.0, bandwidth_scale=0.3), "slow"),
+        (LossOfEffectiveness(8.0, gain=0.5), "loss_of_effectiveness"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_simulated_faults_of_a_servo_with_effects_are_named(fault: Fault, kind: str) -> None:
+    entry = {
+        "command": {"channel": "c", "unit": "deg"},
+        "measured": {"channel": "p", "unit": "deg"},
+        "threshold": "interval",
+        "effects": {"backlash": {"width_deg": 0.8}, "friction": {"friction_deg": 0.3}},
+    }
+    aircraft = Aircraft.model_validate({"surfaces": {"elevator": entry}})
+    flown = simulate_flight(aircraft, command="lively", duration_s=24.0, seed=4, faults={"elevator": fault})
+    segment = Segment("elevator", flown.time_s, flown.command_deg[:, 0], flown.time_s, flown.measured_deg[:, 0])
+    generator = ResidualGenerator.fitting(aircraft.model("elevator"), segment)
+    judged = judge(generator, segment, generator.run(segment), aircraft.surfaces["elevator"])
+    assert [found.kind for found in judged.faults][:1] == [kind]
+    assert judged.faults[0].start_s == pytest.approx(8.0, abs=1.5)
 
 
 @pytest.mark.parametrize("kind", ["bias", "stuck", "loss_of_effectiveness"])
