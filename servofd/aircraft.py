@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import datetime
+import itertools
 import tomllib
 from importlib import resources
 from pathlib import Path
@@ -11,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from servofd.calibration import Calibration, DegreeCalibration
 from servofd.errors import ConfigError, DesignError, ServofdError, suggest
+from servofd.limits import Limits
 from servofd.models.effect_table import EffectTable, effects_installed
 from servofd.models.effects import Extension, PositionLimit
 from servofd.models.physics import Physics, plant_of
@@ -30,6 +33,7 @@ __all__ = [
     "DEFAULT_THRESHOLD_DEG",
     "Aircraft",
     "Surface",
+    "Swap",
     "Table",
     "load_aircraft",
     "plain_aircraft",
@@ -64,6 +68,15 @@ class Table(_Entry):
     """Keep only rows in which these columns hold these texts."""
 
 
+class Swap(_Entry):
+    """A servo was replaced."""
+
+    date: datetime.date
+    """Flights that begin on this day (UTC) or later are flown with the new servo."""
+    removed: str = ""
+    """Serial number of the servo that was taken out."""
+
+
 class Surface(_Entry):
     """One control surface and the servo that turns it."""
 
@@ -96,6 +109,12 @@ class Surface(_Entry):
     """Whether what stays below the threshold may be suspect; not if the model does not reach down to the noise."""
     filter_pole_rad_s: Annotated[float, Field(ge=0.1, le=1000.0, strict=True)] | None = None
     """Speed of the residual filter; None: the fastest with a noise gain of at most 0.5."""
+    serial: str = ""
+    """Serial number of the servo that is in now."""
+    swaps: tuple[Swap, ...] = ()
+    """When servos were replaced, the oldest first."""
+    limits: Limits = Limits()
+    """How far the servo may wear."""
 
     @property
     def tolerances(self) -> Tolerance:
@@ -126,6 +145,9 @@ class Surface(_Entry):
             effects_installed(Physics(), self.effects)
         except ServofdError as error:
             raise ValueError(str(error)) from None
+        dates = [swap.date for swap in self.swaps]
+        if any(later <= earlier for earlier, later in itertools.pairwise(dates)):
+            raise ValueError("swaps: the dates must rise, one servo after the other")
         return self
 
 
@@ -291,8 +313,10 @@ def _siblings(path: list[str]) -> str:
     """Keys that exist where an unknown one stands."""
     models: dict[int, type[BaseModel]] = {1: Aircraft, 3: Surface}
     model = models.get(len(path))
-    if len(path) == 4 and path[2] == "tolerance":
-        model = Tolerance
+    if len(path) == 4 and path[2] in ("tolerance", "limits"):
+        model = Tolerance if path[2] == "tolerance" else Limits
+    if len(path) == 5 and path[2] == "swaps":
+        model = Swap
     if len(path) == 2 and path[0] == "table":
         model = Table
     if len(path) == 3 and path[0] == "servos":

@@ -3,25 +3,39 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import logparsers
 from servofd.aircraft import Aircraft, load_aircraft
+from servofd.bench import bench_aircraft
 from servofd.discrepancy.elsewhere import judged_elsewhere
-from servofd.discrepancy.explanation import Explanation, explain_runs
+from servofd.discrepancy.explanation import Explanation, explain_gap
+from servofd.discrepancy.own import OwnEffect, load_own_effect
 from servofd.errors import ConfigError, DesignError, NoMeasurement, UnknownName, suggest
+from servofd.models.physics import scaled_transfer
 from servofd.segment import cut
+from servofd.servos import Servo
 from servofd.workflow import aircraft_for, layout_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-    from pathlib import Path
 
     from logparsers import FlightLog
-    from servofd.discrepancy.own import OwnEffect
     from servofd.segment import Segment
 
-__all__ = ["ExplainedLog", "ExplainedLogs", "explain_log", "explain_logs"]
+__all__ = ["UNKNOWN", "ExplainedLog", "ExplainedLogs", "explain_log", "explain_logs"]
+
+UNKNOWN = "unknown"
+"""Name of a servo that nobody knows."""
+_UNKNOWN_SERVO = Servo(
+    title="second order, its poles fitted",
+    bandwidth_hz=5.0,
+    damping=0.8,
+    delay_s=0.0,
+    hold="zoh",
+    source="start of the search for the poles: hobby servos have 2 to 20 Hz",
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,36 +59,38 @@ class ExplainedLogs:
 
 
 def explain_log(
-    path: str | Path,
+    path: str | Path | Sequence[str | Path],
     aircraft: str | Path | Aircraft | None = None,
     *,
     surface: str | None = None,
     servo: str | None = None,
     progress: Callable[[str], None] = lambda _step: None,
 ) -> ExplainedLog:
-    """Explain where a log and the model of one of its servos disagree.
+    """Explain where logs and the model of one of its servos disagree.
 
     Parameters
     ----------
-    path : str or Path
-        The log.
+    path : str, Path or sequence of them
+        The log, or several of the same servo. Of several, and of the runs of a bench record, every other one is held
+        out whole.
     aircraft : str, Path or Aircraft, optional
         Aircraft file, or its content; found as for an audit if left out.
     surface : str, optional
         Which surface; may be left out if there is only one.
     servo : str, optional
-        Servo to assume: a name of the library, or a servo file.
+        Servo to assume: a name of the library, a servo file, or ``unknown`` for one of second order whose poles are
+        fitted as well. A bench record whose aircraft file names no servo is of an unknown one.
     progress : callable
         Called with the name of each effect that was tried.
 
     Raises
     ------
     LogError
-        If the log is of no use.
+        If a log is of no use.
     ServofdError
-        If the aircraft is not what it should be, a name is unknown, or the log cannot show what is missing.
+        If the aircraft is not what it should be, a name is unknown, or the logs cannot show what is missing.
     """
-    flown = _opened([path], aircraft, servo)
+    flown = _opened([path] if isinstance(path, str | Path) else path, aircraft, servo)
     if surface is None and len(flown.surfaces) > 1:
         raise UnknownName(f"{flown.source}: choose a surface: {', '.join(flown.surfaces)}")
     found = _explained(flown, (surface,) if surface else flown.surfaces, (), None, progress)
@@ -90,7 +106,7 @@ def explain_logs(
     surfaces: tuple[str, ...] = (),
     servo: str | None = None,
     also: Sequence[str | Path] = (),
-    own: OwnEffect | None = None,
+    own: OwnEffect | str | Path | None = None,
     progress: Callable[[str], None] = lambda _step: None,
 ) -> ExplainedLogs:
     """Explain several surfaces of an aircraft, from one flight or from several together.
@@ -104,11 +120,11 @@ def explain_logs(
     surfaces : tuple of str
         Which; all that are measured if empty.
     servo : str, optional
-        Servo to assume: a name of the library, or a servo file.
+        Servo to assume, as for `explain_log`.
     also : sequence of str or Path
         Further logs of the same aircraft, on which the model that was found is only judged.
-    own : OwnEffect, optional
-        An effect of the user's own, tried beside those of the catalogue.
+    own : OwnEffect, str or Path, optional
+        An effect of the user's own, or the file that makes it, tried beside those of the catalogue.
     progress : callable
         Called with the name of each effect that was tried.
 
@@ -130,6 +146,7 @@ def explain_logs(
     >>> found.explanations[0].conclusion in ("nothing_missing", "explained", "partly_explained", "unexplained")
     True
     """
+    effect = load_own_effect(own) if isinstance(own, str | Path) else own
     flown = _opened(paths, aircraft, servo)
     for name in surfaces:
         if name not in flown.aircraft.surfaces:
@@ -137,36 +154,49 @@ def explain_logs(
     wanted = tuple(dict.fromkeys(surfaces)) or flown.surfaces
     others = [log for path in also for log in logparsers.read_all(path, layout_of(flown.aircraft))]
     judged = [(log.label, {name: _also(log, flown.aircraft, name) for name in wanted}) for log in others]
-    return _explained(flown, wanted, judged, own, progress)
+    return _explained(flown, wanted, judged, effect, progress)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Flown:
-    """Flights of one aircraft."""
+    """Flights of one aircraft, or runs of a bench."""
 
     logs: tuple[FlightLog, ...]
     aircraft: Aircraft
+    described: bool
+    """Whether an aircraft file came with them."""
+    servo: str | None
+    label: str
 
     @property
     def source(self) -> str:
-        return ", ".join(log.label for log in self.logs)
+        return self.logs[0].label if len(self.logs) == 1 else f"{self.label} ({len(self.logs)} runs)"
 
     @property
     def surfaces(self) -> tuple[str, ...]:
-        """Those that are measured, and known to some log."""
-        return tuple(
-            name
-            for name, surface in self.aircraft.surfaces.items()
-            if surface.measured is not None
-            and any(channel in log.channels for log in self.logs for channel in (surface.measured.channel,))
-        ) or tuple(self.aircraft.surfaces)
+        """Those that are measured, and known to some log; all if there is none."""
+        known = self.aircraft.surfaces
+        logged = {channel for log in self.logs for channel in log.channels}
+        return tuple(n for n, s in known.items() if s.measured and s.measured.channel in logged) or tuple(known)
+
+    @property
+    def on_bench(self) -> bool:
+        """Whether these are experiments that begin at rest."""
+        return self.described and self.aircraft.table is not None and bool(self.aircraft.table.run)
+
+    def has_unknown_servo(self, surface: str) -> bool:
+        """Whether the poles have to be found as well."""
+        return self.servo == UNKNOWN or (self.servo is None and self.described and _is_bench(self.aircraft, surface))
 
 
 def _opened(paths: Sequence[str | Path], aircraft: str | Path | Aircraft | None, servo: str | None) -> _Flown:
-    known = aircraft if isinstance(aircraft, Aircraft) or aircraft is None else load_aircraft(aircraft)
+    known = load_aircraft(aircraft) if isinstance(aircraft, str | Path) else aircraft
+    known = known or bench_aircraft(paths[0])
     logs = tuple(log for path in paths for log in logparsers.read_all(path, layout_of(known)))
     flown = known or aircraft_for(logs[0])
-    return _Flown(logs, flown.with_servo(servo) if servo is not None else flown)
+    if servo is not None and servo != UNKNOWN:
+        flown = flown.with_servo(servo)
+    return _Flown(logs, flown, known is not None, servo, ", ".join(map(str, paths)))
 
 
 def _explained(
@@ -176,13 +206,19 @@ def _explained(
     own: OwnEffect | None,
     progress: Callable[[str], None],
 ) -> ExplainedLogs:
-    found, failures = [], []
+    aircraft, found, failures = flown.aircraft, [], []
     for name in surfaces:
+        if name not in aircraft.surfaces:
+            raise UnknownName(f"{flown.source}: {suggest('surface', name, aircraft.surfaces)}")
         try:
-            found.append(_surface(flown, name, also, own, progress))
+            one = _surface(flown, name, also, own, progress)
         except (NoMeasurement, DesignError) as error:
             failures.append(f"{flown.source}: {name}: {error}")
-    return ExplainedLogs(tuple(found), tuple(failures), flown.aircraft, flown.source)
+            continue
+        found.append(one)
+        if flown.has_unknown_servo(name):
+            aircraft = _with_fitted_poles(aircraft, name, one)
+    return ExplainedLogs(tuple(found), tuple(failures), aircraft, flown.source)
 
 
 def _surface(
@@ -192,11 +228,10 @@ def _surface(
     own: OwnEffect | None,
     progress: Callable[[str], None],
 ) -> Explanation:
-    if name not in flown.aircraft.surfaces:
-        raise UnknownName(f"{flown.source}: {suggest('surface', name, flown.aircraft.surfaces)}")
-    model = flown.aircraft.model(name)
-    segments = [cut(log, name, flown.aircraft.surfaces[name]) for log in flown.logs]
-    found = explain_runs(segments, model, own=own, progress=progress)
+    free_poles = flown.has_unknown_servo(name)
+    aircraft = _with_unknown_servo(flown.aircraft, name) if free_poles else flown.aircraft
+    segments, model = _segments(flown.logs, name, aircraft), aircraft.model(name)
+    found = explain_gap(segments, model, on_bench=flown.on_bench, free_poles=free_poles, own=own, progress=progress)
     judged = tuple(judged_elsewhere(label, there[name], model, found.physics, own) for label, there in also)
     return replace(found, also=judged)
 
@@ -207,3 +242,45 @@ def _also(log: FlightLog, aircraft: Aircraft, name: str) -> Segment:
         return cut(log, name, aircraft.surfaces[name])
     except NoMeasurement as error:
         raise ConfigError(f"--also {log.label}: {name}: {error}; give a log of the same aircraft") from None
+
+
+def _is_bench(aircraft: Aircraft, surface: str) -> bool:
+    """Whether an aircraft file describes a table of experiments, and no servo."""
+    entry = aircraft.surfaces[surface]
+    return aircraft.table is not None and bool(aircraft.table.run) and "servo" not in entry.model_fields_set
+
+
+def _segments(logs: Sequence[FlightLog], surface: str, aircraft: Aircraft) -> list[Segment]:
+    """One for each run in which the surface was commanded and measured."""
+    segments, reasons = [], []
+    for log in logs:
+        try:
+            segments.append(cut(log, surface, aircraft.surfaces[surface]))
+        except NoMeasurement as error:
+            reasons.append(str(error))
+    if not segments:
+        raise NoMeasurement(reasons[0])
+    return segments
+
+
+def _with_unknown_servo(aircraft: Aircraft, surface: str, servo: Servo = _UNKNOWN_SERVO) -> Aircraft:
+    name = f"{surface}-{UNKNOWN}"
+    entry = aircraft.surfaces[surface].model_copy(update={"servo": name})
+    return aircraft.model_copy(
+        update={"surfaces": {**aircraft.surfaces, surface: entry}, "servos": {**aircraft.servos, name: servo}}
+    )
+
+
+def _with_fitted_poles(aircraft: Aircraft, surface: str, found: Explanation) -> Aircraft:
+    """The aircraft with the servo whose poles were found, for an audit."""
+    fitted = found.selection.fitter.physics(found.selection.final.effects, found.selection.final.values)
+    transfer = scaled_transfer(found.record.plant.transfer, fitted)
+    servo = Servo(
+        title=_UNKNOWN_SERVO.title,
+        numerator=transfer.numerator,
+        denominator=transfer.denominator,
+        delay_s=0.0,
+        hold="zoh",
+        source="servofd explain",
+    )
+    return _with_unknown_servo(aircraft, surface, servo)

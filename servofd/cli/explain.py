@@ -31,7 +31,7 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
         "-s", "--surface", action="append", default=[], metavar="SURFACE", help="only this surface (default: all)"
     )
     parser.add_argument("-c", "--config", metavar="AIRCRAFT.toml", help="aircraft file, or the name of a shipped one")
-    parser.add_argument("--servo", metavar="NAME", help="servo to assume: of the library, or FILE.toml")
+    parser.add_argument("--servo", metavar="NAME", help="servo to assume: of the library, FILE.toml, or unknown")
     parser.add_argument("--effect", metavar="FILE.py", help="try an effect of your own as well (docs/explain.md)")
     parser.add_argument(
         "--also", nargs="+", default=[], metavar="FILE", help="judge the model on these flights, too, fitting nothing"
@@ -39,15 +39,22 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument("--json", metavar="FILE", help="write the result as JSON; - prints it instead of the text")
     parser.add_argument("--save", metavar="MODEL.toml", help="write the aircraft with the better model, for audit -c")
     parser.add_argument("--rrd", metavar="FILE", help="write a Rerun recording of both simulations (of one surface)")
+    parser.add_argument("--html", metavar="FILE", help="write a page: the gap before and after")
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Explain, write what was asked for, print."""
     from servofd.cli.tables import one_line, progress_bar
+    from servofd.cli.targets import check_targets
     from servofd.explaining import explain_logs
 
-    _check_outputs(options)
+    inputs = {
+        "a log": [*options.logs, *options.also],
+        "the aircraft file": [options.config],
+        "an effect": [options.effect],
+    }
+    check_targets((options.json, options.save, options.rrd, options.html), inputs)
     with progress_bar("explain", _STEPS) as step:
         found = explain_logs(
             options.logs,
@@ -55,7 +62,7 @@ def run(options: argparse.Namespace) -> int:
             surfaces=tuple(options.surface),
             servo=options.servo,
             also=options.also,
-            own=_own(options),
+            own=options.effect,
             progress=step,
         )
     if found.explanations:
@@ -68,29 +75,6 @@ def run(options: argparse.Namespace) -> int:
         return 2
     left = ("partly_explained", "unexplained")
     return int(any(one.conclusion in left or one.fault_s is not None for one in found.explanations))
-
-
-def _own(options: argparse.Namespace) -> Any:  # noqa: ANN401 - imported late
-    from servofd.discrepancy.own import load_own_effect
-
-    return load_own_effect(options.effect) if options.effect else None
-
-
-def _check_outputs(options: argparse.Namespace) -> None:
-    """Refuse outputs that cannot be written, or would overwrite an input or each other."""
-    from servofd.errors import ConfigError
-
-    inputs = (*options.logs, *options.also, options.config, options.effect)
-    taken = {Path(name).resolve() for name in inputs if name}
-    for name in filter(None, (options.json if options.json != "-" else None, options.save, options.rrd)):
-        target = Path(name).resolve()
-        if not target.parent.is_dir():
-            raise ConfigError(f"{name}: the folder {target.parent} does not exist")
-        if target.is_dir():
-            raise ConfigError(f"{name}: is a folder; give the name of a file")
-        if target in taken:
-            raise ConfigError(f"{name}: is an input or another output already; choose another file")
-        taken.add(target)
 
 
 def _write(options: argparse.Namespace, found: ExplainedLogs) -> None:
@@ -112,8 +96,20 @@ def _write(options: argparse.Namespace, found: ExplainedLogs) -> None:
         from servofd.outputs.explain_recording import save_explanation
 
         save_explanation(found.explanations[0], Path(options.rrd), found.source)
+    if options.html:
+        _write_page(options, found)
     texts = [explanation_text(found.source, each) for each in documents.values()]
     print(document if options.json == "-" else "\n".join(texts), end="")
+
+
+def _write_page(options: argparse.Namespace, found: ExplainedLogs) -> None:
+    from servofd.cli.explain_text import audit_rows
+    from servofd.outputs.explain_page import explain_page
+    from servofd.outputs.files import write_whole
+
+    names = ", ".join(Path(log).name for log in options.logs)
+    gains = {one.surface: audit_rows(one.gain.document()) for one in found.explanations if one.gain}
+    write_whole(options.html, explain_page(found.explanations, names, thresholds=gains).encode())
 
 
 def _save(options: argparse.Namespace, found: ExplainedLogs) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-__all__ = ["explanation_text"]
+__all__ = ["audit_rows", "explanation_text"]
 
 
 def explanation_text(source: str, document: dict[str, Any]) -> str:
@@ -21,6 +21,12 @@ def explanation_text(source: str, document: dict[str, Any]) -> str:
     ]
     for step in document["steps"]:
         lines += _step(step)
+    if document["runs"]:
+        lines += ["", f"{'each run as the others predict it':<34}{'as it was':>10}{'now':>10}   deg rms"]
+        lines += [
+            f"  {each['run'] + 1:<32}{each['nominal_rms_deg']:>10.4f}{each['held_out_rms_deg']:>10.4f}"
+            for each in document["runs"]
+        ]
     for tie in document["indistinguishable"]:
         lines += ["", f"these data cannot tell {tie[0]} from {' or '.join(tie[1:])}"]
     lines += [f"  {each['sentence']}" for each in document["separating"]]
@@ -51,18 +57,20 @@ def _also(each: dict[str, Any]) -> str:
     return f"  {each['path']:<32}{errors}   noise floor {each['noise_floor_rms_deg']:.3g}"
 
 
-def _audit(gain: dict[str, Any]) -> list[str]:
-    """What an audit gains."""
+def audit_rows(gain: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """What an audit gains: quantity, before and after [deg]."""
     before, after = gain["before"], gain["after"]
     return [
-        f"{'for an audit [deg]':<54}{'before':>10}{'after':>10}",
-        *(
-            f"  {name:<52}{before[key]:>10.3f}{after[key]:>10.3f}"
-            for name, key in (
-                ("residual, standard deviation", "residual_std_deg"),
-                ("residual, largest", "residual_max_abs_deg"),
-                ("threshold for one false alarm in 1000 h", "threshold_deg"),
-                ("smallest step surely seen within 1 s", "smallest_step_deg"),
-            )
-        ),
+        (name, f"{before[key]:.3f}", f"{after[key]:.3f}")
+        for name, key in (
+            ("residual, standard deviation", "residual_std_deg"),
+            ("residual, largest", "residual_max_abs_deg"),
+            ("threshold for one false alarm in 1000 h", "threshold_deg"),
+            ("smallest step surely seen within 1 s", "smallest_step_deg"),
+        )
     ]
+
+
+def _audit(gain: dict[str, Any]) -> list[str]:
+    head = f"{'for an audit [deg]':<54}{'before':>10}{'after':>10}"
+    return [head, *(f"  {name:<52}{before:>10}{after:>10}" for name, before, after in audit_rows(gain))]

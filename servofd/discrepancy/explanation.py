@@ -10,14 +10,15 @@ import numpy as np
 from servofd.discrepancy.audit_gain import AuditGain, audit_gain
 from servofd.discrepancy.break_point import fault_start_s
 from servofd.discrepancy.checks import check
-from servofd.discrepancy.fit import Fitter
 from servofd.discrepancy.locate import sentences
 from servofd.discrepancy.record import joined, record_of
+from servofd.discrepancy.run_by_run import RunErrors, run_errors
 from servofd.discrepancy.select import Selection, select, unexplained
 from servofd.discrepancy.separate import Separation, separations
-from servofd.discrepancy.words import effect_values, unjudged_sentence
+from servofd.discrepancy.words import effect_values, linear_sentence, unjudged_sentence
 from servofd.models.catalogue import CATALOGUE
 from servofd.models.effects import Extension
+from servofd.segment import Segment
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -28,10 +29,9 @@ if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
     from servofd.models.physics import Physics
     from servofd.models.servo_model import ServoModel
-    from servofd.segment import Segment
     from servofd.types import FloatArray
 
-__all__ = ["Conclusion", "Explanation", "explain_gap", "explain_runs"]
+__all__ = ["Conclusion", "Explanation", "explain_gap"]
 
 Conclusion = Literal["nothing_missing", "explained", "partly_explained", "unexplained"]
 
@@ -60,6 +60,8 @@ class Explanation:
     """What an audit gains by the better model; None if it cannot simulate it, or gains nothing."""
     also: tuple[Elsewhere, ...] = ()
     """How the model does on other flights, to which nothing was fitted."""
+    runs: tuple[RunErrors, ...] = ()
+    """Each of several runs as the others predict it."""
 
     @property
     def conclusion(self) -> Conclusion:
@@ -73,7 +75,7 @@ class Explanation:
     def physics(self) -> Physics:
         """The servo with everything that was found."""
         final = self.selection.final
-        return Fitter(self.record).physics(final.effects, final.values)
+        return self.selection.fitter.physics(final.effects, final.values)
 
     @property
     def is_simulated_by_audit(self) -> bool:
@@ -129,14 +131,17 @@ class Explanation:
             "also": [each.document() for each in self.also],
             "notes": list(self.notes),
             "fault_s": self.fault_s,
+            "runs": [each._asdict() for each in self.runs],
             "simulations": selection.simulations,
         }
 
 
 def explain_gap(
-    segment: Segment,
+    segment: Segment | Sequence[Segment],
     model: ServoModel,
     *,
+    on_bench: bool = False,
+    free_poles: bool = False,
     airspeed_m_s: FloatArray | None = None,
     voltage_v: FloatArray | None = None,
     own: OwnEffect | None = None,
@@ -146,10 +151,14 @@ def explain_gap(
 
     Parameters
     ----------
-    segment : Segment
-        Commands and measurements of one surface.
+    segment : Segment or sequence of Segment
+        Commands and measurements of one surface; of several runs, every other one is held out whole.
     model : ServoModel
         The servo as it is known.
+    on_bench : bool
+        Whether each run begins at rest, so that all of it counts.
+    free_poles : bool
+        Whether the poles of the model are only where the search for them starts.
     airspeed_m_s, voltage_v : ndarray, shape (m,), optional
         At the measurements: airspeed [m/s] and supply of the servo [V]; left out, those of the segment. Effects that
         need what is not there cannot be judged, and the result says so.
@@ -182,62 +191,40 @@ def explain_gap(
     >>> round(float(found.selection.final.values[0]), 3)  # 4 ms were known
     0.024
     """
-    context = segment.context
-    if airspeed_m_s is not None:
-        context = replace(context, airspeed_s=segment.measured_s, airspeed_m_s=airspeed_m_s)
-    if voltage_v is not None:
-        context = replace(context, voltage_s=segment.measured_s, voltage_v=voltage_v)
-    return explain_runs([replace(segment, context=context)], model, own=own, progress=progress)
-
-
-def explain_runs(
-    segments: Sequence[Segment],
-    model: ServoModel,
-    *,
-    own: OwnEffect | None = None,
-    progress: Callable[[str], None] = lambda _step: None,
-) -> Explanation:
-    """Explain several flights of one surface together: `explain_gap`, but every other flight is held out whole.
-
-    Parameters
-    ----------
-    segments : sequence of Segment
-        At least one.
-    model : ServoModel
-        The servo as it is known.
-    own : OwnEffect, optional
-        An effect of the user's own, tried beside those of the catalogue.
-    progress : callable
-        Called with the name of each effect that was tried.
-
-    Raises
-    ------
-    NoMeasurement
-        If a flight cannot show what is missing; the message says why.
-    DesignError
-        If the model has more than three poles, or zeros.
-    """
-    records = [record_of(segment, model, own=own) for segment in segments]
-    for each in records:
-        check(each)
-    record = joined(records)
+    segments = [segment] if isinstance(segment, Segment) else list(segment)
+    if airspeed_m_s is not None or voltage_v is not None:
+        segments = [_with_context(each, airspeed_m_s, voltage_v) for each in segments]
+    record = joined([record_of(each, model, at_rest=on_bench, free_poles=free_poles, own=own) for each in segments])
+    check(record)
     selection = select(record, progress)
     fault_s, notes = None, []
-    if not record.runs and unexplained(selection, record):
+    if unexplained(selection, record) and not record.runs:
         part = _healthy_part(record, selection, progress)
         if part is not None:
             record, selection, fault_s = part
             notes.append(
                 f"after {fault_s:.1f} s this is a fault, not a missing effect: only what came before is explained"
             )
+    if free_poles:
+        notes.append(linear_sentence(record, selection))
     if selection.unjudged:
         notes.append(unjudged_sentence(selection))
     where = sentences(record, selection.nominal.error_deg, selection.sigma_deg)
-    found = Explanation(segments[0].surface, model, record, selection, tuple(where), tuple(notes), fault_s)
+    errors = run_errors(selection.fitter, selection.final)
+    found = Explanation(segments[0].surface, model, record, selection, tuple(where), tuple(notes), fault_s, runs=errors)
     gain = None
     if selection.rungs and found.is_simulated_by_audit:
         gain = audit_gain(segments, model, found.better_model, fault_s or float("inf"))
-    return replace(found, separating=separations(record, selection), gain=gain)
+    return replace(found, separating=separations(selection), gain=gain)
+
+
+def _with_context(segment: Segment, airspeed_m_s: FloatArray | None, voltage_v: FloatArray | None) -> Segment:
+    context = segment.context
+    if airspeed_m_s is not None:
+        context = replace(context, airspeed_s=segment.measured_s, airspeed_m_s=airspeed_m_s)
+    if voltage_v is not None:
+        context = replace(context, voltage_s=segment.measured_s, voltage_v=voltage_v)
+    return replace(segment, context=context)
 
 
 def _healthy_part(

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from servofd.discrepancy.fit import Values
+    from servofd.discrepancy.record import Record
     from servofd.models.catalogue import MissingEffect
     from servofd.models.physics import Physics
     from servofd.types import FloatArray
@@ -44,6 +45,13 @@ class PoleFitter(Fitter):
     """Fits effects and poles together, and remembers the poles that went with each set of effects."""
 
     known: dict[tuple[str, ...], Poles] = field(default_factory=dict, init=False)
+    _is_nominal: bool = field(default=False, init=False)
+
+    def on(self, record: Record) -> PoleFitter:
+        """The same for other samples, from the poles that are known."""
+        other = PoleFitter(record)
+        other.known = dict(self.known)
+        return other
 
     def poles(self, effects: Sequence[type[MissingEffect]]) -> Poles:
         """Those fitted with these effects, or with as many of them as were ever fitted."""
@@ -60,8 +68,9 @@ class PoleFitter(Fitter):
 
     def nominal(self) -> Fit:
         """The best servo of second order."""
-        if () not in self.known:
-            self._multi_start((), [(poles, []) for poles in _STARTS], _EVALUATIONS)
+        if not self._is_nominal:
+            self._multi_start((), [(poles, []) for poles in (self.poles(()), *_STARTS)], _EVALUATIONS)
+            self._is_nominal = True
         return self.judged((), ())
 
     def refitted(self, effects: tuple[type[MissingEffect], ...], values: Values) -> Fit:
@@ -111,7 +120,7 @@ class PoleFitter(Fitter):
         """The best of the fits from several starts; its poles are remembered."""
         key = tuple(sorted(effect.key() for effect in effects))
         found = [self._fitted(effects, values, poles, evaluations) for poles, values in starts]
-        if key in self.known and len(starts) > 1:
+        if key in self.known:
             found.append((list(starts[0][1]), self.known[key]))
         values, poles = min(found, key=lambda each: self._loss(effects, each[0], each[1]))
         self.known[key] = poles

@@ -11,7 +11,7 @@ from servofd.discrepancy.candidates import first_of_each, judgeable
 from servofd.discrepancy.fit import Fit, Fitter
 from servofd.discrepancy.noise import long_run_factor, noise_floor_deg
 from servofd.discrepancy.poles import PoleFitter
-from servofd.discrepancy.record import simulate
+from servofd.discrepancy.steps import before_steps_deg, dithered
 from servofd.models.catalogue import Quantization
 
 if TYPE_CHECKING:
@@ -30,7 +30,8 @@ _BEAM, _WIDE_BEAM, _FEW = 2, 4, 2
 """The wide one where something stays, or more than a few effects seem to be needed: two simple ones may do as well."""
 _SAME_LOSS = 1e-3
 """Relative: the same servo in other words."""
-_MOST_EFFECTS = 4
+_MOST_EFFECTS, _MOST_ON_BENCH = 4, 5
+"""More where whole runs are held out, which no flexible combination survives for long."""
 _SHARE_OF_NOISE, _SHARE_OF_GAP = 0.03, 0.02
 """An effect must take away this share of the noise variance, and of the gap that is left."""
 _CHI_SQUARED = 30.0
@@ -41,12 +42,15 @@ _TIE_CHI_SQUARED, _EVEN_CHI_SQUARED = 10.0, 4.0
 _TIE_OF_EXCESS = 0.15
 """Where something stays unexplained, two effects that differ by less than this share of it are not told apart, unless
 that is as much of what they take away."""
+_TIE_OF_KIND = 0.7
+"""The same for two of one family, and for a rival of an effect with many minima, which had as many chances."""
+_USUAL_TRAVEL_DEG = 25.0
+"""Of the surfaces for which the sizes of a linkage's curvature are typical."""
 _SMALLEST_SIZE = 0.15
 """Of what is common on healthy servos: 0.5 ms of delay, 0.5 % of gain, 0.05 deg of play."""
 _SURE_Z = 4.0
 _LEAST_SHARE, _LEAST_SHARE_OF_REST = 0.1, 0.05
 """Beside a large unexplained rest, an effect that takes away less of the gap names nothing."""
-_NODES = 15
 _EXCESS_WORTH = 0.06
 """The floor itself is uncertain by 3 %."""
 _EXCESS_OF_NOISE, _EXCESS_OF_GAP = 0.15, 0.02
@@ -75,7 +79,13 @@ class Selection:
     unjudged: tuple[type[MissingEffect], ...]
     """Effects that need what the log does not hold."""
     covariance: FloatArray
-    simulations: int
+    fitter: Fitter
+    """What fitted it."""
+
+    @property
+    def simulations(self) -> int:
+        """How many it took."""
+        return self.fitter.simulations
 
     @property
     def final(self) -> Fit:
@@ -105,7 +115,7 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     if len(best.effects) > _FEW or _rest_is_large(record, best, nominal):
         best = min(best, _grown(fitter, able, tried, _WIDE_BEAM, progress), key=lambda fit: _cost(record, fit))
     best = _ordered(fitter, _simplest(fitter, _convincing(fitter, _pruned(fitter, best), nominal), able, tried))
-    sigma = max(floor_of(record, best), _before_steps_deg(fitter, best))
+    sigma = max(floor_of(record, best), before_steps_deg(fitter, best))
     rungs = _rungs(fitter, nominal, best, tried, able)
     equal = [
         (effect, first_of_each(equals))
@@ -113,10 +123,11 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
         if equals
     ]
     ties = tuple((effect.name, *(fit.names[-1] for fit in equals)) for effect, equals in equal)
-    covariance = fitter.covariance(best, _rms(best, record), long_run_factor(best.error_deg[record.trained]))
-    return Selection(
-        nominal, rungs, ties, tuple(fits for _, fits in equal), sigma, tuple(unable), covariance, fitter.simulations
-    )
+    tied = tuple(fits for _, fits in equal)
+    final, covariance = fitter.on_all(best)
+    if rungs:
+        rungs = (*rungs[:-1], Rung(final, rungs[-1].rivals))
+    return Selection(nominal, rungs, ties, tied, sigma, tuple(unable), covariance, fitter)
 
 
 def _grown(
@@ -125,7 +136,7 @@ def _grown(
     """Forward search: the best few of each length go on."""
     record, best = fitter.record, fitter.nominal()
     beam = [best]
-    for _ in range(_MOST_EFFECTS):
+    for _ in range(_MOST_ON_BENCH if record.runs else _MOST_EFFECTS):
         sigma = floor_of(record, best)
         grown: list[Fit] = []
         for base in beam:
@@ -200,12 +211,12 @@ def _accepted(record: Record, base: Fit, fit: Fit, sigma: float) -> bool:
 
 def _matters(record: Record, fit: Fit) -> bool:
     """Whether each effect differs from none by more than servos of one kind do from each other."""
-    first = 0
+    first, widening = 0, max(float(np.nanmax(np.abs(record.measured_deg))) / _USUAL_TRAVEL_DEG, 1.0)
     for effect in fit.effects:
         values = fit.values[first : first + len(effect.parameters)]
         first += len(effect.parameters)
         sizes = [
-            p.away(float(v), record.plant.neutral) / p.typical
+            p.away(float(v), record.plant.neutral) / p.typical * widening**p.travel_power
             for p, v in zip(effect.parameters, values, strict=True)
             if not p.aside
         ]
@@ -331,31 +342,38 @@ def _equals(fitter: Fitter, best: Fit, able: list[type[MissingEffect]], tried: T
         base = _without(fitter, best, k)
         rivals = tried.get(_keys(base)) or fitter.with_effects(base, able, _quietly)
         tried[_keys(base)] = rivals
-        slack = _TIE_OF_EXCESS * min(left, base.total - best.total)
-        margin = max(_TIE_CHI_SQUARED * sigma**2 * factor, slack)
+        common, unexplained_too = _TIE_CHI_SQUARED * sigma**2 * factor, min(left, base.total - best.total)
         equals.append(
             [
                 rival
                 for rival in rivals
                 if rival.names[-1] not in best.names
-                and rival.total - best.total < margin
+                and rival.total - best.total < max(common, _slack(best.effects[k], rival) * unexplained_too)
                 and not any(p.at_bound(v) for p, v in zip(rival.parameters, rival.values, strict=True))
             ]
         )
     return equals
 
 
+def _slack(effect: type[MissingEffect], rival: Fit) -> float:
+    """Share of what stays unexplained by which a rival may be worse than an effect and still pass for it."""
+    alike = effect.family and effect.family == rival.effects[-1].family
+    return _TIE_OF_KIND if alike or (_is_kinked(effect) and not _is_kinked(rival.effects[-1])) else _TIE_OF_EXCESS
+
+
 def _simplest(fitter: Fitter, best: Fit, able: list[type[MissingEffect]], tried: Tried) -> Fit:
     """The same servo in the simplest of the words that fit equally well."""
+    for k in range(len(best.effects)):
+        if _is_kinked(best.effects[k]):
+            smooth = [r for r in _equals(fitter, best, able, tried)[k] if not _is_kinked(r.effects[-1])]
+            best = min((r for r in smooth if _matters(fitter.record, r)), key=lambda r: r.total, default=best)
     margin = _EVEN_CHI_SQUARED * floor_of(fitter.record, best) ** 2
     for k, equals in enumerate(_equals(fitter, best, able, tried)):
-        rank = able.index(best.effects[k])
-        even = [r for r in equals if r.total - best.total < margin and able.index(r.effects[-1]) < rank]
-        if _is_kinked(best.effects[k]):
-            # It had as many chances as it has minima: what does as well with one chance is likelier.
-            even += [r for r in equals if not _is_kinked(r.effects[-1])]
+        effect = best.effects[k]
+        before = [r for r in equals if able.index(r.effects[-1]) < able.index(effect)]
+        even = [r for r in before if r.total - best.total < margin or (effect.family == r.effects[-1].family != "")]
         if even:
-            return min(even, key=lambda r: able.index(r.effects[-1]))
+            return _simplest(fitter, min(even, key=lambda r: able.index(r.effects[-1])), able, tried)
     return best
 
 
@@ -372,34 +390,6 @@ def unexplained(selection: Selection, record: Record) -> bool:
     """Whether more is left than noise, and more than a rounding of what was there."""
     left = excess(record, selection.final, selection.sigma_deg)
     if Quantization in selection.final.effects:
-        left = min(left, *(left - more for more in _dithered(record, selection)))
+        left = min(left, *(left - more for more in dithered(selection.fitter, selection.final, selection.sigma_deg)))
     gap = excess(record, selection.nominal, selection.sigma_deg)
     return left > _EXCESS_OF_NOISE * selection.sigma_deg**2 and left > _EXCESS_OF_GAP * gap
-
-
-def _before_steps_deg(fitter: Fitter, fit: Fit) -> float:
-    """Noise before a converter with whole steps [deg], whose differences do not show it; 0 without such a converter."""
-    if Quantization not in fit.effects:
-        return 0.0
-    record, physics = fitter.record, fitter.physics(fit.effects, fit.values)
-    error = (record.measured_deg - simulate(record, physics._replace(output_step_deg=0.0)))[record.counts]
-    return float(np.sqrt(max(float(np.mean(error**2)) - physics.output_step_deg**2 / 12.0, 0.0)))
-
-
-def _dithered(record: Record, selection: Selection) -> list[float]:
-    """Variance that noise gains by being converted to whole steps [deg^2], which no model of the servo can remove.
-
-    Whole steps hide how large the noise was: for several sizes, up to a third of a step.
-    """
-    physics = Fitter(record).physics(selection.final.effects, selection.final.values)
-    step_deg = physics.output_step_deg
-    smooth = simulate(record, physics._replace(output_step_deg=0.0))[record.held_out]
-    nodes, weights = np.polynomial.hermite_e.hermegauss(_NODES)
-    gained = []
-    for sigma_deg in (selection.sigma_deg, 0.1 * step_deg, 0.2 * step_deg, 0.3 * step_deg):
-        variance = 0.0
-        for node, weight in zip(nodes, weights / weights.sum(), strict=True):
-            moved = np.round((smooth + node * sigma_deg) / step_deg) - np.round(smooth / step_deg)
-            variance += float(weight * np.mean(moved**2)) * step_deg**2
-        gained.append(max(variance - selection.sigma_deg**2, 0.0))
-    return gained

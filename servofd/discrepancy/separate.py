@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from servofd.detection.residual import Commands
-from servofd.discrepancy.fit import Fitter
 from servofd.discrepancy.record import simulate
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from servofd.discrepancy.fit import Fit
+    from servofd.discrepancy.fit import Fit, Fitter
     from servofd.discrepancy.record import Record
     from servofd.discrepancy.select import Selection
     from servofd.types import FloatArray
@@ -123,7 +122,7 @@ class Separation:
         return {**asdict(self), "effects": list(self.effects), "sentence": self.sentence}
 
 
-def separations(record: Record, selection: Selection) -> tuple[Separation, ...]:
+def separations(selection: Selection) -> tuple[Separation, ...]:
     """For each pair of effects that a record cannot tell apart, what would.
 
     Both servos as they were fitted to the record are sent through a library of manoeuvres. The one in which they
@@ -131,18 +130,17 @@ def separations(record: Record, selection: Selection) -> tuple[Separation, ...]:
     """
     sigma_deg = selection.sigma_deg
     return tuple(
-        _separation(record, (tie[0], name), selection.final, rival, sigma_deg)
+        _separation(selection.fitter, (tie[0], name), selection.final, rival, sigma_deg)
         for tie, rivals in zip(selection.ties, selection.tied, strict=True)
         for name, rival in zip(tie[1:], rivals, strict=True)
     )
 
 
-def _separation(record: Record, names: tuple[str, str], best: Fit, rival: Fit, sigma_deg: float) -> Separation:
-    fitter = Fitter(record)
+def _separation(fitter: Fitter, names: tuple[str, str], best: Fit, rival: Fit, sigma_deg: float) -> Separation:
     one, two = (fitter.physics(fit.effects, fit.values) for fit in (best, rival))
     rms, most = [], []
     for manoeuvre in MANOEUVRES:
-        flown = _flown(record, manoeuvre)
+        flown = _flown(fitter.record, manoeuvre)
         apart = (simulate(flown, one) - simulate(flown, two))[flown.counts]
         rms.append(float(np.sqrt(np.mean(apart**2))))
         most.append(float(np.max(np.abs(apart))))

@@ -236,8 +236,8 @@ def test_other_wrong_calls(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
         (["--also", str(rudder)], "give a log of the same aircraft"),
         (["--also", str(tmp_path / "none.csv")], "none.csv"),
         (["--rrd", str(tmp_path)], "is a folder"),
-        (["--save", str(log)], "is an input or another output already"),
-        (["--rrd", "x", "--json", "x"], "is an input or another output already"),
+        (["--save", str(log)], "is a log already; choose another file"),
+        (["--rrd", "x", "--json", "x"], "is another output already; choose another file"),
         (["-c", str(tmp_path / "none.toml")], "none.toml"),
     ):
         assert main(["explain", str(log), *options]) == 2

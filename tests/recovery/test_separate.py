@@ -27,7 +27,9 @@ def record() -> Record:
 def tied(record: Record, *fits: Fit) -> Selection:
     nominal = Fitter(record).nominal()
     names = tuple(fit.names[0] for fit in fits)
-    return Selection(nominal, (Rung(fits[0], ()),), (names,), (fits[1:],), NOISE_DEG, (), np.zeros((1, 1)), 0)
+    return Selection(
+        nominal, (Rung(fits[0], ()),), (names,), (fits[1:],), NOISE_DEG, (), np.zeros((1, 1)), Fitter(record)
+    )
 
 
 def fit(record: Record, effect: type[MissingEffect], *values: float) -> Fit:
@@ -47,7 +49,7 @@ def test_what_tells_two_effects_apart(
     record: Record, one: tuple[str, float], two: tuple[str, float], words: str
 ) -> None:
     fits = [fit(record, effects_named(name)[0], *values) for name, *values in (one, two)]
-    (found,) = separations(record, tied(record, *fits))
+    (found,) = separations(tied(record, *fits))
     assert found.effects == (one[0], two[0])
     assert found.manoeuvre is not None
     assert words in found.manoeuvre
@@ -58,7 +60,7 @@ def test_what_tells_two_effects_apart(
 
 def test_what_nothing_tells_apart_is_said(record: Record) -> None:
     fits = [fit(record, effects_named("delay")[0], 0.024), fit(record, effects_named("clock_offset")[0], 0.02)]
-    (found,) = separations(record, tied(record, *fits))
+    (found,) = separations(tied(record, *fits))
     assert found.manoeuvre is None
     assert found.difference_deg < 1e-6
     assert "no manoeuvre tells delay from clock_offset" in found.sentence
