@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 __all__ = ["EXCESS_WORTH", "accepted", "cost", "excess", "floor_of", "rest_is_large", "rest_matters", "worth_trying"]
 
 _SHARE_OF_NOISE, _SHARE_OF_GAP = 0.03, 0.02
-"""An effect must take away this share of the noise variance, and of the gap that is left."""
+"""An effect must take away this share of the noise variance (the second twice as much, and so on: several effects bend
+to anything), and of the gap that is left."""
 _CHI_SQUARED = 30.0
 """And this much of the held-out error in units of the noise: 25 effects and their grids are tried each time."""
 _BLOCK_T = 3.0
@@ -54,7 +55,8 @@ def accepted(record: Record, base: Fit, fit: Fit, sigma: float) -> bool:
     gain = base.held_out - fit.held_out
     count = int(record.held_out.sum())
     gap = max(base.held_out - count * sigma**2, 0.0)
-    if gain < max(_SHARE_OF_NOISE * count * sigma**2, _SHARE_OF_GAP * gap) or base.train <= fit.train:
+    share = _SHARE_OF_NOISE * len(fit.effects)
+    if gain < max(share * count * sigma**2, _SHARE_OF_GAP * gap) or base.train <= fit.train:
         return False
     factor = long_run_factor(fit.error_deg[record.counts])
     if gain / (sigma**2 * factor) < _CHI_SQUARED:

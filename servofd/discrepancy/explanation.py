@@ -9,7 +9,7 @@ import numpy as np
 
 from servofd.discrepancy.break_point import fault_start_s
 from servofd.discrepancy.checks import check
-from servofd.discrepancy.locate import sentences
+from servofd.discrepancy.locate import Block, blocks, sentences
 from servofd.discrepancy.record import record_of
 from servofd.discrepancy.select import Selection, select, unexplained
 from servofd.discrepancy.words import effect_values, unjudged_sentence
@@ -48,6 +48,11 @@ class Explanation:
     """When a fault sets in, which is none of the model's business [s]."""
 
     @property
+    def blocks(self) -> tuple[Block, ...]:
+        """Every second of the log: how large the gap is there, and whether that is more than noise."""
+        return blocks(self.record, self.selection.nominal.error_deg, self.selection.sigma_deg)
+
+    @property
     def conclusion(self) -> Conclusion:
         """In a word."""
         left = unexplained(self.selection, self.record)
@@ -73,6 +78,7 @@ class Explanation:
             "noise_floor_rms_deg": selection.sigma_deg,
             "nominal": self.rms_deg(selection.nominal),
             "where": list(self.where),
+            "bad_seconds": [block.start_s for block in self.blocks if block.bad],
             "steps": [
                 {
                     "effect": rung.fit.names[-1],
