@@ -18,7 +18,8 @@ __all__ = [
 ]  # fmt: skip
 
 _SHARE_OF_NOISE, _SHARE_OF_GAP = 0.03, 0.02
-"""An effect must take away this share of the noise variance, and of the gap that is left."""
+"""An effect must take away this share of the noise variance (the second twice as much, and so on: several effects bend
+to anything), and of the gap that is left."""
 _CHI_SQUARED = 30.0
 """And this much of the held-out error in units of the noise: 25 effects and their grids are tried each time."""
 _BLOCK_T = 3.0
@@ -59,7 +60,8 @@ def accepted(record: Record, base: Fit, fit: Fit, sigma: float) -> bool:
     gain = base.held_out - fit.held_out
     count = int(record.held_out.sum())
     gap = max(base.held_out - count * sigma**2, 0.0)
-    if gain < max(_SHARE_OF_NOISE * count * sigma**2, _SHARE_OF_GAP * gap) or base.train <= fit.train:
+    share = _SHARE_OF_NOISE * len(fit.effects)
+    if gain < max(share * count * sigma**2, _SHARE_OF_GAP * gap) or base.train <= fit.train:
         return False
     if record.runs and base.train - fit.train < _SHARE_OF_GAP * base.train:
         # What the fitted runs did not need cannot be told from the others' luck.
