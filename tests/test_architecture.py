@@ -58,6 +58,7 @@ PARTS = {
         "discrepancy",
         "sweep",
     },
+    "review": {"errors", "types", "detection", "outputs"},
     "workflow": {"errors", "aircraft", "servos", "detection", "feedback", "segment", "calibrating"},
     "cli": {
         "errors",
@@ -77,10 +78,13 @@ PARTS = {
         "identification",
         "bench",
         "explaining",
+        "review",
     },
 }
 ONLY_IN = {
-    "rerun": {"servofd/outputs/recording.py"},
+    "rerun": {
+        f"servofd/outputs/recording/{name}.py" for name in ("clock", "layout", "read", "scene", "stream", "write")
+    },
     "matplotlib": {
         "servofd/outputs/figure.py",
         "servofd/outputs/identify_figures.py",
@@ -98,11 +102,14 @@ ONLY_IN = {
             "design",
             "explain",
             "identify",
+            "importer",
             "info",
             "odds",
+            "review",
             "servos",
             "simulate",
             "sweep",
+            "view",
         )
     },
     "numba": {
