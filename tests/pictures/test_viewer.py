@@ -54,7 +54,7 @@ def band(picture: NDArray[np.float64], top: float, bottom: float) -> NDArray[np.
 
 def check_surface(picture: NDArray[np.float64], *, fault: bool) -> None:
     """Curves in the upper plot, residual and thresholds in the middle one, the lane below; the fault in all three."""
-    deflection, residual, lane = band(picture, 0.10, 0.47), band(picture, 0.53, 0.80), band(picture, 0.85, 0.93)
+    deflection, residual, lane = band(picture, 0.09, 0.475), band(picture, 0.525, 0.805), band(picture, 0.85, 0.93)
     # Left of here stand legends and axes.
     width = picture.shape[1]
     assert share_of(deflection[:, width // 12 :], COLOURS["measured"]) > 5e-4
@@ -69,7 +69,7 @@ def check_surface(picture: NDArray[np.float64], *, fault: bool) -> None:
     if fault:
         assert share > 0.05
         assert lane_share > 0.03
-        assert share_of(residual[:, width // 12 :], COLOURS["fault"]) > 2e-4
+        assert share_of(residual[:, width // 12 :], COLOURS["fault"], 0.35) > 2e-4
     else:
         assert share < 0.01
         assert lane_share == 0.0
@@ -104,7 +104,7 @@ def test_each_kind_of_fault_is_seen(kind: str, opened: Viewer, tmp_path: Path) -
     assert share_of(band(overview, 0.1, 0.3), "#aa4400", 0.1) > 5e-3
     assert share_of(band(overview, 0.3, 0.66), COLOURS["fault"]) > 1e-5  # the onset's marker
     aircraft = pixels(opened.picture(tabs[-1]))
-    assert share_of(aircraft, "#b84f00", 0.2) > 1e-3
+    assert share_of(aircraft, "#b84f00", 0.2) > 3e-4
     assert not opened.complaints()
 
 
@@ -118,7 +118,7 @@ def test_gaps_are_empty_and_said(opened: Viewer, tmp_path: Path) -> None:
     picture = pixels(opened.picture(tabs[1]))
     width = picture.shape[1]
     within = slice(int(0.44 * width), int(0.56 * width))
-    for plot in (band(picture, 0.10, 0.47), band(picture, 0.53, 0.80)):
+    for plot in (band(picture, 0.09, 0.475), band(picture, 0.525, 0.805)):
         for name in ("measured", "simulated", "residual"):
             assert share_of(plot[:, within], COLOURS[name]) == 0.0
     lane = band(picture, 0.86, 0.91)[:, within]
