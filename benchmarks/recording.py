@@ -7,6 +7,7 @@ the same columns, which no viewer opens and which hold neither states nor layout
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -94,7 +95,10 @@ def opened_s(path: Path) -> float:
     """Until the viewer, without a window, has loaded a recording [s]; NaN where it cannot run."""
     from rerun.experimental import ViewerClient
 
-    client = ViewerClient.spawn(headless=True, port=9931, hide_welcome_screen=True)
+    folder = str(Path(sys.executable).parent)
+    client = ViewerClient.spawn(
+        headless=True, port=9931, hide_welcome_screen=True, executable_path=shutil.which("rerun", path=folder)
+    )
     try:
         client.get_state()
         start = time.perf_counter()
