@@ -73,6 +73,7 @@ PARTS = {
         "workflow",
         "fleet",
     },
+    "review": {"errors", "types", "detection", "outputs"},
     "workflow": {"errors", "aircraft", "servos", "detection", "feedback", "segment", "calibrating"},
     "cli": {
         "errors",
@@ -93,11 +94,15 @@ PARTS = {
         "bench",
         "explaining",
         "fleet",
+        "review",
         "trend",
     },
 }
 ONLY_IN = {
-    "rerun": {"servofd/outputs/explain_recording.py", "servofd/outputs/recording.py"},
+    "rerun": {
+        "servofd/outputs/explain_recording.py",
+        *(f"servofd/outputs/recording/{name}.py" for name in ("clock", "layout", "read", "scene", "stream", "write")),
+    },
     "matplotlib": {
         "servofd/outputs/figure.py",
         "servofd/outputs/audit_figures.py",
@@ -120,12 +125,15 @@ ONLY_IN = {
             "explain",
             "fleet",
             "identify",
+            "importer",
             "info",
             "odds",
+            "review",
             "servos",
             "simulate",
             "sweep",
             "trend",
+            "view",
         )
     },
     "numba": {
