@@ -27,6 +27,7 @@ from servofd.cli import (
     servos,
     simulate,
     sweep,
+    trend,
 )
 from servofd.cli.interrupt import interruptible
 from servofd.cli.tables import one_line
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 
 __all__ = ["main"]
 
+_VERBS = (info, config, calibrate, audit, fleet, trend, explain, sweep, odds, identify, simulate, servos, design)
 _COULD_NOT_TELL = 2
 _INTERRUPTED = 128 + signal.SIGINT
 
@@ -59,7 +61,21 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"servofd {__version__}")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
-    for verb in (info, config, calibrate, audit, fleet, explain, sweep, odds, identify, simulate, servos, design):
+    for verb in (
+        info,
+        config,
+        calibrate,
+        audit,
+        fleet,
+        trend,
+        explain,
+        sweep,
+        odds,
+        identify,
+        simulate,
+        servos,
+        design,
+    ):
         verb.add_parser(verbs)
     return parser
 
