@@ -86,7 +86,7 @@ def _when(one: dict[str, Any]) -> str:
 
 
 def _interval(estimate: dict[str, float], scale: float, digits: int) -> str:
-    value, low, high = (f"{scale * estimate[key]:.{digits}f}" for key in ("value", "low", "high"))
+    value, low, high = (f"{scale * estimate[key]:z.{digits}f}" for key in ("value", "low", "high"))
     return f"{value} [{low}, {high}]"
 
 
