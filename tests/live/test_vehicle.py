@@ -43,7 +43,7 @@ def test_it_flies_the_flight_that_the_file_simulator_writes() -> None:
         assert [row[f"servo{number}_raw"] for row in pulses] == written.tolist()
         told = [row["value"] for row in fields(sent, "NAMED_VALUE_FLOAT") if row["name"] == f"SRVP{number}"]
         stored = log[f"NAMED_VALUE_FLOAT[SRVP{number}].value"].values
-        assert np.array_equal(np.float32(told), np.float32(stored))
+        assert np.array_equal(np.asarray(told, np.float32), stored.astype(np.float32))
     assert [row["time_usec"] for row in pulses] == plane.time_us.tolist()
     assert next(row["roll"] for row in fields(sent, "ATTITUDE")) == pytest.approx(log["ATTITUDE.roll"].values[0])
 
