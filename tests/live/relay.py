@@ -41,6 +41,8 @@ class BadLink:
     now_s: float = 0.0
     lost: int = 0
     passed: int = 0
+    record: bytearray = field(default_factory=bytearray)
+    """Every byte that came in."""
     _held: list[bytes] = field(default_factory=list)
     _codec: Codec = field(default_factory=lambda: Codec(254, 1))
 
@@ -49,6 +51,7 @@ class BadLink:
 
     def through(self, datagram: bytes) -> list[bytes]:
         """What comes out at the other end for one that goes in."""
+        self.record += datagram
         if self.outages_s:
             self._follow(datagram)
         draw = self._rng.random(4)

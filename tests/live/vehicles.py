@@ -81,7 +81,12 @@ def until(happened: Callable[[], Any], what: str) -> Any:
 
 @contextmanager
 def flying(
-    endpoint: str, flight: SimulatedFlight | None = None, *, codec: Codec | None = None, **settings: Any
+    endpoint: str,
+    flight: SimulatedFlight | None = None,
+    *,
+    codec: Codec | None = None,
+    wait: bool = True,
+    **settings: Any,
 ) -> Iterator[list[Flown]]:
     """A vehicle in a thread that takes off when somebody speaks; what it counted is there after it has landed."""
     counted: list[Flown] = []
@@ -105,7 +110,7 @@ def flying(
 
     def run() -> None:
         speed = settings.get("speed", 1.0)
-        counted.append(fly(made, Stoppable(), codec or Codec(1, 1), speed=speed, wait=True))
+        counted.append(fly(made, Stoppable(), codec or Codec(1, 1), speed=speed, wait=wait))
 
     thread = threading.Thread(target=run)
     thread.start()
