@@ -102,6 +102,7 @@ ONLY_IN = {
             "odds",
             "servos",
             "simulate",
+            "stream",
             "sweep",
         )
     },
