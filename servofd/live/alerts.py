@@ -5,6 +5,7 @@ It never commands the vehicle.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from typing import TYPE_CHECKING, Any, Final
 
@@ -139,7 +140,7 @@ class Alerts:
         alarmed = any(monitor.standing for monitor in monitors.values())
         state = _STATE_CRITICAL if alarmed else _ACTIVE
         beat = {"type": _ONBOARD, "autopilot": _NO_AUTOPILOT, "system_status": state, "mavlink_version": 3}
-        boot_ms = int(vehicle_s * 1e3) % 2**32 if vehicle_s == vehicle_s else 0  # noqa: PLR0124 - NaN
+        boot_ms = int(vehicle_s * 1e3) % 2**32 if math.isfinite(vehicle_s) else 0
         names = _health_names(monitors)
         numbers: list[Message] = [
             ("NAMED_VALUE_FLOAT", {"time_boot_ms": boot_ms, "name": names[name], "value": health(monitor)})
