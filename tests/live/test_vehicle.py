@@ -274,8 +274,8 @@ def test_nothing_that_is_said_to_it_brings_it_down() -> None:
     rng = np.random.default_rng(4)
     plane, own = vehicle(), Codec(1, 1)
     answered: set[str] = set()
-    names = ("COMMAND_LONG", "COMMAND_INT", "REQUEST_DATA_STREAM", "PARAM_REQUEST_READ", "PARAM_SET", "TIMESYNC")
-    names += ("MISSION_REQUEST_LIST", "REMOTE_LOG_BLOCK_STATUS", "AUTOPILOT_VERSION_REQUEST", "PARAM_REQUEST_LIST")
+    names = ["COMMAND_LONG", "COMMAND_INT", "REQUEST_DATA_STREAM", "PARAM_REQUEST_READ", "PARAM_SET", "TIMESYNC"]
+    names += ["MISSION_REQUEST_LIST", "REMOTE_LOG_BLOCK_STATUS", "AUTOPILOT_VERSION_REQUEST", "PARAM_REQUEST_LIST"]
     for turn in range(plane.time_us.size):
         for name in names:
             layout = dialect().layouts[name]
@@ -297,7 +297,7 @@ def frame(layout: Layout, payload: bytes) -> bytes:
     body = bytes([len(payload), 0, 0, 0, 255, 190]) + layout.id.to_bytes(3, "little") + payload
     crc = x25crc(body)
     crc.accumulate(bytes([layout.seed]))
-    return b"\xfd" + body + crc.crc.to_bytes(2, "little")
+    return b"\xfd" + body + int(crc.crc).to_bytes(2, "little")
 
 
 @pytest.mark.parametrize(
