@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -89,6 +89,7 @@ def identify_logs(
     surface: str | None = None,
     method: Method = "response",
     order: int | None = None,
+    progress: Callable[[str], object] = str,
 ) -> Identification:
     """Identify a servo from one log, or the mean of several servos of one kind from a log of each.
 
@@ -100,7 +101,7 @@ def identify_logs(
         What the channels are.
     surface : str, optional
         Which servo of the logs.
-    method, order
+    method, order, progress
         As in `servofd.identification.identify.identify`.
 
     Raises
@@ -117,7 +118,8 @@ def identify_logs(
     tests = [bench_tests(path, aircraft, surface) for path in paths]
     labels = [str(path) for path in paths]
     sources = tuple(dict.fromkeys(test.source for one in tests for test in one))
-    result = identify([[test.segment for test in one] for one in tests], method=method, order=order, labels=labels)
+    segments = [[test.segment for test in one] for one in tests]
+    result = identify(segments, method=method, order=order, labels=labels, progress=progress)
     if not any(test.pulse_us is not None for one in tests for test in one):
         return replace(result, notes=(*sources, *result.notes))
     gain = result.servo.linear.gain

@@ -95,7 +95,7 @@ def stream(options: argparse.Namespace, flight: SimulatedFlight, aircraft: Aircr
         length_s = flight.time_s.size / rate_hz(flight)
         print(f"{endpoint}: system {settings.system}, {', '.join(flight.surfaces)}, {length_s:g} s; Ctrl-C ends it")
         sys.stdout.flush()
-        flown = fly(vehicle, link, codec, speed=settings.speed, wait=bool(options.wait))
+        flown = fly(vehicle, link, codec, wait=bool(options.wait))
     finally:
         link.close()
     if vehicle.dropped_rows:

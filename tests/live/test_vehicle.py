@@ -10,8 +10,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pymavlink.generator.mavcrc import x25crc
 
 import logparsers
+from logparsers.codec import Codec
+from logparsers.mavlink import Layout, dialect
 from servofd.errors import ConfigError
 from servofd.models.faults import Stuck
 from servofd.simulation.dataflash_writer import dataflash_log
@@ -265,6 +268,36 @@ def test_blocks_go_to_the_first_client_until_it_stops() -> None:
     assert 0 in [row["seqno"] for row in fields(plane.turn(1), "REMOTE_LOG_DATA_BLOCK")]
     plane.hear(status(STOP), 0)
     assert fields(plane.turn(2), "REMOTE_LOG_DATA_BLOCK") == []
+
+
+def test_nothing_that_is_said_to_it_brings_it_down() -> None:
+    rng = np.random.default_rng(4)
+    plane, own = vehicle(), Codec(1, 1)
+    answered: set[str] = set()
+    names = ["COMMAND_LONG", "COMMAND_INT", "REQUEST_DATA_STREAM", "PARAM_REQUEST_READ", "PARAM_SET", "TIMESYNC"]
+    names += ["MISSION_REQUEST_LIST", "REMOTE_LOG_BLOCK_STATUS", "AUTOPILOT_VERSION_REQUEST", "PARAM_REQUEST_LIST"]
+    for turn in range(plane.time_us.size):
+        for name in names:
+            layout = dialect().layouts[name]
+            payload = bytearray(rng.bytes(layout.size))
+            for key in {"target_system", "target_component"} & set(layout.fields):
+                payload[layout.fields[key].offset] = 1
+            if "command" in layout.fields:
+                number = layout.fields["command"]
+                payload[number.offset : number.offset + 2] = int(rng.integers(509, 521)).to_bytes(2, "little")
+            (heard,) = Codec(9, 9).decode(frame(layout, bytes(payload)))
+            for message in (*plane.hear(heard, int(plane.time_us[turn])), *plane.turn(turn)):
+                answered.add(message.name)
+                assert own.encode(*message)
+    assert answered >= {"COMMAND_ACK", "MESSAGE_INTERVAL", "AUTOPILOT_VERSION", "PARAM_VALUE", "MISSION_COUNT"}
+
+
+def frame(layout: Layout, payload: bytes) -> bytes:
+    """Frame of version 2 around any payload."""
+    body = bytes([len(payload), 0, 0, 0, 255, 190]) + layout.id.to_bytes(3, "little") + payload
+    crc = x25crc(body)
+    crc.accumulate(bytes([layout.seed]))
+    return b"\xfd" + body + int(crc.crc).to_bytes(2, "little")
 
 
 @pytest.mark.parametrize(

@@ -109,8 +109,7 @@ def flying(
             link.close()
 
     def run() -> None:
-        speed = settings.get("speed", 1.0)
-        counted.append(fly(made, Stoppable(), codec or Codec(1, 1), speed=speed, wait=wait))
+        counted.append(fly(made, Stoppable(), codec or Codec(1, 1), wait=wait))
 
     thread = threading.Thread(target=run)
     thread.start()

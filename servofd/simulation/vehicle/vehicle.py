@@ -123,7 +123,7 @@ class Vehicle:
         outputs_needed(flight)
         settings = settings or Settings()
         loop_hz = rate_hz(flight)
-        self.system = settings.system
+        self.system, self.speed = settings.system, settings.speed
         self.time_us: IntArray = microseconds(flight.time_s)
         """Time of the vehicle's clock at each turn of its loop [us], of shape (n,)."""
         known = parameters(flight, aircraft, VOLZ.name) | {
