@@ -14,7 +14,20 @@ import sys
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from servofd import __version__
-from servofd.cli import audit, calibrate, config, design, explain, identify, info, odds, servos, simulate, sweep
+from servofd.cli import (
+    audit,
+    calibrate,
+    config,
+    design,
+    explain,
+    identify,
+    info,
+    monitor,
+    odds,
+    servos,
+    simulate,
+    sweep,
+)
 from servofd.cli.interrupt import interruptible
 from servofd.cli.tables import one_line
 
@@ -46,7 +59,7 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"servofd {__version__}")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
-    for verb in (info, config, calibrate, audit, explain, sweep, odds, identify, simulate, servos, design):
+    for verb in (info, config, calibrate, audit, monitor, explain, sweep, odds, identify, simulate, servos, design):
         verb.add_parser(verbs)
     return parser
 

@@ -19,6 +19,8 @@ from servofd.errors import DesignError
 from servofd.segment import SLOWEST_RATE_HZ, WARM_UP_S, WARM_UP_STEPS, pace_steps
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from servofd.aircraft import Surface
     from servofd.detection.bank.isolate import Fault
     from servofd.detection.events import EventKind
@@ -87,6 +89,8 @@ class SurfaceMonitor:
     name: str
     surface: Surface
     model: ServoModel
+    listener: Callable[[str, Piece, FloatArray], None] | None = None
+    """Told of every piece: surface, piece, and the command at each of its samples [deg]."""
     reading: Reading | None = None
     problem: str = ""
     """Why this surface is not watched; empty if it is."""
@@ -344,6 +348,10 @@ class SurfaceMonitor:
         self._suspect(piece)
         last = int(residuals.time_s.size) - 1
         commands = self._stream.logged.commands().command_deg
+        if self.listener is not None:
+            held = np.searchsorted(self._stream.logged.time_s, residuals.time_s, side="right") - 1
+            asked_deg = commands[np.maximum(held, 0)] if commands.size else np.full(held.size, np.nan)
+            self.listener(self.name, piece, asked_deg)
         self.reading = Reading(
             float(residuals.time_s[last]),
             float(commands[-1]) if commands.size else float("nan"),

@@ -19,7 +19,9 @@ if TYPE_CHECKING:
     from servofd.aircraft import Aircraft
     from servofd.detection.events import Event, Look
     from servofd.detection.monitor import SurfaceMonitor
+    from servofd.detection.stream import Piece
     from servofd.live.alerts import Message
+    from servofd.types import FloatArray
 
 __all__ = ["Session", "stamped"]
 
@@ -64,6 +66,8 @@ class Session:
     send: Callable[[str, dict[str, Any]], None] | None = None
     alert: Callable[[str, dict[str, Any]], None] | None = None
     aside: bool = False
+    listener: Callable[[str, Piece, FloatArray], None] | None = None
+    """Told of every piece that was evaluated."""
     vehicles: dict[int, Vehicle] = field(default_factory=dict)
     strangers: set[int] = field(default_factory=set)
     """Systems that are heard, and that no aircraft file is for."""
@@ -108,6 +112,8 @@ class Session:
         """Evaluate what was taken, and do what is due."""
         events: list[Event] = []
         for vehicle in tuple(self.vehicles.values()):
+            for monitor in vehicle.monitors.values():
+                monitor.listener = self.listener
             mine = vehicle.evaluate()
             mine += vehicle.silence(arrival_now_s)
             mine += self._look(vehicle)
@@ -181,7 +187,7 @@ class Session:
 
     def _speak(self, vehicle: Vehicle, events: list[Event], now_s: float) -> None:
         """Alerts, and requests."""
-        alerts = self._alerts[vehicle.system]
+        alerts = self._alerts.setdefault(vehicle.system, Alerts())
         messages: list[Message] = [message for event in events for message in alerts.of(event, now_s)]
         messages += alerts.periodic(vehicle.monitors, vehicle.now_s, now_s)
         if self.alert is not None:

@@ -9,7 +9,7 @@ import contextlib
 import threading
 import time
 from collections import deque
-from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -90,10 +90,6 @@ class Receiver:
                 self.chunks.put((self.now_s(), data))
 
 
-class _Writes(Protocol):
-    def __call__(self, data: bytes) -> object: ...
-
-
 class Worker:
     """Writes or sends in a thread of its own; gives up, and says why, when that fails.
 
@@ -116,7 +112,7 @@ class Worker:
     ([b'one'], '')
     """
 
-    def __init__(self, write: _Writes, close: Callable[[], object], room: int = 20_000) -> None:
+    def __init__(self, write: Callable[[bytes], object], close: Callable[[], object], room: int = 20_000) -> None:
         self._write, self._close, self._stop = write, close, threading.Event()
         self.queue: Queue[bytes] = Queue(room)
         self.error = ""

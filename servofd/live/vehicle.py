@@ -90,6 +90,8 @@ class Vehicle:
     """Its own time [s]."""
     is_lost: bool = False
     autopilot: int | None = None
+    is_stream: bool = True
+    """False where samples of any channel are given directly."""
     _table: ChannelTable = field(init=False)
     _routes: dict[str, list[tuple[str, int]]] = field(default_factory=dict)
     _early: list[tuple[Heard, float]] = field(default_factory=list)
@@ -107,7 +109,7 @@ class Vehicle:
         if not self.monitors:
             raise ConfigError("the aircraft file names no measured channel: nothing can be watched")
         self._table = ChannelTable(self._routes)
-        if self._table.unknown:
+        if self._table.unknown and self.is_stream:
             raise ConfigError(
                 f"channel {self._table.unknown[0]!r} is none of a MAVLink stream; write for example "
                 "SERVO_OUTPUT_RAW.servo2_raw or NAMED_VALUE_FLOAT[SRVP2].value"
@@ -117,6 +119,11 @@ class Vehicle:
     def messages(self) -> set[str]:
         """Messages that carry its channels."""
         return self._table.messages
+
+    @property
+    def channels(self) -> list[str]:
+        """Names of its channels: commands first."""
+        return sorted(self._routes, key=lambda channel: min(role for _, role in self._routes[channel]))
 
     def hear(self, heard: Heard, arrival_s: float) -> list[Event]:
         """Take a message of this vehicle; what is to be told comes with `evaluate`, except about the link."""
