@@ -126,7 +126,6 @@ def test_what_it_cannot_do_it_says() -> None:
     assert plane.hear(command(400, 1), 0)[0].fields["result"] == UNSUPPORTED  # arming
     assert plane.hear(command(511, float("nan"), 1e5), 0)[0].fields["result"] == DENIED
     assert plane.hear(command(511, SERVO, 1e5, target_system=2), 0) == []
-    assert plane.hear(command(511, SERVO, 1e5, target_component=191), 0) == []
     assert plane.hear(command(511, SERVO, 1e5, sender=(1, 1)), 0) == []
     assert plane.hear(said("HEARTBEAT"), 0) == []
 
