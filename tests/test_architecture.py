@@ -131,6 +131,7 @@ ONLY_IN = {
             "review",
             "servos",
             "simulate",
+            "stream",
             "sweep",
             "trend",
             "view",
