@@ -74,10 +74,12 @@ PARTS = {
         "fleet",
     },
     "review": {"errors", "types", "detection", "outputs"},
+    "live": {"errors", "types", "aircraft", "detection"},
     "workflow": {"errors", "aircraft", "servos", "detection", "feedback", "segment", "calibrating"},
     "cli": {
         "errors",
         "types",
+        "live",
         "aircraft",
         "servos",
         "models",
@@ -101,6 +103,7 @@ PARTS = {
 ONLY_IN = {
     "rerun": {
         "servofd/outputs/explain_recording.py",
+        "servofd/outputs/live_recording.py",
         *(f"servofd/outputs/recording/{name}.py" for name in ("clock", "layout", "read", "scene", "stream", "write")),
     },
     "matplotlib": {
@@ -127,6 +130,8 @@ ONLY_IN = {
             "identify",
             "importer",
             "info",
+            "monitor",
+            "monitor_outputs",
             "odds",
             "review",
             "servos",
