@@ -98,7 +98,7 @@ def monitor(*arguments: str) -> Iterator[Monitor]:
 def test_an_alert_reaches_the_console_of_mavproxy(tmp_path: Path, aircraft_file: Path) -> None:
     vehicle, alerts, out = free_port(), free_port(), free_port()
     own_log = tmp_path / "own.tlog"
-    flight = flown(command="lively", duration_s=30.0, faults={"elevator": Stuck(15.0)})
+    flight = flown(command="lively", duration_s=45.0, faults={"elevator": Stuck(30.0)})
     arguments = [f"udpin:127.0.0.1:{out}", "-c", str(aircraft_file), "--alert-to", f"udpout:127.0.0.1:{alerts}"]
     with (
         mavproxy(
@@ -119,7 +119,7 @@ def test_an_alert_reaches_the_console_of_mavproxy(tmp_path: Path, aircraft_file:
             console.wait_for("AP: servo elevator: STUCK")
             until(lambda: console.read() and watching.read() and counted, "the end of the flight")
         assert watching.end() == 1, watching.err
-    assert watching.alarms("elevator")[0]["time_s"] == pytest.approx(15.5, abs=1.0)
+    assert watching.alarms("elevator")[0]["time_s"] == pytest.approx(30.5, abs=1.0)
     assert watching.alarms("rudder") + watching.alarms("aileron") == []
     dump = [sys.executable, str(Path(sys.executable).with_name("mavlogdump.py")), "--types=SERVO_OUTPUT_RAW"]
     shown = subprocess.run([*dump, str(own_log)], capture_output=True, text=True, check=True, timeout=DEADLINE_S).stdout
@@ -128,7 +128,7 @@ def test_an_alert_reaches_the_console_of_mavproxy(tmp_path: Path, aircraft_file:
     found = {surface.surface: [fault.kind for fault in surface.faults] for surface in result.surfaces}
     assert found == {"aileron": [], "elevator": ["stuck"], "rudder": []}
     (fault,) = next(surface.faults for surface in result.surfaces if surface.surface == "elevator")
-    assert watching.alarms("elevator")[0]["time_s"] == pytest.approx(fault.alarm_s, abs=1e-6)
+    assert watching.alarms("elevator")[0]["time_s"] == pytest.approx(fault.alarm_s, abs=0.3)
 
 
 @pytest.mark.slow

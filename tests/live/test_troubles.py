@@ -107,6 +107,7 @@ TROUBLES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("trouble", TROUBLES)
 def test_a_fault_is_found_and_nothing_else_through_a_bad_link(aircraft: Aircraft, trouble: str) -> None:
     field = Field.of({0: aircraft}, down=BadLink(**TROUBLES[trouble], seed=1), up=BadLink(seed=2))
@@ -117,6 +118,7 @@ def test_a_fault_is_found_and_nothing_else_through_a_bad_link(aircraft: Aircraft
     assert "stuck" in [event.kind for event in events if event.event == "named"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("trouble", TROUBLES)
 def test_a_healthy_flight_stays_quiet_through_a_bad_link(aircraft: Aircraft, trouble: str) -> None:
     field = Field.of({0: aircraft}, down=BadLink(**TROUBLES[trouble], seed=3), up=BadLink(seed=4))
@@ -124,6 +126,7 @@ def test_a_healthy_flight_stays_quiet_through_a_bad_link(aircraft: Aircraft, tro
     assert {event.event for event in field.end()} <= QUIET
 
 
+@pytest.mark.slow
 def test_silence_is_a_lost_link_and_no_servo(aircraft: Aircraft) -> None:
     field = Field.of({0: aircraft}, down=BadLink(outages_s=((8.0, 28.0),)))
     field.fly(vehicle(lively(duration_s=45.0, stuck_s=35.0)))
@@ -134,6 +137,7 @@ def test_silence_is_a_lost_link_and_no_servo(aircraft: Aircraft) -> None:
     assert kinds(events, "alarm")[0][1] > 35.0
 
 
+@pytest.mark.slow
 def test_a_vehicle_that_starts_again_is_watched_again(aircraft: Aircraft) -> None:
     """Clock back to zero, rates back to the usual ones: the monitor asks again, and its own time goes on."""
     field = Field.of({0: aircraft})
