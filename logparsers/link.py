@@ -115,7 +115,7 @@ class _UdpIn:
         self._peers: dict[Any, None] = {}
 
     def send(self, data: bytes) -> None:
-        for peer in self._peers:
+        for peer in tuple(self._peers):  # another thread may receive meanwhile
             with contextlib.suppress(OSError):
                 self._socket.sendto(data, peer)
 

@@ -58,10 +58,12 @@ PARTS = {
         "discrepancy",
         "sweep",
     },
+    "live": {"errors", "types", "aircraft", "detection"},
     "workflow": {"errors", "aircraft", "servos", "detection", "feedback", "segment", "calibrating"},
     "cli": {
         "errors",
         "types",
+        "live",
         "aircraft",
         "servos",
         "models",
@@ -80,7 +82,7 @@ PARTS = {
     },
 }
 ONLY_IN = {
-    "rerun": {"servofd/outputs/recording.py"},
+    "rerun": {"servofd/outputs/recording.py", "servofd/outputs/live_recording.py"},
     "matplotlib": {
         "servofd/outputs/figure.py",
         "servofd/outputs/identify_figures.py",
@@ -99,6 +101,8 @@ ONLY_IN = {
             "explain",
             "identify",
             "info",
+            "monitor",
+            "monitor_outputs",
             "odds",
             "servos",
             "simulate",

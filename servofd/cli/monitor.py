@@ -133,7 +133,7 @@ def _replay(options: argparse.Namespace, aircraft: Mapping[int, Aircraft]) -> Se
     path = Path(options.endpoint)
     with contextlib.ExitStack() as open_:
         log = logparsers.read(path, layout_of(next(iter(aircraft.values()))))
-        session = Session(Codec(0, options.component), aircraft)
+        session = Session(Codec(0, options.component), aircraft, is_stream=log.format == "tlog")
         outputs = open_.enter_context(Outputs.of(options, session, options.endpoint, aircraft))
         now_s = 0.0
         with contextlib.suppress(KeyboardInterrupt):

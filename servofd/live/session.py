@@ -65,6 +65,8 @@ class Session:
     store: Callable[[bytes], None] = lambda _: None
     send: Callable[[str, dict[str, Any]], None] | None = None
     alert: Callable[[str, dict[str, Any]], None] | None = None
+    is_stream: bool = True
+    """False for a log of another kind, whose samples are given directly."""
     aside: bool = False
     listener: Callable[[str, Piece, FloatArray], None] | None = None
     """Told of every piece that was evaluated."""
@@ -85,7 +87,7 @@ class Session:
 
     def __post_init__(self) -> None:
         for system, aircraft in self.aircraft.items():
-            vehicle = Vehicle(system, aircraft)
+            vehicle = Vehicle(system, aircraft, is_stream=self.is_stream)
             self._wanted[system] = vehicle.messages
             if system:
                 self._adopt(system, vehicle)
