@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.discrepancy.candidates import first_of_each, judgeable
 from servofd.discrepancy.fit import Fit, Fitter
 from servofd.discrepancy.noise import long_run_factor, noise_floor_deg
 from servofd.discrepancy.poles import PoleFitter
-from servofd.discrepancy.record import simulate
-from servofd.models.catalogue import CATALOGUE, Damping, PwmFrame, Quantization, SlowDynamics
+from servofd.discrepancy.steps import before_steps_deg, dithered
+from servofd.models.catalogue import Quantization
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -50,7 +51,6 @@ _SMALLEST_SIZE = 0.15
 _SURE_Z = 4.0
 _LEAST_SHARE, _LEAST_SHARE_OF_REST = 0.1, 0.05
 """Beside a large unexplained rest, an effect that takes away less of the gap names nothing."""
-_NODES = 15
 _EXCESS_WORTH = 0.06
 """The floor itself is uncertain by 3 %."""
 _EXCESS_OF_NOISE, _EXCESS_OF_GAP = 0.15, 0.02
@@ -72,6 +72,8 @@ class Selection:
     rungs: tuple[Rung, ...]
     ties: tuple[tuple[str, ...], ...]
     """Effects that the data cannot tell apart, the named one first."""
+    tied: tuple[tuple[Fit, ...], ...]
+    """For each of these the fits with another effect in the place of the named one, in the same order."""
     sigma_deg: float
     """Noise floor."""
     unjudged: tuple[type[MissingEffect], ...]
@@ -95,21 +97,6 @@ def _quietly(_step: str) -> None:
     """Tell nobody."""
 
 
-def judgeable(record: Record) -> tuple[list[type[MissingEffect]], list[type[MissingEffect]]]:
-    """Effects that this record can judge, and those that need something it does not hold."""
-    held = {
-        name
-        for name, values in (("airspeed_m_s", record.pressure_pa), ("servo_voltage_v", record.voltage_v))
-        if values is not None
-    }
-    able = [effect for effect in CATALOGUE if set(effect.needs) <= held]
-    unable = [effect for effect in CATALOGUE if effect not in able]
-    fitted = {SlowDynamics, Damping} if record.free_poles else set()
-    # Frames run on between separate runs, so that nobody knows when each of them began.
-    fitted |= {PwmFrame} if record.runs else set()
-    return [effect for effect in able if effect not in fitted], unable
-
-
 def select(record: Record, progress: Callable[[str], None] = lambda _step: None) -> Selection:
     """Find the effects that are missing.
 
@@ -128,17 +115,19 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     if len(best.effects) > _FEW or _rest_is_large(record, best, nominal):
         best = min(best, _grown(fitter, able, tried, _WIDE_BEAM, progress), key=lambda fit: _cost(record, fit))
     best = _ordered(fitter, _simplest(fitter, _convincing(fitter, _pruned(fitter, best), nominal), able, tried))
-    sigma = max(floor_of(record, best), _before_steps_deg(fitter, best))
+    sigma = max(floor_of(record, best), before_steps_deg(fitter, best))
     rungs = _rungs(fitter, nominal, best, tried, able)
-    ties = tuple(
-        (effect.name, *dict.fromkeys(fit.names[-1] for fit in equals))
+    equal = [
+        (effect, first_of_each(equals))
         for effect, equals in zip(best.effects, _equals(fitter, best, able, tried), strict=True)
         if equals
-    )
+    ]
+    ties = tuple((effect.name, *(fit.names[-1] for fit in equals)) for effect, equals in equal)
+    tied = tuple(fits for _, fits in equal)
     final, covariance = fitter.on_all(best)
     if rungs:
         rungs = (*rungs[:-1], Rung(final, rungs[-1].rivals))
-    return Selection(nominal, rungs, ties, sigma, tuple(unable), covariance, fitter)
+    return Selection(nominal, rungs, ties, tied, sigma, tuple(unable), covariance, fitter)
 
 
 def _grown(
@@ -381,10 +370,10 @@ def _simplest(fitter: Fitter, best: Fit, able: list[type[MissingEffect]], tried:
     margin = _EVEN_CHI_SQUARED * floor_of(fitter.record, best) ** 2
     for k, equals in enumerate(_equals(fitter, best, able, tried)):
         effect = best.effects[k]
-        before = [r for r in equals if CATALOGUE.index(r.effects[-1]) < CATALOGUE.index(effect)]
+        before = [r for r in equals if able.index(r.effects[-1]) < able.index(effect)]
         even = [r for r in before if r.total - best.total < margin or (effect.family == r.effects[-1].family != "")]
         if even:
-            return _simplest(fitter, min(even, key=lambda r: CATALOGUE.index(r.effects[-1])), able, tried)
+            return _simplest(fitter, min(even, key=lambda r: able.index(r.effects[-1])), able, tried)
     return best
 
 
@@ -401,34 +390,6 @@ def unexplained(selection: Selection, record: Record) -> bool:
     """Whether more is left than noise, and more than a rounding of what was there."""
     left = excess(record, selection.final, selection.sigma_deg)
     if Quantization in selection.final.effects:
-        left = min(left, *(left - more for more in _dithered(record, selection)))
+        left = min(left, *(left - more for more in dithered(selection.fitter, selection.final, selection.sigma_deg)))
     gap = excess(record, selection.nominal, selection.sigma_deg)
     return left > _EXCESS_OF_NOISE * selection.sigma_deg**2 and left > _EXCESS_OF_GAP * gap
-
-
-def _before_steps_deg(fitter: Fitter, fit: Fit) -> float:
-    """Noise before a converter with whole steps [deg], whose differences do not show it; 0 without such a converter."""
-    if Quantization not in fit.effects:
-        return 0.0
-    record, physics = fitter.record, fitter.physics(fit.effects, fit.values)
-    error = (record.measured_deg - simulate(record, physics._replace(output_step_deg=0.0)))[record.counts]
-    return float(np.sqrt(max(float(np.mean(error**2)) - physics.output_step_deg**2 / 12.0, 0.0)))
-
-
-def _dithered(record: Record, selection: Selection) -> list[float]:
-    """Variance that noise gains by being converted to whole steps [deg^2], which no model of the servo can remove.
-
-    Whole steps hide how large the noise was: for several sizes, up to a third of a step.
-    """
-    physics = Fitter(record).physics(selection.final.effects, selection.final.values)
-    step_deg = physics.output_step_deg
-    smooth = simulate(record, physics._replace(output_step_deg=0.0))[record.held_out]
-    nodes, weights = np.polynomial.hermite_e.hermegauss(_NODES)
-    gained = []
-    for sigma_deg in (selection.sigma_deg, 0.1 * step_deg, 0.2 * step_deg, 0.3 * step_deg):
-        variance = 0.0
-        for node, weight in zip(nodes, weights / weights.sum(), strict=True):
-            moved = np.round((smooth + node * sigma_deg) / step_deg) - np.round(smooth / step_deg)
-            variance += float(weight * np.mean(moved**2)) * step_deg**2
-        gained.append(max(variance - selection.sigma_deg**2, 0.0))
-    return gained
