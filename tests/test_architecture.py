@@ -97,7 +97,7 @@ PARTS = {
     },
 }
 ONLY_IN = {
-    "rerun": {"servofd/outputs/recording.py"},
+    "rerun": {"servofd/outputs/explain_recording.py", "servofd/outputs/recording.py"},
     "matplotlib": {
         "servofd/outputs/figure.py",
         "servofd/outputs/audit_figures.py",

@@ -22,6 +22,8 @@ _SHARE_OF_NOISE, _SHARE_OF_GAP = 0.03, 0.02
 _CHI_SQUARED = 30.0
 """And this much of the held-out error in units of the noise: 25 effects and their grids are tried each time."""
 _BLOCK_T = 3.0
+_ROOT_OF_12 = 3.4641016151377544
+"""Steps of a converter over the standard deviation of what they round away."""
 _USUAL_TRAVEL_DEG = 25.0
 """Of the surfaces for which the sizes of a linkage's curvature are typical."""
 _SMALLEST_SIZE = 0.15
@@ -33,7 +35,7 @@ _EXCESS_OF_NOISE, _EXCESS_OF_GAP = 0.15, 0.02
 
 def floor_of(record: Record, fit: Fit) -> float:
     """Noise floor as this fit shows it [deg]: that of a converter's steps at least, but no more than its own error."""
-    noise_deg = max(noise_floor_deg(record, fit.error_deg), (record.step_deg or 0.0) / 12.0**0.5)
+    noise_deg = max(noise_floor_deg(record, fit.error_deg), (record.step_deg or 0.0) / _ROOT_OF_12)
     return min(noise_deg, float(np.sqrt(fit.total / max(record.counts.sum(), 1))))
 
 

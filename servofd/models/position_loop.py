@@ -17,7 +17,7 @@ from numba import njit
 from servofd.models.physics import Loop, Physics
 from servofd.types import FloatArray
 
-__all__ = ["framed", "new_memory", "run", "step_matrices"]
+__all__ = ["framed", "heard", "new_memory", "run", "step_matrices"]
 
 _NO_STEP_S = 1e-10
 _SAME_STEP_S = 1e-9
@@ -26,22 +26,29 @@ _STILL_DEG = 1e-5
 _SLOTS, _MOST_BUILT = 4, 64
 """Matrices of that many lengths of step are kept; where the stamps jitter, none are made any more after so many."""
 _PER_DEG = math.pi / 180.0
-_STATES = 14
-_CLOCK, _Y, _V, _TORQUE, _U, _S, _WANTED, _FOLLOWED, _FLEXED, _SWING, _PLAYED, _STATIC, _LAGGED, _CURSOR = range(
-    _STATES
+_STATES = 15
+_CLOCK, _Y, _V, _TORQUE, _U, _S, _WANTED, _FOLLOWED, _FLEXED, _SWING, _PLAYED, _STATIC, _LAGGED, _CURSOR, _BUILT = (
+    range(_STATES)
 )
 
 
 def new_memory(start_deg: float) -> FloatArray:
-    """Memory of a servo at rest where its surface was measured [deg], shape (14,); `run` starts at its first instant.
+    """Memory of a servo at rest where its surface was measured [deg], shape (19,); `run` starts at its first instant.
 
-    Time [s], the loop's states, command in force and its slope, wanted set point, positions along the linkage, and how
-    many of the commands have taken effect.
+    Time [s], the loop's states, command in force and its slope, wanted set point, positions along the linkage, how
+    many of the commands have taken effect, and the lengths of step whose matrices are kept, so that a run in pieces
+    takes the same steps as the run in one go.
     """
-    memory = np.zeros(_STATES)
+    memory = np.zeros(_STATES + _SLOTS)
     memory[_CLOCK] = np.nan
+    memory[_STATES:] = -1.0
     memory[_STATIC] = start_deg
     return memory
+
+
+def heard(memory: FloatArray) -> int:
+    """How many of the commands of the last run have taken effect."""
+    return int(memory[_CURSOR])
 
 
 @njit(cache=True, error_model="numpy")
@@ -177,7 +184,7 @@ def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would tak
     closed, opened, grid_s, order = loop.closed, loop.opened, loop.grid_s, loop.order
     whole_s = grid_s * closed.shape[0]
     short_s = min(longest_s, whole_s)
-    built_s, built = np.full(_SLOTS, -1.0), 0
+    built_s, built = memory[_STATES:], int(memory[_BUILT])
     closed_slot, opened_slot = np.empty((_SLOTS, 3, 7)), np.empty((_SLOTS, 3, 7))
     # The last row, which is also that of slot -1, is for steps that are not kept.
     fades, fading = np.zeros((_SLOTS + 1, 3)), physics.lag_s > 0.0 or physics.resonance_hz > 0.0
@@ -209,6 +216,11 @@ def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would tak
         clock, y, v, torque, u = memory[_CLOCK], memory[_Y], memory[_V], memory[_TORQUE], memory[_U]
         s, wanted, followed, flexed = memory[_S], memory[_WANTED], memory[_FOLLOWED], memory[_FLEXED]
         swing, played, static, lagged = memory[_SWING], memory[_PLAYED], memory[_STATIC], memory[_LAGGED]
+    for slot in range(_SLOTS):
+        if built_s[slot] > 0.0:
+            _build(closed_slot, slot, closed, loop.closed_rate, grid_s, built_s[slot])
+            _build(opened_slot, slot, opened, loop.opened_rate, grid_s, built_s[slot])
+            _fade(fades, slot, physics.lag_s, natural, physics.resonance_damping, built_s[slot])
     edge = max(dead, insensitive)
     fastest, fastest_down = physics.follow_up_deg_s / dc_gain, physics.follow_down_deg_s / dc_gain
     lags = fastest < math.inf or fastest_down < math.inf
@@ -342,7 +354,7 @@ def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would tak
     memory[_CLOCK], memory[_Y], memory[_V], memory[_TORQUE], memory[_U] = clock, y, v, torque, u
     memory[_S], memory[_WANTED], memory[_FOLLOWED], memory[_FLEXED] = s, wanted, followed, flexed
     memory[_SWING], memory[_PLAYED], memory[_STATIC], memory[_LAGGED] = swing, played, static, lagged
-    memory[_CURSOR] = c
+    memory[_CURSOR], memory[_BUILT] = c, built
     return result
 
 
