@@ -18,12 +18,11 @@ __all__ = [
 ]  # fmt: skip
 
 _SHARE_OF_NOISE, _SHARE_OF_GAP = 0.03, 0.02
-"""An effect must take away this share of the noise variance, and of the gap that is left."""
+"""An effect must take away this share of the noise variance (the second twice as much, and so on: several effects bend
+to anything), and of the gap that is left."""
 _CHI_SQUARED = 30.0
 """And this much of the held-out error in units of the noise: 25 effects and their grids are tried each time."""
 _BLOCK_T = 3.0
-_ROOT_OF_12 = 3.4641016151377544
-"""Steps of a converter over the standard deviation of what they round away."""
 _USUAL_TRAVEL_DEG = 25.0
 """Of the surfaces for which the sizes of a linkage's curvature are typical."""
 _SMALLEST_SIZE = 0.15
@@ -35,7 +34,7 @@ _EXCESS_OF_NOISE, _EXCESS_OF_GAP = 0.15, 0.02
 
 def floor_of(record: Record, fit: Fit) -> float:
     """Noise floor as this fit shows it [deg]: that of a converter's steps at least, but no more than its own error."""
-    noise_deg = max(noise_floor_deg(record, fit.error_deg), (record.step_deg or 0.0) / _ROOT_OF_12)
+    noise_deg = max(noise_floor_deg(record, fit.error_deg), (record.step_deg or 0.0) / float(np.sqrt(12.0)))
     return min(noise_deg, float(np.sqrt(fit.total / max(record.counts.sum(), 1))))
 
 
@@ -61,7 +60,8 @@ def accepted(record: Record, base: Fit, fit: Fit, sigma: float) -> bool:
     gain = base.held_out - fit.held_out
     count = int(record.held_out.sum())
     gap = max(base.held_out - count * sigma**2, 0.0)
-    if gain < max(_SHARE_OF_NOISE * count * sigma**2, _SHARE_OF_GAP * gap) or base.train <= fit.train:
+    share = _SHARE_OF_NOISE * len(fit.effects)
+    if gain < max(share * count * sigma**2, _SHARE_OF_GAP * gap) or base.train <= fit.train:
         return False
     if record.runs and base.train - fit.train < _SHARE_OF_GAP * base.train:
         # What the fitted runs did not need cannot be told from the others' luck.

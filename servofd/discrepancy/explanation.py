@@ -10,7 +10,7 @@ import numpy as np
 from servofd.discrepancy.audit_gain import AuditGain, audit_gain
 from servofd.discrepancy.break_point import fault_start_s
 from servofd.discrepancy.checks import check
-from servofd.discrepancy.locate import sentences
+from servofd.discrepancy.locate import Block, blocks, sentences
 from servofd.discrepancy.record import joined, record_of
 from servofd.discrepancy.run_by_run import RunErrors, run_errors
 from servofd.discrepancy.select import Selection, select, unexplained
@@ -64,6 +64,11 @@ class Explanation:
     """Each of several runs as the others predict it."""
 
     @property
+    def blocks(self) -> tuple[Block, ...]:
+        """Every second of the log: how large the gap is there, and whether that is more than noise."""
+        return blocks(self.record, self.selection.nominal.error_deg, self.selection.sigma_deg)
+
+    @property
     def conclusion(self) -> Conclusion:
         """In a word."""
         left = unexplained(self.selection, self.record)
@@ -105,6 +110,7 @@ class Explanation:
             "noise_floor_rms_deg": selection.sigma_deg,
             "nominal": self.rms_deg(selection.nominal),
             "where": list(self.where),
+            "bad_seconds": [block.start_s for block in self.blocks if block.bad],
             "steps": [
                 {
                     "effect": rung.fit.names[-1],

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from servofd.detection.audit import audit_segment
+from servofd.detection.audit import audit_segment, judged_by
 from servofd.outputs.recording.content import Recording
 
 if TYPE_CHECKING:
@@ -54,11 +54,12 @@ def _judged(
     recording: Recording, surface: SurfaceAudit, threshold_deg: float | None, threshold: ThresholdKind | None
 ) -> SurfaceAudit:
     trace = recording.traces.get(surface.surface)
+    known = recording.audit.aircraft.surfaces[surface.surface]
     if trace is None or trace.time_s.size < 2:
-        return surface
-    period_s = recording.audit.aircraft.surfaces[surface.surface].command_period_s
+        asked = judged_by(known, threshold_deg, threshold)
+        return replace(surface, threshold_kind=asked.threshold, threshold_deg=asked.threshold_deg)
     return audit_segment(
-        trace.segment(surface.surface, period_s),
+        trace.segment(surface.surface, known.command_period_s),
         recording.audit.aircraft,
         duration_s=recording.audit.log.duration_s,
         threshold_deg=threshold_deg,

@@ -167,6 +167,18 @@ def test_the_page_about_aircraft_files_names_every_effect_and_parameter() -> Non
             assert f"`{word}`" in page, effect.key()
 
 
+def test_the_page_on_simulation_shows_what_its_commands_print(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shown = blocks((ROOT / "docs" / "simulate.md").read_text(), "console")
+    assert len(shown) == 2
+    for block in shown:
+        command, output = block.removeprefix("$ servofd ").split("\n", 1)
+        assert main(shlex.split(command)) == 0
+        assert re.fullmatch(re.escape(output).replace(r"\.\.\.", ".*"), capsys.readouterr().out)
+
+
 def test_the_aircraft_files_of_the_documentation_are_valid(tmp_path: Path) -> None:
     first, judging, effects, servo, table, appendix_c = blocks((ROOT / "docs" / "aircraft-file.md").read_text(), "toml")
     config = tmp_path / "plane.toml"
