@@ -18,7 +18,11 @@ def judgeable(record: Record) -> tuple[list[type[MissingEffect]], list[type[Miss
     """Effects that this record can judge, and those that need something it does not hold."""
     held = {
         name
-        for name, values in (("airspeed_m_s", record.pressure_pa), ("servo_voltage_v", record.voltage_v))
+        for name, values in (
+            ("airspeed_m_s", record.pressure_pa),
+            ("servo_voltage_v", record.voltage_v),
+            ("servo_current_a", record.current_a),
+        )
         if values is not None
     }
     own = (record.own.missing_effect(),) if record.own else ()
@@ -26,7 +30,7 @@ def judgeable(record: Record) -> tuple[list[type[MissingEffect]], list[type[Miss
     unable = [effect for effect in CATALOGUE if effect not in able]
     fitted = {SlowDynamics, Damping} if record.free_poles else set()
     # Frames run on between separate runs, so that nobody knows when each of them began.
-    fitted |= {PwmFrame} if record.runs else set()
+    fitted |= {PwmFrame} if record.runs or record.free_poles else set()
     return [effect for effect in able if effect not in fitted], unable
 
 

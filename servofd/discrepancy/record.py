@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.detection.residual import Commands, commands_at_servo, lost_commands
+from servofd.discrepancy.noise import comb_step_deg
 from servofd.models.physics import Physics, Plant, longest_step_s, plant_of
 
 if TYPE_CHECKING:
@@ -54,6 +55,10 @@ class Record:
     """Dynamic pressure."""
     voltage_v: FloatArray | None = None
     """Supply of the servo."""
+    current_a: FloatArray | None = None
+    """Drawn by the servo."""
+    step_deg: float | None = None
+    """Of the converter whose whole multiples the positions are."""
     runs: tuple[Record, ...] = ()
     """Separate experiments with one servo that this record is the sequence of; none if it is one itself."""
     free_poles: bool = False
@@ -136,8 +141,20 @@ def record_of(
         pressure_pa = context.pressure_pa(time_s)
     if voltage_v is None and "servo_voltage_v" in context.logged:
         voltage_v = context.supply_v(time_s)
+    current_a = context.drawn_a(time_s) if "servo_current_a" in context.logged else None
     return Record(
-        plant, commands, time_s, measured_deg, counts, block, pressure_pa, voltage_v, free_poles=free_poles, own=own
+        plant,
+        commands,
+        time_s,
+        measured_deg,
+        counts,
+        block,
+        pressure_pa,
+        voltage_v,
+        current_a,
+        comb_step_deg(measured_deg),
+        free_poles=free_poles,
+        own=own,
     )
 
 
@@ -172,6 +189,8 @@ def joined(records: Sequence[Record]) -> Record:
         np.concatenate(blocks),
         _context([each.pressure_pa for each in runs]),
         _context([each.voltage_v for each in runs]),
+        _context([each.current_a for each in runs]),
+        records[0].step_deg,
         tuple(runs),
         records[0].free_poles,
         records[0].own,
@@ -242,6 +261,8 @@ def simulate(record: Record, physics: Physics) -> FloatArray:
         nothing if record.voltage_v is None else record.voltage_v,
         new_memory(start_deg),
     )
+    if physics.deg_per_a != 0.0 and record.current_a is not None:
+        position_deg = position_deg + physics.deg_per_a * record.current_a
     if record.own is not None:
         position_deg = record.own.changed("deflection", physics, record.time_s, position_deg)
     return position_deg

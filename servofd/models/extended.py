@@ -159,6 +159,8 @@ class ExtendedMotion:
             self.context.supply_v(at_s),
             self._memory,
         )
+        if physics.deg_per_a != 0.0:
+            position_deg = position_deg + physics.deg_per_a * self.context.drawn_a(at_s)
         if physics.frame_s <= 0.0:
             done = heard(self._memory)
             self._in_force = self._waiting[:, :done][:, -1:] if done else self._in_force

@@ -75,6 +75,8 @@ class Physics(NamedTuple):
     rate_down_deg_s: float = math.inf
     deg_s_per_v: float = math.inf
     """Rate limit per volt of supply."""
+    knee_deg: float = math.inf
+    """Position error beyond which the torque grows as its root: a supply that cannot give more current."""
     friction_deg: float = 0.0
     load_friction: float = 0.0
     """Friction as a share of the motor's effort."""
@@ -97,6 +99,8 @@ class Physics(NamedTuple):
     bias_deg: float = 0.0
     lag_s: float = 0.0
     output_step_deg: float = 0.0
+    deg_per_a: float = 0.0
+    """How far the reading moves with the current that the servo draws, on a supply that it shares with its sensor."""
     offset_s: float = 0.0
     """How much too late positions are stamped."""
     own_1: float = math.nan
@@ -108,7 +112,7 @@ class Physics(NamedTuple):
     @property
     def is_linear_loop(self) -> bool:
         """Whether nothing needs shorter steps than the events themselves."""
-        here, plain = self[8:27], Physics()[8:27]
+        here, plain = self[8:28], Physics()[8:28]
         return here == plain and self.lag_s == 0.0 and math.isinf(self.set_point_deg_s)
 
 

@@ -198,7 +198,8 @@ def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would tak
     loaded = physics.airload_per_pa != 0.0 or physics.droop_deg != 0.0
     stop_upper, stop_lower = physics.stop_upper_deg / dc_gain, physics.stop_lower_deg / dc_gain
     natural, half = 2.0 * math.pi * physics.resonance_hz, 0.5 * physics.backlash_deg
-    slews = physics.set_point_deg_s < math.inf
+    slews, rooted = physics.set_point_deg_s < math.inf, physics.knee_deg < math.inf
+    knee = physics.knee_deg / dc_gain
     c = 0
     if math.isnan(memory[_CLOCK]):
         start_deg, clock = memory[_STATIC], at_s[0]
@@ -223,7 +224,7 @@ def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would tak
     edge = max(dead, insensitive)
     fastest, fastest_down = physics.follow_up_deg_s / dc_gain, physics.follow_down_deg_s / dc_gain
     lags = fastest < math.inf or fastest_down < math.inf
-    if slews or physics.load_friction > 0.0 or natural > 0.0 or physics.lag_s > 0.0:
+    if slews or rooted or physics.load_friction > 0.0 or natural > 0.0 or physics.lag_s > 0.0:
         whole_s = min(2.0 * short_s, whole_s)
     for n in range(at_s.size):
         now = at_s[n]
@@ -260,6 +261,8 @@ def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would tak
                     bent = max(error - dead, 0.0) + min(error + dead, 0.0)
                     if abs(error) < insensitive:
                         bent = 0.0
+                if rooted:
+                    bent /= math.sqrt(1.0 + abs(bent) / knee)
                 held = bent > most or bent < least or (bends and bent == 0.0)
                 pushed = max(min(bent, most), least) if held else bent - error
                 load = 0.0
@@ -280,7 +283,9 @@ def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would tak
                 if rubs:
                     limit = friction
                     if physics.load_friction > 0.0:
-                        limit += physics.load_friction * (abs(torque) if order == 3 else abs(bent) * per_error)
+                        limit += physics.load_friction * (
+                            abs(torque) if order == 3 else abs(max(min(bent, most), least)) * per_error
+                        )
                     steps = opened if held else closed
                     # Response to a deceleration: exact on the grid, in proportion to the time between.
                     k = min(max(int(h / grid_s + 0.5), 1), steps.shape[0]) - 1
