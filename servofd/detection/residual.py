@@ -26,7 +26,7 @@ from servofd.segment import pace_steps
 
 if TYPE_CHECKING:
     from servofd.detection.starts import Starts
-    from servofd.models.extended import ExtendedServo
+    from servofd.models.extended import ExtendedMotion, ExtendedServo
     from servofd.models.kernel import FilterParameters
     from servofd.models.servo_model import ServoModel
     from servofd.segment import Segment
@@ -39,6 +39,7 @@ __all__ = [
     "Rhythm",
     "commands_at_servo",
     "followed",
+    "go_on",
     "lost_commands",
     "rhythm",
 ]
@@ -270,16 +271,30 @@ def followed(
         2 where the servo has to start anew, as `servofd.detection.starts` marks it.
     """
     from servofd.models.extended import ExtendedMotion
+
+    return go_on(ExtendedMotion(servo), commands, np.zeros(1, dtype=np.int64), at_s, measured_deg, restart)
+
+
+def go_on(
+    motion: ExtendedMotion,
+    commands: Commands,
+    cursor: IntArray,
+    at_s: FloatArray,
+    measured_deg: FloatArray,
+    restart: NDArray[np.int8],
+) -> FloatArray:
+    """The same for the next positions of a flight, shape (n,); `cursor[0]` counts the commands that were heard."""
     from servofd.models.kernel import RESTART_ALL
 
     simulated_deg = np.empty(at_s.size)
-    begins = np.union1d(np.flatnonzero(restart == RESTART_ALL), [0])
-    for begin, end in zip(begins, np.append(begins[1:], at_s.size), strict=True):
-        motion = ExtendedMotion(servo, float(measured_deg[begin]))
-        first = max(int(np.searchsorted(commands.effective_s, at_s[begin], side="right")) - 1, 0)
-        last = int(np.searchsorted(commands.effective_s, at_s[end - 1], side="right"))
-        span = slice(first, last)
+    begins = np.union1d(np.flatnonzero(restart == RESTART_ALL), [0]) if at_s.size else np.zeros(0, dtype=np.int64)
+    for begin, end in zip(begins, np.append(begins[1:], at_s.size), strict=False):
+        last = max(int(np.searchsorted(commands.effective_s, at_s[end - 1], side="right")), int(cursor[0]))
+        span = slice(int(cursor[0]), last)
         motion.hear(commands.effective_s[span], commands.command_deg[span], commands.slope_deg_s[span])
+        cursor[0] = last
+        if restart[begin] == RESTART_ALL:
+            motion.rest(float(at_s[begin]), float(measured_deg[begin]))
         simulated_deg[begin:end] = motion.at(at_s[begin:end])
     return simulated_deg
 
