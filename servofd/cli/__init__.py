@@ -20,6 +20,7 @@ from servofd.cli import (
     config,
     design,
     explain,
+    fleet,
     identify,
     info,
     odds,
@@ -36,9 +37,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 __all__ = ["main"]
-
-_VERBS = (info, config, calibrate, audit, view, review, explain, sweep, odds, identify, simulate, servos, design)
-"""In the order in which the help shows them."""
 
 _COULD_NOT_TELL = 2
 _INTERRUPTED = 128 + signal.SIGINT
@@ -68,6 +66,7 @@ def build_parser() -> argparse.ArgumentParser:
         config,
         calibrate,
         audit,
+        fleet,
         view,
         review,
         explain,

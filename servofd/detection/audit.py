@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from servofd.aircraft import Aircraft, Surface
     from servofd.detection.bank.isolate import Fault
     from servofd.detection.threshold import Threshold, ThresholdKind
+    from servofd.models.servo_model import ServoModel
 
 __all__ = ["LogAudit", "Statistics", "Status", "SurfaceAudit", "audit_log", "audit_segment", "judged_by"]
 
@@ -94,6 +95,16 @@ class LogAudit:
         """Surfaces that were expected to be judged and could not be."""
         return tuple(s for s in self.surfaces if s.expected and not s.is_judged)
 
+    @property
+    def untold(self) -> str:
+        """Why there is no verdict on the log as a whole, in one line; empty if there is one."""
+        if self.has_fault or (not self.unjudged and any(s.is_judged for s in self.surfaces)):
+            return ""
+        missing = self.unjudged or self.surfaces
+        if not any(s.is_judged for s in self.surfaces) and all(s.status == "no_data" for s in missing):
+            return f"no measured deflection to judge: {missing[0].surface}: {missing[0].reason}"
+        return "could not judge " + "; ".join(f"{s.surface}: {s.reason}" for s in missing)
+
 
 def audit_log(
     log: FlightLog,
@@ -102,6 +113,7 @@ def audit_log(
     threshold_deg: float | None = None,
     threshold: ThresholdKind | None = None,
     surfaces: tuple[str, ...] = (),
+    threads: int | None = None,
     progress: Callable[[str], None] = lambda _surface: None,
 ) -> LogAudit:
     """Judge the surfaces of one log.
@@ -118,6 +130,8 @@ def audit_log(
         Kind of threshold for all surfaces; each has its own in the aircraft.
     surfaces : tuple of str
         Which to judge; all if empty.
+    threads : int, optional
+        How many surfaces are judged at a time; one per core if None.
     progress : callable
         Called with the name of each surface that is done.
 
@@ -156,7 +170,7 @@ def audit_log(
         return verdict
 
     # The kernel runs without the interpreter's lock.
-    with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
+    with ThreadPoolExecutor(max_workers=threads or os.cpu_count()) as pool:
         return LogAudit(log, aircraft, tuple(pool.map(one, chosen)))
 
 
@@ -211,6 +225,7 @@ def audit_segment(
     except DesignError as error:
         return verdict(status="unknown", reason=str(error), segment=segment)
     segment, residuals, notes = prepared(generator, segment)
+    notes = (*notes, *_left_out(generator.model, segment))
     judged_s = _judged_s(residuals, generator.longest_gap_s(segment))
     if judged_s < _SHORTEST_JUDGED_S:
         reason_text = f"only {judged_s:.1f} s of command and position together; {_SHORTEST_JUDGED_S:g} s are needed"
@@ -269,6 +284,17 @@ def _verdict_on(name: str, surface: Surface, *, expected: bool) -> partial[Surfa
         threshold_deg=surface.threshold_deg,
         expected=expected,
     )
+
+
+_LACKING = {
+    "airspeed_m_s": "the log holds no airspeed: the load of the air is left out of the model",
+    "servo_voltage_v": "the log holds no supply voltage: the rate that it limits is left out of the model",
+}
+
+
+def _left_out(model: ServoModel, segment: Segment) -> tuple[str, ...]:
+    """Which effects of the model act as if there were none, for want of what they depend on."""
+    return tuple(_LACKING[need] for need in sorted(model.needs - segment.context.logged))
 
 
 def _is_expected(log: FlightLog, aircraft: Aircraft, name: str) -> bool:
