@@ -15,8 +15,7 @@ from servofd.outputs.recording.surface import send_seconds
 
 if TYPE_CHECKING:
     from servofd.models.context import Context
-    from servofd.models.context import NO_CONTEXT
-from servofd.outputs.recording.airframe import Hinge
+    from servofd.outputs.recording.airframe import Hinge
     from servofd.outputs.recording.content import Recording, Trace
     from servofd.outputs.recording.stream import Recorder
     from servofd.types import FloatArray
