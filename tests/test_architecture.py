@@ -74,10 +74,12 @@ PARTS = {
         "fleet",
     },
     "review": {"errors", "types", "detection", "outputs"},
+    "live": {"errors", "types", "aircraft", "detection"},
     "workflow": {"errors", "aircraft", "servos", "detection", "feedback", "segment", "calibrating"},
     "cli": {
         "errors",
         "types",
+        "live",
         "aircraft",
         "servos",
         "models",
@@ -93,14 +95,16 @@ PARTS = {
         "identification",
         "bench",
         "explaining",
-        "review",
         "fleet",
+        "review",
         "trend",
     },
 }
 ONLY_IN = {
     "rerun": {
-        f"servofd/outputs/recording/{name}.py" for name in ("clock", "layout", "read", "scene", "stream", "write")
+        "servofd/outputs/explain_recording.py",
+        "servofd/outputs/live_recording.py",
+        *(f"servofd/outputs/recording/{name}.py" for name in ("clock", "layout", "read", "scene", "stream", "write")),
     },
     "matplotlib": {
         "servofd/outputs/figure.py",
@@ -126,10 +130,13 @@ ONLY_IN = {
             "identify",
             "importer",
             "info",
+            "monitor",
+            "monitor_outputs",
             "odds",
             "review",
             "servos",
             "simulate",
+            "stream",
             "sweep",
             "trend",
             "view",

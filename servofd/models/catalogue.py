@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["CATALOGUE", "Context", "MissingEffect", "Parameter", "effects_named", "installed"]
 
-Context = Literal["airspeed_m_s", "servo_voltage_v"]
+Context = Literal["airspeed_m_s", "servo_voltage_v", "servo_current_a"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +99,7 @@ def installed(physics: Physics, effects: Sequence[type[MissingEffect]], values: 
     return physics._replace(**changes)
 
 
-_SPLIT = Parameter("torque_share", ("torque_share",), 0.35, 0.97, 0.8, 0.2, (0.65, 0.9), aside=True)
+_SPLIT = Parameter("torque_share", ("torque_share",), 0.35, 0.97, 0.8, 0.2, (0.8,), aside=True)
 """Where in the motor a load acts is not in the servo's poles."""
 _INFINITE = float("inf")
 _UNFOLLOWED = {"follow_up_deg_s": _INFINITE, "follow_down_deg_s": _INFINITE}
@@ -208,6 +208,17 @@ class VoltageRate(MissingEffect):
     )
 
 
+class CurrentLimit(MissingEffect):
+    """Supply that cannot give more current: the torque grows with the root of large position errors.
+
+    The duty cycle is proportional to the error, and what the bridge draws from a limited supply to its square
+    (Rhoban's bam notes the same law for XL330 servos); linear well below the knee.
+    """
+
+    name, place = "current_limit", Place.SERVO
+    parameters = (Parameter("knee_deg", ("knee_deg",), 0.3, 1e3, 1e3, 300.0, (1.0, 3.0, 8.0, 20.0, 50.0)),)
+
+
 class DeadBand(MissingEffect):
     """Position error that the servo's controller ignores, counted from the edge."""
 
@@ -229,7 +240,7 @@ class Backlash(MissingEffect):
 
     name, place = "backlash", Place.LINKAGE
     family = "hysteresis"
-    parameters = (Parameter("width_deg", ("backlash_deg",), 0.0, 20.0, 0.0, 0.3, _WIDTHS_DEG),)
+    parameters = (Parameter("width_deg", ("backlash_deg",), 0.0, 8.0, 0.0, 0.3, _WIDTHS_DEG),)
 
 
 class Friction(MissingEffect):
@@ -318,6 +329,13 @@ class Quantization(MissingEffect):
     parameters = (Parameter("step_deg", ("output_step_deg",), 0.02, 10.0, 0.0, 0.1, _STEPS_DEG, True),)
 
 
+class SupplyCoupling(MissingEffect):
+    """Reading that moves with the servo's current, because both hang on one supply: nothing has moved."""
+
+    name, place, needs = "supply_coupling", Place.SENSOR, ("servo_current_a",)
+    parameters = (Parameter("deg_per_a", ("deg_per_a",), -20.0, 20.0, 0.0, 0.3, (-1.0, 1.0)),)
+
+
 class CommandSteps(MissingEffect):
     """Steps of the command."""
 
@@ -374,9 +392,11 @@ CATALOGUE: tuple[type[MissingEffect], ...] = (
     PwmFrame,
     Quantization,
     CommandSteps,
+    SupplyCoupling,
     Damping,
     GravityLoad,
     LoadFriction,
+    CurrentLimit,
     AsymmetricRate,
     LinkageNonlinearity,
     Resonance,

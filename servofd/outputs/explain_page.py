@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 __all__ = ["explain_page"]
 
+_MOST_RIVALS = 5
 _STATUS = {"nothing_missing": "healthy", "explained": "healthy", "partly_explained": "suspect", "unexplained": "fault"}
 
 
@@ -61,7 +62,7 @@ def _surface(found: Explanation, anchor: str, thresholds: Sequence[tuple[str, st
         "rivals": [
             (_name(step), rival["effect"].replace("_", " "), _number(rival["held_out_rms_deg"]))
             for step in document["steps"]
-            for rival in step["rivals"]
+            for rival in step["rivals"][:_MOST_RIVALS]
         ],
         "regimes": [
             (r.name, f"{r.share:.0%}", _number(r.before_deg), _number(r.after_deg), _number(selection.sigma_deg))
