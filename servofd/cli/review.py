@@ -98,6 +98,7 @@ def _check(options: argparse.Namespace, paths: list[Path]) -> None:
 def _read(path: Path, options: argparse.Namespace) -> Recording:
     """Read one recording and change it as was asked for."""
     from servofd.outputs.recording.read import read_recording
+    from servofd.outputs.recording.verdicts import LIVE
 
     if options.repair:
         from servofd.outputs.recording.repair import repair_recording
@@ -105,7 +106,7 @@ def _read(path: Path, options: argparse.Namespace) -> Recording:
         repair_recording(path, options.output)
         path = Path(options.output)
     recording = read_recording(path)
-    if options.threshold_deg is not None or options.threshold:
+    if options.threshold_deg is not None or options.threshold or LIVE in recording.notes:
         from servofd.review.rejudge import rejudged
 
         recording = rejudged(recording, threshold_deg=options.threshold_deg, threshold=options.threshold)
