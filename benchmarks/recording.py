@@ -133,9 +133,8 @@ def main() -> None:
         some_s = min(LOGGED_S, duration_s)
         by_value_s = cost_s(lambda: write_by_value(recording, folder / "b.rrd", some_s), 1) * duration_s / some_s
         size = (folder / "b.rrd").stat().st_size / (some_s * RATE_HZ * SURFACES * CHANNELS)
-        print(
-            f"{'rerun.log per value':22} write {by_value_s:7.0f} s ({by_value_s / base[1]:6.0f} x)   {size:24.1f} B/scalar"
-        )
+        ratio = by_value_s / base[1]
+        print(f"{'rerun.log per value':22} write {by_value_s:7.0f} s ({ratio:6.0f} x)   {size:24.1f} B/scalar")
         subprocess.run([sys.executable, "-m", "rerun_cli", "rrd", "verify", str(path)], check=True)
         print(f"opened by the viewer after {opened_s(path):.2f} s")
 

@@ -103,7 +103,7 @@ def _overview(names: Sequence[str], shown: Sequence[str]) -> Any:  # noqa: ANN40
         axis_y=rrb.ScalarAxis(range=(0.0, 5.0)),
         plot_legend=rrb.PlotLegend(corner="LeftTop"),
     )
-    lane_share = 0.6 + 0.35 * len(shown)
+    lane_share = 0.8 + 0.4 * len(shown)
     return rrb.Vertical(lanes, ratios, below, row_shares=[lane_share, 3, 2.6], name="Overview")
 
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from servofd.outputs.recording.stream import Recorder
     from servofd.types import FloatArray
 
-__all__ = ["DEFLECTIONS", "RESIDUALS", "plot_range", "send_surface"]
+__all__ = ["DEFLECTIONS", "RESIDUALS", "plot_range", "send_seconds", "send_surface"]
 
 DEFLECTIONS = ("command", "simulated", "measured")
 RESIDUALS = ("residual", "+threshold", "-threshold")
@@ -101,13 +101,13 @@ def _send_curves(recorder: Recorder, place: str, trace: Trace) -> None:
 
 def _send_commands(recorder: Recorder, place: str, trace: Trace) -> None:
     """Commands on their own time stamps, unless each came with a measurement: then the curve has them all."""
-    _send_seconds(recorder, f"{place}/seconds", trace.time_s)
+    send_seconds(recorder, f"{place}/seconds", trace.time_s)
     if not np.array_equal(trace.asked_s, trace.time_s):
         recorder.scalars(f"{place}/command", trace.asked_s, trace.asked_deg)
-        _send_seconds(recorder, f"{place}/command_seconds", trace.asked_s)
+        send_seconds(recorder, f"{place}/command_seconds", trace.asked_s)
 
 
-def _send_seconds(recorder: Recorder, place: str, time_s: FloatArray) -> None:
+def send_seconds(recorder: Recorder, place: str, time_s: FloatArray) -> None:
     """Time stamps that are no whole microseconds (a log of 32-bit floats), so that they can be read back exactly."""
     if np.any(seconds(microseconds(time_s)) != time_s):
         recorder.scalars(place, time_s, time_s)
