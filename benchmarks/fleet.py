@@ -22,7 +22,18 @@ if TYPE_CHECKING:
 
     from servofd.types import FloatArray
 
-__all__ = ["KINDS", "SIZES", "STYLES", "FleetFlight", "FleetServo", "Truth", "cases", "deflection", "flight"]
+__all__ = [
+    "KINDS",
+    "SIZES",
+    "STYLES",
+    "FleetFlight",
+    "FleetServo",
+    "Truth",
+    "any_servo",
+    "cases",
+    "deflection",
+    "flight",
+]
 
 STYLES = ("lively", "calm", "chirp", "hand_flown", "cruise")
 SIZES: dict[str, tuple[str, dict[str, float]]] = {
@@ -111,15 +122,17 @@ def flight(
     *,
     duration_s: float = 120.0,
     rate_hz: float = 100.0,
+    servo: FleetServo | None = None,
 ) -> FleetFlight:
-    """Fly one servo once. Up to its fault it is the flight of the same seed and style without a fault.
+    """Fly one servo once, drawn or given. Up to its fault it is the flight of the same seed and style without a fault.
 
     >>> one = flight(1, "lively", "stuck", "large")
     >>> one.truth.kind, 2.0 <= one.truth.start_s <= 118.0
     ('stuck', True)
     """
     rng = np.random.default_rng([seed, STYLES.index(style)])
-    servo = _servo(rng)
+    drawn = any_servo(rng)
+    servo = servo or drawn
     grid_s = np.arange(round(duration_s * rate_hz)) / rate_hz
     given_deg = COMMANDS[style](grid_s, rng)
     given_s = np.maximum(grid_s + rng.uniform(-servo.jitter_s, servo.jitter_s, grid_s.size), 0.0)
@@ -165,7 +178,7 @@ def deflection(servo: FleetServo, given_s: FloatArray, given_deg: FloatArray, tr
     return moved_deg
 
 
-def _servo(rng: np.random.Generator) -> FleetServo:
+def any_servo(rng: np.random.Generator) -> FleetServo:
     """Production scatter, and cheap telemetry: 12 or 10 bits for 180 deg."""
     return FleetServo(
         gain=rng.uniform(0.97, 1.03),

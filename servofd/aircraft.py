@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from servofd.calibration import Calibration, DegreeCalibration
-from servofd.errors import ConfigError, suggest
+from servofd.errors import ConfigError, DesignError, ServofdError, suggest
 from servofd.limits import Limits
-from servofd.models.effects import PositionLimit
+from servofd.models.effect_table import EffectTable, effects_installed
+from servofd.models.effects import Extension, PositionLimit
+from servofd.models.physics import Physics, plant_of
 from servofd.models.servo_model import ServoModel
 from servofd.servos import Positive, Servo, find_servo, library
 from servofd.tolerance import Tolerance
@@ -88,6 +90,8 @@ class Surface(_Entry):
     """Limits applied to the command after it is logged and before the servo sees it."""
     position_limit_deg: tuple[float, float] | None = None
     """Stops of the linkage."""
+    effects: EffectTable = {}
+    """What the servo's linear model lacks: effect to parameters, as ``servofd explain --save`` writes them."""
     command_hold: Literal["zoh", "linear"] = "zoh"
     """ "linear" for logs that hold fewer commands than the servo received."""
     command_period_s: Annotated[float, Field(gt=0.0, le=1.0, strict=True)] | None = None
@@ -137,6 +141,10 @@ class Surface(_Entry):
                 raise ValueError(f"{key} = [lower, upper] needs lower < upper, not {list(limits)}")
         if (self.command_hold == "linear") != (self.command_period_s is not None):
             raise ValueError('command_period_s belongs to command_hold = "linear", and to that alone')
+        try:
+            effects_installed(Physics(), self.effects)
+        except ServofdError as error:
+            raise ValueError(str(error)) from None
         dates = [swap.date for swap in self.swaps]
         if any(later <= earlier for earlier, later in itertools.pairwise(dates)):
             raise ValueError("swaps: the dates must rise, one servo after the other")
@@ -157,6 +165,10 @@ class Aircraft(_Entry):
         for name, surface in self.surfaces.items():
             if surface.servo not in known:
                 raise ValueError(f"surfaces.{name}.servo: {suggest('servo', surface.servo, known)}")
+            try:
+                self.model(name)
+            except DesignError as error:
+                raise ValueError(f"surfaces.{name}.effects: {error}") from None
         return self
 
     def servo(self, surface: str) -> Servo:
@@ -184,7 +196,12 @@ class Aircraft(_Entry):
         return self.model_copy(update={"surfaces": changed, "servos": {} if key == name else {key: servo}})
 
     def model(self, surface: str) -> ServoModel:
-        """Healthy model of a surface: its servo, and the stops of its linkage.
+        """Healthy model of a surface: its servo, the stops of its linkage, and its effects.
+
+        Raises
+        ------
+        DesignError
+            If it has effects, and a servo with zeros or more than three poles, which no kernel can give them.
 
         Examples
         --------
@@ -192,8 +209,12 @@ class Aircraft(_Entry):
         0.004
         """
         model = ServoModel.of(self.servo(surface))
-        limits = self.surfaces[surface].position_limit_deg
-        return model + PositionLimit(*limits) if limits else model
+        entry = self.surfaces[surface]
+        if entry.position_limit_deg:
+            model += PositionLimit(*entry.position_limit_deg)
+        if not entry.effects:
+            return model
+        return model + Extension(effects_installed(plant_of(model).neutral, entry.effects))
 
 
 def plain_aircraft(surfaces: Iterable[str], servo: str = DEFAULT_SERVO) -> Aircraft:

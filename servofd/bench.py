@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import logparsers
+from servofd.aircraft import load_aircraft
 from servofd.errors import ConfigError, NoMeasurement, UnknownName, suggest
 from servofd.identification.identify import Method, identify
 from servofd.segment import Segment, cut
@@ -21,13 +22,14 @@ if TYPE_CHECKING:
     from servofd.identification.result import Identification
     from servofd.types import FloatArray
 
-__all__ = ["BenchTest", "bench_tests", "identify_logs"]
+__all__ = ["BenchTest", "bench_aircraft", "bench_tests", "identify_logs"]
 
 _CHIRP_COMMAND, _CHIRP_POSITION = "SCRP.PWM", "SCRP.Pos"
 """Written by ArduPilot's applet ``actuator_chirp.lua``: pulse [us] and position of the servo's telemetry [deg]."""
 _NO_POSITION = -1.0
 """What the applet writes while the servo has sent none."""
 _CHIRP_SURFACE = "servo"
+_LONGEST_HEADER = 4096
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +91,7 @@ def identify_logs(
     surface: str | None = None,
     method: Method = "response",
     order: int | None = None,
+    progress: Callable[[str], object] = str,
 ) -> Identification:
     """Identify a servo from one log, or the mean of several servos of one kind from a log of each.
 
@@ -100,7 +103,7 @@ def identify_logs(
         What the channels are.
     surface : str, optional
         Which servo of the logs.
-    method, order
+    method, order, progress
         As in `servofd.identification.identify.identify`.
 
     Raises
@@ -117,7 +120,8 @@ def identify_logs(
     tests = [bench_tests(path, aircraft, surface) for path in paths]
     labels = [str(path) for path in paths]
     sources = tuple(dict.fromkeys(test.source for one in tests for test in one))
-    result = identify([[test.segment for test in one] for one in tests], method=method, order=order, labels=labels)
+    segments = [[test.segment for test in one] for one in tests]
+    result = identify(segments, method=method, order=order, labels=labels, progress=progress)
     if not any(test.pulse_us is not None for one in tests for test in one):
         return replace(result, notes=(*sources, *result.notes))
     gain = result.servo.linear.gain
@@ -126,6 +130,22 @@ def identify_logs(
     result = identify(scaled, method=method, order=order, labels=labels)
     scale = f"pulses were converted with the scale that gives a dc gain of 1: {slope:.5f} deg/us"
     return replace(result, notes=(*sources, scale, *result.notes))
+
+
+def bench_aircraft(path: str | Path) -> Aircraft | None:
+    """What a plain bench record is: columns ``run``, ``t_s``, ``cmd`` and ``meas`` [deg]; None for any other file.
+
+    Examples
+    --------
+    >>> bench_aircraft("sample_logs/faser_healthy_chirp.mat") is None
+    True
+    """
+    try:
+        with Path(path).open("rb") as file:
+            header = file.readline(_LONGEST_HEADER).decode("utf-8", "replace").strip().split(",")
+    except OSError:
+        return None
+    return load_aircraft("bench") if {"run", "t_s", "cmd", "meas"} <= set(header) else None
 
 
 def _of_surface(log: FlightLog, aircraft: Aircraft, surface: str | None) -> BenchTest:

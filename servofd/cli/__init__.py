@@ -24,10 +24,12 @@ from servofd.cli import (
     identify,
     info,
     odds,
+    review,
     servos,
     simulate,
     sweep,
     trend,
+    view,
 )
 from servofd.cli.interrupt import interruptible
 from servofd.cli.tables import one_line
@@ -37,7 +39,25 @@ if TYPE_CHECKING:
 
 __all__ = ["main"]
 
-_VERBS = (info, config, calibrate, audit, fleet, trend, explain, sweep, odds, identify, simulate, servos, design)
+_VERBS = (
+    info,
+    config,
+    calibrate,
+    audit,
+    fleet,
+    trend,
+    view,
+    review,
+    explain,
+    sweep,
+    odds,
+    identify,
+    simulate,
+    servos,
+    design,
+)
+"""In the order in which the help shows them."""
+
 _COULD_NOT_TELL = 2
 _INTERRUPTED = 128 + signal.SIGINT
 
@@ -61,21 +81,7 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"servofd {__version__}")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
-    for verb in (
-        info,
-        config,
-        calibrate,
-        audit,
-        fleet,
-        trend,
-        explain,
-        sweep,
-        odds,
-        identify,
-        simulate,
-        servos,
-        design,
-    ):
+    for verb in _VERBS:
         verb.add_parser(verbs)
     return parser
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from servofd.detection.audit import LogAudit
     from servofd.outputs.json_report import FailedLog
 
-__all__ = ["add_parser", "run"]
+__all__ = ["add_parser", "positive", "run"]
 
 
 def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
@@ -37,11 +37,13 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
         "--servo", metavar="NAME", help="servo to assume for all surfaces: of the library, or FILE.toml"
     )
     parser.add_argument("-s", "--surface", action="append", default=[], metavar="NAME", help="judge only this surface")
-    parser.add_argument("--threshold-deg", type=_positive, metavar="X", help="alarm level [deg] (default: 1.5)")
+    parser.add_argument("--threshold-deg", type=positive, metavar="X", help="alarm level [deg] (default: 1.5)")
     parser.add_argument("--threshold", choices=["constant", "interval"], help="kind (default: constant)")
     parser.add_argument("--json", metavar="FILE", help="write the result as JSON; - prints it instead of the table")
     parser.add_argument("--html", metavar="FILE", help="write a page that can be sent by mail")
     parser.add_argument("--rrd", metavar="FILE", help="write a Rerun recording (of one log)")
+    parser.add_argument("--include-position", action="store_true", help="tell in the recording where it flew")
+    parser.add_argument("--map", action="store_true", help="show it there on a map from openstreetmap.org")
     parser.add_argument(
         "-o",
         "--output",
@@ -142,12 +144,12 @@ def _write(options: argparse.Namespace, results: list[LogAudit | FailedLog]) -> 
     if options.rrd and audits:
         from servofd.outputs.recording import save_recording
 
-        save_recording(audits[0], Path(options.rrd))
+        save_recording(audits[0], options.rrd, include_position=options.include_position, online_map=options.map)
     if options.output:
-        _write_folder(Path(options.output), audits, document)
+        _write_folder(Path(options.output), audits, document, where=options.include_position, on_map=options.map)
 
 
-def _write_folder(folder: Path, audits: list[LogAudit], document: str) -> None:
+def _write_folder(folder: Path, audits: list[LogAudit], document: str, *, where: bool, on_map: bool) -> None:
     from servofd.errors import ConfigError
     from servofd.outputs.figure import save_figure
     from servofd.outputs.files import distinct_file_names, write_whole
@@ -162,7 +164,7 @@ def _write_folder(folder: Path, audits: list[LogAudit], document: str) -> None:
         for surface, name in zip(audit.surfaces, names, strict=True):
             if surface.residuals is not None:
                 save_figure(surface, folder / f"{stem}-{name}.png", audit.log.source.name)
-        save_recording(audit, folder / f"{stem}.rrd")
+        save_recording(audit, folder / f"{stem}.rrd", include_position=where, online_map=on_map)
     write_whole(folder / "audit.json", document.encode())
 
 
@@ -182,7 +184,8 @@ def _print(options: argparse.Namespace, results: list[LogAudit | FailedLog]) -> 
             print_verdicts(result)
 
 
-def _positive(text: str) -> float:
+def positive(text: str) -> float:
+    """Number of degrees above zero, for argparse."""
     try:
         value = float(text)
     except ValueError:

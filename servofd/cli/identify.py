@@ -11,6 +11,9 @@ if TYPE_CHECKING:
 
 __all__ = ["add_parser", "run"]
 
+_STEPS = 3
+"""That `identify_logs` tells of."""
+
 
 def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
     """Declare the verb."""
@@ -52,11 +55,10 @@ def run(options: argparse.Namespace) -> int:
     outputs = (options.json, options.save, options.html)
     check_targets(outputs, {"a log": options.logs, "the aircraft file": [options.config]}, folder=options.output)
     aircraft = load_aircraft(options.config) if options.config else None
-    with progress_bar("identify", 1) as step:
+    with progress_bar("identify", _STEPS) as step:
         found = identify_logs(
-            options.logs, aircraft, surface=options.surface, method=options.method, order=options.order
+            options.logs, aircraft, surface=options.surface, method=options.method, order=options.order, progress=step
         )
-        step("done")
     _write(options, found)
     print(to_json(found.document()) if options.json == "-" else _text(found), end="")
     return 0

@@ -183,7 +183,7 @@ def _filtered(record: Record, command: FloatArray, error_deg: FloatArray, excess
     saved = 0.0
     for fold in range(_FOLDS):
         known: BoolArray = block % _FOLDS == fold
-        normal = features[known].T @ features[known]
+        normal = np.einsum("ni,nj->ij", features[known], features[known])  # too small for threads
         normal += 1e-6 * np.trace(normal) * np.eye(_FIR_LAGS) / _FIR_LAGS + 1e-9 * np.eye(_FIR_LAGS)
         weights = np.linalg.solve(normal, features[known].T @ error[known])
         other = ~known

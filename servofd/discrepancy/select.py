@@ -7,16 +7,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.discrepancy.catalogue import CATALOGUE, Quantization
 from servofd.discrepancy.fit import Fit, Fitter
 from servofd.discrepancy.noise import long_run_factor, noise_floor_deg
+from servofd.discrepancy.poles import PoleFitter
 from servofd.discrepancy.record import simulate
+from servofd.models.catalogue import CATALOGUE, Damping, PwmFrame, Quantization, SlowDynamics
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from servofd.discrepancy.catalogue import MissingEffect, Parameter
     from servofd.discrepancy.record import Record
+    from servofd.models.catalogue import MissingEffect, Parameter
     from servofd.types import FloatArray
 
 __all__ = ["Rung", "Selection", "select"]
@@ -28,7 +29,8 @@ _BEAM, _WIDE_BEAM, _FEW = 2, 4, 2
 """The wide one where something stays, or more than a few effects seem to be needed: two simple ones may do as well."""
 _SAME_LOSS = 1e-3
 """Relative: the same servo in other words."""
-_MOST_EFFECTS = 4
+_MOST_EFFECTS, _MOST_ON_BENCH = 4, 5
+"""More where whole runs are held out, which no flexible combination survives for long."""
 _SHARE_OF_NOISE, _SHARE_OF_GAP = 0.03, 0.02
 """An effect must take away this share of the noise variance, and of the gap that is left."""
 _CHI_SQUARED = 30.0
@@ -39,10 +41,14 @@ _TIE_CHI_SQUARED, _EVEN_CHI_SQUARED = 10.0, 4.0
 _TIE_OF_EXCESS = 0.15
 """Where something stays unexplained, two effects that differ by less than this share of it are not told apart, unless
 that is as much of what they take away."""
+_TIE_OF_KIND = 0.7
+"""The same for two of one family, and for a rival of an effect with many minima, which had as many chances."""
+_USUAL_TRAVEL_DEG = 25.0
+"""Of the surfaces for which the sizes of a linkage's curvature are typical."""
 _SMALLEST_SIZE = 0.15
 """Of what is common on healthy servos: 0.5 ms of delay, 0.5 % of gain, 0.05 deg of play."""
 _SURE_Z = 4.0
-_LEAST_SHARE = 0.1
+_LEAST_SHARE, _LEAST_SHARE_OF_REST = 0.1, 0.05
 """Beside a large unexplained rest, an effect that takes away less of the gap names nothing."""
 _NODES = 15
 _EXCESS_WORTH = 0.06
@@ -71,7 +77,13 @@ class Selection:
     unjudged: tuple[type[MissingEffect], ...]
     """Effects that need what the log does not hold."""
     covariance: FloatArray
-    simulations: int
+    fitter: Fitter
+    """What fitted it."""
+
+    @property
+    def simulations(self) -> int:
+        """How many it took."""
+        return self.fitter.simulations
 
     @property
     def final(self) -> Fit:
@@ -91,7 +103,11 @@ def judgeable(record: Record) -> tuple[list[type[MissingEffect]], list[type[Miss
         if values is not None
     }
     able = [effect for effect in CATALOGUE if set(effect.needs) <= held]
-    return able, [effect for effect in CATALOGUE if effect not in able]
+    unable = [effect for effect in CATALOGUE if effect not in able]
+    fitted = {SlowDynamics, Damping} if record.free_poles else set()
+    # Frames run on between separate runs, so that nobody knows when each of them began.
+    fitted |= {PwmFrame} if record.runs else set()
+    return [effect for effect in able if effect not in fitted], unable
 
 
 def select(record: Record, progress: Callable[[str], None] = lambda _step: None) -> Selection:
@@ -104,7 +120,7 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     progress : callable
         Called with the name of each effect that was tried.
     """
-    fitter = Fitter(record)
+    fitter = PoleFitter(record) if record.free_poles else Fitter(record)
     able, unable = judgeable(record)
     nominal = fitter.nominal()
     tried: Tried = {}
@@ -119,8 +135,10 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
         for effect, equals in zip(best.effects, _equals(fitter, best, able, tried), strict=True)
         if equals
     )
-    covariance = fitter.covariance(best, _rms(best, record), long_run_factor(best.error_deg[record.trained]))
-    return Selection(nominal, rungs, ties, sigma, tuple(unable), covariance, fitter.simulations)
+    final, covariance = fitter.on_all(best)
+    if rungs:
+        rungs = (*rungs[:-1], Rung(final, rungs[-1].rivals))
+    return Selection(nominal, rungs, ties, sigma, tuple(unable), covariance, fitter)
 
 
 def _grown(
@@ -129,7 +147,7 @@ def _grown(
     """Forward search: the best few of each length go on."""
     record, best = fitter.record, fitter.nominal()
     beam = [best]
-    for _ in range(_MOST_EFFECTS):
+    for _ in range(_MOST_ON_BENCH if record.runs else _MOST_EFFECTS):
         sigma = floor_of(record, best)
         grown: list[Fit] = []
         for base in beam:
@@ -204,12 +222,12 @@ def _accepted(record: Record, base: Fit, fit: Fit, sigma: float) -> bool:
 
 def _matters(record: Record, fit: Fit) -> bool:
     """Whether each effect differs from none by more than servos of one kind do from each other."""
-    first = 0
+    first, widening = 0, max(float(np.nanmax(np.abs(record.measured_deg))) / _USUAL_TRAVEL_DEG, 1.0)
     for effect in fit.effects:
         values = fit.values[first : first + len(effect.parameters)]
         first += len(effect.parameters)
         sizes = [
-            p.away(float(v), record.plant.neutral) / p.typical
+            p.away(float(v), record.plant.neutral) / p.typical * widening**p.travel_power
             for p, v in zip(effect.parameters, values, strict=True)
             if not p.aside
         ]
@@ -265,7 +283,11 @@ def _convincing(fitter: Fitter, fit: Fit, nominal: Fit) -> Fit:
             ]
             sure.append(max(away) > _SURE_Z)
             losses.append(_without(fitter, fit, k).total - fit.total if rest_is_large else np.inf)
-        weak = [k for k in range(len(losses)) if not sure[k] or losses[k] < _LEAST_SHARE * gap]
+        # Runs that were held out whole vouch for effects that matter to what is left, not only to all of the gap.
+        least = _LEAST_SHARE * gap
+        if record.runs:
+            least = min(least, _LEAST_SHARE_OF_REST * max(fit.total - count * sigma**2, 0.0))
+        weak = [k for k in range(len(losses)) if not sure[k] or losses[k] < least]
         if not weak:
             break
         fit = _without(fitter, fit, min(weak, key=lambda k: losses[k]))
@@ -331,29 +353,43 @@ def _equals(fitter: Fitter, best: Fit, able: list[type[MissingEffect]], tried: T
         base = _without(fitter, best, k)
         rivals = tried.get(_keys(base)) or fitter.with_effects(base, able, _quietly)
         tried[_keys(base)] = rivals
-        slack = _TIE_OF_EXCESS * min(left, base.total - best.total)
-        margin = max(_TIE_CHI_SQUARED * sigma**2 * factor, slack)
+        common, unexplained_too = _TIE_CHI_SQUARED * sigma**2 * factor, min(left, base.total - best.total)
         equals.append(
             [
                 rival
                 for rival in rivals
                 if rival.names[-1] not in best.names
-                and rival.total - best.total < margin
+                and rival.total - best.total < max(common, _slack(best.effects[k], rival) * unexplained_too)
                 and not any(p.at_bound(v) for p, v in zip(rival.parameters, rival.values, strict=True))
             ]
         )
     return equals
 
 
+def _slack(effect: type[MissingEffect], rival: Fit) -> float:
+    """Share of what stays unexplained by which a rival may be worse than an effect and still pass for it."""
+    alike = effect.family and effect.family == rival.effects[-1].family
+    return _TIE_OF_KIND if alike or (_is_kinked(effect) and not _is_kinked(rival.effects[-1])) else _TIE_OF_EXCESS
+
+
 def _simplest(fitter: Fitter, best: Fit, able: list[type[MissingEffect]], tried: Tried) -> Fit:
     """The same servo in the simplest of the words that fit equally well."""
+    for k in range(len(best.effects)):
+        if _is_kinked(best.effects[k]):
+            smooth = [r for r in _equals(fitter, best, able, tried)[k] if not _is_kinked(r.effects[-1])]
+            best = min((r for r in smooth if _matters(fitter.record, r)), key=lambda r: r.total, default=best)
     margin = _EVEN_CHI_SQUARED * floor_of(fitter.record, best) ** 2
     for k, equals in enumerate(_equals(fitter, best, able, tried)):
-        rank = CATALOGUE.index(best.effects[k])
-        even = [r for r in equals if r.total - best.total < margin and CATALOGUE.index(r.effects[-1]) < rank]
+        effect = best.effects[k]
+        before = [r for r in equals if CATALOGUE.index(r.effects[-1]) < CATALOGUE.index(effect)]
+        even = [r for r in before if r.total - best.total < margin or (effect.family == r.effects[-1].family != "")]
         if even:
-            return min(even, key=lambda r: CATALOGUE.index(r.effects[-1]))
+            return _simplest(fitter, min(even, key=lambda r: CATALOGUE.index(r.effects[-1])), able, tried)
     return best
+
+
+def _is_kinked(effect: type[MissingEffect]) -> bool:
+    return any(parameter.kinked for parameter in effect.parameters)
 
 
 def excess(record: Record, fit: Fit, sigma: float) -> float:

@@ -13,14 +13,17 @@ if TYPE_CHECKING:
     from servofd.identification.output_error import ServoCandidate
     from servofd.identification.records import Run, Uniform
     from servofd.segment import Segment
+    from servofd.types import FloatArray
 
-__all__ = ["check_clipping", "check_order_of_columns", "check_saturation", "check_segment"]
+__all__ = ["check_clipping", "check_drift", "check_order_of_columns", "check_saturation", "check_segment"]
 
 _SLOWEST_HZ, _FASTEST_HZ = 10.0, 20_000.0
 _FEWEST_SAMPLES = 30
 _CLIPPED_SAMPLES, _CLIPPED_COMMAND = 0.05, 0.15
 _AT_LIMIT, _SATURATED_TIME, _DENSE_S = 0.97, 0.8, 2e-3
 _LEAD_S = 0.01
+_DRIFT_SHARE, _DRIFT_OF_ERROR = 0.2, 0.9
+"""Of the range of the command, over the test; and of the squared error of the best linear servo."""
 
 
 def check_segment(segment: Segment, label: str) -> None:
@@ -73,6 +76,24 @@ def check_clipping(run: Run, label: str) -> None:
                 f"{label}: position is clipped: {np.mean(held):.0%} of the samples are exactly {extreme:g} deg while "
                 f"the command moves by {high - low:.3g} deg; use a smaller amplitude or a sensor with more range"
             )
+
+
+def check_drift(run: Run, error_deg: FloatArray, label: str) -> None:
+    """Refuse a position that wanders off while the command does not: it would pass for rate limits.
+
+    Raises
+    ------
+    IdentificationError
+        If a straight line explains most of the error of the best linear servo, and is no small one.
+    """
+    since = (run.measured_s - run.measured_s.mean()) / np.ptp(run.measured_s)
+    drift_deg = float(since @ error_deg / (since @ since))
+    explained = drift_deg**2 * float(since @ since) / max(float(error_deg @ error_deg), 1e-300)
+    if explained > _DRIFT_OF_ERROR and abs(drift_deg) > _DRIFT_SHARE * np.ptp(run.command_deg):
+        raise IdentificationError(
+            f"{label}: the position drifts by {drift_deg:.3g} deg over the test while the command does not: a sensor "
+            "that wanders or slips; repeat the test, or take the trend out"
+        )
 
 
 def check_saturation(run: Run, servo: ServoCandidate, label: str) -> None:

@@ -20,10 +20,8 @@ if TYPE_CHECKING:
     from servofd.identification.frequency_response import FrequencyResponse
     from servofd.identification.records import Run
 
-__all__ = ["Choice", "choose_linear", "choose_nonlinear", "is_white", "with_unity_gain"]
+__all__ = ["Choice", "choose_linear", "choose_nonlinear", "with_unity_gain"]
 
-_WHITE = 1.6
-"""Von Neumann's ratio above which the errors are as good as noise (2 for white noise)."""
 _WORTH = 0.98
 """An effect must take so much off the root mean square error, beside winning by BIC."""
 _EQUAL_RMS = 1.001
@@ -43,19 +41,6 @@ class Choice:
 
     fit: MotionFit
     further: MotionFit | None = None
-
-
-def is_white(fit: MotionFit) -> bool:
-    """True if what the model leaves is as good as noise.
-
-    Examples
-    --------
-    >>> servo = ServoCandidate(LinearServo((3.4,), 0.004))
-    >>> noise = np.random.default_rng(0).standard_normal(1000)
-    >>> is_white(MotionFit(servo, np.zeros(1), (noise,), np.eye(3)))
-    True
-    """
-    return fit.whiteness > _WHITE
 
 
 def choose_linear(runs: Sequence[Run], response: FrequencyResponse | None, order: int | None) -> Choice:
@@ -95,7 +80,7 @@ def choose_linear(runs: Sequence[Run], response: FrequencyResponse | None, order
 
 def _criterion(runs: Sequence[Run], fit: MotionFit) -> float:
     """BIC with a lower price for the poles; with a dc gain of 1 if that is better, for a free gain hides a pole."""
-    unity = with_unity_gain(runs, fit) if is_white(fit) and fit.servo.linear.gain > 0.0 else None
+    unity = with_unity_gain(runs, fit) if fit.is_white and fit.servo.linear.gain > 0.0 else None
     count = int(np.concatenate(fit.errors_deg).size)
     rebate = max(0.0, float(np.log(count)) - _CHANCE) * fit.servo.linear.order
     return (unity or fit).bic - rebate
@@ -139,7 +124,7 @@ def choose_nonlinear(runs: Sequence[Run], linear: MotionFit, order: int | None, 
     down_deg_s = None if len({np.sign(slope.travel_deg) for slope in step_slopes(runs)}) == 1 else rate_deg_s
     limited = [ServoCandidate(replace(s, gain=float(np.sign(s.gain))), rate_deg_s, down_deg_s) for s in shapes]
     best = _better(best, _best_of(runs, limited))
-    if is_white(best) and swept:
+    if best.is_white and swept:
         return _without_needless(runs, best)
     span_deg = max(run.span_deg for run in runs)
     wide = [replace(best.servo, dead_band_deg=share * span_deg) for share in _DEAD_BAND_SHARES]
@@ -148,11 +133,11 @@ def choose_nonlinear(runs: Sequence[Run], linear: MotionFit, order: int | None, 
         return best
     for n in () if order else (1, 3):
         start = replace(best.servo, linear=_reordered(best.servo.linear, n))
-        if is_white(best):
+        if best.is_white:
             other = _best_of(runs, [start, *(replace(start, linear=shape) for shape in _grid(n))])
         else:
             other = fit_motion(runs, start, evaluations=_FEW)
-        if other.bic < best.bic and (is_white(best) or other.rms_deg < _WORTH * best.rms_deg):
+        if other.bic < best.bic and (best.is_white or other.rms_deg < _WORTH * best.rms_deg):
             best = other
     return _without_needless(runs, fit_motion(runs, best.servo, evaluations=_MANY))
 

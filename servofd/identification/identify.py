@@ -10,7 +10,7 @@ import numpy as np
 
 from servofd.errors import IdentificationError
 from servofd.identification import checks
-from servofd.identification.choice import Choice, choose_linear, choose_nonlinear, is_white, with_unity_gain
+from servofd.identification.choice import Choice, choose_linear, choose_nonlinear, with_unity_gain
 from servofd.identification.frequency_response import LAGS_S, FrequencyResponse, average, estimate
 from servofd.identification.magnitude import fit_magnitude
 from servofd.identification.output_error import Interval, MotionFit, ServoCandidate, evaluated, fit_motion
@@ -48,6 +48,7 @@ def identify(
     method: Method = "response",
     order: int | None = None,
     labels: Sequence[str] = (),
+    progress: Callable[[str], object] = str,
 ) -> Identification:
     """Identify a servo from chirps, steps or other motion.
 
@@ -63,6 +64,8 @@ def identify(
         Number of poles, 1 to 3; left out, the data choose.
     labels : sequence of str
         What to call each servo in messages.
+    progress : callable
+        Called with what was done, after each of the three steps of the work.
 
     Returns
     -------
@@ -96,10 +99,13 @@ def identify(
         return _by_magnitude(tests, order or _MAGNITUDE_ORDER, sets[0][0].surface)
     choice = choose_linear(tests.small or tests.runs, tests.nominal_in_band, order)
     free, notes = choice.fit, list(tests.notes)
+    progress("linear servo")
     _check_follows(free, tests)
+    _check_drift(free, tests)
     fit, limits = _with_effects(tests, free, order)
+    progress("rate limits and dead band")
     free = fit
-    unity = with_unity_gain(tests.fitted(fit), fit) if is_white(fit) and fit.servo.linear.gain > 0.0 else None
+    unity = with_unity_gain(tests.fitted(fit), fit) if fit.is_white and fit.servo.linear.gain > 0.0 else None
     if unity is not None:
         fit = unity
         notes.append("dc gain does not differ from 1 within its interval, and is set to 1 (thesis Appendix A)")
@@ -107,12 +113,14 @@ def identify(
     parts, offsets = evaluated(tests.runs, final)
     choice = Choice(free, choice.further if free is choice.fit else None)
     intervals = intervals_of(tests.fitted(free), choice, final, limits)
+    progress("intervals")
+    notes += notes_on_servo(choice, tests.fitted(free), intervals, tests.span_rad_s)
     result = Identification(
         surface=sets[0][0].surface,
         method="response" if tests.nominal is not None else "motion",
         servo=final,
         intervals=intervals,
-        notes=tuple(notes + notes_on_servo(choice, tests.span_rad_s) + list(spread_notes)),
+        notes=(*notes, *spread_notes),
         runs=tests.runs,
         errors_deg=parts,
         offset_deg=float(offsets.mean()),
@@ -259,6 +267,15 @@ def _check_follows(fit: MotionFit, tests: _Tests) -> None:
         )
 
 
+def _check_drift(fit: MotionFit, tests: _Tests) -> None:
+    swept = [
+        ((run, error), tests.names[run.servo])
+        for run, error in zip(tests.fitted(fit), fit.errors_deg, strict=True)
+        if not _is_stepwise(run)
+    ]
+    _refuse_most(swept, lambda pair, label: checks.check_drift(*pair, label))
+
+
 def _check_explained(result: Identification, tests: _Tests) -> None:
     deviation = _deviation_deg(result.runs)
     if result.rms_deg > _LARGEST_ERROR * deviation:
@@ -275,10 +292,10 @@ def _deviation_deg(runs: Sequence[Run]) -> float:
 def _with_effects(tests: _Tests, linear: MotionFit, order: int | None) -> tuple[MotionFit, RateLimits]:
     """Rate limits from steps, and everything the errors of the linear servo ask for."""
     limits = rate_limits(tests.runs, linear.servo.linear)
-    if is_white(linear) and tests.small:
+    if linear.is_white and tests.small:
         return linear, limits
     everything = linear if len(linear.errors_deg) == len(tests.runs) else fit_motion(tests.runs, linear.servo)
-    if is_white(everything):
+    if everything.is_white:
         return everything, limits
     fit = choose_nonlinear(tests.runs, everything, order, swept=tests.nominal is not None)
     return fit, rate_limits(tests.runs, fit.servo.linear)

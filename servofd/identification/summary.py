@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from servofd.errors import IdentificationError
-from servofd.identification.choice import is_white
 from servofd.identification.fit import fit_response
 from servofd.identification.merged import lowest_delay_s
-from servofd.identification.output_error import Interval, MotionFit, ServoCandidate
+from servofd.identification.output_error import Interval, MotionFit, ServoCandidate, fit_motion
+from servofd.identification.shape import LONGEST_DELAY_S
 
 if TYPE_CHECKING:
     from servofd.identification.choice import Choice
@@ -27,6 +28,11 @@ _UNIDENTIFIABLE = 1.0
 _OTHER_BANDWIDTH, _OTHER_LAG_S = 1.4, 0.02
 """Servos of one kind differ by 10 % in bandwidth and 3 ms in delay; these are of different kinds."""
 _FAR = 1.0
+_KNOWN_SHARE, _KNOWN_LAG_S = 0.1, 1e-3
+"""Width of the interval of a lag that may be called known, of the lag or in seconds."""
+_NO_DELAY_S = 2e-6
+_LATER_S, _GAIN = 0.05, 0.95
+"""Positions are tried so much later if the best delay is none; they come early if that takes 5 % off the error."""
 _COMMON = ("delay_s", "dc_gain", "bandwidth_rad_s", "lag_s", "pole_0_real_rad_s")
 """What servos of any order have."""
 
@@ -73,6 +79,8 @@ def intervals_of(runs: Sequence[Run], choice: Choice, servo: ServoCandidate, lim
             # As much below the smallest delay that a far pole leaves possible.
             lowest = lowest_delay_s(runs, fit) - (interval.value - interval.low)
             interval = Interval(interval.value, min(interval.low, lowest), interval.high)
+        if name == "delay_s":
+            interval = replace(interval, high=min(interval.high, LONGEST_DELAY_S))
         found[name] = _bounded(interval, quantity(servo), positive="pole" not in name and name != "dc_gain")
     for name, limit in (("rate_up_deg_s", limits.up), ("rate_down_deg_s", limits.down)):
         if limit is not None and name not in found:
@@ -90,21 +98,27 @@ def _bounded(interval: Interval, value: float, *, positive: bool) -> Interval:
     return Interval(value, max(0.0, low) if positive else low, high)
 
 
-def notes_on_servo(choice: Choice, highest_rad_s: float | None) -> list[str]:
+def notes_on_servo(
+    choice: Choice, runs: Sequence[Run], intervals: dict[str, Interval], highest_rad_s: float | None
+) -> list[str]:
     """What must be said about the numbers.
 
     Parameters
     ----------
     choice : Choice
         The fit, and whether one more pole would do as well.
+    runs : sequence of Run
+        Tests the choice rests on.
+    intervals : dict of str to Interval
+        What is reported.
     highest_rad_s : float or None
         Highest frequency with coherence [rad/s].
     """
     notes, linear = [], choice.fit.servo.linear
-    if not is_white(choice.fit):
+    if not choice.fit.is_white:
         notes.append(
-            f"errors have a memory (von Neumann ratio {choice.fit.whiteness:.2f}, noise has 2): the servo does more "
-            "than this model; intervals are widened for it"
+            f"errors have a memory (von Neumann ratio {choice.fit.whiteness:.2f}, noise has 2): something that the "
+            "servo or its sensor does is not in the model; intervals are widened for it, and the truth may lie beyond"
         )
     poles = linear.poles_rad_s
     vague = [
@@ -112,14 +126,14 @@ def notes_on_servo(choice: Choice, highest_rad_s: float | None) -> list[str]:
         for k, pole in enumerate(poles)
         if pole.imag == 0.0 and _log_deviation(choice.fit, k) > _UNIDENTIFIABLE
     ]
-    lag = f"total lag {1e3 * linear.lag_s:.2f} ms is"
+    lag = intervals.get("lag_s")
+    known = lag is not None and lag.high - lag.low <= max(_KNOWN_SHARE * linear.lag_s, _KNOWN_LAG_S)
+    total = f"total lag {1e3 * linear.lag_s:.2f} ms is {'well known' if known else 'not well known either'}"
     if vague:
-        notes.append(
-            f"far pole not identifiable ({', '.join(vague)} rad/s is a guess), merged into delay; {lag} well known"
-        )
+        notes.append(f"far pole not identifiable ({', '.join(vague)} rad/s is a guess), merged into delay; {total}")
     elif linear.order == 1 or choice.further is not None:
         which = "far pole" if linear.order == 1 else f"a pole beyond these {linear.order}, if there is one, is"
-        notes.append(f"{which} not identifiable, merged into delay; {lag} well known")
+        notes.append(f"{which} not identifiable, merged into delay; {total}")
     bandwidth = linear.transfer.bandwidth_rad_s
     if highest_rad_s is not None and bandwidth > _FAR * highest_rad_s:
         notes.append(f"bandwidth {bandwidth:.4g} rad/s lies beyond the tested {highest_rad_s:.4g} rad/s: extrapolated")
@@ -127,11 +141,26 @@ def notes_on_servo(choice: Choice, highest_rad_s: float | None) -> list[str]:
         notes.append(
             "poles and delay rest on motion at the rate limit alone: a chirp of small amplitude shows them better"
         )
-    if linear.delay_s < 1e-6:
-        notes.append("delay came out as zero: it is shorter than the data can tell")
+    if linear.delay_s < _NO_DELAY_S:
+        early_s = 0.0 if choice.fit.is_white else _early_s(runs, choice.fit)
+        notes.append(
+            f"position seems to come before its command, by {1e3 * early_s:.1f} ms or more: two clocks, or wrong "
+            "time stamps? The numbers are of no use until they agree"
+            if early_s > 0.0
+            else "delay came out as zero: it is shorter than the data can tell"
+        )
     if linear.gain < 0.0:
         notes.append("the position runs against the command: a sign is reversed in the calibration")
     return notes
+
+
+def _early_s(runs: Sequence[Run], fit: MotionFit) -> float:
+    """By how much positions come before their commands [s]: what a fit gains if they are taken to come later."""
+    later = [replace(run, measured_s=run.measured_s + _LATER_S) for run in runs]
+    start = replace(fit.servo, linear=replace(fit.servo.linear, delay_s=_LATER_S))
+    shifted = fit_motion(later, start)
+    gained = shifted.rms_deg < _GAIN * fit.rms_deg
+    return max(0.0, _LATER_S - shifted.servo.linear.delay_s) if gained else 0.0
 
 
 def notes_on_spread(responses: Sequence[FrequencyResponse], order: int, names: Sequence[str]) -> tuple[str, ...]:

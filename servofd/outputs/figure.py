@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 import warnings
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 __all__ = ["audit_figure", "save_figure"]
 
+_DRAWN = ("time_s", "simulated_deg", "measured_deg", "residual_deg", "settled")
 _TITLE_COLUMNS = 130
 _WIDEST = 4000
 """Points drawn per curve; more cannot be told apart, and slow the drawing down."""
@@ -104,7 +105,7 @@ def _cut(
     inside = slice(*np.searchsorted(residuals.time_s, between_s))
     return (
         replace(segment, command_s=segment.command_s[kept], command_deg=segment.command_deg[kept]),
-        replace(residuals, **{field.name: getattr(residuals, field.name)[inside] for field in fields(residuals)}),
+        replace(residuals, **{name: getattr(residuals, name)[inside] for name in _DRAWN}),
         replace(threshold, level_deg=threshold.level_deg[inside]),
     )
 

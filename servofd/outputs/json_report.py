@@ -88,6 +88,7 @@ def _surface(surface: SurfaceAudit) -> dict[str, Any]:
 def _fault(fault: Fault) -> dict[str, Any]:
     return {
         "kind": fault.kind,
+        "level": fault.level,
         "start_s": fault.start_s,
         "alarm_s": fault.alarm_s,
         "end_s": fault.end_s,

@@ -16,7 +16,9 @@ import pytest
 from logparsers.dataflash.encode import Message, encode
 from servofd.cli import main
 from servofd.identification.identify import identify
+from servofd.models.effects import Delay, LinearDynamics, RateLimit
 from servofd.models.servo_model import ServoModel
+from servofd.models.transfer import TransferFunction
 from servofd.outputs.identify_figures import identify_figures
 from servofd.segment import Segment
 from servofd.servos import find_servo, servo_named
@@ -137,6 +139,14 @@ BAD: dict[str, tuple[Segment, str]] = {
         sweep("hs225bb-eq31", duration_s=15.0, amplitude=10.0, rate_deg_s=60.0),
         "which hides its dynamics; use a smaller amplitude",
     ),
+    "drifting": (
+        replace(QUICK, measured_deg=QUICK.measured_deg + 0.1 * QUICK.measured_s),
+        "the position drifts by 4 deg over the test while the command does not",
+    ),
+    "jammed half way": (
+        replace(QUICK, measured_deg=np.where(QUICK.measured_s < 9.0, QUICK.measured_deg, 2.0)),
+        "no servo model explains this motion",
+    ),
     "short": (
         Segment("x", QUICK.command_s[:20], QUICK.command_deg[:20], QUICK.measured_s[:20], NOISE_DEG[:20]),
         "only 20 measured positions",
@@ -144,7 +154,7 @@ BAD: dict[str, tuple[Segment, str]] = {
 }
 
 
-SLOW = {"saturated"}
+SLOW = {"saturated", "jammed half way"}
 
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in BAD])
@@ -255,3 +265,47 @@ def test_a_log_of_several_servos_asks_which(capsys: pytest.CaptureFixture[str]) 
     assert "choose one of elevator, rudder" in capsys.readouterr().err
     assert main(["identify", str(path), "-s", "wing"]) == 2
     assert "unknown surface 'wing'" in capsys.readouterr().err
+
+
+def test_a_dead_band_in_the_loop_is_found_and_widens_the_intervals() -> None:
+    """Searches without bounds ended at rate limits of 0 and 3e15 deg/s."""
+    time_s = np.arange(3000) / 100.0
+    dense_s = np.arange(time_s[-1] * 2000.0 + 1.0) / 2000.0
+    command_deg = 4.0 * np.sin(2.0 * np.pi * 0.5 * np.expm1(np.log(25.0) * time_s / 30.0) * 30.0 / np.log(25.0))
+    position_deg, speed_deg_s, positions = 0.0, 0.0, []
+    for goal_deg in command_deg[np.searchsorted(time_s, dense_s - 0.004 + 1e-9, side="right") - 1]:
+        error_deg = goal_deg - position_deg
+        error_deg = np.sign(error_deg) * max(abs(error_deg) - 0.5, 0.0)
+        speed_deg_s += (1300.0 * error_deg - 52.0 * speed_deg_s) / 2000.0
+        position_deg += speed_deg_s / 2000.0
+        positions.append(position_deg)
+    measured_deg = np.interp(time_s, dense_s, positions) + 0.5 * NOISE_DEG[: time_s.size]
+    result = identify(Segment("x", time_s, command_deg, time_s, measured_deg))
+    assert result.servo.dead_band_deg == pytest.approx(1.0, abs=0.4)
+    assert result.servo.rate_up_deg_s is None
+    assert any("not in the model" in note for note in result.notes)
+    bandwidth, delay_s = result.intervals["bandwidth_rad_s"], result.intervals["delay_s"]
+    assert bandwidth.covers(TransferFunction((1300.0,), (1.0, 52.0, 1300.0)).bandwidth_rad_s)
+    assert delay_s.covers(0.004)
+
+
+def test_a_position_before_its_command_is_told() -> None:
+    early_deg = np.interp(QUICK.measured_s + 0.02, QUICK.measured_s, QUICK.measured_deg)
+    result = identify(replace(QUICK, measured_deg=early_deg))
+    assert any("position seems to come before its command" in note for note in result.notes)
+
+
+@pytest.mark.slow
+def test_a_fast_servo_at_its_rate_limit_has_no_poles_of_infinity_and_no_lag_well_known() -> None:
+    time_s = np.arange(2000) / 50.0
+    command_deg = 4.0 * np.sin(2.0 * np.pi * np.expm1(np.log(20.0) * time_s / 40.0) * 40.0 / np.log(20.0))
+    model = ServoModel((Delay(0.004), LinearDynamics(TransferFunction((150.0,), (1.0, 150.0))), RateLimit(120.0)))
+    measured_deg = model.simulate(time_s, command_deg, time_s) + 0.5 * NOISE_DEG[: time_s.size]
+    steps: list[str] = []
+    result = identify(Segment("x", time_s, command_deg, time_s, measured_deg), progress=steps.append)
+    assert np.max(np.abs(result.servo.linear.poles_rad_s)) < 20.0 * np.pi * 50.0 * 1.001
+    lag = result.intervals["lag_s"]
+    known = any("ms is well known" in note for note in result.notes)
+    assert not known or lag.high - lag.low < max(0.1 * result.servo.linear.lag_s, 1e-3)
+    assert result.servo.rate_up_deg_s == pytest.approx(120.0, rel=0.05)
+    assert steps == ["linear servo", "rate limits and dead band", "intervals"]

@@ -1,9 +1,10 @@
 """The compiled simulation: one servo with all effects, each at its physical place, on true time stamps.
 
 Between events (a command taking effect, a position being measured) the loop is advanced by exact matrices. Dead band
-and saturation are straight pieces of slope 1 or 0, chosen by the error in the middle of each substep, so that within
+and saturation are straight pieces of slope 1 or 0, chosen by the error in the middle of each step, so that within
 a piece nothing is approximated. Friction is the constant deceleration that would stop the servo by the end of the
-substep, as far as its strength allows (docs/explain.md, E5 to E7).
+step, as far as its strength allows (docs/explain.md, E5 to E7). A step goes from event to event unless something
+switches on its way (the error crosses an edge, the motion reverses): only then is it taken again in short ones.
 """
 
 from __future__ import annotations
@@ -13,13 +14,34 @@ import math
 import numpy as np
 from numba import njit
 
-from servofd.discrepancy.physics import Loop, Physics
+from servofd.models.physics import Loop, Physics
 from servofd.types import FloatArray
 
-__all__ = ["framed", "run", "step_matrices"]
+__all__ = ["framed", "new_memory", "run", "step_matrices"]
 
 _NO_STEP_S = 1e-10
+_SAME_STEP_S = 1e-9
+"""Steps that differ by less share their matrices: less than 1e-6 deg at 1000 deg/s."""
+_STILL_DEG = 1e-5
+_SLOTS, _MOST_BUILT = 4, 64
+"""Matrices of that many lengths of step are kept; where the stamps jitter, none are made any more after so many."""
 _PER_DEG = math.pi / 180.0
+_STATES = 14
+_CLOCK, _Y, _V, _TORQUE, _U, _S, _WANTED, _FOLLOWED, _FLEXED, _SWING, _PLAYED, _STATIC, _LAGGED, _CURSOR = range(
+    _STATES
+)
+
+
+def new_memory(start_deg: float) -> FloatArray:
+    """Memory of a servo at rest where its surface was measured [deg], shape (14,); `run` starts at its first instant.
+
+    Time [s], the loop's states, command in force and its slope, wanted set point, positions along the linkage, and how
+    many of the commands have taken effect.
+    """
+    memory = np.zeros(_STATES)
+    memory[_CLOCK] = np.nan
+    memory[_STATIC] = start_deg
+    return memory
 
 
 @njit(cache=True, error_model="numpy")
@@ -91,22 +113,49 @@ def _moved(steps: FloatArray, rate: FloatArray, grid_s: float, h: float, x: tupl
     return y, v, torque
 
 
+@njit(cache=True, error_model="numpy")
+def _build(slots: FloatArray, slot: int, steps: FloatArray, rate: FloatArray, grid_s: float, h: float) -> None:
+    """Matrix of a step of length `h`, column by column."""
+    for j in range(7):
+        one = np.zeros(7)
+        one[j] = 1.0
+        unit = (one[0], one[1], one[2], one[3], one[4], one[5], one[6])
+        slots[slot, 0, j], slots[slot, 1, j], slots[slot, 2, j] = _moved(steps, rate, grid_s, h, unit)
+
+
 @njit(cache=True, error_model="numpy", inline="always")
 def _flexed(
-    natural: float, damping: float, h: float, drive: tuple[float, float], tip: tuple[float, float]
+    natural: float, damping: float, h: float, decay: FloatArray, drive: tuple[float, float], tip: tuple[float, float]
 ) -> tuple[float, float]:
-    """Position and speed of a flexible tip whose root moves straight from one position to the other."""
+    """Position and speed of a flexible tip whose root moves straight from one position to the other.
+
+    `decay` holds cosine and sine of its free swing over `h`, as far as it dies away.
+    """
     slope = (drive[1] - drive[0]) / h
     lag = 2.0 * damping / natural * slope
     turn = natural * math.sqrt(1.0 - damping * damping)
     away, speed = tip[0] - (drive[0] - lag), tip[1] - slope
     swing = (speed + damping * natural * away) / turn
-    decay, cosine, sine = math.exp(-damping * natural * h), math.cos(turn * h), math.sin(turn * h)
-    position = drive[1] - lag + decay * (away * cosine + swing * sine)
-    return position, slope + decay * (speed * cosine - (away * turn + damping * natural * swing) * sine)
+    position = drive[1] - lag + away * decay[1] + swing * decay[2]
+    return position, slope + speed * decay[1] - (away * turn + damping * natural * swing) * decay[2]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy")
+def _fade(fades: FloatArray, slot: int, lag_s: float, natural: float, damping: float, h: float) -> None:
+    """What is left after `h` of a sensor's lag, and cosine and sine of the free swing of a flexible tip."""
+    if lag_s > 0.0:
+        fades[slot, 0] = math.exp(-h / lag_s)
+    decay, turn = math.exp(-damping * natural * h), natural * math.sqrt(1.0 - damping * damping)
+    fades[slot, 1], fades[slot, 2] = decay * math.cos(turn * h), decay * math.sin(turn * h)
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _piece(error: float, dead: float, most: float, least: float) -> int:
+    """Straight piece of the characteristic on which an error lies: 0 is a dead band, 2 and -2 are saturations."""
+    return int((error > dead) - (error < -dead) + (error > most) - (error < least))
+
+
+@njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract", "nsz", "arcp"})
 def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would take most of its time
     physics: Physics,
     loop: Loop,
@@ -118,12 +167,20 @@ def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would tak
     at_s: FloatArray,
     pressure_pa: FloatArray,
     voltage_v: FloatArray,
-    start_deg: float,
+    memory: FloatArray,
 ) -> FloatArray:
-    """Measured position at the rising times `at_s`, shape (m,), from rest at `start_deg`, measured [deg]."""
+    """Measured position at the rising times `at_s` [deg], shape (m,), from where the memory stands.
+
+    The memory is moved on: run again with later times, and with the commands from its cursor on.
+    """
     result = np.empty(at_s.size)
     closed, opened, grid_s, order = loop.closed, loop.opened, loop.grid_s, loop.order
-    longest_s = min(longest_s, grid_s * closed.shape[0])
+    whole_s = grid_s * closed.shape[0]
+    short_s = min(longest_s, whole_s)
+    built_s, built = np.full(_SLOTS, -1.0), 0
+    closed_slot, opened_slot = np.empty((_SLOTS, 3, 7)), np.empty((_SLOTS, 3, 7))
+    # The last row, which is also that of slot -1, is for steps that are not kept.
+    fades, fading = np.zeros((_SLOTS + 1, 3)), physics.lag_s > 0.0 or physics.resonance_hz > 0.0
     dead = 0.5 * physics.deadband_deg + (physics.friction_deg / dc_gain if order == 1 else 0.0)
     insensitive = 0.5 * physics.insensitive_deg
     per_rate, per_error = loop.error_per_rate_s / dc_gain, loop.load_per_error
@@ -134,28 +191,54 @@ def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would tak
     loaded = physics.airload_per_pa != 0.0 or physics.droop_deg != 0.0
     stop_upper, stop_lower = physics.stop_upper_deg / dc_gain, physics.stop_lower_deg / dc_gain
     natural, half = 2.0 * math.pi * physics.resonance_hz, 0.5 * physics.backlash_deg
-    followed = (start_deg - physics.bias_deg) / physics.gain
-    flexed, swing, played, static, lagged = followed, 0.0, followed, start_deg, start_deg
-    y, v, torque, u, s = followed / dc_gain, 0.0, 0.0, followed / dc_gain, 0.0
-    clock, c, faded_s, fade = at_s[0], 0, -1.0, 0.0
-    while c < effective_s.size and effective_s[c] <= clock:
-        u, s = command_deg[c] + slope_deg_s[c] * (clock - effective_s[c]), slope_deg_s[c]
-        c += 1
-    wanted, slews = u, physics.set_point_deg_s < math.inf
-    if slews:
-        s = 0.0
+    slews = physics.set_point_deg_s < math.inf
+    c = 0
+    if math.isnan(memory[_CLOCK]):
+        start_deg, clock = memory[_STATIC], at_s[0]
+        followed = (start_deg - physics.bias_deg) / physics.gain
+        flexed, swing, played, static, lagged = followed, 0.0, followed, start_deg, start_deg
+        y, v, torque, u, s = followed / dc_gain, 0.0, 0.0, followed / dc_gain, 0.0
+        while c < effective_s.size and effective_s[c] <= clock:
+            u, s = command_deg[c] + slope_deg_s[c] * (clock - effective_s[c]), slope_deg_s[c]
+            c += 1
+        wanted = u
+        if slews:
+            s = 0.0
+    else:
+        clock, y, v, torque, u = memory[_CLOCK], memory[_Y], memory[_V], memory[_TORQUE], memory[_U]
+        s, wanted, followed, flexed = memory[_S], memory[_WANTED], memory[_FOLLOWED], memory[_FLEXED]
+        swing, played, static, lagged = memory[_SWING], memory[_PLAYED], memory[_STATIC], memory[_LAGGED]
+    edge = max(dead, insensitive)
+    fastest, fastest_down = physics.follow_up_deg_s / dc_gain, physics.follow_down_deg_s / dc_gain
+    lags = fastest < math.inf or fastest_down < math.inf
+    if slews or physics.load_friction > 0.0 or natural > 0.0 or physics.lag_s > 0.0:
+        whole_s = min(2.0 * short_s, whole_s)
     for n in range(at_s.size):
         now = at_s[n]
         volt_limit = physics.deg_s_per_v * voltage_v[n] * per_rate if physics.deg_s_per_v < math.inf else math.inf
         most, least = min(up, volt_limit), -min(down, volt_limit)
         while True:
             commanded = c < effective_s.size and effective_s[c] <= now
-            until = effective_s[c] if commanded else now
-            total = until - clock
+            # A command that arrives late takes effect at once.
+            until = max(effective_s[c], clock) if commanded else now
+            left = until - clock
             clock = until
-            count = math.ceil(total / longest_s - 1e-9) if total > _NO_STEP_S else 0
-            h = total / max(count, 1)
-            for _ in range(count):
+            cap = whole_s
+            while left > _NO_STEP_S:
+                h = left / math.ceil(left / cap - 1e-9)
+                slot = -1
+                for k in range(_SLOTS):
+                    if abs(built_s[k] - h) < _SAME_STEP_S:
+                        slot = k
+                if slot < 0 and built < _MOST_BUILT:
+                    slot = built % _SLOTS
+                    _build(closed_slot, slot, closed, loop.closed_rate, grid_s, h)
+                    _build(opened_slot, slot, opened, loop.opened_rate, grid_s, h)
+                    built_s[slot] = h
+                    built += 1
+                    _fade(fades, slot, physics.lag_s, natural, physics.resonance_damping, h)
+                elif slot < 0 and fading:
+                    _fade(fades, _SLOTS, physics.lag_s, natural, physics.resonance_damping, h)
                 if slews:
                     s = max(min((wanted - u) / h, physics.set_point_deg_s), -physics.set_point_deg_s)
                 middle = y + 0.5 * h * v
@@ -174,10 +257,14 @@ def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would tak
                         + physics.droop_deg * math.sin(middle * _PER_DEG)
                     )
                 x = (y, v, torque, u, s, pushed, load)
-                if held:
-                    y, v, torque = _moved(opened, loop.opened_rate, grid_s, h, x)
+                if slot >= 0:
+                    steps = opened_slot if held else closed_slot
+                    y1, v1, torque1 = _row(steps, slot, 0, x), _row(steps, slot, 1, x), _row(steps, slot, 2, x)
+                elif held:
+                    y1, v1, torque1 = _moved(opened, loop.opened_rate, grid_s, h, x)
                 else:
-                    y, v, torque = _moved(closed, loop.closed_rate, grid_s, h, x)
+                    y1, v1, torque1 = _moved(closed, loop.closed_rate, grid_s, h, x)
+                rested = False
                 if rubs:
                     limit = friction
                     if physics.load_friction > 0.0:
@@ -186,10 +273,29 @@ def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would tak
                     # Response to a deceleration: exact on the grid, in proportion to the time between.
                     k = min(max(int(h / grid_s + 0.5), 1), steps.shape[0]) - 1
                     share = h / ((k + 1) * grid_s)
-                    brake = max(min(-v / (steps[k, 1, 6] * share), limit), -limit)
-                    y += steps[k, 0, 6] * share * share * brake
-                    v += steps[k, 1, 6] * share * brake
-                    torque += steps[k, 2, 6] * share * share * brake
+                    brake = max(min(-v1 / (steps[k, 1, 6] * share), limit), -limit)
+                    rested = abs(brake) < limit
+                    y1 += steps[k, 0, 6] * share * share * brake
+                    v1 += steps[k, 1, 6] * share * brake
+                    torque1 += steps[k, 2, 6] * share * share * brake
+                if cap > short_s:
+                    still = abs(y1 - y) < _STILL_DEG
+                    turned = v * v1 <= 0.0 and not still
+                    top, bottom = most + dead, least - dead
+                    piece = _piece(error, edge, top, bottom)
+                    if (
+                        _piece(u - y, edge, top, bottom) != piece
+                        or _piece(u + h * s - y1, edge, top, bottom) != piece
+                        or (turned and (rubs or half > 0.0))
+                        or (rested and not still)
+                        or (lags and (followed != dc_gain * y or max(v, v1) > fastest or min(v, v1) < -fastest_down))
+                        or max(y, y1) >= stop_upper
+                        or min(y, y1) <= stop_lower
+                    ):
+                        cap = short_s
+                        continue
+                left -= h
+                y, v, torque = y1, v1, torque1
                 u += h * s
                 if y > stop_upper:
                     y, v = stop_upper, min(v, 0.0)
@@ -200,7 +306,9 @@ def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would tak
                     min(position, before + physics.follow_up_deg_s * h), before - physics.follow_down_deg_s * h
                 )
                 if natural > 0.0:
-                    flexed, swing = _flexed(natural, physics.resonance_damping, h, (before, followed), (flexed, swing))
+                    flexed, swing = _flexed(
+                        natural, physics.resonance_damping, h, fades[slot], (before, followed), (flexed, swing)
+                    )
                 else:
                     flexed = followed
                 played = max(min(played, flexed + half), flexed - half)
@@ -212,10 +320,8 @@ def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would tak
                 )
                 static = max(min(static, physics.upper_deg), physics.lower_deg) + physics.bias_deg
                 if physics.lag_s > 0.0:
-                    if h != faded_s:
-                        faded_s, fade = h, math.exp(-h / physics.lag_s)
                     drift = (static - before) / h * physics.lag_s
-                    lagged = static - drift + fade * (lagged - before + drift)
+                    lagged = static - drift + fades[slot, 0] * (lagged - before + drift)
                 else:
                     lagged = static
             if not commanded:
@@ -228,6 +334,10 @@ def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would tak
             result[n] = physics.output_step_deg * math.floor(lagged / physics.output_step_deg + 0.5)
         else:
             result[n] = lagged
+    memory[_CLOCK], memory[_Y], memory[_V], memory[_TORQUE], memory[_U] = clock, y, v, torque, u
+    memory[_S], memory[_WANTED], memory[_FOLLOWED], memory[_FLEXED] = s, wanted, followed, flexed
+    memory[_SWING], memory[_PLAYED], memory[_STATIC], memory[_LAGGED] = swing, played, static, lagged
+    memory[_CURSOR] = c
     return result
 
 
