@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from servofd.discrepancy.explanation import explain_gap as explain_gap
     from servofd.errors import ServofdError as ServofdError
     from servofd.explaining import explain_log as explain_log
+    from servofd.fleet.run import audit_logs as audit_logs
     from servofd.identification.identify import identify as identify
     from servofd.identification.result import Identification as Identification
     from servofd.models.servo_model import ServoModel as ServoModel
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from servofd.servos import library as library
     from servofd.servos import servo_named as servo_named
     from servofd.simulation.flight import simulate_flight as simulate_flight
+    from servofd.trend.trend import trend_logs as trend_logs
     from servofd.workflow import audit as audit
     from servofd.workflow import calibrate as calibrate
 
@@ -53,6 +55,7 @@ _HOME = {
     "SurfaceAudit": "detection.audit",
     "TransferFunction": "models.transfer",
     "audit": "workflow",
+    "audit_logs": "fleet.run",
     "calibrate": "workflow",
     "audit_log": "detection.audit",
     "cut": "segment",
@@ -66,6 +69,7 @@ _HOME = {
     "load_aircraft": "aircraft",
     "servo_named": "servos",
     "simulate_flight": "simulation.flight",
+    "trend_logs": "trend.trend",
 }
 
 __all__ = [
@@ -83,6 +87,7 @@ __all__ = [
     "TransferFunction",
     "audit",
     "audit_log",
+    "audit_logs",
     "calibrate",
     "cut",
     "design_nullspace_filter",
@@ -95,6 +100,7 @@ __all__ = [
     "load_aircraft",
     "servo_named",
     "simulate_flight",
+    "trend_logs",
 ]
 
 
