@@ -209,6 +209,9 @@ class Listener:
         self._codec = Codec(255, 190)
         self.messages: list[Any] = []
 
+    def close(self) -> None:
+        self._socket.close()
+
     def listen(self) -> list[Any]:
         try:
             while True:
@@ -242,6 +245,7 @@ class TestOnSockets:
             thread.join(DEADLINE_S)
         assert codes == [1]
         listener.listen()
+        listener.close()
         events = [json.loads(line) for line in lines.read_text().splitlines()]
         assert {event["schema"] for event in events} == {"servofd.event/1"}
         alarm = next(event for event in events if event["event"] == "alarm")
