@@ -106,7 +106,9 @@ class Session:
             vehicle = self.vehicles.get(heard.system) or self._found(heard)
             if vehicle is not None:
                 self.names.add(heard.name)
-                events += vehicle.hear(heard, arrival_s)
+                told = vehicle.hear(heard, arrival_s)
+                self._ask_again(vehicle, told)
+                events += told
                 self._answered(heard)
         return events
 
@@ -198,10 +200,14 @@ class Session:
         requests = self._requests.get(vehicle.system)
         if requests is None or self.send is None or vehicle.heard_s == float("-inf"):
             return
-        if any(event.event == "link_restored" or "restarted" in event.text for event in events):
-            requests.again()
         for name, fields in requests.due(now_s):
             self.send(name, fields)
+
+    def _ask_again(self, vehicle: Vehicle, events: list[Event]) -> None:
+        """A vehicle that was away may have started anew, with its usual rates."""
+        requests = self._requests.get(vehicle.system)
+        if requests is not None and any(e.event == "link_restored" or "restarted" in e.text for e in events):
+            requests.again()
 
     def waiting(self) -> str:
         """What is still missing, in words; empty if every surface is watched."""

@@ -37,7 +37,7 @@ def test_through_mavproxy_as_a_router(tmp_path: Path) -> None:
             "--streamrate=-1",
             "--target-system=1",
             "--target-component=0",
-            "--cmd=watch STATUSTEXT",
+            "--cmd=set mavfwd_link 1; watch STATUSTEXT",
         ) as console,
         pymavlink_station(f"udpin:127.0.0.1:{out}", source=COMPANION) as monitor,
         pymavlink_station(f"udpout:127.0.0.1:{alerts}", source=COMPANION) as announcer,

@@ -246,7 +246,7 @@ def test_a_flight_ends_by_itself(capsys: pytest.CaptureFixture[str]) -> None:
         (["--stream", "udpin:{free}", "--system", "0"], "from 1 to 255"),
         (["--stream", "udpin:{free}", "--speed", "0"], "1 is real time"),
         (["--stream", "udpin:{free}", "--feedback", "nmaed"], "did you mean named?"),
-        (["--stream", "udpin:{free}", "--key", "no_such_key"], "cannot read it"),
+        (["--stream", "udpin:{free}", "--signing-key", "no_such_key"], "cannot read it"),
         (["--stream", "udpin:{free}", "--clock-s", "-1"], "give seconds"),
         (["--stream", "udpin:{free}", "--generation", "volz"], "belongs to a .bin"),
         (["--stream", "udpin:{free}", "--fault", "elevator:stuck@601"], "lasts from 0 to 600 s"),

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from logparsers.codec import Codec, Heard
 from logparsers.endpoint import parse_endpoint
+from logparsers.errors import LinkError
 from logparsers.link import open_link
 from servofd.aircraft import plain_aircraft
 from servofd.simulation.flight import SimulatedFlight, simulate_flight
@@ -20,6 +21,7 @@ from servofd.simulation.vehicle.vehicle import Settings, Vehicle
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from logparsers.link import Link
     from servofd.simulation.vehicle.messages import Send
 
 PLANE = plain_aircraft(["elevator", "aileron", "rudder"])
@@ -30,6 +32,18 @@ GROUND = (255, 190)
 def flown(*, rate_hz: float = 50.0, duration_s: float = 10.0, **options: Any) -> SimulatedFlight:
     options = {"seed": 3} | options
     return simulate_flight(PLANE, rate_hz=rate_hz, duration_s=duration_s, outputs=outputs_of(PLANE), **options)
+
+
+def plane_file() -> str:
+    """Aircraft file of `PLANE`, as its user would write it."""
+    surfaces = [
+        f'[surfaces.{name}]\nservo = "hs225bb-eq31"\nthreshold_deg = 1.5\n'
+        f'command = {{ channel = "SERVO_OUTPUT_RAW.servo{n}_raw", unit = "us", trim_us = 1500, '
+        f"slope_deg_per_us = 0.09 }}\n"
+        f'measured = {{ channel = "NAMED_VALUE_FLOAT[SRVP{n}].value", unit = "deg" }}\n'
+        for name, n in (("elevator", 2), ("aileron", 1), ("rudder", 4))
+    ]
+    return 'name = "plane"\n' + "".join(surfaces)
 
 
 def vehicle(flight: SimulatedFlight | None = None, **settings: Any) -> Vehicle:
@@ -79,6 +93,15 @@ def until(happened: Callable[[], Any], what: str) -> Any:
     raise AssertionError(f"{what} did not happen within {DEADLINE_S:g} s")
 
 
+def _opened(endpoint: str) -> Link | None:
+    """A link; none while the other end does not listen yet."""
+    try:
+        return open_link(parse_endpoint(endpoint))
+    except LinkError:
+        time.sleep(0.05)  # a refused connection is all there is to wait on
+        return None
+
+
 @contextmanager
 def flying(
     endpoint: str,
@@ -86,11 +109,16 @@ def flying(
     *,
     codec: Codec | None = None,
     wait: bool = True,
+    record: bytearray | None = None,
     **settings: Any,
 ) -> Iterator[list[Flown]]:
-    """A vehicle in a thread that takes off when somebody speaks; what it counted is there after it has landed."""
+    """A vehicle in a thread that takes off when somebody speaks; what it counted is there after it has landed.
+
+    `record` gets every byte that it hears.
+    """
     counted: list[Flown] = []
-    link = open_link(parse_endpoint(endpoint))
+    heard = bytearray() if record is None else record
+    link = until(lambda: _opened(endpoint), f"{endpoint} could be opened")
     made = vehicle(flight, **settings)
     stop = threading.Event()
 
@@ -103,7 +131,9 @@ def flying(
         def receive(self, timeout_s: float) -> bytes:
             if stop.is_set():
                 raise KeyboardInterrupt
-            return link.receive(timeout_s)
+            data: bytes = link.receive(timeout_s)
+            heard.extend(data)
+            return data
 
         def close(self) -> None:
             link.close()
