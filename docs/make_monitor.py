@@ -26,7 +26,7 @@ def main(folder: Path) -> None:
     """Write ``monitor.svg``."""
     plane = plain_aircraft(["aileron", "elevator", "rudder"])
     flight = simulate_flight(
-        plane, rate_hz=40.0, duration_s=_SHOWN_S, seed=2, faults={"elevator": Stuck(20.0)}, outputs=outputs_of(plane)
+        plane, rate_hz=40.0, duration_s=_SHOWN_S, seed=3, faults={"elevator": Stuck(20.0)}, outputs=outputs_of(plane)
     )
     session = Session(Codec(0, 191), {0: load_aircraft("simulated")})
     view = View(session, "udpin:127.0.0.1:14550")
