@@ -76,7 +76,7 @@ class Threshold:
     tolerance_deg: FloatArray
     """Largest residual of a healthy servo without noise, of shape (n,)."""
     saturated_deg: FloatArray
-    """What of it comes from running at the rate limit, of shape (n,)."""
+    """What of it comes from running at the rate limit, and from commands that were lost, of shape (n,)."""
     sigma_deg: FloatArray
     """Standard deviation of the residual from noise, as known at each instant, of shape (n,)."""
     cusum: CusumDesign
@@ -111,7 +111,7 @@ class Evaluation(NamedTuple):
 
 
 def constant_threshold(interval: Threshold, level_deg: float) -> Threshold:
-    """The same level all the time, but for what a servo may leave that runs at its rate limit."""
+    """The same level all the time, but for what a servo may leave at its rate limit, or commands that were lost."""
     return replace(interval, kind="constant", level_deg=level_deg + interval.saturated_deg)
 
 
