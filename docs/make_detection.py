@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from detection import calibration, delays, false_alarms, fly, limits, onsets, shares
 from detection_pictures import draw
 from servofd.aircraft import DEFAULT_SIGMAS
-from servofd.detection import alarm, allowance, threshold
+from servofd.detection import alarm, allowance, latch, threshold
 from servofd.detection.bank import (
     classify,
     confirm,
@@ -102,7 +102,7 @@ compares D2 with servos that are simulated with these errors.)
 | dt | delay | {1e3 * tolerance.delay_s:g} ms |
 | dw | bandwidth | {tolerance.bandwidth:.0%} |
 | r_sat | residual of a servo whose rate limit is lower by its tolerance, while the model runs at it | {tolerance.rate:.0%} |
-| lost | commands that never reached the log: half their recent curvature, times what the filter lets pass of one sample, {threshold._PEAK_OF_LAGS:g} \\|p\\| T | |
+| lost | commands that never reached the log: half their recent curvature, times what the filter lets pass of one sample, {threshold.PEAK_OF_LAGS:g} \\|p\\| T | |
 | [x] | peak hold: max(\\|x\\|, the last peak / (1 + T/{allowance._PEAK_HOLD_S:g} s)) | |
 | sigma_r | noise gain of the filter times the noise of the position, measured as the flight goes on (starts at {tolerance.noise_deg:g} deg) | |
 
@@ -144,9 +144,9 @@ def latching() -> str:
 An alarm lasts until the surface has *proved* to be well. A jammed servo between two manoeuvres has no residual. So an
 episode ends only if |r| stayed below {alarm._QUIET_SHARE:g} tau while the residual of an immobile surface would have travelled
 
-    sum |d play(r0, 2 tau)| >= {alarm._TRAVEL_TO_CLEAR:g} tau                                                           (D7)
+    sum |d play(r0, 2 tau)| >= {latch._TRAVEL_TO_CLEAR:g} tau                                                           (D7)
 
-(play: motion within a zone of twice the median threshold does not count), and then at the last sample at which it was louder.
+(play: motion within a zone of twice the usual threshold so far, its median, does not count), and then at the last sample at which it was louder.
 """
 
 

@@ -10,6 +10,7 @@
     ├── TruncatedLog      the file stops before its channels are complete
     ├── ClockError        its time stamps cannot be put in order
     ├── MissingChannel    a channel that was asked for is not in the log
+    ├── LinkError         a live stream cannot be opened
     └── SeveralRuns       one log was asked for, the file holds several
 """
 
@@ -18,6 +19,7 @@ from __future__ import annotations
 __all__ = [
     "ClockError",
     "EmptyLog",
+    "LinkError",
     "LogError",
     "MissingChannel",
     "MissingLog",
@@ -58,6 +60,10 @@ class ClockError(LogError):
 
 class MissingChannel(LogError):  # noqa: N818
     """A channel that was asked for is not in the log."""
+
+
+class LinkError(LogError):
+    """A live stream cannot be opened, or not any more."""
 
 
 class SeveralRuns(LogError):  # noqa: N818

@@ -1,7 +1,7 @@
 """What MAVLink messages look like: field layouts, units and check-sum seeds, taken from pymavlink.
 
-The only file that imports pymavlink. Nothing is written down twice: a message that pymavlink learns to
-read, this package reads.
+With the codec of live links the only file that imports pymavlink. Nothing is written down twice: a message that
+pymavlink learns to read, this package reads.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ __all__ = [
     "dialect",
     "dialect_names",
     "enum_name",
+    "message_name",
     "pack",
     "rival_names",
     "version_text",
@@ -297,6 +298,18 @@ def enum_name(enum: str, value: int, *, prefix: str = "") -> str:
     if entry is None or entry.name.endswith("_ENUM_END"):
         return f"{enum} {value}"
     return str(entry.name).removeprefix(prefix or f"{enum}_").replace("_", " ").lower()
+
+
+def message_name(number: int) -> str | None:
+    """Name of a message, or None if nobody knows it.
+
+    Examples
+    --------
+    >>> message_name(36), message_name(59999)
+    ('SERVO_OUTPUT_RAW', None)
+    """
+    known = _module(DEFAULT_DIALECT).mavlink_map.get(number)
+    return None if known is None else str(known.msgname)
 
 
 def version_text(number: int) -> str:

@@ -11,16 +11,23 @@ from logparsers.errors import MissingChannel
 from logparsers.records import own
 from servofd.errors import NoMeasurement
 from servofd.frozen import frozen_rows, republished_rows
+from servofd.models.context import NO_CONTEXT, Context
 
 if TYPE_CHECKING:
     from logparsers.records import Channel, FlightLog
     from servofd.aircraft import Surface
     from servofd.types import FloatArray
 
-__all__ = ["SLOWEST_RATE_HZ", "Segment", "cut"]
+__all__ = ["SLOWEST_RATE_HZ", "WARM_UP_S", "WARM_UP_STEPS", "Segment", "cut", "pace_steps"]
 
 _LARGEST_DEG = 1e6
 """No servo turns so far; a motor drive in millimetres may."""
+
+_AIRSPEED = ("airspeed_m_s", "ARSP.Airspeed", "VFR_HUD.airspeed")
+_VOLTAGE = ("servo_voltage_v", "POWR.Vservo")
+WARM_UP_S, WARM_UP_STEPS = 10.0, 100
+"""A monitor in flight learns the pace of a stream from so many intervals, or from as many as there are by then [s]."""
+_SAME_PACE = 1.5
 
 SLOWEST_RATE_HZ = 10.0
 """Below this a healthy servo's residual passes 0.9 deg for lack of samples (measured on simulated flights)."""
@@ -58,6 +65,8 @@ class Segment:
     """Time during which a dead telemetry repeated its last row [s]; those rows are missing values here."""
     frozen_to_end: bool = False
     """True if it never came back."""
+    context: Context = NO_CONTEXT
+    """Airspeed and supply, as far as they were logged."""
 
     def __post_init__(self) -> None:
         for name in ("command_s", "command_deg", "measured_s", "measured_deg"):
@@ -72,9 +81,31 @@ class Segment:
 
     @property
     def period_s(self) -> float:
-        """Median time between two measurements that have a value [s]; NaN if there are fewer than two."""
-        times = self.measured_s[np.isfinite(self.measured_deg)]
-        return float(np.median(np.diff(times))) if times.size > 1 else float("nan")
+        """Usual time between two measurements that have a value [s]; NaN if there are fewer than two."""
+        steps_s = pace_steps(self.measured_s[np.isfinite(self.measured_deg)])
+        return float(np.median(steps_s)) if steps_s.size else float("nan")
+
+
+def pace_steps(time_s: FloatArray) -> FloatArray:
+    """Intervals that tell the pace of a stream [s], from time stamps [s] of shape (n,).
+
+    Those of the warm-up, so that a monitor in flight works with the same numbers as an audit of the whole log; all of
+    them if the pace changed after that.
+
+    Examples
+    --------
+    >>> pace_steps(np.arange(1000) * 0.5).size, pace_steps(np.arange(1000) * 0.01).size
+    (20, 100)
+    >>> pace_steps(np.concatenate([np.arange(0.0, 10.0, 0.25), np.arange(10.0, 100.0, 0.02)])).size
+    4539
+    """
+    steps_s = np.diff(time_s)
+    if steps_s.size == 0:
+        return steps_s
+    last = int(np.searchsorted(time_s, time_s[0] + WARM_UP_S, side="right")) - 1
+    first_s = steps_s[: max(1, min(WARM_UP_STEPS, last))]
+    ratio = float(np.median(first_s)) / float(np.median(steps_s))
+    return first_s if 1.0 / _SAME_PACE <= ratio <= _SAME_PACE else steps_s
 
 
 def cut(log: FlightLog, name: str, surface: Surface) -> Segment:
@@ -117,8 +148,27 @@ def cut(log: FlightLog, name: str, surface: Surface) -> Segment:
             )
     if _is_echo(command, measured, surface.command.to_deg(command.values), measured_deg):
         raise NoMeasurement("position equals command in every sample: an echo of the command, not a measurement")
-    segment = Segment(name, command.time_s[given], command_deg, measured.time_s, measured_deg, surface.command_period_s)
+    segment = Segment(
+        name,
+        command.time_s[given],
+        command_deg,
+        measured.time_s,
+        measured_deg,
+        surface.command_period_s,
+        context=Context(*_signal(log, _AIRSPEED), *_signal(log, _VOLTAGE)),
+    )
     return _without_dead_telemetry(segment, measured, log, surface) if surface.alive else segment
+
+
+def _signal(log: FlightLog, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray]:
+    """Times and values of the first of these channels that holds any; empty if none does."""
+    for name in names:
+        if name in log.channels:
+            channel = log[name]
+            good = np.isfinite(channel.values)
+            if np.count_nonzero(good) > 1:
+                return channel.time_s[good], channel.values[good]
+    return np.zeros(0), np.zeros(0)
 
 
 def _without_dead_telemetry(segment: Segment, measured: Channel, log: FlightLog, surface: Surface) -> Segment:

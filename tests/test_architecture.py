@@ -18,12 +18,13 @@ PARTS = {
     "errors": set(),
     "types": set(),
     "tolerance": set(),
+    "limits": set(),
     "models": {"errors", "types", "servos"},
     "servos": {"errors", "types", "models"},
     "calibration": {"errors", "types"},
-    "aircraft": {"errors", "types", "models", "servos", "calibration", "tolerance"},
+    "aircraft": {"errors", "types", "models", "servos", "calibration", "tolerance", "limits"},
     "frozen": {"types"},
-    "segment": {"errors", "types", "aircraft", "frozen"},
+    "segment": {"errors", "types", "aircraft", "frozen", "models"},
     "feedback": {"errors", "types", "aircraft", "servos", "models", "segment", "detection", "toml_text"},
     "toml_text": set(),
     "calibrating": {
@@ -44,7 +45,7 @@ PARTS = {
     "simulation": {"errors", "types", "models", "calibration", "aircraft", "outputs"},
     "identification": {"errors", "types", "models", "servos", "segment"},
     "discrepancy": {"errors", "types", "models", "segment", "detection"},
-    "explaining": {"errors", "types", "aircraft", "segment", "discrepancy", "workflow"},
+    "explaining": {"errors", "types", "aircraft", "bench", "models", "servos", "segment", "discrepancy", "workflow"},
     "bench": {"errors", "types", "aircraft", "segment", "identification", "workflow"},
     "outputs": {
         "errors",
@@ -57,6 +58,20 @@ PARTS = {
         "identification",
         "discrepancy",
         "sweep",
+        "odds",
+        "toml_text",
+    },
+    "fleet": {"errors", "aircraft", "servos", "detection", "workflow", "outputs"},
+    "trend": {
+        "errors",
+        "types",
+        "aircraft",
+        "models",
+        "segment",
+        "detection",
+        "calibrating",
+        "workflow",
+        "fleet",
     },
     "workflow": {"errors", "aircraft", "servos", "detection", "feedback", "segment", "calibrating"},
     "cli": {
@@ -77,32 +92,40 @@ PARTS = {
         "identification",
         "bench",
         "explaining",
+        "fleet",
+        "trend",
     },
 }
 ONLY_IN = {
     "rerun": {"servofd/outputs/recording.py"},
     "matplotlib": {
         "servofd/outputs/figure.py",
+        "servofd/outputs/audit_figures.py",
+        "servofd/outputs/explain_figures.py",
         "servofd/outputs/identify_figures.py",
         "servofd/outputs/odds_figure.py",
+        "servofd/outputs/picture.py",
         "servofd/cli/design.py",
     },
-    "jinja2": {"servofd/outputs/identify_page.py"},
+    "jinja2": {"servofd/outputs/page.py"},
     "argparse": {
         f"servofd/cli/{name}.py"
         for name in (
             "__init__",
             "audit",
+            "audit_fleet",
             "calibrate",
             "config",
             "design",
             "explain",
+            "fleet",
             "identify",
             "info",
             "odds",
             "servos",
             "simulate",
             "sweep",
+            "trend",
         )
     },
     "numba": {
@@ -111,13 +134,15 @@ ONLY_IN = {
         "servofd/detection/probability/cusum.py",
         "servofd/detection/starts.py",
         "servofd/detection/bank/altered.py",
-        "servofd/discrepancy/kernel.py",
+        "servofd/models/position_loop.py",
         "logparsers/compiled.py",
     },
-    "pymavlink": {"logparsers/mavlink.py"},
+    "pymavlink": {"logparsers/codec.py", "logparsers/mavlink.py"},
+    "serial": {"logparsers/link.py"},
     "pyulog": {"logparsers/ulog/bounded.py"},
     "h5py": {"logparsers/hdf5.py"},
     "control": {"servofd/models/transfer.py"},
+    "distributed": {"servofd/fleet/cluster.py"},
 }
 
 
@@ -194,6 +219,7 @@ def test_import_and_help_load_no_heavy_package() -> None:
         "h5py",
         "pymavlink",
         "pyulog",
+        "serial",
     )
     code = (
         "import sys, servofd, servofd.cli; servofd.cli.build_parser().format_help();"

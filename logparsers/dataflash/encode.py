@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from logparsers.dataflash.formats import FMT, HEADER_SIZE, Layout, define, stored_size
-from logparsers.interleave import interleave
+from logparsers.interleave import interleave, places
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Message", "encode"]
+__all__ = ["Message", "Rows", "encode", "encode_rows"]
 
 FIRST_FREE_TYPE: Final = 129
 UNITS: Final[Mapping[str, str]] = {
@@ -59,6 +59,28 @@ class Message:
         return define(type=kind, name=self.name, length=length, format=self.format, columns=columns)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """A log and where its rows are, for whoever sends it row by row.
+
+    Parameters
+    ----------
+    content : bytes
+        Definitions, then all rows in the order of time.
+    ends : ndarray of int64, shape (n,)
+        Where each row ends; the definitions end where the first row begins.
+    time_us : ndarray of int64, shape (n,)
+        When each row was written [us].
+    named : ndarray of str, shape (n,)
+        Message of each row.
+    """
+
+    content: bytes
+    ends: NDArray[np.int64]
+    time_us: NDArray[np.int64]
+    named: NDArray[np.str_]
+
+
 def encode(messages: Sequence[Message], *, start_us: int | None = None) -> bytes:
     """Write a log: definitions first, then all rows in the order of time.
 
@@ -81,6 +103,33 @@ def encode(messages: Sequence[Message], *, start_us: int | None = None) -> bytes
     >>> DataFlashFile.open(encode([rcou])).formats["RCOU"].fields["C1"].unit
     'us'
     """
+    head, _, times, records = _parts(messages, start_us)
+    return head + interleave(times, records)
+
+
+def encode_rows(messages: Sequence[Message], *, start_us: int | None = None) -> Rows:
+    """Write a log as `encode` does, and remember its rows.
+
+    Examples
+    --------
+    >>> rcou = Message("RCOU", "QH", {"TimeUS": [10, 20], "C1": [1500, 1510]})
+    >>> rows = encode_rows([rcou])
+    >>> rows.content == encode([rcou]), np.diff(rows.ends).tolist(), rows.time_us.tolist(), rows.named.tolist()
+    (True, [13], [10, 20], ['RCOU', 'RCOU'])
+    """
+    head, names, times, records = _parts(messages, start_us)
+    lengths = [np.full(len(r), r.dtype.itemsize) for r in records]
+    starts = np.concatenate(places(times, lengths)[0])
+    order = np.argsort(starts)
+    ends = len(head) + (starts + np.concatenate(lengths))[order]
+    named = np.repeat(names, [len(r) for r in records])[order]
+    return Rows(head + interleave(times, records), ends, np.concatenate(times)[order], named)
+
+
+def _parts(
+    messages: Sequence[Message], start_us: int | None
+) -> tuple[bytes, list[str], list[NDArray[np.int64]], list[NDArray[Any]]]:
+    """Definitions; and of each message its name, and the times and bytes of its rows."""
     clocks = [np.asarray(next(iter(m.columns.values())), np.int64) for m in messages]
     if start_us is None:
         start_us = min((int(c.min()) for c in clocks if c.size), default=0)
@@ -89,7 +138,7 @@ def encode(messages: Sequence[Message], *, start_us: int | None = None) -> bytes
     head = b"".join(_fmt_record(layout) for layout in (FMT, *layouts))
     records = [_records(m, layout) for m, layout in zip(everything, layouts, strict=True)]
     times = [np.asarray(next(iter(m.columns.values())), np.int64) for m in everything]
-    return head + interleave(times, records)
+    return head, [m.name for m in everything], times, records
 
 
 def _dictionary(messages: Sequence[Message], start_us: int) -> list[Message]:

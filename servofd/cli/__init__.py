@@ -14,7 +14,22 @@ import sys
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from servofd import __version__
-from servofd.cli import audit, calibrate, config, design, explain, identify, info, odds, servos, simulate, sweep
+from servofd.cli import (
+    audit,
+    calibrate,
+    config,
+    design,
+    explain,
+    fleet,
+    identify,
+    info,
+    odds,
+    review,
+    servos,
+    simulate,
+    sweep,
+    view,
+)
 from servofd.cli.interrupt import interruptible
 from servofd.cli.tables import one_line
 
@@ -22,6 +37,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 __all__ = ["main"]
+
+_VERBS = (info, config, calibrate, audit, view, review, explain, sweep, odds, identify, simulate, servos, design)
+"""In the order in which the help shows them."""
 
 _COULD_NOT_TELL = 2
 _INTERRUPTED = 128 + signal.SIGINT
@@ -46,7 +64,22 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"servofd {__version__}")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
-    for verb in (info, config, calibrate, audit, explain, sweep, odds, identify, simulate, servos, design):
+    for verb in (
+        info,
+        config,
+        calibrate,
+        audit,
+        fleet,
+        view,
+        review,
+        explain,
+        sweep,
+        odds,
+        identify,
+        simulate,
+        servos,
+        design,
+    ):
         verb.add_parser(verbs)
     return parser
 

@@ -25,23 +25,26 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
         "or it was found; 1: something stays unexplained; 2: could not tell.",
         epilog="Example: servofd explain flight.csv -s elevator --save better.toml",
     )
-    parser.add_argument("log", metavar="LOG", help="any log that audit reads")
+    parser.add_argument("log", metavar="LOG", nargs="+", help="any log that audit reads; several of the same servo")
     parser.add_argument("-s", "--surface", metavar="SURFACE", help="which surface, if the log holds several")
     parser.add_argument("-c", "--config", metavar="AIRCRAFT.toml", help="aircraft file, or the name of a shipped one")
-    parser.add_argument("--servo", metavar="NAME", help="servo to assume: of the library, or FILE.toml")
+    parser.add_argument("--servo", metavar="NAME", help="servo to assume: of the library, FILE.toml, or unknown")
     parser.add_argument("--json", metavar="FILE", help="write the result as JSON; - prints it instead of the text")
     parser.add_argument("--save", metavar="MODEL.toml", help="write the aircraft with the better model, for audit -c")
+    parser.add_argument("--html", metavar="FILE", help="write a page: the gap before and after")
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Explain, write what was asked for, print."""
     from servofd.cli.tables import progress_bar
+    from servofd.cli.targets import check_targets
     from servofd.explaining import explain_log
     from servofd.outputs.files import write_whole
     from servofd.outputs.json_report import to_json
 
-    _check_outputs(options)
+    outputs = (options.json, options.save, options.html)
+    check_targets(outputs, {"a log": options.log, "the aircraft file": [options.config]})
     with progress_bar("explain", _STEPS) as step:
         found = explain_log(options.log, options.config, surface=options.surface, servo=options.servo, progress=step)
     document = to_json(found.explanation.document())
@@ -51,22 +54,14 @@ def run(options: argparse.Namespace) -> int:
     if options.save:
         from servofd.outputs.model_file import model_file
 
-        write_whole(options.save, model_file(found.explanation, found.aircraft, found.source).encode())
+        write_whole(options.save, model_file([found.explanation], found.aircraft, found.source).encode())
+    if options.html:
+        from servofd.outputs.explain_page import explain_page
+
+        write_whole(
+            options.html, explain_page([found.explanation], ", ".join(Path(log).name for log in options.log)).encode()
+        )
     return 1 if found.explanation.conclusion in ("partly_explained", "unexplained") or found.explanation.fault_s else 0
-
-
-def _check_outputs(options: argparse.Namespace) -> None:
-    """Refuse outputs that cannot be written, or would overwrite an input or each other."""
-    from servofd.errors import ConfigError
-
-    taken = {Path(name).resolve() for name in (options.log, options.config) if name}
-    for name in filter(None, (options.json if options.json != "-" else None, options.save)):
-        target = Path(name).resolve()
-        if not target.parent.is_dir():
-            raise ConfigError(f"{name}: the folder {target.parent} does not exist")
-        if target in taken:
-            raise ConfigError(f"{name}: is an input or another output already; choose another file")
-        taken.add(target)
 
 
 def _text(found: ExplainedLog) -> str:
@@ -89,6 +84,12 @@ def _text(found: ExplainedLog) -> str:
         rivals = ", ".join(f"{r['effect']} {r['held_out_rms_deg']:.3g}" for r in step["rivals"][:3])
         if rivals:
             lines.append(f"    instead: {rivals}")
+    if document["runs"]:
+        lines += ["", f"{'each run as the others predict it':<34}{'as it was':>10}{'now':>10}   deg rms"]
+        lines += [
+            f"  {each['run'] + 1:<32}{each['nominal_rms_deg']:>10.4f}{each['held_out_rms_deg']:>10.4f}"
+            for each in document["runs"]
+        ]
     for tie in document["indistinguishable"]:
         lines += ["", f"these data cannot tell {tie[0]} from {' or '.join(tie[1:])}"]
     if document["notes"]:

@@ -7,6 +7,8 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from servofd.cli import stream
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -17,6 +19,9 @@ __all__ = ["add_parser", "run"]
 
 OUTPUTS = ".csv (plain table), .mat (FASER), .bin (ArduPilot DataFlash), .tlog (MAVLink) or .ulg (PX4)"
 
+_LOOP_HZ = 50.0
+_LIVE_S = 600.0
+
 _Made = TypeVar("_Made")
 
 
@@ -24,15 +29,28 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
     """Declare the verb."""
     parser = verbs.add_parser(
         "simulate",
-        help="write a log of a simulated flight",
-        description="Simulates an aircraft's servos and writes the log of the flight, healthy or with faults.",
+        help="write a log of a simulated flight, or fly it live",
+        description="Simulates an aircraft's servos, healthy or with faults, and writes the log of the flight, or "
+        "flies it as a vehicle on a MAVLink link.",
         epilog="Example: servofd simulate -o flight.csv --fault elevator:deadband@20:width_deg=3",
     )
-    parser.add_argument("-o", "--output", required=True, metavar="FILE", help=OUTPUTS)
+    where = parser.add_mutually_exclusive_group(required=True)
+    where.add_argument("-o", "--output", metavar="FILE", help=OUTPUTS)
+    where.add_argument(
+        "--stream",
+        metavar="ENDPOINT",
+        help="udpout:HOST:PORT, udpin:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT or a serial device: be an ArduPlane "
+        "there, in real time",
+    )
     parser.add_argument("-c", "--config", metavar="AIRCRAFT.toml", help="aircraft file, or the name of a shipped one")
     parser.add_argument("--servo", metavar="NAME", help="library servo for all surfaces")
-    parser.add_argument("--duration", type=float, default=60.0, metavar="S", help="length [s] (default: 60)")
-    parser.add_argument("--rate-hz", type=float, metavar="HZ", help="sample rate (default: 100; in a .tlog 40)")
+    parser.add_argument("--duration", type=float, metavar="S", help="length [s] (default: 60; of a stream 600)")
+    parser.add_argument(
+        "--rate-hz",
+        type=float,
+        metavar="HZ",
+        help="sample rate (default: 100; in a .tlog 40; of a stream 50, the main loop of an ArduPlane)",
+    )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="the same seed gives the same flight")
     parser.add_argument(
         "--command",
@@ -63,25 +81,34 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
         help="servo telemetry of a .bin: volz (ArduPilot 4.7: degrees, with the command; default) or dronecan "
         "(up to 4.6: radians)",
     )
+    stream.add_options(parser)
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Simulate and write."""
+    """Simulate, and write or fly."""
     from servofd.aircraft import DEFAULT_SERVO, load_aircraft, plain_aircraft
     from servofd.errors import ConfigError
     from servofd.servos import servo_named
     from servofd.simulation.flight import simulate_flight
     from servofd.simulation.pulses import outputs_of
-    from servofd.simulation.writers import write_flight, writer_for
+    from servofd.simulation.writers import Writer, write_flight, writer_for
 
-    writer = writer_for(options.output, options.generation)
-    rate_hz = writer.rate_hz if options.rate_hz is None else options.rate_hz
+    if options.stream is None:
+        stream.refuse_options(options)
+        writer: Writer | None = writer_for(options.output, options.generation)
+    elif options.generation is None:
+        writer = None
+    else:
+        raise ConfigError("--generation: a generation of servo telemetry belongs to a .bin log, and to that alone")
+    usual_hz, usual_s = (writer.rate_hz, 60.0) if writer else (_LOOP_HZ, _LIVE_S)
+    rate_hz = usual_hz if options.rate_hz is None else options.rate_hz
+    duration_s = usual_s if options.duration is None else options.duration
     if options.servo:
         servo_named(options.servo)
     if options.seed < 0:
         raise ConfigError(f"--seed {options.seed}: give a whole number of zero or more")
-    shipped = "faser" if Path(options.output).suffix.lower() == ".mat" else None
+    shipped = "faser" if writer and Path(options.output).suffix.lower() == ".mat" else None
     config = options.config or shipped
     surfaces = ("elevator", "aileron", "rudder")
     aircraft = load_aircraft(config) if config else plain_aircraft(surfaces, options.servo or DEFAULT_SERVO)
@@ -94,16 +121,18 @@ def run(options: argparse.Namespace) -> int:
     flown = simulate_flight(
         aircraft,
         command=options.command,
-        duration_s=options.duration,
+        duration_s=duration_s,
         rate_hz=rate_hz,
         seed=options.seed,
-        faults=_faults(options.fault, options.duration),
+        faults=_faults(options.fault, duration_s),
         effects=effects,
         noise_deg=options.noise_deg,
-        outputs=outputs_of(aircraft) if writer.pulses else (),
+        outputs=outputs_of(aircraft) if writer is None or writer.pulses else (),
     )
+    if writer is None:
+        return stream.stream(options, flown, aircraft)
     write_flight(options.output, flown, aircraft, generation=options.generation)
-    print(f"{options.output}: {options.duration:g} s at {rate_hz:g} Hz, {', '.join(flown.surfaces)}")
+    print(f"{options.output}: {duration_s:g} s at {rate_hz:g} Hz, {', '.join(flown.surfaces)}")
     return 0
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from servofd.models.play import play
+from servofd.detection.latch import latch, new_latch_memory
 
 if TYPE_CHECKING:
     from servofd.detection.residual import Residuals
@@ -20,13 +19,14 @@ __all__ = ["Episode", "Level", "crossings", "find_episodes"]
 Level = Literal["suspect", "fault"]
 
 _QUIET_SHARE = 0.5
-_TRAVEL_TO_CLEAR = 20.0
 _ONSET_SIGMAS = 4.5
 _QUIET_BEFORE_ONSET_S = 0.5
 _SAMPLES_FOR_NOISE = 100
 _SUSPICION_LASTS_S = 10.0
 """The cumulative sum and the habits look back about that far."""
 _MAD_TO_SIGMA = 1.4826
+_MEMORY_S = 60.0
+"""How far back an onset is looked for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,29 +109,26 @@ def _echoes(time_s: FloatArray, faults: tuple[Episode, ...]) -> BoolArray:
 
 
 def _faults(residuals: Residuals, threshold: Threshold, judged: IntArray, persistence: int) -> tuple[Episode, ...]:
-    size_deg = np.abs(residuals.residual_deg[judged])
-    level_deg, time_s = threshold.level_deg[judged], residuals.time_s[judged]
-    alarms = crossings(residuals.residual_deg[judged], level_deg, persistence)
-    if not alarms.any():
-        return ()
-    loud = np.flatnonzero(size_deg >= _QUIET_SHARE * level_deg)
-    typical_deg = threshold.typical_deg
-    travel_deg = _large_travel(residuals.immobile_deg[judged], typical_deg)
-    enough_deg = _TRAVEL_TO_CLEAR * typical_deg
-    quiet_deg = np.diff(np.append(travel_deg[loud], travel_deg[-1]))
-    last_of_group = np.flatnonzero(quiet_deg >= enough_deg)
-    bounds = np.concatenate([[0], last_of_group + 1, [loud.size]])
+    size_deg, time_s = np.abs(residuals.residual_deg[judged]), residuals.time_s[judged]
+    found = latch(
+        new_latch_memory(),
+        residuals.residual_deg[judged],
+        threshold.level_deg[judged],
+        residuals.immobile_deg[judged],
+        persistence,
+        threshold.typical_deg if threshold.kind == "constant" else np.nan,
+    )
+    raised, cleared = np.flatnonzero(found.alarm), np.flatnonzero(found.clear)
+    loud = np.flatnonzero(found.group >= 0)
     episodes = []
-    for first, end in itertools.pairwise(bounds):
-        group = loud[first:end]
-        raised = group[alarms[group]]
-        if raised.size:
-            alarm = int(raised[0])
-            cleared = quiet_deg[end - 1] >= enough_deg
-            earliest = int(loud[first - 1]) + 1 if first else 0
-            onset = _onset(time_s, size_deg, threshold.tolerance_deg[judged], earliest, alarm)
-            end_s = float(time_s[group[-1]]) if cleared else None
-            episodes.append(Episode(float(time_s[onset]), float(time_s[alarm]), end_s))
+    for alarm in raised.tolist():
+        group = loud[found.group[loud] == found.group[alarm]]
+        before = loud[loud < group[0]]
+        earliest = int(before[-1]) + 1 if before.size else 0
+        onset = _onset(time_s, size_deg, threshold.tolerance_deg[judged], earliest, alarm)
+        ends = cleared[cleared > alarm]
+        end_s = float(time_s[group[-1]]) if ends.size else None
+        episodes.append(Episode(float(time_s[onset]), float(time_s[alarm]), end_s))
     return tuple(episodes)
 
 
@@ -178,15 +175,9 @@ def crossings(residual_deg: FloatArray, level_deg: FloatArray, persistence: int 
     return np.concatenate([np.zeros(persistence - 1, dtype=bool), runs])
 
 
-def _large_travel(immobile_deg: FloatArray, threshold_deg: float) -> FloatArray:
-    """Path that the residual of an immobile surface covers beyond a zone of twice the threshold [deg]."""
-    coarse = play(immobile_deg, 2.0 * threshold_deg, float(immobile_deg[0]))
-    travel: FloatArray = np.cumsum(np.abs(np.diff(coarse, prepend=coarse[0])))
-    return travel
-
-
 def _onset(time_s: FloatArray, size_deg: FloatArray, tolerance_deg: FloatArray, earliest: int, alarm: int) -> int:
     """First sample beyond noise and tolerance after the last quiet half second before the alarm."""
+    earliest = max(earliest, int(np.searchsorted(time_s, time_s[alarm] - _MEMORY_S)))
     before = size_deg[earliest:alarm]
     level_deg = tolerance_deg[earliest : alarm + 1]
     if before.size >= _SAMPLES_FOR_NOISE:

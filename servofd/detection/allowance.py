@@ -24,6 +24,8 @@ CURVATURE_TO_SIGMA = float(np.sqrt(np.pi / 2.0 / 6.0))
 """Mean absolute second difference of white noise to its standard deviation. The median would fail on coarse steps."""
 _MEMORY_S, _EVERY_S = 10.0, 0.5
 """How far back a servo's habits are remembered, and how often they are looked at."""
+_SMALLEST_NOISE_DEG = 1e-3
+_RESOLUTION_TO_SIGMA = float(1.0 / np.sqrt(12.0))
 _TRIFLE = 0.1
 """Strange habits that leave less than this share of the tolerated bias are of no interest, however sure they are."""
 _ANYTHING = np.array([1.0, 0.1, 1.0, 10.0])
@@ -36,6 +38,7 @@ class Signals(NamedTuple):
     time_s: FloatArray
     immobile_deg: FloatArray
     error_deg: FloatArray
+    measured_deg: FloatArray
     judged_deg: FloatArray
     """Residual; NaN where it is not judged."""
     restarted: BoolArray
@@ -51,8 +54,6 @@ class Bounds(NamedTuple):
     habits: FloatArray
     """Of gain, delay [s], bandwidth and bias [deg], of shape (4,)."""
     noise_deg: float
-    floor_deg: float
-    """Smallest believable noise: that of the position's resolution."""
     noise_gain: float
     colour: float
     """Sum of the residual's autocorrelation over all lags."""
@@ -74,14 +75,17 @@ class Work(NamedTuple):
     """Those of any habits."""
     factor: FloatArray
     solved: FloatArray
+    state: FloatArray
+    """Of shape (12,): what `follow` hands on from one piece to the next, see there."""
 
 
 def new_work(bounds: Bounds, modes: int) -> Work:
     """Room for a servo with so many modes."""
+    noise_deg = max(bounds.noise_deg, _SMALLEST_NOISE_DEG)
     return Work(
         slow=np.zeros(modes, dtype=np.complex128),
         x=np.ones(4),
-        peak=np.ones(4),
+        peak=np.array([0.0, 0.0, 0.0, 1.0]),
         gram=np.zeros((4, 4)),
         moment=np.zeros(4),
         # Uniform within its bounds, a habit has a third of their square as variance.
@@ -89,6 +93,7 @@ def new_work(bounds: Bounds, modes: int) -> Work:
         anything=1.0 / _ANYTHING**2,
         factor=np.zeros((4, 4)),
         solved=np.zeros(4),
+        state=np.array([0.0, 0.0, *[np.nan] * 4, noise_deg, 0.0, 0.0, -np.inf, np.nan, np.inf]),
     )
 
 
@@ -106,12 +111,12 @@ def follow(
     """Fill the last four arrays, each of shape (n,).
 
     They are the tolerance, the rate limit's part of it, the noise of the residual, and the evidence of strange habits.
+    Call again with more samples to go on. The smallest believable noise is that of the position's resolution, which is
+    the smallest change of the position so far.
     """
     slow, x, peak = work.slow, work.x, work.peak
-    peak_rate = unseen = 0.0
-    peak[:3] = 0.0
-    last_s = last_deg = before = before_that = np.nan
-    noise, seen, odds, next_s = max(bounds.noise_deg, bounds.floor_deg), 0, 0.0, -np.inf
+    peak_rate, unseen, last_s, last_deg, before, before_that, noise, seen = work.state[:8]
+    odds, next_s, last_measured, resolution = work.state[8:]
     for k in range(signals.time_s.size):
         value = signals.immobile_deg[k]
         if not np.isnan(value):
@@ -135,25 +140,33 @@ def follow(
                 unseen += signals.unseen_deg[k]
             if signals.rate_error_deg.size > 0:
                 peak_rate = max(abs(signals.rate_error_deg[k]), fade * peak_rate)
+            resolution = _finer(resolution, abs(signals.measured_deg[k] - last_measured))
+            last_measured = signals.measured_deg[k]
             curvature = signals.error_deg[k] - 2.0 * before + before_that
             if not np.isnan(curvature):
-                seen += 1
-                noise = max(_nearer(noise, abs(curvature), seen), bounds.floor_deg)
+                seen += 1.0
+                noise = max(_nearer(noise, abs(curvature), seen), _SMALLEST_NOISE_DEG)
+            believed = max(noise, _RESOLUTION_TO_SIGMA * resolution) if resolution < np.inf else noise
             before_that, before = before, signals.error_deg[k]
             last_s, last_deg = signals.time_s[k], value
             residual = signals.judged_deg[k]
             # Neither made-up commands nor a saturated servo tell of habits, and what is beyond all tolerance is none.
-            allowed = _total(bounds.habits, peak) + peak_rate + DEFAULT_SIGMAS * bounds.noise_gain * noise
-            if abs(residual) <= allowed and unseen + peak_rate < bounds.noise_gain * noise:
+            allowed = _total(bounds.habits, peak) + peak_rate + DEFAULT_SIGMAS * bounds.noise_gain * believed
+            if abs(residual) <= allowed and unseen + peak_rate < bounds.noise_gain * believed:
                 _learn(work.gram, work.moment, x, residual, 1.0 / (1.0 + step_s / _MEMORY_S))
                 if last_s >= next_s:
-                    power = bounds.colour * max(bounds.noise_gain * noise, _TRIFLE * bounds.habits[3]) ** 2
+                    power = bounds.colour * max(bounds.noise_gain * believed, _TRIFLE * bounds.habits[3]) ** 2
                     odds = _explained(work, work.anything, power) - _explained(work, work.healthy, power)
                     next_s = last_s + _EVERY_S
         drift[k] = odds
         tolerated_deg[k] = _total(bounds.habits, peak) + peak_rate + unseen
         saturated_deg[k] = peak_rate
-        sigma_deg[k] = bounds.noise_gain * (noise if seen >= _NOISE_SAMPLES else max(noise, bounds.noise_deg))
+        usual = noise if seen >= _NOISE_SAMPLES else max(noise, bounds.noise_deg)
+        sigma_deg[k] = bounds.noise_gain * max(usual, _RESOLUTION_TO_SIGMA * resolution if resolution < np.inf else 0.0)
+    for i, value in enumerate((peak_rate, unseen, last_s, last_deg, before, before_that, noise, seen)):
+        work.state[i] = value
+    for i, value in enumerate((odds, next_s, last_measured, resolution)):
+        work.state[8 + i] = value
 
 
 @inlined
@@ -169,7 +182,13 @@ def _quick(slow: ComplexArray, decay_rad_s: ComplexArray, value: float, last: fl
 
 
 @inlined
-def _nearer(noise: float, curvature: float, seen: int) -> float:
+def _finer(resolution: float, change: float) -> float:
+    """Smallest change of the position so far."""
+    return change if 0.0 < change < resolution else resolution
+
+
+@inlined
+def _nearer(noise: float, curvature: float, seen: float) -> float:
     """Move the noise towards the mean that second differences of the simulation error speak for."""
     change = max(1.0 / (1.0 + seen / _FASTEST_SAMPLES), 1.0 / _NOISE_MEMORY)
     return noise + change * (min(curvature * CURVATURE_TO_SIGMA, _GLITCH * noise) - noise)

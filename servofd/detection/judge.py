@@ -17,10 +17,11 @@ from servofd.detection.threshold import Threshold, constant_threshold, interval_
 if TYPE_CHECKING:
     from servofd.aircraft import Surface
     from servofd.detection.alarm import Episode
-    from servofd.detection.residual import ResidualGenerator, Residuals
+    from servofd.detection.residual import Commands, ResidualGenerator, Residuals
     from servofd.segment import Segment
+    from servofd.types import BoolArray
 
-__all__ = ["Judgement", "judge"]
+__all__ = ["Judgement", "judge", "judge_evaluated"]
 
 
 class Judgement(NamedTuple):
@@ -58,11 +59,27 @@ def judge(
     threshold = interval_threshold(generator, segment, residuals, surface.tolerances, surface.threshold_sigmas)
     if surface.threshold == "constant":
         threshold = constant_threshold(threshold, surface.threshold_deg)
-    suspects = suspicion(residuals, threshold) if surface.tells_small_faults else None
+    commands = commands_at_servo(segment, generator.model.plan.delay_s, generator.longest_gap_s(segment))
+    return judge_evaluated(generator, surface, residuals, threshold, None, commands, acquit=acquit)
+
+
+def judge_evaluated(
+    generator: ResidualGenerator,
+    surface: Surface,
+    residuals: Residuals,
+    threshold: Threshold,
+    suspicious: BoolArray | None,
+    commands: Commands,
+    *,
+    acquit: bool = True,
+) -> Judgement:
+    """Name each alarm of a flight whose threshold is known, and whose suspicious samples may be."""
+    suspects = None
+    if surface.tells_small_faults:
+        suspects = suspicion(residuals, threshold) if suspicious is None else suspicious
     episodes = find_episodes(residuals, threshold, persistence=surface.persistence, suspicion=suspects)
     if not episodes:
         return Judgement(threshold, (), ())
-    commands = commands_at_servo(segment, generator.model.plan.delay_s, generator.longest_gap_s(segment))
     noise = noise_deg(residuals.error_deg[residuals.settled])
     sigma_deg = float(np.median(threshold.sigma_deg))
     flight = Flight(generator, surface.tolerances, noise, sigma_deg, residuals, commands)

@@ -7,18 +7,15 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from servofd.detection.glitches import glitches
+from servofd.segment import pace_steps
+
 if TYPE_CHECKING:
     from servofd.detection.residual import ResidualGenerator, Residuals
     from servofd.segment import Segment
-    from servofd.types import BoolArray, FloatArray
 
-__all__ = ["Prepared", "glitches", "prepared"]
+__all__ = ["Prepared", "prepared"]
 
-_GLITCH_SIGMAS, _AGREEMENT_SIGMAS = 10.0, 8.0
-_MOST_GLITCHES = 0.02
-"""Where more than this share of the positions jump, jumping is what this position does."""
-_FEW_GLITCHES = 2
-_SMALLEST_NOISE_DEG = 0.02
 _THIN_PERIOD_S = 0.039
 """Logs at up to 25 Hz may hold fewer commands than the servo received; autopilots command at 50 Hz and more."""
 _REAL_PERIOD_S = 0.02
@@ -42,54 +39,25 @@ def prepared(generator: ResidualGenerator, segment: Segment) -> Prepared:
     """
     notes = []
     residuals = generator.run(segment)
-    if segment.command_period_s is None and segment.period_s >= _THIN_PERIOD_S:
+    if segment.command_period_s is None and _period_s(segment) >= _THIN_PERIOD_S:
         straight = replace(segment, command_period_s=_REAL_PERIOD_S)
         by_lines = generator.run(straight)
         if _rms_deg(by_lines) < _CLEARLY_SMALLER * _rms_deg(residuals):
             segment, residuals = straight, by_lines
             notes.append("commands are logged more thinly than they were given, and taken as straight lines between")
-    jumps = glitches(residuals.error_deg)
+    jumps = glitches(residuals.error_deg, residuals.restart)
     if jumps.any():
         segment = replace(segment, measured_deg=np.where(jumps, np.nan, segment.measured_deg))
-        residuals = generator.run(segment)
+        residuals = generator.without(residuals, jumps)
         count = int(np.count_nonzero(jumps))
         notes.append(f"{count} position{'s' if count > 1 else ''} that jumped away and back not judged")
     return Prepared(segment, residuals, tuple(notes))
 
 
-def glitches(error_deg: FloatArray) -> BoolArray:
-    """Samples that jump away from their neighbours, alone or in pairs, while the neighbours agree; shape (n,).
-
-    Examples
-    --------
-    >>> error_deg = np.zeros(20)
-    >>> error_deg[9] = 25.0
-    >>> np.flatnonzero(glitches(error_deg)).tolist()
-    [9]
-    """
-    known = np.flatnonzero(np.isfinite(error_deg))
-    values = error_deg[known]
-    found = np.zeros(error_deg.size, dtype=bool)
-    if values.size < 8:
-        return found
-    curvature = np.abs(np.diff(values, 2))
-    noise_deg = max(float(np.median(curvature)) * 1.4826 / np.sqrt(6.0), _SMALLEST_NOISE_DEG)
-    candidates = np.flatnonzero(curvature > _GLITCH_SIGMAS * noise_deg) + 1
-    if candidates.size == 0:
-        return found
-    for width in (1, 2):
-        # The neighbours of a jump from `first` on: two before, two after.
-        first = candidates[(candidates >= 2) & (candidates + width + 1 < values.size)]
-        around = np.stack([values[first - 2], values[first - 1], values[first + width], values[first + width + 1]])
-        middle = np.median(around, axis=0)
-        away = np.min([np.abs(values[first + i] - middle) for i in range(width)], axis=0)
-        agree = np.ptp(around, axis=0) <= _AGREEMENT_SIGMAS * noise_deg
-        jumps = first[agree & (away > _GLITCH_SIGMAS * noise_deg)]
-        for i in range(width):
-            found[known[jumps + i]] = True
-    if np.count_nonzero(found) > max(_MOST_GLITCHES * values.size, _FEW_GLITCHES):
-        found[:] = False
-    return found
+def _period_s(segment: Segment) -> float:
+    """Usual time between the samples of the rarer stream [s]."""
+    steps_s = pace_steps(segment.command_s)
+    return max(segment.period_s, float(np.median(steps_s)) if steps_s.size else 0.0)
 
 
 def _rms_deg(residuals: Residuals) -> float:

@@ -12,7 +12,7 @@ no step length at which it fails.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -21,14 +21,27 @@ from numpy.typing import NDArray
 from logparsers.records import own
 from servofd.detection.pulse import fastest_pole_rad_s
 from servofd.errors import DesignError
+from servofd.models.context import NO_CONTEXT, Context
+from servofd.segment import pace_steps
 
 if TYPE_CHECKING:
+    from servofd.detection.starts import Starts
+    from servofd.models.extended import ExtendedServo
     from servofd.models.kernel import FilterParameters
     from servofd.models.servo_model import ServoModel
     from servofd.segment import Segment
     from servofd.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["Commands", "ResidualGenerator", "Residuals", "commands_at_servo", "lost_commands"]
+__all__ = [
+    "Commands",
+    "ResidualGenerator",
+    "Residuals",
+    "Rhythm",
+    "commands_at_servo",
+    "followed",
+    "lost_commands",
+    "rhythm",
+]
 
 _GAP_TIME_CONSTANTS = 5.0
 _GAP_PERIODS = 3.0
@@ -38,6 +51,8 @@ _LOST_SAMPLE = (1.5, 1.75)
 """An interval at least this many times the median holds a lost sample: the more, the more the time stamps jitter."""
 _LOW_QUANTILE, _TRIANGLE = 5.0, 1.0 - 0.1**0.5
 """Two uniform jitters make a triangular one; its lower 5 % lie beyond this share of its half width."""
+_FEW_INTERVALS = 1.25
+"""A quantile of a hundred intervals scatters by a tenth."""
 _INTERVALS_FOR_PERIOD = 10_000
 _FEWEST_COMMANDS = 3
 _REGULAR_SPREAD = 0.5
@@ -70,6 +85,8 @@ class Residuals:
     """What the residual would be if the surface rested at 0 deg: all that the filter sees of the command [deg]."""
     restart: NDArray[np.int8]
     """Where the filter, or filter and model, started anew."""
+    context: Context = NO_CONTEXT
+    """Airspeed and supply."""
 
     def __post_init__(self) -> None:
         for name in ("time_s", "simulated_deg", "measured_deg", "residual_deg", "immobile_deg"):
@@ -115,8 +132,13 @@ class ResidualGenerator:
     @classmethod
     def fitting(cls, model: ServoModel, segment: Segment, pole_rad_s: float | None = None) -> ResidualGenerator:
         """Generator with the given pole, or the fastest that the segment's sample rate allows."""
-        generator = cls(model, pole_rad_s or fastest_pole_rad_s(model.transfer, segment.period_s))
-        generator.check(segment.period_s)
+        return cls.fitting_pace(model, segment.period_s, pole_rad_s)
+
+    @classmethod
+    def fitting_pace(cls, model: ServoModel, period_s: float, pole_rad_s: float | None = None) -> ResidualGenerator:
+        """The same for positions that come every so many seconds."""
+        generator = cls(model, pole_rad_s or fastest_pole_rad_s(model.transfer, period_s))
+        generator.check(period_s)
         return generator
 
     def check(self, step_s: float) -> None:
@@ -141,7 +163,11 @@ class ResidualGenerator:
 
     def longest_gap_s(self, segment: Segment) -> float:
         """Longest interval between samples that the filter bridges; after a longer one it starts anew [s]."""
-        return max(_GAP_TIME_CONSTANTS / self.pole_rad_s, _GAP_PERIODS * segment.period_s)
+        return self.longest_gap_s_at(segment.period_s)
+
+    def longest_gap_s_at(self, period_s: float) -> float:
+        """The same for positions that come every so many seconds [s]."""
+        return max(_GAP_TIME_CONSTANTS / self.pole_rad_s, _GAP_PERIODS * period_s)
 
     def filter_parameters(self) -> FilterParameters:
         """The filter as the kernel sees it."""
@@ -154,13 +180,36 @@ class ResidualGenerator:
     def run(self, segment: Segment) -> Residuals:
         """Residual of a whole segment."""
         from servofd.detection.starts import find_starts
-        from servofd.models.kernel import new_memory, observe
 
         longest_gap_s = self.longest_gap_s(segment)
-        starts = find_starts(segment, longest_gap_s, self.blanking_s, _rhythm(segment.command_s).longest_s)
+        starts = find_starts(segment, longest_gap_s, self.blanking_s, rhythm(segment.command_s).longest_s)
         commands = commands_at_servo(segment, self.model.plan.delay_s, longest_gap_s)
+        simulated, residual = self._observed(segment, commands, starts)
+        usable = np.isfinite(starts.measured_deg)
+        immobile_deg = self.filtered(segment.measured_s, np.where(usable, -simulated, np.nan), starts.restart)
+        for array in (simulated, residual, starts.measured_deg, immobile_deg):
+            array.setflags(write=False)
+        return Residuals(
+            segment.measured_s,
+            simulated,
+            starts.measured_deg,
+            residual,
+            starts.settled,
+            immobile_deg,
+            starts.restart,
+            segment.context,
+        )
+
+    def _observed(self, segment: Segment, commands: Commands, starts: Starts) -> tuple[FloatArray, FloatArray]:
+        """Simulated deflection and residual [deg], each of shape (n,)."""
+        from servofd.models.kernel import new_memory, observe
+
+        time_s, extended = segment.measured_s, self.model.extended(segment.context)
+        if extended is not None:
+            simulated = followed(extended, commands, time_s, starts.measured_deg, starts.restart)
+            return simulated, self.filtered(time_s, starts.measured_deg - simulated, starts.restart)
         servo, residual_filter = self.model.parameters(), self.filter_parameters()
-        simulated, residual = np.empty(starts.restart.size), np.empty(starts.restart.size)
+        simulated, residual = np.empty(time_s.size), np.empty(time_s.size)
         observe(
             servo,
             residual_filter,
@@ -168,18 +217,25 @@ class ResidualGenerator:
             commands.effective_s,
             commands.command_deg,
             commands.slope_deg_s,
-            segment.measured_s,
+            time_s,
             starts.measured_deg,
             starts.restart,
             simulated,
             residual,
         )
-        usable = np.isfinite(starts.measured_deg)
-        immobile_deg = self.filtered(segment.measured_s, np.where(usable, -simulated, np.nan), starts.restart)
-        for array in (simulated, residual, starts.measured_deg, immobile_deg):
-            array.setflags(write=False)
-        return Residuals(
-            segment.measured_s, simulated, starts.measured_deg, residual, starts.settled, immobile_deg, starts.restart
+        return simulated, residual
+
+    def without(self, residuals: Residuals, left_out: BoolArray) -> Residuals:
+        """The same residuals as if some positions, marked in an array of shape (n,), had not come."""
+        measured_deg = np.where(left_out, np.nan, residuals.measured_deg)
+        error_deg = measured_deg - residuals.simulated_deg
+        immobile_deg = np.where(np.isfinite(measured_deg), -residuals.simulated_deg, np.nan)
+        return replace(
+            residuals,
+            measured_deg=measured_deg,
+            residual_deg=self.filtered(residuals.time_s, error_deg, residuals.restart),
+            settled=residuals.settled & ~left_out,
+            immobile_deg=self.filtered(residuals.time_s, immobile_deg, residuals.restart),
         )
 
     def filtered(self, time_s: FloatArray, error_deg: FloatArray, restart: NDArray[np.int8]) -> FloatArray:
@@ -191,6 +247,41 @@ class ResidualGenerator:
         memory = new_memory(servo, residual_filter)
         evaluate(residual_filter, memory, time_s, error_deg, restart, filtered_deg)
         return filtered_deg
+
+
+def followed(
+    servo: ExtendedServo,
+    commands: Commands,
+    at_s: FloatArray,
+    measured_deg: FloatArray,
+    restart: NDArray[np.int8],
+) -> FloatArray:
+    """Deflection of a servo with effects [deg], shape (n,), that starts anew where the surface was measured.
+
+    Parameters
+    ----------
+    servo : ExtendedServo
+        The servo.
+    commands : Commands
+        As they reach it.
+    at_s, measured_deg : ndarray, shape (n,)
+        Where the surface was measured [deg], and when [s].
+    restart : ndarray, shape (n,)
+        2 where the servo has to start anew, as `servofd.detection.starts` marks it.
+    """
+    from servofd.models.extended import ExtendedMotion
+    from servofd.models.kernel import RESTART_ALL
+
+    simulated_deg = np.empty(at_s.size)
+    begins = np.union1d(np.flatnonzero(restart == RESTART_ALL), [0])
+    for begin, end in zip(begins, np.append(begins[1:], at_s.size), strict=True):
+        motion = ExtendedMotion(servo, float(measured_deg[begin]))
+        first = max(int(np.searchsorted(commands.effective_s, at_s[begin], side="right")) - 1, 0)
+        last = int(np.searchsorted(commands.effective_s, at_s[end - 1], side="right"))
+        span = slice(first, last)
+        motion.hear(commands.effective_s[span], commands.command_deg[span], commands.slope_deg_s[span])
+        simulated_deg[begin:end] = motion.at(at_s[begin:end])
+    return simulated_deg
 
 
 def commands_at_servo(segment: Segment, delay_s: float, longest_gap_s: float) -> Commands:
@@ -226,10 +317,10 @@ def lost_commands(command_s: FloatArray, longest_gap_s: float) -> IntArray:
     >>> lost_commands(np.array([0.0, 0.01, 0.03, 0.04]), 0.1)
     array([0, 1, 0, 0])
     """
-    step_s, rhythm = np.diff(command_s), _rhythm(command_s)
-    missing = (step_s > rhythm.longest_s) & (step_s <= longest_gap_s)
+    step_s, beat = np.diff(command_s), rhythm(command_s)
+    missing = (step_s > beat.longest_s) & (step_s <= longest_gap_s)
     lost = np.zeros(command_s.size, dtype=np.int64)
-    lost[:-1][missing] = np.round(step_s[missing] / rhythm.period_s).astype(np.int64) - 1
+    lost[:-1][missing] = np.round(step_s[missing] / beat.period_s).astype(np.int64) - 1
     return lost
 
 
@@ -247,21 +338,31 @@ def _with_lost_commands(
     return filled_s, np.append(command_deg[owner] + share * np.diff(command_deg)[owner], command_deg[-1])
 
 
-class _Rhythm(NamedTuple):
+class Rhythm(NamedTuple):
+    """Of the commands of a log."""
+
     period_s: float
     longest_s: float
     """A longer interval holds a lost command."""
 
 
-def _rhythm(command_s: FloatArray) -> _Rhythm:
-    """Of a regular command log; infinite where commands come as they please, and no interval is a loss."""
+def rhythm(command_s: FloatArray) -> Rhythm:
+    """Rhythm of commands with time stamps [s] of shape (n,).
+
+    Infinite where commands come as they please, and no interval is a loss.
+
+    Examples
+    --------
+    >>> rhythm(np.arange(100) * 0.02).longest_s.__round__(3)
+    0.03
+    """
     if command_s.size < _FEWEST_COMMANDS:
-        return _Rhythm(float("inf"), float("inf"))
-    step_s = np.diff(command_s)
-    some_s = step_s[:: 1 + step_s.size // _INTERVALS_FOR_PERIOD]
+        return Rhythm(float("inf"), float("inf"))
+    some_s = pace_steps(command_s)
+    some_s = some_s[:: 1 + some_s.size // _INTERVALS_FOR_PERIOD]
     low_s, quarter_s, period_s, three_quarters_s = np.percentile(some_s, [_LOW_QUANTILE, 25.0, 50.0, 75.0]).tolist()
     if three_quarters_s - quarter_s > _REGULAR_SPREAD * period_s:
-        return _Rhythm(float("inf"), float("inf"))
-    jitter_s = (period_s - low_s) / _TRIANGLE
+        return Rhythm(float("inf"), float("inf"))
+    jitter_s = _FEW_INTERVALS * (period_s - low_s) / _TRIANGLE
     least, most = (share * period_s for share in _LOST_SAMPLE)
-    return _Rhythm(period_s, min(max(period_s + jitter_s, least), most))
+    return Rhythm(period_s, min(max(period_s + jitter_s, least), most))

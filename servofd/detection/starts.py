@@ -14,7 +14,21 @@ from servofd.types import BoolArray, FloatArray
 if TYPE_CHECKING:
     from servofd.segment import Segment
 
-__all__ = ["Starts", "find_starts"]
+__all__ = ["Starts", "StartsMemory", "find_starts", "mark_starts", "new_starts_memory"]
+
+
+class StartsMemory(NamedTuple):
+    """What one piece of a stream leaves to the next."""
+
+    state: FloatArray
+    """Of shape (4,): whether servo and filter have started, the last position that was used [s], the last start [s]."""
+    cursor: NDArray[np.int64]
+    """Of shape (1,): next command."""
+
+
+def new_starts_memory() -> StartsMemory:
+    """Memory before the first sample."""
+    return StartsMemory(np.array([0.0, 0.0, -np.inf, -np.inf]), np.zeros(1, dtype=np.int64))
 
 
 class Starts(NamedTuple):
@@ -50,15 +64,39 @@ def find_starts(segment: Segment, longest_gap_s: float, blanking_s: float, fresh
     >>> starts.restart.tolist(), starts.settled.tolist()
     ([2, 0, 0, 2, 0, 0], [False, False, True, False, False, True])
     """
-    size = segment.measured_s.size
-    starts = Starts(np.empty(size), np.empty(size, dtype=np.int8), np.empty(size, dtype=bool))
-    _mark(
+    return mark_starts(
+        new_starts_memory(),
         segment.command_s,
         segment.measured_s,
         segment.measured_deg,
         longest_gap_s,
         fresh_s,
         blanking_s,
+    )
+
+
+def mark_starts(
+    memory: StartsMemory,
+    command_s: FloatArray,
+    measured_s: FloatArray,
+    measured_deg: FloatArray,
+    longest_gap_s: float,
+    fresh_s: float,
+    blanking_s: float,
+) -> Starts:
+    """Mark the next samples, of shape (n,); the memory moves on with them, `command_s` are all commands so far."""
+    state, cursor = memory
+    size = measured_s.size
+    starts = Starts(np.empty(size), np.empty(size, dtype=np.int8), np.empty(size, dtype=bool))
+    _mark(
+        command_s,
+        measured_s,
+        measured_deg,
+        longest_gap_s,
+        fresh_s,
+        blanking_s,
+        state,
+        cursor,
         starts.measured_deg,
         starts.restart,
         starts.settled,
@@ -74,13 +112,15 @@ def _mark(
     longest_gap_s: float,
     fresh_s: float,
     blanking_s: float,
+    state: FloatArray,
+    cursor: NDArray[np.int64],
     usable_deg: FloatArray,
     restart: NDArray[np.int8],
     settled: BoolArray,
 ) -> None:
-    c = 0
-    servo_known, filter_known = False, False
-    last_used_s = last_start_s = -np.inf
+    c = cursor[0]
+    servo_known, filter_known = state[0] != 0.0, state[1] != 0.0
+    last_used_s, last_start_s = state[2], state[3]
     for k in range(measured_s.size):
         now = measured_s[k]
         while c < command_s.size and command_s[c] <= now:
@@ -102,6 +142,8 @@ def _mark(
         if usable:
             last_used_s = now
         usable_deg[k] = measured_deg[k] if usable else np.nan
-        # Inside a hole the command is made up from the one after it, which a monitor in flight does not have yet.
-        made_up = now - command_s[c - 1] > fresh_s and c < command_s.size if c > 0 else False
+        # Inside a hole the command is made up from the one after it; at the end of a log there is none.
+        made_up = c > 0 and now - command_s[c - 1] > fresh_s
         settled[k] = usable and now - last_start_s >= blanking_s and not made_up
+    state[0], state[1], state[2], state[3] = servo_known, filter_known, last_used_s, last_start_s
+    cursor[0] = c

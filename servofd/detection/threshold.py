@@ -20,12 +20,13 @@ it passes the filter's four or so lags (the peak of :math:`p\,(pt)^3 e^{-pt}/6`)
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
 from servofd.aircraft import DEFAULT_SIGMAS
 from servofd.detection.allowance import Bounds, Signals, follow, new_work
+from servofd.models.kernel import RESTART_ALL
 
 if TYPE_CHECKING:
     from servofd.detection.probability import CusumDesign
@@ -34,17 +35,29 @@ if TYPE_CHECKING:
     from servofd.tolerance import Tolerance
     from servofd.types import BoolArray, FloatArray
 
-__all__ = ["Threshold", "ThresholdKind", "constant_threshold", "habits", "interval_threshold", "suspicion"]
+__all__ = [
+    "PEAK_OF_LAGS",
+    "RECENT_COMMANDS",
+    "Evaluation",
+    "Threshold",
+    "ThresholdKind",
+    "constant_threshold",
+    "habits",
+    "interval_threshold",
+    "slower_generator",
+    "suspicion",
+    "unseen_deg",
+]
 
 ThresholdKind = Literal["constant", "interval"]
 
-_SMALLEST_NOISE_DEG = 1e-3
-_SAMPLES_FOR_STEP, _FEW_VALUES = 20_000, 0.5
-_AT_LIMIT = 0.98
-_RECENT_COMMANDS = 10
+_TAKEN_UP = 2.0
+"""Half plays to move until it is known on which side of its play a surface lies."""
+RECENT_COMMANDS = 11
+"""Commands before a loss whose curvature counts."""
 _SUSPICIOUS_DRIFT = 40.0
 """In 400 flights of 120 s, healthy servos with parameters anywhere within their tolerances reached 22."""
-_PEAK_OF_LAGS = 0.224
+PEAK_OF_LAGS = 0.224
 _KAPPA = 0.5
 _SUSPICIONS_PER_HOUR = 1e-3
 
@@ -74,6 +87,23 @@ class Threshold:
         if self.kind == "constant" and self.level_deg.size:
             return float(np.min(self.level_deg))
         return float(np.median(self.level_deg)) if self.level_deg.size else float("nan")
+
+
+class Evaluation(NamedTuple):
+    """What the interval threshold works with, at the pace of the positions."""
+
+    bounds: Bounds
+    cusum: CusumDesign
+
+    @classmethod
+    def of(cls, generator: ResidualGenerator, tolerance: Tolerance, period_s: float) -> Evaluation:
+        """For positions that come every so many seconds."""
+        from servofd.detection.probability import Noise, design_cusum
+        from servofd.detection.pulse import design_pulse_filter
+
+        pulse = design_pulse_filter(generator.model.transfer, 0.0, period_s, generator.pole_rad_s)
+        cusum = design_cusum(_KAPPA, _SUSPICIONS_PER_HOUR, Noise.designed(pulse, 1.0))
+        return cls(Bounds(habits(tolerance), tolerance.noise_deg, pulse.noise_gain, cusum.factor), cusum)
 
 
 def constant_threshold(interval: Threshold, level_deg: float) -> Threshold:
@@ -106,7 +136,7 @@ def interval_threshold(
     Returns
     -------
     Threshold
-        Causal: no level uses a later sample, but for the median sample time.
+        Causal: no level uses a later sample, but for the usual sample time.
 
     Examples
     --------
@@ -127,24 +157,15 @@ def interval_threshold(
     >>> bool(0.4 < level_deg[900] < 0.7 < level_deg[1010])
     True
     """
-    from servofd.detection.probability import Noise, design_cusum
-    from servofd.detection.pulse import design_pulse_filter
-
-    pulse = design_pulse_filter(generator.model.transfer, 0.0, segment.period_s, generator.pole_rad_s)
     size = residuals.time_s.size
     tolerated, saturated, sigma, drift = (np.zeros(size) for _ in range(4))
-    cusum = design_cusum(_KAPPA, _SUSPICIONS_PER_HOUR, Noise.designed(pulse, 1.0))
-    bounds = Bounds(
-        habits(tolerance),
-        tolerance.noise_deg,
-        max(_step_deg(residuals.measured_deg) / np.sqrt(12.0), _SMALLEST_NOISE_DEG),
-        pulse.noise_gain,
-        cusum.factor,
-    )
+    evaluation = Evaluation.of(generator, tolerance, segment.period_s)
+    bounds, cusum = evaluation.bounds, evaluation.cusum
     signals = Signals(
         residuals.time_s,
         residuals.immobile_deg,
         residuals.error_deg,
+        residuals.measured_deg,
         np.where(residuals.settled, residuals.residual_deg, np.nan),
         residuals.restart != 0,
         _rate_error(generator, segment, residuals, tolerance.rate),
@@ -152,43 +173,57 @@ def interval_threshold(
     )
     decay_rad_s = generator.model.parameters().decay_rad_s
     follow(signals, bounds, new_work(bounds, decay_rad_s.size), decay_rad_s, tolerated, saturated, sigma, drift)
+    tolerated += _loose(generator, residuals)
     return Threshold("interval", tolerated + sigmas * sigma, tolerated, saturated, sigma, cusum, drift)
 
 
-def suspicion(residuals: Residuals, threshold: Threshold) -> BoolArray:
+def suspicion(residuals: Residuals, threshold: Threshold, memory: FloatArray | None = None) -> BoolArray:
     """Samples, of shape (n,), at which something too small for the threshold has lasted too long for chance.
 
     Either the cumulative sum of what exceeds the tolerance is beyond its limit, or the servo's habits of the last ten
-    seconds are not those of a healthy one.
+    seconds are not those of a healthy one. The memory is that of `cusum`, for piece after piece.
     """
     from servofd.detection.probability import cusum
 
     excess_deg = np.abs(residuals.residual_deg) - threshold.tolerance_deg
     drifted = threshold.drift >= _SUSPICIOUS_DRIFT
-    if not np.any(excess_deg > 0.0):
+    if memory is None and not np.any(excess_deg > 0.0):
         return drifted
     # Of either sign, so that oscillations add up; less one sigma, so that the sum of noise alone falls.
     beyond = np.maximum(excess_deg - threshold.sigma_deg, 0.0) / threshold.sigma_deg
     judged = np.where(residuals.settled, beyond, np.nan)
-    sums = cusum(judged, threshold.cusum.kappa, residuals.restart != 0)
+    sums = cusum(judged, threshold.cusum.kappa, residuals.restart != 0, memory)
     return ((sums >= threshold.cusum.limit) & (excess_deg > 0.0)) | drifted
 
 
 def _rate_error(generator: ResidualGenerator, segment: Segment, residuals: Residuals, share: float) -> FloatArray:
-    """Residual of a servo whose rate limit is off by its tolerance [deg], shape (n,); empty if it never runs at it."""
-    from servofd.models.effects import RateLimit
-
-    limit_deg_s = min(generator.model.plan.rate_up_deg_s, generator.model.plan.rate_down_deg_s)
-    if not np.isfinite(limit_deg_s):
+    """Residual of a servo whose rate limit is off by its tolerance [deg], shape (n,); empty without a limit."""
+    slower = slower_generator(generator, share)
+    if slower is None:
         return np.zeros(0)
-    step_s, step_deg = np.diff(residuals.time_s), np.abs(np.diff(residuals.simulated_deg))
-    # The slower servo runs at its limit before the model does.
-    if not np.any(step_deg >= _AT_LIMIT * (1.0 - share) * limit_deg_s * step_s):
-        return np.zeros(0)
-    slower = type(generator)(generator.model + RateLimit((1.0 - share) * limit_deg_s), generator.pole_rad_s)
     error_deg = slower.run(segment).simulated_deg - residuals.simulated_deg
     known = np.where(np.isfinite(residuals.measured_deg), error_deg, np.nan)
     return generator.filtered(residuals.time_s, known, residuals.restart)
+
+
+def slower_generator(generator: ResidualGenerator, share: float) -> ResidualGenerator | None:
+    """Generator of a servo whose rate limit is lower by a share; None if the servo has none."""
+    slower = replace(generator, model=generator.model.weaker(share))
+    return None if slower.model is generator.model else slower
+
+
+def _loose(generator: ResidualGenerator, residuals: Residuals) -> FloatArray:
+    """What a start at an unknown point of a servo's play leaves until it has moved by more than that [deg], (n,)."""
+    servo = generator.model.extended()
+    loose_deg = np.zeros(residuals.time_s.size)
+    if servo is None or servo.play_deg == 0.0:
+        return loose_deg
+    begins = np.union1d(np.flatnonzero(residuals.restart == RESTART_ALL), [0])
+    for begin, end in zip(begins, np.append(begins[1:], loose_deg.size), strict=True):
+        moved_deg = residuals.simulated_deg[begin:end]
+        travel_deg = np.maximum.accumulate(moved_deg) - np.minimum.accumulate(moved_deg)
+        loose_deg[begin:end] = servo.play_deg * (travel_deg <= _TAKEN_UP * servo.play_deg)
+    return loose_deg / abs(generator.model.transfer.dc_gain)
 
 
 def habits(tolerance: Tolerance) -> FloatArray:
@@ -206,15 +241,6 @@ def habits(tolerance: Tolerance) -> FloatArray:
     return np.array([tolerance.gain, tolerance.delay_s, lags, tolerance.bias_deg])
 
 
-def _step_deg(measured_deg: FloatArray) -> float:
-    """Resolution of the position: the smallest difference between its values, if they are few [deg]."""
-    some_deg = measured_deg[np.isfinite(measured_deg)][:_SAMPLES_FOR_STEP]
-    values_deg = np.unique(some_deg)
-    if values_deg.size < 2 or values_deg.size > _FEW_VALUES * some_deg.size:
-        return 0.0
-    return float(np.median(np.diff(values_deg)))
-
-
 def _unseen(segment: Segment, generator: ResidualGenerator, time_s: FloatArray) -> FloatArray:
     """What lost commands may add to the residual from each sample on [deg], shape (n,); empty if none was lost."""
     from servofd.detection.residual import lost_commands
@@ -223,17 +249,31 @@ def _unseen(segment: Segment, generator: ResidualGenerator, time_s: FloatArray) 
     if segment.command_period_s is not None or not lost.any():
         return np.zeros(0)
     before = np.flatnonzero(lost)
-    curvature_deg = np.abs(
-        np.diff(segment.command_deg, 2, prepend=segment.command_deg[:1], append=segment.command_deg[-1:])
-    )
-    recent_deg = np.lib.stride_tricks.sliding_window_view(
-        np.pad(curvature_deg, (_RECENT_COMMANDS, 0)), _RECENT_COMMANDS
-    )
+    size_deg = np.array([unseen_deg(segment.command_deg[max(i - RECENT_COMMANDS, 0) : i + 1], lost[i]) for i in before])
+    passed = PEAK_OF_LAGS * generator.pole_rad_s * segment.period_s
+    added_deg = np.zeros(time_s.size)
+    # What was made up first reaches the servo then, and the log with the first position after that.
+    made_up_s = segment.command_s[before] + np.diff(segment.command_s)[before] / (lost[before] + 1)
+    at = np.searchsorted(time_s, made_up_s + generator.model.plan.delay_s)
+    np.add.at(added_deg, np.minimum(at, time_s.size - 1), passed * size_deg)
+    return added_deg
+
+
+def unseen_deg(recent_deg: FloatArray, lost: int) -> float:
+    """How far a straight line over lost commands may be off, by the curvature of those before [deg].
+
+    Parameters
+    ----------
+    recent_deg : ndarray, shape (at most `RECENT_COMMANDS` + 1,)
+        Commands up to the loss [deg].
+    lost : int
+        How many were lost.
+
+    Examples
+    --------
+    >>> unseen_deg(np.array([0.0, 1.0, 4.0, 9.0]), 1)
+    1.0
+    """
+    curvature_deg = np.abs(np.diff(recent_deg, 2))
     # A chord over n + 1 intervals is off by ((n + 1) / 2)^2 times as much as one over two, for n commands.
-    size_deg = 0.5 * recent_deg[before].max(axis=1) * lost[before] * (0.5 * (lost[before] + 1)) ** 2
-    passed = _PEAK_OF_LAGS * generator.pole_rad_s * segment.period_s
-    unseen_deg = np.zeros(time_s.size)
-    # It reaches the servo before the next command does, and the log with the first position after that.
-    at = np.searchsorted(time_s, segment.command_s[before] + generator.model.plan.delay_s)
-    np.add.at(unseen_deg, np.minimum(at, time_s.size - 1), passed * size_deg)
-    return unseen_deg
+    return float(0.5 * curvature_deg.max(initial=0.0) * lost * (0.5 * (lost + 1)) ** 2)

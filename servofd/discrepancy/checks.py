@@ -72,7 +72,8 @@ def _check_channels(record: Record, asked: FloatArray, measured: FloatArray) -> 
 
 def _misfit(record: Record, direction: float) -> float:
     """Error of the nominal servo, or of one that takes the position for its command (-1) [deg rms]."""
-    from servofd.discrepancy.kernel import run
+    from servofd.models.physics import longest_step_s
+    from servofd.models.position_loop import new_memory, run
 
     plant = record.plant
     index = np.maximum(np.searchsorted(record.commands.effective_s, record.time_s, side="right") - 1, 0)
@@ -85,14 +86,14 @@ def _misfit(record: Record, direction: float) -> float:
         plant.neutral,
         plant.loop(),
         plant.dc_gain,
-        1.0,
+        longest_step_s(plant.neutral),
         time_s + plant.neutral.delay_s,
         given[known],
         nothing,
         time_s,
         nothing,
-        nothing,
-        float(answer[known][0]),
+        np.full(time_s.size, np.inf),
+        new_memory(float(answer[known][0])),
     )
     error = (answer[known] - simulated)[record.counts[known]]
     return float(np.std(error))

@@ -12,7 +12,17 @@ if TYPE_CHECKING:
     from servofd.discrepancy.fit import Fit
     from servofd.discrepancy.record import Record
 
-__all__ = ["EXCESS_WORTH", "accepted", "cost", "excess", "floor_of", "rest_is_large", "rest_matters", "worth_trying"]
+__all__ = [
+    "EXCESS_WORTH",
+    "accepted",
+    "cost",
+    "excess",
+    "floor_of",
+    "matters",
+    "rest_is_large",
+    "rest_matters",
+    "worth_trying",
+]
 
 _SHARE_OF_NOISE, _SHARE_OF_GAP = 0.03, 0.02
 """An effect must take away this share of the noise variance (the second twice as much, and so on: several effects bend
@@ -20,6 +30,8 @@ to anything), and of the gap that is left."""
 _CHI_SQUARED = 30.0
 """And this much of the held-out error in units of the noise: 25 effects and their grids are tried each time."""
 _BLOCK_T = 3.0
+_USUAL_TRAVEL_DEG = 25.0
+"""Of the surfaces for which the sizes of a linkage's curvature are typical."""
 _SMALLEST_SIZE = 0.15
 """Of what is common on healthy servos: 0.5 ms of delay, 0.5 % of gain, 0.05 deg of play."""
 EXCESS_WORTH = 0.06
@@ -63,17 +75,17 @@ def accepted(record: Record, base: Fit, fit: Fit, sigma: float) -> bool:
         return False
     if gain / (sigma**2 * factor) < 4.0 * _CHI_SQUARED and _block_t(record, base, fit) < _BLOCK_T:
         return False
-    return _matters(record, fit) and not any(p.at_bound(v) for p, v in zip(fit.parameters, fit.values, strict=True))
+    return matters(record, fit) and not any(p.at_bound(v) for p, v in zip(fit.parameters, fit.values, strict=True))
 
 
-def _matters(record: Record, fit: Fit) -> bool:
+def matters(record: Record, fit: Fit) -> bool:
     """Whether each effect differs from none by more than servos of one kind do from each other."""
-    first = 0
+    first, widening = 0, max(float(np.nanmax(np.abs(record.measured_deg))) / _USUAL_TRAVEL_DEG, 1.0)
     for effect in fit.effects:
         values = fit.values[first : first + len(effect.parameters)]
         first += len(effect.parameters)
         sizes = [
-            p.away(float(v), record.plant.neutral) / p.typical
+            p.away(float(v), record.plant.neutral) / p.typical * widening**p.travel_power
             for p, v in zip(effect.parameters, values, strict=True)
             if not p.aside
         ]

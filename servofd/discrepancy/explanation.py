@@ -10,17 +10,18 @@ import numpy as np
 from servofd.discrepancy.break_point import fault_start_s
 from servofd.discrepancy.checks import check
 from servofd.discrepancy.locate import Block, blocks, sentences
-from servofd.discrepancy.record import record_of
+from servofd.discrepancy.record import joined, record_of
+from servofd.discrepancy.run_by_run import RunErrors, run_errors
 from servofd.discrepancy.select import Selection, select, unexplained
-from servofd.discrepancy.words import effect_values, unjudged_sentence
+from servofd.discrepancy.words import effect_values, linear_sentence, unjudged_sentence
+from servofd.segment import Segment
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from servofd.discrepancy.fit import Fit
     from servofd.discrepancy.record import Record
     from servofd.models.servo_model import ServoModel
-    from servofd.segment import Segment
     from servofd.types import FloatArray
 
 __all__ = ["Conclusion", "Explanation", "explain_gap"]
@@ -46,6 +47,8 @@ class Explanation:
     notes: tuple[str, ...]
     fault_s: float | None = None
     """When a fault sets in, which is none of the model's business [s]."""
+    runs: tuple[RunErrors, ...] = ()
+    """Each of several runs as the others predict it."""
 
     @property
     def blocks(self) -> tuple[Block, ...]:
@@ -102,14 +105,17 @@ class Explanation:
             },
             "notes": list(self.notes),
             "fault_s": self.fault_s,
+            "runs": [each._asdict() for each in self.runs],
             "simulations": selection.simulations,
         }
 
 
 def explain_gap(
-    segment: Segment,
+    segment: Segment | Sequence[Segment],
     model: ServoModel,
     *,
+    on_bench: bool = False,
+    free_poles: bool = False,
     airspeed_m_s: FloatArray | None = None,
     voltage_v: FloatArray | None = None,
     progress: Callable[[str], None] = lambda _step: None,
@@ -118,13 +124,17 @@ def explain_gap(
 
     Parameters
     ----------
-    segment : Segment
-        Commands and measurements of one surface.
+    segment : Segment or sequence of Segment
+        Commands and measurements of one surface; of several runs, every other one is held out whole.
     model : ServoModel
         The servo as it is known.
+    on_bench : bool
+        Whether each run begins at rest, so that all of it counts.
+    free_poles : bool
+        Whether the poles of the model are only where the search for them starts.
     airspeed_m_s, voltage_v : ndarray, shape (m,), optional
-        At the measurements: airspeed [m/s] and supply of the servo [V]. Effects that need what is left out cannot be
-        judged, and the result says so.
+        At the measurements: airspeed [m/s] and supply of the servo [V]; left out, those of the segment. Effects that
+        need what is not there cannot be judged, and the result says so.
     progress : callable
         Called with the name of each effect that was tried.
 
@@ -153,21 +163,37 @@ def explain_gap(
     0.024
     """
     pressure_pa = None if airspeed_m_s is None else 0.5 * _AIR_KG_M3 * airspeed_m_s**2
-    record = record_of(segment, model, pressure_pa=pressure_pa, voltage_v=voltage_v)
+    segments = [segment] if isinstance(segment, Segment) else list(segment)
+    record = joined(
+        [
+            record_of(
+                each,
+                model,
+                pressure_pa=pressure_pa,
+                voltage_v=voltage_v,
+                at_rest=on_bench,
+                free_poles=free_poles,
+            )
+            for each in segments
+        ]
+    )
     check(record)
     selection = select(record, progress)
     fault_s, notes = None, []
-    if unexplained(selection, record):
+    if unexplained(selection, record) and not record.runs:
         part = _healthy_part(record, selection, progress)
         if part is not None:
             record, selection, fault_s = part
             notes.append(
                 f"after {fault_s:.1f} s this is a fault, not a missing effect: only what came before is explained"
             )
+    if free_poles:
+        notes.append(linear_sentence(record, selection))
     if selection.unjudged:
         notes.append(unjudged_sentence(selection))
     where = sentences(record, selection.nominal.error_deg, selection.sigma_deg)
-    return Explanation(segment.surface, record, selection, tuple(where), tuple(notes), fault_s)
+    errors = run_errors(selection.fitter, selection.final)
+    return Explanation(segments[0].surface, record, selection, tuple(where), tuple(notes), fault_s, errors)
 
 
 def _healthy_part(

@@ -8,25 +8,25 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.discrepancy.catalogue import Delay, PwmFrame, Quantization, SensorLag, SlowDynamics, installed
 from servofd.discrepancy.noise import long_run_factor, noise_floor_deg
 from servofd.discrepancy.record import simulate
 from servofd.discrepancy.search import begin, polish, telling_part
+from servofd.models.catalogue import Delay, PwmFrame, Quantization, SensorLag, SlowDynamics, installed
 from servofd.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from servofd.discrepancy.catalogue import MissingEffect, Parameter
-    from servofd.discrepancy.physics import Physics
     from servofd.discrepancy.record import Record
+    from servofd.models.catalogue import MissingEffect, Parameter
+    from servofd.models.physics import Physics
 
 __all__ = ["Fit", "Fitter"]
 
 _STEP = 3e-2
 """Of what is common: what sticks or has edges answers to less with jumps, in which the descent loses its way."""
 _TIE_TO_START = 1e-4
-_EVALUATIONS, _THOROUGH = 20, 40
+_EVALUATIONS = 20
 _PROMISING, _FEWER = 10, 6
 """Of the candidates of a first effect, and of a further one."""
 _LATE_SHARE, _FRAMES_EXCESS = 0.1, 0.02
@@ -78,6 +78,10 @@ class Fitter:
 
     def __post_init__(self) -> None:
         self._trained, self._held_out = np.flatnonzero(self.record.trained), np.flatnonzero(self.record.held_out)
+
+    def on(self, record: Record) -> Fitter:
+        """The same for other samples."""
+        return Fitter(record)
 
     def physics(self, effects: Sequence[type[MissingEffect]], values: Values) -> Physics:
         """The servo with these effects."""
@@ -145,9 +149,7 @@ class Fitter:
         least = min(fit.train for fit in fits)
         return helps and least > (1.0 + _FRAMES_EXCESS) * self._trained.size * floor
 
-    def refitted(
-        self, effects: tuple[type[MissingEffect], ...], values: Values, evaluations: int = _EVALUATIONS
-    ) -> Fit:
+    def refitted(self, effects: tuple[type[MissingEffect], ...], values: Values) -> Fit:
         """All parameters fitted together, from given values: least squares within the bounds."""
         from scipy.optimize import least_squares
 
@@ -183,9 +185,9 @@ class Fitter:
             x0,
             jac=slopes,
             bounds=(low, high),
-            max_nfev=evaluations,
+            max_nfev=_EVALUATIONS,
             xtol=1e-4,
-            ftol=1e-7 if evaluations > _EVALUATIONS else 1e-5,
+            ftol=1e-6,
             gtol=None,
         )
         best = self.judged(effects, at(found.x))
@@ -199,8 +201,8 @@ class Fitter:
         """
         if not fit.effects:
             return fit, np.zeros((0, 0))
-        whole = Fitter(replace(self.record, block=np.zeros_like(self.record.block)))
-        best = whole.refitted(fit.effects, fit.values, _THOROUGH)
+        whole = self.on(replace(self.record, block=np.zeros_like(self.record.block)))
+        best = whole.refitted(fit.effects, fit.values)
         error = best.error_deg[self.record.counts]
         sigma_deg = float(np.sqrt(np.mean(error**2)))
         covariance = whole.covariance(best, sigma_deg, long_run_factor(error))

@@ -10,8 +10,8 @@ import numpy as np
 from servofd.discrepancy.record import simulate
 
 if TYPE_CHECKING:
-    from servofd.discrepancy.physics import Physics
     from servofd.discrepancy.record import Record
+    from servofd.models.physics import Physics
 
 __all__ = ["best_frame"]
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from servofd.discrepancy.catalogue import CATALOGUE
-from servofd.discrepancy.evidence import EXCESS_WORTH, floor_of
+from servofd.discrepancy.evidence import EXCESS_WORTH, floor_of, matters
 from servofd.discrepancy.noise import long_run_factor
 from servofd.discrepancy.prune import without
+from servofd.models.catalogue import CATALOGUE
 
 if TYPE_CHECKING:
-    from servofd.discrepancy.catalogue import MissingEffect
     from servofd.discrepancy.fit import Fit, Fitter
+    from servofd.models.catalogue import MissingEffect
 
 __all__ = ["Rung", "Tried", "equals_of", "keys_of", "rungs_of", "simplest"]
 
@@ -21,6 +21,8 @@ _TIE_CHI_SQUARED, _EVEN_CHI_SQUARED = 10.0, 4.0
 _TIE_OF_EXCESS = 0.15
 """Where something stays unexplained, two effects that differ by less than this share of it are not told apart, unless
 that is as much of what they take away."""
+_TIE_OF_KIND = 0.7
+"""The same for two of one family, and for a rival of an effect with many minima, which had as many chances."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,29 +79,43 @@ def equals_of(fitter: Fitter, best: Fit, able: list[type[MissingEffect]], tried:
         base = without(fitter, best, k)
         rivals = tried.get(keys_of(base)) or fitter.with_effects(base, able, _quietly)
         tried[keys_of(base)] = rivals
-        slack = _TIE_OF_EXCESS * min(left, base.total - best.total)
-        margin = max(_TIE_CHI_SQUARED * sigma**2 * factor, slack)
+        common, unexplained_too = _TIE_CHI_SQUARED * sigma**2 * factor, min(left, base.total - best.total)
         equals.append(
             [
                 rival
                 for rival in rivals
                 if rival.names[-1] not in best.names
-                and rival.total - best.total < margin
+                and rival.total - best.total < max(common, _slack(best.effects[k], rival) * unexplained_too)
                 and not any(p.at_bound(v) for p, v in zip(rival.parameters, rival.values, strict=True))
             ]
         )
     return equals
 
 
+def _slack(effect: type[MissingEffect], rival: Fit) -> float:
+    """Share of what stays unexplained by which a rival may be worse than an effect and still pass for it."""
+    alike = effect.family and effect.family == rival.effects[-1].family
+    return _TIE_OF_KIND if alike or (_is_kinked(effect) and not _is_kinked(rival.effects[-1])) else _TIE_OF_EXCESS
+
+
 def simplest(fitter: Fitter, best: Fit, able: list[type[MissingEffect]], tried: Tried) -> Fit:
     """The same servo in the simplest of the words that fit equally well."""
+    for k in range(len(best.effects)):
+        if _is_kinked(best.effects[k]):
+            smooth = [r for r in equals_of(fitter, best, able, tried)[k] if not _is_kinked(r.effects[-1])]
+            best = min((r for r in smooth if matters(fitter.record, r)), key=lambda r: r.total, default=best)
     margin = _EVEN_CHI_SQUARED * floor_of(fitter.record, best) ** 2
     for k, equals in enumerate(equals_of(fitter, best, able, tried)):
-        rank = CATALOGUE.index(best.effects[k])
-        even = [r for r in equals if r.total - best.total < margin and CATALOGUE.index(r.effects[-1]) < rank]
+        effect = best.effects[k]
+        before = [r for r in equals if CATALOGUE.index(r.effects[-1]) < CATALOGUE.index(effect)]
+        even = [r for r in before if r.total - best.total < margin or (effect.family == r.effects[-1].family != "")]
         if even:
-            return min(even, key=lambda r: CATALOGUE.index(r.effects[-1]))
+            return simplest(fitter, min(even, key=lambda r: CATALOGUE.index(r.effects[-1])), able, tried)
     return best
+
+
+def _is_kinked(effect: type[MissingEffect]) -> bool:
+    return any(parameter.kinked for parameter in effect.parameters)
 
 
 def _quietly(_step: str) -> None:

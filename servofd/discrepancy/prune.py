@@ -6,19 +6,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.discrepancy.catalogue import Quantization
 from servofd.discrepancy.evidence import accepted, floor_of, rest_is_large
 from servofd.discrepancy.noise import long_run_factor
+from servofd.models.catalogue import Quantization
 
 if TYPE_CHECKING:
-    from servofd.discrepancy.catalogue import Parameter
     from servofd.discrepancy.fit import Fit, Fitter
+    from servofd.models.catalogue import Parameter
 
 __all__ = ["convincing", "ordered", "pruned", "with_steps", "without"]
 
 _STEPS_OF_ERROR = 0.25
 _SURE_Z = 4.0
-_LEAST_SHARE = 0.1
+_LEAST_SHARE, _LEAST_SHARE_OF_REST = 0.1, 0.05
 """Beside a large unexplained rest, an effect that takes away less of the gap names nothing."""
 _MUCH_OF_GAP, _MOST_OF_GAP = 0.1, 0.5
 
@@ -59,7 +59,11 @@ def convincing(fitter: Fitter, fit: Fit, nominal: Fit) -> Fit:
             ]
             sure.append(max(away) > _SURE_Z)
             losses.append(without(fitter, fit, k).total - fit.total if much_is_left else np.inf)
-        weak = [k for k in range(len(losses)) if not sure[k] or losses[k] < _LEAST_SHARE * gap]
+        # Runs that were held out whole vouch for effects that matter to what is left, not only to all of the gap.
+        least = _LEAST_SHARE * gap
+        if record.runs:
+            least = min(least, _LEAST_SHARE_OF_REST * max(fit.total - count * sigma**2, 0.0))
+        weak = [k for k in range(len(losses)) if not sure[k] or losses[k] < least]
         if not weak:
             break
         fit = without(fitter, fit, min(weak, key=lambda k: losses[k]))
@@ -69,10 +73,11 @@ def convincing(fitter: Fitter, fit: Fit, nominal: Fit) -> Fit:
 def _sober(fitter: Fitter, fit: Fit, nominal: Fit) -> Fit:
     """Beside a rest that is much of the gap, at most one effect, and only if it is most of what there was.
 
-    Several effects that together leave much are no physics but a flexible curve.
+    Several effects that together leave much are no physics but a flexible curve, unless whole runs that were held out
+    say otherwise.
     """
     record = fitter.record
-    if not fit.effects or not rest_is_large(record, fit, nominal):
+    if record.runs or not fit.effects or not rest_is_large(record, fit, nominal):
         return fit
     noise = float(record.counts.sum()) * floor_of(record, fit) ** 2
     gap = max(nominal.total - noise, 0.0)

@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.discrepancy.catalogue import PwmFrame, Quantization, installed
 from servofd.discrepancy.frames import best_frame
 from servofd.discrepancy.record import simulate
+from servofd.models.catalogue import PwmFrame, Quantization, installed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servofd.discrepancy.catalogue import MissingEffect, Parameter
     from servofd.discrepancy.record import Record
+    from servofd.models.catalogue import MissingEffect, Parameter
     from servofd.types import FloatArray
 
 __all__ = ["begin", "polish", "telling_part"]
@@ -31,8 +31,8 @@ _SEARCHES, _KINKED_ROUNDS = 9, 2
 
 
 def telling_part(record: Record, error_deg: FloatArray) -> Record:
-    """The stretch of a record in which a simulation is most wrong; all of it if it is short."""
-    if record.time_s[-1] - record.time_s[0] < 1.5 * _PART_S:
+    """The stretch of a record in which a simulation is most wrong; all of it if it is short, or several runs."""
+    if record.runs or record.time_s[-1] - record.time_s[0] < 1.5 * _PART_S:
         return record
     second = (record.time_s - record.time_s[0]).astype(np.int64)
     energy = np.bincount(second, weights=np.where(record.counts, np.nan_to_num(error_deg) ** 2, 0.0))

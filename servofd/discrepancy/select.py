@@ -5,17 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from servofd.discrepancy.catalogue import CATALOGUE
 from servofd.discrepancy.evidence import accepted, cost, floor_of, rest_is_large, rest_matters, worth_trying
 from servofd.discrepancy.fit import Fit, Fitter
 from servofd.discrepancy.ladder import Rung, Tried, equals_of, keys_of, rungs_of, simplest
+from servofd.discrepancy.poles import PoleFitter
 from servofd.discrepancy.prune import convincing, ordered, pruned, with_steps, without
+from servofd.models.catalogue import CATALOGUE, Damping, PwmFrame, SlowDynamics
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from servofd.discrepancy.catalogue import MissingEffect
     from servofd.discrepancy.record import Record
+    from servofd.models.catalogue import MissingEffect
     from servofd.types import FloatArray
 
 __all__ = ["Rung", "Selection", "select", "unexplained"]
@@ -25,7 +26,8 @@ _BEAM, _WIDE_BEAM, _FEW = 2, 4, 2
 _NOT_MUCH_MORE = 2.0
 _SAME_LOSS = 1e-3
 """Relative: the same servo in other words."""
-_MOST_EFFECTS = 4
+_MOST_EFFECTS, _MOST_ON_BENCH = 4, 5
+"""More where whole runs are held out, which no flexible combination survives for long."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,7 +43,13 @@ class Selection:
     unjudged: tuple[type[MissingEffect], ...]
     """Effects that need what the log does not hold."""
     covariance: FloatArray
-    simulations: int
+    fitter: Fitter
+    """What fitted it."""
+
+    @property
+    def simulations(self) -> int:
+        """How many it took."""
+        return self.fitter.simulations
 
     @property
     def final(self) -> Fit:
@@ -57,7 +65,11 @@ def judgeable(record: Record) -> tuple[list[type[MissingEffect]], list[type[Miss
         if values is not None
     }
     able = [effect for effect in CATALOGUE if set(effect.needs) <= held]
-    return able, [effect for effect in CATALOGUE if effect not in able]
+    unable = [effect for effect in CATALOGUE if effect not in able]
+    fitted = {SlowDynamics, Damping} if record.free_poles else set()
+    # Frames run on between separate runs, so that nobody knows when each of them began.
+    fitted |= {PwmFrame} if record.runs else set()
+    return [effect for effect in able if effect not in fitted], unable
 
 
 def select(record: Record, progress: Callable[[str], None] = lambda _step: None) -> Selection:
@@ -70,7 +82,7 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     progress : callable
         Called with the name of each effect that was tried.
     """
-    fitter = Fitter(record)
+    fitter = PoleFitter(record) if record.free_poles else Fitter(record)
     able, unable = judgeable(record)
     nominal = fitter.nominal()
     tried: Tried = {}
@@ -89,7 +101,7 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     final, covariance = fitter.on_all(best)
     if rungs:
         rungs = (*rungs[:-1], Rung(final, rungs[-1].rivals))
-    return Selection(nominal, rungs, ties, sigma, tuple(unable), covariance, fitter.simulations)
+    return Selection(nominal, rungs, ties, sigma, tuple(unable), covariance, fitter)
 
 
 def _grown(
@@ -98,7 +110,7 @@ def _grown(
     """Forward search: the best few of each length go on."""
     record, best = fitter.record, fitter.nominal()
     beam = [best]
-    for _ in range(_MOST_EFFECTS):
+    for _ in range(_MOST_ON_BENCH if record.runs else _MOST_EFFECTS):
         sigma = floor_of(record, best)
         grown: list[Fit] = []
         for base in beam:

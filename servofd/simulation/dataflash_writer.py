@@ -63,7 +63,13 @@ def dataflash_log(flight: SimulatedFlight, aircraft: Aircraft, generation: Gener
     return encode(dataflash_messages(flight, aircraft, generation))
 
 
-def dataflash_messages(flight: SimulatedFlight, aircraft: Aircraft, generation: Generation = VOLZ) -> list[Message]:
+def dataflash_messages(
+    flight: SimulatedFlight,
+    aircraft: Aircraft,
+    generation: Generation = VOLZ,
+    *,
+    settings: Mapping[str, float] | None = None,
+) -> list[Message]:
     """Rows of each message, in the units a reader shall see.
 
     Parameters
@@ -74,6 +80,8 @@ def dataflash_messages(flight: SimulatedFlight, aircraft: Aircraft, generation: 
         A surface without a measured channel has a servo that reports nothing.
     generation : Generation
         One of `GENERATIONS`.
+    settings : mapping of str to float, optional
+        The vehicle's parameters; those of `servofd.simulation.ardupilot.parameters` if left out.
 
     Returns
     -------
@@ -86,13 +94,13 @@ def dataflash_messages(flight: SimulatedFlight, aircraft: Aircraft, generation: 
         If the flight was simulated without outputs.
     """
     outputs_needed(flight)
-    return [*_words(flight, aircraft, generation), _rcou(flight), *_csrv(flight, aircraft, generation), *_air(flight)]
+    known = parameters(flight, aircraft, generation.name) if settings is None else settings
+    return [*_words(flight, known, generation), _rcou(flight), *_csrv(flight, aircraft, generation), *_air(flight)]
 
 
-def _words(flight: SimulatedFlight, aircraft: Aircraft, generation: Generation) -> list[Message]:
+def _words(flight: SimulatedFlight, known: Mapping[str, float], generation: Generation) -> list[Message]:
     """Parameters and what the autopilot says, all at the beginning."""
     start_us = int(microseconds(flight.time_s[:1])[0])
-    known = parameters(flight, aircraft, generation.name)
     values = list(known.values())
     parm: Mapping[str, ArrayLike] = {
         "TimeUS": [start_us] * len(known),

@@ -112,6 +112,14 @@ class Output:
         pulse_us: IntArray = zero_us + np.trunc(away_us).astype(np.int64)
         return pulse_us
 
+    def nearest_us(self, deflection_deg: FloatArray) -> IntArray:
+        """Pulse that asks for a deflection most closely, outside MIN and MAX as well [us], of the same shape."""
+        x = np.asarray(self.arm_deg(deflection_deg)) / self.travel_deg
+        middle_us = 0.5 * (self.min_us + self.max_us) if self.is_range else float(self.trim_us)
+        half_us = np.where(x > 0.0, self.max_us - middle_us, middle_us - self.min_us)
+        pulse_us: IntArray = np.rint(middle_us + x * half_us).astype(np.int64)
+        return pulse_us
+
     def deflection_deg(self, pulse_us: IntArray) -> FloatArray:
         """Deflection that a pulse asks for [deg], of the same shape: the inverse, without cutting."""
         middle_us = 0.5 * (self.min_us + self.max_us) if self.is_range else float(self.trim_us)

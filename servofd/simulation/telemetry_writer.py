@@ -21,16 +21,21 @@ if TYPE_CHECKING:
     from servofd.types import IntArray
 
     Sent = tuple[str, IntArray, dict[str, ArrayLike]]
+    """Name of a message, when it was made [us], and its fields."""
 
-__all__ = ["VERSION", "telemetry_log", "telemetry_messages"]
+__all__ = ["FEEDBACK", "VERSION", "air_rows", "beats", "servo_rows", "telemetry_log", "telemetry_messages"]
 
 VERSION: Final = "4.7.0-dev"
+FEEDBACK: Final = ("named", "port", "array")
+"""Messages that tell positions: see `servo_rows`."""
 
 _FASTEST_LINK_US: Final = 12_000
 _WAITING_US: Final = 3_000
 _PLANE, _ARDUPILOT, _ACTIVE, _REAL32 = 1, 3, 4, 9  # MAV_TYPE, MAV_AUTOPILOT, MAV_STATE, MAV_PARAM_TYPE
 _ARMED_AUTO: Final = 128 | 16 | 8 | 4 | 1  # MAV_MODE_FLAG
 _WRAP: Final = 2**32
+_POSITION_PORT: Final = 2
+_ARRAY_SIZE: Final = 58
 
 
 def telemetry_log(flight: SimulatedFlight, aircraft: Aircraft) -> bytes:
@@ -68,14 +73,25 @@ def telemetry_messages(flight: SimulatedFlight, aircraft: Aircraft) -> list[Mess
         If the flight was simulated without outputs.
     """
     outputs_needed(flight)
-    sent = [*_words(flight, aircraft), *_servos(flight, aircraft), *_air(flight)]
+    beat, time = beats(flight)
+    sent = [beat, *_words(flight, aircraft), time, *servo_rows(flight, aircraft), *air_rows(flight)]
     arrivals = _arrivals([made_us for _, made_us, _ in sent], np.random.default_rng([flight.seed, 1002]))
     return [Message(name, at_us, columns) for (name, _, columns), at_us in zip(sent, arrivals, strict=True)]
 
 
-def _words(flight: SimulatedFlight, aircraft: Aircraft) -> list[Sent]:
+def beats(flight: SimulatedFlight) -> list[Sent]:
+    """HEARTBEAT and SYSTEM_TIME, once a second."""
     seconds_us = microseconds(flight.time_s[sparse(flight.time_s, 1.0)])
-    start_us = seconds_us[:1]
+    beat = {"type": _PLANE, "autopilot": _ARDUPILOT, "base_mode": _ARMED_AUTO, "custom_mode": 10}
+    beat |= {"system_status": _ACTIVE, "mavlink_version": 3}
+    return [
+        ("HEARTBEAT", seconds_us, {name: np.full(seconds_us.size, value) for name, value in beat.items()}),
+        ("SYSTEM_TIME", seconds_us, {"time_unix_usec": EPOCH_US + seconds_us, "time_boot_ms": _boot_ms(seconds_us)}),
+    ]
+
+
+def _words(flight: SimulatedFlight, aircraft: Aircraft) -> list[Sent]:
+    start_us = microseconds(flight.time_s[:1])
     known = parameters(flight, aircraft, "script")
     param: dict[str, ArrayLike] = {
         "param_id": list(known),
@@ -84,33 +100,57 @@ def _words(flight: SimulatedFlight, aircraft: Aircraft) -> list[Sent]:
         "param_count": [len(known)] * len(known),
         "param_index": np.arange(len(known)),
     }
-    beat = {"type": _PLANE, "autopilot": _ARDUPILOT, "base_mode": _ARMED_AUTO, "custom_mode": 10}
-    beat |= {"system_status": _ACTIVE, "mavlink_version": 3}
     return [
-        ("HEARTBEAT", seconds_us, {name: np.full(seconds_us.size, value) for name, value in beat.items()}),
         ("STATUSTEXT", start_us, {"severity": [6], "text": [banner(VERSION)]}),
         ("PARAM_VALUE", np.repeat(start_us, len(known)), param),
-        ("SYSTEM_TIME", seconds_us, {"time_unix_usec": EPOCH_US + seconds_us, "time_boot_ms": _boot_ms(seconds_us)}),
     ]
 
 
-def _servos(flight: SimulatedFlight, aircraft: Aircraft) -> list[Sent]:
+def servo_rows(flight: SimulatedFlight, aircraft: Aircraft, feedback: str = "named") -> list[Sent]:
+    """Pulses and positions of all outputs.
+
+    Parameters
+    ----------
+    flight : SimulatedFlight
+        With outputs.
+    aircraft : Aircraft
+        A surface without a measured channel has a servo that reports nothing.
+    feedback : str
+        How the position of the servo on output n is told: ``"named"``, NAMED_VALUE_FLOAT ``SRVP<n>``, angle of the
+        arm [deg]; ``"array"``, the same in element n - 1 of a DEBUG_FLOAT_ARRAY named ``SRVP``; or ``"port"``, the
+        pulse that would ask for it [us], rounded, as ``servo<n>_raw`` of a SERVO_OUTPUT_RAW with port 2 (port 1 is
+        the outputs from 17 on).
+    """
     made_us = microseconds(flight.time_s)
+    stamp = {"time_usec": made_us % _WRAP}
     pulses: dict[str, ArrayLike] = {f"servo{o.number}_raw": flight.pulse_us[:, i] for i, o in enumerate(flight.outputs)}
     pulses.setdefault(f"servo{THROTTLE}_raw", np.full(made_us.size, THROTTLE_US))
-    sent: list[Sent] = [("SERVO_OUTPUT_RAW", made_us, {"time_usec": made_us % _WRAP, **pulses})]
-    for i, output in enumerate(flight.outputs):
-        if aircraft.surfaces[output.surface].measured is not None:
+    sent: list[Sent] = [("SERVO_OUTPUT_RAW", made_us, {**stamp, **pulses})]
+    told = [(i, o) for i, o in enumerate(flight.outputs) if aircraft.surfaces[o.surface].measured is not None]
+    arms_deg = {o.number: o.arm_deg(flight.measured_deg[:, i]) for i, o in told}
+    if feedback == "port" and told:
+        raw = {f"servo{o.number}_raw": o.nearest_us(flight.measured_deg[:, i]) for i, o in told}
+        sent.append(("SERVO_OUTPUT_RAW", made_us, {**stamp, "port": np.full(made_us.size, _POSITION_PORT), **raw}))
+    elif feedback == "array" and told:
+        data = np.zeros((made_us.size, _ARRAY_SIZE))
+        for number, arm_deg in arms_deg.items():
+            data[:, number - 1] = arm_deg
+        ids = np.full(made_us.size, 1)
+        array: dict[str, ArrayLike] = {"time_usec": made_us, "name": ["SRVP"] * made_us.size, "array_id": ids}
+        sent.append(("DEBUG_FLOAT_ARRAY", made_us, {**array, "data": data}))
+    elif feedback == "named":
+        for number, arm_deg in arms_deg.items():
             position: dict[str, ArrayLike] = {
                 "time_boot_ms": _boot_ms(made_us),
-                "name": [f"SRVP{output.number}"] * made_us.size,
-                "value": output.arm_deg(flight.measured_deg[:, i]),
+                "name": [f"SRVP{number}"] * made_us.size,
+                "value": arm_deg,
             }
             sent.append(("NAMED_VALUE_FLOAT", made_us, position))
     return sent
 
 
-def _air(flight: SimulatedFlight) -> list[Sent]:
+def air_rows(flight: SimulatedFlight) -> list[Sent]:
+    """ATTITUDE ten times a second, VFR_HUD twice."""
     at_s = flight.time_s[sparse(flight.time_s, 10.0)]
     air, made_us = surroundings(at_s, flight.seed), microseconds(at_s)
     seldom = sparse(at_s, 2.0)

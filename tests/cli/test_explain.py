@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from servofd.aircraft import load_aircraft
 from servofd.cli import main
 from tests.recovery.fine_servo import FineServo, Hidden, hide
 
@@ -46,11 +47,19 @@ def test_the_better_model_makes_the_audit_quieter(tmp_path: Path, capsys: pytest
     assert errors[1] < 0.11 < 2.0 * errors[1] < errors[0]
 
 
-def test_what_an_audit_cannot_simulate_is_not_saved(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_found_in_the_linkage_is_saved_and_simulated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = hide(FineServo(backlash_deg=1.0), duration_s=20.0).write(tmp_path / "log.csv")
-    assert main(["explain", str(path), "--save", str(tmp_path / "better.toml")]) == 2
-    assert "backlash is not part of the models that an audit simulates" in capsys.readouterr().err
-    assert not (tmp_path / "better.toml").exists()
+    better = tmp_path / "better.toml"
+    assert main(["explain", str(path), "--save", str(better)]) == 0
+    capsys.readouterr()
+    assert load_aircraft(better).surfaces["elevator"].effects["backlash"]["width_deg"] == pytest.approx(1.0, abs=0.03)
+    assert main(["audit", str(path), "-c", str(better), "--json", "-"]) == 0
+    surface = json.loads(capsys.readouterr().out)["logs"][0]["surfaces"]["elevator"]
+    assert surface["status"] == "healthy"
+    # Noise of 0.1 deg passes the filter with a gain of 0.42.
+    assert surface["residual"]["std_deg"] < 0.045
 
 
 def _scaled(log: Hidden, factor: float) -> Hidden:

@@ -43,7 +43,7 @@ def colour_share(path: Path, colour: str, tolerance: float = 0.1) -> float:
 
 
 def test_the_figure_shows_curves_threshold_and_fault(stuck: LogAudit, tmp_path: Path) -> None:
-    from servofd.outputs.figure import COLOURS
+    from servofd.outputs.palette import COLOURS
 
     fault, healthy = tmp_path / "fault.png", tmp_path / "healthy.png"
     save_figure(stuck.surfaces[0], fault, "stuck")

@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from servofd.detection.bank.explanation import COLOUR, Estimate, Explanation
-from servofd.detection.bank.window import slower
+from servofd.detection.bank.window import limited, slower
 from servofd.models.play import play
 from servofd.types import FloatArray
 
@@ -170,10 +170,7 @@ def _slower(window: Window, bandwidth_scale: float) -> FloatArray:
 
 
 def _limited(window: Window, rate_deg_s: float) -> FloatArray:
-    up_deg_s, down_deg_s = window.servo.rate_up_deg_s, window.servo.rate_down_deg_s
-    return window.simulate(
-        window.servo._replace(rate_up_deg_s=min(rate_deg_s, up_deg_s), rate_down_deg_s=min(rate_deg_s, down_deg_s))
-    )
+    return window.simulate(limited(window.servo, rate_deg_s))
 
 
 @njit(cache=True, nogil=True)

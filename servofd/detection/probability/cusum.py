@@ -114,7 +114,12 @@ def design_cusum(kappa: float, rate_per_hour: float, noise: Noise) -> CusumDesig
     return CusumDesign(kappa, noise.long_run_factor * white, noise.long_run_factor, noise.sample_time_s)
 
 
-def cusum(normalised_residual: FloatArray, kappa: float, restart: BoolArray | None = None) -> FloatArray:
+def cusum(
+    normalised_residual: FloatArray,
+    kappa: float,
+    restart: BoolArray | None = None,
+    memory: FloatArray | None = None,
+) -> FloatArray:
     """Two-sided cumulative sum of a residual.
 
     Parameters
@@ -125,6 +130,8 @@ def cusum(normalised_residual: FloatArray, kappa: float, restart: BoolArray | No
         Reference value [sigma].
     restart : ndarray of bool, shape (n,), optional
         True where the sum starts anew from zero, before this sample is added.
+    memory : ndarray, shape (2,), optional
+        Both sums [sigma]: where they stand before the first sample, and after the last one.
 
     Returns
     -------
@@ -142,13 +149,13 @@ def cusum(normalised_residual: FloatArray, kappa: float, restart: BoolArray | No
     restarts = np.zeros(values.size, dtype=bool) if restart is None else np.asarray(restart, dtype=bool)
     if restarts.shape != values.shape:
         raise ValueError(f"restart has shape {restarts.shape}, the residual {values.shape}")
-    return _sums(values, kappa, restarts)
+    return _sums(values, kappa, restarts, np.zeros(2) if memory is None else memory)
 
 
 @njit(cache=True, nogil=True)
-def _sums(values: FloatArray, kappa: float, restart: BoolArray) -> FloatArray:
+def _sums(values: FloatArray, kappa: float, restart: BoolArray, memory: FloatArray) -> FloatArray:
     result = np.empty(values.size)
-    high = low = 0.0
+    high, low = memory[0], memory[1]
     for k in range(values.size):
         if restart[k]:
             high = low = 0.0
@@ -156,4 +163,5 @@ def _sums(values: FloatArray, kappa: float, restart: BoolArray) -> FloatArray:
             high = max(0.0, high + values[k] - kappa)
             low = max(0.0, low - values[k] - kappa)
         result[k] = max(high, low)
+    memory[0], memory[1] = high, low
     return result

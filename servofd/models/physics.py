@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from servofd.models.transfer import TransferFunction
     from servofd.types import FloatArray
 
-__all__ = ["Loop", "Physics", "Plant", "plant_of"]
+__all__ = ["LOOSE_FIELDS", "RATE_FIELDS", "Loop", "Physics", "Plant", "longest_step_s", "plant_of", "scaled_transfer"]
 
 _TORQUE_SHARE = 0.8
 """Share of the damping that acts on the torque (q); the split changes neither the linear servo nor any steady state."""
@@ -32,6 +32,22 @@ _FASTEST_TIMES_STEP = 0.05
 """Of the fastest pole: what is left of a step is then a series whose fifth term is below 1e-10."""
 _MOST_ENTRIES = 400
 _TIED = 1e-9
+
+
+_SUBSTEP_S, _SHORT_SUBSTEP_S = 2.5e-3, 1e-3
+"""The shorter one for a servo that switches on and off at an edge."""
+
+RATE_FIELDS = (
+    "rate_up_deg_s",
+    "rate_down_deg_s",
+    "follow_up_deg_s",
+    "follow_down_deg_s",
+    "set_point_deg_s",
+    "deg_s_per_v",
+)
+"""Sizes of `Physics` that limit a speed."""
+LOOSE_FIELDS = {"backlash_deg": 0.5, "deadband_deg": 0.5, "insensitive_deg": 0.5, "friction_deg": 1.0}
+"""Sizes of `Physics` within which a surface rests anywhere, and the share of each that it may be off to either side."""
 
 
 class Physics(NamedTuple):
@@ -88,6 +104,13 @@ class Physics(NamedTuple):
         """Whether nothing needs shorter steps than the events themselves."""
         here, plain = self[8:27], Physics()[8:27]
         return here == plain and self.lag_s == 0.0 and math.isinf(self.set_point_deg_s)
+
+
+def longest_step_s(physics: Physics) -> float:
+    """Longest substep of the kernel [s]: none if the loop is linear, and the events themselves are steps enough."""
+    if physics.is_linear_loop:
+        return math.inf
+    return _SHORT_SUBSTEP_S if physics.insensitive_deg > 0.0 else _SUBSTEP_S
 
 
 class Loop(NamedTuple):
@@ -152,6 +175,8 @@ def plant_of(model: ServoModel) -> Plant:
             f"a servo of order {len(transfer.denominator) - 1} with {len(transfer.numerator) - 1} zeros cannot be "
             "explained: servos of one to three poles and no zeros can"
         )
+    if plan.physics is not None:
+        return Plant(transfer, plan.physics)
     neutral = Physics(
         delay_s=plan.delay_s,
         follow_up_deg_s=plan.rate_up_deg_s,
@@ -162,9 +187,29 @@ def plant_of(model: ServoModel) -> Plant:
     return Plant(transfer, neutral)
 
 
+def scaled_transfer(transfer: TransferFunction, physics: Physics) -> TransferFunction:
+    """Linear servo with its poles scaled as the effects say; the dc gain stays.
+
+    Examples
+    --------
+    >>> from servofd.servos import servo_named
+    >>> slow = scaled_transfer(servo_named("hs225bb-eq31").transfer, Physics(bandwidth_scale=0.5))
+    >>> round(slow.bandwidth_rad_s, 2), round(slow.dc_gain, 9)
+    (14.24, 1.0)
+    """
+    from servofd.models.transfer import TransferFunction
+
+    if physics.bandwidth_scale == 1.0 and physics.damping_scale == 1.0:
+        return transfer
+    denominator = np.array(transfer.denominator) / transfer.denominator[0]
+    scales = physics.bandwidth_scale ** np.arange(denominator.size)
+    scaled = _damped(denominator, physics.damping_scale) * scales
+    return TransferFunction((transfer.dc_gain * float(scaled[-1]),), tuple(scaled.tolist()))
+
+
 @lru_cache(maxsize=256)
 def _loop(denominator: tuple[float, ...], bandwidth_scale: float, damping_scale: float, torque_share: float) -> Loop:
-    from servofd.discrepancy.kernel import step_matrices
+    from servofd.models.position_loop import step_matrices
 
     order = len(denominator) - 1
     monic = _damped(np.array(denominator) / denominator[0], damping_scale) * bandwidth_scale ** np.arange(order + 1)

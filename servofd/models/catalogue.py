@@ -2,7 +2,7 @@
 
 An effect says where it acts, which parameters it has, within which bounds they are physical, how large they may be on
 a healthy servo, and what the log must hold to judge it. A parameter names the fields of
-`servofd.discrepancy.physics.Physics` that it sets; the kernel knows what they do.
+`servofd.models.physics.Physics` that it sets; the kernel knows what they do.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from servofd.models.effects import Place
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servofd.discrepancy.physics import Physics
+    from servofd.models.physics import Physics
 
 __all__ = ["CATALOGUE", "Context", "MissingEffect", "Parameter", "effects_named", "installed"]
 
@@ -42,6 +42,8 @@ class Parameter:
     aside: bool = False
     """True for a number of no interest that the effect needs to fit; it is neither reported nor judged."""
 
+    travel_power: int = 0
+    """Power of the deflection that it is multiplied with: the same effect is smaller on a servo that turns further."""
     width: float = 0.0
     """How far around the start the search goes; 0: to the neighbours on the grid."""
 
@@ -68,6 +70,8 @@ class MissingEffect:
     needs: ClassVar[tuple[Context, ...]] = ()
     form: ClassVar[str] = ""
     """Which machine it is, where several go by one name."""
+    family: ClassVar[str] = ""
+    """Effects that are alike at low frequency, and hardly told apart where anything else is unexplained."""
     fixed: ClassVar[dict[str, float]] = {}
     """Fields of `Physics` that the effect replaces."""
 
@@ -82,7 +86,7 @@ def installed(physics: Physics, effects: Sequence[type[MissingEffect]], values: 
 
     Examples
     --------
-    >>> from servofd.discrepancy.physics import Physics
+    >>> from servofd.models.physics import Physics
     >>> installed(Physics(), [Backlash, Gain], [0.5, 0.9]).backlash_deg
     0.5
     """
@@ -124,6 +128,7 @@ class Delay(MissingEffect):
     """Total transport delay of the command."""
 
     name, place = "delay", Place.LINK
+    family = "lag"
     parameters = (
         Parameter("delay_s", ("delay_s",), 0.0, 0.5, 0.0, 0.003, (0.0, 0.01, 0.02, 0.035, 0.06, 0.1, 0.16, 0.25)),
     )
@@ -133,6 +138,7 @@ class ClockOffset(MissingEffect):
     """Positions stamped too late (positive) or too early."""
 
     name, place = "clock_offset", Place.SENSOR
+    family = "lag"
     parameters = (
         Parameter(
             "offset_s", ("offset_s",), -0.5, 0.5, 0.0, 0.003, (-0.15, -0.08, -0.04, -0.02, 0.01, 0.03, 0.06, 0.12, 0.2)
@@ -206,6 +212,7 @@ class DeadBand(MissingEffect):
     """Position error that the servo's controller ignores, counted from the edge."""
 
     name, place, form = "deadband", Place.SERVO, "error from the edge"
+    family = "hysteresis"
     parameters = (Parameter("width_deg", ("deadband_deg",), 0.0, 20.0, 0.0, 0.3, _WIDTHS_DEG),)
 
 
@@ -213,6 +220,7 @@ class InsensitiveBand(MissingEffect):
     """Position error below which the motor is off, and above which it sees all of it."""
 
     name, place, form = "deadband", Place.SERVO, "whole error"
+    family = "hysteresis"
     parameters = (Parameter("width_deg", ("insensitive_deg",), 0.0, 20.0, 0.0, 0.3, _WIDTHS_DEG),)
 
 
@@ -220,6 +228,7 @@ class Backlash(MissingEffect):
     """Free play of gear and linkage."""
 
     name, place = "backlash", Place.LINKAGE
+    family = "hysteresis"
     parameters = (Parameter("width_deg", ("backlash_deg",), 0.0, 20.0, 0.0, 0.3, _WIDTHS_DEG),)
 
 
@@ -227,6 +236,7 @@ class Friction(MissingEffect):
     """Coulomb friction and stiction, as the position error that breaks it."""
 
     name, place = "friction", Place.SERVO
+    family = "hysteresis"
     parameters = (
         Parameter("friction_deg", ("friction_deg",), 0.0, 10.0, 0.0, 0.15, (0.05, 0.1, 0.2, 0.4, 0.7, 1.2, 2.0)),
         _SPLIT,
@@ -320,8 +330,8 @@ class LinkageNonlinearity(MissingEffect):
 
     name, place = "linkage_nonlinearity", Place.LINKAGE
     parameters = (
-        Parameter("quadratic_per_deg", ("quadratic_per_deg",), -0.05, 0.05, 0.0, 2e-3, (-4e-3, 4e-3)),
-        Parameter("cubic_per_deg2", ("cubic_per_deg2",), -5e-3, 5e-3, 0.0, 2e-4, (-4e-4, 4e-4)),
+        Parameter("quadratic_per_deg", ("quadratic_per_deg",), -0.05, 0.05, 0.0, 2e-3, (-4e-3, 4e-3), travel_power=1),
+        Parameter("cubic_per_deg2", ("cubic_per_deg2",), -5e-3, 5e-3, 0.0, 2e-4, (-4e-4, 4e-4), travel_power=2),
     )
 
 

@@ -14,10 +14,10 @@ import math
 import numpy as np
 from numba import njit
 
-from servofd.discrepancy.physics import Loop, Physics
+from servofd.models.physics import Loop, Physics
 from servofd.types import FloatArray
 
-__all__ = ["framed", "run", "step_matrices"]
+__all__ = ["framed", "new_memory", "run", "step_matrices"]
 
 _NO_STEP_S = 1e-10
 _SAME_STEP_S = 1e-9
@@ -26,6 +26,22 @@ _STILL_DEG = 1e-5
 _SLOTS, _MOST_BUILT = 4, 64
 """Matrices of that many lengths of step are kept; where the stamps jitter, none are made any more after so many."""
 _PER_DEG = math.pi / 180.0
+_STATES = 14
+_CLOCK, _Y, _V, _TORQUE, _U, _S, _WANTED, _FOLLOWED, _FLEXED, _SWING, _PLAYED, _STATIC, _LAGGED, _CURSOR = range(
+    _STATES
+)
+
+
+def new_memory(start_deg: float) -> FloatArray:
+    """Memory of a servo at rest where its surface was measured [deg], shape (14,); `run` starts at its first instant.
+
+    Time [s], the loop's states, command in force and its slope, wanted set point, positions along the linkage, and how
+    many of the commands have taken effect.
+    """
+    memory = np.zeros(_STATES)
+    memory[_CLOCK] = np.nan
+    memory[_STATIC] = start_deg
+    return memory
 
 
 @njit(cache=True, error_model="numpy")
@@ -151,9 +167,12 @@ def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would tak
     at_s: FloatArray,
     pressure_pa: FloatArray,
     voltage_v: FloatArray,
-    start_deg: float,
+    memory: FloatArray,
 ) -> FloatArray:
-    """Measured position at the rising times `at_s`, shape (m,), from rest at `start_deg`, measured [deg]."""
+    """Measured position at the rising times `at_s` [deg], shape (m,), from where the memory stands.
+
+    The memory is moved on: run again with later times, and with the commands from its cursor on.
+    """
     result = np.empty(at_s.size)
     closed, opened, grid_s, order = loop.closed, loop.opened, loop.grid_s, loop.order
     whole_s = grid_s * closed.shape[0]
@@ -172,16 +191,23 @@ def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would tak
     loaded = physics.airload_per_pa != 0.0 or physics.droop_deg != 0.0
     stop_upper, stop_lower = physics.stop_upper_deg / dc_gain, physics.stop_lower_deg / dc_gain
     natural, half = 2.0 * math.pi * physics.resonance_hz, 0.5 * physics.backlash_deg
-    followed = (start_deg - physics.bias_deg) / physics.gain
-    flexed, swing, played, static, lagged = followed, 0.0, followed, start_deg, start_deg
-    y, v, torque, u, s = followed / dc_gain, 0.0, 0.0, followed / dc_gain, 0.0
-    clock, c = at_s[0], 0
-    while c < effective_s.size and effective_s[c] <= clock:
-        u, s = command_deg[c] + slope_deg_s[c] * (clock - effective_s[c]), slope_deg_s[c]
-        c += 1
-    wanted, slews = u, physics.set_point_deg_s < math.inf
-    if slews:
-        s = 0.0
+    slews = physics.set_point_deg_s < math.inf
+    c = 0
+    if math.isnan(memory[_CLOCK]):
+        start_deg, clock = memory[_STATIC], at_s[0]
+        followed = (start_deg - physics.bias_deg) / physics.gain
+        flexed, swing, played, static, lagged = followed, 0.0, followed, start_deg, start_deg
+        y, v, torque, u, s = followed / dc_gain, 0.0, 0.0, followed / dc_gain, 0.0
+        while c < effective_s.size and effective_s[c] <= clock:
+            u, s = command_deg[c] + slope_deg_s[c] * (clock - effective_s[c]), slope_deg_s[c]
+            c += 1
+        wanted = u
+        if slews:
+            s = 0.0
+    else:
+        clock, y, v, torque, u = memory[_CLOCK], memory[_Y], memory[_V], memory[_TORQUE], memory[_U]
+        s, wanted, followed, flexed = memory[_S], memory[_WANTED], memory[_FOLLOWED], memory[_FLEXED]
+        swing, played, static, lagged = memory[_SWING], memory[_PLAYED], memory[_STATIC], memory[_LAGGED]
     edge = max(dead, insensitive)
     fastest, fastest_down = physics.follow_up_deg_s / dc_gain, physics.follow_down_deg_s / dc_gain
     lags = fastest < math.inf or fastest_down < math.inf
@@ -193,7 +219,8 @@ def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would tak
         most, least = min(up, volt_limit), -min(down, volt_limit)
         while True:
             commanded = c < effective_s.size and effective_s[c] <= now
-            until = effective_s[c] if commanded else now
+            # A command that arrives late takes effect at once.
+            until = max(effective_s[c], clock) if commanded else now
             left = until - clock
             clock = until
             cap = whole_s
@@ -307,6 +334,10 @@ def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would tak
             result[n] = physics.output_step_deg * math.floor(lagged / physics.output_step_deg + 0.5)
         else:
             result[n] = lagged
+    memory[_CLOCK], memory[_Y], memory[_V], memory[_TORQUE], memory[_U] = clock, y, v, torque, u
+    memory[_S], memory[_WANTED], memory[_FOLLOWED], memory[_FLEXED] = s, wanted, followed, flexed
+    memory[_SWING], memory[_PLAYED], memory[_STATIC], memory[_LAGGED] = swing, played, static, lagged
+    memory[_CURSOR] = c
     return result
 
 

@@ -1,0 +1,143 @@
+"""Live MAVLink frames: messages in and out of bytes, version 1 or 2, signed or not."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+from pymavlink.dialects.v20 import all as version_2
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+__all__ = ["Codec", "Heard", "Signature", "signing_key"]
+
+_SIGNING_EPOCH_S: Final = 1_420_070_400  # 1 January 2015
+_SIGNING_TICKS_PER_S: Final = 100_000
+_KEY_SIZE: Final = 32
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """A message that came in.
+
+    Parameters
+    ----------
+    name : str
+        As MAVLink calls it.
+    system, component : int
+        Who sent it.
+    fields : Mapping[str, object]
+        Numbers, lists of numbers, and texts.
+    """
+
+    name: str
+    system: int
+    component: int
+    fields: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Signature:
+    """What frames are signed with.
+
+    Parameters
+    ----------
+    key : bytes
+        32 of them.
+    time_s : float
+        Seconds since 1970 when signing begins; signatures are numbered from there on, and never go back.
+    """
+
+    key: bytes
+    time_s: float
+
+
+def signing_key(content: bytes) -> bytes:
+    r"""Key from the content of a key file: 32 bytes, 64 hexadecimal digits, or a passphrase, which is hashed.
+
+    Ground stations make keys of passphrases the same way (SHA-256 of the text).
+
+    Examples
+    --------
+    >>> signing_key(b"00" * 32) == bytes(32), signing_key(b"secret\n") == hashlib.sha256(b"secret").digest()
+    (True, True)
+    """
+    if len(content) == _KEY_SIZE:
+        return content
+    text = content.strip()
+    try:
+        key = bytes.fromhex(text.decode("ascii"))
+    except ValueError:
+        key = b""
+    return key if len(key) == _KEY_SIZE else hashlib.sha256(text).digest()
+
+
+class Codec:
+    """One end of a link, with the counter of its frames.
+
+    Parameters
+    ----------
+    system, component : int
+        Who speaks.
+    version : {1, 2}
+        Of the frames it sends, without the fields and messages that version 1 lacks; it reads both.
+    signature : Signature, optional
+        Signs what it sends, and passes over what is not signed with that key.
+
+    Examples
+    --------
+    >>> plane, ground = Codec(1, 1), Codec(255, 190)
+    >>> heard = ground.decode(plane.encode("HEARTBEAT", {"type": 1, "autopilot": 3}))
+    >>> [(m.name, m.system, m.fields["type"]) for m in heard]
+    [('HEARTBEAT', 1, 1)]
+    """
+
+    def __init__(
+        self, system: int, component: int, *, version: Literal[1, 2] = 2, signature: Signature | None = None
+    ) -> None:
+        self._mav = version_2.MAVLink(None, srcSystem=system, srcComponent=component)
+        self._mav.robust_parsing = True
+        self._dialect: Any = importlib.import_module("pymavlink.dialects.v10.all") if version == 1 else version_2
+        self._kinds: dict[str, tuple[Any, dict[str, Any]]] = {}
+        if signature is not None:
+            self._mav.signing.secret_key = signature.key
+            self._mav.signing.sign_outgoing = True
+            self._mav.signing.timestamp = int((signature.time_s - _SIGNING_EPOCH_S) * _SIGNING_TICKS_PER_S)
+
+    def encode(self, name: str, fields: Mapping[str, Any]) -> bytes:
+        """Frame of a message; a field left out is zero. None at all if version 1 does not know the message."""
+        kind, empty = self._kind(name)
+        if kind is None:
+            return b""
+        given = {k: v.encode() if isinstance(v, str) else v for k, v in fields.items() if k in empty}
+        frame: bytes = bytes(kind(**(empty | given)).pack(self._mav))
+        self._mav.seq = (self._mav.seq + 1) % 256
+        return frame
+
+    def decode(self, data: bytes) -> list[Heard]:
+        """Messages that the bytes complete; damaged ones are passed over."""
+        return [
+            Heard(m.get_type(), m.get_srcSystem(), m.get_srcComponent(), _fields(m))
+            for m in self._mav.parse_buffer(data) or ()
+            if m.get_type() != "BAD_DATA" and not m.get_type().startswith("UNKNOWN")
+        ]
+
+    def _kind(self, name: str) -> tuple[Any, dict[str, Any]]:
+        """Class of a message, or None, and its fields when they are zero."""
+        if name not in self._kinds:
+            kind = next((k for k in self._dialect.mavlink_map.values() if k.msgname == name), None)
+            empty: dict[str, Any] = {}
+            if kind is None:
+                return None, empty
+            for field, type_name, at in zip(kind.fieldnames, kind.fieldtypes, kind.orders, strict=True):
+                length = kind.array_lengths[at]
+                empty[field] = b"" if type_name == "char" else [0] * length if length else 0
+            self._kinds[name] = kind, empty
+        return self._kinds[name]
+
+
+def _fields(message: Any) -> dict[str, Any]:  # noqa: ANN401 - a generated class
+    return {name: getattr(message, name) for name in message.get_fieldnames()}

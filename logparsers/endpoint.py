@@ -1,0 +1,101 @@
+"""Where a live MAVLink stream is: sockets and serial devices, and nothing else."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from logparsers.errors import LinkError
+
+__all__ = ["Endpoint", "Serial", "Socket", "parse_endpoint"]
+
+_LOOPBACK: Final = "127.0.0.1"
+_KINDS: Final = ("udpin", "udpout", "tcp", "tcpin")
+_HELP: Final = (
+    "give udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT or a serial device such as "
+    "/dev/ttyACM0,115200"
+)
+_NAME: Final = re.compile(r"[A-Za-z0-9]([A-Za-z0-9.-]*[A-Za-z0-9])?")
+_DEVICE: Final = re.compile(r"(/dev/(?!.*\.\.)[\w./-]+|COM\d+)")
+_USUAL_BAUD: Final = 115_200
+
+
+@dataclass(frozen=True, slots=True)
+class Socket:
+    """A network endpoint.
+
+    Parameters
+    ----------
+    kind : str
+        ``udpin`` waits for datagrams and answers whoever sent one, ``udpout`` sends them, ``tcp`` connects, ``tcpin``
+        waits for connections.
+    host : str
+        Address or name.
+    port : int
+        From 1 to 65535.
+    """
+
+    kind: Literal["udpin", "udpout", "tcp", "tcpin"]
+    host: str
+    port: int
+
+    def __str__(self) -> str:
+        return f"{self.kind}:{self.host}:{self.port}"
+
+
+@dataclass(frozen=True, slots=True)
+class Serial:
+    """A serial device.
+
+    Parameters
+    ----------
+    device : str
+        ``/dev/...`` or ``COMn``.
+    baud : int
+        Bits per second.
+    """
+
+    device: str
+    baud: int = _USUAL_BAUD
+
+    def __str__(self) -> str:
+        return f"{self.device},{self.baud}"
+
+
+Endpoint = Socket | Serial
+
+
+def parse_endpoint(text: str) -> Endpoint:
+    """Read what a user wrote; whatever is not one of these kinds is refused, and nothing is ever executed.
+
+    Parameters
+    ----------
+    text : str
+        ``udpin:``, ``udpout:``, ``tcp:`` or ``tcpin:`` with ``HOST:PORT``, or with ``PORT`` alone for this machine;
+        or a serial device, ``DEVICE`` or ``DEVICE,BAUD``.
+
+    Raises
+    ------
+    LinkError
+        If it is anything else.
+
+    Examples
+    --------
+    >>> str(parse_endpoint("udpin:14550")), str(parse_endpoint("tcp:10.0.0.2:5760"))
+    ('udpin:127.0.0.1:14550', 'tcp:10.0.0.2:5760')
+    >>> parse_endpoint("/dev/ttyACM0,57600")
+    Serial(device='/dev/ttyACM0', baud=57600)
+    """
+    device, comma, baud = text.partition(",")
+    if _DEVICE.fullmatch(device):
+        if comma and not (baud.isascii() and baud.isdigit() and 0 < int(baud) <= 10_000_000):
+            raise LinkError(f"{text}: {baud!r} is no rate in bits per second; write {device},{_USUAL_BAUD}")
+        return Serial(device, int(baud) if comma else _USUAL_BAUD)
+    kind, _, rest = text.partition(":")
+    host, _, port = rest.rpartition(":")
+    if kind not in _KINDS or not (not host or _NAME.fullmatch(host)):
+        raise LinkError(f"{text}: not a MAVLink endpoint; {_HELP}")
+    if not (port.isascii() and port.isdigit() and 0 < int(port) <= 65535):
+        raise LinkError(f"{text}: {port!r} is no port; {_HELP}")
+    return Socket(kind, host or _LOOPBACK, int(port))  # type: ignore[arg-type]

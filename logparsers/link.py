@@ -1,0 +1,297 @@
+"""Bytes over a live link: sockets and serial devices that survive a peer that comes and goes."""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import time
+from typing import TYPE_CHECKING, Any, Final, Protocol, Self
+
+from logparsers.endpoint import Endpoint, Serial, Socket
+from logparsers.errors import LinkError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = ["Link", "open_link"]
+
+_PIECE: Final = 65_536
+_RECEIVE_BUFFER: Final = 4 * 1024 * 1024  # a burst of some 10 000 messages; the usual 200 kB overflows silently
+_MOST_PEERS: Final = 16
+_PATIENCE_S: Final = 5.0
+_AGAIN_S: Final = 1.0
+
+
+class Link(Protocol):
+    """A live link; what is sent while nobody listens is lost."""
+
+    def send(self, data: bytes) -> None:
+        """Send whole frames."""
+
+    def receive(self, timeout_s: float) -> bytes:
+        """Bytes that arrived, waiting for the first at most so long [s]; none if nothing came."""
+
+    def close(self) -> None:
+        """Give the port back."""
+
+
+def open_link(endpoint: Endpoint) -> Link:
+    """Open an endpoint.
+
+    Raises
+    ------
+    LinkError
+        If it cannot be opened: the port is taken, the host unknown, the device missing or forbidden.
+
+    Examples
+    --------
+    >>> from logparsers.endpoint import Socket
+    >>> ground = open_link(Socket("udpin", "127.0.0.1", 14791))
+    >>> vehicle = open_link(Socket("udpout", "127.0.0.1", 14791))
+    >>> vehicle.send(b"here")
+    >>> ground.receive(5.0)
+    b'here'
+    >>> ground.close(), vehicle.close()
+    (None, None)
+    """
+    try:
+        if isinstance(endpoint, Serial):
+            return _SerialLink(endpoint)
+        kinds: dict[str, type[_UdpIn | _UdpOut | _TcpIn | _Tcp]]
+        kinds = {"udpin": _UdpIn, "udpout": _UdpOut, "tcpin": _TcpIn, "tcp": _Tcp}
+        return kinds[endpoint.kind](endpoint)
+    except socket.gaierror as error:
+        raise LinkError(f"{endpoint}: no host of this name ({error.strerror or error})") from None
+    except OSError as error:
+        raise LinkError(f"{endpoint}: {_why(endpoint, error)}") from None
+
+
+def _why(endpoint: Endpoint, error: OSError) -> str:
+    """What was wrong, and what would help."""
+    text = error.strerror or str(error)
+    if isinstance(endpoint, Serial):
+        if isinstance(error, PermissionError):
+            return f"{text}; on Linux, members of the group dialout may use serial devices"
+        return f"{text}; is it plugged in?"
+    if isinstance(error, ConnectionRefusedError | TimeoutError):
+        return f"nobody answers there ({text}); start the other end first, or wait for it with tcpin:"
+    return f"{text}; another program may have it: choose another port"
+
+
+def _bound(kind: int, endpoint: Socket) -> socket.socket:
+    """Socket of this machine; on Linux without the option that lets two programs share a port."""
+    made = socket.socket(socket.AF_INET, kind)
+    try:
+        if kind == socket.SOCK_STREAM:
+            made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # ports of ended connections only
+        made.bind((endpoint.host, endpoint.port))
+    except BaseException:
+        made.close()
+        raise
+    return made
+
+
+def _readable(of: Sequence[Any], timeout_s: float) -> list[Any]:
+    return select.select(of, [], [], max(timeout_s, 0.0))[0]
+
+
+class _UdpIn:
+    """Answers whoever sent something; the latest few of them."""
+
+    def __init__(self, endpoint: Socket) -> None:
+        self._socket = _bound(socket.SOCK_DGRAM, endpoint)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+        self._socket.setblocking(False)
+        self._peers: dict[Any, None] = {}
+
+    def send(self, data: bytes) -> None:
+        for peer in self._peers:
+            with contextlib.suppress(OSError):
+                self._socket.sendto(data, peer)
+
+    def receive(self, timeout_s: float) -> bytes:
+        if not _readable([self._socket], timeout_s):
+            return b""
+        with contextlib.suppress(OSError):  # a datagram of ours that found nobody
+            data, peer = self._socket.recvfrom(_PIECE)
+            self._peers.pop(peer, None)
+            self._peers[peer] = None
+            if len(self._peers) > _MOST_PEERS:
+                del self._peers[next(iter(self._peers))]
+            return data
+        return b""
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class _UdpOut:
+    """Sends to one address, and hears nobody else."""
+
+    def __init__(self, endpoint: Socket) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+            self._socket.connect((endpoint.host, endpoint.port))
+        except BaseException:
+            self._socket.close()
+            raise
+        self._socket.setblocking(False)
+
+    def send(self, data: bytes) -> None:
+        with contextlib.suppress(OSError):  # nobody listens yet
+            self._socket.send(data)
+
+    def receive(self, timeout_s: float) -> bytes:
+        if _readable([self._socket], timeout_s):
+            with contextlib.suppress(OSError):
+                return self._socket.recv(_PIECE)
+        return b""
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class _TcpIn:
+    """Waits for connections, and sends to all of them."""
+
+    def __init__(self, endpoint: Socket) -> None:
+        self._socket = _bound(socket.SOCK_STREAM, endpoint)
+        self._socket.listen()
+        self._peers: list[socket.socket] = []
+
+    def send(self, data: bytes) -> None:
+        for peer in tuple(self._peers):
+            try:
+                peer.sendall(data)
+            except OSError:
+                self._drop(peer)
+
+    def receive(self, timeout_s: float) -> bytes:
+        for ready in _readable([self._socket, *self._peers], timeout_s):
+            if ready is self._socket:
+                self._peers.append(_prepared(ready.accept()[0]))
+                continue
+            with contextlib.suppress(OSError):
+                data: bytes = ready.recv(_PIECE)
+                if data:
+                    return data
+            self._drop(ready)
+        return b""
+
+    def close(self) -> None:
+        for each in (*self._peers, self._socket):
+            each.close()
+
+    def _drop(self, peer: socket.socket) -> None:
+        self._peers.remove(peer)
+        peer.close()
+
+
+class _Redialled:
+    """A connection that is opened again, once a second at most, after it broke."""
+
+    def __init__(self, endpoint: Endpoint) -> None:
+        self._endpoint = endpoint
+        self._tried_s = time.monotonic()
+        self._port: Any = self._dial()
+
+    def _dial(self) -> Any:  # noqa: ANN401 - a socket or a serial port
+        raise NotImplementedError
+
+    def _write(self, data: bytes) -> None:
+        raise NotImplementedError
+
+    def _read(self) -> bytes:
+        """None of them means that the connection broke."""
+        raise NotImplementedError
+
+    def _there(self) -> Self | None:
+        now_s = time.monotonic()
+        if self._port is None and now_s - self._tried_s >= _AGAIN_S:
+            self._tried_s = now_s
+            with contextlib.suppress(OSError):
+                self._port = self._dial()
+        return None if self._port is None else self
+
+    def send(self, data: bytes) -> None:
+        if self._there():
+            try:
+                self._write(data)
+            except OSError:
+                self.close()
+
+    def receive(self, timeout_s: float) -> bytes:
+        if not self._there():
+            time.sleep(min(max(timeout_s, 0.0), 0.1))  # there is nothing to wait on
+            return b""
+        try:
+            if not _readable([self._port], timeout_s):
+                return b""
+            data = self._read()
+        except OSError:
+            data = b""
+        if not data:
+            self.close()
+        return data
+
+    def close(self) -> None:
+        if self._port is not None:
+            self._port.close()
+            self._port, self._tried_s = None, time.monotonic()
+
+
+class _Tcp(_Redialled):
+    """Connects to a server."""
+
+    _endpoint: Socket
+
+    def _dial(self) -> socket.socket:
+        where = (self._endpoint.host, self._endpoint.port)
+        return _prepared(socket.create_connection(where, timeout=_PATIENCE_S))
+
+    def _write(self, data: bytes) -> None:
+        self._port.sendall(data)
+
+    def _read(self) -> bytes:
+        data: bytes = self._port.recv(_PIECE)
+        return data
+
+
+class _SerialLink(_Redialled):
+    """A serial device."""
+
+    _endpoint: Serial
+
+    def _dial(self) -> Any:  # noqa: ANN401 - pyserial has no types
+        import serial
+
+        try:
+            return serial.Serial(
+                self._endpoint.device, self._endpoint.baud, timeout=0, write_timeout=_AGAIN_S, exclusive=True
+            )
+        except serial.SerialException as error:
+            code = error.errno
+            raise (PermissionError if code == 13 else OSError)(code, _reason(error)) from None
+
+    def _write(self, data: bytes) -> None:
+        self._port.write(data)
+
+    def _read(self) -> bytes:
+        data: bytes = self._port.read(_PIECE)
+        return data
+
+
+def _reason(error: OSError) -> str:
+    """Pyserial repeats the device and the number of the error in its text."""
+    import os
+
+    return os.strerror(error.errno) if error.errno else str(error)
+
+
+def _prepared(connection: socket.socket) -> socket.socket:
+    """Small frames leave at once; a peer that reads nothing holds nobody up for long."""
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    connection.settimeout(_AGAIN_S)
+    return connection

@@ -1,0 +1,132 @@
+"""``servofd simulate --stream``: the simulated vehicle on a live link."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import argparse
+
+    from logparsers.codec import Signature
+    from servofd.aircraft import Aircraft
+    from servofd.simulation.flight import SimulatedFlight
+
+__all__ = ["add_options", "refuse_options", "stream"]
+
+_MOST_CLOCK_S = 1e7
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Options that belong to ``--stream`` alone."""
+    live = parser.add_argument_group("with --stream")
+    live.add_argument("--speed", type=float, metavar="X", help="seconds of flight per second (default: 1)")
+    live.add_argument("--wait", action="store_true", default=None, help="take off when somebody has said something")
+    live.add_argument("--system", type=int, metavar="N", help="number of the vehicle, 1 to 255 (default: 1)")
+    live.add_argument(
+        "--feedback",
+        metavar="NAME",
+        help="how it tells positions: named (NAMED_VALUE_FLOAT, default), port (SERVO_OUTPUT_RAW, port 2) or array "
+        "(DEBUG_FLOAT_ARRAY); DataFlash over MAVLink, for whoever asks, is there in each case",
+    )
+    live.add_argument(
+        "--message-hz",
+        type=float,
+        metavar="HZ",
+        help="rate of SERVO_OUTPUT_RAW until somebody asks for another (default: 1, as ArduPlane)",
+    )
+    live.add_argument(
+        "--any-rate",
+        action="store_true",
+        default=None,
+        help="grant rates up to that of the main loop; ArduPlane gives 0.8 of it",
+    )
+    live.add_argument("--mavlink1", action="store_true", default=None, help="send frames of MAVLink 1")
+    live.add_argument("--key", metavar="FILE", help="sign with this key (32 bytes, 64 hex digits, or a passphrase)")
+    live.add_argument(
+        "--clock-s", type=float, metavar="S", help="what its clock shows at the start [s]; 4290 wraps after 5 s"
+    )
+
+
+def refuse_options(options: argparse.Namespace) -> None:
+    """Options of a live link make no sense for a file.
+
+    Raises
+    ------
+    ConfigError
+        If one of them is given.
+    """
+    from servofd.errors import ConfigError
+
+    for name in ("speed", "wait", "system", "feedback", "message_hz", "any_rate", "mavlink1", "key", "clock_s"):
+        if getattr(options, name) is not None:
+            raise ConfigError(f"--{name.replace('_', '-')} belongs to --stream; {options.output} is a file")
+
+
+def stream(options: argparse.Namespace, flight: SimulatedFlight, aircraft: Aircraft) -> int:
+    """Fly live, and tell about it.
+
+    Raises
+    ------
+    LogError
+        If the endpoint cannot be opened.
+    ConfigError
+        If an option makes no sense.
+    """
+    from logparsers.codec import Codec
+    from logparsers.endpoint import parse_endpoint
+    from logparsers.link import open_link
+    from servofd.simulation.ardupilot import rate_hz
+    from servofd.simulation.vehicle.fly import fly
+    from servofd.simulation.vehicle.vehicle import Settings, Vehicle
+
+    endpoint = parse_endpoint(options.stream)
+    names = ("system", "feedback", "message_hz", "any_rate", "speed")
+    given: dict[str, Any] = {n: getattr(options, n) for n in names if getattr(options, n) is not None}
+    settings = Settings(**given)
+    vehicle = Vehicle(_shifted(flight, options.clock_s), aircraft, settings)
+    codec = Codec(settings.system, 1, version=1 if options.mavlink1 else 2, signature=_signature(options))
+    link = open_link(endpoint)
+    try:
+        length_s = flight.time_s.size / rate_hz(flight)
+        print(f"{endpoint}: system {settings.system}, {', '.join(flight.surfaces)}, {length_s:g} s; Ctrl-C ends it")
+        sys.stdout.flush()
+        flown = fly(vehicle, link, codec, speed=settings.speed, wait=bool(options.wait))
+    finally:
+        link.close()
+    if vehicle.dropped_rows:
+        print(f"servofd: {vehicle.dropped_rows} rows of the streamed log found its buffer full", file=sys.stderr)
+    print(f"{endpoint}: flew {flown.turns} turns of the main loop, sent {flown.sent} messages, heard {flown.heard}")
+    return 0
+
+
+def _shifted(flight: SimulatedFlight, clock_s: float | None) -> SimulatedFlight:
+    """The same flight of an autopilot that was booted earlier."""
+    from servofd.errors import ConfigError
+
+    if clock_s is None:
+        return flight
+    if not (math.isfinite(clock_s) and 0.0 <= clock_s <= _MOST_CLOCK_S):
+        raise ConfigError(f"--clock-s {clock_s:g}: give seconds from 0 to {_MOST_CLOCK_S:g}")
+    return replace(flight, time_s=(flight.time_s + clock_s).round(6))
+
+
+def _signature(options: argparse.Namespace) -> Signature | None:
+    from logparsers.codec import Signature, signing_key
+    from servofd.errors import ConfigError
+
+    if options.key is None:
+        return None
+    if options.mavlink1:
+        raise ConfigError("--key: frames of MAVLink 1 cannot be signed; leave --mavlink1 out")
+    try:
+        content = Path(options.key).read_bytes()
+    except OSError as error:
+        raise ConfigError(f"--key {options.key}: cannot read it ({error.strerror or error})") from None
+    if not content.strip():
+        raise ConfigError(f"--key {options.key}: is empty; give 32 bytes, 64 hex digits, or a passphrase")
+    return Signature(signing_key(content), time.time())

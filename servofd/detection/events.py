@@ -1,0 +1,66 @@
+"""What a monitor tells, and what it has the bank look at."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+from servofd.detection.judge import judge_evaluated
+from servofd.detection.plausible import wiring_problem
+
+if TYPE_CHECKING:
+    from servofd.aircraft import Surface
+    from servofd.detection.bank.isolate import Fault
+    from servofd.detection.residual import Commands, ResidualGenerator, Residuals
+    from servofd.detection.threshold import Threshold
+    from servofd.types import BoolArray
+
+__all__ = ["Event", "EventKind", "Look", "Reading"]
+
+EventKind = Literal["alarm", "clear", "named", "no_data", "link_lost", "link_restored"]
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that happened, on the clock of the vehicle."""
+
+    time_s: float
+    surface: str
+    event: EventKind
+    kind: str = ""
+    """Of the fault; `unknown` until the bank has told it, `healthy` for an alarm that a working servo explains."""
+    residual_deg: float = float("nan")
+    threshold_deg: float = float("nan")
+    text: str = ""
+    """More, in words."""
+    fault: Fault | None = None
+
+
+class Reading(NamedTuple):
+    """Where a surface stands."""
+
+    time_s: float
+    command_deg: float
+    measured_deg: float
+    residual_deg: float
+    threshold_deg: float
+    settled: bool
+
+
+class Look(NamedTuple):
+    """A copy of what is known of a surface."""
+
+    at_s: float
+    generator: ResidualGenerator
+    surface: Surface
+    residuals: Residuals
+    threshold: Threshold
+    suspicious: BoolArray
+    commands: Commands
+
+    def judge(self) -> tuple[tuple[Fault, ...], tuple[Fault, ...], str]:
+        """Faults and suspicions, and why nothing should be concluded from them; depends on nothing else."""
+        _, _, _, residuals, threshold, suspicious, commands = self
+        found = judge_evaluated(self.generator, self.surface, residuals, threshold, suspicious, commands)
+        problem = wiring_problem(residuals) if found.faults or found.suspicions else ""
+        return (() if problem else found.faults), (() if problem else found.suspicions), problem

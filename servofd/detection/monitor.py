@@ -1,0 +1,366 @@
+"""The monitor of one surface: commands and positions in, events out, on the clock of the data alone.
+
+Alarms leave at once. What an alarm is, the bank tells from a copy of the last minutes (`Look`), which may be judged by
+another thread; the names that it finds are those of an audit, and the last look at the end of a stream is the audit's.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servofd.detection.events import Event, Look, Reading
+from servofd.detection.residual import ResidualGenerator, rhythm
+from servofd.detection.stream import Stream
+from servofd.errors import DesignError
+from servofd.segment import SLOWEST_RATE_HZ, WARM_UP_S, WARM_UP_STEPS, pace_steps
+
+if TYPE_CHECKING:
+    from servofd.aircraft import Surface
+    from servofd.detection.bank.isolate import Fault
+    from servofd.detection.events import EventKind
+    from servofd.detection.stream import Piece
+    from servofd.models.servo_model import ServoModel
+    from servofd.types import FloatArray
+
+__all__ = ["SurfaceMonitor"]
+
+_LOOKS_S = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
+"""How long after an alarm the bank looks at it,"""
+_LOOKS_AGAIN_S = 30.0
+"""and how often after that."""
+_WINDOWS_S = (2.25, 4.25, 8.25, 16.25)
+"""The bank's own windows, which begin a quarter of a second after what raised a suspicion."""
+_NEWS_S = 10.0
+"""Suspicions this close together are one."""
+_SILENCE_S = 1.0
+_SAME_PACE = 1.5
+_LONGEST_WAIT = 6_000
+"""Samples that are kept while a position that has never changed may still turn out to be one."""
+
+
+@dataclass(slots=True)
+class _Alarm:
+    """An alarm that was raised."""
+
+    kind: str = "unknown"
+    stands: bool = True
+    acquitted: bool = False
+    fault: Fault | None = None
+
+
+@dataclass(slots=True)
+class SurfaceMonitor:
+    """One surface, from its first sample on.
+
+    Parameters
+    ----------
+    name : str
+        Of the surface.
+    surface : Surface
+        Its channels, calibration, threshold and tolerances.
+    model : ServoModel
+        Its healthy servo.
+
+    Examples
+    --------
+    >>> from servofd.aircraft import plain_aircraft
+    >>> aircraft = plain_aircraft(["rudder"])
+    >>> model = aircraft.model("rudder")
+    >>> monitor = SurfaceMonitor("rudder", aircraft.surfaces["rudder"], model)
+    >>> time_s = np.arange(0.0, 20.0, 0.02)
+    >>> command_deg = 10.0 * np.sin(2.0 * time_s)
+    >>> jammed_deg = np.where(time_s < 12.0, model.simulate(time_s, command_deg, time_s), 5.0)
+    >>> events = []
+    >>> for k in range(time_s.size):
+    ...     here = slice(k, k + 1)
+    ...     events += monitor.feed((time_s[here], command_deg[here]), (time_s[here], jammed_deg[here]))
+    >>> [(event.event, round(event.time_s, 1)) for event in events + monitor.finish()]
+    [('alarm', 12.0), ('named', 20.0)]
+    """
+
+    name: str
+    surface: Surface
+    model: ServoModel
+    reading: Reading | None = None
+    problem: str = ""
+    """Why this surface is not watched; empty if it is."""
+    _stream: Stream | None = None
+    _generator: ResidualGenerator | None = None
+    _waiting: tuple[list[tuple[float, float]], list[tuple[float, float]]] = field(default_factory=lambda: ([], []))
+    _alarms: dict[float, _Alarm] = field(default_factory=dict)
+    _looks_s: list[float] = field(default_factory=list)
+    _suspected_s: float = -np.inf
+    _recent: deque[float] = field(default_factory=lambda: deque(maxlen=WARM_UP_STEPS + 1))
+    _period_s: float = float("nan")
+    _off_pace: int = 0
+    _silent: bool = False
+    _told_slow: bool = False
+    _earlier: dict[float, Fault] = field(default_factory=dict)
+
+    def feed(self, commands: tuple[FloatArray, FloatArray], positions: tuple[FloatArray, FloatArray]) -> list[Event]:
+        """Take the next commands and positions, each times [s] and values as logged, of shape (n,).
+
+        Commands come before positions of the same instant.
+        """
+        asked_deg = self.surface.command.to_deg(commands[1])
+        if self.surface.command_saturation_deg is not None:
+            asked_deg = np.clip(asked_deg, *self.surface.command_saturation_deg)
+        given = np.isfinite(asked_deg)
+        asked = list(zip(commands[0][given].tolist(), asked_deg[given].tolist(), strict=True))
+        seen: list[tuple[float, float]] = []
+        if self.surface.measured is not None:
+            seen_deg = self.surface.measured.to_deg(positions[1])
+            seen = list(zip(positions[0].tolist(), seen_deg.tolist(), strict=True))
+        events = self._alive(seen)
+        if self._stream is None:
+            events += self._warm_up(asked, seen)
+            return events
+        self._hand_over(asked, seen)
+        return events + self._evaluated(self._stream.evaluate())
+
+    @property
+    def is_watched(self) -> bool:
+        """Whether residuals are being judged."""
+        return self._stream is not None and not self.problem
+
+    @property
+    def standing(self) -> str:
+        """Kind of the fault that stands; empty if there is none."""
+        return next((alarm.kind for alarm in reversed(self._alarms.values()) if alarm.stands), "")
+
+    @property
+    def was_judged(self) -> bool:
+        """Whether any sample was ever judged."""
+        return self.reading is not None and self._stream is not None
+
+    @property
+    def rate_hz(self) -> float:
+        """Of the positions, lately [Hz]; NaN if that is not known."""
+        if len(self._recent) < 2:
+            return float("nan")
+        return (len(self._recent) - 1) / max(self._recent[-1] - self._recent[0], 1e-9)
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """What was found so far, in order of time; each as the last look at it told."""
+        known = {**self._earlier}
+        known.update({at_s: a.fault for at_s, a in self._alarms.items() if a.fault is not None and not a.acquitted})
+        return tuple(known[at_s] for at_s in sorted(known))
+
+    @property
+    def has_fault(self) -> bool:
+        """Whether any alarm was raised that the tolerances of a working servo do not explain."""
+        return any(not alarm.acquitted for alarm in self._alarms.values())
+
+    def silence(self, now_s: float) -> list[Event]:
+        """Tell that no position came for long, by the time of the vehicle's other messages [s]."""
+        if self._silent or not self._recent or now_s - self._recent[-1] < max(_SILENCE_S, 5.0 * self._usual_s()):
+            return []
+        self._silent = True
+        return [Event(now_s, self.name, "no_data", text=f"no position since {self._recent[-1]:.1f} s")]
+
+    def due(self) -> Look | None:
+        """What the bank should look at now, if anything."""
+        latest_s = self._stream.history.last_s if self._stream else -np.inf
+        if not self._looks_s or not latest_s >= self._looks_s[0]:
+            return None
+        while self._looks_s and self._looks_s[0] <= latest_s:
+            last_s = self._looks_s.pop(0)
+        if not self._looks_s and self.standing:
+            self._looks_s.append(last_s + _LOOKS_AGAIN_S)
+        return self._look()
+
+    def told(self, look: Look, verdict: tuple[tuple[Fault, ...], tuple[Fault, ...], str]) -> list[Event]:
+        """Take what the bank made of a look."""
+        faults, suspicions, problem = verdict
+        events = []
+        for fault in faults:
+            alarm = self._alarms.get(fault.alarm_s)
+            if alarm is None:
+                alarm = self._alarms[fault.alarm_s] = _Alarm(stands=fault.end_s is None)
+                events.append(self._event(look, fault.alarm_s, "alarm", "unknown", fault))
+            if fault.kind != alarm.kind or alarm.acquitted:
+                alarm.kind, alarm.acquitted = fault.kind, False
+                events.append(self._event(look, look.at_s, "named", fault.kind, fault))
+            alarm.fault = fault
+            if alarm.stands and fault.end_s is not None:
+                alarm.stands = False
+                events.append(self._event(look, look.at_s, "clear", fault.kind, fault))
+        cleared = [s.alarm_s for s in suspicions if s.level == "fault"]
+        if problem:
+            cleared = [at_s for at_s in self._alarms if at_s >= look.residuals.time_s[0]]
+        for at_s in cleared:
+            alarm = self._alarms.get(at_s)
+            if alarm is not None and not alarm.acquitted:
+                alarm.acquitted, alarm.stands, alarm.fault = True, False, None
+                text = problem or "the tolerances of a working servo explain it"
+                events.append(Event(look.at_s, self.name, "clear", "unknown" if problem else "healthy", text=text))
+        self.problem = problem
+        return events
+
+    def finish(self) -> list[Event]:
+        """End of the stream: evaluate what waits for more, and look once more at all of it."""
+        events: list[Event] = []
+        if self._stream is None:
+            events = self._begin()
+        if self._stream is None:
+            return events
+        events += self._evaluated(self._stream.evaluate(final=True))
+        return events + self._last_look()
+
+    def restart(self) -> list[Event]:
+        """Begin anew, because the vehicle did; what was found is kept."""
+        events = self.finish()
+        self._earlier.update({f.alarm_s: f for f in self.faults})
+        for alarm in self._alarms.values():
+            alarm.stands = False
+        self._stream, self._generator, self._waiting = None, None, ([], [])
+        self._looks_s.clear()
+        self._recent.clear()
+        self._off_pace = 0
+        return events
+
+    def _usual_s(self) -> float:
+        return self._period_s if np.isfinite(self._period_s) else 0.0
+
+    def _alive(self, seen: list[tuple[float, float]]) -> list[Event]:
+        """Follow the pace of the positions; a new one means to begin anew."""
+        if not seen:
+            return []
+        self._silent = False
+        self._recent.extend(time_s for time_s, value in seen if np.isfinite(value))
+        if self._stream is None or len(self._recent) <= WARM_UP_STEPS:
+            return []
+        self._off_pace += len(seen)
+        if self._off_pace < WARM_UP_STEPS:
+            return []
+        self._off_pace = 0
+        ratio = (self._recent[-1] - self._recent[0]) / WARM_UP_STEPS / self._period_s
+        now = float(np.median(np.diff(np.array(self._recent)))) / self._period_s
+        if 1.0 / _SAME_PACE <= now <= _SAME_PACE or ratio > 10.0 * now:
+            return []
+        text = f"positions now come at {self.rate_hz:.3g} Hz, not {1.0 / self._period_s:.3g} Hz; begins anew"
+        time_s = self._recent[-1]
+        return [*self.restart(), Event(time_s, self.name, "no_data", text=text)]
+
+    def _warm_up(self, asked: list[tuple[float, float]], seen: list[tuple[float, float]]) -> list[Event]:
+        """Wait for the pace, and for a position that is not always the same."""
+        self._waiting[0].extend(asked)
+        self._waiting[1].extend(seen)
+        commands, positions = self._waiting
+        if not commands or not positions:
+            del commands[:-WARM_UP_STEPS], positions[:-WARM_UP_STEPS]
+            return []
+        now_s = max(commands[-1][0], positions[-1][0])
+        for rows in (commands, positions):
+            if len(rows) <= WARM_UP_STEPS and now_s - rows[0][0] <= WARM_UP_S:
+                return []
+        values = {value for _, value in positions if np.isfinite(value)}
+        if len(values) < 2:
+            del commands[:-_LONGEST_WAIT], positions[:-_LONGEST_WAIT]
+            if self._told_slow or now_s - positions[0][0] < WARM_UP_S:
+                return []
+            self._told_slow = True
+            return [Event(now_s, self.name, "no_data", text="the position never changes: not a measurement")]
+        return self._begin()
+
+    def _begin(self) -> list[Event]:
+        """Design filter and threshold for the pace, and evaluate what has come so far."""
+        commands, positions = self._waiting
+        valued_s = np.array([time_s for time_s, value in positions if np.isfinite(value)][: WARM_UP_STEPS + 1])
+        steps_s = pace_steps(valued_s)
+        if not commands or steps_s.size < 2 or np.ptp([value for _, value in positions if np.isfinite(value)]) == 0.0:
+            return []
+        self._period_s = float(np.median(steps_s))
+        problem = ""
+        if 1.0 / self._period_s < SLOWEST_RATE_HZ * (1.0 - 1e-6):
+            problem = f"position comes at {1.0 / self._period_s:.2g} Hz; a servo cannot be judged below "
+            problem += f"{SLOWEST_RATE_HZ:g} Hz"
+        else:
+            try:
+                self._generator = ResidualGenerator.fitting_pace(
+                    self.model, self._period_s, self.surface.filter_pole_rad_s
+                )
+            except DesignError as error:
+                problem = str(error)
+        if problem or self._generator is None:
+            told, self.problem, self._told_slow = self._told_slow, problem, True
+            self._waiting = ([], positions[-WARM_UP_STEPS // 2 :])
+            return [] if told else [Event(positions[-1][0], self.name, "no_data", text=problem)]
+        self.problem = ""
+        logged_s = np.array([time_s for time_s, _ in commands[: WARM_UP_STEPS + 1]])
+        self._stream = Stream(self._generator, self.surface, self._period_s, rhythm(logged_s))
+        self._waiting = ([], [])
+        self._hand_over(commands, positions)
+        return self._evaluated(self._stream.evaluate())
+
+    def _hand_over(self, asked: list[tuple[float, float]], seen: list[tuple[float, float]]) -> None:
+        if self._stream is not None:
+            for time_s, command_deg in asked:
+                self._stream.command(time_s, command_deg)
+            for time_s, measured_deg in seen:
+                self._stream.position(time_s, measured_deg)
+
+    def _evaluated(self, piece: Piece | None) -> list[Event]:
+        """Events of a piece."""
+        if piece is None or self._stream is None:
+            return []
+        residuals, level_deg = piece.residuals, piece.threshold.level_deg
+        events = []
+        for k in np.flatnonzero(piece.alarm | piece.clear).tolist():
+            time_s = float(residuals.time_s[k])
+            numbers = float(residuals.residual_deg[k]), float(level_deg[k])
+            if piece.clear[k]:
+                kind = self.standing or "unknown"
+                if self.standing:
+                    events.append(Event(time_s, self.name, "clear", kind, *numbers))
+                for alarm in self._alarms.values():
+                    alarm.stands = False
+                self._looks_s = [time_s]
+            else:
+                self._alarms[time_s] = _Alarm()
+                events.append(Event(time_s, self.name, "alarm", "unknown", *numbers))
+                self._looks_s = sorted([*self._looks_s, *(time_s + after_s for after_s in _LOOKS_S)])
+        self._suspect(piece)
+        last = int(residuals.time_s.size) - 1
+        commands = self._stream.logged.commands().command_deg
+        self.reading = Reading(
+            float(residuals.time_s[last]),
+            float(commands[-1]) if commands.size else float("nan"),
+            float(residuals.measured_deg[last]),
+            float(residuals.residual_deg[last]),
+            float(level_deg[last]),
+            bool(residuals.settled[last]),
+        )
+        return events
+
+    def _suspect(self, piece: Piece) -> None:
+        """Have the bank look at a new suspicion, which is an alarm if it can be named for sure."""
+        if self.surface.threshold == "constant" or not self.surface.tells_small_faults or self.standing:
+            return
+        for time_s in piece.residuals.time_s[piece.suspicious & piece.residuals.settled].tolist():
+            if time_s - self._suspected_s > _NEWS_S:
+                self._looks_s = sorted([*self._looks_s, *(time_s + after_s for after_s in _WINDOWS_S)])
+            self._suspected_s = time_s
+
+    def _look(self) -> Look | None:
+        if self._stream is None or self._generator is None or self._stream.history.size == 0:
+            return None
+        kind = self.surface.threshold
+        residuals, threshold, suspicious = self._stream.history.snapshot(kind, self._stream.evaluation.cusum)
+        copied = self._stream.effective.copied()
+        at_s = float(residuals.time_s[-1])
+        return Look(at_s, self._generator, self.surface, residuals, threshold, suspicious, copied)
+
+    def _last_look(self) -> list[Event]:
+        look = self._look() if self._alarms or np.isfinite(self._suspected_s) else None
+        return self.told(look, look.judge()) if look is not None else []
+
+    def _event(self, look: Look, time_s: float, event: EventKind, kind: str, fault: Fault) -> Event:
+        near = min(int(np.searchsorted(look.residuals.time_s, time_s)), look.residuals.time_s.size - 1)
+        numbers = float(look.residuals.residual_deg[near]), float(look.threshold.level_deg[near])
+        return Event(time_s, self.name, event, kind, *numbers, fault=fault)

@@ -1,0 +1,149 @@
+"""DataFlash over MAVLink: the autopilot's log in blocks of 200 bytes, sent again until they are acknowledged."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from servofd.simulation.vehicle.messages import Send
+
+if TYPE_CHECKING:
+    from logparsers.dataflash.encode import Rows
+
+__all__ = ["START", "STOP", "RemoteLog"]
+
+START: Final = 2_147_483_646
+STOP: Final = 2_147_483_645
+"""MAV_REMOTE_LOG_DATA_BLOCK_COMMANDS: what a client acknowledges to begin and to end."""
+
+_BLOCK: Final = 200
+_BUFFER: Final = 40  # blocks of the usual 8 kB (HAL_LOGGING_MAV_BUFSIZE)
+_PER_TURN: Final = 8
+_AGAIN_US: Final = 100_000
+_GONE_US: Final = 10_000_000
+_PROLOGUE: Final = ("UNIT", "MULT", "FMTU", "PARM", "MSG")
+
+Client = tuple[int, int]
+"""System and component."""
+
+
+class RemoteLog:
+    """Sends a log as it is written, with the buffer, the pace and the patience of ArduPilot's AP_Logger_MAVLink.
+
+    Definitions, parameters and words wait for room in the buffer; other rows that find it full are dropped. A block
+    that is not acknowledged is sent again after 0.1 s; a client that is silent for 10 s is given up.
+
+    Parameters
+    ----------
+    rows : Rows
+        Of the whole flight; each is written at its time.
+    speed : float
+        How much faster than real time the vehicle's clock runs: buffer and patience grow with it.
+    """
+
+    def __init__(self, rows: Rows, speed: float = 1.0) -> None:
+        self._rows = rows
+        self._speed = max(speed, 1.0)
+        self._session: _Session | None = None
+        self.dropped = 0
+        """Rows that found no room."""
+
+    def hear(self, client: Client, seqno: int, *, arrived: bool, now_us: int) -> None:
+        """Take a REMOTE_LOG_BLOCK_STATUS.
+
+        Parameters
+        ----------
+        client : tuple of int
+            System and component that sent it; the first to begin gets the log.
+        seqno : int
+            Number of a block, `START` or `STOP`.
+        arrived : bool
+            False to have the block once more.
+        now_us : int
+            Time of the vehicle's clock [us].
+        """
+        if arrived and seqno == START:
+            if self._session is None:
+                self._session = _Session(self._rows, client, now_us, self._speed)
+        elif self._session is not None and client == self._session.client:
+            if arrived and seqno == STOP:
+                self._session = None
+            else:
+                self._session.answer(seqno, arrived, now_us)
+
+    def due(self, now_us: int) -> list[Send]:
+        """Write the rows that were made since the last time, and give the blocks to send now."""
+        if self._session is not None and self._session.is_forsaken():
+            self._session = None
+        if self._session is None:
+            return []
+        self.dropped += self._session.write(now_us)
+        return self._session.due(now_us)
+
+
+class _Session:
+    """What one client gets."""
+
+    def __init__(self, rows: Rows, client: Client, now_us: int, speed: float) -> None:
+        self.client = client
+        self._rows = rows
+        self._room = round(_BUFFER * speed)
+        self._again_us = round(_AGAIN_US * speed)
+        self._gone_us = round(_GONE_US * speed)
+        self._blocks: dict[int, bytes] = {}
+        self._sent_us: dict[int, int] = {}
+        self._response_us = now_us
+        self._next_number = 0
+        self._partial = b""
+        self._prologue = int(np.isin(rows.named, _PROLOGUE).sum())
+        self._resume = max(self._prologue, int(np.searchsorted(rows.time_us, now_us)))
+        self._row = 0
+
+    def answer(self, seqno: int, arrived: bool, now_us: int) -> None:
+        if seqno in self._sent_us:
+            self._response_us = now_us
+            if arrived:
+                del self._sent_us[seqno], self._blocks[seqno]
+            else:
+                self._sent_us[seqno] = now_us - self._again_us
+
+    def is_forsaken(self) -> bool:
+        return bool(self._sent_us) and max(self._sent_us.values()) - self._response_us > self._gone_us
+
+    def write(self, now_us: int) -> int:
+        """Rows up to now; gives how many found no room."""
+        dropped = 0
+        rows = self._rows
+        while self._row < rows.ends.size and rows.time_us[self._row] <= now_us:
+            begin = int(rows.ends[self._row - 1]) if self._row else 0  # the definitions go with the first row
+            content = rows.content[begin : rows.ends[self._row]]
+            if len(content) <= (self._room - len(self._blocks)) * _BLOCK - len(self._partial):
+                self._put(content)
+            elif self._row < self._prologue:
+                break
+            else:
+                dropped += 1
+            self._row += 1
+            if self._row == self._prologue:
+                self._row = self._resume
+        return dropped
+
+    def due(self, now_us: int) -> list[Send]:
+        again = [n for n, sent_us in self._sent_us.items() if now_us - sent_us >= self._again_us]
+        new = [n for n in self._blocks if n not in self._sent_us][:_PER_TURN]
+        for number in (*again, *new):
+            self._sent_us[number] = now_us
+        return [self._message(number) for number in (*again, *new)]
+
+    def _put(self, content: bytes) -> None:
+        waiting = self._partial + content
+        while len(waiting) >= _BLOCK:
+            self._blocks[self._next_number] = waiting[:_BLOCK]
+            self._next_number += 1
+            waiting = waiting[_BLOCK:]
+        self._partial = waiting
+
+    def _message(self, number: int) -> Send:
+        target = {"target_system": self.client[0], "target_component": self.client[1]}
+        return Send("REMOTE_LOG_DATA_BLOCK", {**target, "seqno": number, "data": list(self._blocks[number])})

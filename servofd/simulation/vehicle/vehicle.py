@@ -1,0 +1,284 @@
+"""An ArduPlane on a link: what it sends at each turn of its main loop, and what it answers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from logparsers.dataflash.encode import encode_rows
+from logparsers.mavlink import message_name
+from servofd.errors import ConfigError, suggest
+from servofd.simulation.ardupilot import banner, outputs_needed, parameters, rate_hz
+from servofd.simulation.dataflash_writer import VOLZ, dataflash_messages
+from servofd.simulation.surroundings import microseconds
+from servofd.simulation.telemetry_writer import FEEDBACK, VERSION
+from servofd.simulation.vehicle.messages import Send, Telemetry
+from servofd.simulation.vehicle.parameters import Parameters
+from servofd.simulation.vehicle.remote_log import RemoteLog
+from servofd.simulation.vehicle.schedule import Schedule, TooFastError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from logparsers.codec import Heard
+    from servofd.aircraft import Aircraft
+    from servofd.simulation.flight import SimulatedFlight
+    from servofd.types import IntArray
+
+__all__ = ["Settings", "Vehicle"]
+
+_AUTOPILOT: Final = 1  # MAV_COMP_ID_AUTOPILOT1
+_ACCEPTED, _DENIED, _UNSUPPORTED = 0, 2, 3  # MAV_RESULT
+_INFO: Final = 6  # MAV_SEVERITY
+_GET_INTERVAL, _SET_INTERVAL, _REQUEST, _CAPABILITIES = 510, 511, 512, 520  # MAV_CMD
+_FLOATS_INTS_AND_VERSION_2: Final = 2 | 8 | 8192  # MAV_PROTOCOL_CAPABILITY
+_4_7_0_DEV: Final = 0x04070000
+_TEXT: Final = 50
+_POSITIONS: Final = ("NAMED_VALUE_FLOAT", "DEBUG_FLOAT_ARRAY")
+_GROUPS: Final[Mapping[int, tuple[str, ...]]] = {
+    3: ("SERVO_OUTPUT_RAW",),  # MAV_DATA_STREAM_RC_CHANNELS
+    10: ("ATTITUDE",),
+    11: ("VFR_HUD",),
+    12: ("SYSTEM_TIME",),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """How a vehicle speaks.
+
+    Parameters
+    ----------
+    system : int
+        Its number, from 1 to 255.
+    feedback : str
+        How it tells positions: one of `servofd.simulation.telemetry_writer.FEEDBACK`.
+    message_hz : float
+        Rate of SERVO_OUTPUT_RAW before anybody asks for another [Hz]; ArduPlane's is 1.
+    any_rate : bool
+        Grant rates up to that of the main loop, not just 0.8 of it.
+    speed : float
+        How much faster than real time it flies.
+
+    Raises
+    ------
+    ConfigError
+        If one of them makes no sense.
+    """
+
+    system: int = 1
+    feedback: str = "named"
+    message_hz: float = 1.0
+    any_rate: bool = False
+    speed: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.system <= 255:
+            raise ConfigError(f"system {self.system}: vehicles have numbers from 1 to 255")
+        if self.feedback not in FEEDBACK:
+            raise ConfigError(suggest("feedback", self.feedback, FEEDBACK))
+        if not 0.0 <= self.message_hz <= 1000.0:
+            raise ConfigError(f"{self.message_hz:g} messages per second: give a rate from 0 to 1000 Hz")
+        if not 0.01 <= self.speed <= 1000.0:
+            raise ConfigError(f"speed {self.speed:g}: give a factor from 0.01 to 1000; 1 is real time")
+
+
+class Vehicle:
+    """A simulated flight that is sent as it happens.
+
+    Parameters
+    ----------
+    flight : SimulatedFlight
+        With outputs; each sample is one turn of the autopilot's main loop.
+    aircraft : Aircraft
+        A surface without a measured channel has a servo that reports nothing.
+    settings : Settings
+        How it speaks.
+
+    Raises
+    ------
+    ConfigError
+        If the flight was simulated without outputs.
+
+    Examples
+    --------
+    >>> from servofd.aircraft import plain_aircraft
+    >>> from servofd.simulation.flight import simulate_flight
+    >>> from servofd.simulation.pulses import outputs_of
+    >>> plane = plain_aircraft(["elevator"])
+    >>> flown = simulate_flight(plane, duration_s=2.0, rate_hz=50.0, outputs=outputs_of(plane))
+    >>> vehicle = Vehicle(flown, plane)
+    >>> [message.name for message in vehicle.turn(0)]
+    ['STATUSTEXT', 'HEARTBEAT', 'SYSTEM_TIME', 'SERVO_OUTPUT_RAW', 'NAMED_VALUE_FLOAT', 'ATTITUDE', 'VFR_HUD']
+    >>> [message.name for message in vehicle.turn(1)]
+    []
+    >>> [message.name for message in vehicle.turn(2)]
+    ['NAMED_VALUE_FLOAT']
+    """
+
+    def __init__(self, flight: SimulatedFlight, aircraft: Aircraft, settings: Settings | None = None) -> None:
+        outputs_needed(flight)
+        settings = settings or Settings()
+        loop_hz = rate_hz(flight)
+        self.system = settings.system
+        self.time_us: IntArray = microseconds(flight.time_s)
+        """Time of the vehicle's clock at each turn of its loop [us], of shape (n,)."""
+        known = parameters(flight, aircraft, VOLZ.name) | {
+            "LOG_BACKEND_TYPE": 3.0, "SCHED_LOOP_RATE": float(math.ceil(loop_hz)), "SCR_ENABLE": 1.0,
+            "SERVO_RATE": float(math.ceil(loop_hz)), "SYSID_THISMAV": float(settings.system),
+        }  # fmt: skip
+        self._parameters = Parameters(known)
+        self._telemetry = Telemetry(flight, aircraft, settings.feedback)
+        self._schedule = _schedule(self._telemetry.names, loop_hz, settings)
+        self._log = RemoteLog(encode_rows(dataflash_messages(flight, aircraft, VOLZ, settings=known)), settings.speed)
+        self._answers: dict[str, Callable[[Heard, int], list[Send]]] = {
+            "COMMAND_LONG": self._command,
+            "COMMAND_INT": self._command,
+            "REQUEST_DATA_STREAM": self._data_stream,
+            "PARAM_REQUEST_LIST": self._list_parameters,
+            "PARAM_REQUEST_READ": self._read_parameter,
+            "PARAM_SET": self._read_parameter,
+            "TIMESYNC": self._time_sync,
+            "AUTOPILOT_VERSION_REQUEST": lambda heard, now_us: [self._version()],  # noqa: ARG005
+            "MISSION_REQUEST_LIST": self._no_mission,
+            "REMOTE_LOG_BLOCK_STATUS": self._log_status,
+        }
+
+    @property
+    def dropped_rows(self) -> int:
+        """Rows of the streamed log that found no room in its buffer."""
+        return self._log.dropped
+
+    def turn(self, index: int) -> list[Send]:
+        """One turn of the main loop.
+
+        Parameters
+        ----------
+        index : int
+            Sample of the flight; they must come in order.
+
+        Returns
+        -------
+        list of Send
+            What leaves now.
+        """
+        now_us = int(self.time_us[index])
+        sent = [Send("STATUSTEXT", {"severity": _INFO, "text": banner(VERSION)})] if index == 0 else []
+        for name in self._schedule.due(now_us):
+            sent += self._telemetry.newest(name, now_us, again=name == "HEARTBEAT")
+        return [*sent, *self._parameters.due(), *self._log.due(now_us)]
+
+    def heartbeat(self) -> Send:
+        """What a vehicle sends that waits for somebody to speak with."""
+        return self._telemetry.newest("HEARTBEAT", int(self.time_us[0]), again=True)[0]
+
+    def hear(self, heard: Heard, now_us: int) -> list[Send]:
+        """Answer a message; what is meant for others, or what it does not know, is passed over.
+
+        Parameters
+        ----------
+        heard : Heard
+            The message.
+        now_us : int
+            Time of the vehicle's clock [us].
+        """
+        answer = self._answers.get(heard.name)
+        is_own = heard.system == self.system and heard.component == _AUTOPILOT
+        to = (heard.fields.get("target_system", 0), heard.fields.get("target_component", 0))
+        if answer is None or is_own or to[0] not in (0, self.system) or to[1] not in (0, _AUTOPILOT):
+            return []
+        return answer(heard, now_us)
+
+    def _command(self, heard: Heard, now_us: int) -> list[Send]:
+        given = heard.fields
+        command, what, value = given["command"], given["param1"], given["param2"]
+        if not (np.isfinite(what) and np.isfinite(value)):
+            return [_result(heard, _DENIED)]
+        name = message_name(int(what)) or ""
+        if command == _SET_INTERVAL:
+            return self._set_interval(heard, name, int(value))
+        if command == _REQUEST:
+            asked = [self._version()] if name == "AUTOPILOT_VERSION" else self._once(name, now_us)
+            return [_result(heard, _ACCEPTED if asked else _DENIED), *asked]
+        if command == _GET_INTERVAL:
+            interval_us = self._schedule.interval_us(name)
+            told = Send("MESSAGE_INTERVAL", {"message_id": int(what) & 0xFFFF, "interval_us": interval_us})
+            return [_result(heard, _ACCEPTED), told]
+        if command == _CAPABILITIES:
+            return [_result(heard, _ACCEPTED), self._version()]
+        return [_result(heard, _UNSUPPORTED)]
+
+    def _set_interval(self, heard: Heard, name: str, interval_us: int) -> list[Send]:
+        if name not in self._telemetry.names or interval_us < -1:
+            return [_result(heard, _DENIED)]
+        try:
+            self._schedule.ask(name, interval_us)
+        except TooFastError:
+            number = int(heard.fields["param1"])
+            words = f"Requested rate for message ID {number} too fast. Increase SCHED_LOOP_RATE"
+            return [*_chunks(words), _result(heard, _DENIED)]
+        return [_result(heard, _ACCEPTED)]
+
+    def _once(self, name: str, now_us: int) -> list[Send]:
+        return self._telemetry.newest(name, now_us, again=True) if name in self._telemetry.names else []
+
+    def _data_stream(self, heard: Heard, now_us: int) -> list[Send]:  # noqa: ARG002 - all answers share a form
+        given = heard.fields
+        names = [n for group in _GROUPS.values() for n in group] if given["req_stream_id"] == 0 else []
+        for name in (*names, *_GROUPS.get(given["req_stream_id"], ())):
+            self._schedule.ask_rate(name, given["req_message_rate"] if given["start_stop"] else 0)
+        return []
+
+    def _list_parameters(self, heard: Heard, now_us: int) -> list[Send]:  # noqa: ARG002
+        self._parameters.list_all()
+        return []
+
+    def _read_parameter(self, heard: Heard, now_us: int) -> list[Send]:  # noqa: ARG002
+        return self._parameters.read(heard.fields["param_id"], heard.fields.get("param_index", -1))
+
+    def _time_sync(self, heard: Heard, now_us: int) -> list[Send]:
+        if heard.fields["tc1"] != 0:
+            return []
+        to = {"target_system": heard.system, "target_component": heard.component}
+        return [Send("TIMESYNC", {"tc1": 1000 * now_us, "ts1": heard.fields["ts1"], **to})]
+
+    def _no_mission(self, heard: Heard, now_us: int) -> list[Send]:  # noqa: ARG002
+        to = {"target_system": heard.system, "target_component": heard.component}
+        return [Send("MISSION_COUNT", {**to, "mission_type": heard.fields.get("mission_type", 0)})]
+
+    def _log_status(self, heard: Heard, now_us: int) -> list[Send]:
+        given = heard.fields
+        client = (heard.system, heard.component)
+        self._log.hear(client, given["seqno"], arrived=given["status"] == 1, now_us=now_us)
+        return []
+
+    def _version(self) -> Send:
+        fields: dict[str, Any] = {"capabilities": _FLOATS_INTS_AND_VERSION_2, "flight_sw_version": _4_7_0_DEV}
+        return Send("AUTOPILOT_VERSION", {**fields, "uid": self.system})
+
+
+def _schedule(names: tuple[str, ...], loop_hz: float, settings: Settings) -> Schedule:
+    """Before anybody asks: positions as often as the loop allows, for a script sends them unasked."""
+    fastest_ms = math.ceil(1000.0 / loop_hz) if settings.any_rate else math.ceil(1000.0 / (0.8 * loop_hz) - 1e-9)
+    usual_ms = {"HEARTBEAT": 1000, "SYSTEM_TIME": 1000, "ATTITUDE": 250, "VFR_HUD": 500}
+    usual_ms |= dict.fromkeys(_POSITIONS, fastest_ms)
+    pulses_ms = max(round(1000.0 / settings.message_hz), fastest_ms) if settings.message_hz else 0
+    usual_ms["SERVO_OUTPUT_RAW"] = pulses_ms
+    return Schedule({n: usual_ms[n] for n in names}, loop_us=round(1e6 / loop_hz), any_rate=settings.any_rate)
+
+
+def _result(heard: Heard, result: int) -> Send:
+    to = {"target_system": heard.system, "target_component": heard.component}
+    return Send("COMMAND_ACK", {"command": heard.fields["command"], "result": result, **to})
+
+
+def _chunks(words: str) -> list[Send]:
+    """STATUSTEXT holds 50 characters; longer texts share a number, and the last piece is a short one."""
+    pieces = [words[at : at + _TEXT] for at in range(0, len(words) + 1, _TEXT)]
+    return [
+        Send("STATUSTEXT", {"severity": _INFO, "text": piece, "id": 1, "chunk_seq": n})
+        for n, piece in enumerate(pieces)
+    ]
