@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import logparsers
 from servofd.aircraft import Aircraft, load_aircraft
 from servofd.bench import bench_aircraft
+from servofd.detection.audit import audit_log
+from servofd.detection.words import describe
 from servofd.discrepancy.explanation import Explanation, explain_gap
 from servofd.errors import NoMeasurement, UnknownName, suggest
 from servofd.models.physics import scaled_transfer
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = ["UNKNOWN", "ExplainedLog", "explain_log"]
 
+_SAME_FAULT_S = 3.0
 UNKNOWN = "unknown"
 """Name of a servo that nobody knows."""
 _UNKNOWN_SERVO = Servo(
@@ -95,7 +98,18 @@ def explain_log(
         found = explain_gap(segments, flown.model(name), on_bench=on_bench, free_poles=free_poles, progress=progress)
     except NoMeasurement as error:
         raise NoMeasurement(f"{label}: {name}: {error}") from None
+    if found.fault_s is not None and len(logs) == 1:
+        found = _with_kind(found, found.fault_s, logs[0], flown)
     return ExplainedLog(found, _with_fitted_poles(flown, name, found) if free_poles else flown, label)
+
+
+def _with_kind(found: Explanation, fault_s: float, log: FlightLog, aircraft: Aircraft) -> Explanation:
+    """An explanation that says which fault it is that sets in, if the audit can name it."""
+    (verdict,) = audit_log(log, aircraft, surfaces=(found.surface,)).surfaces
+    named = [fault for fault in verdict.faults if abs(fault.start_s - fault_s) < _SAME_FAULT_S]
+    if not named or named[0].kind == "unknown":
+        return found
+    return replace(found, notes=(*found.notes, f"the audit can name that fault: {describe(named[0])}"))
 
 
 def _is_bench(aircraft: Aircraft, surface: str) -> bool:
