@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -41,7 +42,7 @@ _EXCESS_OF_NOISE, _EXCESS_OF_GAP = 0.15, 0.02
 
 def floor_of(record: Record, fit: Fit) -> float:
     """Noise floor as this fit shows it [deg]: that of a converter's steps at least, but no more than its own error."""
-    noise_deg = max(noise_floor_deg(record, fit.error_deg), (record.step_deg or 0.0) / 12.0**0.5)
+    noise_deg = max(noise_floor_deg(record, fit.error_deg), (record.step_deg or 0.0) / math.sqrt(12.0))
     rms_deg = float(np.sqrt(fit.total / max(record.counts.sum(), 1)))
     return min(noise_deg, rms_deg)
 
