@@ -84,10 +84,13 @@ PARTS = {
         "workflow",
         "fleet",
     },
+    "review": {"errors", "types", "detection", "outputs"},
+    "live": {"errors", "types", "aircraft", "detection"},
     "workflow": {"errors", "aircraft", "servos", "detection", "feedback", "segment", "calibrating"},
     "cli": {
         "errors",
         "types",
+        "live",
         "aircraft",
         "servos",
         "models",
@@ -104,11 +107,16 @@ PARTS = {
         "bench",
         "explaining",
         "fleet",
+        "review",
         "trend",
     },
 }
 ONLY_IN = {
-    "rerun": {"servofd/outputs/recording.py"},
+    "rerun": {
+        "servofd/outputs/explain_recording.py",
+        "servofd/outputs/live_recording.py",
+        *(f"servofd/outputs/recording/{name}.py" for name in ("clock", "layout", "read", "scene", "stream", "write")),
+    },
     "matplotlib": {
         "servofd/outputs/figure.py",
         "servofd/outputs/audit_figures.py",
@@ -116,6 +124,7 @@ ONLY_IN = {
         "servofd/outputs/identify_figures.py",
         "servofd/outputs/odds_figure.py",
         "servofd/outputs/picture.py",
+        "servofd/outputs/trend_page.py",
         "servofd/cli/design.py",
     },
     "jinja2": {"servofd/outputs/page.py"},
@@ -131,12 +140,18 @@ ONLY_IN = {
             "explain",
             "fleet",
             "identify",
+            "importer",
             "info",
+            "monitor",
+            "monitor_outputs",
             "odds",
+            "review",
             "servos",
             "simulate",
+            "stream",
             "sweep",
             "trend",
+            "view",
         )
     },
     "numba": {

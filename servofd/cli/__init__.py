@@ -23,11 +23,13 @@ from servofd.cli import (
     fleet,
     identify,
     info,
+    monitor,
     odds,
     review,
     servos,
     simulate,
     sweep,
+    trend,
     view,
 )
 from servofd.cli.interrupt import interruptible
@@ -38,7 +40,24 @@ if TYPE_CHECKING:
 
 __all__ = ["main"]
 
-_VERBS = (info, config, calibrate, audit, view, review, explain, sweep, odds, identify, simulate, servos, design)
+_VERBS = (
+    info,
+    config,
+    calibrate,
+    audit,
+    monitor,
+    fleet,
+    trend,
+    view,
+    review,
+    explain,
+    sweep,
+    odds,
+    identify,
+    simulate,
+    servos,
+    design,
+)
 """In the order in which the help shows them."""
 
 _COULD_NOT_TELL = 2
@@ -64,22 +83,7 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"servofd {__version__}")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
-    for verb in (
-        info,
-        config,
-        calibrate,
-        audit,
-        fleet,
-        view,
-        review,
-        explain,
-        sweep,
-        odds,
-        identify,
-        simulate,
-        servos,
-        design,
-    ):
+    for verb in _VERBS:
         verb.add_parser(verbs)
     return parser
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,16 +13,9 @@ if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
 
 __all__ = [
-    "EXCESS_WORTH",
-    "accepted",
-    "cost",
-    "excess",
-    "floor_of",
-    "matters",
-    "rest_is_large",
-    "rest_matters",
+    "EXCESS_WORTH", "accepted", "cost", "excess", "floor_of", "matters", "rest_is_large", "rest_matters",
     "worth_trying",
-]
+]  # fmt: skip
 
 _SHARE_OF_NOISE, _SHARE_OF_GAP = 0.03, 0.02
 """An effect must take away this share of the noise variance (the second twice as much, and so on: several effects bend
@@ -42,16 +34,15 @@ _EXCESS_OF_NOISE, _EXCESS_OF_GAP = 0.15, 0.02
 
 def floor_of(record: Record, fit: Fit) -> float:
     """Noise floor as this fit shows it [deg]: that of a converter's steps at least, but no more than its own error."""
-    noise_deg = max(noise_floor_deg(record, fit.error_deg), (record.step_deg or 0.0) / math.sqrt(12.0))
-    rms_deg = float(np.sqrt(fit.total / max(record.counts.sum(), 1)))
-    return min(noise_deg, rms_deg)
+    noise_deg = max(noise_floor_deg(record, fit.error_deg), (record.step_deg or 0.0) / float(np.sqrt(12.0)))
+    return min(noise_deg, float(np.sqrt(fit.total / max(record.counts.sum(), 1))))
 
 
 def cost(record: Record, fit: Fit) -> float:
     """What ranks fits: the error on all samples, and a little for each parameter."""
     sigma = floor_of(record, fit)
     each = sigma**2 * float(np.log(max(int(record.counts.sum()), 2)))
-    return fit.total + each * len(fit.values)
+    return float(fit.total + each * len(fit.values))
 
 
 def worth_trying(record: Record, base: Fit, sigma: float) -> bool:
@@ -71,6 +62,9 @@ def accepted(record: Record, base: Fit, fit: Fit, sigma: float) -> bool:
     gap = max(base.held_out - count * sigma**2, 0.0)
     share = _SHARE_OF_NOISE * len(fit.effects)
     if gain < max(share * count * sigma**2, _SHARE_OF_GAP * gap) or base.train <= fit.train:
+        return False
+    if record.runs and base.train - fit.train < _SHARE_OF_GAP * base.train:
+        # What the fitted runs did not need cannot be told from the others' luck.
         return False
     factor = long_run_factor(fit.error_deg[record.counts])
     if gain / (sigma**2 * factor) < _CHI_SQUARED:

@@ -26,7 +26,7 @@ __all__ = ["Fit", "Fitter"]
 _STEP = 3e-2
 """Of what is common: what sticks or has edges answers to less with jumps, in which the descent loses its way."""
 _TIE_TO_START = 1e-4
-_EVALUATIONS = 20
+_EVALUATIONS, _THOROUGH = 20, 40
 _PROMISING, _FEWER = 10, 6
 """Of the candidates of a first effect, and of a further one."""
 _LATE_SHARE, _FRAMES_EXCESS = 0.1, 0.02
@@ -82,6 +82,9 @@ class Fitter:
     def on(self, record: Record) -> Fitter:
         """The same for other samples."""
         return Fitter(record)
+
+    def adopt(self, other: Fitter) -> None:
+        """Take over what another one learnt beside the values of effects: nothing here."""
 
     def physics(self, effects: Sequence[type[MissingEffect]], values: Values) -> Physics:
         """The servo with these effects."""
@@ -149,7 +152,9 @@ class Fitter:
         least = min(fit.train for fit in fits)
         return helps and least > (1.0 + _FRAMES_EXCESS) * self._trained.size * floor
 
-    def refitted(self, effects: tuple[type[MissingEffect], ...], values: Values) -> Fit:
+    def refitted(
+        self, effects: tuple[type[MissingEffect], ...], values: Values, evaluations: int = _EVALUATIONS
+    ) -> Fit:
         """All parameters fitted together, from given values: least squares within the bounds."""
         from scipy.optimize import least_squares
 
@@ -185,9 +190,9 @@ class Fitter:
             x0,
             jac=slopes,
             bounds=(low, high),
-            max_nfev=_EVALUATIONS,
+            max_nfev=evaluations,
             xtol=1e-4,
-            ftol=1e-6,
+            ftol=1e-7 if evaluations > _EVALUATIONS else 1e-5,
             gtol=None,
         )
         best = self.judged(effects, at(found.x))
@@ -202,10 +207,11 @@ class Fitter:
         if not fit.effects:
             return fit, np.zeros((0, 0))
         whole = self.on(replace(self.record, block=np.zeros_like(self.record.block)))
-        best = whole.refitted(fit.effects, fit.values)
+        best = whole.refitted(fit.effects, fit.values, _THOROUGH)
         error = best.error_deg[self.record.counts]
         sigma_deg = float(np.sqrt(np.mean(error**2)))
         covariance = whole.covariance(best, sigma_deg, long_run_factor(error))
+        self.adopt(whole)
         return replace(fit, values=best.values, error_deg=best.error_deg), covariance
 
     def covariance(self, fit: Fit, sigma_deg: float, factor: float) -> FloatArray:

@@ -88,6 +88,7 @@ def _window(record: Record, centre_s: float, window_s: float) -> Record:
         block=record.block[inside],
         pressure_pa=None if record.pressure_pa is None else record.pressure_pa[inside],
         voltage_v=None if record.voltage_v is None else record.voltage_v[inside],
+        current_a=None if record.current_a is None else record.current_a[inside],
     )
 
 

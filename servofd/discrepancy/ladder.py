@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 from servofd.discrepancy.evidence import EXCESS_WORTH, floor_of, matters
 from servofd.discrepancy.noise import long_run_factor
 from servofd.discrepancy.prune import without
-from servofd.models.catalogue import CATALOGUE
 
 if TYPE_CHECKING:
     from servofd.discrepancy.fit import Fit, Fitter
@@ -79,13 +78,13 @@ def equals_of(fitter: Fitter, best: Fit, able: list[type[MissingEffect]], tried:
         base = without(fitter, best, k)
         rivals = tried.get(keys_of(base)) or fitter.with_effects(base, able, _quietly)
         tried[keys_of(base)] = rivals
-        common, unexplained_too = _TIE_CHI_SQUARED * sigma**2 * factor, min(left, base.total - best.total)
+        common, unsure = _TIE_CHI_SQUARED * sigma**2 * factor, min(left, base.total - best.total)
         equals.append(
             [
                 rival
                 for rival in rivals
                 if rival.names[-1] not in best.names
-                and rival.total - best.total < max(common, _slack(best.effects[k], rival) * unexplained_too)
+                and rival.total - best.total < max(common, _slack(best.effects[k], rival) * unsure)
                 and not any(p.at_bound(v) for p, v in zip(rival.parameters, rival.values, strict=True))
             ]
         )
@@ -94,7 +93,7 @@ def equals_of(fitter: Fitter, best: Fit, able: list[type[MissingEffect]], tried:
 
 def _slack(effect: type[MissingEffect], rival: Fit) -> float:
     """Share of what stays unexplained by which a rival may be worse than an effect and still pass for it."""
-    alike = effect.family and effect.family == rival.effects[-1].family
+    alike = effect.family != "" and effect.family == rival.effects[-1].family
     return _TIE_OF_KIND if alike or (_is_kinked(effect) and not _is_kinked(rival.effects[-1])) else _TIE_OF_EXCESS
 
 
@@ -105,12 +104,11 @@ def simplest(fitter: Fitter, best: Fit, able: list[type[MissingEffect]], tried: 
             smooth = [r for r in equals_of(fitter, best, able, tried)[k] if not _is_kinked(r.effects[-1])]
             best = min((r for r in smooth if matters(fitter.record, r)), key=lambda r: r.total, default=best)
     margin = _EVEN_CHI_SQUARED * floor_of(fitter.record, best) ** 2
-    for k, equals in enumerate(equals_of(fitter, best, able, tried)):
-        effect = best.effects[k]
-        before = [r for r in equals if CATALOGUE.index(r.effects[-1]) < CATALOGUE.index(effect)]
-        even = [r for r in before if r.total - best.total < margin or (effect.family == r.effects[-1].family != "")]
+    for effect, equals in zip(best.effects, equals_of(fitter, best, able, tried), strict=True):
+        before = [r for r in equals if able.index(r.effects[-1]) < able.index(effect)]
+        even = [r for r in before if r.total - best.total < margin or effect.family == r.effects[-1].family != ""]
         if even:
-            return simplest(fitter, min(even, key=lambda r: CATALOGUE.index(r.effects[-1])), able, tried)
+            return simplest(fitter, min(even, key=lambda r: able.index(r.effects[-1])), able, tried)
     return best
 
 

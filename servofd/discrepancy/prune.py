@@ -73,11 +73,10 @@ def convincing(fitter: Fitter, fit: Fit, nominal: Fit) -> Fit:
 def _sober(fitter: Fitter, fit: Fit, nominal: Fit) -> Fit:
     """Beside a rest that is much of the gap, at most one effect, and only if it is most of what there was.
 
-    Several effects that together leave much are no physics but a flexible curve, unless whole runs that were held out
-    say otherwise.
+    Several effects that together leave much are no physics but a flexible curve, unless they foresee whole runs.
     """
     record = fitter.record
-    if record.runs or not fit.effects or not rest_is_large(record, fit, nominal):
+    if not fit.effects or record.runs or not rest_is_large(record, fit, nominal):
         return fit
     noise = float(record.counts.sum()) * floor_of(record, fit) ** 2
     gap = max(nominal.total - noise, 0.0)

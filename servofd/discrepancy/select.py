@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from servofd.discrepancy.candidates import first_of_each, judgeable
 from servofd.discrepancy.evidence import accepted, cost, floor_of, rest_is_large, rest_matters, worth_trying
 from servofd.discrepancy.fit import Fit, Fitter
 from servofd.discrepancy.ladder import Rung, Tried, equals_of, keys_of, rungs_of, simplest
 from servofd.discrepancy.poles import PoleFitter
 from servofd.discrepancy.prune import convincing, ordered, pruned, with_steps, without
-from servofd.models.catalogue import CATALOGUE, Damping, PwmFrame, SlowDynamics
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -38,6 +38,8 @@ class Selection:
     rungs: tuple[Rung, ...]
     ties: tuple[tuple[str, ...], ...]
     """Effects that the data cannot tell apart, the named one first."""
+    tied: tuple[tuple[Fit, ...], ...]
+    """For each of these the fits with another effect in the place of the named one, in the same order."""
     sigma_deg: float
     """Noise floor."""
     unjudged: tuple[type[MissingEffect], ...]
@@ -57,21 +59,6 @@ class Selection:
         return self.rungs[-1].fit if self.rungs else self.nominal
 
 
-def judgeable(record: Record) -> tuple[list[type[MissingEffect]], list[type[MissingEffect]]]:
-    """Effects that this record can judge, and those that need something it does not hold."""
-    held = {
-        name
-        for name, values in (("airspeed_m_s", record.pressure_pa), ("servo_voltage_v", record.voltage_v))
-        if values is not None
-    }
-    able = [effect for effect in CATALOGUE if set(effect.needs) <= held]
-    unable = [effect for effect in CATALOGUE if effect not in able]
-    fitted = {SlowDynamics, Damping} if record.free_poles else set()
-    # Frames run on between separate runs, so that nobody knows when each of them began.
-    fitted |= {PwmFrame} if record.runs else set()
-    return [effect for effect in able if effect not in fitted], unable
-
-
 def select(record: Record, progress: Callable[[str], None] = lambda _step: None) -> Selection:
     """Find the effects that are missing.
 
@@ -87,21 +74,24 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     nominal = fitter.nominal()
     tried: Tried = {}
     best = _grown(fitter, able, tried, _BEAM, progress)
-    if len(best.effects) > _FEW or rest_is_large(record, best, nominal):
+    # Where the poles are free, every start costs several fits, and each effect has had its chance from all of them.
+    if not record.free_poles and (len(best.effects) > _FEW or rest_is_large(record, best, nominal)):
         best = min(best, _grown(fitter, able, tried, _WIDE_BEAM, progress), key=lambda fit: cost(record, fit))
     best = with_steps(fitter, _swapped(fitter, able, tried, best))
     best = ordered(fitter, simplest(fitter, convincing(fitter, pruned(fitter, best), nominal), able, tried))
     sigma = floor_of(record, best)
     rungs = rungs_of(fitter, nominal, best, tried, able)
-    ties = tuple(
-        (effect.name, *dict.fromkeys(fit.names[-1] for fit in equals))
+    equal = [
+        (effect, first_of_each(equals))
         for effect, equals in zip(best.effects, equals_of(fitter, best, able, tried), strict=True)
         if equals
-    )
+    ]
+    ties = tuple((effect.name, *(fit.names[-1] for fit in equals)) for effect, equals in equal)
+    tied = tuple(fits for _, fits in equal)
     final, covariance = fitter.on_all(best)
     if rungs:
         rungs = (*rungs[:-1], Rung(final, rungs[-1].rivals))
-    return Selection(nominal, rungs, ties, sigma, tuple(unable), covariance, fitter)
+    return Selection(nominal, rungs, ties, tied, sigma, tuple(unable), covariance, fitter)
 
 
 def _grown(

@@ -185,9 +185,10 @@ def _descended(
 
     def slopes(x: FloatArray) -> FloatArray:
         shifted = np.vstack([np.diag(steps), np.zeros((2, steps.size))]).T
-        columns = [-x[-2] * (shape(x + d) - shape(x - d)) / (2.0 * h) for d, h in zip(shifted, steps, strict=True)]
-        here: FloatArray = np.column_stack([*columns, -shape(x), -np.ones(measured_deg.size)])
-        return here
+        here = shape(x)
+        columns = [-x[-2] * (shape(x + d) - here) / h for d, h in zip(shifted, steps, strict=True)]
+        all_slopes: FloatArray = np.column_stack([*columns, -here, -np.ones(measured_deg.size)])
+        return all_slopes
 
     lower = np.full(begin.size, -np.inf)
     if "delay_s" in names:

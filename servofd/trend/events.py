@@ -116,5 +116,5 @@ def _event(group: Sequence[tuple[int, str, Jump]]) -> Event:
 
 def _told(name: str, jump: Jump) -> str:
     what = QUANTITIES[name]
-    before, after = (f"{what.scale * value:.{what.digits}f}" for value in (jump.before, jump.after))
+    before, after = (f"{what.scale * value:z.{what.digits}f}" for value in (jump.before, jump.after))
     return f"{what.title} {before} to {after} {what.unit}"

@@ -103,7 +103,7 @@ def follow(surface: str, flights: Sequence[tuple[int, FlightEstimate]], wear: We
     quantities = {name: _quantity(name, one, bounds, wear.limits.get(name)) for name, one in series.items()}
     last = flights[-1][1]
     missing = {name: last.missing.get(name, "not in these flights") for name in QUANTITIES if name not in series}
-    serials = ((1, wear.swaps[0][1] if known else wear.serial), *known) if known else ((1, wear.serial),)
+    serials = _serials(bounds, dict(known), wear)
     return SurfaceTrend(surface, serials, quantities, tuple(events), missing, notes)
 
 
@@ -122,6 +122,15 @@ def _known_swaps(
         if later:
             found.append((later[0], serial))
     return tuple(found), ()
+
+
+def _serials(bounds: Sequence[int], known: Mapping[int, str], wear: Wear) -> tuple[tuple[int, str], ...]:
+    """First flight and serial number of each servo; of a swap that only the data show, the number before is unknown."""
+    if not bounds:
+        return ((1, wear.serial),)
+    first = wear.swaps[0][1] if known else ""
+    between = [(number, known.get(number, "")) for number in bounds[:-1]]
+    return ((1, first), *between, (bounds[-1], wear.serial))
 
 
 def _spans(bounds: Sequence[int]) -> list[tuple[float, float]]:

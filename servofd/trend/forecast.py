@@ -77,7 +77,7 @@ def forecast(piece: Piece, limit: float, *, above: bool) -> Forecast:
     sign = 1.0 if above else -1.0
     count = piece.number.size
     if count <= 2:
-        return Forecast("none", f"only {count} flights")
+        return Forecast("none", "too few flights for a trend")
     line = piece.line
     now = line.at(piece.last)
     if sign * (now.value - limit) >= 0.0 and (

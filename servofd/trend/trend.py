@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
@@ -17,12 +19,12 @@ from servofd.trend.logs import FlownLog, Order, check_one_aircraft, estimate_log
 from servofd.workflow import layout_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
     from servofd.fleet.find import Skipped
 
-__all__ = ["AircraftTrend", "trend", "trend_of"]
+__all__ = ["AircraftTrend", "trend_logs", "trend_of"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,6 +36,8 @@ class AircraftTrend:
     surfaces: tuple[SurfaceTrend, ...]
     problems: tuple[str, ...]
     """What could not be used, and why, a line each."""
+    untold: tuple[str, ...]
+    """Logs that tell nothing at all."""
     skipped: tuple[Skipped, ...] = ()
     """Files that are no logs."""
 
@@ -43,15 +47,18 @@ class AircraftTrend:
         return any(surface.alarms for surface in self.surfaces)
 
 
-def trend(
+def _no_progress(_count: int) -> AbstractContextManager[Callable[[], None]]:
+    return nullcontext(lambda: None)
+
+
+def trend_logs(
     paths: Sequence[str | Path],
     aircraft: Aircraft | str | Path,
     *,
     surfaces: tuple[str, ...] = (),
     cluster: str | None = None,
     workers: int | None = None,
-    found: Callable[[int], None] = lambda _count: None,
-    progress: Callable[[], None] = lambda: None,
+    progress: Callable[[int], AbstractContextManager[Callable[[], None]]] = _no_progress,
 ) -> AircraftTrend:
     """Follow the servos of one aircraft over many flights.
 
@@ -67,8 +74,8 @@ def trend(
         Scheduler of a Dask cluster; the processes of this machine if None.
     workers : int, optional
         Number of processes; one per core if None.
-    found, progress : callable
-        Called with the number of logs, and after each of them.
+    progress : callable
+        Called with the number of logs; gives a context with the function to call after each of them.
 
     Returns
     -------
@@ -82,7 +89,7 @@ def trend(
 
     Examples
     --------
-    >>> seen = trend(["sample_logs/faser_healthy_flight.mat"], "faser", surfaces=("rudder",), workers=1)
+    >>> seen = trend_logs(["sample_logs/faser_healthy_flight.mat"], "faser", surfaces=("rudder",), workers=1)
     >>> seen.has_alarm
     False
     """
@@ -91,17 +98,17 @@ def trend(
         if name not in known.surfaces:
             raise UnknownName(suggest("surface", name, known.surfaces))
     there = find_logs([str(path) for path in paths], layout_of(known))
-    found(len(there.logs))
     task = partial(estimate_log, aircraft=known, surfaces=surfaces)
     logs: list[FlownLog] = []
     problems = list(there.problems)
     outcomes = run_on_cluster(cluster, task, there.logs) if cluster else run_local(task, there.logs, workers)
-    for source, outcome in outcomes:
-        if isinstance(outcome, Exception):
-            problems.append(f"{source.path}: {outcome}")
-        else:
-            logs += outcome
-        progress()
+    with progress(len(there.logs)) as step:
+        for source, outcome in outcomes:
+            if isinstance(outcome, Exception):
+                problems.append(f"{source.path}: {outcome}")
+            else:
+                logs += outcome
+            step()
     return trend_of(logs, known, problems=problems, skipped=there.skipped)
 
 
@@ -117,7 +124,7 @@ def trend_of(
     Raises
     ------
     ServofdError
-        As for `trend`.
+        As for `trend_logs`.
     """
     check_one_aircraft(logs)
     told = [log for log in logs if log.flights]
@@ -131,7 +138,8 @@ def trend_of(
         flights = [(number, flight) for number, log in numbered for flight in log.flights if flight.surface == name]
         if flights:
             surfaces.append(follow(name, flights, _wear(aircraft, name)))
-    return AircraftTrend(aircraft.name, order, tuple(surfaces), tuple(reasons), skipped)
+    untold = (*problems, *(log.path for log in logs if not log.flights))
+    return AircraftTrend(aircraft.name, order, tuple(surfaces), tuple(reasons), untold, skipped)
 
 
 def _wear(aircraft: Aircraft, name: str) -> Wear:
