@@ -84,7 +84,8 @@ the usual one stays quiet. That is how much smaller a fault can now be found:
 
 @ audit {HIDDEN} -c better.toml --threshold-deg 0.5
 
-If play of one degree is more than you accept, you have found your fault as well. More on this in [Explain](explain.md).
+If play of one degree is more than you accept, you have found your fault as well. [The second tutorial](tutorial-explain.md)
+goes on from here.
 """
 
 

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from servofd.errors import ServofdError as ServofdError
     from servofd.explaining import explain_log as explain_log
     from servofd.explaining import explain_logs as explain_logs
+    from servofd.fleet.run import audit_logs as audit_logs
     from servofd.identification.identify import identify as identify
     from servofd.identification.result import Identification as Identification
     from servofd.models.servo_model import ServoModel as ServoModel
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from servofd.servos import library as library
     from servofd.servos import servo_named as servo_named
     from servofd.simulation.flight import simulate_flight as simulate_flight
+    from servofd.trend.trend import trend_logs as trend_logs
     from servofd.workflow import audit as audit
     from servofd.workflow import calibrate as calibrate
 
@@ -58,6 +60,7 @@ _HOME = {
     "SurfaceAudit": "detection.audit",
     "TransferFunction": "models.transfer",
     "audit": "workflow",
+    "audit_logs": "fleet.run",
     "calibrate": "workflow",
     "audit_log": "detection.audit",
     "cut": "segment",
@@ -72,6 +75,7 @@ _HOME = {
     "load_aircraft": "aircraft",
     "servo_named": "servos",
     "simulate_flight": "simulation.flight",
+    "trend_logs": "trend.trend",
 }
 
 __all__ = [
@@ -91,6 +95,7 @@ __all__ = [
     "TransferFunction",
     "audit",
     "audit_log",
+    "audit_logs",
     "calibrate",
     "cut",
     "design_nullspace_filter",
@@ -104,6 +109,7 @@ __all__ = [
     "load_aircraft",
     "servo_named",
     "simulate_flight",
+    "trend_logs",
 ]
 
 

@@ -113,6 +113,7 @@ ONLY_IN = {
         "servofd/outputs/identify_figures.py",
         "servofd/outputs/odds_figure.py",
         "servofd/outputs/picture.py",
+        "servofd/outputs/trend_page.py",
         "servofd/cli/design.py",
     },
     "jinja2": {"servofd/outputs/page.py"},

@@ -67,9 +67,9 @@ def _followed(options: argparse.Namespace) -> AircraftTrend:
     from functools import partial
 
     from servofd.cli.tables import progress_with_estimate
-    from servofd.trend.trend import trend
+    from servofd.trend.trend import trend_logs
 
-    return trend(
+    return trend_logs(
         options.logs,
         options.config,
         surfaces=tuple(options.surface),

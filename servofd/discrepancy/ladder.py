@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 from servofd.discrepancy.evidence import EXCESS_WORTH, floor_of, matters
 from servofd.discrepancy.noise import long_run_factor
 from servofd.discrepancy.prune import without
-from servofd.models.catalogue import CATALOGUE
 
 if TYPE_CHECKING:
     from servofd.discrepancy.fit import Fit, Fitter
@@ -106,10 +105,10 @@ def simplest(fitter: Fitter, best: Fit, able: list[type[MissingEffect]], tried: 
             best = min((r for r in smooth if matters(fitter.record, r)), key=lambda r: r.total, default=best)
     margin = _EVEN_CHI_SQUARED * floor_of(fitter.record, best) ** 2
     for effect, equals in zip(best.effects, equals_of(fitter, best, able, tried), strict=True):
-        before = [r for r in equals if CATALOGUE.index(r.effects[-1]) < CATALOGUE.index(effect)]
+        before = [r for r in equals if able.index(r.effects[-1]) < able.index(effect)]
         even = [r for r in before if r.total - best.total < margin or effect.family == r.effects[-1].family != ""]
         if even:
-            return simplest(fitter, min(even, key=lambda r: CATALOGUE.index(r.effects[-1])), able, tried)
+            return simplest(fitter, min(even, key=lambda r: able.index(r.effects[-1])), able, tried)
     return best
 
 

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+from servofd.aircraft import load_aircraft
 from servofd.fleet.cluster import run_on_cluster
+from servofd.fleet.find import find_logs
 from servofd.fleet.judge import failed, judge_log
+from servofd.fleet.key import Job
 from servofd.fleet.local import run_local
+from servofd.workflow import layout_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from servofd.aircraft import Aircraft
     from servofd.fleet.find import LogSource
     from servofd.fleet.judge import JudgedLog
-    from servofd.fleet.key import Job
 
-__all__ = ["audit_fleet"]
+__all__ = ["audit_fleet", "audit_logs"]
 
 
 def audit_fleet(
@@ -55,6 +60,39 @@ def audit_fleet(
             yield failed(source, f"{source.path}: {_reason(outcome)}")
         else:
             yield outcome
+
+
+def audit_logs(
+    inputs: Sequence[str | Path],
+    aircraft: Aircraft | str | Path | None = None,
+    *,
+    cluster: str | None = None,
+    workers: int | None = None,
+) -> Iterator[JudgedLog]:
+    """Judge all logs of some folders, patterns, addresses and files, as `audit_fleet` does.
+
+    Parameters
+    ----------
+    inputs : sequence of str or Path
+        Where to look for logs.
+    aircraft : Aircraft, str or Path, optional
+        The aircraft or its file; each log's own, as far as it can be told, if None.
+    cluster, workers
+        As for `audit_fleet`.
+
+    Raises
+    ------
+    ConfigError
+        If there is no log, or the aircraft is not what it should be.
+
+    Examples
+    --------
+    >>> [judged.runs[0].has_fault for judged in audit_logs(["sample_logs/faser_stuck*.mat"], "faser", workers=1)]
+    [True]
+    """
+    known = load_aircraft(aircraft) if isinstance(aircraft, str | Path) else aircraft
+    found = find_logs([str(one) for one in inputs], layout_of(known))
+    return audit_fleet(found.logs, Job(known), cluster=cluster, workers=workers)
 
 
 def _reason(error: Exception) -> str:

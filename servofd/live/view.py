@@ -43,7 +43,7 @@ def event_line(event: Event) -> str:
     if event.fault is not None and event.event == "named":
         from servofd.detection.words import describe
 
-        more = f": {describe(event.fault)}"
+        what, more = describe(event.fault), ""
     return f"{event.time_s:7.2f} s  {who}{what}{more}"
 
 

@@ -171,6 +171,7 @@ class ExtendedMotion:
         """Go on from rest at a deflection [deg]; from where the command in force wants it, if that is NaN."""
         self._memory, self._start_deg = None, deflection_deg
         self._waiting = np.hstack([self._in_force, self._waiting])
+        self._next_frame = None
         self.at(np.array([now_s]))
 
     def become(self, servo: AnyServo) -> None:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from servofd.fleet.find import Skipped
 
-__all__ = ["AircraftTrend", "trend", "trend_of"]
+__all__ = ["AircraftTrend", "trend_logs", "trend_of"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +51,7 @@ def _no_progress(_count: int) -> AbstractContextManager[Callable[[], None]]:
     return nullcontext(lambda: None)
 
 
-def trend(
+def trend_logs(
     paths: Sequence[str | Path],
     aircraft: Aircraft | str | Path,
     *,
@@ -89,7 +89,7 @@ def trend(
 
     Examples
     --------
-    >>> seen = trend(["sample_logs/faser_healthy_flight.mat"], "faser", surfaces=("rudder",), workers=1)
+    >>> seen = trend_logs(["sample_logs/faser_healthy_flight.mat"], "faser", surfaces=("rudder",), workers=1)
     >>> seen.has_alarm
     False
     """
@@ -124,7 +124,7 @@ def trend_of(
     Raises
     ------
     ServofdError
-        As for `trend`.
+        As for `trend_logs`.
     """
     check_one_aircraft(logs)
     told = [log for log in logs if log.flights]

@@ -1,4 +1,4 @@
-"""A monitor in flight does what an audit does: the same residuals, the same alarms at the same times, the same names."""
+"""A monitor in flight does what an audit does: the same residuals, alarms at the same times, and names."""
 
 from __future__ import annotations
 

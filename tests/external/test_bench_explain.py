@@ -9,7 +9,14 @@ import pytest
 
 from servofd import explain_log
 from servofd.discrepancy.explanation import Explanation
-from tests.external.test_bench_tables import DATA
+from servofd.discrepancy.poles import PoleFitter
+from servofd.discrepancy.record import record_of
+from servofd.models.catalogue import Bias, Friction
+from servofd.models.effects import LinearDynamics
+from servofd.models.servo_model import ServoModel
+from servofd.models.transfer import TransferFunction
+from servofd.segment import Segment
+from tests.external.test_bench_tables import DATA, logs_of
 
 pytestmark = [
     pytest.mark.slow,
@@ -20,15 +27,13 @@ pytestmark = [
 ]
 
 DEGREES = 'unit = "deg"'
-TENTHS_OF_MM = 'unit = "count", trim_count = 0.0, slope_deg_per_count = 100.0'
-"""Of a drive in millimetres: a unit of 10 um has friction of about one unit, as a servo has in degrees."""
 
 
-def explained(name: str, folder: Path, where: str = "", unit: str = DEGREES) -> Explanation:
+def explained(name: str, folder: Path, where: str) -> Explanation:
     aircraft = folder / f"{name}.toml"
     aircraft.write_text(
         f'[table]\ntime = "t_s"\nrun = "run"\nwhere = {{ {where} }}\n'
-        f'[surfaces.servo]\ncommand = {{ channel = "cmd", {unit} }}\nmeasured = {{ channel = "meas", {unit} }}\n'
+        f'[surfaces.servo]\ncommand = {{ channel = "cmd", {DEGREES} }}\nmeasured = {{ channel = "meas", {DEGREES} }}\n'
     )
     return explain_log(DATA / "bench" / f"{name}.csv", aircraft).explanation
 
@@ -70,12 +75,26 @@ def test_smart_servo_of_low_gain(kp: str, least_deg: float, most_deg: float, tmp
     assert found.conclusion == "partly_explained"
 
 
-def test_linear_drive(tmp_path: Path) -> None:
-    """Coulomb friction and offset of the EMPS benchmark, whose closed loop is a servo of second order."""
-    found = explained("emps_linear_drive", tmp_path, unit=TENTHS_OF_MM)
-    assert 10.0 * nominal_deg(found) > 6.0
-    assert 10.0 * final_deg(found) <= 2.0
-    assert {"friction", "bias"} <= set(found.selection.final.names)
+def test_linear_drive() -> None:
+    """Coulomb friction and offset of the EMPS benchmark, whose closed loop is a servo of second order.
+
+    Published: 20.39 N and -3.165 N; a position error of 1 m is worth 35.15 * 243.45 * 160.18 N.
+    """
+    (log,) = logs_of("emps_linear_drive")
+    command, measured = log["cmd"], log["meas"]
+    # In units of 10 um friction is about one, as it is in degrees of a servo.
+    segment = Segment("axis", command.time_s, 100.0 * command.values, measured.time_s, 100.0 * measured.values)
+    model = ServoModel((LinearDynamics(TransferFunction((987.0,), (1.0, 50.3, 987.0))),))
+    record = record_of(segment, model, at_rest=True, free_poles=True)
+    fitter = PoleFitter(record)
+    linear = fitter.nominal()
+    full = fitter.refitted((Friction, Bias), [1.0, 0.8, 0.1])
+    linear_um, full_um = (10.0 * np.sqrt(fit.held_out / record.held_out.sum()) for fit in (linear, full))
+    assert linear_um > 6.0
+    assert full_um <= 2.0
+    newton = 1e-5 * 35.15 * 243.45 * 160.18
+    assert newton * full.values[0] == pytest.approx(20.39, rel=0.05)
+    assert newton * full.values[2] == pytest.approx(3.165, rel=0.05)
 
 
 @pytest.mark.parametrize(("load_g", "rate_deg_s"), [("0", 388.0), ("400", 303.0)])

@@ -38,7 +38,7 @@ def judged(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return done
 
 
-def run(capsys: pytest.CaptureFixture[str], *words: Path | str) -> tuple[int, str, str]:
+def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
     code = main([str(word) for word in words])
     printed = capsys.readouterr()
     return code, printed.out, printed.err

@@ -24,6 +24,11 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.slow
 
+_MAIN = (
+    "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler);"
+    "from servofd.cli import main; sys.exit(main(sys.argv[1:]))"
+)
+"""Whoever starts the tests in the background has interrupts ignored, and that is inherited."""
 ROOT = Path(__file__).parent.parent.parent
 
 
@@ -94,7 +99,7 @@ def test_ctrl_c_in_the_middle_keeps_what_was_done_and_the_next_run_goes_on(logs:
     many.mkdir()
     for k in range(60):  # a blank line more each: other bytes, the same flight
         (many / f"flight{k}.csv").write_bytes((logs / "flight0.csv").read_bytes() + b"\n" * k)
-    command = [sys.executable, "-m", "servofd", "audit", str(many), "-o", str(tmp_path / "r"), "--workers", "1"]
+    command = [sys.executable, "-c", _MAIN, "audit", str(many), "-o", str(tmp_path / "r"), "--workers", "1"]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment, start_new_session=True

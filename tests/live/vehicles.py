@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from logparsers.codec import Codec, Heard
 from logparsers.endpoint import parse_endpoint
+from logparsers.errors import LinkError
 from logparsers.link import open_link
 from servofd.aircraft import plain_aircraft
 from servofd.simulation.flight import SimulatedFlight, simulate_flight
@@ -20,6 +21,7 @@ from servofd.simulation.vehicle.vehicle import Settings, Vehicle
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from logparsers.link import Link
     from servofd.simulation.vehicle.messages import Send
 
 PLANE = plain_aircraft(["elevator", "aileron", "rudder"])
@@ -91,6 +93,15 @@ def until(happened: Callable[[], Any], what: str) -> Any:
     raise AssertionError(f"{what} did not happen within {DEADLINE_S:g} s")
 
 
+def _opened(endpoint: str) -> Link | None:
+    """A link; none while the other end does not listen yet."""
+    try:
+        return open_link(parse_endpoint(endpoint))
+    except LinkError:
+        time.sleep(0.05)  # a refused connection is all there is to wait on
+        return None
+
+
 @contextmanager
 def flying(
     endpoint: str,
@@ -98,11 +109,16 @@ def flying(
     *,
     codec: Codec | None = None,
     wait: bool = True,
+    record: bytearray | None = None,
     **settings: Any,
 ) -> Iterator[list[Flown]]:
-    """A vehicle in a thread that takes off when somebody speaks; what it counted is there after it has landed."""
+    """A vehicle in a thread that takes off when somebody speaks; what it counted is there after it has landed.
+
+    `record` gets every byte that it hears.
+    """
     counted: list[Flown] = []
-    link = open_link(parse_endpoint(endpoint))
+    heard = bytearray() if record is None else record
+    link = until(lambda: _opened(endpoint), f"{endpoint} could be opened")
     made = vehicle(flight, **settings)
     stop = threading.Event()
 
@@ -115,7 +131,9 @@ def flying(
         def receive(self, timeout_s: float) -> bytes:
             if stop.is_set():
                 raise KeyboardInterrupt
-            return link.receive(timeout_s)
+            data: bytes = link.receive(timeout_s)
+            heard.extend(data)
+            return data
 
         def close(self) -> None:
             link.close()

@@ -113,7 +113,7 @@ def test_an_audit_begins_with_its_verdict_and_shows_every_fault(audited: str, au
 
 def test_an_explanation_shows_the_gap_before_and_after(explained: str) -> None:
     page = Page(explained)
-    for words in ("rate limit", "explains the gap", "held-out samples", "Rivals that lost", "Error by regime", "0.50"):
+    for words in ("rate limit", "explains the gap", "held-out samples", "Rivals, tried", "Error by regime", "0.50"):
         assert words in page.text
     assert len(page.of("svg")) == 4
 

@@ -12,7 +12,9 @@ import logparsers
 from servofd.aircraft import Aircraft, load_aircraft
 from servofd.detection.audit import SurfaceAudit, audit_log
 from servofd.detection.judge import judge
-from servofd.detection.residual import ResidualGenerator
+from servofd.detection.residual import ResidualGenerator, rhythm
+from servofd.detection.stream import Stream
+from servofd.detection.threshold import interval_threshold
 from servofd.discrepancy.record import record_of, simulate
 from servofd.errors import ConfigError
 from servofd.models.catalogue import CATALOGUE, installed
@@ -240,3 +242,29 @@ def test_wrong_effects_are_refused_at_the_door(effects: str, reason: str, tmp_pa
         load_aircraft(path)
     assert reason in str(error.value)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("effects", [{"backlash": {"width_deg": 0.8}}, {"pwm_frame": {"period_s": 0.02}}], ids=str)
+def test_a_monitor_in_flight_sees_what_the_audit_sees(effects: dict[str, dict[str, float]]) -> None:
+    log = hide(FineServo(backlash_deg=0.8), duration_s=12.0)
+    surface = Aircraft.model_validate(
+        {"surfaces": {"x": {"command": {"channel": "c", "unit": "deg"}, "threshold": "interval", "effects": effects}}}
+    )
+    segment = Segment("x", log.time_s, log.command_deg, log.time_s, log.position_deg)
+    generator = ResidualGenerator.fitting(surface.model("x"), segment)
+    stream = Stream(generator, surface.surfaces["x"], segment.period_s, rhythm(log.time_s))
+    pieces = []
+    for time_s, command_deg, position_deg in zip(log.time_s, log.command_deg, log.position_deg, strict=True):
+        stream.command(float(time_s), float(command_deg))
+        stream.position(float(time_s), float(position_deg))
+        pieces.append(stream.evaluate())
+    pieces.append(stream.evaluate(final=True))
+    seen = [piece for piece in pieces if piece is not None]
+    expected = generator.run(segment)
+    residual_deg = np.concatenate([piece.residuals.residual_deg for piece in seen])
+    level_deg = np.concatenate([piece.threshold.level_deg for piece in seen])
+    entry = surface.surfaces["x"]
+    threshold = interval_threshold(generator, segment, expected, entry.tolerances, entry.threshold_sigmas)
+    assert residual_deg.size == log.time_s.size
+    np.testing.assert_allclose(residual_deg, expected.residual_deg, atol=1e-9)
+    np.testing.assert_allclose(level_deg, threshold.level_deg, rtol=0.05)

@@ -47,7 +47,7 @@ def commands(text: str) -> list[str]:
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
 def test_every_command_is_valid(path: Path) -> None:
     for command in commands(path.read_text()):
-        options = build_parser().parse_args(shlex.split(command.partition(" > ")[0]))
+        options = build_parser().parse_args(shlex.split(command.partition(" > ")[0], comments=True))
         assert callable(options.run), command
 
 
