@@ -116,7 +116,7 @@ class RowDecoder:
             for column, code, value in list(zip(known.columns, known.codes, fields, strict=False))[1:]
             if not isinstance(value, bytes)
         }
-        return LiveRow(fields[0] * 1e-6, values)
+        return LiveRow(fields[0] / 1e6, values)
 
 
 class BlockStream:
