@@ -10,7 +10,7 @@ import numpy as np
 
 from detection import FLIGHT_S, NAMES, limits, quantile
 from fleet import KINDS, flight
-from servofd.outputs.figure import COLOURS
+from servofd.outputs.palette import COLOURS
 from trial import CONSTANT_DEG, Trial, judged
 
 if TYPE_CHECKING:

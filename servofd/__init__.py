@@ -22,8 +22,12 @@ if TYPE_CHECKING:
     from servofd.detection.residual import ResidualGenerator as ResidualGenerator
     from servofd.discrepancy.explanation import Explanation as Explanation
     from servofd.discrepancy.explanation import explain_gap as explain_gap
+    from servofd.discrepancy.own import OwnEffect as OwnEffect
+    from servofd.discrepancy.own import OwnParameter as OwnParameter
     from servofd.errors import ServofdError as ServofdError
     from servofd.explaining import explain_log as explain_log
+    from servofd.explaining import explain_logs as explain_logs
+    from servofd.fleet.run import audit_logs as audit_logs
     from servofd.identification.identify import identify as identify
     from servofd.identification.result import Identification as Identification
     from servofd.models.servo_model import ServoModel as ServoModel
@@ -34,6 +38,7 @@ if TYPE_CHECKING:
     from servofd.servos import library as library
     from servofd.servos import servo_named as servo_named
     from servofd.simulation.flight import simulate_flight as simulate_flight
+    from servofd.trend.trend import trend_logs as trend_logs
     from servofd.workflow import audit as audit
     from servofd.workflow import calibrate as calibrate
 
@@ -44,6 +49,8 @@ _HOME = {
     "Explanation": "discrepancy.explanation",
     "Identification": "identification.result",
     "LogAudit": "detection.audit",
+    "OwnEffect": "discrepancy.own",
+    "OwnParameter": "discrepancy.own",
     "ResidualGenerator": "detection.residual",
     "Segment": "segment",
     "Servo": "servos",
@@ -53,6 +60,7 @@ _HOME = {
     "SurfaceAudit": "detection.audit",
     "TransferFunction": "models.transfer",
     "audit": "workflow",
+    "audit_logs": "fleet.run",
     "calibrate": "workflow",
     "audit_log": "detection.audit",
     "cut": "segment",
@@ -60,12 +68,14 @@ _HOME = {
     "design_pulse_filter": "detection.pulse",
     "explain_gap": "discrepancy.explanation",
     "explain_log": "explaining",
+    "explain_logs": "explaining",
     "identify": "identification.identify",
     "identify_logs": "bench",
     "library": "servos",
     "load_aircraft": "aircraft",
     "servo_named": "servos",
     "simulate_flight": "simulation.flight",
+    "trend_logs": "trend.trend",
 }
 
 __all__ = [
@@ -73,6 +83,8 @@ __all__ = [
     "Explanation",
     "Identification",
     "LogAudit",
+    "OwnEffect",
+    "OwnParameter",
     "ResidualGenerator",
     "Segment",
     "Servo",
@@ -83,18 +95,21 @@ __all__ = [
     "TransferFunction",
     "audit",
     "audit_log",
+    "audit_logs",
     "calibrate",
     "cut",
     "design_nullspace_filter",
     "design_pulse_filter",
     "explain_gap",
     "explain_log",
+    "explain_logs",
     "identify",
     "identify_logs",
     "library",
     "load_aircraft",
     "servo_named",
     "simulate_flight",
+    "trend_logs",
 ]
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import datetime
+import itertools
 import tomllib
 from importlib import resources
 from pathlib import Path
@@ -10,8 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from servofd.calibration import Calibration, DegreeCalibration
-from servofd.errors import ConfigError, suggest
-from servofd.models.effects import PositionLimit
+from servofd.errors import ConfigError, DesignError, ServofdError, suggest
+from servofd.limits import Limits
+from servofd.models.effect_table import EffectTable, effects_installed
+from servofd.models.effects import Extension, PositionLimit
+from servofd.models.physics import Physics, plant_of
 from servofd.models.servo_model import ServoModel
 from servofd.servos import Positive, Servo, find_servo, library
 from servofd.tolerance import Tolerance
@@ -28,6 +33,7 @@ __all__ = [
     "DEFAULT_THRESHOLD_DEG",
     "Aircraft",
     "Surface",
+    "Swap",
     "Table",
     "load_aircraft",
     "plain_aircraft",
@@ -62,6 +68,15 @@ class Table(_Entry):
     """Keep only rows in which these columns hold these texts."""
 
 
+class Swap(_Entry):
+    """A servo was replaced."""
+
+    date: datetime.date
+    """Flights that begin on this day (UTC) or later are flown with the new servo."""
+    removed: str = ""
+    """Serial number of the servo that was taken out."""
+
+
 class Surface(_Entry):
     """One control surface and the servo that turns it."""
 
@@ -75,6 +90,8 @@ class Surface(_Entry):
     """Limits applied to the command after it is logged and before the servo sees it."""
     position_limit_deg: tuple[float, float] | None = None
     """Stops of the linkage."""
+    effects: EffectTable = {}
+    """What the servo's linear model lacks: effect to parameters, as ``servofd explain --save`` writes them."""
     command_hold: Literal["zoh", "linear"] = "zoh"
     """ "linear" for logs that hold fewer commands than the servo received."""
     command_period_s: Annotated[float, Field(gt=0.0, le=1.0, strict=True)] | None = None
@@ -92,6 +109,12 @@ class Surface(_Entry):
     """Whether what stays below the threshold may be suspect; not if the model does not reach down to the noise."""
     filter_pole_rad_s: Annotated[float, Field(ge=0.1, le=1000.0, strict=True)] | None = None
     """Speed of the residual filter; None: the fastest with a noise gain of at most 0.5."""
+    serial: str = ""
+    """Serial number of the servo that is in now."""
+    swaps: tuple[Swap, ...] = ()
+    """When servos were replaced, the oldest first."""
+    limits: Limits = Limits()
+    """How far the servo may wear."""
 
     @property
     def tolerances(self) -> Tolerance:
@@ -118,6 +141,13 @@ class Surface(_Entry):
                 raise ValueError(f"{key} = [lower, upper] needs lower < upper, not {list(limits)}")
         if (self.command_hold == "linear") != (self.command_period_s is not None):
             raise ValueError('command_period_s belongs to command_hold = "linear", and to that alone')
+        try:
+            effects_installed(Physics(), self.effects)
+        except ServofdError as error:
+            raise ValueError(str(error)) from None
+        dates = [swap.date for swap in self.swaps]
+        if any(later <= earlier for earlier, later in itertools.pairwise(dates)):
+            raise ValueError("swaps: the dates must rise, one servo after the other")
         return self
 
 
@@ -135,6 +165,10 @@ class Aircraft(_Entry):
         for name, surface in self.surfaces.items():
             if surface.servo not in known:
                 raise ValueError(f"surfaces.{name}.servo: {suggest('servo', surface.servo, known)}")
+            try:
+                self.model(name)
+            except DesignError as error:
+                raise ValueError(f"surfaces.{name}.effects: {error}") from None
         return self
 
     def servo(self, surface: str) -> Servo:
@@ -162,7 +196,12 @@ class Aircraft(_Entry):
         return self.model_copy(update={"surfaces": changed, "servos": {} if key == name else {key: servo}})
 
     def model(self, surface: str) -> ServoModel:
-        """Healthy model of a surface: its servo, and the stops of its linkage.
+        """Healthy model of a surface: its servo, the stops of its linkage, and its effects.
+
+        Raises
+        ------
+        DesignError
+            If it has effects, and a servo with zeros or more than three poles, which no kernel can give them.
 
         Examples
         --------
@@ -170,8 +209,12 @@ class Aircraft(_Entry):
         0.004
         """
         model = ServoModel.of(self.servo(surface))
-        limits = self.surfaces[surface].position_limit_deg
-        return model + PositionLimit(*limits) if limits else model
+        entry = self.surfaces[surface]
+        if entry.position_limit_deg:
+            model += PositionLimit(*entry.position_limit_deg)
+        if not entry.effects:
+            return model
+        return model + Extension(effects_installed(plant_of(model).neutral, entry.effects))
 
 
 def plain_aircraft(surfaces: Iterable[str], servo: str = DEFAULT_SERVO) -> Aircraft:
@@ -226,7 +269,7 @@ def load_aircraft(path: str | Path) -> Aircraft:
 
 def _find(path: str | Path) -> Path | Traversable:
     """The file itself, or a configuration that ships with servofd when a bare name is given."""
-    if Path(path).suffix or Path(path).exists():
+    if Path(path).suffix or Path(path).is_file():
         return Path(path)
     installed = resources.files("servofd").joinpath("configs")
     home = installed if installed.is_dir() else Path(__file__).parent.parent / "configs"
@@ -270,8 +313,10 @@ def _siblings(path: list[str]) -> str:
     """Keys that exist where an unknown one stands."""
     models: dict[int, type[BaseModel]] = {1: Aircraft, 3: Surface}
     model = models.get(len(path))
-    if len(path) == 4 and path[2] == "tolerance":
-        model = Tolerance
+    if len(path) == 4 and path[2] in ("tolerance", "limits"):
+        model = Tolerance if path[2] == "tolerance" else Limits
+    if len(path) == 5 and path[2] == "swaps":
+        model = Swap
     if len(path) == 2 and path[0] == "table":
         model = Table
     if len(path) == 3 and path[0] == "servos":

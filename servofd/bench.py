@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import logparsers
+from servofd.aircraft import load_aircraft
 from servofd.errors import ConfigError, NoMeasurement, UnknownName, suggest
 from servofd.identification.identify import Method, identify
 from servofd.segment import Segment, cut
@@ -21,13 +22,14 @@ if TYPE_CHECKING:
     from servofd.identification.result import Identification
     from servofd.types import FloatArray
 
-__all__ = ["BenchTest", "bench_tests", "identify_logs"]
+__all__ = ["BenchTest", "bench_aircraft", "bench_tests", "identify_logs"]
 
 _CHIRP_COMMAND, _CHIRP_POSITION = "SCRP.PWM", "SCRP.Pos"
 """Written by ArduPilot's applet ``actuator_chirp.lua``: pulse [us] and position of the servo's telemetry [deg]."""
 _NO_POSITION = -1.0
 """What the applet writes while the servo has sent none."""
 _CHIRP_SURFACE = "servo"
+_LONGEST_HEADER = 4096
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,6 +130,22 @@ def identify_logs(
     result = identify(scaled, method=method, order=order, labels=labels)
     scale = f"pulses were converted with the scale that gives a dc gain of 1: {slope:.5f} deg/us"
     return replace(result, notes=(*sources, scale, *result.notes))
+
+
+def bench_aircraft(path: str | Path) -> Aircraft | None:
+    """What a plain bench record is: columns ``run``, ``t_s``, ``cmd`` and ``meas`` [deg]; None for any other file.
+
+    Examples
+    --------
+    >>> bench_aircraft("sample_logs/faser_healthy_chirp.mat") is None
+    True
+    """
+    try:
+        with Path(path).open("rb") as file:
+            header = file.readline(_LONGEST_HEADER).decode("utf-8", "replace").strip().split(",")
+    except OSError:
+        return None
+    return load_aircraft("bench") if {"run", "t_s", "cmd", "meas"} <= set(header) else None
 
 
 def _of_surface(log: FlightLog, aircraft: Aircraft, surface: str | None) -> BenchTest:

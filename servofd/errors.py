@@ -7,6 +7,7 @@
     ├── UnknownName       a servo, surface, fault or effect that does not exist
     ├── NoMeasurement     nothing in the log tells where a surface was
     ├── CalibrationError  flights that a calibration must not be made from
+    ├── RecordingError    a recording that servofd did not write, or cannot read
     ├── DesignError       no filter with the wanted properties exists for this model
     └── IdentificationError   a test does not show what a servo is like
 """
@@ -22,6 +23,7 @@ __all__ = [
     "DesignError",
     "IdentificationError",
     "NoMeasurement",
+    "RecordingError",
     "ServofdError",
     "UnknownName",
     "suggest",
@@ -50,6 +52,10 @@ class CalibrationError(ServofdError):
 
 class DesignError(ServofdError):
     """No filter with the wanted properties exists for this model."""
+
+
+class RecordingError(ServofdError):
+    """A recording that servofd did not write, or cannot read."""
 
 
 class IdentificationError(ServofdError):

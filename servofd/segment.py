@@ -11,6 +11,7 @@ from logparsers.errors import MissingChannel
 from logparsers.records import own
 from servofd.errors import NoMeasurement
 from servofd.frozen import frozen_rows, republished_rows
+from servofd.models.context import NO_CONTEXT, Context
 
 if TYPE_CHECKING:
     from logparsers.records import Channel, FlightLog
@@ -22,6 +23,9 @@ __all__ = ["SLOWEST_RATE_HZ", "WARM_UP_S", "WARM_UP_STEPS", "Segment", "cut", "p
 _LARGEST_DEG = 1e6
 """No servo turns so far; a motor drive in millimetres may."""
 
+_AIRSPEED = ("airspeed_m_s", "ARSP.Airspeed", "VFR_HUD.airspeed")
+_VOLTAGE = ("servo_voltage_v", "POWR.Vservo")
+_CURRENT = ("servo_current_a", "amps")
 WARM_UP_S, WARM_UP_STEPS = 10.0, 100
 """A monitor in flight learns the pace of a stream from so many intervals, or from as many as there are by then [s]."""
 _SAME_PACE = 1.5
@@ -62,6 +66,8 @@ class Segment:
     """Time during which a dead telemetry repeated its last row [s]; those rows are missing values here."""
     frozen_to_end: bool = False
     """True if it never came back."""
+    context: Context = NO_CONTEXT
+    """Airspeed, supply and current, as far as they were logged."""
 
     def __post_init__(self) -> None:
         for name in ("command_s", "command_deg", "measured_s", "measured_deg"):
@@ -143,8 +149,27 @@ def cut(log: FlightLog, name: str, surface: Surface) -> Segment:
             )
     if _is_echo(command, measured, surface.command.to_deg(command.values), measured_deg):
         raise NoMeasurement("position equals command in every sample: an echo of the command, not a measurement")
-    segment = Segment(name, command.time_s[given], command_deg, measured.time_s, measured_deg, surface.command_period_s)
+    segment = Segment(
+        name,
+        command.time_s[given],
+        command_deg,
+        measured.time_s,
+        measured_deg,
+        surface.command_period_s,
+        context=Context(*_signal(log, _AIRSPEED), *_signal(log, _VOLTAGE), *_signal(log, _CURRENT)),
+    )
     return _without_dead_telemetry(segment, measured, log, surface) if surface.alive else segment
+
+
+def _signal(log: FlightLog, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray]:
+    """Times and values of the first of these channels that holds any; empty if none does."""
+    for name in names:
+        if name in log.channels:
+            channel = log[name]
+            good = np.isfinite(channel.values)
+            if np.count_nonzero(good) > 1:
+                return channel.time_s[good], channel.values[good]
+    return np.zeros(0), np.zeros(0)
 
 
 def _without_dead_telemetry(segment: Segment, measured: Channel, log: FlightLog, surface: Surface) -> Segment:

@@ -41,6 +41,8 @@ def toml_value(value: Any) -> str:  # noqa: ANN401 - anything a TOML file can ho
     >>> toml_value(True), toml_value("a"), toml_value(1e-05)
     ('true', '"a"', '1e-05')
     """
+    if isinstance(value, dict):
+        return toml_inline(value)
     if isinstance(value, bool | str | list | tuple):
         return json.dumps(value, ensure_ascii=False)
     return repr(value)

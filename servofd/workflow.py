@@ -33,6 +33,7 @@ def audit(
     threshold_deg: float | None = None,
     threshold: ThresholdKind | None = None,
     surfaces: tuple[str, ...] = (),
+    threads: int | None = None,
     progress: Callable[[str], None] = lambda _surface: None,
 ) -> Iterator[LogAudit]:
     """Judge every surface of a log; one result for each run that the file holds.
@@ -52,6 +53,8 @@ def audit(
         Kind of threshold for all surfaces.
     surfaces : tuple of str
         Which to judge; all if empty.
+    threads : int, optional
+        How many surfaces are judged at a time; one per core if None.
     progress : callable
         Called with the name of each surface that is done.
 
@@ -81,7 +84,13 @@ def audit(
             if name not in flown.surfaces:
                 raise UnknownName(f"{log.label}: {suggest('surface', name, flown.surfaces)}")
         yield audit_log(
-            log, flown, threshold_deg=threshold_deg, threshold=threshold, surfaces=surfaces, progress=progress
+            log,
+            flown,
+            threshold_deg=threshold_deg,
+            threshold=threshold,
+            surfaces=surfaces,
+            threads=threads,
+            progress=progress,
         )
 
 

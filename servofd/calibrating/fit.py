@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from servofd.tolerance import Tolerance
     from servofd.types import FloatArray
 
-__all__ = ["ServoFit", "fit_servo"]
+__all__ = ["ServoFit", "deviations", "fit_servo"]
 
 _COARSE_SAMPLES, _FINE_SAMPLES, _FEWEST_SAMPLES = 5_000, 30_000, 2_000
 _SCALES = (0.3, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0)
@@ -291,14 +291,14 @@ def _descended(motion: Motion, start: FlownServo, names: tuple[str, ...]) -> _De
         ftol=1e-6,
     )
     left = error(found.x)[:-1]
-    deviation = _deviations(slopes(found.x)[:-1], left, motion.memory(left))
+    deviation = deviations(slopes(found.x)[:-1], left, motion.memory(left))
     share = max(float(np.ptp(measured_deg)) * 0.02, 1e-9)
     cost = float(np.mean(np.sqrt(1.0 + (left / (share * max(abs(found.x[size]), 1e-6))) ** 2) - 1.0))
     servo = start.with_vector(names, found.x[:size])
     return _Descent(servo, names, (float(found.x[size]), float(found.x[size + 1])), cost, deviation, left)
 
 
-def _deviations(jacobian: FloatArray, error_deg: FloatArray, memory: float) -> FloatArray:
+def deviations(jacobian: FloatArray, error_deg: FloatArray, memory: float) -> FloatArray:
     """Standard deviations of the numbers (inverse of the Fisher information), larger by the memory of the errors."""
     sigma_deg = _MAD_TO_SIGMA * float(np.median(np.abs(error_deg)))
     variance = max(sigma_deg**2, float(np.mean(np.clip(error_deg, -_ORDINARY * sigma_deg, _ORDINARY * sigma_deg) ** 2)))

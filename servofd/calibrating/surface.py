@@ -16,6 +16,8 @@ from servofd.calibrating.sound import problem
 from servofd.calibrating.spread import tolerance_from
 from servofd.calibrating.still import stands_still
 from servofd.calibrating.stretches import Flown, flown, stretches_of, telling
+from servofd.detection.bank.explanation import Estimate
+from servofd.detection.bank.window import noise_deg
 from servofd.detection.judge import judge
 from servofd.detection.pulse import fastest_pole_rad_s
 from servofd.errors import CalibrationError
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
 
     from servofd.aircraft import Aircraft, Surface
     from servofd.calibrating.flights import Flight
+    from servofd.models.servo_model import ServoModel
     from servofd.tolerance import Tolerance
 
 __all__ = ["calibrate_surface", "hardly_moved"]
@@ -87,12 +90,13 @@ def calibrate_surface(flights: Sequence[Flight], aircraft: Aircraft, rate_per_ho
     surface = aircraft.surfaces[name]
     prior = FlownServo.on(aircraft, name)
     _check_moves(name, flights)
-    fit = fit_servo(flights, prior, surface.tolerances)
+    fit = _as_known(flights, aircraft, prior) if surface.effects else fit_servo(flights, prior, surface.tolerances)
+    model = aircraft.model(name) if surface.effects else fit.servo.model
     _check_fit(name, fit, flights)
     _check_scale(name, fit)
     scaled = [flight.with_scale(fit.gain.value, fit.offset_deg.value) for flight in flights]
-    pole_rad_s = surface.filter_pole_rad_s or _pole_rad_s(fit, flights)
-    runs = [flown(flight, fit.servo.model, pole_rad_s) for flight in scaled]
+    pole_rad_s = surface.filter_pole_rad_s or _pole_rad_s(model, flights)
+    runs = [flown(flight, model, pole_rad_s) for flight in scaled]
     stretches = [s for run in runs for s in stretches_of(run, surface.tolerances, fit.noise_deg)]
     if not stretches:
         raise CalibrationError(
@@ -163,9 +167,25 @@ def _check_scale(name: str, fit: ServoFit) -> None:
         )
 
 
-def _pole_rad_s(fit: ServoFit, flights: Sequence[Flight]) -> float:
+def _as_known(flights: Sequence[Flight], aircraft: Aircraft, prior: FlownServo) -> ServoFit:
+    """A servo with effects: they were fitted together with what they act on, and no part of it is fitted anew."""
+    name = flights[0].segment.surface
+    runs = [flown(flight, aircraft.model(name), aircraft.surfaces[name].filter_pole_rad_s) for flight in flights]
+    error_deg = np.concatenate([run.residuals.error_deg[run.residuals.settled] for run in runs])
+    return ServoFit(
+        prior,
+        Estimate(1.0, 1.0, 1.0),
+        Estimate(0.0, 0.0, 0.0),
+        {},
+        dict.fromkeys(prior.numbers, "the effects of this surface were found around it"),
+        noise_deg(error_deg),
+        float(np.sqrt(np.mean(error_deg**2))) if error_deg.size else 0.0,
+    )
+
+
+def _pole_rad_s(model: ServoModel, flights: Sequence[Flight]) -> float:
     """Fastest filter pole that suits all these flights; thresholds hold for the filter that they were found with."""
-    return min(fastest_pole_rad_s(fit.servo.transfer, flight.segment.period_s) for flight in flights)
+    return min(fastest_pole_rad_s(model.transfer, flight.segment.period_s) for flight in flights)
 
 
 def _check_fit(name: str, fit: ServoFit, flights: Sequence[Flight]) -> None:

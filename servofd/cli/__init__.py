@@ -20,13 +20,17 @@ from servofd.cli import (
     config,
     design,
     explain,
+    fleet,
     identify,
     info,
     monitor,
     odds,
+    review,
     servos,
     simulate,
     sweep,
+    trend,
+    view,
 )
 from servofd.cli.interrupt import interruptible
 from servofd.cli.tables import one_line
@@ -35,6 +39,26 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 __all__ = ["main"]
+
+_VERBS = (
+    info,
+    config,
+    calibrate,
+    audit,
+    monitor,
+    fleet,
+    trend,
+    view,
+    review,
+    explain,
+    sweep,
+    odds,
+    identify,
+    simulate,
+    servos,
+    design,
+)
+"""In the order in which the help shows them."""
 
 _COULD_NOT_TELL = 2
 _INTERRUPTED = 128 + signal.SIGINT
@@ -59,7 +83,7 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"servofd {__version__}")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
-    for verb in (info, config, calibrate, audit, monitor, explain, sweep, odds, identify, simulate, servos, design):
+    for verb in _VERBS:
         verb.add_parser(verbs)
     return parser
 

@@ -7,12 +7,14 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from servofd.cli.audit_fleet import add_options, is_fleet, run_fleet
+
 if TYPE_CHECKING:
     from servofd.aircraft import Aircraft
     from servofd.detection.audit import LogAudit
     from servofd.outputs.json_report import FailedLog
 
-__all__ = ["add_parser", "run"]
+__all__ = ["add_parser", "positive", "run"]
 
 
 def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
@@ -24,23 +26,39 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
         "2: could not tell.",
         epilog="Example: servofd audit flight.mat -c configs/faser.toml -o report/",
     )
-    parser.add_argument("logs", nargs="+", metavar="LOG", help="FASER .mat, RAPTRS .h5, or a CSV table")
+    parser.add_argument(
+        "logs",
+        nargs="+",
+        metavar="LOG",
+        help="flight log, told by its content; or many of them: folders, patterns, addresses such as s3://bucket/logs",
+    )
     parser.add_argument("-c", "--config", metavar="AIRCRAFT.toml", help="aircraft file, or the name of a shipped one")
     parser.add_argument(
         "--servo", metavar="NAME", help="servo to assume for all surfaces: of the library, or FILE.toml"
     )
     parser.add_argument("-s", "--surface", action="append", default=[], metavar="NAME", help="judge only this surface")
-    parser.add_argument("--threshold-deg", type=_positive, metavar="X", help="alarm level [deg] (default: 1.5)")
+    parser.add_argument("--threshold-deg", type=positive, metavar="X", help="alarm level [deg] (default: 1.5)")
     parser.add_argument("--threshold", choices=["constant", "interval"], help="kind (default: constant)")
     parser.add_argument("--json", metavar="FILE", help="write the result as JSON; - prints it instead of the table")
+    parser.add_argument("--html", metavar="FILE", help="write a page that can be sent by mail")
     parser.add_argument("--rrd", metavar="FILE", help="write a Rerun recording (of one log)")
-    parser.add_argument("-o", "--output", metavar="DIR", help="write figures, recordings and audit.json to a folder")
+    parser.add_argument("--include-position", action="store_true", help="tell in the recording where it flew")
+    parser.add_argument("--map", action="store_true", help="show it there on a map from openstreetmap.org")
+    parser.add_argument(
+        "-o",
+        "--output",
+        metavar="DIR",
+        help="write figures, recordings and audit.json to a folder; "
+        "of many logs, tables (Parquet) and a page, to which the next call adds what is new",
+    )
+    add_options(parser)
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Audit all logs, then write all outputs, then print."""
     from servofd.aircraft import load_aircraft
+    from servofd.cli.targets import check_targets
     from servofd.errors import ConfigError
     from servofd.servos import find_servo
 
@@ -49,25 +67,14 @@ def run(options: argparse.Namespace) -> int:
     aircraft = load_aircraft(options.config) if options.config else None
     if options.servo:
         find_servo(options.servo)
-    _check_outputs(options)
+    outputs = (options.rrd, options.json, options.html)
+    check_targets(outputs, {"a log": options.logs, "the aircraft file": [options.config]}, folder=options.output)
+    if is_fleet(options):
+        return run_fleet(options, aircraft)
     results = [result for path in options.logs for result in _audit(path, aircraft, options)]
     _write(options, results)
     _print(options, results)
     return max(_exit_codes(results), key=(0, 1, 2).index)
-
-
-def _check_outputs(options: argparse.Namespace) -> None:
-    """Refuse outputs that cannot be written, or would overwrite a log or each other."""
-    from servofd.errors import ConfigError
-
-    taken = {Path(log).resolve(): "a log" for log in options.logs}
-    for name in filter(None, (options.rrd, options.json if options.json != "-" else None)):
-        target = Path(name).resolve()
-        if not target.parent.is_dir():
-            raise ConfigError(f"{name}: the folder {target.parent} does not exist")
-        if target in taken:
-            raise ConfigError(f"{name}: is {taken[target]} already; choose another file for this output")
-        taken[target] = "another output"
 
 
 def _audit(path: str, aircraft: Aircraft | None, options: argparse.Namespace) -> list[LogAudit | FailedLog]:
@@ -110,20 +117,12 @@ def _exit_codes(results: list[LogAudit | FailedLog]) -> list[int]:
             codes.append(2)
         elif result.has_fault:
             codes.append(1)
-        elif result.unjudged or not any(s.is_judged for s in result.surfaces):
-            print(f"servofd: {one_line(result.log.label)}: {one_line(_why_not(result))}", file=sys.stderr)
+        elif result.untold:
+            print(f"servofd: {one_line(result.log.label)}: {one_line(result.untold)}", file=sys.stderr)
             codes.append(2)
         else:
             codes.append(0)
     return codes
-
-
-def _why_not(result: LogAudit) -> str:
-    """One line: which surfaces could not be judged, and why."""
-    missing = result.unjudged or result.surfaces
-    if not any(s.is_judged for s in result.surfaces) and all(s.status == "no_data" for s in missing):
-        return f"no measured deflection to judge: {missing[0].surface}: {missing[0].reason}"
-    return "could not judge " + "; ".join(f"{s.surface}: {s.reason}" for s in missing)
 
 
 def _write(options: argparse.Namespace, results: list[LogAudit | FailedLog]) -> None:
@@ -138,15 +137,19 @@ def _write(options: argparse.Namespace, results: list[LogAudit | FailedLog]) -> 
     document = to_json(audit_document(results))
     if options.json and options.json != "-":
         write_whole(options.json, document.encode())
+    if options.html:
+        from servofd.outputs.audit_page import audit_page
+
+        write_whole(options.html, audit_page(results).encode())
     if options.rrd and audits:
         from servofd.outputs.recording import save_recording
 
-        save_recording(audits[0], Path(options.rrd))
+        save_recording(audits[0], options.rrd, include_position=options.include_position, online_map=options.map)
     if options.output:
-        _write_folder(Path(options.output), audits, document)
+        _write_folder(Path(options.output), audits, document, where=options.include_position, on_map=options.map)
 
 
-def _write_folder(folder: Path, audits: list[LogAudit], document: str) -> None:
+def _write_folder(folder: Path, audits: list[LogAudit], document: str, *, where: bool, on_map: bool) -> None:
     from servofd.errors import ConfigError
     from servofd.outputs.figure import save_figure
     from servofd.outputs.files import distinct_file_names, write_whole
@@ -161,7 +164,7 @@ def _write_folder(folder: Path, audits: list[LogAudit], document: str) -> None:
         for surface, name in zip(audit.surfaces, names, strict=True):
             if surface.residuals is not None:
                 save_figure(surface, folder / f"{stem}-{name}.png", audit.log.source.name)
-        save_recording(audit, folder / f"{stem}.rrd")
+        save_recording(audit, folder / f"{stem}.rrd", include_position=where, online_map=on_map)
     write_whole(folder / "audit.json", document.encode())
 
 
@@ -170,23 +173,19 @@ def _stem(audit: LogAudit) -> str:
 
 
 def _print(options: argparse.Namespace, results: list[LogAudit | FailedLog]) -> None:
-    from servofd.cli.tables import print_table
+    from servofd.cli.tables import print_verdicts
     from servofd.outputs.json_report import FailedLog, audit_document, to_json
 
     if options.json == "-":
         print(to_json(audit_document(results)), end="")
         return
     for result in results:
-        if isinstance(result, FailedLog):
-            continue
-        log = result.log
-        rows = [[s.surface, s.status, s.reason] for s in result.surfaces]
-        print_table(["surface", "status", "why"], rows, f"{log.label}   {log.format}, {log.duration_s:.1f} s")
-        for damage in log.damage:
-            print(f"  damage: {damage.kind}: {damage.note}")
+        if not isinstance(result, FailedLog):
+            print_verdicts(result)
 
 
-def _positive(text: str) -> float:
+def positive(text: str) -> float:
+    """Number of degrees above zero, for argparse."""
     try:
         value = float(text)
     except ValueError:

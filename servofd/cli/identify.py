@@ -49,9 +49,11 @@ def run(options: argparse.Namespace) -> int:
     from servofd.aircraft import load_aircraft
     from servofd.bench import identify_logs
     from servofd.cli.tables import progress_bar
+    from servofd.cli.targets import check_targets
     from servofd.outputs.json_report import to_json
 
-    _check_outputs(options)
+    outputs = (options.json, options.save, options.html)
+    check_targets(outputs, {"a log": options.logs, "the aircraft file": [options.config]}, folder=options.output)
     aircraft = load_aircraft(options.config) if options.config else None
     with progress_bar("identify", _STEPS) as step:
         found = identify_logs(
@@ -60,22 +62,6 @@ def run(options: argparse.Namespace) -> int:
     _write(options, found)
     print(to_json(found.document()) if options.json == "-" else _text(found), end="")
     return 0
-
-
-def _check_outputs(options: argparse.Namespace) -> None:
-    """Refuse outputs that cannot be written, or would overwrite a log or each other."""
-    from servofd.errors import ConfigError
-
-    taken = {Path(log).resolve() for log in options.logs}
-    for name in (options.json if options.json != "-" else None, options.save, options.html):
-        if name is None:
-            continue
-        target = Path(name).resolve()
-        if not target.parent.is_dir():
-            raise ConfigError(f"{name}: the folder {target.parent} does not exist")
-        if target in taken:
-            raise ConfigError(f"{name}: is a log or another output already; choose another file")
-        taken.add(target)
 
 
 def _write(options: argparse.Namespace, found: Identification) -> None:

@@ -122,11 +122,15 @@ class Outputs:
         self, options: argparse.Namespace, aircraft: Mapping[int, Aircraft], open_: contextlib.ExitStack
     ) -> None:
         from servofd.outputs.live_recording import LiveRecording, Samples
+        from servofd.outputs.recording.verdicts import live_verdicts
 
         first = next(iter(aircraft.values()))
         surfaces = list(dict.fromkeys(name for craft in aircraft.values() for name in craft.surfaces))
         port = options.viewer_port if options.serve else None
-        recording = LiveRecording(first.name, surfaces, path=Path(options.rrd) if options.rrd else None, port=port)
+        path = Path(options.rrd) if options.rrd else None
+        # Of several vehicles nobody could tell whose surface it was.
+        known = live_verdicts(first, surfaces, path.stem if path else "monitor") if len(aircraft) == 1 else None
+        recording = LiveRecording(first.name, surfaces, path=path, port=port, properties=known)
         open_.callback(recording.close)
         self._recording = recording
         if options.serve:

@@ -9,15 +9,16 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-__all__ = ["STATUS_STYLE", "one_line", "print_table", "progress_bar"]
+    from rich.console import Console
 
-STATUS_STYLE = {
-    "healthy": "green",
-    "suspect": "yellow",
-    "fault": "bold red",
-    "no_data": "dim",
-    "unknown": "yellow",
-}
+    from servofd.detection.audit import LogAudit
+
+__all__ = ["one_line", "print_table", "print_verdicts", "progress_bar", "progress_with_estimate"]
+
+_WIDEST = 100
+"""Columns of a terminal that a table of sentences uses: longer lines are hard to read."""
+_NARROWEST = 64
+"""Below this a table of sentences becomes a list."""
 
 
 def one_line(message: object) -> str:
@@ -33,19 +34,64 @@ def one_line(message: object) -> str:
 
 def print_table(headings: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -> None:
     """Print rows under headings, as wide as the terminal, coloured by status where a cell is one."""
-    from rich import box
+    _print_table(_console(), headings, rows, title)
+
+
+def print_verdicts(audit: LogAudit) -> None:
+    """Print the verdict on each surface of a log in a sentence, the whole in another, and what to do next.
+
+    At most 100 columns of a terminal are used; in less than 64 the table becomes a list. A file or a pipe has no width:
+    there no line is folded.
+    """
+    from rich.padding import Padding
+    from rich.text import Text
+
+    from servofd.detection.advice import headline, next_step
+
+    log, console = audit.log, _console()
+    if console.is_terminal:
+        console.width = min(console.width, _WIDEST)
+    title = f"{log.label}   {log.format}, {log.duration_s:.1f} s"
+    if console.width < _NARROWEST:
+        console.print(Text(title, style="bold"))
+        for surface in audit.surfaces:
+            console.print(Text.assemble(f"{surface.surface}: ", (surface.status, _style(surface.status))))
+            console.print(Padding(Text(surface.reason), (0, 0, 0, 2)))
+    else:
+        rows = [[s.surface, s.status, s.reason] for s in audit.surfaces]
+        _print_table(console, ["surface", "status", "why"], rows, title)
+    for damage in log.damage:
+        console.print(Text(f"damage: {damage.kind}: {damage.note}"))
+    console.print(Text(headline(audit.surfaces), style="bold"))
+    for surface in audit.surfaces:
+        if next_step(surface):
+            console.print(Padding(Text(f"{surface.surface}: {next_step(surface)}"), (0, 0, 0, 2)))
+
+
+def _console() -> Console:
     from rich.console import Console
+
+    console = Console(highlight=False)
+    return console if console.is_terminal else Console(width=400, highlight=False)
+
+
+def _print_table(console: Console, headings: Sequence[str], rows: Sequence[Sequence[str]], title: str) -> None:
+    from rich import box
     from rich.table import Table
     from rich.text import Text
 
-    console = Console()
-    if not console.is_terminal:
-        # A file or a pipe has no width: never fold.
-        console = Console(width=400)
     table = Table(*headings, title=title or None, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
     for row in rows:
-        table.add_row(*(Text(cell, style=STATUS_STYLE.get(cell, "")) for cell in row))
+        table.add_row(*(Text(cell, style=_style(cell)) for cell in row))
     console.print(table)
+
+
+def _style(cell: str) -> str:
+    """Colour of a cell that is a status; none of any other."""
+    from servofd.outputs.palette import STATUS_COLOURS
+
+    colour = STATUS_COLOURS.get(cell, "")
+    return f"bold {colour}" if cell == "fault" else colour
 
 
 @contextmanager
@@ -60,3 +106,35 @@ def progress_bar(what: str, total: int) -> Iterator[Callable[[str], None]]:
     with Progress(console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task(what, total=total)
         yield lambda step: progress.update(task, advance=1, description=f"{what}: {step}")
+
+
+@contextmanager
+def progress_with_estimate(what: str, total: int, done: int = 0) -> Iterator[Callable[[], None]]:
+    """Show how many of many items are done and how long the rest will take, as `progress_bar` does."""
+    if not sys.stderr.isatty():
+        yield lambda: None
+        return
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left:"),
+        TimeRemainingColumn(),
+    )
+    # Lines on stdout go above the bar if both are on the same terminal, and past it if not.
+    with Progress(
+        *columns, console=Console(stderr=True), transient=True, redirect_stdout=sys.stdout.isatty()
+    ) as progress:
+        task = progress.add_task(what, total=total, completed=done)
+        yield lambda: progress.update(task, advance=1)

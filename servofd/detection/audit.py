@@ -27,8 +27,9 @@ if TYPE_CHECKING:
     from servofd.aircraft import Aircraft, Surface
     from servofd.detection.bank.isolate import Fault
     from servofd.detection.threshold import Threshold, ThresholdKind
+    from servofd.models.servo_model import ServoModel
 
-__all__ = ["LogAudit", "Statistics", "Status", "SurfaceAudit", "audit_log"]
+__all__ = ["LogAudit", "Statistics", "Status", "SurfaceAudit", "audit_log", "audit_segment", "judged_by"]
 
 Status = Literal["healthy", "suspect", "fault", "no_data", "unknown"]
 
@@ -94,6 +95,16 @@ class LogAudit:
         """Surfaces that were expected to be judged and could not be."""
         return tuple(s for s in self.surfaces if s.expected and not s.is_judged)
 
+    @property
+    def untold(self) -> str:
+        """Why there is no verdict on the log as a whole, in one line; empty if there is one."""
+        if self.has_fault or (not self.unjudged and any(s.is_judged for s in self.surfaces)):
+            return ""
+        missing = self.unjudged or self.surfaces
+        if not any(s.is_judged for s in self.surfaces) and all(s.status == "no_data" for s in missing):
+            return f"no measured deflection to judge: {missing[0].surface}: {missing[0].reason}"
+        return "could not judge " + "; ".join(f"{s.surface}: {s.reason}" for s in missing)
+
 
 def audit_log(
     log: FlightLog,
@@ -102,6 +113,7 @@ def audit_log(
     threshold_deg: float | None = None,
     threshold: ThresholdKind | None = None,
     surfaces: tuple[str, ...] = (),
+    threads: int | None = None,
     progress: Callable[[str], None] = lambda _surface: None,
 ) -> LogAudit:
     """Judge the surfaces of one log.
@@ -118,6 +130,8 @@ def audit_log(
         Kind of threshold for all surfaces; each has its own in the aircraft.
     surfaces : tuple of str
         Which to judge; all if empty.
+    threads : int, optional
+        How many surfaces are judged at a time; one per core if None.
     progress : callable
         Called with the name of each surface that is done.
 
@@ -137,36 +151,72 @@ def audit_log(
     chosen = surfaces or tuple(aircraft.surfaces)
 
     def one(name: str) -> SurfaceAudit:
-        surface = aircraft.surfaces[name]
-        if threshold_deg is not None:
-            known = surface.tolerances if surface.tells_small_faults else None
-            change = {"threshold_deg": threshold_deg, "threshold": "constant", "tolerance": known}
-            surface = surface.model_copy(update=change)
-        if threshold is not None:
-            surface = surface.model_copy(update={"threshold": threshold})
-        # Whoever names a level wants to know what reaches it.
-        verdict = _audit_surface(log, aircraft, name, surface, acquit=threshold_deg is None)
+        expected = _is_expected(log, aircraft, name)
+        surface = judged_by(aircraft.surfaces[name], threshold_deg, threshold)
+        try:
+            segment = cut(log, name, surface)
+        except NoMeasurement as reason:
+            verdict = _verdict_on(name, surface, expected=expected)(status="no_data", reason=str(reason))
+        else:
+            verdict = audit_segment(
+                segment,
+                aircraft,
+                threshold_deg=threshold_deg,
+                threshold=threshold,
+                duration_s=log.duration_s,
+                expected=expected,
+            )
         progress(name)
         return verdict
 
     # The kernel runs without the interpreter's lock.
-    with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
+    with ThreadPoolExecutor(max_workers=threads or os.cpu_count()) as pool:
         return LogAudit(log, aircraft, tuple(pool.map(one, chosen)))
 
 
-def _audit_surface(log: FlightLog, aircraft: Aircraft, name: str, surface: Surface, *, acquit: bool) -> SurfaceAudit:
-    verdict = partial(
-        SurfaceAudit,
-        surface=name,
-        servo=surface.servo,
-        threshold_kind=surface.threshold,
-        threshold_deg=surface.threshold_deg,
-        expected=_is_expected(log, aircraft, name),
-    )
-    try:
-        segment = cut(log, name, surface)
-    except NoMeasurement as reason:
-        return verdict(status="no_data", reason=str(reason))
+def audit_segment(
+    segment: Segment,
+    aircraft: Aircraft,
+    *,
+    duration_s: float,
+    threshold_deg: float | None = None,
+    threshold: ThresholdKind | None = None,
+    expected: bool = True,
+) -> SurfaceAudit:
+    """Judge one surface.
+
+    Parameters
+    ----------
+    segment : Segment
+        What was asked of it and what it did.
+    aircraft : Aircraft
+        Gives its healthy model and tolerances.
+    duration_s : float
+        Length of the whole log [s].
+    threshold_deg : float, optional
+        Constant alarm level [deg]; the aircraft has one.
+    threshold : {"constant", "interval"}, optional
+        Kind of threshold; the aircraft has one.
+    expected : bool
+        Whether a verdict on this surface is expected.
+
+    Returns
+    -------
+    SurfaceAudit
+        The verdict.
+
+    Examples
+    --------
+    >>> import logparsers
+    >>> from servofd.aircraft import load_aircraft
+    >>> log, faser = logparsers.read("sample_logs/faser_stuck_flight.mat"), load_aircraft("faser")
+    >>> segment = cut(log, "elevator", faser.surfaces["elevator"])
+    >>> audit_segment(segment, faser, duration_s=log.duration_s, threshold_deg=1.0).status
+    'fault'
+    """
+    name = segment.surface
+    surface = judged_by(aircraft.surfaces[name], threshold_deg, threshold)
+    verdict = _verdict_on(name, surface, expected=expected)
     problem = _too_little(segment)
     if problem:
         return verdict(status="unknown", reason=problem, segment=segment)
@@ -175,6 +225,7 @@ def _audit_surface(log: FlightLog, aircraft: Aircraft, name: str, surface: Surfa
     except DesignError as error:
         return verdict(status="unknown", reason=str(error), segment=segment)
     segment, residuals, notes = prepared(generator, segment)
+    notes = (*notes, *_left_out(generator.model, segment))
     judged_s = _judged_s(residuals, generator.longest_gap_s(segment))
     if judged_s < _SHORTEST_JUDGED_S:
         reason_text = f"only {judged_s:.1f} s of command and position together; {_SHORTEST_JUDGED_S:g} s are needed"
@@ -182,22 +233,23 @@ def _audit_surface(log: FlightLog, aircraft: Aircraft, name: str, surface: Surfa
     statistics = _statistics(residuals)
     if not np.isfinite(statistics.max_abs_deg):
         return verdict(status="unknown", reason="the residual is not a number: check model and units", segment=segment)
-    judgement = judge(generator, segment, residuals, surface, acquit=acquit)
-    threshold, faults, suspicions = judgement.threshold, judgement.faults, judgement.suspicions
+    # Whoever names a level wants to know what reaches it.
+    judgement = judge(generator, segment, residuals, surface, acquit=threshold_deg is None)
+    level, faults, suspicions = judgement.threshold, judgement.faults, judgement.suspicions
     verdict = partial(
         verdict,
         statistics=statistics,
         segment=segment,
         residuals=residuals,
-        threshold=threshold,
-        threshold_deg=threshold.typical_deg,
+        threshold=level,
+        threshold_deg=level.typical_deg,
     )
     problem = wiring_problem(residuals) if faults or suspicions else ""
     if problem:
         faults = suspicions = ()
-    status, reason_text = _verdict(residuals, statistics, faults, suspicions, threshold, problem)
+    status, reason_text = _verdict(residuals, statistics, faults, suspicions, level, problem)
     reason_text = "; ".join((reason_text, *notes))
-    judged_share = judged_s / max(log.duration_s, 1e-9)
+    judged_share = judged_s / max(duration_s, 1e-9)
     if judged_share < _MOST_OF_THE_LOG:
         reason_text += f"; judged for {judged_share:.0%} of the log"
     if segment.frozen_s > 0.0:
@@ -209,8 +261,40 @@ def _audit_surface(log: FlightLog, aircraft: Aircraft, name: str, surface: Surfa
         reason=reason_text,
         faults=faults,
         suspicions=suspicions,
-        false_alarms_per_hour=_odds(residuals, faults + suspicions, segment.period_s, threshold.typical_deg),
+        false_alarms_per_hour=_odds(residuals, faults + suspicions, segment.period_s, level.typical_deg),
     )
+
+
+def judged_by(surface: Surface, threshold_deg: float | None, threshold: ThresholdKind | None) -> Surface:
+    """The surface with the threshold that was asked for."""
+    if threshold_deg is not None:
+        known = surface.tolerances if surface.tells_small_faults else None
+        change = {"threshold_deg": threshold_deg, "threshold": "constant", "tolerance": known}
+        surface = surface.model_copy(update=change)
+    return surface if threshold is None else surface.model_copy(update={"threshold": threshold})
+
+
+def _verdict_on(name: str, surface: Surface, *, expected: bool) -> partial[SurfaceAudit]:
+    """Maker of a verdict that already knows which surface it is about."""
+    return partial(
+        SurfaceAudit,
+        surface=name,
+        servo=surface.servo,
+        threshold_kind=surface.threshold,
+        threshold_deg=surface.threshold_deg,
+        expected=expected,
+    )
+
+
+_LACKING = {
+    "airspeed_m_s": "the log holds no airspeed: the load of the air is left out of the model",
+    "servo_voltage_v": "the log holds no supply voltage: the rate that it limits is left out of the model",
+}
+
+
+def _left_out(model: ServoModel, segment: Segment) -> tuple[str, ...]:
+    """Which effects of the model act as if there were none, for want of what they depend on."""
+    return tuple(_LACKING[need] for need in sorted(model.needs - segment.context.logged))
 
 
 def _is_expected(log: FlightLog, aircraft: Aircraft, name: str) -> bool:

@@ -21,9 +21,12 @@ from numpy.typing import NDArray
 from logparsers.records import own
 from servofd.detection.pulse import fastest_pole_rad_s
 from servofd.errors import DesignError
+from servofd.models.context import NO_CONTEXT, Context
 from servofd.segment import pace_steps
 
 if TYPE_CHECKING:
+    from servofd.detection.starts import Starts
+    from servofd.models.extended import ExtendedMotion, ExtendedServo
     from servofd.models.kernel import FilterParameters
     from servofd.models.servo_model import ServoModel
     from servofd.segment import Segment
@@ -35,6 +38,8 @@ __all__ = [
     "Residuals",
     "Rhythm",
     "commands_at_servo",
+    "followed",
+    "go_on",
     "lost_commands",
     "rhythm",
 ]
@@ -83,6 +88,8 @@ class Residuals:
     """What the residual would be if the surface rested at 0 deg: all that the filter sees of the command [deg]."""
     restart: NDArray[np.int8]
     """Where the filter, or filter and model, started anew."""
+    context: Context = NO_CONTEXT
+    """Airspeed and supply."""
 
     def __post_init__(self) -> None:
         for name in ("time_s", "simulated_deg", "measured_deg", "residual_deg", "immobile_deg"):
@@ -176,13 +183,36 @@ class ResidualGenerator:
     def run(self, segment: Segment) -> Residuals:
         """Residual of a whole segment."""
         from servofd.detection.starts import find_starts
-        from servofd.models.kernel import new_memory, observe
 
         longest_gap_s = self.longest_gap_s(segment)
         starts = find_starts(segment, longest_gap_s, self.blanking_s, rhythm(segment.command_s).longest_s)
         commands = commands_at_servo(segment, self.model.plan.delay_s, longest_gap_s)
+        simulated, residual = self._observed(segment, commands, starts)
+        usable = np.isfinite(starts.measured_deg)
+        immobile_deg = self.filtered(segment.measured_s, np.where(usable, -simulated, np.nan), starts.restart)
+        for array in (simulated, residual, starts.measured_deg, immobile_deg):
+            array.setflags(write=False)
+        return Residuals(
+            segment.measured_s,
+            simulated,
+            starts.measured_deg,
+            residual,
+            starts.settled,
+            immobile_deg,
+            starts.restart,
+            segment.context,
+        )
+
+    def _observed(self, segment: Segment, commands: Commands, starts: Starts) -> tuple[FloatArray, FloatArray]:
+        """Simulated deflection and residual [deg], each of shape (n,)."""
+        from servofd.models.kernel import new_memory, observe
+
+        time_s, extended = segment.measured_s, self.model.extended(segment.context)
+        if extended is not None:
+            simulated = followed(extended, commands, time_s, starts.measured_deg, starts.restart)
+            return simulated, self.filtered(time_s, starts.measured_deg - simulated, starts.restart)
         servo, residual_filter = self.model.parameters(), self.filter_parameters()
-        simulated, residual = np.empty(starts.restart.size), np.empty(starts.restart.size)
+        simulated, residual = np.empty(time_s.size), np.empty(time_s.size)
         observe(
             servo,
             residual_filter,
@@ -190,19 +220,13 @@ class ResidualGenerator:
             commands.effective_s,
             commands.command_deg,
             commands.slope_deg_s,
-            segment.measured_s,
+            time_s,
             starts.measured_deg,
             starts.restart,
             simulated,
             residual,
         )
-        usable = np.isfinite(starts.measured_deg)
-        immobile_deg = self.filtered(segment.measured_s, np.where(usable, -simulated, np.nan), starts.restart)
-        for array in (simulated, residual, starts.measured_deg, immobile_deg):
-            array.setflags(write=False)
-        return Residuals(
-            segment.measured_s, simulated, starts.measured_deg, residual, starts.settled, immobile_deg, starts.restart
-        )
+        return simulated, residual
 
     def without(self, residuals: Residuals, left_out: BoolArray) -> Residuals:
         """The same residuals as if some positions, marked in an array of shape (n,), had not come."""
@@ -226,6 +250,55 @@ class ResidualGenerator:
         memory = new_memory(servo, residual_filter)
         evaluate(residual_filter, memory, time_s, error_deg, restart, filtered_deg)
         return filtered_deg
+
+
+def followed(
+    servo: ExtendedServo,
+    commands: Commands,
+    at_s: FloatArray,
+    measured_deg: FloatArray,
+    restart: NDArray[np.int8],
+) -> FloatArray:
+    """Deflection of a servo with effects [deg], shape (n,), that starts anew where the surface was measured.
+
+    Parameters
+    ----------
+    servo : ExtendedServo
+        The servo.
+    commands : Commands
+        As they reach it.
+    at_s, measured_deg : ndarray, shape (n,)
+        Where the surface was measured [deg], and when [s].
+    restart : ndarray, shape (n,)
+        2 where the servo has to start anew, as `servofd.detection.starts` marks it.
+    """
+    from servofd.models.extended import ExtendedMotion
+
+    return go_on(ExtendedMotion(servo), commands, np.zeros(1, dtype=np.int64), at_s, measured_deg, restart)
+
+
+def go_on(
+    motion: ExtendedMotion,
+    commands: Commands,
+    cursor: IntArray,
+    at_s: FloatArray,
+    measured_deg: FloatArray,
+    restart: NDArray[np.int8],
+) -> FloatArray:
+    """The same for the next positions of a flight, shape (n,); `cursor[0]` counts the commands that were heard."""
+    from servofd.models.kernel import RESTART_ALL
+
+    simulated_deg = np.empty(at_s.size)
+    begins = np.union1d(np.flatnonzero(restart == RESTART_ALL), [0]) if at_s.size else np.zeros(0, dtype=np.int64)
+    for begin, end in zip(begins, np.append(begins[1:], at_s.size), strict=False):
+        last = max(int(np.searchsorted(commands.effective_s, at_s[end - 1], side="right")), int(cursor[0]))
+        span = slice(int(cursor[0]), last)
+        motion.hear(commands.effective_s[span], commands.command_deg[span], commands.slope_deg_s[span])
+        cursor[0] = last
+        if restart[begin] == RESTART_ALL:
+            motion.rest(float(at_s[begin]), float(measured_deg[begin]))
+        simulated_deg[begin:end] = motion.at(at_s[begin:end])
+    return simulated_deg
 
 
 def commands_at_servo(segment: Segment, delay_s: float, longest_gap_s: float) -> Commands:

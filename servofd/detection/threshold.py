@@ -26,8 +26,11 @@ import numpy as np
 
 from servofd.aircraft import DEFAULT_SIGMAS
 from servofd.detection.allowance import Bounds, Signals, follow, new_work
+from servofd.models.kernel import RESTART_ALL
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from servofd.detection.probability import CusumDesign
     from servofd.detection.residual import ResidualGenerator, Residuals
     from servofd.segment import Segment
@@ -43,6 +46,8 @@ __all__ = [
     "constant_threshold",
     "habits",
     "interval_threshold",
+    "loose_deg",
+    "new_loose_memory",
     "slower_generator",
     "suspicion",
     "unseen_deg",
@@ -50,6 +55,8 @@ __all__ = [
 
 ThresholdKind = Literal["constant", "interval"]
 
+_TAKEN_UP = 2.0
+"""Half plays to move until it is known on which side of its play a surface lies."""
 RECENT_COMMANDS = 11
 """Commands before a loss whose curvature counts."""
 _SUSPICIOUS_DRIFT = 40.0
@@ -170,6 +177,7 @@ def interval_threshold(
     )
     decay_rad_s = generator.model.parameters().decay_rad_s
     follow(signals, bounds, new_work(bounds, decay_rad_s.size), decay_rad_s, tolerated, saturated, sigma, drift)
+    tolerated += loose_deg(generator, residuals.simulated_deg, residuals.restart, new_loose_memory())
     return Threshold("interval", tolerated + sigmas * sigma, tolerated, saturated, sigma, cusum, drift)
 
 
@@ -204,12 +212,35 @@ def _rate_error(generator: ResidualGenerator, segment: Segment, residuals: Resid
 
 def slower_generator(generator: ResidualGenerator, share: float) -> ResidualGenerator | None:
     """Generator of a servo whose rate limit is lower by a share; None if the servo has none."""
-    from servofd.models.effects import RateLimit
+    slower = replace(generator, model=generator.model.weaker(share))
+    return None if slower.model is generator.model else slower
 
-    limit_deg_s = min(generator.model.plan.rate_up_deg_s, generator.model.plan.rate_down_deg_s)
-    if not np.isfinite(limit_deg_s):
-        return None
-    return type(generator)(generator.model + RateLimit((1.0 - share) * limit_deg_s), generator.pole_rad_s)
+
+def new_loose_memory() -> FloatArray:
+    """Memory of `loose_deg` before the first sample: least and most that was simulated since the last start [deg]."""
+    return np.array([np.inf, -np.inf])
+
+
+def loose_deg(
+    generator: ResidualGenerator, simulated_deg: FloatArray, restart: NDArray[np.int8], memory: FloatArray
+) -> FloatArray:
+    """What a start at an unknown point of a servo's play leaves until it has moved by more than that [deg], (n,).
+
+    The memory is moved on, so that pieces of a flight may follow each other.
+    """
+    servo = generator.model.extended()
+    loose = np.zeros(simulated_deg.size)
+    if servo is None or servo.play_deg == 0.0:
+        return loose
+    begins = np.union1d(np.flatnonzero(restart == RESTART_ALL), [0])
+    for begin, end in zip(begins, np.append(begins[1:], loose.size), strict=True):
+        if restart[begin] == RESTART_ALL:
+            memory[:] = new_loose_memory()
+        least_deg = np.minimum.accumulate(np.append(memory[0], simulated_deg[begin:end]))[1:]
+        most_deg = np.maximum.accumulate(np.append(memory[1], simulated_deg[begin:end]))[1:]
+        memory[:] = least_deg[-1], most_deg[-1]
+        loose[begin:end] = servo.play_deg * (most_deg - least_deg <= _TAKEN_UP * servo.play_deg)
+    return loose / abs(generator.model.transfer.dc_gain)
 
 
 def habits(tolerance: Tolerance) -> FloatArray:

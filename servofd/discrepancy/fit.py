@@ -1,34 +1,35 @@
-"""Fit of effects to one record: a coarse grid, a search along each coordinate, then all parameters together."""
+"""Fit of effects to one record: all parameters together, by least squares, from where a search on a part began."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from itertools import product
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.discrepancy.catalogue import PwmFrame, installed
-from servofd.discrepancy.frames import best_frame
+from servofd.discrepancy.noise import long_run_factor, noise_floor_deg
 from servofd.discrepancy.record import simulate
-from servofd.types import FloatArray
+from servofd.discrepancy.search import begin, polish, telling_part
+from servofd.models.catalogue import Delay, PwmFrame, Quantization, SensorLag, SlowDynamics, installed
+from servofd.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from servofd.discrepancy.catalogue import MissingEffect, Parameter
-    from servofd.discrepancy.physics import Physics
     from servofd.discrepancy.record import Record
+    from servofd.models.catalogue import MissingEffect, Parameter
+    from servofd.models.physics import Physics
 
 __all__ = ["Fit", "Fitter"]
 
-_STEP = 2e-3
+_STEP = 3e-2
+"""Of what is common: what sticks or has edges answers to less with jumps, in which the descent loses its way."""
 _TIE_TO_START = 1e-4
-_EVALUATIONS = 12
-_SEARCHES = 9
-_PROMISING = 10
-_KINKED_ROUNDS = 2
+_EVALUATIONS, _THOROUGH = 20, 40
+_PROMISING, _FEWER = 10, 6
+"""Of the candidates of a first effect, and of a further one."""
+_LATE_SHARE, _FRAMES_EXCESS = 0.1, 0.02
 _SURE = 1.959963984540054
 """Standard deviations of a 95 % interval."""
 
@@ -72,6 +73,18 @@ class Fitter:
 
     record: Record
     simulations: int = field(default=0, init=False)
+    _trained: IntArray = field(init=False)
+    _held_out: IntArray = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._trained, self._held_out = np.flatnonzero(self.record.trained), np.flatnonzero(self.record.held_out)
+
+    def on(self, record: Record) -> Fitter:
+        """The same for other samples."""
+        return Fitter(record)
+
+    def adopt(self, other: Fitter) -> None:
+        """Take over what another one learnt beside the values of effects: nothing here."""
 
     def physics(self, effects: Sequence[type[MissingEffect]], values: Values) -> Physics:
         """The servo with these effects."""
@@ -85,34 +98,63 @@ class Fitter:
     def judged(self, effects: tuple[type[MissingEffect], ...], values: Values) -> Fit:
         """Fit with given values."""
         error = self.error_deg(effects, values)
-        train, held_out = error[self.record.trained], error[self.record.held_out]
+        train, held_out = error[self._trained], error[self._held_out]
         return Fit(effects, np.array(values, dtype=float), error, float(train @ train), float(held_out @ held_out))
 
     def nominal(self) -> Fit:
         """The servo as it is known."""
         return self.judged((), ())
 
-    def loss(self, effects: Sequence[type[MissingEffect]], values: Values) -> float:
-        """Sum of squares over the fitted samples [deg^2]."""
-        error = self.error_deg(effects, values)[self.record.trained]
-        return float(error @ error)
-
     def with_effects(self, base: Fit, able: Sequence[type[MissingEffect]], tried: Callable[[str], None]) -> list[Fit]:
-        """The best fits that have one effect more; of the most promising, all parameters are refitted."""
-        fits = []
-        for effect in able:
-            if effect.name in base.names:
-                continue
-            tried(effect.key())
-            effects = (*base.effects, effect)
-            start = self._start(base, effect)
-            fits.append(self.judged(effects, self._searched(effects, [*base.values, *start], len(base.values))))
-        fits.sort(key=lambda fit: fit.train)
-        return [
-            self.refitted(fit.effects, fit.values.tolist()) if k < _PROMISING else fit for k, fit in enumerate(fits)
-        ]
+        """The best fits that have one effect more; of the most promising, all parameters are refitted.
 
-    def refitted(self, effects: tuple[type[MissingEffect], ...], values: Values) -> Fit:
+        Pulse frames, a search of thousands of simulations, are looked for only if a delay helps (it is what they do on
+        average) and nothing else leaves as little as noise.
+        """
+        part = telling_part(self.record, base.error_deg)
+        others = [effect for effect in able if self._possible(effect, base)]
+        fits = self._refitted_best([self._begun(part, base, effect, tried) for effect in others])
+        if PwmFrame in able and PwmFrame not in base.effects and self._may_be_frames(base, fits):
+            fits.append(self._begun(self.record, base, PwmFrame, tried))
+            fits[-1] = self.refitted(fits[-1].effects, fits[-1].values)
+        return fits
+
+    def _possible(self, effect: type[MissingEffect], base: Fit) -> bool:
+        """Whether an effect is tried with the others: those whose name is new, and steps only where they are seen."""
+        steps_deg = (self.record.step_deg or 0.0) if effect is Quantization else np.inf
+        return effect.name not in base.names and effect is not PwmFrame and steps_deg >= effect.parameters[0].low
+
+    def _begun(self, part: Record, base: Fit, effect: type[MissingEffect], tried: Callable[[str], None]) -> Fit:
+        tried(effect.key())
+        effects = (*base.effects, effect)
+        values, count = begin(part, effects, base.values.tolist())
+        self.simulations += count
+        return self.judged(effects, values)
+
+    def _refitted_best(self, fits: list[Fit]) -> list[Fit]:
+        fits = sorted(fits, key=lambda fit: fit.train)
+        count = _FEWER if len(fits[0].effects) > 1 else _PROMISING
+        return [self._settled(fit) for fit in fits[:count]] + fits[count:]
+
+    def _settled(self, fit: Fit) -> Fit:
+        """All parameters refitted; what cannot be descended is searched on the whole record."""
+        values, newest = fit.values.tolist(), fit.effects[-1].parameters
+        if all(p.kinked for p in newest) and fit.effects[-1] is not Quantization:
+            values, count = polish(self.record, fit.effects, values, len(values) - len(newest))
+            self.simulations += count
+        return self.refitted(fit.effects, values)
+
+    def _may_be_frames(self, base: Fit, fits: list[Fit]) -> bool:
+        late = [fit for fit in fits if fit.effects[-1] in (Delay, SensorLag, SlowDynamics)]
+        floor = noise_floor_deg(self.record, min(fits, key=lambda fit: fit.train).error_deg) ** 2
+        gap = base.train - self._trained.size * floor
+        helps = any(base.train - fit.train > _LATE_SHARE * gap for fit in late)
+        least = min(fit.train for fit in fits)
+        return helps and least > (1.0 + _FRAMES_EXCESS) * self._trained.size * floor
+
+    def refitted(
+        self, effects: tuple[type[MissingEffect], ...], values: Values, evaluations: int = _EVALUATIONS
+    ) -> Fit:
         """All parameters fitted together, from given values: least squares within the bounds."""
         from scipy.optimize import least_squares
 
@@ -134,7 +176,7 @@ class Fitter:
 
         def errors(x: FloatArray) -> FloatArray:
             # What the data do not show stays where it is.
-            return np.concatenate([self.error_deg(effects, at(x))[self.record.trained], _TIE_TO_START * (x - x0)])
+            return np.concatenate([self.error_deg(effects, at(x))[self._trained], _TIE_TO_START * (x - x0)])
 
         def slopes(x: FloatArray) -> FloatArray:
             here = errors(x)
@@ -144,36 +186,33 @@ class Fitter:
             )
 
         found = least_squares(
-            errors, x0, jac=slopes, bounds=(low, high), max_nfev=_EVALUATIONS, xtol=1e-4, ftol=1e-5, gtol=None
+            errors,
+            x0,
+            jac=slopes,
+            bounds=(low, high),
+            max_nfev=evaluations,
+            xtol=1e-4,
+            ftol=1e-7 if evaluations > _EVALUATIONS else 1e-5,
+            gtol=None,
         )
         best = self.judged(effects, at(found.x))
         given = self.judged(effects, start)
         return best if best.train <= given.train else given
 
-    def _start(self, base: Fit, effect: type[MissingEffect]) -> list[float]:
-        """The best point of the effect's grid."""
-        if effect is PwmFrame:
-            return list(best_frame(self.record, self.physics(base.effects, base.values)))
-        grid = product(*(p.grid for p in effect.parameters))
-        return list(min(grid, key=lambda point: self.loss((*base.effects, effect), [*base.values, *point])))
+    def on_all(self, fit: Fit) -> tuple[Fit, FloatArray]:
+        """A fit with its values refitted to all samples, and their covariance, shape (p, p).
 
-    def _searched(self, effects: tuple[type[MissingEffect], ...], values: list[float], first: int) -> list[float]:
-        """Search along each new coordinate, between the neighbours on its grid."""
-        from scipy.optimize import minimize_scalar
-
-        parameters = [p for effect in effects for p in effect.parameters]
-        kinked = any(p.kinked for p in parameters[first:])
-        for _ in range(_KINKED_ROUNDS if kinked else 1):
-            for k in range(first, len(values)):
-                low, high = _neighbours(parameters[k], values[k])
-
-                def loss(value: float, k: int = k) -> float:
-                    return self.loss(effects, [*values[:k], value, *values[k + 1 :]])
-
-                found = minimize_scalar(loss, bounds=(low, high), method="bounded", options={"maxiter": _SEARCHES})
-                if found.fun < self.loss(effects, values):
-                    values[k] = float(found.x)
-        return values
+        The sums of squares stay those of the fit to the fitted blocks alone: they judge, the values are used.
+        """
+        if not fit.effects:
+            return fit, np.zeros((0, 0))
+        whole = self.on(replace(self.record, block=np.zeros_like(self.record.block)))
+        best = whole.refitted(fit.effects, fit.values, _THOROUGH)
+        error = best.error_deg[self.record.counts]
+        sigma_deg = float(np.sqrt(np.mean(error**2)))
+        covariance = whole.covariance(best, sigma_deg, long_run_factor(error))
+        self.adopt(whole)
+        return replace(fit, values=best.values, error_deg=best.error_deg), covariance
 
     def covariance(self, fit: Fit, sigma_deg: float, factor: float) -> FloatArray:
         """Of the values of a fit, shape (p, p), from the curvature on both sides; infinite where nothing shows."""
@@ -183,7 +222,7 @@ class Fitter:
             up, down = fit.values.copy(), fit.values.copy()
             up[k], down[k] = min(up[k] + step, parameter.high), max(down[k] - step, parameter.low)
             change = self.error_deg(fit.effects, up) - self.error_deg(fit.effects, down)
-            columns.append(change[self.record.trained] / (up[k] - down[k]) * parameter.typical)
+            columns.append(change[self._trained] / (up[k] - down[k]) * parameter.typical)
         if not columns:
             return np.zeros((0, 0))
         jacobian = np.column_stack(columns)
@@ -194,18 +233,3 @@ class Fitter:
         scale = np.array([p.typical for p in fit.parameters])
         covariance: FloatArray = result * np.where(np.isinf(result), 1.0, np.outer(scale, scale))
         return covariance
-
-
-def _neighbours(parameter: Parameter, value: float) -> tuple[float, float]:
-    """Bracket around a grid point."""
-    grid = sorted({*parameter.grid, parameter.neutral})
-    if parameter.width > 0.0:
-        return max(parameter.low, value - parameter.width), min(parameter.high, value + parameter.width)
-    if value not in grid:
-        width = 0.25 * abs(value - parameter.neutral) + 1e-9
-        return max(parameter.low, value - width), min(parameter.high, value + width)
-    k = grid.index(value)
-    reach = 1.0 if k in (0, len(grid) - 1) else 0.0
-    low = grid[k - 1] if k > 0 else value - reach * abs(grid[1] - grid[0])
-    high = grid[k + 1] if k + 1 < len(grid) else value + reach * abs(grid[-1] - grid[-2])
-    return max(low, parameter.low), min(high, parameter.high)

@@ -2,30 +2,34 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from servofd.detection.residual import Commands, commands_at_servo, lost_commands
-from servofd.discrepancy.physics import Physics, Plant, plant_of
+from servofd.discrepancy.noise import comb_step_deg
+from servofd.models.physics import Physics, Plant, longest_step_s, plant_of
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from servofd.discrepancy.own import OwnEffect
     from servofd.models.servo_model import ServoModel
     from servofd.segment import Segment
     from servofd.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["BLOCK_S", "Record", "record_of", "simulate"]
+__all__ = ["BLOCK_S", "Record", "joined", "record_of", "simulate"]
 
 BLOCK_S = 0.3
 """Length of the blocks that are fitted and held out in turn [s]: longer than a servo remembers, shorter than most
 manoeuvres."""
-_SUBSTEP_S, _SHORT_SUBSTEP_S = 2.5e-3, 1e-3
-"""The shorter one for a servo that switches on and off at an edge."""
 _START_S = 0.5
 """Longest time after a start or a hole during which nothing is compared: the servo forgets where it was."""
 _HOLE_PERIODS, _SHORTEST_HOLE_S = 4.0, 0.1
 _TIME_CONSTANTS = 12.0
+_BETWEEN_RUNS_S = 1.0
+"""Runs are laid one after the other for pictures and words; nothing is simulated across."""
 
 
 _LARGEST_GUESS_DEG, _FORGOTTEN_S = 0.25, 0.16
@@ -51,6 +55,22 @@ class Record:
     """Dynamic pressure."""
     voltage_v: FloatArray | None = None
     """Supply of the servo."""
+    current_a: FloatArray | None = None
+    """Drawn by the servo."""
+    step_deg: float | None = None
+    """Of the converter whose whole multiples the positions are."""
+    runs: tuple[Record, ...] = ()
+    """Separate experiments with one servo that this record is the sequence of; none if it is one itself."""
+    free_poles: bool = False
+    """Whether the poles of the servo are not known, and are fitted along with every effect."""
+    own: OwnEffect | None = None
+    """An effect of the user's own."""
+
+    @property
+    def run(self) -> IntArray:
+        """Number of the run that each sample belongs to."""
+        sizes = [each.time_s.size for each in self.runs] or [self.time_s.size]
+        return np.repeat(np.arange(len(sizes)), sizes)
 
     @property
     def period_s(self) -> float:
@@ -77,6 +97,9 @@ def record_of(
     pressure_pa: FloatArray | None = None,
     voltage_v: FloatArray | None = None,
     until_s: float = float("inf"),
+    at_rest: bool = False,
+    free_poles: bool = False,
+    own: OwnEffect | None = None,
 ) -> Record:
     """Prepare a segment for comparison.
 
@@ -87,9 +110,15 @@ def record_of(
     model : ServoModel
         The servo as it is known.
     pressure_pa, voltage_v : ndarray, shape (n,), optional
-        Dynamic pressure [Pa] and supply voltage [V] at the measurements.
+        Dynamic pressure [Pa] and supply voltage [V] at the measurements; left out, those of the segment.
     until_s : float
         Nothing later counts [s].
+    at_rest : bool
+        Whether the servo rested before the first sample, as on a bench: then all of it counts.
+    free_poles : bool
+        Whether the poles of the servo are not known.
+    own : OwnEffect, optional
+        An effect of the user's own, tried beside those of the catalogue.
     """
     time_s, measured_deg = segment.measured_s, segment.measured_deg
     plant = plant_of(model)
@@ -97,7 +126,7 @@ def record_of(
     known = np.isfinite(measured_deg)
     slowest = float(np.abs(model.transfer.poles_rad_s.real).min())
     start_s = min(_START_S, _TIME_CONSTANTS / slowest) + model.plan.delay_s
-    starts_s = [time_s[known][0], segment.command_s[0]]
+    starts_s = [-np.inf] if at_rest else [time_s[known][0], segment.command_s[0]]
     for times in (time_s[known], segment.command_s):
         starts_s += times[1:][np.diff(times) > hole_s].tolist()
     begin = np.sort(np.array(starts_s))
@@ -107,7 +136,71 @@ def record_of(
     # Fewer commands than the servo received: they run straight between, later by the mean lag of the hold.
     commands = commands_at_servo(segment, 0.0, hole_s)
     block = ((time_s - time_s[0]) / BLOCK_S).astype(np.int64)
-    return Record(plant, commands, time_s, measured_deg, counts, block, pressure_pa, voltage_v)
+    context = segment.context
+    if pressure_pa is None and "airspeed_m_s" in context.logged:
+        pressure_pa = context.pressure_pa(time_s)
+    if voltage_v is None and "servo_voltage_v" in context.logged:
+        voltage_v = context.supply_v(time_s)
+    current_a = context.drawn_a(time_s) if "servo_current_a" in context.logged else None
+    return Record(
+        plant,
+        commands,
+        time_s,
+        measured_deg,
+        counts,
+        block,
+        pressure_pa,
+        voltage_v,
+        current_a,
+        comb_step_deg(measured_deg),
+        free_poles=free_poles,
+        own=own,
+    )
+
+
+def joined(records: Sequence[Record]) -> Record:
+    """Several runs of one servo as one record: each starts from its own rest, every other one is held out whole.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        The runs, at least one; a single one comes back as it is.
+    """
+    if len(records) == 1:
+        return records[0]
+    runs, blocks, later_s, count = [], [], 0.0, 0
+    for k, each in enumerate(records):
+        shift_s = later_s - float(each.time_s[0])
+        moved = replace(each.commands, effective_s=each.commands.effective_s + shift_s)
+        runs.append(replace(each, commands=moved, time_s=each.time_s + shift_s))
+        blocks.append(2 * (each.block + count) + k % 2)
+        count += int(each.block[-1]) + 1
+        later_s = float(runs[-1].time_s[-1]) + _BETWEEN_RUNS_S
+    return Record(
+        records[0].plant,
+        Commands(
+            np.concatenate([each.commands.effective_s for each in runs]),
+            np.concatenate([each.commands.command_deg for each in runs]),
+            np.concatenate([each.commands.slope_deg_s for each in runs]),
+        ),
+        np.concatenate([each.time_s for each in runs]),
+        np.concatenate([each.measured_deg for each in runs]),
+        np.concatenate([each.counts for each in runs]),
+        np.concatenate(blocks),
+        _context([each.pressure_pa for each in runs]),
+        _context([each.voltage_v for each in runs]),
+        _context([each.current_a for each in runs]),
+        records[0].step_deg,
+        tuple(runs),
+        records[0].free_poles,
+        records[0].own,
+    )
+
+
+def _context(values: list[FloatArray | None]) -> FloatArray | None:
+    """What was logged in every run; None if it was not in one of them."""
+    there = [each for each in values if each is not None]
+    return np.concatenate(there) if len(there) == len(values) else None
 
 
 def _after_lost_commands(segment: Segment, hole_s: float, time_s: FloatArray) -> BoolArray:
@@ -139,10 +232,14 @@ def simulate(record: Record, physics: Physics) -> FloatArray:
     >>> bool(np.abs(moved).max() < 1e-6)
     True
     """
-    from servofd.discrepancy.kernel import framed, run
+    from servofd.models.position_loop import framed, new_memory, run
 
+    if record.runs:
+        return np.concatenate([simulate(each, physics) for each in record.runs])
     commands, plant = record.commands, record.plant
     sent_s, deg, slope = commands.effective_s, commands.command_deg, commands.slope_deg_s
+    if record.own is not None:
+        deg = record.own.changed("command", physics, sent_s, deg)
     if physics.command_step_deg > 0.0:
         deg = physics.command_step_deg * np.round(deg / physics.command_step_deg)
     if physics.frame_s > 0.0:
@@ -155,19 +252,17 @@ def simulate(record: Record, physics: Physics) -> FloatArray:
         physics,
         plant.loop(physics.bandwidth_scale, physics.damping_scale, physics.torque_share),
         plant.dc_gain,
-        _longest_step_s(physics),
+        longest_step_s(physics),
         sent_s + physics.delay_s,
         deg,
         slope,
         record.time_s - physics.offset_s,
         nothing if record.pressure_pa is None else record.pressure_pa,
         nothing if record.voltage_v is None else record.voltage_v,
-        start_deg,
+        new_memory(start_deg),
     )
+    if physics.deg_per_a != 0.0 and record.current_a is not None:
+        position_deg = position_deg + physics.deg_per_a * record.current_a
+    if record.own is not None:
+        position_deg = record.own.changed("deflection", physics, record.time_s, position_deg)
     return position_deg
-
-
-def _longest_step_s(physics: Physics) -> float:
-    if physics.is_linear_loop:
-        return float("inf")
-    return _SHORT_SUBSTEP_S if physics.insensitive_deg > 0.0 else _SUBSTEP_S

@@ -7,13 +7,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from servofd.discrepancy.record import Record
     from servofd.discrepancy.select import Selection
 
-__all__ = ["effect_values", "unjudged_sentence"]
+__all__ = ["effect_values", "linear_sentence", "unjudged_sentence"]
 
 _SURE = 1.959963984540054
 """Standard deviations of a 95 % interval."""
-_CONTEXT = {"airspeed_m_s": "airspeed (column airspeed_m_s)", "servo_voltage_v": "supply voltage (servo_voltage_v)"}
+_CONTEXT = {
+    "airspeed_m_s": "airspeed (column airspeed_m_s)",
+    "servo_voltage_v": "supply voltage (servo_voltage_v)",
+    "servo_current_a": "current (servo_current_a)",
+}
 
 
 def effect_values(selection: Selection, index: int) -> dict[str, dict[str, float]]:
@@ -40,3 +45,16 @@ def unjudged_sentence(selection: Selection) -> str:
     names = ", ".join(dict.fromkeys(effect.name for effect in selection.unjudged))
     needs = " and ".join(_CONTEXT[need] for need in dict.fromkeys(n for e in selection.unjudged for n in e.needs))
     return f"cannot be judged: {names}; the log holds no {needs}"
+
+
+def linear_sentence(record: Record, selection: Selection) -> str:
+    """Which linear servo was fitted, as nobody knew one."""
+    from servofd.models.physics import scaled_transfer
+
+    said = []
+    for fit in (selection.nominal, selection.final):
+        transfer = scaled_transfer(record.plant.transfer, selection.fitter.physics(fit.effects, fit.values))
+        _, twice_damping, stiffness = np.array(transfer.denominator) / transfer.denominator[0]
+        natural = float(np.sqrt(stiffness))
+        said.append(f"{natural / (2.0 * np.pi):.3g} Hz, damping ratio {twice_damping / (2.0 * natural):.2g}")
+    return f"no servo was known: a second order was fitted, by itself {said[0]}; beside the effects {said[1]}"

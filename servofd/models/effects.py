@@ -12,9 +12,10 @@ from enum import IntEnum
 from typing import ClassVar, Protocol
 
 from servofd.errors import ConfigError
+from servofd.models.physics import Physics, scaled_transfer
 from servofd.models.transfer import TransferFunction
 
-__all__ = ["CATALOGUE", "Delay", "Effect", "LinearDynamics", "Place", "Plan", "PositionLimit", "RateLimit"]
+__all__ = ["CATALOGUE", "Delay", "Effect", "Extension", "LinearDynamics", "Place", "Plan", "PositionLimit", "RateLimit"]
 
 
 class Place(IntEnum):
@@ -24,6 +25,8 @@ class Place(IntEnum):
     SERVO = 2
     LINKAGE = 3
     SENSOR = 4
+    WHOLE = 5
+    """Effects of all places together."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +39,8 @@ class Plan:
     rate_up_deg_s: float = float("inf")
     lower_deg: float = float("-inf")
     upper_deg: float = float("inf")
+    physics: Physics | None = None
+    """Effects beyond these, for the kernel of the position loop."""
 
 
 class Effect(Protocol):
@@ -136,6 +141,38 @@ class PositionLimit:
         """Keep the tighter of the stops."""
         return replace(
             plan, lower_deg=max(plan.lower_deg, self.lower_deg), upper_deg=min(plan.upper_deg, self.upper_deg)
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Extension:
+    """All that a servo has beyond its linear model, as ``servofd explain`` finds it.
+
+    Its delay and limits take the place of those that the servo had before; scaled poles become poles.
+
+    Examples
+    --------
+    >>> Extension(Physics(delay_s=0.03, backlash_deg=0.5)).install(Plan(delay_s=0.004)).delay_s
+    0.03
+    """
+
+    name: ClassVar[str] = "extension"
+    place: ClassVar[Place] = Place.WHOLE
+    physics: Physics
+
+    def install(self, plan: Plan) -> Plan:
+        """Replace what was planned before by what was found."""
+        physics = self.physics
+        transfer = scaled_transfer(plan.transfer, physics) if plan.transfer else None
+        return replace(
+            plan,
+            delay_s=physics.delay_s,
+            transfer=transfer,
+            rate_up_deg_s=physics.follow_up_deg_s,
+            rate_down_deg_s=physics.follow_down_deg_s,
+            lower_deg=physics.lower_deg,
+            upper_deg=physics.upper_deg,
+            physics=physics._replace(bandwidth_scale=1.0, damping_scale=1.0),
         )
 
 

@@ -9,9 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.errors import DesignError
-from servofd.models.effects import Delay, Effect, LinearDynamics, Plan, RateLimit
+from servofd.models.context import NO_CONTEXT
+from servofd.models.effects import Delay, Effect, Extension, LinearDynamics, Plan, RateLimit
+from servofd.models.physics import RATE_FIELDS
 
 if TYPE_CHECKING:
+    from servofd.models.context import Context
+    from servofd.models.extended import ExtendedMotion, ExtendedServo
     from servofd.models.kernel import ServoParameters
     from servofd.models.motion import Motion
     from servofd.models.transfer import TransferFunction
@@ -78,6 +82,45 @@ class ServoModel:
         """Only the delay and the linear dynamics, without limits."""
         return ServoModel((Delay(self.plan.delay_s), LinearDynamics(self.transfer)))
 
+    def extended(self, context: Context = NO_CONTEXT) -> ExtendedServo | None:
+        """The servo with its effects, for commands that are delayed already; None if it has none.
+
+        Examples
+        --------
+        >>> from servofd.models.physics import Physics
+        >>> from servofd.servos import servo_named
+        >>> model = ServoModel.of(servo_named("hs225bb-eq31"))
+        >>> model.extended() is None, (model + Extension(Physics(backlash_deg=0.5))).extended().play_deg
+        (True, 0.25)
+        """
+        from servofd.models.extended import ExtendedServo
+        from servofd.models.physics import Physics, Plant
+
+        physics = self.plan.physics
+        if physics is None:
+            return None
+        # Frames begin when they begin, and are heard a delay later.
+        phase = physics.frame_phase + (physics.delay_s / physics.frame_s if physics.frame_s > 0.0 else 0.0)
+        return ExtendedServo(Plant(self.transfer, Physics()), physics._replace(delay_s=0.0, frame_phase=phase), context)
+
+    def weaker(self, share: float) -> ServoModel:
+        """The servo with every rate limit lower by a share; the same if it has none."""
+        plan = self.plan
+        if plan.physics is not None:
+            lower = {name: (1.0 - share) * getattr(plan.physics, name) for name in RATE_FIELDS}
+            return self + Extension(plan.physics._replace(**lower))
+        limit_deg_s = min(plan.rate_up_deg_s, plan.rate_down_deg_s)
+        return self + RateLimit((1.0 - share) * limit_deg_s) if limit_deg_s < float("inf") else self
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """What of the servo's surroundings its effects depend on."""
+        physics = self.plan.physics
+        if physics is None:
+            return frozenset()
+        needs = {"airspeed_m_s"} if physics.airload_per_pa else set()
+        return frozenset(needs | ({"servo_voltage_v"} if physics.deg_s_per_v < float("inf") else set()))
+
     def parameters(self) -> ServoParameters:
         """The model as the kernel sees it."""
         from servofd.models.kernel import ServoParameters
@@ -116,12 +159,19 @@ class ServoModel:
         """
         return self.motion(command_s, command_deg).at(np.asarray(at_s, dtype=float))
 
-    def motion(self, command_s: FloatArray, command_deg: FloatArray) -> Motion:
+    def motion(self, command_s: FloatArray, command_deg: FloatArray) -> Motion | ExtendedMotion:
         """The servo at rest at the first of its commands, to be simulated piece by piece."""
+        from servofd.models.extended import ExtendedMotion
         from servofd.models.motion import Motion
 
         command_s, command_deg = np.asarray(command_s, dtype=float), np.asarray(command_deg, dtype=float)
-        motion = Motion(self.parameters(), command_s + self.plan.delay_s, command_deg)
+        effective_s, extended = command_s + self.plan.delay_s, self.extended()
+        motion: Motion | ExtendedMotion
+        if extended is None:
+            motion = Motion(self.parameters(), effective_s, command_deg)
+        else:
+            motion = ExtendedMotion(extended)
+            motion.hear(effective_s, command_deg, np.zeros(command_s.size))
         if command_s.size:
             motion.rest(float(command_s[0]))
         return motion

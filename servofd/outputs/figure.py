@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import textwrap
 import warnings
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from servofd.outputs.files import whole_file
+from servofd.outputs.palette import COLOURS
+from servofd.outputs.picture import finish, new_figure
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
     from servofd.detection.audit import SurfaceAudit
     from servofd.detection.residual import Residuals
@@ -21,18 +25,9 @@ if TYPE_CHECKING:
     from servofd.segment import Segment
     from servofd.types import BoolArray, FloatArray
 
-__all__ = ["COLOURS", "save_figure"]
+__all__ = ["audit_figure", "save_figure"]
 
-COLOURS = {
-    "command": "#7f7f7f",
-    "simulated": "#0072b2",
-    "measured": "#e69f00",
-    "fault": "#d55e00",
-    "suspicion": "#cc79a7",
-    "ok": "#009e73",
-}
-"""Okabe and Ito's palette, which colour-blind eyes can tell apart."""
-
+_DRAWN = ("time_s", "simulated_deg", "measured_deg", "residual_deg", "settled")
 _TITLE_COLUMNS = 130
 _WIDEST = 4000
 """Points drawn per curve; more cannot be told apart, and slow the drawing down."""
@@ -55,44 +50,81 @@ def save_figure(audit: SurfaceAudit, path: Path, title: str) -> None:
     ValueError
         If the surface has no residuals: there is nothing to draw.
     """
-    if audit.segment is None or audit.residuals is None or audit.threshold is None:
-        raise ValueError(f"{audit.surface}: nothing to draw, {audit.reason}")
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11, 6.5), layout="constrained")
-    FigureCanvasAgg(figure)
-    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
-    _draw_deflection(upper, audit.segment, audit.residuals)
-    _draw_residual(lower, audit.residuals, audit.threshold)
-    for axes in (upper, lower):
-        _shade(axes, audit, named=axes is upper)
-        axes.grid(visible=True, color="0.9")
-        axes.spines[["top", "right"]].set_visible(False)
+    figure = audit_figure(audit)
     reason = textwrap.fill(audit.reason, _TITLE_COLUMNS)
-    upper.set_title(f"{title}   {audit.surface}: {audit.status}\n{reason}", loc="left", fontsize=10)
-    for axes in (upper, lower):
-        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
+    figure.axes[0].set_title(f"{title}   {audit.surface}: {audit.status}\n{reason}", loc="left", fontsize=10)
     with whole_file(path) as temporary, warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph .* missing")  # names in scripts that the font lacks
         figure.savefig(temporary, dpi=110)
 
 
-def _draw_deflection(axes: Axes, segment: Segment, residuals: Residuals) -> None:
-    time_s, command_deg = _thin(segment.command_s, segment.command_deg)
+def audit_figure(
+    audit: SurfaceAudit, between_s: tuple[float, float] | None = None, *, points: int = _WIDEST, legend: str = "beside"
+) -> Figure:
+    """Draw one surface, all of it or what lies between two times.
+
+    Parameters
+    ----------
+    audit : SurfaceAudit
+        A surface with residuals.
+    between_s : tuple of float, optional
+        First and last time to show [s].
+    points : int
+        Points drawn per curve, at most; the extremes of each column survive.
+    legend : {"beside", "above"}
+        Where the names of the curves stand.
+
+    Raises
+    ------
+    ValueError
+        If the surface has no residuals: there is nothing to draw.
+    """
+    if audit.segment is None or audit.residuals is None or audit.threshold is None:
+        raise ValueError(f"{audit.surface}: nothing to draw, {audit.reason}")
+    segment, residuals, threshold = audit.segment, audit.residuals, audit.threshold
+    if between_s is not None:
+        segment, residuals, threshold = _cut(segment, residuals, threshold, between_s)
+    height, width = (6.5, 11.0) if legend == "beside" else (5.6, 9.0)
+    figure, (upper, lower) = new_figure(2, height=height, width=width, ratios=(3, 2))
+    _draw_deflection(upper, segment, residuals, points)
+    _draw_residual(lower, residuals, threshold, points)
+    for axes in (upper, lower):
+        _shade(axes, audit, named=axes is upper)
+    finish(upper, lower, legend=legend)
+    if between_s is not None:
+        lower.set_xlim(*between_s)
+    return figure
+
+
+def _cut(
+    segment: Segment, residuals: Residuals, threshold: Threshold, between_s: tuple[float, float]
+) -> tuple[Segment, Residuals, Threshold]:
+    """What lies between two times, and the command that holds when it begins."""
+    first, last = np.searchsorted(segment.command_s, between_s)
+    kept = slice(max(int(first) - 1, 0), int(last) + 1)
+    inside = slice(*np.searchsorted(residuals.time_s, between_s))
+    return (
+        replace(segment, command_s=segment.command_s[kept], command_deg=segment.command_deg[kept]),
+        replace(residuals, **{name: getattr(residuals, name)[inside] for name in _DRAWN}),
+        replace(threshold, level_deg=threshold.level_deg[inside]),
+    )
+
+
+def _draw_deflection(axes: Axes, segment: Segment, residuals: Residuals, points: int) -> None:
+    time_s, command_deg = _thin(segment.command_s, segment.command_deg, points)
     axes.plot(time_s, command_deg, color=COLOURS["command"], lw=0.9, drawstyle="steps-post", label="command")
-    time_s, simulated_deg = _thin(residuals.time_s, residuals.simulated_deg)
+    time_s, simulated_deg = _thin(residuals.time_s, residuals.simulated_deg, points)
     axes.plot(time_s, simulated_deg, color=COLOURS["simulated"], lw=2.0, label="simulated")
-    time_s, measured_deg = _thin(residuals.time_s, residuals.measured_deg)
+    time_s, measured_deg = _thin(residuals.time_s, residuals.measured_deg, points)
     axes.plot(time_s, measured_deg, color=COLOURS["measured"], lw=0.9, label="measured")
     axes.set_ylabel("deflection [deg]")
 
 
-def _draw_residual(axes: Axes, residuals: Residuals, threshold: Threshold) -> None:
+def _draw_residual(axes: Axes, residuals: Residuals, threshold: Threshold, points: int) -> None:
     judged = np.where(residuals.settled, residuals.residual_deg, np.nan)
-    time_s, residual_deg = _thin(residuals.time_s, judged)
+    time_s, residual_deg = _thin(residuals.time_s, judged, points)
     axes.plot(time_s, residual_deg, color="black", lw=0.8, label="residual")
-    level_s, level_deg = _thin(residuals.time_s, threshold.level_deg)
+    level_s, level_deg = _thin(residuals.time_s, threshold.level_deg, points)
     for sign in (1.0, -1.0):
         about = "about " if threshold.kind == "interval" else ""
         label = f"threshold {about}±{threshold.typical_deg:.3g} deg" if sign > 0 else None
@@ -102,7 +134,7 @@ def _draw_residual(axes: Axes, residuals: Residuals, threshold: Threshold) -> No
     axes.set_ylim(-limit, limit)
     alarm = (np.abs(judged) >= threshold.level_deg).astype(float)
     axes.fill_between(
-        *_thin_flags(residuals.time_s, alarm, -limit, -0.92 * limit),
+        *_thin_flags(residuals.time_s, alarm, -limit, -0.92 * limit, points),
         color=COLOURS["fault"],
         lw=0,
         label="alarm",
@@ -116,7 +148,7 @@ def _shade(axes: Axes, audit: SurfaceAudit, *, named: bool) -> None:
     if audit.residuals is None:
         return
     last_s = float(audit.residuals.time_s[-1])
-    for found, colour, label in ((audit.faults, "fault", "fault"), (audit.suspicions, "suspicion", "suspicion")):
+    for found, colour, label in ((audit.faults, "fault", "fault"), (audit.suspicions, "suspect", "suspicion")):
         for number, fault in enumerate(found):
             end_s = last_s if fault.end_s is None else fault.end_s
             shown = label if number == 0 else None
@@ -125,14 +157,15 @@ def _shade(axes: Axes, audit: SurfaceAudit, *, named: bool) -> None:
             if named:
                 name = "within tolerance" if fault.kind == "healthy" else fault.kind.replace("_", " ")
                 place = axes.get_xaxis_transform()
-                axes.text(fault.start_s, 1.0, f" {name}", transform=place, va="top", fontsize=9, color=COLOURS[colour])
+                style: dict[str, Any] = {"va": "top", "fontsize": 9, "clip_on": True, "color": COLOURS[colour]}
+                axes.text(fault.start_s, 1.0, f" {name}", transform=place, **style)
 
 
-def _thin(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _thin(time_s: FloatArray, values: FloatArray, points: int = _WIDEST) -> tuple[FloatArray, FloatArray]:
     """Keep the smallest and the largest sample of each pixel column, so that no spike is lost."""
-    if time_s.size <= _WIDEST:
+    if time_s.size <= points:
         return time_s, values
-    edges = np.linspace(0, time_s.size, _WIDEST // 2 + 1).astype(int)[:-1]
+    edges = np.linspace(0, time_s.size, points // 2 + 1).astype(int)[:-1]
     missing = ~np.isfinite(values)
     low = np.minimum.reduceat(np.where(missing, np.inf, values), edges)
     high = np.maximum.reduceat(np.where(missing, -np.inf, values), edges)
@@ -142,9 +175,9 @@ def _thin(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArra
 
 
 def _thin_flags(
-    time_s: FloatArray, flags: FloatArray, bottom: float, top: float
+    time_s: FloatArray, flags: FloatArray, bottom: float, top: float, points: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Outline of a bar that is there while a flag is set."""
-    thin_s, thin = _thin(time_s, flags)
+    thin_s, thin = _thin(time_s, flags, points)
     raised: BoolArray = thin > 0.0
     return thin_s, np.full(thin_s.size, bottom), np.where(raised, top, bottom)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,49 +9,22 @@ import numpy as np
 from servofd.identification.frequency_response import raw_response
 from servofd.identification.rate import step_slopes
 from servofd.identification.records import longest_uniform
-from servofd.outputs.figure import COLOURS
+from servofd.outputs.palette import COLOURS
+from servofd.outputs.picture import Picture, finish, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
     from servofd.identification.frequency_response import FrequencyResponse
     from servofd.identification.result import Identification
     from servofd.types import FloatArray
 
-__all__ = ["Picture", "identify_figures"]
+__all__ = ["identify_figures"]
 
 _EXCERPT_S = 4.0
 _STEP_S = 0.6
 _RAW_POINTS = 3000
 _SERVOS = ("#0072b2", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Picture:
-    """One figure and what it shows in words."""
-
-    name: str
-    title: str
-    text: str
-    """What somebody must know who cannot see it."""
-    figure: Figure
-
-    def png(self) -> bytes:
-        """The picture as PNG."""
-        return self._saved("png")
-
-    def svg(self) -> str:
-        """The picture as SVG, the same bytes for the same data."""
-        from matplotlib import rc_context
-
-        with rc_context({"svg.hashsalt": self.name, "svg.fonttype": "none"}):
-            return self._saved("svg").decode()
-
-    def _saved(self, kind: str) -> bytes:
-        buffer = io.BytesIO()
-        self.figure.savefig(buffer, format=kind, dpi=110, metadata={"Date": None} if kind == "svg" else None)
-        return buffer.getvalue()
 
 
 def identify_figures(found: Identification) -> tuple[Picture, ...]:
@@ -80,7 +51,7 @@ def identify_figures(found: Identification) -> tuple[Picture, ...]:
 
 
 def _bode(found: Identification) -> Picture:
-    figure, (upper, lower) = _axes(2, height=6.0)
+    figure, (upper, lower) = new_figure(2, height=6.0)
     run = next(r for r in found.runs if r.command_s.size > 2)
     uniform = longest_uniform(run)
     raw = raw_response(
@@ -124,7 +95,7 @@ def _bode(found: Identification) -> Picture:
 
 
 def _coherence(found: Identification) -> Picture:
-    figure, (axes,) = _axes(1)
+    figure, (axes,) = new_figure()
     for k, response in enumerate(found.responses):
         label = f"servo {k + 1}" if len(found.responses) > 1 else "command to position"
         axes.plot(response.frequency_rad_s, response.coherence, color=_SERVOS[k % len(_SERVOS)], label=label)
@@ -138,7 +109,7 @@ def _coherence(found: Identification) -> Picture:
 
 
 def _error(found: Identification) -> Picture:
-    figure, (axes,) = _axes(1)
+    figure, (axes,) = new_figure()
     for k, (response, error) in enumerate(zip(found.responses, found.normalized_errors(), strict=True)):
         label = f"servo {k + 1}" if len(found.responses) > 1 else "|G smoothed - G fit| / |G fit|"
         axes.semilogy(response.frequency_rad_s, error, color=_SERVOS[k % len(_SERVOS)], label=label)
@@ -153,12 +124,12 @@ def _motion(found: Identification) -> Picture:
     """First seconds of the first test, thesis Fig. 3.4."""
     run, error = found.runs[0], found.errors_deg[0]
     begin_s = float(run.measured_s[0])
-    figure, (axes,) = _axes(1)
+    figure, (axes,) = new_figure()
     inside = run.measured_s <= begin_s + _EXCERPT_S
     _draw(axes, found, 0, inside)
     axes.set_xlabel("time [s]")
     axes.set_ylabel("angle [deg]")
-    _finish(axes)
+    finish(axes)
     text = f"Command, measured and simulated position; the error is {np.std(error[inside]):.3g} deg rms here."
     return Picture("motion", f"First {_EXCERPT_S:g} s of the test (thesis Fig. 3.4)", text, figure)
 
@@ -167,13 +138,13 @@ def _validation(found: Identification) -> Picture:
     """All of the longest test, thesis Fig. 3.9."""
     index = int(np.argmax([run.measured_s.size for run in found.runs]))
     run, error = found.runs[index], found.errors_deg[index]
-    figure, (upper, lower) = _axes(2, height=5.0)
+    figure, (upper, lower) = new_figure(2, height=5.0)
     _draw(upper, found, index, np.ones(run.measured_s.size, dtype=bool))
     lower.plot(run.measured_s, error, color="black", lw=0.6, label="measured - simulated")
     upper.set_ylabel("angle [deg]")
     lower.set_ylabel("error [deg]")
     lower.set_xlabel("time [s]")
-    _finish(upper, lower)
+    finish(upper, lower)
     text = f"Simulation of the whole test: {np.std(error):.3g} deg rms, fit {found.fits_percent[index]:.1f} %."
     return Picture("validation", "Validation in time (thesis Fig. 3.9)", text, figure)
 
@@ -182,7 +153,7 @@ def _steps(found: Identification) -> Picture:
     """Largest step with the line whose slope is the rate limit, thesis Fig. 3.3."""
     step = max(step_slopes(found.runs), key=lambda one: abs(one.travel_deg))
     run = found.runs[step.run]
-    figure, (axes,) = _axes(1)
+    figure, (axes,) = new_figure()
     inside = (run.measured_s >= step.start_s - 0.1) & (run.measured_s <= min(step.start_s + _STEP_S, step.end_s))
     _draw(axes, found, step.run, inside)
     after = (run.measured_s >= step.start_s) & inside
@@ -195,7 +166,7 @@ def _steps(found: Identification) -> Picture:
     axes.plot(line_s, line_deg, color=COLOURS["fault"], lw=2.5, ls="--", label=f"{abs(step.slope_deg_s):.0f} deg/s")
     axes.set_xlabel("time [s]")
     axes.set_ylabel("angle [deg]")
-    _finish(axes)
+    finish(axes)
     text = (
         f"A step of {step.travel_deg:.1f} deg runs at {abs(step.slope_deg_s):.0f} deg/s between 20 and 80 % of its way."
     )
@@ -231,21 +202,4 @@ def _frequency_axis(found: Identification, *all_axes: Axes) -> None:
         axes.set_xlim(0.5 * low, 1.6 * high)
         axes.axvspan(low, high, color=COLOURS["ok"], alpha=0.08, lw=0)
     all_axes[-1].set_xlabel("frequency [rad/s]")
-    _finish(*all_axes)
-
-
-def _axes(count: int, height: float = 3.6) -> tuple[Figure, tuple[Axes, ...]]:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure as NewFigure
-
-    figure = NewFigure(figsize=(9.0, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure, tuple(np.atleast_1d(figure.subplots(count, 1, sharex=True)))
-
-
-def _finish(*all_axes: Axes) -> None:
-    for axes in all_axes:
-        axes.grid(visible=True, color="0.9")
-        axes.spines[["top", "right"]].set_visible(False)
-        if axes.get_legend_handles_labels()[1]:
-            axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
+    finish(*all_axes)

@@ -56,6 +56,7 @@ def _log(result: LogAudit | FailedLog) -> dict[str, Any]:
         "path": str(log.source),
         "run": log.run or None,
         "format": log.format,
+        "start_utc": log.start_utc.isoformat() if log.start_utc else None,
         "duration_s": log.duration_s,
         "error": None,
         "damage": [_damage(damage) for damage in log.damage],
@@ -87,6 +88,7 @@ def _surface(surface: SurfaceAudit) -> dict[str, Any]:
 def _fault(fault: Fault) -> dict[str, Any]:
     return {
         "kind": fault.kind,
+        "level": fault.level,
         "start_s": fault.start_s,
         "alarm_s": fault.alarm_s,
         "end_s": fault.end_s,

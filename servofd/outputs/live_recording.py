@@ -14,7 +14,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from servofd.outputs.recording.stream import Recorder
+
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
     from servofd.detection.events import Event
@@ -57,9 +60,19 @@ class LiveRecording:
         File to write.
     port : int, optional
         Port of the loopback interface on which viewers may connect.
+    properties : Mapping, optional
+        What ``servofd review`` needs to judge it afterwards; see `servofd.outputs.recording.verdicts.live_verdicts`.
     """
 
-    def __init__(self, name: str, surfaces: list[str], *, path: Path | None = None, port: int | None = None) -> None:
+    def __init__(
+        self,
+        name: str,
+        surfaces: list[str],
+        *,
+        path: Path | None = None,
+        port: int | None = None,
+        properties: Mapping[str, Any] | None = None,
+    ) -> None:
         import rerun as rr
 
         self._rr: Any = rr
@@ -80,6 +93,8 @@ class LiveRecording:
         for stream, _ in self._sinks:
             rr.set_log_time_enabled(False, recording=stream)
             _style(rr, stream, surfaces)
+            if properties is not None:
+                Recorder(stream).properties(name or "monitor", properties)
         self._kept: list[list[Samples | Event]] = [[] for _ in self._sinks]
         self._thread = threading.Thread(target=self._run, name="servofd record", daemon=True)
         self._thread.start()

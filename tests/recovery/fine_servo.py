@@ -1,6 +1,6 @@
 """A servo in steps of a quarter millisecond, in plain Python: shares nothing with the kernel that explains it.
 
-Torque, friction and loads act on a mass; the loop's damping is split otherwise than in `servofd.discrepancy.physics`.
+Torque, friction and loads act on a mass; the loop's damping is split otherwise than in `servofd.models.physics`.
 """
 
 from __future__ import annotations

@@ -9,8 +9,8 @@ import pytest
 
 from servofd.discrepancy.explanation import Explanation, explain_gap
 from servofd.discrepancy.locate import bad_seconds
-from servofd.discrepancy.physics import Physics
 from servofd.discrepancy.record import record_of, simulate
+from servofd.models.physics import Physics
 from servofd.models.servo_model import ServoModel
 from servofd.segment import Segment
 from servofd.servos import library, servo_named
@@ -63,13 +63,13 @@ def test_without_effects_it_is_the_linear_servo(name: str) -> None:
     ],
 )
 def test_shorter_steps_change_nothing(change: dict[str, float], monkeypatch: pytest.MonkeyPatch) -> None:
-    from servofd.discrepancy import record as records
+    from servofd.models import physics
 
     time_s = np.arange(0.0, 20.0, 0.01)
     command_deg = 8.0 * np.sign(np.sin(1.3 * time_s)) + 2.0 * np.sin(5.0 * time_s)
     record = record_of(Segment("x", time_s, command_deg, time_s, np.full(time_s.size, 8.0)), KNOWN.linear())
     coarse = simulate(record, record.plant.neutral._replace(**change))
-    monkeypatch.setattr(records, "_SUBSTEP_S", 2.5e-4)
+    monkeypatch.setattr(physics, "_SUBSTEP_S", 2.5e-4)
     fine = simulate(record, record.plant.neutral._replace(**change))
     assert np.abs(coarse - fine)[record.counts].max() < 0.03
     assert np.sqrt(np.mean((coarse - fine)[record.counts] ** 2)) < 0.005

@@ -9,16 +9,16 @@ import numpy as np
 
 from servofd.detection.allowance import CURVATURE_TO_SIGMA
 from servofd.detection.bank.explanation import COLOUR, Ridge
+from servofd.models.extended import AnyServo, ExtendedMotion, ExtendedServo
 
 if TYPE_CHECKING:
     from servofd.detection.bank.explanation import Explanation
     from servofd.detection.residual import Commands, Residuals
-    from servofd.models.kernel import ServoParameters
     from servofd.models.servo_model import ServoModel
     from servofd.tolerance import Tolerance
     from servofd.types import FloatArray
 
-__all__ = ["Onset", "Window", "noise_deg", "simulate", "slower"]
+__all__ = ["Onset", "Window", "limited", "noise_deg", "simulate", "slower"]
 
 _LEAD_S = 1.5
 """Simulations start this long before the window, so that how they start is forgotten (lags are below 0.15 s)."""
@@ -50,7 +50,7 @@ class Window:
     Only samples with a position are in it.
     """
 
-    servo: ServoParameters
+    servo: AnyServo
     """The healthy servo."""
     tolerance: Tolerance
     noise_deg: float
@@ -89,7 +89,7 @@ class Window:
         last = int(np.searchsorted(commands.effective_s, time_s[-1], side="right"))
         cut = slice(max(first, 0), last)
         near = type(commands)(commands.effective_s[cut], commands.command_deg[cut], commands.slope_deg_s[cut])
-        servo = model.parameters()
+        servo = model.extended(residuals.context) or model.parameters()
         quick, slow = (
             simulate(slower(servo, 1.0 + change), near, time_s) for change in (_SMALL_CHANGE, -_SMALL_CHANGE)
         )
@@ -143,7 +143,7 @@ class Window:
         """How far a healthy servo would have moved, from end to end [deg]."""
         return float(np.ptp(self.healthy_deg))
 
-    def simulate(self, servo: ServoParameters, command_deg: FloatArray | None = None) -> FloatArray:
+    def simulate(self, servo: AnyServo, command_deg: FloatArray | None = None) -> FloatArray:
         """Deflection of another servo, or under other commands, at the times of the window [deg]."""
         commands = self.commands
         if command_deg is not None:
@@ -155,13 +155,28 @@ class Window:
         return simulate(servo, commands, self.time_s)
 
 
-def slower(servo: ServoParameters, bandwidth_scale: float) -> ServoParameters:
+def slower(servo: AnyServo, bandwidth_scale: float) -> AnyServo:
     """Servo with every pole scaled: its modes keep their weights."""
+    if isinstance(servo, ExtendedServo):
+        return servo.slower(bandwidth_scale)
     return servo._replace(decay_rad_s=servo.decay_rad_s * bandwidth_scale)
 
 
-def simulate(servo: ServoParameters, commands: Commands, at_s: FloatArray) -> FloatArray:
+def limited(servo: AnyServo, rate_deg_s: float) -> AnyServo:
+    """Servo that turns no faster than this [deg/s]."""
+    if isinstance(servo, ExtendedServo):
+        return servo.limited(rate_deg_s)
+    return servo._replace(
+        rate_up_deg_s=min(rate_deg_s, servo.rate_up_deg_s), rate_down_deg_s=min(rate_deg_s, servo.rate_down_deg_s)
+    )
+
+
+def simulate(servo: AnyServo, commands: Commands, at_s: FloatArray) -> FloatArray:
     """Deflection at given times, from rest at the first command [deg]."""
+    if isinstance(servo, ExtendedServo):
+        motion = ExtendedMotion(servo)
+        motion.hear(commands.effective_s, commands.command_deg, commands.slope_deg_s)
+        return motion.at(np.concatenate([commands.effective_s[:1], at_s]))[1:]
     from servofd.models.kernel import RESTART_ALL, FilterParameters, new_memory, observe
 
     unused = FilterParameters(1.0, servo.decay_rad_s, 1.0)

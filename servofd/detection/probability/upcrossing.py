@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,6 +11,8 @@ from servofd.errors import DesignError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from servofd.types import FloatArray
 
 __all__ = ["chance_within_hour", "false_alarms_per_hour", "root_of_rate", "threshold_for_rate_deg"]
 
@@ -60,7 +63,7 @@ def false_alarms_per_hour(threshold_deg: float, sigma_deg: float, correlation: f
     z = threshold_deg / sigma_deg
     rho = min(max(correlation, -1.0 + 1e-9), 1.0 - 1e-9)
     spread = np.sqrt(1.0 - rho**2)
-    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+    nodes, weights = _gauss_legendre(_NODES)
     # The density falls by a factor e within 1/z of the threshold: integrate over ten such lengths.
     reach = _REACH * min(1.0, 4.0 / max(z, 1e-3))
     x = z + 0.5 * reach * (nodes + 1.0)
@@ -69,6 +72,13 @@ def false_alarms_per_hour(threshold_deg: float, sigma_deg: float, correlation: f
     inside = ndtr((z - rho * x) / spread) - np.exp(log_ndtr((-z - rho * x) / spread))
     tail = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi)
     return float(3600.0 * 2.0 / sample_time_s * tail * 0.5 * reach * np.sum(weights * density * inside))
+
+
+@cache
+def _gauss_legendre(count: int) -> tuple[FloatArray, FloatArray]:
+    """Nodes and weights; working them out takes a hundred times as long as using them."""
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    return np.asarray(nodes, dtype=float), np.asarray(weights, dtype=float)
 
 
 def chance_within_hour(rate_per_hour: float) -> float:

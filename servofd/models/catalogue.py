@@ -2,79 +2,22 @@
 
 An effect says where it acts, which parameters it has, within which bounds they are physical, how large they may be on
 a healthy servo, and what the log must hold to judge it. A parameter names the fields of
-`servofd.discrepancy.physics.Physics` that it sets; the kernel knows what they do.
+`servofd.models.physics.Physics` that it sets; the kernel knows what they do.
 """
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING
 
 from servofd.models.effects import Place
+from servofd.models.missing_effect import Context, MissingEffect, Parameter
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servofd.discrepancy.physics import Physics
+    from servofd.models.physics import Physics
 
 __all__ = ["CATALOGUE", "Context", "MissingEffect", "Parameter", "effects_named", "installed"]
-
-Context = Literal["airspeed_m_s", "servo_voltage_v"]
-
-
-@dataclass(frozen=True, slots=True)
-class Parameter:
-    """A number of an effect, in the unit that its name ends with."""
-
-    name: str
-    fields: tuple[str, ...]
-    """Of `Physics`, all set to the value."""
-    low: float
-    high: float
-    neutral: float
-    typical: float
-    """Deviation from neutral that is common on a healthy servo."""
-    grid: tuple[float, ...]
-    """Values to start from."""
-    kinked: bool = False
-    """True if the error has many minima in it, and must be searched instead of descended."""
-    aside: bool = False
-    """True for a number of no interest that the effect needs to fit; it is neither reported nor judged."""
-
-    width: float = 0.0
-    """How far around the start the search goes; 0: to the neighbours on the grid."""
-
-    def away(self, value: float, known: Physics) -> float:
-        """How far a value is from that of the servo as it is known."""
-        neutral = getattr(known, self.fields[0])
-        return abs(value - (neutral if math.isfinite(neutral) else self.neutral))
-
-    def at_bound(self, value: float) -> bool:
-        """Whether a value has run to the end of its range: a failure, not an answer."""
-        if self.aside:
-            return False
-        margin = 1e-3 * (self.high - self.low)
-        at_neutral = abs(self.neutral - value) <= margin
-        return (value - self.low <= margin or self.high - value <= margin) and not at_neutral
-
-
-class MissingEffect:
-    """Physics that the model does not have; subclasses fill in the rest."""
-
-    name: ClassVar[str]
-    place: ClassVar[Place]
-    parameters: ClassVar[tuple[Parameter, ...]]
-    needs: ClassVar[tuple[Context, ...]] = ()
-    form: ClassVar[str] = ""
-    """Which machine it is, where several go by one name."""
-    fixed: ClassVar[dict[str, float]] = {}
-    """Fields of `Physics` that the effect replaces."""
-
-    @classmethod
-    def key(cls) -> str:
-        """Name and form."""
-        return f"{cls.name} ({cls.form})" if cls.form else cls.name
 
 
 def installed(physics: Physics, effects: Sequence[type[MissingEffect]], values: Sequence[float]) -> Physics:
@@ -82,7 +25,7 @@ def installed(physics: Physics, effects: Sequence[type[MissingEffect]], values: 
 
     Examples
     --------
-    >>> from servofd.discrepancy.physics import Physics
+    >>> from servofd.models.physics import Physics
     >>> installed(Physics(), [Backlash, Gain], [0.5, 0.9]).backlash_deg
     0.5
     """
@@ -95,7 +38,7 @@ def installed(physics: Physics, effects: Sequence[type[MissingEffect]], values: 
     return physics._replace(**changes)
 
 
-_SPLIT = Parameter("torque_share", ("torque_share",), 0.35, 0.97, 0.8, 0.2, (0.65, 0.9), aside=True)
+_SPLIT = Parameter("torque_share", ("torque_share",), 0.35, 0.97, 0.8, 0.2, (0.8,), aside=True)
 """Where in the motor a load acts is not in the servo's poles."""
 _INFINITE = float("inf")
 _UNFOLLOWED = {"follow_up_deg_s": _INFINITE, "follow_down_deg_s": _INFINITE}
@@ -124,6 +67,7 @@ class Delay(MissingEffect):
     """Total transport delay of the command."""
 
     name, place = "delay", Place.LINK
+    family = "lag"
     parameters = (
         Parameter("delay_s", ("delay_s",), 0.0, 0.5, 0.0, 0.003, (0.0, 0.01, 0.02, 0.035, 0.06, 0.1, 0.16, 0.25)),
     )
@@ -133,6 +77,7 @@ class ClockOffset(MissingEffect):
     """Positions stamped too late (positive) or too early."""
 
     name, place = "clock_offset", Place.SENSOR
+    family = "lag"
     parameters = (
         Parameter(
             "offset_s", ("offset_s",), -0.5, 0.5, 0.0, 0.003, (-0.15, -0.08, -0.04, -0.02, 0.01, 0.03, 0.06, 0.12, 0.2)
@@ -202,10 +147,22 @@ class VoltageRate(MissingEffect):
     )
 
 
+class CurrentLimit(MissingEffect):
+    """Supply that cannot give more current: the torque grows with the root of large position errors.
+
+    The duty cycle is proportional to the error, and what the bridge draws from a limited supply to its square
+    (Rhoban's bam notes the same law for XL330 servos); linear well below the knee.
+    """
+
+    name, place = "current_limit", Place.SERVO
+    parameters = (Parameter("knee_deg", ("knee_deg",), 0.3, 1e3, 1e3, 300.0, (1.0, 3.0, 8.0, 20.0, 50.0)),)
+
+
 class DeadBand(MissingEffect):
     """Position error that the servo's controller ignores, counted from the edge."""
 
     name, place, form = "deadband", Place.SERVO, "error from the edge"
+    family = "hysteresis"
     parameters = (Parameter("width_deg", ("deadband_deg",), 0.0, 20.0, 0.0, 0.3, _WIDTHS_DEG),)
 
 
@@ -213,6 +170,7 @@ class InsensitiveBand(MissingEffect):
     """Position error below which the motor is off, and above which it sees all of it."""
 
     name, place, form = "deadband", Place.SERVO, "whole error"
+    family = "hysteresis"
     parameters = (Parameter("width_deg", ("insensitive_deg",), 0.0, 20.0, 0.0, 0.3, _WIDTHS_DEG),)
 
 
@@ -220,13 +178,15 @@ class Backlash(MissingEffect):
     """Free play of gear and linkage."""
 
     name, place = "backlash", Place.LINKAGE
-    parameters = (Parameter("width_deg", ("backlash_deg",), 0.0, 20.0, 0.0, 0.3, _WIDTHS_DEG),)
+    family = "hysteresis"
+    parameters = (Parameter("width_deg", ("backlash_deg",), 0.0, 8.0, 0.0, 0.3, _WIDTHS_DEG),)
 
 
 class Friction(MissingEffect):
     """Coulomb friction and stiction, as the position error that breaks it."""
 
     name, place = "friction", Place.SERVO
+    family = "hysteresis"
     parameters = (
         Parameter("friction_deg", ("friction_deg",), 0.0, 10.0, 0.0, 0.15, (0.05, 0.1, 0.2, 0.4, 0.7, 1.2, 2.0)),
         _SPLIT,
@@ -237,7 +197,7 @@ class LoadFriction(MissingEffect):
     """Friction that grows with the motor's effort."""
 
     name, place = "load_friction", Place.SERVO
-    parameters = (Parameter("share", ("load_friction",), 0.0, 0.95, 0.0, 0.1, (0.05, 0.15, 0.3, 0.6)),)
+    parameters = (Parameter("share", ("load_friction",), 0.0, 0.95, 0.0, 0.1, (0.05, 0.15, 0.3, 0.6)), _SPLIT)
 
 
 class AirLoad(MissingEffect):
@@ -308,6 +268,13 @@ class Quantization(MissingEffect):
     parameters = (Parameter("step_deg", ("output_step_deg",), 0.02, 10.0, 0.0, 0.1, _STEPS_DEG, True),)
 
 
+class SupplyCoupling(MissingEffect):
+    """Reading that moves with the servo's current, because both hang on one supply: nothing has moved."""
+
+    name, place, needs = "supply_coupling", Place.SENSOR, ("servo_current_a",)
+    parameters = (Parameter("deg_per_a", ("deg_per_a",), -20.0, 20.0, 0.0, 0.3, (-1.0, 1.0)),)
+
+
 class CommandSteps(MissingEffect):
     """Steps of the command."""
 
@@ -320,8 +287,8 @@ class LinkageNonlinearity(MissingEffect):
 
     name, place = "linkage_nonlinearity", Place.LINKAGE
     parameters = (
-        Parameter("quadratic_per_deg", ("quadratic_per_deg",), -0.05, 0.05, 0.0, 2e-3, (-4e-3, 4e-3)),
-        Parameter("cubic_per_deg2", ("cubic_per_deg2",), -5e-3, 5e-3, 0.0, 2e-4, (-4e-4, 4e-4)),
+        Parameter("quadratic_per_deg", ("quadratic_per_deg",), -0.05, 0.05, 0.0, 2e-3, (-4e-3, 4e-3), travel_power=1),
+        Parameter("cubic_per_deg2", ("cubic_per_deg2",), -5e-3, 5e-3, 0.0, 2e-4, (-4e-4, 4e-4), travel_power=2),
     )
 
 
@@ -364,9 +331,11 @@ CATALOGUE: tuple[type[MissingEffect], ...] = (
     PwmFrame,
     Quantization,
     CommandSteps,
+    SupplyCoupling,
     Damping,
     GravityLoad,
     LoadFriction,
+    CurrentLimit,
     AsymmetricRate,
     LinkageNonlinearity,
     Resonance,

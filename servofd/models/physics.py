@@ -19,11 +19,12 @@ import numpy as np
 from servofd.errors import DesignError
 
 if TYPE_CHECKING:
+    from servofd.models.effects import Plan
     from servofd.models.servo_model import ServoModel
     from servofd.models.transfer import TransferFunction
     from servofd.types import FloatArray
 
-__all__ = ["Loop", "Physics", "Plant", "plant_of"]
+__all__ = ["LOOSE_FIELDS", "RATE_FIELDS", "Loop", "Physics", "Plant", "longest_step_s", "plant_of", "scaled_transfer"]
 
 _TORQUE_SHARE = 0.8
 """Share of the damping that acts on the torque (q); the split changes neither the linear servo nor any steady state."""
@@ -32,6 +33,22 @@ _FASTEST_TIMES_STEP = 0.05
 """Of the fastest pole: what is left of a step is then a series whose fifth term is below 1e-10."""
 _MOST_ENTRIES = 400
 _TIED = 1e-9
+
+
+_SUBSTEP_S, _SHORT_SUBSTEP_S = 2.5e-3, 1e-3
+"""The shorter one for a servo that switches on and off at an edge."""
+
+RATE_FIELDS = (
+    "rate_up_deg_s",
+    "rate_down_deg_s",
+    "follow_up_deg_s",
+    "follow_down_deg_s",
+    "set_point_deg_s",
+    "deg_s_per_v",
+)
+"""Sizes of `Physics` that limit a speed."""
+LOOSE_FIELDS = {"backlash_deg": 0.5, "deadband_deg": 0.5, "insensitive_deg": 0.5, "friction_deg": 1.0}
+"""Sizes of `Physics` within which a surface rests anywhere, and the share of each that it may be off to either side."""
 
 
 class Physics(NamedTuple):
@@ -58,6 +75,8 @@ class Physics(NamedTuple):
     rate_down_deg_s: float = math.inf
     deg_s_per_v: float = math.inf
     """Rate limit per volt of supply."""
+    knee_deg: float = math.inf
+    """Position error beyond which the torque grows as its root: a supply that cannot give more current."""
     friction_deg: float = 0.0
     load_friction: float = 0.0
     """Friction as a share of the motor's effort."""
@@ -80,14 +99,28 @@ class Physics(NamedTuple):
     bias_deg: float = 0.0
     lag_s: float = 0.0
     output_step_deg: float = 0.0
+    deg_per_a: float = 0.0
+    """How far the reading moves with the current that the servo draws, on a supply that it shares with its sensor."""
     offset_s: float = 0.0
     """How much too late positions are stamped."""
+    own_1: float = math.nan
+    """Parameters of an effect of the user's own; the kernel knows nothing of them."""
+    own_2: float = math.nan
+    own_3: float = math.nan
+    own_4: float = math.nan
 
     @property
     def is_linear_loop(self) -> bool:
         """Whether nothing needs shorter steps than the events themselves."""
-        here, plain = self[8:27], Physics()[8:27]
+        here, plain = self[8:28], Physics()[8:28]
         return here == plain and self.lag_s == 0.0 and math.isinf(self.set_point_deg_s)
+
+
+def longest_step_s(physics: Physics) -> float:
+    """Longest substep of the kernel [s]: none if the loop is linear, and the events themselves are steps enough."""
+    if physics.is_linear_loop:
+        return math.inf
+    return _SHORT_SUBSTEP_S if physics.insensitive_deg > 0.0 else _SUBSTEP_S
 
 
 class Loop(NamedTuple):
@@ -152,19 +185,43 @@ def plant_of(model: ServoModel) -> Plant:
             f"a servo of order {len(transfer.denominator) - 1} with {len(transfer.numerator) - 1} zeros cannot be "
             "explained: servos of one to three poles and no zeros can"
         )
-    neutral = Physics(
+    return Plant(transfer, neutral_of(plan))
+
+
+def neutral_of(plan: Plan) -> Physics:
+    """Delay and limits of a servo, and its effects if it has any."""
+    return plan.physics or Physics(
         delay_s=plan.delay_s,
         follow_up_deg_s=plan.rate_up_deg_s,
         follow_down_deg_s=plan.rate_down_deg_s,
         lower_deg=plan.lower_deg,
         upper_deg=plan.upper_deg,
     )
-    return Plant(transfer, neutral)
+
+
+def scaled_transfer(transfer: TransferFunction, physics: Physics) -> TransferFunction:
+    """Linear servo with its poles scaled as the effects say; the dc gain stays.
+
+    Examples
+    --------
+    >>> from servofd.servos import servo_named
+    >>> slow = scaled_transfer(servo_named("hs225bb-eq31").transfer, Physics(bandwidth_scale=0.5))
+    >>> round(slow.bandwidth_rad_s, 2), round(slow.dc_gain, 9)
+    (14.24, 1.0)
+    """
+    from servofd.models.transfer import TransferFunction
+
+    if physics.bandwidth_scale == 1.0 and physics.damping_scale == 1.0:
+        return transfer
+    denominator = np.array(transfer.denominator) / transfer.denominator[0]
+    scales = physics.bandwidth_scale ** np.arange(denominator.size)
+    scaled = _damped(denominator, physics.damping_scale) * scales
+    return TransferFunction((transfer.dc_gain * float(scaled[-1]),), tuple(scaled.tolist()))
 
 
 @lru_cache(maxsize=256)
 def _loop(denominator: tuple[float, ...], bandwidth_scale: float, damping_scale: float, torque_share: float) -> Loop:
-    from servofd.discrepancy.kernel import step_matrices
+    from servofd.models.position_loop import step_matrices
 
     order = len(denominator) - 1
     monic = _damped(np.array(denominator) / denominator[0], damping_scale) * bandwidth_scale ** np.arange(order + 1)

@@ -1,0 +1,196 @@
+"""``servofd audit`` of many logs: folders, patterns, addresses, or more files than one looks at one by one."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import argparse
+
+    from servofd.aircraft import Aircraft
+    from servofd.fleet.find import Found, LogSource
+    from servofd.fleet.judge import JudgedLog
+    from servofd.fleet.key import Job
+    from servofd.fleet.overview import Overview
+    from servofd.fleet.store import FleetStore
+
+__all__ = ["add_options", "is_fleet", "print_overview", "run_fleet", "write_page"]
+
+_A_FEW = 16
+_SHOWN = 3
+PAGE = "fleet.html"
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Declare how many logs are worked on."""
+    parser.add_argument("--workers", type=_count, metavar="N", help="processes for many logs (default: one per core)")
+    parser.add_argument("--cluster", metavar="tcp://HOST:8786", help="judge many logs on this Dask cluster")
+
+
+def is_fleet(options: argparse.Namespace) -> bool:
+    """Whether there may be more logs than one looks at one by one."""
+    from servofd.fleet.find import is_address, is_pattern
+
+    several = any(is_address(log) or is_pattern(log) or Path(log).is_dir() for log in options.logs)
+    return several or bool(options.cluster or options.workers) or len(options.logs) > _A_FEW
+
+
+def run_fleet(options: argparse.Namespace, aircraft: Aircraft | None) -> int:
+    """Judge all logs, each printed as it is done; then the overview, and what was asked for."""
+    from servofd.cli.tables import one_line
+    from servofd.errors import ConfigError
+    from servofd.fleet.find import find_logs
+    from servofd.fleet.key import Job
+    from servofd.fleet.store import FleetStore
+    from servofd.outputs.json_report import to_json
+    from servofd.workflow import layout_of
+
+    if options.rrd:
+        raise ConfigError(f"{options.rrd}: --rrd takes one log; judge the one you want to see by itself")
+    job = Job(aircraft, options.servo, options.threshold_deg, options.threshold, tuple(options.surface))
+    found = find_logs(options.logs, layout_of(aircraft))
+    _say_what_was_skipped(found)
+    with FleetStore(Path(options.output), job.key) if options.output else nullcontext() as store:
+        judged = _judged(found, job, store, options)
+    logs = _stored(Path(options.output)) if options.output else _in_memory(judged)
+    seen = _overview(logs)
+    if options.json and options.json != "-":
+        _write_json(options.json, logs)
+    for page in filter(None, (options.html, str(Path(options.output, PAGE)) if options.output else None)):
+        write_page(seen, page)
+    if options.json == "-":
+        print(to_json({"schema": "servofd.audit/1", "logs": [log["document"] for log in logs]}), end="")
+    else:
+        print_overview(seen)
+    for problem in (*found.problems, *(one["reason"] for one in seen.untold)):
+        print(f"servofd: {one_line(problem)}", file=sys.stderr)
+    return 2 if found.problems else seen.exit_code
+
+
+def _judged(found: Found, job: Job, store: FleetStore | None, options: argparse.Namespace) -> list[JudgedLog]:
+    """Judge what is not done, and print it; kept in memory only if there is no folder for it."""
+    from servofd.cli.tables import progress_with_estimate
+    from servofd.fleet.run import audit_fleet
+
+    kept = []
+    to_do = _to_do(found.logs, store)
+    if not to_do:
+        return []
+    with progress_with_estimate("audit", len(found.logs), len(found.logs) - len(to_do)) as step:
+        for judged in audit_fleet(to_do, job, cluster=options.cluster, workers=options.workers):
+            if store is None:
+                kept.append(judged)
+            elif not store.add(judged):
+                print(f"servofd: {judged.source.path}: the same bytes as another log; counted once", file=sys.stderr)
+            if options.json != "-":
+                print(_line(judged), flush=True)
+            step()
+    return kept
+
+
+def _to_do(logs: tuple[LogSource, ...], store: FleetStore | None) -> list[LogSource]:
+    if store is None:
+        return list(logs)
+    if store.set_aside:
+        print(
+            f"servofd: {store.folder}: {store.set_aside} logs were judged with another aircraft file, other options or "
+            f"another version; they are in {store.folder / 'earlier'} now, and judged again",
+            file=sys.stderr,
+        )
+    store.forget_untold()
+    to_do = [log for log in logs if not store.done(log)]
+    if len(to_do) < len(logs):
+        print(f"servofd: {len(logs) - len(to_do)} of {len(logs)} logs are done already", file=sys.stderr)
+    return to_do
+
+
+def _say_what_was_skipped(found: Found) -> None:
+    from servofd.cli.tables import one_line
+
+    if found.skipped:
+        some = "; ".join(f"{one.path}: {one.reason}" for one in found.skipped[:_SHOWN])
+        more = f"; and {len(found.skipped) - _SHOWN} more" if len(found.skipped) > _SHOWN else ""
+        print(
+            f"servofd: passed over {len(found.skipped)} files that are no logs: {one_line(some)}{more}", file=sys.stderr
+        )
+
+
+def _line(judged: JudgedLog) -> str:
+    """One line per run: worst status, name, and what is not as it should be."""
+    from servofd.cli.tables import one_line
+    from servofd.fleet.overview import log_status
+
+    lines = []
+    for run in judged.runs:
+        document = run.document
+        name = document["path"] + (f" (run {document['run']})" if document.get("run") else "")
+        bad = [
+            f"{surface} {', '.join(fault['kind'] for fault in entry['faults']) or entry['status']}"
+            for surface, entry in document["surfaces"].items()
+            if entry["status"] != "healthy"
+        ]
+        status = log_status({"document": document, "untold": run.untold})
+        lines.append(f"{status:<9}{one_line(name)}{': ' + '; '.join(bad) if bad else ''}")
+    return "\n".join(lines)
+
+
+def _in_memory(judged: list[JudgedLog]) -> list[dict[str, Any]]:
+    every = [{"document": run.document, "untold": run.untold} for one in judged for run in one.runs]
+    return sorted(every, key=lambda log: (log["document"]["path"], log["document"].get("run") or ""))
+
+
+def _stored(folder: Path) -> list[dict[str, Any]]:
+    from servofd.fleet.store import read_logs
+
+    return read_logs(folder)
+
+
+def _overview(logs: list[dict[str, Any]]) -> Overview:
+    from servofd.fleet.overview import overview
+
+    return overview(logs)
+
+
+def _write_json(target: str, logs: list[dict[str, Any]]) -> None:
+    from servofd.outputs.files import write_whole
+    from servofd.outputs.json_report import to_json
+
+    write_whole(target, to_json({"schema": "servofd.audit/1", "logs": [log["document"] for log in logs]}).encode())
+
+
+def write_page(seen: Overview, target: str) -> None:
+    """Write the page of a fleet."""
+    from servofd.outputs.files import write_whole
+    from servofd.outputs.fleet_page import fleet_page
+
+    write_whole(target, fleet_page(seen.document()).encode())
+
+
+def print_overview(seen: Overview) -> None:
+    """Print what many logs say together."""
+    from servofd.cli.tables import print_table
+
+    counts = ", ".join(f"{number} {status}" for status, number in sorted(seen.statuses.items()))
+    rows = [
+        [
+            count.surface,
+            *(str(count.logs.get(status, 0)) for status in ("healthy", "suspect", "fault")),
+            str(count.logs.get("unknown", 0) + count.logs.get("no_data", 0)),
+            ", ".join(f"{kind} {number}" for kind, number in count.kinds.items()),
+            "" if count.largest_share is None else f"{count.largest_share:.0%}",
+        ]
+        for count in seen.surfaces
+    ]
+    headings = ["surface", "healthy", "suspect", "fault", "not judged", "faults", "largest residual / threshold"]
+    print_table(headings, rows, f"{seen.logs} logs, {seen.hours:.1f} h: {counts}")
+
+
+def _count(text: str) -> int:
+    import argparse
+
+    if not (text.isdecimal() and 1 <= int(text) <= 1024):
+        raise argparse.ArgumentTypeError(f"must be a number of processes from 1 to 1024, not {text}")
+    return int(text)

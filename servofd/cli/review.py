@@ -1,0 +1,244 @@
+"""``servofd review``: recordings read back without their logs."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from servofd.cli.audit import positive
+
+if TYPE_CHECKING:
+    from servofd.outputs.recording.content import Recording
+    from servofd.review.compare import Change
+
+__all__ = ["add_parser", "run"]
+
+
+def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
+    """Declare the verb."""
+    parser = verbs.add_parser(
+        "review",
+        help="read recordings back: verdicts, events, statistics",
+        description="Reads recordings (.rrd) of servofd back, without the logs. Exit code 0: healthy; 1: a fault is "
+        "recorded; 2: could not tell.",
+        epilog="Example: servofd review flight.rrd --between 20 40 -o incident.rrd",
+    )
+    parser.add_argument("recordings", nargs="+", metavar="RECORDING", help="an .rrd file, or a folder of them")
+    parser.add_argument("--json", metavar="FILE", help="write the result as JSON; - prints it instead of the text")
+    parser.add_argument("--threshold-deg", type=positive, metavar="X", help="judge again, with this alarm level [deg]")
+    parser.add_argument("--threshold", choices=["constant", "interval"], help="judge again, with this kind")
+    parser.add_argument("--between", nargs=2, type=float, metavar=("A", "B"), help="only from A to B [s]")
+    parser.add_argument("--compare", metavar="OTHER.rrd", help="tell what is different in a recording of the same log")
+    parser.add_argument("--repair", action="store_true", help="save what is whole of a recording that was cut short")
+    parser.add_argument("-o", "--output", metavar="FILE", help="write what --between, --repair or a new threshold gave")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Read, change what was asked for, write, print."""
+    paths = _paths(options.recordings)
+    _check(options, paths)
+    if options.compare:
+        return _compare(options, paths[0])
+    found, failed = [], []
+    for path in paths:
+        try:
+            found.append((path, _read(path, options)))
+        except _errors() as error:
+            failed.append((path, str(error)))
+    if options.output and found and not options.repair:
+        from servofd.outputs.recording.write import write_recording
+
+        write_recording(found[0][1], options.output)
+    _show(options, found, failed)
+    return max((_exit_code(recording) for _, recording in found), key=(0, 1, 2).index) if not failed else 2
+
+
+def _errors() -> tuple[type[Exception], ...]:
+    from servofd.errors import RecordingError
+
+    return (RecordingError,)
+
+
+def _paths(given: list[str]) -> list[Path]:
+    """All recordings, those of folders in alphabetical order."""
+    from servofd.errors import RecordingError
+
+    paths = []
+    for name in given:
+        folder = Path(name)
+        inside = sorted(folder.rglob("*.rrd")) if folder.is_dir() else [folder]
+        if not inside:
+            raise RecordingError(
+                f"{name}: no recording (.rrd) in this folder; 'servofd audit LOG... -o DIR' writes them"
+            )
+        paths += inside
+    return paths
+
+
+def _check(options: argparse.Namespace, paths: list[Path]) -> None:
+    """Refuse what cannot be done, before anything is done."""
+    from servofd.cli.targets import check_targets
+    from servofd.errors import ConfigError
+
+    changes = options.between or options.repair or options.threshold_deg is not None or options.threshold
+    if options.threshold == "interval" and options.threshold_deg is not None:
+        raise ConfigError("--threshold-deg gives a constant threshold; leave it out, or leave out --threshold interval")
+    if (options.output or options.compare or options.repair) and len(paths) > 1:
+        raise ConfigError("--output, --compare and --repair take one recording at a time")
+    if options.output and not changes:
+        raise ConfigError("-o writes what --between, --repair or a new threshold gave; name one of them")
+    if options.repair and not options.output:
+        raise ConfigError("--repair needs -o FIXED.rrd: the damaged recording is left as it is")
+    check_targets((options.output, options.json), {"a recording": [str(path) for path in paths]})
+
+
+def _read(path: Path, options: argparse.Namespace) -> Recording:
+    """Read one recording and change it as was asked for."""
+    from servofd.outputs.recording.read import read_recording
+    from servofd.outputs.recording.verdicts import LIVE
+
+    if options.repair:
+        from servofd.outputs.recording.repair import repair_recording
+
+        repair_recording(path, options.output)
+        path = Path(options.output)
+    recording = read_recording(path)
+    if options.threshold_deg is not None or options.threshold or LIVE in recording.notes:
+        from servofd.review.rejudge import rejudged
+
+        recording = rejudged(recording, threshold_deg=options.threshold_deg, threshold=options.threshold)
+    if options.between:
+        from servofd.review.incident import between
+
+        recording = between(recording, *options.between)
+    return recording
+
+
+def _exit_code(recording: Recording) -> int:
+    if recording.audit.has_fault:
+        return 1
+    return 2 if recording.audit.untold else 0
+
+
+def _show(options: argparse.Namespace, found: list[tuple[Path, Recording]], failed: list[tuple[Path, str]]) -> None:
+    from servofd.cli.tables import one_line
+    from servofd.outputs.files import write_whole
+    from servofd.outputs.json_report import to_json
+    from servofd.review.check import contradictions
+
+    for path, recording in found:
+        for sentence in contradictions(recording):
+            print(f"servofd: {path}: {one_line(sentence)}", file=sys.stderr)
+        if recording.audit.untold:
+            print(f"servofd: {path}: {one_line(recording.audit.untold)}", file=sys.stderr)
+    for _, error in failed:
+        print(f"servofd: {one_line(error)}", file=sys.stderr)
+    text = to_json(_document(found, failed)) if options.json else ""
+    if options.json and options.json != "-":
+        write_whole(options.json, text.encode())
+    if options.json == "-":
+        print(text, end="")
+    elif len(found) == 1 and not failed:
+        _print_one(*found[0])
+    elif found:
+        _print_fleet(found)
+
+
+def _document(found: list[tuple[Path, Recording]], failed: list[tuple[Path, str]]) -> dict[str, Any]:
+    """Schema servofd.audit/1, as the audit wrote it, and which recording it was read from."""
+    from servofd.outputs.json_report import FailedLog, audit_document
+    from servofd.outputs.recording.states import events
+
+    document = audit_document([*(r.audit for _, r in found), *(FailedLog(str(p), e) for p, e in failed)])
+    for entry, (path, recording) in zip(document["logs"], found, strict=False):
+        lines = [
+            line
+            for s in recording.audit.surfaces
+            for line in events(recording.traces.get(s.surface), s, recording.start_s)
+        ]
+        entry["recording"] = str(path)
+        entry["notes"] = list(recording.notes)
+        entry["events"] = [{"time_s": t, "level": level, "text": text} for t, level, text in sorted(lines)]
+    return document
+
+
+def _print_one(path: Path, recording: Recording) -> None:
+    from servofd.cli.tables import print_table
+    from servofd.outputs.recording.states import events
+
+    audit = recording.audit
+    rows = []
+    for s in audit.surfaces:
+        numbers = ["", "", ""]
+        if s.statistics is not None:
+            sizes = (s.statistics.mean_deg, s.statistics.std_deg, s.statistics.max_abs_deg)
+            numbers = [f"{size:.3f}" for size in sizes]
+        rows.append([s.surface, s.status, *numbers, s.reason])
+    headings = ["surface", "status", "mean", "std", "max [deg]", "why"]
+    print_table(headings, rows, f"{path}   {audit.log.source.name}, {audit.log.duration_s:.1f} s")
+    lines = [e for s in audit.surfaces for e in events(recording.traces.get(s.surface), s, recording.start_s)]
+    for time_s, level, text in sorted(lines):
+        print(f"  {time_s:10.2f} s  {level:5}  {text}")
+    for note in recording.notes:
+        print(f"  note: {note}")
+
+
+def _print_fleet(found: list[tuple[Path, Recording]]) -> None:
+    """One line for each flight, the worst status and all faults."""
+    from servofd.cli.tables import print_table
+    from servofd.detection.words import describe
+
+    rows = []
+    for path, recording in found:
+        audit = recording.audit
+        statuses = [s.status for s in audit.surfaces]
+        worst = next(w for w in ("fault", "suspect", "unknown", "healthy", "no_data") if w in statuses)
+        faults = "; ".join(f"{s.surface}: {describe(f)}" for s in audit.surfaces for f in s.faults)
+        judged = sum(s.is_judged for s in audit.surfaces)
+        rows.append(
+            [
+                path.name,
+                audit.aircraft.name,
+                f"{audit.log.duration_s:.0f} s",
+                f"{judged}/{len(statuses)}",
+                worst,
+                faults,
+            ]
+        )
+    print_table(["recording", "aircraft", "length", "judged", "status", "faults"], rows, f"{len(rows)} recordings")
+
+
+def _compare(options: argparse.Namespace, path: Path) -> int:
+    """Print what differs between two recordings; a fault in either of them is one."""
+    from servofd.cli.tables import print_table
+    from servofd.outputs.files import write_whole
+    from servofd.outputs.json_report import to_json
+    from servofd.outputs.recording.read import read_recording
+    from servofd.review.compare import compared
+
+    before, after = _read(path, options), read_recording(options.compare)
+    changes = compared(before, after)
+    document = {
+        "schema": "servofd.compare/1",
+        "recordings": [str(path), options.compare],
+        "changes": [change.as_dict() for change in changes],
+    }
+    if options.json and options.json != "-":
+        write_whole(options.json, to_json(document).encode())
+    if options.json == "-":
+        print(to_json(document), end="")
+    elif changes:
+        rows = [[c.surface, c.what, c.before, c.after, _where(c)] for c in changes]
+        print_table(["surface", "what", str(path), options.compare, "where"], rows)
+    else:
+        print("no difference: the same verdicts, and every curve the same to the last bit")
+    return 1 if before.audit.has_fault or after.audit.has_fault else 0
+
+
+def _where(change: Change) -> str:
+    if change.from_s is None:
+        return ""
+    return f"{change.from_s:.2f} s" + (f" to {change.to_s:.2f} s" if change.to_s is not None else " to the end")

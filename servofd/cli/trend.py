@@ -1,0 +1,96 @@
+"""``servofd trend``: one aircraft over many flights."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Any
+
+from servofd.cli.audit_fleet import add_options
+
+if TYPE_CHECKING:
+    import argparse
+
+    from servofd.trend.trend import AircraftTrend
+
+__all__ = ["add_parser", "run"]
+
+_SHOWN = 5
+
+
+def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
+    """Declare the verb."""
+    parser = verbs.add_parser(
+        "trend",
+        help="follow the servos of one aircraft over many flights",
+        description="Estimates bias, dead band, delay, bandwidth, rate limit, noise and margin of each servo in each "
+        "flight, finds what changes, tells wear from a swap, and forecasts when a limit is crossed. Exit code 0: no "
+        "limit in sight; 1: one is exceeded or will be; 2: some logs tell nothing.",
+        epilog="Example: servofd trend flights/ -c my_plane.toml --html trend.html",
+    )
+    parser.add_argument("logs", nargs="+", metavar="LOG", help="logs, folders, patterns or addresses")
+    parser.add_argument(
+        "-c", "--config", required=True, metavar="AIRCRAFT.toml", help="aircraft file, or a shipped one"
+    )
+    parser.add_argument("-s", "--surface", action="append", default=[], metavar="NAME", help="follow only this surface")
+    parser.add_argument("--json", metavar="FILE", help="write the result as JSON; - prints it instead of the tables")
+    parser.add_argument("--html", metavar="FILE", help="write a page that can be sent by mail")
+    add_options(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Follow, write what was asked for, print."""
+    from servofd.cli.tables import one_line
+    from servofd.cli.targets import check_targets
+    from servofd.outputs.files import write_whole
+    from servofd.outputs.json_report import to_json
+    from servofd.trend.document import trend_document
+
+    check_targets((options.json, options.html), {"a log": options.logs, "the aircraft file": [options.config]})
+    seen = _followed(options)
+    document = trend_document(seen)
+    if options.json and options.json != "-":
+        write_whole(options.json, to_json(document).encode())
+    if options.html:
+        from servofd.outputs.trend_page import trend_page
+
+        write_whole(options.html, trend_page(document).encode())
+    print(to_json(document), end="") if options.json == "-" else _print(document)
+    for problem in seen.problems[:_SHOWN]:
+        print(f"servofd: {one_line(problem)}", file=sys.stderr)
+    if len(seen.problems) > _SHOWN:
+        print(f"servofd: and {len(seen.problems) - _SHOWN} more like these", file=sys.stderr)
+    return 2 if seen.untold else int(seen.has_alarm)
+
+
+def _followed(options: argparse.Namespace) -> AircraftTrend:
+    from functools import partial
+
+    from servofd.cli.tables import progress_with_estimate
+    from servofd.trend.trend import trend_logs
+
+    return trend_logs(
+        options.logs,
+        options.config,
+        surfaces=tuple(options.surface),
+        cluster=options.cluster,
+        workers=options.workers,
+        progress=partial(progress_with_estimate, "trend"),
+    )
+
+
+def _print(document: dict[str, Any]) -> None:
+    from servofd.cli.tables import print_table
+    from servofd.outputs.trend_page import quantity_row, verdict
+
+    print(f"{len(document['flights'])} flights, {document['order']['reason']}")
+    for name, surface in document["surfaces"].items():
+        serial = surface["serials"][-1]["serial"]
+        title = f"{name}, servo {serial}" if serial else name
+        rows = [list(quantity_row(one)) for one in surface["quantities"].values()]
+        print_table(["quantity", "now", "per flight", "limit", "forecast"], rows, title)
+        for line in (*(event["reason"] for event in surface["events"]), *surface["notes"]):
+            print(f"{name}: {line}")
+        for what, why in surface["missing"].items():
+            print(f"{name}: no {what}: {why}")
+    print(verdict(document))

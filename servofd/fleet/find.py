@@ -1,0 +1,249 @@
+"""Which logs there are: files, folders, patterns and addresses, told by their content."""
+
+from __future__ import annotations
+
+import glob
+import io
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import logparsers
+from logparsers import LogError
+from logparsers.detect import detect
+from logparsers.source import HEAD_BYTES
+from servofd.errors import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from logparsers import TableLayout
+
+__all__ = ["META_FILE", "Found", "LogSource", "Skipped", "find_logs", "is_address", "is_pattern"]
+
+META_FILE = "fleet.json"
+"""Marks a folder of results, in which no logs are looked for."""
+
+_MAGIC = frozenset("*?[")
+_TABLE_HEAD_BYTES = 65_536
+"""Room for a header line and some rows of any table."""
+
+
+@dataclass(frozen=True, slots=True)
+class LogSource:
+    """One log: a file, or an address that fsspec opens."""
+
+    path: str
+    size_bytes: int
+    """0 if it is not known."""
+
+
+@dataclass(frozen=True, slots=True)
+class Skipped:
+    """A file that is no log, and why."""
+
+    path: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What there is to do."""
+
+    logs: tuple[LogSource, ...]
+    skipped: tuple[Skipped, ...]
+    problems: tuple[str, ...]
+    """What is wrong with inputs that gave no log, a line each."""
+
+
+def find_logs(inputs: Sequence[str], layout: TableLayout | None = None) -> Found:
+    """Find all logs, in the order of the inputs, by name within each; none twice.
+
+    A file that is named is taken whatever it is. Files of folders, patterns and addresses are told by their content;
+    hidden ones, and folders of results, are passed over.
+
+    Parameters
+    ----------
+    inputs : sequence of str
+        Files, folders, patterns such as ``"2026/**/*.bin"``, addresses such as ``"s3://bucket/logs"``.
+    layout : TableLayout, optional
+        How text tables are read.
+
+    Raises
+    ------
+    ConfigError
+        If no input gave any log.
+
+    Examples
+    --------
+    >>> found = find_logs(["sample_logs/faser_*.mat"])
+    >>> len(found.logs) > 1, found.logs[0].path
+    (True, 'sample_logs/faser_deadband_flight.mat')
+    """
+    logs: dict[str, LogSource] = {}
+    skipped: dict[str, Skipped] = {}
+    problems = []
+    for text in inputs:
+        try:
+            found, passed = _found(text, layout)
+        except ConfigError as error:
+            problems.append(str(error))
+            continue
+        if not found:
+            problems.append(f"{text}: {_nothing(text, passed)}")
+        logs |= {log.path if is_address(log.path) else os.path.normpath(log.path): log for log in found}
+        skipped |= {one.path: one for one in passed}
+    if not logs:
+        raise ConfigError("; ".join(problems) or "no log was named")
+    return Found(tuple(logs.values()), tuple(skipped.values()), tuple(problems))
+
+
+def is_address(text: str) -> bool:
+    """Whether fsspec opens it, such as ``s3://bucket/flight.bin``.
+
+    Examples
+    --------
+    >>> is_address("s3://bucket/logs"), is_address("logs/a.csv")
+    (True, False)
+    """
+    return "://" in text
+
+
+def is_pattern(text: str) -> bool:
+    """Whether it is a pattern for several files, and no file of that very name.
+
+    Examples
+    --------
+    >>> is_pattern("logs/*.bin"), is_pattern("logs/a.bin")
+    (True, False)
+    """
+    return bool(_MAGIC & set(text)) and not os.path.lexists(text)
+
+
+def is_plain_file(text: str) -> bool:
+    """Whether it names one file on this machine, even a missing one."""
+    return not (is_address(text) or is_pattern(text) or Path(text).is_dir())
+
+
+def _found(text: str, layout: TableLayout | None) -> tuple[list[LogSource], list[Skipped]]:
+    if is_address(text):
+        return _sorted_out(_remote_files(text), layout)
+    if is_plain_file(text):
+        return [LogSource(text, _size_bytes(text))], []
+    matches = [text]
+    if is_pattern(text):
+        matches = sorted(glob.glob(text, recursive=True))  # noqa: PTH207 - Path.glob takes no absolute patterns
+    files = (name for match in matches for name in (_walked(match) if Path(match).is_dir() else [match]))
+    return _sorted_out(((name, _size_bytes(name), _head) for name in files), layout)
+
+
+def _nothing(text: str, skipped: list[Skipped]) -> str:
+    """Why an input gave no log."""
+    if is_pattern(text) and not is_address(text) and not skipped:
+        return "no file fits this pattern; put it in quotes, and ** stands for any folders"
+    kind = "address" if is_address(text) else "pattern" if is_pattern(text) else "folder"
+    if not skipped:
+        return f"this {kind} holds no file; give one that holds flight logs"
+    first = skipped[0]
+    return f"this {kind} holds no log: {len(skipped)} files passed over, the first {first.path}: {first.reason}"
+
+
+def _walked(folder: str) -> Iterator[str]:
+    """Files below a folder, by name; hidden ones and results left out."""
+
+    def refuse(error: OSError) -> None:
+        raise ConfigError(f"{error.filename}: cannot read this folder: {error.strerror}")
+
+    for parent, folders, names in os.walk(folder, onerror=refuse):
+        if META_FILE in names:
+            folders.clear()
+            continue
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        yield from (str(Path(parent, name)) for name in sorted(names) if not name.startswith("."))
+
+
+def _sorted_out(
+    files: Iterable[tuple[str, int, Any]], layout: TableLayout | None
+) -> tuple[list[LogSource], list[Skipped]]:
+    logs, skipped = [], []
+    for name, size_bytes, head in files:
+        reason = _why_no_log(name, head, layout)
+        if reason:
+            skipped.append(Skipped(name, reason))
+        else:
+            logs.append(LogSource(name, size_bytes))
+    return logs, skipped
+
+
+def _why_no_log(name: str, head: Any, layout: TableLayout | None) -> str:  # noqa: ANN401 - reader of bytes
+    """Why a file is no log, or nothing; text is a log if its first lines are a table of flight data."""
+    try:
+        begin = head(name, HEAD_BYTES)
+        if not begin:
+            return "empty"
+        if detect(begin, name).__name__ == "read_table":
+            return _why_no_table(head(name, _TABLE_HEAD_BYTES), layout)
+    except LogError as error:
+        return str(error).removeprefix(f"{name}: ")
+    except OSError as error:
+        return f"cannot be read: {error.strerror or error}"
+    return ""
+
+
+def _why_no_table(text: bytes, layout: TableLayout | None) -> str:
+    """Why the beginning of a text is no table of flight data; one with something wrong in it is for the audit."""
+    whole_lines = text[: text.rfind(b"\n") + 1] or text
+    try:
+        logparsers.read_all(io.BytesIO(whole_lines), layout)
+    except LogError as error:
+        times = {layout.time} if layout else {"time_s"}
+        header = whole_lines.lstrip().split(b"\n")[0].decode("utf-8", "replace")
+        if times & set(re.split(r"[\s,;]+", header)) or (layout and layout.columns):
+            return ""
+        return str(error).removeprefix("<file>: ")
+    return ""
+
+
+def _head(name: str, size: int) -> bytes:
+    with Path(name).open("rb") as file:
+        return file.read(size)
+
+
+def _size_bytes(name: str) -> int:
+    try:
+        return Path(name).stat().st_size
+    except OSError:
+        return 0
+
+
+def _remote_files(address: str) -> Iterator[tuple[str, int, Any]]:
+    """Files at an address: one, those of a folder, or those that fit a pattern."""
+    try:
+        import fsspec
+        from fsspec.core import url_to_fs
+    except ImportError:
+        raise ConfigError(f"{address}: addresses need fsspec: pip install fsspec") from None
+    try:
+        system, path = url_to_fs(address)
+        if _MAGIC & set(path):
+            infos = system.glob(path, detail=True)
+        elif system.isdir(path):
+            infos = system.find(path, detail=True)
+        else:
+            infos = {path: system.info(path)}
+    except FileNotFoundError:
+        raise ConfigError(f"{address}: nothing is there") from None
+    except (ImportError, ValueError, OSError) as error:
+        raise ConfigError(f"{address}: cannot be opened: {error}") from None
+
+    def head(name: str, size: int) -> bytes:
+        with fsspec.open(name, "rb") as file:
+            content: bytes = file.read(size)
+        return content
+
+    for name, info in sorted(infos.items()):
+        hidden = Path(name).name.startswith(".")
+        if info.get("type") == "file" and not hidden:
+            yield system.unstrip_protocol(name), int(info.get("size") or 0), head

@@ -1,0 +1,101 @@
+"""One log of many, judged where the work is done: in a process of this machine, or a worker of a cluster."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from logparsers import LogError
+from servofd.errors import ConfigError, ServofdError
+from servofd.fleet.fetch import fetched
+from servofd.fleet.key import content_key
+from servofd.outputs.json_report import FailedLog, audit_document
+from servofd.workflow import audit
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from servofd.detection.audit import LogAudit
+    from servofd.fleet.find import LogSource
+    from servofd.fleet.key import Job
+
+__all__ = ["JudgedLog", "RunVerdict", "failed", "judge_log"]
+
+
+@dataclass(frozen=True, slots=True)
+class RunVerdict:
+    """One run of a log, as JSON shows it (an entry of ``logs`` in servofd.audit/1)."""
+
+    document: dict[str, Any]
+    untold: str
+    """Why there is no verdict on it as a whole; empty if there is one."""
+
+    @property
+    def has_fault(self) -> bool:
+        """True if any surface is at fault."""
+        return any(surface["status"] == "fault" for surface in self.document["surfaces"].values())
+
+
+@dataclass(frozen=True, slots=True)
+class JudgedLog:
+    """What became of one log."""
+
+    source: LogSource
+    content: str
+    """Digest of its bytes; empty if they could not be read."""
+    runs: tuple[RunVerdict, ...]
+
+
+def judge_log(source: LogSource, job: Job) -> JudgedLog:
+    """Judge one log; what is wrong with it is part of the result.
+
+    Examples
+    --------
+    >>> from servofd.fleet.find import LogSource
+    >>> from servofd.fleet.key import Job
+    >>> judge_log(LogSource("no_such.csv", 0), Job()).runs[0].untold[:24]
+    'no_such.csv: no such fil'
+    """
+    try:
+        content = content_key(source.path)
+    except OSError:
+        content = ""  # reading it tells what is wrong, in its own words
+    try:
+        with fetched(source.path) as local:
+            return JudgedLog(source, content, tuple(_verdicts(local, source.path, job)))
+    except ConfigError as error:
+        return failed(source, str(error), content)
+
+
+def failed(source: LogSource, reason: str, content: str = "") -> JudgedLog:
+    """Result of a log that could not be judged at all."""
+    return JudgedLog(source, content, (_untold(source.path, reason),))
+
+
+def _untold(path: str, reason: str) -> RunVerdict:
+    return RunVerdict(audit_document([FailedLog(path, reason)])["logs"][0], reason)
+
+
+def _verdicts(local: str, path: str, job: Job) -> Iterator[RunVerdict]:
+    """One for each run; what stops the reading comes last."""
+    options: dict[str, Any] = {
+        "servo": job.servo,
+        "threshold_deg": job.threshold_deg,
+        "threshold": job.threshold,
+        "surfaces": job.surfaces,
+        "threads": 1,  # the logs run side by side already
+    }
+    try:
+        for result in audit(local, job.aircraft, **options):
+            yield _verdict(result, local, path)
+    except (LogError, ServofdError) as error:
+        yield _untold(path, str(error).replace(local, path))
+    except MemoryError:
+        yield _untold(path, f"{path}: does not fit into the memory of the process that read it")
+
+
+def _verdict(result: LogAudit, local: str, path: str) -> RunVerdict:
+    document = audit_document([result])["logs"][0]
+    document["path"] = path
+    untold = result.untold
+    return RunVerdict(document, f"{result.log.label.replace(local, path)}: {untold}" if untold else "")

@@ -1,0 +1,90 @@
+"""When is a log done? Its bytes, the aircraft and options it was judged with, and the version that judged."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from servofd import __version__
+from servofd.fleet.find import is_address
+from servofd.servos import find_servo
+
+if TYPE_CHECKING:
+    from servofd.aircraft import Aircraft
+    from servofd.detection.threshold import ThresholdKind
+
+__all__ = ["Job", "content_key"]
+
+_DIGEST_BYTES = 16
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """What to judge logs with, the same for all of them.
+
+    Parameters
+    ----------
+    aircraft : Aircraft, optional
+        None: each log's own, as far as it can be told.
+    servo : str, optional
+        Servo to assume for all surfaces.
+    threshold_deg : float, optional
+        Constant alarm level [deg].
+    threshold : {"constant", "interval"}, optional
+        Kind of threshold.
+    surfaces : tuple of str
+        Which to judge; all if empty.
+
+    Examples
+    --------
+    >>> Job(servo="s9254").key == Job(servo="s9256").key
+    False
+    """
+
+    aircraft: Aircraft | None = None
+    servo: str | None = None
+    threshold_deg: float | None = None
+    threshold: ThresholdKind | None = None
+    surfaces: tuple[str, ...] = ()
+
+    @property
+    def key(self) -> str:
+        """Digest of all of it and of the version of servofd; a servo file counts by its content."""
+        described: dict[str, Any] = {
+            "version": __version__,
+            "aircraft": self.aircraft.model_dump(mode="json") if self.aircraft else None,
+            "servo": find_servo(self.servo)[1].model_dump(mode="json") if self.servo else None,
+            "threshold_deg": self.threshold_deg,
+            "threshold": self.threshold,
+            "surfaces": self.surfaces,
+        }
+        return _digest(json.dumps(described, sort_keys=True).encode())
+
+
+def content_key(path: str) -> str:
+    """Digest of a log's bytes; of a remote one what its store tells of them (an ETag or time stamp), unread.
+
+    Raises
+    ------
+    OSError
+        If it cannot be read.
+
+    Examples
+    --------
+    >>> len(content_key("sample_logs/faser_healthy_flight.mat"))
+    32
+    """
+    if is_address(path):
+        from fsspec.core import url_to_fs
+
+        system, name = url_to_fs(path)
+        return _digest(str(system.ukey(name)).encode())
+    with Path(path).open("rb") as file:
+        return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=_DIGEST_BYTES)).hexdigest()
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.blake2b(content, digest_size=_DIGEST_BYTES).hexdigest()

@@ -1,0 +1,172 @@
+"""The processes of this machine, one per core: spawned, so that it works alike on every system."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections import deque
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, TypeVar
+
+from servofd.errors import ServofdError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+    from concurrent.futures import Future
+
+__all__ = ["WorkerDied", "cores", "run_local"]
+
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
+_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
+_AHEAD = 2
+"""Items handed out per process: one at work, one waiting, so that none is idle and few are lost with a process."""
+
+
+class WorkerDied(ServofdError):  # noqa: N818 - reads better without "Error"
+    """A process ended while it worked on an item."""
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def run_local(
+    task: Callable[[_Item], _Result], items: Sequence[_Item], workers: int | None = None
+) -> Iterator[tuple[_Item, _Result | Exception]]:
+    """Do a task for each item, in processes; results come as they are ready.
+
+    A process that dies (killed, out of memory, crashed) takes nobody with it: what was handed out by then is done
+    again, each item in a process of its own, and only the one that dies again is given up.
+
+    Parameters
+    ----------
+    task : callable
+        A function of a module, or a partial of one.
+    items : sequence
+        What to do it for.
+    workers : int, optional
+        Number of processes; one per core if None.
+
+    Yields
+    ------
+    item, result
+        An exception in place of the result of an item that raised it.
+
+    Examples
+    --------
+    >>> sorted(run_local(abs, [-1, 2], workers=1))
+    [(-1, 1), (2, 2)]
+    """
+    waiting = deque(items)
+    count = max(1, min(workers or cores(), len(items)))
+    while waiting:
+        suspects: list[_Item] = []
+        yield from _until_broken(task, waiting, count, suspects)
+        for item in suspects:
+            yield from _alone(task, item)
+
+
+def _until_broken(
+    task: Callable[[_Item], _Result], waiting: deque[_Item], count: int, suspects: list[_Item]
+) -> Iterator[tuple[_Item, _Result | Exception]]:
+    """Work until all is done, or a process has died; what it may have died of goes to `suspects`."""
+    running: dict[Future[_Result], _Item] = {}
+    with _processes(count) as pool:
+        while waiting or running:
+            try:
+                while waiting and len(running) < _AHEAD * count:
+                    with _interrupts_ignored():  # for the processes that this starts: the parent ends them
+                        running[pool.submit(task, waiting[0])] = waiting[0]
+                    waiting.popleft()
+            except BrokenProcessPool:
+                suspects.extend(running.values())
+                return
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                item, outcome = running.pop(future), _outcome(future)
+                if isinstance(outcome, BrokenProcessPool):
+                    suspects.append(item)
+                else:
+                    yield item, outcome
+            if suspects:
+                suspects.extend(running.values())
+                return
+
+
+def _outcome(future: Future[_Result]) -> _Result | Exception:
+    try:
+        return future.result()
+    except Exception as error:
+        return error
+
+
+def _alone(task: Callable[[_Item], _Result], item: _Item) -> Iterator[tuple[_Item, _Result | Exception]]:
+    with _processes(1) as pool:
+        with _interrupts_ignored():
+            future = pool.submit(task, item)
+        outcome = _outcome(future)
+    died = isinstance(outcome, BrokenProcessPool)
+    yield item, WorkerDied("the process that read it died: out of memory, killed or crashed") if died else outcome
+
+
+@contextmanager
+def _processes(count: int) -> Iterator[ProcessPoolExecutor]:
+    """Some processes with one thread each for linear algebra; left early, they are ended at once."""
+    before = set(multiprocessing.active_children())
+    pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), initializer=_end_with_parent)
+    with _one_thread_each():
+        try:
+            yield pool
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in set(multiprocessing.active_children()) - before:
+                process.terminate()
+            raise
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Set before the processes start: libraries read it when they are loaded."""
+    known = {name: os.environ.get(name) for name in _THREADS}
+    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in known.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+@contextmanager
+def _interrupts_ignored() -> Iterator[None]:
+    """Within the block Ctrl-C is ignored, and by the processes that start in it for good."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
+
+
+def _end_with_parent() -> None:
+    """Processes must not outlive a parent that was killed."""
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+
+    def follow() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=follow, daemon=True).start()

@@ -1,0 +1,124 @@
+"""What many logs say together."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = ["Overview", "SurfaceCount", "overview"]
+
+_WORST_FIRST = ("fault", "suspect", "healthy", "unknown", "no_data")
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceCount:
+    """One surface over all logs that know it."""
+
+    surface: str
+    servos: tuple[str, ...]
+    logs: dict[str, int]
+    """Status to number of logs."""
+    kinds: dict[str, int]
+    """Kind of fault to number of faults."""
+    largest_share: float | None
+    """Largest residual over its threshold, of the logs without fault."""
+
+
+@dataclass(frozen=True, slots=True)
+class Overview:
+    """A fleet on one page.
+
+    Examples
+    --------
+    >>> overview([]).logs
+    0
+    """
+
+    logs: int
+    hours: float
+    statuses: dict[str, int]
+    """Worst status of a log to number of logs; ``untold`` where there is no verdict on the log as a whole."""
+    surfaces: tuple[SurfaceCount, ...]
+    faults: tuple[dict[str, Any], ...]
+    """One for each fault: path, run, surface, and what servofd.audit/1 says of it."""
+    untold: tuple[dict[str, Any], ...]
+    """Path, run and reason of each log without a verdict."""
+    residuals: tuple[dict[str, Any], ...]
+    """Path, run, start, surface, status and largest residual over threshold, one for each log and surface."""
+
+    @property
+    def exit_code(self) -> int:
+        """2 if any log could not be told, else 1 if there is any fault, else 0."""
+        if self.statuses.get("untold") or not self.logs:
+            return 2
+        return 1 if self.statuses.get("fault") else 0
+
+    def document(self) -> dict[str, Any]:
+        """As plain dictionaries and lists, schema servofd.fleet/1."""
+        return {"schema": "servofd.fleet/1", **asdict(self)}
+
+
+def overview(logs: Sequence[dict[str, Any]]) -> Overview:
+    """Sum up.
+
+    Parameters
+    ----------
+    logs : sequence of dict
+        Rows of the table ``logs`` with their ``document`` as an entry of servofd.audit/1, and ``untold``.
+    """
+    ordered = sorted(logs, key=_place)
+    every = [(log, name, entry) for log in ordered for name, entry in log["document"]["surfaces"].items()]
+    return Overview(
+        logs=len(ordered),
+        hours=sum(log["document"]["duration_s"] or 0.0 for log in ordered) / 3600.0,
+        statuses=dict(Counter(log_status(log) for log in ordered)),
+        surfaces=tuple(_count(name, every) for name in dict.fromkeys(name for _, name, _ in every)),
+        faults=tuple(
+            _where(log) | {"surface": name} | fault for log, name, entry in every for fault in entry["faults"]
+        ),
+        untold=tuple(_where(log) | {"reason": log["untold"]} for log in ordered if log["untold"]),
+        residuals=tuple(
+            _where(log) | {"surface": name, "status": entry["status"], "share": _share(entry)}
+            for log, name, entry in every
+        ),
+    )
+
+
+def log_status(log: dict[str, Any]) -> str:
+    """Worst status of a log's surfaces; ``untold`` where there is no verdict on it as a whole."""
+    statuses = {entry["status"] for entry in log["document"]["surfaces"].values()}
+    if log["untold"]:
+        return "untold"
+    return next((status for status in _WORST_FIRST if status in statuses), "untold")
+
+
+def _place(log: dict[str, Any]) -> tuple[str, str, str]:
+    document = log["document"]
+    return document.get("start_utc") or "", document["path"], document.get("run") or ""
+
+
+def _where(log: dict[str, Any]) -> dict[str, Any]:
+    return {key: log["document"].get(key) for key in ("path", "run", "start_utc")}
+
+
+def _count(name: str, every: Sequence[tuple[dict[str, Any], str, dict[str, Any]]]) -> SurfaceCount:
+    entries = [entry for _, surface, entry in every if surface == name]
+    shares = [share for entry in entries if entry["status"] != "fault" and (share := _share(entry)) is not None]
+    return SurfaceCount(
+        name,
+        tuple(dict.fromkeys(entry["servo"] for entry in entries)),
+        dict(Counter(entry["status"] for entry in entries)),
+        dict(Counter(fault["kind"] for entry in entries for fault in entry["faults"])),
+        max(shares, default=None),
+    )
+
+
+def _share(entry: dict[str, Any]) -> float | None:
+    """Largest residual over the threshold."""
+    if entry["residual"] is None or not entry["threshold"]["deg"]:
+        return None
+    return float(entry["residual"]["max_abs_deg"] / entry["threshold"]["deg"])

@@ -1,0 +1,210 @@
+"""A folder of results: three Parquet data sets that grow part by part, so that a run can be broken off and resumed."""
+
+from __future__ import annotations
+
+import json
+import uuid
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+from servofd import __version__
+from servofd.errors import ConfigError
+from servofd.fleet.find import META_FILE
+from servofd.fleet.key import content_key
+from servofd.fleet.tables import TABLES, rows, to_arrow
+from servofd.outputs.files import whole_file, write_whole
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+    from servofd.fleet.find import LogSource
+    from servofd.fleet.judge import JudgedLog
+
+__all__ = ["FleetStore", "read_logs", "read_table"]
+
+_SCHEMA = "servofd.fleet/1"
+_EARLIER = "earlier"
+_LOGS_PER_PART = 64
+"""A thousand logs give sixteen files per table; a run that is killed loses at most this many logs, not their time."""
+
+
+class FleetStore:
+    """Results of many logs, all judged with the same aircraft and options by the same version.
+
+    Results of another aircraft file, other options or another version are moved into the folder ``earlier``, and come
+    back when they are asked for again.
+
+    Parameters
+    ----------
+    folder : Path
+        Made if it does not exist.
+    key : str
+        Of the `servofd.fleet.key.Job`.
+
+    Raises
+    ------
+    ConfigError
+        If the folder cannot be used, or holds something else.
+    """
+
+    def __init__(self, folder: Path, key: str) -> None:
+        self.folder = folder
+        self.set_aside = _prepared(folder, key)
+        """How many logs were judged otherwise, and are in ``earlier`` now."""
+        self._waiting: dict[str, list[dict[str, Any]]] = {name: [] for name in TABLES}
+        self._sizes: dict[int, set[str]] = {}
+        for row in read_table(folder, "logs", ["content", "size_bytes", "untold"]):
+            if row["content"]:
+                self._sizes.setdefault(row["size_bytes"], set()).add(row["content"])
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.flush()
+
+    def done(self, source: LogSource) -> bool:
+        """Whether a log with these bytes has been judged; read only if there is one of the same size."""
+        known = self._sizes.get(source.size_bytes)
+        if not known:
+            return False
+        try:
+            return content_key(source.path) in known
+        except OSError:
+            return False
+
+    def add(self, judged: JudgedLog) -> bool:
+        """Keep what became of a log; False if one with the same bytes is there already.
+
+        What could not even be read, or killed its process, is kept without a digest and tried again next time.
+        """
+        known = self._sizes.setdefault(judged.source.size_bytes, set())
+        if judged.content and judged.content in known:
+            return False
+        if judged.content:
+            known.add(judged.content)
+        for name, some in rows(judged).items():
+            self._waiting[name] += some
+        if len(self._waiting["logs"]) >= _LOGS_PER_PART:
+            self.flush()
+        return True
+
+    def flush(self) -> None:
+        """Write what has been added since."""
+        import pyarrow.parquet as pq
+
+        if not self._waiting["logs"]:
+            return
+        part = f"part-{uuid.uuid4().hex}.parquet"
+        for name, content in self._waiting.items():
+            with whole_file(self.folder / name / part) as temporary:
+                pq.write_table(to_arrow(name, content), temporary)
+        self._waiting = {name: [] for name in TABLES}
+
+    def forget_untold(self) -> None:
+        """Take out the rows of logs that are tried again."""
+        import pyarrow.parquet as pq
+
+        for path in sorted((self.folder / "logs").glob("*.parquet")):
+            table = pq.read_table(path)
+            kept = table.filter([bool(content) for content in table["content"].to_pylist()])
+            if len(kept) < len(table):
+                with whole_file(path) as temporary:
+                    pq.write_table(kept, temporary)
+
+
+def read_table(folder: Path, name: str, columns: list[str] | None = None) -> list[dict[str, Any]]:
+    """Rows of one table of a folder of results.
+
+    Raises
+    ------
+    ConfigError
+        If a file is damaged.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    content: list[dict[str, Any]] = []
+    for path in sorted((folder / name).glob("*.parquet")):
+        try:
+            content += pq.read_table(path, columns=columns).to_pylist()
+        except (pa.ArrowException, OSError) as error:
+            reason = str(error).splitlines()[0]
+            raise ConfigError(f"{path}: damaged ({reason}); remove it, and its logs are judged again") from None
+    return content
+
+
+def read_logs(folder: Path) -> list[dict[str, Any]]:
+    """All logs of a folder of results, by path and run: ``document`` as in servofd.audit/1, and ``untold``.
+
+    Raises
+    ------
+    ConfigError
+        If the folder holds no results, or those of another form.
+    """
+    meta = folder / META_FILE
+    if not meta.is_file():
+        raise ConfigError(f"{folder}: no results of many logs; make them with servofd audit LOGS/ -o {folder}")
+    _read_meta(meta)
+    logs = [
+        {"document": json.loads(row["document"]), "untold": row["untold"] or ""}
+        for row in read_table(folder, "logs", ["document", "untold"])
+    ]
+    return sorted(logs, key=lambda log: (log["document"]["path"], log["document"].get("run") or ""))
+
+
+def _prepared(folder: Path, key: str) -> int:
+    """Make the folder ready for the results of one job; gives how many of another were set aside."""
+    meta = folder / META_FILE
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        set_aside = 0
+        if meta.exists():
+            before = _read_meta(meta)["job"]
+            if before != key:
+                set_aside = len({row["content"] for row in read_table(folder, "logs", ["content"])})
+                _move(folder, folder / _EARLIER / before)
+        elif any(folder.glob("*/*.parquet")):
+            raise ConfigError(f"{folder}: holds Parquet files that servofd did not write; choose another folder")
+        earlier = folder / _EARLIER / key
+        if earlier.is_dir():
+            _move(earlier, folder)
+        for name in TABLES:
+            (folder / name).mkdir(exist_ok=True)
+        _remove_orphans(folder)
+    except (FileExistsError, NotADirectoryError):
+        raise ConfigError(f"{folder}: is a file; results of many logs go to a folder") from None
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot make this folder: {error.strerror}") from None
+    write_whole(meta, (json.dumps({"schema": _SCHEMA, "servofd": __version__, "job": key}, indent=2) + "\n").encode())
+    return set_aside
+
+
+def _read_meta(meta: Path) -> dict[str, str]:
+    try:
+        content = json.loads(meta.read_text(encoding="utf-8"))
+        if content["schema"] == _SCHEMA and isinstance(content["job"], str):
+            return dict(content)
+        schema = str(content["schema"])
+    except (ValueError, KeyError, TypeError):
+        raise ConfigError(f"{meta}: is not what servofd writes; choose another folder") from None
+    raise ConfigError(
+        f"{meta.parent}: holds results of the form {schema}, this version knows {_SCHEMA}; choose another folder"
+    )
+
+
+def _move(source: Path, target: Path) -> None:
+    """Move the tables from one folder to another."""
+    target.mkdir(parents=True, exist_ok=True)
+    for name in TABLES:
+        if (source / name).is_dir():
+            (source / name).rename(target / name)
+
+
+def _remove_orphans(folder: Path) -> None:
+    """Parts that a killed run wrote without the logs they belong to; those logs are judged again."""
+    whole = {path.name for path in (folder / "logs").glob("*.parquet")}
+    for name in TABLES:
+        for path in (folder / name).glob("*.parquet"):
+            if path.name not in whole:
+                path.unlink()

@@ -1,0 +1,58 @@
+"""The colours of servofd, the same in recordings, figures, pages and terminals.
+
+From M. Okabe and K. Ito, Color Universal Design (2008): eyes with any of the common colour deficiencies can tell them
+apart, and all but ``other``, the last resort, stand out (contrast above 2.2) from white paper as well as from the
+viewer's black.
+"""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+__all__ = ["COLOURS", "SERIES", "STATUS_COLOURS", "rgba"]
+
+COLOURS: Mapping[str, str] = MappingProxyType(
+    {
+        "command": "#8c8c8c",
+        "simulated": "#0072b2",
+        "measured": "#e69f00",
+        "residual": "#009e73",
+        "threshold": "#8c8c8c",
+        "ok": "#009e73",
+        "suspect": "#cc79a7",
+        "fault": "#d55e00",
+        "no_data": "#8c8c8c",
+        "unknown": "#56b4e9",
+        "other": "#f0e442",
+    }
+)
+"""What is drawn, to ``#rrggbb``. A residual has the colour of a healthy surface until it is not one."""
+
+SERIES = ("simulated", "measured", "ok", "suspect", "unknown", "other", "command", "fault")
+"""Names of colours for curves that stand for nothing else, the first eight of them."""
+
+STATUS_COLOURS: Mapping[str, str] = MappingProxyType(
+    {
+        "healthy": COLOURS["ok"],
+        "suspect": COLOURS["suspect"],
+        "fault": COLOURS["fault"],
+        "no_data": COLOURS["no_data"],
+        "unknown": COLOURS["unknown"],
+    }
+)
+"""Status of a surface, to ``#rrggbb``."""
+
+
+def rgba(name: str, opacity: float = 1.0) -> int:
+    """Colour as one number 0xRRGGBBAA, as Rerun takes it.
+
+    Examples
+    --------
+    >>> hex(rgba("fault")), hex(rgba("fault", 0.25))
+    ('0xd55e00ff', '0xd55e0040')
+    """
+    return (int(COLOURS[name][1:], 16) << 8) | round(255 * opacity)

@@ -1,0 +1,102 @@
+"""One figure of a page or a folder: drawn once, saved as PNG, or set into HTML as vector graphics."""
+
+from __future__ import annotations
+
+import io
+import re
+import warnings
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["Picture", "finish", "new_figure"]
+
+_PATH = re.compile(r'(?<= d=")[^"]+(?=")')
+_NUMBER = re.compile(r"(-?\d+\.\d)\d+")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """One figure and what it shows in words."""
+
+    name: str
+    title: str
+    text: str
+    """What somebody must know who cannot see it."""
+    figure: Figure
+
+    def png(self) -> bytes:
+        """The picture as PNG."""
+        return self._saved("png")
+
+    def svg(self) -> str:
+        """The picture as SVG, the same bytes for the same data."""
+        from matplotlib import rc_context
+
+        with rc_context({"svg.hashsalt": self.name, "svg.fonttype": "none"}):
+            return self._saved("svg").decode()
+
+    def inline(self) -> str:
+        """SVG element with names of its own, so that several can stand in one page, and its text for screen readers.
+
+        Coordinates are rounded to a tenth of a point, which no eye can tell and which halves the page.
+        """
+        from markupsafe import escape
+
+        svg = self.svg()
+        svg = svg[svg.index("<svg") :]
+        svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+        svg = _PATH.sub(lambda path: _NUMBER.sub(r"\1", " ".join(path[0].split())), svg)
+        svg = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{self.name}-", svg)
+        label = escape(f"{self.title}. {self.text}")
+        return svg.replace("<svg", f'<svg role="img" aria-label="{label}"', 1)
+
+    def _saved(self, kind: str) -> bytes:
+        buffer = io.BytesIO()
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message="Glyph .* missing")  # names in scripts that the font lacks
+            self.figure.savefig(buffer, format=kind, dpi=110, metadata={"Date": None} if kind == "svg" else None)
+        return buffer.getvalue()
+
+
+def new_figure(
+    rows: int = 1,
+    columns: int = 1,
+    *,
+    height: float = 3.6,
+    width: float = 9.0,
+    share_x: bool = True,
+    ratios: tuple[float, ...] | None = None,
+) -> tuple[Figure, tuple[Axes, ...]]:
+    """Figure with its axes, row by row; sizes in inches, `ratios` those of the rows' heights.
+
+    Examples
+    --------
+    >>> figure, axes = new_figure(2, height=5.0)
+    >>> len(axes)
+    2
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure as NewFigure
+
+    figure = NewFigure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    all_axes = figure.subplots(rows, columns, sharex=share_x, height_ratios=ratios)
+    return figure, tuple(np.atleast_1d(all_axes).ravel())
+
+
+def finish(*all_axes: Axes, legend: str = "beside") -> None:
+    """Grid, and the legend beside or above the axes, where it hides nothing."""
+    for axes in all_axes:
+        axes.grid(visible=True, color="0.9")
+        axes.spines[["top", "right"]].set_visible(False)
+        count = len(axes.get_legend_handles_labels()[1])
+        if count and legend == "beside":
+            axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
+        elif count:
+            axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=count, frameon=False, borderaxespad=0.2)

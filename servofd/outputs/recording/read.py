@@ -1,0 +1,224 @@
+"""A recording read back, without the log that it was made from."""
+
+from __future__ import annotations
+
+import warnings
+from collections import defaultdict
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from servofd.errors import RecordingError
+from servofd.models.context import Context
+from servofd.outputs.recording.clock import TIME_BOOT, seconds
+from servofd.outputs.recording.content import Recording, Trace
+from servofd.outputs.recording.scene import AIRSPEED, ATTITUDE, GEO, LOCAL, SUPPLY
+from servofd.outputs.recording.stream import PROPERTIES, surface_place
+from servofd.outputs.recording.verdicts import audit_of
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from servofd.types import FloatArray, IntArray
+
+__all__ = ["check_is_recording", "is_recording", "read_recording"]
+
+_CURVES = "Scalars:scalars"
+_PROPERTIES = f"/__properties/{PROPERTIES}"
+_KEPT = ("deflection", "residual", "command", "seconds", "command_seconds")
+_MAGIC = (b"RRF", b"RRIO")
+
+
+def read_recording(path: str | Path) -> Recording:
+    """Read what an audit wrote.
+
+    Parameters
+    ----------
+    path : str or Path
+        A recording of servofd, complete or left behind by a process that was killed.
+
+    Returns
+    -------
+    Recording
+        Every value as it was audited; times to the microsecond.
+
+    Raises
+    ------
+    RecordingError
+        If it is no recording, or one of another program, or of an older servofd, or cut in the middle.
+    """
+    stored = _Stored.of(Path(path))
+    name = Path(path).name
+    if not stored.properties:
+        raise RecordingError(
+            f"{path}: not a recording of servofd; 'servofd audit LOG --rrd FILE' writes one"
+            if stored.entities
+            else f"{path}: an empty recording; 'servofd audit LOG --rrd FILE' writes one"
+        )
+    audit, notes, frozen = audit_of(stored.properties, name)
+    context = _context(stored)
+    traces = {
+        s.surface: trace
+        for s in audit.surfaces
+        if (trace := _trace(stored, s.surface, frozen.get(s.surface, (0.0, False)), context)) is not None
+    }
+    attitude, position, geo = (stored.rows(place) for place in (ATTITUDE, LOCAL, GEO))
+    return Recording(audit, traces, attitude, position, geo, notes)
+
+
+@dataclass(frozen=True, slots=True)
+class _Stored:
+    """Curves and properties of a file, as they are stored."""
+
+    properties: Mapping[str, Any]
+    entities: frozenset[str]
+    chunks: Mapping[str, list[tuple[IntArray, FloatArray]]] = field(repr=False)
+    """By entity: times [us] and values of shape (n, k)."""
+
+    @classmethod
+    def of(cls, path: Path) -> _Stored:
+        check_is_recording(path)
+        properties: dict[str, Any] = {}
+        entities = set()
+        chunks: dict[str, list[tuple[IntArray, FloatArray]]] = defaultdict(list)
+        try:
+            for chunk in _reader(path).stream():
+                entities.add(chunk.entity_path)
+                if chunk.entity_path == _PROPERTIES:
+                    properties |= _values(chunk)
+                elif _is_curve(chunk) and (curve := _curve(chunk)) is not None:
+                    chunks[chunk.entity_path].append(curve)
+        except (ValueError, RuntimeError, OSError) as error:
+            if "No recording store" not in str(error):
+                hint = f"'servofd review {path} --repair -o FIXED.rrd' saves what is whole"
+                raise RecordingError(f"{path}: cut short or damaged; {hint}") from None
+        return cls(properties, frozenset(entities), chunks)
+
+    def curves(self, place: str) -> tuple[FloatArray, FloatArray] | None:
+        """Times [s] and values of shape (n, k) of one entity, in order of time."""
+        parts = self.chunks.get(place)
+        if not parts:
+            return None
+        time_us = np.concatenate([part[0] for part in parts])
+        values = np.concatenate([part[1] for part in parts])
+        if np.any(np.diff(time_us) < 0):
+            order = np.argsort(time_us, kind="stable")
+            time_us, values = time_us[order], values[order]
+        # Rows that only break the curve follow a sample by one microsecond.
+        broken = (np.diff(time_us, prepend=np.int64(0)) == 1) & np.all(np.isnan(values), axis=1)
+        if broken.any():
+            time_us, values = time_us[~broken], values[~broken]
+        return seconds(time_us), values
+
+    def rows(self, place: str) -> FloatArray | None:
+        """Time [s] and values side by side."""
+        found = self.curves(place)
+        return None if found is None else np.column_stack(found)
+
+
+def _reader(path: Path) -> Any:  # noqa: ANN401 - rerun is untyped here
+    """Reader of a file; one that a killed process left has no index, and is read from front to back."""
+    from rerun.chunk import RrdReader
+
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="RRD file has no footer")
+        return RrdReader(str(path))
+
+
+def is_recording(path: Path) -> bool:
+    """Whether a file begins as Rerun's recordings do.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            return file.read(4).startswith(_MAGIC)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot read this file: {error.strerror}") from None
+
+
+def check_is_recording(path: Path) -> None:
+    """Refuse what is no recording at all before Rerun looks at it."""
+    if is_recording(path):
+        return
+    if path.stat().st_size == 0:
+        raise RecordingError(f"{path}: the file is empty; 'servofd audit LOG --rrd FILE' writes a recording")
+    raise RecordingError(f"{path}: not a Rerun recording (.rrd); logs are for 'servofd audit'")
+
+
+def _is_curve(chunk: Any) -> bool:  # noqa: ANN401 - rerun is untyped here
+    place = chunk.entity_path
+    kept = place.startswith("/flight/") or (place.startswith("/surfaces/") and place.rsplit("/", 1)[-1] in _KEPT)
+    return bool(kept and not chunk.is_static)
+
+
+def _curve(chunk: Any) -> tuple[IntArray, FloatArray] | None:  # noqa: ANN401
+    batch = chunk.to_record_batch()
+    if _CURVES not in batch.schema.names or TIME_BOOT not in batch.schema.names:
+        return None
+    time_ns = batch.column(TIME_BOOT).to_numpy(zero_copy_only=False).astype(np.int64)
+    cells = batch.column(_CURVES)
+    values = cells.flatten().to_numpy(zero_copy_only=False)
+    return time_ns // 1000, values.reshape(len(cells), -1)
+
+
+def _values(chunk: Any) -> dict[str, Any]:  # noqa: ANN401
+    """Properties by name; lists of one value as that value."""
+    batch = chunk.to_record_batch()
+    found = {}
+    for name in batch.schema.names:
+        cells = batch.column(name).to_pylist()
+        if cells and isinstance(cells[-1], list):
+            found[name.rsplit(":", 1)[-1]] = cells[-1][0] if len(cells[-1]) == 1 else cells[-1]
+    return found
+
+
+def _trace(stored: _Stored, surface: str, frozen: tuple[float, bool], context: Context) -> Trace | None:
+    deflection = stored.curves(surface_place(surface, "deflection"))
+    residual = stored.curves(surface_place(surface, "residual"))
+    if deflection is None or residual is None:
+        return None
+    shown, judged = deflection[1], residual[1]
+    time_s = _exact(stored, deflection[0], surface_place(surface, "seconds"))
+    rows = min(len(time_s), len(judged))  # a recording that was cut short may lack the last of them
+    command = stored.curves(surface_place(surface, "command"))
+    if command is None:
+        asked_s, asked_deg = time_s, shown[:, 0]
+    else:
+        asked_s, asked_deg = _exact(stored, command[0], surface_place(surface, "command_seconds")), command[1][:, 0]
+    return Trace(
+        time_s[:rows],
+        command_deg=shown[:rows, 0],
+        simulated_deg=shown[:rows, 1],
+        measured_deg=shown[:rows, 2],
+        residual_deg=judged[:rows, 0],
+        threshold_deg=judged[:rows, 1],
+        asked_s=asked_s,
+        asked_deg=asked_deg,
+        frozen_s=frozen[0],
+        frozen_to_end=frozen[1],
+        context=context,
+    )
+
+
+def _context(stored: _Stored) -> Context:
+    """Airspeed and supply, as far as they were recorded."""
+    columns = []
+    for place in (AIRSPEED, SUPPLY):
+        found = stored.curves(place)
+        if found is None:
+            columns += [np.zeros(0), np.zeros(0)]
+        else:
+            columns += [_exact(stored, found[0], f"{place}/seconds"), found[1][:, 0]]
+    return Context(*columns)
+
+
+def _exact(stored: _Stored, time_s: FloatArray, place: str) -> FloatArray:
+    """Time stamps to the last bit, where they are no whole microseconds."""
+    found = stored.curves(place)
+    return time_s if found is None or len(found[1]) != len(time_s) else found[1][:, 0]

@@ -1,0 +1,124 @@
+"""The aircraft with its moving surfaces, and its track."""
+
+from __future__ import annotations
+
+import itertools
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from servofd.models.context import NO_CONTEXT
+from servofd.outputs.recording.airframe import BODY, hinges, turned, turned_by_euler
+from servofd.outputs.recording.states import states
+from servofd.outputs.recording.stream import STATES, colours
+from servofd.outputs.recording.surface import send_seconds
+
+if TYPE_CHECKING:
+    from servofd.models.context import Context
+    from servofd.outputs.recording.airframe import Hinge
+    from servofd.outputs.recording.content import Recording, Trace
+    from servofd.outputs.recording.stream import Recorder
+    from servofd.types import FloatArray
+
+__all__ = ["AIRSPEED", "ATTITUDE", "GEO", "LOCAL", "SUPPLY", "send_context", "send_scene"]
+
+ATTITUDE, LOCAL, GEO = "/flight/attitude", "/flight/position", "/flight/geo"
+AIRSPEED, SUPPLY = "/flight/airspeed", "/flight/supply"
+"""Where attitude, local and geographic position, airspeed and supply are kept as numbers."""
+
+_PERIOD_S = 0.1
+_BODY_RGBA = 0xB0B0B0FF
+_GHOST_OPACITY = 0.6
+
+
+def send_scene(recorder: Recorder, recording: Recording) -> None:
+    """Draw the aircraft; each surface as it was measured, in the colour of its state, and as it should have been."""
+    import rerun as rr
+
+    recorder.stream.log("/aircraft", rr.ViewCoordinates.FRD, static=True)
+    centres, half_sizes = zip(*BODY, strict=True)
+    body = rr.Boxes3D(centers=centres, half_sizes=half_sizes, colors=_BODY_RGBA, fill_mode="solid")
+    recorder.stream.log("/aircraft/frame/body", body, static=True)
+    if recording.attitude is not None:
+        recorder.scalars(ATTITUDE, recording.attitude[:, 0], recording.attitude[:, 1:])
+        recorder.lines(ATTITUDE, ["roll", "pitch", "yaw"], ["simulated", "measured", "command"])
+        turn = rr.Transform3D.columns(quaternion=turned_by_euler(recording.attitude[:, 1:]))
+        recorder.columns("/aircraft/frame", recording.attitude[:, 0], turn)
+    for name, hinge in hinges(list(recording.traces)).items():
+        surface = next(s for s in recording.audit.surfaces if s.surface == name)
+        trace = recording.traces[name]
+        changes = states(trace, surface)
+        _send_surface(recorder, rr.new_entity_path(["aircraft", "frame", name]), trace, hinge, changes)
+    # All surfaces of a log share it.
+    send_context(recorder, next((t.context for t in recording.traces.values()), NO_CONTEXT))
+    _send_track(recorder, recording)
+
+
+def send_context(recorder: Recorder, context: Context) -> None:
+    """Airspeed and supply, on their own time stamps."""
+    for place, name, time_s, values in (
+        (AIRSPEED, "airspeed [m/s]", context.airspeed_s, context.airspeed_m_s),
+        (SUPPLY, "servo supply [V]", context.voltage_s, context.voltage_v),
+    ):
+        if time_s.size:
+            recorder.lines(place, [name], ["simulated"])
+            recorder.scalars(place, time_s, values)
+            send_seconds(recorder, f"{place}/seconds", time_s)
+
+
+def _send_surface(recorder: Recorder, place: str, trace: Trace, hinge: Hinge, changes: list[tuple[float, str]]) -> None:
+    import rerun as rr
+
+    recorder.stream.log(place, rr.Transform3D(translation=hinge.at), static=True)
+    behind = {"centers": [(-hinge.half_size[0], 0.0, 0.0)], "half_sizes": [hinge.half_size]}
+    tint = colours(["simulated"], _GHOST_OPACITY)
+    ghost = rr.Boxes3D(**behind, colors=tint, fill_mode="transparentfillmajorwireframe")
+    recorder.stream.log(f"{place}/simulated", ghost, static=True)
+    recorder.stream.log(f"{place}/measured", rr.Boxes3D(**behind, fill_mode="solid"), static=True)
+    for which, angle_deg in (("simulated", trace.simulated_deg), ("measured", trace.measured_deg)):
+        time_s, thin_deg = _thin(trace.time_s, angle_deg)
+        turn = rr.Transform3D.columns(quaternion=turned(hinge.axis, thin_deg))
+        recorder.columns(f"{place}/{which}", time_s, turn)
+    times = np.array([time_s for time_s, _ in changes])
+    tints = colours([STATES[word] for _, word in changes])
+    recorder.columns(f"{place}/measured", times, rr.Boxes3D.columns(colors=tints))
+
+
+def _thin(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Ten known values a second."""
+    known = np.flatnonzero(np.isfinite(values))
+    kept = known[np.flatnonzero(np.diff(np.floor(time_s[known] / _PERIOD_S), prepend=-np.inf))]
+    return time_s[kept], values[kept]
+
+
+def _send_track(recorder: Recorder, recording: Recording) -> None:
+    """Where it flew, red where a surface was at fault: in metres from the start, and on the map."""
+    import rerun as rr
+
+    if recording.position is not None:
+        recorder.scalars(LOCAL, recording.position[:, 0], recording.position[:, 1:])
+        recorder.stream.log("/flight/local", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        strips, tints = _strips(recording, recording.position)
+        recorder.stream.log("/flight/local/track", rr.LineStrips3D(strips, colors=tints), static=True)
+        here = rr.Points3D.columns(positions=recording.position[:, 1:])
+        recorder.columns("/flight/local/aircraft", recording.position[:, 0], here)
+        style: Any = rr.Points3D.from_fields(radii=rr.Radius.ui_points(6.0), colors=colours(["measured"]))
+        recorder.stream.log("/flight/local/aircraft", style, static=True)
+    if recording.geo is not None:
+        recorder.scalars(GEO, recording.geo[:, 0], recording.geo[:, 1:])
+        strips, tints = _strips(recording, recording.geo)
+        lines = rr.GeoLineStrings(lat_lon=[strip[:, :2] for strip in strips], colors=tints)
+        recorder.stream.log(f"{GEO}/track", lines, static=True)
+
+
+def _strips(recording: Recording, rows: FloatArray) -> tuple[list[FloatArray], Any]:
+    """Pieces of a track of shape (n, 4), and the colour of each."""
+    faults = [f for s in recording.audit.surfaces for f in s.faults]
+    end_s = recording.end_s
+    time_s = rows[:, 0]
+    bad = np.zeros(time_s.size, dtype=bool)
+    for fault in faults:
+        bad |= (time_s >= fault.start_s) & (time_s <= (end_s if fault.end_s is None else fault.end_s))
+    cuts = [0, *(np.flatnonzero(np.diff(bad)) + 1).tolist(), time_s.size]
+    pieces = [(rows[a : b + 1, 1:], "fault" if bad[a] else "ok") for a, b in itertools.pairwise(cuts)]
+    return [piece for piece, _ in pieces], colours([tint for _, tint in pieces])

@@ -1,0 +1,191 @@
+"""A recording while it is written: large columns, static styles, states, texts, markers.
+
+What audit, explain and monitor record, they record through this; each passes its own Rerun stream.
+"""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from servofd.outputs.files import whole_file
+from servofd.outputs.palette import rgba
+from servofd.outputs.recording.clock import Clock
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from servofd.types import FloatArray
+
+__all__ = ["CHUNK_ROWS", "PROPERTIES", "STATES", "Recorder", "colours", "recording_file", "surface_place"]
+
+CHUNK_ROWS = 65_536
+"""Rows in one chunk: smaller ones cost space, larger ones memory (measured: 22.3 B/scalar at 65 536, 22.5 at 4 096)."""
+
+STATES = {"OK": "ok", "SUSPECT": "suspect", "FAULT": "fault", "NO DATA": "no_data"}
+"""Words of the state lanes, and their colours."""
+
+PROPERTIES = "servofd"
+"""Name of the recording's property that holds what was found."""
+
+
+def surface_place(surface: str, *parts: str) -> str:
+    r"""Entity path of a surface, whatever characters its name has.
+
+    Examples
+    --------
+    >>> surface_place("elevator", "residual"), surface_place("a/b")
+    ('/surfaces/elevator/residual', '/surfaces/a\\/b')
+    """
+    import rerun as rr
+
+    path: str = rr.new_entity_path(["surfaces", surface, *parts])
+    return path
+
+
+def colours(names: Sequence[str], opacity: float = 1.0) -> NDArray[np.uint32]:
+    """Colours by name, as Rerun takes several of them."""
+    return np.array([rgba(name, opacity) for name in names], dtype=np.uint32)
+
+
+@dataclass(frozen=True, slots=True)
+class Recorder:
+    """A Rerun stream with the habits of servofd.
+
+    Parameters
+    ----------
+    stream : rerun.RecordingStream
+        Where everything goes.
+    clock : Clock
+        What time it is at ``time_s = 0``.
+    """
+
+    stream: Any
+    clock: Clock = field(default_factory=Clock)
+
+    def columns(self, place: str, time_s: FloatArray, columns: Any) -> None:  # noqa: ANN401 - rerun is untyped here
+        """Send columns of one row per time; nothing if there is no row."""
+        if len(time_s):
+            self.stream.send_columns(place, self.clock.columns(np.asarray(time_s)), columns)
+
+    def scalars(self, place: str, time_s: FloatArray, values: FloatArray) -> None:
+        """Send curves of shape (n,) or (n, k), `CHUNK_ROWS` rows at a time."""
+        import rerun as rr
+
+        for begin in range(0, time_s.size, CHUNK_ROWS):
+            rows = slice(begin, begin + CHUNK_ROWS)
+            self.columns(place, time_s[rows], rr.Scalars.columns(scalars=values[rows]))
+
+    def lines(self, place: str, names: Sequence[str], tints: Sequence[str] = (), **style: Any) -> None:  # noqa: ANN401
+        """Name and colour the curves of an entity, for all time; without colours they may change with time."""
+        import rerun as rr
+
+        # The viewer's default draws a lone spike at half its height.
+        style = {"aggregation_policy": "MinMax", "names": list(names)} | style
+        if tints:
+            style["colors"] = colours(tints)
+        self.stream.log(place, rr.SeriesLines(**style), static=True)
+
+    def line_colours(self, place: str, changes: Sequence[tuple[float, Sequence[str]]]) -> None:
+        """Recolour the curves of an entity from given times [s] on; the first must not be after the first sample."""
+        import rerun as rr
+
+        rows = rr.SeriesLines.columns(colors=np.concatenate([colours(names) for _, names in changes]))
+        times = np.array([time_s for time_s, _ in changes])
+        self.columns(place, times, rows.partition([len(names) for _, names in changes]))
+
+    def states(self, place: str, changes: Sequence[tuple[float, str]], tints: Mapping[str, str] = STATES) -> None:
+        """Coloured lane: from each time [s] on, a word out of `tints`."""
+        import rerun as rr
+
+        words = list(tints)
+        style = rr.StateConfiguration(values=words, labels=words, colors=colours(list(tints.values())))
+        self.stream.log(place, style, static=True)
+        times = np.array([time_s for time_s, _ in changes])
+        self.columns(place, times, rr.StateChange.columns(state=[state for _, state in changes]))
+
+    def texts(self, place: str, texts: Sequence[tuple[float, str, str]]) -> None:
+        """Lines of a text log: when [s], level (``ERROR``, ``WARN``, ``INFO``), words."""
+        import rerun as rr
+
+        times = np.array([time_s for time_s, _, _ in texts])
+        levels, words = [level for _, level, _ in texts], [text for _, _, text in texts]
+        self.columns(place, times, rr.TextLog.columns(text=words, level=levels))
+
+    def markers(self, place: str, time_s: FloatArray, heights: FloatArray, name: str, tint: str) -> None:
+        """Triangles that point down at given times."""
+        import rerun as rr
+
+        style = rr.SeriesPoints(markers="Down", marker_sizes=6.0, colors=colours([tint]), names=name)
+        self.stream.log(place, style, static=True)
+        self.columns(place, time_s, rr.Scalars.columns(scalars=heights))
+
+    def shade(self, place: str, spans: Sequence[tuple[float, float]], middle: float, half: float, tint: str) -> None:
+        """Translucent band from the bottom to the top of a plot during each span (from, to) [s].
+
+        Parameters
+        ----------
+        place : str
+            Entity; put it into the contents of the plot.
+        spans : sequence of (float, float)
+            From when to when [s].
+        middle, half : float
+            Centre of the plot and half its height, in the unit of the plot.
+        tint : str
+            Name in the palette.
+        """
+        import rerun as rr
+
+        style = rr.Measurements.from_fields(colors=colours([tint], 0.65), names=tint, widths=0.0)
+        self.stream.log(place, style, static=True)
+        # A value that is not a number parts one band from the next.
+        times = np.array([t for begin, end in spans for t in (begin, end, end + 1e-6)])
+        values = np.tile([middle, middle, np.nan], len(spans))
+        variances = np.full(values.size, half**2)
+        self.columns(place, times, rr.Measurements.columns(values=values, variances=variances))
+
+    def document(self, place: str, markdown: str) -> None:
+        """Text of the report, for all time."""
+        import rerun as rr
+
+        self.stream.log(place, rr.TextDocument(markdown, media_type="text/markdown"), static=True)
+
+    def properties(self, name: str, values: Mapping[str, Any]) -> None:
+        """Properties of the recording; send them first, so that a recording that was cut short has them."""
+        import rerun as rr
+
+        self.stream.send_property(PROPERTIES, rr.AnyValues(**values))
+        self.stream.send_recording_name(name)
+        if self.clock.start_utc is not None:
+            self.stream.send_recording_start_time_nanos(self.clock.start_us * 1000)
+        # Columns overtake what waits to be batched: a recording that was cut short would lack what it needs most.
+        self.stream.flush()
+
+
+@contextmanager
+def recording_file(path: str | Path, application: str, layout: Any, clock: Clock = Clock()) -> Iterator[Recorder]:  # noqa: ANN401, B008 - frozen
+    """Write a recording whole or not at all.
+
+    Parameters
+    ----------
+    path : str or Path
+        File to write; `ConfigError` if it cannot be.
+    application : str
+        Name under which the viewer keeps the layout; recordings of one aircraft share it.
+    layout : rerun.blueprint.Blueprint
+        Goes into the file.
+    clock : Clock
+        What time it is at ``time_s = 0``.
+    """
+    import rerun as rr
+
+    with whole_file(path) as temporary, rr.RecordingStream(application, send_properties=False) as stream:
+        rr.set_log_time_enabled(False, recording=stream)
+        stream.save(str(temporary), default_blueprint=layout)
+        yield Recorder(stream, clock)

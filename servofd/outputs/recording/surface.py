@@ -1,0 +1,132 @@
+"""One surface in a recording: curves, states, shaded faults, markers, events."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servofd.outputs.recording.clock import microseconds, seconds
+from servofd.outputs.recording.states import breaks_s, events, ratio, states
+from servofd.outputs.recording.stream import STATES, surface_place
+
+if TYPE_CHECKING:
+    from servofd.detection.audit import SurfaceAudit
+    from servofd.detection.bank.isolate import Fault
+    from servofd.outputs.recording.content import Trace
+    from servofd.outputs.recording.stream import Recorder
+    from servofd.types import FloatArray
+
+__all__ = ["DEFLECTIONS", "RESIDUALS", "plot_range", "send_seconds", "send_surface"]
+
+DEFLECTIONS = ("command", "simulated", "measured")
+RESIDUALS = ("residual", "+threshold", "-threshold")
+MARKER_HEIGHT = 4.6
+"""Of onset markers in the overview, whose plot reaches to 5 thresholds."""
+
+_MARGIN = 1.12
+
+
+def plot_range(values: FloatArray, least: float) -> tuple[float, float]:
+    """Bottom and top of a plot that shows all values and as much as `least` around them.
+
+    Examples
+    --------
+    >>> plot_range(np.array([np.nan, -1.0, 3.0]), 1.0)
+    (-1.24, 3.24)
+    """
+    known = values[np.isfinite(values)]
+    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+    middle, half = (low + high) / 2.0, max(_MARGIN * (high - low) / 2.0, least)
+    return round(middle - half, 6), round(middle + half, 6)
+
+
+def deflection_range(trace: Trace) -> tuple[float, float]:
+    """Bottom and top of the plot of deflections [deg]."""
+    return plot_range(np.concatenate([trace.command_deg, trace.simulated_deg, trace.measured_deg]), 1.0)
+
+
+def residual_range(trace: Trace) -> tuple[float, float]:
+    """Bottom and top of the plot of the residual and its thresholds [deg]."""
+    return plot_range(np.concatenate([trace.residual_deg, trace.threshold_deg, -trace.threshold_deg]), 0.1)
+
+
+def send_surface(
+    recorder: Recorder, surface: SurfaceAudit, trace: Trace | None, start_s: float, tint: str = "simulated"
+) -> None:
+    """Send everything that an audit found about a surface, and looked at.
+
+    Parameters
+    ----------
+    recorder : Recorder
+        Where to.
+    surface : SurfaceAudit
+        The verdict.
+    trace : Trace or None
+        The curves.
+    start_s : float
+        When the recording begins [s].
+    tint : str
+        Colour of its curve in the overview.
+    """
+    place = surface_place(surface.surface)
+    recorder.texts(f"{place}/events", events(trace, surface, start_s))
+    if trace is None or not trace.time_s.size:
+        return
+    changes = states(trace, surface)
+    recorder.states(f"{place}/state", changes)
+    # Before the first sample, and from where the cursor stands at first: else the legend has colours of its own.
+    tints = [(start_s, STATES[changes[0][1]]), *((time_s, STATES[word]) for time_s, word in changes[1:])]
+    recorder.line_colours(f"{place}/residual", [(t, (tint, "threshold", "threshold")) for t, tint in tints])
+    _send_curves(recorder, place, trace)
+    _send_commands(recorder, place, trace)
+    _send_overview(recorder, place, surface, trace, tint)
+    for name, (low, high) in (("deflection", deflection_range(trace)), ("residual", residual_range(trace))):
+        for found, level in ((surface.faults, "fault"), (surface.suspicions, "suspect")):
+            spans = [_span(fault, trace) for fault in found]
+            if spans:
+                recorder.shade(f"{place}/shade/{name}/{level}", spans, (low + high) / 2.0, high - low, level)
+
+
+def _send_curves(recorder: Recorder, place: str, trace: Trace) -> None:
+    deflections = np.column_stack([trace.command_deg, trace.simulated_deg, trace.measured_deg])
+    residuals = np.column_stack([trace.residual_deg, trace.threshold_deg, -trace.threshold_deg])
+    recorder.lines(f"{place}/deflection", DEFLECTIONS, DEFLECTIONS, widths=[1.0, 2.5, 1.5])
+    recorder.lines(f"{place}/residual", RESIDUALS, widths=[1.5, 1.0, 1.0])
+    broken_s = breaks_s(trace.time_s)
+    for name, values in (("deflection", deflections), ("residual", residuals)):
+        recorder.scalars(f"{place}/{name}", trace.time_s, values)
+        recorder.scalars(f"{place}/{name}", broken_s, np.full((broken_s.size, 3), np.nan))
+
+
+def _send_commands(recorder: Recorder, place: str, trace: Trace) -> None:
+    """Commands on their own time stamps, unless each came with a measurement: then the curve has them all."""
+    send_seconds(recorder, f"{place}/seconds", trace.time_s)
+    if not np.array_equal(trace.asked_s, trace.time_s):
+        recorder.scalars(f"{place}/command", trace.asked_s, trace.asked_deg)
+        send_seconds(recorder, f"{place}/command_seconds", trace.asked_s)
+
+
+def send_seconds(recorder: Recorder, place: str, time_s: FloatArray) -> None:
+    """Time stamps that are no whole microseconds (a log of 32-bit floats), so that they can be read back exactly."""
+    if np.any(seconds(microseconds(time_s)) != time_s):
+        recorder.scalars(place, time_s, time_s)
+
+
+def _send_overview(recorder: Recorder, place: str, surface: SurfaceAudit, trace: Trace, tint: str) -> None:
+    time_s, largest = ratio(trace)
+    recorder.lines(f"{place}/ratio", [surface.surface], [tint], aggregation_policy="Max")
+    recorder.scalars(f"{place}/ratio", time_s, largest)
+    flag = np.abs(trace.residual_deg) >= trace.threshold_deg
+    edges = np.union1d(np.flatnonzero(np.diff(flag, prepend=~flag[0])), [flag.size - 1])
+    recorder.lines(f"{place}/flag", ["over threshold"], ["fault"], interpolation_mode="StepAfter")
+    recorder.scalars(f"{place}/flag", trace.time_s[edges], flag[edges].astype(float))
+    starts_s = np.array([fault.start_s for fault in surface.faults])
+    if starts_s.size:
+        heights = np.full(starts_s.size, MARKER_HEIGHT)
+        recorder.markers(f"{place}/onset", starts_s, heights, f"{surface.surface}: onset", "fault")
+
+
+def _span(fault: Fault, trace: Trace) -> tuple[float, float]:
+    last_s = float(trace.time_s[-1])
+    return fault.start_s, last_s if fault.end_s is None else fault.end_s

@@ -1,0 +1,187 @@
+"""Verdicts as text that a recording carries, and back: schema servofd.recording/1."""
+
+from __future__ import annotations
+
+import json
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from pydantic import ValidationError
+
+from logparsers.records import Damage, FlightLog
+from servofd.aircraft import Aircraft
+from servofd.detection.audit import LogAudit, Statistics, SurfaceAudit
+from servofd.detection.bank.explanation import Estimate
+from servofd.detection.bank.isolate import Fault
+from servofd.errors import RecordingError
+from servofd.outputs.json_report import audit_document
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from servofd.outputs.recording.content import Recording
+
+__all__ = ["LIVE", "SCHEMA", "Verdicts", "audit_of", "live_verdicts", "verdicts_of"]
+
+SCHEMA = "servofd.recording/1"
+
+LIVE = "recorded in flight"
+"""Note of a recording whose verdicts have still to be made."""
+
+
+class Verdicts(NamedTuple):
+    """What the properties of a recording tell."""
+
+    audit: LogAudit
+    notes: tuple[str, ...]
+    frozen: Mapping[str, tuple[float, bool]]
+    """By surface: for how long its telemetry repeated itself [s], and whether to the end."""
+
+
+def verdicts_of(recording: Recording) -> dict[str, Any]:
+    """Properties of a recording: few words for people, and everything an audit found for machines."""
+    from servofd import __version__
+
+    audit, log = recording.audit, recording.audit.log
+    (document,) = audit_document([audit])["logs"]
+    for surface in audit.surfaces:
+        entry, trace = document["surfaces"][surface.surface], recording.traces.get(surface.surface)
+        entry |= {"expected": surface.expected}
+        if trace is not None:
+            entry |= {"frozen_s": trace.frozen_s, "frozen_to_end": trace.frozen_to_end}
+    document |= {"vehicle": log.vehicle, "firmware": log.firmware, "span_s": log.span_s, "notes": recording.notes}
+    document["start_utc"] = log.start_utc.isoformat() if log.start_utc else None
+    return {
+        "schema": SCHEMA,
+        "version": __version__,
+        "source": log.source.name,
+        "format": log.format,
+        "vehicle": log.vehicle,
+        "aircraft": audit.aircraft.name,
+        "faults": sum(len(s.faults) for s in audit.surfaces),
+        "surfaces": [s.surface for s in audit.surfaces],
+        "statuses": [s.status for s in audit.surfaces],
+        "verdicts": json.dumps(document),
+        "models": _models(audit.aircraft),
+    }
+
+
+def live_verdicts(aircraft: Aircraft, surfaces: Sequence[str], name: str) -> dict[str, Any]:
+    """Properties of a recording that is still being made: the models, and no verdict yet.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+        What is flying.
+    surfaces : sequence of str
+        Which of its surfaces are watched.
+    name : str
+        What to call the recording.
+    """
+    from servofd.outputs.recording.content import Recording
+
+    watched = tuple(
+        SurfaceAudit(
+            surface=key,
+            status="no_data",
+            reason="nothing of it was recorded",
+            servo=aircraft.surfaces[key].servo,
+            threshold_kind=aircraft.surfaces[key].threshold,
+            threshold_deg=aircraft.surfaces[key].threshold_deg,
+            expected=aircraft.surfaces[key].measured is not None,
+        )
+        for key in surfaces
+    )
+    log = FlightLog(Path(name), "live", {}, span_s=(0.0, 0.0))
+    return verdicts_of(Recording(LogAudit(log, aircraft, watched), {}, notes=(LIVE,)))
+
+
+def audit_of(properties: Mapping[str, Any], name: str) -> Verdicts:
+    """Verdicts of a recording, and what its reader should know.
+
+    Parameters
+    ----------
+    properties : Mapping
+        As `verdicts_of` made them.
+    name : str
+        Name of the recording, for messages.
+
+    Raises
+    ------
+    RecordingError
+        If they are not what this version of servofd writes.
+    """
+    schema = properties.get("schema")
+    if schema != SCHEMA:
+        wrote = f"schema {schema}" if schema else "an older servofd, without a schema"
+        raise RecordingError(f"{name}: written by {wrote}; this one reads {SCHEMA}: audit the log again with --rrd")
+    try:
+        document = json.loads(properties["verdicts"])
+        aircraft = Aircraft.model_validate_json(properties["models"])
+        surfaces = tuple(_surface(key, entry) for key, entry in document["surfaces"].items())
+        frozen = {
+            key: (entry["frozen_s"], entry["frozen_to_end"])
+            for key, entry in document["surfaces"].items()
+            if "frozen_s" in entry
+        }
+        return Verdicts(LogAudit(_log(document), aircraft, surfaces), tuple(document["notes"]), frozen)
+    except (KeyError, TypeError, ValueError, ValidationError) as error:
+        raise RecordingError(
+            f"{name}: its verdicts cannot be read ({type(error).__name__}); audit the log again"
+        ) from None
+
+
+def _models(aircraft: Aircraft) -> str:
+    """The aircraft, without the words on where its servos were identified: those may name files."""
+    servos = {key: servo.model_copy(update={"source": "recorded"}) for key, servo in aircraft.servos.items()}
+    return aircraft.model_copy(update={"servos": servos}).model_dump_json(exclude_none=True)
+
+
+def _log(document: Mapping[str, Any]) -> FlightLog:
+    return FlightLog(
+        source=Path(document["path"]),
+        format=document["format"],
+        channels={},
+        damage=tuple(Damage(**damage) for damage in document["damage"]),
+        run=document["run"] or "",
+        vehicle=document["vehicle"],
+        firmware=document["firmware"],
+        start_utc=datetime.fromisoformat(document["start_utc"]) if document["start_utc"] else None,
+        span_s=tuple(document["span_s"]),
+    )
+
+
+def _surface(name: str, entry: Mapping[str, Any]) -> SurfaceAudit:
+    statistics = entry["residual"]
+    if statistics is not None:
+        statistics = Statistics(**statistics, simulation_error_rms_deg=entry["simulation_error_rms_deg"])
+    return SurfaceAudit(
+        surface=name,
+        status=entry["status"],
+        reason=entry["reason"],
+        servo=entry["servo"],
+        threshold_kind=entry["threshold"]["kind"],
+        threshold_deg=entry["threshold"]["deg"],
+        expected=entry["expected"],
+        faults=tuple(_fault(fault) for fault in entry["faults"]),
+        suspicions=tuple(_fault(fault) for fault in entry["suspicions"]),
+        statistics=statistics,
+        false_alarms_per_hour=entry["false_alarms_per_hour"],
+    )
+
+
+def _fault(entry: Mapping[str, Any]) -> Fault:
+    parameters = {k: Estimate(v, *entry["intervals"][k]) for k, v in entry["parameters"].items()}
+    return Fault(
+        entry["kind"],
+        entry["start_s"],
+        entry["alarm_s"],
+        entry["end_s"],
+        parameters,
+        entry["probability"],
+        tuple(entry["alternatives"]),
+        entry["level"],
+        entry["named_s"],
+        tuple(entry["first_signs"]),
+    )

@@ -1,0 +1,48 @@
+"""Opening the Rerun viewer."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+from servofd.errors import RecordingError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+__all__ = ["check_display", "open_viewer"]
+
+_OTHER_WAYS = "'servofd audit LOG --rrd FILE' keeps the recording for another machine"
+
+
+def check_display() -> None:
+    """Refuse to open a window where there is none.
+
+    Raises
+    ------
+    RecordingError
+        If no display is known.
+    """
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise RecordingError(f"no display to open the viewer on (DISPLAY is not set): {_OTHER_WAYS}")
+
+
+def open_viewer(path: Path) -> None:
+    """Show a recording until its window is closed.
+
+    Raises
+    ------
+    RecordingError
+        If the viewer cannot run here.
+    """
+    # It listens for more recordings, by itself to the whole network.
+    command = [sys.executable, "-m", "rerun_cli", "--bind", "127.0.0.1", str(path.resolve())]
+    done = subprocess.run(command, stderr=subprocess.PIPE, text=True, check=False)  # noqa: S603 - our own program
+    lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
+    errors = [line for line in lines if line.startswith("Error")]
+    # Its own exit code is 0 even if it found no display.
+    if done.returncode != 0 or errors:
+        reason = (errors or lines or ["it gave no reason"])[-1]
+        raise RecordingError(f"the Rerun viewer could not be opened: {reason[:160]}; {_OTHER_WAYS}")

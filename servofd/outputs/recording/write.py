@@ -1,0 +1,121 @@
+"""An audit as a Rerun recording.
+
+Entities below ``/surfaces/<name>``: ``deflection`` (command, simulated, measured [deg]), ``residual`` (residual and
+both thresholds [deg]), ``command`` (on its own time stamps [deg]), ``ratio``, ``flag`` (0 or 1), ``state``, ``onset``,
+``events``, ``shade/*``; ``/aircraft/**`` and ``/flight/**`` move; ``/report`` is the verdict in words. Time lines:
+``time_boot``, and ``time_utc`` where the log knows it.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servofd.outputs.palette import SERIES
+from servofd.outputs.recording.clock import Clock
+from servofd.outputs.recording.content import Recording
+from servofd.outputs.recording.layout import ALARM_LINE, audit_layout
+from servofd.outputs.recording.motion import attitude_of, geo_of, local_of
+from servofd.outputs.recording.scene import send_scene
+from servofd.outputs.recording.stream import Recorder, recording_file
+from servofd.outputs.recording.surface import send_surface
+from servofd.outputs.recording.verdicts import verdicts_of
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from servofd.detection.audit import LogAudit
+
+__all__ = ["application_of", "fill", "recording_of", "save_recording", "send_to_stdout", "write_recording"]
+
+
+def save_recording(
+    audit: LogAudit, path: str | Path, *, include_position: bool = False, online_map: bool = False
+) -> None:
+    """Write everything the audit looked at and found into one .rrd file, with its layout inside.
+
+    Parameters
+    ----------
+    audit : LogAudit
+        Result of an audit.
+    path : str or Path
+        File to write.
+    include_position : bool
+        Whether to tell where the aircraft flew, in metres from its first fix.
+    online_map : bool
+        Whether to put latitude and longitude into it, and a map that the viewer loads from openstreetmap.org.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be written.
+    """
+    write_recording(recording_of(audit, include_position=include_position, online_map=online_map), path)
+
+
+def recording_of(audit: LogAudit, *, include_position: bool = False, online_map: bool = False) -> Recording:
+    """What a recording of an audit will hold; see `save_recording`."""
+    geo = geo_of(audit.log) if include_position or online_map else None
+    return replace(
+        Recording.of(audit),
+        attitude=attitude_of(audit.log),
+        position=None if geo is None else local_of(geo),
+        geo=geo if online_map else None,
+    )
+
+
+def write_recording(recording: Recording, path: str | Path) -> None:
+    """Write a recording into a file, whole or not at all."""
+    clock = Clock(recording.audit.log.start_utc)
+    with recording_file(path, application_of(recording), audit_layout(recording), clock) as recorder:
+        fill(recorder, recording)
+
+
+def send_to_stdout(recording: Recording, application: str | None = None, recording_id: str | None = None) -> None:
+    """Send a recording to the viewer that reads our output, under the names that it wants."""
+    import rerun as rr
+
+    application = application or application_of(recording)
+    with rr.RecordingStream(application, recording_id=recording_id, send_properties=False) as stream:
+        rr.set_log_time_enabled(False, recording=stream)
+        stream.stdout(default_blueprint=audit_layout(recording))
+        fill(Recorder(stream, Clock(recording.audit.log.start_utc)), recording)
+
+
+def application_of(recording: Recording) -> str:
+    """Name under which the viewer keeps the layout: aircraft with other surfaces need another one."""
+    name = recording.audit.aircraft.name or " ".join(s.surface for s in recording.audit.surfaces)
+    return "servofd-" + re.sub(r"[^A-Za-z0-9_ -]", "-", name)[:100]
+
+
+def fill(recorder: Recorder, recording: Recording) -> None:
+    """Send everything; the verdicts first, so that a recording that was cut short has them."""
+    log = recording.audit.log
+    recorder.properties(log.source.name, verdicts_of(recording))
+    recorder.document("/report", report(recording))
+    for surface, tint in zip(recording.audit.surfaces, itertools.cycle(SERIES), strict=False):
+        send_surface(recorder, surface, recording.traces.get(surface.surface), recording.start_s, tint)
+    if any(trace.time_s.size for trace in recording.traces.values()):
+        recorder.lines(ALARM_LINE, ["threshold"], ["threshold"])
+        recorder.scalars(ALARM_LINE, np.array([recording.start_s, recording.end_s]), np.ones(2))
+        send_scene(recorder, recording)
+
+
+def report(recording: Recording) -> str:
+    """Verdicts as Markdown."""
+    audit = recording.audit
+    rows = "\n".join(f"| {_cell(s.surface)} | {s.status} | {_cell(s.reason)} |" for s in audit.surfaces)
+    damage = "\n".join(f"- {d.kind}: {d.note}" for d in audit.log.damage) or "none"
+    notes = "".join(f"{note}\n\n" for note in recording.notes)
+    return (
+        f"# {audit.log.source.name}\n\n{notes}| surface | status | reason |\n|---|---|---|\n{rows}\n\n"
+        f"**Damage of the log:**\n\n{damage}\n"
+    )
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.replace("|", chr(92) + "|").split())

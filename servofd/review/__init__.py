@@ -1,0 +1,1 @@
+"""Recordings without their logs: checked, judged anew, cut, compared."""

@@ -1,0 +1,249 @@
+r"""What one flight tells of one servo: one output-error fit, and the residual of the model as it stands.
+
+The model is the aircraft file's servo behind a zone of width :math:`w` in which it rests (dead band, backlash; thesis
+4.2.1). For a width near zero the fit must be free to go to the other side, or noise would bias it upwards: where
+:math:`P_w u` is the command :math:`u` after a play of width :math:`w`, the command for :math:`-w` is
+:math:`2u - P_w u`, which continues :math:`P_w u` smoothly through :math:`w = 0`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servofd.calibrating.fit import deviations
+from servofd.calibrating.flights import Flight, busiest
+from servofd.calibrating.motion import Motion, line, noise_of
+from servofd.calibrating.servo import FlownServo
+from servofd.detection.bank.explanation import Estimate
+from servofd.detection.bank.window import noise_deg
+from servofd.detection.prepare import prepared
+from servofd.detection.residual import ResidualGenerator
+from servofd.detection.threshold import constant_threshold, interval_threshold
+from servofd.errors import NoMeasurement
+from servofd.models.play import play
+from servofd.trend.records import QUANTITIES
+
+if TYPE_CHECKING:
+    from servofd.aircraft import Aircraft
+    from servofd.detection.residual import Residuals
+    from servofd.segment import Segment
+    from servofd.types import FloatArray
+
+__all__ = ["estimate_flight"]
+
+_MOST_SAMPLES = 12_000
+"""Two minutes at 100 Hz tell the width to 0.01 deg, which is less than it varies from flight to flight."""
+_LEAST_SAMPLES = 300
+_LEAST_MOTION_NOISES = 10.0
+"""Less motion than ten times the noise tells nothing of delay and bandwidth."""
+_WIDTHS_DEG = (0.0, 0.5, 1.0, 2.0, 4.0)
+_EVALUATIONS = 25
+_WIDTH_STEP_DEG, _STEP = 0.02, 0.01
+"""For slopes, in degrees and in the units of `FlownServo.vector`."""
+_ORDINARY = 3.0
+"""Errors beyond three typical ones count by their size, no longer by their square."""
+_MAD_TO_SIGMA = 1.4826
+_LIMIT_REACHED = 0.5
+"""Motion that would take the linear servo to half of its limit may show a limit that has fallen."""
+_LEAST_RATE_SURENESS = 0.1
+"""Deviation of the logarithm of a rate limit: more, and the flight hardly shows it."""
+_NEVER, _SURE_SHARE, _BLOCKS = 0.999, 0.999, 10
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    servo: FlownServo
+    names: tuple[str, ...]
+    vector: FloatArray
+    """Width, the numbers of the servo, gain and offset."""
+    deviation: FloatArray
+    error_deg: FloatArray
+
+
+def estimate_flight(
+    segment: Segment, aircraft: Aircraft, voltage_v: float | None = None
+) -> tuple[dict[str, Estimate], dict[str, str]]:
+    """Estimate what `servofd.trend.records.QUANTITIES` lists, as far as the flight shows it.
+
+    Parameters
+    ----------
+    segment : Segment
+        One surface in one flight.
+    aircraft : Aircraft
+        Its model, threshold and tolerances.
+    voltage_v : float, optional
+        Mean supply voltage of the servos [V], if it was logged.
+
+    Returns
+    -------
+    values : dict of str to Estimate
+        With 95 % intervals.
+    missing : dict of str to str
+        Why the others are not among them.
+
+    Raises
+    ------
+    NoMeasurement
+        If the flight is too short or too calm to tell anything.
+    DesignError
+        If the model of the aircraft file has no residual filter.
+
+    Examples
+    --------
+    >>> from servofd.aircraft import plain_aircraft
+    >>> from servofd.models.faults import DeadBand
+    >>> from servofd.segment import Segment
+    >>> from servofd.simulation.flight import simulate_flight
+    >>> plane = plain_aircraft(["rudder"])
+    >>> flown = simulate_flight(plane, seed=1, faults={"rudder": DeadBand(0.0, width_deg=0.8)})
+    >>> segment = Segment("rudder", flown.time_s, flown.command_deg[:, 0], flown.time_s, flown.measured_deg[:, 0])
+    >>> values, _ = estimate_flight(segment, plane)
+    >>> values["dead_band_deg"].low < 0.8 < values["dead_band_deg"].high
+    True
+    """
+    surface = aircraft.surfaces[segment.surface]
+    generator = ResidualGenerator.fitting(aircraft.model(segment.surface), segment, surface.filter_pole_rad_s)
+    segment, residuals, _ = prepared(generator, segment)
+    if np.count_nonzero(residuals.settled) < _LEAST_SAMPLES:
+        raise NoMeasurement(
+            f"only {np.count_nonzero(residuals.settled)} samples that can be judged; too short a flight"
+        )
+    threshold = interval_threshold(generator, segment, residuals, surface.tolerances, surface.threshold_sigmas)
+    if surface.threshold == "constant":
+        threshold = constant_threshold(threshold, surface.threshold_deg)
+    values = _of_residual(residuals, threshold.level_deg)
+    prior = FlownServo.on(aircraft, segment.surface)
+    motion = Motion.of(busiest(Flight("", segment), _MOST_SAMPLES), prior)
+    problem = _too_calm(motion)
+    if problem:
+        return values, {name: problem for name in QUANTITIES if name not in values}
+    values |= _of_fit(_fitted(motion, prior), motion)
+    missing = {}
+    if "rate_limit_deg_s" not in values:
+        missing["rate_limit_deg_s"] = "never moved fast enough to show it"
+    elif voltage_v is not None:
+        values["rate_per_volt_deg_s_v"] = Estimate(*(end / voltage_v for end in values["rate_limit_deg_s"]))
+    if "rate_per_volt_deg_s_v" not in values:
+        missing["rate_per_volt_deg_s_v"] = missing.get("rate_limit_deg_s", "no supply voltage in the log")
+    return values, missing
+
+
+def _of_residual(residuals: Residuals, level_deg: FloatArray) -> dict[str, Estimate]:
+    """Size of the residual, and how much of the threshold is left."""
+    judged = residuals.settled & np.isfinite(residuals.residual_deg)
+    size_deg = np.abs(residuals.residual_deg[judged])
+    value, low, high = _quantile(size_deg / level_deg[judged], _SURE_SHARE)
+    return {"residual_p95_deg": _quantile(size_deg, 0.95), "margin": Estimate(1.0 - value, 1.0 - high, 1.0 - low)}
+
+
+def _quantile(values: FloatArray, share: float) -> Estimate:
+    """Quantile; its deviation is told by those of ten parts of the flight."""
+    parts = [float(np.quantile(part, share)) for part in np.array_split(values, _BLOCKS)]
+    return Estimate.of(float(np.quantile(values, share)), float(np.std(parts, ddof=1)) / np.sqrt(_BLOCKS))
+
+
+def _too_calm(motion: Motion) -> str:
+    """Why this flight tells nothing of the servo's dynamics, or nothing."""
+    measured_deg = motion.measured_deg
+    if measured_deg.size < _LEAST_SAMPLES:
+        return "too few samples with command and position"
+    low_deg, high_deg = np.percentile(measured_deg, [5.0, 95.0])
+    if high_deg - low_deg < _LEAST_MOTION_NOISES * noise_deg(measured_deg):
+        return "too little motion"
+    return ""
+
+
+def _fitted(motion: Motion, prior: FlownServo) -> _Fit:
+    """Downhill from the width that fits best with the servo as it is known."""
+    names = tuple(name for name in prior.numbers if name != "rate_limit_deg_s")
+    if prior.rate_limit_deg_s is not None and _top_speed_deg_s(motion, prior) > _LIMIT_REACHED * prior.rate_limit_deg_s:
+        names = (*names, "rate_limit_deg_s")
+    measured_deg = motion.measured_deg
+    starts = {width_deg: line(_simulated(motion, prior, width_deg), measured_deg) for width_deg in _WIDTHS_DEG}
+    width_deg, (gain, offset_deg, left_deg) = min(starts.items(), key=lambda start: start[1][2])
+    begin = np.array([width_deg, *prior.vector(names), gain, offset_deg])
+    return _descended(motion, prior, names, begin, _ORDINARY * _MAD_TO_SIGMA * max(left_deg, 1e-6))
+
+
+def _descended(
+    motion: Motion, prior: FlownServo, names: tuple[str, ...], begin: FloatArray, ordinary_deg: float
+) -> _Fit:
+    from scipy.optimize import least_squares
+
+    measured_deg = motion.measured_deg
+    steps = np.array([_WIDTH_STEP_DEG, *(_STEP for _ in names)])
+
+    def shape(x: FloatArray) -> FloatArray:
+        return _simulated(motion, prior.with_vector(names, x[1:-2]), float(x[0]))
+
+    def error(x: FloatArray) -> FloatArray:
+        left_deg: FloatArray = measured_deg - x[-2] * shape(x) - x[-1]
+        return left_deg
+
+    def slopes(x: FloatArray) -> FloatArray:
+        shifted = np.vstack([np.diag(steps), np.zeros((2, steps.size))]).T
+        here = shape(x)
+        columns = [-x[-2] * (shape(x + d) - here) / h for d, h in zip(shifted, steps, strict=True)]
+        all_slopes: FloatArray = np.column_stack([*columns, -here, -np.ones(measured_deg.size)])
+        return all_slopes
+
+    lower = np.full(begin.size, -np.inf)
+    if "delay_s" in names:
+        lower[1 + names.index("delay_s")] = -1e-9
+    found = least_squares(
+        error,
+        begin,
+        jac=slopes,
+        bounds=(lower, np.inf),
+        x_scale="jac",
+        loss="soft_l1",
+        f_scale=ordinary_deg,
+        max_nfev=_EVALUATIONS,
+        xtol=1e-6,
+        ftol=1e-6,
+    )
+    left_deg = error(found.x)
+    deviation = deviations(slopes(found.x), left_deg, motion.memory(left_deg))
+    return _Fit(prior.with_vector(names, found.x[1:-2]), names, found.x, deviation, left_deg)
+
+
+def _simulated(motion: Motion, servo: FlownServo, width_deg: float) -> FloatArray:
+    """Deflection of a servo behind a zone of rest, in all used rows [deg], shape (n,)."""
+    rested = tuple(Flight(one.label, _behind_play(one.segment, width_deg)) for one in motion.flights)
+    return replace(motion, flights=rested).simulated_deg(servo)
+
+
+def _behind_play(segment: Segment, width_deg: float) -> Segment:
+    asked_deg = segment.command_deg
+    heard_deg = play(asked_deg, abs(width_deg), float(asked_deg[0]))
+    return replace(segment, command_deg=heard_deg if width_deg >= 0.0 else 2.0 * asked_deg - heard_deg)
+
+
+def _top_speed_deg_s(motion: Motion, servo: FlownServo) -> float:
+    """Largest speed of the servo without its limit [deg/s], single samples left out."""
+    parts = motion.split(motion.simulated_deg(replace(servo, rate_limit_deg_s=None)))
+    speeds = [
+        np.abs(np.diff(part) / np.diff(flight.segment.measured_s[rows]))
+        for part, flight, rows in zip(parts, motion.flights, motion.used, strict=True)
+    ]
+    return float(np.quantile(np.concatenate(speeds), _NEVER))
+
+
+def _of_fit(fit: _Fit, motion: Motion) -> dict[str, Estimate]:
+    """What was fitted, in the units of `QUANTITIES`."""
+    width, *numbers, _, offset = (Estimate.of(*pair) for pair in zip(fit.vector, fit.deviation, strict=True))
+    noise = noise_of(motion.measured_deg, fit.error_deg)
+    values = {
+        "dead_band_deg": width,
+        "bias_deg": offset,
+        "noise_deg": Estimate.of(noise, noise / np.sqrt(fit.error_deg.size)),
+    }
+    for name, estimate in zip(fit.names, numbers, strict=True):
+        if name == "delay_s":
+            values[name] = Estimate(*(1e-3 * end for end in estimate))
+        elif name == "bandwidth_hz" or (name == "rate_limit_deg_s" and estimate.deviation < _LEAST_RATE_SURENESS):
+            values[name] = Estimate(*np.exp(np.clip(estimate, -50.0, 50.0)).tolist())
+    return values

@@ -1,0 +1,34 @@
+"""A folder of small logs that all tests of a fleet share."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from servofd.aircraft import plain_aircraft
+from servofd.models.faults import Stuck
+from servofd.simulation.flight import simulate_flight
+from servofd.simulation.writers import write_flight
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@pytest.fixture(scope="session")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four healthy flights of 12 s, one whose rudder jams at 6 s, prose, noise, nothing, and a broken table."""
+    folder = tmp_path_factory.mktemp("logs")
+    plane = plain_aircraft(["elevator", "rudder"])
+    (folder / "may").mkdir()
+    for seed in range(5):
+        faults = {"rudder": Stuck(6.0)} if seed == 4 else {}
+        flown = simulate_flight(plane, command="lively", duration_s=12.0, seed=seed, faults=faults)
+        write_flight(folder / ("may" if seed > 2 else ".") / f"flight{seed}.csv", flown, plane)
+    (folder / "README.md").write_text("# Flights of May\n\nAll of them were windy.\n")
+    (folder / "noise.bin").write_bytes(bytes(range(1, 32)) * 40)
+    (folder / "empty.csv").write_bytes(b"")
+    (folder / "broken.csv").write_text("time_s,elevator_cmd_deg,elevator_pos_deg\n0,1,x\n1,2,3\n")
+    (folder / ".hidden").mkdir()
+    (folder / ".hidden" / "flight9.csv").write_text("time_s\n")
+    return folder

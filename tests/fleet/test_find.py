@@ -1,0 +1,96 @@
+"""Logs are found by their content, and what is passed over is said."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from logparsers import TableLayout
+from servofd.errors import ConfigError
+from servofd.fleet.find import META_FILE, find_logs
+
+FLIGHTS = ["broken.csv", "flight0.csv", "flight1.csv", "flight2.csv", "flight3.csv", "flight4.csv"]
+
+
+def names(*inputs: Path | str) -> list[str]:
+    return [Path(log.path).name for log in find_logs([str(one) for one in inputs]).logs]
+
+
+def test_a_folder_gives_its_logs_whatever_they_are_called(logs: Path) -> None:
+    found = find_logs([str(logs)])
+    assert [Path(log.path).name for log in found.logs] == FLIGHTS
+    reasons = {Path(one.path).name: one.reason for one in found.skipped}
+    assert set(reasons) == {"README.md", "empty.csv", "noise.bin"}
+    assert reasons["README.md"].startswith("no row below the header")
+    assert reasons["empty.csv"] == "empty"
+    assert "belong to no known format" in reasons["noise.bin"]
+    assert all(log.size_bytes == Path(log.path).stat().st_size for log in found.logs)
+
+
+def test_patterns_folders_and_files_give_no_log_twice(logs: Path) -> None:
+    assert names(logs / "**" / "flight[0-3].csv", logs / "may", logs / "flight0.csv") == [
+        "flight0.csv",
+        "flight1.csv",
+        "flight2.csv",
+        "flight3.csv",
+        "flight4.csv",
+    ]
+
+
+def test_a_named_file_is_taken_whatever_it_is(logs: Path) -> None:
+    assert names(logs / "noise.bin", "no_such_file.csv") == ["noise.bin", "no_such_file.csv"]
+
+
+def test_addresses_are_listed_by_fsspec(logs: Path) -> None:
+    fsspec = pytest.importorskip("fsspec")
+    memory = fsspec.filesystem("memory")
+    memory.pipe("/bucket/a/flight0.csv", (logs / "flight0.csv").read_bytes())
+    memory.pipe("/bucket/notes.txt", b"nothing here\n")
+    assert [log.path for log in find_logs(["memory://bucket"]).logs] == ["memory:///bucket/a/flight0.csv"]
+    assert names("memory://bucket/**/*.csv", f"file://{logs}/may") == ["flight0.csv", "flight3.csv", "flight4.csv"]
+    for nothing, why in (
+        ("memory://elsewhere", "nothing is there"),
+        ("memory://bucket/notes.txt", "holds no log: 1 files passed over"),
+        ("nonsense://bucket", "Protocol not known"),
+    ):
+        with pytest.raises(ConfigError, match=why):
+            find_logs([nothing])
+
+
+def test_a_table_without_names_is_found_through_its_layout(tmp_path: Path) -> None:
+    (tmp_path / "bench.txt").write_text("1\t2\n3\t4\n")
+    with pytest.raises(ConfigError, match="holds no log"):
+        find_logs([str(tmp_path)])
+    assert len(find_logs([str(tmp_path)], TableLayout(columns=("cmd", "pos"), sample_rate_hz=100.0)).logs) == 1
+
+
+@pytest.mark.parametrize(
+    ("kind", "why"), [("folder", "this folder holds no file"), ("pattern", "no file fits this pattern")]
+)
+def test_nothing_to_do_is_an_error_in_one_line(tmp_path: Path, kind: str, why: str) -> None:
+    with pytest.raises(ConfigError, match=why) as caught:
+        find_logs([str(tmp_path if kind == "folder" else tmp_path / "*.bin")])
+    assert "\n" not in str(caught.value)
+
+
+def test_an_input_without_logs_does_not_stop_the_others(logs: Path, tmp_path: Path) -> None:
+    found = find_logs([str(tmp_path), str(logs / "may")])
+    assert len(found.logs) == 2
+    assert found.problems == (f"{tmp_path}: this folder holds no file; give one that holds flight logs",)
+
+
+def test_a_folder_of_results_is_no_folder_of_logs(logs: Path, tmp_path: Path) -> None:
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results" / META_FILE).write_text("{}")
+    (tmp_path / "results" / "flight.csv").write_bytes((logs / "flight0.csv").read_bytes())
+    with pytest.raises(ConfigError, match="holds no file"):
+        find_logs([str(tmp_path)])
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="nothing is forbidden to root")
+def test_a_folder_that_may_not_be_read_is_told(tmp_path: Path) -> None:
+    (tmp_path / "closed").mkdir(mode=0)
+    with pytest.raises(ConfigError, match="cannot read this folder: Permission denied"):
+        find_logs([str(tmp_path)])

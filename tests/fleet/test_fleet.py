@@ -1,0 +1,274 @@
+"""Many logs: the same verdicts as one by one, kept in tables, resumed where a run was broken off."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+
+from servofd.cli import main
+from servofd.errors import ConfigError
+from servofd.fleet.find import find_logs
+from servofd.fleet.key import Job
+from servofd.fleet.overview import overview
+from servofd.fleet.store import FleetStore, read_logs
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+    from pathlib import Path
+
+KEYS = ["path", "run", "surface"]
+
+
+@pytest.fixture(autouse=True)
+def judged(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Do the work in this process, which knows servofd already, and remember what was done."""
+    done: list[str] = []
+
+    def in_line(task: Callable[[Any], Any], items: Sequence[Any], _workers: int | None) -> Iterator[tuple[Any, Any]]:
+        for item in items:
+            done.append(item.path)
+            yield item, task(item)
+
+    monkeypatch.setattr("servofd.fleet.run.run_local", in_line)
+    return done
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
+    code = main([str(word) for word in words])
+    printed = capsys.readouterr()
+    return code, printed.out, printed.err
+
+
+def test_a_folder_is_judged_like_its_logs_one_by_one(
+    logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, err = run(capsys, "audit", logs / "may", "-o", tmp_path / "results", "--json", tmp_path / "fleet.json")
+    assert code == 1
+    assert f"fault    {logs}/may/flight4.csv: rudder stuck" in out
+    assert f"healthy  {logs}/may/flight3.csv\n" in out
+    assert err == ""
+    one_by_one = [str(logs / "may" / f"flight{k}.csv") for k in (3, 4)]
+    assert main(["audit", *one_by_one, "--json", str(tmp_path / "one.json")]) == 1
+    assert json.loads((tmp_path / "fleet.json").read_text()) == json.loads((tmp_path / "one.json").read_text())
+    page = (tmp_path / "results" / "fleet.html").read_text()
+    assert "1 of 2 judged logs show a fault" in page
+    assert str(logs) not in page
+
+
+def test_what_could_not_be_judged_is_said_and_the_rest_is_done(
+    logs: Path, capsys: pytest.CaptureFixture[str], judged: list[str]
+) -> None:
+    code, out, err = run(capsys, "audit", logs)
+    assert code == 2
+    assert len(judged) == 6
+    assert "passed over 3 files that are no logs" in err
+    assert [line for line in err.splitlines() if "broken.csv" in line] == [
+        f"servofd: {logs}/broken.csv: line 2, column 'elevator_pos_deg': 'x' is not a number; missing cells are empty "
+        "or nan"
+    ]
+    assert "6 logs" in out
+
+
+def test_tables_are_read_by_pandas_duckdb_and_rerun(
+    logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run(capsys, "audit", logs, "-o", tmp_path / "r")
+    surfaces = pd.read_parquet(tmp_path / "r" / "surfaces")
+    assert len(surfaces) == 10
+    assert surfaces.groupby("surface").status.value_counts().to_dict() == {
+        ("elevator", "healthy"): 5,
+        ("rudder", "healthy"): 4,
+        ("rudder", "fault"): 1,
+    }
+    (fault,) = pd.read_parquet(tmp_path / "r" / "faults").to_dict("records")
+    assert (fault["surface"], fault["kind"], fault["level"]) == ("rudder", "stuck", "fault")
+    assert fault["start_s"] == pytest.approx(6.0, abs=0.3)
+    logs_table = pd.read_parquet(tmp_path / "r" / "logs")
+    assert logs_table.untold.notna().sum() == 1
+    from rerun.experimental import ParquetReader
+
+    (part,) = (tmp_path / "r" / "surfaces").glob("*.parquet")
+    assert sum(chunk.num_rows for chunk in ParquetReader(part).stream().to_chunks()) >= 10
+    duckdb = pytest.importorskip("duckdb")
+    table = duckdb.read_parquet(f"{tmp_path}/r/surfaces/*.parquet")
+    assert table.filter("status = 'fault'").project("surface").fetchall() == [("rudder",)]
+
+
+def test_finished_logs_are_not_done_again(
+    logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], judged: list[str]
+) -> None:
+    mine = tmp_path / "mine"
+    shutil.copytree(logs / "may", mine)
+    assert run(capsys, "audit", mine, "-o", tmp_path / "r")[0] == 1
+    assert len(judged) == 2
+    shutil.copy(logs / "flight0.csv", mine / "new.csv")
+    shutil.copy(logs / "may" / "flight3.csv", mine / "a copy of flight3.csv")
+    code, out, err = run(capsys, "audit", mine, "-o", tmp_path / "r")
+    assert (code, len(judged)) == (1, 3)
+    assert "3 of 4 logs are done already" in err
+    assert "3 logs" in out
+    assert run(capsys, "fleet", tmp_path / "r")[0] == 1
+
+
+def test_the_same_bytes_twice_in_one_run_count_once(
+    logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(logs / "may", tmp_path / "mine")
+    shutil.copy(tmp_path / "mine" / "flight3.csv", tmp_path / "mine" / "copy.csv")
+    _, out, err = run(capsys, "audit", tmp_path / "mine", "-o", tmp_path / "r")
+    assert "the same bytes as another log; counted once" in err
+    assert "2 logs" in out
+
+
+def test_another_threshold_is_another_job_and_the_first_comes_back(
+    logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], judged: list[str]
+) -> None:
+    run(capsys, "audit", logs / "may", "-o", tmp_path / "r")
+    _, out, err = run(capsys, "audit", logs / "may", "-o", tmp_path / "r", "--threshold-deg", "3")
+    assert "2 logs were judged with another aircraft file, other options or another version" in err
+    assert "2 logs" in out
+    assert len(judged) == 4
+    assert set(pd.read_parquet(tmp_path / "r" / "surfaces").threshold_deg) == {3.0}
+    run(capsys, "audit", logs / "may", "-o", tmp_path / "r")
+    assert len(judged) == 4
+    assert set(pd.read_parquet(tmp_path / "r" / "surfaces").threshold_deg) == {1.5}
+
+
+def test_another_version_judges_again(
+    logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, judged: list[str]
+) -> None:
+    run(capsys, "audit", logs / "may", "-o", tmp_path / "r")
+    monkeypatch.setattr("servofd.fleet.key.__version__", "99.0")
+    assert "another version" in run(capsys, "audit", logs / "may", "-o", tmp_path / "r")[2]
+    assert len(judged) == 4
+
+
+def test_an_interrupt_keeps_what_was_done(
+    logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, judged: list[str]
+) -> None:
+    from servofd.cli import audit_fleet
+
+    real = audit_fleet._line
+
+    def struck(one: Any) -> str:
+        if len(judged) == 3:
+            raise KeyboardInterrupt
+        return real(one)
+
+    monkeypatch.setattr(audit_fleet, "_line", struck)
+    assert main(["audit", str(logs), "-o", str(tmp_path / "r")]) == 130
+    monkeypatch.setattr(audit_fleet, "_line", real)
+    capsys.readouterr()
+    _, _, err = run(capsys, "audit", logs, "-o", tmp_path / "r")
+    assert "3 of 6 logs are done already" in err
+    assert len(judged) == 6
+    assert len(read_logs(tmp_path / "r")) == 6
+
+
+def test_parts_without_their_logs_are_removed(logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run(capsys, "audit", logs / "may", "-o", tmp_path / "r")
+    (part,) = (tmp_path / "r" / "logs").glob("*.parquet")
+    part.unlink()
+    run(capsys, "audit", logs / "may", "-o", tmp_path / "r")
+    assert len(pd.read_parquet(tmp_path / "r" / "surfaces")) == 4
+
+
+def test_a_log_that_could_not_be_read_is_tried_again_and_replaced(
+    tmp_path: Path, logs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    late = tmp_path / "late.csv"
+    words = ["audit", late, "--workers", "1", "-o", tmp_path / "r"]
+    assert run(capsys, *words)[0] == 2
+    shutil.copy(logs / "flight0.csv", late)
+    assert run(capsys, *words)[0] == 0
+    assert len(pd.read_parquet(tmp_path / "r" / "logs")) == 1
+
+
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [
+        ('{"schema": "servofd.fleet/9", "job": "x"}', "holds results of the form servofd.fleet/9"),
+        ("not json", "is not what servofd writes"),
+    ],
+)
+def test_results_of_another_form_are_refused(
+    logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str, why: str
+) -> None:
+    (tmp_path / "fleet.json").write_text(content)
+    for words in (["audit", logs, "-o", tmp_path], ["fleet", tmp_path]):
+        code, out, err = run(capsys, *words)
+        assert (code, out) == (2, "")
+        assert why in err.splitlines()[-1]
+
+
+def test_folders_that_are_none_are_refused(logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("")
+    for words, why in (
+        (["audit", logs, "-o", tmp_path / "file"], "is a file"),
+        (["audit", logs, "--rrd", tmp_path / "a.rrd"], "--rrd takes one log"),
+        (["fleet", tmp_path], "no results of many logs"),
+        (["audit", tmp_path / "*.bin"], "no file fits this pattern"),
+    ):
+        code, _, err = run(capsys, *words)
+        assert code == 2
+        assert why in err.splitlines()[-1]
+
+
+def test_a_damaged_part_is_named(logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run(capsys, "audit", logs / "may", "-o", tmp_path / "r")
+    (part,) = (tmp_path / "r" / "logs").glob("*.parquet")
+    part.write_bytes(part.read_bytes()[:100])
+    code, _, err = run(capsys, "fleet", tmp_path / "r")
+    assert code == 2
+    assert "damaged" in err
+    assert part.name in err
+
+
+def test_the_overview_counts_what_the_logs_say(logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run(capsys, "audit", logs, "-o", tmp_path / "r")
+    seen = overview(read_logs(tmp_path / "r"))
+    assert (seen.logs, seen.statuses, seen.exit_code) == (6, {"untold": 1, "healthy": 4, "fault": 1}, 2)
+    assert {count.surface: count.kinds for count in seen.surfaces} == {"elevator": {}, "rudder": {"stuck": 1}}
+    code, out, _ = run(capsys, "fleet", tmp_path / "r", "--json", "-")
+    document = json.loads(out)
+    assert (code, document["schema"], len(document["faults"])) == (2, "servofd.fleet/1", 1)
+
+
+def test_a_table_has_the_same_columns_whatever_it_holds(tmp_path: Path, logs: Path) -> None:
+    from servofd.fleet.judge import judge_log
+    from servofd.fleet.tables import TABLES
+
+    with FleetStore(tmp_path, Job().key) as store:
+        for source in find_logs([str(logs / "flight0.csv"), "no_such.csv"]).logs:
+            store.add(judge_log(source, Job()))
+            store.flush()
+    for name, columns in TABLES.items():
+        schemas = {tuple(pq.read_schema(path)) for path in (tmp_path / name).glob("*.parquet")}
+        assert len(schemas) == 1
+        assert list(columns) == [field.name for field in schemas.pop()]
+
+
+def test_a_key_depends_on_all_that_decides_a_verdict() -> None:
+    from servofd.aircraft import plain_aircraft
+
+    jobs = [
+        Job(),
+        Job(plain_aircraft(["rudder"])),
+        Job(servo="s9254"),
+        Job(threshold_deg=1.0),
+        Job(threshold="interval"),
+        Job(surfaces=("rudder",)),
+    ]
+    assert len({job.key for job in jobs}) == len(jobs)
+
+
+def test_a_store_refuses_a_folder_with_tables_of_others(tmp_path: Path) -> None:
+    (tmp_path / "logs").mkdir()
+    pd.DataFrame({"a": [1]}).to_parquet(tmp_path / "logs" / "a.parquet")
+    with pytest.raises(ConfigError, match="servofd did not write"):
+        FleetStore(tmp_path, "key")

@@ -1,0 +1,146 @@
+"""The real thing: processes of this machine, a local Dask cluster, death and interrupts."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from servofd.cli import main
+from servofd.fleet.find import find_logs
+from servofd.fleet.key import Job
+from servofd.fleet.run import audit_fleet
+from servofd.fleet.tables import rows
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+pytestmark = pytest.mark.slow
+
+_MAIN = (
+    "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler);"
+    "from servofd.cli import main; sys.exit(main(sys.argv[1:]))"
+)
+"""Whoever starts the tests in the background has interrupts ignored, and that is inherited."""
+ROOT = Path(__file__).parent.parent.parent
+
+
+def tables(logs: Path, cluster: str | None = None) -> dict[str, list[str]]:
+    """Every row of every table, in an order of its own."""
+    merged: dict[str, list[str]] = {"logs": [], "surfaces": [], "faults": []}
+    for judged in audit_fleet(find_logs([str(logs)]).logs, Job(), cluster=cluster):
+        for name, content in rows(judged).items():
+            merged[name] += [json.dumps(row, sort_keys=True, default=str) for row in content]
+    return {name: sorted(content) for name, content in merged.items()}
+
+
+@pytest.fixture(scope="module")
+def expected(logs: Path) -> dict[str, list[str]]:
+    found = tables(logs)
+    assert len(found["logs"]) == 6
+    return found
+
+
+@pytest.fixture
+def cluster() -> Iterator[Any]:
+    """Two workers of one thread each, started here."""
+    distributed = pytest.importorskip("distributed", reason="Dask distributed is not installed")
+    environment = {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+    import dask
+
+    with (
+        dask.config.set({"distributed.nanny.environ": environment, "distributed.logging.distributed": "critical"}),
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50
+        ) as started,
+    ):
+        yield started
+
+
+@pytest.mark.filterwarnings("ignore")  # distributed's own
+def test_a_cluster_gives_the_same_tables(logs: Path, expected: dict[str, list[str]], cluster: Any) -> None:
+    assert tables(logs, cluster.scheduler_address) == expected
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_cluster_survives_the_death_of_a_worker(logs: Path, expected: dict[str, list[str]], cluster: Any) -> None:
+    """Killed for good after the first result: no nanny brings it back."""
+    merged: dict[str, list[str]] = {"logs": [], "surfaces": [], "faults": []}
+    workers = list(cluster.workers.values())
+    for judged in audit_fleet(find_logs([str(logs)]).logs, Job(), cluster=cluster.scheduler_address):
+        if not merged["logs"]:
+            workers[0].auto_restart = False
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(workers[0].pid, signal.SIGKILL)
+        for name, content in rows(judged).items():
+            merged[name] += [json.dumps(row, sort_keys=True, default=str) for row in content]
+    assert {name: sorted(content) for name, content in merged.items()} == expected
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_cluster_that_is_not_there_is_told_in_one_line(
+    logs: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("servofd.fleet.cluster._PATIENCE_S", 0.5)
+    assert main(["audit", str(logs), "--cluster", "tcp://127.0.0.1:9"]) == 2
+    assert "no Dask scheduler answers" in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_ctrl_c_in_the_middle_keeps_what_was_done_and_the_next_run_goes_on(logs: Path, tmp_path: Path) -> None:
+    many = tmp_path / "many"
+    many.mkdir()
+    for k in range(60):  # a blank line more each: other bytes, the same flight
+        (many / f"flight{k}.csv").write_bytes((logs / "flight0.csv").read_bytes() + b"\n" * k)
+    command = [sys.executable, "-c", _MAIN, "audit", str(many), "-o", str(tmp_path / "r"), "--workers", "1"]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment, start_new_session=True
+    )
+    assert process.stdout is not None
+    first = process.stdout.readline()
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the processes as well
+    _, err = process.communicate(timeout=300)
+    assert first
+    assert process.returncode == 130
+    assert "Traceback" not in err
+    assert err.splitlines()[-1] == "servofd: interrupted; nothing half-written was left behind"
+    again = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    assert again.returncode == 0
+    assert "of 60 logs are done already" in again.stderr
+    assert "60 logs" in again.stdout
+
+
+def test_a_log_that_kills_its_process_is_given_up_and_the_others_are_judged(
+    logs: Path, tmp_path: Path, expected: dict[str, list[str]]
+) -> None:
+    """The reader of one log is made to die as the system ends a process that takes too much memory."""
+    (tmp_path / "sitecustomize.py").write_text(
+        "import os, sys\n"
+        "def hook(event, args):\n"
+        "    if event == 'open' and str(args[0]).endswith('flight1.csv') and 'spawn_main' in ' '.join(sys.orig_argv):\n"
+        "        os.kill(os.getpid(), 9)\n"
+        "sys.addaudithook(hook)\n"
+    )
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])}
+    done = subprocess.run(
+        [sys.executable, "-m", "servofd", "audit", str(logs), "--workers", "2", "--json", str(tmp_path / "out.json")],
+        capture_output=True,
+        text=True,
+        env=environment,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert (
+        f"servofd: {logs}/flight1.csv: the process that read it died: out of memory, killed or crashed" in done.stderr
+    )
+    document = json.loads((tmp_path / "out.json").read_text())
+    assert len(document["logs"]) == len(expected["logs"])
+    assert sum(log["error"] is None for log in document["logs"]) == 4

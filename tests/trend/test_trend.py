@@ -1,0 +1,202 @@
+"""From estimates and logs to the trend of an aircraft."""
+
+from __future__ import annotations
+
+import datetime
+import json
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from servofd.aircraft import Aircraft, load_aircraft, plain_aircraft
+from servofd.cli import main
+from servofd.detection.bank.explanation import Estimate
+from servofd.errors import ConfigError, NoMeasurement
+from servofd.models.faults import DeadBand
+from servofd.segment import Segment
+from servofd.simulation.flight import simulate_flight
+from servofd.trend.estimate import estimate_flight
+from servofd.trend.logs import FlownLog, in_order
+from servofd.trend.records import FlightEstimate
+from servofd.trend.trend import trend_of
+from trend_fleets import crossing_at, healthy_fleet, widths_trend
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from servofd.types import FloatArray
+
+PLANE = plain_aircraft(["rudder"])
+START = datetime.datetime(2026, 5, 1, 9, 0, tzinfo=datetime.UTC)
+
+
+def flown(width_deg: float = 0.0, seed: int = 1, command: str = "flight", **changed: FloatArray) -> Segment:
+    faults = {"rudder": DeadBand(0.0, width_deg=width_deg)} if width_deg else {}
+    flight = simulate_flight(PLANE, command=command, duration_s=40.0, seed=seed, faults=faults)
+    columns = {"command_deg": flight.command_deg[:, 0], "measured_deg": flight.measured_deg[:, 0]} | changed
+    return Segment("rudder", flight.time_s, columns["command_deg"], flight.time_s, columns["measured_deg"])
+
+
+def logs(widths_deg: list[float], start: datetime.datetime | None = None, identity: str = "") -> list[FlownLog]:
+    """Logs whose estimates are drawn, one a day."""
+    made = []
+    for number, width_deg in enumerate(widths_deg, start=1):
+        rng = np.random.default_rng(number)
+        values = {"dead_band_deg": Estimate.of(width_deg + 0.01 * rng.standard_normal(), 0.01)}
+        begun = None if start is None else start + datetime.timedelta(days=number - 1)
+        name = f"flight{number}.csv"
+        made.append(
+            FlownLog(name, "", begun, identity, (FlightEstimate(name, "", "rudder", begun, 60.0, values, {}),), ())
+        )
+    return made
+
+
+@pytest.mark.parametrize("width_deg", [0.0, 0.05, 0.6, 2.5])
+def test_the_width_of_a_dead_band_is_found_without_bias(width_deg: float) -> None:
+    """Mean of six flights within three standard errors; a width that could not be negative would be too large."""
+    found = [estimate_flight(flown(width_deg, seed), PLANE)[0]["dead_band_deg"] for seed in range(6)]
+    error_deg = np.array([one.value - width_deg for one in found])
+    deviation_deg = float(np.mean([one.deviation for one in found]))
+    assert abs(error_deg.mean()) < 3.0 * deviation_deg / np.sqrt(6.0)
+    assert 0.002 < deviation_deg < 0.02
+
+
+def test_other_numbers_of_the_servo_are_those_it_was_simulated_with() -> None:
+    values, missing = estimate_flight(flown(0.3), PLANE)
+    assert values["delay_s"].low < 0.004 < values["delay_s"].high
+    assert values["bandwidth_hz"].low < 28.49 / (2.0 * np.pi) < values["bandwidth_hz"].high
+    assert values["noise_deg"].value == pytest.approx(0.1, rel=0.05)
+    assert 0.0 < values["residual_p95_deg"].value < 1.5
+    assert 0.0 < values["margin"].value < 1.0
+    assert set(missing) == {"rate_limit_deg_s", "rate_per_volt_deg_s_v"}
+
+
+def test_a_bias_and_a_rate_limit_per_volt_are_found() -> None:
+    segment = flown(command="steps")
+    values, _ = estimate_flight(flown(command="steps", measured_deg=segment.measured_deg + 0.7), PLANE, 5.0)
+    assert values["bias_deg"].value == pytest.approx(0.7, abs=0.02)
+    if "rate_limit_deg_s" in values:
+        assert values["rate_per_volt_deg_s_v"].value == pytest.approx(values["rate_limit_deg_s"].value / 5.0)
+
+
+def test_a_calm_flight_tells_nothing_of_the_dynamics_and_says_so() -> None:
+    segment = flown()
+    rng = np.random.default_rng(0)
+    still = flown(
+        command_deg=0.0 * segment.command_deg, measured_deg=0.1 * rng.standard_normal(segment.measured_s.size)
+    )
+    values, missing = estimate_flight(still, PLANE)
+    assert missing["dead_band_deg"] == missing["delay_s"] == "too little motion"
+    assert set(values) == {"residual_p95_deg", "margin"}
+
+
+def test_a_short_flight_is_refused() -> None:
+    whole = flown()
+    short = Segment(
+        "rudder", whole.command_s[:200], whole.command_deg[:200], whole.measured_s[:200], whole.measured_deg[:200]
+    )
+    with pytest.raises(NoMeasurement, match="too short a flight"):
+        estimate_flight(short, PLANE)
+
+
+def test_logs_are_ordered_by_time_if_all_tell_it_and_by_name_if_not() -> None:
+    made = logs([0.0] * 12, START)
+    shuffled = [made[k] for k in np.random.default_rng(0).permutation(12)]
+    assert in_order(shuffled).logs == tuple(made)
+    assert in_order(shuffled).by == "time"
+    silent = [*made[:11], logs([0.0] * 12)[11]]
+    assert in_order(silent).by == "name"
+    assert "1 of 12 do not tell" in in_order(silent).reason
+    assert [log.path for log in in_order(silent).logs][:3] == ["flight1.csv", "flight2.csv", "flight3.csv"]
+
+
+def test_a_swap_in_the_aircraft_file_begins_another_servo() -> None:
+    entry = PLANE.surfaces["rudder"].model_dump(exclude_defaults=True)
+    entry |= {"serial": "B02", "swaps": [{"date": datetime.date(2026, 5, 11), "removed": "A17"}]}
+    plane = Aircraft.model_validate({"surfaces": {"rudder": {"servo": "hs225bb-eq31", **entry}}})
+    seen = trend_of(logs([0.05] * 20, START), plane).surfaces[0]
+    assert seen.serials == ((1, "A17"), (11, "B02"))
+    assert [(p.first, p.last) for p in seen.quantities["dead_band_deg"].pieces] == [(1, 10), (11, 20)]
+    undated = trend_of(logs([0.05] * 20), plane).surfaces[0]
+    assert undated.serials == ((1, "B02"),)
+    assert "not every log tells when it was flown" in undated.notes[0]
+
+
+def test_logs_of_several_vehicles_are_refused() -> None:
+    mixed = [*logs([0.0] * 3, identity="ArduPlane, system 1"), *logs([0.0] * 3, identity="ArduPlane, system 2")]
+    with pytest.raises(ConfigError, match="2 vehicles, a trend follows one"):
+        trend_of(mixed, PLANE)
+
+
+@pytest.mark.parametrize(
+    ("line", "why"),
+    [
+        ("swaps = [{ date = 2026-05-02 }, { date = 2026-05-01 }]", "the dates must rise"),
+        ('swaps = [{ date = "soon" }]', "swaps.0.date"),
+        ("swaps = [{ day = 2026-05-02 }]", "date"),
+        ("limits = { dead_band_deg = -1.0 }", "limits.dead_band_deg"),
+        ("limits = { deadband_deg = 1.0 }", "did you mean dead_band_deg"),
+        ("serial = 17", "serial"),
+    ],
+)
+def test_wrong_keys_of_the_aircraft_file_are_told(tmp_path: Path, line: str, why: str) -> None:
+    text = '[surfaces.rudder]\ncommand = { channel = "c", unit = "deg" }\n'
+    (tmp_path / "plane.toml").write_text(text + line + "\n")
+    with pytest.raises(ConfigError, match=why):
+        load_aircraft(tmp_path / "plane.toml")
+
+
+def test_the_command_line_prints_writes_and_returns_what_it_found(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = trend_of(logs([0.02 * number for number in range(1, 41)], START), PLANE)
+    monkeypatch.setattr("servofd.trend.trend.trend_logs", lambda *_, **__: seen)
+    words = ["trend", "flights", "-c", "faser", "--json", str(tmp_path / "t.json"), "--html", str(tmp_path / "t.html")]
+    assert main(words) == 1
+    printed = capsys.readouterr().out
+    assert "40 flights, by the UTC time at which each log begins" in printed
+    assert "rudder: dead band or backlash, full width crosses its limit at flight 100 [" in printed
+    document = json.loads((tmp_path / "t.json").read_text())
+    found = document["surfaces"]["rudder"]["quantities"]["dead_band_deg"]
+    assert document["schema"] == "servofd.trend/1"
+    assert found["per_flight"]["value"] == pytest.approx(0.02, rel=0.1)
+    assert found["forecast"]["low"] < 100.0 < found["forecast"]["high"]
+    assert "crosses its limit at flight" in (tmp_path / "t.html").read_text()
+
+
+def test_nothing_to_follow_is_said_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for words in (
+        ["trend", str(tmp_path), "-c", "faser"],
+        ["trend", str(tmp_path / "*.bin"), "-c", "faser"],
+        ["trend", str(tmp_path), "-c", "no_such_plane"],
+        ["trend", str(tmp_path), "-c", "faser", "-s", "wing"],
+    ):
+        assert main(words) == 2
+        printed = capsys.readouterr()
+        assert printed.out == ""
+        assert len(printed.err.splitlines()) == 1
+
+
+@pytest.mark.slow
+def test_growing_dead_band_is_measured_and_forecast() -> None:
+    """Servos of another simulator, with scatter, jitter and losses; 0.02 deg per flight, 2 deg at flight 100."""
+    grown = [0.02 * number for number in range(1, 41)]
+    for seed in range(2):
+        slope = widths_trend(seed, grown).surfaces[0].quantities["dead_band_deg"].slope
+        assert slope is not None
+        assert slope.value == pytest.approx(0.02, rel=0.1)
+        assert crossing_at(widths_trend(seed, grown[:25])) == pytest.approx(100.0, abs=5.0)
+
+
+@pytest.mark.slow
+def test_a_swap_is_recognised_and_is_no_wear() -> None:
+    grown = [0.02 * number for number in range(1, 26)]
+    seen = widths_trend(3, [*grown, *grown[:10]], swap=26, duration_s=30.0)
+    assert [(event.kind, event.first) for event in seen.surfaces[0].events] == [("swap", 26)]
+
+
+@pytest.mark.slow
+def test_healthy_fleets_raise_no_alarm() -> None:
+    """Ten here; a hundred in benchmarks/trend_fleets.py."""
+    assert not any(healthy_fleet(seed, servos=2, flights=15, duration_s=15.0).has_alarm for seed in range(10))
