@@ -74,8 +74,8 @@ def followed(fleet: dict[str, list[tuple[FleetServo, float]]], seed: int, durati
         name, flights = f"flight{number}.csv", []
         for index, (surface, (servo, width_deg)) in enumerate(zip(fleet, row, strict=True)):
             rng = np.random.default_rng([seed, number, index])
-            values, missing = estimate_flight(segment(surface, servo, rng, width_deg, duration_s), plane)
-            flights.append(FlightEstimate(name, "", surface, None, duration_s, values, missing))
+            told = estimate_flight(segment(surface, servo, rng, width_deg, duration_s), plane)
+            flights.append(FlightEstimate(name, "", surface, None, duration_s, *told))
         logs.append(FlownLog(name, "", None, "", tuple(flights), ()))
     return trend_of(logs, plane)
 
