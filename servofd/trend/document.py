@@ -48,6 +48,7 @@ def trend_document(seen: AircraftTrend) -> dict[str, Any]:
 def _surface(surface: SurfaceTrend) -> dict[str, Any]:
     return {
         "serials": [{"from_flight": number, "serial": serial or None} for number, serial in surface.serials],
+        "rests_in": surface.place,
         "events": [
             {
                 "kind": event.kind,
