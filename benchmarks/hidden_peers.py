@@ -24,6 +24,7 @@ __all__ = ["GROUPS", "has_pysindy", "regression_closure", "residual_deg", "sindy
 GROUPS = {
     "delay": "dynamics", "slow_dynamics": "dynamics", "sensor_lag": "dynamics", "pwm_frame": "dynamics",
     "clock_offset": "dynamics", "resonance": "dynamics", "rate_limit": "rate", "voltage_rate": "rate",
+    "current_limit": "rate",
     "deadband": "hysteresis", "backlash": "hysteresis", "friction": "hysteresis", "load_friction": "hysteresis",
     "gain": "static", "bias": "bias", "airload": "static", "gravity_load": "static", "linkage_nonlinearity": "static",
     "position_limit": "static",

@@ -53,11 +53,13 @@ CATALOGUE: _Sizes = {
     "clock_offset": {"offset_s": (-0.012, -0.025, -0.06)},
     "gravity_load": {"droop_deg": (3.0, 10.0, 30.0)},
     "load_friction": {"share": (0.15, 0.3, 0.6)},
+    "current_limit": {"knee_deg": (8.0, 3.0, 1.0)},
 }
 """Effects of the contract with parameters for `LEVELS`. A clock offset is by how much positions are stamped too late:
 below zero the surface seems to move before its command, which no delay explains. The weight hangs on the horn at 0 deg
 and droops by what is said when its arm is level. Friction under load is a share of the motor's pull. The arm of a
-non-linear linkage is off from square to its rod."""
+non-linear linkage is off from square to its rod. The knee of a current limit is the error above which the motor's pull
+grows as a root."""
 STRUCTURAL: _Sizes = {
     "lugre_friction": {"friction_deg": (0.4, 0.8, 2.0), "presliding_deg": (0.1, 0.2, 0.3)},
     "set_point_speed": {"rate_deg_s": (75.0, 50.0, 30.0)},
@@ -297,6 +299,7 @@ _TRANSLATED: dict[str, _Translation] = {
     "backlash": lambda _, value: {"half_play_deg": value["width_deg"] / 2.0},
     "friction": lambda motor, value: {"friction_pull": motor.pull_of(value["friction_deg"])},
     "load_friction": lambda _, value: {"rub_share": value["share"]},
+    "current_limit": lambda _, value: {"knee_deg": value["knee_deg"]},
     "bearing_load": lambda motor, value: {"rub_pull": motor.pull_of(value["friction_deg_per_deg"])},
     "airload": lambda motor, value: {"air_pull": motor.pull_of(value["deg_per_deg_pa"])},
     "gravity_load": lambda motor, value: {"weight_pull": motor.pull_of(value["droop_deg"])},

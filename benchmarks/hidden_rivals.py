@@ -29,6 +29,7 @@ RIVALS: dict[str, tuple[str, ...]] = {
     "airload": ("gain", "gravity_load"),
     "gravity_load": ("gain", "airload"),
     "load_friction": ("slow_dynamics", "friction"),
+    "current_limit": ("slow_dynamics", "rate_limit"),
     "clock_offset": ("slow_dynamics",),
 }
 """What each effect looks like. A delay and positions stamped too late are one and the same, and not listed."""

@@ -75,6 +75,8 @@ class Machine(NamedTuple):
     """Acceleration by hinge moment, for each degree and pascal [1/(s^2 Pa)]."""
     weight_pull: float = 0.0
     """Acceleration by a weight on the horn that hangs at 0 deg, for a level arm [deg/s^2]."""
+    knee_deg: float = _FAR
+    """Error far above which the drive grows as its root: a supply that gives no more current."""
     friction_pull: float = 0.0
     """Coulomb friction, as the acceleration it takes away [deg/s^2]."""
     rub_pull: float = 0.0
@@ -142,6 +144,8 @@ def _drive(machine: Machine, error_deg: float, supply_v: float) -> float:
             return 0.0
         if machine.hard_dead == 0.0:
             error_deg -= half if error_deg > 0.0 else -half
+    if machine.knee_deg < _FAR:
+        error_deg *= np.sqrt(machine.knee_deg / (machine.knee_deg + abs(error_deg)))
     most = machine.per_volt_deg * supply_v
     return min(max(error_deg, -min(machine.down_deg, most)), machine.up_deg, most)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from html import unescape
 
 from latex2mathml.converter import convert
 
@@ -22,7 +23,7 @@ def on_page_content(html: str, **_: object) -> str:
 
 
 def _mathml(found: re.Match[str]) -> str:
-    import html
-
-    tex = _NUMBER.sub(r"\\qquad \\text{(\1)}", html.unescape(found[2]))
-    return convert(tex, display="block" if found[1] == "div" else "inline")
+    tex = _NUMBER.sub(r"\\qquad \\text{(\1)}", unescape(found[2]))
+    if found[1] == "span":
+        return f"{convert(tex)}"
+    return f'<div style="overflow-x: auto">{convert(tex, display="block")}</div>'

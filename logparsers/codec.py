@@ -37,6 +37,8 @@ class Heard:
     system: int
     component: int
     fields: Mapping[str, Any]
+    sequence: int = 0
+    """Counts the frames of a sender, modulo 256."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,11 +121,22 @@ class Codec:
 
     def decode(self, data: bytes) -> list[Heard]:
         """Messages that the bytes complete; damaged ones are passed over."""
-        return [
-            Heard(m.get_type(), m.get_srcSystem(), m.get_srcComponent(), _fields(m))
-            for m in self._mav.parse_buffer(data) or ()
-            if m.get_type() != "BAD_DATA" and not m.get_type().startswith("UNKNOWN")
-        ]
+        return [heard for _, heard in self.frames(data) if heard is not None]
+
+    def frames(self, data: bytes) -> list[tuple[bytes, Heard | None]]:
+        """Bytes of each frame that was completed, and its message.
+
+        None for damaged bytes, messages that nobody knows, and frames that are not signed as they should be.
+        """
+        found: list[tuple[bytes, Heard | None]] = []
+        for m in self._mav.parse_buffer(data) or ():
+            name = m.get_type()
+            if name == "BAD_DATA" or name.startswith("UNKNOWN"):
+                found.append((bytes(m.data) if name == "BAD_DATA" else bytes(m.get_msgbuf()), None))
+            else:
+                heard = Heard(name, m.get_srcSystem(), m.get_srcComponent(), _fields(m), m.get_seq())
+                found.append((bytes(m.get_msgbuf()), heard))
+        return found
 
     def _kind(self, name: str) -> tuple[Any, dict[str, Any]]:
         """Class of a message, or None, and its fields when they are zero."""

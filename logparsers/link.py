@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import errno
+import os
 import select
 import socket
 import time
@@ -70,13 +72,20 @@ def open_link(endpoint: Endpoint) -> Link:
 def _why(endpoint: Endpoint, error: OSError) -> str:
     """What was wrong, and what would help."""
     text = error.strerror or str(error)
+    helps = {
+        errno.EADDRINUSE: "another program listens there: end it, or choose another port",
+        errno.EADDRNOTAVAIL: "this machine has no such address: 127.0.0.1 is itself, 0.0.0.0 all of its networks",
+    }
     if isinstance(endpoint, Serial):
-        if isinstance(error, PermissionError):
-            return f"{text}; on Linux, members of the group dialout may use serial devices"
-        return f"{text}; is it plugged in?"
+        helps = {
+            errno.EACCES: "on Linux, members of the group dialout may use serial devices",
+            errno.EAGAIN: "another program has it",
+            errno.ENOENT: "is it plugged in?",
+        }
     if isinstance(error, ConnectionRefusedError | TimeoutError):
         return f"nobody answers there ({text}); start the other end first, or wait for it with tcpin:"
-    return f"{text}; another program may have it: choose another port"
+    advice = helps.get(error.errno or 0)
+    return f"{text}; {advice}" if advice else text
 
 
 def _bound(kind: int, endpoint: Socket) -> socket.socket:
@@ -106,7 +115,7 @@ class _UdpIn:
         self._peers: dict[Any, None] = {}
 
     def send(self, data: bytes) -> None:
-        for peer in self._peers:
+        for peer in tuple(self._peers):  # another thread may receive meanwhile
             with contextlib.suppress(OSError):
                 self._socket.sendto(data, peer)
 
@@ -271,9 +280,10 @@ class _SerialLink(_Redialled):
             return serial.Serial(
                 self._endpoint.device, self._endpoint.baud, timeout=0, write_timeout=_AGAIN_S, exclusive=True
             )
-        except serial.SerialException as error:
-            code = error.errno
-            raise (PermissionError if code == 13 else OSError)(code, _reason(error)) from None
+        except ValueError:
+            raise OSError(errno.EINVAL, f"it has no such rate as {self._endpoint.baud} bits per second") from None
+        except serial.SerialException as error:  # repeats the device and the number of the error in its text
+            raise OSError(error.errno, os.strerror(error.errno) if error.errno else str(error)) from None
 
     def _write(self, data: bytes) -> None:
         self._port.write(data)
@@ -281,13 +291,6 @@ class _SerialLink(_Redialled):
     def _read(self) -> bytes:
         data: bytes = self._port.read(_PIECE)
         return data
-
-
-def _reason(error: OSError) -> str:
-    """Pyserial repeats the device and the number of the error in its text."""
-    import os
-
-    return os.strerror(error.errno) if error.errno else str(error)
 
 
 def _prepared(connection: socket.socket) -> socket.socket:

@@ -22,8 +22,11 @@ if TYPE_CHECKING:
     from servofd.detection.residual import ResidualGenerator as ResidualGenerator
     from servofd.discrepancy.explanation import Explanation as Explanation
     from servofd.discrepancy.explanation import explain_gap as explain_gap
+    from servofd.discrepancy.own import OwnEffect as OwnEffect
+    from servofd.discrepancy.own import OwnParameter as OwnParameter
     from servofd.errors import ServofdError as ServofdError
     from servofd.explaining import explain_log as explain_log
+    from servofd.explaining import explain_logs as explain_logs
     from servofd.fleet.run import audit_logs as audit_logs
     from servofd.identification.identify import identify as identify
     from servofd.identification.result import Identification as Identification
@@ -46,6 +49,8 @@ _HOME = {
     "Explanation": "discrepancy.explanation",
     "Identification": "identification.result",
     "LogAudit": "detection.audit",
+    "OwnEffect": "discrepancy.own",
+    "OwnParameter": "discrepancy.own",
     "ResidualGenerator": "detection.residual",
     "Segment": "segment",
     "Servo": "servos",
@@ -63,6 +68,7 @@ _HOME = {
     "design_pulse_filter": "detection.pulse",
     "explain_gap": "discrepancy.explanation",
     "explain_log": "explaining",
+    "explain_logs": "explaining",
     "identify": "identification.identify",
     "identify_logs": "bench",
     "library": "servos",
@@ -77,6 +83,8 @@ __all__ = [
     "Explanation",
     "Identification",
     "LogAudit",
+    "OwnEffect",
+    "OwnParameter",
     "ResidualGenerator",
     "Segment",
     "Servo",
@@ -94,6 +102,7 @@ __all__ = [
     "design_pulse_filter",
     "explain_gap",
     "explain_log",
+    "explain_logs",
     "identify",
     "identify_logs",
     "library",

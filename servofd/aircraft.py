@@ -269,7 +269,7 @@ def load_aircraft(path: str | Path) -> Aircraft:
 
 def _find(path: str | Path) -> Path | Traversable:
     """The file itself, or a configuration that ships with servofd when a bare name is given."""
-    if Path(path).suffix or Path(path).exists():
+    if Path(path).suffix or Path(path).is_file():
         return Path(path)
     installed = resources.files("servofd").joinpath("configs")
     home = installed if installed.is_dir() else Path(__file__).parent.parent / "configs"

@@ -1,16 +1,20 @@
-"""From a log to an explanation: which channels, which servo, which context."""
+"""From logs to explanations: which channels, which servo, which context."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import logparsers
 from servofd.aircraft import Aircraft, load_aircraft
 from servofd.bench import bench_aircraft
+from servofd.detection.audit import audit_log
+from servofd.detection.words import describe
+from servofd.discrepancy.elsewhere import judged_elsewhere
 from servofd.discrepancy.explanation import Explanation, explain_gap
-from servofd.errors import NoMeasurement, UnknownName, suggest
+from servofd.discrepancy.own import OwnEffect, load_own_effect
+from servofd.errors import ConfigError, DesignError, NoMeasurement, UnknownName, suggest
 from servofd.models.physics import scaled_transfer
 from servofd.segment import cut
 from servofd.servos import Servo
@@ -22,8 +26,9 @@ if TYPE_CHECKING:
     from logparsers import FlightLog
     from servofd.segment import Segment
 
-__all__ = ["UNKNOWN", "ExplainedLog", "explain_log"]
+__all__ = ["UNKNOWN", "ExplainedLog", "ExplainedLogs", "explain_log", "explain_logs"]
 
+_SAME_FAULT_S = 3.0
 UNKNOWN = "unknown"
 """Name of a servo that nobody knows."""
 _UNKNOWN_SERVO = Servo(
@@ -41,6 +46,17 @@ class ExplainedLog:
     """An explanation, and the aircraft it was made for."""
 
     explanation: Explanation
+    aircraft: Aircraft
+    source: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExplainedLogs:
+    """Explanations of several surfaces."""
+
+    explanations: tuple[Explanation, ...]
+    failures: tuple[str, ...]
+    """Why other surfaces could not be explained, a sentence each."""
     aircraft: Aircraft
     source: str
 
@@ -77,25 +93,169 @@ def explain_log(
     ServofdError
         If the aircraft is not what it should be, a name is unknown, or the logs cannot show what is missing.
     """
-    paths = [path] if isinstance(path, str | Path) else list(path)
+    flown = _opened([path] if isinstance(path, str | Path) else path, aircraft, servo)
+    if surface is None and len(flown.surfaces) > 1:
+        raise UnknownName(f"{flown.source}: choose a surface: {', '.join(flown.surfaces)}")
+    found = _explained(flown, (surface,) if surface else flown.surfaces, (), None, progress)
+    if found.failures:
+        raise NoMeasurement(found.failures[0])
+    return ExplainedLog(found.explanations[0], found.aircraft, found.source)
+
+
+def explain_logs(
+    paths: Sequence[str | Path],
+    aircraft: str | Path | Aircraft | None = None,
+    *,
+    surfaces: tuple[str, ...] = (),
+    servo: str | None = None,
+    also: Sequence[str | Path] = (),
+    own: OwnEffect | str | Path | None = None,
+    progress: Callable[[str], None] = lambda _step: None,
+) -> ExplainedLogs:
+    """Explain several surfaces of an aircraft, from one flight or from several together.
+
+    Parameters
+    ----------
+    paths : sequence of str or Path
+        Logs of one aircraft. With several, or several runs in a file, every other one is held out whole.
+    aircraft : str, Path or Aircraft, optional
+        Aircraft file, or its content; found as for an audit if left out.
+    surfaces : tuple of str
+        Which; all that are measured if empty.
+    servo : str, optional
+        Servo to assume, as for `explain_log`.
+    also : sequence of str or Path
+        Further logs of the same aircraft, on which the model that was found is only judged.
+    own : OwnEffect, str or Path, optional
+        An effect of the user's own, or the file that makes it, tried beside those of the catalogue.
+    progress : callable
+        Called with the name of each effect that was tried.
+
+    Returns
+    -------
+    ExplainedLogs
+        What cannot be told of one surface does not keep the others from being explained.
+
+    Raises
+    ------
+    LogError
+        If a log is of no use.
+    ServofdError
+        If the aircraft is not what it should be, a name is unknown, or a log of `also` does not hold the surfaces.
+
+    Examples
+    --------
+    >>> found = explain_logs(["sample_logs/hidden/hidden_10.csv"])
+    >>> found.explanations[0].conclusion in ("nothing_missing", "explained", "partly_explained", "unexplained")
+    True
+    """
+    effect = load_own_effect(own) if isinstance(own, str | Path) else own
+    flown = _opened(paths, aircraft, servo)
+    for name in surfaces:
+        if name not in flown.aircraft.surfaces:
+            raise UnknownName(f"{flown.source}: {suggest('surface', name, flown.aircraft.surfaces)}")
+    wanted = tuple(dict.fromkeys(surfaces)) or flown.surfaces
+    others = [log for path in also for log in logparsers.read_all(path, layout_of(flown.aircraft))]
+    judged = [(log.label, {name: _also(log, flown.aircraft, name) for name in wanted}) for log in others]
+    return _explained(flown, wanted, judged, effect, progress)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Flown:
+    """Flights of one aircraft, or runs of a bench."""
+
+    logs: tuple[FlightLog, ...]
+    aircraft: Aircraft
+    described: bool
+    """Whether an aircraft file came with them."""
+    servo: str | None
+    label: str
+
+    @property
+    def source(self) -> str:
+        return self.logs[0].label if len(self.logs) == 1 else f"{self.label} ({len(self.logs)} runs)"
+
+    @property
+    def surfaces(self) -> tuple[str, ...]:
+        """Those that are measured, and known to some log; all if there is none."""
+        known = self.aircraft.surfaces
+        logged = {channel for log in self.logs for channel in log.channels}
+        return tuple(n for n, s in known.items() if s.measured and s.measured.channel in logged) or tuple(known)
+
+    @property
+    def on_bench(self) -> bool:
+        """Whether these are experiments that begin at rest."""
+        return self.described and self.aircraft.table is not None and bool(self.aircraft.table.run)
+
+    def has_unknown_servo(self, surface: str) -> bool:
+        """Whether the poles have to be found as well."""
+        return self.servo == UNKNOWN or (self.servo is None and self.described and _is_bench(self.aircraft, surface))
+
+
+def _opened(paths: Sequence[str | Path], aircraft: str | Path | Aircraft | None, servo: str | None) -> _Flown:
     known = load_aircraft(aircraft) if isinstance(aircraft, str | Path) else aircraft
     known = known or bench_aircraft(paths[0])
-    logs = [log for each in paths for log in logparsers.read_all(each, layout_of(known))]
+    logs = tuple(log for path in paths for log in logparsers.read_all(path, layout_of(known)))
     flown = known or aircraft_for(logs[0])
-    name = _chosen(logs[0], flown, surface)
-    free_poles = servo == UNKNOWN or (servo is None and known is not None and _is_bench(known, name))
-    if free_poles:
-        flown = _with_unknown_servo(flown, name)
-    elif servo is not None:
+    if servo is not None and servo != UNKNOWN:
         flown = flown.with_servo(servo)
-    on_bench = known is not None and known.table is not None and bool(known.table.run)
-    label = logs[0].label if len(logs) == 1 else f"{', '.join(map(str, paths))} ({len(logs)} runs)"
+    return _Flown(logs, flown, known is not None, servo, ", ".join(map(str, paths)))
+
+
+def _explained(
+    flown: _Flown,
+    surfaces: Sequence[str],
+    also: Sequence[tuple[str, dict[str, Segment]]],
+    own: OwnEffect | None,
+    progress: Callable[[str], None],
+) -> ExplainedLogs:
+    aircraft, found, failures = flown.aircraft, [], []
+    for name in surfaces:
+        if name not in aircraft.surfaces:
+            raise UnknownName(f"{flown.source}: {suggest('surface', name, aircraft.surfaces)}")
+        try:
+            one = _surface(flown, name, also, own, progress)
+        except (NoMeasurement, DesignError) as error:
+            failures.append(f"{flown.source}: {name}: {error}")
+            continue
+        found.append(one)
+        if flown.has_unknown_servo(name):
+            aircraft = _with_fitted_poles(aircraft, name, one)
+    return ExplainedLogs(tuple(found), tuple(failures), aircraft, flown.source)
+
+
+def _surface(
+    flown: _Flown,
+    name: str,
+    also: Sequence[tuple[str, dict[str, Segment]]],
+    own: OwnEffect | None,
+    progress: Callable[[str], None],
+) -> Explanation:
+    free_poles = flown.has_unknown_servo(name)
+    aircraft = _with_unknown_servo(flown.aircraft, name) if free_poles else flown.aircraft
+    segments, model = _segments(flown.logs, name, aircraft), aircraft.model(name)
+    found = explain_gap(segments, model, on_bench=flown.on_bench, free_poles=free_poles, own=own, progress=progress)
+    if found.fault_s is not None and len(flown.logs) == 1:
+        found = _with_kind(found, found.fault_s, flown.logs[0], aircraft)
+    judged = tuple(judged_elsewhere(label, there[name], model, found.physics, own) for label, there in also)
+    return replace(found, also=judged)
+
+
+def _also(log: FlightLog, aircraft: Aircraft, name: str) -> Segment:
+    """A surface in another log of the same aircraft."""
     try:
-        segments = _segments(logs, name, flown)
-        found = explain_gap(segments, flown.model(name), on_bench=on_bench, free_poles=free_poles, progress=progress)
+        return cut(log, name, aircraft.surfaces[name])
     except NoMeasurement as error:
-        raise NoMeasurement(f"{label}: {name}: {error}") from None
-    return ExplainedLog(found, _with_fitted_poles(flown, name, found) if free_poles else flown, label)
+        raise ConfigError(f"--also {log.label}: {name}: {error}; give a log of the same aircraft") from None
+
+
+def _with_kind(found: Explanation, fault_s: float, log: FlightLog, aircraft: Aircraft) -> Explanation:
+    """An explanation that says which fault it is that sets in, if the audit can name it."""
+    (verdict,) = audit_log(log, aircraft, surfaces=(found.surface,)).surfaces
+    named = [fault for fault in verdict.faults if abs(fault.start_s - fault_s) < _SAME_FAULT_S]
+    if not named or named[0].kind == "unknown":
+        return found
+    return replace(found, notes=(*found.notes, f"the audit can name that fault: {describe(named[0])}"))
 
 
 def _is_bench(aircraft: Aircraft, surface: str) -> bool:
@@ -118,9 +278,10 @@ def _segments(logs: Sequence[FlightLog], surface: str, aircraft: Aircraft) -> li
 
 
 def _with_unknown_servo(aircraft: Aircraft, surface: str, servo: Servo = _UNKNOWN_SERVO) -> Aircraft:
-    entry = aircraft.surfaces[surface].model_copy(update={"servo": UNKNOWN})
+    name = f"{surface}-{UNKNOWN}"
+    entry = aircraft.surfaces[surface].model_copy(update={"servo": name})
     return aircraft.model_copy(
-        update={"surfaces": {**aircraft.surfaces, surface: entry}, "servos": {**aircraft.servos, UNKNOWN: servo}}
+        update={"surfaces": {**aircraft.surfaces, surface: entry}, "servos": {**aircraft.servos, name: servo}}
     )
 
 
@@ -137,13 +298,3 @@ def _with_fitted_poles(aircraft: Aircraft, surface: str, found: Explanation) -> 
         source="servofd explain",
     )
     return _with_unknown_servo(aircraft, surface, servo)
-
-
-def _chosen(log: FlightLog, aircraft: Aircraft, surface: str | None) -> str:
-    if surface is None and len(aircraft.surfaces) == 1:
-        return next(iter(aircraft.surfaces))
-    if surface is None:
-        raise UnknownName(f"{log.label}: choose a surface with -s: {', '.join(aircraft.surfaces)}")
-    if surface not in aircraft.surfaces:
-        raise UnknownName(f"{log.label}: {suggest('surface', surface, aircraft.surfaces)}")
-    return surface

@@ -25,6 +25,7 @@ _LARGEST_DEG = 1e6
 
 _AIRSPEED = ("airspeed_m_s", "ARSP.Airspeed", "VFR_HUD.airspeed")
 _VOLTAGE = ("servo_voltage_v", "POWR.Vservo")
+_CURRENT = ("servo_current_a", "amps")
 WARM_UP_S, WARM_UP_STEPS = 10.0, 100
 """A monitor in flight learns the pace of a stream from so many intervals, or from as many as there are by then [s]."""
 _SAME_PACE = 1.5
@@ -66,7 +67,7 @@ class Segment:
     frozen_to_end: bool = False
     """True if it never came back."""
     context: Context = NO_CONTEXT
-    """Airspeed and supply, as far as they were logged."""
+    """Airspeed, supply and current, as far as they were logged."""
 
     def __post_init__(self) -> None:
         for name in ("command_s", "command_deg", "measured_s", "measured_deg"):
@@ -155,7 +156,7 @@ def cut(log: FlightLog, name: str, surface: Surface) -> Segment:
         measured.time_s,
         measured_deg,
         surface.command_period_s,
-        context=Context(*_signal(log, _AIRSPEED), *_signal(log, _VOLTAGE)),
+        context=Context(*_signal(log, _AIRSPEED), *_signal(log, _VOLTAGE), *_signal(log, _CURRENT)),
     )
     return _without_dead_telemetry(segment, measured, log, surface) if surface.alive else segment
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from logparsers.channels import Series
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from numpy.typing import NDArray
 
     from logparsers.telemetry.file import TelemetryFile
@@ -39,8 +42,8 @@ class TelemetryRecording:
     A name is ``MESSAGE.field``; the elements of an array ``MESSAGE.field[0]`` and on. A message that comes in
     several instances has its value in brackets, ``NAMED_VALUE_FLOAT[SRVP1].value``; the number 0 is left out
     (``SERVO_OUTPUT_RAW.servo3_raw`` is port 0, ``SERVO_OUTPUT_RAW[1].servo3_raw`` port 1). ``1/1:`` stands
-    before it, system and component, where several sources send that message. Lists, files and words
-    (parameters, missions, texts) are no channels.
+    before it, system and component, where several sources send that message (named values: that name). Lists,
+    files and words (parameters, missions, texts) are no channels.
 
     Examples
     --------
@@ -62,10 +65,10 @@ class TelemetryRecording:
             if message.startswith(_NO_SERIES):
                 continue
             senders: tuple[Sender | None, ...] = self._file.sources(message)
-            several = len(senders) > 1
-            for sender in senders if several else (None,):
+            alone = self._of_one_sender(message)
+            for sender in senders if len(senders) > 1 else (None,):
                 prefix = f"{sender.system}/{sender.component}:" if sender else ""
-                found.update(self._of(message, sender, prefix))
+                found.update(self._of(message, sender, prefix, alone))
         return found
 
     def stamps(self, group: Stream) -> tuple[NDArray[Any], None]:
@@ -79,8 +82,18 @@ class TelemetryRecording:
             stream.message, series.field, source=stream.source, instance=stream.instance, element=series.element
         )
 
-    def _of(self, message: str, source: Sender | None, prefix: str) -> dict[str, Series]:
-        """Series of one sender's messages of one type."""
+    def _of_one_sender(self, message: str) -> set[object]:
+        """Names that a single sender gives to values, such as those of a monitor beside those of the autopilot."""
+        layout = self._file.layout(message)
+        if not layout.instance or not layout.fields[layout.instance].is_text:
+            return set()
+        given = Counter(
+            name for sender in self._file.sources(message) for name in self._file.instances(message, sender)
+        )
+        return {name for name, count in given.items() if count == 1}
+
+    def _of(self, message: str, source: Sender | None, prefix: str, alone: Collection[object]) -> dict[str, Series]:
+        """Series of one sender's messages of one type; no prefix for names that nobody else gives."""
         layout = self._file.layout(message)
         clock = layout.clock[0].name if layout.clock else ""
         fields = [f for f in layout.fields.values() if not f.is_text and f.name not in (clock, layout.instance)]
@@ -89,7 +102,8 @@ class TelemetryRecording:
             bracket = "" if instance is None or instance == 0 else f"[{instance}]"
             stream = Stream(message, source, instance)
             for field in fields:
-                stem, origin = f"{prefix}{message}{bracket}.{field.name}", f"{message}.{field.name}"
+                sender = "" if instance in alone else prefix
+                stem, origin = f"{sender}{message}{bracket}.{field.name}", f"{message}.{field.name}"
                 if not field.length:
                     found[stem] = Series(stream, field.name, None, field.unit, origin)
                 for k in range(field.length):

@@ -35,7 +35,7 @@ __all__ = ["calibrate_surface", "hardly_moved"]
 _ENOUGH_MOTION_DEG = 1.0
 _SHORTEST_S = 2.5
 """A bench test that is all motion; a flight says more."""
-_SLOWEST_HZ = 20.0
+_SLOWEST_HZ = 15.0
 """Healthy residuals pass 0.4 deg at 10 Hz and 0.13 deg at 25 Hz for lack of samples: no base for a threshold."""
 _GAINS = (0.5, 2.0)
 _USUAL_GAINS = (0.8, 1.25)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from servofd.explaining import ExplainedLog
+    from servofd.explaining import ExplainedLogs
 
 __all__ = ["add_parser", "run"]
 
@@ -25,77 +26,94 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
         "or it was found; 1: something stays unexplained; 2: could not tell.",
         epilog="Example: servofd explain flight.csv -s elevator --save better.toml",
     )
-    parser.add_argument("log", metavar="LOG", nargs="+", help="any log that audit reads; several of the same servo")
-    parser.add_argument("-s", "--surface", metavar="SURFACE", help="which surface, if the log holds several")
+    parser.add_argument("logs", nargs="+", metavar="LOG", help="any log that audit reads; several are fitted together")
+    parser.add_argument(
+        "-s", "--surface", action="append", default=[], metavar="SURFACE", help="only this surface (default: all)"
+    )
     parser.add_argument("-c", "--config", metavar="AIRCRAFT.toml", help="aircraft file, or the name of a shipped one")
     parser.add_argument("--servo", metavar="NAME", help="servo to assume: of the library, FILE.toml, or unknown")
+    parser.add_argument("--effect", metavar="FILE.py", help="try an effect of your own as well (docs/explain.md)")
+    parser.add_argument(
+        "--also", nargs="+", default=[], metavar="FILE", help="judge the model on these flights, too, fitting nothing"
+    )
     parser.add_argument("--json", metavar="FILE", help="write the result as JSON; - prints it instead of the text")
     parser.add_argument("--save", metavar="MODEL.toml", help="write the aircraft with the better model, for audit -c")
+    parser.add_argument("--rrd", metavar="FILE", help="write a Rerun recording of both simulations (of one surface)")
     parser.add_argument("--html", metavar="FILE", help="write a page: the gap before and after")
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Explain, write what was asked for, print."""
-    from servofd.cli.tables import progress_bar
+    from servofd.cli.tables import one_line, progress_bar
     from servofd.cli.targets import check_targets
-    from servofd.explaining import explain_log
+    from servofd.explaining import explain_logs
+
+    inputs = {
+        "a log": [*options.logs, *options.also],
+        "the aircraft file": [options.config],
+        "an effect": [options.effect],
+    }
+    check_targets((options.json, options.save, options.rrd, options.html), inputs)
+    with progress_bar("explain", _STEPS) as step:
+        found = explain_logs(
+            options.logs,
+            options.config,
+            surfaces=tuple(options.surface),
+            servo=options.servo,
+            also=options.also,
+            own=options.effect,
+            progress=step,
+        )
+    if found.explanations:
+        _write(options, found)
+    for failure in found.failures:
+        print(f"servofd: {one_line(failure)}", file=sys.stderr)
+    if found.explanations and options.save:
+        _save(options, found)
+    if found.failures:
+        return 2
+    left = ("partly_explained", "unexplained")
+    return int(any(one.conclusion in left or one.fault_s is not None for one in found.explanations))
+
+
+def _write(options: argparse.Namespace, found: ExplainedLogs) -> None:
+    """Results to the files that were asked for, and to stdout."""
+    from servofd.cli.explain_text import explanation_text
+    from servofd.errors import ConfigError
     from servofd.outputs.files import write_whole
     from servofd.outputs.json_report import to_json
 
-    outputs = (options.json, options.save, options.html)
-    check_targets(outputs, {"a log": options.log, "the aircraft file": [options.config]})
-    with progress_bar("explain", _STEPS) as step:
-        found = explain_log(options.log, options.config, surface=options.surface, servo=options.servo, progress=step)
-    document = to_json(found.explanation.document())
+    documents = {one.surface: one.document() for one in found.explanations}
+    single = len(found.explanations) == 1 and not found.failures
+    whole = {"schema": "servofd.explain/1", "surfaces": documents}
+    document = to_json(documents[found.explanations[0].surface] if single else whole)
+    if options.rrd and len(found.explanations) > 1:
+        raise ConfigError(f"{options.rrd}: --rrd takes one surface at a time: choose it with -s")
     if options.json and options.json != "-":
         write_whole(options.json, document.encode())
-    print(document if options.json == "-" else _text(found), end="")
-    if options.save:
-        from servofd.outputs.model_file import model_file
+    if options.rrd:
+        from servofd.outputs.explain_recording import save_explanation
 
-        write_whole(options.save, model_file([found.explanation], found.aircraft, found.source).encode())
+        save_explanation(found.explanations[0], Path(options.rrd), found.source)
     if options.html:
-        from servofd.outputs.explain_page import explain_page
-
-        write_whole(
-            options.html, explain_page([found.explanation], ", ".join(Path(log).name for log in options.log)).encode()
-        )
-    return 1 if found.explanation.conclusion in ("partly_explained", "unexplained") or found.explanation.fault_s else 0
+        _write_page(options, found)
+    texts = [explanation_text(found.source, each) for each in documents.values()]
+    print(document if options.json == "-" else "\n".join(texts), end="")
 
 
-def _text(found: ExplainedLog) -> str:
-    """Everything that was found, a line each."""
-    document = found.explanation.document()
-    floor = document["noise_floor_rms_deg"]
-    lines = [
-        f"{found.source}: {document['surface']}: {document['conclusion'].replace('_', ' ')}",
-        "",
-        "where",
-        *(f"  {sentence}" for sentence in document["where"]),
-        "",
-        f"{'model':<34}{'fitted':>10}{'held out':>10}   deg rms; noise floor {floor:.3g}",
-        _row("as it was", document["nominal"]),
-    ]
-    for step in document["steps"]:
-        lines.append(_row(f"+ {step['effect']}" + (f" ({step['form']})" if step["form"] else ""), step))
-        for name, each in step["parameters"].items():
-            lines.append(f"    {name} = {each['value']:.4g}   [{each['low']:.4g}, {each['high']:.4g}]")
-        rivals = ", ".join(f"{r['effect']} {r['held_out_rms_deg']:.3g}" for r in step["rivals"][:3])
-        if rivals:
-            lines.append(f"    instead: {rivals}")
-    if document["runs"]:
-        lines += ["", f"{'each run as the others predict it':<34}{'as it was':>10}{'now':>10}   deg rms"]
-        lines += [
-            f"  {each['run'] + 1:<32}{each['nominal_rms_deg']:>10.4f}{each['held_out_rms_deg']:>10.4f}"
-            for each in document["runs"]
-        ]
-    for tie in document["indistinguishable"]:
-        lines += ["", f"these data cannot tell {tie[0]} from {' or '.join(tie[1:])}"]
-    if document["notes"]:
-        lines += ["", *document["notes"]]
-    return "\n".join(lines) + "\n"
+def _write_page(options: argparse.Namespace, found: ExplainedLogs) -> None:
+    from servofd.cli.explain_text import audit_rows
+    from servofd.outputs.explain_page import explain_page
+    from servofd.outputs.files import write_whole
+
+    names = ", ".join(Path(log).name for log in options.logs)
+    gains = {one.surface: audit_rows(one.gain.document()) for one in found.explanations if one.gain}
+    write_whole(options.html, explain_page(found.explanations, names, thresholds=gains).encode())
 
 
-def _row(name: str, errors: dict[str, Any]) -> str:
-    return f"{name:<34}{errors['train_rms_deg']:>10.4f}{errors['held_out_rms_deg']:>10.4f}"
+def _save(options: argparse.Namespace, found: ExplainedLogs) -> None:
+    from servofd.outputs.files import write_whole
+    from servofd.outputs.model_file import model_file
+
+    write_whole(options.save, model_file(found.explanations, found.aircraft, found.source).encode())

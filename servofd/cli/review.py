@@ -80,6 +80,7 @@ def _paths(given: list[str]) -> list[Path]:
 
 def _check(options: argparse.Namespace, paths: list[Path]) -> None:
     """Refuse what cannot be done, before anything is done."""
+    from servofd.cli.targets import check_targets
     from servofd.errors import ConfigError
 
     changes = options.between or options.repair or options.threshold_deg is not None or options.threshold
@@ -91,19 +92,13 @@ def _check(options: argparse.Namespace, paths: list[Path]) -> None:
         raise ConfigError("-o writes what --between, --repair or a new threshold gave; name one of them")
     if options.repair and not options.output:
         raise ConfigError("--repair needs -o FIXED.rrd: the damaged recording is left as it is")
-    taken = {path.resolve() for path in paths}
-    for name in filter(None, (options.output, options.json if options.json != "-" else None)):
-        target = Path(name).resolve()
-        if not target.parent.is_dir():
-            raise ConfigError(f"{name}: the folder {target.parent} does not exist")
-        if target in taken:
-            raise ConfigError(f"{name}: is a recording or another output already; choose another file")
-        taken.add(target)
+    check_targets((options.output, options.json), {"a recording": [str(path) for path in paths]})
 
 
 def _read(path: Path, options: argparse.Namespace) -> Recording:
     """Read one recording and change it as was asked for."""
     from servofd.outputs.recording.read import read_recording
+    from servofd.outputs.recording.verdicts import LIVE
 
     if options.repair:
         from servofd.outputs.recording.repair import repair_recording
@@ -111,7 +106,7 @@ def _read(path: Path, options: argparse.Namespace) -> Recording:
         repair_recording(path, options.output)
         path = Path(options.output)
     recording = read_recording(path)
-    if options.threshold_deg is not None or options.threshold:
+    if options.threshold_deg is not None or options.threshold or LIVE in recording.notes:
         from servofd.review.rejudge import rejudged
 
         recording = rejudged(recording, threshold_deg=options.threshold_deg, threshold=options.threshold)
@@ -123,10 +118,9 @@ def _read(path: Path, options: argparse.Namespace) -> Recording:
 
 
 def _exit_code(recording: Recording) -> int:
-    audit = recording.audit
-    if audit.has_fault:
+    if recording.audit.has_fault:
         return 1
-    return 2 if audit.unjudged or not any(s.is_judged for s in audit.surfaces) else 0
+    return 2 if recording.audit.untold else 0
 
 
 def _show(options: argparse.Namespace, found: list[tuple[Path, Recording]], failed: list[tuple[Path, str]]) -> None:
@@ -138,11 +132,8 @@ def _show(options: argparse.Namespace, found: list[tuple[Path, Recording]], fail
     for path, recording in found:
         for sentence in contradictions(recording):
             print(f"servofd: {path}: {one_line(sentence)}", file=sys.stderr)
-        if _exit_code(recording) == 2:
-            missing = "; ".join(
-                f"{s.surface}: {s.reason}" for s in recording.audit.unjudged or recording.audit.surfaces
-            )
-            print(f"servofd: {path}: could not judge {one_line(missing)}", file=sys.stderr)
+        if recording.audit.untold:
+            print(f"servofd: {path}: {one_line(recording.audit.untold)}", file=sys.stderr)
     for _, error in failed:
         print(f"servofd: {one_line(error)}", file=sys.stderr)
     text = to_json(_document(found, failed)) if options.json else ""

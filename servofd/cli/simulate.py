@@ -73,7 +73,7 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
         action="append",
         default=[],
         metavar="SURFACE:EFFECT[:KEY=VALUE]",
-        help="delay, rate_limit or position_limit",
+        help="anything that explain can find, e.g. backlash:width_deg=1",
     )
     parser.add_argument(
         "--generation",
@@ -176,15 +176,25 @@ def _fault(text: str) -> tuple[str, Fault]:
 
 def _effect(text: str) -> tuple[str, Effect]:
     """Read ``surface:effect:key=value``."""
-    from servofd.errors import ConfigError, UnknownName, suggest
-    from servofd.models.effects import CATALOGUE
+    from servofd.errors import ConfigError, ServofdError, UnknownName, suggest
+    from servofd.models.catalogue import CATALOGUE as FURTHER
+    from servofd.models.effect_table import TabledEffect
+    from servofd.models.effects import CATALOGUE, Plan
 
     surface, _, rest = text.partition(":")
     name, *pairs = rest.split(":")
     if not (surface and name):
         raise ConfigError(f"--effect {text}: write SURFACE:EFFECT:KEY=VALUE, e.g. elevator:delay:delay_s=0.02")
+    further = dict.fromkeys(effect.name for effect in FURTHER)
+    if name not in CATALOGUE | further:
+        raise UnknownName(f"--effect {text}: {suggest('effect', name, CATALOGUE | further)}")
     if name not in CATALOGUE:
-        raise UnknownName(f"--effect {text}: {suggest('effect', name, CATALOGUE)}")
+        tabled = TabledEffect(name, _numbers(f"--effect {text}", pairs))
+        try:
+            tabled.install(Plan())
+        except ServofdError as error:
+            raise ConfigError(f"--effect {text}: {error}") from None
+        return surface, tabled
     effect: Effect = _made(CATALOGUE[name], _numbers(f"--effect {text}", pairs), f"--effect {text}")
     return surface, effect
 

@@ -46,7 +46,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="grant rates up to that of the main loop; ArduPlane gives 0.8 of it",
     )
     live.add_argument("--mavlink1", action="store_true", default=None, help="send frames of MAVLink 1")
-    live.add_argument("--key", metavar="FILE", help="sign with this key (32 bytes, 64 hex digits, or a passphrase)")
+    live.add_argument(
+        "--signing-key", metavar="FILE", help="sign with this key (32 bytes, 64 hex digits, or a passphrase)"
+    )
     live.add_argument(
         "--clock-s", type=float, metavar="S", help="what its clock shows at the start [s]; 4290 wraps after 5 s"
     )
@@ -62,7 +64,7 @@ def refuse_options(options: argparse.Namespace) -> None:
     """
     from servofd.errors import ConfigError
 
-    for name in ("speed", "wait", "system", "feedback", "message_hz", "any_rate", "mavlink1", "key", "clock_s"):
+    for name in ("speed", "wait", "system", "feedback", "message_hz", "any_rate", "mavlink1", "signing_key", "clock_s"):
         if getattr(options, name) is not None:
             raise ConfigError(f"--{name.replace('_', '-')} belongs to --stream; {options.output} is a file")
 
@@ -95,7 +97,7 @@ def stream(options: argparse.Namespace, flight: SimulatedFlight, aircraft: Aircr
         length_s = flight.time_s.size / rate_hz(flight)
         print(f"{endpoint}: system {settings.system}, {', '.join(flight.surfaces)}, {length_s:g} s; Ctrl-C ends it")
         sys.stdout.flush()
-        flown = fly(vehicle, link, codec, speed=settings.speed, wait=bool(options.wait))
+        flown = fly(vehicle, link, codec, wait=bool(options.wait))
     finally:
         link.close()
     if vehicle.dropped_rows:
@@ -119,14 +121,16 @@ def _signature(options: argparse.Namespace) -> Signature | None:
     from logparsers.codec import Signature, signing_key
     from servofd.errors import ConfigError
 
-    if options.key is None:
+    if options.signing_key is None:
         return None
     if options.mavlink1:
-        raise ConfigError("--key: frames of MAVLink 1 cannot be signed; leave --mavlink1 out")
+        raise ConfigError("--signing-key: frames of MAVLink 1 cannot be signed; leave --mavlink1 out")
     try:
-        content = Path(options.key).read_bytes()
+        content = Path(options.signing_key).read_bytes()
     except OSError as error:
-        raise ConfigError(f"--key {options.key}: cannot read it ({error.strerror or error})") from None
+        raise ConfigError(f"--signing-key {options.signing_key}: cannot read it ({error.strerror or error})") from None
     if not content.strip():
-        raise ConfigError(f"--key {options.key}: is empty; give 32 bytes, 64 hex digits, or a passphrase")
+        raise ConfigError(
+            f"--signing-key {options.signing_key}: is empty; give 32 bytes, 64 hex digits, or a passphrase"
+        )
     return Signature(signing_key(content), time.time())

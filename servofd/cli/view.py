@@ -49,12 +49,11 @@ def run(options: argparse.Namespace) -> int:
 
 def _audit(options: argparse.Namespace, target: Path) -> None:
     """Write the recording of the first run of a log, and print its verdicts."""
-    from servofd.cli.tables import print_table, progress_bar
+    from servofd.cli.tables import print_verdicts, progress_bar
     from servofd.outputs.recording import save_recording
     from servofd.workflow import audit
 
     with progress_bar(Path(options.file).name, 1) as step:
         found = next(audit(options.file, options.config, servo=options.servo, progress=step))
     save_recording(found, target, include_position=options.include_position, online_map=options.map)
-    rows = [[s.surface, s.status, s.reason] for s in found.surfaces]
-    print_table(["surface", "status", "why"], rows, found.log.label)
+    print_verdicts(found)

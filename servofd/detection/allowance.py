@@ -160,7 +160,7 @@ def follow(
                     next_s = last_s + _EVERY_S
         drift[k] = odds
         tolerated_deg[k] = _total(bounds.habits, peak) + peak_rate + unseen
-        saturated_deg[k] = peak_rate
+        saturated_deg[k] = peak_rate + unseen
         usual = noise if seen >= _NOISE_SAMPLES else max(noise, bounds.noise_deg)
         sigma_deg[k] = bounds.noise_gain * max(usual, _RESOLUTION_TO_SIGMA * resolution if resolution < np.inf else 0.0)
     for i, value in enumerate((peak_rate, unseen, last_s, last_deg, before, before_that, noise, seen)):

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from servofd.detection.threshold import Threshold, ThresholdKind
     from servofd.models.servo_model import ServoModel
 
-__all__ = ["LogAudit", "Statistics", "Status", "SurfaceAudit", "audit_log", "audit_segment"]
+__all__ = ["LogAudit", "Statistics", "Status", "SurfaceAudit", "audit_log", "audit_segment", "judged_by"]
 
 Status = Literal["healthy", "suspect", "fault", "no_data", "unknown"]
 
@@ -152,7 +152,7 @@ def audit_log(
 
     def one(name: str) -> SurfaceAudit:
         expected = _is_expected(log, aircraft, name)
-        surface = _judged_by(aircraft.surfaces[name], threshold_deg, threshold)
+        surface = judged_by(aircraft.surfaces[name], threshold_deg, threshold)
         try:
             segment = cut(log, name, surface)
         except NoMeasurement as reason:
@@ -215,7 +215,7 @@ def audit_segment(
     'fault'
     """
     name = segment.surface
-    surface = _judged_by(aircraft.surfaces[name], threshold_deg, threshold)
+    surface = judged_by(aircraft.surfaces[name], threshold_deg, threshold)
     verdict = _verdict_on(name, surface, expected=expected)
     problem = _too_little(segment)
     if problem:
@@ -265,7 +265,7 @@ def audit_segment(
     )
 
 
-def _judged_by(surface: Surface, threshold_deg: float | None, threshold: ThresholdKind | None) -> Surface:
+def judged_by(surface: Surface, threshold_deg: float | None, threshold: ThresholdKind | None) -> Surface:
     """The surface with the threshold that was asked for."""
     if threshold_deg is not None:
         known = surface.tolerances if surface.tells_small_faults else None

@@ -22,7 +22,7 @@ __all__ = ["GlitchMemory", "decide", "glitches", "new_glitch_memory"]
 _AWAY_SIGMAS, _AGREEMENT_SIGMAS = 10.0, 8.0
 _MOST_GLITCHES, _FEW_GLITCHES = 0.02, 2
 """Where more than this share of the positions so far jump, jumping is what this position does."""
-_SMALLEST_NOISE_DEG = 0.02
+_SMALLEST_NOISE_DEG = 0.05
 _MEDIAN_TO_SIGMA = float(1.4826 / np.sqrt(6.0))
 """Median absolute second difference of white noise to its standard deviation."""
 _FEWEST_SAMPLES = 8

@@ -82,8 +82,9 @@ def _latch(
 ) -> None:
     held, travel, loud_travel, row, stands, number = memory.state
     for k in range(residual_deg.size):
-        # What a large move is, is told by the usual level so far.
+        # What a large move is, is told by the usual level so far; and by this one, while the command is lively.
         typical = fixed_deg if not np.isnan(fixed_deg) else with_value(memory.level, level_deg[k])
+        typical = max(typical, level_deg[k])
         moved = held if not np.isnan(held) else immobile_deg[k]
         moved = min(max(moved, immobile_deg[k] - typical), immobile_deg[k] + typical)
         travel += abs(moved - held) / typical if not np.isnan(held) else 0.0

@@ -19,6 +19,8 @@ from servofd.errors import DesignError
 from servofd.segment import SLOWEST_RATE_HZ, WARM_UP_S, WARM_UP_STEPS, pace_steps
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from servofd.aircraft import Surface
     from servofd.detection.bank.isolate import Fault
     from servofd.detection.events import EventKind
@@ -49,6 +51,8 @@ class _Alarm:
     kind: str = "unknown"
     stands: bool = True
     acquitted: bool = False
+    belongs: bool = False
+    """To the alarm before it, which only seemed to be over."""
     fault: Fault | None = None
 
 
@@ -85,6 +89,8 @@ class SurfaceMonitor:
     name: str
     surface: Surface
     model: ServoModel
+    listener: Callable[[str, Piece, FloatArray], None] | None = None
+    """Told of every piece: surface, piece, and the command at each of its samples [deg]."""
     reading: Reading | None = None
     problem: str = ""
     """Why this surface is not watched; empty if it is."""
@@ -190,17 +196,31 @@ class SurfaceMonitor:
             if alarm.stands and fault.end_s is not None:
                 alarm.stands = False
                 events.append(self._event(look, look.at_s, "clear", fault.kind, fault))
-        cleared = [s.alarm_s for s in suspicions if s.level == "fault"]
+        cleared = self._acquitted(look, sorted((*faults, *suspicions), key=lambda fault: fault.alarm_s))
         if problem:
             cleared = [at_s for at_s in self._alarms if at_s >= look.residuals.time_s[0]]
         for at_s in cleared:
             alarm = self._alarms.get(at_s)
             if alarm is not None and not alarm.acquitted:
-                alarm.acquitted, alarm.stands, alarm.fault = True, False, None
+                stood, alarm.acquitted, alarm.stands, alarm.fault = alarm.stands, True, False, None
+                alarm.kind = "unknown" if problem else "healthy"
                 text = problem or "the tolerances of a working servo explain it"
-                events.append(Event(look.at_s, self.name, "clear", "unknown" if problem else "healthy", text=text))
+                events.append(Event(look.at_s, self.name, "clear" if stood else "named", alarm.kind, text=text))
         self.problem = problem
         return events
+
+    def _acquitted(self, look: Look, found: list[Fault]) -> list[float]:
+        """Alarms that a working servo explains; those that belong to an earlier one are no faults of their own."""
+        healthy = []
+        for at_s, alarm in self._alarms.items():
+            owner = next((fault for fault in reversed(found) if fault.alarm_s <= at_s), None)
+            if owner is None or at_s < look.residuals.time_s[0] or (owner.end_s or at_s) < at_s:
+                continue
+            if owner.kind == "healthy":
+                healthy.append(at_s)
+            elif owner.alarm_s != at_s:
+                alarm.kind, alarm.fault, alarm.belongs = owner.kind, None, True
+        return healthy
 
     def finish(self) -> list[Event]:
         """End of the stream: evaluate what waits for more, and look once more at all of it."""
@@ -328,6 +348,10 @@ class SurfaceMonitor:
         self._suspect(piece)
         last = int(residuals.time_s.size) - 1
         commands = self._stream.logged.commands().command_deg
+        if self.listener is not None:
+            held = np.searchsorted(self._stream.logged.time_s, residuals.time_s, side="right") - 1
+            asked_deg = commands[np.maximum(held, 0)] if commands.size else np.full(held.size, np.nan)
+            self.listener(self.name, piece, asked_deg)
         self.reading = Reading(
             float(residuals.time_s[last]),
             float(commands[-1]) if commands.size else float("nan"),

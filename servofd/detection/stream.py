@@ -16,7 +16,7 @@ from servofd.detection.allowance import Signals, follow, new_work
 from servofd.detection.glitches import decide, new_glitch_memory
 from servofd.detection.history import CommandBuffer, History
 from servofd.detection.latch import latch, new_latch_memory
-from servofd.detection.residual import Residuals
+from servofd.detection.residual import Residuals, go_on
 from servofd.detection.starts import mark_starts, new_starts_memory
 from servofd.detection.threshold import (
     PEAK_OF_LAGS,
@@ -24,16 +24,21 @@ from servofd.detection.threshold import (
     Evaluation,
     Threshold,
     constant_threshold,
+    loose_deg,
+    new_loose_memory,
     slower_generator,
     suspicion,
     unseen_deg,
 )
+from servofd.models.extended import ExtendedMotion
 from servofd.models.kernel import evaluate, new_memory, observe
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from servofd.aircraft import Surface
     from servofd.detection.residual import ResidualGenerator, Rhythm
-    from servofd.models.kernel import Memory
+    from servofd.models.context import Context
     from servofd.types import BoolArray, FloatArray
 
 __all__ = ["MEMORY_S", "Piece", "Stream"]
@@ -80,6 +85,8 @@ class Stream:
         self._servo, self._filter = generator.model.parameters(), generator.filter_parameters()
         slower = slower_generator(generator, surface.tolerances.rate)
         self._slower = slower.model.parameters() if slower else None
+        self._motions = [_motion(generator), _motion(slower)]
+        self._loose = new_loose_memory()
         self._passed = PEAK_OF_LAGS * generator.pole_rad_s * period_s
         seconds = int(MEMORY_S / max(period_s, 1e-3))
         self.history = History(seconds)
@@ -95,6 +102,12 @@ class Stream:
         self._unseen: list[tuple[float, float]] = []
         self._newest_s = -np.inf
         self.latest_s = -np.inf
+
+    def surroundings(self, context: Context) -> None:
+        """Airspeed and supply, as far as they are known by now; effects of the servo may depend on them."""
+        for motion in self._motions:
+            if motion is not None:
+                motion.context = context
 
     def command(self, time_s: float, command_deg: float) -> None:
         """Add a command [deg]; one that is no later than the one before is left out."""
@@ -180,10 +193,10 @@ class Stream:
             self._beat.longest_s,
             self._generator.blanking_s,
         )
-        simulated_deg = self._run(self._servo, self._memories[0], time_s, starts.measured_deg, starts.restart)
+        simulated_deg = self._run(0, time_s, starts.measured_deg, starts.restart)
         slower_deg = simulated_deg
         if self._slower is not None:
-            slower_deg = self._run(self._slower, self._memories[1], time_s, starts.measured_deg, starts.restart)
+            slower_deg = self._run(1, time_s, starts.measured_deg, starts.restart)
         added_deg = np.zeros(time_s.size)
         while self._unseen and self._unseen[0][0] <= time_s[-1]:
             at_s, size_deg = self._unseen.pop(0)
@@ -191,13 +204,14 @@ class Stream:
         rows = [time_s, simulated_deg, starts.measured_deg, starts.settled, starts.restart, slower_deg, added_deg]
         self._pending = np.concatenate([self._pending, np.stack(rows)], axis=1)
 
-    def _run(
-        self, servo: object, memory: Memory, time_s: FloatArray, measured_deg: FloatArray, restart: object
-    ) -> FloatArray:
+    def _run(self, which: int, time_s: FloatArray, measured_deg: FloatArray, restart: NDArray[np.int8]) -> FloatArray:
+        """Deflection of the healthy servo (0), or of the slowest one tolerated (1) [deg]."""
+        motion, memory, commands = self._motions[which], self._memories[which], self.effective.commands()
+        if motion is not None:
+            return go_on(motion, commands, memory.cursor, time_s, measured_deg, restart)
         simulated_deg, unused_deg = np.empty(time_s.size), np.empty(time_s.size)
-        commands = self.effective.commands()
         observe(
-            servo,
+            self._slower if which else self._servo,
             self._filter,
             memory,
             commands.effective_s,
@@ -245,6 +259,7 @@ class Stream:
         )
         decay_rad_s = self._servo.decay_rad_s
         follow(signals, self.evaluation.bounds, self._work, decay_rad_s, tolerated, saturated, sigma, drift)
+        tolerated += loose_deg(self._generator, residuals.simulated_deg, residuals.restart, self._loose)
         level_deg = tolerated + self._surface.threshold_sigmas * sigma
         threshold = Threshold("interval", level_deg, tolerated, saturated, sigma, self.evaluation.cusum, drift)
         if self._surface.threshold == "constant":
@@ -264,3 +279,9 @@ class Stream:
         alarm, clear = np.zeros(judged.size, dtype=bool), np.zeros(judged.size, dtype=bool)
         alarm[judged], clear[judged] = found.alarm, found.clear
         return alarm, clear
+
+
+def _motion(generator: ResidualGenerator | None) -> ExtendedMotion | None:
+    """The servo on its way, if it has effects."""
+    servo = generator.model.extended() if generator else None
+    return ExtendedMotion(servo) if servo else None

@@ -29,6 +29,8 @@ from servofd.detection.allowance import Bounds, Signals, follow, new_work
 from servofd.models.kernel import RESTART_ALL
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from servofd.detection.probability import CusumDesign
     from servofd.detection.residual import ResidualGenerator, Residuals
     from servofd.segment import Segment
@@ -44,6 +46,8 @@ __all__ = [
     "constant_threshold",
     "habits",
     "interval_threshold",
+    "loose_deg",
+    "new_loose_memory",
     "slower_generator",
     "suspicion",
     "unseen_deg",
@@ -72,7 +76,7 @@ class Threshold:
     tolerance_deg: FloatArray
     """Largest residual of a healthy servo without noise, of shape (n,)."""
     saturated_deg: FloatArray
-    """What of it comes from running at the rate limit, of shape (n,)."""
+    """What of it comes from running at the rate limit, and from commands that were lost, of shape (n,)."""
     sigma_deg: FloatArray
     """Standard deviation of the residual from noise, as known at each instant, of shape (n,)."""
     cusum: CusumDesign
@@ -107,7 +111,7 @@ class Evaluation(NamedTuple):
 
 
 def constant_threshold(interval: Threshold, level_deg: float) -> Threshold:
-    """The same level all the time, but for what a servo may leave that runs at its rate limit."""
+    """The same level all the time, but for what a servo may leave at its rate limit, or commands that were lost."""
     return replace(interval, kind="constant", level_deg=level_deg + interval.saturated_deg)
 
 
@@ -173,7 +177,7 @@ def interval_threshold(
     )
     decay_rad_s = generator.model.parameters().decay_rad_s
     follow(signals, bounds, new_work(bounds, decay_rad_s.size), decay_rad_s, tolerated, saturated, sigma, drift)
-    tolerated += _loose(generator, residuals)
+    tolerated += loose_deg(generator, residuals.simulated_deg, residuals.restart, new_loose_memory())
     return Threshold("interval", tolerated + sigmas * sigma, tolerated, saturated, sigma, cusum, drift)
 
 
@@ -212,18 +216,31 @@ def slower_generator(generator: ResidualGenerator, share: float) -> ResidualGene
     return None if slower.model is generator.model else slower
 
 
-def _loose(generator: ResidualGenerator, residuals: Residuals) -> FloatArray:
-    """What a start at an unknown point of a servo's play leaves until it has moved by more than that [deg], (n,)."""
+def new_loose_memory() -> FloatArray:
+    """Memory of `loose_deg` before the first sample: least and most that was simulated since the last start [deg]."""
+    return np.array([np.inf, -np.inf])
+
+
+def loose_deg(
+    generator: ResidualGenerator, simulated_deg: FloatArray, restart: NDArray[np.int8], memory: FloatArray
+) -> FloatArray:
+    """What a start at an unknown point of a servo's play leaves until it has moved by more than that [deg], (n,).
+
+    The memory is moved on, so that pieces of a flight may follow each other.
+    """
     servo = generator.model.extended()
-    loose_deg = np.zeros(residuals.time_s.size)
+    loose = np.zeros(simulated_deg.size)
     if servo is None or servo.play_deg == 0.0:
-        return loose_deg
-    begins = np.union1d(np.flatnonzero(residuals.restart == RESTART_ALL), [0])
-    for begin, end in zip(begins, np.append(begins[1:], loose_deg.size), strict=True):
-        moved_deg = residuals.simulated_deg[begin:end]
-        travel_deg = np.maximum.accumulate(moved_deg) - np.minimum.accumulate(moved_deg)
-        loose_deg[begin:end] = servo.play_deg * (travel_deg <= _TAKEN_UP * servo.play_deg)
-    return loose_deg / abs(generator.model.transfer.dc_gain)
+        return loose
+    begins = np.union1d(np.flatnonzero(restart == RESTART_ALL), [0])
+    for begin, end in zip(begins, np.append(begins[1:], loose.size), strict=True):
+        if restart[begin] == RESTART_ALL:
+            memory[:] = new_loose_memory()
+        least_deg = np.minimum.accumulate(np.append(memory[0], simulated_deg[begin:end]))[1:]
+        most_deg = np.maximum.accumulate(np.append(memory[1], simulated_deg[begin:end]))[1:]
+        memory[:] = least_deg[-1], most_deg[-1]
+        loose[begin:end] = servo.play_deg * (most_deg - least_deg <= _TAKEN_UP * servo.play_deg)
+    return loose / abs(generator.model.transfer.dc_gain)
 
 
 def habits(tolerance: Tolerance) -> FloatArray:

@@ -7,20 +7,27 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from servofd.discrepancy.audit_gain import AuditGain, audit_gain
 from servofd.discrepancy.break_point import fault_start_s
 from servofd.discrepancy.checks import check
-from servofd.discrepancy.locate import sentences
+from servofd.discrepancy.locate import Block, blocks, sentences
 from servofd.discrepancy.record import joined, record_of
 from servofd.discrepancy.run_by_run import RunErrors, run_errors
 from servofd.discrepancy.select import Selection, select, unexplained
+from servofd.discrepancy.separate import Separation, separations
 from servofd.discrepancy.words import effect_values, linear_sentence, unjudged_sentence
+from servofd.models.catalogue import CATALOGUE
+from servofd.models.effects import Extension
 from servofd.segment import Segment
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from servofd.discrepancy.elsewhere import Elsewhere
     from servofd.discrepancy.fit import Fit
+    from servofd.discrepancy.own import OwnEffect
     from servofd.discrepancy.record import Record
+    from servofd.models.physics import Physics
     from servofd.models.servo_model import ServoModel
     from servofd.types import FloatArray
 
@@ -28,8 +35,6 @@ __all__ = ["Conclusion", "Explanation", "explain_gap"]
 
 Conclusion = Literal["nothing_missing", "explained", "partly_explained", "unexplained"]
 
-_AIR_KG_M3 = 1.225
-"""Density of the standard atmosphere at sea level."""
 _MUCH_WORSE, _NO_NOISE = 4.0, 5.5
 _MARGINS_S = (0.0, 1.0, 2.5, 5.0)
 """How long before a change of the error's size a fault may have begun without much to do."""
@@ -41,14 +46,27 @@ class Explanation:
     """Why a servo and its model disagree."""
 
     surface: str
+    model: ServoModel
+    """The servo as it was known."""
     record: Record
     selection: Selection
     where: tuple[str, ...]
     notes: tuple[str, ...]
     fault_s: float | None = None
     """When a fault sets in, which is none of the model's business [s]."""
+    separating: tuple[Separation, ...] = ()
+    """What would tell effects apart that these data do not."""
+    gain: AuditGain | None = None
+    """What an audit gains by the better model; None if it cannot simulate it, or gains nothing."""
+    also: tuple[Elsewhere, ...] = ()
+    """How the model does on other flights, to which nothing was fitted."""
     runs: tuple[RunErrors, ...] = ()
     """Each of several runs as the others predict it."""
+
+    @property
+    def blocks(self) -> tuple[Block, ...]:
+        """Every second of the log: how large the gap is there, and whether that is more than noise."""
+        return blocks(self.record, self.selection.nominal.error_deg, self.selection.sigma_deg)
 
     @property
     def conclusion(self) -> Conclusion:
@@ -57,6 +75,22 @@ class Explanation:
         if self.selection.rungs:
             return "partly_explained" if left else "explained"
         return "unexplained" if left else "nothing_missing"
+
+    @property
+    def physics(self) -> Physics:
+        """The servo with everything that was found."""
+        final = self.selection.final
+        return self.selection.fitter.physics(final.effects, final.values)
+
+    @property
+    def is_simulated_by_audit(self) -> bool:
+        """Whether an audit can run the servo as it was found: not if an effect of the user's own is part of it."""
+        return all(effect in CATALOGUE for effect in self.selection.final.effects)
+
+    @property
+    def better_model(self) -> ServoModel:
+        """The model with what was missing, for an audit."""
+        return self.model + Extension(self.physics)
 
     def rms_deg(self, fit: Fit) -> dict[str, float]:
         """Error of a fit on the fitted and on the held-out samples [deg]."""
@@ -76,6 +110,7 @@ class Explanation:
             "noise_floor_rms_deg": selection.sigma_deg,
             "nominal": self.rms_deg(selection.nominal),
             "where": list(self.where),
+            "bad_seconds": [block.start_s for block in self.blocks if block.bad],
             "steps": [
                 {
                     "effect": rung.fit.names[-1],
@@ -90,6 +125,7 @@ class Explanation:
                 for rung in selection.rungs
             ],
             "indistinguishable": [list(tie) for tie in selection.ties],
+            "separating": [each.document() for each in self.separating],
             "final": {
                 **self.rms_deg(final),
                 "model": {
@@ -97,6 +133,8 @@ class Explanation:
                     for k, effect in enumerate(final.effects)
                 },
             },
+            "audit": self.gain.document() if self.gain else None,
+            "also": [each.document() for each in self.also],
             "notes": list(self.notes),
             "fault_s": self.fault_s,
             "runs": [each._asdict() for each in self.runs],
@@ -112,6 +150,7 @@ def explain_gap(
     free_poles: bool = False,
     airspeed_m_s: FloatArray | None = None,
     voltage_v: FloatArray | None = None,
+    own: OwnEffect | None = None,
     progress: Callable[[str], None] = lambda _step: None,
 ) -> Explanation:
     """Find where a servo and its model disagree, name what is missing, and show how the gap shrinks.
@@ -129,6 +168,8 @@ def explain_gap(
     airspeed_m_s, voltage_v : ndarray, shape (m,), optional
         At the measurements: airspeed [m/s] and supply of the servo [V]; left out, those of the segment. Effects that
         need what is not there cannot be judged, and the result says so.
+    own : OwnEffect, optional
+        An effect of the user's own, tried beside those of the catalogue.
     progress : callable
         Called with the name of each effect that was tried.
 
@@ -156,21 +197,10 @@ def explain_gap(
     >>> round(float(found.selection.final.values[0]), 3)  # 4 ms were known
     0.024
     """
-    pressure_pa = None if airspeed_m_s is None else 0.5 * _AIR_KG_M3 * airspeed_m_s**2
     segments = [segment] if isinstance(segment, Segment) else list(segment)
-    record = joined(
-        [
-            record_of(
-                each,
-                model,
-                pressure_pa=pressure_pa,
-                voltage_v=voltage_v,
-                at_rest=on_bench,
-                free_poles=free_poles,
-            )
-            for each in segments
-        ]
-    )
+    if airspeed_m_s is not None or voltage_v is not None:
+        segments = [_with_context(each, airspeed_m_s, voltage_v) for each in segments]
+    record = joined([record_of(each, model, at_rest=on_bench, free_poles=free_poles, own=own) for each in segments])
     check(record)
     selection = select(record, progress)
     fault_s, notes = None, []
@@ -187,7 +217,20 @@ def explain_gap(
         notes.append(unjudged_sentence(selection))
     where = sentences(record, selection.nominal.error_deg, selection.sigma_deg)
     errors = run_errors(selection.fitter, selection.final)
-    return Explanation(segments[0].surface, record, selection, tuple(where), tuple(notes), fault_s, errors)
+    found = Explanation(segments[0].surface, model, record, selection, tuple(where), tuple(notes), fault_s, runs=errors)
+    gain = None
+    if selection.rungs and found.is_simulated_by_audit:
+        gain = audit_gain(segments, model, found.better_model, fault_s or float("inf"))
+    return replace(found, separating=separations(selection), gain=gain)
+
+
+def _with_context(segment: Segment, airspeed_m_s: FloatArray | None, voltage_v: FloatArray | None) -> Segment:
+    context = segment.context
+    if airspeed_m_s is not None:
+        context = replace(context, airspeed_s=segment.measured_s, airspeed_m_s=airspeed_m_s)
+    if voltage_v is not None:
+        context = replace(context, voltage_s=segment.measured_s, voltage_v=voltage_v)
+    return replace(segment, context=context)
 
 
 def _healthy_part(

@@ -11,7 +11,7 @@ import numpy as np
 from servofd.discrepancy.noise import long_run_factor, noise_floor_deg
 from servofd.discrepancy.record import simulate
 from servofd.discrepancy.search import begin, polish, telling_part
-from servofd.models.catalogue import Delay, PwmFrame, SensorLag, SlowDynamics, installed
+from servofd.models.catalogue import Delay, PwmFrame, Quantization, SensorLag, SlowDynamics, installed
 from servofd.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -23,11 +23,13 @@ if TYPE_CHECKING:
 
 __all__ = ["Fit", "Fitter"]
 
-_STEP = 2e-3
+_STEP = 3e-2
+"""Of what is common: what sticks or has edges answers to less with jumps, in which the descent loses its way."""
 _TIE_TO_START = 1e-4
-_EVALUATIONS = 30
-_PROMISING = 10
-_LATE_SHARE, _FRAMES_EXCESS = 0.1, 0.06
+_EVALUATIONS, _THOROUGH = 20, 40
+_PROMISING, _FEWER = 10, 6
+"""Of the candidates of a first effect, and of a further one."""
+_LATE_SHARE, _FRAMES_EXCESS = 0.1, 0.02
 _SURE = 1.959963984540054
 """Standard deviations of a 95 % interval."""
 
@@ -81,6 +83,9 @@ class Fitter:
         """The same for other samples."""
         return Fitter(record)
 
+    def adopt(self, other: Fitter) -> None:
+        """Take over what another one learnt beside the values of effects: nothing here."""
+
     def physics(self, effects: Sequence[type[MissingEffect]], values: Values) -> Physics:
         """The servo with these effects."""
         return installed(self.record.plant.neutral, effects, [float(v) for v in values])
@@ -107,12 +112,17 @@ class Fitter:
         average) and nothing else leaves as little as noise.
         """
         part = telling_part(self.record, base.error_deg)
-        others = [effect for effect in able if effect.name not in base.names and effect is not PwmFrame]
+        others = [effect for effect in able if self._possible(effect, base)]
         fits = self._refitted_best([self._begun(part, base, effect, tried) for effect in others])
         if PwmFrame in able and PwmFrame not in base.effects and self._may_be_frames(base, fits):
             fits.append(self._begun(self.record, base, PwmFrame, tried))
             fits[-1] = self.refitted(fits[-1].effects, fits[-1].values)
         return fits
+
+    def _possible(self, effect: type[MissingEffect], base: Fit) -> bool:
+        """Whether an effect is tried with the others: those whose name is new, and steps only where they are seen."""
+        steps_deg = (self.record.step_deg or 0.0) if effect is Quantization else np.inf
+        return effect.name not in base.names and effect is not PwmFrame and steps_deg >= effect.parameters[0].low
 
     def _begun(self, part: Record, base: Fit, effect: type[MissingEffect], tried: Callable[[str], None]) -> Fit:
         tried(effect.key())
@@ -123,12 +133,13 @@ class Fitter:
 
     def _refitted_best(self, fits: list[Fit]) -> list[Fit]:
         fits = sorted(fits, key=lambda fit: fit.train)
-        return [self._settled(fit) for fit in fits[:_PROMISING]] + fits[_PROMISING:]
+        count = _FEWER if len(fits[0].effects) > 1 else _PROMISING
+        return [self._settled(fit) for fit in fits[:count]] + fits[count:]
 
     def _settled(self, fit: Fit) -> Fit:
         """All parameters refitted; what cannot be descended is searched on the whole record."""
         values, newest = fit.values.tolist(), fit.effects[-1].parameters
-        if all(p.kinked for p in newest):
+        if all(p.kinked for p in newest) and fit.effects[-1] is not Quantization:
             values, count = polish(self.record, fit.effects, values, len(values) - len(newest))
             self.simulations += count
         return self.refitted(fit.effects, values)
@@ -141,7 +152,9 @@ class Fitter:
         least = min(fit.train for fit in fits)
         return helps and least > (1.0 + _FRAMES_EXCESS) * self._trained.size * floor
 
-    def refitted(self, effects: tuple[type[MissingEffect], ...], values: Values) -> Fit:
+    def refitted(
+        self, effects: tuple[type[MissingEffect], ...], values: Values, evaluations: int = _EVALUATIONS
+    ) -> Fit:
         """All parameters fitted together, from given values: least squares within the bounds."""
         from scipy.optimize import least_squares
 
@@ -173,7 +186,14 @@ class Fitter:
             )
 
         found = least_squares(
-            errors, x0, jac=slopes, bounds=(low, high), max_nfev=_EVALUATIONS, xtol=1e-4, ftol=1e-6, gtol=None
+            errors,
+            x0,
+            jac=slopes,
+            bounds=(low, high),
+            max_nfev=evaluations,
+            xtol=1e-4,
+            ftol=1e-7 if evaluations > _EVALUATIONS else 1e-5,
+            gtol=None,
         )
         best = self.judged(effects, at(found.x))
         given = self.judged(effects, start)
@@ -186,11 +206,12 @@ class Fitter:
         """
         if not fit.effects:
             return fit, np.zeros((0, 0))
-        whole = Fitter(replace(self.record, block=np.zeros_like(self.record.block)))
-        best = whole.refitted(fit.effects, fit.values)
+        whole = self.on(replace(self.record, block=np.zeros_like(self.record.block)))
+        best = whole.refitted(fit.effects, fit.values, _THOROUGH)
         error = best.error_deg[self.record.counts]
         sigma_deg = float(np.sqrt(np.mean(error**2)))
         covariance = whole.covariance(best, sigma_deg, long_run_factor(error))
+        self.adopt(whole)
         return replace(fit, values=best.values, error_deg=best.error_deg), covariance
 
     def covariance(self, fit: Fit, sigma_deg: float, factor: float) -> FloatArray:

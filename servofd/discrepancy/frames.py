@@ -22,7 +22,7 @@ _SHARE_OF_BEAT = 0.4
 """Of the change of period that moves the last frame of a window by one period."""
 _ZOOM, _KEPT = 3.0, 27
 _SHIFTS = (-0.1, -0.04, 0.0, 0.04, 0.1)
-_FINER = (0.5, 0.2)
+_FINER = (0.5, 0.2, 0.08, 0.03, 0.01)
 _USUAL_S = (*(k / 1000.0 for k in range(10, 26)), 0.004, 0.005, 0.03, 0.04, 0.05, 1 / 70, 1 / 60, 1 / 45, 1 / 150)
 """Whole milliseconds, and common frame rates that are not."""
 
@@ -88,6 +88,7 @@ def _window(record: Record, centre_s: float, window_s: float) -> Record:
         block=record.block[inside],
         pressure_pa=None if record.pressure_pa is None else record.pressure_pa[inside],
         voltage_v=None if record.voltage_v is None else record.voltage_v[inside],
+        current_a=None if record.current_a is None else record.current_a[inside],
     )
 
 

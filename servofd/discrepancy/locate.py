@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
     from servofd.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["Map", "bad_seconds", "maps", "sentences"]
+__all__ = ["Block", "Map", "bad_seconds", "blocks", "maps", "sentences"]
 
 _FALSE_DISCOVERIES = 0.01
 _BINS, _FEWEST_PER_BIN = 12, 30
@@ -34,8 +34,21 @@ class Map(NamedTuple):
     """Share of the excess energy that lies in those samples."""
 
 
-def bad_seconds(record: Record, error_deg: FloatArray, sigma_deg: float) -> tuple[tuple[float, float], ...]:
-    """Seconds whose error is more than noise, joined, as (start, end) [s].
+class Block(NamedTuple):
+    """A second of the log."""
+
+    start_s: float
+    end_s: float
+    rms_deg: float
+    """Of what model and measurement differ by."""
+    chance: float
+    """How often noise alone would do as much."""
+    bad: bool
+    """Whether it counts as more than noise."""
+
+
+def blocks(record: Record, error_deg: FloatArray, sigma_deg: float) -> tuple[Block, ...]:
+    """How large the error is in each second, and whether that is more than noise.
 
     The energy of a block of n samples of noise is chi-squared with n degrees of freedom; of the blocks that are
     called bad, at most 1 % are so by chance (Benjamini and Hochberg 1995).
@@ -44,17 +57,29 @@ def bad_seconds(record: Record, error_deg: FloatArray, sigma_deg: float) -> tupl
 
     start_s = float(record.time_s[0])
     second = (record.time_s - start_s).astype(np.int64)[record.counts]
-    error = error_deg[record.counts]
     count = np.bincount(second)
-    energy = np.bincount(second, weights=error**2) / sigma_deg**2
+    energy = np.bincount(second, weights=error_deg[record.counts] ** 2)
     used = np.flatnonzero(count >= 5)
     # The noise floor is itself uncertain by a few per cent.
-    chance: FloatArray = np.asarray(chi2.sf(energy[used] / (1.0 + _EXCESS), count[used]), dtype=float)
-    order = np.argsort(chance)
-    passed = chance[order] <= _FALSE_DISCOVERIES * np.arange(1, order.size + 1) / max(order.size, 1)
-    bad = np.sort(used[order[: passed.nonzero()[0].max() + 1]]) if passed.any() else np.zeros(0, dtype=np.int64)
-    pieces = np.split(bad, np.flatnonzero(np.diff(bad) > 1) + 1) if bad.size else []
-    return tuple((start_s + float(piece[0]), start_s + float(piece[-1]) + 1.0) for piece in pieces)
+    chance: FloatArray = np.asarray(chi2.sf(energy[used] / sigma_deg**2 / (1.0 + _EXCESS), count[used]), dtype=float)
+    ranked = np.sort(chance)
+    passed = np.flatnonzero(ranked <= _FALSE_DISCOVERIES * np.arange(1, ranked.size + 1) / max(ranked.size, 1))
+    limit = float(ranked[passed[-1]]) if passed.size else -1.0
+    return tuple(
+        Block(start_s + k, start_s + k + 1.0, float(np.sqrt(energy[k] / count[k])), float(odds), bool(odds <= limit))
+        for k, odds in zip(used.tolist(), chance, strict=True)
+    )
+
+
+def bad_seconds(record: Record, error_deg: FloatArray, sigma_deg: float) -> tuple[tuple[float, float], ...]:
+    """Seconds whose error is more than noise, joined, as (start, end) [s]."""
+    pieces: list[tuple[float, float]] = []
+    for block in blocks(record, error_deg, sigma_deg):
+        if block.bad and pieces and block.start_s - pieces[-1][1] < 0.5:
+            pieces[-1] = (pieces[-1][0], block.end_s)
+        elif block.bad:
+            pieces.append((block.start_s, block.end_s))
+    return tuple(pieces)
 
 
 def maps(record: Record, error_deg: FloatArray, sigma_deg: float) -> tuple[Map, ...]:

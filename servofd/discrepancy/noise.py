@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
     from servofd.types import FloatArray
 
-__all__ = ["long_run_factor", "noise_floor_deg"]
+__all__ = ["comb_step_deg", "long_run_factor", "noise_floor_deg"]
 
 _TO_SIGMA = 1.482602218505602
 """Standard deviation over median absolute deviation, of a Gaussian."""
@@ -18,6 +18,7 @@ _THIRD = 20.0**0.5
 """Standard deviation of third differences (1, -3, 3, -1) of white noise."""
 _LAGS = 25
 _SMALLEST_DEG = 1e-6
+_OFF_COMB, _FEWEST_VALUES = 0.1, 3
 
 
 def noise_floor_deg(record: Record, error_deg: FloatArray) -> float:
@@ -60,3 +61,24 @@ def long_run_factor(error_deg: FloatArray) -> float:
     for lag in range(1, _LAGS + 1):
         total += 2.0 * (1.0 - lag / (_LAGS + 1)) * float(error_deg[lag:] @ error_deg[:-lag]) / power
     return max(1.0, total)
+
+
+def comb_step_deg(values_deg: FloatArray) -> float | None:
+    """Step of the converter that made some values [deg]: all of them are whole multiples of it; None without one.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> comb_step_deg(0.9 * np.round(5.0 * rng.standard_normal(1000) / 0.9)), comb_step_deg(rng.standard_normal(1000))
+    (0.9, None)
+    """
+    known = values_deg[np.isfinite(values_deg)]
+    unique = np.unique(np.round(known, 6))
+    if not _FEWEST_VALUES <= unique.size <= known.size / 4:
+        return None
+    step_deg = float(np.diff(unique).min())
+    for _ in range(2):  # the smallest difference is rounded by the file; all of them together are not
+        number = np.round(unique / step_deg)
+        step_deg = float(unique @ number) / max(float(number @ number), 1.0)
+    off = np.abs(unique - number * step_deg).max()
+    return round(step_deg, 6) if off < _OFF_COMB * step_deg else None

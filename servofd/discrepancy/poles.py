@@ -34,32 +34,48 @@ _STARTS = (Poles(0.8, 1.0), Poles(2.0, 1.0), Poles(4.0, 1.5))
 _LOWEST, _HIGHEST = Poles(0.05, 0.05), Poles(40.0, 20.0)
 _STEP = 2e-3
 _TIE_TO_START = 1e-4
-_EVALUATIONS, _FIRST_EVALUATIONS = 25, 6
-_KEPT, _SETTLED = 2, 2
+_EVALUATIONS, _FIRST_EVALUATIONS = 20, 6
+_KEPT, _SETTLED = 2, 1
 """Starts that are descended from; effects after which the poles are known well enough to be the only start."""
-_REFITTED = 10
+_REFITTED = 4
+
+
+class _Known(NamedTuple):
+    """The best fit of a set of effects, in whatever order."""
+
+    loss: float
+    poles: Poles
+    values: dict[str, FloatArray]
+
+
+def _key(effects: Sequence[type[MissingEffect]]) -> tuple[str, ...]:
+    return tuple(sorted(effect.key() for effect in effects))
 
 
 @dataclass(slots=True, eq=False)
 class PoleFitter(Fitter):
     """Fits effects and poles together, and remembers the poles that went with each set of effects."""
 
-    known: dict[tuple[str, ...], Poles] = field(default_factory=dict, init=False)
+    known: dict[tuple[str, ...], _Known] = field(default_factory=dict, init=False)
     _is_nominal: bool = field(default=False, init=False)
 
     def on(self, record: Record) -> PoleFitter:
-        """The same for other samples, from the poles that are known."""
+        """The same for other samples, from what is known."""
         other = PoleFitter(record)
-        other.known = dict(self.known)
+        other.known = {key: each._replace(loss=np.inf) for key, each in self.known.items()}
         return other
+
+    def adopt(self, other: Fitter) -> None:
+        """Take over the poles that another one found."""
+        if isinstance(other, PoleFitter):
+            self.known.update(other.known)
 
     def poles(self, effects: Sequence[type[MissingEffect]]) -> Poles:
         """Those fitted with these effects, or with as many of them as were ever fitted."""
-        keys = [effect.key() for effect in effects]
-        for size in range(len(keys), -1, -1):
-            poles = self.known.get(tuple(sorted(keys[:size])))
-            if poles is not None:
-                return poles
+        for size in range(len(effects), -1, -1):
+            known = self.known.get(_key(effects[:size]))
+            if known is not None:
+                return known.poles
         return Poles()
 
     def physics(self, effects: Sequence[type[MissingEffect]], values: Values) -> Physics:
@@ -73,10 +89,11 @@ class PoleFitter(Fitter):
             self._is_nominal = True
         return self.judged((), ())
 
-    def refitted(self, effects: tuple[type[MissingEffect], ...], values: Values) -> Fit:
+    def refitted(
+        self, effects: tuple[type[MissingEffect], ...], values: Values, evaluations: int = _EVALUATIONS
+    ) -> Fit:
         """All parameters and the poles fitted together: least squares within the bounds."""
-        starts = [(self.poles(effects), list(values))]
-        return self._multi_start(effects, starts, _EVALUATIONS)
+        return self._multi_start(effects, [(self.poles(effects), list(values))], evaluations)
 
     def with_effects(self, base: Fit, able: Sequence[type[MissingEffect]], tried: Callable[[str], None]) -> list[Fit]:
         """The best fits that have one effect more, each from several starts of the poles."""
@@ -117,14 +134,17 @@ class PoleFitter(Fitter):
     def _multi_start(
         self, effects: tuple[type[MissingEffect], ...], starts: Sequence[tuple[Poles, Values]], evaluations: int
     ) -> Fit:
-        """The best of the fits from several starts; its poles are remembered."""
-        key = tuple(sorted(effect.key() for effect in effects))
-        found = [self._fitted(effects, values, poles, evaluations) for poles, values in starts]
-        if key in self.known:
-            found.append((list(starts[0][1]), self.known[key]))
-        values, poles = min(found, key=lambda each: self._loss(effects, each[0], each[1]))
-        self.known[key] = poles
-        return self.judged(effects, values)
+        """The best of the fits from several starts, and of those that are known; its poles are remembered."""
+        key = _key(effects)
+        for poles, start in starts:
+            values, fitted = self._fitted(effects, start, poles, evaluations)
+            loss = self._loss(effects, values, fitted)
+            if key not in self.known or loss < self.known[key].loss:
+                rest = iter(values)
+                named = {effect.key(): np.array([next(rest) for _ in effect.parameters]) for effect in effects}
+                self.known[key] = _Known(loss, fitted, named)
+        best = self.known[key].values
+        return self.judged(effects, np.concatenate([best[effect.key()] for effect in effects] or [np.zeros(0)]))
 
     def _fitted(
         self, effects: tuple[type[MissingEffect], ...], values: Values, poles: Poles, evaluations: int

@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.detection.residual import Commands, commands_at_servo, lost_commands
+from servofd.detection.residual import Commands, commands_at_servo, rhythm
+from servofd.discrepancy.noise import comb_step_deg
 from servofd.models.physics import Physics, Plant, longest_step_s, plant_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from servofd.discrepancy.own import OwnEffect
     from servofd.models.servo_model import ServoModel
     from servofd.segment import Segment
     from servofd.types import BoolArray, FloatArray, IntArray
@@ -30,6 +32,7 @@ _BETWEEN_RUNS_S = 1.0
 """Runs are laid one after the other for pictures and words; nothing is simulated across."""
 
 
+_DOUBTFUL = 1.45
 _LARGEST_GUESS_DEG, _FORGOTTEN_S = 0.25, 0.16
 """A lost command off by this much moves an HS-225BB by 0.04 deg, for four of its time constants."""
 
@@ -53,10 +56,16 @@ class Record:
     """Dynamic pressure."""
     voltage_v: FloatArray | None = None
     """Supply of the servo."""
+    current_a: FloatArray | None = None
+    """Drawn by the servo."""
+    step_deg: float | None = None
+    """Of the converter whose whole multiples the positions are."""
     runs: tuple[Record, ...] = ()
     """Separate experiments with one servo that this record is the sequence of; none if it is one itself."""
     free_poles: bool = False
     """Whether the poles of the servo are not known, and are fitted along with every effect."""
+    own: OwnEffect | None = None
+    """An effect of the user's own."""
 
     @property
     def run(self) -> IntArray:
@@ -91,6 +100,7 @@ def record_of(
     until_s: float = float("inf"),
     at_rest: bool = False,
     free_poles: bool = False,
+    own: OwnEffect | None = None,
 ) -> Record:
     """Prepare a segment for comparison.
 
@@ -108,6 +118,8 @@ def record_of(
         Whether the servo rested before the first sample, as on a bench: then all of it counts.
     free_poles : bool
         Whether the poles of the servo are not known.
+    own : OwnEffect, optional
+        An effect of the user's own, tried beside those of the catalogue.
     """
     time_s, measured_deg = segment.measured_s, segment.measured_deg
     plant = plant_of(model)
@@ -130,7 +142,21 @@ def record_of(
         pressure_pa = context.pressure_pa(time_s)
     if voltage_v is None and "servo_voltage_v" in context.logged:
         voltage_v = context.supply_v(time_s)
-    return Record(plant, commands, time_s, measured_deg, counts, block, pressure_pa, voltage_v, free_poles=free_poles)
+    current_a = context.drawn_a(time_s) if "servo_current_a" in context.logged else None
+    return Record(
+        plant,
+        commands,
+        time_s,
+        measured_deg,
+        counts,
+        block,
+        pressure_pa,
+        voltage_v,
+        current_a,
+        comb_step_deg(measured_deg),
+        free_poles=free_poles,
+        own=own,
+    )
 
 
 def joined(records: Sequence[Record]) -> Record:
@@ -164,8 +190,11 @@ def joined(records: Sequence[Record]) -> Record:
         np.concatenate(blocks),
         _context([each.pressure_pa for each in runs]),
         _context([each.voltage_v for each in runs]),
+        _context([each.current_a for each in runs]),
+        records[0].step_deg,
         tuple(runs),
         records[0].free_poles,
+        records[0].own,
     )
 
 
@@ -180,7 +209,9 @@ def _after_lost_commands(segment: Segment, hole_s: float, time_s: FloatArray) ->
     after = np.zeros(time_s.size, dtype=bool)
     if segment.command_period_s is not None or segment.command_s.size < 4:
         return after
-    lost = np.flatnonzero(lost_commands(segment.command_s, hole_s))
+    step_s = np.diff(segment.command_s)
+    # Among stamps that jitter, a lost command can hide in an interval that is merely long.
+    lost = np.flatnonzero((step_s > _DOUBTFUL * rhythm(segment.command_s).period_s) & (step_s <= hole_s))
     bend = np.abs(np.diff(segment.command_deg, 2, prepend=segment.command_deg[:1], append=segment.command_deg[-1:]))
     for k in lost[np.maximum(bend[lost], bend[np.minimum(lost + 1, bend.size - 1)]) > _LARGEST_GUESS_DEG]:
         start_s = segment.command_s[k]
@@ -210,6 +241,8 @@ def simulate(record: Record, physics: Physics) -> FloatArray:
         return np.concatenate([simulate(each, physics) for each in record.runs])
     commands, plant = record.commands, record.plant
     sent_s, deg, slope = commands.effective_s, commands.command_deg, commands.slope_deg_s
+    if record.own is not None:
+        deg = record.own.changed("command", physics, sent_s, deg)
     if physics.command_step_deg > 0.0:
         deg = physics.command_step_deg * np.round(deg / physics.command_step_deg)
     if physics.frame_s > 0.0:
@@ -231,4 +264,8 @@ def simulate(record: Record, physics: Physics) -> FloatArray:
         nothing if record.voltage_v is None else record.voltage_v,
         new_memory(start_deg),
     )
+    if physics.deg_per_a != 0.0 and record.current_a is not None:
+        position_deg = position_deg + physics.deg_per_a * record.current_a
+    if record.own is not None:
+        position_deg = record.own.changed("deflection", physics, record.time_s, position_deg)
     return position_deg

@@ -17,6 +17,8 @@ _SWING_S = 0.5
 _REST, _FAST = 0.3, 0.8
 """Quantiles of the speed below which a servo is taken to rest, and above which it is fast."""
 _AFTER_REVERSAL_S = 0.3
+_CHANGES = 0.05
+"""What surrounds the aircraft is a condition only if it changes by this share."""
 _BAND = (5.0, 50.0, 95.0)
 
 
@@ -84,10 +86,12 @@ def quantities(record: Record, simulated_deg: FloatArray) -> tuple[Quantity, ...
         Quantity("amplitude of the command", "deg", _swing(command, max(1, round(_SWING_S / record.period_s)))),
         Quantity("time", "s", time_s),
     ]
-    if record.pressure_pa is not None:
-        found.append(Quantity("dynamic pressure", "Pa", record.pressure_pa))
-    if record.voltage_v is not None:
-        found.append(Quantity("supply voltage", "V", record.voltage_v))
+    for name, unit, values in (
+        ("dynamic pressure", "Pa", record.pressure_pa),
+        ("supply voltage", "V", record.voltage_v),
+    ):
+        if values is not None and np.ptp(values[record.counts]) > _CHANGES * np.abs(values[record.counts]).max():
+            found.append(Quantity(name, unit, values))
     return tuple(q for q in found if np.ptp(q.values[record.counts]) > 0.0)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from servofd.discrepancy.frames import best_frame
 from servofd.discrepancy.record import simulate
-from servofd.models.catalogue import PwmFrame, installed
+from servofd.models.catalogue import PwmFrame, Quantization, installed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -49,6 +49,7 @@ def telling_part(record: Record, error_deg: FloatArray) -> Record:
         block=record.block[inside],
         pressure_pa=None if record.pressure_pa is None else record.pressure_pa[inside],
         voltage_v=None if record.voltage_v is None else record.voltage_v[inside],
+        current_a=None if record.current_a is None else record.current_a[inside],
     )
 
 
@@ -60,6 +61,8 @@ def begin(part: Record, effects: Sequence[type[MissingEffect]], known: Sequence[
         values = [*known, *best_frame(part, installed(plant, effects[:-1], known))]
         return polish(part, effects, values, len(known))
     trial = _Trial(part, effects)
+    if newest is Quantization:
+        return [*known, part.step_deg or 0.0], 0
     grid = product(*(p.grid for p in newest.parameters))
     values = [*known, *min(grid, key=lambda point: trial.loss([*known, *point]))]
     polished, count = polish(part, effects, values, len(known))
@@ -78,6 +81,8 @@ def polish(
     best = trial.loss(values)
     for _ in range(_KINKED_ROUNDS if kinked else 1):
         for k in range(first, len(values)):
+            if parameters[k].aside and not parameters[k].kinked:  # left to the fit of all parameters together
+                continue
 
             def loss(value: float, before: list[float] = values[:k], after: list[float] = values[k + 1 :]) -> float:
                 return trial.loss([*before, value, *after])

@@ -14,7 +14,11 @@ __all__ = ["effect_values", "linear_sentence", "unjudged_sentence"]
 
 _SURE = 1.959963984540054
 """Standard deviations of a 95 % interval."""
-_CONTEXT = {"airspeed_m_s": "airspeed (column airspeed_m_s)", "servo_voltage_v": "supply voltage (servo_voltage_v)"}
+_CONTEXT = {
+    "airspeed_m_s": "airspeed (column airspeed_m_s)",
+    "servo_voltage_v": "supply voltage (servo_voltage_v)",
+    "servo_current_a": "current (servo_current_a)",
+}
 
 
 def effect_values(selection: Selection, index: int) -> dict[str, dict[str, float]]:

@@ -7,11 +7,10 @@ a healthy servo, and what the log must hold to judge it. A parameter names the f
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING
 
 from servofd.models.effects import Place
+from servofd.models.missing_effect import Context, MissingEffect, Parameter
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,66 +18,6 @@ if TYPE_CHECKING:
     from servofd.models.physics import Physics
 
 __all__ = ["CATALOGUE", "Context", "MissingEffect", "Parameter", "effects_named", "installed"]
-
-Context = Literal["airspeed_m_s", "servo_voltage_v"]
-
-
-@dataclass(frozen=True, slots=True)
-class Parameter:
-    """A number of an effect, in the unit that its name ends with."""
-
-    name: str
-    fields: tuple[str, ...]
-    """Of `Physics`, all set to the value."""
-    low: float
-    high: float
-    neutral: float
-    typical: float
-    """Deviation from neutral that is common on a healthy servo."""
-    grid: tuple[float, ...]
-    """Values to start from."""
-    kinked: bool = False
-    """True if the error has many minima in it, and must be searched instead of descended."""
-    aside: bool = False
-    """True for a number of no interest that the effect needs to fit; it is neither reported nor judged."""
-
-    travel_power: int = 0
-    """Power of the deflection that it is multiplied with: the same effect is smaller on a servo that turns further."""
-    width: float = 0.0
-    """How far around the start the search goes; 0: to the neighbours on the grid."""
-
-    def away(self, value: float, known: Physics) -> float:
-        """How far a value is from that of the servo as it is known."""
-        neutral = getattr(known, self.fields[0])
-        return abs(value - (neutral if math.isfinite(neutral) else self.neutral))
-
-    def at_bound(self, value: float) -> bool:
-        """Whether a value has run to the end of its range: a failure, not an answer."""
-        if self.aside:
-            return False
-        margin = 1e-3 * (self.high - self.low)
-        at_neutral = abs(self.neutral - value) <= margin
-        return (value - self.low <= margin or self.high - value <= margin) and not at_neutral
-
-
-class MissingEffect:
-    """Physics that the model does not have; subclasses fill in the rest."""
-
-    name: ClassVar[str]
-    place: ClassVar[Place]
-    parameters: ClassVar[tuple[Parameter, ...]]
-    needs: ClassVar[tuple[Context, ...]] = ()
-    form: ClassVar[str] = ""
-    """Which machine it is, where several go by one name."""
-    family: ClassVar[str] = ""
-    """Effects that are alike at low frequency, and hardly told apart where anything else is unexplained."""
-    fixed: ClassVar[dict[str, float]] = {}
-    """Fields of `Physics` that the effect replaces."""
-
-    @classmethod
-    def key(cls) -> str:
-        """Name and form."""
-        return f"{cls.name} ({cls.form})" if cls.form else cls.name
 
 
 def installed(physics: Physics, effects: Sequence[type[MissingEffect]], values: Sequence[float]) -> Physics:
@@ -99,7 +38,7 @@ def installed(physics: Physics, effects: Sequence[type[MissingEffect]], values: 
     return physics._replace(**changes)
 
 
-_SPLIT = Parameter("torque_share", ("torque_share",), 0.35, 0.97, 0.8, 0.2, (0.65, 0.9), aside=True)
+_SPLIT = Parameter("torque_share", ("torque_share",), 0.35, 0.97, 0.8, 0.2, (0.8,), aside=True)
 """Where in the motor a load acts is not in the servo's poles."""
 _INFINITE = float("inf")
 _UNFOLLOWED = {"follow_up_deg_s": _INFINITE, "follow_down_deg_s": _INFINITE}
@@ -208,6 +147,17 @@ class VoltageRate(MissingEffect):
     )
 
 
+class CurrentLimit(MissingEffect):
+    """Supply that cannot give more current: the torque grows with the root of large position errors.
+
+    The duty cycle is proportional to the error, and what the bridge draws from a limited supply to its square
+    (Rhoban's bam notes the same law for XL330 servos); linear well below the knee.
+    """
+
+    name, place = "current_limit", Place.SERVO
+    parameters = (Parameter("knee_deg", ("knee_deg",), 0.3, 1e3, 1e3, 300.0, (1.0, 3.0, 8.0, 20.0, 50.0)),)
+
+
 class DeadBand(MissingEffect):
     """Position error that the servo's controller ignores, counted from the edge."""
 
@@ -229,7 +179,7 @@ class Backlash(MissingEffect):
 
     name, place = "backlash", Place.LINKAGE
     family = "hysteresis"
-    parameters = (Parameter("width_deg", ("backlash_deg",), 0.0, 20.0, 0.0, 0.3, _WIDTHS_DEG),)
+    parameters = (Parameter("width_deg", ("backlash_deg",), 0.0, 8.0, 0.0, 0.3, _WIDTHS_DEG),)
 
 
 class Friction(MissingEffect):
@@ -318,6 +268,13 @@ class Quantization(MissingEffect):
     parameters = (Parameter("step_deg", ("output_step_deg",), 0.02, 10.0, 0.0, 0.1, _STEPS_DEG, True),)
 
 
+class SupplyCoupling(MissingEffect):
+    """Reading that moves with the servo's current, because both hang on one supply: nothing has moved."""
+
+    name, place, needs = "supply_coupling", Place.SENSOR, ("servo_current_a",)
+    parameters = (Parameter("deg_per_a", ("deg_per_a",), -20.0, 20.0, 0.0, 0.3, (-1.0, 1.0)),)
+
+
 class CommandSteps(MissingEffect):
     """Steps of the command."""
 
@@ -374,9 +331,11 @@ CATALOGUE: tuple[type[MissingEffect], ...] = (
     PwmFrame,
     Quantization,
     CommandSteps,
+    SupplyCoupling,
     Damping,
     GravityLoad,
     LoadFriction,
+    CurrentLimit,
     AsymmetricRate,
     LinkageNonlinearity,
     Resonance,

@@ -1,4 +1,4 @@
-"""What acts on a servo beside its command: the airstream and its supply, as far as they were logged."""
+"""What acts on a servo beside its command: the airstream, its supply and its current, as far as they were logged."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def _nothing() -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Context:
-    """Airspeed and supply voltage, each on its own time stamps; empty where a log holds none.
+    """Airspeed, supply voltage and current, each on its own time stamps; empty where a log holds none.
 
     Examples
     --------
@@ -36,6 +36,8 @@ class Context:
     airspeed_m_s: FloatArray = field(default_factory=_nothing)
     voltage_s: FloatArray = field(default_factory=_nothing)
     voltage_v: FloatArray = field(default_factory=_nothing)
+    current_s: FloatArray = field(default_factory=_nothing)
+    current_a: FloatArray = field(default_factory=_nothing)
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
@@ -43,8 +45,12 @@ class Context:
 
     @property
     def logged(self) -> frozenset[str]:
-        """Which of ``airspeed_m_s`` and ``servo_voltage_v`` are there."""
-        sizes = {"airspeed_m_s": self.airspeed_s.size, "servo_voltage_v": self.voltage_s.size}
+        """Which of ``airspeed_m_s``, ``servo_voltage_v`` and ``servo_current_a`` are there."""
+        sizes = {
+            "airspeed_m_s": self.airspeed_s.size,
+            "servo_voltage_v": self.voltage_s.size,
+            "servo_current_a": self.current_s.size,
+        }
         return frozenset(name for name, size in sizes.items() if size)
 
     def pressure_pa(self, at_s: FloatArray) -> FloatArray:
@@ -60,6 +66,10 @@ class Context:
             return np.full(at_s.size, np.inf)
         return np.interp(at_s, self.voltage_s, self.voltage_v)
 
+    def drawn_a(self, at_s: FloatArray) -> FloatArray:
+        """Current of the servo [A], shape (n,), likewise; 0 if never logged."""
+        return np.interp(at_s, self.current_s, self.current_a) if self.current_s.size else np.zeros(at_s.size)
+
 
 NO_CONTEXT = Context()
-"""Of a log that holds neither."""
+"""Of a log that holds none."""

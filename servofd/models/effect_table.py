@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
 
 from servofd.errors import ConfigError, UnknownName, suggest
 from servofd.models.catalogue import CATALOGUE, MissingEffect, Parameter, effects_named, installed
+from servofd.models.effects import Extension, Place, Plan
+from servofd.models.physics import neutral_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from servofd.models.physics import Physics
     from servofd.types import FloatArray
 
-__all__ = ["EffectTable", "effects_installed", "table_of"]
+__all__ = ["EffectTable", "TabledEffect", "effects_installed", "table_of"]
 
 EffectTable = dict[str, dict[str, float | str]]
 """Effect name to its parameters, and its ``form`` where several machines go by one name."""
@@ -50,6 +54,26 @@ def effects_installed(physics: Physics, table: Mapping[str, Mapping[str, float |
     if not physics.lower_deg < physics.upper_deg or not physics.stop_lower_deg < physics.stop_upper_deg:
         raise ConfigError("effects.position_limit: lower_deg must be below upper_deg")
     return physics
+
+
+@dataclass(frozen=True, slots=True)
+class TabledEffect:
+    """One effect of such a table, as a part of a servo model.
+
+    Examples
+    --------
+    >>> TabledEffect("backlash", {"width_deg": 0.8}).install(Plan(delay_s=0.01)).physics.backlash_deg
+    0.8
+    """
+
+    effect: str
+    parameters: Mapping[str, float | str]
+    name: ClassVar[str] = "tabled"
+    place: ClassVar[Place] = Place.WHOLE
+
+    def install(self, plan: Plan) -> Plan:
+        """Add the effect to those that are there."""
+        return Extension(effects_installed(neutral_of(plan), {self.effect: self.parameters})).install(plan)
 
 
 def table_of(effects: Sequence[type[MissingEffect]], values: FloatArray) -> EffectTable:

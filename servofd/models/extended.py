@@ -14,11 +14,12 @@ import numpy as np
 
 from servofd.models.context import NO_CONTEXT, Context
 from servofd.models.physics import LOOSE_FIELDS, RATE_FIELDS, Physics, Plant, longest_step_s
+from servofd.models.state import ServoParameters
 
 if TYPE_CHECKING:
     from servofd.types import FloatArray
 
-__all__ = ["ExtendedMotion", "ExtendedServo"]
+__all__ = ["AnyServo", "ExtendedMotion", "ExtendedServo"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,6 +51,21 @@ class ExtendedServo:
         lower = {name: min(rate_deg_s, getattr(self.physics, name)) for name in kind}
         return replace(self, physics=self.physics._replace(**lower))
 
+    def weaker(self, share: float) -> ExtendedServo:
+        """The servo with every rate limit lower by a share."""
+        lower = {name: (1.0 - share) * getattr(self.physics, name) for name in RATE_FIELDS}
+        return replace(self, physics=self.physics._replace(**lower))
+
+    @property
+    def rate_up_deg_s(self) -> float:
+        """Fastest motion upwards [deg/s]; infinite if nothing limits it."""
+        return min(self.physics.rate_up_deg_s, self.physics.follow_up_deg_s, self.physics.set_point_deg_s)
+
+    @property
+    def rate_down_deg_s(self) -> float:
+        """Fastest motion downwards [deg/s]."""
+        return min(self.physics.rate_down_deg_s, self.physics.follow_down_deg_s, self.physics.set_point_deg_s)
+
     @property
     def lower_deg(self) -> float:
         """Lowest position of the surface: a stop of the linkage or of the servo [deg]."""
@@ -64,6 +80,10 @@ class ExtendedServo:
     def play_deg(self) -> float:
         """How far it may be from where its model believes it to be, after a start at an unknown point of its play."""
         return float(sum(abs(getattr(self.physics, name)) * half for name, half in LOOSE_FIELDS.items()))
+
+
+AnyServo = ServoParameters | ExtendedServo
+"""A servo without effects, or with."""
 
 
 class ExtendedMotion:
@@ -98,26 +118,27 @@ class ExtendedMotion:
     """
 
     def __init__(self, servo: ExtendedServo, start_deg: float = math.nan) -> None:
-        self._servo = servo
+        self.servo = servo
         self.context = servo.context
         """A monitor in flight replaces it as it learns more."""
         self._start_deg = start_deg
         self._memory: FloatArray | None = None
         self._waiting = np.zeros((3, 0))
+        self._in_force = np.zeros((3, 0))
         self._next_frame: int | None = None
 
     def hear(self, effective_s: FloatArray, command_deg: FloatArray, slope_deg_s: FloatArray) -> None:
         """Commands to come, shape (n,): when they reach the servo [s], what they ask for, and their slope."""
-        step_deg = self._servo.physics.command_step_deg
+        step_deg = self.servo.physics.command_step_deg
         if step_deg > 0.0:
             command_deg = step_deg * np.round(command_deg / step_deg)
         self._waiting = np.hstack([self._waiting, np.vstack([effective_s, command_deg, slope_deg_s])])
 
     def at(self, at_s: FloatArray) -> FloatArray:
         """Measured position at the next instants [deg], shape (m,); rising, and not before the last of them."""
-        from servofd.models.position_loop import new_memory, run
+        from servofd.models.position_loop import heard, new_memory, run
 
-        servo, physics = self._servo, self._servo.physics
+        servo, physics = self.servo, self.servo.physics
         if at_s.size == 0:
             return np.zeros(0)
         # Positions that are stamped too late show where the servo was before.
@@ -138,9 +159,26 @@ class ExtendedMotion:
             self.context.supply_v(at_s),
             self._memory,
         )
+        if physics.deg_per_a != 0.0:
+            position_deg = position_deg + physics.deg_per_a * self.context.drawn_a(at_s)
         if physics.frame_s <= 0.0:
-            self._waiting = self._waiting[:, int(self._memory[-1]) :]
+            done = heard(self._memory)
+            self._in_force = self._waiting[:, :done][:, -1:] if done else self._in_force
+            self._waiting = self._waiting[:, done:]
         return position_deg
+
+    def rest(self, now_s: float, deflection_deg: float = math.nan) -> None:
+        """Go on from rest at a deflection [deg]; from where the command in force wants it, if that is NaN."""
+        self._memory, self._start_deg = None, deflection_deg
+        self._waiting = np.hstack([self._in_force, self._waiting])
+        self._next_frame = None
+        self.at(np.array([now_s]))
+
+    def become(self, servo: AnyServo) -> None:
+        """Go on as another servo with effects, from where it is."""
+        if not isinstance(servo, ExtendedServo):
+            raise TypeError("a servo with effects becomes another one with effects")
+        self.servo = servo
 
     def _first_deg(self, now_s: float) -> float:
         """Where the surface is at first [deg]."""
@@ -150,12 +188,12 @@ class ExtendedMotion:
             return 0.0
         heard = int(np.searchsorted(self._waiting[0], now_s, side="right"))
         wanted_deg = float(self._waiting[1, max(heard - 1, 0)])
-        physics = self._servo.physics
-        return physics.gain * self._servo.plant.dc_gain * wanted_deg + physics.bias_deg
+        physics = self.servo.physics
+        return physics.gain * self.servo.plant.dc_gain * wanted_deg + physics.bias_deg
 
     def _framed(self, until_s: float) -> FloatArray:
         """Commands as the pulse frames until an instant carry them: the one in force when a frame begins."""
-        period_s, phase = self._servo.physics.frame_s, self._servo.physics.frame_phase
+        period_s, phase = self.servo.physics.frame_s, self.servo.physics.frame_phase
         if self._waiting.shape[1] == 0:
             return self._waiting
         if self._next_frame is None:

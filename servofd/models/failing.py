@@ -21,7 +21,7 @@ from servofd.errors import ConfigError
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from servofd.models.kernel import ServoParameters
+    from servofd.models.extended import AnyServo, ExtendedMotion
     from servofd.models.motion import Motion
     from servofd.models.servo_model import ServoModel
     from servofd.types import FloatArray
@@ -63,11 +63,11 @@ class Fault:
         """What the servo makes of the commands given during the fault [deg], shape (k,), after `before_deg`."""
         return command_deg
 
-    def become(self, servo: ServoParameters) -> ServoParameters:
+    def become(self, servo: AnyServo) -> AnyServo:
         """The servo as it is during the fault."""
         return servo
 
-    def moved(self, servo: ServoParameters, elapsed_s: FloatArray, deflection_deg: FloatArray) -> FloatArray:  # noqa: ARG002
+    def moved(self, servo: AnyServo, elapsed_s: FloatArray, deflection_deg: FloatArray) -> FloatArray:  # noqa: ARG002
         """Where the surface is `elapsed_s` [s] into the fault, shape (k,), `deflection_deg` being the servo's way."""
         return deflection_deg
 
@@ -153,7 +153,7 @@ def failing_deflection(
     return deflection_deg
 
 
-def _during(fault: Fault, motion: Motion, at_s: FloatArray, *, passes: bool) -> FloatArray:
+def _during(fault: Fault, motion: Motion | ExtendedMotion, at_s: FloatArray, *, passes: bool) -> FloatArray:
     """Deflection while a fault lasts; afterwards the servo is as before, wherever the fault has left it."""
     healthy = motion.servo
     motion.at(np.array([fault.start_s]))

@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from servofd.errors import ConfigError
+from servofd.models.extended import ExtendedServo
 from servofd.models.failing import Fault
 from servofd.models.play import play
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from servofd.models.kernel import ServoParameters
+    from servofd.models.extended import AnyServo
     from servofd.types import FloatArray
 
 __all__ = [
@@ -64,7 +65,7 @@ class Stuck(Fault):
         """The position it goes to, if one is given."""
         return command_deg if self.position_deg is None else np.full(command_deg.size, self.position_deg)
 
-    def moved(self, servo: ServoParameters, elapsed_s: FloatArray, deflection_deg: FloatArray) -> FloatArray:  # noqa: ARG002
+    def moved(self, servo: AnyServo, elapsed_s: FloatArray, deflection_deg: FloatArray) -> FloatArray:  # noqa: ARG002
         """Not at all, unless it is on its way to a given position."""
         return np.full(elapsed_s.size, deflection_deg[0]) if self.position_deg is None else deflection_deg
 
@@ -105,7 +106,7 @@ class HardOver(Fault):
     kind: ClassVar[str] = "hardover"
     position_deg: float | None = None
 
-    def moved(self, servo: ServoParameters, elapsed_s: FloatArray, deflection_deg: FloatArray) -> FloatArray:
+    def moved(self, servo: AnyServo, elapsed_s: FloatArray, deflection_deg: FloatArray) -> FloatArray:
         """At the rate limit to the stop, from wherever it was."""
         stop_deg = servo.upper_deg if math.isfinite(servo.upper_deg) else _STOP_DEG
         goal_deg = stop_deg if self.position_deg is None else self.position_deg
@@ -143,7 +144,7 @@ class Floating(Fault):
         if self.seed < 0 or self.seed != int(self.seed):
             raise ConfigError(f"floating: seed must be a whole number of zero or more, not {self.seed}")
 
-    def moved(self, servo: ServoParameters, elapsed_s: FloatArray, deflection_deg: FloatArray) -> FloatArray:  # noqa: ARG002
+    def moved(self, servo: AnyServo, elapsed_s: FloatArray, deflection_deg: FloatArray) -> FloatArray:  # noqa: ARG002
         """As the wind wants it."""
         rng = np.random.default_rng(int(self.seed))
         tones_hz = self.bandwidth_hz * (np.arange(_TONES) + rng.random(_TONES)) / _TONES
@@ -180,7 +181,7 @@ class Oscillation(Fault):
         if self.replaces not in (0, 1):
             raise ConfigError(f"oscillation: replaces must be 0 (on top of the motion) or 1, not {self.replaces}")
 
-    def moved(self, servo: ServoParameters, elapsed_s: FloatArray, deflection_deg: FloatArray) -> FloatArray:  # noqa: ARG002
+    def moved(self, servo: AnyServo, elapsed_s: FloatArray, deflection_deg: FloatArray) -> FloatArray:  # noqa: ARG002
         """A sine that begins at its zero."""
         about_deg = deflection_deg[0] if self.replaces else deflection_deg
         moved_deg: FloatArray = about_deg + self.amplitude_deg * np.sin(2.0 * np.pi * self.frequency_hz * elapsed_s)
@@ -236,8 +237,10 @@ class Slow(Fault):
             if getattr(self, name) > 1.0:
                 raise ConfigError(f"slow: {name} must be at most 1, not {getattr(self, name)}")
 
-    def become(self, servo: ServoParameters) -> ServoParameters:
+    def become(self, servo: AnyServo) -> AnyServo:
         """The same servo, slower."""
+        if isinstance(servo, ExtendedServo):
+            return servo.slower(self.bandwidth_scale or 1.0).weaker(1.0 - self.rate_scale)
         return servo._replace(
             decay_rad_s=servo.decay_rad_s * (self.bandwidth_scale or 1.0),
             rate_down_deg_s=servo.rate_down_deg_s * self.rate_scale,

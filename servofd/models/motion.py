@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.models.kernel import RESTART_ALL, FilterParameters, new_memory, observe
+from servofd.models.state import ServoParameters
 
 if TYPE_CHECKING:
-    from servofd.models.kernel import ServoParameters
+    from servofd.models.extended import AnyServo
     from servofd.types import FloatArray
 
 __all__ = ["Motion"]
@@ -53,10 +54,12 @@ class Motion:
         """Go on from rest at a deflection [deg]; from where the command in force wants it, if that is NaN."""
         self._observe(np.array([now_s]), np.array([deflection_deg]), np.full(1, RESTART_ALL, dtype=np.int8))
 
-    def become(self, servo: ServoParameters) -> None:
+    def become(self, servo: AnyServo) -> None:
         """Go on as another servo with as many modes; each mode starts where it is, so the position does not jump."""
         if servo is self.servo:
             return
+        if not isinstance(servo, ServoParameters):
+            raise TypeError("a servo without effects becomes another one without")
         self.servo = servo
         self._memory.slot_step_s[:] = -1.0  # what is kept there are exponentials of the servo that was
         self._memory.motion[5] = math.inf  # it may be too fast for its limit already: have the kernel look

@@ -19,6 +19,7 @@ import numpy as np
 from servofd.errors import DesignError
 
 if TYPE_CHECKING:
+    from servofd.models.effects import Plan
     from servofd.models.servo_model import ServoModel
     from servofd.models.transfer import TransferFunction
     from servofd.types import FloatArray
@@ -74,6 +75,8 @@ class Physics(NamedTuple):
     rate_down_deg_s: float = math.inf
     deg_s_per_v: float = math.inf
     """Rate limit per volt of supply."""
+    knee_deg: float = math.inf
+    """Position error beyond which the torque grows as its root: a supply that cannot give more current."""
     friction_deg: float = 0.0
     load_friction: float = 0.0
     """Friction as a share of the motor's effort."""
@@ -96,13 +99,20 @@ class Physics(NamedTuple):
     bias_deg: float = 0.0
     lag_s: float = 0.0
     output_step_deg: float = 0.0
+    deg_per_a: float = 0.0
+    """How far the reading moves with the current that the servo draws, on a supply that it shares with its sensor."""
     offset_s: float = 0.0
     """How much too late positions are stamped."""
+    own_1: float = math.nan
+    """Parameters of an effect of the user's own; the kernel knows nothing of them."""
+    own_2: float = math.nan
+    own_3: float = math.nan
+    own_4: float = math.nan
 
     @property
     def is_linear_loop(self) -> bool:
         """Whether nothing needs shorter steps than the events themselves."""
-        here, plain = self[8:27], Physics()[8:27]
+        here, plain = self[8:28], Physics()[8:28]
         return here == plain and self.lag_s == 0.0 and math.isinf(self.set_point_deg_s)
 
 
@@ -175,16 +185,18 @@ def plant_of(model: ServoModel) -> Plant:
             f"a servo of order {len(transfer.denominator) - 1} with {len(transfer.numerator) - 1} zeros cannot be "
             "explained: servos of one to three poles and no zeros can"
         )
-    if plan.physics is not None:
-        return Plant(transfer, plan.physics)
-    neutral = Physics(
+    return Plant(transfer, neutral_of(plan))
+
+
+def neutral_of(plan: Plan) -> Physics:
+    """Delay and limits of a servo, and its effects if it has any."""
+    return plan.physics or Physics(
         delay_s=plan.delay_s,
         follow_up_deg_s=plan.rate_up_deg_s,
         follow_down_deg_s=plan.rate_down_deg_s,
         lower_deg=plan.lower_deg,
         upper_deg=plan.upper_deg,
     )
-    return Plant(transfer, neutral)
 
 
 def scaled_transfer(transfer: TransferFunction, physics: Physics) -> TransferFunction:

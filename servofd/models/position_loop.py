@@ -17,7 +17,7 @@ from numba import njit
 from servofd.models.physics import Loop, Physics
 from servofd.types import FloatArray
 
-__all__ = ["framed", "new_memory", "run", "step_matrices"]
+__all__ = ["framed", "heard", "new_memory", "run", "step_matrices"]
 
 _NO_STEP_S = 1e-10
 _SAME_STEP_S = 1e-9
@@ -26,22 +26,29 @@ _STILL_DEG = 1e-5
 _SLOTS, _MOST_BUILT = 4, 64
 """Matrices of that many lengths of step are kept; where the stamps jitter, none are made any more after so many."""
 _PER_DEG = math.pi / 180.0
-_STATES = 14
-_CLOCK, _Y, _V, _TORQUE, _U, _S, _WANTED, _FOLLOWED, _FLEXED, _SWING, _PLAYED, _STATIC, _LAGGED, _CURSOR = range(
-    _STATES
+_STATES = 15
+_CLOCK, _Y, _V, _TORQUE, _U, _S, _WANTED, _FOLLOWED, _FLEXED, _SWING, _PLAYED, _STATIC, _LAGGED, _CURSOR, _BUILT = (
+    range(_STATES)
 )
 
 
 def new_memory(start_deg: float) -> FloatArray:
-    """Memory of a servo at rest where its surface was measured [deg], shape (14,); `run` starts at its first instant.
+    """Memory of a servo at rest where its surface was measured [deg], shape (19,); `run` starts at its first instant.
 
-    Time [s], the loop's states, command in force and its slope, wanted set point, positions along the linkage, and how
-    many of the commands have taken effect.
+    Time [s], the loop's states, command in force and its slope, wanted set point, positions along the linkage, how
+    many of the commands have taken effect, and the lengths of step whose matrices are kept, so that a run in pieces
+    takes the same steps as the run in one go.
     """
-    memory = np.zeros(_STATES)
+    memory = np.zeros(_STATES + _SLOTS)
     memory[_CLOCK] = np.nan
+    memory[_STATES:] = -1.0
     memory[_STATIC] = start_deg
     return memory
+
+
+def heard(memory: FloatArray) -> int:
+    """How many of the commands of the last run have taken effect."""
+    return int(memory[_CURSOR])
 
 
 @njit(cache=True, error_model="numpy")
@@ -177,7 +184,7 @@ def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would tak
     closed, opened, grid_s, order = loop.closed, loop.opened, loop.grid_s, loop.order
     whole_s = grid_s * closed.shape[0]
     short_s = min(longest_s, whole_s)
-    built_s, built = np.full(_SLOTS, -1.0), 0
+    built_s, built = memory[_STATES:], int(memory[_BUILT])
     closed_slot, opened_slot = np.empty((_SLOTS, 3, 7)), np.empty((_SLOTS, 3, 7))
     # The last row, which is also that of slot -1, is for steps that are not kept.
     fades, fading = np.zeros((_SLOTS + 1, 3)), physics.lag_s > 0.0 or physics.resonance_hz > 0.0
@@ -191,7 +198,8 @@ def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would tak
     loaded = physics.airload_per_pa != 0.0 or physics.droop_deg != 0.0
     stop_upper, stop_lower = physics.stop_upper_deg / dc_gain, physics.stop_lower_deg / dc_gain
     natural, half = 2.0 * math.pi * physics.resonance_hz, 0.5 * physics.backlash_deg
-    slews = physics.set_point_deg_s < math.inf
+    slews, rooted = physics.set_point_deg_s < math.inf, physics.knee_deg < math.inf
+    knee = physics.knee_deg / dc_gain
     c = 0
     if math.isnan(memory[_CLOCK]):
         start_deg, clock = memory[_STATIC], at_s[0]
@@ -208,10 +216,15 @@ def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would tak
         clock, y, v, torque, u = memory[_CLOCK], memory[_Y], memory[_V], memory[_TORQUE], memory[_U]
         s, wanted, followed, flexed = memory[_S], memory[_WANTED], memory[_FOLLOWED], memory[_FLEXED]
         swing, played, static, lagged = memory[_SWING], memory[_PLAYED], memory[_STATIC], memory[_LAGGED]
+    for slot in range(_SLOTS):
+        if built_s[slot] > 0.0:
+            _build(closed_slot, slot, closed, loop.closed_rate, grid_s, built_s[slot])
+            _build(opened_slot, slot, opened, loop.opened_rate, grid_s, built_s[slot])
+            _fade(fades, slot, physics.lag_s, natural, physics.resonance_damping, built_s[slot])
     edge = max(dead, insensitive)
     fastest, fastest_down = physics.follow_up_deg_s / dc_gain, physics.follow_down_deg_s / dc_gain
     lags = fastest < math.inf or fastest_down < math.inf
-    if slews or physics.load_friction > 0.0 or natural > 0.0 or physics.lag_s > 0.0:
+    if slews or rooted or physics.load_friction > 0.0 or natural > 0.0 or physics.lag_s > 0.0:
         whole_s = min(2.0 * short_s, whole_s)
     for n in range(at_s.size):
         now = at_s[n]
@@ -248,6 +261,8 @@ def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would tak
                     bent = max(error - dead, 0.0) + min(error + dead, 0.0)
                     if abs(error) < insensitive:
                         bent = 0.0
+                if rooted:
+                    bent /= math.sqrt(1.0 + abs(bent) / knee)
                 held = bent > most or bent < least or (bends and bent == 0.0)
                 pushed = max(min(bent, most), least) if held else bent - error
                 load = 0.0
@@ -268,7 +283,9 @@ def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would tak
                 if rubs:
                     limit = friction
                     if physics.load_friction > 0.0:
-                        limit += physics.load_friction * (abs(torque) if order == 3 else abs(bent) * per_error)
+                        limit += physics.load_friction * (
+                            abs(torque) if order == 3 else abs(max(min(bent, most), least)) * per_error
+                        )
                     steps = opened if held else closed
                     # Response to a deceleration: exact on the grid, in proportion to the time between.
                     k = min(max(int(h / grid_s + 0.5), 1), steps.shape[0]) - 1
@@ -337,7 +354,7 @@ def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would tak
     memory[_CLOCK], memory[_Y], memory[_V], memory[_TORQUE], memory[_U] = clock, y, v, torque, u
     memory[_S], memory[_WANTED], memory[_FOLLOWED], memory[_FLEXED] = s, wanted, followed, flexed
     memory[_SWING], memory[_PLAYED], memory[_STATIC], memory[_LAGGED] = swing, played, static, lagged
-    memory[_CURSOR] = c
+    memory[_CURSOR], memory[_BUILT] = c, built
     return result
 
 

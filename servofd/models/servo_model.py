@@ -15,7 +15,7 @@ from servofd.models.physics import RATE_FIELDS
 
 if TYPE_CHECKING:
     from servofd.models.context import Context
-    from servofd.models.extended import ExtendedServo
+    from servofd.models.extended import ExtendedMotion, ExtendedServo
     from servofd.models.kernel import ServoParameters
     from servofd.models.motion import Motion
     from servofd.models.transfer import TransferFunction
@@ -157,31 +157,21 @@ class ServoModel:
         >>> model.simulate(np.array([0.0, 0.1]), np.array([0.0, 5.0]), np.array([0.0, 0.1, 0.5])).round(3)
         array([0., 0., 5.])
         """
-        at_s, servo = np.asarray(at_s, dtype=float), self.extended()
-        if servo is None:
-            return self.motion(command_s, command_deg).at(at_s)
+        return self.motion(command_s, command_deg).at(np.asarray(at_s, dtype=float))
+
+    def motion(self, command_s: FloatArray, command_deg: FloatArray) -> Motion | ExtendedMotion:
+        """The servo at rest at the first of its commands, to be simulated piece by piece."""
         from servofd.models.extended import ExtendedMotion
-
-        motion = ExtendedMotion(servo)
-        command_s, command_deg = np.asarray(command_s, dtype=float), np.asarray(command_deg, dtype=float)
-        motion.hear(command_s + self.plan.delay_s, command_deg, np.zeros(command_s.size))
-        return motion.at(np.concatenate([command_s[:1], at_s]))[command_s[:1].size :]
-
-    def motion(self, command_s: FloatArray, command_deg: FloatArray) -> Motion:
-        """The servo at rest at the first of its commands, to be simulated piece by piece.
-
-        Raises
-        ------
-        DesignError
-            If it has effects beyond delay, rate limit and stops: no fault can be put into such a servo.
-        """
         from servofd.models.motion import Motion
 
-        if self.plan.physics is not None:
-            raise DesignError("faults can be simulated in servos without effects only: leave out the effects")
-
         command_s, command_deg = np.asarray(command_s, dtype=float), np.asarray(command_deg, dtype=float)
-        motion = Motion(self.parameters(), command_s + self.plan.delay_s, command_deg)
+        effective_s, extended = command_s + self.plan.delay_s, self.extended()
+        motion: Motion | ExtendedMotion
+        if extended is None:
+            motion = Motion(self.parameters(), effective_s, command_deg)
+        else:
+            motion = ExtendedMotion(extended)
+            motion.hear(effective_s, command_deg, np.zeros(command_s.size))
         if command_s.size:
             motion.rest(float(command_s[0]))
         return motion

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 __all__ = ["audit_page", "quantity"]
 
 _UNITS = {"deg_s": "deg/s", "deg": "deg", "hz": "Hz", "s": "s"}
-_STATUS = {"no_data": "no data"}
 _MISSING = "none"
+_RAREST = 1e-100
 
 
 def audit_page(results: Sequence[LogAudit | FailedLog]) -> str:
@@ -100,7 +100,6 @@ def _surface(aircraft: Aircraft, surface: SurfaceAudit, anchor: str) -> dict[str
         "name": surface.surface,
         "anchor": anchor,
         "status": surface.status,
-        "shown_status": _STATUS.get(surface.status, surface.status),
         "reason": f"{surface.reason[:1].upper()}{surface.reason[1:]}.",
         "next": next_step(surface),
         "faults": [_fault_row(fault) for fault in found],
@@ -158,7 +157,9 @@ def _statistics(surface: SurfaceAudit) -> list[tuple[str, str]]:
         ("simulation error, rms [deg]", f"{statistics.simulation_error_rms_deg:.3f}"),
     ]
     if surface.false_alarms_per_hour is not None:
-        rows.append(("false alarms per flight hour, Gaussian", f"{surface.false_alarms_per_hour:.1e}"))
+        rate = surface.false_alarms_per_hour
+        shown = f"{rate:.1e}" if rate > _RAREST else f"below {_RAREST:.0e}"
+        rows.append(("false alarms per flight hour, Gaussian", shown))
     return rows
 
 

@@ -167,9 +167,9 @@ def _memory(found: Explanation, name: str) -> Picture:
         correlation = np.fft.irfft(spectrum)[: kept + 1]
         right.plot(period_s * np.arange(kept + 1), correlation / correlation[0], color=colour, ls=style, label=label)
     floor = selection.sigma_deg * np.sqrt(2.0 * period_s)
-    left.axhline(floor, color=_FLOOR, lw=1.0, label="noise floor, if white")
+    left.axhline(floor, color=_FLOOR, lw=1.0, label="noise floor")
     bound = _SURE / np.sqrt(max(int(record.counts.sum()), 1))
-    right.axhspan(-bound, bound, color=_FLOOR, alpha=0.35, lw=0, label="white noise, 95 %")
+    right.axhspan(-bound, bound, color=_FLOOR, alpha=0.35, lw=0, label="white noise")
     left.set_xlabel("frequency [Hz]")
     left.set_ylabel("error [deg/√Hz]")
     right.set_xlabel("lag [s]")
@@ -177,7 +177,7 @@ def _memory(found: Explanation, name: str) -> Picture:
     finish(left, right, legend="above")
     text = (
         "Left, amplitude spectrum of the error; right, its autocorrelation. An error that is noise only has a flat "
-        "spectrum and no memory."
+        "spectrum and no memory, and stays in the grey band in 95 % of all lags."
     )
     return Picture(name, "Spectrum and memory of the error", text, figure)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from servofd.discrepancy.regimes import errors_by_regime
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = ["explain_page"]
 
+_MOST_RIVALS = 5
 _STATUS = {"nothing_missing": "healthy", "explained": "healthy", "partly_explained": "suspect", "unexplained": "fault"}
 
 
@@ -52,6 +54,20 @@ def _surface(found: Explanation, anchor: str, thresholds: Sequence[tuple[str, st
         "where": [f"{sentence[:1].upper()}{sentence[1:]}." for sentence in document["where"]],
         "notes": [f"{note[:1].upper()}{note[1:]}." for note in document["notes"]],
         "ties": document["indistinguishable"],
+        "separating": [f"{one.sentence[:1].upper()}{one.sentence[1:]}." for one in found.separating],
+        "elsewhere": [
+            *(
+                (f"run {run.run}", _number(run.nominal_rms_deg), _number(run.held_out_rms_deg), "")
+                for run in found.runs
+            ),
+            *(
+                (
+                    Path(one.path).name,
+                    *map(_number, (one.nominal_rms_deg, one.extended_rms_deg, one.noise_floor_rms_deg)),
+                )
+                for one in found.also
+            ),
+        ],
         "steps": [_step("as it was", document["nominal"]), *(_step(f"+ {_name(s)}", s) for s in document["steps"])],
         "parameters": [
             (_name(step), quantity(name), *(_number(each[key]) for key in ("value", "low", "high")))
@@ -61,7 +77,7 @@ def _surface(found: Explanation, anchor: str, thresholds: Sequence[tuple[str, st
         "rivals": [
             (_name(step), rival["effect"].replace("_", " "), _number(rival["held_out_rms_deg"]))
             for step in document["steps"]
-            for rival in step["rivals"]
+            for rival in step["rivals"][:_MOST_RIVALS]
         ],
         "regimes": [
             (r.name, f"{r.share:.0%}", _number(r.before_deg), _number(r.after_deg), _number(selection.sigma_deg))

@@ -59,7 +59,7 @@ def model_file(found: Sequence[Explanation], aircraft: Aircraft, source: str) ->
         ]
     if not lines:
         raise ConfigError(f"{source}: " + "; ".join(reasons))
-    return "\n".join([*lines, "", *_toml(document)]) + "\n"
+    return "\n".join(lines) + "\n\n" + "\n".join(_toml(document)).lstrip("\n") + "\n"
 
 
 def _why_not(found: Explanation) -> str:

@@ -1,7 +1,8 @@
 """The colours of servofd, the same in recordings, figures, pages and terminals.
 
 From M. Okabe and K. Ito, Color Universal Design (2008): eyes with any of the common colour deficiencies can tell them
-apart, and each stands out (contrast above 2.2) from white paper as well as from the viewer's black.
+apart, and all but ``other``, the last resort, stand out (contrast above 2.2) from white paper as well as from the
+viewer's black.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["COLOURS", "STATUS_COLOURS", "rgba"]
+__all__ = ["COLOURS", "SERIES", "STATUS_COLOURS", "rgba"]
 
 COLOURS: Mapping[str, str] = MappingProxyType(
     {
@@ -26,9 +27,13 @@ COLOURS: Mapping[str, str] = MappingProxyType(
         "fault": "#d55e00",
         "no_data": "#8c8c8c",
         "unknown": "#56b4e9",
+        "other": "#f0e442",
     }
 )
 """What is drawn, to ``#rrggbb``. A residual has the colour of a healthy surface until it is not one."""
+
+SERIES = ("simulated", "measured", "ok", "suspect", "unknown", "other", "command", "fault")
+"""Names of colours for curves that stand for nothing else, the first eight of them."""
 
 STATUS_COLOURS: Mapping[str, str] = MappingProxyType(
     {

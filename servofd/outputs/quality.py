@@ -51,7 +51,7 @@ def quality_rows(surface: SurfaceAudit) -> list[tuple[str, str]]:
     if surface.residuals is not None:
         settled = surface.residuals.settled
         rows.append(("positions judged [%]", f"{100.0 * settled.mean():.3g}"))
-        rows.append(("filter started anew", f"{int(np.count_nonzero(surface.residuals.restart))} times"))
+        rows.append(("starts of the filter", str(int(np.count_nonzero(surface.residuals.restart)))))
     return rows
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from servofd.detection.audit import audit_segment
+from servofd.detection.audit import audit_segment, judged_by
 from servofd.outputs.recording.content import Recording
+from servofd.outputs.recording.verdicts import LIVE
 
 if TYPE_CHECKING:
     from servofd.detection.audit import SurfaceAudit
@@ -41,10 +42,13 @@ def rejudged(
     [True]
     """
     audit = recording.audit
+    if LIVE in recording.notes:
+        audit = replace(audit, log=replace(audit.log, span_s=(recording.start_s, recording.end_s)))
+        recording = replace(recording, audit=audit)
     judged = tuple(_judged(recording, surface, threshold_deg, threshold) for surface in audit.surfaces)
     again = Recording.of(replace(audit, surfaces=judged))
     by = f"{threshold_deg:g} deg" if threshold_deg is not None else threshold or "the recorded threshold"
-    notes = (*recording.notes, f"judged again, by {by}")
+    notes = (*(n for n in recording.notes if n != LIVE), f"judged again, by {by}")
     return replace(
         recording, audit=replace(again.audit, log=audit.log), traces={**recording.traces, **again.traces}, notes=notes
     )
@@ -54,11 +58,12 @@ def _judged(
     recording: Recording, surface: SurfaceAudit, threshold_deg: float | None, threshold: ThresholdKind | None
 ) -> SurfaceAudit:
     trace = recording.traces.get(surface.surface)
+    known = recording.audit.aircraft.surfaces[surface.surface]
     if trace is None or trace.time_s.size < 2:
-        return surface
-    period_s = recording.audit.aircraft.surfaces[surface.surface].command_period_s
+        asked = judged_by(known, threshold_deg, threshold)
+        return replace(surface, threshold_kind=asked.threshold, threshold_deg=asked.threshold_deg)
     return audit_segment(
-        trace.segment(surface.surface, period_s),
+        trace.segment(surface.surface, known.command_period_s),
         recording.audit.aircraft,
         duration_s=recording.audit.log.duration_s,
         threshold_deg=threshold_deg,

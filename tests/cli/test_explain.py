@@ -106,3 +106,143 @@ def test_nothing_to_save_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[s
     captured = capsys.readouterr()
     assert "nothing missing" in captured.out
     assert "no better model to save" in captured.err
+
+
+def test_the_model_is_judged_on_other_flights(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = SLOW.write(tmp_path / "log.csv")
+    other = hide(FineServo(delay_s=0.03), duration_s=12.0, seed=4).write(tmp_path / "other.csv")
+    assert main(["explain", str(path), "--also", str(other), "--json", "-"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    (also,) = document["also"]
+    assert also["path"].endswith("other.csv")
+    assert also["nominal_rms_deg"] > 2.0 * also["extended_rms_deg"]
+    assert also["extended_rms_deg"] == pytest.approx(0.1, abs=0.01)
+    gain = document["audit"]
+    assert gain["after"]["residual_std_deg"] < 0.045 < gain["before"]["residual_std_deg"]
+    assert gain["after"]["threshold_deg"] < 0.4 * gain["before"]["threshold_deg"]
+    assert gain["times_smaller_fault"] > 2.0
+    assert document["separating"][0]["sentence"] == (
+        "no manoeuvre tells delay from clock_offset by command and position alone"
+    )
+
+
+def test_several_flights_are_explained_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    flights = [
+        hide(FineServo(delay_s=0.03), duration_s=10.0, seed=seed).write(tmp_path / f"{seed}.csv") for seed in (1, 2, 3)
+    ]
+    assert main(["explain", *map(str, flights), "--json", "-"]) == 0
+    (step,) = json.loads(capsys.readouterr().out)["steps"]
+    assert step["effect"] == "delay"
+    assert step["parameters"]["delay_s"]["value"] == pytest.approx(0.03, abs=5e-4)
+
+
+def two_surfaces(path: Path) -> Path:
+    rests = np.zeros(SLOW.time_s.size)
+    noise = 0.1 * np.random.default_rng(0).standard_normal(rests.size)
+    columns = (SLOW.time_s, SLOW.command_deg, SLOW.position_deg, rests, noise)
+    header = "time_s,elevator_cmd_deg,elevator_pos_deg,rudder_cmd_deg,rudder_pos_deg"
+    np.savetxt(path, np.column_stack(columns), "%.6f", ",", header=header, comments="")
+    return path
+
+
+def test_a_surface_that_cannot_be_told_does_not_stop_the_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, better = two_surfaces(tmp_path / "log.csv"), tmp_path / "better.toml"
+    assert main(["explain", str(path), "--json", "-", "--save", str(better)]) == 2
+    captured = capsys.readouterr()
+    assert json.loads(captured.out)["surfaces"]["elevator"]["conclusion"] == "explained"
+    assert "rudder: " in captured.err
+    assert captured.err.count("\n") == 1
+    saved = load_aircraft(better)
+    assert set(saved.surfaces["elevator"].effects) == {"delay"}
+    assert saved.surfaces["rudder"].effects == {}
+
+
+def test_the_recording_holds_both_simulations(tmp_path: Path) -> None:
+    from rerun.chunk import RrdReader
+
+    path, recording = SLOW.write(tmp_path / "log.csv"), tmp_path / "gap.rrd"
+    for _ in range(2):  # a second run replaces the first one's output
+        assert main(["explain", str(path), "--rrd", str(recording)]) == 0
+    values = {}
+    for chunk in RrdReader(recording).stream().filter(has_timeline="time_boot", components="Scalars:scalars"):
+        column = chunk.to_record_batch().column("Scalars:scalars")
+        values[chunk.entity_path] = np.array(column.flatten()).reshape(len(column), -1)
+    deflection, error = values["/surfaces/elevator/deflection"], values["/surfaces/elevator/error"]
+    assert deflection.shape == (SLOW.time_s.size, 4)
+    np.testing.assert_allclose(deflection[:, 3], SLOW.position_deg, atol=1e-5)
+    assert np.nanstd(error[:, 1]) < 0.11
+    assert np.nanstd(error[:, 0]) > 0.2
+
+
+def test_the_example_of_an_effect_of_ones_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    example = Path(__file__).parent.parent.parent / "docs" / "own_effect.py"
+    assert len(example.read_text().splitlines()) < 40
+    path = hide(FineServo(cyclic_deg=0.5), duration_s=20.0).write(tmp_path / "log.csv")
+    assert main(["explain", str(path)]) == 1
+    capsys.readouterr()
+    assert main(["explain", str(path), "--effect", str(example), "--json", "-"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    (step,) = document["steps"]
+    assert step["effect"] == "worn_gear"
+    # The hidden error is 0.5 deg and repeats every 4 deg.
+    assert step["parameters"]["amplitude_deg"]["value"] == pytest.approx(0.5, abs=0.02)
+    assert step["parameters"]["pitch_deg"]["value"] == pytest.approx(4.0, abs=0.03)
+    assert document["audit"] is None
+    assert main(["explain", str(path), "--effect", str(example), "--save", str(tmp_path / "better.toml")]) == 2
+    assert "worn_gear comes from a file of your own" in capsys.readouterr().err
+
+
+OWN = "from servofd import OwnEffect, OwnParameter\na = OwnParameter('a_deg', 0.0, 1.0, 0.0, 0.1)\n"
+
+
+@pytest.mark.parametrize(
+    ("source", "reason"),
+    [
+        (None, "cannot read the effect: No such file"),
+        ("x = 1\n", "makes no effect"),
+        ("x = = 1\n", "line 1: SyntaxError"),
+        ("\nx = undefined\n", "line 2: NameError: name 'undefined'"),
+        (OWN + "e = OwnEffect('e', 'deflection', (a,), lambda t, y, a: y[:3])\n", "101 finite numbers"),
+        (OWN + "e = OwnEffect('e', 'deflection', (a,), lambda t, y: y)\n", "TypeError"),
+        (OWN + "e = OwnEffect('e', 'deflection', (a,), lambda t, y, a: y / 0)\n", "101 finite numbers"),
+        (OWN + "e = OwnEffect('e', 'nowhere', (a,), lambda t, y, a: y)\n", 'must be "command" or "deflection"'),
+        (OWN + "e = OwnEffect('gain', 'command', (a,), lambda t, y, a: y)\n", "no effect of the catalogue"),
+        (OWN + "e = OwnEffect('e', 'command', (), lambda t, y: y)\n", "one to 4"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_errors_in_an_effect_of_ones_own(
+    source: str | None, reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, path = HEALTHY.write(tmp_path / "log.csv"), tmp_path / "effect.py"
+    if source is not None:
+        path.write_text(source)
+    assert main(["explain", str(log), "--effect", str(path)]) == 2
+    message = capsys.readouterr().err
+    assert reason in message
+    assert "effect.py" in message
+    assert message.count("\n") == 1
+
+
+def test_other_wrong_calls(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = HEALTHY.write(tmp_path / "log.csv")
+    rudder = tmp_path / "rudder.csv"
+    rudder.write_text(log.read_text().replace("elevator", "rudder"))
+    unmeasured = tmp_path / "unmeasured.csv"
+    unmeasured.write_text("\n".join(",".join(line.split(",")[:2]) for line in log.read_text().splitlines()))
+    for options, reason in (
+        (["--also", str(rudder)], "give a log of the same aircraft"),
+        (["--also", str(tmp_path / "none.csv")], "none.csv"),
+        (["--rrd", str(tmp_path)], "is a folder"),
+        (["--save", str(log)], "is a log already; choose another file"),
+        (["--rrd", "x", "--json", "x"], "is another output already; choose another file"),
+        (["-c", str(tmp_path / "none.toml")], "none.toml"),
+    ):
+        assert main(["explain", str(log), *options]) == 2
+        message = capsys.readouterr().err
+        assert reason in message
+        assert message.count("\n") == 1
+    assert main(["explain", str(unmeasured)]) == 2
+    assert "elevator_pos_deg" in capsys.readouterr().err

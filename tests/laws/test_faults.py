@@ -234,7 +234,7 @@ def test_a_servo_with_a_lower_rate_limit_keeps_its_poles() -> None:
     assert Slow(START_S, rate_scale=0.16).bandwidth_scale == 1.0
     assert Slow(START_S, 0.4, 0.16).bandwidth_scale == 0.4
     healthy, limited = MODEL.parameters(), Slow(START_S, rate_scale=0.16).become(MODEL.parameters())
-    np.testing.assert_array_equal(limited.decay_rad_s, healthy.decay_rad_s)
+    np.testing.assert_array_equal(limited.decay_rad_s, healthy.decay_rad_s)  # type: ignore[union-attr]
     assert limited.rate_up_deg_s == pytest.approx(0.16 * RATE_DEG_S)
 
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +14,7 @@ import servofd
 from servofd.detection.audit import LogAudit
 from servofd.outputs.figure import save_figure
 from servofd.outputs.recording import save_recording
+from tests.recordings.inside import everything
 
 SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"
 
@@ -89,7 +88,7 @@ def test_the_recording_reads_back_what_was_audited(stuck: LogAudit, recording: P
     elevator = stuck.surfaces[0]
     assert elevator.residuals is not None
     time_s, deflection = columns(recording, "/surfaces/elevator/deflection", "Scalars:scalars")
-    np.testing.assert_allclose(time_s, elevator.residuals.time_s, atol=0.5e-6)
+    np.testing.assert_allclose(time_s, elevator.residuals.time_s, atol=0.5e-6, rtol=0.0)
     assert np.array_equal(deflection[:, 1], elevator.residuals.simulated_deg)
     assert np.array_equal(deflection[:, 2], elevator.residuals.measured_deg)
     _, residual = columns(recording, "/surfaces/elevator/residual", "Scalars:scalars")
@@ -104,84 +103,10 @@ def test_the_recording_reads_back_what_was_audited(stuck: LogAudit, recording: P
 
 
 def test_the_recording_tells_nothing_of_the_machine(recording: Path) -> None:
-    assert str(SAMPLES.parent).encode() not in recording.read_bytes()
+    assert str(SAMPLES.parent) not in everything(recording)
 
 
 def test_the_recording_passes_the_viewers_own_check(recording: Path) -> None:
     viewer = Path(sys.executable).with_name("rerun")
     result = subprocess.run([viewer, "rrd", "verify", recording], capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr
-
-
-@pytest.mark.slow
-def test_every_tab_of_the_viewer_shows_something(
-    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from rerun.experimental import ViewerClient
-
-    viewer = shutil.which("rerun", path=str(Path(sys.executable).parent))
-    probe = [
-        str(viewer),
-        "--headless",
-        "--bind",
-        "127.0.0.1",
-        "--port",
-        "9917",
-        "--hide-welcome-screen",
-        "--window-size",
-        "800x500",
-    ]
-    monkeypatch.setenv("CI", "1")  # keeps the viewer from asking about analytics
-    monkeypatch.setenv("RUST_LOG", "error")
-    shot = subprocess.run(
-        [*probe, "--screenshot-to", str(tmp_path / "probe.png"), str(recording)],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-    )
-    if shot.returncode != 0:
-        pytest.skip("no software renderer (Debian: mesa-vulkan-drivers)")
-    client = ViewerClient.spawn(headless=True, port=9918, executable_path=viewer, hide_welcome_screen=True)
-    try:
-        client.open(str(recording))
-        blueprint = wait_for_tabs(client)
-        (root,) = (k for k, v in blueprint.items() if v.get("ContainerBlueprint", {}).get("container_kind") == "Tabs")
-        tabs = blueprint[root]["ContainerBlueprint"]["contents"]
-        assert len(tabs) == 5  # overview, and four surfaces with a measurement
-        pictures = []
-        for tab in tabs[:3]:
-            blueprint[root]["ContainerBlueprint"]["active_tab"] = tab
-            client.set_blueprint(blueprint, "recording")
-            pictures.append(settled_picture(client))
-        assert len(set(pictures)) == 3
-        assert not [report for view in client.get_state().views for report in view.reports]
-        elevator = tmp_path / "elevator.png"
-        elevator.write_bytes(pictures[1])
-        for colour in ("#e69f00", "#56b4e9", "#d55e00"):
-            # Thin lines on black, scaled down: their colour is never quite reached.
-            assert colour_share(elevator, colour, tolerance=0.25) > 1e-4
-    finally:
-        client.quit()
-
-
-def wait_for_tabs(client: Any) -> dict[str, Any]:
-    """Blueprint of the recording, once the viewer has loaded it."""
-    for _ in range(100):
-        blueprint: dict[str, Any] = client.get_blueprint("recording").blueprint
-        if any(v.get("ContainerBlueprint", {}).get("container_kind") == "Tabs" for v in blueprint.values()):
-            return blueprint
-        time.sleep(0.1)  # a poll of another program, bounded to ten seconds
-    pytest.fail("the viewer did not load the recording")
-
-
-def settled_picture(client: Any) -> bytes:
-    """Screenshot once two in a row are the same."""
-    last = b""
-    for _ in range(40):
-        picture: bytes = client.take_screenshot(max_size=1000)
-        if picture == last:
-            return picture
-        last = picture
-        time.sleep(0.2)
-    return last

@@ -10,6 +10,7 @@ from numba import njit
 
 from servofd.detection.bank.explanation import COLOUR, Estimate, Explanation
 from servofd.detection.bank.window import limited, slower
+from servofd.models.extended import ExtendedServo
 from servofd.models.play import play
 from servofd.types import FloatArray
 
@@ -18,13 +19,14 @@ if TYPE_CHECKING:
 
     from servofd.detection.bank.window import Window
 
-__all__ = ["DeadBand", "Slow"]
+__all__ = ["DeadBand", "Slow", "heard_less"]
 
 _NARROWEST_DEG = 0.3
 _WIDE_DEG = 6.0
 _GRID = 14
 _REFINEMENTS = 10
 _SLOWEST = 0.12
+_LEAST_GAIN = 0.1
 _SLOWEST_RATE = 0.1
 _WELL_EXPLAINED = 1.2
 _GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
@@ -64,6 +66,14 @@ class Slow:
             rates = fastest_deg_s * np.geomspace(_SLOWEST_RATE, 1.0 - window.tolerance.rate, _GRID // 2)
             found.append(_search(self.kind, window, _limited, rates, "rate_limit_deg_s"))
         return min(found, key=window.score)
+
+
+def heard_less(window: Window) -> Explanation | None:
+    """Less than what was asked reaches a servo with effects, whose play and friction do not shrink along with it."""
+    if not isinstance(window.servo, ExtendedServo):
+        return None
+    gains = np.linspace(_LEAST_GAIN, 1.0 - window.tolerance.gain, _GRID)
+    return _search("loss_of_effectiveness", window, _heard, gains, "gain")
 
 
 def _search(
@@ -163,6 +173,10 @@ def _sticking(window: Window, width_deg: float) -> FloatArray:
 
 def _behind(window: Window, width_deg: float) -> FloatArray:
     return play(window.healthy_deg, width_deg, window.start_deg)
+
+
+def _heard(window: Window, gain: float) -> FloatArray:
+    return window.simulate(window.servo, gain * window.commands.command_deg)
 
 
 def _slower(window: Window, bandwidth_scale: float) -> FloatArray:

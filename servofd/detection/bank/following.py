@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from servofd.detection.bank.altered import heard_less
 from servofd.detection.bank.explanation import Explanation, Ridge
 
 if TYPE_CHECKING:
@@ -99,6 +100,9 @@ class LossOfEffectiveness:
                         partial(_with, fit.coefficients),
                     )
                 )
+        heard = heard_less(window)
+        if heard is not None and heard.parameters["gain"].value < 1.0 - window.tolerance.gain:
+            fits.append(heard)
         return min(fits, key=window.score, default=None)
 
 

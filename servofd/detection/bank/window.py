@@ -9,8 +9,7 @@ import numpy as np
 
 from servofd.detection.allowance import CURVATURE_TO_SIGMA
 from servofd.detection.bank.explanation import COLOUR, Ridge
-from servofd.models.extended import ExtendedMotion, ExtendedServo
-from servofd.models.state import ServoParameters
+from servofd.models.extended import AnyServo, ExtendedMotion, ExtendedServo
 
 if TYPE_CHECKING:
     from servofd.detection.bank.explanation import Explanation
@@ -20,9 +19,6 @@ if TYPE_CHECKING:
     from servofd.types import FloatArray
 
 __all__ = ["Onset", "Window", "limited", "noise_deg", "simulate", "slower"]
-
-AnyServo = ServoParameters | ExtendedServo
-"""A servo without effects, or with."""
 
 _LEAD_S = 1.5
 """Simulations start this long before the window, so that how they start is forgotten (lags are below 0.15 s)."""

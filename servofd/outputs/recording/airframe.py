@@ -35,12 +35,12 @@ class Hinge:
 
 
 _PLACES: tuple[tuple[str, Hinge], ...] = (
-    ("rudder|yaw", Hinge((-0.84, 0.0, -0.22), _DOWN, (0.06, 0.014, 0.20))),
-    ("elev(?!on)|pitch|stab", Hinge((-0.84, 0.0, -0.02), _RIGHT, (0.06, 0.38, 0.014))),
-    ("flap.*(left|_l)", Hinge((-0.06, -0.35, -0.05), _RIGHT, (0.06, 0.22, 0.017))),
-    ("flap.*(right|_r)", Hinge((-0.06, 0.35, -0.05), _RIGHT, (0.06, 0.22, 0.017))),
-    ("(left|_l$)", Hinge((-0.06, -0.88, -0.05), _RIGHT, (0.06, 0.28, 0.017))),
-    ("(right|_r$)|aileron", Hinge((-0.06, 0.88, -0.05), _RIGHT, (0.06, 0.28, 0.017))),
+    ("rudder|yaw", Hinge((-0.825, 0.0, -0.22), _DOWN, (0.06, 0.014, 0.20))),
+    ("elev(?!on)|pitch|stab", Hinge((-0.825, 0.0, -0.02), _RIGHT, (0.06, 0.38, 0.014))),
+    ("flap.*(left|_l)", Hinge((-0.045, -0.35, -0.05), _RIGHT, (0.06, 0.22, 0.017))),
+    ("flap.*(right|_r)", Hinge((-0.045, 0.35, -0.05), _RIGHT, (0.06, 0.22, 0.017))),
+    ("(left|_l$)", Hinge((-0.045, -0.88, -0.05), _RIGHT, (0.06, 0.28, 0.017))),
+    ("(right|_r$)|aileron", Hinge((-0.045, 0.88, -0.05), _RIGHT, (0.06, 0.28, 0.017))),
 )
 
 
@@ -50,7 +50,7 @@ def hinges(names: list[str]) -> dict[str, Hinge]:
     Examples
     --------
     >>> [round(h.at[0], 2) for h in hinges(["elevator", "servo_7"]).values()]
-    [-0.84, -1.3]
+    [-0.82, -1.3]
     """
     placed: dict[str, Hinge] = {}
     for name in names:

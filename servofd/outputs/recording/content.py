@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 
 from logparsers.records import FlightLog, own
+from servofd.models.context import NO_CONTEXT, Context
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -49,7 +50,7 @@ class Trace:
         Level of the alarm [deg].
     asked_s, asked_deg : ndarray, shape (m,)
         When each command was logged [s], and what it asked for [deg].
-    frozen_s, frozen_to_end : float, bool
+    frozen_s, frozen_to_end, context : float, bool, Context
         As in `Segment`.
     """
 
@@ -63,6 +64,7 @@ class Trace:
     asked_deg: FloatArray
     frozen_s: float = 0.0
     frozen_to_end: bool = False
+    context: Context = NO_CONTEXT
 
     def __post_init__(self) -> None:
         for name in _CURVES:
@@ -82,6 +84,7 @@ class Trace:
             segment.command_deg,
             segment.frozen_s,
             segment.frozen_to_end,
+            segment.context,
         )
 
     def segment(self, surface: str, command_period_s: float | None = None) -> Segment:
@@ -97,6 +100,7 @@ class Trace:
             command_period_s,
             self.frozen_s,
             self.frozen_to_end,
+            self.context,
         )
 
     def between(self, from_s: float, to_s: float) -> Self:

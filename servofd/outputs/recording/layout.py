@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from servofd.outputs.recording.clock import TIME_BOOT
 from servofd.outputs.recording.scene import GEO
 from servofd.outputs.recording.stream import surface_place
@@ -13,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from servofd.outputs.recording.content import Recording, Trace
+    from servofd.types import FloatArray
 
 __all__ = ["ALARM_LINE", "audit_layout", "blueprint", "surface_tab"]
 
@@ -100,7 +103,7 @@ def _overview(names: Sequence[str], shown: Sequence[str]) -> Any:  # noqa: ANN40
         axis_y=rrb.ScalarAxis(range=(0.0, 5.0)),
         plot_legend=rrb.PlotLegend(corner="LeftTop"),
     )
-    lane_share = 0.6 + 0.35 * len(shown)
+    lane_share = 0.8 + 0.4 * len(shown)
     return rrb.Vertical(lanes, ratios, below, row_shares=[lane_share, 3, 2.6], name="Overview")
 
 
@@ -123,13 +126,27 @@ def _plot(place: str, name: str, span: tuple[float, float]) -> Any:  # noqa: ANN
 def _aircraft(recording: Recording) -> Any:  # noqa: ANN401
     import rerun.blueprint as rrb
 
-    eye = rrb.EyeControls3D(position=(-2.1, -1.4, -1.15), look_target=(-0.3, 0.0, 0.0), eye_up=(0.0, 0.0, -1.0))
+    away = 1.0 if recording.position is None else 1.35
+    position = (-2.1 * away, -1.4 * away, -1.15 * away)
+    eye = rrb.EyeControls3D(position=position, look_target=(-0.3, 0.0, 0.0), eye_up=(0.0, 0.0, -1.0))
     views = [rrb.Spatial3DView(origin="/aircraft", name="Surfaces (blue: as a healthy servo)", eye_controls=eye)]
     if recording.position is not None:
-        views.append(rrb.Spatial3DView(origin="/flight/local", name="Track from the first fix [m]"))
+        track = rrb.Spatial3DView(
+            origin="/flight/local", name="Track from the first fix [m]", eye_controls=_above(recording.position[:, 1:])
+        )
+        views.append(track)
     if recording.geo is not None:
         views.append(rrb.MapView(origin=GEO, name="Map"))
     return rrb.Horizontal(*views, name="Aircraft")
+
+
+def _above(track_m: FloatArray) -> Any:  # noqa: ANN401
+    """Eye that sees a whole track of shape (n, 3) [m] from the south."""
+    import rerun.blueprint as rrb
+
+    low, high = track_m.min(axis=0), track_m.max(axis=0)
+    middle, size = (low + high) / 2.0, max(float(np.linalg.norm(high - low)), 10.0)
+    return rrb.EyeControls3D(position=middle + np.array([0.0, -0.9, 0.8]) * size, look_target=middle, eye_up=(0, 0, 1))
 
 
 def _linked() -> Any:  # noqa: ANN401

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from servofd.errors import RecordingError
+from servofd.models.context import Context
 from servofd.outputs.recording.clock import TIME_BOOT, seconds
 from servofd.outputs.recording.content import Recording, Trace
-from servofd.outputs.recording.scene import ATTITUDE, GEO, LOCAL
+from servofd.outputs.recording.scene import AIRSPEED, ATTITUDE, GEO, LOCAL, SUPPLY
 from servofd.outputs.recording.stream import PROPERTIES, surface_place
 from servofd.outputs.recording.verdicts import audit_of
 
@@ -57,10 +58,11 @@ def read_recording(path: str | Path) -> Recording:
             else f"{path}: an empty recording; 'servofd audit LOG --rrd FILE' writes one"
         )
     audit, notes, frozen = audit_of(stored.properties, name)
+    context = _context(stored)
     traces = {
         s.surface: trace
         for s in audit.surfaces
-        if (trace := _trace(stored, s.surface, frozen.get(s.surface, (0.0, False)))) is not None
+        if (trace := _trace(stored, s.surface, frozen.get(s.surface, (0.0, False)), context)) is not None
     }
     attitude, position, geo = (stored.rows(place) for place in (ATTITUDE, LOCAL, GEO))
     return Recording(audit, traces, attitude, position, geo, notes)
@@ -151,7 +153,7 @@ def check_is_recording(path: Path) -> None:
 
 def _is_curve(chunk: Any) -> bool:  # noqa: ANN401 - rerun is untyped here
     place = chunk.entity_path
-    kept = place in (ATTITUDE, LOCAL, GEO) or (place.startswith("/surfaces/") and place.rsplit("/", 1)[-1] in _KEPT)
+    kept = place.startswith("/flight/") or (place.startswith("/surfaces/") and place.rsplit("/", 1)[-1] in _KEPT)
     return bool(kept and not chunk.is_static)
 
 
@@ -176,7 +178,7 @@ def _values(chunk: Any) -> dict[str, Any]:  # noqa: ANN401
     return found
 
 
-def _trace(stored: _Stored, surface: str, frozen: tuple[float, bool]) -> Trace | None:
+def _trace(stored: _Stored, surface: str, frozen: tuple[float, bool], context: Context) -> Trace | None:
     deflection = stored.curves(surface_place(surface, "deflection"))
     residual = stored.curves(surface_place(surface, "residual"))
     if deflection is None or residual is None:
@@ -200,7 +202,20 @@ def _trace(stored: _Stored, surface: str, frozen: tuple[float, bool]) -> Trace |
         asked_deg=asked_deg,
         frozen_s=frozen[0],
         frozen_to_end=frozen[1],
+        context=context,
     )
+
+
+def _context(stored: _Stored) -> Context:
+    """Airspeed and supply, as far as they were recorded."""
+    columns = []
+    for place in (AIRSPEED, SUPPLY):
+        found = stored.curves(place)
+        if found is None:
+            columns += [np.zeros(0), np.zeros(0)]
+        else:
+            columns += [_exact(stored, found[0], f"{place}/seconds"), found[1][:, 0]]
+    return Context(*columns)
 
 
 def _exact(stored: _Stored, time_s: FloatArray, place: str) -> FloatArray:

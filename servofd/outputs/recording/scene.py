@@ -7,20 +7,24 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from servofd.models.context import NO_CONTEXT
 from servofd.outputs.recording.airframe import BODY, hinges, turned, turned_by_euler
 from servofd.outputs.recording.states import states
 from servofd.outputs.recording.stream import STATES, colours
+from servofd.outputs.recording.surface import send_seconds
 
 if TYPE_CHECKING:
+    from servofd.models.context import Context
     from servofd.outputs.recording.airframe import Hinge
     from servofd.outputs.recording.content import Recording, Trace
     from servofd.outputs.recording.stream import Recorder
     from servofd.types import FloatArray
 
-__all__ = ["ATTITUDE", "GEO", "LOCAL", "send_scene"]
+__all__ = ["AIRSPEED", "ATTITUDE", "GEO", "LOCAL", "SUPPLY", "send_context", "send_scene"]
 
 ATTITUDE, LOCAL, GEO = "/flight/attitude", "/flight/position", "/flight/geo"
-"""Where attitude, local position and geographic position are kept as numbers."""
+AIRSPEED, SUPPLY = "/flight/airspeed", "/flight/supply"
+"""Where attitude, local and geographic position, airspeed and supply are kept as numbers."""
 
 _PERIOD_S = 0.1
 _BODY_RGBA = 0xB0B0B0FF
@@ -45,7 +49,21 @@ def send_scene(recorder: Recorder, recording: Recording) -> None:
         trace = recording.traces[name]
         changes = states(trace, surface)
         _send_surface(recorder, rr.new_entity_path(["aircraft", "frame", name]), trace, hinge, changes)
+    # All surfaces of a log share it.
+    send_context(recorder, next((t.context for t in recording.traces.values()), NO_CONTEXT))
     _send_track(recorder, recording)
+
+
+def send_context(recorder: Recorder, context: Context) -> None:
+    """Airspeed and supply, on their own time stamps."""
+    for place, name, time_s, values in (
+        (AIRSPEED, "airspeed [m/s]", context.airspeed_s, context.airspeed_m_s),
+        (SUPPLY, "servo supply [V]", context.voltage_s, context.voltage_v),
+    ):
+        if time_s.size:
+            recorder.lines(place, [name], ["simulated"])
+            recorder.scalars(place, time_s, values)
+            send_seconds(recorder, f"{place}/seconds", time_s)
 
 
 def _send_surface(recorder: Recorder, place: str, trace: Trace, hinge: Hinge, changes: list[tuple[float, str]]) -> None:

@@ -84,7 +84,8 @@ def ratio(trace: Trace) -> tuple[FloatArray, FloatArray]:
     """Largest |residual| / threshold of each tenth of a second: times [s] and ratios, of shape (m,)."""
     if not trace.time_s.size:
         return trace.time_s, trace.time_s
-    size = np.abs(trace.residual_deg) / trace.threshold_deg
+    with np.errstate(divide="ignore", invalid="ignore"):
+        size = np.abs(trace.residual_deg) / trace.threshold_deg
     first: IntArray = np.flatnonzero(np.diff(np.floor(trace.time_s / _RATIO_PERIOD_S), prepend=-np.inf))
     known: BoolArray = np.isfinite(size)
     largest = np.maximum.reduceat(np.where(known, size, -1.0), first)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from servofd.outputs.recording.stream import Recorder
     from servofd.types import FloatArray
 
-__all__ = ["DEFLECTIONS", "RESIDUALS", "plot_range", "send_surface"]
+__all__ = ["DEFLECTIONS", "RESIDUALS", "plot_range", "send_seconds", "send_surface"]
 
 DEFLECTIONS = ("command", "simulated", "measured")
 RESIDUALS = ("residual", "+threshold", "-threshold")
@@ -51,25 +51,41 @@ def residual_range(trace: Trace) -> tuple[float, float]:
     return plot_range(np.concatenate([trace.residual_deg, trace.threshold_deg, -trace.threshold_deg]), 0.1)
 
 
-def send_surface(recorder: Recorder, surface: SurfaceAudit, trace: Trace | None, start_s: float) -> None:
-    """Everything that the audit found about a surface, and looked at; `start_s` is when the recording begins [s]."""
+def send_surface(
+    recorder: Recorder, surface: SurfaceAudit, trace: Trace | None, start_s: float, tint: str = "simulated"
+) -> None:
+    """Send everything that an audit found about a surface, and looked at.
+
+    Parameters
+    ----------
+    recorder : Recorder
+        Where to.
+    surface : SurfaceAudit
+        The verdict.
+    trace : Trace or None
+        The curves.
+    start_s : float
+        When the recording begins [s].
+    tint : str
+        Colour of its curve in the overview.
+    """
     place = surface_place(surface.surface)
     recorder.texts(f"{place}/events", events(trace, surface, start_s))
     if trace is None or not trace.time_s.size:
         return
     changes = states(trace, surface)
+    recorder.states(f"{place}/state", changes)
+    # Before the first sample, and from where the cursor stands at first: else the legend has colours of its own.
+    tints = [(start_s, STATES[changes[0][1]]), *((time_s, STATES[word]) for time_s, word in changes[1:])]
+    recorder.line_colours(f"{place}/residual", [(t, (tint, "threshold", "threshold")) for t, tint in tints])
     _send_curves(recorder, place, trace)
     _send_commands(recorder, place, trace)
-    recorder.states(f"{place}/state", changes)
-    # From where the cursor stands at first: before the first colour the viewer shows one of its own.
-    tints = [(start_s - 1e-6, STATES[changes[0][1]]), *((time_s, STATES[word]) for time_s, word in changes[1:])]
-    recorder.line_colours(f"{place}/residual", [(t, (tint, "threshold", "threshold")) for t, tint in tints])
-    _send_overview(recorder, place, surface, trace)
+    _send_overview(recorder, place, surface, trace, tint)
     for name, (low, high) in (("deflection", deflection_range(trace)), ("residual", residual_range(trace))):
-        for found, tint in ((surface.faults, "fault"), (surface.suspicions, "suspect")):
+        for found, level in ((surface.faults, "fault"), (surface.suspicions, "suspect")):
             spans = [_span(fault, trace) for fault in found]
             if spans:
-                recorder.shade(f"{place}/shade/{name}/{tint}", spans, (low + high) / 2.0, high - low, tint)
+                recorder.shade(f"{place}/shade/{name}/{level}", spans, (low + high) / 2.0, high - low, level)
 
 
 def _send_curves(recorder: Recorder, place: str, trace: Trace) -> None:
@@ -85,21 +101,21 @@ def _send_curves(recorder: Recorder, place: str, trace: Trace) -> None:
 
 def _send_commands(recorder: Recorder, place: str, trace: Trace) -> None:
     """Commands on their own time stamps, unless each came with a measurement: then the curve has them all."""
-    _send_seconds(recorder, f"{place}/seconds", trace.time_s)
+    send_seconds(recorder, f"{place}/seconds", trace.time_s)
     if not np.array_equal(trace.asked_s, trace.time_s):
         recorder.scalars(f"{place}/command", trace.asked_s, trace.asked_deg)
-        _send_seconds(recorder, f"{place}/command_seconds", trace.asked_s)
+        send_seconds(recorder, f"{place}/command_seconds", trace.asked_s)
 
 
-def _send_seconds(recorder: Recorder, place: str, time_s: FloatArray) -> None:
+def send_seconds(recorder: Recorder, place: str, time_s: FloatArray) -> None:
     """Time stamps that are no whole microseconds (a log of 32-bit floats), so that they can be read back exactly."""
     if np.any(seconds(microseconds(time_s)) != time_s):
         recorder.scalars(place, time_s, time_s)
 
 
-def _send_overview(recorder: Recorder, place: str, surface: SurfaceAudit, trace: Trace) -> None:
+def _send_overview(recorder: Recorder, place: str, surface: SurfaceAudit, trace: Trace, tint: str) -> None:
     time_s, largest = ratio(trace)
-    recorder.lines(f"{place}/ratio", [surface.surface], aggregation_policy="Max")
+    recorder.lines(f"{place}/ratio", [surface.surface], [tint], aggregation_policy="Max")
     recorder.scalars(f"{place}/ratio", time_s, largest)
     flag = np.abs(trace.residual_deg) >= trace.threshold_deg
     edges = np.union1d(np.flatnonzero(np.diff(flag, prepend=~flag[0])), [flag.size - 1])

@@ -18,13 +18,16 @@ from servofd.errors import RecordingError
 from servofd.outputs.json_report import audit_document
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from servofd.outputs.recording.content import Recording
 
-__all__ = ["SCHEMA", "Verdicts", "audit_of", "verdicts_of"]
+__all__ = ["LIVE", "SCHEMA", "Verdicts", "audit_of", "live_verdicts", "verdicts_of"]
 
 SCHEMA = "servofd.recording/1"
+
+LIVE = "recorded in flight"
+"""Note of a recording whose verdicts have still to be made."""
 
 
 class Verdicts(NamedTuple):
@@ -62,6 +65,36 @@ def verdicts_of(recording: Recording) -> dict[str, Any]:
         "verdicts": json.dumps(document),
         "models": _models(audit.aircraft),
     }
+
+
+def live_verdicts(aircraft: Aircraft, surfaces: Sequence[str], name: str) -> dict[str, Any]:
+    """Properties of a recording that is still being made: the models, and no verdict yet.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+        What is flying.
+    surfaces : sequence of str
+        Which of its surfaces are watched.
+    name : str
+        What to call the recording.
+    """
+    from servofd.outputs.recording.content import Recording
+
+    watched = tuple(
+        SurfaceAudit(
+            surface=key,
+            status="no_data",
+            reason="nothing of it was recorded",
+            servo=aircraft.surfaces[key].servo,
+            threshold_kind=aircraft.surfaces[key].threshold,
+            threshold_deg=aircraft.surfaces[key].threshold_deg,
+            expected=aircraft.surfaces[key].measured is not None,
+        )
+        for key in surfaces
+    )
+    log = FlightLog(Path(name), "live", {}, span_s=(0.0, 0.0))
+    return verdicts_of(Recording(LogAudit(log, aircraft, watched), {}, notes=(LIVE,)))
 
 
 def audit_of(properties: Mapping[str, Any], name: str) -> Verdicts:

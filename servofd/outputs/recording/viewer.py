@@ -37,9 +37,12 @@ def open_viewer(path: Path) -> None:
     RecordingError
         If the viewer cannot run here.
     """
-    command = [sys.executable, "-m", "rerun_cli", str(path.resolve())]
+    # It listens for more recordings, by itself to the whole network.
+    command = [sys.executable, "-m", "rerun_cli", "--bind", "127.0.0.1", str(path.resolve())]
     done = subprocess.run(command, stderr=subprocess.PIPE, text=True, check=False)  # noqa: S603 - our own program
-    if done.returncode != 0:
-        lines = [line.strip() for line in (done.stderr or "").splitlines() if line.strip()]
-        reason = next((line for line in lines if "rror" in line), lines[-1] if lines else "it gave no reason")
+    lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
+    errors = [line for line in lines if line.startswith("Error")]
+    # Its own exit code is 0 even if it found no display.
+    if done.returncode != 0 or errors:
+        reason = (errors or lines or ["it gave no reason"])[-1]
         raise RecordingError(f"the Rerun viewer could not be opened: {reason[:160]}; {_OTHER_WAYS}")

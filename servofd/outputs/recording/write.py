@@ -8,12 +8,14 @@ both thresholds [deg]), ``command`` (on its own time stamps [deg]), ``ratio``, `
 
 from __future__ import annotations
 
+import itertools
 import re
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.outputs.palette import SERIES
 from servofd.outputs.recording.clock import Clock
 from servofd.outputs.recording.content import Recording
 from servofd.outputs.recording.layout import ALARM_LINE, audit_layout
@@ -85,9 +87,14 @@ def send_to_stdout(recording: Recording, application: str | None = None, recordi
 
 
 def application_of(recording: Recording) -> str:
-    """Name under which the viewer keeps the layout: aircraft with other surfaces need another one."""
-    name = recording.audit.aircraft.name or " ".join(s.surface for s in recording.audit.surfaces)
-    return "servofd-" + re.sub(r"[^A-Za-z0-9_ -]", "-", name)[:100]
+    """Name under which the viewer keeps the layout: one for each log.
+
+    The layout says how high the plots reach. That of another flight of the same aircraft, which the viewer remembers by
+    this name, would cut a fault off that goes beyond it.
+    """
+    parts = (recording.audit.aircraft.name, recording.audit.log.source.stem, recording.audit.log.run)
+    words = (re.sub(r"[^A-Za-z0-9_ -]", "-", part)[:50] for part in parts if part)
+    return "-".join(("servofd", *words))
 
 
 def fill(recorder: Recorder, recording: Recording) -> None:
@@ -95,8 +102,8 @@ def fill(recorder: Recorder, recording: Recording) -> None:
     log = recording.audit.log
     recorder.properties(log.source.name, verdicts_of(recording))
     recorder.document("/report", report(recording))
-    for surface in recording.audit.surfaces:
-        send_surface(recorder, surface, recording.traces.get(surface.surface), recording.start_s)
+    for surface, tint in zip(recording.audit.surfaces, itertools.cycle(SERIES), strict=False):
+        send_surface(recorder, surface, recording.traces.get(surface.surface), recording.start_s, tint)
     if any(trace.time_s.size for trace in recording.traces.values()):
         recorder.lines(ALARM_LINE, ["threshold"], ["threshold"])
         recorder.scalars(ALARM_LINE, np.array([recording.start_s, recording.end_s]), np.ones(2))
@@ -111,7 +118,7 @@ def report(recording: Recording) -> str:
     notes = "".join(f"{note}\n\n" for note in recording.notes)
     return (
         f"# {audit.log.source.name}\n\n{notes}| surface | status | reason |\n|---|---|---|\n{rows}\n\n"
-        f"**Damage of the log:** {damage}\n"
+        f"**Damage of the log:**\n\n{damage}\n"
     )
 
 

@@ -32,7 +32,7 @@ class Flown:
     """Messages."""
 
 
-def fly(vehicle: Vehicle, link: Link, codec: Codec, *, speed: float = 1.0, wait: bool = False) -> Flown:
+def fly(vehicle: Vehicle, link: Link, codec: Codec, *, wait: bool = False) -> Flown:
     """Fly until the flight ends, or Ctrl-C ends it.
 
     Parameters
@@ -43,8 +43,6 @@ def fly(vehicle: Vehicle, link: Link, codec: Codec, *, speed: float = 1.0, wait:
         Where it is heard; left open.
     codec : Codec
         Its end of the link.
-    speed : float
-        Seconds of flight per second.
     wait : bool
         Begin when somebody has said something.
 
@@ -53,7 +51,7 @@ def fly(vehicle: Vehicle, link: Link, codec: Codec, *, speed: float = 1.0, wait:
     Flown
         Counts, also of a flight that was ended.
     """
-    session = _Session(vehicle, link, codec, speed)
+    session = _Session(vehicle, link, codec)
     try:
         if wait:
             session.wait()
@@ -64,9 +62,9 @@ def fly(vehicle: Vehicle, link: Link, codec: Codec, *, speed: float = 1.0, wait:
 
 
 class _Session:
-    def __init__(self, vehicle: Vehicle, link: Link, codec: Codec, speed: float) -> None:
+    def __init__(self, vehicle: Vehicle, link: Link, codec: Codec) -> None:
         self.flown = Flown()
-        self._vehicle, self._link, self._codec, self._speed = vehicle, link, codec, speed
+        self._vehicle, self._link, self._codec, self._speed = vehicle, link, codec, vehicle.speed
 
     def wait(self) -> None:
         """Say that it is there, and stand still."""

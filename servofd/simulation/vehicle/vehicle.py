@@ -123,7 +123,7 @@ class Vehicle:
         outputs_needed(flight)
         settings = settings or Settings()
         loop_hz = rate_hz(flight)
-        self.system = settings.system
+        self.system, self.speed = settings.system, settings.speed
         self.time_us: IntArray = microseconds(flight.time_s)
         """Time of the vehicle's clock at each turn of its loop [us], of shape (n,)."""
         known = parameters(flight, aircraft, VOLZ.name) | {
@@ -176,7 +176,9 @@ class Vehicle:
         return self._telemetry.newest("HEARTBEAT", int(self.time_us[0]), again=True)[0]
 
     def hear(self, heard: Heard, now_us: int) -> list[Send]:
-        """Answer a message; what is meant for others, or what it does not know, is passed over.
+        """Answer a message; what is meant for other vehicles, or what it does not know, is passed over.
+
+        The component that is meant does not matter: ArduPilot itself takes what it cannot forward to another link.
 
         Parameters
         ----------
@@ -187,8 +189,7 @@ class Vehicle:
         """
         answer = self._answers.get(heard.name)
         is_own = heard.system == self.system and heard.component == _AUTOPILOT
-        to = (heard.fields.get("target_system", 0), heard.fields.get("target_component", 0))
-        if answer is None or is_own or to[0] not in (0, self.system) or to[1] not in (0, _AUTOPILOT):
+        if answer is None or is_own or heard.fields.get("target_system", 0) not in (0, self.system):
             return []
         return answer(heard, now_us)
 

@@ -1,0 +1,164 @@
+"""What the live monitor costs, per message and stage, beside pymavlink's own receive loop; and how late it is.
+
+``python benchmarks/monitor.py [SURFACES] [SECONDS]``: CPU time of one thread, best of three; then latency in real time
+from the arrival of a datagram to the end of its evaluation, on loopback.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from pymavlink import mavutil
+
+from logparsers.codec import Codec
+from logparsers.endpoint import parse_endpoint
+from logparsers.link import open_link
+from logparsers.replay import replayed
+from servofd.aircraft import Aircraft, plain_aircraft
+from servofd.calibration import DegreeCalibration, PulseCalibration
+from servofd.live.session import Session
+from servofd.live.threads import Receiver
+from servofd.models.faults import Stuck
+from servofd.simulation.flight import simulate_flight
+from servofd.simulation.pulses import MOST_OUTPUTS, outputs_of
+from servofd.simulation.telemetry_writer import telemetry_log
+
+_BATCH = 100
+"""Messages that have come in together at 5000 a second, evaluated every 20 ms."""
+
+
+def craft(surfaces: int) -> tuple[Aircraft, Aircraft]:
+    """An aircraft for the simulator, and the same one as a stream shows it.
+
+    A simulated autopilot has outputs for 13 surfaces; any more watch the first ones once again.
+    """
+    plain = plain_aircraft([f"surface_{k + 1}" for k in range(min(surfaces, MOST_OUTPUTS - 1))])
+    entries = {}
+    for output in outputs_of(plain):
+        command = PulseCalibration(
+            channel=f"SERVO_OUTPUT_RAW.servo{output.number}_raw", unit="us", slope_deg_per_us=output.travel_deg / 500.0
+        )
+        measured = DegreeCalibration(channel=f"NAMED_VALUE_FLOAT[SRVP{output.number}].value", unit="deg")
+        change = {"command": command, "measured": measured, "threshold": "interval"}
+        entries[output.surface] = plain.surfaces[output.surface].model_copy(update=change)
+    for again in range(surfaces - len(entries)):
+        entries[f"again_{again + 1}"] = entries[f"surface_{again + 1}"]
+    return plain, plain.model_copy(update={"surfaces": entries})
+
+
+def cpu_s(work: Callable[[], object]) -> float:
+    """Least CPU time of three [s]."""
+    best = float("inf")
+    for _ in range(3):
+        begun = time.process_time()
+        work()
+        best = min(best, time.process_time() - begun)
+    return best
+
+
+def run(aircraft: Aircraft, frames: list[tuple[float, bytes]], *, looks: bool = True) -> int:
+    session = Session(Codec(0, 191), {0: aircraft})
+    done = 0
+    for k, (now_s, frame) in enumerate(frames):
+        session.take(now_s, frame)
+        if k % _BATCH == 0:
+            if looks:
+                session.step(now_s)
+            else:
+                for vehicle in session.vehicles.values():
+                    vehicle.evaluate()
+        done += 1
+    return done
+
+
+def heard(aircraft: Aircraft, frames: list[tuple[float, bytes]]) -> None:
+    session = Session(Codec(0, 191), {0: aircraft})
+    for now_s, frame in frames:
+        session.take(now_s, frame)
+
+
+def parsed(frames: list[tuple[float, bytes]]) -> None:
+    codec = Codec(0, 191)
+    for _, frame in frames:
+        codec.frames(frame)
+
+
+def bare(path: Path) -> None:
+    link = mavutil.mavlink_connection(str(path), dialect="ardupilotmega")
+    while link.recv_match() is not None:
+        pass
+    link.close()
+
+
+def late_s(aircraft: Aircraft, frames: list[tuple[float, bytes]]) -> np.ndarray:
+    """Seconds from the arrival of each datagram to the end of its evaluation."""
+    ground = open_link(parse_endpoint("udpin:14797"))
+    vehicle = open_link(parse_endpoint("udpout:14797"))
+    receiver = Receiver(ground)
+    first_s = frames[0][0]
+
+    def fly() -> None:
+        begun = time.monotonic()
+        for at_s, frame in frames:
+            time.sleep(max(begun + at_s - first_s - time.monotonic(), 0.0))
+            vehicle.send(frame)
+
+    thread = threading.Thread(target=fly)
+    thread.start()
+    session, found = Session(Codec(0, 191), {0: aircraft}, aside=True), []
+    while thread.is_alive():
+        chunks = receiver.chunks.take(0.05)
+        for arrival_s, data in chunks:
+            session.take(arrival_s, data)
+        session.step(receiver.now_s())
+        done_s = receiver.now_s()
+        found += [done_s - arrival_s for arrival_s, _ in chunks]
+    session.finish(receiver.now_s())
+    receiver.close()
+    for link in (ground, vehicle):
+        link.close()
+    return np.array(found)
+
+
+def main() -> None:
+    given = [int(word) for word in sys.argv[1:]]
+    surfaces, seconds = (*given, *(16, 30)[len(given) :])
+    plain, aircraft = craft(surfaces)
+    faults = {"surface_1": Stuck(seconds / 2.0), "surface_2": Stuck(seconds / 1.5)}
+    flight = simulate_flight(plain, rate_hz=50.0, duration_s=float(seconds), faults=faults, outputs=outputs_of(plain))
+    log = telemetry_log(flight, plain)
+    frames = list(replayed(log))
+    run(aircraft, frames)  # compiles
+    count = len(frames)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "flight.tlog"
+        path.write_bytes(log)
+        reference_s = cpu_s(lambda: bare(path))
+    parse_s = cpu_s(lambda: parsed(frames))
+    hear_s = cpu_s(lambda: heard(aircraft, frames))
+    evaluate_s = cpu_s(lambda: run(aircraft, frames, looks=False))
+    total_s = cpu_s(lambda: run(aircraft, frames))
+    print(f"{count} messages, {surfaces} surfaces at 50 Hz, two of them at fault")
+    steps = (("parse", parse_s), ("clock and channels", hear_s - parse_s), ("evaluate", evaluate_s - hear_s))
+    for name, spent_s in (*steps, ("bank and alerts", total_s - evaluate_s), ("all", total_s)):
+        print(f"{name:20} {1e6 * spent_s / count:8.1f} us/message")
+    print(f"{'pymavlink recv_match':20} {1e6 * reference_s / count:8.1f} us/message, ratio {total_s / reference_s:.1f}")
+    print(f"one core holds {count / total_s:.0f} messages/s")
+    few, eight = craft(8)
+    short = simulate_flight(
+        few, rate_hz=50.0, duration_s=20.0, faults={"surface_1": Stuck(10.0)}, outputs=outputs_of(few)
+    )
+    delays_ms = 1e3 * late_s(eight, list(replayed(telemetry_log(short, few))))
+    print(
+        f"8 surfaces at 50 Hz, live: median {np.median(delays_ms):.1f} ms, 99 % {np.percentile(delays_ms, 99.0):.1f} ms"
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,58 @@
+"""A telemetry log, frame by frame with its arrival times, as it came over the link."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from logparsers.errors import UnreadableLog
+from logparsers.mavlink import dialect
+from logparsers.source import mapped
+from logparsers.telemetry import frames
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from logparsers.source import LogBytes
+
+__all__ = ["replayed"]
+
+_SIGNED, _SIGNATURE = 1, 13
+
+
+def replayed(source: LogBytes) -> Iterator[tuple[float, bytes]]:
+    """Good frames of a telemetry log, and when each arrived [s since 1970].
+
+    Parameters
+    ----------
+    source : str, PathLike, bytes or BinaryIO
+        A ``.tlog``.
+
+    Raises
+    ------
+    LogError
+        If there is no such file, or no good message in it.
+
+    Examples
+    --------
+    >>> frame = bytes.fromhex("fe 09 00 01 01 00 00 00 00 00 01 0c 00 00 03 30 11")
+    >>> list(replayed((1_700_000_000_000_000).to_bytes(8, "big") + frame)) == [(1.7e9, frame)]
+    True
+    """
+    data, name = mapped(source)
+    known = dialect()
+    markers, _, unstamped, _, _, _ = frames.scan(data, known.slots, known.seeds)
+    if markers.size == 0:
+        raise UnreadableLog(f"{name}: no MAVLink message with a correct check-sum in {data.size} bytes")
+    lost = set(unstamped.tolist())
+    arrival_s = 0.0
+    for marker in markers.tolist():
+        if marker not in lost:
+            arrival_s = float(frames.arrivals_us(data, np.array([marker]))[0]) * 1e-6
+        size = int(data[marker + 1])
+        if data[marker] == 0xFE:
+            size += 8
+        else:
+            size += 12 + (_SIGNATURE if data[marker + 2] & _SIGNED else 0)
+        yield arrival_s, data[marker : marker + size].tobytes()

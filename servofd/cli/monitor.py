@@ -1,0 +1,210 @@
+"""``servofd monitor``: watches the servos of a flying aircraft."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from servofd.aircraft import Aircraft
+    from servofd.live.session import Session
+
+__all__ = ["add_parser", "run"]
+
+_VIEWER_PORT = 9876
+
+
+def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
+    """Declare the verb."""
+    parser = verbs.add_parser(
+        "monitor",
+        help="watch the servos of a flying aircraft on its MAVLink stream",
+        description="Watches the servos of a flying aircraft and raises alarms. Never commands the vehicle. Exit code "
+        "0: healthy; 1: a fault was found; 2: could not tell.",
+        epilog="Example: servofd monitor udpin:127.0.0.1:14550 -c my_plane.toml",
+    )
+    parser.add_argument(
+        "endpoint",
+        metavar="ENDPOINT",
+        help="udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT, a serial device, or a log file",
+    )
+    parser.add_argument(
+        "-c",
+        "--config",
+        action="append",
+        required=True,
+        metavar="[ID=]AIRCRAFT.toml",
+        help="aircraft file; of several vehicles one for each system id",
+    )
+    parser.add_argument("--duration", type=_positive, default=float("inf"), metavar="S", help="end after so long [s]")
+    parser.add_argument("--speed", type=_speed, metavar="X", help="of a replay; 0: as fast as it goes (default: 1)")
+    parser.add_argument("--rrd", metavar="FILE", help="write a Rerun recording")
+    parser.add_argument("--serve", action="store_true", help="let Rerun viewers on this machine connect")
+    parser.add_argument("--viewer-port", type=int, default=_VIEWER_PORT, metavar="PORT", help="(default: 9876)")
+    parser.add_argument("--tlog", metavar="FILE", help="write all that is received as a telemetry log")
+    parser.add_argument("--alert-to", metavar="ENDPOINT", help="send alerts there (default: back to the stream)")
+    parser.add_argument("--no-alert", action="store_true", help="send no alerts")
+    parser.add_argument("--no-request", action="store_true", help="send nothing at all to the stream")
+    parser.add_argument("--dataflash", action="store_true", help="ask for the autopilot's own log (CSRV, RCOU) as well")
+    parser.add_argument("--system", type=int, metavar="ID", help="system id to speak as (default: the vehicle's)")
+    parser.add_argument("--component", type=int, default=191, metavar="ID", help="component id (default: 191)")
+    parser.add_argument("--signing-key", metavar="FILE", help="file with the key that frames are signed with")
+    parser.add_argument("--json-lines", metavar="FILE", help="write each event as a line of JSON; - prints them")
+    parser.add_argument("--plain", action="store_true", help="print lines instead of a changing picture")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Watch until the end, then say what was found."""
+    from servofd.errors import ConfigError
+
+    aircraft = _aircraft(options.config)
+    if options.dataflash and options.no_request:
+        raise ConfigError("--dataflash has to ask for the log, which --no-request forbids")
+    if options.no_alert and options.alert_to:
+        raise ConfigError("--no-alert and --alert-to exclude each other")
+    for name in (options.tlog, options.rrd, options.json_lines if options.json_lines != "-" else None):
+        if name and not Path(name).resolve().parent.is_dir():
+            raise ConfigError(f"{name}: the folder {Path(name).resolve().parent} does not exist")
+        if name and Path(name).resolve() == Path(options.endpoint).resolve():
+            raise ConfigError(f"{name}: is the log that is replayed; choose another file")
+    is_log = Path(options.endpoint).is_file()
+    if options.speed is not None and not is_log:
+        raise ConfigError(f"{options.endpoint}: --speed is for a log file, and there is none of that name")
+    session = _replay(options, aircraft) if is_log else _watch(options, aircraft)
+    return _verdict(session)
+
+
+def _watch(options: argparse.Namespace, aircraft: Mapping[int, Aircraft]) -> Session:
+    """Watch a live link."""
+    from logparsers.codec import Codec
+    from logparsers.endpoint import parse_endpoint
+    from logparsers.link import open_link
+    from servofd.cli.monitor_outputs import Outputs
+    from servofd.live.run import watch_link
+    from servofd.live.session import Session
+    from servofd.live.speaker import Speaker
+    from servofd.live.threads import Receiver
+
+    endpoint = parse_endpoint(options.endpoint)
+    target = parse_endpoint(options.alert_to) if options.alert_to else None
+    signature = _signature(options.signing_key)
+    with contextlib.ExitStack() as open_:
+        link = open_link(endpoint)
+        open_.callback(link.close)
+        session = Session(
+            Codec(0, options.component, signature=signature), aircraft, aside=True, remote_log=options.dataflash
+        )
+        known = next(iter(aircraft)) if len(aircraft) == 1 else 0
+        speaker = Speaker(
+            lambda: options.system or known or next(iter(session.vehicles), 1), options.component, signature
+        )
+        if not options.no_request:
+            to_vehicle = open_.enter_context(speaker.to(link))
+            session.send = to_vehicle
+            if not options.no_alert:
+                session.alert = to_vehicle
+        if target is not None:
+            aside = open_link(target)
+            open_.callback(aside.close)
+            session.alert = open_.enter_context(speaker.to(aside))
+        outputs = open_.enter_context(Outputs.of(options, session, str(endpoint), aircraft))
+        receiver = Receiver(link)
+        open_.callback(receiver.close)
+        outputs.receiver = receiver
+        # However it ends, what was found is told.
+        with contextlib.suppress(KeyboardInterrupt):
+            watch_link(session, receiver, outputs, options.duration)
+        outputs.events(session.finish(receiver.now_s()), receiver.now_s())
+    return session
+
+
+def _replay(options: argparse.Namespace, aircraft: Mapping[int, Aircraft]) -> Session:
+    """Replay a log in the same view; nothing is sent but alerts, if they have an address."""
+    import logparsers
+    from logparsers.codec import Codec
+    from servofd.cli.monitor_outputs import Outputs
+    from servofd.live.run import Pace, replay_log, replay_telemetry
+    from servofd.live.session import Session
+    from servofd.workflow import layout_of
+
+    pace = Pace(1.0 if options.speed is None else options.speed)
+    path = Path(options.endpoint)
+    with contextlib.ExitStack() as open_:
+        log = logparsers.read(path, layout_of(next(iter(aircraft.values()))))
+        session = Session(Codec(0, options.component), aircraft, is_stream=log.format == "tlog")
+        outputs = open_.enter_context(Outputs.of(options, session, options.endpoint, aircraft))
+        now_s = 0.0
+        with contextlib.suppress(KeyboardInterrupt):
+            if log.format == "tlog":
+                now_s = replay_telemetry(session, path, outputs, pace, options.duration)
+            else:
+                now_s = replay_log(session, log, outputs, pace, options.duration)
+        outputs.events(session.finish(now_s), now_s)
+    return session
+
+
+def _verdict(session: Session) -> int:
+    """Exit code; the reason for a 2 goes to stderr."""
+    if any(monitor.has_fault for _, monitor in session.watched):
+        return 1
+    unjudged = [monitor for _, monitor in session.watched if not monitor.was_judged]
+    if session.watched and not unjudged:
+        return 0
+    names = ", ".join(sorted(session.names)[:8])
+    heard = f"; heard {names}" if unjudged and names else ""
+    print(f"servofd: could not tell: {session.waiting() or 'no vehicle'}{heard}", file=sys.stderr)
+    return 2
+
+
+def _aircraft(names: list[str]) -> dict[int, Aircraft]:
+    from servofd.aircraft import load_aircraft
+    from servofd.errors import ConfigError
+
+    known: dict[int, Aircraft] = {}
+    for name in names:
+        head, equals, path = name.partition("=")
+        system = int(head) if equals and head.isdigit() and len(head) <= 3 else 0
+        if system in known or (len(names) > 1 and not 0 < system < 256):
+            raise ConfigError(f"{name}: several vehicles need one file each, as -c 1=FILE -c 2=FILE")
+        known[system] = load_aircraft(path if system else name)
+    return known
+
+
+def _signature(name: str | None) -> Any:  # noqa: ANN401
+    from logparsers.codec import Signature, signing_key
+    from servofd.errors import ConfigError
+
+    if name is None:
+        return None
+    try:
+        return Signature(signing_key(Path(name).read_bytes()), time.time())
+    except OSError as error:
+        raise ConfigError(f"{name}: cannot read the signing key: {error.strerror}") from None
+
+
+def _positive(text: str) -> float:
+    value = _number(text)
+    if not value > 0.0:
+        raise argparse.ArgumentTypeError(f"must be a positive number of seconds, not {text}")
+    return value
+
+
+def _speed(text: str) -> float:
+    value = _number(text)
+    if not 0.0 <= value < float("inf"):
+        raise argparse.ArgumentTypeError(f"must be a positive number, or 0, not {text}")
+    return value
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return float("nan")

@@ -1,0 +1,157 @@
+"""Where the events of the monitor go: screen, JSON lines, telemetry log, recording."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+from servofd.errors import ConfigError
+from servofd.live.view import View, event_line
+from servofd.outputs.event_lines import event_json
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Iterator, Mapping
+
+    from servofd.aircraft import Aircraft
+    from servofd.detection.events import Event
+    from servofd.detection.stream import Piece
+    from servofd.live.session import Session
+    from servofd.live.threads import Receiver, Worker
+    from servofd.outputs.live_recording import LiveRecording
+    from servofd.types import FloatArray
+
+__all__ = ["Outputs"]
+
+_DRAW_S, _LINES_S = 0.1, 5.0
+
+
+class Outputs:
+    """Hands everything on; a disk that is full or a viewer that dies stops nothing else."""
+
+    def __init__(self, session: Session, title: str) -> None:
+        self._session, self._view = session, View(session, title)
+        self._screen: Any = None
+        self._prints = True
+        self._lines: Worker | None = None
+        self._stored: Worker | None = None
+        self._recording: LiveRecording | None = None
+        self.receiver: Receiver | None = None
+        self._drawn_s = self._printed_s = float("-inf")
+        self._waited = ""
+        self._failed: set[str] = set()
+
+    @classmethod
+    @contextlib.contextmanager
+    def of(
+        cls, options: argparse.Namespace, session: Session, title: str, aircraft: Mapping[int, Aircraft]
+    ) -> Iterator[Self]:
+        """Open what the options ask for, and close it however the monitor ends."""
+        made = cls(session, title)
+        with contextlib.ExitStack() as open_:
+            if options.json_lines == "-":
+                made._prints = False
+            elif options.json_lines:
+                made._lines = _writer(options.json_lines, "wb", open_)
+            if options.tlog:
+                made._stored = _writer(options.tlog, "ab", open_)
+                session.store = made._stored.put
+            if options.rrd or options.serve:
+                made._record(options, aircraft, open_)
+            if made._prints and not options.plain and sys.stdout.isatty():
+                from rich.live import Live
+
+                made._screen = open_.enter_context(Live(made._view.drawn(0.0), auto_refresh=False))
+            yield made
+            if made._screen is not None:
+                made._screen.update(made._view.drawn(made._drawn_s), refresh=True)
+
+    def events(self, events: list[Event], now_s: float) -> None:
+        """Tell each event everywhere."""
+        for event in events:
+            vehicle = self._owner(event)
+            if self._lines is not None:
+                self._lines.put(event_json(event, vehicle).encode() + b"\n")
+            if not self._prints:
+                print(event_json(event, vehicle), flush=True)
+            self._note(event_line(event))
+            if self._recording is not None:
+                self._recording.add(event)
+        if any(event.event == "alarm" for event in events):
+            self._drawn_s = float("-inf")
+            self.tick(now_s)
+
+    def tick(self, now_s: float) -> None:
+        """Draw, print and complain, each not too often."""
+        for note in self._session.notes:
+            self._note(f"   link    {note}")
+        self._session.notes.clear()
+        self._complain()
+        if self._screen is not None and now_s - self._drawn_s >= _DRAW_S:
+            self._drawn_s = now_s
+            if self.receiver is not None:
+                self._view.dropped = self.receiver.chunks.dropped
+            self._screen.update(self._view.drawn(now_s), refresh=True)
+        elif self._screen is None and self._prints:
+            waiting = self._session.waiting()
+            if now_s - self._printed_s >= _LINES_S or waiting != self._waited:
+                self._printed_s, self._waited = now_s, waiting
+                for line in self._view.plain(now_s):
+                    print(line, flush=True)
+
+    def _owner(self, event: Event) -> int | None:
+        """Whose event this is; known if there is one vehicle, or the surface has one name."""
+        owners = [v.system for v, m in self._session.watched if m.name == event.surface]
+        return owners[0] if len(owners) == 1 and owners[0] else next(iter(self._session.vehicles), None) or None
+
+    def _note(self, line: str) -> None:
+        self._view.note(line)
+        if self._screen is None and self._prints:
+            print(line, flush=True)
+
+    def _complain(self) -> None:
+        """Say once what could not be written."""
+        for what, worker in (("telemetry log", self._stored), ("JSON lines", self._lines)):
+            if worker is not None and worker.error and what not in self._failed:
+                self._failed.add(what)
+                print(f"servofd: the {what} ends here: {worker.error}", file=sys.stderr)
+
+    def _record(
+        self, options: argparse.Namespace, aircraft: Mapping[int, Aircraft], open_: contextlib.ExitStack
+    ) -> None:
+        from servofd.outputs.live_recording import LiveRecording, Samples
+        from servofd.outputs.recording.verdicts import live_verdicts
+
+        first = next(iter(aircraft.values()))
+        surfaces = list(dict.fromkeys(name for craft in aircraft.values() for name in craft.surfaces))
+        port = options.viewer_port if options.serve else None
+        path = Path(options.rrd) if options.rrd else None
+        # Of several vehicles nobody could tell whose surface it was.
+        known = live_verdicts(first, surfaces, path.stem if path else "monitor") if len(aircraft) == 1 else None
+        recording = LiveRecording(first.name, surfaces, path=path, port=port, properties=known)
+        open_.callback(recording.close)
+        self._recording = recording
+        if options.serve:
+            print(f"servofd: rerun rerun+http://127.0.0.1:{port}/proxy shows it live", file=sys.stderr)
+
+        def listen(surface: str, piece: Piece, asked_deg: FloatArray) -> None:
+            r = piece.residuals
+            level_deg = piece.threshold.level_deg
+            columns = (r.time_s, asked_deg, r.simulated_deg, r.measured_deg, r.residual_deg, level_deg)
+            recording.add(Samples(surface, *columns))
+
+        self._session.listener = listen
+
+
+def _writer(name: str, mode: str, open_: contextlib.ExitStack) -> Worker:
+    from servofd.live.threads import Worker
+
+    try:
+        file = Path(name).open(mode, buffering=0)  # noqa: SIM115 - closed by the worker
+    except OSError as error:
+        raise ConfigError(f"{name}: cannot write: {error.strerror}") from None
+    worker = Worker(file.write, file.close)
+    open_.callback(worker.close)
+    return worker

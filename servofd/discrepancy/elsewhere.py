@@ -1,0 +1,58 @@
+"""How a model that was fitted to one flight does on another."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from servofd.discrepancy.noise import noise_floor_deg
+from servofd.discrepancy.record import record_of, simulate
+
+if TYPE_CHECKING:
+    from servofd.discrepancy.own import OwnEffect
+    from servofd.models.physics import Physics
+    from servofd.models.servo_model import ServoModel
+    from servofd.segment import Segment
+
+__all__ = ["Elsewhere", "judged_elsewhere"]
+
+
+@dataclass(frozen=True, slots=True)
+class Elsewhere:
+    """Errors on a flight to which nothing was fitted [deg]."""
+
+    path: str
+    nominal_rms_deg: float
+    extended_rms_deg: float
+    noise_floor_rms_deg: float
+
+    def document(self) -> dict[str, Any]:
+        """Plain dictionary."""
+        return asdict(self)
+
+
+def judged_elsewhere(
+    path: str, segment: Segment, model: ServoModel, physics: Physics, own: OwnEffect | None = None
+) -> Elsewhere:
+    """Errors of the servo as it was known, and with the effects that were found in another flight.
+
+    Parameters
+    ----------
+    path : str
+        Name of the flight.
+    segment : Segment
+        Commands and measurements of the same surface.
+    model : ServoModel
+        The servo as it is known.
+    physics : Physics
+        The servo with its effects, as they were found.
+    own : OwnEffect, optional
+        An effect of the user's own that is among them.
+    """
+    record = record_of(segment, model, own=own)
+    before, after = (record.measured_deg - simulate(record, each) for each in (record.plant.neutral, physics))
+    floor_deg = noise_floor_deg(record, after)
+    rms = [float(np.sqrt(np.mean(error[record.counts] ** 2))) for error in (before, after)]
+    return Elsewhere(path, rms[0], rms[1], min(floor_deg, rms[1]))

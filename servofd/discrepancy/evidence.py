@@ -1,0 +1,117 @@
+"""Whether a fit is better than another, and whether anything is left: figures of held-out samples and of the noise."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servofd.discrepancy.noise import long_run_factor, noise_floor_deg
+
+if TYPE_CHECKING:
+    from servofd.discrepancy.fit import Fit
+    from servofd.discrepancy.record import Record
+
+__all__ = [
+    "EXCESS_WORTH", "accepted", "cost", "excess", "floor_of", "matters", "rest_is_large", "rest_matters",
+    "worth_trying",
+]  # fmt: skip
+
+_SHARE_OF_NOISE, _SHARE_OF_GAP = 0.03, 0.02
+"""An effect must take away this share of the noise variance (the second twice as much, and so on: several effects bend
+to anything), and of the gap that is left."""
+_CHI_SQUARED = 30.0
+"""And this much of the held-out error in units of the noise: 25 effects and their grids are tried each time."""
+_BLOCK_T = 3.0
+_USUAL_TRAVEL_DEG = 25.0
+"""Of the surfaces for which the sizes of a linkage's curvature are typical."""
+_SMALLEST_SIZE = 0.15
+"""Of what is common on healthy servos: 0.5 ms of delay, 0.5 % of gain, 0.05 deg of play."""
+EXCESS_WORTH = 0.06
+"""The floor itself is uncertain by 3 %."""
+_EXCESS_OF_NOISE, _EXCESS_OF_GAP = 0.15, 0.02
+
+
+def floor_of(record: Record, fit: Fit) -> float:
+    """Noise floor as this fit shows it [deg]: that of a converter's steps at least, but no more than its own error."""
+    noise_deg = max(noise_floor_deg(record, fit.error_deg), (record.step_deg or 0.0) / float(np.sqrt(12.0)))
+    return min(noise_deg, float(np.sqrt(fit.total / max(record.counts.sum(), 1))))
+
+
+def cost(record: Record, fit: Fit) -> float:
+    """What ranks fits: the error on all samples, and a little for each parameter."""
+    sigma = floor_of(record, fit)
+    each = sigma**2 * float(np.log(max(int(record.counts.sum()), 2)))
+    return float(fit.total + each * len(fit.values))
+
+
+def worth_trying(record: Record, base: Fit, sigma: float) -> bool:
+    """Whether more is left than noise: more variance than the floor, or memory, which white noise does not have."""
+    count = int(record.counts.sum())
+    more = base.total / max(count, 1) / sigma**2 - 1.0
+    error = base.error_deg[record.counts]
+    power = max(float(error @ error), 1e-300)
+    smooth = 0.5 * float(error[1:] @ error[:-1] + error[2:] @ error[:-2]) / power
+    return more > EXCESS_WORTH or smooth > max(_SHARE_OF_NOISE, 2.5 / np.sqrt(2.0 * max(count, 1)))
+
+
+def accepted(record: Record, base: Fit, fit: Fit, sigma: float) -> bool:
+    """Whether an effect took enough away on samples it was not fitted to, and none of its parameters ran away."""
+    gain = base.held_out - fit.held_out
+    count = int(record.held_out.sum())
+    gap = max(base.held_out - count * sigma**2, 0.0)
+    share = _SHARE_OF_NOISE * len(fit.effects)
+    if gain < max(share * count * sigma**2, _SHARE_OF_GAP * gap) or base.train <= fit.train:
+        return False
+    if record.runs and base.train - fit.train < _SHARE_OF_GAP * base.train:
+        # What the fitted runs did not need cannot be told from the others' luck.
+        return False
+    factor = long_run_factor(fit.error_deg[record.counts])
+    if gain / (sigma**2 * factor) < _CHI_SQUARED:
+        return False
+    if gain / (sigma**2 * factor) < 4.0 * _CHI_SQUARED and _block_t(record, base, fit) < _BLOCK_T:
+        return False
+    return matters(record, fit) and not any(p.at_bound(v) for p, v in zip(fit.parameters, fit.values, strict=True))
+
+
+def matters(record: Record, fit: Fit) -> bool:
+    """Whether each effect differs from none by more than servos of one kind do from each other."""
+    first, widening = 0, max(float(np.nanmax(np.abs(record.measured_deg))) / _USUAL_TRAVEL_DEG, 1.0)
+    for effect in fit.effects:
+        values = fit.values[first : first + len(effect.parameters)]
+        first += len(effect.parameters)
+        sizes = [
+            p.away(float(v), record.plant.neutral) / p.typical * widening**p.travel_power
+            for p, v in zip(effect.parameters, values, strict=True)
+            if not p.aside
+        ]
+        if max(sizes) < _SMALLEST_SIZE:
+            return False
+    return True
+
+
+def _block_t(record: Record, base: Fit, fit: Fit) -> float:
+    """Mean improvement of a block over its standard error, on the held-out blocks."""
+    where = record.held_out
+    gains = np.bincount(record.block[where], weights=base.error_deg[where] ** 2 - fit.error_deg[where] ** 2)
+    used = np.bincount(record.block[where]) > 0
+    gains = gains[used]
+    return float(gains.mean() / max(gains.std(ddof=1) / np.sqrt(gains.size), 1e-300)) if gains.size > 2 else 0.0
+
+
+def rest_is_large(record: Record, fit: Fit, nominal: Fit) -> bool:
+    """Whether more is left than noise, and more than a rounding of what was there."""
+    sigma, count = floor_of(record, fit), max(float(record.counts.sum()), 1.0)
+    left, gap = (max(each.total - count * sigma**2, 0.0) for each in (fit, nominal))
+    return left > max(_EXCESS_OF_NOISE * count * sigma**2, _EXCESS_OF_GAP * gap)
+
+
+def excess(record: Record, fit: Fit, sigma: float) -> float:
+    """Variance beyond the noise floor on the held-out samples [deg^2]."""
+    return fit.held_out / max(int(record.held_out.sum()), 1) - sigma**2
+
+
+def rest_matters(record: Record, nominal: Fit, final: Fit, sigma_deg: float) -> bool:
+    """Whether more is left on held-out samples than noise, and more than a rounding of what was there."""
+    left, gap = excess(record, final, sigma_deg), excess(record, nominal, sigma_deg)
+    return left > _EXCESS_OF_NOISE * sigma_deg**2 and left > _EXCESS_OF_GAP * gap

@@ -1,0 +1,120 @@
+"""The ladder from the nominal servo to the best, what was defeated at each step, and what cannot be told apart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from servofd.discrepancy.evidence import EXCESS_WORTH, floor_of, matters
+from servofd.discrepancy.noise import long_run_factor
+from servofd.discrepancy.prune import without
+
+if TYPE_CHECKING:
+    from servofd.discrepancy.fit import Fit, Fitter
+    from servofd.models.catalogue import MissingEffect
+
+__all__ = ["Rung", "Tried", "equals_of", "keys_of", "rungs_of", "simplest"]
+
+_TIE_CHI_SQUARED, _EVEN_CHI_SQUARED = 10.0, 4.0
+"""Below the second, the data do not even hint at which it is, and the simplest is named."""
+_TIE_OF_EXCESS = 0.15
+"""Where something stays unexplained, two effects that differ by less than this share of it are not told apart, unless
+that is as much of what they take away."""
+_TIE_OF_KIND = 0.7
+"""The same for two of one family, and for a rival of an effect with many minima, which had as many chances."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rung:
+    """One effect added, and the ones that it defeated."""
+
+    fit: Fit
+    rivals: tuple[Fit, ...]
+
+
+Tried = dict[tuple[str, ...], list["Fit"]]
+"""Fits that have one effect more than the effects of the key."""
+
+
+def keys_of(fit: Fit) -> tuple[str, ...]:
+    """Names and forms of the effects, whatever their order."""
+    return tuple(sorted(effect.key() for effect in fit.effects))
+
+
+def rungs_of(
+    fitter: Fitter,
+    nominal: Fit,
+    best: Fit,
+    tried: Tried,
+    able: list[type[MissingEffect]],
+) -> tuple[Rung, ...]:
+    """The ladder from the nominal servo to the best, refitted at each step, with what was defeated there."""
+    rungs: list[Rung] = []
+    base = nominal
+    for k in range(1, len(best.effects) + 1):
+        if k == len(best.effects):
+            fit = best
+        else:
+            count = sum(len(effect.parameters) for effect in best.effects[:k])
+            fit = fitter.refitted(best.effects[:k], best.values[:count].tolist())
+        if keys_of(base) not in tried:
+            tried[keys_of(base)] = fitter.with_effects(base, able, _quietly)
+        others: dict[str, Fit] = {}
+        for rival in sorted(tried[keys_of(base)], key=lambda r: r.held_out):
+            if rival.names[-1] != fit.names[-1]:
+                others.setdefault(rival.names[-1], rival)
+        rungs.append(Rung(fit, tuple(others.values())))
+        base = fit
+    return tuple(rungs)
+
+
+def equals_of(fitter: Fitter, best: Fit, able: list[type[MissingEffect]], tried: Tried) -> list[list[Fit]]:
+    """For each effect, the fits with another one in its place that the data cannot tell from it."""
+    record, sigma = fitter.record, floor_of(fitter.record, best)
+    factor = long_run_factor(best.error_deg[record.counts])
+    left = max(best.total - float(record.counts.sum()) * sigma**2 * (1.0 + EXCESS_WORTH), 0.0)
+    equals = []
+    for k in range(len(best.effects)):
+        base = without(fitter, best, k)
+        rivals = tried.get(keys_of(base)) or fitter.with_effects(base, able, _quietly)
+        tried[keys_of(base)] = rivals
+        common, unsure = _TIE_CHI_SQUARED * sigma**2 * factor, min(left, base.total - best.total)
+        equals.append(
+            [
+                rival
+                for rival in rivals
+                if rival.names[-1] not in best.names
+                and rival.total - best.total < max(common, _slack(best.effects[k], rival) * unsure)
+                and not any(p.at_bound(v) for p, v in zip(rival.parameters, rival.values, strict=True))
+            ]
+        )
+    return equals
+
+
+def _slack(effect: type[MissingEffect], rival: Fit) -> float:
+    """Share of what stays unexplained by which a rival may be worse than an effect and still pass for it."""
+    alike = effect.family != "" and effect.family == rival.effects[-1].family
+    return _TIE_OF_KIND if alike or (_is_kinked(effect) and not _is_kinked(rival.effects[-1])) else _TIE_OF_EXCESS
+
+
+def simplest(fitter: Fitter, best: Fit, able: list[type[MissingEffect]], tried: Tried) -> Fit:
+    """The same servo in the simplest of the words that fit equally well."""
+    for k in range(len(best.effects)):
+        if _is_kinked(best.effects[k]):
+            smooth = [r for r in equals_of(fitter, best, able, tried)[k] if not _is_kinked(r.effects[-1])]
+            best = min((r for r in smooth if matters(fitter.record, r)), key=lambda r: r.total, default=best)
+    margin = _EVEN_CHI_SQUARED * floor_of(fitter.record, best) ** 2
+    for effect, equals in zip(best.effects, equals_of(fitter, best, able, tried), strict=True):
+        before = [r for r in equals if able.index(r.effects[-1]) < able.index(effect)]
+        even = [r for r in before if r.total - best.total < margin or effect.family == r.effects[-1].family != ""]
+        if even:
+            return simplest(fitter, min(even, key=lambda r: able.index(r.effects[-1])), able, tried)
+    return best
+
+
+def _is_kinked(effect: type[MissingEffect]) -> bool:
+    return any(parameter.kinked for parameter in effect.parameters)
+
+
+def _quietly(_step: str) -> None:
+    """Tell nobody."""

@@ -1,0 +1,169 @@
+"""Manoeuvres that would tell apart what these data do not: where two fitted servos differ most."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from servofd.detection.residual import Commands
+from servofd.discrepancy.record import simulate
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from servofd.discrepancy.fit import Fit, Fitter
+    from servofd.discrepancy.record import Record
+    from servofd.discrepancy.select import Selection
+    from servofd.types import FloatArray
+
+__all__ = ["MANOEUVRES", "Manoeuvre", "Separation", "separations"]
+
+_RATE_HZ, _DURATION_S = 100.0, 24.0
+_SETTLING_S = 0.5
+_TELLING_SIGMAS = 4.0
+"""Less than this could be noise."""
+_AS_GOOD = 0.8
+"""A simpler manoeuvre is preferred if it shows this share of what the best one shows."""
+_AIR_PA = (88.0, 551.0)
+"""Dynamic pressure at 12 and 30 m/s."""
+_CRUISE_PA, _SUPPLY_V, _SAGGING_V = 246.0, 6.0, 4.8
+
+
+class Manoeuvre(NamedTuple):
+    """Something that can be flown, or done on the bench."""
+
+    name: str
+    command: Callable[[FloatArray], FloatArray]
+    """Command [deg], shape (n,), at times [s], shape (n,), from 0 to 24 s."""
+    air_changes: bool = False
+    supply_sags: bool = False
+
+
+def _step(size_deg: float) -> Callable[[FloatArray], FloatArray]:
+    return lambda t: size_deg * ((t // 2.0) % 2.0)
+
+
+def _doublets(size_deg: float) -> Callable[[FloatArray], FloatArray]:
+    def command(t: FloatArray) -> FloatArray:
+        since_s = t % 3.0
+        both: FloatArray = size_deg * np.select([since_s < 0.5, since_s < 1.0], [1.0, -1.0], 0.0)
+        return both
+
+    return command
+
+
+def _triangle(size_deg: float, period_s: float) -> Callable[[FloatArray], FloatArray]:
+    def command(t: FloatArray) -> FloatArray:
+        corners_s, corners_deg = period_s * np.arange(5) / 4.0, size_deg * np.array([0.0, 1.0, 0.0, -1.0, 0.0])
+        ramps: FloatArray = np.asarray(np.interp(t % period_s, corners_s, corners_deg), dtype=np.float64)
+        return ramps
+
+    return command
+
+
+def _sine(size_deg: float, frequency_hz: float) -> Callable[[FloatArray], FloatArray]:
+    return lambda t: size_deg * np.sin(2.0 * np.pi * frequency_hz * t)
+
+
+def _chirp(sizes_deg: tuple[float, ...], low_hz: float, high_hz: float) -> Callable[[FloatArray], FloatArray]:
+    def command(t: FloatArray) -> FloatArray:
+        length_s = _DURATION_S / len(sizes_deg)
+        part = np.minimum((t / length_s).astype(int), len(sizes_deg) - 1)
+        local_s = t - part * length_s
+        growth = np.log(high_hz / low_hz) / length_s
+        swept: FloatArray = np.array(sizes_deg)[part] * np.sin(
+            2.0 * np.pi * low_hz * (np.exp(growth * local_s) - 1.0) / growth
+        )
+        return swept
+
+    return command
+
+
+MANOEUVRES: tuple[Manoeuvre, ...] = (
+    *(Manoeuvre(f"a step of {size:g} deg", _step(size)) for size in (2.0, 5.0, 10.0, 20.0)),
+    *(Manoeuvre(f"a doublet of {size:g} deg", _doublets(size)) for size in (5.0, 10.0)),
+    *(Manoeuvre(f"a slow triangle of {size:g} deg (8 s)", _triangle(size, 8.0)) for size in (2.0, 10.0)),
+    *(
+        Manoeuvre(f"a sine of {size:g} deg at {rate:g} Hz", _sine(size, rate))
+        for size, rate in ((1.0, 1.0), (5.0, 1.0), (15.0, 1.0), (5.0, 4.0))
+    ),
+    Manoeuvre("a chirp of 1, 3 and 9 deg from 0.3 to 8 Hz", _chirp((1.0, 3.0, 9.0), 0.3, 8.0)),
+    Manoeuvre("sines of 10 deg at 0.5 Hz from 12 to 30 m/s", _sine(10.0, 0.5), air_changes=True),
+    Manoeuvre("steps of 20 deg while the supply sags from 6 to 4.8 V", _step(20.0), supply_sags=True),
+)
+"""Simple before complicated."""
+
+
+@dataclass(frozen=True, slots=True)
+class Separation:
+    """The manoeuvre that tells two effects apart."""
+
+    effects: tuple[str, str]
+    """The named one first."""
+    manoeuvre: str | None
+    """None if command and position never tell them apart."""
+    difference_deg: float
+    """Largest difference between the two servos in it, or in any manoeuvre if none tells."""
+    sigmas: float
+    """The same in standard deviations of the noise."""
+
+    @property
+    def sentence(self) -> str:
+        """In words."""
+        one, two = self.effects
+        if self.manoeuvre is None:
+            return f"no manoeuvre tells {one} from {two} by command and position alone"
+        return f"{self.manoeuvre} tells {one} from {two} (differs by {self.sigmas:.0f} sigma)"
+
+    def document(self) -> dict[str, Any]:
+        """Plain dictionary."""
+        return {**asdict(self), "effects": list(self.effects), "sentence": self.sentence}
+
+
+def separations(selection: Selection) -> tuple[Separation, ...]:
+    """For each pair of effects that a record cannot tell apart, what would.
+
+    Both servos as they were fitted to the record are sent through a library of manoeuvres. The one in which they
+    differ most, in the rms of 24 s, is named; a simpler one, if it shows nearly as much.
+    """
+    sigma_deg = selection.sigma_deg
+    return tuple(
+        _separation(selection.fitter, (tie[0], name), selection.final, rival, sigma_deg)
+        for tie, rivals in zip(selection.ties, selection.tied, strict=True)
+        for name, rival in zip(tie[1:], rivals, strict=True)
+    )
+
+
+def _separation(fitter: Fitter, names: tuple[str, str], best: Fit, rival: Fit, sigma_deg: float) -> Separation:
+    one, two = (fitter.physics(fit.effects, fit.values) for fit in (best, rival))
+    rms, most = [], []
+    for manoeuvre in MANOEUVRES:
+        flown = _flown(fitter.record, manoeuvre)
+        apart = (simulate(flown, one) - simulate(flown, two))[flown.counts]
+        rms.append(float(np.sqrt(np.mean(apart**2))))
+        most.append(float(np.max(np.abs(apart))))
+    if not max(most) >= _TELLING_SIGMAS * sigma_deg:
+        return Separation(names, None, max(most), max(most) / sigma_deg)
+    told = (np.array(rms) >= _AS_GOOD * max(rms)) & (np.array(most) >= _TELLING_SIGMAS * sigma_deg)
+    first = int(np.argmax(told)) if told.any() else int(np.argmax(most))
+    return Separation(names, MANOEUVRES[first].name, most[first], most[first] / sigma_deg)
+
+
+def _flown(record: Record, manoeuvre: Manoeuvre) -> Record:
+    """The servo of a record in a manoeuvre."""
+    time_s = np.arange(round(_DURATION_S * _RATE_HZ)) / _RATE_HZ
+    share, ones = time_s / _DURATION_S, np.ones(time_s.size)
+    command_deg = manoeuvre.command(time_s)
+    return replace(
+        record,
+        commands=Commands(time_s, command_deg, np.zeros(time_s.size)),
+        time_s=time_s,
+        measured_deg=np.full(time_s.size, record.plant.dc_gain * command_deg[0]),
+        counts=time_s > _SETTLING_S,
+        block=np.zeros(time_s.size, dtype=np.int64),
+        pressure_pa=_AIR_PA[0] + share * (_AIR_PA[1] - _AIR_PA[0]) if manoeuvre.air_changes else _CRUISE_PA * ones,
+        voltage_v=_SUPPLY_V - share * (_SUPPLY_V - _SAGGING_V) if manoeuvre.supply_sags else _SUPPLY_V * ones,
+        runs=(),
+    )

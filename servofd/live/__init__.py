@@ -1,0 +1,1 @@
+"""The live monitor: a MAVLink stream in; alarms, a view and recordings out."""

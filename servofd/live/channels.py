@@ -1,0 +1,99 @@
+"""From messages to the channels that an aircraft file names: the same names as in a telemetry log."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, NamedTuple
+
+from logparsers.mavlink import dialect
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from logparsers.codec import Heard
+
+__all__ = ["ChannelTable", "Stamp", "stamp_of"]
+
+_NAME = re.compile(r"(?:(\d+)/(\d+):)?([A-Z0-9_]+)(?:\[([^\]]*)\])?\.(\w+)(?:\[(\d+)\])?")
+
+
+class _Wanted(NamedTuple):
+    channel: str
+    source: tuple[int, int] | None
+    field: str
+    element: int | None
+
+
+class Stamp(NamedTuple):
+    """Where a message says when it was made."""
+
+    field: str
+    tick_s: float
+    bits: int
+
+
+class ChannelTable:
+    """Finds the wanted channels in messages.
+
+    A channel without a source takes the first sender of that message, and keeps to it.
+
+    Examples
+    --------
+    >>> from logparsers.codec import Heard
+    >>> table = ChannelTable(["NAMED_VALUE_FLOAT[SRVP2].value", "SERVO_OUTPUT_RAW.servo2_raw"])
+    >>> table.of(Heard("NAMED_VALUE_FLOAT", 1, 1, {"name": "SRVP2", "value": 3.5}))
+    [('NAMED_VALUE_FLOAT[SRVP2].value', 3.5)]
+    """
+
+    def __init__(self, channels: Iterable[str]) -> None:
+        self._wanted: dict[tuple[str, str], list[_Wanted]] = {}
+        self._senders: dict[str, tuple[int, int]] = {}
+        self.unknown: list[str] = []
+        """Names that are no channels of a telemetry stream."""
+        layouts = dialect().layouts
+        for channel in dict.fromkeys(channels):
+            match = _NAME.fullmatch(channel)
+            if match is None or match[3] not in layouts or match[5] not in layouts[match[3]].fields:
+                self.unknown.append(channel)
+                continue
+            source = (int(match[1]), int(match[2])) if match[1] else None
+            element = int(match[6]) if match[6] else None
+            instance = match[4] if match[4] is not None else ("0" if layouts[match[3]].instance else "")
+            self._wanted.setdefault((match[3], instance), []).append(_Wanted(channel, source, match[5], element))
+        self.messages = {message for message, _ in self._wanted}
+        self._instances = {name: layouts[name].instance for name in self.messages}
+
+    def of(self, heard: Heard) -> list[tuple[str, float]]:
+        """Wanted channels of a message, and their values as logged."""
+        if heard.name not in self.messages:
+            return []
+        field = self._instances[heard.name]
+        instance = str(heard.fields[field]) if field else ""
+        found = []
+        for wanted in self._wanted.get((heard.name, instance), ()):
+            sender = (heard.system, heard.component)
+            if wanted.source is None:
+                if self._senders.setdefault(wanted.channel, sender) != sender:
+                    continue
+            elif wanted.source != sender:
+                continue
+            value = heard.fields[wanted.field]
+            found.append((wanted.channel, float(value if wanted.element is None else value[wanted.element])))
+        return found
+
+
+_STAMPS: dict[str, Stamp | None] = {}
+
+
+def stamp_of(message: str) -> Stamp | None:
+    """Time stamp of a message; None if it carries none.
+
+    Examples
+    --------
+    >>> stamp_of("SERVO_OUTPUT_RAW"), stamp_of("HEARTBEAT")
+    (Stamp(field='time_usec', tick_s=1e-06, bits=32), None)
+    """
+    if message not in _STAMPS:
+        clock = dialect().layouts[message].clock if message in dialect().layouts else None
+        _STAMPS[message] = Stamp(clock[0].name, clock[1], 8 * clock[0].dtype.itemsize) if clock else None
+    return _STAMPS[message]

@@ -1,0 +1,112 @@
+"""Asking an autopilot for the rates that a model needs, and taking no for an answer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final
+
+from logparsers.mavlink import dialect
+
+if TYPE_CHECKING:
+    from logparsers.codec import Heard
+
+__all__ = ["Requests"]
+
+_SET_MESSAGE_INTERVAL: Final = 511  # MAV_CMD
+_ACCEPTED, _IN_PROGRESS, _UNSUPPORTED = 0, 5, 3  # MAV_RESULT
+_RATES_HZ: Final = (50.0, 40.0, 25.0, 10.0)
+"""ArduPlane grants 0.8 of its loop rate: 40 Hz with the usual 50 Hz loop."""
+_PATIENCE_S, _TRIES = 1.0, 3
+_AGAIN_S = 30.0
+_TOO_SLOW = 0.6
+
+
+@dataclass(slots=True)
+class _Wish:
+    message: str
+    step: int = 0
+    tries: int = 0
+    granted_hz: float = 0.0
+    done: bool = False
+
+
+@dataclass(slots=True)
+class Requests:
+    """One vehicle's message intervals, asked for one after the other.
+
+    Parameters
+    ----------
+    system : int
+        The vehicle.
+    messages : set of str
+        What its surfaces need.
+
+    Examples
+    --------
+    >>> from logparsers.codec import Heard
+    >>> requests = Requests(1, {"SERVO_OUTPUT_RAW"})
+    >>> [fields["param2"] for _, fields in requests.due(0.0)]
+    [20000.0]
+    >>> requests.hear(Heard("COMMAND_ACK", 1, 1, {"command": 511, "result": 2}))
+    'SERVO_OUTPUT_RAW at 50 Hz denied'
+    >>> [fields["param2"] for _, fields in requests.due(0.1)]
+    [25000.0]
+    >>> requests.hear(Heard("COMMAND_ACK", 1, 1, {"command": 511, "result": 0}))
+    'SERVO_OUTPUT_RAW at 40 Hz granted'
+    """
+
+    system: int
+    messages: set[str]
+    _wishes: list[_Wish] = field(init=False)
+    _asked_s: float = float("-inf")
+    _open: _Wish | None = None
+    _finished_s: float = float("-inf")
+
+    def __post_init__(self) -> None:
+        self._wishes = [_Wish(message) for message in sorted(self.messages)]
+
+    def due(self, now_s: float) -> list[tuple[str, dict[str, Any]]]:
+        """What to ask now [s, the receiver's clock]."""
+        if self._open is not None and now_s - self._asked_s < _PATIENCE_S:
+            return []
+        wish = self._open or next((wish for wish in self._wishes if not wish.done), None)
+        if wish is None:
+            return []
+        wish.tries += 1
+        if wish.tries > _TRIES:
+            wish.done, self._open, self._finished_s = True, None, now_s
+            return []
+        self._open, self._asked_s = wish, now_s
+        period_us = 1e6 / _RATES_HZ[wish.step]
+        number = dialect().layouts[wish.message].id
+        fields = {"target_system": self.system, "target_component": 1, "command": _SET_MESSAGE_INTERVAL}
+        return [("COMMAND_LONG", fields | {"param1": float(number), "param2": period_us})]
+
+    def hear(self, heard: Heard) -> str:
+        """Take an answer, and say what it means; empty if it is none."""
+        wish = self._open
+        if wish is None or heard.name != "COMMAND_ACK" or heard.fields["command"] != _SET_MESSAGE_INTERVAL:
+            return ""
+        result = int(heard.fields["result"])
+        if result == _IN_PROGRESS:
+            return ""
+        asked_hz = _RATES_HZ[wish.step]
+        self._open, self._finished_s = None, self._asked_s
+        if result == _ACCEPTED:
+            wish.done, wish.granted_hz = True, asked_hz
+            return f"{wish.message} at {asked_hz:g} Hz granted"
+        wish.step, wish.tries = wish.step + 1, 0
+        wish.done = result == _UNSUPPORTED or wish.step == len(_RATES_HZ)
+        return f"{wish.message} at {asked_hz:g} Hz denied" if not wish.done else f"{wish.message}: no rate is granted"
+
+    def measured(self, message: str, rate_hz: float, now_s: float) -> None:
+        """Ask again if a message comes much more slowly than was granted: another station may have changed it."""
+        for wish in self._wishes:
+            if wish.message == message and wish.granted_hz > 0.0 and rate_hz < _TOO_SLOW * wish.granted_hz:
+                if now_s - self._finished_s > _AGAIN_S:
+                    self.again()
+                return
+
+    def again(self) -> None:
+        """Ask for everything once more, as after a restart."""
+        self._wishes, self._open = [_Wish(message) for message in sorted(self.messages)], None

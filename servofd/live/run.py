@@ -1,0 +1,125 @@
+"""The loops of the monitor: a live link, a telemetry log, or any other log at a chosen speed."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from servofd.live.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from logparsers import FlightLog
+    from servofd.detection.events import Event
+    from servofd.live.session import Session
+    from servofd.live.threads import Receiver
+
+__all__ = ["Pace", "Watcher", "replay_log", "replay_telemetry", "watch_link"]
+
+_STEP_S = 0.02
+"""Data is evaluated in steps of this length, or as soon as it comes on a live link."""
+
+
+class Watcher(Protocol):
+    """Whoever wants to know."""
+
+    def events(self, events: list[Event], now_s: float) -> None:
+        """Something happened, by the receiver's clock at `now_s` [s]."""
+
+    def tick(self, now_s: float) -> None:
+        """Time goes by."""
+
+
+@dataclass(slots=True)
+class Pace:
+    """Holds a replay to a speed; 0 is as fast as it goes."""
+
+    speed: float
+    _begun: tuple[float, float] | None = None
+
+    def wait(self, at_s: float) -> None:
+        """Wait until this instant of the log is due [s]."""
+        if self.speed <= 0.0:
+            return
+        now_s = time.monotonic()
+        if self._begun is None:
+            self._begun = (now_s, at_s)
+        due_s = self._begun[0] + (at_s - self._begun[1]) / self.speed
+        if due_s > now_s:
+            time.sleep(due_s - now_s)
+
+
+def watch_link(session: Session, receiver: Receiver, watcher: Watcher, duration_s: float) -> None:
+    """Watch a live link for so long [s]."""
+    end_s = time.monotonic() + duration_s
+    while time.monotonic() < end_s:
+        events: list[Event] = []
+        for arrival_s, data in receiver.chunks.take(min(0.05, max(end_s - time.monotonic(), 0.0))):
+            events += session.take(arrival_s, data)
+        now_s = receiver.now_s()
+        events += session.step(now_s)
+        watcher.events(events, now_s)
+        watcher.tick(now_s)
+
+
+def replay_telemetry(session: Session, path: Path, watcher: Watcher, pace: Pace, duration_s: float) -> float:
+    """Replay a telemetry log; returns the arrival time of its last frame [s]."""
+    from logparsers.replay import replayed
+
+    first_s = stepped_s = now_s = float("nan")
+    for now_s, frame in replayed(path):
+        if not now_s - first_s <= duration_s:
+            if np.isfinite(first_s):
+                break
+            first_s = stepped_s = now_s
+        events = session.take(now_s, frame)
+        if abs(now_s - stepped_s) >= _STEP_S:
+            pace.wait(now_s)
+            stepped_s = now_s
+            events += session.step(now_s)
+            watcher.tick(now_s)
+        watcher.events(events, now_s)
+    return now_s
+
+
+def replay_log(session: Session, log: FlightLog, watcher: Watcher, pace: Pace, duration_s: float) -> float:
+    """Replay the channels of any log; returns its last time [s]."""
+    (aircraft,) = session.aircraft.values()
+    vehicle = Vehicle(0, aircraft, is_stream=False)
+    session.vehicles[0] = vehicle
+    now_s = 0.0
+    for now_s, samples in _steps(log, vehicle):
+        if now_s - log_start_s(log) > duration_s:
+            break
+        pace.wait(now_s)
+        vehicle.heard_s = now_s
+        vehicle.give(samples)
+        watcher.events(session.step(now_s), now_s)
+        watcher.tick(now_s)
+    return now_s
+
+
+def log_start_s(log: FlightLog) -> float:
+    """First time stamp of a log [s]."""
+    return float(log.span_s[0]) if log.span_s else 0.0
+
+
+def _steps(log: FlightLog, vehicle: Vehicle) -> Iterator[tuple[float, list[tuple[str, float, float]]]]:
+    """Samples of the wanted channels in the order of time, step by step."""
+    names = [name for name in vehicle.channels if name in log.channels]
+    if not names:
+        return
+    times = [log[name].time_s for name in names]
+    owner = np.repeat(np.arange(len(names)), [t.size for t in times])
+    together_s = np.concatenate(times)
+    values = np.concatenate([log[name].values for name in names])
+    order = np.argsort(together_s, kind="stable")
+    bounds = np.flatnonzero(np.diff(np.floor(together_s[order] / _STEP_S))) + 1
+    for rows in np.split(order, bounds):
+        samples = zip(owner[rows].tolist(), together_s[rows].tolist(), values[rows].tolist(), strict=True)
+        yield float(together_s[rows[-1]]), [(names[k], at_s, value) for k, at_s, value in samples]

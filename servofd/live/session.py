@@ -1,0 +1,248 @@
+"""The monitor at work: frames in, events out; where they come from and where they go is decided elsewhere."""
+
+from __future__ import annotations
+
+import math
+import struct
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from servofd.live.alerts import Alerts
+from servofd.live.remote_log import RemoteLog
+from servofd.live.requests import Requests
+from servofd.live.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from logparsers.codec import Codec, Heard
+    from servofd.aircraft import Aircraft
+    from servofd.detection.events import Event, Look
+    from servofd.detection.monitor import SurfaceMonitor
+    from servofd.detection.stream import Piece
+    from servofd.live.alerts import Message
+    from servofd.types import FloatArray
+
+__all__ = ["Session", "stamped"]
+
+_GROUND_SYSTEM, _AUTOPILOT = 255, 1
+_NO_AUTOPILOT = 8
+
+
+def stamped(arrival_s: float, frame: bytes) -> bytes:
+    """A frame as a telemetry log holds it: after its arrival time in microseconds.
+
+    Examples
+    --------
+    >>> stamped(1.5, b"frame").hex()
+    '000000000016e3606672616d65'
+    """
+    return struct.pack(">Q", round(arrival_s * 1e6)) + frame
+
+
+@dataclass(slots=True)
+class Session:
+    """All vehicles of one link.
+
+    Parameters
+    ----------
+    codec : Codec
+        Takes frames apart; its own messages are made elsewhere.
+    aircraft : Mapping[int, Aircraft]
+        By system id; with the key 0, of whichever vehicle speaks first.
+    store : callable
+        Takes every frame with its arrival time, as a telemetry log has it.
+    send : callable, optional
+        Sends requests: message name and fields. None: nothing is asked for.
+    alert : callable, optional
+        Sends alerts. None: nothing is said.
+    aside : bool
+        Whether the bank works in a thread of its own; otherwise the session waits for it.
+    """
+
+    codec: Codec
+    aircraft: Mapping[int, Aircraft]
+    store: Callable[[bytes], None] = lambda _: None
+    send: Callable[[str, dict[str, Any]], None] | None = None
+    alert: Callable[[str, dict[str, Any]], None] | None = None
+    is_stream: bool = True
+    """False for a log of another kind, whose samples are given directly."""
+    aside: bool = False
+    remote_log: bool = False
+    """Whether to ask for the autopilot's own log; needs `send`."""
+    listener: Callable[[str, Piece, FloatArray], None] | None = None
+    """Told of every piece that was evaluated."""
+    vehicles: dict[int, Vehicle] = field(default_factory=dict)
+    strangers: set[int] = field(default_factory=set)
+    """Systems that are heard, and that no aircraft file is for."""
+    names: set[str] = field(default_factory=set)
+    """Messages that were heard from vehicles."""
+    notes: list[str] = field(default_factory=list)
+    """News of the link, to be shown and forgotten."""
+    frames: int = 0
+    damaged_bytes: int = 0
+    _alerts: dict[int, Alerts] = field(default_factory=dict)
+    _logs: dict[int, RemoteLog] = field(default_factory=dict)
+    _requests: dict[int, Requests] = field(default_factory=dict)
+    _pool: ThreadPoolExecutor | None = None
+    _looks: list[tuple[Vehicle, SurfaceMonitor, Look, Future[Any]]] = field(default_factory=list)
+    _wanted: dict[int, set[str]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for system, aircraft in self.aircraft.items():
+            vehicle = Vehicle(system, aircraft, is_stream=self.is_stream and not self.remote_log)
+            self._wanted[system] = vehicle.messages
+            if system:
+                self._adopt(system, vehicle)
+        if self.aside:
+            self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="servofd bank")
+
+    def take(self, arrival_s: float, data: bytes) -> list[Event]:
+        """Take bytes that arrived [s, the receiver's clock]."""
+        events: list[Event] = []
+        for frame, heard in self.codec.frames(data):
+            self.store(stamped(arrival_s, frame))
+            if heard is None:
+                self.damaged_bytes += len(frame)
+                continue
+            self.frames += 1
+            vehicle = self.vehicles.get(heard.system) or self._found(heard)
+            if vehicle is not None:
+                self.names.add(heard.name)
+                told = vehicle.hear(heard, arrival_s)
+                self._ask_again(vehicle, told)
+                events += told
+                self._answered(heard)
+                if heard.system in self._logs:
+                    vehicle.give(self._logs[heard.system].hear(heard, arrival_s))
+        return events
+
+    def step(self, arrival_now_s: float) -> list[Event]:
+        """Evaluate what was taken, and do what is due."""
+        events: list[Event] = []
+        for vehicle in tuple(self.vehicles.values()):
+            for monitor in vehicle.monitors.values():
+                monitor.listener = self.listener
+            mine = vehicle.evaluate()
+            mine += vehicle.silence(arrival_now_s)
+            mine += self._look(vehicle)
+            self._speak(vehicle, mine, arrival_now_s)
+            events += mine
+        return events
+
+    def finish(self, arrival_now_s: float) -> list[Event]:
+        """End of the stream."""
+        if self._pool is not None:
+            self._pool.shutdown(wait=True)
+        events: list[Event] = []
+        for vehicle in self.vehicles.values():
+            mine = self._finished_looks(vehicle) + vehicle.finish()
+            self._speak(vehicle, mine, arrival_now_s)
+            events += mine
+        return events
+
+    @property
+    def watched(self) -> list[tuple[Vehicle, SurfaceMonitor]]:
+        """Every surface of every vehicle."""
+        return [(vehicle, monitor) for vehicle in self.vehicles.values() for monitor in vehicle.monitors.values()]
+
+    def _found(self, heard: Heard) -> Vehicle | None:
+        """The first vehicle that speaks, if the aircraft file says of none which it is."""
+        autopilot = heard.name == "HEARTBEAT" and heard.component == _AUTOPILOT
+        autopilot = autopilot and heard.fields["autopilot"] != _NO_AUTOPILOT
+        if 0 not in self.aircraft or self.vehicles or heard.system == _GROUND_SYSTEM:
+            if autopilot:
+                self.strangers.add(heard.system)
+            return None
+        if not autopilot and heard.name not in self._wanted[0]:
+            return None
+        vehicle = Vehicle(heard.system, self.aircraft[0], is_stream=not self.remote_log)
+        self._adopt(heard.system, vehicle)
+        return vehicle
+
+    def _adopt(self, system: int, vehicle: Vehicle) -> None:
+        self.vehicles[system] = vehicle
+        self._alerts[system] = Alerts()
+
+    def _ask(self, vehicle: Vehicle) -> None:
+        """Begin to ask a vehicle for what is needed."""
+        self._requests[vehicle.system] = Requests(vehicle.system, vehicle.messages)
+        if self.remote_log:
+            self._logs[vehicle.system] = RemoteLog(vehicle.system)
+
+    def _answered(self, heard: Heard) -> None:
+        requests = self._requests.get(heard.system)
+        if requests is not None:
+            said = requests.hear(heard)
+            if said:
+                self.notes.append(said)
+
+    def _look(self, vehicle: Vehicle) -> list[Event]:
+        events = self._finished_looks(vehicle)
+        for monitor, look in vehicle.due():
+            if self._pool is None:
+                events += monitor.told(look, look.judge())
+            else:
+                self._looks.append((vehicle, monitor, look, self._pool.submit(look.judge)))
+        return events
+
+    def _finished_looks(self, vehicle: Vehicle) -> list[Event]:
+        events: list[Event] = []
+        still = []
+        for entry in self._looks:
+            owner, monitor, look, verdict = entry
+            if owner is vehicle and verdict.done():
+                events += monitor.told(look, verdict.result())
+            else:
+                still.append(entry)
+        self._looks = still
+        return events
+
+    def _speak(self, vehicle: Vehicle, events: list[Event], now_s: float) -> None:
+        """Alerts, and requests."""
+        alerts = self._alerts.setdefault(vehicle.system, Alerts())
+        messages: list[Message] = [message for event in events for message in alerts.of(event, now_s)]
+        messages += alerts.periodic(vehicle.monitors, vehicle.now_s, now_s)
+        if self.alert is not None:
+            for name, fields in messages:
+                self.alert(name, fields)
+        if self.send is not None and vehicle.system not in self._requests:
+            self._ask(vehicle)
+        requests = self._requests.get(vehicle.system)
+        if requests is None or self.send is None or vehicle.heard_s == float("-inf"):
+            return
+        due = requests.due(now_s)
+        if vehicle.system in self._logs:
+            due += self._logs[vehicle.system].due(now_s)
+        for name, fields in due:
+            self.send(name, fields)
+
+    def _ask_again(self, vehicle: Vehicle, events: list[Event]) -> None:
+        """A vehicle that was away may have started anew, with its usual rates."""
+        requests = self._requests.get(vehicle.system)
+        if requests is not None and any(e.event == "link_restored" or "restarted" in e.text for e in events):
+            requests.again()
+
+    def waiting(self) -> str:
+        """What is still missing, in words; empty if every surface is watched."""
+        if not self.vehicles:
+            if self.strangers:
+                systems = ", ".join(str(system) for system in sorted(self.strangers))
+                return f"hears vehicle {systems}, for which there is no aircraft file (-c ID=FILE)"
+            if self.frames:
+                return "hears MAVLink, but no vehicle"
+            if self.damaged_bytes:
+                return "hears bytes that are no MAVLink: another baud rate, or another signing key?"
+            return "waiting for the first byte"
+        missing = []
+        for vehicle, monitor in self.watched:
+            if not monitor.is_watched:
+                channel = monitor.surface.measured.channel if monitor.surface.measured else ""
+                why = monitor.problem or f"waiting for {channel}"
+                if not monitor.problem and math.isfinite(monitor.rate_hz):
+                    why = "learning its pace"
+                missing.append(
+                    f"{monitor.name}: {why}" if len(self.vehicles) == 1 else f"{vehicle.system}/{monitor.name}: {why}"
+                )
+        return "; ".join(missing)

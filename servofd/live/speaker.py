@@ -1,0 +1,62 @@
+"""What the monitor sends, and as whom."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from logparsers.codec import Codec
+from servofd.live.threads import Worker
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from logparsers.codec import Signature
+    from logparsers.link import Link
+
+__all__ = ["ALLOWED", "Speaker"]
+
+ALLOWED = frozenset({"HEARTBEAT", "STATUSTEXT", "NAMED_VALUE_FLOAT", "COMMAND_LONG", "REMOTE_LOG_BLOCK_STATUS"})
+"""COMMAND_LONG for message intervals alone: nothing that moves the vehicle or changes a setting of it."""
+_SET_MESSAGE_INTERVAL = 511
+_ROOM = 256
+
+
+class Speaker:
+    """Sends a few kinds of messages in the name of an onboard component.
+
+    Parameters
+    ----------
+    system : callable
+        Tells the system id, which may not be known before the vehicle is heard.
+    component : int
+        Component id.
+    signature : Signature, optional
+        Signs what is sent.
+    """
+
+    def __init__(self, system: Callable[[], int], component: int, signature: Signature | None = None) -> None:
+        self._system, self._component, self._signature = system, component, signature
+
+    @contextmanager
+    def to(self, link: Link) -> Iterator[Callable[[str, dict[str, Any]], None]]:
+        """Sender of messages on a link, which works in a thread of its own."""
+
+        def write(data: bytes) -> None:
+            link.send(data)
+
+        worker = Worker(write, lambda: None, _ROOM)
+        codecs: dict[int, Codec] = {}
+
+        def send(name: str, fields: dict[str, Any]) -> None:
+            if name not in ALLOWED or (name == "COMMAND_LONG" and fields["command"] != _SET_MESSAGE_INTERVAL):
+                raise ValueError(f"the monitor never sends {name}")
+            system = self._system()
+            if system not in codecs:
+                codecs[system] = Codec(system, self._component, signature=self._signature)
+            worker.put(codecs[system].encode(name, fields))
+
+        try:
+            yield send
+        finally:
+            worker.close()

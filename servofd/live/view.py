@@ -1,0 +1,151 @@
+"""What a watcher sees: one line per surface, the link, and the last events."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from servofd.detection.events import Event
+    from servofd.detection.monitor import SurfaceMonitor
+    from servofd.live.session import Session
+    from servofd.live.vehicle import Vehicle
+
+__all__ = ["View", "event_line", "status_of"]
+
+_BAR = 20
+_EVENTS = 8
+_STYLES = {"watched": "green", "ALARM": "bold red", "no data": "yellow", "waiting": "dim", "settling": "cyan"}
+
+
+def event_line(event: Event) -> str:
+    """An event as one line of words.
+
+    Examples
+    --------
+    >>> from servofd.detection.events import Event
+    >>> event_line(Event(30.41, "elevator", "alarm", "unknown", -2.1, 1.5))
+    '  30.41 s  elevator: ALARM, residual -2.10 deg, threshold 1.50 deg'
+    """
+    who = f"{event.surface}: " if event.surface else ""
+    what = {
+        "alarm": f"ALARM, residual {event.residual_deg:+.2f} deg, threshold {event.threshold_deg:.2f} deg",
+        "named": f"it is: {event.kind}",
+        "clear": f"clear ({event.kind})",
+        "no_data": "no data",
+        "link_lost": "LINK LOST",
+        "link_restored": "link restored",
+    }[event.event]
+    more = f": {event.text}" if event.text else ""
+    if event.fault is not None and event.event == "named":
+        from servofd.detection.words import describe
+
+        what, more = describe(event.fault), ""
+    return f"{event.time_s:7.2f} s  {who}{what}{more}"
+
+
+def status_of(monitor: SurfaceMonitor) -> str:
+    """One word, or the kind of fault that stands."""
+    if monitor.standing:
+        return "ALARM"
+    if not monitor.is_watched:
+        return "waiting" if not monitor.problem else "no data"
+    if monitor.reading is None or not monitor.reading.settled:
+        return "settling"
+    return "watched"
+
+
+class View:
+    """Keeps the last events, and draws.
+
+    Parameters
+    ----------
+    session : Session
+        What to show.
+    title : str
+        Where it comes from.
+    """
+
+    def __init__(self, session: Session, title: str) -> None:
+        self._session, self._title = session, title
+        self._events: deque[str] = deque(maxlen=_EVENTS)
+        self.dropped = 0
+
+    def note(self, line: str) -> None:
+        """Add a line to those at the bottom."""
+        self._events.append(line)
+
+    def drawn(self, arrival_now_s: float) -> RenderableType:
+        """The picture of the moment; `arrival_now_s` is the receiver's clock [s]."""
+        from rich.console import Group
+        from rich.table import Table
+        from rich.text import Text
+
+        table = Table(box=None, pad_edge=False, expand=False)
+        for heading in ("surface", "status", "command", "measured", "residual", "", "threshold", "rate", "age"):
+            table.add_column(heading, justify="left" if heading in ("surface", "status", "") else "right")
+        for vehicle, monitor in self._session.watched:
+            self._row(table, vehicle, monitor)
+        lines = [Text(self._link(arrival_now_s), style="dim")]
+        waiting = self._session.waiting()
+        if waiting:
+            lines.append(Text(waiting, style="yellow"))
+        return Group(Text(f"servofd monitor  {self._title}", style="bold"), table, *lines, *map(Text, self._events))
+
+    def plain(self, arrival_now_s: float) -> list[str]:
+        """The same in plain lines, one per surface."""
+        lines = []
+        for vehicle, monitor in self._session.watched:
+            reading = monitor.reading
+            where = "" if len(self._session.vehicles) == 1 else f"{vehicle.system}/"
+            if reading is None:
+                lines.append(f"{where}{monitor.name}: {status_of(monitor)}")
+            else:
+                lines.append(
+                    f"{reading.time_s:7.2f} s  {where}{monitor.name}: {_status(monitor)}, command "
+                    f"{reading.command_deg:+.1f} deg, measured {reading.measured_deg:+.1f} deg, residual "
+                    f"{reading.residual_deg:+.2f} of {reading.threshold_deg:.2f} deg, {monitor.rate_hz:.0f} Hz"
+                )
+        waiting = self._session.waiting()
+        return [*lines, self._link(arrival_now_s), *([waiting] if waiting else [])]
+
+    def _row(self, table: object, vehicle: Vehicle, monitor: SurfaceMonitor) -> None:
+        from rich.text import Text
+
+        name = monitor.name if len(self._session.vehicles) == 1 else f"{vehicle.system}/{monitor.name}"
+        word, reading = status_of(monitor), monitor.reading
+        status = Text(_status(monitor), style=_STYLES[word])
+        if reading is None:
+            cells = [name, status, "", "", "", "", "", "", ""]
+        else:
+            share = abs(reading.residual_deg) / reading.threshold_deg if reading.threshold_deg > 0.0 else math.nan
+            full = min(round(share * _BAR), _BAR) if math.isfinite(share) else 0
+            bar = Text("█" * full + "·" * (_BAR - full), style="red" if share >= 1.0 else "green")
+            cells = [name, status, f"{reading.command_deg:+.1f}", f"{reading.measured_deg:+.1f}"]
+            cells += [f"{reading.residual_deg:+.2f}", bar, f"{reading.threshold_deg:.2f} deg"]
+            cells += [f"{monitor.rate_hz:.0f} Hz", f"{max(vehicle.now_s - reading.time_s, 0.0):.1f} s"]
+        table.add_row(*cells)  # type: ignore[attr-defined]
+
+    def _link(self, arrival_now_s: float) -> str:
+        parts = []
+        for vehicle in self._session.vehicles.values():
+            received = sum(losses.received for losses in vehicle.losses.values())
+            lost = sum(losses.lost for losses in vehicle.losses.values())
+            share = lost / max(received + lost, 1)
+            age_s = arrival_now_s - vehicle.heard_s
+            state = "LOST" if vehicle.is_lost else f"heard {max(age_s, 0.0):.1f} s ago"
+            now = f"{vehicle.now_s:.1f} s" if math.isfinite(vehicle.now_s) else "?"
+            parts.append(f"vehicle {vehicle.system}: {state}, its time {now}, {received} frames, {share:.1%} lost")
+        damaged, dropped = self._session.damaged_bytes, self.dropped
+        more = f"{damaged} damaged bytes" if damaged else ""
+        if dropped:
+            more += f" {dropped} chunks dropped here"
+        return "; ".join([*parts, *([more.strip()] if more else [])]) or "nobody heard yet"
+
+
+def _status(monitor: SurfaceMonitor) -> str:
+    word = status_of(monitor)
+    return f"ALARM {monitor.standing}" if word == "ALARM" else word

@@ -1,0 +1,134 @@
+"""``--html`` and what the audit prints, on every terminal."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+import servofd
+from servofd.cli import main
+from servofd.cli.tables import print_verdicts
+from servofd.cli.targets import check_targets
+from servofd.detection.advice import headline, meaning, next_step
+from servofd.detection.audit import LogAudit, SurfaceAudit
+from servofd.detection.bank.isolate import Fault
+
+SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"
+STUCK = str(SAMPLES / "faser_stuck_flight.mat")
+KINDS = ("stuck", "bias", "hardover", "floating", "oscillation", "deadband", "slow", "loss_of_effectiveness", "unknown")
+
+
+def test_audit_writes_a_page_and_names_no_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = tmp_path / "report.html"
+    assert main(["audit", STUCK, "-s", "elevator", "--html", str(page)]) == 1
+    capsys.readouterr()
+    text = page.read_text()
+    assert "Servo or position sensor at fault: elevator." in text
+    assert str(SAMPLES) not in text
+    assert str(tmp_path) not in text
+
+
+@pytest.mark.parametrize("verb", [["audit"], ["explain", "-s", "elevator"], ["identify"]])
+@pytest.mark.parametrize(
+    ("target", "says"),
+    [
+        ("no/such/folder/a.html", "does not exist"),
+        ("folder", "is a folder"),
+        ("missing.csv", "is .* already; choose another file"),
+    ],
+)
+def test_an_output_that_cannot_be_written_stops_before_the_work(
+    verb: list[str],
+    target: str,
+    says: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The log does not exist: the complaint is about the output, so nothing was read before."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "folder").mkdir()
+    assert main([verb[0], "missing.csv", *verb[1:], "--html", target]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert re.fullmatch(f"servofd: {target}: .*{says}.*\n", captured.err)
+
+
+def test_a_folder_without_permission_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The tests may run as root, whom no permission stops."""
+    monkeypatch.setattr("os.access", lambda *_: False)
+    with pytest.raises(servofd.ServofdError, match="permission denied"):
+        check_targets([str(tmp_path / "a.html")], {})
+
+
+@pytest.fixture(scope="module")
+def stuck() -> LogAudit:
+    (result,) = servofd.audit(STUCK)
+    return result
+
+
+def printed(audit: LogAudit, capsys: pytest.CaptureFixture[str]) -> str:
+    capsys.readouterr()
+    print_verdicts(audit)
+    return capsys.readouterr().out
+
+
+@pytest.fixture
+def terminal(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
+    for name in ("NO_COLOR", "COLUMNS"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("TERM", "xterm-256color")
+    return monkeypatch
+
+
+@pytest.mark.parametrize("columns", [40, 80, 100, 200])
+def test_no_line_is_wider_than_the_terminal_or_a_hundred_columns(
+    columns: int, stuck: LogAudit, terminal: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    terminal.setenv("COLUMNS", str(columns))
+    lines = [re.sub(r"\x1b\[[0-9;]*m", "", line).rstrip() for line in printed(stuck, capsys).splitlines()]
+    assert max(map(len, lines)) <= min(columns, 100)
+    words = " ".join(" ".join(lines).split())
+    for surface in stuck.surfaces:
+        assert surface.surface in words
+    assert "do not fly" in words
+    assert "3 of 4 judged surfaces healthy." in words
+    # The sentence is there in full, however it is folded.
+    assert "stuckat-0.2degsince5.01s" in words.replace(" ", "")
+
+
+def test_colours_only_where_they_are_wanted(
+    stuck: LogAudit, terminal: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    colour = re.compile(r"\x1b\[[0-9;]*(?:38;|[39][0-7])")
+    assert colour.search(printed(stuck, capsys))
+    terminal.setenv("NO_COLOR", "1")
+    plain = printed(stuck, capsys)
+    assert not colour.search(plain)
+    assert "fault" in plain
+    terminal.delenv("FORCE_COLOR")
+    piped = printed(stuck, capsys)
+    assert "\x1b" not in piped
+    assert f"elevator: {next_step(stuck.surfaces[0])}" in piped  # in a pipe no line is folded
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_fault_has_a_meaning_and_a_next_step(kind: str) -> None:
+    fault = Fault(kind, 1.0, 2.0, None, {}, 0.9, ())
+    surface = SurfaceAudit("elevator", "fault", "", "x", "constant", 1.5, True, faults=(fault,))
+    assert meaning(fault).endswith(".")
+    assert next_step(surface).startswith("do not fly; on the ground, ")
+    assert headline([surface]) == "Servo or position sensor at fault: elevator."
+
+
+def test_the_verdict_never_hides_what_was_not_judged() -> None:
+    healthy = SurfaceAudit("rudder", "healthy", "", "x", "constant", 1.5, True)
+    unknown = SurfaceAudit("elevator", "unknown", "", "x", "constant", 1.5, True)
+    suspect = SurfaceAudit("aileron", "suspect", "", "x", "constant", 1.5, True)
+    assert headline([unknown]) == "No surface could be judged."
+    assert headline([healthy, unknown]) == "The one surface that could be judged is healthy. No verdict on elevator."
+    assert headline([healthy, suspect]) == "Suspect: aileron. 1 of 2 judged surfaces healthy."
+    assert next_step(unknown).startswith("no verdict")

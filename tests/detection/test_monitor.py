@@ -1,0 +1,202 @@
+"""A monitor in flight does what an audit does: the same residuals, alarms at the same times, and names."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from servofd.aircraft import Surface, plain_aircraft
+from servofd.detection.alarm import crossings
+from servofd.detection.events import Event
+from servofd.detection.glitches import glitches
+from servofd.detection.judge import judge
+from servofd.detection.latch import latch, new_latch_memory
+from servofd.detection.monitor import SurfaceMonitor
+from servofd.detection.prepare import prepared
+from servofd.detection.residual import ResidualGenerator, rhythm
+from servofd.detection.running import new_running_median, with_value
+from servofd.detection.stream import Piece, Stream
+from servofd.models.servo_model import ServoModel
+from servofd.segment import Segment
+
+SAME_DEG = 1e-9
+TIME_S = np.arange(0.0, 40.0, 0.02)
+COMMAND_DEG = 8.0 * np.sin(1.3 * TIME_S) + 6.0 * np.sign(np.sin(0.7 * TIME_S))
+NOTHING = np.zeros(0)
+
+
+def surface(kind: str = "interval", servo: str = "s9254") -> tuple[Surface, ServoModel]:
+    aircraft = plain_aircraft(["x"], servo)
+    return aircraft.surfaces["x"].model_copy(update={"threshold": kind}), aircraft.model("x")
+
+
+def flight(seed: int, *, servo: str = "s9254", lost: float = 0.0, stuck_s: float = 1e9) -> Segment:
+    """A noisy flight with lost samples, glitches, a hole, and maybe a jam."""
+    rng = np.random.default_rng(seed)
+    _, model = surface(servo=servo)
+    measured_deg = model.simulate(TIME_S, COMMAND_DEG, TIME_S) + 0.05 * rng.standard_normal(TIME_S.size)
+    jammed = np.searchsorted(TIME_S, min(stuck_s, TIME_S[-1]))
+    if stuck_s < TIME_S[-1]:
+        measured_deg[jammed:] = measured_deg[jammed]
+    measured_deg[700] += 20.0
+    measured_deg[900:902] -= 9.0
+    measured_deg[1200:1230] = np.nan
+    asked, seen = rng.random(TIME_S.size) >= lost, rng.random(TIME_S.size) >= lost
+    asked[1000:1040] = False
+    return Segment("x", TIME_S[asked], COMMAND_DEG[asked], TIME_S[seen], measured_deg[seen])
+
+
+def in_order(segment: Segment) -> list[tuple[float, int, float]]:
+    asked = zip(segment.command_s.tolist(), [0] * segment.command_s.size, segment.command_deg.tolist(), strict=True)
+    seen = zip(segment.measured_s.tolist(), [1] * segment.measured_s.size, segment.measured_deg.tolist(), strict=True)
+    return sorted([*asked, *seen], key=lambda sample: sample[:2])
+
+
+class TestTheSameStepAsOffline:
+    @pytest.mark.parametrize("servo", ["hs225bb-eq31", "s9254"])
+    @pytest.mark.parametrize("lost", [0.0, 0.05, 0.3])
+    @pytest.mark.parametrize("period_s", [None, 0.02])
+    def test_residual_and_threshold_do_not_depend_on_how_a_stream_is_cut(
+        self, servo: str, lost: float, period_s: float | None
+    ) -> None:
+        entry, model = surface(servo=servo)
+        if period_s is not None:
+            entry = entry.model_copy(update={"command_hold": "linear", "command_period_s": period_s})
+        raw = replace(flight(1, servo=servo, lost=lost, stuck_s=30.0), command_period_s=period_s)
+        generator = ResidualGenerator.fitting(model, raw)
+        segment, residuals, _ = prepared(generator, raw)
+        threshold = judge(generator, segment, residuals, entry).threshold
+        stream = Stream(generator, entry, raw.period_s, rhythm(raw.command_s))
+        rng = np.random.default_rng(2)
+        evaluated: list[Piece | None] = []
+        for time_s, role, value in in_order(raw):
+            (stream.position if role else stream.command)(time_s, value)
+            if rng.random() < 0.3:
+                evaluated.append(stream.evaluate())
+        pieces = [piece for piece in (*evaluated, stream.evaluate(final=True)) if piece is not None]
+        for name in ("simulated_deg", "measured_deg", "residual_deg", "immobile_deg", "settled", "time_s"):
+            together = np.concatenate([getattr(piece.residuals, name) for piece in pieces])
+            np.testing.assert_allclose(together, getattr(residuals, name), rtol=0.0, atol=SAME_DEG, err_msg=name)
+        for name in ("level_deg", "tolerance_deg", "sigma_deg", "drift"):
+            together = np.concatenate([getattr(piece.threshold, name) for piece in pieces])
+            np.testing.assert_allclose(together, getattr(threshold, name), rtol=1e-9, atol=SAME_DEG, err_msg=name)
+
+    @pytest.mark.parametrize("kind", ["interval", "constant"])
+    @pytest.mark.parametrize("lost", [0.0, 0.05])
+    def test_alarms_come_at_the_same_times_with_the_same_names(self, kind: str, lost: float) -> None:
+        entry, model = surface(kind)
+        raw = flight(4, lost=lost, stuck_s=22.0)
+        generator = ResidualGenerator.fitting(model, raw)
+        segment, residuals, _ = prepared(generator, raw)
+        found = judge(generator, segment, residuals, entry)
+        monitor, events = watched(entry, model, raw)
+        assert [(f.kind, f.alarm_s, f.end_s) for f in monitor.faults] == [
+            (f.kind, f.alarm_s, f.end_s) for f in found.faults
+        ]
+        assert [f.kind for f in found.faults] == ["stuck"]
+        alarms = [event.time_s for event in events if event.event == "alarm"]
+        assert alarms == [f.alarm_s for f in found.faults]
+        named = [event for event in events if event.event == "named"]
+        assert named[-1].kind == "stuck"
+        assert named[0].time_s - alarms[0] < 4.1
+
+    def test_a_healthy_flight_is_quiet(self) -> None:
+        entry, model = surface()
+        monitor, events = watched(entry, model, flight(5, lost=0.05))
+        assert (events, monitor.has_fault, monitor.was_judged) == ([], False, True)
+
+
+def watched(entry: Surface, model: ServoModel, segment: Segment) -> tuple[SurfaceMonitor, list[Event]]:
+    """Feed a monitor sample by sample, and let the bank look whenever it wants to."""
+    monitor = SurfaceMonitor("x", entry, model)
+    events: list[Event] = []
+    for time_s, role, value in in_order(segment):
+        sample = (np.array([time_s]), np.array([value]))
+        events += monitor.feed(*((NOTHING, NOTHING), sample) if role else (sample, (NOTHING, NOTHING)))
+        look = monitor.due()
+        if look is not None:
+            events += monitor.told(look, look.judge())
+    return monitor, events + monitor.finish()
+
+
+class TestNoVerdictFromNoMeasurement:
+    def test_a_position_that_never_changes_is_none(self) -> None:
+        entry, model = surface()
+        constant = Segment("x", TIME_S, COMMAND_DEG, TIME_S, np.full(TIME_S.size, 3.0))
+        monitor, events = watched(entry, model, constant)
+        assert [(event.event, event.text) for event in events] == [
+            ("no_data", "the position never changes: not a measurement")
+        ]
+        assert not monitor.was_judged
+
+    def test_slow_positions_are_refused(self) -> None:
+        entry, model = surface()
+        slow = flight(6)
+        slow = Segment("x", slow.command_s, slow.command_deg, slow.measured_s[::10], slow.measured_deg[::10])
+        monitor, events = watched(entry, model, slow)
+        assert "a servo cannot be judged below 10 Hz" in events[0].text
+        assert not monitor.is_watched
+
+    def test_silence_is_told_once_and_raises_no_alarm(self) -> None:
+        entry, model = surface()
+        raw = flight(7)
+        monitor, events = SurfaceMonitor("x", entry, model), []
+        half = raw.measured_s < 20.0
+        events += monitor.feed((raw.command_s, raw.command_deg), (raw.measured_s[half], raw.measured_deg[half]))
+        events += [event for now_s in np.arange(20.0, 40.0, 0.5) for event in monitor.silence(now_s)]
+        assert [(event.event, event.time_s) for event in events] == [("no_data", 21.0)]
+
+    def test_a_new_pace_begins_anew(self) -> None:
+        entry, model = surface()
+        raw = flight(8)
+        late = raw.measured_s >= 20.0
+        keep = ~late | (np.arange(raw.measured_s.size) % 2 == 0)
+        monitor, events = watched(
+            entry, model, Segment("x", raw.command_s, raw.command_deg, raw.measured_s[keep], raw.measured_deg[keep])
+        )
+        assert [event.event for event in events] == ["no_data"]
+        assert "Hz, not 50 Hz" in events[0].text
+        assert monitor.is_watched
+
+
+class TestSteps:
+    @settings(max_examples=50)
+    @given(st.lists(st.floats(1e-3, 1e3), min_size=1, max_size=60))
+    def test_the_running_median_is_the_lower_median_of_all_so_far(self, values: list[float]) -> None:
+        median = new_running_median()
+        found = [with_value(median, value) for value in values]
+        true = [sorted(values[: k + 1])[k // 2] for k in range(len(values))]
+        np.testing.assert_allclose(found, true, rtol=0.023)
+
+    def test_alarms_begin_at_the_first_crossing(self) -> None:
+        rng = np.random.default_rng(3)
+        residual_deg, level_deg = rng.standard_normal(500), np.full(500, 1.5)
+        found = latch(new_latch_memory(), residual_deg, level_deg, np.zeros(500), 2, 1.5)
+        first = int(np.flatnonzero(crossings(residual_deg, level_deg, 2))[0])
+        assert np.flatnonzero(found.alarm).tolist() == [first]
+
+    def test_a_step_is_no_glitch_and_what_comes_back_is(self) -> None:
+        error_deg = 0.01 * np.random.default_rng(1).standard_normal(200)
+        error_deg[50:] += 5.0
+        error_deg[[120, 150, 151]] += 5.0
+        assert np.flatnonzero(glitches(error_deg)).tolist() == [120, 150, 151]
+
+
+def test_memory_is_bounded() -> None:
+    """Arrays that were made at the start are all there is, however long the flight."""
+    entry, model = surface()
+    monitor = SurfaceMonitor("x", entry, model)
+    sizes = []
+    for lap in range(40):
+        time_s = TIME_S + 40.0 * lap
+        position_deg = model.simulate(time_s, COMMAND_DEG, time_s)
+        monitor.feed((time_s, COMMAND_DEG), (time_s, position_deg + 1e-6 * lap))
+        stream = monitor._stream
+        assert stream is not None
+        sizes.append((stream.history.size <= 30_000, stream.effective.size <= 30_000, stream.logged.size <= 4096))
+    assert all(all(size) for size in sizes)
+    assert not monitor.has_fault

@@ -1,0 +1,104 @@
+"""What `explain` names in real servos on the bench, and how well each run is predicted by a fit to the others."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from servofd import explain_log
+from servofd.discrepancy.explanation import Explanation
+from servofd.discrepancy.poles import PoleFitter
+from servofd.discrepancy.record import record_of
+from servofd.models.catalogue import Bias, Friction
+from servofd.models.effects import LinearDynamics
+from servofd.models.servo_model import ServoModel
+from servofd.models.transfer import TransferFunction
+from servofd.segment import Segment
+from tests.external.test_bench_tables import DATA, logs_of
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        not (DATA / "bench").is_dir(),
+        reason="no bench records: set SERVOFD_EXTERNAL_DATA to the directory that holds bench/ and logs/",
+    ),
+]
+
+DEGREES = 'unit = "deg"'
+
+
+def explained(name: str, folder: Path, where: str) -> Explanation:
+    aircraft = folder / f"{name}.toml"
+    aircraft.write_text(
+        f'[table]\ntime = "t_s"\nrun = "run"\nwhere = {{ {where} }}\n'
+        f'[surfaces.servo]\ncommand = {{ channel = "cmd", {DEGREES} }}\nmeasured = {{ channel = "meas", {DEGREES} }}\n'
+    )
+    return explain_log(DATA / "bench" / f"{name}.csv", aircraft).explanation
+
+
+def final_deg(found: Explanation) -> float:
+    return found.rms_deg(found.selection.final)["held_out_rms_deg"]
+
+
+def nominal_deg(found: Explanation) -> float:
+    return found.rms_deg(found.selection.nominal)["held_out_rms_deg"]
+
+
+def test_hobby_servo() -> None:
+    """A second order leaves 19 deg on the runs that are held out, the effects at most 3.0 deg."""
+    found = explain_log(DATA / "bench" / "hobby_servo_encoder.csv").explanation
+    assert nominal_deg(found) > 15.0
+    assert final_deg(found) <= 3.0
+    assert {"rate_limit", "delay"} <= set(found.selection.final.names)
+    rates = found.selection.rungs[0].fit.values
+    np.testing.assert_allclose(rates, (255.0, 276.0), rtol=0.1)
+    errors = np.array([each.held_out_rms_deg for each in found.runs])
+    assert np.sqrt(np.mean(errors**2)) <= 3.0
+
+
+def test_smart_servo_with_a_weight() -> None:
+    found = explain_log(DATA / "bench" / "smart_servo_gravity_load.csv").explanation
+    assert nominal_deg(found) > 1.0
+    assert final_deg(found) <= 0.24
+    assert found.selection.final.names[0] == "gravity_load"
+
+
+@pytest.mark.parametrize(("kp", "least_deg", "most_deg"), [("400", 20.0, 3.5), ("100", 15.0, 2.2)])
+def test_smart_servo_of_low_gain(kp: str, least_deg: float, most_deg: float, tmp_path: Path) -> None:
+    """The first run, sums of sines, as predicted by the other three."""
+    found = explained("smart_servo_gains", tmp_path, f'kp = "{kp}", torque_enabled = "1"')
+    assert {"gravity_load", "load_friction"} <= set(found.selection.final.names)
+    assert found.runs[0].nominal_rms_deg > least_deg
+    assert found.runs[0].held_out_rms_deg <= most_deg
+    assert found.conclusion == "partly_explained"
+
+
+def test_linear_drive() -> None:
+    """Coulomb friction and offset of the EMPS benchmark, whose closed loop is a servo of second order.
+
+    Published: 20.39 N and -3.165 N; a position error of 1 m is worth 35.15 * 243.45 * 160.18 N.
+    """
+    (log,) = logs_of("emps_linear_drive")
+    command, measured = log["cmd"], log["meas"]
+    # In units of 10 um friction is about one, as it is in degrees of a servo.
+    segment = Segment("axis", command.time_s, 100.0 * command.values, measured.time_s, 100.0 * measured.values)
+    model = ServoModel((LinearDynamics(TransferFunction((987.0,), (1.0, 50.3, 987.0))),))
+    record = record_of(segment, model, at_rest=True, free_poles=True)
+    fitter = PoleFitter(record)
+    linear = fitter.nominal()
+    full = fitter.refitted((Friction, Bias), [1.0, 0.8, 0.1])
+    linear_um, full_um = (10.0 * np.sqrt(fit.held_out / record.held_out.sum()) for fit in (linear, full))
+    assert linear_um > 6.0
+    assert full_um <= 2.0
+    newton = 1e-5 * 35.15 * 243.45 * 160.18
+    assert newton * full.values[0] == pytest.approx(20.39, rel=0.05)
+    assert newton * full.values[2] == pytest.approx(3.165, rel=0.05)
+
+
+@pytest.mark.parametrize(("load_g", "rate_deg_s"), [("0", 388.0), ("400", 303.0)])
+def test_digital_servo_is_slower_under_load(load_g: str, rate_deg_s: float, tmp_path: Path) -> None:
+    found = explained("digital_servo_loads", tmp_path, f'load_g = "{load_g}", type = "fwd_step"')
+    model = found.document()["final"]["model"]
+    assert model["rate_limit"]["rate_limit_deg_s"] == pytest.approx(rate_deg_s, rel=0.03)

@@ -1,0 +1,94 @@
+"""Endpoints, links and frames, without a vehicle."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from logparsers.codec import Codec, Signature, signing_key
+from logparsers.endpoint import Serial, Socket, parse_endpoint
+from logparsers.errors import LinkError
+from logparsers.link import open_link
+from tests.live.vehicles import free_port, until
+
+
+@given(st.text(max_size=40) | st.from_regex(r"(udp|tcp)(in|out)?:[\w.]*:\d{0,6}|/dev/[\w./]+(,\d+)?", fullmatch=True))
+def test_a_text_is_an_endpoint_or_refused_in_one_line(text: str) -> None:
+    try:
+        endpoint = parse_endpoint(text)
+    except LinkError as error:
+        words = str(error)
+    else:
+        assert parse_endpoint(str(endpoint)) == endpoint
+        assert isinstance(endpoint, Serial) or endpoint.kind in ("udpin", "udpout", "tcp", "tcpin")
+        return
+    assert "/dev/" in words
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "/bin/sh", "./arduplane.elf", "/home/me/arduplane.elf", "/dev/../bin/sh", "/dev/pts/../../bin/sh", "mcast:",
+        "udpbcast:1.2.3.4:5", "ws://host", "unix:x", "uds:x", "csv:x", "flight.tlog", "127.0.0.1:14550",
+        "udp:127.0.0.1:14550", "udpin:host:", "udpin:a b:1", "udpin:$(id):1", "tcp:[::1]:5760", "COM", "", ",",
+        "/dev/ttyS0,fast", "udpin:0", "udpin:65536",
+    ],
+)  # fmt: skip
+def test_what_pymavlink_would_run_or_open_is_refused(text: str) -> None:
+    with pytest.raises(LinkError):
+        parse_endpoint(text)
+
+
+def test_loopback_is_what_is_meant_when_no_host_is_given() -> None:
+    assert parse_endpoint("tcpin:5760") == parse_endpoint("tcpin::5760") == Socket("tcpin", "127.0.0.1", 5760)
+
+
+def test_udpin_answers_everybody_who_spoke_and_nobody_else() -> None:
+    port = free_port()
+    with contextlib.ExitStack() as stack:
+        here = open_link(Socket("udpin", "127.0.0.1", port))
+        stack.callback(here.close)
+        peers = [open_link(Socket("udpout", "127.0.0.1", port)) for _ in range(3)]
+        for peer in peers:
+            stack.callback(peer.close)
+        here.send(b"nobody hears this")
+        for peer in peers[:2]:
+            peer.send(b"hello")
+            assert until(lambda: here.receive(0.1), "a datagram") == b"hello"
+        here.send(b"answer")
+        assert [peer.receive(5.0) for peer in peers[:2]] == [b"answer"] * 2
+        assert peers[2].receive(0.0) == b""
+
+
+def test_a_port_is_not_shared_with_pymavlink() -> None:
+    """Its sockets allow others to bind the same port; who got which datagram would be chance."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        other.bind(("127.0.0.1", 0))
+        with pytest.raises(LinkError, match="another program listens there"):
+            open_link(Socket("udpin", "127.0.0.1", other.getsockname()[1]))
+
+
+def test_frames_survive_any_cut() -> None:
+    sender, receiver = Codec(1, 1), Codec(2, 2)
+    stream = b"".join(sender.encode("NAMED_VALUE_FLOAT", {"time_boot_ms": n, "name": "SRVP1"}) for n in range(300))
+    heard = [m for at in range(0, len(stream), 7) for m in receiver.decode(stream[at : at + 7])]
+    assert [m.fields["time_boot_ms"] for m in heard] == list(range(300))
+
+
+def test_version_1_leaves_out_what_it_lacks() -> None:
+    old, reader = Codec(1, 1, version=1), Codec(2, 2)
+    (servo,) = reader.decode(old.encode("SERVO_OUTPUT_RAW", {"servo1_raw": 1500, "servo9_raw": 1600}))
+    assert (servo.fields["servo1_raw"], servo.fields["servo9_raw"]) == (1500, 0)
+    assert old.encode("DEBUG_FLOAT_ARRAY", {"time_usec": 1}) == b""
+
+
+def test_a_signature_is_believed_once() -> None:
+    sender, receiver = (Codec(n, 1, signature=Signature(signing_key(b"secret"), 1.8e9)) for n in (1, 2))
+    frame = sender.encode("HEARTBEAT", {})
+    assert len(receiver.decode(frame)) == 1
+    assert receiver.decode(frame) == []

@@ -1,0 +1,312 @@
+"""The monitor on MAVLink streams: as an audit of the same bytes, over bad links, and on real sockets."""
+
+from __future__ import annotations
+
+import io
+import json
+import socket
+import struct
+import threading
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+import logparsers
+import servofd
+from logparsers.codec import Codec, Signature
+from logparsers.replay import replayed
+from servofd.aircraft import load_aircraft
+from servofd.cli import main
+from servofd.detection.audit import audit_log
+from servofd.feedback.draft import draft_aircraft
+from servofd.feedback.toml import draft_to_toml
+from servofd.live.session import Session, stamped
+from servofd.live.speaker import ALLOWED
+from servofd.models.faults import Bias, Stuck
+from servofd.simulation.telemetry_writer import telemetry_log
+from tests.live.relay import BadLink, relayed
+from tests.live.vehicles import DEADLINE_S, PLANE, flown, flying, free_port, until
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+
+    from servofd.aircraft import Aircraft
+    from servofd.detection.events import Event
+
+SECONDS = 40.0
+FAULTS = {"elevator": Stuck(15.0), "rudder": Bias(25.0, bias_deg=3.0)}
+
+
+@pytest.fixture(scope="module")
+def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("plane") / "plane.toml"
+    healthy = logparsers.read(io.BytesIO(telemetry_log(flown(rate_hz=40.0, duration_s=SECONDS), PLANE)))
+    path.write_text(draft_to_toml(draft_aircraft(healthy)))
+    return path
+
+
+@pytest.fixture(scope="module")
+def aircraft(config: Path) -> Aircraft:
+    return load_aircraft(config)
+
+
+@pytest.fixture(scope="module")
+def log() -> bytes:
+    """Telemetry of a flight in which two servos break."""
+    return telemetry_log(flown(rate_hz=40.0, duration_s=SECONDS, faults=FAULTS), PLANE)
+
+
+@pytest.fixture(scope="module")
+def healthy() -> bytes:
+    return telemetry_log(flown(rate_hz=40.0, duration_s=SECONDS), PLANE)
+
+
+def heard(
+    frames: Iterable[tuple[float, bytes]], aircraft: Aircraft, codec: Codec | None = None
+) -> tuple[Session, list[Event]]:
+    """Feed a session frame by frame."""
+    session, events, stepped_s, now_s = Session(codec or Codec(0, 191), {0: aircraft}), [], 0.0, 0.0
+    for now_s, frame in frames:
+        events += session.take(now_s, frame)
+        if now_s - stepped_s > 0.02:
+            stepped_s = now_s
+            events += session.step(now_s)
+    return session, events + session.finish(now_s)
+
+
+def brief(events: list[Event], *kinds: str) -> list[tuple[str, str, str]]:
+    return [(event.surface, event.event, event.kind) for event in events if event.event in kinds]
+
+
+def audited(log: bytes, aircraft: Aircraft) -> dict[str, list[tuple[str, float]]]:
+    result = audit_log(logparsers.read(io.BytesIO(log)), aircraft)
+    return {s.surface: [(fault.kind, fault.alarm_s) for fault in s.faults] for s in result.surfaces}
+
+
+class TestAsAnAudit:
+    def test_of_the_same_bytes(self, log: bytes, aircraft: Aircraft) -> None:
+        session, events = heard(replayed(log), aircraft)
+        found = {m.name: [(fault.kind, fault.alarm_s) for fault in m.faults] for _, m in session.watched}
+        assert found == audited(log, aircraft)
+        assert {name for name, faults in found.items() if faults} == {"elevator", "rudder"}
+        assert {event.surface: event.time_s for event in events if event.event == "alarm"} == {
+            name: faults[0][1] for name, faults in found.items() if faults
+        }
+
+    def test_what_it_stores_is_the_log(self, log: bytes, aircraft: Aircraft) -> None:
+        stored = bytearray()
+        session = Session(Codec(0, 191), {0: aircraft}, store=stored.extend)
+        for now_s, frame in replayed(log):
+            session.take(now_s, frame)
+        assert bytes(stored) == log
+
+    def test_over_the_overflow_of_the_microseconds(self, log: bytes, aircraft: Aircraft) -> None:
+        """The same flight, 71.5 minutes after boot."""
+        late = b"".join(stamped(at_s, later(frame, 4_290.0)) for at_s, frame in replayed(log))
+        session, _ = heard(replayed(late), aircraft)
+        found = {m.name: [(fault.kind, fault.alarm_s) for fault in m.faults] for _, m in session.watched}
+        assert found == audited(late, aircraft)
+        assert found["elevator"][0][1] > 4_300.0
+
+
+def later(frame: bytes, by_s: float) -> bytes:
+    """The same message of a vehicle that was booted so much earlier."""
+    codec = Codec(1, 1)
+    (message,) = codec.decode(frame)
+    fields = dict(message.fields)
+    for name, tick_s in (("time_boot_ms", 1e-3), ("time_usec", 1e-6)):
+        if name in fields:
+            fields[name] = (fields[name] + round(by_s / tick_s)) % 2**32
+    again = Codec(message.system, message.component)
+    again._mav.seq = message.sequence
+    return again.encode(message.name, fields)
+
+
+class TestBadLinks:
+    @pytest.mark.parametrize(
+        ("link", "most_lost"),
+        [
+            (BadLink(loss=0.05, seed=1), 0.1),
+            (BadLink(loss=0.3, seed=2), 0.4),
+            (BadLink(duplicate=0.2, reorder=0.1, seed=3), 0.05),
+            (BadLink(corrupt=0.05, seed=4), 0.1),
+        ],
+        ids=["5 %", "30 %", "order", "corrupt"],
+    )
+    def test_a_healthy_flight_raises_no_alarm(
+        self, healthy: bytes, aircraft: Aircraft, link: BadLink, most_lost: float
+    ) -> None:
+        frames = ((at_s, piece) for at_s, frame in replayed(healthy) for piece in link.through(frame))
+        session, events = heard(frames, aircraft)
+        assert brief(events, "alarm", "link_lost") == []
+        assert all(monitor.was_judged for _, monitor in session.watched)
+        (vehicle,) = session.vehicles.values()
+        assert vehicle.losses[1].share < most_lost
+
+    def test_a_jam_is_told_through_five_percent_loss(self, log: bytes, aircraft: Aircraft) -> None:
+        link = BadLink(loss=0.05, seed=5)
+        frames = [(at_s, piece) for at_s, frame in replayed(log) for piece in link.through(frame)]
+        session, events = heard(frames, aircraft)
+        assert {surface for surface, _, _ in brief(events, "alarm")} == {"elevator", "rudder"}
+        stored = b"".join(stamped(at_s, frame) for at_s, frame in frames)
+        found = {m.name: [(fault.kind, fault.alarm_s) for fault in m.faults] for _, m in session.watched}
+        assert found == audited(stored, aircraft)
+
+    @pytest.mark.parametrize("outage_s", [1.0, 4.0, 20.0])
+    def test_silence_is_a_lost_link_and_no_fault(self, healthy: bytes, aircraft: Aircraft, outage_s: float) -> None:
+        all_frames = list(replayed(healthy))
+        begin_s = all_frames[0][0] + 15.0
+        frames = [(at_s, frame) for at_s, frame in all_frames if not begin_s < at_s < begin_s + outage_s]
+        session, events = heard(frames, aircraft)
+        expected = ["link_lost", "link_restored"] if outage_s > 2.0 else []
+        assert [event.event for event in events if event.event in ("alarm", "link_lost", "link_restored")] == expected
+        assert all(monitor.is_watched for _, monitor in session.watched)
+
+    def test_a_vehicle_that_restarts_is_watched_anew(self, healthy: bytes, aircraft: Aircraft) -> None:
+        first = list(replayed(healthy))
+        gap_s = first[-1][0] - first[0][0] + 1.0
+        session, events = heard([*first, *((at_s + gap_s, frame) for at_s, frame in first)], aircraft)
+        assert [event.text for event in events if event.text.startswith("vehicle")] == [
+            "vehicle 1 has restarted; the monitor begins anew"
+        ]
+        assert brief(events, "alarm") == []
+        (vehicle,) = session.vehicles.values()
+        assert vehicle.now_s == pytest.approx(2.0 * gap_s, abs=1.0)
+
+    def test_a_second_vehicle_is_another_one(self, log: bytes, healthy: bytes, aircraft: Aircraft) -> None:
+        other = [(at_s, readdressed(frame, 7)) for at_s, frame in replayed(log)]
+        frames = sorted([*replayed(healthy), *other], key=lambda entry: entry[0])
+        session, events = Session(Codec(0, 191), {1: aircraft, 7: aircraft}), []
+        for number, (now_s, frame) in enumerate(frames):
+            events += session.take(now_s, frame)
+            events += session.step(now_s) if number % 20 == 0 else []
+        session.finish(now_s)
+        at_fault = {(vehicle.system, m.name) for vehicle, m in session.watched if m.has_fault}
+        assert at_fault == {(7, "elevator"), (7, "rudder")}
+
+    def test_with_a_key_unsigned_frames_say_nothing(self, healthy: bytes, aircraft: Aircraft) -> None:
+        session, events = heard(replayed(healthy), aircraft, Codec(0, 191, signature=Signature(bytes(32), 1.7e9)))
+        assert (session.frames, events) == (0, [])
+        assert "another signing key?" in session.waiting()
+
+
+def readdressed(frame: bytes, system: int) -> bytes:
+    (message,) = Codec(1, 1).decode(frame)
+    again = Codec(system, message.component)
+    again._mav.seq = message.sequence
+    return again.encode(message.name, message.fields)
+
+
+class Listener:
+    """Hears all that is sent to a port."""
+
+    def __init__(self) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind(("127.0.0.1", 0))
+        self._socket.settimeout(0.1)
+        self.port = self._socket.getsockname()[1]
+        self._codec = Codec(255, 190)
+        self.messages: list[Any] = []
+
+    def close(self) -> None:
+        self._socket.close()
+
+    def listen(self) -> list[Any]:
+        try:
+            while True:
+                self.messages += self._codec.decode(self._socket.recv(65_536))
+        except TimeoutError:
+            return self.messages
+
+
+def in_background(arguments: list[str]) -> tuple[threading.Thread, list[int]]:
+    codes: list[int] = []
+    thread = threading.Thread(target=lambda: codes.append(main(arguments)))
+    thread.start()
+    return thread, codes
+
+
+class TestOnSockets:
+    @pytest.mark.slow
+    def test_alarm_names_alerts_files_and_exit_code(self, config: Path, tmp_path: Path) -> None:
+        """In real time: the arrival times in the log that it writes have to be believable."""
+        port, listener = free_port(), Listener()
+        lines, tlog, rrd = (tmp_path / name for name in ("events.jsonl", "own.tlog", "own.rrd"))
+        flight = flown(duration_s=16.0, faults={"elevator": Stuck(9.0)})
+        outputs = ["--json-lines", str(lines), "--tlog", str(tlog), "--rrd", str(rrd)]
+        target = ["--alert-to", f"udpout:127.0.0.1:{listener.port}"]
+        arguments = ["monitor", f"udpin:127.0.0.1:{port}", "-c", str(config), "--plain", "--duration", "19"]
+        up = BadLink()
+        with relayed(port, BadLink(), up) as relay:
+            thread, codes = in_background([*arguments, *outputs, *target])
+            with flying(f"udpout:127.0.0.1:{relay}", flight, wait=False) as counted:
+                until(lambda: listener.listen() is not None and counted, "the end of the flight")
+            thread.join(DEADLINE_S)
+        assert codes == [1]
+        listener.listen()
+        listener.close()
+        events = [json.loads(line) for line in lines.read_text().splitlines()]
+        assert {event["schema"] for event in events} == {"servofd.event/1"}
+        alarm = next(event for event in events if event["event"] == "alarm")
+        assert alarm["surface"] == "elevator"
+        (result,) = servofd.audit(str(tlog), load_aircraft(config))
+        (verdict,) = (s for s in result.surfaces if s.surface == "elevator")
+        assert verdict.faults[0].kind == "stuck"
+        assert alarm["time_s"] == verdict.faults[0].alarm_s
+        assert [e["kind"] for e in events if e["event"] == "named"][-1] == "stuck"
+        texts = [m.fields["text"] for m in listener.messages if m.name == "STATUSTEXT"]
+        assert any("elevator: ALARM" in text for text in texts)
+        assert all(len(text) <= 50 for text in texts)
+        said = {m.name for m in listener.messages} | {m.name for m in Codec(1, 1).decode(bytes(up.record))}
+        assert said <= ALLOWED
+        assert {m.component for m in listener.messages} == {191}
+        commands = [m for m in Codec(1, 1).decode(bytes(up.record)) if m.name == "COMMAND_LONG"]
+        assert {m.fields["command"] for m in commands} == {511}
+        assert rrd.stat().st_size > 10_000
+
+    def test_no_request_sends_not_a_byte(self, config: Path) -> None:
+        port, up = free_port(), BadLink()
+        arguments = ["monitor", f"udpin:127.0.0.1:{port}", "-c", str(config), "--plain", "--duration", "3"]
+        with relayed(port, BadLink(), up) as relay:
+            thread, codes = in_background([*arguments, "--no-request"])
+            with flying(f"udpout:127.0.0.1:{relay}", flown(duration_s=60.0), speed=10.0, wait=False):
+                thread.join(DEADLINE_S)
+        assert len(codes) == 1
+        assert bytes(up.record) == b""
+
+    @pytest.mark.parametrize(
+        ("endpoint", "words"),
+        [
+            ("./plane.elf", "not a MAVLink endpoint"),
+            ("mcast:", "not a MAVLink endpoint"),
+            ("udpin:127.0.0.1:70000", "is no port"),
+            ("tcp:127.0.0.1:1", "start the other end first"),
+            ("/dev/ttyNoSuch", "is it plugged in?"),
+        ],
+    )
+    def test_bad_endpoints(self, config: Path, endpoint: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
+        assert main(["monitor", endpoint, "-c", str(config)]) == 2
+        error = capsys.readouterr().err
+        assert words in error
+        assert error.count("\n") == 1
+
+    def test_nobody_there(self, config: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        assert main(["monitor", f"udpin:{free_port()}", "-c", str(config), "--duration", "0.2", "--plain"]) == 2
+        assert "waiting for the first byte" in capsys.readouterr().err
+
+
+def test_replay_writes_json_lines(log: bytes, config: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "flight.tlog"
+    path.write_bytes(log)
+    assert main(["monitor", str(path), "-c", str(config), "--speed", "0", "--json-lines", "-"]) == 1
+    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    kinds = {(event["surface"], event["event"], event["kind"]) for event in events}
+    assert ("elevator", "named", "stuck") in kinds
+    assert ("rudder", "named", "bias") in kinds
+    assert np.isfinite([event["time_s"] for event in events]).all()
+
+
+def test_stamps_are_those_of_a_telemetry_log() -> None:
+    assert stamped(1.5, b"x") == struct.pack(">Q", 1_500_000) + b"x"

@@ -1,0 +1,199 @@
+"""Pages: complete, self-contained, readable by anybody, and silent about the machine."""
+
+from __future__ import annotations
+
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+
+import servofd
+from servofd.detection.audit import LogAudit
+from servofd.discrepancy.explanation import Explanation, explain_gap
+from servofd.models.effects import RateLimit
+from servofd.models.servo_model import ServoModel
+from servofd.outputs.audit_page import audit_page
+from servofd.outputs.explain_page import explain_page
+from servofd.outputs.json_report import FailedLog
+from servofd.segment import Segment
+from servofd.servos import servo_named
+
+SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"
+VOID = {"meta", "link", "br", "hr", "img", "input"}
+
+
+class Page(HTMLParser):
+    """Elements of a page with their attributes; fails on one that is not closed."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.words: list[str] = []
+        self._open: list[str] = []
+        self.feed(text)
+        assert not self._open
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self._open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self._open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if "style" not in self._open:
+            self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        return " ".join(" ".join(self.words).split())
+
+    def of(self, tag: str) -> list[dict[str, str | None]]:
+        return [attributes for name, attributes in self.tags if name == tag]
+
+
+@pytest.fixture(scope="module")
+def audits() -> list[LogAudit]:
+    names = ("faser_stuck_flight.mat", "table_three_faults.csv")
+    return [audit for name in names for audit in servofd.audit(SAMPLES / name)]
+
+
+@pytest.fixture(scope="module")
+def audited(audits: list[LogAudit]) -> str:
+    return audit_page(
+        [*audits, FailedLog("/home/someone/secret/lost.bin", "/home/someone/secret/lost.bin: empty file")]
+    )
+
+
+def slow_servo(limit_deg_s: float | None) -> Explanation:
+    """Doublets that a rate limit distorts, or not."""
+    time_s = np.arange(0.0, 30.0, 0.01)
+    command_deg = 8.0 * np.sign(np.sin(0.15 * time_s**1.5))
+    known = ServoModel.of(servo_named("hs225bb-eq31"))
+    true = known if limit_deg_s is None else known + RateLimit(limit_deg_s)
+    measured_deg = true.simulate(time_s, command_deg, time_s) + 0.1 * np.random.default_rng(0).standard_normal(3000)
+    return explain_gap(Segment("elevator", time_s, command_deg, time_s, measured_deg), known)
+
+
+@pytest.fixture(scope="module")
+def explained() -> str:
+    gains = {"elevator": [("smallest fault that is found [deg]", "1.50", "0.50")]}
+    return explain_page([slow_servo(60.0)], "flight.csv", thresholds=gains)
+
+
+def test_an_audit_begins_with_its_verdict_and_shows_every_fault(audited: str, audits: list[LogAudit]) -> None:
+    page = Page(audited)
+    verdicts = re.findall(r'<p class="verdict">(.*?)</p>', audited)
+    assert verdicts[0] == "2 of 3 logs show a fault."
+    assert verdicts[1] == "Servo or position sensor at fault: elevator. 3 of 4 judged surfaces healthy."
+    assert "Could not be read." in verdicts
+    assert "lost.bin: empty file" in page.text
+    faults = [fault for audit in audits for surface in audit.surfaces for fault in surface.faults]
+    assert len(faults) >= 4
+    for fault in faults:
+        assert f"From near: {fault.kind.replace('_', ' ')} at {fault.start_s:.2f} s" in page.text
+    for words in (
+        "do not fly",
+        "jammed linkage",
+        "95 % intervals",
+        "False alarms",
+        "position rate",
+        "nullspace filter",
+    ):
+        assert words.lower() in page.text.lower()
+    assert f"servofd {servofd.__version__}" in page.text
+
+
+def test_an_explanation_shows_the_gap_before_and_after(explained: str) -> None:
+    page = Page(explained)
+    for words in ("rate limit", "explains the gap", "held-out samples", "Rivals, tried", "Error by regime", "0.50"):
+        assert words in page.text
+    assert len(page.of("svg")) == 4
+
+
+def test_an_explanation_without_a_gap_has_a_page_too() -> None:
+    page = Page(explain_page([slow_servo(None)], "flight.csv"))
+    assert "nothing is missing" in page.text
+    assert "Rivals" not in page.text
+
+
+@pytest.fixture(params=["audited", "explained"])
+def text(request: pytest.FixtureRequest) -> str:
+    found: str = request.getfixturevalue(request.param)
+    return found
+
+
+def test_a_page_needs_nothing_else(text: str) -> None:
+    page = Page(text)
+    assert not {"script", "link", "iframe", "img", "object"} & {tag for tag, _ in page.tags}
+    assert not [a for _, a in page.tags if any(name.startswith("on") for name in a)]
+    # Nothing is fetched: addresses occur as names of XML vocabularies only.
+    assert not re.search(r'(?:src|href)="(?!#)|url\((?!#)|@import', text)
+    anchors = {a["href"] for a in page.of("a")}
+    ids = [a["id"] for _, a in page.tags if "id" in a]
+    assert {str(a).removeprefix("#") for a in anchors} <= set(ids)
+    assert len(ids) == len(set(ids))
+
+
+def test_a_page_can_be_read_without_seeing_it(text: str) -> None:
+    page = Page(text)
+    assert page.of("html") == [{"lang": "en"}]
+    assert all(p["role"] == "img" and len(str(p["aria-label"])) > 40 for p in page.of("svg"))
+    assert len(page.of("caption")) == len(page.of("table"))
+    assert all(cell["scope"] in ("row", "col") for cell in page.of("th"))
+    assert page.of("title")
+    for svg in re.findall(r"<svg.*?</svg>", text, re.DOTALL):
+        assert ET.fromstring(svg).tag.endswith("svg")  # noqa: S314 - our own page
+
+
+def luminance(colour: str) -> float:
+    """Relative luminance, WCAG 2.1."""
+    parts = [int(colour[k : k + 2], 16) / 255.0 for k in (1, 3, 5)]
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]
+    return float(np.dot(linear, [0.2126, 0.7152, 0.0722]))
+
+
+def test_text_stands_out_from_its_ground(audited: str) -> None:
+    colours = dict(re.findall(r"--(\w+): (#[0-9a-f]+);", audited))
+    colours["link"] = re.findall(r"a \{ color: (#[0-9a-f]{6})", audited)[0]
+    for ink in ("ink", "soft", "link"):
+        for ground in ("#ffffff", colours["tint"]):
+            assert (luminance(ground) + 0.05) / (luminance(colours[ink]) + 0.05) >= 4.5
+
+
+def test_a_page_tells_nothing_of_the_machine(text: str) -> None:
+    for word in (str(SAMPLES.parent), str(Path.home()), "someone", "secret", "/tmp"):  # noqa: S108 - looked for
+        assert word not in text
+
+
+def test_what_a_log_is_called_cannot_become_markup() -> None:
+    page = audit_page([FailedLog("<script>alert(1)</script>.csv", "no such file")])
+    assert "<script" not in page
+
+
+@pytest.mark.slow
+def test_an_hour_of_eight_surfaces_stays_small(tmp_path: Path) -> None:
+    import pandas as pd
+
+    rng, time_s = np.random.default_rng(0), np.arange(0.0, 3600.0, 0.01)
+    model = ServoModel.of(servo_named("hs225bb-eq31"))
+    columns = {"time_s": time_s}
+    for k in range(8):
+        command_deg = np.repeat(rng.normal(0.0, 3.0, 3600), 100)
+        position_deg = model.simulate(time_s, command_deg, time_s) + 0.1 * rng.standard_normal(time_s.size)
+        if k == 0:
+            position_deg[time_s > 1800.0] = 2.0 + 0.1 * rng.standard_normal(180_000 - 1)
+        columns |= {f"s{k}_cmd_deg": command_deg, f"s{k}_pos_deg": position_deg}
+    path = tmp_path / "hour.csv"
+    pd.DataFrame(columns).to_csv(path, index=False, float_format="%.3f")
+    (audit,) = servofd.audit(path)
+    page = audit_page([audit])
+    assert len(page.encode()) < 2_000_000
+    assert "at fault: s0" in page

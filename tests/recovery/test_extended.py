@@ -1,0 +1,270 @@
+"""What explain finds, an audit simulates: the same motion, in pieces or at once, and a residual of noise alone."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import logparsers
+from servofd.aircraft import Aircraft, load_aircraft
+from servofd.detection.audit import SurfaceAudit, audit_log
+from servofd.detection.judge import judge
+from servofd.detection.residual import ResidualGenerator, rhythm
+from servofd.detection.stream import Stream
+from servofd.detection.threshold import interval_threshold
+from servofd.discrepancy.record import record_of, simulate
+from servofd.errors import ConfigError
+from servofd.models.catalogue import CATALOGUE, installed
+from servofd.models.context import Context
+from servofd.models.effect_table import effects_installed, table_of
+from servofd.models.effects import Extension
+from servofd.models.extended import ExtendedMotion
+from servofd.models.faults import Bias, Fault, HardOver, LossOfEffectiveness, Slow, Stuck
+from servofd.models.physics import plant_of
+from servofd.models.servo_model import ServoModel
+from servofd.segment import Segment
+from servofd.servos import servo_named
+from servofd.simulation.commands import lively
+from servofd.simulation.flight import simulate_flight
+from servofd.types import FloatArray
+from tests.recovery.fine_servo import FineServo, Hidden, hide
+
+KNOWN = ServoModel.of(servo_named("hs225bb-eq31"))
+SIZES = {
+    "rate_limit": {"rate_limit_deg_s": 60.0},
+    "voltage_rate": {"deg_s_per_v": 12.0},
+    "friction": {"friction_deg": 0.4},
+    "deadband": {"width_deg": 1.0},
+    "backlash": {"width_deg": 0.8},
+    "airload": {"deg_per_deg_pa": 4e-4},
+    "gravity_load": {"droop_deg": 3.0},
+    "load_friction": {"share": 0.2},
+    "pwm_frame": {"period_s": 0.02, "phase": 0.3},
+    "sensor_lag": {"time_constant_s": 0.02},
+    "quantization": {"step_deg": 0.35},
+    "linkage_nonlinearity": {"quadratic_per_deg": 0.004, "cubic_per_deg2": 2e-4},
+    "resonance": {"frequency_hz": 9.0, "damping_ratio": 0.1},
+    "clock_offset": {"offset_s": 0.02},
+    "delay": {"delay_s": 0.03},
+    "slow_dynamics": {"bandwidth_scale": 0.6},
+    "damping": {"damping_scale": 0.6},
+    "position_limit": {"lower_deg": -4.0, "upper_deg": 5.0},
+    "gain": {"gain": 0.9},
+    "bias": {"bias_deg": 1.0},
+}
+FORMS = {
+    "rate_limit set point": ("rate_limit", {"form": "set point", "rate_limit_deg_s": 60.0}),
+    "rate_limit asymmetric": ("rate_limit", {"rate_up_deg_s": 50.0, "rate_down_deg_s": 90.0}),
+    "deadband whole error": ("deadband", {"form": "whole error", "width_deg": 1.0}),
+    "quantization command": ("quantization", {"form": "command", "step_deg": 0.5}),
+}
+CASES = {name: (name, size) for name, size in SIZES.items()} | FORMS
+TIME_S: FloatArray = np.cumsum(np.random.default_rng(3).uniform(0.008, 0.012, 800))
+COMMAND_DEG = lively(TIME_S, np.random.default_rng(1))
+CONTEXT = Context(TIME_S, 22.0 + 4.0 * np.sin(TIME_S), TIME_S, 6.0 - 0.1 * TIME_S)
+
+
+def extended(name: str, size: dict[str, float | str]) -> ServoModel:
+    return KNOWN + Extension(effects_installed(plant_of(KNOWN).neutral, {name: size}))
+
+
+def test_every_effect_of_the_catalogue_can_be_written_and_read() -> None:
+    assert {effect.name for effect in CATALOGUE} == set(SIZES)
+    for effect in CATALOGUE:
+        values = [p.low + 0.37 * (p.high - p.low) for p in effect.parameters]
+        expected = installed(plant_of(KNOWN).neutral, [effect], values)
+        read = effects_installed(plant_of(KNOWN).neutral, table_of([effect], np.array(values)))
+        known = [k for k, value in enumerate(expected) if not np.isnan(value)]
+        assert np.array(read)[known] == pytest.approx(np.array(expected)[known], rel=1e-6)
+
+
+@pytest.mark.parametrize(("name", "size"), CASES.values(), ids=CASES)
+def test_a_run_in_pieces_is_the_run_in_one_go(name: str, size: dict[str, float | str]) -> None:
+    model = extended(name, size)
+    servo = model.extended(CONTEXT)
+    assert servo is not None
+    heard_s = TIME_S + model.plan.delay_s
+    whole, pieces, samples = (ExtendedMotion(servo, 1.0) for _ in range(3))
+    whole.hear(heard_s, COMMAND_DEG, np.zeros(TIME_S.size))
+    expected = whole.at(TIME_S)
+    assert np.ptp(expected) > 3.0
+    cuts = [0, 1, 7, 300, 301, 555, TIME_S.size]
+    by_piece, by_sample = [], []
+    for first, last in pairwise(cuts):
+        pieces.hear(heard_s[first:last], COMMAND_DEG[first:last], np.zeros(last - first))
+        by_piece.append(pieces.at(TIME_S[first:last]))
+    for k in range(TIME_S.size):
+        samples.hear(heard_s[k : k + 1], COMMAND_DEG[k : k + 1], np.zeros(1))
+        by_sample.append(samples.at(TIME_S[k : k + 1]))
+    assert np.abs(np.concatenate(by_piece) - expected).max() < 1e-12
+    assert np.abs(np.concatenate(by_sample) - expected).max() < 1e-12
+
+
+@pytest.mark.parametrize(("name", "size"), CASES.values(), ids=CASES)
+def test_the_audit_simulates_what_was_fitted(name: str, size: dict[str, float | str]) -> None:
+    segment = Segment("x", TIME_S, COMMAND_DEG, TIME_S, np.full(TIME_S.size, 1.0), context=CONTEXT)
+    record = record_of(segment, KNOWN)
+    fitted = simulate(record, effects_installed(record.plant.neutral, {name: size}))
+    model = extended(name, size)
+    motion = ExtendedMotion(model.extended(CONTEXT), 1.0)  # type: ignore[arg-type]
+    motion.hear(record.commands.effective_s + model.plan.delay_s, record.commands.command_deg, np.zeros(TIME_S.size))
+    # Poles that are scaled are another transfer function here, and scaled matrices there.
+    assert np.abs(motion.at(TIME_S) - fitted).max() < 1e-6
+
+
+def audited(log: Hidden, effects: dict[str, dict[str, float]], folder: Path, **changes: object) -> SurfaceAudit:
+    path = log.write(folder / "log.csv")
+    surface: dict[str, object] = {
+        "command": {"channel": "elevator_cmd_deg", "unit": "deg"},
+        "measured": {"channel": "elevator_pos_deg", "unit": "deg"},
+        "effects": effects,
+        **changes,
+    }
+    aircraft = Aircraft.model_validate({"surfaces": {"elevator": surface}})
+    return audit_log(logparsers.read(path), aircraft).surfaces[0]
+
+
+@pytest.mark.parametrize(
+    ("servo", "effects"),
+    [
+        (FineServo(backlash_deg=1.2), {"backlash": {"width_deg": 1.2}}),
+        (FineServo(deadband_deg=1.2), {"deadband": {"width_deg": 1.2}}),
+        (FineServo(friction_deg=0.6), {"friction": {"friction_deg": 0.6, "torque_share": 0.65}}),
+        (FineServo(airload=6e-4), {"airload": {"deg_per_deg_pa": 6e-4, "torque_share": 0.65}}),
+        (FineServo(deg_s_per_v=5.0), {"voltage_rate": {"deg_s_per_v": 5.0}}),
+        (FineServo(lag_s=0.03, gain=0.9), {"sensor_lag": {"time_constant_s": 0.03}, "gain": {"gain": 0.9}}),
+    ],
+    ids=lambda value: "+".join(value) if isinstance(value, dict) else "",
+)
+def test_the_residual_of_a_servo_with_its_effects_is_noise(
+    servo: FineServo, effects: dict[str, dict[str, float]], tmp_path: Path
+) -> None:
+    log = hide(servo, duration_s=12.0)
+    without = audited(log, {}, tmp_path)
+    found = audited(log, effects, tmp_path, threshold="interval")
+    assert found.status == "healthy", found.reason
+    assert found.statistics is not None
+    assert without.statistics is not None
+    # Noise of 0.1 deg passes the filter with a gain of 0.42.
+    assert found.statistics.std_deg < 0.045
+    assert without.statistics.std_deg > 0.09
+
+
+def broken(log: Hidden, position_deg: FloatArray) -> Hidden:
+    return Hidden(log.time_s, log.command_deg, position_deg, log.airspeed_m_s, log.supply_v)
+
+
+@pytest.mark.parametrize(
+    ("fault", "kind"),
+    [
+        (Bias(8.0, bias_deg=1.0), "bias"),
+        (Stuck(8.0), "stuck"),
+        (HardOver(8.0, -20.0), "hardover"),
+        (Slow(8.0, bandwidth_scale=0.3), "slow"),
+        (LossOfEffectiveness(8.0, gain=0.5), "loss_of_effectiveness"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_simulated_faults_of_a_servo_with_effects_are_named(fault: Fault, kind: str) -> None:
+    entry = {
+        "command": {"channel": "c", "unit": "deg"},
+        "measured": {"channel": "p", "unit": "deg"},
+        "threshold": "interval",
+        "effects": {"backlash": {"width_deg": 0.8}, "friction": {"friction_deg": 0.3}},
+    }
+    aircraft = Aircraft.model_validate({"surfaces": {"elevator": entry}})
+    flown = simulate_flight(aircraft, command="lively", duration_s=24.0, seed=4, faults={"elevator": fault})
+    segment = Segment("elevator", flown.time_s, flown.command_deg[:, 0], flown.time_s, flown.measured_deg[:, 0])
+    generator = ResidualGenerator.fitting(aircraft.model("elevator"), segment)
+    judged = judge(generator, segment, generator.run(segment), aircraft.surfaces["elevator"])
+    assert [found.kind for found in judged.faults][:1] == [kind]
+    assert judged.faults[0].start_s == pytest.approx(8.0, abs=1.5)
+
+
+@pytest.mark.parametrize("kind", ["bias", "stuck", "loss_of_effectiveness"])
+def test_faults_of_a_servo_with_backlash_are_named(kind: str, tmp_path: Path) -> None:
+    log = hide(FineServo(backlash_deg=1.2), duration_s=30.0)
+    ill = log.time_s >= 12.0
+    noise = 0.1 * np.random.default_rng(8).standard_normal(log.time_s.size)
+    wrong = {
+        "bias": log.position_deg + 1.5,
+        "stuck": log.position_deg[np.argmax(ill)] + noise,
+        "loss_of_effectiveness": 0.5 * log.position_deg,
+    }[kind]
+    found = audited(
+        broken(log, np.where(ill, wrong, log.position_deg)),
+        {"backlash": {"width_deg": 1.2}},
+        tmp_path,
+        threshold="interval",
+    )
+    assert [fault.kind for fault in found.faults] == [kind]
+    assert found.faults[0].start_s == pytest.approx(12.0, abs=1.0)
+
+
+def test_an_effect_without_its_signal_is_left_out_and_said(tmp_path: Path) -> None:
+    log = hide(FineServo(airload=6e-4), duration_s=12.0)
+    path = log.write(tmp_path / "log.csv")
+    rows = [",".join(line.split(",")[:3]) for line in path.read_text().splitlines()]
+    path.write_text("\n".join(rows) + "\n")
+    (tmp_path / "a.toml").write_text(
+        '[surfaces.elevator]\ncommand = { channel = "elevator_cmd_deg", unit = "deg" }\n'
+        'measured = { channel = "elevator_pos_deg", unit = "deg" }\n'
+        "[surfaces.elevator.effects]\nairload = { deg_per_deg_pa = 6e-4 }\nvoltage_rate = { deg_s_per_v = 60.0 }\n"
+    )
+    found = audit_log(logparsers.read(path), load_aircraft(tmp_path / "a.toml")).surfaces[0]
+    assert "no airspeed: the load of the air is left out" in found.reason
+    assert "no supply voltage: the rate that it limits is left out" in found.reason
+    assert found.statistics is not None
+    assert found.statistics.std_deg > 0.2
+
+
+@pytest.mark.parametrize(
+    ("effects", "reason"),
+    [
+        ("backlsh = { width_deg = 1.0 }", "did you mean backlash?"),
+        ("backlash = { width = 1.0 }", "unknown parameter 'width'; did you mean width_deg?"),
+        ("backlash = {}", "effects.backlash.width_deg: this key is missing"),
+        ("backlash = { width_deg = 99.0 }", "must lie between 0 and 20, not 99"),
+        ("backlash = { width_deg = nan }", "must be a number from 0 to 20, not nan"),
+        ('rate_limit = { form = "motr", rate_limit_deg_s = 60.0 }', "unknown form 'motr'; did you mean motor"),
+        ("position_limit = { lower_deg = 0.0, upper_deg = 0.0 }", "lower_deg must be below upper_deg"),
+    ],
+)
+def test_wrong_effects_are_refused_at_the_door(effects: str, reason: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.toml"
+    path.write_text(
+        '[surfaces.elevator]\ncommand = { channel = "c", unit = "deg" }\n[surfaces.elevator.effects]\n' + effects
+    )
+    with pytest.raises(ConfigError, match="elevator") as error:
+        load_aircraft(path)
+    assert reason in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("effects", [{"backlash": {"width_deg": 0.8}}, {"pwm_frame": {"period_s": 0.02}}], ids=str)
+def test_a_monitor_in_flight_sees_what_the_audit_sees(effects: dict[str, dict[str, float]]) -> None:
+    log = hide(FineServo(backlash_deg=0.8), duration_s=12.0)
+    surface = Aircraft.model_validate(
+        {"surfaces": {"x": {"command": {"channel": "c", "unit": "deg"}, "threshold": "interval", "effects": effects}}}
+    )
+    segment = Segment("x", log.time_s, log.command_deg, log.time_s, log.position_deg)
+    generator = ResidualGenerator.fitting(surface.model("x"), segment)
+    stream = Stream(generator, surface.surfaces["x"], segment.period_s, rhythm(log.time_s))
+    pieces = []
+    for time_s, command_deg, position_deg in zip(log.time_s, log.command_deg, log.position_deg, strict=True):
+        stream.command(float(time_s), float(command_deg))
+        stream.position(float(time_s), float(position_deg))
+        pieces.append(stream.evaluate())
+    pieces.append(stream.evaluate(final=True))
+    seen = [piece for piece in pieces if piece is not None]
+    expected = generator.run(segment)
+    residual_deg = np.concatenate([piece.residuals.residual_deg for piece in seen])
+    level_deg = np.concatenate([piece.threshold.level_deg for piece in seen])
+    entry = surface.surfaces["x"]
+    threshold = interval_threshold(generator, segment, expected, entry.tolerances, entry.threshold_sigmas)
+    assert residual_deg.size == log.time_s.size
+    np.testing.assert_allclose(residual_deg, expected.residual_deg, atol=1e-9)
+    np.testing.assert_allclose(level_deg, threshold.level_deg, rtol=0.05)

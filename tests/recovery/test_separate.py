@@ -1,0 +1,75 @@
+"""The manoeuvre that is named really tells two fitted servos apart."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from servofd.discrepancy.fit import Fit, Fitter
+from servofd.discrepancy.record import Record, record_of
+from servofd.discrepancy.select import Rung, Selection
+from servofd.discrepancy.separate import MANOEUVRES, separations
+from servofd.models.catalogue import MissingEffect, effects_named
+from servofd.models.servo_model import ServoModel
+from servofd.segment import Segment
+from servofd.servos import servo_named
+
+NOISE_DEG = 0.1
+
+
+@pytest.fixture(scope="module")
+def record() -> Record:
+    time_s = np.arange(0.0, 10.0, 0.01)
+    segment = Segment("x", time_s, np.sin(time_s), time_s, np.sin(time_s))
+    return record_of(segment, ServoModel.of(servo_named("hs225bb-eq31")))
+
+
+def tied(record: Record, *fits: Fit) -> Selection:
+    nominal = Fitter(record).nominal()
+    names = tuple(fit.names[0] for fit in fits)
+    return Selection(
+        nominal, (Rung(fits[0], ()),), (names,), (fits[1:],), NOISE_DEG, (), np.zeros((1, 1)), Fitter(record)
+    )
+
+
+def fit(record: Record, effect: type[MissingEffect], *values: float) -> Fit:
+    return Fitter(record).judged((effect,), values)
+
+
+@pytest.mark.parametrize(
+    ("one", "two", "words"),
+    [
+        (("rate_limit", 60.0), ("slow_dynamics", 0.5), "step"),
+        (("airload", 4e-4, 0.8), ("gain", 0.9), "from 12 to 30 m/s"),
+        (("voltage_rate", 16.0), ("rate_limit", 96.0), "supply sags"),
+        (("backlash", 1.0), ("gain", 0.9), "deg"),
+    ],
+)
+def test_what_tells_two_effects_apart(
+    record: Record, one: tuple[str, float], two: tuple[str, float], words: str
+) -> None:
+    fits = [fit(record, effects_named(name)[0], *values) for name, *values in (one, two)]
+    (found,) = separations(tied(record, *fits))
+    assert found.effects == (one[0], two[0])
+    assert found.manoeuvre is not None
+    assert words in found.manoeuvre
+    assert found.sigmas == pytest.approx(found.difference_deg / NOISE_DEG)
+    assert found.sigmas >= 4.0
+    assert f"tells {one[0]} from {two[0]} (differs by {found.sigmas:.0f} sigma)" in found.sentence
+
+
+def test_what_nothing_tells_apart_is_said(record: Record) -> None:
+    fits = [fit(record, effects_named("delay")[0], 0.024), fit(record, effects_named("clock_offset")[0], 0.02)]
+    (found,) = separations(tied(record, *fits))
+    assert found.manoeuvre is None
+    assert found.difference_deg < 1e-6
+    assert "no manoeuvre tells delay from clock_offset" in found.sentence
+
+
+def test_manoeuvres_stay_within_what_a_surface_can_do() -> None:
+    time_s = np.arange(0.0, 24.0, 0.01)
+    assert len({manoeuvre.name for manoeuvre in MANOEUVRES}) == len(MANOEUVRES)
+    for manoeuvre in MANOEUVRES:
+        command_deg = manoeuvre.command(time_s)
+        assert command_deg.shape == time_s.shape
+        assert 0.9 < np.abs(command_deg).max() <= 20.0 + 1e-9
