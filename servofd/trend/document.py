@@ -23,7 +23,7 @@ def trend_document(seen: AircraftTrend) -> dict[str, Any]:
     Examples
     --------
     >>> from servofd.trend.trend import trend_logs
-    >>> seen = trend_logs(["sample_logs/faser_healthy_flight.mat"], "faser", surfaces=("rudder",), workers=1)
+    >>> seen = trend_logs(["sample_logs/faser_healthy_flight.mat"], "faser", surfaces=("rudder",), workers=0)
     >>> trend_document(seen)["surfaces"]["rudder"]["quantities"]["dead_band_deg"]["forecast"]["reason"]
     'too few flights for a trend'
     """
