@@ -117,7 +117,7 @@ def judge(case: Case) -> Result:
     lot = np.random.default_rng([case.seed, *(ord(letter) for name in case.names for letter in name)])
     effects = {name: draw(lot, name, case.level) for name in case.names}
     nothing = case.kind == "none"
-    disturbed = {"jitter_s": 0.002, "row_loss": 0.03} if nothing else {}
+    disturbed = {"jitter_s": 0.003, "row_loss": 0.03} if nothing else {}
     record = hidden(case.seed, effects, case.excitation, case.noise_deg, spread=case.spread, **disturbed)
     with tempfile.TemporaryDirectory() as folder:
         answer = ask(write(record, Path(folder) / "log.csv"), SURFACE)

@@ -127,7 +127,8 @@ def late_s(aircraft: Aircraft, frames: list[tuple[float, bytes]]) -> np.ndarray:
 
 
 def main() -> None:
-    surfaces, seconds = (int(n) for n in (*sys.argv[1:], 16, 30)[:2]) if len(sys.argv) < 3 else map(int, sys.argv[1:3])
+    given = [int(word) for word in sys.argv[1:]]
+    surfaces, seconds = (*given, *(16, 30)[len(given) :])
     plain, aircraft = craft(surfaces)
     faults = {"surface_1": Stuck(seconds / 2.0), "surface_2": Stuck(seconds / 1.5)}
     flight = simulate_flight(plain, rate_hz=50.0, duration_s=float(seconds), faults=faults, outputs=outputs_of(plain))

@@ -74,8 +74,8 @@ def followed(fleet: dict[str, list[tuple[FleetServo, float]]], seed: int, durati
         name, flights = f"flight{number}.csv", []
         for index, (surface, (servo, width_deg)) in enumerate(zip(fleet, row, strict=True)):
             rng = np.random.default_rng([seed, number, index])
-            values, missing = estimate_flight(segment(surface, servo, rng, width_deg, duration_s), plane)
-            flights.append(FlightEstimate(name, "", surface, None, duration_s, values, missing))
+            told = estimate_flight(segment(surface, servo, rng, width_deg, duration_s), plane)
+            flights.append(FlightEstimate(name, "", surface, None, duration_s, *told))
         logs.append(FlownLog(name, "", None, "", tuple(flights), ()))
     return trend_of(logs, plane)
 
@@ -113,8 +113,16 @@ def main() -> None:
     parser.add_argument("--worn", type=int, default=10, help="servos whose dead band grows by 0.02 deg per flight")
     options = parser.parse_args()
     start_s = time.process_time()
+    if options.worn:
+        _measure_wear(options.worn)
+    if options.fleets:
+        _count_alarms(options)
+    print(f"{time.process_time() - start_s:.0f} s of processor time")
+
+
+def _measure_wear(servos: int) -> None:
     slopes, crossings, covered, swaps = [], [], 0, 0
-    for seed in range(options.worn):
+    for seed in range(servos):
         grown = [0.02 * number for number in range(1, 41)]
         slope = widths_trend(seed, grown).surfaces[0].quantities["dead_band_deg"].slope
         slopes.append(slope.value if slope else np.nan)
@@ -125,7 +133,10 @@ def main() -> None:
         swaps += [(event.kind, event.first) for event in events] == [("swap", 26)]
     print(f"slope of 0.02 deg per flight, 40 flights: worst {np.max(np.abs(np.array(slopes) / 0.02 - 1.0)):.1%}")
     print(f"crossing at flight 100, told at flight 25: worst {np.max(np.abs(np.array(crossings) - 100.0)):.1f} flights")
-    print(f"interval holds it: {covered} of {options.worn}; swaps recognised, none invented: {swaps} of {options.worn}")
+    print(f"interval holds it: {covered} of {servos}; swaps recognised, none invented: {swaps} of {servos}")
+
+
+def _count_alarms(options: argparse.Namespace) -> None:
     alarms, told = 0, 0
     for seed in range(options.fleets):
         seen = healthy_fleet(seed, options.servos, options.flights, options.duration)
@@ -135,7 +146,6 @@ def main() -> None:
         f"{options.fleets} healthy fleets of {options.servos} servos, {options.flights} flights of "
         f"{options.duration:g} s: {alarms} alarms, {told} changes told"
     )
-    print(f"{time.process_time() - start_s:.0f} s of processor time")
 
 
 if __name__ == "__main__":

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import logparsers
 from servofd.aircraft import Aircraft, load_aircraft
 from servofd.bench import bench_aircraft
+from servofd.detection.audit import audit_log
+from servofd.detection.words import describe
 from servofd.discrepancy.elsewhere import judged_elsewhere
 from servofd.discrepancy.explanation import Explanation, explain_gap
 from servofd.discrepancy.own import OwnEffect, load_own_effect
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = ["UNKNOWN", "ExplainedLog", "ExplainedLogs", "explain_log", "explain_logs"]
 
+_SAME_FAULT_S = 3.0
 UNKNOWN = "unknown"
 """Name of a servo that nobody knows."""
 _UNKNOWN_SERVO = Servo(
@@ -232,6 +235,8 @@ def _surface(
     aircraft = _with_unknown_servo(flown.aircraft, name) if free_poles else flown.aircraft
     segments, model = _segments(flown.logs, name, aircraft), aircraft.model(name)
     found = explain_gap(segments, model, on_bench=flown.on_bench, free_poles=free_poles, own=own, progress=progress)
+    if found.fault_s is not None and len(flown.logs) == 1:
+        found = _with_kind(found, found.fault_s, flown.logs[0], aircraft)
     judged = tuple(judged_elsewhere(label, there[name], model, found.physics, own) for label, there in also)
     return replace(found, also=judged)
 
@@ -242,6 +247,15 @@ def _also(log: FlightLog, aircraft: Aircraft, name: str) -> Segment:
         return cut(log, name, aircraft.surfaces[name])
     except NoMeasurement as error:
         raise ConfigError(f"--also {log.label}: {name}: {error}; give a log of the same aircraft") from None
+
+
+def _with_kind(found: Explanation, fault_s: float, log: FlightLog, aircraft: Aircraft) -> Explanation:
+    """An explanation that says which fault it is that sets in, if the audit can name it."""
+    (verdict,) = audit_log(log, aircraft, surfaces=(found.surface,)).surfaces
+    named = [fault for fault in verdict.faults if abs(fault.start_s - fault_s) < _SAME_FAULT_S]
+    if not named or named[0].kind == "unknown":
+        return found
+    return replace(found, notes=(*found.notes, f"the audit can name that fault: {describe(named[0])}"))
 
 
 def _is_bench(aircraft: Aircraft, surface: str) -> bool:

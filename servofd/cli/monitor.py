@@ -51,6 +51,7 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument("--alert-to", metavar="ENDPOINT", help="send alerts there (default: back to the stream)")
     parser.add_argument("--no-alert", action="store_true", help="send no alerts")
     parser.add_argument("--no-request", action="store_true", help="send nothing at all to the stream")
+    parser.add_argument("--dataflash", action="store_true", help="ask for the autopilot's own log (CSRV, RCOU) as well")
     parser.add_argument("--system", type=int, metavar="ID", help="system id to speak as (default: the vehicle's)")
     parser.add_argument("--component", type=int, default=191, metavar="ID", help="component id (default: 191)")
     parser.add_argument("--signing-key", metavar="FILE", help="file with the key that frames are signed with")
@@ -64,6 +65,8 @@ def run(options: argparse.Namespace) -> int:
     from servofd.errors import ConfigError
 
     aircraft = _aircraft(options.config)
+    if options.dataflash and options.no_request:
+        raise ConfigError("--dataflash has to ask for the log, which --no-request forbids")
     if options.no_alert and options.alert_to:
         raise ConfigError("--no-alert and --alert-to exclude each other")
     for name in (options.tlog, options.rrd, options.json_lines if options.json_lines != "-" else None):
@@ -95,7 +98,9 @@ def _watch(options: argparse.Namespace, aircraft: Mapping[int, Aircraft]) -> Ses
     with contextlib.ExitStack() as open_:
         link = open_link(endpoint)
         open_.callback(link.close)
-        session = Session(Codec(0, options.component, signature=signature), aircraft, aside=True)
+        session = Session(
+            Codec(0, options.component, signature=signature), aircraft, aside=True, remote_log=options.dataflash
+        )
         known = next(iter(aircraft)) if len(aircraft) == 1 else 0
         speaker = Speaker(
             lambda: options.system or known or next(iter(session.vehicles), 1), options.component, signature

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.detection.residual import Commands, commands_at_servo, lost_commands
+from servofd.detection.residual import Commands, commands_at_servo, rhythm
 from servofd.discrepancy.noise import comb_step_deg
 from servofd.models.physics import Physics, Plant, longest_step_s, plant_of
 
@@ -32,6 +32,7 @@ _BETWEEN_RUNS_S = 1.0
 """Runs are laid one after the other for pictures and words; nothing is simulated across."""
 
 
+_DOUBTFUL = 1.45
 _LARGEST_GUESS_DEG, _FORGOTTEN_S = 0.25, 0.16
 """A lost command off by this much moves an HS-225BB by 0.04 deg, for four of its time constants."""
 
@@ -208,7 +209,9 @@ def _after_lost_commands(segment: Segment, hole_s: float, time_s: FloatArray) ->
     after = np.zeros(time_s.size, dtype=bool)
     if segment.command_period_s is not None or segment.command_s.size < 4:
         return after
-    lost = np.flatnonzero(lost_commands(segment.command_s, hole_s))
+    step_s = np.diff(segment.command_s)
+    # Among stamps that jitter, a lost command can hide in an interval that is merely long.
+    lost = np.flatnonzero((step_s > _DOUBTFUL * rhythm(segment.command_s).period_s) & (step_s <= hole_s))
     bend = np.abs(np.diff(segment.command_deg, 2, prepend=segment.command_deg[:1], append=segment.command_deg[-1:]))
     for k in lost[np.maximum(bend[lost], bend[np.minimum(lost + 1, bend.size - 1)]) > _LARGEST_GUESS_DEG]:
         start_s = segment.command_s[k]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from concurrent.futures import CancelledError, as_completed
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -17,6 +18,7 @@ __all__ = ["LostCluster", "run_on_cluster"]
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 _PATIENCE_S = 10.0
+_ADDRESS = re.compile(r"\w+://\S+")
 _INSTALL = "pip install 'servofd[cluster]'"
 
 
@@ -70,6 +72,8 @@ def run_on_cluster(
 @contextmanager
 def _client(address: str) -> Iterator[Any]:
     """Connection to a cluster that can do the work."""
+    if not _ADDRESS.fullmatch(address):
+        raise ConfigError(f"{address}: is no address of a Dask scheduler; give it as tcp://HOST:8786")
     try:
         from distributed import Client
     except ImportError:

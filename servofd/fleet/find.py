@@ -78,9 +78,8 @@ def find_logs(inputs: Sequence[str], layout: TableLayout | None = None) -> Found
 
     Examples
     --------
-    >>> found = find_logs(["sample_logs/faser_*.mat"])
-    >>> len(found.logs) > 1, found.logs[0].path
-    (True, 'sample_logs/faser_deadband_flight.mat')
+    >>> [log.path for log in find_logs(["sample_logs/faser_hea*flight.mat"]).logs]
+    ['sample_logs/faser_healthy_flight.mat']
     """
     logs: dict[str, LogSource] = {}
     skipped: dict[str, Skipped] = {}

@@ -10,6 +10,7 @@ from collections import deque
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
 from servofd.errors import ServofdError
@@ -51,7 +52,7 @@ def run_local(
     items : sequence
         What to do it for.
     workers : int, optional
-        Number of processes; one per core if None.
+        Number of processes; one per core if None; 0: no process but this one, which then nothing protects.
 
     Yields
     ------
@@ -60,9 +61,12 @@ def run_local(
 
     Examples
     --------
-    >>> sorted(run_local(abs, [-1, 2], workers=1))
+    >>> sorted(run_local(abs, [-1, 2], workers=0))
     [(-1, 1), (2, 2)]
     """
+    if workers == 0:
+        yield from ((item, _outcome(partial(task, item))) for item in items)
+        return
     waiting = deque(items)
     count = max(1, min(workers or cores(), len(items)))
     while waiting:
@@ -88,7 +92,7 @@ def _until_broken(
                 suspects.extend(running.values())
                 return
             for future in wait(running, return_when=FIRST_COMPLETED).done:
-                item, outcome = running.pop(future), _outcome(future)
+                item, outcome = running.pop(future), _outcome(future.result)
                 if isinstance(outcome, BrokenProcessPool):
                     suspects.append(item)
                 else:
@@ -98,9 +102,9 @@ def _until_broken(
                 return
 
 
-def _outcome(future: Future[_Result]) -> _Result | Exception:
+def _outcome(result: Callable[[], _Result]) -> _Result | Exception:
     try:
-        return future.result()
+        return result()
     except Exception as error:
         return error
 
@@ -109,7 +113,7 @@ def _alone(task: Callable[[_Item], _Result], item: _Item) -> Iterator[tuple[_Ite
     with _processes(1) as pool:
         with _interrupts_ignored():
             future = pool.submit(task, item)
-        outcome = _outcome(future)
+        outcome = _outcome(future.result)
     died = isinstance(outcome, BrokenProcessPool)
     yield item, WorkerDied("the process that read it died: out of memory, killed or crashed") if died else outcome
 

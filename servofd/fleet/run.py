@@ -38,7 +38,7 @@ def audit_fleet(
     cluster : str, optional
         Scheduler of a Dask cluster, such as ``"tcp://scheduler:8786"``; the processes of this machine if None.
     workers : int, optional
-        Number of processes on this machine; one per core if None.
+        Number of processes on this machine; one per core if None, 0: this one.
 
     Yields
     ------
@@ -50,7 +50,7 @@ def audit_fleet(
     >>> from servofd.fleet.find import find_logs
     >>> from servofd.fleet.key import Job
     >>> logs = find_logs(["sample_logs/faser_stuck_flight.mat"]).logs
-    >>> [judged.runs[0].has_fault for judged in audit_fleet(logs, Job(), workers=1)]
+    >>> [judged.runs[0].has_fault for judged in audit_fleet(logs, Job(), workers=0)]
     [True]
     """
     task = partial(judge_log, job=job)
@@ -87,7 +87,7 @@ def audit_logs(
 
     Examples
     --------
-    >>> [judged.runs[0].has_fault for judged in audit_logs(["sample_logs/faser_stuck*.mat"], "faser", workers=1)]
+    >>> [judged.runs[0].has_fault for judged in audit_logs(["sample_logs/faser_stuck_flight.ma?"], "faser", workers=0)]
     [True]
     """
     known = load_aircraft(aircraft) if isinstance(aircraft, str | Path) else aircraft

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from servofd.live.alerts import Alerts
+from servofd.live.remote_log import RemoteLog
 from servofd.live.requests import Requests
 from servofd.live.vehicle import Vehicle
 
@@ -68,6 +69,8 @@ class Session:
     is_stream: bool = True
     """False for a log of another kind, whose samples are given directly."""
     aside: bool = False
+    remote_log: bool = False
+    """Whether to ask for the autopilot's own log; needs `send`."""
     listener: Callable[[str, Piece, FloatArray], None] | None = None
     """Told of every piece that was evaluated."""
     vehicles: dict[int, Vehicle] = field(default_factory=dict)
@@ -80,6 +83,7 @@ class Session:
     frames: int = 0
     damaged_bytes: int = 0
     _alerts: dict[int, Alerts] = field(default_factory=dict)
+    _logs: dict[int, RemoteLog] = field(default_factory=dict)
     _requests: dict[int, Requests] = field(default_factory=dict)
     _pool: ThreadPoolExecutor | None = None
     _looks: list[tuple[Vehicle, SurfaceMonitor, Look, Future[Any]]] = field(default_factory=list)
@@ -87,7 +91,7 @@ class Session:
 
     def __post_init__(self) -> None:
         for system, aircraft in self.aircraft.items():
-            vehicle = Vehicle(system, aircraft, is_stream=self.is_stream)
+            vehicle = Vehicle(system, aircraft, is_stream=self.is_stream and not self.remote_log)
             self._wanted[system] = vehicle.messages
             if system:
                 self._adopt(system, vehicle)
@@ -110,6 +114,8 @@ class Session:
                 self._ask_again(vehicle, told)
                 events += told
                 self._answered(heard)
+                if heard.system in self._logs:
+                    vehicle.give(self._logs[heard.system].hear(heard, arrival_s))
         return events
 
     def step(self, arrival_now_s: float) -> list[Event]:
@@ -151,15 +157,19 @@ class Session:
             return None
         if not autopilot and heard.name not in self._wanted[0]:
             return None
-        vehicle = Vehicle(heard.system, self.aircraft[0])
+        vehicle = Vehicle(heard.system, self.aircraft[0], is_stream=not self.remote_log)
         self._adopt(heard.system, vehicle)
         return vehicle
 
     def _adopt(self, system: int, vehicle: Vehicle) -> None:
         self.vehicles[system] = vehicle
         self._alerts[system] = Alerts()
-        if self.send is not None:
-            self._requests[system] = Requests(system, vehicle.messages)
+
+    def _ask(self, vehicle: Vehicle) -> None:
+        """Begin to ask a vehicle for what is needed."""
+        self._requests[vehicle.system] = Requests(vehicle.system, vehicle.messages)
+        if self.remote_log:
+            self._logs[vehicle.system] = RemoteLog(vehicle.system)
 
     def _answered(self, heard: Heard) -> None:
         requests = self._requests.get(heard.system)
@@ -197,10 +207,15 @@ class Session:
         if self.alert is not None:
             for name, fields in messages:
                 self.alert(name, fields)
+        if self.send is not None and vehicle.system not in self._requests:
+            self._ask(vehicle)
         requests = self._requests.get(vehicle.system)
         if requests is None or self.send is None or vehicle.heard_s == float("-inf"):
             return
-        for name, fields in requests.due(now_s):
+        due = requests.due(now_s)
+        if vehicle.system in self._logs:
+            due += self._logs[vehicle.system].due(now_s)
+        for name, fields in due:
             self.send(name, fields)
 
     def _ask_again(self, vehicle: Vehicle, events: list[Event]) -> None:

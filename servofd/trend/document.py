@@ -23,7 +23,7 @@ def trend_document(seen: AircraftTrend) -> dict[str, Any]:
     Examples
     --------
     >>> from servofd.trend.trend import trend_logs
-    >>> seen = trend_logs(["sample_logs/faser_healthy_flight.mat"], "faser", surfaces=("rudder",), workers=1)
+    >>> seen = trend_logs(["sample_logs/faser_healthy_flight.mat"], "faser", surfaces=("rudder",), workers=0)
     >>> trend_document(seen)["surfaces"]["rudder"]["quantities"]["dead_band_deg"]["forecast"]["reason"]
     'too few flights for a trend'
     """
@@ -48,6 +48,7 @@ def trend_document(seen: AircraftTrend) -> dict[str, Any]:
 def _surface(surface: SurfaceTrend) -> dict[str, Any]:
     return {
         "serials": [{"from_flight": number, "serial": serial or None} for number, serial in surface.serials],
+        "rests_in": surface.place,
         "events": [
             {
                 "kind": event.kind,

@@ -1,15 +1,18 @@
 r"""What one flight tells of one servo: one output-error fit, and the residual of the model as it stands.
 
-The model is the aircraft file's servo behind a zone of width :math:`w` in which it rests (dead band, backlash; thesis
-4.2.1). For a width near zero the fit must be free to go to the other side, or noise would bias it upwards: where
-:math:`P_w u` is the command :math:`u` after a play of width :math:`w`, the command for :math:`-w` is
-:math:`2u - P_w u`, which continues :math:`P_w u` smoothly through :math:`w = 0`.
+The model is the aircraft file's servo with a zone of width :math:`w` in which the surface rests: before the servo (dead
+band, thesis 4.2.1) or behind it (backlash of the linkage). A single flight may not tell which; all flights of a surface
+together do, so both are fitted. Taken for a dead band, a backlash seems wider by a fifth.
+
+For a width near zero the fit must be free to go to the other side, or noise would bias it upwards: where :math:`P_w u`
+is the command :math:`u` after a play of width :math:`w`, the command for :math:`-w` is :math:`2u - P_w u` (of a
+backlash the same with the servo's deflection), which continues :math:`P_w u` smoothly through :math:`w = 0`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -32,7 +35,7 @@ if TYPE_CHECKING:
     from servofd.segment import Segment
     from servofd.types import FloatArray
 
-__all__ = ["estimate_flight"]
+__all__ = ["Told", "estimate_flight"]
 
 _MOST_SAMPLES = 12_000
 """Two minutes at 100 Hz tell the width to 0.01 deg, which is less than it varies from flight to flight."""
@@ -61,11 +64,24 @@ class _Fit:
     """Width, the numbers of the servo, gain and offset."""
     deviation: FloatArray
     error_deg: FloatArray
+    ordinary_deg: float
+    """Errors beyond it count by their size."""
 
 
-def estimate_flight(
-    segment: Segment, aircraft: Aircraft, voltage_v: float | None = None
-) -> tuple[dict[str, Estimate], dict[str, str]]:
+class Told(NamedTuple):
+    """What a flight tells of a servo, with 95 % intervals."""
+
+    values: dict[str, Estimate]
+    """Of `servofd.trend.records.QUANTITIES`, if the zone of rest is a dead band."""
+    missing: dict[str, str]
+    """Why others are not among them."""
+    linkage: dict[str, Estimate]
+    """What differs if it is backlash of the linkage."""
+    evidence: float
+    """Logarithm of how much better backlash explains the flight."""
+
+
+def estimate_flight(segment: Segment, aircraft: Aircraft, voltage_v: float | None = None) -> Told:
     """Estimate what `servofd.trend.records.QUANTITIES` lists, as far as the flight shows it.
 
     Parameters
@@ -79,10 +95,8 @@ def estimate_flight(
 
     Returns
     -------
-    values : dict of str to Estimate
-        With 95 % intervals.
-    missing : dict of str to str
-        Why the others are not among them.
+    Told
+        What the flight shows, and why it does not show the rest.
 
     Raises
     ------
@@ -100,7 +114,7 @@ def estimate_flight(
     >>> plane = plain_aircraft(["rudder"])
     >>> flown = simulate_flight(plane, seed=1, faults={"rudder": DeadBand(0.0, width_deg=0.8)})
     >>> segment = Segment("rudder", flown.time_s, flown.command_deg[:, 0], flown.time_s, flown.measured_deg[:, 0])
-    >>> values, _ = estimate_flight(segment, plane)
+    >>> values = estimate_flight(segment, plane).values
     >>> values["dead_band_deg"].low < 0.8 < values["dead_band_deg"].high
     True
     """
@@ -119,16 +133,25 @@ def estimate_flight(
     motion = Motion.of(busiest(Flight("", segment), _MOST_SAMPLES), prior)
     problem = _too_calm(motion)
     if problem:
-        return values, {name: problem for name in QUANTITIES if name not in values}
-    values |= _of_fit(_fitted(motion, prior), motion)
+        return Told(values, {name: problem for name in QUANTITIES if name not in values}, {}, 0.0)
+    dead_band = _fitted(motion, prior)
+    backlash = _descended(motion, prior, dead_band.names, dead_band.vector, dead_band.ordinary_deg, behind=True)
+    values |= _of_fit(dead_band, motion, voltage_v)
     missing = {}
     if "rate_limit_deg_s" not in values:
         missing["rate_limit_deg_s"] = "never moved fast enough to show it"
-    elif voltage_v is not None:
-        values["rate_per_volt_deg_s_v"] = Estimate(*(end / voltage_v for end in values["rate_limit_deg_s"]))
     if "rate_per_volt_deg_s_v" not in values:
         missing["rate_per_volt_deg_s_v"] = missing.get("rate_limit_deg_s", "no supply voltage in the log")
-    return values, missing
+    return Told(values, missing, _of_fit(backlash, motion, voltage_v), _evidence(motion, dead_band, backlash))
+
+
+def _evidence(motion: Motion, dead_band: _Fit, backlash: _Fit) -> float:
+    """Logarithm of the odds for backlash, the memory of the errors taken into account."""
+    losses = [
+        float(np.mean(np.sqrt(1.0 + (fit.error_deg / dead_band.ordinary_deg) ** 2) - 1.0)) + 1e-12
+        for fit in (dead_band, backlash)
+    ]
+    return 0.5 * motion.measured_deg.size / motion.memory(backlash.error_deg) * float(np.log(losses[0] / losses[1]))
 
 
 def _of_residual(residuals: Residuals, level_deg: FloatArray) -> dict[str, Estimate]:
@@ -162,22 +185,25 @@ def _fitted(motion: Motion, prior: FlownServo) -> _Fit:
     if prior.rate_limit_deg_s is not None and _top_speed_deg_s(motion, prior) > _LIMIT_REACHED * prior.rate_limit_deg_s:
         names = (*names, "rate_limit_deg_s")
     measured_deg = motion.measured_deg
-    starts = {width_deg: line(_simulated(motion, prior, width_deg), measured_deg) for width_deg in _WIDTHS_DEG}
+    starts = {
+        width_deg: line(_simulated(motion, prior, width_deg, behind=False), measured_deg) for width_deg in _WIDTHS_DEG
+    }
     width_deg, (gain, offset_deg, left_deg) = min(starts.items(), key=lambda start: start[1][2])
     begin = np.array([width_deg, *prior.vector(names), gain, offset_deg])
-    return _descended(motion, prior, names, begin, _ORDINARY * _MAD_TO_SIGMA * max(left_deg, 1e-6))
+    return _descended(motion, prior, names, begin, _ORDINARY * _MAD_TO_SIGMA * max(left_deg, 1e-6), behind=False)
 
 
 def _descended(
-    motion: Motion, prior: FlownServo, names: tuple[str, ...], begin: FloatArray, ordinary_deg: float
+    motion: Motion, prior: FlownServo, names: tuple[str, ...], begin: FloatArray, ordinary_deg: float, *, behind: bool
 ) -> _Fit:
+    """Least squares from one starting point, of the zone of rest before or behind the servo."""
     from scipy.optimize import least_squares
 
     measured_deg = motion.measured_deg
     steps = np.array([_WIDTH_STEP_DEG, *(_STEP for _ in names)])
 
     def shape(x: FloatArray) -> FloatArray:
-        return _simulated(motion, prior.with_vector(names, x[1:-2]), float(x[0]))
+        return _simulated(motion, prior.with_vector(names, x[1:-2]), float(x[0]), behind=behind)
 
     def error(x: FloatArray) -> FloatArray:
         left_deg: FloatArray = measured_deg - x[-2] * shape(x) - x[-1]
@@ -207,19 +233,26 @@ def _descended(
     )
     left_deg = error(found.x)
     deviation = deviations(slopes(found.x), left_deg, motion.memory(left_deg))
-    return _Fit(prior.with_vector(names, found.x[1:-2]), names, found.x, deviation, left_deg)
+    return _Fit(prior.with_vector(names, found.x[1:-2]), names, found.x, deviation, left_deg, ordinary_deg)
 
 
-def _simulated(motion: Motion, servo: FlownServo, width_deg: float) -> FloatArray:
-    """Deflection of a servo behind a zone of rest, in all used rows [deg], shape (n,)."""
-    rested = tuple(Flight(one.label, _behind_play(one.segment, width_deg)) for one in motion.flights)
-    return replace(motion, flights=rested).simulated_deg(servo)
+def _simulated(motion: Motion, servo: FlownServo, width_deg: float, *, behind: bool) -> FloatArray:
+    """Deflection of a servo with a zone of rest, in all used rows [deg], shape (n,)."""
+    if behind:
+        return np.concatenate([_rested(part, width_deg) for part in motion.split(motion.simulated_deg(servo))])
+    heard = tuple(
+        Flight(one.label, replace(one.segment, command_deg=_rested(one.segment.command_deg, width_deg)))
+        for one in motion.flights
+    )
+    return replace(motion, flights=heard).simulated_deg(servo)
 
 
-def _behind_play(segment: Segment, width_deg: float) -> Segment:
-    asked_deg = segment.command_deg
-    heard_deg = play(asked_deg, abs(width_deg), float(asked_deg[0]))
-    return replace(segment, command_deg=heard_deg if width_deg >= 0.0 else 2.0 * asked_deg - heard_deg)
+def _rested(values_deg: FloatArray, width_deg: float) -> FloatArray:
+    """What is left of a motion behind a play, of a width that may be negative."""
+    if values_deg.size == 0:
+        return values_deg
+    followed_deg = play(values_deg, abs(width_deg), float(values_deg[0]))
+    return followed_deg if width_deg >= 0.0 else 2.0 * values_deg - followed_deg
 
 
 def _top_speed_deg_s(motion: Motion, servo: FlownServo) -> float:
@@ -232,7 +265,7 @@ def _top_speed_deg_s(motion: Motion, servo: FlownServo) -> float:
     return float(np.quantile(np.concatenate(speeds), _NEVER))
 
 
-def _of_fit(fit: _Fit, motion: Motion) -> dict[str, Estimate]:
+def _of_fit(fit: _Fit, motion: Motion, voltage_v: float | None) -> dict[str, Estimate]:
     """What was fitted, in the units of `QUANTITIES`."""
     width, *numbers, _, offset = (Estimate.of(*pair) for pair in zip(fit.vector, fit.deviation, strict=True))
     noise = noise_of(motion.measured_deg, fit.error_deg)
@@ -246,4 +279,6 @@ def _of_fit(fit: _Fit, motion: Motion) -> dict[str, Estimate]:
             values[name] = Estimate(*(1e-3 * end for end in estimate))
         elif name == "bandwidth_hz" or (name == "rate_limit_deg_s" and estimate.deviation < _LEAST_RATE_SURENESS):
             values[name] = Estimate(*np.exp(np.clip(estimate, -50.0, 50.0)).tolist())
+    if voltage_v is not None and "rate_limit_deg_s" in values:
+        values["rate_per_volt_deg_s_v"] = Estimate(*(end / voltage_v for end in values["rate_limit_deg_s"]))
     return values

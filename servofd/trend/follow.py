@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -22,9 +22,13 @@ if TYPE_CHECKING:
     from servofd.trend.events import Event
     from servofd.trend.records import FlightEstimate
 
-__all__ = ["QuantityTrend", "SurfaceTrend", "Wear", "follow"]
+__all__ = ["Place", "QuantityTrend", "SurfaceTrend", "Wear", "follow"]
+
+Place = Literal["servo", "linkage"]
 
 _FEWEST_FOR_LINE = 3
+_MOST_EVIDENCE = 20.0
+"""That one flight may add: no single one decides."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +65,8 @@ class SurfaceTrend:
     """One surface over all flights."""
 
     surface: str
+    place: Place
+    """Where the zone of rest is: a dead band of the servo, or backlash of the linkage; the flights together tell."""
     serials: tuple[tuple[int, str], ...]
     """Number of the first flight of each servo, and its serial number; empty where it is not known."""
     quantities: Mapping[str, QuantityTrend]
@@ -93,6 +99,9 @@ def follow(surface: str, flights: Sequence[tuple[int, FlightEstimate]], wear: We
         Swaps, known ones and those that the data show, cut all quantities; other changes the one they concern.
     """
     known, notes = _known_swaps(flights, wear)
+    in_linkage = sum(np.clip(flight.evidence, -_MOST_EVIDENCE, _MOST_EVIDENCE) for _, flight in flights) > 0.0
+    if in_linkage:
+        flights = [(number, replace(one, values={**one.values, **one.linkage})) for number, one in flights]
     series = {name: one for name in QUANTITIES if (one := _series(name, flights)) is not None}
     bounds = [number for number, _ in known]
     events: list[Event] = []
@@ -104,7 +113,8 @@ def follow(surface: str, flights: Sequence[tuple[int, FlightEstimate]], wear: We
     last = flights[-1][1]
     missing = {name: last.missing.get(name, "not in these flights") for name in QUANTITIES if name not in series}
     serials = _serials(bounds, dict(known), wear)
-    return SurfaceTrend(surface, serials, quantities, tuple(events), missing, notes)
+    place: Place = "linkage" if in_linkage else "servo"
+    return SurfaceTrend(surface, place, serials, quantities, tuple(events), missing, notes)
 
 
 def _known_swaps(

@@ -67,6 +67,7 @@ def forecast(piece: Piece, limit: float, *, above: bool) -> Forecast:
 
     Examples
     --------
+    >>> import numpy as np
     >>> from servofd.trend.series import Piece
     >>> number = np.arange(1.0, 26.0)
     >>> value = 0.02 * number + 0.004 * np.random.default_rng(0).standard_normal(25)

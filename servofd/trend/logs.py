@@ -82,11 +82,11 @@ def _of_run(log: FlightLog, path: str, aircraft: Aircraft, surfaces: tuple[str, 
             continue
         try:
             segment = cut(log, name, entry)
-            values, missing = estimate_flight(segment, aircraft, _voltage_v(log, segment))
+            told = estimate_flight(segment, aircraft, _voltage_v(log, segment))
         except ServofdError as error:
             problems.append(f"{name}: {error}")
             continue
-        flights.append(FlightEstimate(path, log.run, name, log.start_utc, log.duration_s, values, missing))
+        flights.append(FlightEstimate(path, log.run, name, log.start_utc, log.duration_s, *told))
     return FlownLog(path, log.run, log.start_utc, _identity(log), tuple(flights), tuple(problems))
 
 

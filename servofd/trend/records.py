@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from types import MappingProxyType
 from typing import Literal
@@ -60,6 +60,10 @@ class FlightEstimate:
     """Of `QUANTITIES`, with 95 % intervals; what the flight does not show is left out."""
     missing: Mapping[str, str]
     """Why, for those that are left out."""
+    linkage: Mapping[str, Estimate] = field(default_factory=dict)
+    """What differs if the zone of rest is not the servo's dead band but backlash of the linkage."""
+    evidence: float = 0.0
+    """Logarithm of how much better backlash explains the flight."""
 
     @property
     def name(self) -> str:

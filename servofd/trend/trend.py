@@ -73,7 +73,7 @@ def trend_logs(
     cluster : str, optional
         Scheduler of a Dask cluster; the processes of this machine if None.
     workers : int, optional
-        Number of processes; one per core if None.
+        Number of processes; one per core if None, 0: this one.
     progress : callable
         Called with the number of logs; gives a context with the function to call after each of them.
 
@@ -89,7 +89,7 @@ def trend_logs(
 
     Examples
     --------
-    >>> seen = trend_logs(["sample_logs/faser_healthy_flight.mat"], "faser", surfaces=("rudder",), workers=1)
+    >>> seen = trend_logs(["sample_logs/faser_healthy_flight.mat"], "faser", surfaces=("rudder",), workers=0)
     >>> seen.has_alarm
     False
     """

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from servofd.aircraft import Surface, plain_aircraft
 from servofd.detection.alarm import crossings
+from servofd.detection.events import Event
 from servofd.detection.glitches import glitches
 from servofd.detection.judge import judge
 from servofd.detection.latch import latch, new_latch_memory
@@ -18,7 +19,8 @@ from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.prepare import prepared
 from servofd.detection.residual import ResidualGenerator, rhythm
 from servofd.detection.running import new_running_median, with_value
-from servofd.detection.stream import Stream
+from servofd.detection.stream import Piece, Stream
+from servofd.models.servo_model import ServoModel
 from servofd.segment import Segment
 
 SAME_DEG = 1e-9
@@ -27,7 +29,7 @@ COMMAND_DEG = 8.0 * np.sin(1.3 * TIME_S) + 6.0 * np.sign(np.sin(0.7 * TIME_S))
 NOTHING = np.zeros(0)
 
 
-def surface(kind: str = "interval", servo: str = "s9254") -> tuple[Surface, object]:
+def surface(kind: str = "interval", servo: str = "s9254") -> tuple[Surface, ServoModel]:
     aircraft = plain_aircraft(["x"], servo)
     return aircraft.surfaces["x"].model_copy(update={"threshold": kind}), aircraft.model("x")
 
@@ -69,12 +71,13 @@ class TestTheSameStepAsOffline:
         segment, residuals, _ = prepared(generator, raw)
         threshold = judge(generator, segment, residuals, entry).threshold
         stream = Stream(generator, entry, raw.period_s, rhythm(raw.command_s))
-        rng, pieces = np.random.default_rng(2), []
+        rng = np.random.default_rng(2)
+        evaluated: list[Piece | None] = []
         for time_s, role, value in in_order(raw):
             (stream.position if role else stream.command)(time_s, value)
             if rng.random() < 0.3:
-                pieces.append(stream.evaluate())
-        pieces = [piece for piece in (*pieces, stream.evaluate(final=True)) if piece is not None]
+                evaluated.append(stream.evaluate())
+        pieces = [piece for piece in (*evaluated, stream.evaluate(final=True)) if piece is not None]
         for name in ("simulated_deg", "measured_deg", "residual_deg", "immobile_deg", "settled", "time_s"):
             together = np.concatenate([getattr(piece.residuals, name) for piece in pieces])
             np.testing.assert_allclose(together, getattr(residuals, name), rtol=0.0, atol=SAME_DEG, err_msg=name)
@@ -107,9 +110,10 @@ class TestTheSameStepAsOffline:
         assert (events, monitor.has_fault, monitor.was_judged) == ([], False, True)
 
 
-def watched(entry: Surface, model: object, segment: Segment) -> tuple[SurfaceMonitor, list]:
+def watched(entry: Surface, model: ServoModel, segment: Segment) -> tuple[SurfaceMonitor, list[Event]]:
     """Feed a monitor sample by sample, and let the bank look whenever it wants to."""
-    monitor, events = SurfaceMonitor("x", entry, model), []
+    monitor = SurfaceMonitor("x", entry, model)
+    events: list[Event] = []
     for time_s, role, value in in_order(segment):
         sample = (np.array([time_s]), np.array([value]))
         events += monitor.feed(*((NOTHING, NOTHING), sample) if role else (sample, (NOTHING, NOTHING)))

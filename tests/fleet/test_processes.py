@@ -90,8 +90,9 @@ def test_a_cluster_that_is_not_there_is_told_in_one_line(
 ) -> None:
     pytest.importorskip("distributed")
     monkeypatch.setattr("servofd.fleet.cluster._PATIENCE_S", 0.5)
-    assert main(["audit", str(logs), "--cluster", "tcp://127.0.0.1:9"]) == 2
-    assert "no Dask scheduler answers" in capsys.readouterr().err.splitlines()[-1]
+    for address, why in (("tcp://127.0.0.1:9", "no Dask scheduler answers"), ("nonsense", "is no address")):
+        assert main(["audit", str(logs), "--cluster", address]) == 2
+        assert why in capsys.readouterr().err.splitlines()[-1]
 
 
 def test_ctrl_c_in_the_middle_keeps_what_was_done_and_the_next_run_goes_on(logs: Path, tmp_path: Path) -> None:

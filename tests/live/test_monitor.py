@@ -18,6 +18,7 @@ from logparsers.codec import Codec, Signature
 from logparsers.replay import replayed
 from servofd.aircraft import load_aircraft
 from servofd.cli import main
+from servofd.detection.audit import audit_log
 from servofd.feedback.draft import draft_aircraft
 from servofd.feedback.toml import draft_to_toml
 from servofd.live.session import Session, stamped
@@ -80,7 +81,7 @@ def brief(events: list[Event], *kinds: str) -> list[tuple[str, str, str]]:
 
 
 def audited(log: bytes, aircraft: Aircraft) -> dict[str, list[tuple[str, float]]]:
-    (result,) = servofd.audit(io.BytesIO(log), aircraft)
+    result = audit_log(logparsers.read(io.BytesIO(log)), aircraft)
     return {s.surface: [(fault.kind, fault.alarm_s) for fault in s.faults] for s in result.surfaces}
 
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from servofd.discrepancy.explanation import Explanation, explain_gap
-from servofd.discrepancy.locate import bad_seconds
+from servofd.discrepancy.locate import bad_seconds, blocks
+from servofd.discrepancy.noise import comb_step_deg
 from servofd.discrepancy.record import record_of, simulate
 from servofd.models.physics import Physics
 from servofd.models.servo_model import ServoModel
@@ -120,6 +121,7 @@ def test_lost_rows_and_jitter_are_no_effect() -> None:
     assert explain_gap(segment, KNOWN).conclusion == "nothing_missing"
 
 
+@pytest.mark.slow
 def test_a_fault_in_the_middle_is_no_missing_effect() -> None:
     log = hide(FineServo(), "lively", seed=3)
     stuck = np.where(log.time_s > 18.0, log.position_deg[1800], log.position_deg)
@@ -179,3 +181,37 @@ def test_healthy_servos_at_several_noises(seed: int) -> None:
 def test_what_no_model_contains_is_not_explained(seed: int) -> None:
     found = explained(hide(FineServo(cyclic_deg=0.5), seed=seed, duration_s=60.0))
     assert found.conclusion in ("unexplained", "partly_explained")
+
+
+def test_seconds_of_a_healthy_servo_are_not_bad_and_those_of_a_slow_one_are() -> None:
+    healthy, slow = (hide(FineServo(rate_deg_s=rate), seed=6, noise_deg=0.1) for rate in (np.inf, 40.0))
+    for log, least, most in ((healthy, 0, 0), (slow, 5, 30)):
+        segment = Segment("elevator", log.time_s, log.command_deg, log.time_s, log.position_deg)
+        record = record_of(segment, KNOWN)
+        error_deg = record.measured_deg - simulate(record, record.plant.neutral)
+        found = blocks(record, error_deg, 0.1)
+        bad = [block for block in found if block.bad]
+        assert least <= len(bad) <= most
+        assert all(block.rms_deg > 0.1 for block in bad)
+        assert all(block.end_s == block.start_s + 1.0 for block in found)
+
+
+def test_an_interval_in_which_a_lost_row_may_hide_does_not_count() -> None:
+    time_s = np.arange(0.0, 10.0, 0.01) + 0.002 * np.random.default_rng(7).uniform(-1.0, 1.0, 1000)
+    time_s[499] += 0.0025
+    time_s = np.delete(time_s, 500)
+    time_s[500] = time_s[499] + 0.0155
+    command_deg = 5.0 * np.sin(30.0 * time_s)
+    record = record_of(Segment("elevator", time_s, command_deg, time_s, np.zeros(time_s.size)), KNOWN)
+    since_s = time_s - time_s[500]
+    assert not record.counts[(since_s >= 0.0) & (since_s < 0.15)].any()
+    assert record.counts[(since_s > 0.2) & (since_s < 4.0)].all()
+
+
+def test_the_steps_of_a_converter_are_seen_and_named() -> None:
+    log = hide(FineServo(), seed=8, noise_deg=0.05)
+    coarse = replace(log, position_deg=0.7 * np.round(log.position_deg / 0.7))
+    found = explained(coarse)
+    assert found.selection.final.names == ("quantization",)
+    assert found.selection.final.values[0] == pytest.approx(0.7, abs=1e-3)
+    assert comb_step_deg(log.position_deg) is None

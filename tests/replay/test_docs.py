@@ -179,6 +179,34 @@ def test_the_page_on_simulation_shows_what_its_commands_print(
         assert re.fullmatch(re.escape(output).replace(r"\.\.\.", ".*"), capsys.readouterr().out)
 
 
+def test_the_example_of_trends_runs_and_its_aircraft_file_is_valid(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = (ROOT / "docs" / "trend.md").read_text()
+    monkeypatch.chdir(ROOT)
+    (toml,), (code,), (answer,) = (blocks(page, language) for language in ("toml", "python", "text"))
+    (tmp_path / "plane.toml").write_text(toml)
+    rudder = load_aircraft(tmp_path / "plane.toml").surfaces["rudder"]
+    assert (rudder.serial, rudder.swaps[0].removed, rudder.limits.dead_band_deg) == ("B02", "A17", 1.5)
+    exec(compile(code, "trend.md", "exec"), {})  # noqa: S102 - our own page
+    assert capsys.readouterr().out == answer
+
+
+def test_the_examples_of_many_logs_run(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = (ROOT / "docs" / "fleet.md").read_text()
+    (tmp_path / "flights").mkdir()
+    (tmp_path / "flights" / "one.mat").symlink_to(ROOT / "sample_logs" / "faser_stuck_flight.mat")
+    monkeypatch.chdir(tmp_path)
+    (command,), (code,) = blocks(page, "sh"), blocks(page, "python")
+    assert main(shlex.split(command.removeprefix("servofd "))) == 1
+    assert main(["fleet", "results"]) == 1
+    capsys.readouterr()
+    exec(compile(code, "fleet.md", "exec"), {})  # noqa: S102 - our own page
+    assert "elevator       fault" in capsys.readouterr().out
+
+
 def test_the_aircraft_files_of_the_documentation_are_valid(tmp_path: Path) -> None:
     first, judging, effects, servo, table, appendix_c = blocks((ROOT / "docs" / "aircraft-file.md").read_text(), "toml")
     config = tmp_path / "plane.toml"

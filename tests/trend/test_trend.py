@@ -14,6 +14,7 @@ from servofd.cli import main
 from servofd.detection.bank.explanation import Estimate
 from servofd.errors import ConfigError, NoMeasurement
 from servofd.models.faults import DeadBand
+from servofd.models.play import play
 from servofd.segment import Segment
 from servofd.simulation.flight import simulate_flight
 from servofd.trend.estimate import estimate_flight
@@ -55,15 +56,31 @@ def logs(widths_deg: list[float], start: datetime.datetime | None = None, identi
 @pytest.mark.parametrize("width_deg", [0.0, 0.05, 0.6, 2.5])
 def test_the_width_of_a_dead_band_is_found_without_bias(width_deg: float) -> None:
     """Mean of six flights within three standard errors; a width that could not be negative would be too large."""
-    found = [estimate_flight(flown(width_deg, seed), PLANE)[0]["dead_band_deg"] for seed in range(6)]
+    found = [estimate_flight(flown(width_deg, seed), PLANE).values["dead_band_deg"] for seed in range(6)]
     error_deg = np.array([one.value - width_deg for one in found])
     deviation_deg = float(np.mean([one.deviation for one in found]))
     assert abs(error_deg.mean()) < 3.0 * deviation_deg / np.sqrt(6.0)
     assert 0.002 < deviation_deg < 0.02
 
 
+@pytest.mark.parametrize("width_deg", [0.5, 1.5])
+def test_backlash_behind_the_servo_is_told_from_a_dead_band_before_it(width_deg: float) -> None:
+    time_s = np.arange(0.0, 40.0, 0.001)
+    told = []
+    for seed in range(3):
+        command = flown(seed=seed)
+        moved_deg = PLANE.model("rudder").simulate(command.command_s, command.command_deg, time_s)
+        noise_deg = 0.1 * np.random.default_rng(seed).standard_normal(command.measured_s.size)
+        seen_deg = np.interp(command.measured_s, time_s, play(moved_deg, width_deg, 0.0)) + noise_deg
+        told.append(estimate_flight(flown(seed=seed, measured_deg=seen_deg), PLANE))
+        assert told[-1].linkage["dead_band_deg"].value == pytest.approx(width_deg, abs=0.03)
+        assert told[-1].linkage["delay_s"].value == pytest.approx(0.004, abs=0.003)
+    assert sum(one.evidence for one in told) > 10.0
+    assert sum(estimate_flight(flown(width_deg, seed), PLANE).evidence for seed in range(3)) < -10.0
+
+
 def test_other_numbers_of_the_servo_are_those_it_was_simulated_with() -> None:
-    values, missing = estimate_flight(flown(0.3), PLANE)
+    values, missing, _, _ = estimate_flight(flown(0.3), PLANE)
     assert values["delay_s"].low < 0.004 < values["delay_s"].high
     assert values["bandwidth_hz"].low < 28.49 / (2.0 * np.pi) < values["bandwidth_hz"].high
     assert values["noise_deg"].value == pytest.approx(0.1, rel=0.05)
@@ -74,7 +91,7 @@ def test_other_numbers_of_the_servo_are_those_it_was_simulated_with() -> None:
 
 def test_a_bias_and_a_rate_limit_per_volt_are_found() -> None:
     segment = flown(command="steps")
-    values, _ = estimate_flight(flown(command="steps", measured_deg=segment.measured_deg + 0.7), PLANE, 5.0)
+    values, _, _, _ = estimate_flight(flown(command="steps", measured_deg=segment.measured_deg + 0.7), PLANE, 5.0)
     assert values["bias_deg"].value == pytest.approx(0.7, abs=0.02)
     if "rate_limit_deg_s" in values:
         assert values["rate_per_volt_deg_s_v"].value == pytest.approx(values["rate_limit_deg_s"].value / 5.0)
@@ -86,7 +103,7 @@ def test_a_calm_flight_tells_nothing_of_the_dynamics_and_says_so() -> None:
     still = flown(
         command_deg=0.0 * segment.command_deg, measured_deg=0.1 * rng.standard_normal(segment.measured_s.size)
     )
-    values, missing = estimate_flight(still, PLANE)
+    values, missing, _, _ = estimate_flight(still, PLANE)
     assert missing["dead_band_deg"] == missing["delay_s"] == "too little motion"
     assert set(values) == {"residual_p95_deg", "margin"}
 

@@ -177,7 +177,7 @@ def recording_file(path: str | Path, application: str, layout: Any, clock: Clock
     path : str or Path
         File to write; `ConfigError` if it cannot be.
     application : str
-        Name under which the viewer keeps the layout; recordings of one aircraft share it.
+        Name under which the viewer keeps the layout; recordings that share it share the layout.
     layout : rerun.blueprint.Blueprint
         Goes into the file.
     clock : Clock

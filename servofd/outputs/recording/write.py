@@ -87,9 +87,14 @@ def send_to_stdout(recording: Recording, application: str | None = None, recordi
 
 
 def application_of(recording: Recording) -> str:
-    """Name under which the viewer keeps the layout: aircraft with other surfaces need another one."""
-    name = recording.audit.aircraft.name or " ".join(s.surface for s in recording.audit.surfaces)
-    return "servofd-" + re.sub(r"[^A-Za-z0-9_ -]", "-", name)[:100]
+    """Name under which the viewer keeps the layout: one for each log.
+
+    The layout says how high the plots reach. That of another flight of the same aircraft, which the viewer remembers by
+    this name, would cut a fault off that goes beyond it.
+    """
+    parts = (recording.audit.aircraft.name, recording.audit.log.source.stem, recording.audit.log.run)
+    words = (re.sub(r"[^A-Za-z0-9_ -]", "-", part)[:50] for part in parts if part)
+    return "-".join(("servofd", *words))
 
 
 def fill(recorder: Recorder, recording: Recording) -> None:
