@@ -19,9 +19,10 @@ _BEYOND = 6.0
 
 
 def fault_start_s(record: Record, selection: Selection) -> float | None:
-    """Where the error of the nominal servo changes its size for good [s]; None if it does nowhere.
+    """Where the error of the nominal servo grows [s]; None if it does nowhere.
 
-    The split into two stretches of constant variance that is most likely for Gaussian errors, taken second by second.
+    The split into two stretches of constant variance that is most likely for Gaussian errors, taken second by second,
+    of those after which it is larger: a jam that passes leaves a servo that is well behind it, too.
     """
     error = selection.nominal.error_deg
     start_s = float(record.time_s[0])
@@ -36,9 +37,10 @@ def fault_start_s(record: Record, selection: Selection) -> float | None:
     before = np.maximum(sums[edge] / np.maximum(counts[edge], 1.0), floor)
     after = np.maximum((sums[-1] - sums[edge]) / np.maximum(counts[-1] - counts[edge], 1.0), floor)
     likely = counts[edge] * np.log(before) + (counts[-1] - counts[edge]) * np.log(after)
-    best = int(np.argmin(likely))
-    if after[best] < _RATIO * before[best]:
+    grows = after >= _RATIO * before
+    if not grows.any():
         return None
+    best = int(np.argmin(np.where(grows, likely, np.inf)))
     from_s = start_s + float(edge[best]) - 1.0
     limit = _BEYOND * float(np.sqrt(before[best]))
     late = record.counts & (record.time_s >= from_s) & (np.abs(error) > limit)

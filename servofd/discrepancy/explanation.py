@@ -11,7 +11,7 @@ from servofd.discrepancy.audit_gain import AuditGain, audit_gain
 from servofd.discrepancy.break_point import fault_start_s
 from servofd.discrepancy.checks import check
 from servofd.discrepancy.locate import Block, blocks, sentences
-from servofd.discrepancy.record import joined, record_of
+from servofd.discrepancy.record import joined, record_of, simulate
 from servofd.discrepancy.run_by_run import RunErrors, run_errors
 from servofd.discrepancy.select import Selection, select, unexplained
 from servofd.discrepancy.separate import Separation, separations
@@ -29,13 +29,17 @@ if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
     from servofd.models.physics import Physics
     from servofd.models.servo_model import ServoModel
-    from servofd.types import FloatArray
+    from servofd.types import BoolArray, FloatArray
 
 __all__ = ["Conclusion", "Explanation", "explain_gap"]
 
 Conclusion = Literal["nothing_missing", "explained", "partly_explained", "unexplained"]
 
 _MUCH_WORSE, _NO_NOISE = 4.0, 5.5
+_AT_ONCE_S, _SOON_S, _FAR_WORSE, _NOT_BUSIER, _MOST_OF_IT = 5.0, 15.0, 25.0, 2.0, 0.25
+"""Where the healthy part is not explained to the noise either, a fault must stand out from what stays of it: at once,
+though no more is asked, or soon and nearly as large as the motion (variances). A gap that drifts, or grows with motion,
+is no fault."""
 _MARGINS_S = (0.0, 1.0, 2.5, 5.0)
 """How long before a change of the error's size a fault may have begun without much to do."""
 _FEWEST_SAMPLES = 100
@@ -245,11 +249,28 @@ def _healthy_part(
         if int(before.held_out.sum()) < _FEWEST_SAMPLES:
             return None
         healthy = select(before, progress)
-        if unexplained(healthy, before):
-            continue
         later = record.counts & ~before.counts
         error = healthy.final.error_deg
-        wrong = later & (np.abs(error) > _NO_NOISE * healthy.sigma_deg)
-        if wrong.any() and float(np.mean(error[later] ** 2)) > _MUCH_WORSE * healthy.sigma_deg**2:
-            return before, healthy, float(record.time_s[wrong][0])
+        explained = not unexplained(healthy, before)
+        usual_deg = healthy.sigma_deg if explained else float(np.sqrt(np.mean(error[before.counts] ** 2)))
+        wrong = later & (np.abs(error) > _NO_NOISE * usual_deg)
+        if not wrong.any():
+            continue
+        start_s = float(record.time_s[wrong][0])
+        if explained and float(np.mean(error[later] ** 2)) > _MUCH_WORSE * healthy.sigma_deg**2:
+            return before, healthy, start_s
+        if not explained and _breaks_off(record, error, before.counts, start_s, usual_deg):
+            return before, healthy, start_s
     return None
+
+
+def _breaks_off(record: Record, error_deg: FloatArray, before: BoolArray, start_s: float, usual_deg: float) -> bool:
+    """Whether an error becomes far larger, and not because more is asked of the servo."""
+    asked_deg = simulate(record, record.plant.neutral)
+    usual = float(np.var(asked_deg[before]))
+    for seconds, most in ((_AT_ONCE_S, _NOT_BUSIER * usual), (_SOON_S, 0.0)):
+        there = record.counts & (record.time_s >= start_s) & (record.time_s < start_s + seconds)
+        energy, asked = float(np.mean(error_deg[there] ** 2)), float(np.var(asked_deg[there]))
+        if energy > _FAR_WORSE * usual_deg**2 and (asked < most or energy > _MOST_OF_IT * asked):
+            return True
+    return False

@@ -79,6 +79,7 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
         best = min(best, _grown(fitter, able, tried, _WIDE_BEAM, progress), key=lambda fit: cost(record, fit))
     best = with_steps(fitter, _swapped(fitter, able, tried, best))
     best = ordered(fitter, simplest(fitter, convincing(fitter, pruned(fitter, best), nominal), able, tried))
+    best, final, covariance = _on_all(fitter, best)
     sigma = floor_of(record, best)
     rungs = rungs_of(fitter, nominal, best, tried, able)
     equal = [
@@ -88,7 +89,6 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     ]
     ties = tuple((effect.name, *(fit.names[-1] for fit in equals)) for effect, equals in equal)
     tied = tuple(fits for _, fits in equal)
-    final, covariance = fitter.on_all(best)
     if rungs:
         rungs = (*rungs[:-1], Rung(final, rungs[-1].rivals))
     return Selection(nominal, rungs, ties, tied, sigma, tuple(unable), covariance, fitter)
@@ -131,6 +131,18 @@ def _swapped(fitter: Fitter, able: list[type[MissingEffect]], tried: Tried, best
         better = [fit for fit in fits if accepted(fitter.record, base, fit, floor_of(fitter.record, fit))]
         best = min((best, *better), key=lambda fit: cost(fitter.record, fit))
     return best
+
+
+def _on_all(fitter: Fitter, best: Fit) -> tuple[Fit, Fit, FloatArray]:
+    """Fitted to all samples as well, without effects of which that drives a parameter to its bound."""
+    while True:
+        final, covariance = fitter.on_all(best)
+        values = iter(final.values)
+        ran_away = [[p.at_bound(float(next(values))) for p in effect.parameters] for effect in final.effects]
+        at_bound = [any(each) for each in ran_away]
+        if not any(at_bound):
+            return best, final, covariance
+        best = without(fitter, best, at_bound.index(True))
 
 
 def _quietly(_step: str) -> None:

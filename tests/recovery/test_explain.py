@@ -215,3 +215,31 @@ def test_the_steps_of_a_converter_are_seen_and_named() -> None:
     assert found.selection.final.names == ("quantization",)
     assert found.selection.final.values[0] == pytest.approx(0.7, abs=1e-3)
     assert comb_step_deg(log.position_deg) is None
+
+
+def jammed(log: Hidden, from_s: float, until_s: float) -> Hidden:
+    there = (log.time_s >= from_s) & (log.time_s < until_s)
+    noise = 0.1 * np.random.default_rng(0).standard_normal(log.time_s.size)
+    return replace(log, position_deg=np.where(there, log.position_deg[np.argmax(there)] + noise, log.position_deg))
+
+
+def test_a_jam_that_passes_is_no_missing_effect() -> None:
+    found = explained(jammed(hide(FineServo(), "lively", seed=3), 12.0, 18.0))
+    assert found.conclusion == "nothing_missing"
+    assert found.fault_s == pytest.approx(12.0, abs=1.0)
+
+
+def test_a_jam_stands_out_where_what_came_before_is_not_explained_either() -> None:
+    log = hide(FineServo(), "lively", seed=3, duration_s=40.0)
+    spikes = np.random.default_rng(1)
+    odd = np.where(spikes.random(log.time_s.size) < 0.01, spikes.normal(0.0, 2.0, log.time_s.size), 0.0)
+    found = explained(jammed(replace(log, position_deg=log.position_deg + odd), 24.0, 32.0))
+    assert found.conclusion in ("unexplained", "partly_explained")
+    assert found.fault_s == pytest.approx(24.0, abs=1.5)
+
+
+def test_a_drift_is_no_fault_that_sets_in() -> None:
+    log = hide(FineServo(), "lively", seed=3, duration_s=40.0)
+    found = explained(replace(log, position_deg=log.position_deg + 1.5 * log.time_s / 40.0))
+    assert found.fault_s is None
+    assert found.conclusion == "partly_explained"
