@@ -41,6 +41,10 @@ _UNKNOWN_SERVO = Servo(
 )
 
 
+_WORSE = 1.05
+"""What chance makes of an error of a thousand samples is less."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ExplainedLog:
     """An explanation, and the aircraft it was made for."""
@@ -238,7 +242,12 @@ def _surface(
     if found.fault_s is not None and len(flown.logs) == 1:
         found = _with_kind(found, found.fault_s, flown.logs[0], aircraft)
     judged = tuple(judged_elsewhere(label, there[name], model, found.physics, own) for label, there in also)
-    return replace(found, also=judged)
+    worse = [
+        f"{there.path}: the model does worse there than without what was found: is it the same servo?"
+        for there in judged
+        if there.extended_rms_deg > _WORSE * max(there.nominal_rms_deg, there.noise_floor_rms_deg)
+    ]
+    return replace(found, also=judged, notes=(*found.notes, *worse))
 
 
 def _also(log: FlightLog, aircraft: Aircraft, name: str) -> Segment:

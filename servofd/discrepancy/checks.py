@@ -34,7 +34,7 @@ def check(record: Record) -> None:
     NoMeasurement
         If there is too little, it comes too slowly, nothing was asked, or the channels do not belong together.
     """
-    rate_hz = 1.0 / record.period_s
+    rate_hz = min(1.0 / each.period_s for each in record.runs or (record,))
     if rate_hz < _SLOWEST_RATE_HZ:
         raise NoMeasurement(
             f"position comes at {rate_hz:.3g} Hz; what a model lacks cannot be told below 20 Hz: log faster"

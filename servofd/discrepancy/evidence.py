@@ -116,4 +116,8 @@ def excess(record: Record, fit: Fit, sigma: float) -> float:
 def rest_matters(record: Record, nominal: Fit, final: Fit, sigma_deg: float) -> bool:
     """Whether more is left on held-out samples than noise, and more than a rounding of what was there."""
     left, gap = excess(record, final, sigma_deg), excess(record, nominal, sigma_deg)
+    if record.runs and not final.effects:
+        # Runs that were fitted are not like those held out: what is missing in them alone is missing all the same.
+        fitted = final.train / max(int(record.trained.sum()), 1) - sigma_deg**2
+        left, gap = max(left, fitted), max(gap, fitted)
     return left > _EXCESS_OF_NOISE * sigma_deg**2 and left > _EXCESS_OF_GAP * gap

@@ -264,3 +264,22 @@ def test_a_log_without_noise_hides_nothing(tmp_path: Path, capsys: pytest.Captur
     assert main(["explain", str(path), "-s", "elevator", "--json", "-"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert (document["conclusion"], document["steps"]) == ("nothing_missing", [])
+
+
+def test_a_model_that_does_worse_on_another_flight_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, other = SLOW.write(tmp_path / "log.csv"), HEALTHY.write(tmp_path / "other.csv")
+    assert main(["explain", str(path), "--also", str(other)]) == 0
+    assert "other.csv: the model does worse there" in capsys.readouterr().out
+    assert main(["explain", str(path), "--also", str(path)]) == 0
+    assert "does worse" not in capsys.readouterr().out
+
+
+def test_what_is_missing_in_the_fitted_run_alone_is_not_nothing(tmp_path: Path) -> None:
+    path, other = SLOW.write(tmp_path / "log.csv"), HEALTHY.write(tmp_path / "other.csv")
+    assert main(["explain", str(path), str(other)]) == 1
+
+
+def test_every_run_must_come_fast_enough(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    slow = Hidden(*(np.ascontiguousarray(getattr(HEALTHY, name)[::10]) for name in HEALTHY.__dataclass_fields__))
+    assert main(["explain", str(SLOW.write(tmp_path / "a.csv")), str(slow.write(tmp_path / "b.csv"))]) == 2
+    assert "position comes at 10 Hz" in capsys.readouterr().err
