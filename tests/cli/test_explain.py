@@ -246,3 +246,21 @@ def test_other_wrong_calls(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
         assert message.count("\n") == 1
     assert main(["explain", str(unmeasured)]) == 2
     assert "elevator_pos_deg" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("scale", [57.3, 1.0 / 57.3])
+def test_another_unit_is_told_as_a_wrong_scale(
+    scale: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = replace(HEALTHY, position_deg=scale * HEALTHY.position_deg).write(tmp_path / "log.csv")
+    assert main(["explain", str(path)]) == 2
+    assert "check the scale of the calibration" in capsys.readouterr().err
+
+
+def test_a_log_without_noise_hides_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "log.csv"
+    assert main(["simulate", "-o", str(path), "--command", "lively", "--duration", "20", "--noise-deg", "0"]) == 0
+    capsys.readouterr()
+    assert main(["explain", str(path), "-s", "elevator", "--json", "-"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert (document["conclusion"], document["steps"]) == ("nothing_missing", [])
