@@ -83,6 +83,7 @@ def test_another_servo_can_be_assumed(tmp_path: Path, capsys: pytest.CaptureFixt
     assert document["logs"][0]["surfaces"]["elevator"]["servo"] == "s9254"
 
 
+@pytest.mark.slow
 def test_the_threshold_can_be_chosen(capsys: pytest.CaptureFixture[str]) -> None:
     path = str(SAMPLES / "faser_healthy_flight.mat")
     code, document = audited([path, "--threshold-deg", "3"], capsys)
@@ -144,6 +145,7 @@ def test_json_never_holds_nan(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert json.loads(text, parse_constant=lambda name: pytest.fail(f"JSON holds {name}"))
 
 
+@pytest.mark.slow
 def test_a_folder_gets_everything_and_names_never_collide(tmp_path: Path) -> None:
     for name in ("f.csv", "f.mat"):
         main(["simulate", "-o", str(tmp_path / name), "--duration", "10"])

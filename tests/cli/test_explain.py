@@ -159,6 +159,7 @@ def test_a_surface_that_cannot_be_told_does_not_stop_the_others(
     assert saved.surfaces["rudder"].effects == {}
 
 
+@pytest.mark.slow
 def test_the_recording_holds_both_simulations(tmp_path: Path) -> None:
     from rerun.chunk import RrdReader
 

@@ -72,6 +72,7 @@ def test_poles_that_nobody_knows_are_found_beside_the_effects() -> None:
     assert share == pytest.approx(0.3, rel=0.25)
 
 
+@pytest.mark.slow
 def test_a_fit_that_is_known_is_never_made_worse() -> None:
     record = joined([record_of(run(k, {}), UNKNOWN, at_rest=True, free_poles=True) for k in range(2)])
     fitter = PoleFitter(record)
