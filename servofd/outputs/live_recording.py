@@ -168,11 +168,14 @@ class _Sink:
             self.recorder.scalars(f"{place}/{name}", broken_s, np.full((broken_s.size, 3), np.nan))
             self.recorder.scalars(f"{place}/{name}", time_s, values)
         self.recorder.scalars(f"{place}/ratio", *ratio(time_s, residual_deg, threshold_deg))
-        self.recorder.scalars(ALARM_LINE, time_s[-1:], np.ones(1))
+        self.recorder.scalars(ALARM_LINE, time_s[[0, -1]], np.ones(2))
 
     def _event(self, event: Event) -> None:
         time_s = event.time_s if np.isfinite(event.time_s) else 0.0
-        words = " ".join(filter(None, (event.surface, event.event.replace("_", " "), event.kind, event.text)))
+        words = " ".join(filter(None, (event.event.replace("_", " "), event.kind.replace("_", " "))))
+        if np.isfinite(event.residual_deg):
+            words += f", residual {event.residual_deg:+.2f} of {event.threshold_deg:.2f} deg"
+        words = ": ".join(filter(None, (event.surface, words, event.text)))
         place = f"{surface_place(event.surface)}/events" if event.surface else LINK
         self.recorder.texts(place, [(time_s, _LEVELS.get(event.event, "INFO"), words)])
         if event.surface and event.event in ("alarm", "clear"):
@@ -194,12 +197,12 @@ def _opened(application: str, surfaces: list[str], target: Path | int) -> Record
 
     stream = rr.RecordingStream(application, send_properties=False)
     rr.set_log_time_enabled(False, recording=stream)
-    layout = live_layout(surfaces)
     try:
         if isinstance(target, Path):
-            stream.save(str(target), default_blueprint=layout)
+            stream.save(str(target), default_blueprint=live_layout(surfaces))
         else:
-            stream.set_sinks(rr.GrpcServerSink("127.0.0.1", target), default_blueprint=layout)
+            sink = rr.GrpcServerSink("127.0.0.1", target)
+            stream.set_sinks(sink, default_blueprint=live_layout(surfaces, following=True))
     except (OSError, RuntimeError, ValueError) as error:
         raise ConfigError(f"{target}: cannot record here: {str(error).splitlines()[0][:160]}") from None
     recorder = Recorder(stream)

@@ -154,6 +154,14 @@ def test_a_folder_gets_everything_and_names_never_collide(tmp_path: Path) -> Non
     assert {"audit.json", "f.rrd", "f~2.rrd", "f-elevator.png", "f~2-elevator.png"} <= written
 
 
+def test_a_log_too_short_to_judge_goes_into_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "short.csv"
+    log.write_text("time_s,elevator_cmd_deg,elevator_pos_deg\n0,1,1\n0.02,1,2\n0.04,1,1\n")
+    assert main(["audit", str(log), "-o", str(tmp_path / "out")]) == 2
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"audit.json", "short.rrd"}
+    assert capsys.readouterr().err.count("\n") == 1
+
+
 def test_a_second_run_replaces_the_first(tmp_path: Path) -> None:
     target = tmp_path / "a.json"
     target.write_text("old")

@@ -29,7 +29,7 @@ LINK = "/link"
 """Entity of what is told of a live link, and of no surface."""
 
 _LAST_S = 60.0
-"""That a live layout shows."""
+"""That a layout shows which follows."""
 
 
 def audit_layout(recording: Recording) -> Any:  # noqa: ANN401 - rerun is untyped
@@ -42,9 +42,11 @@ def audit_layout(recording: Recording) -> Any:  # noqa: ANN401 - rerun is untype
     return blueprint(tabs)
 
 
-def live_layout(surfaces: Sequence[str]) -> Any:  # noqa: ANN401
-    """Layout of a recording that grows: the last minute, following."""
-    return blueprint([_overview(surfaces, surfaces), *(_surface(name) for name in surfaces)], _LAST_S)
+def live_layout(surfaces: Sequence[str], *, following: bool = False) -> Any:  # noqa: ANN401
+    """Layout of what a monitor records: the whole flight, or the last minute, following."""
+    return blueprint(
+        [_overview(surfaces, surfaces), *(_surface(name) for name in surfaces)], _LAST_S if following else None
+    )
 
 
 def _surface(
