@@ -135,6 +135,7 @@ ONLY_IN = {
             "audit",
             "audit_fleet",
             "calibrate",
+            "completion",
             "config",
             "design",
             "explain",
@@ -142,6 +143,7 @@ ONLY_IN = {
             "identify",
             "importer",
             "info",
+            "manual",
             "monitor",
             "monitor_outputs",
             "odds",
@@ -165,6 +167,7 @@ ONLY_IN = {
     },
     "pymavlink": {"logparsers/codec.py", "logparsers/mavlink.py"},
     "serial": {"logparsers/link.py"},
+    "shtab": {"servofd/cli/completion.py"},
     "pyulog": {"logparsers/ulog/bounded.py"},
     "h5py": {"logparsers/hdf5.py"},
     "control": {"servofd/models/transfer.py"},
@@ -246,6 +249,7 @@ def test_import_and_help_load_no_heavy_package() -> None:
         "pymavlink",
         "pyulog",
         "serial",
+        "shtab",
     )
     code = (
         "import sys, servofd, servofd.cli; servofd.cli.build_parser().format_help();"
