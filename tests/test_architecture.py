@@ -203,6 +203,13 @@ def test_imports_point_one_way(path: Path) -> None:
     assert own <= PARTS[part] | {part}, f"{part} may not import {own - PARTS[part] - {part}}"
 
 
+def test_the_page_on_architecture_tells_the_same() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text()
+    table = page.partition("| part | may import |\n|---|---|\n")[2].partition("\n\n")[0]
+    rows = [f"| `{part}` | {', '.join(f'`{name}`' for name in sorted(PARTS[part])) or 'nothing'} |" for part in PARTS]
+    assert table.splitlines() == rows, "replace the table by\n" + "\n".join(rows)
+
+
 @pytest.mark.parametrize("package", ONLY_IN)
 def test_heavy_packages_have_one_home(package: str) -> None:
     users = {relative(path) for path in MODULES if package in {name.split(".")[0] for name in imports(path)}}
