@@ -113,9 +113,11 @@ PARTS = {
 }
 ONLY_IN = {
     "rerun": {
-        "servofd/outputs/explain_recording.py",
         "servofd/outputs/live_recording.py",
-        *(f"servofd/outputs/recording/{name}.py" for name in ("clock", "layout", "read", "scene", "stream", "write")),
+        *(
+            f"servofd/outputs/recording/{name}.py"
+            for name in ("clock", "layout", "read", "scene", "stream", "views", "write")
+        ),
     },
     "matplotlib": {
         "servofd/outputs/figure.py",
@@ -135,6 +137,7 @@ ONLY_IN = {
             "audit",
             "audit_fleet",
             "calibrate",
+            "completion",
             "config",
             "design",
             "explain",
@@ -142,6 +145,7 @@ ONLY_IN = {
             "identify",
             "importer",
             "info",
+            "manual",
             "monitor",
             "monitor_outputs",
             "odds",
@@ -165,6 +169,7 @@ ONLY_IN = {
     },
     "pymavlink": {"logparsers/codec.py", "logparsers/mavlink.py"},
     "serial": {"logparsers/link.py"},
+    "shtab": {"servofd/cli/completion.py"},
     "pyulog": {"logparsers/ulog/bounded.py"},
     "h5py": {"logparsers/hdf5.py"},
     "control": {"servofd/models/transfer.py"},
@@ -198,6 +203,13 @@ def test_imports_point_one_way(path: Path) -> None:
         return
     own = {name.split(".")[1] for name in used if name.startswith("servofd.")}
     assert own <= PARTS[part] | {part}, f"{part} may not import {own - PARTS[part] - {part}}"
+
+
+def test_the_page_on_architecture_tells_the_same() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text()
+    table = page.partition("| part | may import |\n|---|---|\n")[2].partition("\n\n")[0]
+    rows = [f"| `{part}` | {', '.join(f'`{name}`' for name in sorted(PARTS[part])) or 'nothing'} |" for part in PARTS]
+    assert table.splitlines() == rows, "replace the table by\n" + "\n".join(rows)
 
 
 @pytest.mark.parametrize("package", ONLY_IN)
@@ -246,6 +258,7 @@ def test_import_and_help_load_no_heavy_package() -> None:
         "pymavlink",
         "pyulog",
         "serial",
+        "shtab",
     )
     code = (
         "import sys, servofd, servofd.cli; servofd.cli.build_parser().format_help();"

@@ -23,6 +23,7 @@ from servofd.cli import (
     fleet,
     identify,
     info,
+    manual,
     monitor,
     odds,
     review,
@@ -32,6 +33,7 @@ from servofd.cli import (
     trend,
     view,
 )
+from servofd.cli.completion import SHELLS, PrintCompletion
 from servofd.cli.interrupt import interruptible
 from servofd.cli.tables import one_line
 
@@ -57,6 +59,7 @@ _VERBS = (
     simulate,
     servos,
     design,
+    manual,
 )
 """In the order in which the help shows them."""
 
@@ -82,6 +85,12 @@ def build_parser() -> argparse.ArgumentParser:
         epilog="Example: servofd audit sample_logs/faser_stuck_flight.mat",
     )
     parser.add_argument("--version", action="version", version=f"servofd {__version__}")
+    parser.add_argument(
+        "--print-completion",
+        action=PrintCompletion,
+        choices=SHELLS,
+        help="print what lets the tabulator key complete verbs, options and files: eval it in your shell's start file",
+    )
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
     for verb in _VERBS:
         verb.add_parser(verbs)

@@ -164,7 +164,7 @@ def test_bad_aircraft_files(name: str, tmp_path: Path, capsys: pytest.CaptureFix
         (["audit", "good.csv", "-c", "fasr"], "did you mean faser?"),
         (["audit", "good.csv", "--json", "no/such/folder/a.json"], "does not exist"),
         (["audit", "good.csv", "--rrd", "no/such/folder/a.rrd"], "does not exist"),
-        (["audit", "good.csv", "-o", "good.csv"], "cannot make this folder"),
+        (["audit", "good.csv", "-o", "good.csv"], "is a file; give the name of a folder"),
         (["audit", "good.csv", "good.csv", "--rrd", "a.rrd"], "one log at a time"),
         (["simulate", "-o", "a.xyz"], ".csv"),
         (["simulate", "-o", "no/such/folder/a.csv"], "cannot write here"),

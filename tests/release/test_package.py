@@ -1,0 +1,118 @@
+"""What a stranger gets: the wheel and the source archive hold what they must, and start in an empty environment."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+import tarfile
+import tomllib
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import servofd
+
+ROOT = Path(__file__).parent.parent.parent
+DATA = {
+    "servofd/py.typed",
+    "logparsers/py.typed",
+    "servofd/servo_library.toml",
+    *(f"servofd/configs/{path.name}" for path in ROOT.glob("configs/*.toml")),
+    *(path.relative_to(ROOT).as_posix() for path in ROOT.glob("servofd/outputs/templates/*")),
+}
+
+
+def test_the_version_is_written_once() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    assert "version" in project["project"]["dynamic"]
+    assert project["tool"]["hatch"]["version"]["path"] == "servofd/__init__.py"
+    cited = re.search(r"^version: (.+)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)
+    assert cited is not None
+    assert cited[1] == servofd.__version__
+
+
+def test_every_lowest_version_is_given() -> None:
+    """`pip install` on an old machine upgrades what is too old instead of failing later."""
+    for needed in tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]:
+        assert re.search(r">=\d", needed), needed
+
+
+def built(source: Path, kind: str, target: Path) -> Path:
+    command = [sys.executable, "-m", "hatchling", "build", "-t", kind, "-d", str(target)]
+    subprocess.run(command, cwd=source, capture_output=True, check=True)
+    (path,) = target.iterdir()
+    return path
+
+
+@pytest.fixture(scope="module")
+def archives(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Source archive, and the wheel that is built from it, as `pip` does where it finds no wheel."""
+    folder = tmp_path_factory.mktemp("release")
+    source = built(ROOT, "sdist", folder / "sdist")
+    with tarfile.open(source) as archive:
+        archive.extractall(folder, filter="data")
+    return source, built(folder / source.name.removesuffix(".tar.gz"), "wheel", folder / "wheel")
+
+
+@pytest.mark.slow
+def test_the_wheel_holds_code_types_and_data_and_nothing_else(archives: tuple[Path, Path], tmp_path: Path) -> None:
+    names = set(zipfile.ZipFile(archives[1]).namelist())
+    assert names >= DATA
+    assert {name.partition("/")[0].partition("-")[0] for name in names} == {"servofd", "logparsers"}
+    assert not any(re.search(r"tests|benchmarks|sample_logs|\.pyc$", name) for name in names)
+    code = {
+        path.relative_to(ROOT).as_posix() for part in ("servofd", "logparsers") for path in ROOT.glob(f"{part}/**/*.py")
+    }
+    assert {name for name in names if name.endswith(".py")} == code
+    assert set(zipfile.ZipFile(built(ROOT, "wheel", tmp_path / "direct")).namelist()) == names
+
+
+@pytest.mark.slow
+def test_the_source_archive_holds_what_its_tests_need(archives: tuple[Path, Path]) -> None:
+    with tarfile.open(archives[0]) as archive:
+        names = {name.partition("/")[2] for name in archive.getnames()}
+    assert {"README.md", "LICENSE", "CHANGELOG.md", "CITATION.cff", "tests/conftest.py", "docs/index.md"} <= names
+    assert not any(name.startswith((".ci", "out/", ".venv")) or name.endswith(".pyc") for name in names)
+
+
+@pytest.mark.slow
+def test_the_wheel_starts_in_an_empty_environment(archives: tuple[Path, Path], tmp_path: Path) -> None:
+    """No dependency is there: importing, help and version need none."""
+    venv.create(tmp_path / "venv", with_pip=True)
+    programs = tmp_path / "venv" / ("Scripts" if sys.platform == "win32" else "bin")
+    install = ["-m", "pip", "install", "--quiet", "--no-deps", "--no-index", str(archives[1])]
+    subprocess.run([programs / "python", *install], check=True)
+    for words, expected in (
+        (["--version"], f"servofd {servofd.__version__}"),
+        (["audit", "--help"], "--threshold-deg"),
+    ):
+        run = subprocess.run(
+            [programs / "servofd", *words], cwd=tmp_path, env={}, capture_output=True, text=True, check=True
+        )
+        assert expected in run.stdout
+    assert shutil.which("rerun-importer-servofd", path=programs)
+
+
+@pytest.mark.slow
+def test_the_wheel_audits_with_all_it_depends_on(archives: tuple[Path, Path], tmp_path: Path) -> None:
+    """Away from the checkout, with the shipped aircraft files and templates of the wheel itself."""
+    with zipfile.ZipFile(archives[1]) as wheel:
+        wheel.extractall(tmp_path / "site")  # noqa: S202 - our own
+    log = ROOT / "sample_logs" / "faser_stuck_flight.mat"
+    code = "import sys, servofd.cli; print(servofd.__file__); sys.exit(servofd.cli.main(sys.argv[1:]))"
+    run = subprocess.run(
+        [sys.executable, "-c", code, "audit", str(log), "-c", "faser", "--html", str(tmp_path / "page.html")],
+        cwd=tmp_path / "site",
+        env={"PYTHONPATH": str(tmp_path / "site"), "HOME": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.returncode == 1, run.stderr
+    assert run.stdout.startswith(str(tmp_path / "site"))
+    assert "stuck" in run.stdout
+    assert (tmp_path / "page.html").stat().st_size > 10_000

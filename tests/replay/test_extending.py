@@ -1,0 +1,109 @@
+"""The examples of docs/architecture.md: each is put where it says, and then works from end to end."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import logparsers
+import servofd
+from servofd.aircraft import plain_aircraft
+from servofd.cli import main
+from servofd.models import catalogue
+from servofd.models.effect_table import effects_installed
+from servofd.models.effects import Extension
+from servofd.models.failing import Fault
+from servofd.models.faults import FAULTS, Stuck
+from servofd.models.physics import plant_of
+from servofd.models.servo_model import ServoModel
+from servofd.servos import servo_named
+from servofd.simulation.commands import lively
+from servofd.simulation.flight import simulate_flight
+
+ROOT = Path(__file__).parent.parent.parent
+PAGE = (ROOT / "docs" / "architecture.md").read_text()
+MOST_LINES = 40
+
+
+def example(title: str) -> dict[str, Any]:
+    """Names that the code of a section defines."""
+    section = PAGE.partition(f"### {title}\n")[2].partition("\n### ")[0]
+    codes = re.findall(r"```python\n(.*?)```", section, re.DOTALL)
+    assert codes
+    assert sum(len(code.splitlines()) for code in codes) < MOST_LINES
+    names: dict[str, Any] = {"__name__": "example"}
+    for code in codes:
+        exec(compile(code, f"architecture.md: {title}", "exec", dont_inherit=True), names)  # noqa: S102 - our own page
+    return names
+
+
+def bench_log(jammed_s: float | None) -> bytes:
+    """A flight as the recorder of the example writes it."""
+    faults = {} if jammed_s is None else {"elevator": Stuck(jammed_s)}
+    flight = simulate_flight(plain_aircraft(["elevator"]), duration_s=30.0, faults=faults, command="lively")
+    record = np.zeros(flight.time_s.size, dtype=[("time_ms", ">u4"), ("angle", ">i2", (2,))])
+    record["time_ms"] = np.round(flight.time_s * 1e3)
+    angles_deg = np.hstack([flight.command_deg, flight.measured_deg])
+    record["angle"] = np.round(100.0 * angles_deg)
+    return b"BENCH1 elevator_cmd_deg elevator_pos_deg\n" + record.tobytes()
+
+
+def test_a_log_format(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    line = example("A log format")["LINE"]
+    detect = importlib.import_module("logparsers.detect")  # the package has a function of that name
+    before = next(k for k, known in enumerate(detect.FORMATS) if known.name == "MATLAB level 4")
+    monkeypatch.setattr(detect, "FORMATS", (*detect.FORMATS[:before], line, *detect.FORMATS[before:]))
+    path = tmp_path / "stand.log"
+    for jammed_s, code in ((None, 0), (15.0, 1)):
+        path.write_bytes(bench_log(jammed_s))
+        assert main(["audit", str(path)]) == code
+    assert "stuck" in capsys.readouterr().out
+    assert list(logparsers.read(path, only=["elevator_pos_deg"]).channels) == ["elevator_pos_deg"]
+    path.write_bytes(bench_log(None)[:-3])
+    assert [damage.kind for damage in logparsers.read(path).damage] == ["truncated"]
+    for broken in (b"BENCH1 \n", b"BENCH1 a b\n\0"):
+        path.write_bytes(broken)
+        assert main(["audit", str(path)]) == 2
+        assert "no record of the test stand" in capsys.readouterr().err
+
+
+def test_an_effect(monkeypatch: pytest.MonkeyPatch) -> None:
+    worn = example("An effect")["WornHorn"]
+    monkeypatch.setattr(catalogue, "CATALOGUE", (*catalogue.CATALOGUE, worn))
+    healthy = ServoModel.of(servo_named("hs225bb-eq31"))
+    sizes = {"worn_horn": {"width_deg": 0.8, "gain": 0.9}}
+    physics = effects_installed(plant_of(healthy).neutral, sizes)
+    assert (physics.backlash_deg, physics.gain) == (0.8, 0.9)
+    time_s = np.arange(0.0, 20.0, 0.01)
+    command_deg = lively(time_s, np.random.default_rng(1))
+    moved_deg = (healthy + Extension(physics)).simulate(time_s, command_deg, time_s)
+    # Play of 0.8 deg keeps a gear at most half of it from its motion; the horn scales that as well.
+    lost_deg = np.abs(moved_deg - 0.9 * healthy.simulate(time_s, command_deg, time_s))
+    assert lost_deg.max() == pytest.approx(0.9 * 0.4, rel=1e-6)
+
+
+def test_a_fault(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    kind = example("A fault")["Reversed"]
+    assert issubclass(kind, Fault)
+    monkeypatch.setitem(FAULTS, kind.kind, kind)
+    path = str(tmp_path / "flight.csv")
+    assert main(["simulate", "-o", path, "--fault", "elevator:reversed@20:share=0.8", "--duration", "40"]) == 0
+    assert main(["audit", path]) == 1
+    assert "elevator" in capsys.readouterr().out
+    ((audit),) = servofd.audit(path, surfaces=("elevator",))
+    assert audit.surfaces[0].faults[0].alarm_s >= 20.0
+
+
+def test_an_output(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    text = example("An output")["junit"](list(servofd.audit("sample_logs/faser_stuck_flight.mat")))
+    cases = {case.get("name"): [part.tag for part in case] for case in ET.fromstring(text).iter("testcase")}  # noqa: S314
+    assert cases["elevator"] == ["failure"]
+    assert cases["rudder"] == []
+    assert cases["flap_left"] == ["skipped"]
