@@ -244,10 +244,11 @@ def _healthy_part(
     change_s = fault_start_s(record, selection)
     if change_s is None:
         return None
+    rough = None  # taken if no margin leaves a part that is explained
     for margin_s in _MARGINS_S:
         before = replace(record, counts=record.counts & (record.time_s < change_s - margin_s))
         if int(before.held_out.sum()) < _FEWEST_SAMPLES:
-            return None
+            break
         healthy = select(before, progress)
         later = record.counts & ~before.counts
         error = healthy.final.error_deg
@@ -259,9 +260,9 @@ def _healthy_part(
         start_s = float(record.time_s[wrong][0])
         if explained and float(np.mean(error[later] ** 2)) > _MUCH_WORSE * healthy.sigma_deg**2:
             return before, healthy, start_s
-        if not explained and _breaks_off(record, error, before.counts, start_s, usual_deg):
-            return before, healthy, start_s
-    return None
+        if rough is None and not explained and _breaks_off(record, error, before.counts, start_s, usual_deg):
+            rough = before, healthy, start_s
+    return rough
 
 
 def _breaks_off(record: Record, error_deg: FloatArray, before: BoolArray, start_s: float, usual_deg: float) -> bool:
