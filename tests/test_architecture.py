@@ -113,9 +113,11 @@ PARTS = {
 }
 ONLY_IN = {
     "rerun": {
-        "servofd/outputs/explain_recording.py",
         "servofd/outputs/live_recording.py",
-        *(f"servofd/outputs/recording/{name}.py" for name in ("clock", "layout", "read", "scene", "stream", "write")),
+        *(
+            f"servofd/outputs/recording/{name}.py"
+            for name in ("clock", "layout", "read", "scene", "stream", "views", "write")
+        ),
     },
     "matplotlib": {
         "servofd/outputs/figure.py",

@@ -162,7 +162,7 @@ def _write_folder(folder: Path, audits: list[LogAudit], document: str, *, where:
     for audit, stem in zip(audits, distinct_file_names([_stem(audit) for audit in audits]), strict=True):
         names = distinct_file_names([surface.surface for surface in audit.surfaces])
         for surface, name in zip(audit.surfaces, names, strict=True):
-            if surface.residuals is not None:
+            if surface.threshold is not None:
                 save_figure(surface, folder / f"{stem}-{name}.png", audit.log.source.name)
         save_recording(audit, folder / f"{stem}.rrd", include_position=where, online_map=on_map)
     write_whole(folder / "audit.json", document.encode())

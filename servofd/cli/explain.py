@@ -95,7 +95,7 @@ def _write(options: argparse.Namespace, found: ExplainedLogs) -> None:
     if options.rrd:
         from servofd.outputs.explain_recording import save_explanation
 
-        save_explanation(found.explanations[0], Path(options.rrd), found.source)
+        save_explanation(found.explanations[0], options.rrd, _names(options))
     if options.html:
         _write_page(options, found)
     texts = [explanation_text(found.source, each) for each in documents.values()]
@@ -107,9 +107,13 @@ def _write_page(options: argparse.Namespace, found: ExplainedLogs) -> None:
     from servofd.outputs.explain_page import explain_page
     from servofd.outputs.files import write_whole
 
-    names = ", ".join(Path(log).name for log in options.logs)
     gains = {one.surface: audit_rows(one.gain.document()) for one in found.explanations if one.gain}
-    write_whole(options.html, explain_page(found.explanations, names, thresholds=gains).encode())
+    write_whole(options.html, explain_page(found.explanations, _names(options), thresholds=gains).encode())
+
+
+def _names(options: argparse.Namespace) -> str:
+    """Of the logs, without their folders: what leaves the machine tells nothing of it."""
+    return ", ".join(Path(log).name for log in options.logs)
 
 
 def _save(options: argparse.Namespace, found: ExplainedLogs) -> None:

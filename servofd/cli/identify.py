@@ -40,6 +40,7 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument("--json", metavar="FILE", help="write the result as JSON; - prints it instead of the text")
     parser.add_argument("--save", metavar="SERVO.toml", help="write a servo file, for --servo and aircraft files")
     parser.add_argument("--html", metavar="FILE", help="write a page with all figures")
+    parser.add_argument("--rrd", metavar="FILE", help="write a Rerun recording of the tests and of the servo simulated")
     parser.add_argument("-o", "--output", metavar="DIR", help="write figures (PNG) and identify.json to a folder")
     parser.set_defaults(run=run)
 
@@ -52,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
     from servofd.cli.targets import check_targets
     from servofd.outputs.json_report import to_json
 
-    outputs = (options.json, options.save, options.html)
+    outputs = (options.json, options.save, options.html, options.rrd)
     check_targets(outputs, {"a log": options.logs, "the aircraft file": [options.config]}, folder=options.output)
     aircraft = load_aircraft(options.config) if options.config else None
     with progress_bar("identify", _STEPS) as step:
@@ -80,6 +81,10 @@ def _write(options: argparse.Namespace, found: Identification) -> None:
         from servofd.outputs.identify_page import identify_page
 
         write_whole(options.html, identify_page(found, source).encode())
+    if options.rrd:
+        from servofd.outputs.identify_recording import save_identification
+
+        save_identification(found, options.rrd, source)
     if options.output:
         _write_folder(Path(options.output), found, document)
 

@@ -73,7 +73,8 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
         action="append",
         default=[],
         metavar="SURFACE:EFFECT[:KEY=VALUE]",
-        help="anything that explain can find, e.g. backlash:width_deg=1",
+        help="anything that explain can find, in its words, e.g. elevator:backlash:width_deg=1; delay is the total, "
+        "limits replace those of the servo; form=... as in an aircraft file",
     )
     parser.add_argument(
         "--generation",
@@ -130,6 +131,10 @@ def run(options: argparse.Namespace) -> int:
         outputs=outputs_of(aircraft) if writer is None or writer.pulses else (),
     )
     if writer is None:
+        if flown.context.logged:
+            raise ConfigError(
+                "--stream: an effect depends on the air or the supply, which a stream does not tell: use -o"
+            )
         return stream.stream(options, flown, aircraft)
     write_flight(options.output, flown, aircraft, generation=options.generation)
     print(f"{options.output}: {duration_s:g} s at {rate_hz:g} Hz, {', '.join(flown.surfaces)}")
@@ -176,27 +181,25 @@ def _fault(text: str) -> tuple[str, Fault]:
 
 def _effect(text: str) -> tuple[str, Effect]:
     """Read ``surface:effect:key=value``."""
-    from servofd.errors import ConfigError, ServofdError, UnknownName, suggest
-    from servofd.models.catalogue import CATALOGUE as FURTHER
+    from servofd.errors import ConfigError, ServofdError
     from servofd.models.effect_table import TabledEffect
-    from servofd.models.effects import CATALOGUE, Plan
+    from servofd.models.effects import Plan
 
+    where = f"--effect {text}"
     surface, _, rest = text.partition(":")
     name, *pairs = rest.split(":")
     if not (surface and name):
-        raise ConfigError(f"--effect {text}: write SURFACE:EFFECT:KEY=VALUE, e.g. elevator:delay:delay_s=0.02")
-    further = dict.fromkeys(effect.name for effect in FURTHER)
-    if name not in CATALOGUE | further:
-        raise UnknownName(f"--effect {text}: {suggest('effect', name, CATALOGUE | further)}")
-    if name not in CATALOGUE:
-        tabled = TabledEffect(name, _numbers(f"--effect {text}", pairs))
-        try:
-            tabled.install(Plan())
-        except ServofdError as error:
-            raise ConfigError(f"--effect {text}: {error}") from None
-        return surface, tabled
-    effect: Effect = _made(CATALOGUE[name], _numbers(f"--effect {text}", pairs), f"--effect {text}")
-    return surface, effect
+        raise ConfigError(f"{where}: write SURFACE:EFFECT:KEY=VALUE, e.g. elevator:delay:delay_s=0.02")
+    forms = [pair for pair in pairs if pair.startswith("form=")]
+    values: dict[str, float | str] = dict(_numbers(where, [pair for pair in pairs if pair not in forms]))
+    if forms:
+        values["form"] = forms[-1].removeprefix("form=")
+    tabled = TabledEffect(name, values)
+    try:
+        tabled.install(Plan())
+    except ServofdError as error:
+        raise ConfigError(f"{where}: {error}") from None
+    return surface, tabled
 
 
 def _numbers(where: str, pairs: list[str]) -> dict[str, float]:

@@ -33,7 +33,7 @@ def one_line(message: object) -> str:
 
 
 def print_table(headings: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -> None:
-    """Print rows under headings, as wide as the terminal, coloured by status where a cell is one."""
+    """Print rows under headings as a table, on a narrow terminal as a list; coloured by status where a cell is one."""
     _print_table(_console(), headings, rows, title)
 
 
@@ -52,20 +52,15 @@ def print_verdicts(audit: LogAudit) -> None:
     if console.is_terminal:
         console.width = min(console.width, _WIDEST)
     title = f"{log.label}   {log.format}, {log.duration_s:.1f} s"
-    if console.width < _NARROWEST:
-        console.print(Text(title, style="bold"))
-        for surface in audit.surfaces:
-            console.print(Text.assemble(f"{surface.surface}: ", (surface.status, _style(surface.status))))
-            console.print(Padding(Text(surface.reason), (0, 0, 0, 2)))
-    else:
-        rows = [[s.surface, s.status, s.reason] for s in audit.surfaces]
-        _print_table(console, ["surface", "status", "why"], rows, title)
+    rows = [[s.surface, s.status, s.reason] for s in audit.surfaces]
+    _print_table(console, ["surface", "status", "why"], rows, title)
     for damage in log.damage:
         console.print(Text(f"damage: {damage.kind}: {damage.note}"))
     console.print(Text(headline(audit.surfaces), style="bold"))
     for surface in audit.surfaces:
         if next_step(surface):
-            console.print(Padding(Text(f"{surface.surface}: {next_step(surface)}"), (0, 0, 0, 2)))
+            step = Text(f"{surface.surface}: {next_step(surface)}")
+            console.print(Padding(step, (0, 0, 0, 2), expand=False))
 
 
 def _console() -> Console:
@@ -80,10 +75,27 @@ def _print_table(console: Console, headings: Sequence[str], rows: Sequence[Seque
     from rich.table import Table
     from rich.text import Text
 
+    if console.width < _NARROWEST:
+        _print_list(console, headings, rows, title)
+        return
     table = Table(*headings, title=title or None, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
     for row in rows:
         table.add_row(*(Text(cell, style=_style(cell)) for cell in row))
     console.print(table)
+
+
+def _print_list(console: Console, headings: Sequence[str], rows: Sequence[Sequence[str]], title: str) -> None:
+    """Each row as its first two cells on a line, numbers with their headings below, and the last cell as it is."""
+    from rich.padding import Padding
+    from rich.text import Text
+
+    if title:
+        console.print(Text(title, style="bold"))
+    for row in rows:
+        console.print(Text.assemble(f"{row[0]}: ", (row[1], _style(row[1]))))
+        named = [f"{heading} {cell}" for heading, cell in zip(headings[2:-1], row[2:-1], strict=True) if cell]
+        for line in filter(None, (", ".join(named), *row[2:][-1:])):
+            console.print(Padding(Text(line), (0, 0, 0, 2), expand=False))
 
 
 def _style(cell: str) -> str:

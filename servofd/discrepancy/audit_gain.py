@@ -92,7 +92,7 @@ def audit_gain(
     >>> flown = Segment("x", t, command, t, (known + Delay(0.05)).simulate(t, command, t) + noise)
     >>> gain = audit_gain([flown], known, known + Delay(0.05))
     >>> round(gain.before.residual_std_deg, 2), round(gain.after.residual_std_deg, 2)
-    (0.35, 0.04)
+    (0.36, 0.04)
     >>> round(gain.before.threshold_deg, 1), round(gain.after.threshold_deg, 1)
     (0.7, 0.2)
     """

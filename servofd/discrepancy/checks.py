@@ -49,22 +49,27 @@ def check(record: Record) -> None:
     simulated = simulate(record, record.plant.neutral)
     error = record.measured_deg - simulated
     asked, measured = simulated[record.counts], record.measured_deg[record.counts]
+    # First, for noise that is scaled, too, hides the motion that was asked for.
+    _check_scale(asked, measured)
     noise = noise_floor_deg(record, error)
     if float(np.std(asked)) < max(_MOTION_OF_NOISE * noise, _SMALLEST_MOTION_DEG):
         raise NoMeasurement(
             f"hardly asked to move ({float(np.std(asked)):.2g} deg rms, noise {noise:.2g} deg): no effect can show; "
             "fly doublets of several degrees"
         )
-    _check_channels(record, asked, measured)
+    _check_order(record)
 
 
-def _check_channels(record: Record, asked: FloatArray, measured: FloatArray) -> None:
+def _check_scale(asked: FloatArray, measured: FloatArray) -> None:
     spread = np.cov(asked, measured)
-    gain = float(spread[0, 1] / spread[0, 0])
+    gain = float(spread[0, 1] / max(spread[0, 0], 1e-300))
     likeness = float(spread[0, 1] ** 2 / max(spread[0, 0] * spread[1, 1], 1e-300))
     if likeness > _SAME and not _GAINS[0] <= gain <= _GAINS[1]:
         what = "sign" if gain < 0.0 else "scale"
         raise NoMeasurement(f"position is {gain:.3g}x the command throughout: check the {what} of the calibration")
+
+
+def _check_order(record: Record) -> None:
     right, wrong = _misfit(record, 1.0), _misfit(record, -1.0)
     if wrong < _SWAPPED * right:
         raise NoMeasurement(

@@ -30,12 +30,14 @@ _SMALLEST_SIZE = 0.15
 EXCESS_WORTH = 0.06
 """The floor itself is uncertain by 3 %."""
 _EXCESS_OF_NOISE, _EXCESS_OF_GAP = 0.15, 0.02
+_NOTHING_DEG = 1e-4
+"""No noise is smaller: in logs that were simulated without any, the rounding of the file is no effect."""
 
 
 def floor_of(record: Record, fit: Fit) -> float:
-    """Noise floor as this fit shows it [deg]: that of a converter's steps at least, but no more than its own error."""
+    """Noise floor as this fit shows it [deg]: a converter's steps at least, no more than its error, but not nothing."""
     noise_deg = max(noise_floor_deg(record, fit.error_deg), (record.step_deg or 0.0) / float(np.sqrt(12.0)))
-    return min(noise_deg, float(np.sqrt(fit.total / max(record.counts.sum(), 1))))
+    return max(min(noise_deg, float(np.sqrt(fit.total / max(record.counts.sum(), 1)))), _NOTHING_DEG)
 
 
 def cost(record: Record, fit: Fit) -> float:

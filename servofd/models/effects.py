@@ -1,12 +1,11 @@
 """Effects: the small parts a servo model is made of, each at the place where it acts.
 
-Adding one is adding a class here and a line in `CATALOGUE`; a model sorts its effects by place, because a
-rate limit before a stop and a stop before a rate limit are different machines.
+A model sorts its effects by place, because a rate limit before a stop and a stop before a rate limit are different
+machines. Those that a user can add by name are in `servofd.models.catalogue`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import ClassVar, Protocol
@@ -15,7 +14,7 @@ from servofd.errors import ConfigError
 from servofd.models.physics import Physics, scaled_transfer
 from servofd.models.transfer import TransferFunction
 
-__all__ = ["CATALOGUE", "Delay", "Effect", "Extension", "LinearDynamics", "Place", "Plan", "PositionLimit", "RateLimit"]
+__all__ = ["Delay", "Effect", "Extension", "LinearDynamics", "Place", "Plan", "PositionLimit", "RateLimit"]
 
 
 class Place(IntEnum):
@@ -174,7 +173,3 @@ class Extension:
             upper_deg=physics.upper_deg,
             physics=physics._replace(bandwidth_scale=1.0, damping_scale=1.0),
         )
-
-
-CATALOGUE: dict[str, Callable[..., Effect]] = {effect.name: effect for effect in (Delay, RateLimit, PositionLimit)}
-"""Effects that a user can add by name."""

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from servofd.errors import ConfigError
+from servofd.models.context import NO_CONTEXT, Context
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -97,7 +98,12 @@ def in_order(faults: Iterable[Fault]) -> tuple[Fault, ...]:
 
 
 def failing_deflection(
-    model: ServoModel, faults: Iterable[Fault], command_s: FloatArray, command_deg: FloatArray, at_s: FloatArray
+    model: ServoModel,
+    faults: Iterable[Fault],
+    command_s: FloatArray,
+    command_deg: FloatArray,
+    at_s: FloatArray,
+    context: Context = NO_CONTEXT,
 ) -> FloatArray:
     """Deflection of a servo with faults, one after the other; `ServoModel.simulate` if there are none.
 
@@ -111,6 +117,8 @@ def failing_deflection(
         When each command was given [s] and what it asked for [deg]; it holds until the next.
     at_s : ndarray, shape (m,)
         Times [s], rising.
+    context : Context
+        Airspeed and supply, for effects that depend on them.
 
     Returns
     -------
@@ -140,7 +148,7 @@ def failing_deflection(
     command_s, command_deg, at_s = (np.asarray(values, dtype=float) for values in (command_s, command_deg, at_s))
     for fault in faults:
         command_s, command_deg = _heard(fault, command_s, command_deg)
-    motion = model.motion(command_s, command_deg)
+    motion = model.motion(command_s, command_deg, context)
     deflection_deg = np.empty(at_s.size)
     done = 0
     for fault in faults:

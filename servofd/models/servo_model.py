@@ -118,8 +118,12 @@ class ServoModel:
         physics = self.plan.physics
         if physics is None:
             return frozenset()
-        needs = {"airspeed_m_s"} if physics.airload_per_pa else set()
-        return frozenset(needs | ({"servo_voltage_v"} if physics.deg_s_per_v < float("inf") else set()))
+        acts = {
+            "airspeed_m_s": physics.airload_per_pa != 0.0,
+            "servo_voltage_v": physics.deg_s_per_v < float("inf"),
+            "servo_current_a": physics.deg_per_a != 0.0,
+        }
+        return frozenset(name for name, does in acts.items() if does)
 
     def parameters(self) -> ServoParameters:
         """The model as the kernel sees it."""
@@ -159,13 +163,15 @@ class ServoModel:
         """
         return self.motion(command_s, command_deg).at(np.asarray(at_s, dtype=float))
 
-    def motion(self, command_s: FloatArray, command_deg: FloatArray) -> Motion | ExtendedMotion:
+    def motion(
+        self, command_s: FloatArray, command_deg: FloatArray, context: Context = NO_CONTEXT
+    ) -> Motion | ExtendedMotion:
         """The servo at rest at the first of its commands, to be simulated piece by piece."""
         from servofd.models.extended import ExtendedMotion
         from servofd.models.motion import Motion
 
         command_s, command_deg = np.asarray(command_s, dtype=float), np.asarray(command_deg, dtype=float)
-        effective_s, extended = command_s + self.plan.delay_s, self.extended()
+        effective_s, extended = command_s + self.plan.delay_s, self.extended(context)
         motion: Motion | ExtendedMotion
         if extended is None:
             motion = Motion(self.parameters(), effective_s, command_deg)

@@ -11,7 +11,7 @@ from servofd.outputs.page import page
 if TYPE_CHECKING:
     from servofd.identification.result import Identification
 
-__all__ = ["identify_page"]
+__all__ = ["identified", "identify_page", "sentence_of"]
 
 
 def identify_page(found: Identification, source: str) -> str:
@@ -24,24 +24,30 @@ def identify_page(found: Identification, source: str) -> str:
     source : str
         Where the data came from.
     """
-    linear = found.servo.linear
-    bandwidth = linear.transfer.bandwidth_rad_s
-    sentence = f"a servo of order {linear.order}, delay {1e3 * linear.delay_s:.3g} ms"
-    if math.isfinite(bandwidth):
-        sentence += f", bandwidth {bandwidth:.3g} rad/s"
     return page(
         "identify.html",
         surface=found.surface,
-        sentence=f"{sentence}; the fit leaves {found.rms_deg:.3g} deg rms",
+        sentence=sentence_of(found),
         method=found.method,
         source=source,
-        rows=_rows(found),
+        rows=identified(found),
         notes=found.notes,
         pictures=identify_figures(found),
     )
 
 
-def _rows(found: Identification) -> list[tuple[str, str, str]]:
+def sentence_of(found: Identification) -> str:
+    """What was identified, in a sentence."""
+    linear = found.servo.linear
+    bandwidth = linear.transfer.bandwidth_rad_s
+    sentence = f"a servo of order {linear.order}, delay {1e3 * linear.delay_s:.3g} ms"
+    if math.isfinite(bandwidth):
+        sentence += f", bandwidth {bandwidth:.3g} rad/s"
+    return f"{sentence}; the fit leaves {found.rms_deg:.3g} deg rms"
+
+
+def identified(found: Identification) -> list[tuple[str, str, str]]:
+    """Each number, its value, and its 95 % interval if it has one."""
     linear, servo = found.servo.linear, found.servo
     values: dict[str, tuple[str, float | None, float]] = {
         "dc_gain": ("dc gain", linear.gain, 1.0),

@@ -7,18 +7,25 @@ cannot keep up: the monitor never waits for a viewer or a disk. A killed process
 from __future__ import annotations
 
 import contextlib
-import re
+import itertools
 import threading
 from collections import deque
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from servofd.outputs.recording.stream import Recorder
+from servofd.errors import ConfigError
+from servofd.outputs.palette import SERIES
+from servofd.outputs.recording.layout import ALARM_LINE, LINK, REPORT, live_layout
+from servofd.outputs.recording.states import breaks_s, ratio
+from servofd.outputs.recording.stream import STATES, Recorder, application_name, surface_place
+from servofd.outputs.recording.surface import send_styles
+from servofd.outputs.recording.verdicts import MANY_VEHICLES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from pathlib import Path
 
     from servofd.detection.events import Event
     from servofd.types import FloatArray
@@ -27,12 +34,8 @@ __all__ = ["LiveRecording", "Samples"]
 
 _TO_VIEWER_S, _TO_FILE_S = 0.2, 2.0
 _ROOM = 4_000
-_LAST_S = 60.0
-_TIMELINE = "time_boot"
-_GREY, _BLUE, _ORANGE, _RED = 0x999999FF, 0x56B4E9FF, 0xE69F00FF, 0xD55E00FF
-_STATES = {"alarm": "ALARM", "named": "ALARM", "clear": "OK", "no_data": "no data"}
-_GLOBAL_VIEW = "view/5c0dca6a-e63f-9cf7-f657-2602590474cc/TimeAxis"
-"""Where a blueprint keeps the range that linked time axes share."""
+_LEVELS = {"alarm": "ERROR", "named": "ERROR", "no_data": "WARN", "link_lost": "WARN"}
+_ABOUT = "Recorded in flight. `servofd review` of this recording gives the verdicts, as an audit of the log would."
 
 
 class Samples(NamedTuple):
@@ -62,6 +65,11 @@ class LiveRecording:
         Port of the loopback interface on which viewers may connect.
     properties : Mapping, optional
         What ``servofd review`` needs to judge it afterwards; see `servofd.outputs.recording.verdicts.live_verdicts`.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be written, or the port is taken.
     """
 
     def __init__(
@@ -73,29 +81,16 @@ class LiveRecording:
         port: int | None = None,
         properties: Mapping[str, Any] | None = None,
     ) -> None:
-        import rerun as rr
-
-        self._rr: Any = rr
         self._entries: deque[Samples | Event] = deque(maxlen=_ROOM)
         self.dropped = 0
         self._stop = threading.Event()
-        application = "servofd-" + re.sub(r"[^A-Za-z0-9_ -]", "-", name or "plain")[:100]
-        layout = _layout(surfaces)
-        self._sinks: list[tuple[Any, float]] = []
-        if port is not None:
-            viewer = rr.RecordingStream(application)
-            viewer.set_sinks(rr.GrpcServerSink("127.0.0.1", port), default_blueprint=layout)
-            self._sinks.append((viewer, _TO_VIEWER_S))
-        if path is not None:
-            file = rr.RecordingStream(application)
-            file.save(str(path), default_blueprint=layout)
-            self._sinks.append((file, _TO_FILE_S))
-        for stream, _ in self._sinks:
-            rr.set_log_time_enabled(False, recording=stream)
-            _style(rr, stream, surfaces)
-            if properties is not None:
-                Recorder(stream).properties(name or "monitor", properties)
-        self._kept: list[list[Samples | Event]] = [[] for _ in self._sinks]
+        self._sinks = []
+        for every_s, target in ((_TO_VIEWER_S, port), (_TO_FILE_S, path)):
+            if target is not None:
+                recorder = _opened(application_name(name or "plain", "live"), surfaces, target)
+                self._sinks.append(_Sink(recorder, round(every_s / _TO_VIEWER_S)))
+                recorder.properties(name or "monitor", properties or {"schema": MANY_VEHICLES})
+                recorder.document(REPORT, f"# {name or 'monitor'}\n\n{_ABOUT}\n")
         self._thread = threading.Thread(target=self._run, name="servofd record", daemon=True)
         self._thread.start()
 
@@ -108,94 +103,110 @@ class LiveRecording:
         """Write what is left, and end the file properly."""
         self._stop.set()
         self._thread.join()
-        for stream, _ in self._sinks:
+        for sink in self._sinks:
             with contextlib.suppress(Exception):
-                stream.disconnect()
+                sink.recorder.stream.disconnect()
 
     def _run(self) -> None:
-        ticks = 0
-        while True:
+        ticks, last = 0, False
+        while not last:
             last = self._stop.wait(_TO_VIEWER_S)
             ticks += 1
             fresh = [self._entries.popleft() for _ in range(len(self._entries))]
-            for place, (stream, every_s) in enumerate(self._sinks):
-                self._kept[place] += fresh
-                if last or ticks % max(round(every_s / _TO_VIEWER_S), 1) == 0:
-                    self._send(stream, self._kept[place])
-                    self._kept[place] = []
-            if last:
-                return
+            for sink in self._sinks:
+                sink.kept += fresh
+                if last or ticks % sink.every == 0:
+                    sink.send()
 
-    def _send(self, stream: Any, entries: list[Samples | Event]) -> None:  # noqa: ANN401 - rerun's own
-        rr = self._rr
-        by_surface: dict[str, list[Samples]] = {}
-        for entry in entries:
+
+@dataclass(slots=True)
+class _Lane:
+    """State of one surface, as it was shown last."""
+
+    faulty: bool = False
+    shown: str = ""
+    tail_s: FloatArray = field(default_factory=lambda: np.zeros(0))
+    """Times of the last samples [s]; what comes long after them begins a new curve."""
+
+
+@dataclass(slots=True)
+class _Sink:
+    """One stream, and what waits to go there."""
+
+    recorder: Recorder
+    every: int
+    """Batches of the fastest one that make one of this."""
+    kept: list[Samples | Event] = field(default_factory=list)
+    lanes: dict[str, _Lane] = field(default_factory=dict)
+
+    def send(self) -> None:
+        """Send what has come: runs of samples joined, events between them."""
+        waiting: dict[str, list[Samples]] = {}
+        for entry in self.kept:
             if isinstance(entry, Samples):
-                by_surface.setdefault(entry.surface, []).append(entry)
+                waiting.setdefault(entry.surface, []).append(entry)
             else:
-                self._event(stream, entry)
-        for surface, pieces in by_surface.items():
-            columns = [np.concatenate(column) for column in list(zip(*pieces, strict=True))[1:]]
-            at = [_time(rr, columns[0])]
-            path = f"/surfaces/{surface}"
-            stream.send_columns(f"{path}/deflection", at, rr.Scalars.columns(scalars=np.column_stack(columns[1:4])))
-            levels = np.column_stack([columns[4], columns[5], -columns[5]])
-            stream.send_columns(f"{path}/residual", at, rr.Scalars.columns(scalars=levels))
-        stream.flush()
+                self._event(entry)
+        for surface, pieces in waiting.items():
+            self._samples(surface, pieces)
+        self.kept = []
+        self.recorder.stream.flush()
 
-    def _event(self, stream: Any, event: Event) -> None:  # noqa: ANN401 - rerun's own
-        rr = self._rr
-        at = [_time(rr, np.array([event.time_s if np.isfinite(event.time_s) else 0.0]))]
-        words = " ".join(filter(None, (event.surface, event.event, event.kind, event.text)))
-        level = "ERROR" if event.event in ("alarm", "named") else "INFO"
-        stream.send_columns("/events", at, rr.TextLog.columns(text=[words], level=[level]))
-        if event.surface:
-            state = _STATES.get(event.event, "")
-            stream.send_columns(f"/surfaces/{event.surface}/state", at, rr.StateChange.columns(state=[state]))
-
-
-def _time(rr: Any, time_s: FloatArray) -> Any:  # noqa: ANN401
-    microseconds = np.round(time_s * 1e6).astype("timedelta64[us]")
-    return rr.TimeColumn(_TIMELINE, duration=microseconds)
-
-
-def _style(rr: Any, stream: Any, surfaces: list[str]) -> None:  # noqa: ANN401
-    for surface in surfaces:
-        colours = np.array([_GREY, _BLUE, _ORANGE], dtype=np.uint32)
-        names = ["command", "healthy servo", "measured"]
-        path = f"/surfaces/{surface}"
-        stream.log(f"{path}/deflection", rr.SeriesLines(colors=colours, names=names), static=True)
-        colours = np.array([_BLUE, _RED, _RED], dtype=np.uint32)
-        names = ["residual", "threshold", "-threshold"]
-        stream.log(f"{path}/residual", rr.SeriesLines(colors=colours, names=names), static=True)
-
-
-def _layout(surfaces: list[str]) -> Any:  # noqa: ANN401
-    """One column per surface, the last minute following."""
-    import rerun.blueprint as rrb
-
-    class Following(rrb.Blueprint):  # type: ignore[misc]
-        def _log_to_stream(self, stream: Any) -> None:  # noqa: ANN401
-            super()._log_to_stream(stream)
-            last = rrb.TimeAxis(view_range=_last_minute())
-            stream.log(_GLOBAL_VIEW, last, static=True)
-
-    axis = rrb.TimeAxis(link=rrb.components.LinkAxis.LinkToGlobal)
-    tabs = [
-        rrb.Vertical(
-            rrb.TimeSeriesView(origin=f"/surfaces/{s}/deflection", name=f"{s} [deg]", axis_x=axis),
-            rrb.TimeSeriesView(origin=f"/surfaces/{s}/residual", name=f"{s}: residual [deg]", axis_x=axis),
-            name=s,
+    def _samples(self, surface: str, pieces: list[Samples]) -> None:
+        time_s, *deflections, residual_deg, threshold_deg = (
+            np.concatenate(column) for column in list(zip(*pieces, strict=True))[1:]
         )
-        for s in surfaces
-    ]
-    events = rrb.TextLogView(origin="/events", name="events")
-    panel = rrb.TimePanel(timeline=_TIMELINE, play_state="following", state="collapsed")
-    return Following(rrb.Vertical(rrb.Grid(*tabs), events, row_shares=[5, 1]), panel, collapse_panels=True)
+        if not time_s.size:
+            return
+        place, lane = surface_place(surface), self.lanes.setdefault(surface, _Lane())
+        if lane.shown in ("", "NO DATA"):
+            self._state(surface, float(time_s[0]), "FAULT" if lane.faulty else "OK")
+        known_s = np.concatenate([lane.tail_s, time_s])
+        broken_s, lane.tail_s = breaks_s(known_s), known_s[-10:]
+        levels = np.column_stack([residual_deg, threshold_deg, -threshold_deg])
+        for name, values in (("deflection", np.column_stack(deflections)), ("residual", levels)):
+            self.recorder.scalars(f"{place}/{name}", broken_s, np.full((broken_s.size, 3), np.nan))
+            self.recorder.scalars(f"{place}/{name}", time_s, values)
+        self.recorder.scalars(f"{place}/ratio", *ratio(time_s, residual_deg, threshold_deg))
+        self.recorder.scalars(ALARM_LINE, time_s[[0, -1]], np.ones(2))
+
+    def _event(self, event: Event) -> None:
+        time_s = event.time_s if np.isfinite(event.time_s) else 0.0
+        words = " ".join(filter(None, (event.event.replace("_", " "), event.kind.replace("_", " "))))
+        if np.isfinite(event.residual_deg):
+            words += f", residual {event.residual_deg:+.2f} of {event.threshold_deg:.2f} deg"
+        words = ": ".join(filter(None, (event.surface, words, event.text)))
+        place = f"{surface_place(event.surface)}/events" if event.surface else LINK
+        self.recorder.texts(place, [(time_s, _LEVELS.get(event.event, "INFO"), words)])
+        if event.surface and event.event in ("alarm", "clear"):
+            self.lanes.setdefault(event.surface, _Lane()).faulty = event.event == "alarm"
+            self._state(event.surface, time_s, "FAULT" if event.event == "alarm" else "OK")
+        elif event.surface and event.event == "no_data":
+            self._state(event.surface, time_s, "NO DATA")
+
+    def _state(self, surface: str, time_s: float, word: str) -> None:
+        place, lane = surface_place(surface), self.lanes.setdefault(surface, _Lane())
+        lane.shown = word
+        self.recorder.states(f"{place}/state", [(time_s, word)])
+        self.recorder.line_colours(f"{place}/residual", [(time_s, (STATES[word], "threshold", "threshold"))])
 
 
-def _last_minute() -> Any:  # noqa: ANN401
+def _opened(application: str, surfaces: list[str], target: Path | int) -> Recorder:
+    """A file, or a port of the loopback interface for viewers, with layout and styles."""
     import rerun as rr
 
-    seconds = [rr.TimeRangeBoundary.cursor_relative(seconds=at_s) for at_s in (-_LAST_S, 0.0)]
-    return rr.TimeRange(start=seconds[0], end=seconds[1])
+    stream = rr.RecordingStream(application, send_properties=False)
+    rr.set_log_time_enabled(False, recording=stream)
+    try:
+        if isinstance(target, Path):
+            stream.save(str(target), default_blueprint=live_layout(surfaces))
+        else:
+            sink = rr.GrpcServerSink("127.0.0.1", target)
+            stream.set_sinks(sink, default_blueprint=live_layout(surfaces, following=True))
+    except (OSError, RuntimeError, ValueError) as error:
+        raise ConfigError(f"{target}: cannot record here: {str(error).splitlines()[0][:160]}") from None
+    recorder = Recorder(stream)
+    for surface, tint in zip(surfaces, itertools.cycle(SERIES), strict=False):
+        send_styles(recorder, surface, tint)
+    recorder.lines(ALARM_LINE, ["threshold"], ["threshold"])
+    return recorder

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from servofd.errors import ConfigError, UnknownName, suggest
+from servofd.models.context import NO_CONTEXT, Context
 from servofd.models.failing import Fault, failing_deflection, in_order
 from servofd.simulation.commands import COMMANDS
+from servofd.simulation.surroundings import acting, current_a
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from servofd.aircraft import Aircraft
     from servofd.models.effects import Effect
+    from servofd.models.servo_model import ServoModel
     from servofd.simulation.pulses import Output
     from servofd.types import FloatArray, IntArray
 
@@ -39,6 +42,8 @@ class SimulatedFlight:
     """Pulses that were sent [us], of shape (n, s); `command_deg` is what they asked for. Empty without outputs."""
     seed: int = 0
     """What the flight was drawn from; whatever a log adds to it is drawn from that too."""
+    context: Context = NO_CONTEXT
+    """What its servos felt of the air and their supply; empty if none depends on it."""
 
 
 def simulate_flight(
@@ -109,7 +114,12 @@ def simulate_flight(
     samples = np.arange(round(duration_s * rate_hz))
     # An autopilot stamps with 0 what it does not know the time of: its first sample is one period after it booted.
     time_s = np.round((samples + 1) / rate_hz, 6) if outputs else np.round(samples / rate_hz, 9)
-    commanded, measured, pulses = [], [], []
+    models = {name: aircraft.model(name) for name in aircraft.surfaces}
+    for name, further in (effects or {}).items():
+        for effect in further:
+            models[name] = models[name] + effect
+    context = acting(time_s) if any(model.needs for model in models.values()) else NO_CONTEXT
+    commanded, moved, noise, pulses = [], [], [], []
     for index, (name, surface) in enumerate(aircraft.surfaces.items()):
         rng = np.random.default_rng([seed, index])
         asked_deg = COMMANDS[command](time_s, rng)
@@ -117,18 +127,36 @@ def simulate_flight(
         if outputs:
             pulses.append(outputs[index].pulse_us(received_deg))
             asked_deg = received_deg = outputs[index].deflection_deg(pulses[-1])
-        model = aircraft.model(name)
-        for effect in (effects or {}).get(name, ()):
-            model = model + effect
-        deflection_deg = failing_deflection(model, failing.get(name, ()), time_s, received_deg, time_s)
+        moved.append(failing_deflection(models[name], failing.get(name, ()), time_s, received_deg, time_s, context))
         commanded.append(asked_deg)
-        measured.append(deflection_deg + noise_deg * rng.standard_normal(time_s.size))
+        noise.append(noise_deg * rng.standard_normal(time_s.size))
+    deflection_deg = np.column_stack(moved)
+    context = _with_current(context, models, time_s, deflection_deg, seed)
+    read_deg = np.column_stack([context.drawn_a(time_s) * _deg_per_a(model) for model in models.values()])
     return SimulatedFlight(
         tuple(aircraft.surfaces),
         time_s,
         np.column_stack(commanded),
-        np.column_stack(measured),
+        deflection_deg + read_deg + np.column_stack(noise),
         tuple(outputs),
         np.column_stack(pulses) if pulses else np.zeros((0, 0), dtype=np.int64),
         seed,
+        context,
     )
+
+
+def _deg_per_a(model: ServoModel) -> float:
+    """By how much the reading of a servo moves with the current [deg/A]."""
+    physics = model.plan.physics
+    return physics.deg_per_a if physics else 0.0
+
+
+def _with_current(
+    context: Context, models: Mapping[str, ServoModel], time_s: FloatArray, deflection_deg: FloatArray, seed: int
+) -> Context:
+    """With what all servos draw together, if a reading depends on it: they share one supply."""
+    if not any("servo_current_a" in model.needs for model in models.values()):
+        return context
+    rng = np.random.default_rng([seed, 1002])
+    drawn_a = [current_a(np.gradient(each, time_s), rng) for each in deflection_deg.T]
+    return replace(context, current_s=time_s, current_a=np.sum(drawn_a, axis=0))

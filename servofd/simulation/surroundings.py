@@ -7,11 +7,23 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from servofd.models.context import Context
+
 if TYPE_CHECKING:
     from servofd.simulation.flight import SimulatedFlight
     from servofd.types import FloatArray, IntArray
 
-__all__ = ["EPOCH_US", "ServoState", "Surroundings", "microseconds", "servo_state", "sparse", "surroundings"]
+__all__ = [
+    "EPOCH_US",
+    "ServoState",
+    "Surroundings",
+    "acting",
+    "current_a",
+    "microseconds",
+    "servo_state",
+    "sparse",
+    "surroundings",
+]
 
 EPOCH_US: Final = 1_700_000_000_000_000
 """When every simulated vehicle was booted [us since 1970]: the same flight gives the same file."""
@@ -85,6 +97,35 @@ def surroundings(time_s: FloatArray, seed: int) -> Surroundings:
     )
 
 
+def acting(time_s: FloatArray) -> Context:
+    """Airspeed and supply for servos that feel them, varying enough to be told from a gain and a plain rate limit.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,)
+        When [s].
+
+    Examples
+    --------
+    >>> context = acting(np.array([0.0, 10.0]))
+    >>> context.airspeed_m_s.tolist(), context.voltage_v.tolist()
+    ([22.0, 27.0], [7.4, 6.9])
+    """
+    wave = 2.0 * np.pi * time_s / 40.0
+    return Context(
+        airspeed_s=time_s,
+        airspeed_m_s=_SPEED_M_S + 5.0 * np.sin(wave),
+        voltage_s=time_s,
+        voltage_v=_RAIL_V - 0.5 * (1.0 - np.cos(wave)),
+    )
+
+
+def current_a(speed_deg_s: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """What a servo draws as it turns [A], shape (n,)."""
+    load = np.minimum(np.abs(speed_deg_s) / 200.0, 1.0)
+    return np.abs(0.06 + 0.9 * load + 0.01 * rng.standard_normal(speed_deg_s.size))
+
+
 def servo_state(flight: SimulatedFlight, surface: int) -> ServoState:
     """Electrical and thermal state of a servo: it draws current as it turns, and it is never perfectly still.
 
@@ -98,12 +139,11 @@ def servo_state(flight: SimulatedFlight, surface: int) -> ServoState:
     rng = np.random.default_rng([flight.seed, surface, 1001])
     time_s, measured_deg = flight.time_s, flight.measured_deg[:, surface]
     speed_deg_s = np.gradient(measured_deg, time_s)
-    load = np.minimum(np.abs(speed_deg_s) / 200.0, 1.0)
-    current_a = np.abs(0.06 + 0.9 * load + 0.01 * rng.standard_normal(time_s.size))
+    drawn_a = current_a(speed_deg_s, rng)
     warm = 1.0 - np.exp(-(time_s - time_s[0]) / 300.0)
     return ServoState(
-        voltage_v=_RAIL_V - 0.15 * current_a + 0.01 * rng.standard_normal(time_s.size),
-        current_a=current_a,
+        voltage_v=_RAIL_V - 0.15 * drawn_a + 0.01 * rng.standard_normal(time_s.size),
+        current_a=drawn_a,
         motor_degc=np.round(25.0 + 12.0 * warm + 0.2 * rng.standard_normal(time_s.size)),
         board_degc=np.round(27.0 + 6.0 * warm + 0.2 * rng.standard_normal(time_s.size)),
         speed_deg_s=speed_deg_s,

@@ -38,6 +38,8 @@ class Writer:
     """Content of the file."""
     rate_hz: float = 100.0
     """Sample rate of a flight that nobody chose another for [Hz]."""
+    context: bool = False
+    """True for logs that hold what the servos felt of the air and their supply."""
     pulses: bool = False
     """True for logs of autopilots: the flight must be simulated with outputs."""
 
@@ -92,7 +94,13 @@ def write_flight(
     ConfigError
         If no writer has that suffix, the flight lacks what it writes, or the file cannot be written.
     """
-    write_whole(path, writer_for(path, generation).encode(flight, aircraft))
+    writer = writer_for(path, generation)
+    if flight.context.logged and not writer.context:
+        raise ConfigError(
+            f"{path}: an effect depends on {', '.join(sorted(flight.context.logged))} as simulated, which only a .csv "
+            "holds: choose -o FILE.csv"
+        )
+    write_whole(path, writer.encode(flight, aircraft))
 
 
 def _csv(flight: SimulatedFlight, aircraft: Aircraft) -> bytes:  # noqa: ARG001 - all writers share a form
@@ -103,6 +111,16 @@ def _csv(flight: SimulatedFlight, aircraft: Aircraft) -> bytes:  # noqa: ARG001 
     for i, name in enumerate(flight.surfaces):
         columns[f"{name}_cmd_deg"] = np.round(flight.command_deg[:, i], _CSV_DECIMALS)
         columns[f"{name}_pos_deg"] = np.round(flight.measured_deg[:, i], _CSV_DECIMALS)
+    felt = flight.context
+    columns |= {
+        name: np.round(values, _CSV_DECIMALS)
+        for name, values in (
+            ("airspeed_m_s", felt.airspeed_m_s),
+            ("servo_voltage_v", felt.voltage_v),
+            ("servo_current_a", felt.current_a),
+        )
+        if values.size
+    }
     sink = io.BytesIO()
     sink.write((",".join(columns) + "\n").encode())  # pyarrow would put every name in quotes
     csv.write_csv(pa.table(columns), sink, csv.WriteOptions(include_header=False))
@@ -130,7 +148,7 @@ def _level_4_variable(name: str, values: FloatArray) -> bytes:
 
 
 WRITERS: dict[str, Writer] = {
-    ".csv": Writer(_csv),
+    ".csv": Writer(_csv, context=True),
     ".mat": Writer(_mat),
     ".bin": Writer(dataflash_log, pulses=True),
     ".tlog": Writer(telemetry_log, rate_hz=40.0, pulses=True),  # the most an ArduPlane sends

@@ -83,6 +83,7 @@ def test_another_servo_can_be_assumed(tmp_path: Path, capsys: pytest.CaptureFixt
     assert document["logs"][0]["surfaces"]["elevator"]["servo"] == "s9254"
 
 
+@pytest.mark.slow
 def test_the_threshold_can_be_chosen(capsys: pytest.CaptureFixture[str]) -> None:
     path = str(SAMPLES / "faser_healthy_flight.mat")
     code, document = audited([path, "--threshold-deg", "3"], capsys)
@@ -144,12 +145,21 @@ def test_json_never_holds_nan(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert json.loads(text, parse_constant=lambda name: pytest.fail(f"JSON holds {name}"))
 
 
+@pytest.mark.slow
 def test_a_folder_gets_everything_and_names_never_collide(tmp_path: Path) -> None:
     for name in ("f.csv", "f.mat"):
         main(["simulate", "-o", str(tmp_path / name), "--duration", "10"])
     assert main(["audit", str(tmp_path / "f.csv"), str(tmp_path / "f.mat"), "-o", str(tmp_path / "out")]) == 0
     written = {path.name for path in (tmp_path / "out").iterdir()}
     assert {"audit.json", "f.rrd", "f~2.rrd", "f-elevator.png", "f~2-elevator.png"} <= written
+
+
+def test_a_log_too_short_to_judge_goes_into_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "short.csv"
+    log.write_text("time_s,elevator_cmd_deg,elevator_pos_deg\n0,1,1\n0.02,1,2\n0.04,1,1\n")
+    assert main(["audit", str(log), "-o", str(tmp_path / "out")]) == 2
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"audit.json", "short.rrd"}
+    assert capsys.readouterr().err.count("\n") == 1
 
 
 def test_a_second_run_replaces_the_first(tmp_path: Path) -> None:

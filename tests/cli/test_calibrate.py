@@ -100,6 +100,7 @@ def test_bad_input_is_told_in_a_sentence(tmp_path: Path, config: str, capsys: py
         assert not target.exists()
 
 
+@pytest.mark.slow
 def test_two_aircraft_are_not_one(tmp_path: Path, config: str, capsys: pytest.CaptureFixture[str]) -> None:
     one, other = flown(1), flown(2)
     first = logged(tmp_path, "one.csv", one)

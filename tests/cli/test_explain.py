@@ -11,6 +11,7 @@ import pytest
 
 from servofd.aircraft import load_aircraft
 from servofd.cli import main
+from tests.recordings.inside import everything
 from tests.recovery.fine_servo import FineServo, Hidden, hide
 
 SLOW = hide(FineServo(delay_s=0.03), duration_s=20.0)
@@ -159,12 +160,13 @@ def test_a_surface_that_cannot_be_told_does_not_stop_the_others(
     assert saved.surfaces["rudder"].effects == {}
 
 
+@pytest.mark.slow
 def test_the_recording_holds_both_simulations(tmp_path: Path) -> None:
     from rerun.chunk import RrdReader
 
     path, recording = SLOW.write(tmp_path / "log.csv"), tmp_path / "gap.rrd"
-    for _ in range(2):  # a second run replaces the first one's output
-        assert main(["explain", str(path), "--rrd", str(recording)]) == 0
+    assert main(["explain", str(path), "--rrd", str(recording)]) == 0
+    assert str(tmp_path) not in everything(recording)
     values = {}
     for chunk in RrdReader(recording).stream().filter(has_timeline="time_boot", components="Scalars:scalars"):
         column = chunk.to_record_batch().column("Scalars:scalars")
@@ -246,3 +248,21 @@ def test_other_wrong_calls(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
         assert message.count("\n") == 1
     assert main(["explain", str(unmeasured)]) == 2
     assert "elevator_pos_deg" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("scale", [57.3, 1.0 / 57.3])
+def test_another_unit_is_told_as_a_wrong_scale(
+    scale: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = replace(HEALTHY, position_deg=scale * HEALTHY.position_deg).write(tmp_path / "log.csv")
+    assert main(["explain", str(path)]) == 2
+    assert "check the scale of the calibration" in capsys.readouterr().err
+
+
+def test_a_log_without_noise_hides_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "log.csv"
+    assert main(["simulate", "-o", str(path), "--command", "lively", "--duration", "20", "--noise-deg", "0"]) == 0
+    capsys.readouterr()
+    assert main(["explain", str(path), "-s", "elevator", "--json", "-"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert (document["conclusion"], document["steps"]) == ("nothing_missing", [])

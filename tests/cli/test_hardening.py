@@ -81,6 +81,7 @@ class TestOutputs:
         assert "Traceback" not in result.stderr
         assert "No space left" in result.stderr
 
+    @pytest.mark.slow
     def test_a_terminated_run_leaves_nothing_half_written(self, tmp_path: Path) -> None:
         log = tmp_path / "big.csv"
         main(["simulate", "-o", str(log), "--duration", "1200"])

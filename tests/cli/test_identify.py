@@ -56,6 +56,7 @@ class _Page(HTMLParser):
         self.tags.append((tag, dict(attrs)))
 
 
+@pytest.mark.slow
 def test_every_output_and_the_servo_file_in_an_audit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     chirp, large = written(tmp_path / "chirp.csv", QUICK), written(tmp_path / "step.csv", step(72.0))
     saved, page, folder = tmp_path / "mine.toml", tmp_path / "mine.html", tmp_path / "out"
@@ -209,6 +210,7 @@ def chirp_applet(*, telemetry: bool = True) -> bytes:
     return encode([Message("SCRP", "Qfff", rows)])
 
 
+@pytest.mark.slow
 def test_the_chirp_applet_of_ardupilot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "chirp.bin"
     path.write_bytes(chirp_applet())

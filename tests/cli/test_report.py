@@ -9,7 +9,7 @@ import pytest
 
 import servofd
 from servofd.cli import main
-from servofd.cli.tables import print_verdicts
+from servofd.cli.tables import print_table, print_verdicts
 from servofd.cli.targets import check_targets
 from servofd.detection.advice import headline, meaning, next_step
 from servofd.detection.audit import LogAudit, SurfaceAudit
@@ -100,6 +100,21 @@ def test_no_line_is_wider_than_the_terminal_or_a_hundred_columns(
     assert "stuckat-0.2degsince5.01s" in words.replace(" ", "")
 
 
+@pytest.mark.parametrize("columns", [40, 100])
+def test_other_tables_are_lists_on_a_narrow_terminal(
+    columns: int, terminal: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    terminal.setenv("COLUMNS", str(columns))
+    print_table(
+        ["surface", "status", "mean", "max [deg]", "why"], [["elevator", "fault", "-0.145", "8.158", "stuck at"]]
+    )
+    shown = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out)
+    if columns == 40:
+        assert shown == "elevator: fault\n  mean -0.145, max [deg] 8.158\n  stuck at\n"
+    else:
+        assert re.search(r"elevator +fault +-0.145 +8.158 +stuck at", shown)
+
+
 def test_colours_only_where_they_are_wanted(
     stuck: LogAudit, terminal: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -112,7 +127,7 @@ def test_colours_only_where_they_are_wanted(
     terminal.delenv("FORCE_COLOR")
     piped = printed(stuck, capsys)
     assert "\x1b" not in piped
-    assert f"elevator: {next_step(stuck.surfaces[0])}" in piped  # in a pipe no line is folded
+    assert f"  elevator: {next_step(stuck.surfaces[0])}\n" in piped  # in a pipe no line is folded
 
 
 @pytest.mark.parametrize("kind", KINDS)

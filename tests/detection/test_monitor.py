@@ -124,6 +124,7 @@ def watched(entry: Surface, model: ServoModel, segment: Segment) -> tuple[Surfac
 
 
 class TestNoVerdictFromNoMeasurement:
+    @pytest.mark.slow
     def test_a_position_that_never_changes_is_none(self) -> None:
         entry, model = surface()
         constant = Segment("x", TIME_S, COMMAND_DEG, TIME_S, np.full(TIME_S.size, 3.0))
@@ -186,6 +187,7 @@ class TestSteps:
         assert np.flatnonzero(glitches(error_deg)).tolist() == [120, 150, 151]
 
 
+@pytest.mark.slow
 def test_memory_is_bounded() -> None:
     """Arrays that were made at the start are all there is, however long the flight."""
     entry, model = surface()

@@ -154,6 +154,7 @@ def test_another_threshold_is_another_job_and_the_first_comes_back(
     assert set(pd.read_parquet(tmp_path / "r" / "surfaces").threshold_deg) == {1.5}
 
 
+@pytest.mark.slow
 def test_another_version_judges_again(
     logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, judged: list[str]
 ) -> None:
@@ -185,6 +186,7 @@ def test_an_interrupt_keeps_what_was_done(
     assert len(read_logs(tmp_path / "r")) == 6
 
 
+@pytest.mark.slow
 def test_parts_without_their_logs_are_removed(logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run(capsys, "audit", logs / "may", "-o", tmp_path / "r")
     (part,) = (tmp_path / "r" / "logs").glob("*.parquet")

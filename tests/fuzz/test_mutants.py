@@ -53,6 +53,7 @@ def test_ten_thousand_damaged_files(kind: str, capfd: pytest.CaptureFixture[str]
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.slow
 def test_random_bytes() -> None:
     rng = random.Random(0)  # noqa: S311
     for size in range(1, 600):

@@ -102,6 +102,7 @@ class TestAsAnAudit:
             session.take(now_s, frame)
         assert bytes(stored) == log
 
+    @pytest.mark.slow
     def test_over_the_overflow_of_the_microseconds(self, log: bytes, aircraft: Aircraft) -> None:
         """The same flight, 71.5 minutes after boot."""
         late = b"".join(stamped(at_s, later(frame, 4_290.0)) for at_s, frame in replayed(log))
@@ -145,6 +146,7 @@ class TestBadLinks:
         (vehicle,) = session.vehicles.values()
         assert vehicle.losses[1].share < most_lost
 
+    @pytest.mark.slow
     def test_a_jam_is_told_through_five_percent_loss(self, log: bytes, aircraft: Aircraft) -> None:
         link = BadLink(loss=0.05, seed=5)
         frames = [(at_s, piece) for at_s, frame in replayed(log) for piece in link.through(frame)]
@@ -164,6 +166,7 @@ class TestBadLinks:
         assert [event.event for event in events if event.event in ("alarm", "link_lost", "link_restored")] == expected
         assert all(monitor.is_watched for _, monitor in session.watched)
 
+    @pytest.mark.slow
     def test_a_vehicle_that_restarts_is_watched_anew(self, healthy: bytes, aircraft: Aircraft) -> None:
         first = list(replayed(healthy))
         gap_s = first[-1][0] - first[0][0] + 1.0
@@ -175,6 +178,7 @@ class TestBadLinks:
         (vehicle,) = session.vehicles.values()
         assert vehicle.now_s == pytest.approx(2.0 * gap_s, abs=1.0)
 
+    @pytest.mark.slow
     def test_a_second_vehicle_is_another_one(self, log: bytes, healthy: bytes, aircraft: Aircraft) -> None:
         other = [(at_s, readdressed(frame, 7)) for at_s, frame in replayed(log)]
         frames = sorted([*replayed(healthy), *other], key=lambda entry: entry[0])

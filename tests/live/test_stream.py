@@ -209,6 +209,7 @@ def test_the_bad_link_does_what_it_says() -> None:
     assert mixed == [frame for each in frames for frame in same.through(each)]
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_the_flight() -> None:
     port = free_port()
     command = [sys.executable, "-m", "servofd", "simulate", "--stream", f"udpout:127.0.0.1:{port}"]

@@ -164,6 +164,7 @@ def test_the_wrap_of_the_clock_is_no_event(aircraft: Aircraft) -> None:
     assert kinds(events, "alarm")[0][1] == pytest.approx(4285.0 + 15.5, abs=1.0)
 
 
+@pytest.mark.slow
 def test_two_vehicles_with_the_same_messages_are_kept_apart(aircraft: Aircraft) -> None:
     field = Field.of({1: aircraft, 2: aircraft})
     field.fly(vehicle(lively(), system=1), vehicle(lively(stuck_s=15.0, seed=5), system=2))

@@ -102,6 +102,7 @@ def test_the_recording_reads_back_what_was_audited(stuck: LogAudit, recording: P
     assert when[1] == pytest.approx(elevator.faults[0].alarm_s, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_the_recording_tells_nothing_of_the_machine(recording: Path) -> None:
     assert str(SAMPLES.parent) not in everything(recording)
 

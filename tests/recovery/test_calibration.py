@@ -50,6 +50,7 @@ def judged(aircraft: Aircraft, segment: Segment) -> Judgement:
     return judge(generator, segment, generator.run(segment), surface)
 
 
+@pytest.mark.slow
 def test_hidden_numbers_are_found_within_their_intervals() -> None:
     servo = FleetServo(gain=0.97, delay_s=0.007, bandwidth_scale=1.1, bias_deg=-0.25, noise_deg=0.1, jitter_s=0.002)
     fit = calibrated(flown(servo, 0, "lively")).surfaces[0].fit
@@ -65,6 +66,7 @@ def test_hidden_numbers_are_found_within_their_intervals() -> None:
     assert "rate_limit_deg_s" in fit.kept
 
 
+@pytest.mark.slow
 def test_a_quiet_flight_keeps_what_it_does_not_show() -> None:
     servo = FleetServo(noise_deg=0.15)
     fit = calibrated(flown(servo, 0, "calm")).surfaces[0].fit
@@ -72,6 +74,7 @@ def test_a_quiet_flight_keeps_what_it_does_not_show() -> None:
     assert fit.servo.delay_s == 0.004
 
 
+@pytest.mark.slow
 def test_smaller_faults_are_found_than_before() -> None:
     servo = flight(101, "lively").servo
     found = calibrated(flown(servo, 0, "lively"))
@@ -85,6 +88,7 @@ def test_smaller_faults_are_found_than_before() -> None:
     assert fault.alarm_s == pytest.approx(30.0, abs=1.0)
 
 
+@pytest.mark.slow
 def test_a_flight_that_turns_bad_is_refused() -> None:
     healthy = flown(FleetServo(noise_deg=0.1), 0, "lively")
     weak = np.where(healthy.measured_s > 80.0, 0.6, 1.0)

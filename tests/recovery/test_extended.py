@@ -54,6 +54,8 @@ SIZES = {
     "position_limit": {"lower_deg": -4.0, "upper_deg": 5.0},
     "gain": {"gain": 0.9},
     "bias": {"bias_deg": 1.0},
+    "current_limit": {"knee_deg": 3.0},
+    "supply_coupling": {"deg_per_a": 2.0},
 }
 FORMS = {
     "rate_limit set point": ("rate_limit", {"form": "set point", "rate_limit_deg_s": 60.0}),
@@ -64,7 +66,9 @@ FORMS = {
 CASES = {name: (name, size) for name, size in SIZES.items()} | FORMS
 TIME_S: FloatArray = np.cumsum(np.random.default_rng(3).uniform(0.008, 0.012, 800))
 COMMAND_DEG = lively(TIME_S, np.random.default_rng(1))
-CONTEXT = Context(TIME_S, 22.0 + 4.0 * np.sin(TIME_S), TIME_S, 6.0 - 0.1 * TIME_S)
+CONTEXT = Context(
+    *(TIME_S, 22.0 + 4.0 * np.sin(TIME_S)), *(TIME_S, 6.0 - 0.1 * TIME_S), *(TIME_S, 0.3 + 0.2 * np.sin(3.0 * TIME_S))
+)
 
 
 def extended(name: str, size: dict[str, float | str]) -> ServoModel:
@@ -101,6 +105,13 @@ def test_a_run_in_pieces_is_the_run_in_one_go(name: str, size: dict[str, float |
         by_sample.append(samples.at(TIME_S[k : k + 1]))
     assert np.abs(np.concatenate(by_piece) - expected).max() < 1e-12
     assert np.abs(np.concatenate(by_sample) - expected).max() < 1e-12
+
+
+def test_a_model_says_which_context_its_effects_depend_on() -> None:
+    needs = {name: extended(name, size).needs for name, size in SIZES.items()}
+    assert {name for name, need in needs.items() if need} == {"airload", "voltage_rate", "supply_coupling"}
+    for effect in CATALOGUE:
+        assert needs[effect.name] == set(effect.needs)
 
 
 @pytest.mark.parametrize(("name", "size"), CASES.values(), ids=CASES)
@@ -227,8 +238,8 @@ def test_an_effect_without_its_signal_is_left_out_and_said(tmp_path: Path) -> No
         ("backlsh = { width_deg = 1.0 }", "did you mean backlash?"),
         ("backlash = { width = 1.0 }", "unknown parameter 'width'; did you mean width_deg?"),
         ("backlash = {}", "effects.backlash.width_deg: this key is missing"),
-        ("backlash = { width_deg = 99.0 }", "must lie between 0 and 20, not 99"),
-        ("backlash = { width_deg = nan }", "must be a number from 0 to 20, not nan"),
+        ("backlash = { width_deg = 99.0 }", "must lie between 0 and 8, not 99"),
+        ("backlash = { width_deg = nan }", "must be a number from 0 to 8, not nan"),
         ('rate_limit = { form = "motr", rate_limit_deg_s = 60.0 }', "unknown form 'motr'; did you mean motor"),
         ("position_limit = { lower_deg = 0.0, upper_deg = 0.0 }", "lower_deg must be below upper_deg"),
     ],

@@ -50,6 +50,7 @@ def test_the_audit_of_the_readme_prints_what_the_readme_shows(
     assert (tmp_path / "faser_stuck_flight.rrd").exists()
 
 
+@pytest.mark.slow
 def test_the_verbs_of_the_readme_run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "sample_logs").symlink_to(ROOT / "sample_logs")
     monkeypatch.chdir(tmp_path)
@@ -131,6 +132,7 @@ def test_the_pictures_of_detection_are_what_their_script_draws(
     assert drawn == set(re.findall(r"\]\(detection/(.*?)\)", (tmp_path / "detection.md").read_text()))
 
 
+@pytest.mark.slow
 def test_the_examples_of_identification_run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     page = (ROOT / "docs" / "identify.md").read_text()
     (tmp_path / "sample_logs").symlink_to(ROOT / "sample_logs")
@@ -147,6 +149,7 @@ def test_the_examples_of_identification_run(monkeypatch: pytest.MonkeyPatch, tmp
     assert output.getvalue().split() == blocks(page, "text")[-1].split()
 
 
+@pytest.mark.slow
 def test_the_example_of_explain_runs(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -192,6 +195,7 @@ def test_the_example_of_trends_runs_and_its_aircraft_file_is_valid(
     assert capsys.readouterr().out == answer
 
 
+@pytest.mark.slow
 def test_the_examples_of_many_logs_run(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -121,6 +121,7 @@ AUTOPILOT_VERDICTS: dict[str, tuple[str, str | None, float]] = {
 
 @pytest.mark.parametrize("name", AUTOPILOT_VERDICTS)
 @pytest.mark.parametrize("configured", [False, True])
+@pytest.mark.slow
 def test_autopilot_logs_are_audited_with_nothing_configured_by_hand(
     name: str, configured: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

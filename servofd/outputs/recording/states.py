@@ -80,16 +80,16 @@ def events(trace: Trace | None, surface: SurfaceAudit, start_s: float = 0.0) -> 
     return sorted(lines)
 
 
-def ratio(trace: Trace) -> tuple[FloatArray, FloatArray]:
+def ratio(time_s: FloatArray, residual_deg: FloatArray, threshold_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Largest |residual| / threshold of each tenth of a second: times [s] and ratios, of shape (m,)."""
-    if not trace.time_s.size:
-        return trace.time_s, trace.time_s
+    if not time_s.size:
+        return time_s, time_s
     with np.errstate(divide="ignore", invalid="ignore"):
-        size = np.abs(trace.residual_deg) / trace.threshold_deg
-    first: IntArray = np.flatnonzero(np.diff(np.floor(trace.time_s / _RATIO_PERIOD_S), prepend=-np.inf))
+        size = np.abs(residual_deg) / threshold_deg
+    first: IntArray = np.flatnonzero(np.diff(np.floor(time_s / _RATIO_PERIOD_S), prepend=-np.inf))
     known: BoolArray = np.isfinite(size)
     largest = np.maximum.reduceat(np.where(known, size, -1.0), first)
-    return trace.time_s[first], np.where(largest < 0.0, np.nan, largest)
+    return time_s[first], np.where(largest < 0.0, np.nan, largest)
 
 
 def breaks_s(time_s: FloatArray) -> FloatArray:

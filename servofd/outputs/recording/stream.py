@@ -5,6 +5,7 @@ What audit, explain and monitor record, they record through this; each passes it
 
 from __future__ import annotations
 
+import re
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -23,7 +24,16 @@ if TYPE_CHECKING:
 
     from servofd.types import FloatArray
 
-__all__ = ["CHUNK_ROWS", "PROPERTIES", "STATES", "Recorder", "colours", "recording_file", "surface_place"]
+__all__ = [
+    "CHUNK_ROWS",
+    "PROPERTIES",
+    "STATES",
+    "Recorder",
+    "application_name",
+    "colours",
+    "recording_file",
+    "surface_place",
+]
 
 CHUNK_ROWS = 65_536
 """Rows in one chunk: smaller ones cost space, larger ones memory (measured: 22.3 B/scalar at 65 536, 22.5 at 4 096)."""
@@ -166,6 +176,18 @@ class Recorder:
             self.stream.send_recording_start_time_nanos(self.clock.start_us * 1000)
         # Columns overtake what waits to be batched: a recording that was cut short would lack what it needs most.
         self.stream.flush()
+
+
+def application_name(*parts: str) -> str:
+    """Name under which the viewer keeps a layout, out of what tells it from others.
+
+    Examples
+    --------
+    >>> application_name("Hangar 3/B", "", "flight")
+    'servofd-Hangar 3-B-flight'
+    """
+    words = (re.sub(r"[^A-Za-z0-9_ -]", "-", part)[:50] for part in parts if part)
+    return "-".join(("servofd", *words))
 
 
 @contextmanager

@@ -17,9 +17,11 @@ if TYPE_CHECKING:
     from servofd.outputs.recording.stream import Recorder
     from servofd.types import FloatArray
 
-__all__ = ["DEFLECTIONS", "RESIDUALS", "plot_range", "send_seconds", "send_surface"]
+__all__ = ["DEFLECTIONS", "RESIDUALS", "WIDTHS", "plot_range", "send_seconds", "send_styles", "send_surface"]
 
 DEFLECTIONS = ("command", "simulated", "measured")
+WIDTHS = (1.0, 2.5, 1.5)
+"""Of the lines of deflections."""
 RESIDUALS = ("residual", "+threshold", "-threshold")
 MARKER_HEIGHT = 4.6
 """Of onset markers in the overview, whose plot reaches to 5 thresholds."""
@@ -73,6 +75,7 @@ def send_surface(
     recorder.texts(f"{place}/events", events(trace, surface, start_s))
     if trace is None or not trace.time_s.size:
         return
+    send_styles(recorder, surface.surface, tint)
     changes = states(trace, surface)
     recorder.states(f"{place}/state", changes)
     # Before the first sample, and from where the cursor stands at first: else the legend has colours of its own.
@@ -80,7 +83,7 @@ def send_surface(
     recorder.line_colours(f"{place}/residual", [(t, (tint, "threshold", "threshold")) for t, tint in tints])
     _send_curves(recorder, place, trace)
     _send_commands(recorder, place, trace)
-    _send_overview(recorder, place, surface, trace, tint)
+    _send_overview(recorder, place, surface, trace)
     for name, (low, high) in (("deflection", deflection_range(trace)), ("residual", residual_range(trace))):
         for found, level in ((surface.faults, "fault"), (surface.suspicions, "suspect")):
             spans = [_span(fault, trace) for fault in found]
@@ -88,11 +91,20 @@ def send_surface(
                 recorder.shade(f"{place}/shade/{name}/{level}", spans, (low + high) / 2.0, high - low, level)
 
 
+def send_styles(recorder: Recorder, surface: str, tint: str = "simulated") -> None:
+    """Name and colour the curves of a surface; `tint` is its colour in the overview.
+
+    That of the residual follows the state: `Recorder.line_colours`.
+    """
+    place = surface_place(surface)
+    recorder.lines(f"{place}/deflection", DEFLECTIONS, DEFLECTIONS, widths=WIDTHS)
+    recorder.lines(f"{place}/residual", RESIDUALS, widths=[1.5, 1.0, 1.0])
+    recorder.lines(f"{place}/ratio", [surface], [tint], aggregation_policy="Max")
+
+
 def _send_curves(recorder: Recorder, place: str, trace: Trace) -> None:
     deflections = np.column_stack([trace.command_deg, trace.simulated_deg, trace.measured_deg])
     residuals = np.column_stack([trace.residual_deg, trace.threshold_deg, -trace.threshold_deg])
-    recorder.lines(f"{place}/deflection", DEFLECTIONS, DEFLECTIONS, widths=[1.0, 2.5, 1.5])
-    recorder.lines(f"{place}/residual", RESIDUALS, widths=[1.5, 1.0, 1.0])
     broken_s = breaks_s(trace.time_s)
     for name, values in (("deflection", deflections), ("residual", residuals)):
         recorder.scalars(f"{place}/{name}", trace.time_s, values)
@@ -113,9 +125,8 @@ def send_seconds(recorder: Recorder, place: str, time_s: FloatArray) -> None:
         recorder.scalars(place, time_s, time_s)
 
 
-def _send_overview(recorder: Recorder, place: str, surface: SurfaceAudit, trace: Trace, tint: str) -> None:
-    time_s, largest = ratio(trace)
-    recorder.lines(f"{place}/ratio", [surface.surface], [tint], aggregation_policy="Max")
+def _send_overview(recorder: Recorder, place: str, surface: SurfaceAudit, trace: Trace) -> None:
+    time_s, largest = ratio(trace.time_s, trace.residual_deg, trace.threshold_deg)
     recorder.scalars(f"{place}/ratio", time_s, largest)
     flag = np.abs(trace.residual_deg) >= trace.threshold_deg
     edges = np.union1d(np.flatnonzero(np.diff(flag, prepend=~flag[0])), [flag.size - 1])

@@ -22,12 +22,21 @@ if TYPE_CHECKING:
 
     from servofd.outputs.recording.content import Recording
 
-__all__ = ["LIVE", "SCHEMA", "Verdicts", "audit_of", "live_verdicts", "verdicts_of"]
+__all__ = ["LIVE", "MANY_VEHICLES", "SCHEMA", "Verdicts", "audit_of", "live_verdicts", "verdicts_of"]
 
 SCHEMA = "servofd.recording/1"
 
 LIVE = "recorded in flight"
 """Note of a recording whose verdicts have still to be made."""
+
+MANY_VEHICLES = "servofd.monitor/1"
+"""Schema of a recording of several vehicles at once, whose surfaces belong to nobody."""
+
+_WITHOUT_VERDICTS = {
+    MANY_VEHICLES: "several vehicles at once",
+    "servofd.explain/1": "servofd explain",
+    "servofd.identify/1": "servofd identify",
+}
 
 
 class Verdicts(NamedTuple):
@@ -113,6 +122,10 @@ def audit_of(properties: Mapping[str, Any], name: str) -> Verdicts:
         If they are not what this version of servofd writes.
     """
     schema = properties.get("schema")
+    if schema in _WITHOUT_VERDICTS:
+        raise RecordingError(
+            f"{name}: a recording of {_WITHOUT_VERDICTS[schema]}: no verdicts to review; 'servofd view' shows it"
+        )
     if schema != SCHEMA:
         wrote = f"schema {schema}" if schema else "an older servofd, without a schema"
         raise RecordingError(f"{name}: written by {wrote}; this one reads {SCHEMA}: audit the log again with --rrd")

@@ -9,7 +9,6 @@ both thresholds [deg]), ``command`` (on its own time stamps [deg]), ``ratio``, `
 from __future__ import annotations
 
 import itertools
-import re
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -18,10 +17,10 @@ import numpy as np
 from servofd.outputs.palette import SERIES
 from servofd.outputs.recording.clock import Clock
 from servofd.outputs.recording.content import Recording
-from servofd.outputs.recording.layout import ALARM_LINE, audit_layout
+from servofd.outputs.recording.layout import ALARM_LINE, REPORT, audit_layout
 from servofd.outputs.recording.motion import attitude_of, geo_of, local_of
 from servofd.outputs.recording.scene import send_scene
-from servofd.outputs.recording.stream import Recorder, recording_file
+from servofd.outputs.recording.stream import Recorder, application_name, recording_file
 from servofd.outputs.recording.surface import send_surface
 from servofd.outputs.recording.verdicts import verdicts_of
 
@@ -92,16 +91,15 @@ def application_of(recording: Recording) -> str:
     The layout says how high the plots reach. That of another flight of the same aircraft, which the viewer remembers by
     this name, would cut a fault off that goes beyond it.
     """
-    parts = (recording.audit.aircraft.name, recording.audit.log.source.stem, recording.audit.log.run)
-    words = (re.sub(r"[^A-Za-z0-9_ -]", "-", part)[:50] for part in parts if part)
-    return "-".join(("servofd", *words))
+    log = recording.audit.log
+    return application_name(recording.audit.aircraft.name, log.source.stem, log.run)
 
 
 def fill(recorder: Recorder, recording: Recording) -> None:
     """Send everything; the verdicts first, so that a recording that was cut short has them."""
     log = recording.audit.log
     recorder.properties(log.source.name, verdicts_of(recording))
-    recorder.document("/report", report(recording))
+    recorder.document(REPORT, report(recording))
     for surface, tint in zip(recording.audit.surfaces, itertools.cycle(SERIES), strict=False):
         send_surface(recorder, surface, recording.traces.get(surface.surface), recording.start_s, tint)
     if any(trace.time_s.size for trace in recording.traces.values()):
