@@ -214,8 +214,8 @@ def page(rows: Iterable[Row], machine_text: str) -> str:
 
 Written by `python docs/make_performance.py` from the quick forms of the scripts in `benchmarks/`. Seconds are processor time
 (best of three where that is cheap), one process, so that other work on the machine hardly counts; both columns are of the same
-run and the same data, of which pymavlink (DataFlash), python-control (residual) and `rerun.log` got a part, scaled up. The ratio is the peer's time divided by servofd's: above 1 servofd is faster. Compiling, once on a machine,
-is not counted.
+run and the same data, of which pymavlink (DataFlash), python-control (residual) and `rerun.log` got a part, scaled up. The ratio
+is the peer's time divided by servofd's: above 1 servofd is faster. Compiling, once on a machine, is not counted.
 
 | work | peer | ratio | servofd | peer's | besides |
 |---|---|---:|---:|---:|---|
