@@ -50,7 +50,8 @@ class Cost(NamedTuple):
             for length_s, times_ms in self.classification_ms.items()
         ]
         return (
-            f"{_SURFACES} surfaces, {_DURATION_S / 3600:g} h at {_RATE_HZ:g} Hz ({self.samples:,} samples), "
+            f"{_SURFACES} surfaces, {self.samples / _SURFACES / _RATE_HZ / 3600:g} h at {_RATE_HZ:g} Hz "
+            f"({self.samples:,} samples), "
             f"{self.alarms} alarms\n"
             f"  healthy residual alone          {1e9 * self.residual_s / self.samples:6.0f} ns a sample\n"
             f"  with interval threshold, bank   {1e9 * self.judged_s / self.samples:6.0f} ns a sample: "
@@ -58,11 +59,11 @@ class Cost(NamedTuple):
         )
 
 
-def measure() -> Cost:
+def measure(duration_s: float = _DURATION_S) -> Cost:
     """Time residual, judgement and classification."""
     aircraft = plain_aircraft(["x"])
     surface, model = aircraft.surfaces["x"].model_copy(update={"threshold": "interval"}), aircraft.model("x")
-    time_s = np.arange(round(_DURATION_S * _RATE_HZ)) / _RATE_HZ
+    time_s = np.arange(round(duration_s * _RATE_HZ)) / _RATE_HZ
     segments = []
     for seed in range(_SURFACES):
         rng = np.random.default_rng(seed)

@@ -70,7 +70,7 @@ def timed(action: object) -> float:
 
 
 def peer(segment: Segment, generator: ResidualGenerator) -> tuple[float, float]:
-    """Time of python-control for the first samples, and how far its residual is from ours."""
+    """Processor time of python-control for the first samples, and how far its residual is from ours."""
     plan = generator.model.plan
     design = design_pulse_filter(generator.model.transfer, plan.delay_s, 1.0 / RATE_HZ, POLE_RAD_S)
     order = max(design.b[0].size, design.md.size)
@@ -83,9 +83,9 @@ def peer(segment: Segment, generator: ResidualGenerator) -> tuple[float, float]:
     filter_q = control.ss(both.A, both.B, np.ones((1, 2)) @ both.C, np.ones((1, 2)) @ both.D, 1.0 / RATE_HZ)
     rest_deg = segment.command_deg[0]
     inputs = np.vstack([segment.measured_deg, segment.command_deg])[:, :PEER_SAMPLES] - rest_deg
-    begin = time.perf_counter()
+    begin = time.process_time()
     response = control.forced_response(filter_q, segment.measured_s[:PEER_SAMPLES], inputs)
-    elapsed = time.perf_counter() - begin
+    elapsed = time.process_time() - begin
     ours = generator.run(segment).residual_deg[:PEER_SAMPLES]
     return elapsed, float(np.max(np.abs(np.ravel(response.outputs) - ours)))
 

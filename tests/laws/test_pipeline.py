@@ -1,6 +1,7 @@
 """From file to verdict: what says the same in another way is judged the same.
 
-Order of the surfaces, origin of the time, units and zero points of the channels, and where a log was cut change no verdict.
+Order of the surfaces, origin of the time, units and zero points of the channels, and a cut where all is well change no
+verdict.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ FAULTS: tuple[Fault, ...] = (Stuck(28.0), Bias(28.0, bias_deg=4.0), HardOver(28.
 ONSET_S = 28.0
 ALIKE_S = 1e-3
 """Onsets are found by descent, which ends where its steps are small."""
+CUT_ALIKE_S = 0.1
+"""Noise, and with it the threshold, is estimated from the log itself: half of it gives almost the same."""
 
 few = settings(max_examples=6, deadline=None, derandomize=True)
 flights = st.builds(
@@ -146,5 +149,5 @@ def test_a_log_cut_in_two_where_all_is_well_is_judged_alike(flight: SimulatedFli
         assert after[name].status == audit.status
         assert [fault.kind for fault in after[name].faults] == [fault.kind for fault in audit.faults]
         for fault, same in zip(audit.faults, after[name].faults, strict=True):
-            assert same.alarm_s == pytest.approx(fault.alarm_s, abs=ALIKE_S)
-            assert same.start_s == pytest.approx(fault.start_s, abs=1.0 / RATE_HZ)
+            assert same.alarm_s == pytest.approx(fault.alarm_s, abs=CUT_ALIKE_S)
+            assert same.start_s == pytest.approx(fault.start_s, abs=CUT_ALIKE_S)

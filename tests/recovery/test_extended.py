@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
 
@@ -71,7 +72,7 @@ CONTEXT = Context(
 )
 
 
-def extended(name: str, size: dict[str, float | str]) -> ServoModel:
+def extended(name: str, size: Mapping[str, float | str]) -> ServoModel:
     return KNOWN + Extension(effects_installed(plant_of(KNOWN).neutral, {name: size}))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 import shutil
 import subprocess
 import sys
@@ -39,6 +40,27 @@ def test_every_lowest_version_is_given() -> None:
     """`pip install` on an old machine upgrades what is too old instead of failing later."""
     for needed in tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]:
         assert re.search(r">=\d", needed), needed
+
+
+CHECK = ROOT / ".ci" / "dependencies.py"
+
+
+@pytest.mark.skipif(not CHECK.exists(), reason="a source archive does not hold it")
+@pytest.mark.parametrize(
+    ("entries", "code", "told"),
+    [
+        ([{"skip_reason": "not found"}], 0, "not checked"),  # pip-audit itself says: no known vulnerabilities
+        ([{"version": "1.0", "vulns": []}], 0, "1 of 1 checked"),
+        ([{"version": "1.0", "vulns": [{"id": "CVE-1", "fix_versions": ["1.1"]}]}], 1, "repaired in 1.1"),
+        ([{"version": "1.0", "vulns": [{"id": "CVE-1", "fix_versions": []}]}], 0, "no release yet"),
+    ],
+)
+def test_vulnerabilities_fail_only_if_they_are_known_and_repaired(
+    entries: list[dict[str, object]], code: int, told: str
+) -> None:
+    found, lines = runpy.run_path(str(CHECK))["verdict"]({"dependencies": [{"name": "a"} | each for each in entries]})
+    assert found == code
+    assert told in "\n".join(lines)
 
 
 def built(source: Path, kind: str, target: Path) -> Path:
