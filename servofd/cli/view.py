@@ -33,16 +33,22 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
 def run(options: argparse.Namespace) -> int:
     """Open the viewer, after an audit if need be."""
     from servofd.outputs.recording.read import is_recording
+    from servofd.outputs.recording.stream import shown
     from servofd.outputs.recording.viewer import check_display, open_viewer
 
     path = Path(options.file)
     check_display()
-    if is_recording(path):
+    recorded, whole = is_recording(path), str(path.resolve())
+    if recorded and shown(whole) == whole:
         open_viewer(path)
         return 0
     with tempfile.TemporaryDirectory(prefix="servofd-") as folder:
-        recording = Path(folder) / f"{path.stem}.rrd"
-        _audit(options, recording)
+        recording = Path(folder) / f"{shown(path.stem)}.rrd"
+        if recorded:
+            # The viewer draws the name of the file, and crashes at a letter that its font lacks.
+            recording.symlink_to(whole)
+        else:
+            _audit(options, recording)
         open_viewer(recording)
     return 0
 

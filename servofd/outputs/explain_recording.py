@@ -12,7 +12,7 @@ import numpy as np
 
 from servofd.discrepancy.locate import bad_seconds
 from servofd.outputs.recording.layout import REPORT
-from servofd.outputs.recording.stream import application_name, recording_file, surface_place
+from servofd.outputs.recording.stream import application_name, recording_file, shown, surface_place
 from servofd.outputs.recording.views import blueprint, curves, document, lanes, stacked
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def save_explanation(found: Explanation, path: str | Path, source: str) -> None:
     """
     place = surface_place(found.surface)
     with recording_file(path, application_name("explain", found.surface, source), _layout(place)) as recorder:
-        whole = {"schema": "servofd.explain/1", "surface": found.surface, "conclusion": found.conclusion}
+        whole = {"schema": "servofd.explain/1", "surface": shown(found.surface), "conclusion": found.conclusion}
         recorder.properties(source, whole)
         recorder.document(REPORT, _report(found, source))
         _send_curves(recorder, place, found)

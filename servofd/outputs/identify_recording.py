@@ -12,7 +12,7 @@ import numpy as np
 
 from servofd.outputs.identify_page import identified, sentence_of
 from servofd.outputs.recording.layout import REPORT
-from servofd.outputs.recording.stream import application_name, recording_file, surface_place
+from servofd.outputs.recording.stream import application_name, recording_file, shown, surface_place
 from servofd.outputs.recording.surface import DEFLECTIONS, WIDTHS
 from servofd.outputs.recording.views import blueprint, curves, document, stacked
 
@@ -48,7 +48,7 @@ def save_identification(found: Identification, path: str | Path, source: str) ->
     names = [found.surface, *(f"{found.surface} {k}" for k in range(2, len(found.runs) + 1))]
     tabs = [*map(_tab, names), document("Report", REPORT)]
     with recording_file(path, application_name("identify", found.surface, source), blueprint(tabs)) as recorder:
-        recorder.properties(source, {"schema": "servofd.identify/1", "surface": found.surface})
+        recorder.properties(source, {"schema": "servofd.identify/1", "surface": shown(found.surface)})
         recorder.document(REPORT, _report(found, source))
         for name, run, error_deg in zip(names, found.runs, found.errors_deg, strict=True):
             _send_run(recorder, surface_place(name), run, error_deg)

@@ -146,6 +146,9 @@ class _Sink:
             if isinstance(entry, Samples):
                 waiting.setdefault(entry.surface, []).append(entry)
             else:
+                # In order: what it was before the event, it was until the event.
+                if entry.surface in waiting:
+                    self._samples(entry.surface, waiting.pop(entry.surface))
                 self._event(entry)
         for surface, pieces in waiting.items():
             self._samples(surface, pieces)

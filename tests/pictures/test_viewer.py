@@ -126,8 +126,33 @@ def test_gaps_are_empty_and_said(opened: Viewer, tmp_path: Path) -> None:
     assert not opened.complaints()
 
 
+def test_a_flight_that_was_recorded_live(opened: Viewer, tmp_path: Path) -> None:
+    path = tmp_path / "live.rrd"
+    log = str(SAMPLES / "telemetry_stuck.tlog")
+    options = ["-c", "simulated", "--speed", "0", "--plain", "--no-alert"]
+    assert main(["monitor", log, *options, "--rrd", str(path)]) == 1
+    overview, elevator = (pixels(opened.picture(opened.open(path)[place])) for place in (0, 2))
+    lanes = band(overview, 0.1, 0.3)
+    assert share_of(lanes, "#007d5b", 0.1) > 0.1
+    assert share_of(lanes, "#aa4400", 0.1) > 5e-3
+    half = elevator.shape[1] // 2
+    for place in (slice(half // 4, half), slice(half, None)):  # the whole flight, not its last minute
+        assert share_of(band(elevator, 0.09, 0.475)[:, place], COLOURS["measured"]) > 5e-4
+    assert share_of(band(elevator, 0.525, 0.805)[:, half:], COLOURS["fault"], 0.35) > 2e-4
+    assert not opened.complaints()
+
+
+def test_letters_that_the_viewer_cannot_draw(opened: Viewer, tmp_path: Path) -> None:
+    log = tmp_path / "飛行.csv"
+    log.write_text((SAMPLES / "table_three_faults.csv").read_text().replace("elevator", "升降舵 ✈/"))
+    path = recorded(log, tmp_path).rename(tmp_path / "flight.rrd")
+    tabs = opened.open(path)
+    assert len({opened.picture(tab) for tab in tabs}) == len(tabs) == 5
+    assert not opened.complaints()
+
+
 def test_the_track_and_the_attitude(opened: Viewer, tmp_path: Path) -> None:
-    path = recorded(SAMPLES / "ardupilot_volz_stuck.bin", tmp_path, include_position=True)
+    path = recorded(SAMPLES / "ardupilot_volz_stuck.bin", tmp_path, online_map=True)
     tabs = opened.open(path)
     opened.set_time(30.0)
     picture = pixels(opened.picture(tabs[-1]))

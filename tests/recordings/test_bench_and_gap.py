@@ -15,6 +15,8 @@ from servofd.outputs.recording.stream import surface_place
 from tests.recordings.inside import everything
 from tests.recovery.bench import sweep, written
 
+SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"
+
 
 def curves(path: Path) -> dict[str, Any]:
     """Time stamps [us] and values of shape (n, k), by entity."""
@@ -69,6 +71,19 @@ def test_names_of_surfaces_are_kept_as_they_are(surface: str, tmp_path: Path) ->
     time_us, values = curves(tmp_path / "live.rrd")[surface_place(surface, "deflection")]
     np.testing.assert_array_equal(time_us, np.arange(5) * 100_000)
     np.testing.assert_array_equal(values, np.tile([0.0, 1.0, 2.0], (5, 1)))
+    # The viewer crashes at a letter that its font lacks.
+    assert "✈" not in everything(tmp_path / "live.rrd")
+
+
+def test_an_audit_keeps_names_that_the_viewer_cannot_draw(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log, path = tmp_path / "飛行.csv", tmp_path / "flight.rrd"
+    log.write_text((SAMPLES / "table_three_faults.csv").read_text().replace("elevator", "升降舵"))
+    assert main(["audit", str(log), "--rrd", str(path)]) == 1
+    assert not any(letter in everything(path) for letter in "升降舵飛行")
+    capsys.readouterr()
+    assert main(["review", str(path)]) == 1
+    assert "升降舵: " in capsys.readouterr().out
+    assert main(["review", str(path), "--threshold-deg", "1.5"]) == 1
 
 
 def test_every_recording_has_the_colours_of_the_palette(bench: Path, tmp_path: Path) -> None:

@@ -313,6 +313,22 @@ def test_view_opens_recordings_and_logs(
     assert main(["view", "no.bin"]) == 2
 
 
+def test_view_gives_the_viewer_names_that_it_can_draw(
+    stuck: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened = []
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(
+        "servofd.outputs.recording.viewer.open_viewer",
+        lambda path: opened.append((path.name, read_recording(path).audit.has_fault)),
+    )
+    for source in (stuck, STUCK):
+        odd = tmp_path / f"飛行{source.suffix}"
+        odd.write_bytes(source.read_bytes())
+        assert main(["view", str(odd)]) == 0
+    assert opened == [("U+98DBU+884C.rrd", True)] * 2
+
+
 def test_the_viewer_that_fails_is_one_line(
     stuck: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -89,15 +89,17 @@ def _aircraft(recording: Recording) -> Any:  # noqa: ANN401
     away = 1.0 if recording.position is None else 1.35
     position = (-2.1 * away, -1.4 * away, -1.15 * away)
     eye = rrb.EyeControls3D(position=position, look_target=(-0.3, 0.0, 0.0), eye_up=(0.0, 0.0, -1.0))
-    views = [rrb.Spatial3DView(origin="/aircraft", name="Surfaces (blue: as a healthy servo)", eye_controls=eye)]
+    surfaces = rrb.Spatial3DView(origin="/aircraft", name="Surfaces (blue: as a healthy servo)", eye_controls=eye)
+    where = []
     if recording.position is not None:
         track = rrb.Spatial3DView(
             origin="/flight/local", name="Track from the first fix [m]", eye_controls=_above(recording.position[:, 1:])
         )
-        views.append(track)
+        where.append(track)
     if recording.geo is not None:
-        views.append(rrb.MapView(origin=GEO, name="Map"))
-    return rrb.Horizontal(*views, name="Aircraft")
+        where.append(rrb.MapView(origin=GEO, name="Map"))
+    # Below each other: a narrow view would cut off the ends of a track.
+    return rrb.Horizontal(surfaces, *([rrb.Vertical(*where)] if where else []), name="Aircraft")
 
 
 def _above(track_m: FloatArray) -> Any:  # noqa: ANN401

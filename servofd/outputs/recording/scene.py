@@ -10,7 +10,7 @@ import numpy as np
 from servofd.models.context import NO_CONTEXT
 from servofd.outputs.recording.airframe import BODY, hinges, turned, turned_by_euler
 from servofd.outputs.recording.states import states
-from servofd.outputs.recording.stream import STATES, colours
+from servofd.outputs.recording.stream import STATES, colours, shown
 from servofd.outputs.recording.surface import send_seconds
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def send_scene(recorder: Recorder, recording: Recording) -> None:
         surface = next(s for s in recording.audit.surfaces if s.surface == name)
         trace = recording.traces[name]
         changes = states(trace, surface)
-        _send_surface(recorder, rr.new_entity_path(["aircraft", "frame", name]), trace, hinge, changes)
+        _send_surface(recorder, rr.new_entity_path(["aircraft", "frame", shown(name)]), trace, hinge, changes)
     # All surfaces of a log share it.
     send_context(recorder, next((t.context for t in recording.traces.values()), NO_CONTEXT))
     _send_track(recorder, recording)

@@ -32,6 +32,7 @@ __all__ = [
     "application_name",
     "colours",
     "recording_file",
+    "shown",
     "surface_place",
 ]
 
@@ -45,6 +46,21 @@ PROPERTIES = "servofd"
 """Name of the recording's property that holds what was found."""
 
 
+_UNDRAWN = re.compile(r"[^\t\n\x20-\x7e\xa0-\xff\u0391-\u03c9\u0400-\u045f\u2013-\u2026\u2190-\u2193\u2264\u2265]")
+"""What the viewer's font (Inter) is not known to have."""
+
+
+def shown(text: str) -> str:
+    """Text that the viewer can draw: it crashes at a character that its font lacks.
+
+    Examples
+    --------
+    >>> shown("Höhenruder \N{AIRPLANE}")
+    'Höhenruder U+2708'
+    """
+    return _UNDRAWN.sub(lambda found: f"U+{ord(found.group()):04X}", text)
+
+
 def surface_place(surface: str, *parts: str) -> str:
     r"""Entity path of a surface, whatever characters its name has.
 
@@ -55,7 +71,7 @@ def surface_place(surface: str, *parts: str) -> str:
     """
     import rerun as rr
 
-    path: str = rr.new_entity_path(["surfaces", surface, *parts])
+    path: str = rr.new_entity_path(["surfaces", shown(surface), *parts])
     return path
 
 
@@ -97,7 +113,7 @@ class Recorder:
         import rerun as rr
 
         # The viewer's default draws a lone spike at half its height.
-        style = {"aggregation_policy": "MinMax", "names": list(names)} | style
+        style = {"aggregation_policy": "MinMax", "names": [shown(name) for name in names]} | style
         if tints:
             style["colors"] = colours(tints)
         self.stream.log(place, rr.SeriesLines(**style), static=True)
@@ -125,14 +141,14 @@ class Recorder:
         import rerun as rr
 
         times = np.array([time_s for time_s, _, _ in texts])
-        levels, words = [level for _, level, _ in texts], [text for _, _, text in texts]
+        levels, words = [level for _, level, _ in texts], [shown(text) for _, _, text in texts]
         self.columns(place, times, rr.TextLog.columns(text=words, level=levels))
 
     def markers(self, place: str, time_s: FloatArray, heights: FloatArray, name: str, tint: str) -> None:
         """Triangles that point down at given times."""
         import rerun as rr
 
-        style = rr.SeriesPoints(markers="Down", marker_sizes=6.0, colors=colours([tint]), names=name)
+        style = rr.SeriesPoints(markers="Down", marker_sizes=6.0, colors=colours([tint]), names=shown(name))
         self.stream.log(place, style, static=True)
         self.columns(place, time_s, rr.Scalars.columns(scalars=heights))
 
@@ -164,14 +180,14 @@ class Recorder:
         """Text of the report, for all time."""
         import rerun as rr
 
-        self.stream.log(place, rr.TextDocument(markdown, media_type="text/markdown"), static=True)
+        self.stream.log(place, rr.TextDocument(shown(markdown), media_type="text/markdown"), static=True)
 
     def properties(self, name: str, values: Mapping[str, Any]) -> None:
         """Properties of the recording; send them first, so that a recording that was cut short has them."""
         import rerun as rr
 
         self.stream.send_property(PROPERTIES, rr.AnyValues(**values))
-        self.stream.send_recording_name(name)
+        self.stream.send_recording_name(shown(name))
         if self.clock.start_utc is not None:
             self.stream.send_recording_start_time_nanos(self.clock.start_us * 1000)
         # Columns overtake what waits to be batched: a recording that was cut short would lack what it needs most.

@@ -16,6 +16,7 @@ from servofd.detection.bank.explanation import Estimate
 from servofd.detection.bank.isolate import Fault
 from servofd.errors import RecordingError
 from servofd.outputs.json_report import audit_document
+from servofd.outputs.recording.stream import shown
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -64,12 +65,12 @@ def verdicts_of(recording: Recording) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "version": __version__,
-        "source": log.source.name,
+        "source": shown(log.source.name),
         "format": log.format,
-        "vehicle": log.vehicle,
-        "aircraft": audit.aircraft.name,
+        "vehicle": shown(log.vehicle),
+        "aircraft": shown(audit.aircraft.name),
         "faults": sum(len(s.faults) for s in audit.surfaces),
-        "surfaces": [s.surface for s in audit.surfaces],
+        "surfaces": [shown(s.surface) for s in audit.surfaces],
         "statuses": [s.status for s in audit.surfaces],
         "verdicts": json.dumps(document),
         "models": _models(audit.aircraft),
@@ -148,7 +149,8 @@ def audit_of(properties: Mapping[str, Any], name: str) -> Verdicts:
 def _models(aircraft: Aircraft) -> str:
     """The aircraft, without the words on where its servos were identified: those may name files."""
     servos = {key: servo.model_copy(update={"source": "recorded"}) for key, servo in aircraft.servos.items()}
-    return aircraft.model_copy(update={"servos": servos}).model_dump_json(exclude_none=True)
+    # In ASCII: the viewer cannot draw every letter.
+    return json.dumps(aircraft.model_copy(update={"servos": servos}).model_dump(mode="json", exclude_none=True))
 
 
 def _log(document: Mapping[str, Any]) -> FlightLog:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from servofd.outputs.recording.clock import TIME_BOOT
+from servofd.outputs.recording.stream import shown
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -68,7 +69,7 @@ def curves(name: str, places: Sequence[str], *, origin: str = "/", span: tuple[f
     return rrb.TimeSeriesView(
         origin=origin,
         contents=list(places),
-        name=name,
+        name=shown(name),
         axis_x=_linked(),
         axis_y=None if span is None else rrb.ScalarAxis(range=span),
         plot_legend=rrb.PlotLegend(corner="LeftTop"),
@@ -80,28 +81,28 @@ def lanes(name: str, places: Sequence[str], *, origin: str = "/") -> Any:  # noq
     """Coloured lanes, one of each entity; `origin` as for `curves`."""
     import rerun.blueprint as rrb
 
-    return rrb.StateTimelineView(origin=origin, contents=list(places), name=name, time_view=_linked())
+    return rrb.StateTimelineView(origin=origin, contents=list(places), name=shown(name), time_view=_linked())
 
 
 def messages(name: str, places: Sequence[str]) -> Any:  # noqa: ANN401
     """Lines of text logs."""
     import rerun.blueprint as rrb
 
-    return rrb.TextLogView(origin="/", contents=list(places), name=name)
+    return rrb.TextLogView(origin="/", contents=list(places), name=shown(name))
 
 
 def document(name: str, place: str) -> Any:  # noqa: ANN401
     """A text."""
     import rerun.blueprint as rrb
 
-    return rrb.TextDocumentView(origin=place, name=name)
+    return rrb.TextDocumentView(origin=place, name=shown(name))
 
 
 def stacked(name: str, views: Sequence[Any], shares: Sequence[float]) -> Any:  # noqa: ANN401
     """Views one below the other, by shares of the height."""
     import rerun.blueprint as rrb
 
-    return rrb.Vertical(*views, row_shares=list(shares), name=name)
+    return rrb.Vertical(*views, row_shares=list(shares), name=shown(name))
 
 
 def _linked() -> Any:  # noqa: ANN401
