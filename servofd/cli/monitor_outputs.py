@@ -113,10 +113,14 @@ class Outputs:
 
     def _complain(self) -> None:
         """Say once what could not be written."""
-        for what, worker in (("telemetry log", self._stored), ("JSON lines", self._lines)):
-            if worker is not None and worker.error and what not in self._failed:
+        failed = {"telemetry log": self._stored, "JSON lines": self._lines}
+        errors = {what: worker.error for what, worker in failed.items() if worker is not None and worker.error}
+        if self._recording is not None:
+            errors |= self._recording.errors
+        for what, error in errors.items():
+            if what not in self._failed:
                 self._failed.add(what)
-                print(f"servofd: the {what} ends here: {worker.error}", file=sys.stderr)
+                print(f"servofd: {what}: no more is written: {error}", file=sys.stderr)
 
     def _record(
         self, options: argparse.Namespace, aircraft: Mapping[int, Aircraft], open_: contextlib.ExitStack
@@ -130,7 +134,10 @@ class Outputs:
         path = Path(options.rrd) if options.rrd else None
         # Of several vehicles nobody could tell whose surface it was.
         known = live_verdicts(first, surfaces, path.stem if path else "monitor") if len(aircraft) == 1 else None
-        recording = LiveRecording(first.name, surfaces, path=path, port=port, properties=known)
+        try:
+            recording = LiveRecording(first.name, surfaces, path=path, port=port, properties=known)
+        except (RuntimeError, ValueError, OverflowError, OSError) as error:  # rerun's own
+            raise ConfigError(f"{options.rrd or 'viewer'}: cannot record: {error}") from None
         open_.callback(recording.close)
         self._recording = recording
         if options.serve:

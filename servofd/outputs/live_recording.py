@@ -7,9 +7,11 @@ cannot keep up: the monitor never waits for a viewer or a disk. A killed process
 from __future__ import annotations
 
 import contextlib
+import os
 import re
 import threading
 from collections import deque
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -26,6 +28,8 @@ if TYPE_CHECKING:
 __all__ = ["LiveRecording", "Samples"]
 
 _TO_VIEWER_S, _TO_FILE_S = 0.2, 2.0
+_PATIENCE_S = 5.0
+"""A sink that has not taken a batch by then is given up."""
 _ROOM = 4_000
 _LAST_S = 60.0
 _TIMELINE = "time_boot"
@@ -45,6 +49,17 @@ class Samples(NamedTuple):
     measured_deg: FloatArray
     residual_deg: FloatArray
     threshold_deg: FloatArray
+
+
+@dataclass(slots=True)
+class _Sink:
+    """A viewer or a file, until it fails."""
+
+    stream: Any
+    every_s: float
+    name: str
+    kept: list[Samples | Event] = field(default_factory=list)
+    error: str = ""
 
 
 class LiveRecording:
@@ -73,6 +88,8 @@ class LiveRecording:
         port: int | None = None,
         properties: Mapping[str, Any] | None = None,
     ) -> None:
+        # What it would print of a full disk, in lines of its own, `errors` tells.
+        os.environ.setdefault("RUST_LOG", "off")
         import rerun as rr
 
         self._rr: Any = rr
@@ -81,21 +98,20 @@ class LiveRecording:
         self._stop = threading.Event()
         application = "servofd-" + re.sub(r"[^A-Za-z0-9_ -]", "-", name or "plain")[:100]
         layout = _layout(surfaces)
-        self._sinks: list[tuple[Any, float]] = []
+        self._sinks: list[_Sink] = []
         if port is not None:
             viewer = rr.RecordingStream(application)
             viewer.set_sinks(rr.GrpcServerSink("127.0.0.1", port), default_blueprint=layout)
-            self._sinks.append((viewer, _TO_VIEWER_S))
+            self._sinks.append(_Sink(viewer, _TO_VIEWER_S, "viewer"))
         if path is not None:
             file = rr.RecordingStream(application)
             file.save(str(path), default_blueprint=layout)
-            self._sinks.append((file, _TO_FILE_S))
-        for stream, _ in self._sinks:
-            rr.set_log_time_enabled(False, recording=stream)
-            _style(rr, stream, surfaces)
+            self._sinks.append(_Sink(file, _TO_FILE_S, "recording"))
+        for sink in self._sinks:
+            rr.set_log_time_enabled(False, recording=sink.stream)
+            _style(rr, sink.stream, surfaces)
             if properties is not None:
-                Recorder(stream).properties(name or "monitor", properties)
-        self._kept: list[list[Samples | Event]] = [[] for _ in self._sinks]
+                Recorder(sink.stream).properties(name or "monitor", properties)
         self._thread = threading.Thread(target=self._run, name="servofd record", daemon=True)
         self._thread.start()
 
@@ -104,13 +120,18 @@ class LiveRecording:
         self.dropped += len(self._entries) == self._entries.maxlen
         self._entries.append(entry)
 
+    @property
+    def errors(self) -> dict[str, str]:
+        """What failed, and why: keys ``viewer`` and ``recording``."""
+        return {sink.name: sink.error for sink in self._sinks if sink.error}
+
     def close(self) -> None:
-        """Write what is left, and end the file properly."""
+        """Write what is left, and end the file properly; never waits for a sink that is stuck."""
         self._stop.set()
-        self._thread.join()
-        for stream, _ in self._sinks:
+        self._thread.join(2.0 * _PATIENCE_S)
+        for sink in self._sinks:
             with contextlib.suppress(Exception):
-                stream.disconnect()
+                sink.stream.disconnect()
 
     def _run(self) -> None:
         ticks = 0
@@ -118,13 +139,21 @@ class LiveRecording:
             last = self._stop.wait(_TO_VIEWER_S)
             ticks += 1
             fresh = [self._entries.popleft() for _ in range(len(self._entries))]
-            for place, (stream, every_s) in enumerate(self._sinks):
-                self._kept[place] += fresh
-                if last or ticks % max(round(every_s / _TO_VIEWER_S), 1) == 0:
-                    self._send(stream, self._kept[place])
-                    self._kept[place] = []
+            for sink in self._sinks:
+                if sink.error:
+                    continue
+                sink.kept += fresh
+                if last or ticks % max(round(sink.every_s / _TO_VIEWER_S), 1) == 0:
+                    self._hand_over(sink)
             if last:
                 return
+
+    def _hand_over(self, sink: _Sink) -> None:
+        try:
+            self._send(sink.stream, sink.kept)
+        except (RuntimeError, ValueError, OSError) as error:
+            sink.error = f"{error}; is the disk full?" if sink.name == "recording" else str(error)
+        sink.kept = []
 
     def _send(self, stream: Any, entries: list[Samples | Event]) -> None:  # noqa: ANN401 - rerun's own
         rr = self._rr
@@ -141,7 +170,7 @@ class LiveRecording:
             stream.send_columns(f"{path}/deflection", at, rr.Scalars.columns(scalars=np.column_stack(columns[1:4])))
             levels = np.column_stack([columns[4], columns[5], -columns[5]])
             stream.send_columns(f"{path}/residual", at, rr.Scalars.columns(scalars=levels))
-        stream.flush()
+        stream.flush(timeout_sec=_PATIENCE_S)
 
     def _event(self, stream: Any, event: Event) -> None:  # noqa: ANN401 - rerun's own
         rr = self._rr
