@@ -7,7 +7,7 @@ another thread; the names that it finds are those of an audit, and the last look
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +16,7 @@ from servofd.detection.events import Event, Look, Reading
 from servofd.detection.residual import ResidualGenerator, rhythm
 from servofd.detection.stream import Stream
 from servofd.errors import DesignError
+from servofd.models.context import NO_CONTEXT, Context
 from servofd.segment import SLOWEST_RATE_HZ, WARM_UP_S, WARM_UP_STEPS, pace_steps
 
 if TYPE_CHECKING:
@@ -106,6 +107,13 @@ class SurfaceMonitor:
     _silent: bool = False
     _told_slow: bool = False
     _earlier: dict[float, Fault] = field(default_factory=dict)
+    _context: Context = NO_CONTEXT
+
+    def surroundings(self, context: Context) -> None:
+        """Airspeed and supply, as far as they are known by now; samples not yet evaluated are evaluated with them."""
+        self._context = context
+        if self._stream is not None:
+            self._stream.surroundings(context)
 
     def feed(self, commands: tuple[FloatArray, FloatArray], positions: tuple[FloatArray, FloatArray]) -> list[Event]:
         """Take the next commands and positions, each times [s] and values as logged, of shape (n,).
@@ -314,6 +322,7 @@ class SurfaceMonitor:
         self.problem = ""
         logged_s = np.array([time_s for time_s, _ in commands[: WARM_UP_STEPS + 1]])
         self._stream = Stream(self._generator, self.surface, self._period_s, rhythm(logged_s))
+        self._stream.surroundings(self._context)
         self._waiting = ([], [])
         self._hand_over(commands, positions)
         return self._evaluated(self._stream.evaluate())
@@ -377,6 +386,7 @@ class SurfaceMonitor:
         kind = self.surface.threshold
         residuals, threshold, suspicious = self._stream.history.snapshot(kind, self._stream.evaluation.cusum)
         copied = self._stream.effective.copied()
+        residuals = replace(residuals, context=self._context)
         at_s = float(residuals.time_s[-1])
         return Look(at_s, self._generator, self.surface, residuals, threshold, suspicious, copied)
 

@@ -167,7 +167,7 @@ class Session:
 
     def _ask(self, vehicle: Vehicle) -> None:
         """Begin to ask a vehicle for what is needed."""
-        self._requests[vehicle.system] = Requests(vehicle.system, vehicle.messages)
+        self._requests[vehicle.system] = Requests(vehicle.system, vehicle.messages, vehicle.seldom)
         if self.remote_log:
             self._logs[vehicle.system] = RemoteLog(vehicle.system)
 
