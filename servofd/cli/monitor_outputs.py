@@ -89,10 +89,9 @@ class Outputs:
             self._note(f"   link    {note}")
         self._session.notes.clear()
         self._complain()
+        self._view.dropped = self._dropped()
         if self._screen is not None and now_s - self._drawn_s >= _DRAW_S:
             self._drawn_s = now_s
-            if self.receiver is not None:
-                self._view.dropped = self.receiver.chunks.dropped
             self._screen.update(self._view.drawn(now_s), refresh=True)
         elif self._screen is None and self._prints:
             waiting = self._session.waiting()
@@ -100,6 +99,12 @@ class Outputs:
                 self._printed_s, self._waited = now_s, waiting
                 for line in self._view.plain(now_s):
                     print(line, flush=True)
+
+    def _dropped(self) -> int:
+        """What found a queue full: of what came in, and of what was to be written."""
+        written = sum(worker.queue.dropped for worker in (self._stored, self._lines) if worker is not None)
+        received = self.receiver.chunks.dropped if self.receiver is not None else 0
+        return received + written + (self._recording.dropped if self._recording is not None else 0)
 
     def _owner(self, event: Event) -> int | None:
         """Whose event this is; known if there is one vehicle, or the surface has one name."""

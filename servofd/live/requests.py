@@ -105,13 +105,16 @@ class Requests:
         wish.done = result == _UNSUPPORTED or wish.step == len(wish.rates_hz)
         return f"{wish.message} at {asked_hz:g} Hz denied" if not wish.done else f"{wish.message}: no rate is granted"
 
-    def measured(self, message: str, rate_hz: float, now_s: float) -> None:
-        """Ask again if a message comes much more slowly than was granted: another station may have changed it."""
-        for wish in self._wishes:
-            if wish.message == message and wish.granted_hz > 0.0 and rate_hz < _TOO_SLOW * wish.granted_hz:
-                if now_s - self._finished_s > _AGAIN_S:
-                    self.again()
-                return
+    def measured(self, message: str, rate_hz: float, now_s: float) -> str:
+        """Ask again if a message comes much more slowly than was granted, and say so: another station changed it."""
+        wish = next((wish for wish in self._wishes if wish.message == message), None)
+        if wish is None or self._open is not None or now_s - self._finished_s <= _AGAIN_S:
+            return ""
+        if not rate_hz < _TOO_SLOW * wish.granted_hz:
+            return ""
+        granted_hz = wish.granted_hz
+        self.again()
+        return f"{message} comes at {rate_hz:.2g} Hz, not at {granted_hz:g} Hz as granted: asks again"
 
     def again(self) -> None:
         """Ask for everything once more, as after a restart."""

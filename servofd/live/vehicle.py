@@ -25,6 +25,7 @@ __all__ = ["Losses", "Vehicle"]
 _SILENCE_S = 2.0
 _NONE = np.zeros(0)
 _REORDERED = 200
+_COUNT_S = 5.0
 
 
 @dataclass(slots=True)
@@ -100,6 +101,7 @@ class Vehicle:
     _table: ChannelTable = field(init=False)
     _around: Surroundings = field(init=False)
     _is_news: bool = False
+    _counted_s: float = float("-inf")
     _routes: dict[str, list[tuple[str, int]]] = field(default_factory=dict)
     _early: list[tuple[Heard, float]] = field(default_factory=list)
     _samples: dict[str, tuple[tuple[list[float], list[float]], tuple[list[float], list[float]]]] = field(
@@ -154,6 +156,16 @@ class Vehicle:
             self.now_s = time_s
             self._sort(heard, time_s)
         return events
+
+    def rates_hz(self, arrival_now_s: float) -> dict[str, float]:
+        """How often each message came, once every few seconds; empty in between, and while nothing comes at all."""
+        span_s = arrival_now_s - self._counted_s
+        if span_s < _COUNT_S:
+            return {}
+        counts, self._counted_s = self._table.counted(), arrival_now_s
+        if self.is_lost or not span_s < 2.0 * _COUNT_S or arrival_now_s - self.heard_s > _SILENCE_S:
+            return {}
+        return {message: count / span_s for message, count in counts.items()}
 
     def give(self, channels: Iterable[tuple[str, float, float]]) -> None:
         """Take samples of channels directly: name, time [s] and value as logged."""
