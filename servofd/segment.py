@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -14,18 +14,23 @@ from servofd.frozen import frozen_rows, republished_rows
 from servofd.models.context import NO_CONTEXT, Context
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from logparsers.records import Channel, FlightLog
     from servofd.aircraft import Surface
     from servofd.types import FloatArray
 
-__all__ = ["SLOWEST_RATE_HZ", "WARM_UP_S", "WARM_UP_STEPS", "Segment", "cut", "pace_steps"]
+__all__ = ["SLOWEST_RATE_HZ", "SURROUNDINGS", "WARM_UP_S", "WARM_UP_STEPS", "Segment", "cut", "pace_steps"]
 
 _LARGEST_DEG = 1e6
 """No servo turns so far; a motor drive in millimetres may."""
 
-_AIRSPEED = ("airspeed_m_s", "ARSP.Airspeed", "VFR_HUD.airspeed")
-_VOLTAGE = ("servo_voltage_v", "POWR.Vservo")
-_CURRENT = ("servo_current_a", "amps")
+SURROUNDINGS: Final[Mapping[str, Mapping[str, float]]] = {
+    "airspeed_m_s": {"airspeed_m_s": 1.0, "ARSP.Airspeed": 1.0, "VFR_HUD.airspeed": 1.0},
+    "servo_voltage_v": {"servo_voltage_v": 1.0, "POWR.Vservo": 1.0, "POWER_STATUS.Vservo": 1e-3},
+    "servo_current_a": {"servo_current_a": 1.0, "amps": 1.0},
+}
+"""Channels that tell about the surroundings of servos, the best first, and what turns each into m/s, V or A."""
 WARM_UP_S, WARM_UP_STEPS = 10.0, 100
 """A monitor in flight learns the pace of a stream from so many intervals, or from as many as there are by then [s]."""
 _SAME_PACE = 1.5
@@ -156,19 +161,19 @@ def cut(log: FlightLog, name: str, surface: Surface) -> Segment:
         measured.time_s,
         measured_deg,
         surface.command_period_s,
-        context=Context(*_signal(log, _AIRSPEED), *_signal(log, _VOLTAGE), *_signal(log, _CURRENT)),
+        context=Context(*(column for sources in SURROUNDINGS.values() for column in _signal(log, sources))),
     )
     return _without_dead_telemetry(segment, measured, log, surface) if surface.alive else segment
 
 
-def _signal(log: FlightLog, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray]:
+def _signal(log: FlightLog, sources: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
     """Times and values of the first of these channels that holds any; empty if none does."""
-    for name in names:
+    for name, scale in sources.items():
         if name in log.channels:
             channel = log[name]
             good = np.isfinite(channel.values)
             if np.count_nonzero(good) > 1:
-                return channel.time_s[good], channel.values[good]
+                return channel.time_s[good], scale * channel.values[good]
     return np.zeros(0), np.zeros(0)
 
 

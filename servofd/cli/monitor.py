@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from logparsers.codec import Signature
     from servofd.aircraft import Aircraft
     from servofd.live.session import Session
+    from servofd.live.speaker import Speaker
 
 __all__ = ["add_parser", "run"]
 
@@ -46,14 +48,14 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument("--speed", type=_speed, metavar="X", help="of a replay; 0: as fast as it goes (default: 1)")
     parser.add_argument("--rrd", metavar="FILE", help="write a Rerun recording")
     parser.add_argument("--serve", action="store_true", help="let Rerun viewers on this machine connect")
-    parser.add_argument("--viewer-port", type=int, default=_VIEWER_PORT, metavar="PORT", help="(default: 9876)")
+    parser.add_argument("--viewer-port", type=_port, default=_VIEWER_PORT, metavar="PORT", help="(default: 9876)")
     parser.add_argument("--tlog", metavar="FILE", help="write all that is received as a telemetry log")
     parser.add_argument("--alert-to", metavar="ENDPOINT", help="send alerts there (default: back to the stream)")
     parser.add_argument("--no-alert", action="store_true", help="send no alerts")
     parser.add_argument("--no-request", action="store_true", help="send nothing at all to the stream")
     parser.add_argument("--dataflash", action="store_true", help="ask for the autopilot's own log (CSRV, RCOU) as well")
-    parser.add_argument("--system", type=int, metavar="ID", help="system id to speak as (default: the vehicle's)")
-    parser.add_argument("--component", type=int, default=191, metavar="ID", help="component id (default: 191)")
+    parser.add_argument("--system", type=_address, metavar="ID", help="system id to speak as (default: the vehicle's)")
+    parser.add_argument("--component", type=_address, default=191, metavar="ID", help="component id (default: 191)")
     parser.add_argument("--signing-key", metavar="FILE", help="file with the key that frames are signed with")
     parser.add_argument("--json-lines", metavar="FILE", help="write each event as a line of JSON; - prints them")
     parser.add_argument("--plain", action="store_true", help="print lines instead of a changing picture")
@@ -65,8 +67,11 @@ def run(options: argparse.Namespace) -> int:
     from servofd.errors import ConfigError
 
     aircraft = _aircraft(options.config)
+    is_log = Path(options.endpoint).is_file()
     if options.dataflash and options.no_request:
         raise ConfigError("--dataflash has to ask for the log, which --no-request forbids")
+    if options.dataflash and is_log:
+        raise ConfigError(f"{options.endpoint}: --dataflash asks a vehicle for its log, and this is a file")
     if options.no_alert and options.alert_to:
         raise ConfigError("--no-alert and --alert-to exclude each other")
     for name in (options.tlog, options.rrd, options.json_lines if options.json_lines != "-" else None):
@@ -74,7 +79,6 @@ def run(options: argparse.Namespace) -> int:
             raise ConfigError(f"{name}: the folder {Path(name).resolve().parent} does not exist")
         if name and Path(name).resolve() == Path(options.endpoint).resolve():
             raise ConfigError(f"{name}: is the log that is replayed; choose another file")
-    is_log = Path(options.endpoint).is_file()
     if options.speed is not None and not is_log:
         raise ConfigError(f"{options.endpoint}: --speed is for a log file, and there is none of that name")
     session = _replay(options, aircraft) if is_log else _watch(options, aircraft)
@@ -89,11 +93,9 @@ def _watch(options: argparse.Namespace, aircraft: Mapping[int, Aircraft]) -> Ses
     from servofd.cli.monitor_outputs import Outputs
     from servofd.live.run import watch_link
     from servofd.live.session import Session
-    from servofd.live.speaker import Speaker
     from servofd.live.threads import Receiver
 
     endpoint = parse_endpoint(options.endpoint)
-    target = parse_endpoint(options.alert_to) if options.alert_to else None
     signature = _signature(options.signing_key)
     with contextlib.ExitStack() as open_:
         link = open_link(endpoint)
@@ -101,19 +103,13 @@ def _watch(options: argparse.Namespace, aircraft: Mapping[int, Aircraft]) -> Ses
         session = Session(
             Codec(0, options.component, signature=signature), aircraft, aside=True, remote_log=options.dataflash
         )
-        known = next(iter(aircraft)) if len(aircraft) == 1 else 0
-        speaker = Speaker(
-            lambda: options.system or known or next(iter(session.vehicles), 1), options.component, signature
-        )
+        speaker = _speaker(options, session, signature)
         if not options.no_request:
             to_vehicle = open_.enter_context(speaker.to(link))
             session.send = to_vehicle
             if not options.no_alert:
                 session.alert = to_vehicle
-        if target is not None:
-            aside = open_link(target)
-            open_.callback(aside.close)
-            session.alert = open_.enter_context(speaker.to(aside))
+        _alert_aside(options, session, speaker, open_)
         outputs = open_.enter_context(Outputs.of(options, session, str(endpoint), aircraft))
         receiver = Receiver(link)
         open_.callback(receiver.close)
@@ -139,6 +135,7 @@ def _replay(options: argparse.Namespace, aircraft: Mapping[int, Aircraft]) -> Se
     with contextlib.ExitStack() as open_:
         log = logparsers.read(path, layout_of(next(iter(aircraft.values()))))
         session = Session(Codec(0, options.component), aircraft, is_stream=log.format == "tlog")
+        _alert_aside(options, session, _speaker(options, session, _signature(options.signing_key)), open_)
         outputs = open_.enter_context(Outputs.of(options, session, options.endpoint, aircraft))
         now_s = 0.0
         with contextlib.suppress(KeyboardInterrupt):
@@ -148,6 +145,27 @@ def _replay(options: argparse.Namespace, aircraft: Mapping[int, Aircraft]) -> Se
                 now_s = replay_log(session, log, outputs, pace, options.duration)
         outputs.events(session.finish(now_s), now_s)
     return session
+
+
+def _speaker(options: argparse.Namespace, session: Session, signature: Signature | None) -> Speaker:
+    """Speaks in the name of the vehicle that is watched."""
+    from servofd.live.speaker import Speaker
+
+    known = next(iter(session.aircraft)) if len(session.aircraft) == 1 else 0
+    return Speaker(
+        lambda: options.system or known or next(iter(session.vehicles), 0) or 1, options.component, signature
+    )
+
+
+def _alert_aside(options: argparse.Namespace, session: Session, speaker: Speaker, open_: contextlib.ExitStack) -> None:
+    """Send alerts to an address of their own, if there is one."""
+    from logparsers.endpoint import parse_endpoint
+    from logparsers.link import open_link
+
+    if options.alert_to:
+        link = open_link(parse_endpoint(options.alert_to))
+        open_.callback(link.close)
+        session.alert = open_.enter_context(speaker.to(link))
 
 
 def _verdict(session: Session) -> int:
@@ -177,7 +195,7 @@ def _aircraft(names: list[str]) -> dict[int, Aircraft]:
     return known
 
 
-def _signature(name: str | None) -> Any:  # noqa: ANN401
+def _signature(name: str | None) -> Signature | None:
     from logparsers.codec import Signature, signing_key
     from servofd.errors import ConfigError
 
@@ -187,6 +205,20 @@ def _signature(name: str | None) -> Any:  # noqa: ANN401
         return Signature(signing_key(Path(name).read_bytes()), time.time())
     except OSError as error:
         raise ConfigError(f"{name}: cannot read the signing key: {error.strerror}") from None
+
+
+def _address(text: str) -> int:
+    return _whole(text, 255, "an id from 1 to 255")
+
+
+def _port(text: str) -> int:
+    return _whole(text, 65_535, "a port from 1 to 65535")
+
+
+def _whole(text: str, most: int, what: str) -> int:
+    if not (text.isascii() and text.isdigit() and 0 < int(text[:9]) <= most):
+        raise argparse.ArgumentTypeError(f"must be {what}, not {text}")
+    return int(text)
 
 
 def _positive(text: str) -> float:

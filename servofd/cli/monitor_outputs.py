@@ -89,10 +89,9 @@ class Outputs:
             self._note(f"   link    {note}")
         self._session.notes.clear()
         self._complain()
+        self._view.dropped = self._dropped()
         if self._screen is not None and now_s - self._drawn_s >= _DRAW_S:
             self._drawn_s = now_s
-            if self.receiver is not None:
-                self._view.dropped = self.receiver.chunks.dropped
             self._screen.update(self._view.drawn(now_s), refresh=True)
         elif self._screen is None and self._prints:
             waiting = self._session.waiting()
@@ -100,6 +99,12 @@ class Outputs:
                 self._printed_s, self._waited = now_s, waiting
                 for line in self._view.plain(now_s):
                     print(line, flush=True)
+
+    def _dropped(self) -> int:
+        """What found a queue full: of what came in, and of what was to be written."""
+        written = sum(worker.queue.dropped for worker in (self._stored, self._lines) if worker is not None)
+        received = self.receiver.chunks.dropped if self.receiver is not None else 0
+        return received + written + (self._recording.dropped if self._recording is not None else 0)
 
     def _owner(self, event: Event) -> int | None:
         """Whose event this is; known if there is one vehicle, or the surface has one name."""
@@ -113,10 +118,14 @@ class Outputs:
 
     def _complain(self) -> None:
         """Say once what could not be written."""
-        for what, worker in (("telemetry log", self._stored), ("JSON lines", self._lines)):
-            if worker is not None and worker.error and what not in self._failed:
+        failed = {"telemetry log": self._stored, "JSON lines": self._lines}
+        errors = {what: worker.error for what, worker in failed.items() if worker is not None and worker.error}
+        if self._recording is not None:
+            errors |= self._recording.errors
+        for what, error in errors.items():
+            if what not in self._failed:
                 self._failed.add(what)
-                print(f"servofd: the {what} ends here: {worker.error}", file=sys.stderr)
+                print(f"servofd: {what}: no more is written: {error}", file=sys.stderr)
 
     def _record(
         self, options: argparse.Namespace, aircraft: Mapping[int, Aircraft], open_: contextlib.ExitStack
@@ -130,7 +139,10 @@ class Outputs:
         path = Path(options.rrd) if options.rrd else None
         # Of several vehicles nobody could tell whose surface it was.
         known = live_verdicts(first, surfaces, path.stem if path else "monitor") if len(aircraft) == 1 else None
-        recording = LiveRecording(first.name, surfaces, path=path, port=port, properties=known)
+        try:
+            recording = LiveRecording(first.name, surfaces, path=path, port=port, properties=known)
+        except (RuntimeError, ValueError, OverflowError, OSError) as error:  # rerun's own
+            raise ConfigError(f"{options.rrd or 'viewer'}: cannot record: {error}") from None
         open_.callback(recording.close)
         self._recording = recording
         if options.serve:

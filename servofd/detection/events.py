@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from servofd.detection.threshold import Threshold
     from servofd.types import BoolArray
 
-__all__ = ["Event", "EventKind", "Look", "Reading"]
+__all__ = ["Alarm", "Event", "EventKind", "Look", "Reading"]
 
 EventKind = Literal["alarm", "clear", "named", "no_data", "link_lost", "link_restored"]
 
@@ -64,3 +64,15 @@ class Look(NamedTuple):
         found = judge_evaluated(self.generator, self.surface, residuals, threshold, suspicious, commands)
         problem = wiring_problem(residuals) if found.faults or found.suspicions else ""
         return (() if problem else found.faults), (() if problem else found.suspicions), problem
+
+
+@dataclass(slots=True)
+class Alarm:
+    """An alarm that was raised."""
+
+    kind: str = "unknown"
+    stands: bool = True
+    acquitted: bool = False
+    belongs: bool = False
+    """To the alarm before it, which only seemed to be over."""
+    fault: Fault | None = None

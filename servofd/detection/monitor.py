@@ -7,15 +7,17 @@ another thread; the names that it finds are those of an audit, and the last look
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.detection.events import Event, Look, Reading
+from servofd.detection.bandwidth import too_slow
+from servofd.detection.events import Alarm, Event, Look, Reading
 from servofd.detection.residual import ResidualGenerator, rhythm
 from servofd.detection.stream import Stream
 from servofd.errors import DesignError
+from servofd.models.context import NO_CONTEXT, Context
 from servofd.segment import SLOWEST_RATE_HZ, WARM_UP_S, WARM_UP_STEPS, pace_steps
 
 if TYPE_CHECKING:
@@ -42,18 +44,6 @@ _SILENCE_S = 1.0
 _SAME_PACE = 1.5
 _LONGEST_WAIT = 6_000
 """Samples that are kept while a position that has never changed may still turn out to be one."""
-
-
-@dataclass(slots=True)
-class _Alarm:
-    """An alarm that was raised."""
-
-    kind: str = "unknown"
-    stands: bool = True
-    acquitted: bool = False
-    belongs: bool = False
-    """To the alarm before it, which only seemed to be over."""
-    fault: Fault | None = None
 
 
 @dataclass(slots=True)
@@ -97,15 +87,23 @@ class SurfaceMonitor:
     _stream: Stream | None = None
     _generator: ResidualGenerator | None = None
     _waiting: tuple[list[tuple[float, float]], list[tuple[float, float]]] = field(default_factory=lambda: ([], []))
-    _alarms: dict[float, _Alarm] = field(default_factory=dict)
+    _alarms: dict[float, Alarm] = field(default_factory=dict)
     _looks_s: list[float] = field(default_factory=list)
     _suspected_s: float = -np.inf
     _recent: deque[float] = field(default_factory=lambda: deque(maxlen=WARM_UP_STEPS + 1))
     _period_s: float = float("nan")
+    _command_period_s: float = float("nan")
     _off_pace: int = 0
     _silent: bool = False
     _told_slow: bool = False
     _earlier: dict[float, Fault] = field(default_factory=dict)
+    _context: Context = NO_CONTEXT
+
+    def surroundings(self, context: Context) -> None:
+        """Airspeed and supply, as far as they are known by now; samples not yet evaluated are evaluated with them."""
+        self._context = context
+        if self._stream is not None:
+            self._stream.surroundings(context)
 
     def feed(self, commands: tuple[FloatArray, FloatArray], positions: tuple[FloatArray, FloatArray]) -> list[Event]:
         """Take the next commands and positions, each times [s] and values as logged, of shape (n,).
@@ -151,6 +149,13 @@ class SurfaceMonitor:
         return (len(self._recent) - 1) / max(self._recent[-1] - self._recent[0], 1e-9)
 
     @property
+    def too_slow(self) -> str:
+        """What comes too slowly for the bandwidth of the servo, in words; empty if nothing does."""
+        if self._stream is None:
+            return ""
+        return too_slow(self.model.transfer.bandwidth_rad_s, self._period_s, self._command_period_s)
+
+    @property
     def faults(self) -> tuple[Fault, ...]:
         """What was found so far, in order of time; each as the last look at it told."""
         known = {**self._earlier}
@@ -187,7 +192,7 @@ class SurfaceMonitor:
         for fault in faults:
             alarm = self._alarms.get(fault.alarm_s)
             if alarm is None:
-                alarm = self._alarms[fault.alarm_s] = _Alarm(stands=fault.end_s is None)
+                alarm = self._alarms[fault.alarm_s] = Alarm(stands=fault.end_s is None)
                 events.append(self._event(look, fault.alarm_s, "alarm", "unknown", fault))
             if fault.kind != alarm.kind or alarm.acquitted:
                 alarm.kind, alarm.acquitted = fault.kind, False
@@ -313,7 +318,10 @@ class SurfaceMonitor:
             return [] if told else [Event(positions[-1][0], self.name, "no_data", text=problem)]
         self.problem = ""
         logged_s = np.array([time_s for time_s, _ in commands[: WARM_UP_STEPS + 1]])
-        self._stream = Stream(self._generator, self.surface, self._period_s, rhythm(logged_s))
+        beat = rhythm(logged_s)
+        self._command_period_s = beat.period_s
+        self._stream = Stream(self._generator, self.surface, self._period_s, beat)
+        self._stream.surroundings(self._context)
         self._waiting = ([], [])
         self._hand_over(commands, positions)
         return self._evaluated(self._stream.evaluate())
@@ -342,7 +350,7 @@ class SurfaceMonitor:
                     alarm.stands = False
                 self._looks_s = [time_s]
             else:
-                self._alarms[time_s] = _Alarm()
+                self._alarms[time_s] = Alarm()
                 events.append(Event(time_s, self.name, "alarm", "unknown", *numbers))
                 self._looks_s = sorted([*self._looks_s, *(time_s + after_s for after_s in _LOOKS_S)])
         self._suspect(piece)
@@ -377,6 +385,7 @@ class SurfaceMonitor:
         kind = self.surface.threshold
         residuals, threshold, suspicious = self._stream.history.snapshot(kind, self._stream.evaluation.cusum)
         copied = self._stream.effective.copied()
+        residuals = replace(residuals, context=self._context)
         at_s = float(residuals.time_s[-1])
         return Look(at_s, self._generator, self.surface, residuals, threshold, suspicious, copied)
 

@@ -48,6 +48,7 @@ class ChannelTable:
     def __init__(self, channels: Iterable[str]) -> None:
         self._wanted: dict[tuple[str, str], list[_Wanted]] = {}
         self._senders: dict[str, tuple[int, int]] = {}
+        self._counts: dict[str, tuple[str, int]] = {}
         self.unknown: list[str] = []
         """Names that are no channels of a telemetry stream."""
         layouts = dialect().layouts
@@ -60,6 +61,7 @@ class ChannelTable:
             element = int(match[6]) if match[6] else None
             instance = match[4] if match[4] is not None else ("0" if layouts[match[3]].instance else "")
             self._wanted.setdefault((match[3], instance), []).append(_Wanted(channel, source, match[5], element))
+            self._counts[channel] = (match[3], 0)
         self.messages = {message for message, _ in self._wanted}
         self._instances = {name: layouts[name].instance for name in self.messages}
 
@@ -78,8 +80,17 @@ class ChannelTable:
             elif wanted.source != sender:
                 continue
             value = heard.fields[wanted.field]
+            self._counts[wanted.channel] = (heard.name, self._counts[wanted.channel][1] + 1)
             found.append((wanted.channel, float(value if wanted.element is None else value[wanted.element])))
         return found
+
+    def counted(self) -> dict[str, int]:
+        """By message, samples of its rarest channel since this was last asked."""
+        counts: dict[str, int] = {}
+        for channel, (message, count) in self._counts.items():
+            counts[message] = min(counts.get(message, count), count)
+            self._counts[channel] = (message, 0)
+        return counts
 
 
 _STAMPS: dict[str, Stamp | None] = {}

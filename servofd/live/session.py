@@ -87,6 +87,7 @@ class Session:
     _requests: dict[int, Requests] = field(default_factory=dict)
     _pool: ThreadPoolExecutor | None = None
     _looks: list[tuple[Vehicle, SurfaceMonitor, Look, Future[Any]]] = field(default_factory=list)
+    _compared: set[str] = field(default_factory=set)
     _wanted: dict[int, set[str]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -128,6 +129,7 @@ class Session:
             mine += vehicle.silence(arrival_now_s)
             mine += self._look(vehicle)
             self._speak(vehicle, mine, arrival_now_s)
+            self._compare(vehicle)
             events += mine
         return events
 
@@ -167,7 +169,7 @@ class Session:
 
     def _ask(self, vehicle: Vehicle) -> None:
         """Begin to ask a vehicle for what is needed."""
-        self._requests[vehicle.system] = Requests(vehicle.system, vehicle.messages)
+        self._requests[vehicle.system] = Requests(vehicle.system, vehicle.messages, vehicle.seldom)
         if self.remote_log:
             self._logs[vehicle.system] = RemoteLog(vehicle.system)
 
@@ -212,11 +214,23 @@ class Session:
         requests = self._requests.get(vehicle.system)
         if requests is None or self.send is None or vehicle.heard_s == float("-inf"):
             return
+        for message, rate_hz in vehicle.rates_hz(now_s).items():
+            said = requests.measured(message, rate_hz, now_s)
+            if said:
+                self.notes.append(said)
         due = requests.due(now_s)
         if vehicle.system in self._logs:
             due += self._logs[vehicle.system].due(now_s)
         for name, fields in due:
             self.send(name, fields)
+
+    def _compare(self, vehicle: Vehicle) -> None:
+        """Say once, of each surface, that less comes than its servo needs."""
+        for monitor in vehicle.monitors.values():
+            said = f"{monitor.name}: {monitor.too_slow}" if monitor.too_slow else ""
+            if said and said not in self._compared:
+                self.notes.append(said)
+                self._compared.add(said)
 
     def _ask_again(self, vehicle: Vehicle, events: list[Event]) -> None:
         """A vehicle that was away may have started anew, with its usual rates."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from servofd.detection.events import Event, Look
 from servofd.detection.monitor import SurfaceMonitor
+from servofd.detection.surroundings import Surroundings
 from servofd.errors import ConfigError
 from servofd.live.channels import ChannelTable
 from servofd.live.clock import VehicleClock
@@ -24,6 +25,7 @@ __all__ = ["Losses", "Vehicle"]
 _SILENCE_S = 2.0
 _NONE = np.zeros(0)
 _REORDERED = 200
+_COUNT_S = 5.0
 
 
 @dataclass(slots=True)
@@ -92,7 +94,14 @@ class Vehicle:
     autopilot: int | None = None
     is_stream: bool = True
     """False where samples of any channel are given directly."""
+    messages: set[str] = field(init=False)
+    """Messages that carry its channels."""
+    seldom: set[str] = field(init=False)
+    """Messages that tell of airspeed and supply, if its servos depend on them."""
     _table: ChannelTable = field(init=False)
+    _around: Surroundings = field(init=False)
+    _is_news: bool = False
+    _counted_s: float = float("-inf")
     _routes: dict[str, list[tuple[str, int]]] = field(default_factory=dict)
     _early: list[tuple[Heard, float]] = field(default_factory=list)
     _samples: dict[str, tuple[tuple[list[float], list[float]], tuple[list[float], list[float]]]] = field(
@@ -108,7 +117,11 @@ class Vehicle:
             self._routes.setdefault(surface.measured.channel, []).append((name, 1))
         if not self.monitors:
             raise ConfigError("the aircraft file names no measured channel: nothing can be watched")
-        self._table = ChannelTable(self._routes)
+        self.messages = ChannelTable(self._routes).messages
+        self._around = Surroundings(sorted({need for m in self.monitors.values() for need in m.model.needs}))
+        beside = ChannelTable(self._around.channels)
+        self.seldom = beside.messages - self.messages
+        self._table = ChannelTable([*self._routes, *(n for n in self._around.channels if n not in beside.unknown)])
         if self._table.unknown and self.is_stream:
             raise ConfigError(
                 f"channel {self._table.unknown[0]!r} is none of a MAVLink stream; write for example "
@@ -116,14 +129,10 @@ class Vehicle:
             )
 
     @property
-    def messages(self) -> set[str]:
-        """Messages that carry its channels."""
-        return self._table.messages
-
-    @property
     def channels(self) -> list[str]:
-        """Names of its channels: commands first."""
-        return sorted(self._routes, key=lambda channel: min(role for _, role in self._routes[channel]))
+        """Names of its channels: commands first, after what both depend on."""
+        mine = sorted(self._routes, key=lambda channel: min(role for _, role in self._routes[channel]))
+        return [*self._around.channels, *mine]
 
     def hear(self, heard: Heard, arrival_s: float) -> list[Event]:
         """Take a message of this vehicle; what is to be told comes with `evaluate`, except about the link."""
@@ -148,6 +157,16 @@ class Vehicle:
             self._sort(heard, time_s)
         return events
 
+    def rates_hz(self, arrival_now_s: float) -> dict[str, float]:
+        """How often each message came, once every few seconds; empty in between, and while nothing comes at all."""
+        span_s = arrival_now_s - self._counted_s
+        if span_s < _COUNT_S:
+            return {}
+        counts, self._counted_s = self._table.counted(), arrival_now_s
+        if self.is_lost or not span_s < 2.0 * _COUNT_S or arrival_now_s - self.heard_s > _SILENCE_S:
+            return {}
+        return {message: count / span_s for message, count in counts.items()}
+
     def give(self, channels: Iterable[tuple[str, float, float]]) -> None:
         """Take samples of channels directly: name, time [s] and value as logged."""
         for channel, time_s, value in channels:
@@ -158,6 +177,10 @@ class Vehicle:
         """Evaluate all that was heard since."""
         samples, self._samples = self._samples, {}
         events = []
+        if self._is_news:
+            context, self._is_news = self._around.context(), False
+            for monitor in self.monitors.values():
+                monitor.surroundings(context)
         for name, (commands, positions) in samples.items():
             asked = (np.array(commands[0]), np.array(commands[1])) if commands[0] else (_NONE, _NONE)
             seen = (np.array(positions[0]), np.array(positions[1])) if positions[0] else (_NONE, _NONE)
@@ -212,6 +235,7 @@ class Vehicle:
                 self._add(channel, time_s, value)
 
     def _add(self, channel: str, time_s: float, value: float) -> None:
+        self._is_news |= self._around.add(channel, time_s, value)
         for name, role in self._routes.get(channel, ()):
             columns = self._samples.setdefault(name, (([], []), ([], [])))[role]
             columns[0].append(time_s)

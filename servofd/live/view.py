@@ -142,8 +142,8 @@ class View:
         damaged, dropped = self._session.damaged_bytes, self.dropped
         more = f"{damaged} damaged bytes" if damaged else ""
         if dropped:
-            more += f" {dropped} chunks dropped here"
-        return "; ".join([*parts, *([more.strip()] if more else [])]) or "nobody heard yet"
+            more += f"{', ' if more else ''}{dropped} dropped here: queue full"
+        return "; ".join([*parts, *([more] if more else [])]) or "nobody heard yet"
 
 
 def _status(monitor: SurfaceMonitor) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import os
 import threading
 from collections import deque
 from dataclasses import dataclass, field
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
 __all__ = ["LiveRecording", "Samples"]
 
 _TO_VIEWER_S, _TO_FILE_S = 0.2, 2.0
+_PATIENCE_S = 5.0
+"""A sink that has not taken a batch by then is given up."""
 _ROOM = 4_000
 _LEVELS = {"alarm": "ERROR", "named": "ERROR", "no_data": "WARN", "link_lost": "WARN"}
 _ABOUT = "Recorded in flight. `servofd review` of this recording gives the verdicts, as an audit of the log would."
@@ -85,10 +88,10 @@ class LiveRecording:
         self.dropped = 0
         self._stop = threading.Event()
         self._sinks = []
-        for every_s, target in ((_TO_VIEWER_S, port), (_TO_FILE_S, path)):
+        for kind, every_s, target in (("viewer", _TO_VIEWER_S, port), ("recording", _TO_FILE_S, path)):
             if target is not None:
                 recorder = _opened(application_name(name or "plain", "live"), surfaces, target)
-                self._sinks.append(_Sink(recorder, round(every_s / _TO_VIEWER_S)))
+                self._sinks.append(_Sink(kind, recorder, round(every_s / _TO_VIEWER_S)))
                 recorder.properties(name or "monitor", properties or {"schema": MANY_VEHICLES})
                 recorder.document(REPORT, f"# {name or 'monitor'}\n\n{_ABOUT}\n")
         self._thread = threading.Thread(target=self._run, name="servofd record", daemon=True)
@@ -99,10 +102,15 @@ class LiveRecording:
         self.dropped += len(self._entries) == self._entries.maxlen
         self._entries.append(entry)
 
+    @property
+    def errors(self) -> dict[str, str]:
+        """What failed, and why: keys ``viewer`` and ``recording``."""
+        return {sink.name: sink.error for sink in self._sinks if sink.error}
+
     def close(self) -> None:
-        """Write what is left, and end the file properly."""
+        """Write what is left, and end the file properly; never waits for a sink that is stuck."""
         self._stop.set()
-        self._thread.join()
+        self._thread.join(2.0 * _PATIENCE_S)
         for sink in self._sinks:
             with contextlib.suppress(Exception):
                 sink.recorder.stream.disconnect()
@@ -114,9 +122,10 @@ class LiveRecording:
             ticks += 1
             fresh = [self._entries.popleft() for _ in range(len(self._entries))]
             for sink in self._sinks:
-                sink.kept += fresh
-                if last or ticks % sink.every == 0:
-                    sink.send()
+                if not sink.error:
+                    sink.kept += fresh
+                    if last or ticks % sink.every == 0:
+                        sink.hand_over()
 
 
 @dataclass(slots=True)
@@ -133,14 +142,26 @@ class _Lane:
 class _Sink:
     """One stream, and what waits to go there."""
 
+    name: str
+    """``viewer`` or ``recording``."""
     recorder: Recorder
     every: int
     """Batches of the fastest one that make one of this."""
     kept: list[Samples | Event] = field(default_factory=list)
     lanes: dict[str, _Lane] = field(default_factory=dict)
+    error: str = ""
+    """Why nothing goes there any more."""
 
-    def send(self) -> None:
-        """Send what has come: runs of samples joined, events between them."""
+    def hand_over(self) -> None:
+        """Send what has come, or note why that cannot be done."""
+        try:
+            self._send()
+        except (RuntimeError, ValueError, OSError) as error:
+            self.error = f"{error}; is the disk full?" if self.name == "recording" else str(error)
+        self.kept = []
+
+    def _send(self) -> None:
+        """Runs of samples joined, events between them."""
         waiting: dict[str, list[Samples]] = {}
         for entry in self.kept:
             if isinstance(entry, Samples):
@@ -152,8 +173,7 @@ class _Sink:
                 self._event(entry)
         for surface, pieces in waiting.items():
             self._samples(surface, pieces)
-        self.kept = []
-        self.recorder.stream.flush()
+        self.recorder.stream.flush(timeout_sec=_PATIENCE_S)
 
     def _samples(self, surface: str, pieces: list[Samples]) -> None:
         time_s, *deflections, residual_deg, threshold_deg = (
@@ -196,6 +216,8 @@ class _Sink:
 
 def _opened(application: str, surfaces: list[str], target: Path | int) -> Recorder:
     """A file, or a port of the loopback interface for viewers, with layout and styles."""
+    # What it would print of a full disk, in lines of its own, `errors` tells.
+    os.environ.setdefault("RUST_LOG", "off")
     import rerun as rr
 
     stream = rr.RecordingStream(application, send_properties=False)

@@ -26,7 +26,7 @@ from servofd.live.speaker import ALLOWED
 from servofd.models.faults import Bias, Stuck
 from servofd.simulation.telemetry_writer import telemetry_log
 from tests.live.relay import BadLink, relayed
-from tests.live.vehicles import DEADLINE_S, PLANE, flown, flying, free_port, until
+from tests.live.vehicles import DEADLINE_S, PLANE, flown, flying, free_port, plane_file, until
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
     from servofd.aircraft import Aircraft
     from servofd.detection.events import Event
+    from servofd.detection.stream import Piece
 
 SECONDS = 40.0
 FAULTS = {"elevator": Stuck(15.0), "rudder": Bias(25.0, bias_deg=3.0)}
@@ -94,6 +95,31 @@ class TestAsAnAudit:
         assert {event.surface: event.time_s for event in events if event.event == "alarm"} == {
             name: faults[0][1] for name, faults in found.items() if faults
         }
+
+    def test_of_a_servo_that_the_air_bends(self, healthy: bytes, tmp_path: Path) -> None:
+        """The residuals of an audit but for the airspeed between two messages, which a monitor can only hold."""
+        path = tmp_path / "bent.toml"
+        path.write_text(plane_file() + "[surfaces.rudder.effects]\nairload = { deg_per_deg_pa = 2e-3 }\n")
+        bent = load_aircraft(path)
+        session = Session(Codec(0, 191), {0: bent})
+        pieces: list[tuple[Any, Any]] = []
+
+        def listen(surface: str, piece: Piece, _: Any) -> None:
+            if surface == "rudder":
+                pieces.append((piece.residuals.time_s, piece.residuals.residual_deg))
+
+        session.listener = listen
+        for now_s, frame in replayed(healthy):
+            session.take(now_s, frame)
+            session.step(now_s)
+        session.finish(now_s)
+        time_s, residual_deg = (np.concatenate(column) for column in zip(*pieces, strict=True))
+        log = logparsers.read(io.BytesIO(healthy))
+        (verdict,) = (s for s in audit_log(log, bent).surfaces if s.surface == "rudder")
+        assert verdict.residuals is not None
+        expected_deg = np.interp(time_s, verdict.residuals.time_s, verdict.residuals.residual_deg)
+        assert np.nanmax(np.abs(expected_deg)) > 1.0, "the load has to matter"
+        assert np.nanmax(np.abs(residual_deg - expected_deg)) < 0.1
 
     def test_what_it_stores_is_the_log(self, log: bytes, aircraft: Aircraft) -> None:
         stored = bytearray()

@@ -13,7 +13,7 @@ from servofd.aircraft import Aircraft, load_aircraft
 from servofd.live.session import Session
 from servofd.models.faults import Stuck
 from tests.live.relay import BadLink
-from tests.live.vehicles import flown, plane_file, vehicle
+from tests.live.vehicles import flown, plane_file, said, vehicle
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -184,3 +184,34 @@ def test_unsigned_frames_are_not_believed_when_there_is_a_key(aircraft: Aircraft
     field.codec = Codec(1, 1, signature=key)
     field.fly(vehicle(lively(stuck_s=15.0)))
     assert {surface for surface, _ in kinds(field.end(), "alarm")} == {"elevator"}
+
+
+@pytest.mark.slow
+def test_what_another_station_slows_down_is_asked_for_again(aircraft: Aircraft) -> None:
+    field = Field.of({0: aircraft})
+    plane = vehicle(flown(duration_s=60.0))
+    turn = plane.turn
+
+    def slowed(index: int) -> Any:
+        if index == 1500:  # 30 s; MAVProxy does so every few seconds unless it is told not to
+            plane.hear(said("REQUEST_DATA_STREAM", req_stream_id=0, req_message_rate=4, start_stop=1), 0)
+        return turn(index)
+
+    plane.turn = slowed  # type: ignore[method-assign]
+    notes = field.session.notes
+    field.fly(plane)
+    slow = [note for note in notes if "asks again" in note]
+    assert len(slow) == 1, notes
+    assert slow[0].startswith("SERVO_OUTPUT_RAW comes at ")
+    assert notes.count("SERVO_OUTPUT_RAW at 40 Hz granted") == 2
+    assert {event.event for event in field.end()} <= QUIET
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("rate_hz", "is_slow"), [(25.0, False), (12.0, True)])
+def test_what_comes_too_slowly_for_the_servo_is_told(aircraft: Aircraft, rate_hz: float, is_slow: bool) -> None:
+    field = Field.of({0: aircraft})
+    field.session.send = None
+    field.fly(vehicle(flown(duration_s=30.0), message_hz=rate_hz))
+    told = [note for note in field.session.notes if "slow for a servo of 4.5 Hz, which needs 18 Hz" in note]
+    assert len(told) == (3 if is_slow else 0), field.session.notes
