@@ -202,9 +202,12 @@ def _signature(name: str | None) -> Signature | None:
     if name is None:
         return None
     try:
-        return Signature(signing_key(Path(name).read_bytes()), time.time())
+        content = Path(name).read_bytes()
     except OSError as error:
         raise ConfigError(f"{name}: cannot read the signing key: {error.strerror}") from None
+    if not content.strip():
+        raise ConfigError(f"{name}: holds no signing key; give 32 bytes, 64 hex digits, or a passphrase")
+    return Signature(signing_key(content), time.time())
 
 
 def _address(text: str) -> int:

@@ -51,6 +51,7 @@ class Outputs:
         """Open what the options ask for, and close it however the monitor ends."""
         made = cls(session, title)
         with contextlib.ExitStack() as open_:
+            open_.callback(made._complain)  # what fails when it is closed
             if options.json_lines == "-":
                 made._prints = False
             elif options.json_lines:

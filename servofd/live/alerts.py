@@ -62,14 +62,14 @@ def status_text(event: Event) -> tuple[int, str] | None:
         return None
     who = f"servo {event.surface}: "
     if event.event == "clear":
-        what = "false alarm" if event.kind == "healthy" else "moves as commanded again"
+        what = "cleared: within tolerance" if event.kind == "healthy" else "moves as commanded again"
         return _NOTICE, _short(who, what)
     if event.event == "no_data":
         return _WARNING, _short(who, "not watched: " + event.text)
     severity = _SEVERITIES.get(event.kind, _NOTICE)
     if event.event == "alarm":
         return severity, _short(who, f"ALARM, off by {abs(event.residual_deg):.1f} deg")
-    kind = event.kind.replace("_", " ").upper() if event.kind != "healthy" else "false alarm"
+    kind = event.kind.replace("_", " ").upper() if event.kind != "healthy" else "within tolerance"
     return severity, _short(who, kind + _size(event))
 
 

@@ -33,8 +33,8 @@ def event_line(event: Event) -> str:
     who = f"{event.surface}: " if event.surface else ""
     what = {
         "alarm": f"ALARM, residual {event.residual_deg:+.2f} deg, threshold {event.threshold_deg:.2f} deg",
-        "named": f"it is: {event.kind}",
-        "clear": f"clear ({event.kind})",
+        "named": "within tolerance" if event.kind == "healthy" else f"it is: {event.kind}",
+        "clear": "cleared: within tolerance" if event.kind == "healthy" else f"clear ({event.kind})",
         "no_data": "no data",
         "link_lost": "LINK LOST",
         "link_restored": "link restored",

@@ -322,6 +322,23 @@ class TestOnSockets:
         assert words in error
         assert error.count("\n") == 1
 
+    def test_an_empty_key_signs_nothing(self, config: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        key = tmp_path / "empty.key"
+        key.write_bytes(b" \n")
+        arguments = ["monitor", f"udpin:{free_port()}", "-c", str(config), "--plain", "--duration", "0.2"]
+        assert main([*arguments, "--signing-key", str(key)]) == 2
+        assert "holds no signing key" in capsys.readouterr().err
+
+    @pytest.mark.parametrize(
+        ("option", "value"), [("--component", "256"), ("--system", "0"), ("--viewer-port", "70000")]
+    )
+    def test_numbers_out_of_range(
+        self, config: Path, option: str, value: str, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        with pytest.raises(SystemExit, match="2"):
+            main(["monitor", f"udpin:{free_port()}", "-c", str(config), option, value])
+        assert f"argument {option}: must be" in capsys.readouterr().err
+
     def test_nobody_there(self, config: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert main(["monitor", f"udpin:{free_port()}", "-c", str(config), "--duration", "0.2", "--plain"]) == 2
         assert "waiting for the first byte" in capsys.readouterr().err
