@@ -12,6 +12,7 @@ from servofd.models.catalogue import Quantization
 
 if TYPE_CHECKING:
     from servofd.discrepancy.fit import Fit, Fitter
+    from servofd.discrepancy.record import Record
     from servofd.models.catalogue import Parameter
 
 __all__ = ["convincing", "ordered", "pruned", "with_steps", "without"]
@@ -21,6 +22,8 @@ _SURE_Z = 4.0
 _LEAST_SHARE, _LEAST_SHARE_OF_REST = 0.1, 0.05
 """Beside a large unexplained rest, an effect that takes away less of the gap names nothing."""
 _MUCH_OF_GAP, _MOST_OF_GAP = 0.1, 0.5
+_FORESEEN = 1.5
+"""Times the held-out error of the runs without an effect, by which it vouches for itself."""
 
 
 def pruned(fitter: Fitter, best: Fit) -> Fit:
@@ -28,11 +31,20 @@ def pruned(fitter: Fitter, best: Fit) -> Fit:
     while len(best.effects) > 1:
         fewer = [without(fitter, best, k) for k in range(len(best.effects))]
         sigma = floor_of(fitter.record, best)
-        loose = [fit for fit in fewer if not accepted(fitter.record, fit, best, sigma)]
+        loose = [f for f in fewer if not (_foreseen(fitter.record, f, best) or accepted(fitter.record, f, best, sigma))]
         if not loose:
             return best
         best = min(loose, key=lambda fit: fit.held_out)
     return best
+
+
+def _foreseen(record: Record, fewer: Fit, best: Fit) -> bool:
+    """Whether whole runs that were held out are foreseen so much better that the fitted ones need not say it, too.
+
+    With few long runs the descent ends in one of several minima of the fitted runs' error, and only the others tell
+    which of them is the servo.
+    """
+    return bool(record.runs) and fewer.held_out > _FORESEEN * best.held_out
 
 
 def convincing(fitter: Fitter, fit: Fit, nominal: Fit) -> Fit:
