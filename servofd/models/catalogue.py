@@ -217,7 +217,7 @@ class GravityLoad(MissingEffect):
 
     name, place = "gravity_load", Place.SERVO
     parameters = (
-        Parameter("droop_deg", ("droop_deg",), -60.0, 90.0, 0.0, 2.0, (-2.0, 1.0, 3.0, 8.0, 20.0, 45.0)),
+        Parameter("droop_deg", ("droop_deg",), -180.0, 180.0, 0.0, 2.0, (-2.0, 1.0, 3.0, 8.0, 20.0, 45.0)),
         _SPLIT,
     )
 

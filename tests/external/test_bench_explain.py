@@ -95,10 +95,3 @@ def test_linear_drive() -> None:
     newton = 1e-5 * 35.15 * 243.45 * 160.18
     assert newton * full.values[0] == pytest.approx(20.39, rel=0.05)
     assert newton * full.values[2] == pytest.approx(3.165, rel=0.05)
-
-
-@pytest.mark.parametrize(("load_g", "rate_deg_s"), [("0", 388.0), ("400", 303.0)])
-def test_digital_servo_is_slower_under_load(load_g: str, rate_deg_s: float, tmp_path: Path) -> None:
-    found = explained("digital_servo_loads", tmp_path, f'load_g = "{load_g}", type = "fwd_step"')
-    model = found.document()["final"]["model"]
-    assert model["rate_limit"]["rate_limit_deg_s"] == pytest.approx(rate_deg_s, rel=0.03)
