@@ -117,7 +117,10 @@ def _names(options: argparse.Namespace) -> str:
 
 
 def _save(options: argparse.Namespace, found: ExplainedLogs) -> None:
+    from servofd.cli.tables import one_line
     from servofd.outputs.files import write_whole
-    from servofd.outputs.model_file import model_file
+    from servofd.outputs.model_file import model_file, not_better
 
+    for surface, reason in not_better(found.explanations).items():
+        print(f"servofd: {options.save}: {surface} stays as it was: {one_line(reason)}", file=sys.stderr)
     write_whole(options.save, model_file(found.explanations, found.aircraft, found.source).encode())

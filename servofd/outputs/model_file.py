@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from servofd.errors import ConfigError
 from servofd.models.catalogue import CATALOGUE
 from servofd.models.effect_table import table_of
 from servofd.toml_text import toml_inline, toml_key, toml_value
@@ -16,7 +15,7 @@ if TYPE_CHECKING:
     from servofd.discrepancy.explanation import Explanation
     from servofd.models.effect_table import EffectTable
 
-__all__ = ["model_file"]
+__all__ = ["model_file", "not_better"]
 
 _WORTH_SAVING = 0.9
 """A model that leaves more of the error than this is no better."""
@@ -25,30 +24,21 @@ _GROUPS = ("surfaces", "servos")
 
 
 def model_file(found: Sequence[Explanation], aircraft: Aircraft, source: str) -> str:
-    """Text of an aircraft file whose surfaces have what was missing.
+    """Text of an aircraft file whose surfaces have what was missing; what has no better model stays as it was.
 
     Parameters
     ----------
     found : sequence of Explanation
-        What was missing, one for each surface; those in which nothing was missing stay as they are.
+        What was missing, one for each surface.
     aircraft : Aircraft
         The aircraft as it was known.
     source : str
         Where the data came from.
-
-    Raises
-    ------
-    ConfigError
-        If nothing was missing, or nothing of it is of any use to an audit.
     """
     document = aircraft.model_dump(exclude_none=True, exclude_defaults=True)
-    lines = []
-    reasons = []
-    for one in found:
-        reason = _why_not(one)
-        if reason:
-            reasons.append(f"{one.surface}: {reason}")
-            continue
+    kept = not_better(found)
+    lines = [f"# {surface}: as it was: {reason}." for surface, reason in kept.items()]
+    for one in (each for each in found if each.surface not in kept):
         final = one.selection.final
         entry = document["surfaces"][one.surface]
         entry["effects"] = _merged(entry.get("effects", {}), table_of(final.effects, final.values))
@@ -57,22 +47,25 @@ def model_file(found: Sequence[Explanation], aircraft: Aircraft, source: str) ->
             f"# Found by servofd explain in {' '.join(source.split())}: {one.surface}: {', '.join(final.names)}.",
             f"# Held-out error of {one.surface}: {before:.4g} deg rms before, {after:.4g} with this model.",
         ]
-    if not lines:
-        raise ConfigError(f"{source}: " + "; ".join(reasons))
     return "\n".join(lines) + "\n\n" + "\n".join(_toml(document)).lstrip("\n") + "\n"
+
+
+def not_better(found: Sequence[Explanation]) -> dict[str, str]:
+    """Surfaces that stay as they were, and why."""
+    return {one.surface: reason for one in found if (reason := _why_not(one))}
 
 
 def _why_not(found: Explanation) -> str:
     """Why nothing of an explanation is saved; empty if something is."""
     final = found.selection.final
     if not final.effects:
-        return "no effect was found, so there is no better model to save"
+        return "no effect was found, so there is no better model"
     own = [effect.name for effect in final.effects if effect not in CATALOGUE]
     if own:
-        return f"{', '.join(own)} comes from a file of your own, which an audit does not run: nothing saved"
+        return f"{', '.join(own)} comes from a file of your own, which an audit does not run"
     before, after = (found.rms_deg(fit)["held_out_rms_deg"] for fit in (found.selection.nominal, final))
     if after > _WORTH_SAVING * before:
-        return f"nothing saved: {after:.3g} of {before:.3g} deg rms would stay"
+        return f"{after:.3g} of {before:.3g} deg rms would stay"
     return ""
 
 

@@ -101,12 +101,13 @@ def test_wrong_calls(options: list[str], reason: str, tmp_path: Path, capsys: py
     assert reason in capsys.readouterr().err
 
 
-def test_nothing_to_save_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = HEALTHY.write(tmp_path / "log.csv")
-    assert main(["explain", str(path), "--save", str(tmp_path / "same.toml")]) == 2
+def test_what_has_no_better_model_is_saved_as_it_was(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, saved = HEALTHY.write(tmp_path / "log.csv"), tmp_path / "same.toml"
+    assert main(["explain", str(path), "--save", str(saved)]) == 0
     captured = capsys.readouterr()
     assert "nothing missing" in captured.out
-    assert "no better model to save" in captured.err
+    assert "stays as it was: no effect was found" in captured.err
+    assert main(["audit", str(path), "-c", str(saved)]) == 0
 
 
 def test_the_model_is_judged_on_other_flights(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -192,7 +193,7 @@ def test_the_example_of_an_effect_of_ones_own(tmp_path: Path, capsys: pytest.Cap
     assert step["parameters"]["amplitude_deg"]["value"] == pytest.approx(0.5, abs=0.02)
     assert step["parameters"]["pitch_deg"]["value"] == pytest.approx(4.0, abs=0.03)
     assert document["audit"] is None
-    assert main(["explain", str(path), "--effect", str(example), "--save", str(tmp_path / "better.toml")]) == 2
+    assert main(["explain", str(path), "--effect", str(example), "--save", str(tmp_path / "better.toml")]) == 0
     assert "worn_gear comes from a file of your own" in capsys.readouterr().err
 
 
