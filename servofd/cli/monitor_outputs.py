@@ -140,10 +140,7 @@ class Outputs:
         path = Path(options.rrd) if options.rrd else None
         # Of several vehicles nobody could tell whose surface it was.
         known = live_verdicts(first, surfaces, path.stem if path else "monitor") if len(aircraft) == 1 else None
-        try:
-            recording = LiveRecording(first.name, surfaces, path=path, port=port, properties=known)
-        except (RuntimeError, ValueError, OverflowError, OSError) as error:  # rerun's own
-            raise ConfigError(f"{options.rrd or 'viewer'}: cannot record: {error}") from None
+        recording = LiveRecording(first.name, surfaces, path=path, port=port, properties=known)
         open_.callback(recording.close)
         self._recording = recording
         if options.serve:

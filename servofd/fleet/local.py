@@ -85,7 +85,7 @@ def _until_broken(
         while waiting or running:
             try:
                 while waiting and len(running) < _AHEAD * count:
-                    with _interrupts_ignored():  # for the processes that this starts: the parent ends them
+                    with _interrupts_wait():  # for the processes that this starts: the parent ends them
                         running[pool.submit(task, waiting[0])] = waiting[0]
                     waiting.popleft()
             except BrokenProcessPool:
@@ -111,7 +111,7 @@ def _outcome(result: Callable[[], _Result]) -> _Result | Exception:
 
 def _alone(task: Callable[[_Item], _Result], item: _Item) -> Iterator[tuple[_Item, _Result | Exception]]:
     with _processes(1) as pool:
-        with _interrupts_ignored():
+        with _interrupts_wait():
             future = pool.submit(task, item)
         outcome = _outcome(future.result)
     died = isinstance(outcome, BrokenProcessPool)
@@ -151,16 +151,16 @@ def _one_thread_each() -> Iterator[None]:
 
 
 @contextmanager
-def _interrupts_ignored() -> Iterator[None]:
-    """Within the block Ctrl-C is ignored, and by the processes that start in it for good."""
-    if threading.current_thread() is not threading.main_thread():
+def _interrupts_wait() -> Iterator[None]:
+    """Within the block Ctrl-C waits for its end; processes that start in it never hear of it."""
+    if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, handler)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _end_with_parent() -> None:

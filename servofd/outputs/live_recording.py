@@ -90,10 +90,13 @@ class LiveRecording:
         self._sinks = []
         for kind, every_s, target in (("viewer", _TO_VIEWER_S, port), ("recording", _TO_FILE_S, path)):
             if target is not None:
-                recorder = _opened(application_name(name or "plain", "live"), surfaces, target)
+                try:
+                    recorder = _opened(application_name(name or "plain", "live"), surfaces, target)
+                    recorder.properties(name or "monitor", properties or {"schema": MANY_VEHICLES})
+                    recorder.document(REPORT, f"# {name or 'monitor'}\n\n{_ABOUT}\n")
+                except (OSError, RuntimeError, ValueError, OverflowError) as error:  # rerun's own
+                    raise ConfigError(f"{target}: cannot record: {str(error).splitlines()[0][:160]}") from None
                 self._sinks.append(_Sink(kind, recorder, round(every_s / _TO_VIEWER_S)))
-                recorder.properties(name or "monitor", properties or {"schema": MANY_VEHICLES})
-                recorder.document(REPORT, f"# {name or 'monitor'}\n\n{_ABOUT}\n")
         self._thread = threading.Thread(target=self._run, name="servofd record", daemon=True)
         self._thread.start()
 
@@ -222,14 +225,11 @@ def _opened(application: str, surfaces: list[str], target: Path | int) -> Record
 
     stream = rr.RecordingStream(application, send_properties=False)
     rr.set_log_time_enabled(False, recording=stream)
-    try:
-        if isinstance(target, Path):
-            stream.save(str(target), default_blueprint=live_layout(surfaces))
-        else:
-            sink = rr.GrpcServerSink("127.0.0.1", target)
-            stream.set_sinks(sink, default_blueprint=live_layout(surfaces, following=True))
-    except (OSError, RuntimeError, ValueError) as error:
-        raise ConfigError(f"{target}: cannot record here: {str(error).splitlines()[0][:160]}") from None
+    if isinstance(target, Path):
+        stream.save(str(target), default_blueprint=live_layout(surfaces))
+    else:
+        sink = rr.GrpcServerSink("127.0.0.1", target)
+        stream.set_sinks(sink, default_blueprint=live_layout(surfaces, following=True))
     recorder = Recorder(stream)
     for surface, tint in zip(surfaces, itertools.cycle(SERIES), strict=False):
         send_styles(recorder, surface, tint)

@@ -175,9 +175,10 @@ def test_the_page_on_simulation_shows_what_its_commands_print(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     shown = blocks((ROOT / "docs" / "simulate.md").read_text(), "console")
-    assert len(shown) == 2
-    for block in shown:
-        command, output = block.removeprefix("$ servofd ").split("\n", 1)
+    calls = [call for block in shown for call in re.split(r"^\$ servofd ", block, flags=re.MULTILINE)[1:]]
+    assert len(calls) == 4
+    for call in calls:
+        command, output = call.split("\n", 1)
         assert main(shlex.split(command)) == 0
         assert re.fullmatch(re.escape(output).replace(r"\.\.\.", ".*"), capsys.readouterr().out)
 
