@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.slow
 
+_NO_LIMIT = -1
+"""In words of the system: RLIM_INFINITY."""
+
 _LIMITED = """
 import resource, sys
 from servofd.cli import main
@@ -32,6 +35,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     flight = flown(duration_s=30.0, command="lively", faults={"elevator": Stuck(15.0)})
     (made / "flight.tlog").write_bytes(telemetry_log(flight, PLANE))
     (made / "plane.toml").write_text(plane_file())
+    # What is compiled on a machine's first run is kept in files that a limit would cut, too.
+    assert _monitor(made, _NO_LIMIT).returncode == 1
     return made
 
 
