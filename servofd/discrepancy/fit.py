@@ -65,6 +65,13 @@ class Fit:
         return tuple(effect.name for effect in self.effects)
 
     @property
+    def ran_away(self) -> tuple[int, ...]:
+        """Which of the effects have a parameter at its bound: no answers, but failures."""
+        values = iter(self.values.tolist())
+        at_bound = [[p.at_bound(next(values)) for p in effect.parameters] for effect in self.effects]
+        return tuple(k for k, each in enumerate(at_bound) if any(each))
+
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Of all effects in order."""
         return tuple(p for effect in self.effects for p in effect.parameters)

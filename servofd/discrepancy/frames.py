@@ -17,7 +17,8 @@ __all__ = ["best_frame"]
 
 _SHORTEST_S, _LONGEST_S = 0.01, 0.055
 _WINDOW_S = 4.0
-_PHASES = 4
+_ROUGHLY_S, _NEARLY_S = 3e-3, 1.5e-3
+"""Between the phases that are tried in a window, and for usual periods: frames that pick other commands are far off."""
 _SHARE_OF_BEAT = 0.4
 """Of the change of period that moves the last frame of a window by one period."""
 _ZOOM, _KEPT = 3.0, 27
@@ -40,7 +41,7 @@ def best_frame(record: Record, physics: Physics) -> tuple[float, float]:
     periods = [_SHORTEST_S]
     while periods[-1] < _LONGEST_S:
         periods.append(periods[-1] * (1.0 + _SHARE_OF_BEAT * periods[-1] / window_s))
-    grid = [(period, phase / _PHASES) for period in periods for phase in range(_PHASES)]
+    grid = [(period, phase) for period in periods for phase in _phases(period, _ROUGHLY_S)]
     best = sorted(grid, key=lambda frame: _loss(part, physics, frame))[:_KEPT]
     kept = _KEPT
     while window_s < total_s:
@@ -48,11 +49,18 @@ def best_frame(record: Record, physics: Physics) -> tuple[float, float]:
         part = _window(record, centre_s, window_s)
         near = [frame for one in best for frame in _around(one, centre_s, window_s)]
         best = sorted(near, key=lambda frame: _loss(part, physics, frame))[:kept]
-    usual = [(period, phase / _PHASES + 0.125) for period in _USUAL_S for phase in range(_PHASES)]
+    usual = [(period, phase) for period in _USUAL_S for phase in _phases(period, _NEARLY_S)]
     found = min([best[0], *usual], key=lambda frame: _loss(record, physics, frame))
     for finer in _FINER:
         found = min(_around(found, centre_s, window_s, finer), key=lambda frame: _loss(record, physics, frame))
     return found
+
+
+def _phases(period_s: float, step_s: float) -> list[float]:
+    """Evenly over a period, as shares of it."""
+    count = int(np.ceil(period_s / step_s))
+    phases: list[float] = ((np.arange(count) + 0.5) / count).tolist()
+    return phases
 
 
 def _around(

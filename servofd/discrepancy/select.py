@@ -125,6 +125,9 @@ def _grown(
             break
         grown.sort(key=lambda fit: cost(record, fit))
         beam = _promising(record, _distinct(grown)[:width])
+        if worth_trying(record, beam[0], floor_of(record, beam[0])):
+            # What was found first may stand in for two that are found now: not so late that nobody asks any more.
+            beam = _distinct([_swapped(fitter, able, tried, beam[0]), *beam])[:width]
         if cost(record, beam[0]) < cost(record, best):
             best = beam[0]
         if not worth_trying(record, best, floor_of(record, best)):
@@ -149,12 +152,9 @@ def _on_all(fitter: Fitter, best: Fit) -> tuple[Fit, Fit, FloatArray]:
     """Fitted to all samples as well, without effects of which that drives a parameter to its bound."""
     while True:
         final, covariance = fitter.on_all(best)
-        values = iter(final.values)
-        ran_away = [[p.at_bound(float(next(values))) for p in effect.parameters] for effect in final.effects]
-        at_bound = [any(each) for each in ran_away]
-        if not any(at_bound):
+        if not final.ran_away:
             return best, final, covariance
-        best = without(fitter, best, at_bound.index(True))
+        best = without(fitter, best, final.ran_away[0])
 
 
 def _quietly(_step: str) -> None:
