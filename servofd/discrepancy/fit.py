@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.discrepancy.frames import usual_frame
 from servofd.discrepancy.noise import long_run_factor, noise_floor_deg
 from servofd.discrepancy.record import simulate
 from servofd.discrepancy.search import begin, polish, telling_part
@@ -119,14 +120,14 @@ class Fitter:
         """The best fits that have one effect more; of the most promising, all parameters are refitted.
 
         Pulse frames, a search of thousands of simulations, are looked for only if a delay helps (it is what they do on
-        average) and nothing else leaves as little as noise.
+        average); if nothing else leaves more than noise, only those of usual periods that are as late as that.
         """
         part = telling_part(self.record, base.error_deg)
         others = [effect for effect in able if self._possible(effect, base)]
         fits = self._refitted_best([self._begun(part, base, effect, tried) for effect in others])
-        if PwmFrame in able and PwmFrame not in base.effects and self._may_be_frames(base, fits):
-            fits.append(self._begun(self.record, base, PwmFrame, tried))
-            fits[-1] = self.refitted(fits[-1].effects, fits[-1].values)
+        if PwmFrame in able and PwmFrame not in base.effects and self._is_late(base, fits):
+            tried(PwmFrame.key())
+            fits += self._framed(base, fits)
         return fits
 
     def _possible(self, effect: type[MissingEffect], base: Fit) -> bool:
@@ -154,13 +155,31 @@ class Fitter:
             self.simulations += count
         return self.refitted(fit.effects, values)
 
-    def _may_be_frames(self, base: Fit, fits: list[Fit]) -> bool:
+    def _is_late(self, base: Fit, fits: list[Fit]) -> bool:
+        """Whether a delay, or what passes for one, takes away some of what is left."""
         late = [fit for fit in fits if fit.effects[-1] in (Delay, SensorLag, SlowDynamics)]
-        floor = noise_floor_deg(self.record, min(fits, key=lambda fit: fit.train).error_deg) ** 2
-        gap = base.train - self._trained.size * floor
-        helps = any(base.train - fit.train > _LATE_SHARE * gap for fit in late)
-        least = min(fit.train for fit in fits)
-        return helps and least > (1.0 + _FRAMES_EXCESS) * self._trained.size * floor
+        gap = base.train - self._noise(fits)
+        return any(base.train - fit.train > _LATE_SHARE * gap for fit in late)
+
+    def _noise(self, fits: list[Fit]) -> float:
+        """Of the fitted samples, as the best fit shows it [deg^2]."""
+        return self._trained.size * noise_floor_deg(self.record, min(fits, key=lambda fit: fit.train).error_deg) ** 2
+
+    def _framed(self, base: Fit, fits: list[Fit]) -> list[Fit]:
+        """The best fit with pulse frames, if there is any."""
+        effects = (*base.effects, PwmFrame)
+        if min(fit.train for fit in fits) > (1.0 + _FRAMES_EXCESS) * self._noise(fits):
+            values, count = begin(self.record, effects, base.values.tolist())
+        else:
+            later_s = [
+                float(fit.values[-1]) - self.record.plant.neutral.delay_s for fit in fits if fit.effects[-1] is Delay
+            ]
+            frame = usual_frame(self.record, self.physics(base.effects, base.values), max(later_s, default=0.0))
+            if frame is None:
+                return []
+            values, count = polish(self.record, effects, [*base.values.tolist(), *frame], base.values.size)
+        self.simulations += count
+        return [self.refitted(effects, values)]
 
     def refitted(
         self, effects: tuple[type[MissingEffect], ...], values: Values, evaluations: int = _EVALUATIONS

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
     from servofd.models.physics import Physics
 
-__all__ = ["best_frame"]
+__all__ = ["best_frame", "usual_frame"]
 
 _SHORTEST_S, _LONGEST_S = 0.01, 0.055
 _WINDOW_S = 4.0
@@ -23,6 +23,8 @@ _SHARE_OF_BEAT = 0.4
 """Of the change of period that moves the last frame of a window by one period."""
 _ZOOM, _KEPT = 3.0, 27
 _SHIFTS = (-0.1, -0.04, 0.0, 0.04, 0.1)
+_AS_LATE = (0.7, 1.4)
+"""Frames are late by half their period on average: twice a fitted delay is their period, give or take its phase."""
 _FINER = (0.5, 0.2, 0.08, 0.03, 0.01)
 _USUAL_S = (*(k / 1000.0 for k in range(10, 26)), 0.004, 0.005, 0.03, 0.04, 0.05, 1 / 70, 1 / 60, 1 / 45, 1 / 150)
 """Whole milliseconds, and common frame rates that are not."""
@@ -49,11 +51,21 @@ def best_frame(record: Record, physics: Physics) -> tuple[float, float]:
         part = _window(record, centre_s, window_s)
         near = [frame for one in best for frame in _around(one, centre_s, window_s)]
         best = sorted(near, key=lambda frame: _loss(part, physics, frame))[:kept]
-    usual = [(period, phase) for period in _USUAL_S for phase in _phases(period, _NEARLY_S)]
-    found = min([best[0], *usual], key=lambda frame: _loss(record, physics, frame))
+    found = min([best[0], *_usual(0.0, np.inf)], key=lambda frame: _loss(record, physics, frame))
     for finer in _FINER:
         found = min(_around(found, centre_s, window_s, finer), key=lambda frame: _loss(record, physics, frame))
     return found
+
+
+def usual_frame(record: Record, physics: Physics, late_s: float) -> tuple[float, float] | None:
+    """Period [s] and phase of frames of a usual period, as late as that on average, that explain a record best."""
+    low, high = (2.0 * late_s * share for share in _AS_LATE)
+    return min(_usual(low, high), key=lambda frame: _loss(record, physics, frame), default=None)
+
+
+def _usual(low_s: float, high_s: float) -> list[tuple[float, float]]:
+    usual_s = [period_s for period_s in _USUAL_S if low_s <= period_s <= high_s]
+    return [(period_s, phase) for period_s in usual_s for phase in _phases(period_s, _NEARLY_S)]
 
 
 def _phases(period_s: float, step_s: float) -> list[float]:
