@@ -77,8 +77,8 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     # Where the poles are free, every start costs several fits, and each effect has had its chance from all of them.
     if not record.free_poles and (len(best.effects) > _FEW or rest_is_large(record, best, nominal)):
         best = min(best, _grown(fitter, able, tried, _WIDE_BEAM, progress), key=lambda fit: cost(record, fit))
-    best = with_steps(fitter, _swapped(fitter, able, tried, best))
-    best = ordered(fitter, simplest(fitter, convincing(fitter, pruned(fitter, best), nominal), able, tried))
+    best = convincing(fitter, pruned(fitter, _swapped(fitter, able, tried, best)), nominal)
+    best = ordered(fitter, with_steps(fitter, simplest(fitter, best, able, tried)))
     best, final, covariance = _on_all(fitter, best)
     sigma = floor_of(record, best)
     rungs = rungs_of(fitter, nominal, best, tried, able)
