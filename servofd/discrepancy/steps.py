@@ -54,7 +54,7 @@ def noise_below_deg(measured_deg: FloatArray, simulated_deg: FloatArray, step_de
     edges = np.round(first)[:, np.newaxis] + _EDGES
     before, after = edges - first[:, np.newaxis], edges - second[:, np.newaxis]
     seen = float(crossed[told].sum())
-    seen += np.sqrt(seen)  # one standard deviation: a floor that is too low makes effects of noise
+    seen += float(np.sqrt(seen))  # one standard deviation: a floor that is too low makes effects of noise
 
     def more(share: float) -> float:
         below, then = ndtr(before / share), ndtr(after / share)
