@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.discrepancy.noise import long_run_factor, noise_floor_deg
+from servofd.discrepancy.noise import floor_uncertainty, long_run_factor, noise_floor_deg
 from servofd.discrepancy.steps import COARSE_STEP_DEG, noise_below_deg, stepped_noise_deg
 from servofd.models.catalogue import Quantization
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
 
 __all__ = [
-    "EXCESS_WORTH", "accepted", "cost", "excess", "floor_of", "matters", "rest_is_large", "rest_matters",
+    "EXCESS_OF_NOISE", "EXCESS_WORTH", "accepted", "cost", "excess", "floor_of", "matters", "rest_is_large", "rest_matters",
     "worth_trying",
 ]  # fmt: skip
 
@@ -31,7 +31,9 @@ _SMALLEST_SIZE = 0.15
 """Of what is common on healthy servos: 0.5 ms of delay, 0.5 % of gain, 0.05 deg of play."""
 EXCESS_WORTH = 0.06
 """The floor itself is uncertain by 3 %."""
-_EXCESS_OF_NOISE, _EXCESS_OF_GAP = 0.15, 0.02
+EXCESS_OF_NOISE, _EXCESS_OF_GAP = 0.15, 0.02
+_SURE_SIGMAS = 3.0
+"""Chance alone passes one record in 700."""
 _NOTHING_DEG = 1e-4
 """No noise is smaller: in logs that were simulated without any, the rounding of the file is no effect."""
 
@@ -119,7 +121,7 @@ def rest_is_large(record: Record, fit: Fit, nominal: Fit) -> bool:
     """Whether more is left than noise, and more than a rounding of what was there."""
     sigma, count = floor_of(record, fit), max(float(record.counts.sum()), 1.0)
     left, gap = (max(each.total - count * sigma**2, 0.0) for each in (fit, nominal))
-    return left > max(_EXCESS_OF_NOISE * count * sigma**2, _EXCESS_OF_GAP * gap)
+    return left > max(EXCESS_OF_NOISE * count * sigma**2, _EXCESS_OF_GAP * gap)
 
 
 def excess(record: Record, fit: Fit, sigma: float) -> float:
@@ -134,4 +136,6 @@ def rest_matters(record: Record, nominal: Fit, final: Fit, sigma_deg: float) -> 
         # Runs that were fitted are not like those held out: what is missing in them alone is missing all the same.
         fitted = final.train / max(int(record.trained.sum()), 1) - sigma_deg**2
         left, gap = max(left, fitted), max(gap, fitted)
-    return left > _EXCESS_OF_NOISE * sigma_deg**2 and left > _EXCESS_OF_GAP * gap
+    # Of few samples, neither the floor nor what is left is known well.
+    chance = float(np.hypot(floor_uncertainty(record), np.sqrt(2.0 / max(int(record.held_out.sum()), 1))))
+    return left > max(EXCESS_OF_NOISE, _SURE_SIGMAS * chance) * sigma_deg**2 and left > _EXCESS_OF_GAP * gap

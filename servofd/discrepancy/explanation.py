@@ -15,7 +15,7 @@ from servofd.discrepancy.record import joined, record_of, simulate
 from servofd.discrepancy.run_by_run import RunErrors, run_errors
 from servofd.discrepancy.select import Selection, select, unexplained
 from servofd.discrepancy.separate import Separation, separations
-from servofd.discrepancy.words import effect_values, linear_sentence, unjudged_sentence
+from servofd.discrepancy.words import effect_values, linear_sentence, scatter_sentence, unjudged_sentence
 from servofd.models.catalogue import CATALOGUE
 from servofd.models.effects import Extension
 from servofd.segment import Segment
@@ -217,6 +217,8 @@ def explain_gap(
             )
     if free_poles:
         notes.append(linear_sentence(record, selection))
+    if selection.scatter_s > 0.0:
+        notes.append(scatter_sentence(selection))
     if selection.unjudged:
         notes.append(unjudged_sentence(selection))
     where = sentences(record, selection.nominal.error_deg, selection.sigma_deg)
