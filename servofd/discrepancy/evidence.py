@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
 
 __all__ = [
-    "EXCESS_OF_NOISE", "EXCESS_WORTH", "accepted", "cost", "excess", "floor_of", "matters", "rest_is_large", "rest_matters",
-    "worth_trying",
+    "EXCESS_OF_NOISE", "EXCESS_WORTH", "accepted", "cost", "excess", "floor_of", "matters", "rest_is_large",
+    "rest_matters", "worth_trying",
 ]  # fmt: skip
 
 _SHARE_OF_NOISE, _SHARE_OF_GAP = 0.03, 0.02

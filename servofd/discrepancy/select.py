@@ -20,6 +20,7 @@ from servofd.discrepancy.ladder import Rung, Tried, equals_of, keys_of, rungs_of
 from servofd.discrepancy.poles import PoleFitter
 from servofd.discrepancy.prune import convincing, ordered, pruned, with_steps, without
 from servofd.discrepancy.stamps import scatter_s
+from servofd.models.catalogue import Quantization
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -102,7 +103,8 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     tied = tuple(fits for _, fits in equal)
     if rungs:
         rungs = (*rungs[:-1], Rung(final, rungs[-1].rivals))
-    scattered_s = scatter_s(record, final.error_deg, EXCESS_OF_NOISE)
+    # Steps let readings stand while the surface does: that is no scatter of time stamps.
+    scattered_s = 0.0 if Quantization in final.effects else scatter_s(record, final.error_deg, EXCESS_OF_NOISE)
     return Selection(nominal, rungs, ties, tied, sigma, tuple(unable), covariance, fitter, scattered_s)
 
 
