@@ -176,6 +176,7 @@ def pytest_run(arguments: list[str], plugin: Tests) -> int:
     hypothesis.settings.register_profile("plain", phases=phases, report_multiple_bugs=False, database=None)
     hypothesis.settings.load_profile("plain")
     plain = ["-o", "addopts=--import-mode=importlib --doctest-modules", "-p", "no:cacheprovider", "-m", "not slow"]
+    plain += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]  # hypothesis is there already
     return int(pytest.main([*plain, "-q", "--tb=no", "--no-header", *arguments], plugins=[plugin]))
 
 
