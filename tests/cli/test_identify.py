@@ -245,6 +245,7 @@ measured = { channel = "meas", unit = "count", trim_count = 30000.0, slope_deg_p
 """
 
 
+@pytest.mark.slow
 def test_the_step_of_appendix_c(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Tab-separated `meas pwm cmd` at 1 kHz without header or time, a step from 500 to 900 us."""
     time_s = np.arange(3000) / 1000.0

@@ -212,6 +212,7 @@ def test_the_smallest_bias_is_seen_in_time() -> None:
         assert detect(size_deg * bias_response(DESIGN, within_s), 5.0, NOISE).least[-1] == pytest.approx(0.99, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_cusum_needs_the_colour() -> None:
     """White-noise limits on the coloured residual alarm many times too often; the corrected ones less than asked."""
     wanted_per_hour = 60.0

@@ -88,6 +88,7 @@ def test_the_scale_of_pulses_is_found(unit: str) -> None:
         assert surface.peak_deg < 1.0
 
 
+@pytest.mark.slow
 def test_the_drafted_file_is_accepted_as_it_is(tmp_path: Path) -> None:
     from servofd.aircraft import load_aircraft
 

@@ -140,6 +140,7 @@ def test_the_same_bytes_twice_in_one_run_count_once(
     assert "2 logs" in out
 
 
+@pytest.mark.slow
 def test_another_threshold_is_another_job_and_the_first_comes_back(
     logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], judged: list[str]
 ) -> None:
