@@ -224,6 +224,7 @@ def jammed(log: Hidden, from_s: float, until_s: float) -> Hidden:
     return replace(log, position_deg=np.where(there, log.position_deg[np.argmax(there)] + noise, log.position_deg))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["lively", "doublets", "chirp"])
 @pytest.mark.parametrize(("noise_deg", "step_deg"), [(0.02, 0.3), (0.05, 0.8), (0.2, 2.0)])
 def test_coarse_steps_are_told_by_the_readings_alone(command: str, noise_deg: float, step_deg: float) -> None:
@@ -240,12 +241,14 @@ def test_coarse_steps_are_told_by_the_readings_alone(command: str, noise_deg: fl
     assert found.selection.final.values[0] == pytest.approx(step_deg, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_jam_that_passes_is_no_missing_effect() -> None:
     found = explained(jammed(hide(FineServo(), "lively", seed=3), 12.0, 18.0))
     assert found.conclusion == "nothing_missing"
     assert found.fault_s == pytest.approx(12.0, abs=1.0)
 
 
+@pytest.mark.slow
 def test_a_jam_stands_out_where_what_came_before_is_not_explained_either() -> None:
     log = hide(FineServo(), "lively", seed=3, duration_s=40.0)
     spikes = np.random.default_rng(1)
@@ -255,6 +258,7 @@ def test_a_jam_stands_out_where_what_came_before_is_not_explained_either() -> No
     assert found.fault_s == pytest.approx(24.0, abs=1.5)
 
 
+@pytest.mark.slow
 def test_a_drift_is_no_fault_that_sets_in() -> None:
     log = hide(FineServo(), "lively", seed=3, duration_s=40.0)
     found = explained(replace(log, position_deg=log.position_deg + 1.5 * log.time_s / 40.0))
