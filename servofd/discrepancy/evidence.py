@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.discrepancy.noise import floor_uncertainty, long_run_factor, noise_floor_deg
+from servofd.discrepancy.steps import COARSE_STEP_DEG, noise_below_deg, stepped_noise_deg
+from servofd.models.catalogue import Quantization
 
 if TYPE_CHECKING:
     from servofd.discrepancy.fit import Fit
@@ -38,8 +40,20 @@ _NOTHING_DEG = 1e-4
 
 def floor_of(record: Record, fit: Fit) -> float:
     """Noise floor as this fit shows it [deg]: a converter's steps at least, no more than its error, but not nothing."""
-    noise_deg = max(noise_floor_deg(record, fit.error_deg), (record.step_deg or 0.0) / float(np.sqrt(12.0)))
+    noise_deg = max(noise_floor_deg(record, fit.error_deg), _floor_of_steps(record, fit))
     return max(min(noise_deg, float(np.sqrt(fit.total / max(record.counts.sum(), 1)))), _NOTHING_DEG)
+
+
+def _floor_of_steps(record: Record, fit: Fit) -> float:
+    """What a converter's steps, and the noise before it, leave of a true model [deg], even where readings stand."""
+    step_deg = record.step_deg or 0.0
+    if step_deg < COARSE_STEP_DEG:
+        return step_deg / float(np.sqrt(12.0))
+    read_deg = np.where(record.counts, record.measured_deg, np.nan)
+    below_deg = noise_below_deg(read_deg, record.measured_deg - fit.unstepped_deg, step_deg)
+    if Quantization in fit.effects:
+        return stepped_noise_deg(below_deg, step_deg)
+    return float(np.hypot(below_deg, step_deg / np.sqrt(12.0)))
 
 
 def cost(record: Record, fit: Fit) -> float:

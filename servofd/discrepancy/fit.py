@@ -12,7 +12,8 @@ from servofd.discrepancy.frames import usual_frame
 from servofd.discrepancy.noise import long_run_factor, noise_floor_deg
 from servofd.discrepancy.record import simulate
 from servofd.discrepancy.search import begin, polish, telling_part
-from servofd.models.catalogue import Delay, PwmFrame, Quantization, SensorLag, SlowDynamics, installed
+from servofd.discrepancy.steps import COARSE_STEP_DEG
+from servofd.models.catalogue import CommandSteps, Delay, PwmFrame, Quantization, SensorLag, SlowDynamics, installed
 from servofd.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -54,6 +55,8 @@ class Fit:
     """Sum of squares over the fitted samples [deg^2]."""
     held_out: float
     """The same over the samples that only judge."""
+    unstepped_deg: FloatArray
+    """The error of the position before the steps of its converter, shape (n,); where there are none, `error_deg`."""
 
     @property
     def total(self) -> float:
@@ -110,7 +113,13 @@ class Fitter:
         """Fit with given values."""
         error = self.error_deg(effects, values)
         train, held_out = error[self._trained], error[self._held_out]
-        return Fit(effects, np.array(values, dtype=float), error, float(train @ train), float(held_out @ held_out))
+        unstepped = error
+        if Quantization in effects:
+            k = effects.index(Quantization)
+            first = sum(len(effect.parameters) for effect in effects[:k])
+            unstepped = self.error_deg(effects[:k] + effects[k + 1 :], np.delete(values, first))
+        squares = float(train @ train), float(held_out @ held_out)
+        return Fit(effects, np.array(values, dtype=float), error, *squares, unstepped)
 
     def nominal(self) -> Fit:
         """The servo as it is known."""
@@ -131,9 +140,11 @@ class Fitter:
         return fits
 
     def _possible(self, effect: type[MissingEffect], base: Fit) -> bool:
-        """Whether an effect is tried with the others: those whose name is new, and steps only where they are seen."""
-        steps_deg = (self.record.step_deg or 0.0) if effect is Quantization else np.inf
-        return effect.name not in base.names and effect is not PwmFrame and steps_deg >= effect.parameters[0].low
+        """Whether an effect is tried with the others: its name is new, and it is not found in a way of its own."""
+        own_way = {PwmFrame, Quantization}
+        if (self.record.step_deg or 0.0) >= COARSE_STEP_DEG:
+            own_way.add(CommandSteps)  # at rest, steps of the position look like those of the command
+        return effect.name not in base.names and effect not in own_way
 
     def _begun(self, part: Record, base: Fit, effect: type[MissingEffect], tried: Callable[[str], None]) -> Fit:
         tried(effect.key())
@@ -150,7 +161,7 @@ class Fitter:
     def _settled(self, fit: Fit) -> Fit:
         """All parameters refitted; what cannot be descended is searched on the whole record."""
         values, newest = fit.values.tolist(), fit.effects[-1].parameters
-        if all(p.kinked for p in newest) and fit.effects[-1] is not Quantization:
+        if all(p.kinked for p in newest):
             values, count = polish(self.record, fit.effects, values, len(values) - len(newest))
             self.simulations += count
         return self.refitted(fit.effects, values)
@@ -241,7 +252,7 @@ class Fitter:
         sigma_deg = float(np.sqrt(np.mean(error**2)))
         covariance = whole.covariance(best, sigma_deg, long_run_factor(error)) + whole.discretization(best)
         self.adopt(whole)
-        return replace(fit, values=best.values, error_deg=best.error_deg), covariance
+        return replace(fit, values=best.values, error_deg=best.error_deg, unstepped_deg=best.unstepped_deg), covariance
 
     def covariance(self, fit: Fit, sigma_deg: float, factor: float) -> FloatArray:
         """Of the values of a fit, shape (p, p), from the curvature on both sides; infinite where nothing shows."""

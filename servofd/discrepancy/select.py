@@ -20,6 +20,7 @@ from servofd.discrepancy.ladder import Rung, Tried, equals_of, keys_of, rungs_of
 from servofd.discrepancy.poles import PoleFitter
 from servofd.discrepancy.prune import convincing, ordered, pruned, with_steps, without
 from servofd.discrepancy.stamps import scatter_s
+from servofd.models.catalogue import Quantization
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -88,8 +89,8 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     # Where the poles are free, every start costs several fits, and each effect has had its chance from all of them.
     if not record.free_poles and (len(best.effects) > _FEW or rest_is_large(record, best, nominal)):
         best = min(best, _grown(fitter, able, tried, _WIDE_BEAM, progress), key=lambda fit: cost(record, fit))
-    best = with_steps(fitter, _swapped(fitter, able, tried, best))
-    best = ordered(fitter, simplest(fitter, convincing(fitter, pruned(fitter, best), nominal), able, tried))
+    best = convincing(fitter, pruned(fitter, _swapped(fitter, able, tried, best)), nominal)
+    best = ordered(fitter, with_steps(fitter, simplest(fitter, best, able, tried)))
     best, final, covariance = _on_all(fitter, best)
     sigma = floor_of(record, best)
     rungs = rungs_of(fitter, nominal, best, tried, able)
@@ -102,7 +103,8 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     tied = tuple(fits for _, fits in equal)
     if rungs:
         rungs = (*rungs[:-1], Rung(final, rungs[-1].rivals))
-    scattered_s = scatter_s(record, final.error_deg, EXCESS_OF_NOISE)
+    # Steps let readings stand while the surface does: that is no scatter of time stamps.
+    scattered_s = 0.0 if Quantization in final.effects else scatter_s(record, final.error_deg, EXCESS_OF_NOISE)
     return Selection(nominal, rungs, ties, tied, sigma, tuple(unable), covariance, fitter, scattered_s)
 
 
