@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from servofd.discrepancy.candidates import first_of_each, judgeable
 from servofd.discrepancy.evidence import (
-    EXCESS_OF_NOISE,
+    EXCESS_WORTH,
     accepted,
     cost,
     floor_of,
@@ -104,7 +104,7 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     if rungs:
         rungs = (*rungs[:-1], Rung(final, rungs[-1].rivals))
     # Steps let readings stand while the surface does: that is no scatter of time stamps.
-    scattered_s = 0.0 if Quantization in final.effects else scatter_s(record, final.error_deg, EXCESS_OF_NOISE)
+    scattered_s = 0.0 if Quantization in final.effects else scatter_s(record, final.error_deg, EXCESS_WORTH)
     return Selection(nominal, rungs, ties, tied, sigma, tuple(unable), covariance, fitter, scattered_s)
 
 
