@@ -130,6 +130,7 @@ def judge(case: Case) -> Result:
     with tempfile.TemporaryDirectory() as folder:
         answer = ask(write(record, Path(folder) / "log.csv"), SURFACE)
     floor_deg = float(np.hypot(case.noise_deg, CONVERTER_DEG / np.sqrt(12.0)))
+    step_deg = effects.get("quantization", {}).get("step_deg", CONVERTER_DEG)
     plain = nothing or hidden(case.seed, {}, case.excitation, case.noise_deg, spread=case.spread)
     sizes = 0.0 if isinstance(plain, bool) else effect_rms_deg(record, plain) / floor_deg
     change = np.zeros(record.time_s.size) if isinstance(plain, bool) else change_deg(record, plain)
@@ -140,7 +141,7 @@ def judge(case: Case) -> Result:
         doubt, sigmas = leftover_sigmas(exact, case.seed, effects, case.excitation, case.noise_deg)
     return Result(
         case=case,
-        score=score(answer.said, effects, floor_deg),
+        score=score(answer.said, effects, float(np.hypot(case.noise_deg, step_deg / np.sqrt(12.0)))),
         seconds=answer.seconds,
         sizes=sizes,
         doubt=doubt,
