@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.discrepancy.frames import usual_frame
-from servofd.discrepancy.noise import long_run_factor, noise_floor_deg
+from servofd.discrepancy.noise import floor_uncertainty, long_run_factor, noise_floor_deg
 from servofd.discrepancy.record import simulate
 from servofd.discrepancy.search import begin, polish, telling_part
 from servofd.discrepancy.steps import COARSE_STEP_DEG
@@ -179,7 +179,8 @@ class Fitter:
     def _framed(self, base: Fit, fits: list[Fit]) -> list[Fit]:
         """The best fit with pulse frames, if there is any."""
         effects = (*base.effects, PwmFrame)
-        if min(fit.train for fit in fits) > (1.0 + _FRAMES_EXCESS) * self._noise(fits):
+        excess = max(_FRAMES_EXCESS, floor_uncertainty(self.record))
+        if min(fit.train for fit in fits) > (1.0 + excess) * self._noise(fits):
             values, count = begin(self.record, effects, base.values.tolist())
         else:
             later_s = [
