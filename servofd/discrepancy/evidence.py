@@ -138,4 +138,6 @@ def rest_matters(record: Record, nominal: Fit, final: Fit, sigma_deg: float) -> 
         left, gap = max(left, fitted), max(gap, fitted)
     # Of few samples, neither the floor nor what is left is known well.
     chance = float(np.hypot(floor_uncertainty(record), np.sqrt(2.0 / max(int(record.held_out.sum()), 1))))
-    return left > max(_EXCESS_OF_NOISE, _SURE_SIGMAS * chance) * sigma_deg**2 and left > _EXCESS_OF_GAP * gap
+    # Several effects that leave a little may be a flexible curve beside physics that is none of them.
+    rounding = _EXCESS_OF_GAP * gap if record.runs or len(final.effects) < 2 else 0.0
+    return left > max(_EXCESS_OF_NOISE, _SURE_SIGMAS * chance) * sigma_deg**2 and left > rounding

@@ -12,6 +12,7 @@ from servofd.discrepancy.frames import usual_frame
 from servofd.discrepancy.noise import floor_uncertainty, long_run_factor, noise_floor_deg
 from servofd.discrepancy.record import simulate
 from servofd.discrepancy.search import begin, polish, telling_part
+from servofd.discrepancy.stamps import scatter_s
 from servofd.discrepancy.steps import COARSE_STEP_DEG
 from servofd.models.catalogue import CommandSteps, Delay, PwmFrame, Quantization, SensorLag, SlowDynamics, installed
 from servofd.types import FloatArray, IntArray
@@ -34,7 +35,7 @@ _FINER, _SIMULATORS_DIFFER = 10.0, 2.5e-3
 friction in chirps to 25 Hz, 0.2 % for a sensor's lag, less for all others."""
 _PROMISING, _FEWER = 10, 6
 """Of the candidates of a first effect, and of a further one."""
-_LATE_SHARE, _FRAMES_EXCESS = 0.1, 0.02
+_LATE_SHARE, _LATE_CHI_SQUARED, _FRAMES_EXCESS = 0.1, 30.0, 0.02
 _SURE = 1.959963984540054
 """Standard deviations of a 95 % interval."""
 
@@ -169,8 +170,9 @@ class Fitter:
     def _is_late(self, base: Fit, fits: list[Fit]) -> bool:
         """Whether a delay, or what passes for one, takes away some of what is left."""
         late = [fit for fit in fits if fit.effects[-1] in (Delay, SensorLag, SlowDynamics)]
-        gap = base.train - self._noise(fits)
-        return any(base.train - fit.train > _LATE_SHARE * gap for fit in late)
+        noise = self._noise(fits)
+        least = max(_LATE_SHARE * (base.train - noise), _LATE_CHI_SQUARED * noise / max(self._trained.size, 1))
+        return any(base.train - fit.train > least for fit in late)
 
     def _noise(self, fits: list[Fit]) -> float:
         """Of the fitted samples, as the best fit shows it [deg^2]."""
@@ -179,8 +181,10 @@ class Fitter:
     def _framed(self, base: Fit, fits: list[Fit]) -> list[Fit]:
         """The best fit with pulse frames, if there is any."""
         effects = (*base.effects, PwmFrame)
-        excess = max(_FRAMES_EXCESS, floor_uncertainty(self.record))
-        if min(fit.train for fit in fits) > (1.0 + excess) * self._noise(fits):
+        best = min(fits, key=lambda fit: fit.train)
+        more = best.train > (1.0 + max(_FRAMES_EXCESS, floor_uncertainty(self.record))) * self._noise(fits)
+        # To wait for the next frame is to be late by chance, which passes for noise.
+        if more or scatter_s(self.record, best.error_deg, _FRAMES_EXCESS) > 0.0:
             values, count = begin(self.record, effects, base.values.tolist())
         else:
             later_s = [

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["best_frame", "usual_frame"]
 
 _SHORTEST_S, _LONGEST_S = 0.01, 0.055
-_WINDOW_S = 4.0
+_WINDOW_S = 8.0
 _ROUGHLY_S, _NEARLY_S = 3e-3, 1.5e-3
 """Between the phases that are tried in a window, and for usual periods: frames that pick other commands are far off."""
 _SHARE_OF_BEAT = 0.4

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from servofd.discrepancy.fit import Fit, Fitter
     from servofd.models.catalogue import MissingEffect
 
-__all__ = ["Rung", "Tried", "equals_of", "keys_of", "rungs_of", "simplest"]
+__all__ = ["Rung", "Tried", "equals_of", "keys_of", "rungs_of", "simplest", "told"]
 
 _TIE_CHI_SQUARED, _EVEN_CHI_SQUARED = 10.0, 4.0
 """Below the second, the data do not even hint at which it is, and the simplest is named."""
@@ -23,6 +23,11 @@ _TIE_OF_EXCESS = 0.15
 that is as much of what they take away."""
 _TIE_OF_KIND = 0.7
 """The same for two of one family, and for a rival of an effect with many minima, which had as many chances."""
+
+
+_TOO_MANY = 5
+"""Others in the place of an effect: no family of the catalogue is as large, so that the data say that something is
+missing, and not what."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,6 +98,20 @@ def equals_of(fitter: Fitter, best: Fit, able: list[type[MissingEffect]], tried:
             ]
         )
     return equals
+
+
+def told(fitter: Fitter, best: Fit, able: list[type[MissingEffect]], tried: Tried) -> Fit:
+    """Without what comes after the first effect and could be anything: something is there, but nothing names it.
+
+    Whole runs that were held out vouch for what was found in others.
+    """
+    while not fitter.record.runs:
+        offered = [{fit.names[-1] for fit in each} for each in equals_of(fitter, best, able, tried)]
+        vague = [k for k, names in enumerate(offered) if k > 0 and len(names) >= _TOO_MANY]
+        if not vague:
+            break
+        best = without(fitter, best, vague[-1])
+    return best
 
 
 def _slack(effect: type[MissingEffect], rival: Fit) -> float:

@@ -16,7 +16,7 @@ from servofd.discrepancy.evidence import (
     worth_trying,
 )
 from servofd.discrepancy.fit import Fit, Fitter
-from servofd.discrepancy.ladder import Rung, Tried, equals_of, keys_of, rungs_of, simplest
+from servofd.discrepancy.ladder import Rung, Tried, equals_of, keys_of, rungs_of, simplest, told
 from servofd.discrepancy.poles import PoleFitter
 from servofd.discrepancy.prune import convincing, ordered, pruned, with_steps, without
 from servofd.discrepancy.stamps import scatter_s
@@ -91,6 +91,7 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
         best = min(best, _grown(fitter, able, tried, _WIDE_BEAM, progress), key=lambda fit: cost(record, fit))
     best = convincing(fitter, pruned(fitter, _swapped(fitter, able, tried, best)), nominal)
     best = ordered(fitter, with_steps(fitter, simplest(fitter, best, able, tried)))
+    best = told(fitter, best, able, tried)
     best, final, covariance = _on_all(fitter, best)
     sigma = floor_of(record, best)
     rungs = rungs_of(fitter, nominal, best, tried, able)
