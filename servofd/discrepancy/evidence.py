@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
 
 __all__ = [
-    "EXCESS_WORTH", "accepted", "cost", "excess", "floor_of", "matters", "rest_is_large",
+    "EXCESS_WORTH", "accepted", "cost", "excess", "floor_of", "least_scatter", "matters", "rest_is_large",
     "rest_matters", "worth_trying",
 ]  # fmt: skip
 
@@ -129,6 +129,19 @@ def excess(record: Record, fit: Fit, sigma: float) -> float:
     return fit.held_out / max(int(record.held_out.sum()), 1) - sigma**2
 
 
+def least_scatter(record: Record, nominal: Fit, final: Fit, sigma_deg: float) -> float:
+    """Share of the noise below which noise that the motion makes is nothing, or a rounding of what was there."""
+    return max(EXCESS_WORTH, _rounding(record, final) * excess(record, nominal, sigma_deg) / sigma_deg**2)
+
+
+def _rounding(record: Record, final: Fit) -> float:
+    """Share of the gap that may stay of an effect whose law is nearly right.
+
+    Several effects that leave a little may be a flexible curve beside physics that is none of them.
+    """
+    return _EXCESS_OF_GAP if record.runs or len(final.effects) < 2 else 0.0
+
+
 def rest_matters(record: Record, nominal: Fit, final: Fit, sigma_deg: float) -> bool:
     """Whether more is left on held-out samples than noise, and more than a rounding of what was there."""
     left, gap = excess(record, final, sigma_deg), excess(record, nominal, sigma_deg)
@@ -138,6 +151,4 @@ def rest_matters(record: Record, nominal: Fit, final: Fit, sigma_deg: float) -> 
         left, gap = max(left, fitted), max(gap, fitted)
     # Of few samples, neither the floor nor what is left is known well.
     chance = float(np.hypot(floor_uncertainty(record), np.sqrt(2.0 / max(int(record.held_out.sum()), 1))))
-    # Several effects that leave a little may be a flexible curve beside physics that is none of them.
-    rounding = _EXCESS_OF_GAP * gap if record.runs or len(final.effects) < 2 else 0.0
-    return left > max(_EXCESS_OF_NOISE, _SURE_SIGMAS * chance) * sigma_deg**2 and left > rounding
+    return left > max(_EXCESS_OF_NOISE, _SURE_SIGMAS * chance) * sigma_deg**2 and left > _rounding(record, final) * gap

@@ -35,7 +35,7 @@ _FINER, _SIMULATORS_DIFFER = 10.0, 2.5e-3
 friction in chirps to 25 Hz, 0.2 % for a sensor's lag, less for all others."""
 _PROMISING, _FEWER = 10, 6
 """Of the candidates of a first effect, and of a further one."""
-_LATE_SHARE, _LATE_CHI_SQUARED, _FRAMES_EXCESS = 0.1, 30.0, 0.02
+_LATE_SHARE, _LATE_CHI_SQUARED, _FRAMES_EXCESS, _SURE_SIGMAS = 0.1, 30.0, 0.02, 3.0
 _SURE = 1.959963984540054
 """Standard deviations of a 95 % interval."""
 
@@ -182,7 +182,9 @@ class Fitter:
         """The best fit with pulse frames, if there is any."""
         effects = (*base.effects, PwmFrame)
         best = min(fits, key=lambda fit: fit.train)
-        more = best.train > (1.0 + max(_FRAMES_EXCESS, floor_uncertainty(self.record))) * self._noise(fits)
+        more = best.train > (1.0 + max(_FRAMES_EXCESS, _SURE_SIGMAS * floor_uncertainty(self.record))) * self._noise(
+            fits
+        )
         # To wait for the next frame is to be late by chance, which passes for noise.
         if more or scatter_s(self.record, best.error_deg, _FRAMES_EXCESS) > 0.0:
             values, count = begin(self.record, effects, base.values.tolist())

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 from servofd.discrepancy.candidates import first_of_each, judgeable
 from servofd.discrepancy.evidence import (
-    EXCESS_WORTH,
     accepted,
     cost,
     floor_of,
+    least_scatter,
     rest_is_large,
     rest_matters,
     worth_trying,
@@ -104,8 +104,9 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     tied = tuple(fits for _, fits in equal)
     if rungs:
         rungs = (*rungs[:-1], Rung(final, rungs[-1].rivals))
+    least = least_scatter(record, nominal, best, sigma)
     # Steps let readings stand while the surface does: that is no scatter of time stamps.
-    scattered_s = 0.0 if Quantization in final.effects else scatter_s(record, final.error_deg, EXCESS_WORTH)
+    scattered_s = 0.0 if Quantization in final.effects else scatter_s(record, final.error_deg, least)
     return Selection(nominal, rungs, ties, tied, sigma, tuple(unable), covariance, fitter, scattered_s)
 
 
@@ -128,7 +129,7 @@ def _grown(
             break
         grown.sort(key=lambda fit: cost(record, fit))
         beam = _promising(record, _distinct(grown)[:width])
-        if worth_trying(record, beam[0], floor_of(record, beam[0])):
+        if not record.free_poles and worth_trying(record, beam[0], floor_of(record, beam[0])):
             # What was found first may stand in for two that are found now: not so late that nobody asks any more.
             beam = _distinct([_swapped(fitter, able, tried, beam[0]), *beam])[:width]
         if cost(record, beam[0]) < cost(record, best):

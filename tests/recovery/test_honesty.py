@@ -81,7 +81,7 @@ def test_a_clock_that_wavers_is_said_to_and_no_effect_is_named() -> None:
     found = explain_gap(_wavering(3, 0.003), KNOWN)
     assert found.conclusion == "unexplained"
     assert found.selection.scatter_s == pytest.approx(0.003, rel=0.2)
-    assert any("time stamps scattered" in note for note in found.notes)
+    assert any("stamps scattered by" in note for note in found.notes)
 
 
 @pytest.mark.parametrize("seed", range(4))
