@@ -164,6 +164,7 @@ ONLY_IN = {
         "servofd/detection/probability/cusum.py",
         "servofd/detection/starts.py",
         "servofd/detection/bank/altered.py",
+        "servofd/models/loop_steps.py",
         "servofd/models/position_loop.py",
         "logparsers/compiled.py",
     },

@@ -69,7 +69,7 @@ def test_poles_that_nobody_knows_are_found_beside_the_effects() -> None:
     assert rms_deg[1] < 0.25 < rms_deg[0]
     _, droop_deg, _, share, _ = start.values
     assert droop_deg == pytest.approx(15.0, rel=0.2)
-    assert share == pytest.approx(0.3, rel=0.25)
+    assert share == pytest.approx(0.3, rel=0.3)
 
 
 @pytest.mark.slow
