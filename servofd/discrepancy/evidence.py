@@ -50,6 +50,8 @@ def cost(record: Record, fit: Fit) -> float:
 def worth_trying(record: Record, base: Fit, sigma: float) -> bool:
     """Whether more is left than noise: more variance than the floor, or memory, which white noise does not have."""
     count = int(record.counts.sum())
+    if base.total <= count * _NOTHING_DEG**2:
+        return False
     more = base.total / max(count, 1) / sigma**2 - 1.0
     error = base.error_deg[record.counts]
     power = max(float(error @ error), 1e-300)

@@ -12,44 +12,59 @@ from servofd.discrepancy.record import simulate
 if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
     from servofd.models.physics import Physics
+    from servofd.types import FloatArray
 
-__all__ = ["best_frame"]
+__all__ = ["best_frame", "frames_like"]
 
 _SHORTEST_S, _LONGEST_S = 0.01, 0.055
 _WINDOW_S = 4.0
 _PHASES = 4
 _SHARE_OF_BEAT = 0.4
 """Of the change of period that moves the last frame of a window by one period."""
-_ZOOM, _KEPT = 3.0, 27
+_ZOOM, _KEPT, _LIKELY = 3.0, 27, 24
+_BETTER = 10.0
+"""Squared noise by which frames must beat what is no frame within the window: less is chance among so many."""
 _SHIFTS = (-0.1, -0.04, 0.0, 0.04, 0.1)
 _FINER = (0.5, 0.2, 0.08, 0.03, 0.01)
 _USUAL_S = (*(k / 1000.0 for k in range(10, 26)), 0.004, 0.005, 0.03, 0.04, 0.05, 1 / 70, 1 / 60, 1 / 45, 1 / 150)
 """Whole milliseconds, and common frame rates that are not."""
 
 
-def best_frame(record: Record, physics: Physics) -> tuple[float, float]:
-    """Period [s] and phase of the frames that explain the liveliest part of a record best.
+def frames_like(record: Record, physics: Physics, rival_deg: FloatArray, sigma_deg: float) -> list[tuple[float, float]]:
+    """Frames that explain a few lively seconds of a record best; none if a rival's error there [deg] is as small.
 
-    A window of length L tells periods T apart that differ by T²/L. Periods are tried at that spacing in a short
-    window, which is then widened step by step around the best.
+    A window of length L tells periods T apart that differ by T²/L, and they are tried at that spacing.
     """
     window_s = _WINDOW_S
-    centre_s = _liveliest_s(record, window_s)
-    total_s = float(record.time_s[-1] - record.time_s[0])
-    part = _window(record, centre_s, window_s)
+    part = _window(record, _liveliest_s(record, window_s), window_s)
+    known = np.isin(record.time_s, part.time_s[part.counts])
     periods = [_SHORTEST_S]
     while periods[-1] < _LONGEST_S:
         periods.append(periods[-1] * (1.0 + _SHARE_OF_BEAT * periods[-1] / window_s))
     grid = [(period, phase / _PHASES) for period in periods for phase in range(_PHASES)]
-    best = sorted(grid, key=lambda frame: _loss(part, physics, frame))[:_KEPT]
-    kept = _KEPT
+    losses = [_loss(part, physics, frame) for frame in grid]
+    if min(losses) > float(rival_deg[known] @ rival_deg[known]) - _BETTER * sigma_deg**2:
+        return []
+    return [grid[k] for k in np.argsort(losses)[:_KEPT]]
+
+
+def best_frame(record: Record, physics: Physics, begin: list[tuple[float, float]]) -> tuple[float, float]:
+    """Period [s] and phase of the frames that explain a record best, from those that explain a part of it.
+
+    The window that told these apart is widened step by step around the best.
+    """
+    window_s, kept, best = _WINDOW_S, _KEPT, begin
+    centre_s = _liveliest_s(record, window_s)
+    total_s = float(record.time_s[-1] - record.time_s[0])
     while window_s < total_s:
         window_s, kept = window_s * _ZOOM, max(kept // 3, 1)
         part = _window(record, centre_s, window_s)
         near = [frame for one in best for frame in _around(one, centre_s, window_s)]
         best = sorted(near, key=lambda frame: _loss(part, physics, frame))[:kept]
     usual = [(period, phase / _PHASES + 0.125) for period in _USUAL_S for phase in range(_PHASES)]
-    found = min([best[0], *usual], key=lambda frame: _loss(record, physics, frame))
+    part = _window(record, centre_s, _WINDOW_S * _ZOOM)
+    usual.sort(key=lambda frame: _loss(part, physics, frame))
+    found = min([best[0], *usual[:_LIKELY]], key=lambda frame: _loss(record, physics, frame))
     for finer in _FINER:
         found = min(_around(found, centre_s, window_s, finer), key=lambda frame: _loss(record, physics, frame))
     return found
