@@ -30,7 +30,7 @@ _TIE_TO_START = 1e-4
 _EVALUATIONS, _THOROUGH = 20, 40
 _PROMISING, _FEWER = 10, 6
 """Of the candidates of a first effect, and of a further one."""
-_LATE_SHARE, _FRAMES_EXCESS = 0.1, 0.02
+_LATE_SHARE, _LATE_LEAVES, _FRAMES_EXCESS = 0.1, 2.0, 0.02
 _SURE = 1.959963984540054
 """Standard deviations of a 95 % interval."""
 
@@ -74,6 +74,8 @@ class Fitter:
 
     record: Record
     simulations: int = field(default=0, init=False)
+    fewer: dict[tuple[Fit, int], Fit] = field(default_factory=dict, init=False)
+    """Fits without one of their effects, by its number; they are asked for again and again."""
     _trained: IntArray = field(init=False)
     _held_out: IntArray = field(init=False)
 
@@ -157,12 +159,14 @@ class Fitter:
         return self.refitted(fit.effects, values)
 
     def _may_be_frames(self, base: Fit, fits: list[Fit]) -> bool:
+        """Whether a delay helps, about as much as anything does, and nothing leaves as little as noise."""
         late = [fit for fit in fits if fit.effects[-1] in (Delay, SensorLag, SlowDynamics)]
-        floor = noise_floor_deg(self.record, min(fits, key=lambda fit: fit.train).error_deg) ** 2
-        gap = base.train - self._trained.size * floor
-        helps = any(base.train - fit.train > _LATE_SHARE * gap for fit in late)
-        least = min(fit.train for fit in fits)
-        return helps and least > (1.0 + _FRAMES_EXCESS) * self._trained.size * floor
+        best = min(fits, key=lambda fit: fit.train)
+        noise = self._trained.size * noise_floor_deg(self.record, best.error_deg) ** 2
+        least = min((fit.train for fit in late), default=base.train)
+        helps = base.train - least > _LATE_SHARE * (base.train - noise)
+        alike = least - noise < _LATE_LEAVES * (best.train - noise)
+        return helps and alike and best.train > (1.0 + _FRAMES_EXCESS) * noise
 
     def refitted(
         self, effects: tuple[type[MissingEffect], ...], values: Values, evaluations: int = _EVALUATIONS

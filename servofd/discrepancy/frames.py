@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.detection.residual import Commands
 from servofd.discrepancy.record import simulate
 
 if TYPE_CHECKING:
@@ -18,6 +19,8 @@ __all__ = ["best_frame", "frames_like"]
 
 _SHORTEST_S, _LONGEST_S = 0.01, 0.055
 _WINDOW_S = 4.0
+_REMEMBERED_S = 1.5
+"""Longest time that a command takes to the surface, with the longest frame before it."""
 _PHASES = 4
 _SHARE_OF_BEAT = 0.4
 """Of the change of period that moves the last frame of a window by one period."""
@@ -95,8 +98,12 @@ def _window(record: Record, centre_s: float, window_s: float) -> Record:
     inside = np.abs(record.time_s - centre_s) <= window_s / 2.0
     inside &= np.isfinite(record.measured_deg)
     counts = record.counts & (record.time_s >= record.time_s[inside][0] + 0.3)
+    sent_s = record.commands.effective_s
+    heard = slice(*np.searchsorted(sent_s, (record.time_s[inside][0] - _REMEMBERED_S, record.time_s[inside][-1])))
+    commands = Commands(sent_s[heard], record.commands.command_deg[heard], record.commands.slope_deg_s[heard])
     return replace(
         record,
+        commands=commands if commands.effective_s.size else record.commands,
         time_s=record.time_s[inside],
         measured_deg=record.measured_deg[inside],
         counts=counts[inside],

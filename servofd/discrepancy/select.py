@@ -73,10 +73,14 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     able, unable = judgeable(record)
     nominal = fitter.nominal()
     tried: Tried = {}
-    best = _grown(fitter, able, tried, _BEAM, progress)
+    best = _grown(fitter, able, tried, _BEAM, progress, _most_effects(record))
     # Where the poles are free, every start costs several fits, and each effect has had its chance from all of them.
     if not record.free_poles and (len(best.effects) > _FEW or rest_is_large(record, best, nominal)):
-        best = min(best, _grown(fitter, able, tried, _WIDE_BEAM, progress), key=lambda fit: cost(record, fit))
+        # A servo without a gap is looked for in fewer words only.
+        done = not worth_trying(record, best, floor_of(record, best))
+        most = len(best.effects) - 1 if done else _most_effects(record)
+        wide = _grown(fitter, able, tried, _WIDE_BEAM, progress, most)
+        best = min(best, wide, key=lambda fit: cost(record, fit))
     best = with_steps(fitter, _swapped(fitter, able, tried, best))
     best = ordered(fitter, simplest(fitter, convincing(fitter, pruned(fitter, best), nominal), able, tried))
     best, final, covariance = _on_all(fitter, best)
@@ -94,13 +98,22 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     return Selection(nominal, rungs, ties, tied, sigma, tuple(unable), covariance, fitter)
 
 
+def _most_effects(record: Record) -> int:
+    return _MOST_ON_BENCH if record.runs else _MOST_EFFECTS
+
+
 def _grown(
-    fitter: Fitter, able: list[type[MissingEffect]], tried: Tried, width: int, progress: Callable[[str], None]
+    fitter: Fitter,
+    able: list[type[MissingEffect]],
+    tried: Tried,
+    width: int,
+    progress: Callable[[str], None],
+    most: int,
 ) -> Fit:
     """Forward search: the best few of each length go on."""
     record, best = fitter.record, fitter.nominal()
     beam = [best]
-    for _ in range(_MOST_ON_BENCH if record.runs else _MOST_EFFECTS):
+    for _ in range(most):
         sigma = floor_of(record, best)
         grown: list[Fit] = []
         for base in beam:
