@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "EXCESS_WORTH", "accepted", "cost", "excess", "floor_of", "matters", "rest_is_large", "rest_matters",
-    "worth_trying",
+    "stays_above_noise", "worth_trying",
 ]  # fmt: skip
 
 _SHARE_OF_NOISE, _SHARE_OF_GAP = 0.03, 0.02
@@ -108,6 +108,11 @@ def rest_is_large(record: Record, fit: Fit, nominal: Fit) -> bool:
     sigma, count = floor_of(record, fit), max(float(record.counts.sum()), 1.0)
     left, gap = (max(each.total - count * sigma**2, 0.0) for each in (fit, nominal))
     return left > max(_EXCESS_OF_NOISE * count * sigma**2, _EXCESS_OF_GAP * gap)
+
+
+def stays_above_noise(record: Record, fit: Fit) -> bool:
+    """Whether more is left than noise, be it ever so little of what there was."""
+    return fit.total > (1.0 + _EXCESS_OF_NOISE) * float(record.counts.sum()) * floor_of(record, fit) ** 2
 
 
 def excess(record: Record, fit: Fit, sigma: float) -> float:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from servofd.discrepancy.candidates import first_of_each, judgeable
-from servofd.discrepancy.evidence import accepted, cost, floor_of, rest_is_large, rest_matters, worth_trying
+from servofd.discrepancy.evidence import accepted, cost, floor_of, rest_matters, stays_above_noise, worth_trying
 from servofd.discrepancy.fit import Fit, Fitter
 from servofd.discrepancy.ladder import Rung, Tried, equals_of, keys_of, rungs_of, simplest
 from servofd.discrepancy.poles import PoleFitter
@@ -75,10 +75,10 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     tried: Tried = {}
     best = _grown(fitter, able, tried, _BEAM, progress, _most_effects(record))
     # Where the poles are free, every start costs several fits, and each effect has had its chance from all of them.
-    if not record.free_poles and (len(best.effects) > _FEW or rest_is_large(record, best, nominal)):
-        # A servo without a gap is looked for in fewer words only.
+    if not record.free_poles and (len(best.effects) > _FEW or stays_above_noise(record, best)):
+        # A servo without a gap is not looked for in more words.
         done = not worth_trying(record, best, floor_of(record, best))
-        most = len(best.effects) - 1 if done else _most_effects(record)
+        most = len(best.effects) if done else _most_effects(record)
         wide = _grown(fitter, able, tried, _WIDE_BEAM, progress, most)
         best = min(best, wide, key=lambda fit: cost(record, fit))
     best = with_steps(fitter, _swapped(fitter, able, tried, best))
