@@ -220,8 +220,10 @@ def _after_lost_commands(segment: Segment, hole_s: float, time_s: FloatArray) ->
     return after
 
 
-def simulate(record: Record, physics: Physics) -> FloatArray:
+def simulate(record: Record, physics: Physics, finer: float = 1.0) -> FloatArray:
     """Position that a servo with these effects would show [deg], shape (n,).
+
+    `finer` divides the steps that are taken where something switches.
 
     Examples
     --------
@@ -238,7 +240,7 @@ def simulate(record: Record, physics: Physics) -> FloatArray:
     from servofd.models.position_loop import framed, new_memory, run
 
     if record.runs:
-        return np.concatenate([simulate(each, physics) for each in record.runs])
+        return np.concatenate([simulate(each, physics, finer) for each in record.runs])
     commands, plant = record.commands, record.plant
     sent_s, deg, slope = commands.effective_s, commands.command_deg, commands.slope_deg_s
     if record.own is not None:
@@ -255,7 +257,7 @@ def simulate(record: Record, physics: Physics) -> FloatArray:
         physics,
         plant.loop(physics.bandwidth_scale, physics.damping_scale, physics.torque_share),
         plant.dc_gain,
-        longest_step_s(physics),
+        longest_step_s(physics) / finer,
         sent_s + physics.delay_s,
         deg,
         slope,

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.discrepancy.record import simulate
-from servofd.models.catalogue import Quantization, installed
+from servofd.models.catalogue import installed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -56,8 +56,6 @@ def begin(part: Record, effects: Sequence[type[MissingEffect]], known: Sequence[
     """Values near the best for the last of some effects, beside known ones for the others; and how many were tried."""
     newest = effects[-1]
     trial = _Trial(part, effects)
-    if newest is Quantization:
-        return [*known, part.step_deg or 0.0], 0
     grid = product(*(p.grid for p in newest.parameters))
     values = [*known, *min(grid, key=lambda point: trial.loss([*known, *point]))]
     polished, count = polish(part, effects, values, len(known))
