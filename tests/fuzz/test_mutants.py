@@ -11,7 +11,8 @@ import pytest
 
 import logparsers
 from logparsers import LogError
-from tests.fuzz.harness import SEEDS, mutated, outcome
+from tests.fuzz.harness import SEEDS, outcome
+from tests.fuzz.mutate import mutated
 
 FEW, MANY = 300, 10_000
 LONGEST_S = 3.0
