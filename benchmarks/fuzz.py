@@ -1,0 +1,147 @@
+"""Broken inputs for every door, by the hundred thousand, with counts.
+
+``python benchmarks/fuzz.py [DOOR ...] [--count N] [--seed S] [--minutes M] [--out DIR]``. Every input must end in a
+result or in one line of refusal. Each batch runs in a process of its own, so that one that crashes or hangs is counted
+and the input kept; within a batch open files, threads and memory must not grow. ``DIR/DOOR/failures`` holds what broke,
+with its traceback; ``--replay FILE`` lets one input in again, without a net.
+"""
+
+from __future__ import annotations
+
+import argparse
+import collections
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import fuzz_child
+from fuzz_child import DOORS, keep
+
+BATCH = 2000
+PATIENCE_S = 1800
+"""For a whole batch; single inputs are watched from inside."""
+LEAK_KB = 100_000
+"""Growth of a batch that is more than what allocators keep for later."""
+_ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")}
+
+
+@dataclass
+class Tally:
+    """What one door has withstood."""
+
+    door: str
+    done: int = 0
+    cpu_s: float = 0.0
+    longest_s: float = 0.0
+    corpus: int = 0
+    outcomes: collections.Counter[str] = field(default_factory=collections.Counter)
+    failures: collections.Counter[str] = field(default_factory=collections.Counter)
+    files: int = 0
+    threads: int = 0
+    resident_kb: int = 0
+    """Largest growth within a batch."""
+
+    def add(self, batch: dict[str, Any]) -> None:
+        """Count one batch."""
+        self.done += batch["done"]
+        self.cpu_s += batch["cpu_s"]
+        self.longest_s = max(self.longest_s, batch["longest_s"])
+        self.corpus += batch["grown_by"]
+        self.outcomes.update(batch["outcomes"])
+        self.failures.update(batch["failures"])
+        for name in ("files", "threads", "resident_kb"):
+            grown = batch["after"][name] - batch["before"][name]
+            setattr(self, name, max(getattr(self, name), grown))
+        if batch["after"]["files"] > batch["before"]["files"]:
+            self.failures["open files left behind"] += 1
+        if batch["after"]["resident_kb"] - batch["before"]["resident_kb"] > LEAK_KB:
+            self.failures["memory left behind"] += 1
+
+    def line(self) -> str:
+        """For a person."""
+        per_ms = 1e3 * self.cpu_s / max(self.done, 1)
+        return (
+            f"{self.door:<15}{self.done:>8} inputs {len(self.failures):>3} kinds of failure  {per_ms:7.2f} ms each, "
+            f"longest {self.longest_s:5.2f} s  files {self.files:+d} threads {self.threads:+d} "
+            f"memory {self.resident_kb / 1024:+.1f} MB  "
+            + ", ".join(f"{name} {number}" for name, number in self.outcomes.most_common(6))
+        )
+
+
+def batch_of(tally: Tally, seed: int, number: int, count: int, out: Path) -> None:
+    """Run one batch; what its process dies of is a failure, too."""
+    (out / "batch.json").unlink(missing_ok=True)
+    (out / "current").unlink(missing_ok=True)
+    command = [sys.executable, fuzz_child.__file__, tally.door, str(seed), str(number), str(count), str(out)]
+    with tempfile.TemporaryFile("w+") as said:
+        try:
+            code = subprocess.run(
+                command, stdout=subprocess.DEVNULL, stderr=said, env=os.environ | _ONE_THREAD, timeout=PATIENCE_S, check=False
+            ).returncode
+        except subprocess.TimeoutExpired:
+            code = -1
+        said.seek(0)
+        words = said.read()
+    if code == 0:
+        tally.add(json.loads((out / "batch.json").read_text()))
+        return
+    kind = "a hang" if "Timeout" in words or code == -1 else f"a crash (exit code {code})"
+    tally.failures[kind] += 1
+    current = out / "current"
+    if current.exists():
+        content = current.read_bytes()
+        keep(out / "failures", content[8 : 8 + int.from_bytes(content[:8], "little")], f"{kind}\n{words}")
+
+
+def campaign(door: str, options: argparse.Namespace) -> Tally:
+    """As many inputs as were asked for, or as there is time for."""
+    out = Path(options.out, door).resolve()
+    out.mkdir(parents=True, exist_ok=True)
+    tally, begun, number = Tally(door), time.monotonic(), options.first
+    while tally.done < options.count and time.monotonic() - begun < 60.0 * options.minutes:
+        batch_of(tally, options.seed, number, min(BATCH, options.count - tally.done), out)
+        number += 1
+        (out / "tally.json").write_text(json.dumps(vars(tally), indent=2) + "\n")
+        if sum(kind.startswith("a ") * times for kind, times in tally.failures.items()) > 20:
+            break
+    return tally
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0] if __doc__ else "")
+    parser.add_argument("doors", nargs="*", metavar="DOOR", help=", ".join(DOORS))
+    parser.add_argument("--count", type=int, default=10_000, help="inputs for each door")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--first", type=int, default=0, help="number of the first batch, to go on with other inputs")
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="at most so long for each door")
+    parser.add_argument("--out", default="fuzz_found", help="folder for the corpus, and for what broke")
+    parser.add_argument("--replay", metavar="FILE", help="let this one in again")
+    options = parser.parse_args()
+    unknown = set(options.doors) - set(DOORS)
+    if unknown:
+        parser.error(f"no such door: {', '.join(sorted(unknown))}; there are {', '.join(DOORS)}")
+    if options.replay:
+        content = Path(options.replay).read_bytes()
+        with tempfile.TemporaryDirectory() as folder:
+            door = DOORS[options.doors[0]]
+            door.seeds(Path(folder))
+            print(fuzz_child.entered(door, content, Path(folder)))
+        return
+    failed = False
+    for door in options.doors or DOORS:
+        tally = campaign(door, options)
+        print(tally.line(), flush=True)
+        for kind, times in tally.failures.most_common():
+            failed = True
+            print(f"    {times:>6} x {kind}", flush=True)
+    sys.exit(failed)
+
+
+if __name__ == "__main__":
+    main()
