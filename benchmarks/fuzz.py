@@ -21,14 +21,16 @@ from pathlib import Path
 from typing import Any
 
 import fuzz_child
-from fuzz_child import DOORS, keep
+from fuzz_child import keep
 
-BATCH = 2000
+from tests.fuzz.doors import DOORS, entered
+
+BATCH = 10_000
 PATIENCE_S = 1800
 """For a whole batch; single inputs are watched from inside."""
 LEAK_KB = 100_000
 """Growth of a batch that is more than what allocators keep for later."""
-_ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")}
+_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 
 
 @dataclass
@@ -82,7 +84,12 @@ def batch_of(tally: Tally, seed: int, number: int, count: int, out: Path) -> Non
     with tempfile.TemporaryFile("w+") as said:
         try:
             code = subprocess.run(
-                command, stdout=subprocess.DEVNULL, stderr=said, env=os.environ | _ONE_THREAD, timeout=PATIENCE_S, check=False
+                command,
+                stdout=subprocess.DEVNULL,
+                stderr=said,
+                env=os.environ | _ONE_THREAD,
+                timeout=PATIENCE_S,
+                check=False,
             ).returncode
         except subprocess.TimeoutExpired:
             code = -1
@@ -131,11 +138,11 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             door = DOORS[options.doors[0]]
             door.seeds(Path(folder))
-            print(fuzz_child.entered(door, content, Path(folder)))
+            print(entered(door, content, Path(folder)))
         return
     failed = False
-    for door in options.doors or DOORS:
-        tally = campaign(door, options)
+    for name in options.doors or DOORS:
+        tally = campaign(name, options)
         print(tally.line(), flush=True)
         for kind, times in tally.failures.most_common():
             failed = True

@@ -37,7 +37,7 @@ LONGEST = 300_000
 """Bytes of an input; more are cut off."""
 LIMIT_S = 20
 """A small input that takes longer hangs (in processor time shared with others: most take milliseconds)."""
-TRACED = 10
+TRACED = 25
 """One input in so many is followed line by line; those that reach new lines join the corpus."""
 MOST_CORPUS, LARGEST_KEPT = 400, 60_000
 WARM_UP = 200

@@ -13,8 +13,8 @@ import shutil
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from functools import partial
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 __all__ = ["DOORS", "Door", "entered"]
 
 Refusal = (LogError, ServofdError)
-_JUDGED, _DRAFTED = 10, 500
+_JUDGED, _DRAFTED = 50, 2500
 """One in so many sound logs is judged; and one, whose aircraft is drafted from it, which takes a second."""
 
 
@@ -85,12 +85,13 @@ def entered(door: Door, content: bytes, folder: Path) -> str:
     try:
         return door.enter(content, folder)
     except Refusal as error:
-        assert str(error).strip(), "a refusal without a word"
-        return type(error).__name__
+        refusal = error
+    assert str(refusal).strip(), "a refusal without a word"
+    return type(refusal).__name__
 
 
 def _log(content: bytes, folder: Path) -> str:
-    """Every channel, as `info` looks at them; then, of some, the verdict as JSON, and of few without an aircraft file."""
+    """Every channel, as `info` looks at them; of some the verdict as JSON, and of few without an aircraft file."""
     read = outcome(content)
     if isinstance(read, LogError):
         return type(read).__name__
@@ -243,7 +244,12 @@ def _monitored_seeds(folder: Path) -> list[bytes]:
 
 
 WORDS = (
-    ("fault", "elevator:stuck@0.5", "rudder:oscillation@1:amplitude_deg=2:frequency_hz=3", "elevator:bias@1:bias_deg=-2"),
+    (
+        "fault",
+        "elevator:stuck@0.5",
+        "rudder:oscillation@1:amplitude_deg=2:frequency_hz=3",
+        "elevator:bias@1:bias_deg=-2",
+    ),
     ("effect", "elevator:backlash:width_deg=1", "rudder:friction:friction_deg=0.3:torque_share=0.5"),
     ("effect", "elevator:rate_limit:rate_limit_deg_s=60:form=output", "elevator:deadband:width_deg=0.5"),
     ("simulate", "--duration", "2", "--rate-hz", "50", "--noise-deg", "0.1", "--seed", "3", "--command", "steps"),

@@ -30,11 +30,12 @@ EXTREMES = (
 )
 NUMBERS = (0.0, -0.0, 1.0, -1.0, 5e-324, 1e-30, 1e30, 1e38, 1e308, -1e308, np.inf, -np.inf, np.nan)
 WHOLE = (0, 1, 2, 127, 255, 256, 32767, 65535, 2**24 + 1, 2**31 - 1, 2**31, 2**32 - 1, 2**53 + 1, 2**63 - 1, 2**64 - 1)
-WORDS = tuple(
-    b"nan inf -inf 1e308 -1e308 1e-320 1e999 -1 0 -0.0 1_000 0x1F 9007199254740993 4294967296 true [] {} '' 1e-9 \xff "
-    b"\xef\xbc\x91 \0 2026-01-01 5e5 -7.25".split(b" ")
-) + (b"", b"9" * 5000, b"[" * 1500, b'"' + b"a" * 3000 + b'"', b"\n", b" ", b'"', b"[[a]]\n")
-FIELDS = "<b <h <i <q <e <f <d >b >h >i >q >e >f >d".split()
+WORDS = (
+    *b"nan inf -inf 1e308 -1e308 1e-320 1e999 -1 0 -0.0 1_000 0x1F 9007199254740993 4294967296 true [] {} ''".split(),
+    *b"1e-9 5e5 -7.25 2026-01-01 \xff \xef\xbc\x91 \0 [[a]]\n".split(b" "),
+    *(b"", b" ", b"\n", b'"', b"9" * 5000, b"[" * 1500, b'"' + b"a" * 3000 + b'"'),
+)
+FIELDS = [order + kind for order in "<>" for kind in "bhiqefd"]
 _NUMBER = re.compile(rb"-?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?")
 _WORD = re.compile(rb"[\w.+-]+")
 

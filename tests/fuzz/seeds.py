@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import logparsers
-from logparsers.dataflash.encode import encode
 from logparsers.codec import Codec
+from logparsers.dataflash.encode import encode
 from logparsers.replay import replayed
 from servofd.aircraft import plain_aircraft
 from servofd.feedback.draft import draft_aircraft
@@ -34,7 +34,7 @@ from tests.parsers import dataflash_writer, writers
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["EFFECTS", "PLANE", "SERVO", "flight", "fleet_parts", "frames", "logs_of", "planes", "recordings"]
+__all__ = ["EFFECTS", "PLANE", "SERVO", "fleet_parts", "flight", "frames", "logs_of", "planes", "recordings"]
 
 ROOT = Path(__file__).resolve().parents[2]
 PLANE = plain_aircraft(["elevator", "rudder"])
@@ -114,6 +114,15 @@ source = "bench"
 """
 
 
+_SUFFIXES = {"dataflash": ".bin", "tlog": ".tlog", "ulog": ".ulg", "table": ".csv"}
+_ALIKE = {
+    "matlab4": ("level4",),
+    "matlab5": ("level5",),
+    "hdf5": ("matlab73", "raptrs"),
+    "table": ("table", "quoted", "blanks"),
+}
+
+
 @cache
 def flight(rate_hz: float = 25.0) -> SimulatedFlight:
     """A short flight in which one servo jams and the other slips."""
@@ -141,23 +150,16 @@ def _faser() -> Mapping[str, np.ndarray]:
 
 def logs_of(kind: str) -> list[bytes]:
     """Small files of one format; those in which servos move are judged as well."""
-    match kind:
-        case "dataflash":
-            return [_written(".bin"), SEEDS[kind]]
-        case "dataflash_text":
-            return [dataflash_writer.as_text(dataflash_writer.servo_flight(2.0)), SEEDS[kind]]
-        case "tlog":
-            return [_written(".tlog"), SEEDS[kind]]
-        case "ulog":
-            return [_written(".ulg"), SEEDS[kind]]
-        case "matlab4":
-            return [writers.level4({name: ("f4", values) for name, values in _faser().items()}), SEEDS["level4"]]
-        case "matlab5":
-            return [writers.matlab(_faser()), writers.matlab(_faser(), compressed=True), SEEDS["level5"]]
-        case "hdf5":
-            return [writers.matlab73(dict(_faser())), SEEDS["matlab73"], SEEDS["raptrs"]]
-    assert kind == "table"
-    return [_written(".csv"), SEEDS["table"], SEEDS["quoted"], SEEDS["blanks"]]
+    sound = [SEEDS[name] for name in SEEDS if name in _ALIKE.get(kind, (kind,))]
+    if kind == "dataflash_text":
+        return [dataflash_writer.as_text(dataflash_writer.servo_flight(2.0)), *sound]
+    if kind == "matlab4":
+        return [writers.level4({name: ("f4", values) for name, values in _faser().items()}), *sound]
+    if kind == "matlab5":
+        return [writers.matlab(_faser()), writers.matlab(_faser(), compressed=True), *sound]
+    if kind == "hdf5":
+        return [writers.matlab73(_faser()), *sound]
+    return [_written(_SUFFIXES[kind]), *sound]
 
 
 def planes() -> list[bytes]:
@@ -169,14 +171,15 @@ def planes() -> list[bytes]:
 
 def frames() -> list[bytes]:
     """What comes over a link: telemetry, and the autopilot's own log in blocks."""
-    streamed = b"".join(frame for _, frame in replayed(_written(".tlog")))
+    streamed = [frame for _, frame in replayed(_written(".tlog"))]
     log, vehicle = encode(dataflash_writer.servo_flight(0.5)), Codec(1, 1)
     blocks = [log[at : at + 200].ljust(200, b"\0") for at in range(0, len(log), 200)]
     remote = [
         vehicle.encode("REMOTE_LOG_DATA_BLOCK", {"seqno": number, "data": list(block)})
         for number, block in enumerate(blocks)
     ]
-    return [streamed, b"".join(remote)]
+    few, some = b"".join(streamed[:60]), b"".join(streamed[:200])
+    return [few, few, few, few, some, b"".join(streamed), b"".join(remote[:12]), b"".join(remote)]
 
 
 def recordings(folder: Path) -> list[bytes]:
