@@ -60,7 +60,6 @@ def test_one_wrong_bit_in_a_table_is_told(results: Path) -> None:
     part.write_bytes(content)
     for use in (
         lambda: read_table(results, "logs"),
-        lambda: read_logs(results),
         lambda: FleetStore(results, Job().key),
     ):
         with pytest.raises(ConfigError, match=r"damaged .*remove it"):
