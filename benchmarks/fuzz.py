@@ -12,6 +12,7 @@ import argparse
 import collections
 import json
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -26,8 +27,8 @@ from fuzz_child import keep
 from tests.fuzz.doors import DOORS, entered
 
 BATCH = 10_000
-PATIENCE_S = 1800
-"""For a whole batch; single inputs are watched from inside."""
+PATIENCE_S = 7200
+"""For a whole batch that waits for something; what computes too long is ended from inside."""
 LEAK_KB = 100_000
 """Growth of a batch that is more than what allocators keep for later."""
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
@@ -47,7 +48,7 @@ class Tally:
     files: int = 0
     threads: int = 0
     resident_kb: int = 0
-    """Largest growth within a batch."""
+    """Largest growth in the second half of a batch."""
 
     def add(self, batch: dict[str, Any]) -> None:
         """Count one batch."""
@@ -92,13 +93,14 @@ def batch_of(tally: Tally, seed: int, number: int, count: int, out: Path) -> Non
                 check=False,
             ).returncode
         except subprocess.TimeoutExpired:
-            code = -1
+            code = None
         said.seek(0)
         words = said.read()
     if code == 0:
         tally.add(json.loads((out / "batch.json").read_text()))
         return
-    kind = "a hang" if "Timeout" in words or code == -1 else f"a crash (exit code {code})"
+    hung = code in (-signal.SIGPROF, None)
+    kind = "a hang" if hung else f"a crash (exit code {code})"
     tally.failures[kind] += 1
     current = out / "current"
     if current.exists():

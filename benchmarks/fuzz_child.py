@@ -13,6 +13,7 @@ import json
 import mmap
 import os
 import random
+import signal
 import sys
 import time
 import traceback
@@ -35,13 +36,11 @@ if TYPE_CHECKING:
 
 LONGEST = 300_000
 """Bytes of an input; more are cut off."""
-LIMIT_S = 20
-"""A small input that takes longer hangs (in processor time shared with others: most take milliseconds)."""
+LIMIT_S = 30.0
+"""A small input that takes more processor time hangs: most take milliseconds, and what is compiled a few seconds."""
 TRACED = 25
 """One input in so many is followed line by line; those that reach new lines join the corpus."""
 MOST_CORPUS, LARGEST_KEPT = 400, 60_000
-WARM_UP = 200
-"""Inputs after which compilers and caches are warm, and leaks are measured."""
 _PACKAGES = tuple(str(ROOT / name) + os.sep for name in ("servofd", "logparsers"))
 
 
@@ -130,11 +129,11 @@ def run(door: Door, batch: Batch, rng: random.Random, count: int, out: Path) -> 
     for content in own:  # sound ones first: they compile, and what they reach is not new
         lines.follow(lambda content=content: entered(door, content, Path()))  # type: ignore[misc]
     for number in range(count):
-        if number == min(WARM_UP, count - 1):
+        if number == count // 2:  # compilers and caches are warm
             batch.before = held()
         content = mutant(rng, own if rng.random() < 0.4 else corpus, door.shape)[:LONGEST]
         current[: 8 + len(content)] = len(content).to_bytes(8, "little") + content
-        faulthandler.dump_traceback_later(LIMIT_S, exit=True)
+        signal.setitimer(signal.ITIMER_PROF, LIMIT_S)
         begun = time.process_time()
         try:
             if number % TRACED:
@@ -154,7 +153,7 @@ def run(door: Door, batch: Batch, rng: random.Random, count: int, out: Path) -> 
             batch.longest_s = max(batch.longest_s, time.process_time() - begun)
         batch.outcomes[became] += 1
         batch.done += 1
-    faulthandler.cancel_dump_traceback_later()
+    signal.setitimer(signal.ITIMER_PROF, 0.0)
     batch.after = held()
 
 
@@ -162,6 +161,7 @@ def main(name: str, seed: str, number: str, count: str, folder: str) -> None:
     out = Path(folder).resolve()
     (out / "work").mkdir(parents=True, exist_ok=True)
     faulthandler.enable()
+    faulthandler.register(signal.SIGPROF, chain=True)  # shows where it hangs, then lets it end
     warnings.simplefilter("error")
     batch = Batch()
     run(DOORS[name], batch, random.Random(f"{seed} {name} {number}"), int(count), out)  # noqa: S311 - a seed
