@@ -9,7 +9,7 @@ import numpy as np
 
 from servofd.detection.residual import Commands, commands_at_servo, rhythm
 from servofd.discrepancy.noise import comb_step_deg
-from servofd.models.physics import Physics, Plant, longest_step_s, plant_of
+from servofd.models.physics import LOOSE_FIELDS, Physics, Plant, longest_step_s, plant_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,7 +19,10 @@ if TYPE_CHECKING:
     from servofd.segment import Segment
     from servofd.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["BLOCK_S", "Record", "joined", "record_of", "simulate"]
+__all__ = ["BLOCK_S", "SLOWEST_RATE_HZ", "Record", "joined", "record_of", "simulate"]
+
+SLOWEST_RATE_HZ = 19.0
+"""Below this the effects of a servo fall between the samples: HS-225BB, time constants 15 to 40 ms."""
 
 BLOCK_S = 0.3
 """Length of the blocks that are fitted and held out in turn [s]: longer than a servo remembers, shorter than most
@@ -66,6 +69,9 @@ class Record:
     """Whether the poles of the servo are not known, and are fitted along with every effect."""
     own: OwnEffect | None = None
     """An effect of the user's own."""
+    side: FloatArray | None = None
+    """On which side of its play the surface rests: 1 or -1, 0 where it has none. Only of a record that is too slow to show
+    more than where it rests."""
 
     @property
     def run(self) -> IntArray:
@@ -195,6 +201,7 @@ def joined(records: Sequence[Record]) -> Record:
         tuple(runs),
         records[0].free_poles,
         records[0].own,
+        _context([each.side for each in runs]),
     )
 
 
@@ -239,6 +246,11 @@ def simulate(record: Record, physics: Physics) -> FloatArray:
 
     if record.runs:
         return np.concatenate([simulate(each, physics) for each in record.runs])
+    if record.side is not None:
+        # What pulls the surface is not logged; that it lies at one end of its play is seen.
+        loose_deg = sum(getattr(physics, name) * share for name, share in LOOSE_FIELDS.items())
+        tight = physics._replace(**dict.fromkeys(LOOSE_FIELDS, 0.0))
+        return simulate(replace(record, side=None), tight) + loose_deg * record.side
     commands, plant = record.commands, record.plant
     sent_s, deg, slope = commands.effective_s, commands.command_deg, commands.slope_deg_s
     if record.own is not None:
