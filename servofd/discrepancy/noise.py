@@ -19,6 +19,7 @@ _THIRD = 20.0**0.5
 _LAGS = 25
 _SMALLEST_DEG = 1e-6
 _OFF_COMB, _FEWEST_VALUES = 0.1, 3
+_NO_CHANCE = 20.0
 
 
 def noise_floor_deg(record: Record, error_deg: FloatArray) -> float:
@@ -74,9 +75,14 @@ def comb_step_deg(values_deg: FloatArray) -> float | None:
     """
     known = values_deg[np.isfinite(values_deg)]
     unique = np.unique(np.round(known, 6))
-    if not _FEWEST_VALUES <= unique.size <= known.size / 4:
+    if not _FEWEST_VALUES <= unique.size <= known.size / 2:
         return None
-    step_deg = float(np.diff(unique).min())
+    apart = np.diff(unique)
+    # Files round each value; most of the smallest differences are one step all the same.
+    step_deg = float(np.median(apart[apart < 1.5 * apart.min()]))
+    # Of n values without a converter the two closest are the n-th part of the mean distance apart.
+    if unique.size > known.size / 4 and step_deg < _NO_CHANCE * (unique[-1] - unique[0]) / unique.size**2:
+        return None
     for _ in range(2):  # the smallest difference is rounded by the file; all of them together are not
         number = np.round(unique / step_deg)
         step_deg = float(unique @ number) / max(float(number @ number), 1.0)

@@ -35,6 +35,9 @@ _BETWEEN_RUNS_S = 1.0
 """Runs are laid one after the other for pictures and words; nothing is simulated across."""
 
 
+_SOME_RUNS, _STEPS_OF_ZERO = 3, 1.5
+_PLACES = np.linspace(-1.0, 1.0, 5)
+"""Within a dead band, from one end to the other."""
 _DOUBTFUL = 1.45
 _LARGEST_GUESS_DEG, _FORGOTTEN_S = 0.25, 0.16
 """A lost command off by this much moves an HS-225BB by 0.04 deg, for four of its time constants."""
@@ -72,6 +75,14 @@ class Record:
     side: FloatArray | None = None
     """On which side of its play the surface rests: 1 or -1, 0 where it has none. Only of a record that is too slow to show
     more than where it rests."""
+
+    @property
+    def is_zeroed(self) -> bool:
+        """Whether readings are counted from where each run began: all of several begin at zero, to a converter's step."""
+        if len(self.runs) < _SOME_RUNS:
+            return False
+        least_deg = _STEPS_OF_ZERO * (self.step_deg or 0.0)
+        return all(abs(float(each.measured_deg[0])) <= least_deg for each in self.runs)
 
     @property
     def run(self) -> IntArray:
@@ -197,7 +208,7 @@ def joined(records: Sequence[Record]) -> Record:
         _context([each.pressure_pa for each in runs]),
         _context([each.voltage_v for each in runs]),
         _context([each.current_a for each in runs]),
-        records[0].step_deg,
+        comb_step_deg(np.concatenate([each.measured_deg for each in runs])),
         tuple(runs),
         records[0].free_poles,
         records[0].own,
@@ -244,11 +255,13 @@ def simulate(record: Record, physics: Physics) -> FloatArray:
     """
     from servofd.models.position_loop import framed, new_memory, run
 
+    loose_deg = sum(getattr(physics, name) * share for name, share in LOOSE_FIELDS.items())
+    if record.runs and record.is_zeroed and loose_deg > 0.0:
+        return np.concatenate([_from_where_it_lay(each, physics, loose_deg) for each in record.runs])
     if record.runs:
         return np.concatenate([simulate(each, physics) for each in record.runs])
     if record.side is not None:
         # What pulls the surface is not logged; that it lies at one end of its play is seen.
-        loose_deg = sum(getattr(physics, name) * share for name, share in LOOSE_FIELDS.items())
         tight = physics._replace(**dict.fromkeys(LOOSE_FIELDS, 0.0))
         return simulate(replace(record, side=None), tight) + loose_deg * record.side
     commands, plant = record.commands, record.plant
@@ -281,3 +294,16 @@ def simulate(record: Record, physics: Physics) -> FloatArray:
     if record.own is not None:
         position_deg = record.own.changed("deflection", physics, record.time_s, position_deg)
     return position_deg
+
+
+def _from_where_it_lay(run: Record, physics: Physics, loose_deg: float) -> FloatArray:
+    """Reading of a run that is counted from where the servo lay within its dead band when the run began [deg].
+
+    Where that was, nobody wrote down; of a few places the one that agrees best with the run is taken.
+    """
+    readings = []
+    for place_deg in loose_deg * _PLACES:
+        moved = replace(run, measured_deg=run.measured_deg + place_deg)
+        readings.append(simulate(moved, physics) - place_deg)
+    errors = [(run.measured_deg - reading)[run.counts] for reading in readings]
+    return readings[int(np.argmin([float(np.sum(error * error)) for error in errors]))]
