@@ -93,7 +93,12 @@ def accepted(record: Record, base: Fit, fit: Fit, sigma: float) -> bool:
 
 
 def matters(record: Record, fit: Fit) -> bool:
-    """Whether each effect differs from none by more than servos of one kind do from each other."""
+    """Whether each effect differs from none by more than servos of one kind do from each other.
+
+    Of a servo that nobody knows there is no kind: what its data show is there, however small.
+    """
+    if record.free_poles:
+        return True
     first, widening = 0, max(float(np.nanmax(np.abs(record.measured_deg))) / _USUAL_TRAVEL_DEG, 1.0)
     for effect in fit.effects:
         values = fit.values[first : first + len(effect.parameters)]
