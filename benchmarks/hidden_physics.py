@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CATALOGUE", "CONVERTER_DEG", "EXCITATIONS", "LEVELS", "OUTSIDE", "STRUCTURAL", "Air", "Effects", "HiddenRecord",
-    "deflection", "draw", "effect_rms_deg", "hidden", "sweep",
+    "change_deg", "deflection", "draw", "effect_rms_deg", "hidden", "sweep",
 ]  # fmt: skip
 
 Effects = Mapping[str, Mapping[str, float]]
@@ -267,9 +267,18 @@ def deflection(
 
 
 def effect_rms_deg(record: HiddenRecord, healthy: HiddenRecord) -> float:
-    """How much the effects change the position, against the same log without them, and coarse steps added [deg]."""
+    """How much the effects change the position, against the same log without them, and coarse steps added [deg].
+
+    What a stamp says is taken at its word: where the clock wavers, the healthy position is that of the wrong time.
+    """
     step_deg = record.truth.get("quantization", {}).get("step_deg", 0.0)
-    return float(np.sqrt(np.mean((record.clean_deg - healthy.clean_deg) ** 2) + step_deg**2 / 12.0))
+    return float(np.sqrt(np.mean(change_deg(record, healthy) ** 2) + step_deg**2 / 12.0))
+
+
+def change_deg(record: HiddenRecord, healthy: HiddenRecord) -> FloatArray:
+    """Difference that the effects make to each sample [deg], shape (n,)."""
+    change: FloatArray = record.clean_deg - np.interp(record.time_s, healthy.time_s, healthy.clean_deg)
+    return change
 
 
 def sweep(time_s: FloatArray, rng: np.random.Generator) -> FloatArray:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
 
 __all__ = [
-    "EXCESS_OF_NOISE", "EXCESS_WORTH", "accepted", "cost", "excess", "floor_of", "matters", "rest_is_large",
+    "EXCESS_WORTH", "accepted", "cost", "excess", "floor_of", "matters", "rest_is_large",
     "rest_matters", "stays_above_noise", "worth_trying",
 ]  # fmt: skip
 
@@ -31,7 +31,7 @@ _SMALLEST_SIZE = 0.15
 """Of what is common on healthy servos: 0.5 ms of delay, 0.5 % of gain, 0.05 deg of play."""
 EXCESS_WORTH = 0.06
 """The floor itself is uncertain by 3 %."""
-EXCESS_OF_NOISE, _EXCESS_OF_GAP = 0.15, 0.02
+_EXCESS_OF_NOISE, _EXCESS_OF_GAP = 0.15, 0.02
 _SURE_SIGMAS = 3.0
 """Chance alone passes one record in 700."""
 _NOTHING_DEG = 1e-4
@@ -95,7 +95,12 @@ def accepted(record: Record, base: Fit, fit: Fit, sigma: float) -> bool:
 
 
 def matters(record: Record, fit: Fit) -> bool:
-    """Whether each effect differs from none by more than servos of one kind do from each other."""
+    """Whether each effect differs from none by more than servos of one kind do from each other.
+
+    Of a servo that nobody knows there is no kind: what its data show is there, however small.
+    """
+    if record.free_poles:
+        return True
     first, widening = 0, max(float(np.nanmax(np.abs(record.measured_deg))) / _USUAL_TRAVEL_DEG, 1.0)
     for effect in fit.effects:
         values = fit.values[first : first + len(effect.parameters)]
@@ -123,12 +128,12 @@ def rest_is_large(record: Record, fit: Fit, nominal: Fit) -> bool:
     """Whether more is left than noise, and more than a rounding of what was there."""
     sigma, count = floor_of(record, fit), max(float(record.counts.sum()), 1.0)
     left, gap = (max(each.total - count * sigma**2, 0.0) for each in (fit, nominal))
-    return left > max(EXCESS_OF_NOISE * count * sigma**2, _EXCESS_OF_GAP * gap)
+    return left > max(_EXCESS_OF_NOISE * count * sigma**2, _EXCESS_OF_GAP * gap)
 
 
 def stays_above_noise(record: Record, fit: Fit) -> bool:
     """Whether more is left than noise, be it ever so little of what there was."""
-    return fit.total > (1.0 + EXCESS_OF_NOISE) * float(record.counts.sum()) * floor_of(record, fit) ** 2
+    return fit.total > (1.0 + _EXCESS_OF_NOISE) * float(record.counts.sum()) * floor_of(record, fit) ** 2
 
 
 def excess(record: Record, fit: Fit, sigma: float) -> float:
@@ -145,4 +150,4 @@ def rest_matters(record: Record, nominal: Fit, final: Fit, sigma_deg: float) -> 
         left, gap = max(left, fitted), max(gap, fitted)
     # Of few samples, neither the floor nor what is left is known well.
     chance = float(np.hypot(floor_uncertainty(record), np.sqrt(2.0 / max(int(record.held_out.sum()), 1))))
-    return left > max(EXCESS_OF_NOISE, _SURE_SIGMAS * chance) * sigma_deg**2 and left > _EXCESS_OF_GAP * gap
+    return left > max(_EXCESS_OF_NOISE, _SURE_SIGMAS * chance) * sigma_deg**2 and left > _EXCESS_OF_GAP * gap

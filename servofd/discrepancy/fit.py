@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.discrepancy.frames import best_frame, frames_like
+from servofd.discrepancy.frames import best_frame, frames_like, usual_frame
 from servofd.discrepancy.noise import long_run_factor, noise_floor_deg
 from servofd.discrepancy.record import simulate
 from servofd.discrepancy.search import begin, polish, telling_part
@@ -69,6 +69,13 @@ class Fit:
         return tuple(effect.name for effect in self.effects)
 
     @property
+    def ran_away(self) -> tuple[int, ...]:
+        """Which of the effects have a parameter at its bound: no answers, but failures."""
+        values = iter(self.values.tolist())
+        at_bound = [[p.at_bound(next(values)) for p in effect.parameters] for effect in self.effects]
+        return tuple(k for k, each in enumerate(at_bound) if any(each))
+
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Of all effects in order."""
         return tuple(p for effect in self.effects for p in effect.parameters)
@@ -124,26 +131,15 @@ class Fitter:
         """The best fits that have one effect more; of the most promising, all parameters are refitted.
 
         Pulse frames, a search of thousands of simulations, are looked for only if a delay helps (it is what they do on
-        average) and nothing else leaves as little as noise.
+        average); if nothing else leaves more than noise, only those of usual periods that are as late as that.
         """
         part = telling_part(self.record, base.error_deg)
         others = [effect for effect in able if self._possible(effect, base)]
         fits = self._refitted_best([self._begun(part, base, effect, tried) for effect in others])
-        if PwmFrame in able and PwmFrame not in base.effects and self._may_be_frames(base, fits):
-            fits += self._framed(base, min(fits, key=lambda fit: fit.train), tried)
+        if PwmFrame in able and PwmFrame not in base.effects and self._is_late(base, fits):
+            tried(PwmFrame.key())
+            fits += self._framed(base, fits)
         return fits
-
-    def _framed(self, base: Fit, rival: Fit, tried: Callable[[str], None]) -> list[Fit]:
-        """Pulse frames beside what is known, if they explain lively seconds better than a rival does."""
-        tried(PwmFrame.key())
-        known = self.physics(base.effects, base.values)
-        begin = frames_like(self.record, known, rival.error_deg, noise_floor_deg(self.record, rival.error_deg))
-        if not begin:
-            return []
-        effects, values = (*base.effects, PwmFrame), base.values.tolist()
-        values, count = polish(self.record, effects, [*values, *best_frame(self.record, known, begin)], len(values))
-        self.simulations += count
-        return [self.refitted(effects, values)]
 
     def _possible(self, effect: type[MissingEffect], base: Fit) -> bool:
         """Whether an effect is tried with the others: its name is new, and it is not found in a way of its own."""
@@ -172,15 +168,36 @@ class Fitter:
             self.simulations += count
         return self.refitted(fit.effects, values)
 
-    def _may_be_frames(self, base: Fit, fits: list[Fit]) -> bool:
-        """Whether a delay helps, about as much as anything does, and nothing leaves as little as noise."""
+    def _is_late(self, base: Fit, fits: list[Fit]) -> bool:
+        """Whether a delay, or what passes for one, takes away some of what is left."""
         late = [fit for fit in fits if fit.effects[-1] in (Delay, SensorLag, SlowDynamics)]
-        best = min(fits, key=lambda fit: fit.train)
-        noise = self._trained.size * noise_floor_deg(self.record, best.error_deg) ** 2
-        least = min((fit.train for fit in late), default=base.train)
-        helps = base.train - least > _LATE_SHARE * (base.train - noise)
-        alike = least - noise < _LATE_LEAVES * (best.train - noise)
-        return helps and alike and best.train > (1.0 + _FRAMES_EXCESS) * noise
+        gap = base.train - self._noise(fits)
+        return any(base.train - fit.train > _LATE_SHARE * gap for fit in late)
+
+    def _noise(self, fits: list[Fit]) -> float:
+        """Of the fitted samples, as the best fit shows it [deg^2]."""
+        return self._trained.size * noise_floor_deg(self.record, min(fits, key=lambda fit: fit.train).error_deg) ** 2
+
+    def _framed(self, base: Fit, fits: list[Fit]) -> list[Fit]:
+        """The best fit with pulse frames, if there is any."""
+        best, effects = min(fits, key=lambda fit: fit.train), (*base.effects, PwmFrame)
+        known, noise, frame = self.physics(base.effects, base.values), self._noise(fits), None
+        late = [fit for fit in fits if fit.effects[-1] in (Delay, SensorLag, SlowDynamics)]
+        if best.train <= (1.0 + _FRAMES_EXCESS) * noise:
+            later_s = [
+                float(fit.values[-1]) - self.record.plant.neutral.delay_s for fit in late if fit.effects[-1] is Delay
+            ]
+            frame = usual_frame(self.record, known, max(later_s, default=0.0))
+        elif min(fit.train for fit in late) - noise < _LATE_LEAVES * (best.train - noise):
+            # Frames are a delay on average: where something else fits far better, they are not what lacks most.
+            sigma_deg = float(np.sqrt(noise / self._trained.size))
+            likely = frames_like(self.record, known, best.error_deg, sigma_deg)
+            frame = best_frame(self.record, known, likely) if likely else None
+        if frame is None:
+            return []
+        values, count = polish(self.record, effects, [*base.values.tolist(), *frame], base.values.size)
+        self.simulations += count
+        return [self.refitted(effects, values)]
 
     def refitted(
         self, effects: tuple[type[MissingEffect], ...], values: Values, evaluations: int = _EVALUATIONS

@@ -28,11 +28,16 @@ _FORESEEN = 1.5
 
 
 def pruned(fitter: Fitter, best: Fit) -> Fit:
-    """Without the effects that the others made needless."""
+    """Without the effects that ran away, and those that the others made needless."""
     while len(best.effects) > 1:
         fewer = [without(fitter, best, k) for k in range(len(best.effects))]
         sigma = floor_of(fitter.record, best)
-        loose = [f for f in fewer if not (_foreseen(fitter.record, f, best) or accepted(fitter.record, f, best, sigma))]
+        # What ran away goes first, for beside it none of the others looks needed.
+        loose = [fewer[k] for k in best.ran_away] or [
+            fit
+            for fit in fewer
+            if not (_foreseen(fitter.record, fit, best) or accepted(fitter.record, fit, best, sigma))
+        ]
         if not loose:
             return best
         best = min(loose, key=lambda fit: fit.held_out)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from servofd.discrepancy.candidates import first_of_each, judgeable
 from servofd.discrepancy.evidence import (
-    EXCESS_OF_NOISE,
+    EXCESS_WORTH,
     accepted,
     cost,
     floor_of,
@@ -108,7 +108,7 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     if rungs:
         rungs = (*rungs[:-1], Rung(final, rungs[-1].rivals))
     # Steps let readings stand while the surface does: that is no scatter of time stamps.
-    scattered_s = 0.0 if Quantization in final.effects else scatter_s(record, final.error_deg, EXCESS_OF_NOISE)
+    scattered_s = 0.0 if Quantization in final.effects else scatter_s(record, final.error_deg, EXCESS_WORTH)
     return Selection(nominal, rungs, ties, tied, sigma, tuple(unable), covariance, fitter, scattered_s)
 
 
@@ -140,6 +140,9 @@ def _grown(
             break
         grown.sort(key=lambda fit: cost(record, fit))
         beam = _promising(record, _distinct(grown)[:width])
+        if worth_trying(record, beam[0], floor_of(record, beam[0])):
+            # What was found first may stand in for two that are found now: not so late that nobody asks any more.
+            beam = _distinct([_swapped(fitter, able, tried, beam[0]), *beam])[:width]
         if cost(record, beam[0]) < cost(record, best):
             best = beam[0]
         if not worth_trying(record, best, floor_of(record, best)):
@@ -164,12 +167,9 @@ def _on_all(fitter: Fitter, best: Fit) -> tuple[Fit, Fit, FloatArray]:
     """Fitted to all samples as well, without effects of which that drives a parameter to its bound."""
     while True:
         final, covariance = fitter.on_all(best)
-        values = iter(final.values)
-        ran_away = [[p.at_bound(float(next(values))) for p in effect.parameters] for effect in final.effects]
-        at_bound = [any(each) for each in ran_away]
-        if not any(at_bound):
+        if not final.ran_away:
             return best, final, covariance
-        best = without(fitter, best, at_bound.index(True))
+        best = without(fitter, best, final.ran_away[0])
 
 
 def _quietly(_step: str) -> None:
