@@ -99,24 +99,22 @@ class Result:
         return self.score.silently_wrong and (bool(self.score.extra) or self.sizes >= _SHOWS)
 
 
-def cases(seeds: int, spread: float = 0.0, *, quick: bool = False) -> Iterator[Case]:
-    """All that is measured; `quick`: one size and noise, flight and chirp, few of the rest."""
+def cases(seeds: Iterable[int], spread: float = 0.0, *, quick: bool = False) -> Iterator[Case]:
+    """All that is measured; `quick`: one size and noise, flight and chirp."""
     levels = LEVELS[1:2] if quick else LEVELS
     ways = ("flight", "chirp") if quick else EXCITATIONS
     noises = NOISES_DEG[1:2] if quick else NOISES_DEG
     sets: dict[str, list[tuple[str, ...]]] = {
         "single": [(name,) for name in CATALOGUE],
-        "pair": [*PAIRS[:: 3 if quick else 1]],
-        "triple": [*TRIPLES[:: 3 if quick else 1]],
+        "pair": [*PAIRS],
+        "triple": [*TRIPLES],
         "structural": [(name,) for name in STRUCTURAL],
         "outside": [(name,) for name in OUTSIDE],
     }
-    for seed in range(seeds):
+    for seed in seeds:
         for way in ways:
             for noise_deg in noises:
-                yield from (
-                    Case("none", (), "", way, noise_deg, 100 * seed + k, spread) for k in range(2 if quick else 8)
-                )
+                yield from (Case("none", (), "", way, noise_deg, 100 * seed + k, spread) for k in range(8))
                 for kind, names in sets.items():
                     for level in levels if kind == "single" else LEVELS[1:2]:
                         yield from (Case(kind, several, level, way, noise_deg, seed, spread) for several in names)
@@ -132,6 +130,7 @@ def judge(case: Case) -> Result:
     with tempfile.TemporaryDirectory() as folder:
         answer = ask(write(record, Path(folder) / "log.csv"), SURFACE)
     floor_deg = float(np.hypot(case.noise_deg, CONVERTER_DEG / np.sqrt(12.0)))
+    step_deg = effects.get("quantization", {}).get("step_deg", CONVERTER_DEG)
     plain = nothing or hidden(case.seed, {}, case.excitation, case.noise_deg, spread=case.spread)
     sizes = 0.0 if isinstance(plain, bool) else effect_rms_deg(record, plain) / floor_deg
     change = np.zeros(record.time_s.size) if isinstance(plain, bool) else change_deg(record, plain)
@@ -142,7 +141,7 @@ def judge(case: Case) -> Result:
         doubt, sigmas = leftover_sigmas(exact, case.seed, effects, case.excitation, case.noise_deg)
     return Result(
         case=case,
-        score=score(answer.said, effects, floor_deg),
+        score=score(answer.said, effects, float(np.hypot(case.noise_deg, step_deg / np.sqrt(12.0)))),
         seconds=answer.seconds,
         sizes=sizes,
         doubt=doubt,
@@ -291,13 +290,17 @@ def _spread(values: Iterable[float]) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="a few minutes")
+    parser.add_argument(
+        "--quick", action="store_true", help="effects of medium size, noise of 0.1 deg, flight and chirp"
+    )
     parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--first", type=int, default=0, metavar="SEED", help="the first one")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--spread", action="store_true", help="servos scatter by 3 %%")
     parser.add_argument("--only", metavar="TEXT", default="", help="only kinds and effects with this in their names")
     options = parser.parse_args(arguments)
-    every = cases(options.seeds, _SPREAD if options.spread else 0.0, quick=options.quick)
+    seeds = range(options.first, options.first + options.seeds)
+    every = cases(seeds, _SPREAD if options.spread else 0.0, quick=options.quick)
     wanted = [case for case in every if options.only in " ".join((case.kind, *case.names))]
     results = []
     with ProcessPoolExecutor(options.jobs) as pool:

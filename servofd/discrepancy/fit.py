@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.discrepancy.frames import best_frame, frames_like, usual_frame
-from servofd.discrepancy.noise import long_run_factor, noise_floor_deg
+from servofd.discrepancy.noise import floor_uncertainty, long_run_factor, noise_floor_deg
 from servofd.discrepancy.record import simulate
 from servofd.discrepancy.search import begin, polish, telling_part
 from servofd.discrepancy.steps import COARSE_STEP_DEG
@@ -183,7 +183,7 @@ class Fitter:
         best, effects = min(fits, key=lambda fit: fit.train), (*base.effects, PwmFrame)
         known, noise, frame = self.physics(base.effects, base.values), self._noise(fits), None
         late = [fit for fit in fits if fit.effects[-1] in (Delay, SensorLag, SlowDynamics)]
-        if best.train <= (1.0 + _FRAMES_EXCESS) * noise:
+        if best.train <= (1.0 + max(_FRAMES_EXCESS, floor_uncertainty(self.record))) * noise:
             later_s = [
                 float(fit.values[-1]) - self.record.plant.neutral.delay_s for fit in late if fit.effects[-1] is Delay
             ]

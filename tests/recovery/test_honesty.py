@@ -48,8 +48,8 @@ def test_the_noise_of_a_surface_at_rest_is_that_of_its_comb(seed: int) -> None:
     """Noise of about one step: the median of whole steps would be off by up to 15 %."""
     rng = np.random.default_rng(seed)
     noise = rng.normal(0.0, 0.05 + 0.002 * seed, 6000)
-    read_deg = np.round(CONVERTER_DEG * np.round(noise / CONVERTER_DEG), 3)
-    time_s = 0.01 * np.arange(6000)
+    read_deg: FloatArray = np.round(CONVERTER_DEG * np.round(noise / CONVERTER_DEG), 3)
+    time_s: FloatArray = np.arange(0.0, 60.0, 0.01)
     record = record_of(Segment("x", time_s, 0.0 * time_s, time_s, read_deg), KNOWN)
     assert record.step_deg == pytest.approx(CONVERTER_DEG, rel=2e-3)
     assert noise_floor_deg(record, read_deg) == pytest.approx(float(np.std(read_deg)), rel=0.05)
