@@ -78,7 +78,10 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     if not record.free_poles and (len(best.effects) > _FEW or rest_is_large(record, best, nominal)):
         best = min(best, _grown(fitter, able, tried, _WIDE_BEAM, progress), key=lambda fit: cost(record, fit))
     best = with_steps(fitter, _swapped(fitter, able, tried, best))
-    best = ordered(fitter, simplest(fitter, convincing(fitter, pruned(fitter, best), nominal), able, tried))
+    sure = convincing(fitter, pruned(fitter, best), nominal)
+    best = simplest(fitter, sure, able, tried)
+    # A simpler word for an effect may be one that is not needed.
+    best = ordered(fitter, best if best is sure else pruned(fitter, best))
     best, final, covariance = _on_all(fitter, best)
     sigma = floor_of(record, best)
     rungs = rungs_of(fitter, nominal, best, tried, able)
