@@ -6,15 +6,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.discrepancy.noise import long_run_factor, noise_floor_deg
+from servofd.discrepancy.noise import floor_uncertainty, long_run_factor, noise_floor_deg
+from servofd.discrepancy.steps import COARSE_STEP_DEG, noise_below_deg, stepped_noise_deg
+from servofd.models.catalogue import Quantization
 
 if TYPE_CHECKING:
     from servofd.discrepancy.fit import Fit
     from servofd.discrepancy.record import Record
 
 __all__ = [
-    "EXCESS_WORTH", "accepted", "cost", "excess", "floor_of", "matters", "rest_is_large", "rest_matters",
-    "worth_trying",
+    "EXCESS_OF_NOISE", "EXCESS_WORTH", "accepted", "cost", "excess", "floor_of", "matters", "rest_is_large",
+    "rest_matters", "worth_trying",
 ]  # fmt: skip
 
 _SHARE_OF_NOISE, _SHARE_OF_GAP = 0.03, 0.02
@@ -29,15 +31,29 @@ _SMALLEST_SIZE = 0.15
 """Of what is common on healthy servos: 0.5 ms of delay, 0.5 % of gain, 0.05 deg of play."""
 EXCESS_WORTH = 0.06
 """The floor itself is uncertain by 3 %."""
-_EXCESS_OF_NOISE, _EXCESS_OF_GAP = 0.15, 0.02
+EXCESS_OF_NOISE, _EXCESS_OF_GAP = 0.15, 0.02
+_SURE_SIGMAS = 3.0
+"""Chance alone passes one record in 700."""
 _NOTHING_DEG = 1e-4
 """No noise is smaller: in logs that were simulated without any, the rounding of the file is no effect."""
 
 
 def floor_of(record: Record, fit: Fit) -> float:
     """Noise floor as this fit shows it [deg]: a converter's steps at least, no more than its error, but not nothing."""
-    noise_deg = max(noise_floor_deg(record, fit.error_deg), (record.step_deg or 0.0) / float(np.sqrt(12.0)))
+    noise_deg = max(noise_floor_deg(record, fit.error_deg), _floor_of_steps(record, fit))
     return max(min(noise_deg, float(np.sqrt(fit.total / max(record.counts.sum(), 1)))), _NOTHING_DEG)
+
+
+def _floor_of_steps(record: Record, fit: Fit) -> float:
+    """What a converter's steps, and the noise before it, leave of a true model [deg], even where readings stand."""
+    step_deg = record.step_deg or 0.0
+    if step_deg < COARSE_STEP_DEG:
+        return step_deg / float(np.sqrt(12.0))
+    read_deg = np.where(record.counts, record.measured_deg, np.nan)
+    below_deg = noise_below_deg(read_deg, record.measured_deg - fit.unstepped_deg, step_deg)
+    if Quantization in fit.effects:
+        return stepped_noise_deg(below_deg, step_deg)
+    return float(np.hypot(below_deg, step_deg / np.sqrt(12.0)))
 
 
 def cost(record: Record, fit: Fit) -> float:
@@ -110,7 +126,7 @@ def rest_is_large(record: Record, fit: Fit, nominal: Fit) -> bool:
     """Whether more is left than noise, and more than a rounding of what was there."""
     sigma, count = floor_of(record, fit), max(float(record.counts.sum()), 1.0)
     left, gap = (max(each.total - count * sigma**2, 0.0) for each in (fit, nominal))
-    return left > max(_EXCESS_OF_NOISE * count * sigma**2, _EXCESS_OF_GAP * gap)
+    return left > max(EXCESS_OF_NOISE * count * sigma**2, _EXCESS_OF_GAP * gap)
 
 
 def excess(record: Record, fit: Fit, sigma: float) -> float:
@@ -125,4 +141,6 @@ def rest_matters(record: Record, nominal: Fit, final: Fit, sigma_deg: float) -> 
         # Runs that were fitted are not like those held out: what is missing in them alone is missing all the same.
         fitted = final.train / max(int(record.trained.sum()), 1) - sigma_deg**2
         left, gap = max(left, fitted), max(gap, fitted)
-    return left > _EXCESS_OF_NOISE * sigma_deg**2 and left > _EXCESS_OF_GAP * gap
+    # Of few samples, neither the floor nor what is left is known well.
+    chance = float(np.hypot(floor_uncertainty(record), np.sqrt(2.0 / max(int(record.held_out.sum()), 1))))
+    return left > max(EXCESS_OF_NOISE, _SURE_SIGMAS * chance) * sigma_deg**2 and left > _EXCESS_OF_GAP * gap

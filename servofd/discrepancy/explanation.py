@@ -16,7 +16,13 @@ from servofd.discrepancy.record import joined, record_of, simulate
 from servofd.discrepancy.run_by_run import RunErrors, run_errors
 from servofd.discrepancy.select import Selection, select, unexplained
 from servofd.discrepancy.separate import Separation, separations
-from servofd.discrepancy.words import effect_values, linear_sentence, only_rests_sentence, unjudged_sentence
+from servofd.discrepancy.words import (
+    effect_values,
+    linear_sentence,
+    only_rests_sentence,
+    scatter_sentence,
+    unjudged_sentence,
+)
 from servofd.models.catalogue import CATALOGUE
 from servofd.models.effects import Extension
 from servofd.segment import Segment
@@ -37,6 +43,8 @@ __all__ = ["Conclusion", "Explanation", "explain_gap"]
 Conclusion = Literal["nothing_missing", "explained", "partly_explained", "unexplained"]
 
 _MUCH_WORSE, _NO_NOISE = 4.0, 5.5
+_SLOWLY_WORSE = 2.0
+"""Times the variance of the healthy part, up to the first sample that is no noise: a drift, which has no beginning."""
 _AT_ONCE_S, _SOON_S, _FAR_WORSE, _NOT_BUSIER, _MOST_OF_IT = 5.0, 15.0, 25.0, 2.0, 0.25
 """Where the healthy part is not explained to the noise either, a fault must stand out from what stays of it: at once,
 though no more is asked, or soon and nearly as large as the motion (variances). A gap that drifts, or grows with motion,
@@ -221,6 +229,8 @@ def explain_gap(
         notes.append(only_rests_sentence(record))
     elif free_poles:
         notes.append(linear_sentence(record, selection))
+    if selection.scatter_s > 0.0:
+        notes.append(scatter_sentence(selection))
     if selection.unjudged:
         notes.append(unjudged_sentence(selection))
     where = sentences(record, selection.nominal.error_deg, selection.sigma_deg)
@@ -263,7 +273,9 @@ def _healthy_part(
         if not wrong.any():
             continue
         start_s = float(record.time_s[wrong][0])
-        if explained and float(np.mean(error[later] ** 2)) > _MUCH_WORSE * healthy.sigma_deg**2:
+        quiet = later & (record.time_s < start_s)
+        slowly = bool(quiet.any()) and float(np.mean(error[quiet] ** 2)) > _SLOWLY_WORSE * usual_deg**2
+        if explained and not slowly and float(np.mean(error[later] ** 2)) > _MUCH_WORSE * healthy.sigma_deg**2:
             return before, healthy, start_s
         if rough is None and not explained and _breaks_off(record, error, before.counts, start_s, usual_deg):
             rough = before, healthy, start_s

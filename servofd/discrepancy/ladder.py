@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from servofd.discrepancy.evidence import EXCESS_WORTH, floor_of, matters
 from servofd.discrepancy.noise import long_run_factor
 from servofd.discrepancy.prune import without
+from servofd.models.catalogue import Quantization
 
 if TYPE_CHECKING:
     from servofd.discrepancy.fit import Fit, Fitter
@@ -75,8 +76,11 @@ def equals_of(fitter: Fitter, best: Fit, able: list[type[MissingEffect]], tried:
     record, sigma = fitter.record, floor_of(fitter.record, best)
     factor = long_run_factor(best.error_deg[record.counts])
     left = max(best.total - float(record.counts.sum()) * sigma**2 * (1.0 + EXCESS_WORTH), 0.0)
-    equals = []
+    equals: list[list[Fit]] = []
     for k in range(len(best.effects)):
+        if best.effects[k] is Quantization:  # seen in the readings themselves
+            equals.append([])
+            continue
         base = without(fitter, best, k)
         rivals = tried.get(keys_of(base)) or fitter.with_effects(base, able, _quietly)
         tried[keys_of(base)] = rivals

@@ -8,6 +8,7 @@ import numpy as np
 
 from servofd.discrepancy.evidence import accepted, floor_of, rest_is_large
 from servofd.discrepancy.noise import long_run_factor
+from servofd.discrepancy.steps import COARSE_STEP_DEG
 from servofd.models.catalogue import Quantization
 
 if TYPE_CHECKING:
@@ -105,12 +106,14 @@ def _kinked_or(parameter: Parameter, size: float) -> float:
 
 
 def with_steps(fitter: Fitter, best: Fit) -> Fit:
-    """With the steps of the position's converter, if they are seen, are much of the error, and help."""
+    """With the steps of the position's converter, if they are coarse, and much of what is left.
+
+    The readings themselves prove them: they need not foresee anything.
+    """
     step_deg, count = fitter.record.step_deg or 0.0, max(int(fitter.record.counts.sum()), 1)
-    if Quantization in best.effects or step_deg**2 / 12.0 < _STEPS_OF_ERROR * best.total / count:
+    if step_deg < COARSE_STEP_DEG or step_deg**2 / 12.0 < _STEPS_OF_ERROR * best.total / count:
         return best
-    stepped = fitter.judged((*best.effects, Quantization), [*best.values, step_deg])
-    return min(best, stepped, key=lambda fit: fit.total)
+    return fitter.judged((*best.effects, Quantization), [*best.values, step_deg])
 
 
 def without(fitter: Fitter, fit: Fit, index: int) -> Fit:

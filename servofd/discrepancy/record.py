@@ -238,8 +238,10 @@ def _after_lost_commands(segment: Segment, hole_s: float, time_s: FloatArray) ->
     return after
 
 
-def simulate(record: Record, physics: Physics) -> FloatArray:
+def simulate(record: Record, physics: Physics, finer: float = 1.0) -> FloatArray:
     """Position that a servo with these effects would show [deg], shape (n,).
+
+    `finer` divides the steps that are taken where something switches.
 
     Examples
     --------
@@ -256,14 +258,14 @@ def simulate(record: Record, physics: Physics) -> FloatArray:
     from servofd.models.position_loop import framed, new_memory, run
 
     loose_deg = sum(getattr(physics, name) * share for name, share in LOOSE_FIELDS.items())
-    if record.runs and record.is_zeroed and loose_deg > 0.0:
-        return np.concatenate([_from_where_it_lay(each, physics, loose_deg) for each in record.runs])
+    if loose_deg > 0.0 and record.is_zeroed and record.side is None:
+        return np.concatenate([_from_where_it_lay(each, physics, loose_deg, finer) for each in record.runs])
     if record.runs:
-        return np.concatenate([simulate(each, physics) for each in record.runs])
+        return np.concatenate([simulate(each, physics, finer) for each in record.runs])
     if record.side is not None:
         # What pulls the surface is not logged; that it lies at one end of its play is seen.
         tight = physics._replace(**dict.fromkeys(LOOSE_FIELDS, 0.0))
-        return simulate(replace(record, side=None), tight) + loose_deg * record.side
+        return simulate(replace(record, side=None), tight, finer) + loose_deg * record.side
     commands, plant = record.commands, record.plant
     sent_s, deg, slope = commands.effective_s, commands.command_deg, commands.slope_deg_s
     if record.own is not None:
@@ -280,7 +282,7 @@ def simulate(record: Record, physics: Physics) -> FloatArray:
         physics,
         plant.loop(physics.bandwidth_scale, physics.damping_scale, physics.torque_share),
         plant.dc_gain,
-        longest_step_s(physics),
+        longest_step_s(physics) / finer,
         sent_s + physics.delay_s,
         deg,
         slope,
@@ -296,7 +298,7 @@ def simulate(record: Record, physics: Physics) -> FloatArray:
     return position_deg
 
 
-def _from_where_it_lay(run: Record, physics: Physics, loose_deg: float) -> FloatArray:
+def _from_where_it_lay(run: Record, physics: Physics, loose_deg: float, finer: float) -> FloatArray:
     """Reading of a run that is counted from where the servo lay within its dead band when the run began [deg].
 
     Where that was, nobody wrote down; of a few places the one that agrees best with the run is taken.
@@ -304,6 +306,6 @@ def _from_where_it_lay(run: Record, physics: Physics, loose_deg: float) -> Float
     readings = []
     for place_deg in loose_deg * _PLACES:
         moved = replace(run, measured_deg=run.measured_deg + place_deg)
-        readings.append(simulate(moved, physics) - place_deg)
+        readings.append(simulate(moved, physics, finer) - place_deg)
     errors = [(run.measured_deg - reading)[run.counts] for reading in readings]
     return readings[int(np.argmin([float(np.sum(error * error)) for error in errors]))]

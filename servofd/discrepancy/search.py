@@ -13,7 +13,7 @@ import numpy as np
 
 from servofd.discrepancy.frames import best_frame
 from servofd.discrepancy.record import simulate
-from servofd.models.catalogue import PwmFrame, Quantization, installed
+from servofd.models.catalogue import PwmFrame, installed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -62,8 +62,6 @@ def begin(part: Record, effects: Sequence[type[MissingEffect]], known: Sequence[
         values = [*known, *best_frame(part, installed(plant, effects[:-1], known))]
         return polish(part, effects, values, len(known))
     trial = _Trial(part, effects)
-    if newest is Quantization:
-        return [*known, part.step_deg or 0.0], 0
     grid = product(*(p.grid for p in newest.parameters))
     values = [*known, *min(grid, key=lambda point: trial.loss([*known, *point]))]
     polished, count = polish(part, effects, values, len(known))

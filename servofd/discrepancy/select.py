@@ -6,11 +6,21 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from servofd.discrepancy.candidates import first_of_each, judgeable
-from servofd.discrepancy.evidence import accepted, cost, floor_of, rest_is_large, rest_matters, worth_trying
+from servofd.discrepancy.evidence import (
+    EXCESS_OF_NOISE,
+    accepted,
+    cost,
+    floor_of,
+    rest_is_large,
+    rest_matters,
+    worth_trying,
+)
 from servofd.discrepancy.fit import Fit, Fitter
 from servofd.discrepancy.ladder import Rung, Tried, equals_of, keys_of, rungs_of, simplest
 from servofd.discrepancy.poles import PoleFitter
 from servofd.discrepancy.prune import convincing, ordered, pruned, with_steps, without
+from servofd.discrepancy.stamps import scatter_s
+from servofd.models.catalogue import Quantization
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -47,6 +57,8 @@ class Selection:
     covariance: FloatArray
     fitter: Fitter
     """What fitted it."""
+    scatter_s: float = 0.0
+    """Of time stamps, as far as the error of the final servo grows with its speed and has no sign [s]."""
 
     @property
     def simulations(self) -> int:
@@ -77,11 +89,10 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     # Where the poles are free, every start costs several fits, and each effect has had its chance from all of them.
     if not record.free_poles and (len(best.effects) > _FEW or rest_is_large(record, best, nominal)):
         best = min(best, _grown(fitter, able, tried, _WIDE_BEAM, progress), key=lambda fit: cost(record, fit))
-    best = with_steps(fitter, _swapped(fitter, able, tried, best))
-    sure = convincing(fitter, pruned(fitter, best), nominal)
+    sure = convincing(fitter, pruned(fitter, _swapped(fitter, able, tried, best)), nominal)
     best = simplest(fitter, sure, able, tried)
     # A simpler word for an effect may be one that is not needed.
-    best = ordered(fitter, best if best is sure else pruned(fitter, best))
+    best = ordered(fitter, with_steps(fitter, best if best is sure else pruned(fitter, best)))
     best, final, covariance = _on_all(fitter, best)
     sigma = floor_of(record, best)
     rungs = rungs_of(fitter, nominal, best, tried, able)
@@ -94,7 +105,9 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     tied = tuple(fits for _, fits in equal)
     if rungs:
         rungs = (*rungs[:-1], Rung(final, rungs[-1].rivals))
-    return Selection(nominal, rungs, ties, tied, sigma, tuple(unable), covariance, fitter)
+    # Steps let readings stand while the surface does: that is no scatter of time stamps.
+    scattered_s = 0.0 if Quantization in final.effects else scatter_s(record, final.error_deg, EXCESS_OF_NOISE)
+    return Selection(nominal, rungs, ties, tied, sigma, tuple(unable), covariance, fitter, scattered_s)
 
 
 def _grown(
@@ -169,5 +182,5 @@ def _promising(record: Record, fits: list[Fit]) -> list[Fit]:
 
 
 def unexplained(selection: Selection, record: Record) -> bool:
-    """Whether more is left than noise, and more than a rounding of what was there."""
-    return rest_matters(record, selection.nominal, selection.final, selection.sigma_deg)
+    """Whether more is left than noise, and more than a rounding of what was there; or noise that the motion makes."""
+    return selection.scatter_s > 0.0 or rest_matters(record, selection.nominal, selection.final, selection.sigma_deg)

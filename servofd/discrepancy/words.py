@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
     from servofd.discrepancy.select import Selection
 
-__all__ = ["effect_values", "linear_sentence", "only_rests_sentence", "unjudged_sentence"]
+__all__ = ["effect_values", "linear_sentence", "only_rests_sentence", "scatter_sentence", "unjudged_sentence"]
 
 _SURE = 1.959963984540054
 """Standard deviations of a 95 % interval."""
@@ -71,3 +71,11 @@ def linear_sentence(record: Record, selection: Selection) -> str:
         natural = float(np.sqrt(stiffness))
         said.append(f"{natural / (2.0 * np.pi):.3g} Hz, damping ratio {twice_damping / (2.0 * natural):.2g}")
     return f"no servo was known: a second order was fitted, by itself {said[0]}; beside the effects {said[1]}"
+
+
+def scatter_sentence(selection: Selection) -> str:
+    """What the clock of a log makes of a servo that is well."""
+    return (
+        "what stays grows with the speed of the motion, and command and motion do not tell its sign: time stamps that "
+        f"scatter by {1e3 * selection.scatter_s:.2g} ms do that, no effect of the servo"
+    )
