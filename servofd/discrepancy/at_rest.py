@@ -1,8 +1,8 @@
 """Records too slow to show how a servo moves: where it rests can be judged all the same.
 
-Below 20 Hz what a servo does between two commands falls between the samples. While a command is held for long, the surface
-rests, and whether it rests in one place or in two is told by samples that come as slowly as they like. A surface that
-something pulls from either side, within its play, lies at either end of it.
+Below 20 Hz what a servo does between two commands falls between the samples. While a command is held for long, the
+surface rests, and whether it rests in one place or in two is told by samples that come as slowly as they like. A
+surface that something pulls from either side, within its play, lies at either end of it.
 """
 
 from __future__ import annotations
@@ -110,4 +110,3 @@ def _sides(record: Record, there: BoolArray) -> FloatArray:
     is_apart = apart_deg > max(_STEPS_OF_LOOP * (record.step_deg or 0.0), _SIGMAS * noise_deg)
     is_split = within < _SPLIT * float(places.var()) and _LEAST_SHARE <= share <= 1.0 - _LEAST_SHARE
     return np.where(upper, 1.0, -1.0) if is_apart and is_split else nowhere
-
