@@ -1,8 +1,8 @@
 """Records too slow to show how a servo moves: where it rests can be judged all the same.
 
-Below 20 Hz what a servo does between two commands falls between the samples. While a command is held for long, the surface
-rests, and whether it rests in one place or in two is told by samples that come as slowly as they like. A surface that
-something pulls from either side, within its play, lies at either end of it.
+Below 20 Hz what a servo does between two commands falls between the samples. While a command is held for long, the
+surface rests, and whether it rests in one place or in two is told by samples that come as slowly as they like. A
+surface that something pulls from either side, within its play, lies at either end of it.
 """
 
 from __future__ import annotations

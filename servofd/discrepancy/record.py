@@ -73,12 +73,12 @@ class Record:
     own: OwnEffect | None = None
     """An effect of the user's own."""
     side: FloatArray | None = None
-    """On which side of its play the surface rests: 1 or -1, 0 where it has none. Only of a record that is too slow to show
-    more than where it rests."""
+    """On which side of its play the surface rests: 1 or -1, 0 where it has none. Only of a record that is too slow to
+    show more than where it rests."""
 
     @property
     def is_zeroed(self) -> bool:
-        """Whether readings are counted from where each run began: all of several begin at zero, to a converter's step."""
+        """Whether readings are counted from where each run began: all of several begin at zero, to a converter step."""
         if len(self.runs) < _SOME_RUNS:
             return False
         least_deg = _STEPS_OF_ZERO * (self.step_deg or 0.0)
@@ -258,14 +258,15 @@ def simulate(record: Record, physics: Physics, finer: float = 1.0) -> FloatArray
     from servofd.models.position_loop import framed, new_memory, run
 
     loose_deg = sum(getattr(physics, name) * share for name, share in LOOSE_FIELDS.items())
-    if record.runs and record.is_zeroed and loose_deg > 0.0:
+    if record.runs and record.is_zeroed and record.side is None and loose_deg > 0.0:
         return np.concatenate([_from_where_it_lay(each, physics, loose_deg, finer) for each in record.runs])
     if record.runs:
         return np.concatenate([simulate(each, physics, finer) for each in record.runs])
     if record.side is not None:
         # What pulls the surface is not logged; that it lies at one end of its play is seen.
         tight = physics._replace(**dict.fromkeys(LOOSE_FIELDS, 0.0))
-        return simulate(replace(record, side=None), tight, finer) + loose_deg * record.side
+        lying_deg: FloatArray = simulate(replace(record, side=None), tight, finer) + loose_deg * record.side
+        return lying_deg
     commands, plant = record.commands, record.plant
     sent_s, deg, slope = commands.effective_s, commands.command_deg, commands.slope_deg_s
     if record.own is not None:
@@ -303,7 +304,7 @@ def _from_where_it_lay(run: Record, physics: Physics, loose_deg: float, finer: f
 
     Where that was, nobody wrote down; of a few places the one that agrees best with the run is taken.
     """
-    readings = []
+    readings: list[FloatArray] = []
     for place_deg in loose_deg * _PLACES:
         moved = replace(run, measured_deg=run.measured_deg + place_deg)
         readings.append(simulate(moved, physics, finer) - place_deg)

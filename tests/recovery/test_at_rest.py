@@ -46,7 +46,7 @@ WANDER_DEG = 0.3 * np.sin(0.31 * TIME_S)
     ids=["tight", "wandering", "less than the converter shows", "moved once"],
 )
 def test_no_play_is_invented(pulled_deg: FloatArray, seed: int) -> None:
-    with pytest.raises(NoMeasurement, match="none is seen .* log faster"):
+    with pytest.raises(NoMeasurement, match=r"none is seen .* log faster"):
         explain_gap(slow(pulled_deg, seed=seed), MODEL)
 
 
