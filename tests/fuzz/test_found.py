@@ -13,6 +13,7 @@ from servofd.fleet.key import Job
 from servofd.fleet.store import FleetStore, read_table
 from servofd.segment import pace_steps
 from servofd.servos import find_servo
+from servofd.workflow import audit
 from tests.fuzz import seeds
 
 if TYPE_CHECKING:
@@ -39,6 +40,15 @@ def test_toml_that_python_cannot_hold(text: str, reason: str, tmp_path: Path) ->
 def test_names_that_no_file_can_have(name: str) -> None:
     with pytest.raises(ConfigError):
         load_aircraft(name)
+
+
+@pytest.mark.parametrize("threshold_deg", [1e4, 1e300])
+def test_a_threshold_that_nothing_reaches(threshold_deg: float, tmp_path: Path) -> None:
+    path = tmp_path / "flight.csv"
+    path.write_bytes(seeds.logs_of("table")[0])
+    (found,) = audit(path, threshold_deg=threshold_deg)
+    assert not any(surface.faults for surface in found.surfaces)
+    assert all(surface.statistics for surface in found.surfaces)
 
 
 def test_a_stream_that_stands_still_has_a_pace() -> None:
