@@ -1,8 +1,8 @@
 """Broken inputs for every door, by the hundred thousand, with counts.
 
 ``python benchmarks/fuzz.py [DOOR ...] [--count N] [--seed S] [--minutes M] [--out DIR]``; the same call again goes on
-where it was. Every input must end in a result or in one line of refusal. Each batch runs in a process of its own, so that
-one that crashes or hangs is counted and the input kept; within a batch open files and memory must not grow.
+where it was. Every input must end in a result or in one line of refusal. Each batch runs in a process of its own, so
+that one that crashes or hangs is counted and the input kept; within a batch open files and memory must not grow.
 ``DIR/DOOR/failures`` holds what broke, with its traceback; ``--replay FILE`` lets one input in again, without a net.
 """
 

@@ -52,8 +52,8 @@ __all__ = ["DOORS", "Door", "entered"]
 
 Refusal = (LogError, ServofdError)
 _JUDGED, _DRAFTED, _USED = 50, 2500, 5
-"""One in so many sound logs is judged, and one with an aircraft drafted from it, which takes a second; and one in so many
-sound aircraft files is used."""
+"""One in so many sound logs is judged, and one with an aircraft drafted from it, which takes a second; and one in so
+many sound aircraft files is used."""
 
 
 @dataclass(frozen=True, slots=True)

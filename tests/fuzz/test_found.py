@@ -51,6 +51,14 @@ def test_a_threshold_that_nothing_reaches(threshold_deg: float, tmp_path: Path) 
     assert all(surface.statistics for surface in found.surfaces)
 
 
+def test_a_delay_longer_than_the_flight(tmp_path: Path) -> None:
+    flight, servo = tmp_path / "flight.csv", tmp_path / "servo.toml"
+    flight.write_bytes(seeds.logs_of("table")[0])
+    servo.write_bytes(seeds.SERVO.replace(b"delay_s = 0.004", b"delay_s = 10.0"))
+    (found,) = audit(flight, servo=str(servo))
+    assert {surface.status for surface in found.surfaces} <= {"fault", "suspect", "unknown"}
+
+
 def test_a_stream_that_stands_still_has_a_pace() -> None:
     assert pace_steps(np.array([0.0, 1.0, 1.0, 1.0, 1.0])).tolist() == [1.0, 0.0, 0.0, 0.0]
     assert pace_steps(np.zeros(3)).tolist() == [0.0, 0.0]
