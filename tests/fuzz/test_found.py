@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from servofd.aircraft import load_aircraft
+from servofd.aircraft import load_aircraft, plain_aircraft
+from servofd.detection.monitor import SurfaceMonitor
 from servofd.errors import ConfigError
 from servofd.fleet.key import Job
 from servofd.fleet.store import FleetStore, read_table
@@ -89,3 +90,27 @@ def test_results_name_no_folder_outside(results: Path) -> None:
     meta.write_text(meta.read_text().replace(Job().key, "../../elsewhere"))
     with pytest.raises(ConfigError, match="holds results of the form"):
         FleetStore(results, Job().key)
+
+
+def test_messages_that_come_again_change_nothing() -> None:
+    plane, flown = plain_aircraft(["elevator"]), seeds.flight()
+    asked, seen = flown.command_deg[:, 0], flown.measured_deg[:, 0]
+
+    def last_reading(again: int) -> object:
+        monitor = SurfaceMonitor("elevator", plane.surfaces["elevator"], plane.model("elevator"))
+        for row, time_s in enumerate(flown.time_s):
+            stamps = np.full(again, time_s)
+            monitor.feed((stamps, np.full(again, asked[row])), (stamps, np.full(again, seen[row])))
+        assert monitor.was_judged
+        return monitor.reading
+
+    assert last_reading(1) == last_reading(5)
+
+
+def test_a_stream_of_one_instant_is_not_judged() -> None:
+    plane = plain_aircraft(["elevator"])
+    monitor = SurfaceMonitor("elevator", plane.surfaces["elevator"], plane.model("elevator"))
+    stamps, values = np.full(300, 7.0), np.arange(300.0) % 9.0
+    assert monitor.feed((stamps, values), (stamps, values)) == []
+    assert monitor.finish() == []
+    assert not monitor.was_judged
