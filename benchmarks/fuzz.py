@@ -1,10 +1,9 @@
 """Broken inputs for every door, by the hundred thousand, with counts.
 
 ``python benchmarks/fuzz.py [DOOR ...] [--count N] [--seed S] [--minutes M] [--out DIR]``; the same call again goes on
-where it was. Every input must end in a
-result or in one line of refusal. Each batch runs in a process of its own, so that one that crashes or hangs is counted
-and the input kept; within a batch open files, threads and memory must not grow. ``DIR/DOOR/failures`` holds what broke,
-with its traceback; ``--replay FILE`` lets one input in again, without a net.
+where it was. Every input must end in a result or in one line of refusal. Each batch runs in a process of its own, so
+that one that crashes or hangs is counted and the input kept; within a batch open files and memory must not grow.
+``DIR/DOOR/failures`` holds what broke, with its traceback; ``--replay FILE`` lets one input in again, without a net.
 """
 
 from __future__ import annotations
@@ -84,8 +83,8 @@ class Tally:
         per_ms = 1e3 * self.cpu_s / max(self.done, 1)
         return (
             f"{self.door:<15}{self.done:>8} inputs {len(self.failures):>3} kinds of failure  {per_ms:7.2f} ms each, "
-            f"longest {self.longest_s:5.2f} s, corpus {self.corpus:+d}, files {self.files:+d} threads {self.threads:+d} "
-            f"memory {self.resident_kb / 1024:+.1f} MB  "
+            f"longest {self.longest_s:5.2f} s, corpus {self.corpus:+d}, files {self.files:+d}, "
+            f"threads {self.threads:+d}, memory {self.resident_kb / 1024:+.1f} MB  "
             + ", ".join(f"{name} {number}" for name, number in self.outcomes.most_common(6))
         )
 

@@ -51,8 +51,9 @@ if TYPE_CHECKING:
 __all__ = ["DOORS", "Door", "entered"]
 
 Refusal = (LogError, ServofdError)
-_JUDGED, _DRAFTED = 50, 2500
-"""One in so many sound logs is judged; and one, whose aircraft is drafted from it, which takes a second."""
+_JUDGED, _DRAFTED, _USED = 50, 2500, 5
+"""One in so many sound logs is judged, and one with an aircraft drafted from it, which takes a second; and one in so
+many sound aircraft files is used."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +132,7 @@ def _aircraft(content: bytes, folder: Path) -> str:
     aircraft = load_aircraft(path)
     for name in aircraft.surfaces:
         aircraft.model(name)
-    if zlib.crc32(content) % _JUDGED:
+    if zlib.crc32(content) % _USED:
         return "loaded"
     results = list(audit(folder / "flight.csv", aircraft, threads=1))
     return _told(results)
@@ -146,7 +147,7 @@ def _servo(content: bytes, folder: Path) -> str:
     path = folder / "servo.toml"
     path.write_bytes(content)
     find_servo(str(path))
-    if zlib.crc32(content) % _JUDGED:
+    if zlib.crc32(content) % _USED:
         return "loaded"
     results = list(audit(folder / "flight.csv", servo=str(path), threads=1))
     return _told(results)
