@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "EXCESS_WORTH", "accepted", "cost", "excess", "floor_of", "least_scatter", "matters", "rest_is_large",
-    "rest_matters", "worth_trying",
+    "rest_matters", "stays_above_noise", "worth_trying",
 ]  # fmt: skip
 
 _SHARE_OF_NOISE, _SHARE_OF_GAP = 0.03, 0.02
@@ -66,6 +66,8 @@ def cost(record: Record, fit: Fit) -> float:
 def worth_trying(record: Record, base: Fit, sigma: float) -> bool:
     """Whether more is left than noise: more variance than the floor, or memory, which white noise does not have."""
     count = int(record.counts.sum())
+    if base.total <= count * _NOTHING_DEG**2:
+        return False
     more = base.total / max(count, 1) / sigma**2 - 1.0
     error = base.error_deg[record.counts]
     power = max(float(error @ error), 1e-300)
@@ -93,7 +95,12 @@ def accepted(record: Record, base: Fit, fit: Fit, sigma: float) -> bool:
 
 
 def matters(record: Record, fit: Fit) -> bool:
-    """Whether each effect differs from none by more than servos of one kind do from each other."""
+    """Whether each effect differs from none by more than servos of one kind do from each other.
+
+    Of a servo that nobody knows there is no kind: what its data show is there, however small.
+    """
+    if record.free_poles:
+        return True
     first, widening = 0, max(float(np.nanmax(np.abs(record.measured_deg))) / _USUAL_TRAVEL_DEG, 1.0)
     for effect in fit.effects:
         values = fit.values[first : first + len(effect.parameters)]
@@ -122,6 +129,11 @@ def rest_is_large(record: Record, fit: Fit, nominal: Fit) -> bool:
     sigma, count = floor_of(record, fit), max(float(record.counts.sum()), 1.0)
     left, gap = (max(each.total - count * sigma**2, 0.0) for each in (fit, nominal))
     return left > max(_EXCESS_OF_NOISE * count * sigma**2, _EXCESS_OF_GAP * gap)
+
+
+def stays_above_noise(record: Record, fit: Fit) -> bool:
+    """Whether more is left than noise, be it ever so little of what there was."""
+    return fit.total > (1.0 + _EXCESS_OF_NOISE) * float(record.counts.sum()) * floor_of(record, fit) ** 2
 
 
 def excess(record: Record, fit: Fit, sigma: float) -> float:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.discrepancy.frames import usual_frame
+from servofd.discrepancy.frames import best_frame, frames_like, usual_frame
 from servofd.discrepancy.noise import floor_uncertainty, long_run_factor, noise_floor_deg
 from servofd.discrepancy.record import simulate
 from servofd.discrepancy.search import begin, polish, telling_part
@@ -35,7 +35,7 @@ _FINER, _SIMULATORS_DIFFER = 10.0, 2.5e-3
 friction in chirps to 25 Hz, 0.2 % for a sensor's lag, less for all others."""
 _PROMISING, _FEWER = 10, 6
 """Of the candidates of a first effect, and of a further one."""
-_LATE_SHARE, _LATE_CHI_SQUARED, _FRAMES_EXCESS, _SURE_SIGMAS = 0.1, 30.0, 0.02, 3.0
+_LATE_SHARE, _LATE_CHI_SQUARED, _LATE_LEAVES, _FRAMES_EXCESS = 0.1, 30.0, 2.0, 0.02
 _SURE = 1.959963984540054
 """Standard deviations of a 95 % interval."""
 
@@ -88,6 +88,8 @@ class Fitter:
 
     record: Record
     simulations: int = field(default=0, init=False)
+    fewer: dict[tuple[Fit, int], Fit] = field(default_factory=dict, init=False)
+    """Fits without one of their effects, by its number; they are asked for again and again."""
     _trained: IntArray = field(init=False)
     _held_out: IntArray = field(init=False)
 
@@ -180,22 +182,24 @@ class Fitter:
 
     def _framed(self, base: Fit, fits: list[Fit]) -> list[Fit]:
         """The best fit with pulse frames, if there is any."""
-        effects = (*base.effects, PwmFrame)
-        best = min(fits, key=lambda fit: fit.train)
-        more = best.train > (1.0 + max(_FRAMES_EXCESS, _SURE_SIGMAS * floor_uncertainty(self.record))) * self._noise(
-            fits
-        )
+        best, effects = min(fits, key=lambda fit: fit.train), (*base.effects, PwmFrame)
+        known, noise, frame = self.physics(base.effects, base.values), self._noise(fits), None
+        late = [fit for fit in fits if fit.effects[-1] in (Delay, SensorLag, SlowDynamics)]
+        more = best.train > (1.0 + max(_FRAMES_EXCESS, floor_uncertainty(self.record))) * noise
         # To wait for the next frame is to be late by chance, which passes for noise.
-        if more or scatter_s(self.record, best.error_deg, _FRAMES_EXCESS) > 0.0:
-            values, count = begin(self.record, effects, base.values.tolist())
-        else:
+        if not more and scatter_s(self.record, best.error_deg, _FRAMES_EXCESS) == 0.0:
             later_s = [
-                float(fit.values[-1]) - self.record.plant.neutral.delay_s for fit in fits if fit.effects[-1] is Delay
+                float(fit.values[-1]) - self.record.plant.neutral.delay_s for fit in late if fit.effects[-1] is Delay
             ]
-            frame = usual_frame(self.record, self.physics(base.effects, base.values), max(later_s, default=0.0))
-            if frame is None:
-                return []
-            values, count = polish(self.record, effects, [*base.values.tolist(), *frame], base.values.size)
+            frame = usual_frame(self.record, known, max(later_s, default=0.0))
+        elif min(fit.train for fit in late) - noise < _LATE_LEAVES * (best.train - noise):
+            # Frames are a delay on average: where something else fits far better, they are not what lacks most.
+            sigma_deg = float(np.sqrt(noise / self._trained.size))
+            likely = frames_like(self.record, known, best.error_deg, sigma_deg)
+            frame = best_frame(self.record, known, likely) if likely else None
+        if frame is None:
+            return []
+        values, count = polish(self.record, effects, [*base.values.tolist(), *frame], base.values.size)
         self.simulations += count
         return [self.refitted(effects, values)]
 
@@ -225,15 +229,22 @@ class Fitter:
             # What the data do not show stays where it is.
             return np.concatenate([self.error_deg(effects, at(x))[self._trained], _TIE_TO_START * (x - x0)])
 
+        at_once: list[tuple[FloatArray, FloatArray]] = []
+
+        def remembered(x: FloatArray) -> FloatArray:
+            at_once[:] = [(x.copy(), errors(x))]
+            return at_once[0][1]
+
         def slopes(x: FloatArray) -> FloatArray:
-            here = errors(x)
+            same = bool(at_once) and np.array_equal(at_once[0][0], x)
+            here = at_once[0][1] if same else errors(x)
             steps = np.where(x + _STEP > high, -_STEP, _STEP)
             return np.column_stack(
                 [(errors(x + step * unit) - here) / step for step, unit in zip(steps, np.eye(x.size), strict=True)]
             )
 
         found = least_squares(
-            errors,
+            remembered,
             x0,
             jac=slopes,
             bounds=(low, high),

@@ -23,6 +23,7 @@ _MEDIAN_OF_THIRD = 3.02
 _LAGS = 25
 _SMALLEST_DEG = 1e-6
 _OFF_COMB, _FEWEST_VALUES = 0.1, 3
+_NO_CHANCE = 20.0
 
 
 def noise_floor_deg(record: Record, error_deg: FloatArray) -> float:
@@ -91,11 +92,16 @@ def comb_step_deg(values_deg: FloatArray) -> float | None:
     """
     known = values_deg[np.isfinite(values_deg)]
     unique = np.unique(np.round(known, 6))
-    if not _FEWEST_VALUES <= unique.size <= known.size / 4:
+    if not _FEWEST_VALUES <= unique.size <= known.size / 2:
         return None
-    gaps = np.diff(unique)
+    apart = np.diff(unique)
+    # Files round each value; most of the smallest differences are one step all the same.
+    step_deg = float(np.median(apart[apart < 1.5 * apart.min()]))
+    # Of n values without a converter the two closest are the n-th part of the mean distance apart.
+    if unique.size > known.size / 4 and step_deg < _NO_CHANCE * (unique[-1] - unique[0]) / unique.size**2:
+        return None
     # Gaps are rounded by the file; numbered one after the other, all values together are not.
-    tooth = np.concatenate([[0.0], np.cumsum(np.round(gaps / gaps.min()))])
+    tooth = np.concatenate([[0.0], np.cumsum(np.round(apart / step_deg))])
     tooth -= tooth.mean()
     step_deg = float(unique @ tooth / (tooth @ tooth))
     off = np.abs(unique - unique.mean() - tooth * step_deg).max()

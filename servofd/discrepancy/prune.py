@@ -123,6 +123,14 @@ def with_steps(fitter: Fitter, best: Fit) -> Fit:
 
 def without(fitter: Fitter, fit: Fit, index: int) -> Fit:
     """The others refitted, without one effect."""
+    if fitter.record.free_poles:  # the poles that go with each set of effects get better and better
+        return _without(fitter, fit, index)
+    if (fit, index) not in fitter.fewer:
+        fitter.fewer[fit, index] = _without(fitter, fit, index)
+    return fitter.fewer[fit, index]
+
+
+def _without(fitter: Fitter, fit: Fit, index: int) -> Fit:
     effects = fit.effects[:index] + fit.effects[index + 1 :]
     first = sum(len(effect.parameters) for effect in fit.effects[:index])
     values = np.delete(fit.values, range(first, first + len(fit.effects[index].parameters)))

@@ -11,8 +11,8 @@ from servofd.discrepancy.evidence import (
     cost,
     floor_of,
     least_scatter,
-    rest_is_large,
     rest_matters,
+    stays_above_noise,
     worth_trying,
 )
 from servofd.discrepancy.fit import Fit, Fitter
@@ -85,12 +85,18 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     able, unable = judgeable(record)
     nominal = fitter.nominal()
     tried: Tried = {}
-    best = _grown(fitter, able, tried, _BEAM, progress)
+    best = _grown(fitter, able, tried, _BEAM, progress, _most_effects(record))
     # Where the poles are free, every start costs several fits, and each effect has had its chance from all of them.
-    if not record.free_poles and (len(best.effects) > _FEW or rest_is_large(record, best, nominal)):
-        best = min(best, _grown(fitter, able, tried, _WIDE_BEAM, progress), key=lambda fit: cost(record, fit))
-    best = convincing(fitter, pruned(fitter, _swapped(fitter, able, tried, best)), nominal)
-    best = ordered(fitter, with_steps(fitter, simplest(fitter, best, able, tried)))
+    if not record.free_poles and (len(best.effects) > _FEW or stays_above_noise(record, best)):
+        # A servo without a gap is not looked for in more words.
+        done = not worth_trying(record, best, floor_of(record, best))
+        most = len(best.effects) if done else _most_effects(record)
+        wide = _grown(fitter, able, tried, _WIDE_BEAM, progress, most)
+        best = min(best, wide, key=lambda fit: cost(record, fit))
+    sure = convincing(fitter, pruned(fitter, _swapped(fitter, able, tried, best)), nominal)
+    best = simplest(fitter, sure, able, tried)
+    # A simpler word for an effect may be one that is not needed.
+    best = ordered(fitter, with_steps(fitter, best if best is sure else pruned(fitter, best)))
     best = told(fitter, best, able, tried)
     best, final, covariance = _on_all(fitter, best)
     sigma = floor_of(record, best)
@@ -110,13 +116,22 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     return Selection(nominal, rungs, ties, tied, sigma, tuple(unable), covariance, fitter, scattered_s)
 
 
+def _most_effects(record: Record) -> int:
+    return _MOST_ON_BENCH if record.runs else _MOST_EFFECTS
+
+
 def _grown(
-    fitter: Fitter, able: list[type[MissingEffect]], tried: Tried, width: int, progress: Callable[[str], None]
+    fitter: Fitter,
+    able: list[type[MissingEffect]],
+    tried: Tried,
+    width: int,
+    progress: Callable[[str], None],
+    most: int,
 ) -> Fit:
     """Forward search: the best few of each length go on."""
     record, best = fitter.record, fitter.nominal()
     beam = [best]
-    for _ in range(_MOST_ON_BENCH if record.runs else _MOST_EFFECTS):
+    for _ in range(most):
         sigma = floor_of(record, best)
         grown: list[Fit] = []
         for base in beam:
