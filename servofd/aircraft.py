@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 import itertools
-import tomllib
+import os
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, Self
@@ -20,6 +20,7 @@ from servofd.models.physics import Physics, plant_of
 from servofd.models.servo_model import ServoModel
 from servofd.servos import Positive, Servo, find_servo, library
 from servofd.tolerance import Tolerance
+from servofd.toml_text import read_toml
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -254,30 +255,19 @@ def load_aircraft(path: str | Path) -> Aircraft:
     >>> load_aircraft("faser").servo("elevator").title
     'Hitec HS-225BB (thesis Eq. 3.1)'
     """
-    source = _find(path)
-    try:
-        text = source.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not a text file"
-        raise ConfigError(f"{path}: cannot read the aircraft file: {reason}") from None
-    try:
-        content = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{path}: not valid TOML: {error}") from None
-    return _validated(content, str(path))
+    return _validated(read_toml(_find(path), str(path), "aircraft file"), str(path))
 
 
 def _find(path: str | Path) -> Path | Traversable:
     """The file itself, or a configuration that ships with servofd when a bare name is given."""
-    if Path(path).suffix or Path(path).is_file():
+    if Path(path).suffix or os.path.isfile(path):  # noqa: PTH113 - which takes any text for a name
         return Path(path)
     installed = resources.files("servofd").joinpath("configs")
     home = installed if installed.is_dir() else Path(__file__).parent.parent / "configs"
-    shipped = home.joinpath(f"{path}.toml")
-    if not shipped.is_file():
-        known = sorted(entry.name.removesuffix(".toml") for entry in home.iterdir() if entry.name.endswith(".toml"))
+    known = sorted(entry.name.removesuffix(".toml") for entry in home.iterdir() if entry.name.endswith(".toml"))
+    if str(path) not in known:
         raise ConfigError(f"{path}: no such file, and {suggest('aircraft', str(path), known)}")
-    return shipped
+    return home.joinpath(f"{path}.toml")
 
 
 def _validated(content: Mapping[str, object], source: str) -> Aircraft:

@@ -104,14 +104,17 @@ def pace_steps(time_s: FloatArray) -> FloatArray:
     (20, 100)
     >>> pace_steps(np.concatenate([np.arange(0.0, 10.0, 0.25), np.arange(10.0, 100.0, 0.02)])).size
     4539
+    >>> pace_steps(np.zeros(4))
+    array([0., 0., 0.])
     """
     steps_s = np.diff(time_s)
     if steps_s.size == 0:
         return steps_s
     last = int(np.searchsorted(time_s, time_s[0] + WARM_UP_S, side="right")) - 1
     first_s = steps_s[: max(1, min(WARM_UP_STEPS, last))]
-    ratio = float(np.median(first_s)) / float(np.median(steps_s))
-    return first_s if 1.0 / _SAME_PACE <= ratio <= _SAME_PACE else steps_s
+    early_s, usual_s = float(np.median(first_s)), float(np.median(steps_s))
+    same = early_s <= _SAME_PACE * usual_s and usual_s <= _SAME_PACE * early_s
+    return first_s if same else steps_s
 
 
 def cut(log: FlightLog, name: str, surface: Surface) -> Segment:

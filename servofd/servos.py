@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from servofd.errors import ConfigError, DesignError, UnknownName, suggest
 from servofd.models.transfer import BANDWIDTH_DROP_DB, TransferFunction
+from servofd.toml_text import read_toml
 
 __all__ = ["Servo", "find_servo", "library", "second_order", "servo_named"]
 
@@ -165,11 +166,7 @@ def find_servo(name: str) -> tuple[str, Servo]:
     """
     if not name.endswith(".toml"):
         return name, servo_named(name)
-    try:
-        content = tomllib.loads(Path(name).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise ConfigError(f"{name}: cannot read the servo file: {reason}") from None
+    content = read_toml(Path(name), name, "servo file")
     entries = content.get("servos", {})
     if not isinstance(entries, dict) or len(entries) != 1:
         raise ConfigError(f"{name}: a servo file has one entry [servos.NAME]; 'servofd identify --save' writes one")

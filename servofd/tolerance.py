@@ -10,6 +10,7 @@ __all__ = ["Tolerance"]
 
 _NonNegative = Annotated[float, Field(ge=0.0, lt=1e3, strict=True)]
 _Share = Annotated[float, Field(ge=0.0, lt=1.0, strict=True)]
+_WIDEST = {"gain": 0.9, "bandwidth": 0.9, "rate": 0.9, "delay_s": 999.0, "bias_deg": 999.0, "noise_deg": 999.0}
 
 
 class Tolerance(BaseModel):
@@ -38,11 +39,5 @@ class Tolerance(BaseModel):
     """Standard deviation of the position measurement; the measured one takes over as the flight goes on."""
 
     def scaled(self, factor: float) -> Tolerance:
-        """Return tolerances `factor` times as wide; shares stay below 0.9."""
-        shares = {key: min(0.9, factor * getattr(self, key)) for key in ("gain", "bandwidth", "rate")}
-        return Tolerance(
-            **shares,
-            delay_s=factor * self.delay_s,
-            bias_deg=factor * self.bias_deg,
-            noise_deg=factor * self.noise_deg,
-        )
+        """Return tolerances `factor` times as wide, as far as they may be: shares to 0.9, the others to 999."""
+        return Tolerance(**{key: min(_WIDEST[key], factor * getattr(self, key)) for key in type(self).model_fields})

@@ -1,14 +1,54 @@
-"""Pieces of TOML files that people will read and edit."""
+"""TOML files: read whole, and pieces of those that people will read and edit."""
 
 from __future__ import annotations
 
 import json
+import tomllib
 from typing import TYPE_CHECKING, Any
+
+from servofd.errors import ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from importlib.resources.abc import Traversable
+    from pathlib import Path
 
-__all__ = ["toml_inline", "toml_key", "toml_value"]
+__all__ = ["read_toml", "toml_inline", "toml_key", "toml_value"]
+
+
+def read_toml(source: Path | Traversable, name: str, what: str) -> dict[str, Any]:
+    """Content of a TOML file.
+
+    Parameters
+    ----------
+    source : Path or Traversable
+        The file.
+    name, what : str
+        What the user called it, and what it is, for messages.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be read, or is not TOML.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> read_toml(Path("no.toml"), "no.toml", "servo file")
+    Traceback (most recent call last):
+    servofd.errors.ConfigError: no.toml: cannot read the servo file: No such file or directory
+    """
+    try:
+        text = source.read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:  # ValueError: other letters than UTF-8's, or a NUL in the name
+        reason = error.strerror if isinstance(error, OSError) else "not a text file"
+        raise ConfigError(f"{name}: cannot read the {what}: {reason}") from None
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise ConfigError(f"{name}: not valid TOML: brackets within brackets, too deep to read") from None
+    except ValueError as error:  # tomllib's own, and Python's for a number of thousands of digits
+        raise ConfigError(f"{name}: not valid TOML: {error}") from None
 
 
 def toml_key(name: str) -> str:

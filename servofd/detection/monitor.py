@@ -121,8 +121,7 @@ class SurfaceMonitor:
             seen = list(zip(positions[0].tolist(), seen_deg.tolist(), strict=True))
         events = self._alive(seen)
         if self._stream is None:
-            events += self._warm_up(asked, seen)
-            return events
+            return events + self._warm_up(asked, seen)
         self._hand_over(asked, seen)
         return events + self._evaluated(self._stream.evaluate())
 
@@ -274,9 +273,11 @@ class SurfaceMonitor:
 
     def _warm_up(self, asked: list[tuple[float, float]], seen: list[tuple[float, float]]) -> list[Event]:
         """Wait for the pace, and for a position that is not always the same."""
-        self._waiting[0].extend(asked)
-        self._waiting[1].extend(seen)
         commands, positions = self._waiting
+        for rows, new in ((commands, asked), (positions, seen)):
+            for row in new:  # as the stream does: a pace of zero might come of the others
+                if not rows or row[0] > rows[-1][0]:
+                    rows.append(row)
         if not commands or not positions:
             del commands[:-WARM_UP_STEPS], positions[:-WARM_UP_STEPS]
             return []

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
 
 __all__ = [
-    "EXCESS_OF_NOISE", "EXCESS_WORTH", "accepted", "cost", "excess", "floor_of", "matters", "rest_is_large",
-    "rest_matters", "worth_trying",
+    "EXCESS_WORTH", "accepted", "cost", "excess", "floor_of", "matters", "rest_is_large",
+    "rest_matters", "stays_above_noise", "worth_trying",
 ]  # fmt: skip
 
 _SHARE_OF_NOISE, _SHARE_OF_GAP = 0.03, 0.02
@@ -31,7 +31,7 @@ _SMALLEST_SIZE = 0.15
 """Of what is common on healthy servos: 0.5 ms of delay, 0.5 % of gain, 0.05 deg of play."""
 EXCESS_WORTH = 0.06
 """The floor itself is uncertain by 3 %."""
-EXCESS_OF_NOISE, _EXCESS_OF_GAP = 0.15, 0.02
+_EXCESS_OF_NOISE, _EXCESS_OF_GAP = 0.15, 0.02
 _SURE_SIGMAS = 3.0
 """Chance alone passes one record in 700."""
 _NOTHING_DEG = 1e-4
@@ -66,6 +66,8 @@ def cost(record: Record, fit: Fit) -> float:
 def worth_trying(record: Record, base: Fit, sigma: float) -> bool:
     """Whether more is left than noise: more variance than the floor, or memory, which white noise does not have."""
     count = int(record.counts.sum())
+    if base.total <= count * _NOTHING_DEG**2:
+        return False
     more = base.total / max(count, 1) / sigma**2 - 1.0
     error = base.error_deg[record.counts]
     power = max(float(error @ error), 1e-300)
@@ -126,7 +128,12 @@ def rest_is_large(record: Record, fit: Fit, nominal: Fit) -> bool:
     """Whether more is left than noise, and more than a rounding of what was there."""
     sigma, count = floor_of(record, fit), max(float(record.counts.sum()), 1.0)
     left, gap = (max(each.total - count * sigma**2, 0.0) for each in (fit, nominal))
-    return left > max(EXCESS_OF_NOISE * count * sigma**2, _EXCESS_OF_GAP * gap)
+    return left > max(_EXCESS_OF_NOISE * count * sigma**2, _EXCESS_OF_GAP * gap)
+
+
+def stays_above_noise(record: Record, fit: Fit) -> bool:
+    """Whether more is left than noise, be it ever so little of what there was."""
+    return fit.total > (1.0 + _EXCESS_OF_NOISE) * float(record.counts.sum()) * floor_of(record, fit) ** 2
 
 
 def excess(record: Record, fit: Fit, sigma: float) -> float:
@@ -143,4 +150,4 @@ def rest_matters(record: Record, nominal: Fit, final: Fit, sigma_deg: float) -> 
         left, gap = max(left, fitted), max(gap, fitted)
     # Of few samples, neither the floor nor what is left is known well.
     chance = float(np.hypot(floor_uncertainty(record), np.sqrt(2.0 / max(int(record.held_out.sum()), 1))))
-    return left > max(EXCESS_OF_NOISE, _SURE_SIGMAS * chance) * sigma_deg**2 and left > _EXCESS_OF_GAP * gap
+    return left > max(_EXCESS_OF_NOISE, _SURE_SIGMAS * chance) * sigma_deg**2 and left > _EXCESS_OF_GAP * gap

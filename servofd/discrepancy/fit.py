@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.discrepancy.noise import long_run_factor, noise_floor_deg
+from servofd.discrepancy.frames import best_frame, frames_like, usual_frame
+from servofd.discrepancy.noise import floor_uncertainty, long_run_factor, noise_floor_deg
 from servofd.discrepancy.record import simulate
 from servofd.discrepancy.search import begin, polish, telling_part
 from servofd.discrepancy.steps import COARSE_STEP_DEG
@@ -33,7 +34,7 @@ _FINER, _SIMULATORS_DIFFER = 10.0, 2.5e-3
 friction in chirps to 25 Hz, 0.2 % for a sensor's lag, less for all others."""
 _PROMISING, _FEWER = 10, 6
 """Of the candidates of a first effect, and of a further one."""
-_LATE_SHARE, _FRAMES_EXCESS = 0.1, 0.02
+_LATE_SHARE, _LATE_LEAVES, _FRAMES_EXCESS = 0.1, 2.0, 0.02
 _SURE = 1.959963984540054
 """Standard deviations of a 95 % interval."""
 
@@ -68,6 +69,13 @@ class Fit:
         return tuple(effect.name for effect in self.effects)
 
     @property
+    def ran_away(self) -> tuple[int, ...]:
+        """Which of the effects have a parameter at its bound: no answers, but failures."""
+        values = iter(self.values.tolist())
+        at_bound = [[p.at_bound(next(values)) for p in effect.parameters] for effect in self.effects]
+        return tuple(k for k, each in enumerate(at_bound) if any(each))
+
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Of all effects in order."""
         return tuple(p for effect in self.effects for p in effect.parameters)
@@ -79,6 +87,8 @@ class Fitter:
 
     record: Record
     simulations: int = field(default=0, init=False)
+    fewer: dict[tuple[Fit, int], Fit] = field(default_factory=dict, init=False)
+    """Fits without one of their effects, by its number; they are asked for again and again."""
     _trained: IntArray = field(init=False)
     _held_out: IntArray = field(init=False)
 
@@ -121,14 +131,14 @@ class Fitter:
         """The best fits that have one effect more; of the most promising, all parameters are refitted.
 
         Pulse frames, a search of thousands of simulations, are looked for only if a delay helps (it is what they do on
-        average) and nothing else leaves as little as noise.
+        average); if nothing else leaves more than noise, only those of usual periods that are as late as that.
         """
         part = telling_part(self.record, base.error_deg)
         others = [effect for effect in able if self._possible(effect, base)]
         fits = self._refitted_best([self._begun(part, base, effect, tried) for effect in others])
-        if PwmFrame in able and PwmFrame not in base.effects and self._may_be_frames(base, fits):
-            fits.append(self._begun(self.record, base, PwmFrame, tried))
-            fits[-1] = self.refitted(fits[-1].effects, fits[-1].values)
+        if PwmFrame in able and PwmFrame not in base.effects and self._is_late(base, fits):
+            tried(PwmFrame.key())
+            fits += self._framed(base, fits)
         return fits
 
     def _possible(self, effect: type[MissingEffect], base: Fit) -> bool:
@@ -158,13 +168,36 @@ class Fitter:
             self.simulations += count
         return self.refitted(fit.effects, values)
 
-    def _may_be_frames(self, base: Fit, fits: list[Fit]) -> bool:
+    def _is_late(self, base: Fit, fits: list[Fit]) -> bool:
+        """Whether a delay, or what passes for one, takes away some of what is left."""
         late = [fit for fit in fits if fit.effects[-1] in (Delay, SensorLag, SlowDynamics)]
-        floor = noise_floor_deg(self.record, min(fits, key=lambda fit: fit.train).error_deg) ** 2
-        gap = base.train - self._trained.size * floor
-        helps = any(base.train - fit.train > _LATE_SHARE * gap for fit in late)
-        least = min(fit.train for fit in fits)
-        return helps and least > (1.0 + _FRAMES_EXCESS) * self._trained.size * floor
+        gap = base.train - self._noise(fits)
+        return any(base.train - fit.train > _LATE_SHARE * gap for fit in late)
+
+    def _noise(self, fits: list[Fit]) -> float:
+        """Of the fitted samples, as the best fit shows it [deg^2]."""
+        return self._trained.size * noise_floor_deg(self.record, min(fits, key=lambda fit: fit.train).error_deg) ** 2
+
+    def _framed(self, base: Fit, fits: list[Fit]) -> list[Fit]:
+        """The best fit with pulse frames, if there is any."""
+        best, effects = min(fits, key=lambda fit: fit.train), (*base.effects, PwmFrame)
+        known, noise, frame = self.physics(base.effects, base.values), self._noise(fits), None
+        late = [fit for fit in fits if fit.effects[-1] in (Delay, SensorLag, SlowDynamics)]
+        if best.train <= (1.0 + max(_FRAMES_EXCESS, floor_uncertainty(self.record))) * noise:
+            later_s = [
+                float(fit.values[-1]) - self.record.plant.neutral.delay_s for fit in late if fit.effects[-1] is Delay
+            ]
+            frame = usual_frame(self.record, known, max(later_s, default=0.0))
+        elif min(fit.train for fit in late) - noise < _LATE_LEAVES * (best.train - noise):
+            # Frames are a delay on average: where something else fits far better, they are not what lacks most.
+            sigma_deg = float(np.sqrt(noise / self._trained.size))
+            likely = frames_like(self.record, known, best.error_deg, sigma_deg)
+            frame = best_frame(self.record, known, likely) if likely else None
+        if frame is None:
+            return []
+        values, count = polish(self.record, effects, [*base.values.tolist(), *frame], base.values.size)
+        self.simulations += count
+        return [self.refitted(effects, values)]
 
     def refitted(
         self, effects: tuple[type[MissingEffect], ...], values: Values, evaluations: int = _EVALUATIONS
@@ -192,15 +225,22 @@ class Fitter:
             # What the data do not show stays where it is.
             return np.concatenate([self.error_deg(effects, at(x))[self._trained], _TIE_TO_START * (x - x0)])
 
+        at_once: list[tuple[FloatArray, FloatArray]] = []
+
+        def remembered(x: FloatArray) -> FloatArray:
+            at_once[:] = [(x.copy(), errors(x))]
+            return at_once[0][1]
+
         def slopes(x: FloatArray) -> FloatArray:
-            here = errors(x)
+            same = bool(at_once) and np.array_equal(at_once[0][0], x)
+            here = at_once[0][1] if same else errors(x)
             steps = np.where(x + _STEP > high, -_STEP, _STEP)
             return np.column_stack(
                 [(errors(x + step * unit) - here) / step for step, unit in zip(steps, np.eye(x.size), strict=True)]
             )
 
         found = least_squares(
-            errors,
+            remembered,
             x0,
             jac=slopes,
             bounds=(low, high),

@@ -15,7 +15,7 @@ __all__ = ["Block", "Map", "bad_seconds", "blocks", "is_told", "maps", "sentence
 _FALSE_DISCOVERIES = 0.01
 _BINS, _FEWEST_PER_BIN = 12, 30
 _TOP = 0.8
-_SHOWN_SHARE, _NO_SHARE = 0.25, 0.05
+_SHOWN_SHARE, _NO_SHARE, _MOST = 0.25, 0.05, 0.5
 _FIR_LAGS = 25
 _FOLDS = 2
 _EXCESS = 0.03
@@ -118,8 +118,8 @@ def maps(record: Record, error_deg: FloatArray, sigma_deg: float) -> tuple[Map, 
 
 
 def is_told(record: Record, error_deg: FloatArray, sigma_deg: float) -> bool:
-    """Whether command or motion tell much of what is more than noise."""
-    return any(found.share > _SHOWN_SHARE for found in maps(record, error_deg, sigma_deg))
+    """Whether command or motion tell most of what is more than noise."""
+    return any(found.share > _MOST for found in maps(record, error_deg, sigma_deg))
 
 
 def speed_deg_s(record: Record, error_deg: FloatArray) -> FloatArray:

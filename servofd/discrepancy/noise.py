@@ -94,12 +94,14 @@ def comb_step_deg(values_deg: FloatArray) -> float | None:
     unique = np.unique(np.round(known, 6))
     if not _FEWEST_VALUES <= unique.size <= known.size / 2:
         return None
-    gaps = np.diff(unique)
+    apart = np.diff(unique)
+    # Files round each value; most of the smallest differences are one step all the same.
+    step_deg = float(np.median(apart[apart < 1.5 * apart.min()]))
     # Of n values without a converter the two closest are the n-th part of the mean distance apart.
-    if unique.size > known.size / 4 and gaps.min() < _NO_CHANCE * (unique[-1] - unique[0]) / unique.size**2:
+    if unique.size > known.size / 4 and step_deg < _NO_CHANCE * (unique[-1] - unique[0]) / unique.size**2:
         return None
     # Gaps are rounded by the file; numbered one after the other, all values together are not.
-    tooth = np.concatenate([[0.0], np.cumsum(np.round(gaps / gaps.min()))])
+    tooth = np.concatenate([[0.0], np.cumsum(np.round(apart / step_deg))])
     tooth -= tooth.mean()
     step_deg = float(unique @ tooth / (tooth @ tooth))
     off = np.abs(unique - unique.mean() - tooth * step_deg).max()

@@ -28,11 +28,16 @@ _FORESEEN = 1.5
 
 
 def pruned(fitter: Fitter, best: Fit) -> Fit:
-    """Without the effects that the others made needless."""
+    """Without the effects that ran away, and those that the others made needless."""
     while len(best.effects) > 1:
         fewer = [without(fitter, best, k) for k in range(len(best.effects))]
         sigma = floor_of(fitter.record, best)
-        loose = [f for f in fewer if not (_foreseen(fitter.record, f, best) or accepted(fitter.record, f, best, sigma))]
+        # What ran away goes first, for beside it none of the others looks needed.
+        loose = [fewer[k] for k in best.ran_away] or [
+            fit
+            for fit in fewer
+            if not (_foreseen(fitter.record, fit, best) or accepted(fitter.record, fit, best, sigma))
+        ]
         if not loose:
             return best
         best = min(loose, key=lambda fit: fit.held_out)
@@ -118,6 +123,14 @@ def with_steps(fitter: Fitter, best: Fit) -> Fit:
 
 def without(fitter: Fitter, fit: Fit, index: int) -> Fit:
     """The others refitted, without one effect."""
+    if fitter.record.free_poles:  # the poles that go with each set of effects get better and better
+        return _without(fitter, fit, index)
+    if (fit, index) not in fitter.fewer:
+        fitter.fewer[fit, index] = _without(fitter, fit, index)
+    return fitter.fewer[fit, index]
+
+
+def _without(fitter: Fitter, fit: Fit, index: int) -> Fit:
     effects = fit.effects[:index] + fit.effects[index + 1 :]
     first = sum(len(effect.parameters) for effect in fit.effects[:index])
     values = np.delete(fit.values, range(first, first + len(fit.effects[index].parameters)))

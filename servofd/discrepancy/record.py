@@ -258,7 +258,7 @@ def simulate(record: Record, physics: Physics, finer: float = 1.0) -> FloatArray
     from servofd.models.position_loop import framed, new_memory, run
 
     loose_deg = sum(getattr(physics, name) * share for name, share in LOOSE_FIELDS.items())
-    if loose_deg > 0.0 and record.is_zeroed and record.side is None:
+    if record.runs and record.is_zeroed and record.side is None and loose_deg > 0.0:
         return np.concatenate([_from_where_it_lay(each, physics, loose_deg, finer) for each in record.runs])
     if record.runs:
         return np.concatenate([simulate(each, physics, finer) for each in record.runs])

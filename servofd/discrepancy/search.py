@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.discrepancy.frames import best_frame
 from servofd.discrepancy.record import simulate
-from servofd.models.catalogue import PwmFrame, installed
+from servofd.models.catalogue import installed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -57,10 +56,6 @@ def telling_part(record: Record, error_deg: FloatArray) -> Record:
 def begin(part: Record, effects: Sequence[type[MissingEffect]], known: Sequence[float]) -> tuple[list[float], int]:
     """Values near the best for the last of some effects, beside known ones for the others; and how many were tried."""
     newest = effects[-1]
-    plant = part.plant.neutral
-    if newest is PwmFrame:
-        values = [*known, *best_frame(part, installed(plant, effects[:-1], known))]
-        return polish(part, effects, values, len(known))
     trial = _Trial(part, effects)
     grid = product(*(p.grid for p in newest.parameters))
     values = [*known, *min(grid, key=lambda point: trial.loss([*known, *point]))]

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 from servofd.discrepancy.candidates import first_of_each, judgeable
 from servofd.discrepancy.evidence import (
-    EXCESS_OF_NOISE,
+    EXCESS_WORTH,
     accepted,
     cost,
     floor_of,
-    rest_is_large,
     rest_matters,
+    stays_above_noise,
     worth_trying,
 )
 from servofd.discrepancy.fit import Fit, Fitter
@@ -85,10 +85,14 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     able, unable = judgeable(record)
     nominal = fitter.nominal()
     tried: Tried = {}
-    best = _grown(fitter, able, tried, _BEAM, progress)
+    best = _grown(fitter, able, tried, _BEAM, progress, _most_effects(record))
     # Where the poles are free, every start costs several fits, and each effect has had its chance from all of them.
-    if not record.free_poles and (len(best.effects) > _FEW or rest_is_large(record, best, nominal)):
-        best = min(best, _grown(fitter, able, tried, _WIDE_BEAM, progress), key=lambda fit: cost(record, fit))
+    if not record.free_poles and (len(best.effects) > _FEW or stays_above_noise(record, best)):
+        # A servo without a gap is not looked for in more words.
+        done = not worth_trying(record, best, floor_of(record, best))
+        most = len(best.effects) if done else _most_effects(record)
+        wide = _grown(fitter, able, tried, _WIDE_BEAM, progress, most)
+        best = min(best, wide, key=lambda fit: cost(record, fit))
     sure = convincing(fitter, pruned(fitter, _swapped(fitter, able, tried, best)), nominal)
     best = simplest(fitter, sure, able, tried)
     # A simpler word for an effect may be one that is not needed.
@@ -106,17 +110,26 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     if rungs:
         rungs = (*rungs[:-1], Rung(final, rungs[-1].rivals))
     # Steps let readings stand while the surface does: that is no scatter of time stamps.
-    scattered_s = 0.0 if Quantization in final.effects else scatter_s(record, final.error_deg, EXCESS_OF_NOISE)
+    scattered_s = 0.0 if Quantization in final.effects else scatter_s(record, final.error_deg, EXCESS_WORTH)
     return Selection(nominal, rungs, ties, tied, sigma, tuple(unable), covariance, fitter, scattered_s)
 
 
+def _most_effects(record: Record) -> int:
+    return _MOST_ON_BENCH if record.runs else _MOST_EFFECTS
+
+
 def _grown(
-    fitter: Fitter, able: list[type[MissingEffect]], tried: Tried, width: int, progress: Callable[[str], None]
+    fitter: Fitter,
+    able: list[type[MissingEffect]],
+    tried: Tried,
+    width: int,
+    progress: Callable[[str], None],
+    most: int,
 ) -> Fit:
     """Forward search: the best few of each length go on."""
     record, best = fitter.record, fitter.nominal()
     beam = [best]
-    for _ in range(_MOST_ON_BENCH if record.runs else _MOST_EFFECTS):
+    for _ in range(most):
         sigma = floor_of(record, best)
         grown: list[Fit] = []
         for base in beam:
@@ -129,6 +142,9 @@ def _grown(
             break
         grown.sort(key=lambda fit: cost(record, fit))
         beam = _promising(record, _distinct(grown)[:width])
+        if worth_trying(record, beam[0], floor_of(record, beam[0])):
+            # What was found first may stand in for two that are found now: not so late that nobody asks any more.
+            beam = _distinct([_swapped(fitter, able, tried, beam[0]), *beam])[:width]
         if cost(record, beam[0]) < cost(record, best):
             best = beam[0]
         if not worth_trying(record, best, floor_of(record, best)):
@@ -153,12 +169,9 @@ def _on_all(fitter: Fitter, best: Fit) -> tuple[Fit, Fit, FloatArray]:
     """Fitted to all samples as well, without effects of which that drives a parameter to its bound."""
     while True:
         final, covariance = fitter.on_all(best)
-        values = iter(final.values)
-        ran_away = [[p.at_bound(float(next(values))) for p in effect.parameters] for effect in final.effects]
-        at_bound = [any(each) for each in ran_away]
-        if not any(at_bound):
+        if not final.ran_away:
             return best, final, covariance
-        best = without(fitter, best, at_bound.index(True))
+        best = without(fitter, best, final.ran_away[0])
 
 
 def _quietly(_step: str) -> None:

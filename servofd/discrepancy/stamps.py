@@ -24,8 +24,9 @@ def scatter_s(record: Record, error_deg: FloatArray, least_share: float) -> floa
 
     A position stamped off by :math:`\delta t` is wrong by :math:`v\,\delta t`, so that the error's variance is
     :math:`\sigma^2 + \sigma_t^2 v^2`. The slope is tested as Koenker's form of the Breusch-Pagan test does:
-    :math:`n R^2` of the squared errors on the squared speed. 0 if that could be chance, if it is less than a share of
-    the noise, or if command or motion tell the error's sign: then it is no scatter.
+    :math:`n R^2` of the squared errors on the squared speed, for which the noise floor need not be known. 0 if that
+    could be chance, if it is less than a share of the noise, or if command or motion tell most of the error with its
+    sign: then it is no scatter.
 
     Parameters
     ----------

@@ -76,6 +76,6 @@ def linear_sentence(record: Record, selection: Selection) -> str:
 def scatter_sentence(selection: Selection) -> str:
     """What the clock of a log makes of a servo that is well."""
     return (
-        "what stays grows with the speed of the motion, and command and motion do not tell its sign: time stamps that "
-        f"scatter by {1e3 * selection.scatter_s:.2g} ms do that, no effect of the servo"
+        "what stays grows with the speed of the motion, and command and motion hardly tell its sign: as if time stamps "
+        f"scattered by {1e3 * selection.scatter_s:.2g} ms; no effect of the servo does that"
     )

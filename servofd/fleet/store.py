@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import uuid
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -11,11 +12,15 @@ from servofd import __version__
 from servofd.errors import ConfigError
 from servofd.fleet.find import META_FILE
 from servofd.fleet.key import content_key
+from servofd.fleet.lock import locked
 from servofd.fleet.tables import TABLES, rows, to_arrow
 from servofd.outputs.files import whole_file, write_whole
 
 if TYPE_CHECKING:
     from types import TracebackType
+    from typing import BinaryIO
+
+    import pyarrow as pa
 
     from servofd.fleet.find import LogSource
     from servofd.fleet.judge import JudgedLog
@@ -24,6 +29,7 @@ __all__ = ["FleetStore", "read_logs", "read_table"]
 
 _SCHEMA = "servofd.fleet/1"
 _EARLIER = "earlier"
+_KEY = re.compile(r"\w+")  # it names a folder
 _LOGS_PER_PART = 64
 """A thousand logs give sixteen files per table; a run that is killed loses at most this many logs, not their time."""
 
@@ -31,6 +37,7 @@ _LOGS_PER_PART = 64
 class FleetStore:
     """Results of many logs, all judged with the same aircraft and options by the same version.
 
+    Whoever has it is the only writer of the folder until `close`, which the end of a ``with`` block calls.
     Results of another aircraft file, other options or another version are moved into the folder ``earlier``, and come
     back when they are asked for again.
 
@@ -44,16 +51,24 @@ class FleetStore:
     Raises
     ------
     ConfigError
-        If the folder cannot be used, or holds something else.
+        If the folder cannot be used, holds something else, or another process writes to it.
     """
 
     def __init__(self, folder: Path, key: str) -> None:
         self.folder = folder
-        self.set_aside = _prepared(folder, key)
-        """How many logs were judged otherwise, and are in ``earlier`` now."""
+        self._lock = _only_writer(folder)
+        try:
+            self.set_aside = _prepared(folder, key)
+            """How many logs were judged otherwise, and are in ``earlier`` now."""
+            self._read_what_is_done()
+        except BaseException:
+            self._lock.close()
+            raise
+
+    def _read_what_is_done(self) -> None:
         self._waiting: dict[str, list[dict[str, Any]]] = {name: [] for name in TABLES}
         self._sizes: dict[int, set[str]] = {}
-        for row in read_table(folder, "logs", ["content", "size_bytes", "untold"]):
+        for row in read_table(self.folder, "logs", ["content", "size_bytes", "untold"]):
             if row["content"]:
                 self._sizes.setdefault(row["size_bytes"], set()).add(row["content"])
 
@@ -61,7 +76,14 @@ class FleetStore:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.flush()
+        self.close()
+
+    def close(self) -> None:
+        """Write what has been added since, and let others write."""
+        try:
+            self.flush()
+        finally:
+            self._lock.close()
 
     def done(self, source: LogSource) -> bool:
         """Whether a log with these bytes has been judged; read only if there is one of the same size."""
@@ -98,7 +120,7 @@ class FleetStore:
         part = f"part-{uuid.uuid4().hex}.parquet"
         for name, content in self._waiting.items():
             with whole_file(self.folder / name / part) as temporary:
-                pq.write_table(to_arrow(name, content), temporary)
+                pq.write_table(to_arrow(name, content), temporary, write_page_checksum=True)
         self._waiting = {name: [] for name in TABLES}
 
     def forget_untold(self) -> None:
@@ -106,11 +128,11 @@ class FleetStore:
         import pyarrow.parquet as pq
 
         for path in sorted((self.folder / "logs").glob("*.parquet")):
-            table = pq.read_table(path)
+            table = _read_part(path)
             kept = table.filter([bool(content) for content in table["content"].to_pylist()])
             if len(kept) < len(table):
                 with whole_file(path) as temporary:
-                    pq.write_table(kept, temporary)
+                    pq.write_table(kept, temporary, write_page_checksum=True)
 
 
 def read_table(folder: Path, name: str, columns: list[str] | None = None) -> list[dict[str, Any]]:
@@ -121,17 +143,31 @@ def read_table(folder: Path, name: str, columns: list[str] | None = None) -> lis
     ConfigError
         If a file is damaged.
     """
+    return [row for path in sorted((folder / name).glob("*.parquet")) for row in _rows(path, columns)]
+
+
+def _rows(path: Path, columns: list[str] | None) -> list[dict[str, Any]]:
+    try:
+        rows: list[dict[str, Any]] = _read_part(path, columns).to_pylist()
+    except UnicodeDecodeError as error:
+        raise _damaged(path, error) from None
+    return rows
+
+
+def _read_part(path: Path, columns: list[str] | None = None) -> pa.Table:
+    """One file of a table; damage is told by the check-sums of its pages."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    content: list[dict[str, Any]] = []
-    for path in sorted((folder / name).glob("*.parquet")):
-        try:
-            content += pq.read_table(path, columns=columns).to_pylist()
-        except (pa.ArrowException, OSError) as error:
-            reason = str(error).splitlines()[0]
-            raise ConfigError(f"{path}: damaged ({reason}); remove it, and its logs are judged again") from None
-    return content
+    try:
+        return pq.read_table(path, columns=columns, page_checksum_verification=True)
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
+        raise _damaged(path, error) from None
+
+
+def _damaged(path: Path, error: Exception) -> ConfigError:
+    reason = str(error).splitlines()[0]
+    return ConfigError(f"{path}: damaged ({reason}); remove it, and its logs are judged again")
 
 
 def read_logs(folder: Path) -> list[dict[str, Any]]:
@@ -153,12 +189,22 @@ def read_logs(folder: Path) -> list[dict[str, Any]]:
     return sorted(logs, key=lambda log: (log["document"]["path"], log["document"].get("run") or ""))
 
 
+def _only_writer(folder: Path) -> BinaryIO:
+    """Make the folder, and keep others from writing to it."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        return locked(folder)
+    except (FileExistsError, NotADirectoryError):
+        raise ConfigError(f"{folder}: is a file; results of many logs go to a folder") from None
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot make this folder: {error.strerror}") from None
+
+
 def _prepared(folder: Path, key: str) -> int:
     """Make the folder ready for the results of one job; gives how many of another were set aside."""
     meta = folder / META_FILE
+    set_aside = 0
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        set_aside = 0
         if meta.exists():
             before = _read_meta(meta)["job"]
             if before != key:
@@ -172,10 +218,8 @@ def _prepared(folder: Path, key: str) -> int:
         for name in TABLES:
             (folder / name).mkdir(exist_ok=True)
         _remove_orphans(folder)
-    except (FileExistsError, NotADirectoryError):
-        raise ConfigError(f"{folder}: is a file; results of many logs go to a folder") from None
     except OSError as error:
-        raise ConfigError(f"{folder}: cannot make this folder: {error.strerror}") from None
+        raise ConfigError(f"{folder}: cannot be written to: {error.strerror}") from None
     write_whole(meta, (json.dumps({"schema": _SCHEMA, "servofd": __version__, "job": key}, indent=2) + "\n").encode())
     return set_aside
 
@@ -183,10 +227,10 @@ def _prepared(folder: Path, key: str) -> int:
 def _read_meta(meta: Path) -> dict[str, str]:
     try:
         content = json.loads(meta.read_text(encoding="utf-8"))
-        if content["schema"] == _SCHEMA and isinstance(content["job"], str):
+        if content["schema"] == _SCHEMA and _KEY.fullmatch(content["job"]):
             return dict(content)
         schema = str(content["schema"])
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, RecursionError):
         raise ConfigError(f"{meta}: is not what servofd writes; choose another folder") from None
     raise ConfigError(
         f"{meta.parent}: holds results of the form {schema}, this version knows {_SCHEMA}; choose another folder"

@@ -22,6 +22,8 @@ _BACKWARD_S = 1.0
 _STRAYED_S = 10.0
 _PERSISTS = 3
 _PATIENCE_S = 2.0
+_WRAP_S = 2.0**32 * 1e-3
+"""After 49.7 days ``time_boot_ms`` begins anew."""
 
 
 class VehicleClock:
@@ -41,6 +43,8 @@ class VehicleClock:
         self._late_s = float("inf")
         """Arrival minus stamp of the fastest message."""
         self._shift_s = 0.0
+        self._wraps = 0
+        """How often the vehicle's milliseconds have overflown."""
         self._newest_s = float("-inf")
         self._begun_s: float | None = None
         self._back = 0
@@ -92,13 +96,18 @@ class VehicleClock:
         return arrival_s - self._late_s if self._late_s < float("inf") else None
 
     def _reference(self, stamp_s: float, arrival_s: float) -> float | None:
-        time_s = stamp_s + self._shift_s
+        if self._late_s < float("inf"):
+            ahead_s = arrival_s - self._late_s - self._shift_s - stamp_s
+            wraps = round(ahead_s / _WRAP_S)
+            if abs(ahead_s - wraps * _WRAP_S) <= _STRAYED_S:
+                self._wraps = wraps
+        time_s = stamp_s + self._wraps * _WRAP_S + self._shift_s
         if time_s < self._newest_s - _BACKWARD_S:
             self._back += 1
             if self._back < _PERSISTS:
                 return None
             expected_s = max(arrival_s - self._late_s, self._newest_s)
-            self._shift_s, self._newest_s = expected_s - stamp_s, float("-inf")
+            self._shift_s, self._wraps, self._newest_s = expected_s - stamp_s, 0, float("-inf")
             self._foreign.clear()
             self.restarts += 1
             time_s = expected_s

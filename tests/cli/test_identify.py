@@ -182,7 +182,7 @@ def test_outputs_do_not_overwrite_logs(tmp_path: Path, capsys: pytest.CaptureFix
 
 @pytest.mark.parametrize(
     ("text", "sentence"),
-    [("nonsense", "cannot read the servo file"), ("", "one entry"), ('[servos.x]\ntitle = "x"', "servos.x")],
+    [("nonsense", "not valid TOML"), ("", "one entry"), ('[servos.x]\ntitle = "x"', "servos.x")],
 )
 def test_a_servo_file_that_is_none(
     text: str, sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

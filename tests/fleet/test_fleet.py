@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
+import subprocess
+import sys
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
@@ -14,6 +16,7 @@ from servofd.cli import main
 from servofd.errors import ConfigError
 from servofd.fleet.find import find_logs
 from servofd.fleet.key import Job
+from servofd.fleet.lock import locked
 from servofd.fleet.overview import overview
 from servofd.fleet.store import FleetStore, read_logs
 
@@ -289,3 +292,31 @@ def test_a_store_refuses_a_folder_with_tables_of_others(tmp_path: Path) -> None:
     pd.DataFrame({"a": [1]}).to_parquet(tmp_path / "logs" / "a.parquet")
     with pytest.raises(ConfigError, match="servofd did not write"):
         FleetStore(tmp_path, "key")
+
+
+def test_only_one_audit_writes_to_a_folder(logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["audit", logs / "may", "-o", tmp_path]
+    with FleetStore(tmp_path, Job().key):
+        code, _, err = run(capsys, *words)
+    assert code == 2
+    assert err == f"servofd: {tmp_path}: another audit writes its results here; wait for it, or choose another folder\n"
+    assert not list(tmp_path.glob("*/*.parquet"))
+    assert run(capsys, *words)[0] == 1
+
+
+def test_the_lock_of_a_killed_audit_is_free(tmp_path: Path) -> None:
+    program = f"""
+import pathlib, time
+from servofd.fleet.lock import locked
+file = locked(pathlib.Path({str(tmp_path)!r}))
+print("mine", flush=True)
+time.sleep(600)
+"""
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == b"mine\n"
+        with pytest.raises(ConfigError, match="another audit"):
+            locked(tmp_path)
+        other.kill()
+        other.wait(timeout=30)
+    locked(tmp_path).close()

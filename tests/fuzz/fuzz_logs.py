@@ -21,7 +21,8 @@ def main() -> None:
 
     sys.path.insert(0, str(ROOT))
     with atheris.instrument_imports(include=["logparsers", "pyulog"], exclude=list(COMPILED)):
-        from tests.fuzz.harness import SEEDS, mutated, outcome
+        from tests.fuzz.harness import SEEDS, outcome
+        from tests.fuzz.mutate import mutated
 
     kind = sys.argv.pop(1) if len(sys.argv) > 1 else ""
     if kind not in SEEDS:

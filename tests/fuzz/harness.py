@@ -1,9 +1,8 @@
-"""One way to break files and one way to read them, for the seeded tests and for the coverage-guided fuzzer."""
+"""A small sound file of every kind, and one way to read them, for the seeded tests and for the fuzzers."""
 
 from __future__ import annotations
 
 import io
-import random
 
 import numpy as np
 
@@ -29,45 +28,8 @@ SEEDS = {
 }
 """A small sound file of every kind."""
 
-EXTREMES = (
-    b"\xff\xff\xff\xff",
-    b"\x7f\xff\xff\xff",
-    b"\xff\xff\xff\x7f",
-    b"\0\0\0\0",
-    b"\0\0\xf0\x7f",
-    b"\x7f\xa0\0\0",
-    b"\xa3\x95\x80",
-    b"\xfd\xff\0\0",
-)
 MOST_CHANNELS = 12
 """Looked up in each file, spread over all of them; the time stamps of every one are looked at anyway."""
-
-
-def mutated(rng: random.Random, content: bytes) -> bytes:
-    """Cut, grow, shrink, repeat, flip or overwrite, up to eight times; half of the time where the headers are."""
-    broken = bytearray(content)
-    for _ in range(rng.choice([1, 1, 1, 2, 3, 8])):
-        at = rng.randrange(max(len(broken), 1)) if rng.random() < 0.5 else rng.randrange(min(len(broken), 800) or 1)
-        size = rng.randrange(1, 60)
-        match rng.randrange(8):
-            case 0:
-                del broken[at + rng.randrange(len(broken) or 1) :]
-            case 1:
-                broken[at:at] = rng.randbytes(size)
-            case 2:
-                del broken[at : at + size]
-            case 3:
-                broken[at:at] = broken[at : at + 8 * size]
-            case 4:
-                broken[at : at + size] = bytes(min(size, len(broken) - at))
-            case 5:
-                extreme = rng.choice(EXTREMES)
-                broken[at : at + len(extreme)] = extreme
-            case _:
-                for _ in range(rng.choice([1, 1, 2, 5])):
-                    if broken:
-                        broken[rng.randrange(min(at + 1, len(broken)))] ^= 1 << rng.randrange(8)
-    return bytes(broken)
 
 
 def attempt(content: bytes) -> FlightLog | LogError:

@@ -11,7 +11,8 @@ import pytest
 
 import logparsers
 from logparsers import LogError
-from tests.fuzz.harness import SEEDS, mutated, outcome
+from tests.fuzz.harness import SEEDS, outcome
+from tests.fuzz.mutate import mutated
 
 MUTANTS = 1_000
 """Of each kind; a campaign of any length is benchmarks/fuzz.py."""

@@ -22,7 +22,7 @@ from logparsers.dataflash.binary import BinaryStore
 from logparsers.dataflash.channels import DataFlashRecording
 from logparsers.dataflash.encode import Message, encode
 from logparsers.errors import EmptyLog, LogError, MissingChannel, MissingLog, UnreadableLog
-from tests.fuzz.harness import mutated
+from tests.fuzz.mutate import mutated
 from tests.parsers.dataflash_writer import SEED, as_text, servo_flight
 from tests.parsers.external import real_logs
 

@@ -87,7 +87,7 @@ class Window:
         time_s, healthy_deg = residuals.time_s[usable], residuals.simulated_deg[usable]
         first = int(np.searchsorted(commands.effective_s, time_s[0] - _LEAD_S, side="right")) - 1
         last = int(np.searchsorted(commands.effective_s, time_s[-1], side="right"))
-        cut = slice(max(first, 0), last)
+        cut = slice(max(first, 0), max(last, 1))  # one at least, even if it takes effect after the window
         near = type(commands)(commands.effective_s[cut], commands.command_deg[cut], commands.slope_deg_s[cut])
         servo = model.extended(residuals.context) or model.parameters()
         quick, slow = (

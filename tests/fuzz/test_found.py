@@ -1,0 +1,116 @@
+"""What campaigns of broken inputs have found, and must not find again."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from servofd.aircraft import load_aircraft, plain_aircraft
+from servofd.detection.monitor import SurfaceMonitor
+from servofd.errors import ConfigError
+from servofd.fleet.key import Job
+from servofd.fleet.store import FleetStore, read_table
+from servofd.segment import pace_steps
+from servofd.servos import find_servo
+from servofd.workflow import audit
+from tests.fuzz import seeds
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("x = " + "9" * 5000, "digits"),
+        ("x = " + "[" * 3000 + "]" * 3000, "too deep"),
+        ("x = \udcff", "not a text file"),
+    ],
+)
+def test_toml_that_python_cannot_hold(text: str, reason: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.toml"
+    path.write_text(text, errors="surrogateescape")
+    for read in (load_aircraft, find_servo):
+        with pytest.raises(ConfigError, match=reason):
+            read(str(path))
+
+
+@pytest.mark.parametrize("name", ["a" * 5000, "a\0b", "a\0b.toml", "a" * 5000 + ".toml"])
+def test_names_that_no_file_can_have(name: str) -> None:
+    with pytest.raises(ConfigError):
+        load_aircraft(name)
+
+
+@pytest.mark.parametrize("threshold_deg", [1e4, 1e300])
+def test_a_threshold_that_nothing_reaches(threshold_deg: float, tmp_path: Path) -> None:
+    path = tmp_path / "flight.csv"
+    path.write_bytes(seeds.logs_of("table")[0])
+    (found,) = audit(path, threshold_deg=threshold_deg)
+    assert not any(surface.faults for surface in found.surfaces)
+    assert all(surface.statistics for surface in found.surfaces)
+
+
+def test_a_delay_longer_than_the_flight(tmp_path: Path) -> None:
+    flight, servo = tmp_path / "flight.csv", tmp_path / "servo.toml"
+    flight.write_bytes(seeds.logs_of("table")[0])
+    servo.write_bytes(seeds.SERVO.replace(b"delay_s = 0.004", b"delay_s = 10.0"))
+    (found,) = audit(flight, servo=str(servo))
+    assert {surface.status for surface in found.surfaces} <= {"fault", "suspect", "unknown"}
+
+
+def test_a_stream_that_stands_still_has_a_pace() -> None:
+    assert pace_steps(np.array([0.0, 1.0, 1.0, 1.0, 1.0])).tolist() == [1.0, 0.0, 0.0, 0.0]
+    assert pace_steps(np.zeros(3)).tolist() == [0.0, 0.0]
+
+
+@pytest.fixture
+def results(tmp_path: Path) -> Path:
+    """A folder of results."""
+    seeds.fleet_parts(tmp_path)
+    return tmp_path / "results"
+
+
+def test_one_wrong_bit_in_a_table_is_told(results: Path) -> None:
+    (part,) = (results / "logs").glob("*.parquet")
+    content = bytearray(part.read_bytes())
+    content[content.index(read_table(results, "logs")[0]["content"].encode()) + 7] ^= 1  # another log's digest
+    part.write_bytes(content)
+    for use in (
+        lambda: read_table(results, "logs"),
+        lambda: FleetStore(results, Job().key),
+    ):
+        with pytest.raises(ConfigError, match=r"damaged .*remove it"):
+            use()
+
+
+def test_results_name_no_folder_outside(results: Path) -> None:
+    meta = results / "fleet.json"
+    meta.write_text(meta.read_text().replace(Job().key, "../../elsewhere"))
+    with pytest.raises(ConfigError, match="holds results of the form"):
+        FleetStore(results, Job().key)
+
+
+def test_messages_that_come_again_change_nothing() -> None:
+    plane, flown = plain_aircraft(["elevator"]), seeds.flight()
+    asked, seen = flown.command_deg[:, 0], flown.measured_deg[:, 0]
+
+    def last_reading(again: int) -> object:
+        monitor = SurfaceMonitor("elevator", plane.surfaces["elevator"], plane.model("elevator"))
+        for row, time_s in enumerate(flown.time_s):
+            stamps = np.full(again, time_s)
+            monitor.feed((stamps, np.full(again, asked[row])), (stamps, np.full(again, seen[row])))
+        assert monitor.was_judged
+        return monitor.reading
+
+    assert last_reading(1) == last_reading(5)
+
+
+def test_a_stream_of_one_instant_is_not_judged() -> None:
+    plane = plain_aircraft(["elevator"])
+    monitor = SurfaceMonitor("elevator", plane.surfaces["elevator"], plane.model("elevator"))
+    stamps, values = np.full(300, 7.0), np.arange(300.0) % 9.0
+    assert monitor.feed((stamps, values), (stamps, values)) == []
+    assert monitor.finish() == []
+    assert not monitor.was_judged

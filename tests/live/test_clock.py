@@ -1,0 +1,51 @@
+"""The clock of a vehicle that flies for weeks: what overflows is no restart, and a restart is no overflow."""
+
+from __future__ import annotations
+
+import pytest
+
+from logparsers.codec import Heard
+from servofd.live.clock import VehicleClock
+
+WRAP_MS = 2**32
+
+
+def beat(ms: int) -> Heard:
+    return Heard("ATTITUDE", 1, 1, {"time_boot_ms": ms % WRAP_MS})
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.8])
+def test_milliseconds_that_overflow_go_on(late_s: float) -> None:
+    clock, first_ms = VehicleClock(), WRAP_MS - 5_020  # no stamp is 0, which would mean none
+    for k in range(200):
+        made_s, delay_s = k * 0.05, late_s * (k % 3 == 1)
+        assert clock.time_s(beat(first_ms + 50 * k), 100.0 + made_s + delay_s) == pytest.approx(
+            first_ms * 1e-3 + made_s, abs=1e-6
+        )
+    assert clock.restarts == 0
+
+
+def test_a_message_from_before_the_overflow_comes_late() -> None:
+    clock, first_ms = VehicleClock(), WRAP_MS - 100
+    made = [clock.time_s(beat(first_ms + ms), 100.0 + ms * 1e-3) for ms in (0, 50, 150, 200)]
+    late = clock.time_s(beat(first_ms + 90), 100.25)
+    after = clock.time_s(beat(first_ms + 260), 100.26)
+    assert [round((at or 0.0) * 1e3) - first_ms for at in (*made, late, after)] == [0, 50, 150, 200, 90, 260]
+
+
+@pytest.mark.parametrize("up_s", [1_000.0, 2.0**32 * 1e-3 - 3.0, 6e6])
+def test_a_restart_is_told_however_long_it_flew(up_s: float) -> None:
+    clock, up_ms = VehicleClock(), round(up_s * 1e3)
+    for k in range(100):
+        clock.time_s(beat(up_ms + 50 * k), 100.0 + 0.05 * k)
+    times = [clock.time_s(beat(40 + 50 * k), 205.0 + 0.05 * k) for k in range(10)]
+    assert clock.restarts == 1
+    assert times[-1] == pytest.approx((up_ms % WRAP_MS) * 1e-3 + 105.45, abs=0.1)
+
+
+def test_microseconds_overflow_every_71_minutes() -> None:
+    clock = VehicleClock()
+    for k in range(0, 90_000, 5):
+        clock.time_s(beat(1000 + 1000 * k), 10.0 + k)
+        stamp = Heard("SERVO_OUTPUT_RAW", 1, 1, {"time_usec": (1_000_000 * k + 1_020_000) % 2**32})
+        assert clock.time_s(stamp, 10.03 + k) == pytest.approx(1.02 + k, abs=1e-6)

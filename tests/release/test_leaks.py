@@ -1,0 +1,115 @@
+"""What is done again and again in one process leaves open files, threads and memory as they were."""
+
+from __future__ import annotations
+
+import gc
+import threading
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from servofd.cli import main
+from servofd.fleet.find import find_logs
+from servofd.fleet.key import Job
+from servofd.fleet.run import audit_fleet
+from tests.live.vehicles import free_port, plane_file
+
+pytestmark = pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="open files are counted in /proc")
+
+SAMPLES = Path(__file__).resolve().parents[2] / "sample_logs"
+AGAIN = 3
+LEFT_BYTES = 40_000
+"""By one turn; a log that stays in memory is ten times that. Caches that fill slowly take a few kilobytes."""
+
+
+def open_files() -> set[str]:
+    return {f"{fd.name} {fd.readlink()}" for fd in Path("/proc/self/fd").iterdir() if fd.is_symlink()}
+
+
+def leaves_nothing(work: Callable[[], object]) -> None:
+    """Do it twice to warm up, then again and again."""
+    work()
+    work()
+    gc.collect()
+    files, threads = open_files(), threading.active_count()
+    tracemalloc.start()
+    try:
+        work()
+        gc.collect()
+        before = tracemalloc.get_traced_memory()[0]
+        for _ in range(AGAIN):
+            work()
+        gc.collect()
+        grown = tracemalloc.get_traced_memory()[0] - before
+    finally:
+        tracemalloc.stop()
+    assert open_files() == files
+    assert threading.active_count() == threads
+    assert grown < AGAIN * LEFT_BYTES, f"{grown / AGAIN:.0f} bytes are left by each turn"
+
+
+@pytest.fixture
+def flight(tmp_path: Path) -> Callable[[str], str]:
+    """Write a short flight of a format."""
+
+    def write(suffix: str) -> str:
+        path = tmp_path / f"flight{suffix}"
+        assert main(["simulate", "-o", str(path), "--duration", "12", "--fault", "elevator:stuck@6"]) == 0
+        return str(path)
+
+    return write
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("suffix", [".csv", ".mat", ".bin", ".tlog", ".ulg"])
+def test_audits(suffix: str, flight: Callable[[str], str]) -> None:
+    path = flight(suffix)
+    leaves_nothing(lambda: main(["audit", path, "--json", "-"]))
+
+
+def test_refusals(tmp_path: Path) -> None:
+    broken = tmp_path / "broken.mat"
+    broken.write_bytes((SAMPLES / "faser_stuck_flight.mat").read_bytes()[:5000])
+    leaves_nothing(lambda: main(["audit", str(broken)]))
+
+
+@pytest.mark.slow
+def test_recordings_written_and_read(flight: Callable[[str], str], tmp_path: Path) -> None:
+    path, recording = flight(".csv"), str(tmp_path / "flight.rrd")
+
+    def turn() -> None:
+        assert main(["audit", path, "--rrd", recording, "--html", str(tmp_path / "page.html")]) == 1
+        assert main(["review", recording]) == 1
+
+    leaves_nothing(turn)
+
+
+@pytest.mark.slow
+def test_monitors_of_logs(flight: Callable[[str], str], tmp_path: Path) -> None:
+    path, plane = flight(".tlog"), tmp_path / "plane.toml"
+    plane.write_text(plane_file())
+    leaves_nothing(lambda: main(["monitor", path, "-c", str(plane), "--speed", "0", "--plain", "--no-alert"]))
+
+
+def test_monitors_of_links(tmp_path: Path) -> None:
+    plane = tmp_path / "plane.toml"
+    plane.write_text(plane_file())
+    words = ["-c", str(plane), "--duration", "0.1", "--plain", "--tlog", str(tmp_path / "kept.tlog")]
+    leaves_nothing(lambda: main(["monitor", f"udpin:127.0.0.1:{free_port()}", *words]))
+
+
+@pytest.mark.slow
+def test_fleets_in_processes() -> None:
+    logs = find_logs([str(SAMPLES / "faser_*_chirp.mat")]).logs
+    leaves_nothing(lambda: list(audit_fleet(logs[:2], Job(), workers=2)))
+
+
+@pytest.mark.slow
+def test_fleets_kept_in_a_folder(flight: Callable[[str], str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        "servofd.fleet.run.run_local", lambda task, items, _workers: ((item, task(item)) for item in items)
+    )
+    path = flight(".csv")
+    leaves_nothing(lambda: main(["audit", path, "--workers", "1", "-o", str(tmp_path / "results")]))
