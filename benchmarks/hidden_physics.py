@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CATALOGUE", "CONVERTER_DEG", "EXCITATIONS", "LEVELS", "OUTSIDE", "STRUCTURAL", "Air", "Effects", "HiddenRecord",
-    "deflection", "draw", "effect_rms_deg", "hidden", "sweep",
+    "change_deg", "deflection", "draw", "effect_rms_deg", "hidden", "sweep",
 ]  # fmt: skip
 
 Effects = Mapping[str, Mapping[str, float]]
@@ -87,13 +87,10 @@ steady 20 m/s and 6 V."""
 _IN_THE_AIR = ("flight", "doublets")
 CONVERTER_DEG = 180.0 / 4096.0
 """Step of a converter of 12 bits for 180 deg."""
-_COMMAND_DEG = 0.01
-"""To how many degrees commands are given: what a log of two decimals holds is what the servo got."""
+_COMMAND_DEG = 0.01  # what a log of two decimals holds is what the servo got
 _STAMP_DIGITS = 4
-_DELAY_S = 0.004
-"""Thesis Eq. 3.1."""
-_RATE_LIMIT_DEG_S = 370.0
-"""Thesis Fig. 3.10."""
+_DELAY_S, _RATE_LIMIT_DEG_S = 0.004, 370.0
+"""Thesis Eq. 3.1 and Fig. 3.10."""
 _VISCOSITY_SHARES = (0.05, 0.5)
 """Eq. 3.1 does not tell how the losses of the motor are shared between bearing and winding: every seed has its own."""
 _REST_S, _TAIL_S, _COARSE_S = 1.0, 0.3, 100 * STEP_S
@@ -269,7 +266,13 @@ def deflection(
 def effect_rms_deg(record: HiddenRecord, healthy: HiddenRecord) -> float:
     """How much the effects change the position, against the same log without them, and coarse steps added [deg]."""
     step_deg = record.truth.get("quantization", {}).get("step_deg", 0.0)
-    return float(np.sqrt(np.mean((record.clean_deg - healthy.clean_deg) ** 2) + step_deg**2 / 12.0))
+    return float(np.sqrt(np.mean(change_deg(record, healthy) ** 2) + step_deg**2 / 12.0))
+
+
+def change_deg(record: HiddenRecord, healthy: HiddenRecord) -> FloatArray:
+    """Difference that the effects make to each sample [deg], shape (n,), if its stamp is taken at its word."""
+    change: FloatArray = record.clean_deg - np.interp(record.time_s, healthy.time_s, healthy.clean_deg)
+    return change
 
 
 def sweep(time_s: FloatArray, rng: np.random.Generator) -> FloatArray:

@@ -11,11 +11,16 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
 
 from hidden_physics import CATALOGUE, Effects
 
-__all__ = ["ALIKE", "Answer", "Score", "ask", "score"]
+if TYPE_CHECKING:
+    from servofd.types import FloatArray
+
+__all__ = ["ALIKE", "Answer", "Score", "Seconds", "ask", "score", "seconds_found"]
 
 ALIKE = {
     "lugre_friction": ("friction", "deadband", "backlash"),
@@ -28,6 +33,9 @@ ALIKE = {
 _FROM_ONE = ("gain", "bandwidth_scale")
 """Parameters that do nothing at 1: their error is relative to the deviation from there."""
 _COULD_NOT_TELL = 2
+_TOLD = 0.6
+"""Over the noise: the rms of an effect that half of the seconds of 100 samples show which have it, when 1 % of the
+seconds that are called bad may be so by chance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +49,15 @@ class Answer:
     """The JSON of the contract; None if there is none."""
     complaint: str
     """Last line on stderr."""
+
+
+class Seconds(NamedTuple):
+    """Seconds of a log, by what is hidden in them and what is said of them."""
+
+    rightly_bad: int = 0
+    wrongly_bad: int = 0
+    missed: int = 0
+    rightly_good: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,6 +166,34 @@ def score(said: Mapping[str, Any] | None, truth: Effects, noise_deg: float) -> S
         floor_ratio=_held_out(said, "final") / noise_deg,
         closure=_closure(_held_out(said, "nominal"), _held_out(said, "final"), noise_deg),
     )
+
+
+def seconds_found(
+    said: Mapping[str, Any] | None, time_s: FloatArray, change_deg: FloatArray, noise_deg: float
+) -> Seconds:
+    """Compare the seconds that are called bad with those in which the effects change the position.
+
+    Parameters
+    ----------
+    said : mapping or None
+        JSON of the contract.
+    time_s, change_deg : ndarray, shape (n,)
+        Samples [s] and what the effects do to each of them [deg].
+    noise_deg : float
+        Noise that is really there [deg].
+
+    Examples
+    --------
+    >>> time_s = np.arange(0.0, 3.0, 0.01)
+    >>> seconds_found({"bad_seconds": [0.0, 1.0]}, time_s, np.where(time_s < 1.0, 0.2, 0.0), 0.1)
+    Seconds(rightly_bad=1, wrongly_bad=1, missed=0, rightly_good=1)
+    """
+    second = (time_s - time_s[0]).astype(int)
+    rms_deg = np.sqrt(np.bincount(second, weights=change_deg**2) / np.maximum(np.bincount(second), 1))
+    bad = rms_deg > _TOLD * noise_deg
+    called = np.zeros(bad.size, dtype=bool)
+    called[[round(start_s - time_s[0]) for start_s in (said or {}).get("bad_seconds", [])]] = True
+    return Seconds(*(int(np.sum(both)) for both in (bad & called, ~bad & called, bad & ~called, ~bad & ~called)))
 
 
 def _offered(name: str, groups: Sequence[Sequence[str]]) -> set[str]:

@@ -9,6 +9,7 @@ flight to flight a servo's bandwidth, delay and bias vary as supply and temperat
 from __future__ import annotations
 
 import argparse
+import functools
 import time
 from typing import TYPE_CHECKING
 
@@ -24,6 +25,7 @@ from servofd.trend.records import FlightEstimate
 from servofd.trend.trend import trend_of
 
 if TYPE_CHECKING:
+    from servofd.trend.estimate import Told
     from servofd.trend.trend import AircraftTrend
 
 __all__ = ["crossing_at", "drawn_servo", "followed", "widths_trend"]
@@ -66,6 +68,13 @@ def segment(surface: str, servo: FleetServo, rng: np.random.Generator, width_deg
     return Segment(surface, time_s[kept], command_deg[kept], time_s[kept], read_deg[kept])
 
 
+@functools.cache
+def _told(surface: str, servo: FleetServo, seed: tuple[int, int, int], width_deg: float, duration_s: float) -> Told:
+    """What one flight tells; a trend cut short shares its flights with the whole one."""
+    flown = segment(surface, servo, np.random.default_rng(seed), width_deg, duration_s)
+    return estimate_flight(flown, plain_aircraft([surface]))
+
+
 def followed(fleet: dict[str, list[tuple[FleetServo, float]]], seed: int, duration_s: float) -> AircraftTrend:
     """Trend of an aircraft: for each surface a servo and a width per flight."""
     plane = plain_aircraft(fleet)
@@ -73,8 +82,7 @@ def followed(fleet: dict[str, list[tuple[FleetServo, float]]], seed: int, durati
     for number, row in enumerate(zip(*fleet.values(), strict=True), start=1):
         name, flights = f"flight{number}.csv", []
         for index, (surface, (servo, width_deg)) in enumerate(zip(fleet, row, strict=True)):
-            rng = np.random.default_rng([seed, number, index])
-            told = estimate_flight(segment(surface, servo, rng, width_deg, duration_s), plane)
+            told = _told(surface, servo, (seed, number, index), width_deg, duration_s)
             flights.append(FlightEstimate(name, "", surface, None, duration_s, *told))
         logs.append(FlownLog(name, "", None, "", tuple(flights), ()))
     return trend_of(logs, plane)

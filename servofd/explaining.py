@@ -223,7 +223,7 @@ def _explained(
             failures.append(f"{flown.source}: {name}: {error}")
             continue
         found.append(one)
-        if flown.has_unknown_servo(name):
+        if flown.has_unknown_servo(name) and one.record.side is None:
             aircraft = _with_fitted_poles(aircraft, name, one)
     return ExplainedLogs(tuple(found), tuple(failures), aircraft, flown.source)
 

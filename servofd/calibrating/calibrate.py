@@ -59,7 +59,7 @@ def calibrate_aircraft(
     >>> from servofd.calibrating.flights import Flight
     >>> from servofd.segment import Segment
     >>> from servofd.simulation.flight import simulate_flight
-    >>> flown = simulate_flight(plain_aircraft(["rudder"], "s9254"), seed=1, noise_deg=0.05)
+    >>> flown = simulate_flight(plain_aircraft(["rudder"], "s9254"), duration_s=30.0, seed=1, noise_deg=0.05)
     >>> segment = Segment("rudder", flown.time_s, flown.command_deg[:, 0], flown.time_s, flown.measured_deg[:, 0])
     >>> rough = plain_aircraft(["rudder"], "s9256")
     >>> calibrated = calibrate_aircraft(rough, {"rudder": [Flight("good.csv", segment)]})

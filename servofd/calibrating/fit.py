@@ -11,6 +11,7 @@ import numpy as np
 
 from servofd.calibrating.flights import busiest
 from servofd.calibrating.motion import Motion, line, noise_of
+from servofd.calibrating.robust import descended, deviations, mean_loss, ordinary_deg
 from servofd.detection.bank.explanation import Estimate
 from servofd.errors import CalibrationError
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from servofd.tolerance import Tolerance
     from servofd.types import FloatArray
 
-__all__ = ["ServoFit", "deviations", "fit_servo"]
+__all__ = ["ServoFit", "fit_servo"]
 
 _COARSE_SAMPLES, _FINE_SAMPLES, _FEWEST_SAMPLES = 5_000, 30_000, 2_000
 _SCALES = (0.3, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0)
@@ -35,15 +36,11 @@ _STARTS = 2
 _WORTH_A_LIMIT = 0.97
 _STEP = 1e-4
 _EVALUATIONS = 40
-_ORDINARY = 3.0
-"""Errors beyond so many typical ones count by their size, no longer by their square: a glitch bends nothing."""
-_MAD_TO_SIGMA = 1.4826
 _FOLLOWS = 0.5
 """Largest error while the surface should be away from rest, over how far: medians, half the time may be faulty."""
 _AWAY = 0.25
 _PROVED = 12.0
 """Twice the gain in log-likelihood that a number must bring over that of the file: 3.5 standard deviations."""
-_NEVER_DEG_S = 0.999
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -179,22 +176,9 @@ def _check_follows(motion: Motion, servo: FlownServo, line_: tuple[float, float]
 
 def _with_limits(motion: Motion, starts: list[FlownServo]) -> list[FlownServo]:
     """The same starting points, and the first with rate limits that this motion would run into."""
-    fastest = replace(starts[0], rate_limit_deg_s=None)
-    speed_deg_s = _top_speed_deg_s(motion, fastest)
+    speed_deg_s = motion.top_speed_deg_s(starts[0])
     limited = [replace(starts[0], rate_limit_deg_s=share * speed_deg_s) for share in _RATE_SHARES if speed_deg_s > 0.0]
     return [*starts, *limited]
-
-
-def _top_speed_deg_s(motion: Motion, servo: FlownServo) -> float:
-    """Largest speed of a servo in these flights [deg/s], single samples left out."""
-    speeds = [
-        np.abs(np.diff(part) / np.diff(flight.segment.measured_s[rows]))
-        for part, flight, rows in zip(
-            motion.split(motion.simulated_deg(servo)), motion.flights, motion.used, strict=True
-        )
-    ]
-    every = np.concatenate(speeds)
-    return float(np.quantile(every, _NEVER_DEG_S)) if every.size else 0.0
 
 
 def _settled(
@@ -210,7 +194,7 @@ def _settled(
     servo, kept = start, {}
     names = servo.numbers
     if servo.rate_limit_deg_s is not None:
-        top_deg_s = _top_speed_deg_s(motion, replace(servo, rate_limit_deg_s=None))
+        top_deg_s = motion.top_speed_deg_s(servo)
         others = tuple(name for name in names if name != "rate_limit_deg_s")
         plain = _descended(motion, replace(servo, rate_limit_deg_s=prior.rate_limit_deg_s), others)
         if _evidence(motion, plain, _descended(motion, servo, names)) < _PROVED:
@@ -241,26 +225,24 @@ def _width(fit: _Descent, name: str) -> float:
 
 def _evidence(motion: Motion, plain: _Descent, richer: _Descent) -> float:
     """Twice the gain in log-likelihood of one fit over another, the memory of the errors taken into account."""
-    ordinary_deg = _ORDINARY * _MAD_TO_SIGMA * float(np.median(np.abs(richer.error_deg))) + 1e-9
-    losses = [float(np.mean(np.sqrt(1.0 + (one.error_deg / ordinary_deg) ** 2) - 1.0)) for one in (plain, richer)]
+    scale_deg = ordinary_deg(float(np.median(np.abs(richer.error_deg)))) + 1e-9
+    losses = [mean_loss(one.error_deg, scale_deg) for one in (plain, richer)]
     samples = richer.error_deg.size / motion.memory(richer.error_deg)
     return samples * float(np.log(max(losses[0], 1e-300) / max(losses[1], 1e-300)))
 
 
 def _descended(motion: Motion, start: FlownServo, names: tuple[str, ...]) -> _Descent:
     """Downhill from one starting point, scale and offset along with the servo's numbers."""
-    from scipy.optimize import least_squares
-
     measured_deg, size = motion.measured_deg, len(names)
     simulated_deg = motion.simulated_deg(start)
     gain, offset_deg, left_deg = line(simulated_deg, measured_deg)
-    ordinary_deg = _ORDINARY * _MAD_TO_SIGMA * max(left_deg, 1e-6)
+    scale_deg = ordinary_deg(max(left_deg, 1e-6))
 
     def simulated(x: FloatArray) -> FloatArray:
         return motion.simulated_deg(start.with_vector(names, x[:size]))
 
     # The prior of the gain as one more row, which counts as one independent sample.
-    weight_deg = ordinary_deg * np.sqrt(motion.memory(measured_deg - gain * simulated_deg - offset_deg)) / _USUAL_GAIN
+    weight_deg = scale_deg * np.sqrt(motion.memory(measured_deg - gain * simulated_deg - offset_deg)) / _USUAL_GAIN
     usual = motion.usual_gain * np.sign(gain)
 
     def error(x: FloatArray) -> FloatArray:
@@ -274,39 +256,15 @@ def _descended(motion: Motion, start: FlownServo, names: tuple[str, ...]) -> _De
         last[size] = weight_deg / usual
         return np.vstack([rows, last])
 
-    lower = np.full(size + 2, -np.inf)
-    if "delay_s" in names:
-        lower[names.index("delay_s")] = -1e-9
     begin = np.array([*start.vector(names), gain, offset_deg])
-    found = least_squares(
-        error,
-        begin,
-        jac=slopes,
-        bounds=(lower, np.inf),
-        x_scale="jac",
-        loss="soft_l1",
-        f_scale=ordinary_deg,
-        max_nfev=_EVALUATIONS,
-        xtol=1e-6,
-        ftol=1e-6,
-    )
-    left = error(found.x)[:-1]
-    deviation = deviations(slopes(found.x)[:-1], left, motion.memory(left))
+    delay_at = names.index("delay_s") if "delay_s" in names else None
+    found = descended(error, slopes, begin, scale_deg, delay_at=delay_at, evaluations=_EVALUATIONS)
+    left = error(found)[:-1]
+    deviation = deviations(slopes(found)[:-1], left, motion.memory(left))
     share = max(float(np.ptp(measured_deg)) * 0.02, 1e-9)
-    cost = float(np.mean(np.sqrt(1.0 + (left / (share * max(abs(found.x[size]), 1e-6))) ** 2) - 1.0))
-    servo = start.with_vector(names, found.x[:size])
-    return _Descent(servo, names, (float(found.x[size]), float(found.x[size + 1])), cost, deviation, left)
-
-
-def deviations(jacobian: FloatArray, error_deg: FloatArray, memory: float) -> FloatArray:
-    """Standard deviations of the numbers (inverse of the Fisher information), larger by the memory of the errors."""
-    sigma_deg = _MAD_TO_SIGMA * float(np.median(np.abs(error_deg)))
-    variance = max(sigma_deg**2, float(np.mean(np.clip(error_deg, -_ORDINARY * sigma_deg, _ORDINARY * sigma_deg) ** 2)))
-    scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-12)
-    _, sizes, right = np.linalg.svd(jacobian / scale, full_matrices=False)
-    inverse = (right.T / np.maximum(sizes, 1e-9) ** 2) @ right
-    deviation: FloatArray = np.sqrt(np.maximum(np.diag(inverse), 0.0) * variance * memory) / scale
-    return deviation
+    cost = mean_loss(left, share * max(abs(float(found[size])), 1e-6))
+    servo = start.with_vector(names, found[:size])
+    return _Descent(servo, names, (float(found[size]), float(found[size + 1])), cost, deviation, left)
 
 
 def _reported(motion: Motion, fit: _Descent, kept: dict[str, str], first: tuple[float, float]) -> ServoFit:

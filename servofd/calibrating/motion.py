@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,6 +27,8 @@ _FORGOTTEN_SHARE = 0.1
 """Of a short test, which begins at rest."""
 _REWEIGHTINGS = 8
 _MEMORY_S = 1.0
+_NEVER = 0.999
+"""Share of the speeds among which the largest is looked for: single samples are left out."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,6 +61,16 @@ class Motion:
     def split(self, values: FloatArray) -> list[FloatArray]:
         """What belongs to each flight of an array of shape (n,)."""
         return np.split(values, np.cumsum([np.count_nonzero(rows) for rows in self.used])[:-1])
+
+    def top_speed_deg_s(self, servo: FlownServo) -> float:
+        """Largest speed that a servo without its rate limit would have [deg/s], single samples left out."""
+        parts = self.split(self.simulated_deg(replace(servo, rate_limit_deg_s=None)))
+        speeds = [
+            np.abs(np.diff(part) / np.diff(flight.segment.measured_s[rows]))
+            for part, flight, rows in zip(parts, self.flights, self.used, strict=True)
+        ]
+        every = np.concatenate(speeds)
+        return float(np.quantile(every, _NEVER)) if every.size else 0.0
 
     @property
     def period_s(self) -> float:

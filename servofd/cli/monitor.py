@@ -5,9 +5,10 @@ from __future__ import annotations
 import argparse
 import contextlib
 import sys
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from servofd.cli.signing import signature_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -96,7 +97,7 @@ def _watch(options: argparse.Namespace, aircraft: Mapping[int, Aircraft]) -> Ses
     from servofd.live.threads import Receiver
 
     endpoint = parse_endpoint(options.endpoint)
-    signature = _signature(options.signing_key)
+    signature = signature_of(options.signing_key)
     with contextlib.ExitStack() as open_:
         link = open_link(endpoint)
         open_.callback(link.close)
@@ -135,7 +136,7 @@ def _replay(options: argparse.Namespace, aircraft: Mapping[int, Aircraft]) -> Se
     with contextlib.ExitStack() as open_:
         log = logparsers.read(path, layout_of(next(iter(aircraft.values()))))
         session = Session(Codec(0, options.component), aircraft, is_stream=log.format == "tlog")
-        _alert_aside(options, session, _speaker(options, session, _signature(options.signing_key)), open_)
+        _alert_aside(options, session, _speaker(options, session, signature_of(options.signing_key)), open_)
         outputs = open_.enter_context(Outputs.of(options, session, options.endpoint, aircraft))
         now_s = 0.0
         with contextlib.suppress(KeyboardInterrupt):
@@ -193,21 +194,6 @@ def _aircraft(names: list[str]) -> dict[int, Aircraft]:
             raise ConfigError(f"{name}: several vehicles need one file each, as -c 1=FILE -c 2=FILE")
         known[system] = load_aircraft(path if system else name)
     return known
-
-
-def _signature(name: str | None) -> Signature | None:
-    from logparsers.codec import Signature, signing_key
-    from servofd.errors import ConfigError
-
-    if name is None:
-        return None
-    try:
-        content = Path(name).read_bytes()
-    except OSError as error:
-        raise ConfigError(f"{name}: cannot read the signing key: {error.strerror}") from None
-    if not content.strip():
-        raise ConfigError(f"{name}: holds no signing key; give 32 bytes, 64 hex digits, or a passphrase")
-    return Signature(signing_key(content), time.time())
 
 
 def _address(text: str) -> int:

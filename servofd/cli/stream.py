@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import math
 import sys
-import time
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from servofd.cli.signing import signature_of
 
 if TYPE_CHECKING:
     import argparse
 
-    from logparsers.codec import Signature
     from servofd.aircraft import Aircraft
     from servofd.simulation.flight import SimulatedFlight
 
@@ -82,16 +81,19 @@ def stream(options: argparse.Namespace, flight: SimulatedFlight, aircraft: Aircr
     from logparsers.codec import Codec
     from logparsers.endpoint import parse_endpoint
     from logparsers.link import open_link
+    from servofd.errors import ConfigError
     from servofd.simulation.ardupilot import rate_hz
     from servofd.simulation.vehicle.fly import fly
     from servofd.simulation.vehicle.vehicle import Settings, Vehicle
 
+    if options.mavlink1 and options.signing_key is not None:
+        raise ConfigError("--signing-key: frames of MAVLink 1 cannot be signed; leave --mavlink1 out")
     endpoint = parse_endpoint(options.stream)
     names = ("system", "feedback", "message_hz", "any_rate", "speed")
     given: dict[str, Any] = {n: getattr(options, n) for n in names if getattr(options, n) is not None}
     settings = Settings(**given)
     vehicle = Vehicle(_shifted(flight, options.clock_s), aircraft, settings)
-    codec = Codec(settings.system, 1, version=1 if options.mavlink1 else 2, signature=_signature(options))
+    codec = Codec(settings.system, 1, version=1 if options.mavlink1 else 2, signature=signature_of(options.signing_key))
     link = open_link(endpoint)
     try:
         length_s = flight.time_s.size / rate_hz(flight)
@@ -115,22 +117,3 @@ def _shifted(flight: SimulatedFlight, clock_s: float | None) -> SimulatedFlight:
     if not (math.isfinite(clock_s) and 0.0 <= clock_s <= _MOST_CLOCK_S):
         raise ConfigError(f"--clock-s {clock_s:g}: give seconds from 0 to {_MOST_CLOCK_S:g}")
     return replace(flight, time_s=(flight.time_s + clock_s).round(6))
-
-
-def _signature(options: argparse.Namespace) -> Signature | None:
-    from logparsers.codec import Signature, signing_key
-    from servofd.errors import ConfigError
-
-    if options.signing_key is None:
-        return None
-    if options.mavlink1:
-        raise ConfigError("--signing-key: frames of MAVLink 1 cannot be signed; leave --mavlink1 out")
-    try:
-        content = Path(options.signing_key).read_bytes()
-    except OSError as error:
-        raise ConfigError(f"--signing-key {options.signing_key}: cannot read it ({error.strerror or error})") from None
-    if not content.strip():
-        raise ConfigError(
-            f"--signing-key {options.signing_key}: is empty; give 32 bytes, 64 hex digits, or a passphrase"
-        )
-    return Signature(signing_key(content), time.time())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from servofd.discrepancy.at_rest import AT_REST
 from servofd.models.catalogue import CATALOGUE, Damping, PwmFrame, SlowDynamics
 
 if TYPE_CHECKING:
@@ -25,6 +26,8 @@ def judgeable(record: Record) -> tuple[list[type[MissingEffect]], list[type[Miss
         )
         if values is not None
     }
+    if record.side is not None:
+        return list(AT_REST), [effect for effect in CATALOGUE if effect not in AT_REST]
     own = (record.own.missing_effect(),) if record.own else ()
     able = [effect for effect in (*CATALOGUE, *own) if set(effect.needs) <= held]
     unable = [effect for effect in CATALOGUE if effect not in able]

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.discrepancy.at_rest import rest_sentence
 from servofd.discrepancy.noise import noise_floor_deg
-from servofd.discrepancy.record import simulate
+from servofd.discrepancy.record import SLOWEST_RATE_HZ, simulate
 from servofd.errors import NoMeasurement
 
 if TYPE_CHECKING:
@@ -16,8 +17,6 @@ if TYPE_CHECKING:
 
 __all__ = ["check"]
 
-_SLOWEST_RATE_HZ = 19.0
-"""Below this the effects of a servo fall between the samples: HS-225BB, time constants 15 to 40 ms."""
 _SHORTEST_S, _SHORTEST_ON_BENCH_S = 4.0, 1.0
 """The shorter one for runs that begin at rest with a step, of which nothing is lost."""
 _MOTION_OF_NOISE, _SMALLEST_MOTION_DEG = 2.0, 0.1
@@ -35,9 +34,11 @@ def check(record: Record) -> None:
         If there is too little, it comes too slowly, nothing was asked, or the channels do not belong together.
     """
     rate_hz = min(1.0 / each.period_s for each in record.runs or (record,))
-    if rate_hz < _SLOWEST_RATE_HZ:
+    if rate_hz < SLOWEST_RATE_HZ and not (record.side is not None and record.side.any()):
+        rested = f" ({rest_sentence(record)})" if record.counts.any() else ""
         raise NoMeasurement(
-            f"position comes at {rate_hz:.3g} Hz; what a model lacks cannot be told below 20 Hz: log faster"
+            f"position comes at {rate_hz:.3g} Hz; what a model lacks cannot be told below 20 Hz, but for play where "
+            f"the surface rests, and none is seen{rested}: log faster"
         )
     seconds = float(record.counts.sum()) * record.period_s
     shortest_s = _SHORTEST_ON_BENCH_S if record.runs else _SHORTEST_S
@@ -51,6 +52,8 @@ def check(record: Record) -> None:
     asked, measured = simulated[record.counts], record.measured_deg[record.counts]
     # First, for noise that is scaled, too, hides the motion that was asked for.
     _check_scale(asked, measured)
+    if record.side is not None:
+        return
     noise = noise_floor_deg(record, error)
     if float(np.std(asked)) < max(_MOTION_OF_NOISE * noise, _SMALLEST_MOTION_DEG):
         raise NoMeasurement(

@@ -6,15 +6,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.discrepancy.noise import long_run_factor, noise_floor_deg
+from servofd.discrepancy.noise import floor_uncertainty, long_run_factor, noise_floor_deg
+from servofd.discrepancy.steps import COARSE_STEP_DEG, noise_below_deg, stepped_noise_deg
+from servofd.models.catalogue import Quantization
 
 if TYPE_CHECKING:
     from servofd.discrepancy.fit import Fit
     from servofd.discrepancy.record import Record
 
 __all__ = [
-    "EXCESS_WORTH", "accepted", "cost", "excess", "floor_of", "matters", "rest_is_large", "rest_matters",
-    "worth_trying",
+    "EXCESS_WORTH", "accepted", "cost", "excess", "floor_of", "matters", "rest_is_large",
+    "rest_matters", "stays_above_noise", "worth_trying",
 ]  # fmt: skip
 
 _SHARE_OF_NOISE, _SHARE_OF_GAP = 0.03, 0.02
@@ -30,14 +32,28 @@ _SMALLEST_SIZE = 0.15
 EXCESS_WORTH = 0.06
 """The floor itself is uncertain by 3 %."""
 _EXCESS_OF_NOISE, _EXCESS_OF_GAP = 0.15, 0.02
+_SURE_SIGMAS = 3.0
+"""Chance alone passes one record in 700."""
 _NOTHING_DEG = 1e-4
 """No noise is smaller: in logs that were simulated without any, the rounding of the file is no effect."""
 
 
 def floor_of(record: Record, fit: Fit) -> float:
     """Noise floor as this fit shows it [deg]: a converter's steps at least, no more than its error, but not nothing."""
-    noise_deg = max(noise_floor_deg(record, fit.error_deg), (record.step_deg or 0.0) / float(np.sqrt(12.0)))
+    noise_deg = max(noise_floor_deg(record, fit.error_deg), _floor_of_steps(record, fit))
     return max(min(noise_deg, float(np.sqrt(fit.total / max(record.counts.sum(), 1)))), _NOTHING_DEG)
+
+
+def _floor_of_steps(record: Record, fit: Fit) -> float:
+    """What a converter's steps, and the noise before it, leave of a true model [deg], even where readings stand."""
+    step_deg = record.step_deg or 0.0
+    if step_deg < COARSE_STEP_DEG:
+        return step_deg / float(np.sqrt(12.0))
+    read_deg = np.where(record.counts, record.measured_deg, np.nan)
+    below_deg = noise_below_deg(read_deg, record.measured_deg - fit.unstepped_deg, step_deg)
+    if Quantization in fit.effects:
+        return stepped_noise_deg(below_deg, step_deg)
+    return float(np.hypot(below_deg, step_deg / np.sqrt(12.0)))
 
 
 def cost(record: Record, fit: Fit) -> float:
@@ -50,6 +66,8 @@ def cost(record: Record, fit: Fit) -> float:
 def worth_trying(record: Record, base: Fit, sigma: float) -> bool:
     """Whether more is left than noise: more variance than the floor, or memory, which white noise does not have."""
     count = int(record.counts.sum())
+    if base.total <= count * _NOTHING_DEG**2:
+        return False
     more = base.total / max(count, 1) / sigma**2 - 1.0
     error = base.error_deg[record.counts]
     power = max(float(error @ error), 1e-300)
@@ -77,7 +95,12 @@ def accepted(record: Record, base: Fit, fit: Fit, sigma: float) -> bool:
 
 
 def matters(record: Record, fit: Fit) -> bool:
-    """Whether each effect differs from none by more than servos of one kind do from each other."""
+    """Whether each effect differs from none by more than servos of one kind do from each other.
+
+    Of a servo that nobody knows there is no kind: what its data show is there, however small.
+    """
+    if record.free_poles:
+        return True
     first, widening = 0, max(float(np.nanmax(np.abs(record.measured_deg))) / _USUAL_TRAVEL_DEG, 1.0)
     for effect in fit.effects:
         values = fit.values[first : first + len(effect.parameters)]
@@ -108,6 +131,11 @@ def rest_is_large(record: Record, fit: Fit, nominal: Fit) -> bool:
     return left > max(_EXCESS_OF_NOISE * count * sigma**2, _EXCESS_OF_GAP * gap)
 
 
+def stays_above_noise(record: Record, fit: Fit) -> bool:
+    """Whether more is left than noise, be it ever so little of what there was."""
+    return fit.total > (1.0 + _EXCESS_OF_NOISE) * float(record.counts.sum()) * floor_of(record, fit) ** 2
+
+
 def excess(record: Record, fit: Fit, sigma: float) -> float:
     """Variance beyond the noise floor on the held-out samples [deg^2]."""
     return fit.held_out / max(int(record.held_out.sum()), 1) - sigma**2
@@ -120,4 +148,6 @@ def rest_matters(record: Record, nominal: Fit, final: Fit, sigma_deg: float) -> 
         # Runs that were fitted are not like those held out: what is missing in them alone is missing all the same.
         fitted = final.train / max(int(record.trained.sum()), 1) - sigma_deg**2
         left, gap = max(left, fitted), max(gap, fitted)
-    return left > _EXCESS_OF_NOISE * sigma_deg**2 and left > _EXCESS_OF_GAP * gap
+    # Of few samples, neither the floor nor what is left is known well.
+    chance = float(np.hypot(floor_uncertainty(record), np.sqrt(2.0 / max(int(record.held_out.sum()), 1))))
+    return left > max(_EXCESS_OF_NOISE, _SURE_SIGMAS * chance) * sigma_deg**2 and left > _EXCESS_OF_GAP * gap

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from servofd.discrepancy.at_rest import at_rest
 from servofd.discrepancy.audit_gain import AuditGain, audit_gain
 from servofd.discrepancy.break_point import fault_start_s
 from servofd.discrepancy.checks import check
@@ -15,7 +16,13 @@ from servofd.discrepancy.record import joined, record_of, simulate
 from servofd.discrepancy.run_by_run import RunErrors, run_errors
 from servofd.discrepancy.select import Selection, select, unexplained
 from servofd.discrepancy.separate import Separation, separations
-from servofd.discrepancy.words import effect_values, linear_sentence, unjudged_sentence
+from servofd.discrepancy.words import (
+    effect_values,
+    linear_sentence,
+    only_rests_sentence,
+    scatter_sentence,
+    unjudged_sentence,
+)
 from servofd.models.catalogue import CATALOGUE
 from servofd.models.effects import Extension
 from servofd.segment import Segment
@@ -36,6 +43,8 @@ __all__ = ["Conclusion", "Explanation", "explain_gap"]
 Conclusion = Literal["nothing_missing", "explained", "partly_explained", "unexplained"]
 
 _MUCH_WORSE, _NO_NOISE = 4.0, 5.5
+_SLOWLY_WORSE = 2.0
+"""Times the variance of the healthy part, up to the first sample that is no noise: a drift, which has no beginning."""
 _AT_ONCE_S, _SOON_S, _FAR_WORSE, _NOT_BUSIER, _MOST_OF_IT = 5.0, 15.0, 25.0, 2.0, 0.25
 """Where the healthy part is not explained to the noise either, a fault must stand out from what stays of it: at once,
 though no more is asked, or soon and nearly as large as the motion (variances). A gap that drifts, or grows with motion,
@@ -75,7 +84,7 @@ class Explanation:
     @property
     def conclusion(self) -> Conclusion:
         """In a word."""
-        left = unexplained(self.selection, self.record)
+        left = unexplained(self.selection, self.record) or self.record.side is not None  # how it moves is not judged
         if self.selection.rungs:
             return "partly_explained" if left else "explained"
         return "unexplained" if left else "nothing_missing"
@@ -204,28 +213,34 @@ def explain_gap(
     segments = [segment] if isinstance(segment, Segment) else list(segment)
     if airspeed_m_s is not None or voltage_v is not None:
         segments = [_with_context(each, airspeed_m_s, voltage_v) for each in segments]
-    record = joined([record_of(each, model, at_rest=on_bench, free_poles=free_poles, own=own) for each in segments])
+    records = [record_of(each, model, at_rest=on_bench, free_poles=free_poles, own=own) for each in segments]
+    record = joined([at_rest(each) for each in records])
     check(record)
     selection = select(record, progress)
     fault_s, notes = None, []
-    if unexplained(selection, record) and not record.runs:
+    if unexplained(selection, record) and not (record.runs or record.side is not None):
         part = _healthy_part(record, selection, progress)
         if part is not None:
             record, selection, fault_s = part
             notes.append(
                 f"after {fault_s:.1f} s this is a fault, not a missing effect: only what came before is explained"
             )
-    if free_poles:
+    if record.side is not None:
+        notes.append(only_rests_sentence(record))
+    elif free_poles:
         notes.append(linear_sentence(record, selection))
+    if selection.scatter_s > 0.0:
+        notes.append(scatter_sentence(selection))
     if selection.unjudged:
         notes.append(unjudged_sentence(selection))
     where = sentences(record, selection.nominal.error_deg, selection.sigma_deg)
     errors = run_errors(selection.fitter, selection.final)
     found = Explanation(segments[0].surface, model, record, selection, tuple(where), tuple(notes), fault_s, runs=errors)
     gain = None
-    if selection.rungs and found.is_simulated_by_audit:
+    if selection.rungs and found.is_simulated_by_audit and record.side is None:
         gain = audit_gain(segments, model, found.better_model, fault_s or float("inf"))
-    return replace(found, separating=separations(selection), gain=gain)
+    # Manoeuvres are simulated, and how the servo moves must be known for that.
+    return replace(found, separating=() if record.side is not None else separations(selection), gain=gain)
 
 
 def _with_context(segment: Segment, airspeed_m_s: FloatArray | None, voltage_v: FloatArray | None) -> Segment:
@@ -258,7 +273,9 @@ def _healthy_part(
         if not wrong.any():
             continue
         start_s = float(record.time_s[wrong][0])
-        if explained and float(np.mean(error[later] ** 2)) > _MUCH_WORSE * healthy.sigma_deg**2:
+        quiet = later & (record.time_s < start_s)
+        slowly = bool(quiet.any()) and float(np.mean(error[quiet] ** 2)) > _SLOWLY_WORSE * usual_deg**2
+        if explained and not slowly and float(np.mean(error[later] ** 2)) > _MUCH_WORSE * healthy.sigma_deg**2:
             return before, healthy, start_s
         if rough is None and not explained and _breaks_off(record, error, before.counts, start_s, usual_deg):
             rough = before, healthy, start_s

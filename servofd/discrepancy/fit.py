@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.discrepancy.noise import long_run_factor, noise_floor_deg
+from servofd.discrepancy.frames import best_frame, frames_like, usual_frame
+from servofd.discrepancy.noise import floor_uncertainty, long_run_factor, noise_floor_deg
 from servofd.discrepancy.record import simulate
 from servofd.discrepancy.search import begin, polish, telling_part
-from servofd.models.catalogue import Delay, PwmFrame, Quantization, SensorLag, SlowDynamics, installed
+from servofd.discrepancy.steps import COARSE_STEP_DEG
+from servofd.models.catalogue import CommandSteps, Delay, PwmFrame, Quantization, SensorLag, SlowDynamics, installed
 from servofd.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -27,9 +29,12 @@ _STEP = 3e-2
 """Of what is common: what sticks or has edges answers to less with jumps, in which the descent loses its way."""
 _TIE_TO_START = 1e-4
 _EVALUATIONS, _THOROUGH = 20, 40
+_FINER, _SIMULATORS_DIFFER = 10.0, 2.5e-3
+"""The second is how far two simulators of one servo, both in steps of 0.1 ms and less, are apart in a value: 0.8 % for
+friction in chirps to 25 Hz, 0.2 % for a sensor's lag, less for all others."""
 _PROMISING, _FEWER = 10, 6
 """Of the candidates of a first effect, and of a further one."""
-_LATE_SHARE, _FRAMES_EXCESS = 0.1, 0.02
+_LATE_SHARE, _LATE_LEAVES, _FRAMES_EXCESS = 0.1, 2.0, 0.02
 _SURE = 1.959963984540054
 """Standard deviations of a 95 % interval."""
 
@@ -50,6 +55,8 @@ class Fit:
     """Sum of squares over the fitted samples [deg^2]."""
     held_out: float
     """The same over the samples that only judge."""
+    unstepped_deg: FloatArray
+    """The error of the position before the steps of its converter, shape (n,); where there are none, `error_deg`."""
 
     @property
     def total(self) -> float:
@@ -60,6 +67,13 @@ class Fit:
     def names(self) -> tuple[str, ...]:
         """Of the effects."""
         return tuple(effect.name for effect in self.effects)
+
+    @property
+    def ran_away(self) -> tuple[int, ...]:
+        """Which of the effects have a parameter at its bound: no answers, but failures."""
+        values = iter(self.values.tolist())
+        at_bound = [[p.at_bound(next(values)) for p in effect.parameters] for effect in self.effects]
+        return tuple(k for k, each in enumerate(at_bound) if any(each))
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -73,6 +87,8 @@ class Fitter:
 
     record: Record
     simulations: int = field(default=0, init=False)
+    fewer: dict[tuple[Fit, int], Fit] = field(default_factory=dict, init=False)
+    """Fits without one of their effects, by its number; they are asked for again and again."""
     _trained: IntArray = field(init=False)
     _held_out: IntArray = field(init=False)
 
@@ -99,7 +115,13 @@ class Fitter:
         """Fit with given values."""
         error = self.error_deg(effects, values)
         train, held_out = error[self._trained], error[self._held_out]
-        return Fit(effects, np.array(values, dtype=float), error, float(train @ train), float(held_out @ held_out))
+        unstepped = error
+        if Quantization in effects:
+            k = effects.index(Quantization)
+            first = sum(len(effect.parameters) for effect in effects[:k])
+            unstepped = self.error_deg(effects[:k] + effects[k + 1 :], np.delete(values, first))
+        squares = float(train @ train), float(held_out @ held_out)
+        return Fit(effects, np.array(values, dtype=float), error, *squares, unstepped)
 
     def nominal(self) -> Fit:
         """The servo as it is known."""
@@ -109,20 +131,22 @@ class Fitter:
         """The best fits that have one effect more; of the most promising, all parameters are refitted.
 
         Pulse frames, a search of thousands of simulations, are looked for only if a delay helps (it is what they do on
-        average) and nothing else leaves as little as noise.
+        average); if nothing else leaves more than noise, only those of usual periods that are as late as that.
         """
         part = telling_part(self.record, base.error_deg)
         others = [effect for effect in able if self._possible(effect, base)]
         fits = self._refitted_best([self._begun(part, base, effect, tried) for effect in others])
-        if PwmFrame in able and PwmFrame not in base.effects and self._may_be_frames(base, fits):
-            fits.append(self._begun(self.record, base, PwmFrame, tried))
-            fits[-1] = self.refitted(fits[-1].effects, fits[-1].values)
+        if PwmFrame in able and PwmFrame not in base.effects and self._is_late(base, fits):
+            tried(PwmFrame.key())
+            fits += self._framed(base, fits)
         return fits
 
     def _possible(self, effect: type[MissingEffect], base: Fit) -> bool:
-        """Whether an effect is tried with the others: those whose name is new, and steps only where they are seen."""
-        steps_deg = (self.record.step_deg or 0.0) if effect is Quantization else np.inf
-        return effect.name not in base.names and effect is not PwmFrame and steps_deg >= effect.parameters[0].low
+        """Whether an effect is tried with the others: its name is new, and it is not found in a way of its own."""
+        own_way = {PwmFrame, Quantization}
+        if (self.record.step_deg or 0.0) >= COARSE_STEP_DEG:
+            own_way.add(CommandSteps)  # at rest, steps of the position look like those of the command
+        return effect.name not in base.names and effect not in own_way
 
     def _begun(self, part: Record, base: Fit, effect: type[MissingEffect], tried: Callable[[str], None]) -> Fit:
         tried(effect.key())
@@ -139,18 +163,41 @@ class Fitter:
     def _settled(self, fit: Fit) -> Fit:
         """All parameters refitted; what cannot be descended is searched on the whole record."""
         values, newest = fit.values.tolist(), fit.effects[-1].parameters
-        if all(p.kinked for p in newest) and fit.effects[-1] is not Quantization:
+        if all(p.kinked for p in newest):
             values, count = polish(self.record, fit.effects, values, len(values) - len(newest))
             self.simulations += count
         return self.refitted(fit.effects, values)
 
-    def _may_be_frames(self, base: Fit, fits: list[Fit]) -> bool:
+    def _is_late(self, base: Fit, fits: list[Fit]) -> bool:
+        """Whether a delay, or what passes for one, takes away some of what is left."""
         late = [fit for fit in fits if fit.effects[-1] in (Delay, SensorLag, SlowDynamics)]
-        floor = noise_floor_deg(self.record, min(fits, key=lambda fit: fit.train).error_deg) ** 2
-        gap = base.train - self._trained.size * floor
-        helps = any(base.train - fit.train > _LATE_SHARE * gap for fit in late)
-        least = min(fit.train for fit in fits)
-        return helps and least > (1.0 + _FRAMES_EXCESS) * self._trained.size * floor
+        gap = base.train - self._noise(fits)
+        return any(base.train - fit.train > _LATE_SHARE * gap for fit in late)
+
+    def _noise(self, fits: list[Fit]) -> float:
+        """Of the fitted samples, as the best fit shows it [deg^2]."""
+        return self._trained.size * noise_floor_deg(self.record, min(fits, key=lambda fit: fit.train).error_deg) ** 2
+
+    def _framed(self, base: Fit, fits: list[Fit]) -> list[Fit]:
+        """The best fit with pulse frames, if there is any."""
+        best, effects = min(fits, key=lambda fit: fit.train), (*base.effects, PwmFrame)
+        known, noise, frame = self.physics(base.effects, base.values), self._noise(fits), None
+        late = [fit for fit in fits if fit.effects[-1] in (Delay, SensorLag, SlowDynamics)]
+        if best.train <= (1.0 + max(_FRAMES_EXCESS, floor_uncertainty(self.record))) * noise:
+            later_s = [
+                float(fit.values[-1]) - self.record.plant.neutral.delay_s for fit in late if fit.effects[-1] is Delay
+            ]
+            frame = usual_frame(self.record, known, max(later_s, default=0.0))
+        elif min(fit.train for fit in late) - noise < _LATE_LEAVES * (best.train - noise):
+            # Frames are a delay on average: where something else fits far better, they are not what lacks most.
+            sigma_deg = float(np.sqrt(noise / self._trained.size))
+            likely = frames_like(self.record, known, best.error_deg, sigma_deg)
+            frame = best_frame(self.record, known, likely) if likely else None
+        if frame is None:
+            return []
+        values, count = polish(self.record, effects, [*base.values.tolist(), *frame], base.values.size)
+        self.simulations += count
+        return [self.refitted(effects, values)]
 
     def refitted(
         self, effects: tuple[type[MissingEffect], ...], values: Values, evaluations: int = _EVALUATIONS
@@ -178,15 +225,22 @@ class Fitter:
             # What the data do not show stays where it is.
             return np.concatenate([self.error_deg(effects, at(x))[self._trained], _TIE_TO_START * (x - x0)])
 
+        at_once: list[tuple[FloatArray, FloatArray]] = []
+
+        def remembered(x: FloatArray) -> FloatArray:
+            at_once[:] = [(x.copy(), errors(x))]
+            return at_once[0][1]
+
         def slopes(x: FloatArray) -> FloatArray:
-            here = errors(x)
+            same = bool(at_once) and np.array_equal(at_once[0][0], x)
+            here = at_once[0][1] if same else errors(x)
             steps = np.where(x + _STEP > high, -_STEP, _STEP)
             return np.column_stack(
                 [(errors(x + step * unit) - here) / step for step, unit in zip(steps, np.eye(x.size), strict=True)]
             )
 
         found = least_squares(
-            errors,
+            remembered,
             x0,
             jac=slopes,
             bounds=(low, high),
@@ -210,22 +264,15 @@ class Fitter:
         best = whole.refitted(fit.effects, fit.values, _THOROUGH)
         error = best.error_deg[self.record.counts]
         sigma_deg = float(np.sqrt(np.mean(error**2)))
-        covariance = whole.covariance(best, sigma_deg, long_run_factor(error))
+        covariance = whole.covariance(best, sigma_deg, long_run_factor(error)) + whole.discretization(best)
         self.adopt(whole)
-        return replace(fit, values=best.values, error_deg=best.error_deg), covariance
+        return replace(fit, values=best.values, error_deg=best.error_deg, unstepped_deg=best.unstepped_deg), covariance
 
     def covariance(self, fit: Fit, sigma_deg: float, factor: float) -> FloatArray:
         """Of the values of a fit, shape (p, p), from the curvature on both sides; infinite where nothing shows."""
-        columns = []
-        for k, parameter in enumerate(fit.parameters):
-            step = 1e-2 * parameter.typical
-            up, down = fit.values.copy(), fit.values.copy()
-            up[k], down[k] = min(up[k] + step, parameter.high), max(down[k] - step, parameter.low)
-            change = self.error_deg(fit.effects, up) - self.error_deg(fit.effects, down)
-            columns.append(change[self._trained] / (up[k] - down[k]) * parameter.typical)
-        if not columns:
+        if not fit.effects:
             return np.zeros((0, 0))
-        jacobian = np.column_stack(columns)
+        jacobian = self._jacobian(fit)
         seen = np.linalg.norm(jacobian, axis=0) > 1e-9
         result = np.diag(np.where(seen, 0.0, np.inf))
         inside = np.ix_(seen, seen)
@@ -233,3 +280,31 @@ class Fitter:
         scale = np.array([p.typical for p in fit.parameters])
         covariance: FloatArray = result * np.where(np.isinf(result), 1.0, np.outer(scale, scale))
         return covariance
+
+    def discretization(self, fit: Fit) -> FloatArray:
+        """Square of how far a simulation in steps ten times as fine would move the values of a fit, shape (p, p).
+
+        No noise, but the same in every record: what sticks and slips within a step of the kernel is not exact. Nor is
+        any other simulator, to a small share of each value.
+        """
+        finer = simulate(self.record, self.physics(fit.effects, fit.values), _FINER)
+        change = (self.record.measured_deg - finer - fit.error_deg)[self._trained]
+        moved = np.linalg.lstsq(self._jacobian(fit), -change, rcond=1e-6)[0] * [p.typical for p in fit.parameters]
+        sizes = [
+            min(p.away(float(v), self.record.plant.neutral), abs(v))
+            for p, v in zip(fit.parameters, fit.values, strict=True)
+        ]
+        return np.outer(moved, moved) + np.diag((_SIMULATORS_DIFFER * np.array(sizes)) ** 2)
+
+    def _jacobian(self, fit: Fit) -> FloatArray:
+        """Slope of the errors over each parameter in units of what is common, shape (m, p)."""
+        columns = []
+        for k, parameter in enumerate(fit.parameters):
+            # Of a knee at 3 deg, 300 of which are common, a hundredth is a hundredth of 3.
+            value = abs(float(fit.values[k]))
+            step = 1e-2 * (min(parameter.typical, value) if value > 1e-3 * parameter.typical else parameter.typical)
+            up, down = fit.values.copy(), fit.values.copy()
+            up[k], down[k] = min(up[k] + step, parameter.high), max(down[k] - step, parameter.low)
+            change = self.error_deg(fit.effects, up) - self.error_deg(fit.effects, down)
+            columns.append(change[self._trained] / (up[k] - down[k]) * parameter.typical)
+        return np.column_stack(columns)

@@ -7,52 +7,102 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.detection.residual import Commands
 from servofd.discrepancy.record import simulate
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from servofd.discrepancy.record import Record
     from servofd.models.physics import Physics
+    from servofd.types import FloatArray
 
-__all__ = ["best_frame"]
+__all__ = ["best_frame", "frames_like", "usual_frame"]
 
 _SHORTEST_S, _LONGEST_S = 0.01, 0.055
 _WINDOW_S = 4.0
-_PHASES = 4
+_REMEMBERED_S = 1.5
+"""Longest time that a command takes to the surface, with the longest frame before it."""
+_ROUGHLY_S, _NEARLY_S = 3e-3, 1.5e-3
+"""Between the phases that are tried in a window, and for usual periods: frames that pick other commands are far off."""
 _SHARE_OF_BEAT = 0.4
 """Of the change of period that moves the last frame of a window by one period."""
-_ZOOM, _KEPT = 3.0, 27
+_ZOOM, _KEPT, _LIKELY = 3.0, 27, 24
+_WORSE_AT_FIRST, _WORSE = 100.0, 10.0
+"""Squared noise by which frames may be worse than what is no frame: true ones, not yet met exactly, were better by 10
+and 89 in the two windows where they were hardest to see, and where there were none, worse by 1300 and 2600."""
 _SHIFTS = (-0.1, -0.04, 0.0, 0.04, 0.1)
+_AS_LATE = (0.7, 1.4)
+"""Frames are late by half their period on average: twice a fitted delay is their period, give or take its phase."""
 _FINER = (0.5, 0.2, 0.08, 0.03, 0.01)
 _USUAL_S = (*(k / 1000.0 for k in range(10, 26)), 0.004, 0.005, 0.03, 0.04, 0.05, 1 / 70, 1 / 60, 1 / 45, 1 / 150)
 """Whole milliseconds, and common frame rates that are not."""
 
 
-def best_frame(record: Record, physics: Physics) -> tuple[float, float]:
-    """Period [s] and phase of the frames that explain the liveliest part of a record best.
+def frames_like(
+    record: Record, physics: Physics, rival_deg: FloatArray | None = None, sigma_deg: float = 0.0
+) -> list[tuple[float, float]]:
+    """Frames that explain lively seconds of a record best; none where a rival's error [deg] is clearly smaller there.
 
-    A window of length L tells periods T apart that differ by T²/L. Periods are tried at that spacing in a short
-    window, which is then widened step by step around the best.
+    A window of length L tells periods T apart that differ by T²/L. They are tried at that spacing in a short window,
+    and those around the best in one three times as long.
     """
-    window_s = _WINDOW_S
-    centre_s = _liveliest_s(record, window_s)
-    total_s = float(record.time_s[-1] - record.time_s[0])
-    part = _window(record, centre_s, window_s)
+    window_s, centre_s = _WINDOW_S, _liveliest_s(record, _WINDOW_S)
     periods = [_SHORTEST_S]
     while periods[-1] < _LONGEST_S:
         periods.append(periods[-1] * (1.0 + _SHARE_OF_BEAT * periods[-1] / window_s))
-    grid = [(period, phase / _PHASES) for period in periods for phase in range(_PHASES)]
-    best = sorted(grid, key=lambda frame: _loss(part, physics, frame))[:_KEPT]
-    kept = _KEPT
+    best = [(period, phase) for period in periods for phase in _phases(period, _ROUGHLY_S)]
+    for kept, worse in ((_KEPT, _WORSE_AT_FIRST), (_KEPT // 3, _WORSE)):
+        part = _window(record, centre_s, window_s)
+        losses = [_loss(part, physics, frame) for frame in best]
+        known = np.isin(record.time_s, part.time_s[part.counts])
+        if rival_deg is not None and min(losses) > float(rival_deg[known] @ rival_deg[known]) + worse * sigma_deg**2:
+            return []
+        best = [best[k] for k in np.argsort(losses, kind="stable")[:kept]]
+        if kept == _KEPT:
+            window_s *= _ZOOM
+            best = [frame for one in best for frame in _around(one, centre_s, window_s)]
+    return best
+
+
+def best_frame(record: Record, physics: Physics, begin: Sequence[tuple[float, float]] = ()) -> tuple[float, float]:
+    """Period [s] and phase of the frames that explain a record best, from those that explain lively seconds of it.
+
+    The window that told these apart is widened step by step around the best.
+    """
+    window_s, kept = _WINDOW_S * _ZOOM, _KEPT // 3
+    best = list(begin) or frames_like(record, physics)
+    centre_s = _liveliest_s(record, _WINDOW_S)
+    total_s = float(record.time_s[-1] - record.time_s[0])
+    part = _window(record, centre_s, window_s)
+    usual = sorted(_usual(0.0, np.inf), key=lambda frame: _loss(part, physics, frame))
     while window_s < total_s:
         window_s, kept = window_s * _ZOOM, max(kept // 3, 1)
         part = _window(record, centre_s, window_s)
         near = [frame for one in best for frame in _around(one, centre_s, window_s)]
         best = sorted(near, key=lambda frame: _loss(part, physics, frame))[:kept]
-    usual = [(period, phase / _PHASES + 0.125) for period in _USUAL_S for phase in range(_PHASES)]
-    found = min([best[0], *usual], key=lambda frame: _loss(record, physics, frame))
+    found = min([best[0], *usual[:_LIKELY]], key=lambda frame: _loss(record, physics, frame))
     for finer in _FINER:
         found = min(_around(found, centre_s, window_s, finer), key=lambda frame: _loss(record, physics, frame))
     return found
+
+
+def usual_frame(record: Record, physics: Physics, late_s: float) -> tuple[float, float] | None:
+    """Period [s] and phase of frames of a usual period, as late as that on average, that explain a record best."""
+    low, high = (2.0 * late_s * share for share in _AS_LATE)
+    return min(_usual(low, high), key=lambda frame: _loss(record, physics, frame), default=None)
+
+
+def _usual(low_s: float, high_s: float) -> list[tuple[float, float]]:
+    usual_s = [period_s for period_s in _USUAL_S if low_s <= period_s <= high_s]
+    return [(period_s, phase) for period_s in usual_s for phase in _phases(period_s, _NEARLY_S)]
+
+
+def _phases(period_s: float, step_s: float) -> list[float]:
+    """Evenly over a period, as shares of it."""
+    count = int(np.ceil(period_s / step_s))
+    phases: list[float] = ((np.arange(count) + 0.5) / count).tolist()
+    return phases
 
 
 def _around(
@@ -80,8 +130,12 @@ def _window(record: Record, centre_s: float, window_s: float) -> Record:
     inside = np.abs(record.time_s - centre_s) <= window_s / 2.0
     inside &= np.isfinite(record.measured_deg)
     counts = record.counts & (record.time_s >= record.time_s[inside][0] + 0.3)
+    sent_s = record.commands.effective_s
+    heard = slice(*np.searchsorted(sent_s, (record.time_s[inside][0] - _REMEMBERED_S, record.time_s[inside][-1])))
+    commands = Commands(sent_s[heard], record.commands.command_deg[heard], record.commands.slope_deg_s[heard])
     return replace(
         record,
+        commands=commands if commands.effective_s.size else record.commands,
         time_s=record.time_s[inside],
         measured_deg=record.measured_deg[inside],
         counts=counts[inside],

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from servofd.discrepancy.evidence import EXCESS_WORTH, floor_of, matters
 from servofd.discrepancy.noise import long_run_factor
 from servofd.discrepancy.prune import without
+from servofd.models.catalogue import Quantization
 
 if TYPE_CHECKING:
     from servofd.discrepancy.fit import Fit, Fitter
@@ -17,6 +18,8 @@ __all__ = ["Rung", "Tried", "equals_of", "keys_of", "rungs_of", "simplest"]
 
 _TIE_CHI_SQUARED, _EVEN_CHI_SQUARED = 10.0, 4.0
 """Below the second, the data do not even hint at which it is, and the simplest is named."""
+_CLEAR_CHI_SQUARED = 30.0
+"""In units of what stays, whatever it is: the better of a family is named, though the other is still possible."""
 _TIE_OF_EXCESS = 0.15
 """Where something stays unexplained, two effects that differ by less than this share of it are not told apart, unless
 that is as much of what they take away."""
@@ -73,8 +76,11 @@ def equals_of(fitter: Fitter, best: Fit, able: list[type[MissingEffect]], tried:
     record, sigma = fitter.record, floor_of(fitter.record, best)
     factor = long_run_factor(best.error_deg[record.counts])
     left = max(best.total - float(record.counts.sum()) * sigma**2 * (1.0 + EXCESS_WORTH), 0.0)
-    equals = []
+    equals: list[list[Fit]] = []
     for k in range(len(best.effects)):
+        if best.effects[k] is Quantization:  # seen in the readings themselves
+            equals.append([])
+            continue
         base = without(fitter, best, k)
         rivals = tried.get(keys_of(base)) or fitter.with_effects(base, able, _quietly)
         tried[keys_of(base)] = rivals
@@ -106,10 +112,18 @@ def simplest(fitter: Fitter, best: Fit, able: list[type[MissingEffect]], tried: 
     margin = _EVEN_CHI_SQUARED * floor_of(fitter.record, best) ** 2
     for effect, equals in zip(best.effects, equals_of(fitter, best, able, tried), strict=True):
         before = [r for r in equals if able.index(r.effects[-1]) < able.index(effect)]
-        even = [r for r in before if r.total - best.total < margin or effect.family == r.effects[-1].family != ""]
+        alike = [r for r in before if effect.family == r.effects[-1].family != "" and not _is_worse(fitter, r, best)]
+        even = [r for r in before if r in alike or r.total - best.total < margin]
         if even:
             return simplest(fitter, min(even, key=lambda r: able.index(r.effects[-1])), able, tried)
     return best
+
+
+def _is_worse(fitter: Fitter, rival: Fit, best: Fit) -> bool:
+    """Whether one of a family leaves more than another by what no chance in the rest itself makes of it."""
+    counts = fitter.record.counts
+    chance = best.total / max(int(counts.sum()), 1) * long_run_factor(best.error_deg[counts])
+    return rival.total - best.total > _CLEAR_CHI_SQUARED * chance
 
 
 def _is_kinked(effect: type[MissingEffect]) -> bool:

@@ -10,12 +10,12 @@ if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
     from servofd.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["Block", "Map", "bad_seconds", "blocks", "maps", "sentences"]
+__all__ = ["Block", "Map", "bad_seconds", "blocks", "is_told", "maps", "sentences", "speed_deg_s"]
 
 _FALSE_DISCOVERIES = 0.01
 _BINS, _FEWEST_PER_BIN = 12, 30
 _TOP = 0.8
-_SHOWN_SHARE, _NO_SHARE = 0.25, 0.05
+_SHOWN_SHARE, _NO_SHARE, _MOST = 0.25, 0.05, 0.5
 _FIR_LAGS = 25
 _FOLDS = 2
 _EXCESS = 0.03
@@ -89,7 +89,7 @@ def maps(record: Record, error_deg: FloatArray, sigma_deg: float) -> tuple[Map, 
     simulated = record.measured_deg[where] - error
     excess = max(float(np.mean(error**2)) - sigma_deg**2, 1e-12)
     command = _command(record)
-    speed = _gradient(record.measured_deg - error_deg, record.time_s)[where]
+    speed = speed_deg_s(record, error_deg)[where]
     rate = _gradient(_smooth(command), record.time_s)[where]
     lag = command[where] - simulated
     quantities: list[tuple[str, str, FloatArray, bool]] = [
@@ -115,6 +115,18 @@ def maps(record: Record, error_deg: FloatArray, sigma_deg: float) -> tuple[Map, 
     found.append(Map("direction of motion", "", _predicted(moving, error, block, excess), 0.0, 0.0))
     found.append(Map("linear filter of the command", "", _filtered(record, command, error_deg, excess), 0.0, 0.0))
     return tuple(sorted(found, key=lambda m: -m.share))
+
+
+def is_told(record: Record, error_deg: FloatArray, sigma_deg: float) -> bool:
+    """Whether command or motion tell most of what is more than noise."""
+    return any(found.share > _MOST for found in maps(record, error_deg, sigma_deg))
+
+
+def speed_deg_s(record: Record, error_deg: FloatArray) -> FloatArray:
+    """Speed of the simulation that leaves this error [deg/s], shape (n,)."""
+    known = np.isfinite(error_deg)
+    moved = np.interp(record.time_s, record.time_s[known], (record.measured_deg - error_deg)[known])
+    return _gradient(moved, record.time_s)
 
 
 def sentences(record: Record, error_deg: FloatArray, sigma_deg: float) -> list[str]:

@@ -8,17 +8,22 @@ import numpy as np
 
 if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
-    from servofd.types import FloatArray
+    from servofd.types import BoolArray, FloatArray
 
-__all__ = ["comb_step_deg", "long_run_factor", "noise_floor_deg"]
+__all__ = ["comb_step_deg", "floor_uncertainty", "long_run_factor", "noise_floor_deg"]
 
 _TO_SIGMA = 1.482602218505602
 """Standard deviation over median absolute deviation, of a Gaussian."""
 _THIRD = 20.0**0.5
 """Standard deviation of third differences (1, -3, 3, -1) of white noise."""
+_GOLDEN = 0.6180339887498949
+"""Multiples of it fill the unit interval evenly (Weyl)."""
+_MEDIAN_OF_THIRD = 3.02
+"""Relative standard deviation of the squared floor, times the root of the number of differences (2000 simulations)."""
 _LAGS = 25
 _SMALLEST_DEG = 1e-6
 _OFF_COMB, _FEWEST_VALUES = 0.1, 3
+_NO_CHANCE = 20.0
 
 
 def noise_floor_deg(record: Record, error_deg: FloatArray) -> float:
@@ -38,12 +43,25 @@ def noise_floor_deg(record: Record, error_deg: FloatArray) -> float:
     >>> round(noise_floor_deg(record, noise), 2)
     0.1
     """
-    joined = record.counts[3:] & record.counts[2:-1] & record.counts[1:-2] & record.counts[:-3]
-    third = np.diff(error_deg, 3)[joined]
+    third = np.diff(error_deg, 3)[_joined(record)]
     if third.size < 8:
         return _SMALLEST_DEG
+    if record.step_deg:
+        # At rest all differences are whole steps of the converter; spread over one, their median is on no tooth.
+        third = third + record.step_deg * (_GOLDEN * np.arange(third.size) % 1.0 - 0.5)
     spread = _TO_SIGMA * float(np.median(np.abs(third - np.median(third)))) / _THIRD
     return max(spread, _SMALLEST_DEG)
+
+
+def floor_uncertainty(record: Record) -> float:
+    """Relative standard deviation of the square of the noise floor, by chance."""
+    return _MEDIAN_OF_THIRD / float(np.sqrt(max(int(_joined(record).sum()), 1)))
+
+
+def _joined(record: Record) -> BoolArray:
+    """Where four samples in a row count, shape (n - 3,)."""
+    counts = record.counts
+    return counts[3:] & counts[2:-1] & counts[1:-2] & counts[:-3]
 
 
 def long_run_factor(error_deg: FloatArray) -> float:
@@ -64,7 +82,7 @@ def long_run_factor(error_deg: FloatArray) -> float:
 
 
 def comb_step_deg(values_deg: FloatArray) -> float | None:
-    """Step of the converter that made some values [deg]: all of them are whole multiples of it; None without one.
+    """Step of the converter that made some values [deg], wherever its zero is; None if they lie on no comb.
 
     Examples
     --------
@@ -74,11 +92,17 @@ def comb_step_deg(values_deg: FloatArray) -> float | None:
     """
     known = values_deg[np.isfinite(values_deg)]
     unique = np.unique(np.round(known, 6))
-    if not _FEWEST_VALUES <= unique.size <= known.size / 4:
+    if not _FEWEST_VALUES <= unique.size <= known.size / 2:
         return None
-    step_deg = float(np.diff(unique).min())
-    for _ in range(2):  # the smallest difference is rounded by the file; all of them together are not
-        number = np.round(unique / step_deg)
-        step_deg = float(unique @ number) / max(float(number @ number), 1.0)
-    off = np.abs(unique - number * step_deg).max()
+    apart = np.diff(unique)
+    # Files round each value; most of the smallest differences are one step all the same.
+    step_deg = float(np.median(apart[apart < 1.5 * apart.min()]))
+    # Of n values without a converter the two closest are the n-th part of the mean distance apart.
+    if unique.size > known.size / 4 and step_deg < _NO_CHANCE * (unique[-1] - unique[0]) / unique.size**2:
+        return None
+    # Gaps are rounded by the file; numbered one after the other, all values together are not.
+    tooth = np.concatenate([[0.0], np.cumsum(np.round(apart / step_deg))])
+    tooth -= tooth.mean()
+    step_deg = float(unique @ tooth / (tooth @ tooth))
+    off = np.abs(unique - unique.mean() - tooth * step_deg).max()
     return round(step_deg, 6) if off < _OFF_COMB * step_deg else None

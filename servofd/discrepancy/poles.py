@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from servofd.discrepancy.fit import Values
     from servofd.discrepancy.record import Record
-    from servofd.models.catalogue import MissingEffect
+    from servofd.models.catalogue import MissingEffect, Parameter
     from servofd.models.physics import Physics
     from servofd.types import FloatArray
 
@@ -35,6 +35,8 @@ _LOWEST, _HIGHEST = Poles(0.05, 0.05), Poles(40.0, 20.0)
 _STEP = 2e-3
 _TIE_TO_START = 1e-4
 _EVALUATIONS, _FIRST_EVALUATIONS = 20, 6
+_USUAL_GAP_DEG = 1.0
+"""Error of a linear servo for which the sizes of effects in the catalogue are meant."""
 _KEPT, _SETTLED = 2, 1
 """Starts that are descended from; effects after which the poles are known well enough to be the only start."""
 _REFITTED = 4
@@ -109,7 +111,8 @@ class PoleFitter(Fitter):
     def _with_one(self, base: Fit, effect: type[MissingEffect]) -> Fit:
         effects = (*base.effects, effect)
         # Where in the motor a load acts is the same question for a servo without a state for its torque.
-        grid = [list(point) for point in product(*(p.grid[:1] if p.aside else p.grid for p in effect.parameters))]
+        grids = [self._sized(p, p.grid[:1] if p.aside else p.grid) for p in effect.parameters]
+        grid = [list(point) for point in product(*grids)]
         starts = []
         kinked = any(p.kinked for p in effect.parameters)
         for poles in (self.poles(base.effects), *(() if kinked or len(base.effects) >= _SETTLED else _STARTS)):
@@ -117,6 +120,21 @@ class PoleFitter(Fitter):
             starts.append((min(losses), poles, [*base.values, *grid[int(np.argmin(losses))]]))
         starts.sort(key=lambda start: start[0])
         return self._multi_start(effects, [(poles, values) for _, poles, values in starts[:_KEPT]], _FIRST_EVALUATIONS)
+
+    def _scale(self, parameter: Parameter) -> float:
+        """Of an error that an effect leaves, if it is given in degrees: no more than there is, on a fine drive little.
+
+        Sizes in the catalogue are those of servos that leave a degree or so; of one that leaves a micrometre nobody
+        knows what is common.
+        """
+        if parameter.neutral != 0.0 or not parameter.name.endswith("_deg"):
+            return 1.0
+        nominal = self.nominal()
+        rms_deg = float(np.sqrt(nominal.total / max(int(self.record.counts.sum()), 1)))
+        return min(1.0, rms_deg / _USUAL_GAP_DEG)
+
+    def _sized(self, parameter: Parameter, grid: tuple[float, ...]) -> list[float]:
+        return [self._scale(parameter) * value for value in grid]
 
     def _with_poles(self, effects: Sequence[type[MissingEffect]], values: Values, poles: Poles) -> Physics:
         return Fitter.physics(self, effects, values)._replace(**poles._asdict())
@@ -152,7 +170,7 @@ class PoleFitter(Fitter):
         from scipy.optimize import least_squares
 
         parameters = [p for effect in effects for p in effect.parameters]
-        scale = np.array([p.typical for p in parameters])
+        scale = np.array([self._scale(p) * p.typical for p in parameters])
         start = np.concatenate([np.asarray(values, dtype=float) / scale, np.log(poles)])
         low = np.concatenate([np.array([p.low for p in parameters]) / scale, np.log(_LOWEST)])
         high = np.concatenate([np.array([p.high for p in parameters]) / scale, np.log(_HIGHEST)])

@@ -8,6 +8,7 @@ import numpy as np
 
 from servofd.discrepancy.evidence import accepted, floor_of, rest_is_large
 from servofd.discrepancy.noise import long_run_factor
+from servofd.discrepancy.steps import COARSE_STEP_DEG
 from servofd.models.catalogue import Quantization
 
 if TYPE_CHECKING:
@@ -27,11 +28,16 @@ _FORESEEN = 1.5
 
 
 def pruned(fitter: Fitter, best: Fit) -> Fit:
-    """Without the effects that the others made needless."""
+    """Without the effects that ran away, and those that the others made needless."""
     while len(best.effects) > 1:
         fewer = [without(fitter, best, k) for k in range(len(best.effects))]
         sigma = floor_of(fitter.record, best)
-        loose = [f for f in fewer if not (_foreseen(fitter.record, f, best) or accepted(fitter.record, f, best, sigma))]
+        # What ran away goes first, for beside it none of the others looks needed.
+        loose = [fewer[k] for k in best.ran_away] or [
+            fit
+            for fit in fewer
+            if not (_foreseen(fitter.record, fit, best) or accepted(fitter.record, fit, best, sigma))
+        ]
         if not loose:
             return best
         best = min(loose, key=lambda fit: fit.held_out)
@@ -105,16 +111,26 @@ def _kinked_or(parameter: Parameter, size: float) -> float:
 
 
 def with_steps(fitter: Fitter, best: Fit) -> Fit:
-    """With the steps of the position's converter, if they are seen, are much of the error, and help."""
+    """With the steps of the position's converter, if they are coarse, and much of what is left.
+
+    The readings themselves prove them: they need not foresee anything.
+    """
     step_deg, count = fitter.record.step_deg or 0.0, max(int(fitter.record.counts.sum()), 1)
-    if Quantization in best.effects or step_deg**2 / 12.0 < _STEPS_OF_ERROR * best.total / count:
+    if step_deg < COARSE_STEP_DEG or step_deg**2 / 12.0 < _STEPS_OF_ERROR * best.total / count:
         return best
-    stepped = fitter.judged((*best.effects, Quantization), [*best.values, step_deg])
-    return min(best, stepped, key=lambda fit: fit.total)
+    return fitter.judged((*best.effects, Quantization), [*best.values, step_deg])
 
 
 def without(fitter: Fitter, fit: Fit, index: int) -> Fit:
     """The others refitted, without one effect."""
+    if fitter.record.free_poles:  # the poles that go with each set of effects get better and better
+        return _without(fitter, fit, index)
+    if (fit, index) not in fitter.fewer:
+        fitter.fewer[fit, index] = _without(fitter, fit, index)
+    return fitter.fewer[fit, index]
+
+
+def _without(fitter: Fitter, fit: Fit, index: int) -> Fit:
     effects = fit.effects[:index] + fit.effects[index + 1 :]
     first = sum(len(effect.parameters) for effect in fit.effects[:index])
     values = np.delete(fit.values, range(first, first + len(fit.effects[index].parameters)))

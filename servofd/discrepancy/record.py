@@ -9,7 +9,7 @@ import numpy as np
 
 from servofd.detection.residual import Commands, commands_at_servo, rhythm
 from servofd.discrepancy.noise import comb_step_deg
-from servofd.models.physics import Physics, Plant, longest_step_s, plant_of
+from servofd.models.physics import LOOSE_FIELDS, Physics, Plant, longest_step_s, plant_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,7 +19,10 @@ if TYPE_CHECKING:
     from servofd.segment import Segment
     from servofd.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["BLOCK_S", "Record", "joined", "record_of", "simulate"]
+__all__ = ["BLOCK_S", "SLOWEST_RATE_HZ", "Record", "joined", "record_of", "simulate"]
+
+SLOWEST_RATE_HZ = 19.0
+"""Below this the effects of a servo fall between the samples: HS-225BB, time constants 15 to 40 ms."""
 
 BLOCK_S = 0.3
 """Length of the blocks that are fitted and held out in turn [s]: longer than a servo remembers, shorter than most
@@ -32,6 +35,9 @@ _BETWEEN_RUNS_S = 1.0
 """Runs are laid one after the other for pictures and words; nothing is simulated across."""
 
 
+_SOME_RUNS, _STEPS_OF_ZERO = 3, 1.5
+_PLACES = np.linspace(-1.0, 1.0, 5)
+"""Within a dead band, from one end to the other."""
 _DOUBTFUL = 1.45
 _LARGEST_GUESS_DEG, _FORGOTTEN_S = 0.25, 0.16
 """A lost command off by this much moves an HS-225BB by 0.04 deg, for four of its time constants."""
@@ -66,6 +72,17 @@ class Record:
     """Whether the poles of the servo are not known, and are fitted along with every effect."""
     own: OwnEffect | None = None
     """An effect of the user's own."""
+    side: FloatArray | None = None
+    """On which side of its play the surface rests: 1 or -1, 0 where it has none. Only of a record that is too slow to
+    show more than where it rests."""
+
+    @property
+    def is_zeroed(self) -> bool:
+        """Whether readings are counted from where each run began: all of several begin at zero, to a converter step."""
+        if len(self.runs) < _SOME_RUNS:
+            return False
+        least_deg = _STEPS_OF_ZERO * (self.step_deg or 0.0)
+        return all(abs(float(each.measured_deg[0])) <= least_deg for each in self.runs)
 
     @property
     def run(self) -> IntArray:
@@ -191,10 +208,11 @@ def joined(records: Sequence[Record]) -> Record:
         _context([each.pressure_pa for each in runs]),
         _context([each.voltage_v for each in runs]),
         _context([each.current_a for each in runs]),
-        records[0].step_deg,
+        comb_step_deg(np.concatenate([each.measured_deg for each in runs])),
         tuple(runs),
         records[0].free_poles,
         records[0].own,
+        _context([each.side for each in runs]),
     )
 
 
@@ -220,8 +238,10 @@ def _after_lost_commands(segment: Segment, hole_s: float, time_s: FloatArray) ->
     return after
 
 
-def simulate(record: Record, physics: Physics) -> FloatArray:
+def simulate(record: Record, physics: Physics, finer: float = 1.0) -> FloatArray:
     """Position that a servo with these effects would show [deg], shape (n,).
+
+    `finer` divides the steps that are taken where something switches.
 
     Examples
     --------
@@ -237,8 +257,16 @@ def simulate(record: Record, physics: Physics) -> FloatArray:
     """
     from servofd.models.position_loop import framed, new_memory, run
 
+    loose_deg = sum(getattr(physics, name) * share for name, share in LOOSE_FIELDS.items())
+    if record.runs and record.is_zeroed and record.side is None and loose_deg > 0.0:
+        return np.concatenate([_from_where_it_lay(each, physics, loose_deg, finer) for each in record.runs])
     if record.runs:
-        return np.concatenate([simulate(each, physics) for each in record.runs])
+        return np.concatenate([simulate(each, physics, finer) for each in record.runs])
+    if record.side is not None:
+        # What pulls the surface is not logged; that it lies at one end of its play is seen.
+        tight = physics._replace(**dict.fromkeys(LOOSE_FIELDS, 0.0))
+        lying_deg: FloatArray = simulate(replace(record, side=None), tight, finer) + loose_deg * record.side
+        return lying_deg
     commands, plant = record.commands, record.plant
     sent_s, deg, slope = commands.effective_s, commands.command_deg, commands.slope_deg_s
     if record.own is not None:
@@ -255,7 +283,7 @@ def simulate(record: Record, physics: Physics) -> FloatArray:
         physics,
         plant.loop(physics.bandwidth_scale, physics.damping_scale, physics.torque_share),
         plant.dc_gain,
-        longest_step_s(physics),
+        longest_step_s(physics) / finer,
         sent_s + physics.delay_s,
         deg,
         slope,
@@ -269,3 +297,16 @@ def simulate(record: Record, physics: Physics) -> FloatArray:
     if record.own is not None:
         position_deg = record.own.changed("deflection", physics, record.time_s, position_deg)
     return position_deg
+
+
+def _from_where_it_lay(run: Record, physics: Physics, loose_deg: float, finer: float) -> FloatArray:
+    """Reading of a run that is counted from where the servo lay within its dead band when the run began [deg].
+
+    Where that was, nobody wrote down; of a few places the one that agrees best with the run is taken.
+    """
+    readings: list[FloatArray] = []
+    for place_deg in loose_deg * _PLACES:
+        moved = replace(run, measured_deg=run.measured_deg + place_deg)
+        readings.append(simulate(moved, physics, finer) - place_deg)
+    errors = [(run.measured_deg - reading)[run.counts] for reading in readings]
+    return readings[int(np.argmin([float(np.sum(error * error)) for error in errors]))]

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.discrepancy.frames import best_frame
 from servofd.discrepancy.record import simulate
-from servofd.models.catalogue import PwmFrame, Quantization, installed
+from servofd.models.catalogue import installed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -50,19 +49,14 @@ def telling_part(record: Record, error_deg: FloatArray) -> Record:
         pressure_pa=None if record.pressure_pa is None else record.pressure_pa[inside],
         voltage_v=None if record.voltage_v is None else record.voltage_v[inside],
         current_a=None if record.current_a is None else record.current_a[inside],
+        side=None if record.side is None else record.side[inside],
     )
 
 
 def begin(part: Record, effects: Sequence[type[MissingEffect]], known: Sequence[float]) -> tuple[list[float], int]:
     """Values near the best for the last of some effects, beside known ones for the others; and how many were tried."""
     newest = effects[-1]
-    plant = part.plant.neutral
-    if newest is PwmFrame:
-        values = [*known, *best_frame(part, installed(plant, effects[:-1], known))]
-        return polish(part, effects, values, len(known))
     trial = _Trial(part, effects)
-    if newest is Quantization:
-        return [*known, part.step_deg or 0.0], 0
     grid = product(*(p.grid for p in newest.parameters))
     values = [*known, *min(grid, key=lambda point: trial.loss([*known, *point]))]
     polished, count = polish(part, effects, values, len(known))

@@ -6,11 +6,21 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from servofd.discrepancy.candidates import first_of_each, judgeable
-from servofd.discrepancy.evidence import accepted, cost, floor_of, rest_is_large, rest_matters, worth_trying
+from servofd.discrepancy.evidence import (
+    EXCESS_WORTH,
+    accepted,
+    cost,
+    floor_of,
+    rest_matters,
+    stays_above_noise,
+    worth_trying,
+)
 from servofd.discrepancy.fit import Fit, Fitter
 from servofd.discrepancy.ladder import Rung, Tried, equals_of, keys_of, rungs_of, simplest
 from servofd.discrepancy.poles import PoleFitter
 from servofd.discrepancy.prune import convincing, ordered, pruned, with_steps, without
+from servofd.discrepancy.stamps import scatter_s
+from servofd.models.catalogue import Quantization
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -47,6 +57,8 @@ class Selection:
     covariance: FloatArray
     fitter: Fitter
     """What fitted it."""
+    scatter_s: float = 0.0
+    """Of time stamps, as far as the error of the final servo grows with its speed and has no sign [s]."""
 
     @property
     def simulations(self) -> int:
@@ -73,12 +85,18 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     able, unable = judgeable(record)
     nominal = fitter.nominal()
     tried: Tried = {}
-    best = _grown(fitter, able, tried, _BEAM, progress)
+    best = _grown(fitter, able, tried, _BEAM, progress, _most_effects(record))
     # Where the poles are free, every start costs several fits, and each effect has had its chance from all of them.
-    if not record.free_poles and (len(best.effects) > _FEW or rest_is_large(record, best, nominal)):
-        best = min(best, _grown(fitter, able, tried, _WIDE_BEAM, progress), key=lambda fit: cost(record, fit))
-    best = with_steps(fitter, _swapped(fitter, able, tried, best))
-    best = ordered(fitter, simplest(fitter, convincing(fitter, pruned(fitter, best), nominal), able, tried))
+    if not record.free_poles and (len(best.effects) > _FEW or stays_above_noise(record, best)):
+        # A servo without a gap is not looked for in more words.
+        done = not worth_trying(record, best, floor_of(record, best))
+        most = len(best.effects) if done else _most_effects(record)
+        wide = _grown(fitter, able, tried, _WIDE_BEAM, progress, most)
+        best = min(best, wide, key=lambda fit: cost(record, fit))
+    sure = convincing(fitter, pruned(fitter, _swapped(fitter, able, tried, best)), nominal)
+    best = simplest(fitter, sure, able, tried)
+    # A simpler word for an effect may be one that is not needed.
+    best = ordered(fitter, with_steps(fitter, best if best is sure else pruned(fitter, best)))
     best, final, covariance = _on_all(fitter, best)
     sigma = floor_of(record, best)
     rungs = rungs_of(fitter, nominal, best, tried, able)
@@ -91,16 +109,27 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     tied = tuple(fits for _, fits in equal)
     if rungs:
         rungs = (*rungs[:-1], Rung(final, rungs[-1].rivals))
-    return Selection(nominal, rungs, ties, tied, sigma, tuple(unable), covariance, fitter)
+    # Steps let readings stand while the surface does: that is no scatter of time stamps.
+    scattered_s = 0.0 if Quantization in final.effects else scatter_s(record, final.error_deg, EXCESS_WORTH)
+    return Selection(nominal, rungs, ties, tied, sigma, tuple(unable), covariance, fitter, scattered_s)
+
+
+def _most_effects(record: Record) -> int:
+    return _MOST_ON_BENCH if record.runs else _MOST_EFFECTS
 
 
 def _grown(
-    fitter: Fitter, able: list[type[MissingEffect]], tried: Tried, width: int, progress: Callable[[str], None]
+    fitter: Fitter,
+    able: list[type[MissingEffect]],
+    tried: Tried,
+    width: int,
+    progress: Callable[[str], None],
+    most: int,
 ) -> Fit:
     """Forward search: the best few of each length go on."""
     record, best = fitter.record, fitter.nominal()
     beam = [best]
-    for _ in range(_MOST_ON_BENCH if record.runs else _MOST_EFFECTS):
+    for _ in range(most):
         sigma = floor_of(record, best)
         grown: list[Fit] = []
         for base in beam:
@@ -113,6 +142,9 @@ def _grown(
             break
         grown.sort(key=lambda fit: cost(record, fit))
         beam = _promising(record, _distinct(grown)[:width])
+        if worth_trying(record, beam[0], floor_of(record, beam[0])):
+            # What was found first may stand in for two that are found now: not so late that nobody asks any more.
+            beam = _distinct([_swapped(fitter, able, tried, beam[0]), *beam])[:width]
         if cost(record, beam[0]) < cost(record, best):
             best = beam[0]
         if not worth_trying(record, best, floor_of(record, best)):
@@ -137,12 +169,9 @@ def _on_all(fitter: Fitter, best: Fit) -> tuple[Fit, Fit, FloatArray]:
     """Fitted to all samples as well, without effects of which that drives a parameter to its bound."""
     while True:
         final, covariance = fitter.on_all(best)
-        values = iter(final.values)
-        ran_away = [[p.at_bound(float(next(values))) for p in effect.parameters] for effect in final.effects]
-        at_bound = [any(each) for each in ran_away]
-        if not any(at_bound):
+        if not final.ran_away:
             return best, final, covariance
-        best = without(fitter, best, at_bound.index(True))
+        best = without(fitter, best, final.ran_away[0])
 
 
 def _quietly(_step: str) -> None:
@@ -166,5 +195,5 @@ def _promising(record: Record, fits: list[Fit]) -> list[Fit]:
 
 
 def unexplained(selection: Selection, record: Record) -> bool:
-    """Whether more is left than noise, and more than a rounding of what was there."""
-    return rest_matters(record, selection.nominal, selection.final, selection.sigma_deg)
+    """Whether more is left than noise, and more than a rounding of what was there; or noise that the motion makes."""
+    return selection.scatter_s > 0.0 or rest_matters(record, selection.nominal, selection.final, selection.sigma_deg)

@@ -6,11 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.discrepancy.at_rest import rest_sentence
+
 if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
     from servofd.discrepancy.select import Selection
 
-__all__ = ["effect_values", "linear_sentence", "unjudged_sentence"]
+__all__ = ["effect_values", "linear_sentence", "only_rests_sentence", "scatter_sentence", "unjudged_sentence"]
 
 _SURE = 1.959963984540054
 """Standard deviations of a 95 % interval."""
@@ -43,8 +45,19 @@ def effect_values(selection: Selection, index: int) -> dict[str, dict[str, float
 def unjudged_sentence(selection: Selection) -> str:
     """Which effects cannot be judged, and what would have to be logged."""
     names = ", ".join(dict.fromkeys(effect.name for effect in selection.unjudged))
+    if selection.fitter.record.side is not None:
+        return f"cannot be judged: {names}; the log comes too slowly"
     needs = " and ".join(_CONTEXT[need] for need in dict.fromkeys(n for e in selection.unjudged for n in e.needs))
     return f"cannot be judged: {names}; the log holds no {needs}"
+
+
+def only_rests_sentence(record: Record) -> str:
+    """What a slow log does not tell, and what it does."""
+    rate_hz = min(1.0 / each.period_s for each in record.runs or (record,))
+    return (
+        f"position comes at {rate_hz:.3g} Hz: only where the surface rests is judged, for how it moves cannot be told "
+        f"below 20 Hz; {rest_sentence(record)}, now at one end and now at the other, which is hysteresis"
+    )
 
 
 def linear_sentence(record: Record, selection: Selection) -> str:
@@ -58,3 +71,11 @@ def linear_sentence(record: Record, selection: Selection) -> str:
         natural = float(np.sqrt(stiffness))
         said.append(f"{natural / (2.0 * np.pi):.3g} Hz, damping ratio {twice_damping / (2.0 * natural):.2g}")
     return f"no servo was known: a second order was fitted, by itself {said[0]}; beside the effects {said[1]}"
+
+
+def scatter_sentence(selection: Selection) -> str:
+    """What the clock of a log makes of a servo that is well."""
+    return (
+        "what stays grows with the speed of the motion, and command and motion hardly tell its sign: as if time stamps "
+        f"scattered by {1e3 * selection.scatter_s:.2g} ms; no effect of the servo does that"
+    )

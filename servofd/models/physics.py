@@ -221,7 +221,7 @@ def scaled_transfer(transfer: TransferFunction, physics: Physics) -> TransferFun
 
 @lru_cache(maxsize=256)
 def _loop(denominator: tuple[float, ...], bandwidth_scale: float, damping_scale: float, torque_share: float) -> Loop:
-    from servofd.models.position_loop import step_matrices
+    from servofd.models.loop_steps import step_matrices
 
     order = len(denominator) - 1
     monic = _damped(np.array(denominator) / denominator[0], damping_scale) * bandwidth_scale ** np.arange(order + 1)

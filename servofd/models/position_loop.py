@@ -14,26 +14,44 @@ import math
 import numpy as np
 from numba import njit
 
+from servofd.models.loop_steps import build, coasted, compiled, fade, flexed_tip, inlined, moved, row
 from servofd.models.physics import Loop, Physics
 from servofd.types import FloatArray
 
-__all__ = ["framed", "heard", "new_memory", "run", "step_matrices"]
+__all__ = ["framed", "heard", "new_memory", "run"]
 
 _NO_STEP_S = 1e-10
 _SAME_STEP_S = 1e-9
 """Steps that differ by less share their matrices: less than 1e-6 deg at 1000 deg/s."""
 _STILL_DEG = 1e-5
-_SLOTS, _MOST_BUILT = 4, 64
+_SLOTS, _MOST_BUILT = 8, 64
 """Matrices of that many lengths of step are kept; where the stamps jitter, none are made any more after so many."""
+_READY = 3
 _PER_DEG = math.pi / 180.0
-_STATES = 15
-_CLOCK, _Y, _V, _TORQUE, _U, _S, _WANTED, _FOLLOWED, _FLEXED, _SWING, _PLAYED, _STATIC, _LAGGED, _CURSOR, _BUILT = (
-    range(_STATES)
-)
+_STATES = 17
+(
+    _CLOCK,
+    _Y,
+    _V,
+    _TORQUE,
+    _U,
+    _S,
+    _WANTED,
+    _FOLLOWED,
+    _FLEXED,
+    _SWING,
+    _PLAYED,
+    _STATIC,
+    _LAGGED,
+    _CURSOR,
+    _BUILT,
+    _OLDER,
+    _LATEST,
+) = range(_STATES)
 
 
 def new_memory(start_deg: float) -> FloatArray:
-    """Memory of a servo at rest where its surface was measured [deg], shape (19,); `run` starts at its first instant.
+    """Memory of a servo at rest where its surface was measured [deg], shape (25,); `run` starts at its first instant.
 
     Time [s], the loop's states, command in force and its slope, wanted set point, positions along the linkage, how
     many of the commands have taken effect, and the lengths of step whose matrices are kept, so that a run in pieces
@@ -51,119 +69,7 @@ def heard(memory: FloatArray) -> int:
     return int(memory[_CURSOR])
 
 
-@njit(cache=True, error_model="numpy")
-def step_matrices(rate: FloatArray, grid_s: float, count: int) -> FloatArray:
-    """States after 1..count grid steps, shape (count, 3, 7), from their derivatives, shape (3, 7)."""
-    size = 7
-    whole = np.zeros((size, size))
-    whole[:3] = rate
-    whole[3, 4] = 1.0  # the command runs on at its slope
-    one = np.eye(size)
-    term = np.eye(size)
-    fine = grid_s / 16.0
-    for k in range(1, 9):
-        term = term @ whole * (fine / k)
-        one += term
-    for _ in range(4):
-        one = one @ one
-    steps = np.zeros((count, 3, size))
-    power = np.eye(size)
-    for k in range(count):
-        power = power @ one
-        steps[k] = power[:3]
-    return steps
-
-
-@njit(cache=True, error_model="numpy", inline="always")
-def _row(m: FloatArray, k: int, i: int, x: tuple[float, ...]) -> float:
-    """One state after step `k` of a table, from states and inputs."""
-    return float(
-        m[k, i, 0] * x[0]
-        + m[k, i, 1] * x[1]
-        + m[k, i, 2] * x[2]
-        + m[k, i, 3] * x[3]
-        + m[k, i, 4] * x[4]
-        + m[k, i, 5] * x[5]
-        + m[k, i, 6] * x[6]
-    )
-
-
-@njit(cache=True, error_model="numpy", inline="always")
-def _slope(r: FloatArray, x: tuple[float, ...]) -> tuple[float, float, float]:
-    """Derivatives of the three states; most entries of the matrix are zero by construction."""
-    return (
-        r[0, 0] * x[0] + r[0, 1] * x[1] + r[0, 3] * x[3] + r[0, 5] * x[5] + r[0, 6] * x[6],
-        r[1, 0] * x[0] + r[1, 1] * x[1] + r[1, 2] * x[2] + r[1, 3] * x[3] + r[1, 5] * x[5] + r[1, 6] * x[6],
-        r[2, 0] * x[0] + r[2, 1] * x[1] + r[2, 2] * x[2] + r[2, 3] * x[3] + r[2, 5] * x[5],
-    )
-
-
-@njit(cache=True, error_model="numpy", inline="always")
-def _moved(steps: FloatArray, rate: FloatArray, grid_s: float, h: float, x: tuple[float, ...]) -> tuple[float, ...]:
-    """States after `h`: whole grid steps from the table, the rest as a series."""
-    count = min(int(h / grid_s + 1e-6), steps.shape[0])
-    rest = h - count * grid_s
-    y, v, torque = x[0], x[1], x[2]
-    if count > 0:
-        k = count - 1
-        y, v, torque = _row(steps, k, 0, x), _row(steps, k, 1, x), _row(steps, k, 2, x)
-    if rest > _NO_STEP_S:
-        # Only the first derivative sees the inputs, the second the command's slope; then they are used up.
-        u = x[3] + x[4] * count * grid_s
-        d1 = _slope(rate, (y, v, torque, u, 0.0, x[5], x[6]))
-        d2 = _slope(rate, (d1[0], d1[1], d1[2], x[4], 0.0, 0.0, 0.0))
-        d3 = _slope(rate, (d2[0], d2[1], d2[2], 0.0, 0.0, 0.0, 0.0))
-        d4 = _slope(rate, (d3[0], d3[1], d3[2], 0.0, 0.0, 0.0, 0.0))
-        y += rest * (d1[0] + rest / 2.0 * (d2[0] + rest / 3.0 * (d3[0] + rest / 4.0 * d4[0])))
-        v += rest * (d1[1] + rest / 2.0 * (d2[1] + rest / 3.0 * (d3[1] + rest / 4.0 * d4[1])))
-        torque += rest * (d1[2] + rest / 2.0 * (d2[2] + rest / 3.0 * (d3[2] + rest / 4.0 * d4[2])))
-    return y, v, torque
-
-
-@njit(cache=True, error_model="numpy")
-def _build(slots: FloatArray, slot: int, steps: FloatArray, rate: FloatArray, grid_s: float, h: float) -> None:
-    """Matrix of a step of length `h`, column by column."""
-    for j in range(7):
-        one = np.zeros(7)
-        one[j] = 1.0
-        unit = (one[0], one[1], one[2], one[3], one[4], one[5], one[6])
-        slots[slot, 0, j], slots[slot, 1, j], slots[slot, 2, j] = _moved(steps, rate, grid_s, h, unit)
-
-
-@njit(cache=True, error_model="numpy", inline="always")
-def _flexed(
-    natural: float, damping: float, h: float, decay: FloatArray, drive: tuple[float, float], tip: tuple[float, float]
-) -> tuple[float, float]:
-    """Position and speed of a flexible tip whose root moves straight from one position to the other.
-
-    `decay` holds cosine and sine of its free swing over `h`, as far as it dies away.
-    """
-    slope = (drive[1] - drive[0]) / h
-    lag = 2.0 * damping / natural * slope
-    turn = natural * math.sqrt(1.0 - damping * damping)
-    away, speed = tip[0] - (drive[0] - lag), tip[1] - slope
-    swing = (speed + damping * natural * away) / turn
-    position = drive[1] - lag + away * decay[1] + swing * decay[2]
-    return position, slope + speed * decay[1] - (away * turn + damping * natural * swing) * decay[2]
-
-
-@njit(cache=True, error_model="numpy")
-def _fade(fades: FloatArray, slot: int, lag_s: float, natural: float, damping: float, h: float) -> None:
-    """What is left after `h` of a sensor's lag, and cosine and sine of the free swing of a flexible tip."""
-    if lag_s > 0.0:
-        fades[slot, 0] = math.exp(-h / lag_s)
-    decay, turn = math.exp(-damping * natural * h), natural * math.sqrt(1.0 - damping * damping)
-    fades[slot, 1], fades[slot, 2] = decay * math.cos(turn * h), decay * math.sin(turn * h)
-
-
-@njit(cache=True, error_model="numpy", inline="always")
-def _piece(error: float, dead: float, most: float, least: float) -> int:
-    """Straight piece of the characteristic on which an error lies: 0 is a dead band, 2 and -2 are saturations."""
-    return int((error > dead) - (error < -dead) + (error > most) - (error < least))
-
-
-@njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract", "nsz", "arcp"})
-def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would take most of its time
+def run(
     physics: Physics,
     loop: Loop,
     dc_gain: float,
@@ -180,26 +86,77 @@ def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would tak
 
     The memory is moved on: run again with later times, and with the commands from its cursor on.
     """
-    result = np.empty(at_s.size)
-    closed, opened, grid_s, order = loop.closed, loop.opened, loop.grid_s, loop.order
+    result, table = np.empty(at_s.size), np.empty((2 * _SLOTS, 3, 7))
+    fades = np.zeros((_SLOTS + 1, 4))
+    inputs = effective_s, command_deg, slope_deg_s, at_s, pressure_pa, voltage_v
+    _run(physics, loop, dc_gain, longest_s, *inputs, memory, memory[_STATES:], table, fades, result)
+    return result
+
+
+@inlined
+def _deflected(physics: Physics, played: float) -> float:
+    """Deflection of the surface, from the position of the servo at the end of its play [deg]."""
+    bent = 1.0 + played * (physics.quadratic_per_deg + played * physics.cubic_per_deg2)
+    return float(max(min(physics.gain * played * bent, physics.upper_deg), physics.lower_deg) + physics.bias_deg)
+
+
+@compiled
+def _run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would take most of its time
+    physics: Physics,
+    loop: Loop,
+    dc_gain: float,
+    longest_s: float,
+    effective_s: FloatArray,
+    command_deg: FloatArray,
+    slope_deg_s: FloatArray,
+    at_s: FloatArray,
+    pressure_pa: FloatArray,
+    voltage_v: FloatArray,
+    memory: FloatArray,
+    built_s: FloatArray,
+    table: FloatArray,
+    fades: FloatArray,
+    result: FloatArray,
+) -> None:
+    """The same with room for lengths of step, their matrices, what fades within them, and the result.
+
+    Of the matrices there are two for each length of step: while the error acts, and while it does not. The last entry
+    of the last array but one, which is also that of slot -1, is for steps that are not kept.
+    """
+    grid_s, order = loop.grid_s, loop.order
+    closed, opened, closed_rate, opened_rate = loop.closed, loop.opened, loop.closed_rate, loop.opened_rate
     whole_s = grid_s * closed.shape[0]
     short_s = min(longest_s, whole_s)
-    built_s, built = memory[_STATES:], int(memory[_BUILT])
-    closed_slot, opened_slot = np.empty((_SLOTS, 3, 7)), np.empty((_SLOTS, 3, 7))
-    # The last row, which is also that of slot -1, is for steps that are not kept.
-    fades, fading = np.zeros((_SLOTS + 1, 3)), physics.lag_s > 0.0 or physics.resonance_hz > 0.0
+    built, older, latest = int(memory[_BUILT]), int(memory[_OLDER]), int(memory[_LATEST])
+    for k in range(_SLOTS):
+        fades[k, _READY] = 0.0
+    fading = physics.lag_s > 0.0 or physics.resonance_hz > 0.0
     dead = 0.5 * physics.deadband_deg + (physics.friction_deg / dc_gain if order == 1 else 0.0)
     insensitive = 0.5 * physics.insensitive_deg
+    edge = max(dead, insensitive)
     per_rate, per_error = loop.error_per_rate_s / dc_gain, loop.load_per_error
     up, down = physics.rate_up_deg_s * per_rate, physics.rate_down_deg_s * per_rate
+    sags = physics.deg_s_per_v < math.inf
+    most, least = up, -down
     friction = physics.friction_deg / dc_gain * per_error
     rubs = order > 1 and (friction > 0.0 or physics.load_friction > 0.0)
-    bends = dead > 0.0 or insensitive > 0.0
+    bends = edge > 0.0
+    saturates = sags or up < math.inf or down < math.inf
     loaded = physics.airload_per_pa != 0.0 or physics.droop_deg != 0.0
     stop_upper, stop_lower = physics.stop_upper_deg / dc_gain, physics.stop_lower_deg / dc_gain
+    blocked = stop_upper < math.inf or stop_lower > -math.inf
     natural, half = 2.0 * math.pi * physics.resonance_hz, 0.5 * physics.backlash_deg
     slews, rooted = physics.set_point_deg_s < math.inf, physics.knee_deg < math.inf
-    knee = physics.knee_deg / dc_gain
+    per_knee = dc_gain / physics.knee_deg
+    fastest, fastest_down = physics.follow_up_deg_s / dc_gain, physics.follow_down_deg_s / dc_gain
+    lags = fastest < math.inf or fastest_down < math.inf
+    turns = rubs or half > 0.0
+    # Without any of these the deflection follows from the position at that instant.
+    linked = lags or half > 0.0 or fading
+    if slews or rooted or physics.load_friction > 0.0 or fading:
+        whole_s = min(2.0 * short_s, whole_s)
+    if not (bends or saturates or turns or lags or blocked):
+        short_s = math.inf  # nothing ever switches
     c = 0
     if math.isnan(memory[_CLOCK]):
         start_deg, clock = memory[_STATIC], at_s[0]
@@ -216,42 +173,44 @@ def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would tak
         clock, y, v, torque, u = memory[_CLOCK], memory[_Y], memory[_V], memory[_TORQUE], memory[_U]
         s, wanted, followed, flexed = memory[_S], memory[_WANTED], memory[_FOLLOWED], memory[_FLEXED]
         swing, played, static, lagged = memory[_SWING], memory[_PLAYED], memory[_STATIC], memory[_LAGGED]
-    for slot in range(_SLOTS):
-        if built_s[slot] > 0.0:
-            _build(closed_slot, slot, closed, loop.closed_rate, grid_s, built_s[slot])
-            _build(opened_slot, slot, opened, loop.opened_rate, grid_s, built_s[slot])
-            _fade(fades, slot, physics.lag_s, natural, physics.resonance_damping, built_s[slot])
-    edge = max(dead, insensitive)
-    fastest, fastest_down = physics.follow_up_deg_s / dc_gain, physics.follow_down_deg_s / dc_gain
-    lags = fastest < math.inf or fastest_down < math.inf
-    if slews or rooted or physics.load_friction > 0.0 or natural > 0.0 or physics.lag_s > 0.0:
-        whole_s = min(2.0 * short_s, whole_s)
     for n in range(at_s.size):
         now = at_s[n]
-        volt_limit = physics.deg_s_per_v * voltage_v[n] * per_rate if physics.deg_s_per_v < math.inf else math.inf
-        most, least = min(up, volt_limit), -min(down, volt_limit)
+        if sags:
+            volt_limit = physics.deg_s_per_v * voltage_v[n] * per_rate
+            most, least = min(up, volt_limit), -min(down, volt_limit)
+        top, bottom = most + dead, least - dead
         while True:
             commanded = c < effective_s.size and effective_s[c] <= now
             # A command that arrives late takes effect at once.
             until = max(effective_s[c], clock) if commanded else now
             left = until - clock
             clock = until
-            cap = whole_s
-            while left > _NO_STEP_S:
-                h = left / math.ceil(left / cap - 1e-9)
-                slot = -1
-                for k in range(_SLOTS):
-                    if abs(built_s[k] - h) < _SAME_STEP_S:
-                        slot = k
-                if slot < 0 and built < _MOST_BUILT:
-                    slot = built % _SLOTS
-                    _build(closed_slot, slot, closed, loop.closed_rate, grid_s, h)
-                    _build(opened_slot, slot, opened, loop.opened_rate, grid_s, h)
-                    built_s[slot] = h
-                    built += 1
-                    _fade(fades, slot, physics.lag_s, natural, physics.resonance_damping, h)
-                elif slot < 0 and fading:
-                    _fade(fades, _SLOTS, physics.lag_s, natural, physics.resonance_damping, h)
+            count, h = 0, left
+            if left > _NO_STEP_S:
+                count = 1 if left <= whole_s else math.ceil(left / whole_s - 1e-9)
+                h = left / count
+            wary, slot, is_new = h > short_s, -1, True
+            while count > 0:
+                if is_new:
+                    is_new, slot = False, older
+                    if abs(built_s[slot] - h) >= _SAME_STEP_S:  # most often two lengths take turns
+                        slot = -1
+                        for k in range(_SLOTS):
+                            if abs(built_s[k] - h) < _SAME_STEP_S:
+                                slot = k
+                    if slot < 0 and built < _MOST_BUILT:
+                        slot = built % _SLOTS
+                        built_s[slot] = h
+                        built += 1
+                        fades[slot, _READY] = 0.0
+                    if slot >= 0 and fades[slot, _READY] == 0.0:
+                        build(table, 2 * slot, closed, closed_rate, grid_s, built_s[slot])
+                        build(table, 2 * slot + 1, opened, opened_rate, grid_s, built_s[slot])
+                        fade(fades, slot, physics.lag_s, natural, physics.resonance_damping, built_s[slot])
+                        fades[slot, _READY] = 1.0
+                    elif slot < 0 and fading:
+                        fade(fades, _SLOTS, physics.lag_s, natural, physics.resonance_damping, h)
+                    older, latest = latest, max(slot, 0)
                 if slews:
                     s = max(min((wanted - u) / h, physics.set_point_deg_s), -physics.set_point_deg_s)
                 middle = y + 0.5 * h * v
@@ -262,7 +221,7 @@ def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would tak
                     if abs(error) < insensitive:
                         bent = 0.0
                 if rooted:
-                    bent /= math.sqrt(1.0 + abs(bent) / knee)
+                    bent /= math.sqrt(1.0 + abs(bent) * per_knee)
                 held = bent > most or bent < least or (bends and bent == 0.0)
                 pushed = max(min(bent, most), least) if held else bent - error
                 load = 0.0
@@ -272,13 +231,19 @@ def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would tak
                         + physics.droop_deg * math.sin(middle * _PER_DEG)
                     )
                 x = (y, v, torque, u, s, pushed, load)
-                if slot >= 0:
-                    steps = opened_slot if held else closed_slot
-                    y1, v1, torque1 = _row(steps, slot, 0, x), _row(steps, slot, 1, x), _row(steps, slot, 2, x)
+                # Branches, because the processor foresees which it is; it would have to wait for an index.
+                if slot >= 0 and held:
+                    k, share = 2 * slot + 1, 1.0
+                    y1, v1, torque1 = coasted(table, k, x)
+                    by_y, by_v, by_torque = table[k, 0, 6], table[k, 1, 6], table[k, 2, 6]
+                elif slot >= 0:
+                    k, share = 2 * slot, 1.0
+                    y1, v1, torque1 = row(table, k, 0, x), row(table, k, 1, x), row(table, k, 2, x)
+                    by_y, by_v, by_torque = table[k, 0, 6], table[k, 1, 6], table[k, 2, 6]
                 elif held:
-                    y1, v1, torque1 = _moved(opened, loop.opened_rate, grid_s, h, x)
+                    y1, v1, torque1 = moved(opened, opened_rate, grid_s, h, x)
                 else:
-                    y1, v1, torque1 = _moved(closed, loop.closed_rate, grid_s, h, x)
+                    y1, v1, torque1 = moved(closed, closed_rate, grid_s, h, x)
                 rested = False
                 if rubs:
                     limit = friction
@@ -286,76 +251,78 @@ def run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would tak
                         limit += physics.load_friction * (
                             abs(torque) if order == 3 else abs(max(min(bent, most), least)) * per_error
                         )
-                    steps = opened if held else closed
-                    # Response to a deceleration: exact on the grid, in proportion to the time between.
-                    k = min(max(int(h / grid_s + 0.5), 1), steps.shape[0]) - 1
-                    share = h / ((k + 1) * grid_s)
-                    brake = max(min(-v1 / (steps[k, 1, 6] * share), limit), -limit)
+                    if slot < 0:  # in proportion to the time between two steps of the grid
+                        k = min(max(int(h / grid_s + 0.5), 1), closed.shape[0]) - 1
+                        share = h / ((k + 1) * grid_s)
+                        by_y, by_v, by_torque = closed[k, 0, 6] * share, closed[k, 1, 6], closed[k, 2, 6] * share
+                        if held:
+                            by_y, by_v, by_torque = opened[k, 0, 6] * share, opened[k, 1, 6], opened[k, 2, 6] * share
+                    brake = max(min(-v1 / (by_v * share), limit), -limit)
                     rested = abs(brake) < limit
-                    y1 += steps[k, 0, 6] * share * share * brake
-                    v1 += steps[k, 1, 6] * share * brake
-                    torque1 += steps[k, 2, 6] * share * share * brake
-                if cap > short_s:
-                    still = abs(y1 - y) < _STILL_DEG
-                    turned = v * v1 <= 0.0 and not still
-                    top, bottom = most + dead, least - dead
-                    piece = _piece(error, edge, top, bottom)
+                    brake *= share
+                    y1 += by_y * brake
+                    v1 += by_v * brake
+                    torque1 += by_torque * brake
+                if wary:
+                    begin, end = u - y, u + h * s - y1
+                    low, high = min(begin, end, error), max(begin, end, error)
                     if (
-                        _piece(u - y, edge, top, bottom) != piece
-                        or _piece(u + h * s - y1, edge, top, bottom) != piece
-                        or (turned and (rubs or half > 0.0))
-                        or (rested and not still)
+                        (bends and (low <= edge < high or low < -edge <= high))
+                        or (saturates and (low <= top < high or low < bottom <= high))
+                        or (turns and (rested or v * v1 <= 0.0) and abs(y1 - y) >= _STILL_DEG)
                         or (lags and (followed != dc_gain * y or max(v, v1) > fastest or min(v, v1) < -fastest_down))
-                        or max(y, y1) >= stop_upper
-                        or min(y, y1) <= stop_lower
+                        or (blocked and (max(y, y1) >= stop_upper or min(y, y1) <= stop_lower))
                     ):
-                        cap = short_s
+                        left = count * h
+                        count = math.ceil(left / short_s - 1e-9)
+                        h, wary, is_new = left / count, False, True
                         continue
-                left -= h
+                count -= 1
                 y, v, torque = y1, v1, torque1
                 u += h * s
-                if y > stop_upper:
-                    y, v = stop_upper, min(v, 0.0)
-                elif y < stop_lower:
-                    y, v = stop_lower, max(v, 0.0)
-                before, position = followed, dc_gain * y
-                followed = max(
-                    min(position, before + physics.follow_up_deg_s * h), before - physics.follow_down_deg_s * h
-                )
+                if blocked:
+                    if y > stop_upper:
+                        y, v = stop_upper, min(v, 0.0)
+                    elif y < stop_lower:
+                        y, v = stop_lower, max(v, 0.0)
+                if not linked:
+                    continue
+                before, followed = followed, dc_gain * y
+                if lags:
+                    followed = max(
+                        min(followed, before + physics.follow_up_deg_s * h), before - physics.follow_down_deg_s * h
+                    )
                 if natural > 0.0:
-                    flexed, swing = _flexed(
+                    flexed, swing = flexed_tip(
                         natural, physics.resonance_damping, h, fades[slot], (before, followed), (flexed, swing)
                     )
                 else:
                     flexed = followed
                 played = max(min(played, flexed + half), flexed - half)
-                before = static
-                static = (
-                    physics.gain
-                    * played
-                    * (1.0 + played * (physics.quadratic_per_deg + played * physics.cubic_per_deg2))
-                )
-                static = max(min(static, physics.upper_deg), physics.lower_deg) + physics.bias_deg
                 if physics.lag_s > 0.0:
+                    before, static = static, _deflected(physics, played)
                     drift = (static - before) / h * physics.lag_s
                     lagged = static - drift + fades[slot, 0] * (lagged - before + drift)
-                else:
-                    lagged = static
             if not commanded:
                 break
             wanted = command_deg[c]
             if not slews:
                 u, s = wanted, slope_deg_s[c]
             c += 1
+        if not linked:
+            played = dc_gain * y
+        if physics.lag_s <= 0.0:
+            lagged = _deflected(physics, played)
         if physics.output_step_deg > 0.0:
             result[n] = physics.output_step_deg * math.floor(lagged / physics.output_step_deg + 0.5)
         else:
             result[n] = lagged
+    if not linked:
+        followed, flexed, static = played, played, lagged
     memory[_CLOCK], memory[_Y], memory[_V], memory[_TORQUE], memory[_U] = clock, y, v, torque, u
     memory[_S], memory[_WANTED], memory[_FOLLOWED], memory[_FLEXED] = s, wanted, followed, flexed
     memory[_SWING], memory[_PLAYED], memory[_STATIC], memory[_LAGGED] = swing, played, static, lagged
-    memory[_CURSOR], memory[_BUILT] = c, built
-    return result
+    memory[_CURSOR], memory[_BUILT], memory[_OLDER], memory[_LATEST] = c, built, older, latest
 
 
 @njit(cache=True, error_model="numpy")

@@ -58,6 +58,8 @@ def not_better(found: Sequence[Explanation]) -> dict[str, str]:
 def _why_not(found: Explanation) -> str:
     """Why nothing of an explanation is saved; empty if something is."""
     final = found.selection.final
+    if found.record.side is not None:
+        return "the log shows only where it rests, not how it moves"
     if not final.effects:
         return "no effect was found, so there is no better model"
     own = [effect.name for effect in final.effects if effect not in CATALOGUE]

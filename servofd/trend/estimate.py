@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from servofd.calibrating.fit import deviations
 from servofd.calibrating.flights import Flight, busiest
 from servofd.calibrating.motion import Motion, line, noise_of
+from servofd.calibrating.robust import descended, deviations, mean_loss, ordinary_deg
 from servofd.calibrating.servo import FlownServo
 from servofd.detection.bank.explanation import Estimate
 from servofd.detection.bank.window import noise_deg
@@ -46,14 +46,11 @@ _WIDTHS_DEG = (0.0, 0.5, 1.0, 2.0, 4.0)
 _EVALUATIONS = 25
 _WIDTH_STEP_DEG, _STEP = 0.02, 0.01
 """For slopes, in degrees and in the units of `FlownServo.vector`."""
-_ORDINARY = 3.0
-"""Errors beyond three typical ones count by their size, no longer by their square."""
-_MAD_TO_SIGMA = 1.4826
 _LIMIT_REACHED = 0.5
 """Motion that would take the linear servo to half of its limit may show a limit that has fallen."""
 _LEAST_RATE_SURENESS = 0.1
 """Deviation of the logarithm of a rate limit: more, and the flight hardly shows it."""
-_NEVER, _SURE_SHARE, _BLOCKS = 0.999, 0.999, 10
+_SURE_SHARE, _BLOCKS = 0.999, 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +61,7 @@ class _Fit:
     """Width, the numbers of the servo, gain and offset."""
     deviation: FloatArray
     error_deg: FloatArray
-    ordinary_deg: float
+    scale_deg: float
     """Errors beyond it count by their size."""
 
 
@@ -135,7 +132,7 @@ def estimate_flight(segment: Segment, aircraft: Aircraft, voltage_v: float | Non
     if problem:
         return Told(values, {name: problem for name in QUANTITIES if name not in values}, {}, 0.0)
     dead_band = _fitted(motion, prior)
-    backlash = _descended(motion, prior, dead_band.names, dead_band.vector, dead_band.ordinary_deg, behind=True)
+    backlash = _descended(motion, prior, dead_band.names, dead_band.vector, dead_band.scale_deg, behind=True)
     values |= _of_fit(dead_band, motion, voltage_v)
     missing = {}
     if "rate_limit_deg_s" not in values:
@@ -147,10 +144,7 @@ def estimate_flight(segment: Segment, aircraft: Aircraft, voltage_v: float | Non
 
 def _evidence(motion: Motion, dead_band: _Fit, backlash: _Fit) -> float:
     """Logarithm of the odds for backlash, the memory of the errors taken into account."""
-    losses = [
-        float(np.mean(np.sqrt(1.0 + (fit.error_deg / dead_band.ordinary_deg) ** 2) - 1.0)) + 1e-12
-        for fit in (dead_band, backlash)
-    ]
+    losses = [mean_loss(fit.error_deg, dead_band.scale_deg) + 1e-12 for fit in (dead_band, backlash)]
     return 0.5 * motion.measured_deg.size / motion.memory(backlash.error_deg) * float(np.log(losses[0] / losses[1]))
 
 
@@ -182,7 +176,7 @@ def _too_calm(motion: Motion) -> str:
 def _fitted(motion: Motion, prior: FlownServo) -> _Fit:
     """Downhill from the width that fits best with the servo as it is known."""
     names = tuple(name for name in prior.numbers if name != "rate_limit_deg_s")
-    if prior.rate_limit_deg_s is not None and _top_speed_deg_s(motion, prior) > _LIMIT_REACHED * prior.rate_limit_deg_s:
+    if prior.rate_limit_deg_s is not None and motion.top_speed_deg_s(prior) > _LIMIT_REACHED * prior.rate_limit_deg_s:
         names = (*names, "rate_limit_deg_s")
     measured_deg = motion.measured_deg
     starts = {
@@ -190,15 +184,13 @@ def _fitted(motion: Motion, prior: FlownServo) -> _Fit:
     }
     width_deg, (gain, offset_deg, left_deg) = min(starts.items(), key=lambda start: start[1][2])
     begin = np.array([width_deg, *prior.vector(names), gain, offset_deg])
-    return _descended(motion, prior, names, begin, _ORDINARY * _MAD_TO_SIGMA * max(left_deg, 1e-6), behind=False)
+    return _descended(motion, prior, names, begin, ordinary_deg(max(left_deg, 1e-6)), behind=False)
 
 
 def _descended(
-    motion: Motion, prior: FlownServo, names: tuple[str, ...], begin: FloatArray, ordinary_deg: float, *, behind: bool
+    motion: Motion, prior: FlownServo, names: tuple[str, ...], begin: FloatArray, scale_deg: float, *, behind: bool
 ) -> _Fit:
     """Least squares from one starting point, of the zone of rest before or behind the servo."""
-    from scipy.optimize import least_squares
-
     measured_deg = motion.measured_deg
     steps = np.array([_WIDTH_STEP_DEG, *(_STEP for _ in names)])
 
@@ -216,24 +208,11 @@ def _descended(
         all_slopes: FloatArray = np.column_stack([*columns, -here, -np.ones(measured_deg.size)])
         return all_slopes
 
-    lower = np.full(begin.size, -np.inf)
-    if "delay_s" in names:
-        lower[1 + names.index("delay_s")] = -1e-9
-    found = least_squares(
-        error,
-        begin,
-        jac=slopes,
-        bounds=(lower, np.inf),
-        x_scale="jac",
-        loss="soft_l1",
-        f_scale=ordinary_deg,
-        max_nfev=_EVALUATIONS,
-        xtol=1e-6,
-        ftol=1e-6,
-    )
-    left_deg = error(found.x)
-    deviation = deviations(slopes(found.x), left_deg, motion.memory(left_deg))
-    return _Fit(prior.with_vector(names, found.x[1:-2]), names, found.x, deviation, left_deg, ordinary_deg)
+    delay_at = 1 + names.index("delay_s") if "delay_s" in names else None
+    found = descended(error, slopes, begin, scale_deg, delay_at=delay_at, evaluations=_EVALUATIONS)
+    left_deg = error(found)
+    deviation = deviations(slopes(found), left_deg, motion.memory(left_deg))
+    return _Fit(prior.with_vector(names, found[1:-2]), names, found, deviation, left_deg, scale_deg)
 
 
 def _simulated(motion: Motion, servo: FlownServo, width_deg: float, *, behind: bool) -> FloatArray:
@@ -253,16 +232,6 @@ def _rested(values_deg: FloatArray, width_deg: float) -> FloatArray:
         return values_deg
     followed_deg = play(values_deg, abs(width_deg), float(values_deg[0]))
     return followed_deg if width_deg >= 0.0 else 2.0 * values_deg - followed_deg
-
-
-def _top_speed_deg_s(motion: Motion, servo: FlownServo) -> float:
-    """Largest speed of the servo without its limit [deg/s], single samples left out."""
-    parts = motion.split(motion.simulated_deg(replace(servo, rate_limit_deg_s=None)))
-    speeds = [
-        np.abs(np.diff(part) / np.diff(flight.segment.measured_s[rows]))
-        for part, flight, rows in zip(parts, motion.flights, motion.used, strict=True)
-    ]
-    return float(np.quantile(np.concatenate(speeds), _NEVER))
 
 
 def _of_fit(fit: _Fit, motion: Motion, voltage_v: float | None) -> dict[str, Estimate]:

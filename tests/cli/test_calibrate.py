@@ -65,6 +65,7 @@ def test_a_good_flight_gives_an_aircraft_file(tmp_path: Path, config: str, capsy
     assert main(["audit", after, "-c", str(target)]) == 0
 
 
+@pytest.mark.slow
 def test_faulty_flights_are_refused_and_their_good_part_is_not(
     tmp_path: Path, config: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -78,6 +79,7 @@ def test_faulty_flights_are_refused_and_their_good_part_is_not(
     assert main(["calibrate", jammed, "-c", config, "-o", str(target), "--between", "0:18"]) == 0
 
 
+@pytest.mark.slow
 def test_bad_input_is_told_in_a_sentence(tmp_path: Path, config: str, capsys: pytest.CaptureFixture[str]) -> None:
     rng = np.random.default_rng(0)
     flight = flown()

@@ -128,6 +128,7 @@ def test_the_model_is_judged_on_other_flights(tmp_path: Path, capsys: pytest.Cap
     )
 
 
+@pytest.mark.slow
 def test_several_flights_are_explained_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     flights = [
         hide(FineServo(delay_s=0.03), duration_s=10.0, seed=seed).write(tmp_path / f"{seed}.csv") for seed in (1, 2, 3)
@@ -179,6 +180,7 @@ def test_the_recording_holds_both_simulations(tmp_path: Path) -> None:
     assert np.nanstd(error[:, 0]) > 0.2
 
 
+@pytest.mark.slow
 def test_the_example_of_an_effect_of_ones_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     example = Path(__file__).parent.parent.parent / "docs" / "own_effect.py"
     assert len(example.read_text().splitlines()) < 40

@@ -245,6 +245,7 @@ measured = { channel = "meas", unit = "count", trim_count = 30000.0, slope_deg_p
 """
 
 
+@pytest.mark.slow
 def test_the_step_of_appendix_c(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Tab-separated `meas pwm cmd` at 1 kHz without header or time, a step from 500 to 900 us."""
     time_s = np.arange(3000) / 1000.0
@@ -269,6 +270,7 @@ def test_a_log_of_several_servos_asks_which(capsys: pytest.CaptureFixture[str]) 
     assert "unknown surface 'wing'" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_dead_band_in_the_loop_is_found_and_widens_the_intervals() -> None:
     """Searches without bounds ended at rate limits of 0 and 3e15 deg/s."""
     time_s = np.arange(3000) / 100.0
@@ -291,6 +293,7 @@ def test_a_dead_band_in_the_loop_is_found_and_widens_the_intervals() -> None:
     assert delay_s.covers(0.004)
 
 
+@pytest.mark.slow
 def test_a_position_before_its_command_is_told() -> None:
     early_deg = np.interp(QUICK.measured_s + 0.02, QUICK.measured_s, QUICK.measured_deg)
     result = identify(replace(QUICK, measured_deg=early_deg))

@@ -20,6 +20,7 @@ STUCK = str(SAMPLES / "faser_stuck_flight.mat")
 KINDS = ("stuck", "bias", "hardover", "floating", "oscillation", "deadband", "slow", "loss_of_effectiveness", "unknown")
 
 
+@pytest.mark.slow
 def test_audit_writes_a_page_and_names_no_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = tmp_path / "report.html"
     assert main(["audit", STUCK, "-s", "elevator", "--html", str(page)]) == 1

@@ -45,6 +45,7 @@ def test_two_simulators_agree_on_every_fault(kind: str, size: str) -> None:
     np.testing.assert_allclose(deflection(FleetServo(), TIME_S, command_deg, truth), exact_deg, rtol=0, atol=0.02)
 
 
+@pytest.mark.slow
 def test_all_cases_fly_and_say_what_they_hold() -> None:
     flown = [flight(seed, style, kind, size or "medium", duration_s=30.0) for seed, (style, kind, size) in all_cases()]
     assert len(flown) == 5 * (1 + 3 * 8)

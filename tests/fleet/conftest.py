@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from servofd.aircraft import plain_aircraft
+from servofd.cli import main
 from servofd.models.faults import Stuck
 from servofd.simulation.flight import simulate_flight
 from servofd.simulation.writers import write_flight
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
 
@@ -32,3 +34,19 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / ".hidden").mkdir()
     (folder / ".hidden" / "flight9.csv").write_text("time_s\n")
     return folder
+
+
+@pytest.fixture(scope="session")
+def results(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What an audit of all of them leaves; only read."""
+    folder = tmp_path_factory.mktemp("results") / "r"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("servofd.fleet.run.run_local", in_line)
+        assert main(["audit", str(logs), "-o", str(folder)]) == 2
+    return folder
+
+
+def in_line(task: Callable[[Any], Any], items: Sequence[Any], _workers: int | None) -> Iterator[tuple[Any, Any]]:
+    """The work of other processes, in this one, which knows servofd already."""
+    for item in items:
+        yield item, task(item)

@@ -89,22 +89,21 @@ def test_what_could_not_be_judged_is_said_and_the_rest_is_done(
     assert "6 logs" in out
 
 
-def test_tables_are_read_by_pandas_and_duckdb(logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run(capsys, "audit", logs, "-o", tmp_path / "r")
-    surfaces = pd.read_parquet(tmp_path / "r" / "surfaces")
+def test_tables_are_read_by_pandas_and_duckdb(results: Path) -> None:
+    surfaces = pd.read_parquet(results / "surfaces")
     assert len(surfaces) == 10
     assert surfaces.groupby("surface").status.value_counts().to_dict() == {
         ("elevator", "healthy"): 5,
         ("rudder", "healthy"): 4,
         ("rudder", "fault"): 1,
     }
-    (fault,) = pd.read_parquet(tmp_path / "r" / "faults").to_dict("records")
+    (fault,) = pd.read_parquet(results / "faults").to_dict("records")
     assert (fault["surface"], fault["kind"], fault["level"]) == ("rudder", "stuck", "fault")
     assert fault["start_s"] == pytest.approx(6.0, abs=0.3)
-    logs_table = pd.read_parquet(tmp_path / "r" / "logs")
+    logs_table = pd.read_parquet(results / "logs")
     assert logs_table.untold.notna().sum() == 1
     duckdb = pytest.importorskip("duckdb")
-    table = duckdb.read_parquet(f"{tmp_path}/r/surfaces/*.parquet")
+    table = duckdb.read_parquet(f"{results}/surfaces/*.parquet")
     assert table.filter("status = 'fault'").project("surface").fetchall() == [("rudder",)]
 
 
@@ -117,6 +116,7 @@ def test_tables_are_read_by_rerun(logs: Path, tmp_path: Path, capsys: pytest.Cap
     assert sum(chunk.num_rows for chunk in ParquetReader(part).stream().to_chunks()) >= 4
 
 
+@pytest.mark.slow
 def test_finished_logs_are_not_done_again(
     logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], judged: list[str]
 ) -> None:
@@ -143,6 +143,7 @@ def test_the_same_bytes_twice_in_one_run_count_once(
     assert "2 logs" in out
 
 
+@pytest.mark.slow
 def test_another_threshold_is_another_job_and_the_first_comes_back(
     logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], judged: list[str]
 ) -> None:
@@ -239,9 +240,9 @@ def test_folders_that_are_none_are_refused(logs: Path, tmp_path: Path, capsys: p
         assert why in err.splitlines()[-1]
 
 
-def test_a_damaged_part_is_named(logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run(capsys, "audit", logs / "may", "-o", tmp_path / "r")
-    (part,) = (tmp_path / "r" / "logs").glob("*.parquet")
+def test_a_damaged_part_is_named(results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copytree(results, tmp_path / "r")
+    part = next((tmp_path / "r" / "logs").glob("*.parquet"))
     part.write_bytes(part.read_bytes()[:100])
     code, _, err = run(capsys, "fleet", tmp_path / "r")
     assert code == 2
@@ -249,12 +250,11 @@ def test_a_damaged_part_is_named(logs: Path, tmp_path: Path, capsys: pytest.Capt
     assert part.name in err
 
 
-def test_the_overview_counts_what_the_logs_say(logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run(capsys, "audit", logs, "-o", tmp_path / "r")
-    seen = overview(read_logs(tmp_path / "r"))
+def test_the_overview_counts_what_the_logs_say(results: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    seen = overview(read_logs(results))
     assert (seen.logs, seen.statuses, seen.exit_code) == (6, {"untold": 1, "healthy": 4, "fault": 1}, 2)
     assert {count.surface: count.kinds for count in seen.surfaces} == {"elevator": {}, "rudder": {"stuck": 1}}
-    code, out, _ = run(capsys, "fleet", tmp_path / "r", "--json", "-")
+    code, out, _ = run(capsys, "fleet", results, "--json", "-")
     document = json.loads(out)
     assert (code, document["schema"], len(document["faults"])) == (2, "servofd.fleet/1", 1)
 

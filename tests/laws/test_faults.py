@@ -46,6 +46,7 @@ def command(seed: int = 0) -> FloatArray:
     return flight(TIME_S, np.random.default_rng(seed))
 
 
+@pytest.mark.slow
 @given(kind=kinds, seed=seeds, start_s=st.floats(0.1, 25.0), samples=st.integers(50, 400))
 @settings(max_examples=80, deadline=None)
 def test_before_it_starts_nothing_has_failed(kind: str, seed: int, start_s: float, samples: int) -> None:
@@ -81,6 +82,7 @@ def test_a_fault_that_has_passed_leaves_a_healthy_servo(kind: str, seed: int) ->
     assert np.max(np.abs(failing - healthy)) > 0.1
 
 
+@pytest.mark.slow
 @given(seed=seeds, first=kinds, second=kinds, start_s=st.floats(0.5, 8.0), lasts_s=st.floats(0.1, 8.0))
 @settings(max_examples=60, deadline=None)
 def test_the_second_fault_does_not_remember_the_first(

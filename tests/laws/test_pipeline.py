@@ -117,6 +117,7 @@ def check_judged(audits: dict[str, SurfaceAudit]) -> None:
     assert sorted(audit.status for audit in audits.values()) == ["fault", "healthy", "healthy"]
 
 
+@pytest.mark.slow
 @given(flight=flights, order=st.permutations(SURFACES))
 @few
 def test_the_order_of_the_surfaces_does_not_matter(flight: SimulatedFlight, order: list[str]) -> None:
@@ -125,12 +126,14 @@ def test_the_order_of_the_surfaces_does_not_matter(flight: SimulatedFlight, orde
     check_alike(first, audited(flight, order=tuple(order)))
 
 
+@pytest.mark.slow
 @given(flight=flights, shift_s=st.floats(0.0, 1e6))
 @few
 def test_the_origin_of_the_time_does_not_matter(flight: SimulatedFlight, shift_s: float) -> None:
     check_alike(audited(flight), audited(flight, shift_s=shift_s), shift_s)
 
 
+@pytest.mark.slow
 @given(flight=flights, command=CHANNELS, measured=CHANNELS)
 @few
 def test_units_signs_and_zero_points_do_not_matter(
@@ -139,6 +142,7 @@ def test_units_signs_and_zero_points_do_not_matter(
     check_alike(audited(flight), audited(flight, command=command, measured=measured))
 
 
+@pytest.mark.slow
 @given(flight=flights, cut_s=st.floats(12.0, ONSET_S - 8.0))
 @few
 def test_a_log_cut_in_two_where_all_is_well_is_judged_alike(flight: SimulatedFlight, cut_s: float) -> None:

@@ -9,14 +9,14 @@ import subprocess
 import sys
 from collections import defaultdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pymavlink import mavutil
 
 from logparsers.codec import Codec, Heard
 from logparsers.endpoint import parse_endpoint
 from logparsers.link import open_link
-from tests.live.vehicles import DEADLINE_S, until
+from tests.live.vehicles import DEADLINE_S, free_port, until
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -117,3 +117,32 @@ def mavproxy(folder: Path, *arguments: str) -> Iterator[MavProxy]:
         yield program
     finally:
         program.close()
+
+
+class Router(NamedTuple):
+    """MAVProxy between a vehicle, somebody who sends alerts, and somebody who listens and asks."""
+
+    console: MavProxy
+    vehicle: str
+    """Where the vehicle sends to."""
+    alerts: str
+    """Where alerts are sent to."""
+    out: str
+    """Where the stream comes out."""
+
+
+@contextlib.contextmanager
+def router(folder: Path, *commands: str) -> Iterator[Router]:
+    """MAVProxy that forwards between its links, as it is set up at the field, waiting for a vehicle."""
+    vehicle, alerts, out = (f"127.0.0.1:{free_port()}" for _ in range(3))
+    with mavproxy(
+        folder,
+        f"--master=udpin:{vehicle}",
+        f"--master=udpin:{alerts}",
+        f"--out=udpout:{out}",
+        "--streamrate=-1",
+        "--target-system=1",
+        "--target-component=0",
+        f"--cmd={'; '.join(('set mavfwd_link 1', *commands))}",
+    ) as console:
+        yield Router(console, f"udpout:{vehicle}", f"udpout:{alerts}", f"udpin:{out}")

@@ -19,7 +19,7 @@ import servofd
 from logparsers.codec import Codec
 from servofd.aircraft import load_aircraft
 from servofd.models.faults import Stuck
-from tests.live.ground import mavproxy
+from tests.live.ground import router
 from tests.live.vehicles import DEADLINE_S, flown, flying, free_port, plane_file, until
 
 if TYPE_CHECKING:
@@ -96,25 +96,14 @@ def monitor(*arguments: str) -> Iterator[Monitor]:
 
 @pytest.mark.slow
 def test_an_alert_reaches_the_console_of_mavproxy(tmp_path: Path, aircraft_file: Path) -> None:
-    vehicle, alerts, out = free_port(), free_port(), free_port()
     own_log = tmp_path / "own.tlog"
     flight = flown(command="lively", duration_s=45.0, faults={"elevator": Stuck(30.0)})
-    arguments = [f"udpin:127.0.0.1:{out}", "-c", str(aircraft_file), "--alert-to", f"udpout:127.0.0.1:{alerts}"]
     with (
-        mavproxy(
-            tmp_path,
-            f"--master=udpin:127.0.0.1:{vehicle}",
-            f"--master=udpin:127.0.0.1:{alerts}",
-            f"--out=udpout:127.0.0.1:{out}",
-            "--streamrate=-1",
-            "--target-system=1",
-            "--target-component=0",
-            "--cmd=set mavfwd_link 1",
-        ) as console,
-        monitor(*arguments, "--tlog", str(own_log)) as watching,
+        router(tmp_path) as (console, vehicle, alerts, out),
+        monitor(out, "-c", str(aircraft_file), "--alert-to", alerts, "--tlog", str(own_log)) as watching,
     ):
         console.wait_for("Waiting for heartbeat")
-        with flying(f"udpout:127.0.0.1:{vehicle}", flight, speed=3.0) as counted:
+        with flying(vehicle, flight, speed=3.0) as counted:
             console.wait_for("AP: servo elevator: ALARM")
             console.wait_for("AP: servo elevator: STUCK")
             until(lambda: console.read() and watching.read() and counted, "the end of the flight")

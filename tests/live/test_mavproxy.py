@@ -12,7 +12,7 @@ import logparsers
 import servofd
 from servofd.models.faults import Stuck
 from servofd.simulation.dataflash_writer import dataflash_log
-from tests.live.ground import mavproxy, pymavlink_station, received
+from tests.live.ground import mavproxy, pymavlink_station, received, router
 from tests.live.vehicles import PLANE, flown, flying, free_port, until
 
 if TYPE_CHECKING:
@@ -26,24 +26,14 @@ COMPANION = (1, 191)
 @pytest.mark.slow
 def test_through_mavproxy_as_a_router(tmp_path: Path) -> None:
     """Heartbeat, parameters and commands pass; an alert shows on the console; the log that it writes is audited."""
-    vehicle, alerts, out = free_port(), free_port(), free_port()
     flight = flown(duration_s=30.0, faults={"elevator": Stuck(15.0)})
     with (
-        mavproxy(
-            tmp_path,
-            f"--master=udpin:127.0.0.1:{vehicle}",
-            f"--master=udpin:127.0.0.1:{alerts}",
-            f"--out=udpout:127.0.0.1:{out}",
-            "--streamrate=-1",
-            "--target-system=1",
-            "--target-component=0",
-            "--cmd=set mavfwd_link 1; watch STATUSTEXT",
-        ) as console,
-        pymavlink_station(f"udpin:127.0.0.1:{out}", source=COMPANION) as monitor,
-        pymavlink_station(f"udpout:127.0.0.1:{alerts}", source=COMPANION) as announcer,
+        router(tmp_path, "watch STATUSTEXT") as (console, vehicle, alerts, out),
+        pymavlink_station(out, source=COMPANION) as monitor,
+        pymavlink_station(alerts, source=COMPANION) as announcer,
     ):
         console.wait_for("Waiting for heartbeat")
-        with flying(f"udpout:127.0.0.1:{vehicle}", flight, speed=5.0) as counted:
+        with flying(vehicle, flight, speed=5.0) as counted:
             until(lambda: received(monitor, "HEARTBEAT").autopilot == 3, "the vehicle's heartbeat")
             monitor.mav.command_long_send(1, 1, 511, 0, 36, 25_000, 0, 0, 0, 0, 0)
             assert received(monitor, "COMMAND_ACK").result == 0

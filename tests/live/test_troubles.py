@@ -155,6 +155,7 @@ def test_a_vehicle_that_starts_again_is_watched_again(aircraft: Aircraft) -> Non
     assert rate_hz == pytest.approx(40.0, abs=4.0)
 
 
+@pytest.mark.slow
 def test_the_wrap_of_the_clock_is_no_event(aircraft: Aircraft) -> None:
     flight = lively(stuck_s=15.0)
     field = Field.of({0: aircraft})
@@ -176,6 +177,7 @@ def test_two_vehicles_with_the_same_messages_are_kept_apart(aircraft: Aircraft) 
     assert {which for which, kinds in found.items() if kinds} == {(2, "elevator")}
 
 
+@pytest.mark.slow
 def test_unsigned_frames_are_not_believed_when_there_is_a_key(aircraft: Aircraft) -> None:
     key = Signature(bytes(range(32)), 1.8e9)
     field = Field.of({0: aircraft}, signature=key)

@@ -111,6 +111,7 @@ def test_an_audit_begins_with_its_verdict_and_shows_every_fault(audited: str, au
     assert f"servofd {servofd.__version__}" in page.text
 
 
+@pytest.mark.slow
 def test_an_explanation_shows_the_gap_before_and_after(explained: str) -> None:
     page = Page(explained)
     for words in ("rate limit", "explains the gap", "held-out samples", "Rivals, tried", "Error by regime", "0.50"):
@@ -118,13 +119,14 @@ def test_an_explanation_shows_the_gap_before_and_after(explained: str) -> None:
     assert len(page.of("svg")) == 4
 
 
+@pytest.mark.slow
 def test_an_explanation_without_a_gap_has_a_page_too() -> None:
     page = Page(explain_page([slow_servo(None)], "flight.csv"))
     assert "nothing is missing" in page.text
     assert "Rivals" not in page.text
 
 
-@pytest.fixture(params=["audited", "explained"])
+@pytest.fixture(params=["audited", pytest.param("explained", marks=pytest.mark.slow)])
 def text(request: pytest.FixtureRequest) -> str:
     found: str = request.getfixturevalue(request.param)
     return found

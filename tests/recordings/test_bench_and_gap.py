@@ -75,6 +75,7 @@ def test_names_of_surfaces_are_kept_as_they_are(surface: str, tmp_path: Path) ->
     assert "✈" not in everything(tmp_path / "live.rrd")
 
 
+@pytest.mark.slow
 def test_an_audit_keeps_names_that_the_viewer_cannot_draw(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log, path = tmp_path / "飛行.csv", tmp_path / "flight.rrd"
     log.write_text((SAMPLES / "table_three_faults.csv").read_text().replace("elevator", "升降舵"))

@@ -69,7 +69,11 @@ def test_poles_that_nobody_knows_are_found_beside_the_effects() -> None:
     assert rms_deg[1] < 0.25 < rms_deg[0]
     _, droop_deg, _, share, _ = start.values
     assert droop_deg == pytest.approx(15.0, rel=0.2)
-    assert share == pytest.approx(0.3, rel=0.25)
+    # The second order leaves its own mark on the share; that it is the best of all is seen from beside the truth.
+    beside = fitter.refitted(start.effects, [0.004, 15.0, 0.65, 0.3, 0.65])
+    assert start.train < 1.001 * beside.train
+    assert share == pytest.approx(beside.values[3], rel=0.02)
+    assert share == pytest.approx(0.3, rel=0.3)
 
 
 @pytest.mark.slow

@@ -15,6 +15,7 @@ from servofd.models.physics import Physics
 from servofd.models.servo_model import ServoModel
 from servofd.segment import Segment
 from servofd.servos import library, servo_named
+from servofd.simulation.commands import COMMANDS
 from tests.recovery.fine_servo import FineServo, Hidden, hide
 
 KNOWN = ServoModel.of(servo_named("hs225bb-eq31"))
@@ -223,12 +224,31 @@ def jammed(log: Hidden, from_s: float, until_s: float) -> Hidden:
     return replace(log, position_deg=np.where(there, log.position_deg[np.argmax(there)] + noise, log.position_deg))
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ["lively", "doublets", "chirp"])
+@pytest.mark.parametrize(("noise_deg", "step_deg"), [(0.02, 0.3), (0.05, 0.8), (0.2, 2.0)])
+def test_coarse_steps_are_told_by_the_readings_alone(command: str, noise_deg: float, step_deg: float) -> None:
+    """At rest for most of the time, fast, fine or swamped by noise: the comb of the readings is the proof."""
+    time_s = np.arange(0.0, 60.0, 0.01)
+    model = ServoModel.of(servo_named("hs225bb-eq31"))
+    command_deg = COMMANDS[command](time_s, np.random.default_rng(5))
+    record = record_of(Segment("x", time_s, command_deg, time_s, 0.0 * time_s), model)
+    moved_deg = simulate(record, record.plant.neutral)
+    noisy_deg = moved_deg + noise_deg * np.random.default_rng(6).standard_normal(time_s.size)
+    found = explain_gap(Segment("x", time_s, command_deg, time_s, step_deg * np.round(noisy_deg / step_deg)), model)
+    assert found.conclusion == "explained"
+    assert found.selection.final.names == ("quantization",)
+    assert found.selection.final.values[0] == pytest.approx(step_deg, rel=1e-3)
+
+
+@pytest.mark.slow
 def test_a_jam_that_passes_is_no_missing_effect() -> None:
     found = explained(jammed(hide(FineServo(), "lively", seed=3), 12.0, 18.0))
     assert found.conclusion == "nothing_missing"
     assert found.fault_s == pytest.approx(12.0, abs=1.0)
 
 
+@pytest.mark.slow
 def test_a_jam_stands_out_where_what_came_before_is_not_explained_either() -> None:
     log = hide(FineServo(), "lively", seed=3, duration_s=40.0)
     spikes = np.random.default_rng(1)
@@ -238,6 +258,7 @@ def test_a_jam_stands_out_where_what_came_before_is_not_explained_either() -> No
     assert found.fault_s == pytest.approx(24.0, abs=1.5)
 
 
+@pytest.mark.slow
 def test_a_drift_is_no_fault_that_sets_in() -> None:
     log = hide(FineServo(), "lively", seed=3, duration_s=40.0)
     found = explained(replace(log, position_deg=log.position_deg + 1.5 * log.time_s / 40.0))

@@ -18,12 +18,12 @@ from hidden_score import Answer, ask
 
 
 def test_everything_is_flown() -> None:
-    full, quick = list(cases(1)), list(cases(1, quick=True))
+    full, quick = list(cases([0])), list(cases([0], quick=True))
     singles = [case for case in full if case.kind == "single"]
     assert len(singles) == len(CATALOGUE) * 3 * len(EXCITATIONS) * 3
     assert {case.names[0] for case in quick if case.kind == "single"} == set(CATALOGUE)
     assert {case.kind for case in quick} == {"none", "single", "pair", "triple", "structural", "outside"}
-    assert len(quick) < 100
+    assert len(quick) < 120
     assert len(set(full)) == len(full)
 
 
@@ -59,6 +59,7 @@ def test_answers_come_through_the_command_line(monkeypatch: pytest.MonkeyPatch, 
     assert asked[-2:] == ["--servo", "s9254"]
 
 
+@pytest.mark.slow
 def test_tables_say_what_was_answered(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     said: dict[str, Any] = {
         "conclusion": "explained",

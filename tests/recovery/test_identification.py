@@ -174,6 +174,7 @@ def test_offset_gain_and_sign_of_the_position() -> None:
     assert any("runs against the command" in note for note in result.notes)
 
 
+@pytest.mark.slow
 def test_three_servos_give_their_mean_and_their_spread() -> None:
     result = identify([[sweep("hs225bb-eq31", duration_s=60.0, seed=seed)] for seed in range(3)])
     assert len(result.responses) == 3
@@ -209,6 +210,7 @@ def test_the_sampled_response_is_that_of_the_simulation() -> None:
     np.testing.assert_allclose(simulated_deg[1000:], expected_deg[1000:], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_dead_band_from_a_slow_triangle() -> None:
     time_s = np.arange(3000) / 100.0
     command_deg = 20.0 * np.abs(np.mod(time_s / 6.0, 2.0) - 1.0) - 10.0

@@ -53,7 +53,9 @@ def logs(widths_deg: list[float], start: datetime.datetime | None = None, identi
     return made
 
 
-@pytest.mark.parametrize("width_deg", [0.0, 0.05, 0.6, 2.5])
+@pytest.mark.parametrize(
+    "width_deg", [0.0, *(pytest.param(width, marks=pytest.mark.slow) for width in (0.05, 0.6, 2.5))]
+)
 def test_the_width_of_a_dead_band_is_found_without_bias(width_deg: float) -> None:
     """Mean of six flights within three standard errors; a width that could not be negative would be too large."""
     found = [estimate_flight(flown(width_deg, seed), PLANE).values["dead_band_deg"] for seed in range(6)]
@@ -63,6 +65,7 @@ def test_the_width_of_a_dead_band_is_found_without_bias(width_deg: float) -> Non
     assert 0.002 < deviation_deg < 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width_deg", [0.5, 1.5])
 def test_backlash_behind_the_servo_is_told_from_a_dead_band_before_it(width_deg: float) -> None:
     time_s = np.arange(0.0, 40.0, 0.001)
@@ -208,7 +211,7 @@ def test_growing_dead_band_is_measured_and_forecast() -> None:
 @pytest.mark.slow
 def test_a_swap_is_recognised_and_is_no_wear() -> None:
     grown = [0.02 * number for number in range(1, 26)]
-    seen = widths_trend(3, [*grown, *grown[:10]], swap=26, duration_s=30.0)
+    seen = widths_trend(0, [*grown, *grown[:10]], swap=26)
     assert [(event.kind, event.first) for event in seen.surfaces[0].events] == [("swap", 26)]
 
 

@@ -1,0 +1,313 @@
+"""Do the tests notice a wrong sign? ``python benchmarks/mutation.py FOLDER [--mutants N] [--seed S]``.
+
+Changes one comparison, one operator or one number of the package at a time, in a copy of the checkout, and runs the
+tests that execute the changed line, quickest first, until one fails. A mutant that none of them notices has survived.
+The mutants are drawn at random from all that can be made; the score is the share that is noticed. Error messages, type
+hints and docstrings are left alone. A mutant that takes ten times as long as the sound program is noticed.
+
+Code that numba compiles is run uncompiled (NUMBA_DISABLE_JIT=1): a compiled caller would go on using the sound
+function. Tests that are too slow for that (2 s of processor time) are left out. Needs ``pip install coverage``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import copy
+import itertools
+import os
+import random
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    import pytest
+    from coverage import Coverage
+
+ROOT = Path(__file__).resolve().parent.parent
+KERNEL_TESTS = (
+    "tests/laws/test_kernel.py",
+    "tests/laws/test_residual.py",
+    "tests/golden/test_golden.py",
+    "tests/recovery/test_extended.py",
+    "tests/recovery/test_hidden_physics.py",
+    "tests/detection/test_alarm.py",
+    "tests/detection/test_bound.py",
+    "tests/detection/test_threshold.py",
+)
+TESTS = (
+    "tests/detection",
+    "tests/laws",
+    "tests/golden",
+    "tests/recovery/test_extended.py",
+    "tests/recovery/test_hidden_physics.py",
+    "tests/cli/test_naming.py",
+    "tests/replay/test_extending.py",
+)
+SLOWEST_S, LEAST_LIMIT_S, PATIENCE = 2.0, 20.0, 10.0
+MOST_BYTES = 4 << 30
+"""A mutant that fills the memory would take the machine along."""
+COMPARISONS: dict[type[ast.cmpop], type[ast.cmpop]] = {
+    ast.Lt: ast.LtE,
+    ast.LtE: ast.Lt,
+    ast.Gt: ast.GtE,
+    ast.GtE: ast.Gt,
+    ast.Eq: ast.NotEq,
+    ast.NotEq: ast.Eq,
+    ast.Is: ast.IsNot,
+    ast.IsNot: ast.Is,
+    ast.In: ast.NotIn,
+    ast.NotIn: ast.In,
+}
+OPERATORS: dict[type[ast.operator], type[ast.operator]] = {
+    ast.Add: ast.Sub,
+    ast.Sub: ast.Add,
+    ast.Mult: ast.Div,
+    ast.Div: ast.Mult,
+    ast.Pow: ast.Mult,
+    ast.FloorDiv: ast.Div,
+    ast.BitAnd: ast.BitOr,
+    ast.BitOr: ast.BitAnd,
+}
+
+STAMPS = itertools.count(1_000_000_000)
+
+
+class Mutant(NamedTuple):
+    """One change of one file."""
+
+    path: str
+    line: int
+    what: str
+    source: str
+
+
+def changed(node: ast.AST) -> Iterator[tuple[str, ast.AST]]:
+    """What a node may be changed to."""
+    match node:
+        case ast.Compare(ops=[op]) if type(op) in COMPARISONS:
+            other = copy.deepcopy(node)
+            other.ops = [COMPARISONS[type(op)]()]
+            yield f"{ast.unparse(node)} -> {ast.unparse(other)}", other
+        case ast.BinOp(op=op) if type(op) in OPERATORS:
+            other = ast.BinOp(node.left, OPERATORS[type(op)](), node.right)
+            yield f"{ast.unparse(node)} -> {ast.unparse(other)}", other
+        case ast.BoolOp(op=op, values=values):
+            swapped = ast.BoolOp(ast.Or() if isinstance(op, ast.And) else ast.And(), values)
+            yield f"{ast.unparse(node)} -> {ast.unparse(swapped)}", swapped
+        case ast.UnaryOp(op=ast.Not() | ast.USub(), operand=operand):
+            yield f"{ast.unparse(node)} -> {ast.unparse(operand)}", operand
+        case ast.Constant(value=bool(value)):
+            yield f"{value} -> {not value}", ast.Constant(not value)
+        case ast.Constant(value=int(value) | float(value)):
+            more = value + 1 if isinstance(value, int) else 2.0 * value if value else 1.0
+            yield f"{value} -> {more}", ast.Constant(more)
+
+
+def sites(tree: ast.AST) -> Iterator[tuple[ast.AST, str, Any, ast.AST]]:
+    """Every node of code with its parent and place; no annotation, decorator, message or list of names."""
+    for name, value in ast.iter_fields(tree):
+        if name in ("annotation", "returns", "decorator_list", "type_params", "exc"):
+            continue
+        for key, child in enumerate(value) if isinstance(value, list) else [(None, value)]:
+            if not isinstance(child, ast.AST) or isinstance(child, ast.JoinedStr):
+                continue
+            yield tree, name, key, child
+            yield from sites(child)
+
+
+def mutants(path: Path) -> list[Mutant]:
+    """All that can be made of a file."""
+    tree, found = ast.parse(path.read_text()), []
+    for parent, name, key, child in sites(tree):
+        for what, other in changed(child):
+            where = getattr(parent, name)
+            if key is None:
+                setattr(parent, name, other)
+            else:
+                where[key] = other
+            line = child.lineno  # type: ignore[attr-defined]
+            short = what if len(what) < 90 else f"{what[:87]}..."
+            found.append(Mutant(path.relative_to(ROOT).as_posix(), line, short, ast.unparse(tree)))
+            if key is None:
+                setattr(parent, name, child)
+            else:
+                where[key] = child
+    return found
+
+
+def is_compiled(path: str) -> bool:
+    """Whether numba compiles something of this file."""
+    text = (ROOT / path).read_text()
+    return any(word in text for word in ("@njit", "@compiled", "@inlined", "compiled ="))
+
+
+class Tests:
+    """Measures each test, or runs them in order of what they take."""
+
+    def __init__(self, taken_s: dict[str, float], coverage: Coverage | None = None) -> None:
+        self.taken_s, self.coverage = taken_s, coverage
+        self.failed: set[str] = set()
+
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        """The quickest first."""
+        items.sort(key=lambda item: self.taken_s.get(item.nodeid, 0.0))
+
+    def pytest_runtest_logstart(self, nodeid: str) -> None:
+        """Lines that run from here on are run by this test."""
+        if self.coverage:
+            self.begun_s = time.process_time()
+            self.coverage.switch_context(nodeid)
+            signal.setitimer(signal.ITIMER_VIRTUAL, SLOWEST_S)
+
+    def pytest_runtest_logfinish(self, nodeid: str) -> None:
+        """Note the time."""
+        if self.coverage:
+            signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
+            self.taken_s[nodeid] = time.process_time() - self.begun_s
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """A test that fails on the sound program proves nothing."""
+        if self.coverage and not report.passed:
+            self.failed.add(report.nodeid)
+
+
+def pytest_run(arguments: list[str], plugin: Tests) -> int:
+    """In this process; failures are not shrunk, only noticed."""
+    import hypothesis
+    import pytest
+
+    phases = (hypothesis.Phase.explicit, hypothesis.Phase.generate)
+    hypothesis.settings.register_profile("plain", phases=phases, report_multiple_bugs=False, database=None)
+    hypothesis.settings.load_profile("plain")
+    plain = ["-o", "addopts=--import-mode=importlib --doctest-modules", "-p", "no:cacheprovider", "-m", "not slow"]
+    plain += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]  # hypothesis is there already
+    return int(pytest.main([*plain, "-q", "--tb=no", "--no-header", *arguments], plugins=[plugin]))
+
+
+def silenced() -> None:
+    """The output of tests is of no interest."""
+    with Path(os.devnull).open("w") as nowhere:
+        os.dup2(nowhere.fileno(), 1)
+        os.dup2(nowhere.fileno(), 2)
+
+
+def too_slow(*_: object) -> None:
+    raise TimeoutError
+
+
+def measured(folders: list[str], tests: tuple[str, ...], lines: Path) -> dict[str, float]:
+    """Processor time of each test that passes [s]; which lines it runs goes to a file."""
+    import coverage
+
+    reader, writer = os.pipe()
+    if os.fork() == 0:
+        silenced()
+        signal.signal(signal.SIGVTALRM, too_slow)
+        cover = coverage.Coverage(data_file=str(lines), source=folders, config_file=False)
+        cover.start()
+        plugin = Tests({}, cover)
+        pytest_run([*tests, *folders], plugin)
+        cover.stop()
+        cover.save()
+        with os.fdopen(writer, "w") as out:
+            sound = {name: taken_s for name, taken_s in plugin.taken_s.items() if name not in plugin.failed}
+            out.writelines(f"{taken_s}\t{name}\n" for name, taken_s in sound.items())
+        os._exit(0)
+    os.close(writer)
+    with os.fdopen(reader) as inp:
+        rows = [row.rstrip("\n").split("\t") for row in inp]
+    os.wait()
+    return {name: float(taken_s) for taken_s, name in rows}
+
+
+def noticed(mutant: Mutant, tests: list[str], taken_s: dict[str, float]) -> bool:
+    """Whether a test fails, or the program hangs."""
+    path = Path(mutant.path)
+    sound = path.read_text()
+    limit_s = round(max(LEAST_LIMIT_S, PATIENCE * sum(taken_s[test] for test in tests)))
+    stat = path.stat()
+    path.write_text(mutant.source)
+    os.utime(path, (next(STAMPS),) * 2)  # else the bytecode of the mutant before might be taken for that of this one
+    try:
+        if (child := os.fork()) == 0:
+            silenced()
+            resource.setrlimit(resource.RLIMIT_CPU, (limit_s, limit_s))
+            resource.setrlimit(resource.RLIMIT_DATA, (MOST_BYTES, MOST_BYTES))
+            os._exit(int(pytest_run(["-x", *tests], Tests(taken_s)) != 0))
+        return os.waitpid(child, 0)[1] != 0
+    finally:
+        path.write_text(sound)
+        os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns))
+
+
+def judged(folders: list[str], chosen: list[Mutant], tests: tuple[str, ...], lines: Path) -> None:
+    """Print a line for each mutant."""
+    import coverage
+
+    taken_s = measured(folders, tests, lines)
+    print(f"{len(taken_s)} tests take {sum(taken_s.values()):.0f} s of processor time", flush=True)
+    data = coverage.CoverageData(str(lines))
+    data.read()
+    for mutant in chosen:
+        contexts = data.contexts_by_lineno(str(Path(mutant.path).resolve()))
+        here = {test for test in contexts.get(mutant.line, []) if test in taken_s}
+        # What runs while modules are imported belongs to no test: then all that run anything of the file.
+        there = here or {test for those in contexts.values() for test in those if test in taken_s}
+        found = bool(there) and noticed(mutant, sorted(there), taken_s)
+        print(f"{'noticed ' if found else 'SURVIVED'} {mutant.path}:{mutant.line} {mutant.what}", flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folders", nargs="+")
+    parser.add_argument("--mutants", type=int, default=100)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--compiled", choices=("yes", "no"), help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    files = [path for folder in options.folders for path in sorted((ROOT / folder).rglob("*.py"))]
+    every = [mutant for path in files for mutant in mutants(path)]
+    chosen = sorted(random.Random(options.seed).sample(every, min(options.mutants, len(every))))  # noqa: S311
+    if options.compiled is None:
+        print(f"{len(chosen)} of {len(every)} mutants of {' '.join(options.folders)}, seed {options.seed}", flush=True)
+        noticed_, total = 0, 0
+        for mode in ("no", "yes"):
+            with tempfile.TemporaryDirectory() as folder:
+                checkout = Path(folder) / "checkout"
+                shutil.copytree(ROOT, checkout, ignore=shutil.ignore_patterns(".git", ".venv", "out"))
+                environment = os.environ | {"NUMBA_DISABLE_JIT": str(int(mode == "yes")), "PYTHONPATH": str(checkout)}
+                environment.pop("PYTHONDONTWRITEBYTECODE", None)  # every mutant imports the same tests
+                command = [sys.executable, str(checkout / "benchmarks" / "mutation.py"), *sys.argv[1:]]
+                with subprocess.Popen(
+                    [*command, "--compiled", mode], cwd=checkout, env=environment, stdout=subprocess.PIPE, text=True
+                ) as process:
+                    for line in process.stdout or ():
+                        print(line, end="", flush=True)
+                        total += line.startswith(("noticed", "SURVIVED"))
+                        noticed_ += line.startswith("noticed")
+        print(f"noticed {noticed_} of {total}: {noticed_ / max(total, 1):.0%}")
+        return
+    mine = [mutant for mutant in chosen if is_compiled(mutant.path) == (options.compiled == "yes")]
+    if mine:
+        # What a mutant cannot reach is imported once for all.
+        import hypothesis.extra.numpy  # noqa: F401
+        import numba  # noqa: F401
+        import pandas as pd  # noqa: F401
+        import pytest  # noqa: F401
+        import scipy.optimize
+        import scipy.signal
+        import scipy.stats  # noqa: F401
+
+        judged(options.folders, mine, KERNEL_TESTS if options.compiled == "yes" else TESTS, ROOT.parent / "lines")
+
+
+if __name__ == "__main__":
+    main()
