@@ -157,6 +157,9 @@ class Text:
     source: str = ""
 
 
+_OF_AUTOPILOTS = frozenset({"dataflash", "tlog", "ulog"})
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FlightLog:
     """One log, or one run of a bench file: what was recorded, and what is wrong with it.
@@ -203,6 +206,11 @@ class FlightLog:
         channels = dict(self.channels) if isinstance(self.channels, dict) else self.channels  # a lazy one stays lazy
         object.__setattr__(self, "channels", MappingProxyType(channels))
         object.__setattr__(self, "parameters", MappingProxyType(dict(self.parameters)))
+
+    @property
+    def is_of_autopilot(self) -> bool:
+        """Whether outputs, positions and settings in it tell which surface each servo moves."""
+        return self.format in _OF_AUTOPILOTS
 
     def __getitem__(self, name: str) -> Channel:
         """Channel by name.

@@ -111,8 +111,7 @@ def _survey(log: FlightLog, known: Aircraft | None, every_channel: bool) -> Surv
     surfaces = tuple(_surface(log, aircraft, name) for name in aircraft.surfaces) if aircraft else ()
     unfit = not surfaces or any(not s.verdict.startswith("yes") for s in surfaces)
     channels = tuple(_channel(log[name]) for name in log.channels) if every_channel else ()
-    is_flight = log.format in ("dataflash", "tlog", "ulog")
-    return Survey(log, surfaces, channels, what_to_log(log) if unfit and is_flight else "")
+    return Survey(log, surfaces, channels, what_to_log(log) if unfit and log.is_of_autopilot else "")
 
 
 def _surface(log: FlightLog, aircraft: Aircraft, name: str) -> SurfaceSurvey:

@@ -208,7 +208,7 @@ def aircraft_for(log: FlightLog) -> Aircraft:
             f"{log.label}: no measured deflection: this log holds {', '.join(list(log.channels)[:8])}; a position "
             "per surface is needed (de_pos, dr_pos, da_l_pos, ...), or an aircraft file (-c) that names other channels"
         )
-    if log.format in ("dataflash", "tlog", "ulog"):
+    if log.is_of_autopilot:
         return draft_aircraft(log).aircraft()
     names = dict.fromkeys(
         name.removesuffix(suffix)

@@ -28,7 +28,7 @@ def run(options: argparse.Namespace) -> int:
     from servofd.feedback.toml import draft_to_toml
 
     log = logparsers.read(options.log)
-    if log.format in ("faser", "table"):
+    if not log.is_of_autopilot:
         raise NoMeasurement(
             f"{log.label}: a {log.format} log does not describe its aircraft; start from configs/faser.toml"
         )

@@ -115,8 +115,13 @@ def _draft(log: FlightLog, pair: Pair) -> DraftedSurface:
     command_unit = log[pair.command].unit
     angle_command = pair.command == pair.position.command
     command = _command_entry(pair, command_unit, is_angle=angle_command)
-    measured_unit = log[pair.position.channel].unit
-    measured = {"channel": pair.position.channel, "unit": measured_unit if measured_unit in _ANGLES else "deg"}
+    measured_unit = log[pair.position.channel].unit or "deg"
+    if measured_unit not in _ANGLES:
+        raise NoMeasurement(
+            f"{log.label}: {pair.position.channel} is in {measured_unit}, not in deg or rad: "
+            "tell in an aircraft file (-c) how to read it"
+        )
+    measured = {"channel": pair.position.channel, "unit": measured_unit}
     try:
         segment = _cut(log, pair, command, measured)
     except NoMeasurement:

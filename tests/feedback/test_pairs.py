@@ -103,3 +103,8 @@ def test_the_drafted_file_is_accepted_as_it_is(tmp_path: Path) -> None:
 def test_a_log_without_positions_says_what_to_log() -> None:
     with pytest.raises(NoMeasurement, match="SERVO_VOLZ_MASK"):
         draft_aircraft(log_of([], base=0))
+
+
+def test_positions_in_another_unit_are_not_taken_for_degrees() -> None:
+    with pytest.raises(NoMeasurement, match="is in us, not in deg or rad"):
+        draft_aircraft(log_of([1, 2, 4], base=1, unit="us"))
