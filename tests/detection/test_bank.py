@@ -158,6 +158,13 @@ class TestFlights:
         assert (fault.kind, fault.end_s) == (kind, None)
         assert fault.start_s < 5.0
 
+    @pytest.mark.parametrize("kind", ["stuck", "bias", "hardover", "loss_of_effectiveness"])
+    def test_the_first_second_admits_what_it_turns_out_to_be(self, kind: str) -> None:
+        fault = only(TIME_S, command(3, TIME_S), flown(3, replace(GROSS[kind], start_s=20.0), TIME_S))
+        assert fault.kind == kind
+        assert kind in fault.first_signs
+        assert "healthy" not in fault.first_signs
+
     @pytest.mark.parametrize("kind", ["stuck", "bias", "oscillation"])
     def test_a_log_that_starts_inside_a_fault_which_passes(self, kind: str) -> None:
         passing = replace(GROSS[kind], start_s=0.0, end_s=15.0)

@@ -8,6 +8,7 @@ import os
 import time
 import tracemalloc
 from collections import Counter, defaultdict
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from logparsers.channels import LazyChannels
 from logparsers.errors import EmptyLog, LogError, MissingChannel, MissingLog, UnreadableLog
 from logparsers.telemetry import Sender, TelemetryFile
 from logparsers.telemetry.channels import TelemetryRecording
+from logparsers.telemetry.clock import TelemetryClock
 from tests.parsers import tlog_writer as writer
 from tests.parsers.external import real_logs
 
@@ -512,3 +514,34 @@ def test_thousands_of_senders_names_and_restarts_take_a_bounded_time() -> None:
         log = logparsers.read(io.BytesIO(content))
         assert time.process_time() - begun < 20e-6 * len(content)
         assert len(log.damage) <= 300
+
+
+def test_the_date_is_what_the_autopilot_says_most_of_the_time() -> None:
+    """A receiver without a fix says 1970 or another year; where nobody knows, the ground station's clock counts."""
+    boot = datetime(2024, 5, 1, 9, 0, tzinfo=UTC)
+    boot_us = round(boot.timestamp() * 1e6)
+    entries = []
+    for k in range(20):
+        unix_us = 0 if k < 3 else boot_us + 1_000_000 * k + (400 * 86_400_000_000 if k == 5 else 0)
+        told = {"time_unix_usec": unix_us, "time_boot_ms": 1000 * k}
+        entries += [(k + 0.02, writer.frame("SYSTEM_TIME", told, sequence=2 * k))]
+        entries += [(k + 0.02, writer.frame("ATTITUDE", {"time_boot_ms": 1000 * k, "roll": 0.1}, sequence=2 * k + 1))]
+    start = logparsers.read(io.BytesIO(writer.log(entries))).start_utc
+    assert start is not None
+    assert abs((start - boot).total_seconds()) < 0.1
+    alone = logparsers.read(io.BytesIO(writer.log(entries[1::2]))).start_utc
+    assert alone is not None
+    assert abs(alone.timestamp() - 1e-6 * writer.EPOCH_US) < 0.1
+
+
+def test_two_senders_of_one_message_keep_their_own_clocks() -> None:
+    """The second was booted 40 s later; both rows are where they belong on the common time axis."""
+    entries = []
+    for k in range(50):
+        for source, boot_s in (((1, 1), 100.0), ((1, 2), 60.0)):
+            attitude = {"time_boot_ms": round(1000 * (boot_s + 0.1 * k)), "roll": float(source[1])}
+            entries.append((0.1 * k + 0.01, writer.frame("ATTITUDE", attitude, source=source, sequence=k)))
+    time_s = TelemetryClock(TelemetryFile.open(writer.log(entries)), bare=False).time_s("ATTITUDE", None)
+    assert time_s.shape == (100,)
+    np.testing.assert_allclose(time_s[::2], time_s[1::2], atol=0.02)
+    np.testing.assert_allclose(np.diff(time_s[::2]), 0.1, atol=1e-3)

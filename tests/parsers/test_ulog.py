@@ -7,12 +7,14 @@ import io
 import struct
 import time
 import tracemalloc
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from pyulog import ULog
 
+import logparsers
 from logparsers.channels import LazyChannels
 from logparsers.errors import EmptyLog, LogError, MissingChannel, MissingLog, UnreadableLog
 from logparsers.ulog import AUDIT_TOPICS, UlogFile
@@ -169,3 +171,17 @@ def test_nonsense_takes_a_bounded_time(filling: bytes, where: str) -> None:
     with contextlib.suppress(LogError):
         channels(UlogFile.open(content))
     assert time.process_time() - begun < 10.0
+
+
+def test_the_date_is_that_of_the_first_fix() -> None:
+    boot = datetime(2024, 5, 1, 9, 0, tzinfo=UTC)
+    gps = "vehicle_gps_position:uint64_t timestamp;uint64_t time_utc_usec;"
+    out = [writer.subscribe(9, "vehicle_gps_position")]
+    for k in range(5):
+        stamp_us = 1_000_000 * (k + 1)
+        utc_us = round(boot.timestamp() * 1e6) + stamp_us if k > 1 else 0
+        out.append(writer.data(9, struct.pack("<QQ", stamp_us, utc_us)))
+    head = writer.header()
+    content = head + writer.message("F", gps.encode()) + writer.flight(20).removeprefix(head)
+    assert logparsers.read(io.BytesIO(content)).start_utc is None
+    assert logparsers.read(io.BytesIO(content + b"".join(out))).start_utc == boot

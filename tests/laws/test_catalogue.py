@@ -1,0 +1,46 @@
+"""The effects that may be missing: their numbers are in order, and reach the physics that they name."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from servofd.models.catalogue import CATALOGUE, MissingEffect, installed
+from servofd.models.physics import Physics
+
+every_effect = pytest.mark.parametrize("effect", CATALOGUE, ids=lambda effect: effect.key())
+
+
+@every_effect
+def test_a_search_begins_within_the_bounds_and_not_with_nothing(effect: type[MissingEffect]) -> None:
+    for parameter in effect.parameters:
+        assert parameter.low < parameter.high
+        assert parameter.typical > 0.0
+        assert all(parameter.low <= value <= parameter.high for value in parameter.grid)
+        if parameter.grid and not parameter.aside:
+            assert not all(math.isclose(value, parameter.neutral) for value in parameter.grid)
+
+
+@every_effect
+def test_every_number_reaches_the_fields_that_it_names(effect: type[MissingEffect]) -> None:
+    values = [parameter.grid[-1] if parameter.grid else parameter.typical for parameter in effect.parameters]
+    physics = installed(Physics(), [effect], values)._asdict()
+    expected = dict(effect.fixed)
+    for parameter, value in zip(effect.parameters, values, strict=True):
+        expected |= dict.fromkeys(parameter.fields, value)
+    assert expected == {name: physics[name] for name in expected}
+    untouched = {name: value for name, value in Physics()._asdict().items() if name not in expected}
+    assert untouched == {name: physics[name] for name in untouched}
+
+
+@every_effect
+def test_the_ends_of_a_range_are_no_answer_and_its_middle_is(effect: type[MissingEffect]) -> None:
+    for parameter in effect.parameters:
+        if math.isfinite(parameter.high - parameter.low):
+            middle, margin = 0.5 * (parameter.low + parameter.high), 1e-2 * (parameter.high - parameter.low)
+            for end, inside in ((parameter.low, margin), (parameter.high, -margin)):
+                is_neutral = abs(end - parameter.neutral) <= 0.1 * margin
+                assert parameter.at_bound(end) == (not parameter.aside and not is_neutral)
+                assert not parameter.at_bound(end + inside)
+            assert not parameter.at_bound(middle)
