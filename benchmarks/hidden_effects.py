@@ -141,7 +141,9 @@ def judge(case: Case) -> Result:
         doubt, sigmas = leftover_sigmas(exact, case.seed, effects, case.excitation, case.noise_deg)
     return Result(
         case=case,
-        score=score(answer.said, effects, float(np.hypot(case.noise_deg, step_deg / np.sqrt(12.0)))),
+        score=score(
+            answer.said, effects, float(np.hypot(case.noise_deg, step_deg / np.sqrt(12.0))), scattered=case.spread > 0.0
+        ),
         seconds=answer.seconds,
         sizes=sizes,
         doubt=doubt,

@@ -32,6 +32,7 @@ ALIKE = {
 """Names that are right for physics by another law: the same thing to the user."""
 _FROM_ONE = ("gain", "bandwidth_scale")
 """Parameters that do nothing at 1: their error is relative to the deviation from there."""
+_SCATTER = ("gain", "slow_dynamics", "damping", "delay")
 _COULD_NOT_TELL = 2
 _TOLD = 0.6
 """Over the noise: the rms of an effect that half of the seconds of 100 samples show which have it, when 1 % of the
@@ -118,7 +119,7 @@ def ask(path: Path, surface: str, *options: str) -> Answer:
     return Answer(code, seconds, said, (errors.getvalue().strip().splitlines() or [""])[-1])
 
 
-def score(said: Mapping[str, Any] | None, truth: Effects, noise_deg: float) -> Score:
+def score(said: Mapping[str, Any] | None, truth: Effects, noise_deg: float, *, scattered: bool = False) -> Score:
     """Score one answer.
 
     Parameters
@@ -129,6 +130,8 @@ def score(said: Mapping[str, Any] | None, truth: Effects, noise_deg: float) -> S
         Parameters of all that is hidden, by name.
     noise_deg : float
         Noise that is really there, with that of the converter [deg].
+    scattered : bool
+        Whether the servo itself differs from the known one: that may be named, too.
 
     Examples
     --------
@@ -146,6 +149,7 @@ def score(said: Mapping[str, Any] | None, truth: Effects, noise_deg: float) -> S
     known = tuple(name for name in truth if name in CATALOGUE)
     nameless = tuple(name for name in truth if name not in CATALOGUE)
     right = {*known, *(alike for name in nameless for alike in ALIKE.get(name, ()))}
+    right |= set(_SCATTER) if scattered else set()
     found = sum(any(name in names for names in offered) for name in known)
     extra = tuple(name for name, names in zip(named, offered, strict=True) if not right & names)
     missed = found < len(known) or (bool(nameless) and not named)

@@ -186,16 +186,17 @@ class Fitter:
         known, noise, frame = self.physics(base.effects, base.values), self._noise(fits), None
         late = [fit for fit in fits if fit.effects[-1] in (Delay, SensorLag, SlowDynamics)]
         more = best.train > (1.0 + max(_FRAMES_EXCESS, floor_uncertainty(self.record))) * noise
-        # To wait for the next frame is to be late by chance, which passes for noise.
-        if not more and scatter_s(self.record, best.error_deg, _FRAMES_EXCESS) == 0.0:
+        # To wait for the next frame is to be late by chance: where that shows, no rival speaks against frames.
+        scattered = scatter_s(self.record, best.error_deg, _FRAMES_EXCESS) > 0.0
+        if not (more or scattered):
             later_s = [
                 float(fit.values[-1]) - self.record.plant.neutral.delay_s for fit in late if fit.effects[-1] is Delay
             ]
             frame = usual_frame(self.record, known, max(later_s, default=0.0))
-        elif min(fit.train for fit in late) - noise < _LATE_LEAVES * (best.train - noise):
+        elif min(fit.train for fit in late) - noise < _LATE_LEAVES * max(best.train - noise, _FRAMES_EXCESS * noise):
             # Frames are a delay on average: where something else fits far better, they are not what lacks most.
             sigma_deg = float(np.sqrt(noise / self._trained.size))
-            likely = frames_like(self.record, known, best.error_deg, sigma_deg)
+            likely = frames_like(self.record, known, None if scattered else best.error_deg, sigma_deg)
             frame = best_frame(self.record, known, likely) if likely else None
         if frame is None:
             return []
