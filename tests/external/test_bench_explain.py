@@ -58,8 +58,7 @@ def test_hobby_servo() -> None:
     assert {"rate_limit", "delay", "deadband"} <= set(found.selection.final.names)
     rates = found.selection.rungs[0].fit.values
     np.testing.assert_allclose(rates, (255.0, 276.0), rtol=0.1)
-    band = next(rung.fit for rung in found.selection.rungs if rung.fit.names[-1] == "deadband")
-    assert band.values[-1] == pytest.approx(4.0, abs=1.0)
+    assert found.document()["final"]["model"]["deadband"]["width_deg"] == pytest.approx(4.0, abs=1.0)
     errors = np.array([each.held_out_rms_deg for each in found.runs])
     assert np.sqrt(np.mean(errors**2)) <= 3.0
 
