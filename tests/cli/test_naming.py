@@ -49,7 +49,7 @@ def audited(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, d
     return code, log["surfaces"]
 
 
-@pytest.mark.parametrize("kind_of_threshold", ["constant", "interval"])
+@pytest.mark.parametrize("kind_of_threshold", [pytest.param("constant", marks=pytest.mark.slow), "interval"])
 @pytest.mark.parametrize("name", HIDDEN)
 def test_sample_logs_are_named(name: str, kind_of_threshold: str, capsys: pytest.CaptureFixture[str]) -> None:
     surface, kind, hidden = HIDDEN[name]

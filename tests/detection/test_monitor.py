@@ -57,8 +57,8 @@ def in_order(segment: Segment) -> list[tuple[float, int, float]]:
 
 
 class TestTheSameStepAsOffline:
-    @pytest.mark.parametrize("servo", ["hs225bb-eq31", "s9254"])
-    @pytest.mark.parametrize("lost", [0.0, 0.05, 0.3])
+    @pytest.mark.parametrize("servo", ["hs225bb-eq31", pytest.param("s9254", marks=pytest.mark.slow)])
+    @pytest.mark.parametrize("lost", [0.0, pytest.param(0.05, marks=pytest.mark.slow), 0.3])
     @pytest.mark.parametrize("period_s", [None, 0.02])
     def test_residual_and_threshold_do_not_depend_on_how_a_stream_is_cut(
         self, servo: str, lost: float, period_s: float | None
@@ -85,8 +85,8 @@ class TestTheSameStepAsOffline:
             together = np.concatenate([getattr(piece.threshold, name) for piece in pieces])
             np.testing.assert_allclose(together, getattr(threshold, name), rtol=1e-9, atol=SAME_DEG, err_msg=name)
 
-    @pytest.mark.parametrize("kind", ["interval", "constant"])
-    @pytest.mark.parametrize("lost", [0.0, 0.05])
+    @pytest.mark.parametrize("kind", ["interval", pytest.param("constant", marks=pytest.mark.slow)])
+    @pytest.mark.parametrize("lost", [pytest.param(0.0, marks=pytest.mark.slow), 0.05])
     def test_alarms_come_at_the_same_times_with_the_same_names(self, kind: str, lost: float) -> None:
         entry, model = surface(kind)
         raw = flight(4, lost=lost, stuck_s=22.0)

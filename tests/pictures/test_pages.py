@@ -88,6 +88,7 @@ def explained() -> str:
     return explain_page([slow_servo(60.0)], "flight.csv", thresholds=gains)
 
 
+@pytest.mark.slow
 def test_an_audit_begins_with_its_verdict_and_shows_every_fault(audited: str, audits: list[LogAudit]) -> None:
     page = Page(audited)
     verdicts = re.findall(r'<p class="verdict">(.*?)</p>', audited)
@@ -126,7 +127,7 @@ def test_an_explanation_without_a_gap_has_a_page_too() -> None:
     assert "Rivals" not in page.text
 
 
-@pytest.fixture(params=["audited", pytest.param("explained", marks=pytest.mark.slow)])
+@pytest.fixture(params=[pytest.param(name, marks=pytest.mark.slow) for name in ("audited", "explained")])
 def text(request: pytest.FixtureRequest) -> str:
     found: str = request.getfixturevalue(request.param)
     return found
@@ -162,6 +163,7 @@ def luminance(colour: str) -> float:
     return float(np.dot(linear, [0.2126, 0.7152, 0.0722]))
 
 
+@pytest.mark.slow
 def test_text_stands_out_from_its_ground(audited: str) -> None:
     colours = dict(re.findall(r"--(\w+): (#[0-9a-f]+);", audited))
     colours["link"] = re.findall(r"a \{ color: (#[0-9a-f]{6})", audited)[0]

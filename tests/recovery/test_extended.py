@@ -256,7 +256,11 @@ def test_wrong_effects_are_refused_at_the_door(effects: str, reason: str, tmp_pa
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("effects", [{"backlash": {"width_deg": 0.8}}, {"pwm_frame": {"period_s": 0.02}}], ids=str)
+@pytest.mark.parametrize(
+    "effects",
+    [{"backlash": {"width_deg": 0.8}}, pytest.param({"pwm_frame": {"period_s": 0.02}}, marks=pytest.mark.slow)],
+    ids=str,
+)
 def test_a_monitor_in_flight_sees_what_the_audit_sees(effects: dict[str, dict[str, float]]) -> None:
     log = hide(FineServo(backlash_deg=0.8), duration_s=12.0)
     surface = Aircraft.model_validate(
