@@ -46,7 +46,8 @@ class _Channel(BaseModel, ABC):
     def to_deg(self, values: FloatArray) -> FloatArray:
         """Deflection [deg], same shape as `values` [as logged]."""
         scale, offset_deg = self.correction
-        return scale * self._convert(values) + offset_deg
+        with np.errstate(over="ignore"):  # what is too large for a number is none
+            return scale * self._convert(values) + offset_deg
 
     def from_deg(self, deflection_deg: FloatArray) -> FloatArray:
         """Logged value of a deflection [deg]."""

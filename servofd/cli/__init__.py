@@ -11,6 +11,7 @@ import io
 import os
 import signal
 import sys
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from servofd import __version__
@@ -142,4 +143,5 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _silence() -> None:
     """Keep Python from trying again, and complaining, when it exits."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    with suppress(io.UnsupportedOperation):  # what a caller put in its place writes to no file
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

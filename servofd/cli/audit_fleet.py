@@ -32,9 +32,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def is_fleet(options: argparse.Namespace) -> bool:
     """Whether there may be more logs than one looks at one by one."""
-    from servofd.fleet.find import is_address, is_pattern
+    from servofd.fleet.find import is_address, is_folder, is_pattern
 
-    several = any(is_address(log) or is_pattern(log) or Path(log).is_dir() for log in options.logs)
+    several = any(is_address(log) or is_pattern(log) or is_folder(log) for log in options.logs)
     return several or bool(options.cluster or options.workers) or len(options.logs) > _A_FEW
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from logparsers import TableLayout
 
-__all__ = ["META_FILE", "Found", "LogSource", "Skipped", "find_logs", "is_address", "is_pattern"]
+__all__ = ["META_FILE", "Found", "LogSource", "Skipped", "find_logs", "is_address", "is_folder", "is_pattern"]
 
 META_FILE = "fleet.json"
 """Marks a folder of results, in which no logs are looked for."""
@@ -123,7 +123,15 @@ def is_pattern(text: str) -> bool:
 
 def is_plain_file(text: str) -> bool:
     """Whether it names one file on this machine, even a missing one."""
-    return not (is_address(text) or is_pattern(text) or Path(text).is_dir())
+    return not (is_address(text) or is_pattern(text) or is_folder(text))
+
+
+def is_folder(text: str) -> bool:
+    """Whether it names a folder on this machine."""
+    try:
+        return Path(text).is_dir()
+    except OSError:  # no file has such a name
+        return False
 
 
 def _found(text: str, layout: TableLayout | None) -> tuple[list[LogSource], list[Skipped]]:
@@ -134,7 +142,7 @@ def _found(text: str, layout: TableLayout | None) -> tuple[list[LogSource], list
     matches = [text]
     if is_pattern(text):
         matches = sorted(glob.glob(text, recursive=True))  # noqa: PTH207 - Path.glob takes no absolute patterns
-    files = (name for match in matches for name in (_walked(match) if Path(match).is_dir() else [match]))
+    files = (name for match in matches for name in (_walked(match) if is_folder(match) else [match]))
     return _sorted_out(((name, _size_bytes(name), _head) for name in files), layout)
 
 

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import subprocess
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from servofd.aircraft import load_aircraft, plain_aircraft
+from servofd.cli import main
 from servofd.detection.monitor import SurfaceMonitor
-from servofd.errors import ConfigError
+from servofd.errors import ConfigError, RecordingError
 from servofd.fleet.key import Job
 from servofd.fleet.store import FleetStore, read_table
+from servofd.outputs.recording import read
+from servofd.outputs.recording.program import run_rerun
 from servofd.segment import pace_steps
 from servofd.servos import find_servo
 from servofd.workflow import audit
 from tests.fuzz import seeds
+from tests.fuzz.doors import DOORS
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -32,9 +37,9 @@ if TYPE_CHECKING:
 def test_toml_that_python_cannot_hold(text: str, reason: str, tmp_path: Path) -> None:
     path = tmp_path / "a.toml"
     path.write_text(text, errors="surrogateescape")
-    for read in (load_aircraft, find_servo):
+    for load in (load_aircraft, find_servo):
         with pytest.raises(ConfigError, match=reason):
-            read(str(path))
+            load(str(path))
 
 
 @pytest.mark.parametrize("name", ["a" * 5000, "a\0b", "a\0b.toml", "a" * 5000 + ".toml"])
@@ -114,3 +119,35 @@ def test_a_stream_of_one_instant_is_not_judged() -> None:
     assert monitor.feed((stamps, values), (stamps, values)) == []
     assert monitor.finish() == []
     assert not monitor.was_judged
+
+
+def test_a_log_whose_name_no_file_can_have(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["audit", "9" * 5000]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_a_position_too_large_for_a_number() -> None:
+    """Of FASER logs, in radians: in degrees it is beyond what 64 bits hold."""
+    calibration = load_aircraft("faser").surfaces["elevator"].measured
+    assert calibration is not None
+    assert np.isinf(calibration.to_deg(np.array([0.1, 0.2, 1e308, 0.3]))).tolist() == [False, False, True, False]
+
+
+def test_a_recording_at_which_its_library_ends_the_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """About one in a hundred that are broken; another process meets it first."""
+    path = tmp_path / "flight.rrd"
+    path.write_bytes(DOORS["recording"].seeds(tmp_path)[0])
+    monkeypatch.setattr(read, "run_rerun", lambda *words: subprocess.CompletedProcess(words, 102))
+    with pytest.raises(RecordingError, match="damaged beyond"):
+        read.read_recording(path)
+
+
+def test_the_program_that_reads_first_says_what_it_met_and_reports_to_nobody(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("HOME", "XDG_CONFIG_HOME", "XDG_DATA_HOME", "APPDATA", "LOCALAPPDATA"):
+        monkeypatch.setenv(name, str(tmp_path / "home"))
+    monkeypatch.delenv("CI", raising=False)
+    (tmp_path / "broken.rrd").write_bytes(b"RRF2" + bytes(100))
+    assert run_rerun("rrd", "verify", str(tmp_path / "broken.rrd")).returncode != 0
+    assert not list(tmp_path.rglob("*analytics*"))

@@ -14,6 +14,7 @@ from servofd.errors import RecordingError
 from servofd.models.context import Context
 from servofd.outputs.recording.clock import TIME_BOOT, seconds
 from servofd.outputs.recording.content import Recording, Trace
+from servofd.outputs.recording.program import run_rerun
 from servofd.outputs.recording.scene import AIRSPEED, ATTITUDE, GEO, LOCAL, SUPPLY
 from servofd.outputs.recording.stream import PROPERTIES, surface_place
 from servofd.outputs.recording.verdicts import audit_of
@@ -28,6 +29,8 @@ __all__ = ["check_is_recording", "is_recording", "read_recording"]
 _CURVES = "Scalars:scalars"
 _PROPERTIES = f"/__properties/{PROPERTIES}"
 _KEPT = ("deflection", "residual", "command", "seconds", "command_seconds")
+_PANICS = (101, 102)
+"""Exit codes of a Rust program, and of Rerun's, that came to its wits' end."""
 _MAGIC = (b"RRF", b"RRIO")
 
 
@@ -80,6 +83,7 @@ class _Stored:
     @classmethod
     def of(cls, path: Path) -> _Stored:
         check_is_recording(path)
+        _check_is_readable(path)
         properties: dict[str, Any] = {}
         entities = set()
         chunks: dict[str, list[tuple[IntArray, FloatArray]]] = defaultdict(list)
@@ -116,6 +120,19 @@ class _Stored:
         """Time [s] and values side by side."""
         found = self.curves(place)
         return None if found is None else np.column_stack(found)
+
+
+def _check_is_readable(path: Path) -> None:
+    """Let another process read it first: at some damage Rerun's library ends the process that it is in.
+
+    Raises
+    ------
+    RecordingError
+        If that happens.
+    """
+    code = run_rerun("rrd", "verify", str(path.resolve())).returncode
+    if code < 0 or code in _PANICS:
+        raise RecordingError(f"{path}: damaged beyond what Rerun's library can read")
 
 
 def _reader(path: Path) -> Any:  # noqa: ANN401 - rerun is untyped here

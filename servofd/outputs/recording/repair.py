@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 from servofd.errors import RecordingError
 from servofd.outputs.files import whole_file
+from servofd.outputs.recording.program import run_rerun
 from servofd.outputs.recording.read import check_is_recording
 
 __all__ = ["repair_recording"]
@@ -26,11 +25,8 @@ def repair_recording(path: str | Path, target: str | Path) -> None:
     source = Path(path)
     check_is_recording(source)
     with whole_file(target) as temporary:
-        command = [sys.executable, "-m", "rerun_cli", "rrd", "optimize", "--continue-on-error"]
         # Only the viewer's own program may go on after an error; its Python interface stops at it.
-        done = subprocess.run(  # noqa: S603 - fixed program, paths as arguments
-            [*command, str(source.resolve()), "-o", str(temporary)], capture_output=True, text=True, check=False
-        )
+        done = run_rerun("rrd", "optimize", "--continue-on-error", str(source.resolve()), "-o", str(temporary))
         if done.returncode != 0:
             raise RecordingError(f"{path}: nothing of it can be saved: {_last_line(done.stderr)}")
 

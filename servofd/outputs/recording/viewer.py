@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 from typing import TYPE_CHECKING
 
 from servofd.errors import RecordingError
+from servofd.outputs.recording.program import run_rerun
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -38,8 +38,7 @@ def open_viewer(path: Path) -> None:
         If the viewer cannot run here.
     """
     # It listens for more recordings, by itself to the whole network.
-    command = [sys.executable, "-m", "rerun_cli", "--bind", "127.0.0.1", str(path.resolve())]
-    done = subprocess.run(command, stderr=subprocess.PIPE, text=True, check=False)  # noqa: S603 - our own program
+    done = run_rerun("--bind", "127.0.0.1", str(path.resolve()))
     lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
     errors = [line for line in lines if line.startswith("Error")]
     # Its own exit code is 0 even if it found no display.
