@@ -140,6 +140,7 @@ def _grown(
             fits = tried.get(keys_of(base)) or fitter.with_effects(base, able, progress)
             tried[keys_of(base)] = fits
             grown += [fit for fit in fits if accepted(record, base, fit, min(sigma, floor_of(record, fit)))]
+            grown += _relieved(fitter, min(fits, key=lambda fit: cost(record, fit)))
         if not grown:
             break
         grown.sort(key=lambda fit: cost(record, fit))
@@ -152,6 +153,14 @@ def _grown(
         if not worth_trying(record, best, floor_of(record, best)):
             break
     return best
+
+
+def _relieved(fitter: Fitter, fit: Fit) -> list[Fit]:
+    """The fit without an effect that its last one made needless, which had stood in for it."""
+    if len(fit.effects) < 3:  # noqa: PLR2004 - each of two was tried alone
+        return []
+    fewer = [without(fitter, fit, k) for k in range(len(fit.effects) - 1)]
+    return [each for each in fewer if cost(fitter.record, each) <= cost(fitter.record, fit)]
 
 
 def _swapped(fitter: Fitter, able: list[type[MissingEffect]], tried: Tried, best: Fit) -> Fit:
