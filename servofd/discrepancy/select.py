@@ -157,7 +157,7 @@ def _grown(
 
 def _relieved(fitter: Fitter, fit: Fit) -> list[Fit]:
     """The fit without an effect that its last one made needless, which had stood in for it."""
-    if len(fit.effects) < 3:  # noqa: PLR2004 - each of two was tried alone
+    if len(fit.effects) < 3:
         return []
     fewer = [without(fitter, fit, k) for k in range(len(fit.effects) - 1)]
     return [each for each in fewer if cost(fitter.record, each) <= cost(fitter.record, fit)]
