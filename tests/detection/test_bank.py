@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
 from servofd.detection.bank.classify import BANK, name_fault, scores
-from servofd.detection.bank.explanation import Ridge
+from servofd.detection.bank.explanation import Explanation, Ridge
 from servofd.detection.bank.isolate import Fault as Found
+from servofd.detection.bank.isolate import Flight
+from servofd.detection.bank.onset import refine_onset_s
+from servofd.detection.bank.window import Window
 from servofd.detection.plausible import wiring_problem
 from servofd.models.faults import (
     Bias,
@@ -24,7 +29,7 @@ from servofd.models.faults import (
 )
 from servofd.simulation.commands import COMMANDS
 from servofd.types import FloatArray
-from tests.detection.tolerated import MODEL
+from tests.detection.tolerated import MODEL, deviating
 from tests.detection.windows import NOISE_DEG, command, flown, judged, residuals_of, window
 
 HYPOTHESES = {hypothesis.kind: hypothesis for hypothesis in BANK}
@@ -66,6 +71,32 @@ def test_each_fault_is_recovered_within_its_interval(kind: str, name: str, truth
         hits += estimate.low <= truth <= estimate.high
     # 95 % of ten; eight or fewer have a chance of 9 %, seven of 1 %.
     assert hits >= 8
+
+
+def test_the_frequency_of_a_limit_cycle_is_as_sure_as_cramer_and_rao_allow() -> None:
+    one = window(0, GROSS["oscillation"])
+    found = HYPOTHESES["oscillation"].explain(one)
+    assert found is not None
+    size, frequency = found.parameters["amplitude_deg"], found.parameters["frequency_hz"]
+    # In n samples of white noise sigma a sine is known to sigma sqrt(2 / n), its tone to sqrt(6 / n) sigma / (pi T A).
+    samples = one.time_s.size
+    assert size.deviation == pytest.approx(NOISE_DEG * np.sqrt(2.0 / samples), rel=0.2)
+    least_hz = np.sqrt(6.0 / samples) * NOISE_DEG / (np.pi * one.duration_s * size.value)
+    assert frequency.deviation == pytest.approx(least_hz, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("index", "off"),
+    [(0, {"gain": 0.01}), (1, {"delay_s": 0.002}), (2, {"bandwidth": 0.01}), (3, {"bias_deg": 0.3})],
+)
+def test_nuisances_are_what_a_servo_that_is_a_little_off_adds(index: int, off: dict[str, float]) -> None:
+    time_s, one = np.arange(2400) / 100.0, window(0, None)
+    command_deg = command(0, time_s)
+    added_deg = (deviating(time_s, command_deg, **off) - deviating(time_s, command_deg))[1200:2000]
+    (size,) = off.values()
+    shape_deg = one.nuisances[:, index]
+    assert (shape_deg @ added_deg) / (shape_deg @ shape_deg) == pytest.approx(size, rel=0.04)
+    assert np.sum((added_deg - size * shape_deg) ** 2) < 0.06 * np.sum(added_deg**2)
 
 
 @pytest.mark.parametrize("kind", GROSS)
@@ -126,6 +157,55 @@ class TestRidge:
             low, high = ridge.estimate(ridge.fit(target_deg), target_deg, 0)[1:]
             hits += low <= 1.0 <= high
         assert hits >= 90
+
+
+class TestOnset:
+    """A servo with a bias that it always had, to which a fault adds a degree."""
+
+    time_s = np.arange(1000) / 100.0
+    habit_deg, noise_deg = 0.3, 0.05
+
+    def refined_s(self, onset_s: float, before_s: float = 4.0, still_s: float = 0.0) -> float:
+        """Refined onset [s] of what was suspected at 5 s; for so long the fault does not show."""
+        noise_deg = self.noise_deg * (-1.0) ** np.arange(self.time_s.size)
+        measured_deg = self.habit_deg + noise_deg + (self.time_s >= onset_s + still_s)
+
+        def of(first_s: float, last_s: float, _: object) -> Window:
+            cut = slice(*np.searchsorted(self.time_s, [first_s - 1e-9, last_s + 1e-9]).tolist())
+            nuisances, spread = np.ones((self.time_s[cut].size, 1)), np.array([0.5])
+            fields = {
+                "time_s": self.time_s[cut],
+                "measured_deg": measured_deg[cut],
+                "error_deg": measured_deg[cut],
+                "nuisances": nuisances,
+                "spread": spread,
+                "noise_deg": self.noise_deg,
+                "ridge": Ridge(nuisances, spread, self.noise_deg),
+                "onset": None,
+            }
+            return cast("Window", SimpleNamespace(**fields))
+
+        def predict(other: Window) -> FloatArray:
+            return np.where(other.time_s >= onset_s + still_s, self.habit_deg + 1.0, self.habit_deg)
+
+        fault = Explanation("bias", np.zeros(0), 0.0, 1.0, predict=predict)
+        flight = cast("Flight", SimpleNamespace(window=of))
+        return refine_onset_s(flight, fault, 5.0, of(5.0, 9.0, None), before_s)
+
+    @pytest.mark.parametrize("onset_s", [2.75, 4.0, 5.5])
+    def test_it_is_the_first_sample_that_the_fault_spoils(self, onset_s: float) -> None:
+        """Health is learnt until 2.7 s, three tenths before the middle of the four seconds before the suspicion."""
+        assert self.refined_s(onset_s) == onset_s
+
+    def test_where_both_explain_alike_it_is_the_latest(self) -> None:
+        assert self.refined_s(3.0, still_s=1.5) == 4.5
+
+    def test_a_shorter_look_back(self) -> None:
+        assert self.refined_s(4.75, before_s=2.0) == 4.75
+
+    def test_what_predicts_nothing_moves_nothing(self) -> None:
+        fault = Explanation("unknown", np.zeros(0), 0.0, 1.0)
+        assert refine_onset_s(cast("Flight", None), fault, 5.0, window(0, None)) == 5.0
 
 
 def only(time_s: FloatArray, command_deg: FloatArray, measured_deg: FloatArray) -> Found:

@@ -164,6 +164,55 @@ class TestNoVerdictFromNoMeasurement:
         assert monitor.is_watched
 
 
+class TestPace:
+    @pytest.fixture
+    def monitor(self) -> SurfaceMonitor:
+        """Three seconds at 50 Hz."""
+        entry, model = surface(servo="hs225bb-eq31")
+        monitor, time_s = SurfaceMonitor("x", entry, model), TIME_S[:150]
+        position_deg = model.simulate(time_s, COMMAND_DEG[:150], time_s)
+        assert monitor.feed((time_s, COMMAND_DEG[:150]), (time_s, position_deg)) == []
+        assert monitor.is_watched
+        return monitor
+
+    @pytest.mark.parametrize(("interval_s", "is_new"), [(0.0125, True), (0.014, False), (0.029, False), (0.031, True)])
+    def test_half_as_fast_again_is_still_the_same(
+        self, monitor: SurfaceMonitor, interval_s: float, is_new: bool
+    ) -> None:
+        later_s = np.linspace(2.98 + interval_s, 2.98 + 101 * interval_s, 101)
+        events = monitor.feed((NOTHING, NOTHING), (later_s, np.sin(later_s)))
+        texts = [event.text for event in events if event.event == "no_data"]
+        told = f"positions now come at {1.0 / interval_s:.3g} Hz, not 50 Hz; begins anew"
+        assert texts == [told] * is_new
+        assert monitor.is_watched != is_new
+        assert monitor.rate_hz == pytest.approx(1.0 / interval_s) or is_new
+
+    @pytest.mark.parametrize(("bursts_s", "is_new"), [(0.4, False), (0.1, True)])
+    def test_bursts_of_late_positions_are_no_new_pace(
+        self, monitor: SurfaceMonitor, bursts_s: float, is_new: bool
+    ) -> None:
+        """Twenty within 20 ms, every so often: on the average one in 20 ms, or one in 5 ms."""
+        later_s = 3.0 + (bursts_s * np.arange(6)[:, None] + 0.001 * np.arange(20)).ravel()
+        events = monitor.feed((NOTHING, NOTHING), (later_s, np.sin(later_s)))
+        assert bool([event for event in events if event.event == "no_data"]) == is_new
+
+    def test_hundred_positions_are_needed_to_tell_a_new_one(self, monitor: SurfaceMonitor) -> None:
+        later_s = np.linspace(3.02, 6.94, 99)
+        events = monitor.feed((NOTHING, NOTHING), (later_s, np.sin(later_s)))
+        assert monitor.is_watched
+        assert "no_data" not in {event.event for event in events}
+
+    def test_what_was_too_slow_is_watched_once_it_is_quick_enough(self) -> None:
+        monitor = SurfaceMonitor("x", *surface(servo="hs225bb-eq31"))
+        slow_s = np.arange(101) / 5.0
+        (refused,) = monitor.feed((slow_s, np.zeros(101)), (slow_s, np.sin(slow_s)))
+        assert refused.text == "position comes at 5 Hz; a servo cannot be judged below 10 Hz"
+        assert (refused.time_s, monitor.is_watched) == (20.0, False)
+        quick_s = 20.0 + np.arange(1, 102) / 50.0
+        monitor.feed((quick_s, np.zeros(101)), (quick_s, np.sin(quick_s)))
+        assert (monitor.is_watched, monitor.problem) == (True, "")
+
+
 class TestSteps:
     @settings(max_examples=50)
     @given(st.lists(st.floats(1e-3, 1e3), min_size=1, max_size=60))
