@@ -165,10 +165,13 @@ class TestOnset:
     time_s = np.arange(1000) / 100.0
     habit_deg, noise_deg = 0.3, 0.05
 
-    def refined_s(self, onset_s: float, before_s: float = 4.0, still_s: float = 0.0) -> float:
-        """Refined onset [s] of what was suspected at 5 s; for so long the fault does not show."""
+    def refined_s(
+        self, onset_s: float, before_s: float = 4.0, still_s: float = 0.0, size_deg: float = 1.0, way_s: float = 0.0
+    ) -> float:
+        """Refined onset [s] of what was suspected at 5 s; for so long the fault does not show, or is on its way."""
         noise_deg = self.noise_deg * (-1.0) ** np.arange(self.time_s.size)
-        measured_deg = self.habit_deg + noise_deg + (self.time_s >= onset_s + still_s)
+        shown = np.where(self.time_s >= onset_s + way_s, 1.0, 0.7) * (self.time_s >= onset_s + still_s)
+        measured_deg = self.habit_deg + noise_deg + size_deg * shown
 
         def of(first_s: float, last_s: float, _: object) -> Window:
             cut = slice(*np.searchsorted(self.time_s, [first_s - 1e-9, last_s + 1e-9]).tolist())
@@ -186,7 +189,7 @@ class TestOnset:
             return cast("Window", SimpleNamespace(**fields))
 
         def predict(other: Window) -> FloatArray:
-            return np.where(other.time_s >= onset_s + still_s, self.habit_deg + 1.0, self.habit_deg)
+            return np.where(other.time_s >= onset_s + still_s, self.habit_deg + size_deg, self.habit_deg)
 
         fault = Explanation("bias", np.zeros(0), 0.0, 1.0, predict=predict)
         flight = cast("Flight", SimpleNamespace(window=of))
@@ -195,10 +198,14 @@ class TestOnset:
     @pytest.mark.parametrize("onset_s", [2.75, 4.0, 5.5])
     def test_it_is_the_first_sample_that_the_fault_spoils(self, onset_s: float) -> None:
         """Health is learnt until 2.7 s, three tenths before the middle of the four seconds before the suspicion."""
-        assert self.refined_s(onset_s) == onset_s
+        assert self.refined_s(onset_s) == self.refined_s(onset_s, size_deg=-1.0) == onset_s
 
     def test_where_both_explain_alike_it_is_the_latest(self) -> None:
         assert self.refined_s(3.0, still_s=1.5) == 4.5
+
+    def test_on_its_way_it_is_neither_healthy_nor_explained(self) -> None:
+        """0.7 of 1 deg are six sigma off the one and fourteen off the other: both count as four."""
+        assert self.refined_s(4.0, way_s=0.25) == 4.25
 
     def test_a_shorter_look_back(self) -> None:
         assert self.refined_s(4.75, before_s=2.0) == 4.75

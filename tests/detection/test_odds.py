@@ -232,6 +232,13 @@ def test_noise_alone_crosses_both_limits() -> None:
     assert detect(np.zeros(2), 4.0, off_centre).least[0] == pytest.approx(0.066807 + 0.006210, abs=1e-6)
 
 
+def test_what_is_seen_for_sure_in_the_end_has_a_delay() -> None:
+    """A fault of 50 sigma in the fourth sample; before, each sample alarms with a chance of 2 Phi(-3) = 0.0027."""
+    detection = detect(np.array([0.0, 0.0, 0.0, 50.0]), 3.0, WHITE)
+    assert detection.steady_per_s == float("inf")
+    assert detection.mean_delay_s == pytest.approx(0.01 * sum(0.9973002039**k for k in (1, 2, 3)), rel=1e-8)
+
+
 @pytest.mark.parametrize("correlations", [(0.9, 0.0), (0.2, 0.9)])
 def test_the_colour_of_the_noise_reaches_as_far_back_as_it_is_known(correlations: tuple[float, float]) -> None:
     """Three samples against the trivariate normal law; the second colour is in the sample before the last."""
