@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
+from servofd.detection.alarm import Episode
 from servofd.detection.bank.classify import BANK, name_fault, scores
+from servofd.detection.bank.confirm import confirmed, joined
 from servofd.detection.bank.explanation import Explanation, Ridge
 from servofd.detection.bank.isolate import Fault as Found
 from servofd.detection.bank.isolate import Flight
 from servofd.detection.bank.onset import refine_onset_s
+from servofd.detection.bank.signature import narendra
 from servofd.detection.bank.window import Window
 from servofd.detection.plausible import wiring_problem
+from servofd.models.effects import RateLimit
 from servofd.models.faults import (
     Bias,
     DeadBand,
@@ -27,6 +31,7 @@ from servofd.models.faults import (
     Slow,
     Stuck,
 )
+from servofd.models.play import play
 from servofd.simulation.commands import COMMANDS
 from servofd.types import FloatArray
 from tests.detection.tolerated import MODEL, deviating
@@ -327,3 +332,71 @@ class TestWiring:
         command_deg = command(6, TIME_S)
         position_deg = MODEL.simulate(TIME_S, command_deg, TIME_S) * np.where(TIME_S < 30.0, 1.0, -1.0)
         assert wiring_problem(residuals_of(TIME_S, command_deg, position_deg)) == ""
+
+
+class TestVariants:
+    """The same fault in another machine."""
+
+    time_s = np.arange(2400) / 100.0
+
+    def window(self, measured_deg: FloatArray) -> Window:
+        noise_deg = NOISE_DEG * np.random.default_rng(9).standard_normal(measured_deg.size)
+        one = window(0, None)
+        object.__setattr__(one, "measured_deg", (measured_deg + noise_deg)[1200:2000])
+        return one
+
+    def test_play_behind_the_servo(self) -> None:
+        healthy_deg = MODEL.simulate(self.time_s, command(0, self.time_s), self.time_s)
+        found = HYPOTHESES["deadband"].explain(self.window(play(healthy_deg, 3.0, 0.0)))
+        assert found is not None
+        assert found.parameters["width_deg"].value == pytest.approx(3.0, abs=0.15)
+
+    def test_a_servo_that_has_lost_speed(self) -> None:
+        asked_deg = command(0, self.time_s)
+        fastest_deg_s = float(np.abs(np.gradient(window(0, None).healthy_deg, 0.01)).max())
+        weak = (MODEL + RateLimit(0.4 * fastest_deg_s)).simulate(self.time_s, asked_deg, self.time_s)
+        found = HYPOTHESES["slow"].explain(self.window(weak))
+        assert found is not None
+        limit = found.parameters["rate_limit_deg_s"]
+        assert limit.value == pytest.approx(0.4 * fastest_deg_s, rel=0.05)
+        assert limit.low < 0.4 * fastest_deg_s < limit.high
+
+
+def test_narendras_filter_remembers_nine_tenths() -> None:
+    np.testing.assert_allclose(narendra(np.array([1.0, 0.0, -2.0, 0.0])), [0.0, 0.1, 0.09, 0.281], rtol=1e-12)
+
+
+class TestConfirmation:
+    episode = Episode(10.0, 12.0, None, "suspect")
+    fault = Found("stuck", 10.0, 12.0, 20.0, {}, 0.95, (), "suspect", named_s=14.5)
+
+    def test_a_suspicion_that_is_sure_is_an_alarm_when_it_is_named(self) -> None:
+        later = replace(self.fault, start_s=30.0)
+        assert confirmed((self.fault, later), self.episode) == (
+            replace(self.fault, level="fault", alarm_s=14.5),
+            later,
+        )
+
+    @pytest.mark.parametrize(
+        "other", [{"probability": 0.949}, {"kind": "healthy"}, {"kind": "unknown"}, {"named_s": None}]
+    )
+    def test_one_that_is_not_remains_one(self, other: dict[str, Any]) -> None:
+        doubtful = replace(self.fault, **other)
+        assert confirmed((doubtful,), self.episode) == (doubtful,)
+
+    def test_an_alarm_remains_where_it_was_raised(self) -> None:
+        crossed = replace(self.fault, level="fault")
+        assert confirmed((crossed,), replace(self.episode, level="fault")) == (crossed,)
+
+    def test_neighbours_of_one_kind_are_one_unless_the_servo_was_well_in_between(self) -> None:
+        nothing_known = cast("Flight", SimpleNamespace(window=lambda *_: None))
+        well = cast("Flight", SimpleNamespace(window=lambda *_: window(0, None)))
+        still = cast("Flight", SimpleNamespace(window=lambda *_: window(0, GROSS["stuck"])))
+        again = replace(self.fault, start_s=25.0, end_s=None)
+        for flight in (nothing_known, still):
+            assert joined(flight, [self.fault, again]) == (replace(self.fault, end_s=None),)
+        assert joined(well, [self.fault, again]) == (self.fault, again)
+        lasting = replace(self.fault, end_s=None)
+        assert joined(well, [lasting, replace(again, end_s=40.0)]) == (replace(lasting, end_s=40.0),)
+        for other in (replace(again, kind="bias"), replace(again, level="fault")):
+            assert joined(nothing_known, [self.fault, other]) == (self.fault, other)

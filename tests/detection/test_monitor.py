@@ -13,12 +13,14 @@ from servofd.aircraft import Surface, plain_aircraft
 from servofd.detection.alarm import crossings
 from servofd.detection.events import Event
 from servofd.detection.glitches import glitches
+from servofd.detection.history import CommandBuffer, History
 from servofd.detection.judge import judge
 from servofd.detection.latch import latch, new_latch_memory
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.prepare import prepared
 from servofd.detection.residual import ResidualGenerator, rhythm
 from servofd.detection.running import new_running_median, with_value
+from servofd.detection.starts import mark_starts, new_starts_memory
 from servofd.detection.stream import Piece, Stream
 from servofd.models.servo_model import ServoModel
 from servofd.segment import Segment
@@ -251,3 +253,81 @@ def test_memory_is_bounded() -> None:
         sizes.append((stream.history.size <= 30_000, stream.effective.size <= 30_000, stream.logged.size <= 4096))
     assert all(all(size) for size in sizes)
     assert not monitor.has_fault
+
+
+class TestStarts:
+    """Commands every 0.1 s but for a hole of 0.7 s; 0.3 s are bridged, an eighth of a second after a start is blank."""
+
+    command_s = np.array([0.0, 0.1, 0.2, 0.3, 1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6])
+
+    @pytest.mark.parametrize("cut", [12, 5, 1])
+    def test_what_starts_anew_and_what_is_judged(self, cut: int) -> None:
+        measured_s = np.array([-0.1, 0.0, 0.1, 0.2, 0.5, 0.7, 1.05, 1.15, 1.2, 1.55, 1.65, 1.8])
+        measured_deg = np.array([1.0, 1.0, np.nan, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, np.nan, 1.0, 1.0])
+        memory, found = new_starts_memory(), []
+        for first in range(0, 12, cut):
+            here = slice(first, first + cut)
+            found.append(mark_starts(memory, self.command_s, measured_s[here], measured_deg[here], 0.3, 0.18, 0.125))
+        restart, settled, usable_deg = (
+            np.concatenate([getattr(piece, name) for piece in found]) for name in ("restart", "settled", "measured_deg")
+        )
+        # Before the first command nothing is known; 1.05 s is the first after the hole, 1.65 s 0.45 s after 1.2 s.
+        assert restart.tolist() == [0, 2, 0, 0, 0, 0, 2, 0, 0, 0, 1, 0]
+        assert np.flatnonzero(np.isnan(usable_deg)).tolist() == [0, 2, 5, 9]
+        # At 0.5 s the last command is 0.2 s old, at 1.8 s as well: the next may have been lost.
+        assert np.flatnonzero(settled).tolist() == [3, 8]
+
+
+class TestMemory:
+    def test_a_full_history_drops_a_quarter_and_says_so(self) -> None:
+        history = History(8)
+        rows = np.tile(np.arange(8.0), (History.ROWS, 1))
+        history.append(rows)
+        assert (history.size, history.first_s, history.last_s, history.is_whole) == (8, 0.0, 7.0, True)
+        history.append(rows[:, :1] + 8.0)
+        assert (history.size, history.first_s, history.last_s, history.is_whole) == (6, 3.0, 8.0, False)
+        history.append(np.tile(np.arange(9.0, 29.0), (History.ROWS, 1)))
+        assert (history.size, history.first_s, history.last_s) == (8, 21.0, 28.0)
+        assert np.isnan([History(4).first_s, History(4).last_s]).all()
+
+    def test_a_full_buffer_of_commands_drops_a_quarter_and_bends_the_last(self) -> None:
+        buffer = CommandBuffer(8)
+        assert [buffer.append(float(k), 2.0 * k, 0.0) for k in range(10)] == [0] * 8 + [2, 0]
+        assert buffer.time_s.tolist() == [2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0]
+        buffer.bend(20.0, 0.5)
+        kept = buffer.copied()
+        assert kept.slope_deg_s.tolist() == [0.0] * 7 + [4.0]
+        buffer.bend(18.0, 0.5)
+        assert (buffer.commands().slope_deg_s[-1], kept.slope_deg_s[-1], kept.command_deg[-1]) == (0.0, 4.0, 18.0)
+
+
+class TestGlitches:
+    @staticmethod
+    def marked(*places: int, size: int = 300, restart: int | None = None, jump_deg: float = 5.0) -> list[int]:
+        error_deg = 0.01 * np.random.default_rng(1).standard_normal(size)
+        error_deg[list(places)] += jump_deg
+        begins = np.zeros(size, dtype=np.int8)
+        if restart is not None:
+            begins[restart] = 1
+        return np.flatnonzero(glitches(error_deg, begins)).tolist()
+
+    def test_one_or_two_away_and_two_back(self) -> None:
+        assert self.marked(50) == [50]
+        assert self.marked(50, 51) == [50, 51]
+        assert self.marked(50, 51, 52) == []
+        assert self.marked(50, 52) == []
+        assert self.marked(298) == []  # only one of them comes back before the end
+        assert self.marked(297) == [297]
+
+    def test_none_is_told_before_eight_samples_or_across_a_start(self) -> None:
+        assert (self.marked(7), self.marked(8)) == ([], [8])
+        assert self.marked(50, restart=51) == []
+        assert self.marked(50, restart=50) == []
+
+    def test_a_jump_of_less_than_ten_sigma_is_noise(self) -> None:
+        """The noise is not taken to be smaller than 0.05 deg."""
+        assert (self.marked(50, jump_deg=0.45), self.marked(50, jump_deg=0.55)) == ([], [50])
+
+    def test_where_one_in_fifty_jumps_it_is_what_the_position_does(self) -> None:
+        assert self.marked(20, 30, 40, 50) == [20, 30]
+        assert self.marked(20, 30, 110, 200) == [20, 30, 110, 200]
