@@ -36,13 +36,17 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parent.parent
 KERNEL_TESTS = (
+    "tests/laws/test_bench_physics.py",
+    "tests/laws/test_faults.py",
     "tests/laws/test_kernel.py",
     "tests/laws/test_residual.py",
     "tests/golden/test_golden.py",
     "tests/recovery/test_extended.py",
     "tests/recovery/test_hidden_physics.py",
     "tests/detection/test_alarm.py",
+    "tests/detection/test_bank.py",
     "tests/detection/test_bound.py",
+    "tests/detection/test_monitor.py",
     "tests/detection/test_threshold.py",
 )
 TESTS = (
