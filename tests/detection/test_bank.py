@@ -351,6 +351,16 @@ class TestVariants:
         assert found is not None
         assert found.parameters["width_deg"].value == pytest.approx(3.0, abs=0.15)
 
+    def test_a_bias_that_stays_has_one_number_and_one_that_grows_has_two(self) -> None:
+        """It is told as it is at the end: 2 deg, and 0.3 deg/s over the eight seconds before."""
+        healthy_deg = MODEL.simulate(self.time_s, command(0, self.time_s), self.time_s)
+        for growth_deg_s, freedom in ((0.0, 1.0), (0.3, 2.0)):
+            biased_deg = healthy_deg + 2.0 + growth_deg_s * (self.time_s - 19.99)
+            found = HYPOTHESES["bias"].explain(self.window(biased_deg))
+            assert found is not None
+            assert found.freedom == freedom
+            assert found.parameters["bias_deg"].value == pytest.approx(2.0, abs=0.1)
+
     def test_a_servo_that_has_lost_speed(self) -> None:
         asked_deg = command(0, self.time_s)
         fastest_deg_s = float(np.abs(np.gradient(window(0, None).healthy_deg, 0.01)).max())

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -11,7 +13,8 @@ from hypothesis import strategies as st
 
 from servofd.aircraft import Surface, plain_aircraft
 from servofd.detection.alarm import crossings
-from servofd.detection.events import Event
+from servofd.detection.bank.isolate import Fault
+from servofd.detection.events import Event, Look
 from servofd.detection.glitches import glitches
 from servofd.detection.history import CommandBuffer, History
 from servofd.detection.judge import judge
@@ -164,6 +167,57 @@ class TestNoVerdictFromNoMeasurement:
         assert [event.event for event in events] == ["no_data"]
         assert "Hz, not 50 Hz" in events[0].text
         assert monitor.is_watched
+
+
+class TestWhatTheBankTells:
+    """Alarms of one surface, as looks at them tell more."""
+
+    stuck = Fault("stuck", 11.8, 12.0, None, {}, 0.99, ())
+    healthy = Fault("healthy", 11.8, 12.0, None, {}, 0.99, ())
+
+    @staticmethod
+    def told(monitor: SurfaceMonitor, at_s: float, *faults: Fault, problem: str = "") -> list[tuple[float, str, str]]:
+        time_s = np.arange(0.0, at_s, 0.1)
+        levels = SimpleNamespace(time_s=time_s, residual_deg=2.0 * time_s, level_deg=0.0 * time_s + 1.5)
+        look = cast("Look", SimpleNamespace(at_s=at_s, residuals=levels, threshold=levels))
+        wrong = tuple(fault for fault in faults if fault.kind != "healthy")
+        right = tuple(fault for fault in faults if fault.kind == "healthy")
+        return [(event.time_s, event.event, event.kind) for event in monitor.told(look, (wrong, right, problem))]
+
+    def test_a_name_a_better_name_and_an_end(self) -> None:
+        monitor = SurfaceMonitor("x", *surface())
+        assert self.told(monitor, 13.0, self.stuck) == [(12.0, "alarm", "unknown"), (13.0, "named", "stuck")]
+        assert (monitor.standing, monitor.has_fault, monitor.faults) == ("stuck", True, (self.stuck,))
+        assert self.told(monitor, 14.0, self.stuck) == []
+        bias = replace(self.stuck, kind="bias")
+        assert self.told(monitor, 15.0, bias) == [(15.0, "named", "bias")]
+        over = replace(bias, end_s=14.5)
+        assert self.told(monitor, 16.0, over) == [(16.0, "clear", "bias")]
+        assert (monitor.standing, monitor.has_fault, monitor.faults) == ("", True, (over,))
+        assert self.told(monitor, 17.0, over) == []
+
+    def test_what_tolerances_explain_is_acquitted_until_they_do_not(self) -> None:
+        monitor = SurfaceMonitor("x", *surface())
+        self.told(monitor, 13.0, self.stuck)
+        assert self.told(monitor, 14.0, self.healthy) == [(14.0, "clear", "healthy")]
+        assert (monitor.standing, monitor.has_fault, monitor.faults) == ("", False, ())
+        assert self.told(monitor, 15.0, self.healthy) == []
+        assert self.told(monitor, 16.0, self.stuck) == [(16.0, "named", "stuck")]
+        assert (monitor.has_fault, monitor.faults) == (True, (self.stuck,))
+
+    def test_an_alarm_within_a_fault_belongs_to_it(self) -> None:
+        monitor = SurfaceMonitor("x", *surface())
+        later = replace(self.stuck, start_s=19.0, alarm_s=20.0)
+        self.told(monitor, 21.0, replace(self.stuck, end_s=15.0), later)
+        assert [fault.alarm_s for fault in monitor.faults] == [12.0, 20.0]
+        assert self.told(monitor, 22.0, self.stuck) == []
+        assert monitor.faults == (self.stuck,)
+
+    def test_a_wrong_calibration_takes_everything_back(self) -> None:
+        monitor = SurfaceMonitor("x", *surface())
+        self.told(monitor, 13.0, self.stuck)
+        assert self.told(monitor, 14.0, problem="check the sign") == [(14.0, "clear", "unknown")]
+        assert (monitor.problem, monitor.is_watched, monitor.has_fault) == ("check the sign", False, False)
 
 
 class TestPace:
