@@ -156,6 +156,15 @@ class TestNumbersOfAServoWithEffects:
             np.testing.assert_allclose(motion.at(np.array([0.0]))[0], expected_deg, atol=1e-9)
         assert ExtendedMotion(calm).at(np.zeros(1))[0] == 0.0
 
+    def test_an_output_follows_no_faster_than_its_two_rates(self) -> None:
+        physics = Physics(follow_up_deg_s=100.0, follow_down_deg_s=50.0)
+        motion = ExtendedMotion(ExtendedServo(plant_of(KNOWN), physics), 0.0)
+        motion.hear(np.array([0.0, 1.0]), np.array([20.0, 0.0]), np.zeros(2))
+        position_deg = motion.at(np.arange(251) / 100.0)
+        rates_deg_s = np.diff(position_deg) * 100.0
+        assert (rates_deg_s.max(), rates_deg_s.min()) == pytest.approx((100.0, -50.0), rel=1e-6)
+        assert position_deg[[100, 250]] == pytest.approx([20.0, 0.0], abs=1e-3)
+
     def test_frames_carry_the_command_in_force_when_they_begin(self) -> None:
         """Frames at 0.1, 0.3, 0.5 s: a ramp of 10 deg/s is heard as 1, 3 and 5 deg."""
         framed = ExtendedMotion(ExtendedServo(plant_of(KNOWN), Physics(frame_s=0.2, frame_phase=0.5)), 0.0)
