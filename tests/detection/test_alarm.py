@@ -9,8 +9,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from servofd.detection.alarm import Episode, crossings, find_episodes
-from servofd.detection.residual import ResidualGenerator
-from servofd.detection.threshold import constant_threshold, interval_threshold, suspicion
+from servofd.detection.latch import latch, new_latch_memory
+from servofd.detection.probability import Noise, design_cusum
+from servofd.detection.residual import ResidualGenerator, Residuals
+from servofd.detection.threshold import Threshold, constant_threshold, interval_threshold, suspicion
 from servofd.segment import Segment
 from servofd.simulation.commands import COMMANDS
 from servofd.tolerance import Tolerance
@@ -127,3 +129,69 @@ class TestSuspicion:
         assert episode.suspected_s is not None
         assert 23.0 < episode.suspected_s < episode.alarm_s
         assert episode.alarm_s == pytest.approx(35.0, abs=1.5)
+
+
+class TestEpisodesByHand:
+    """A minute of samples every 0.1 s against 1.5 deg; noise of 0.1 deg, and a surface that is moved about or not."""
+
+    time_s = np.arange(601) / 10.0
+
+    def found(self, residual_deg: FloatArray, suspected_s: list[float], *, moves: bool = True) -> tuple[Episode, ...]:
+        size = self.time_s.size
+        immobile_deg = np.where(np.arange(size) % 10 < 5, 6.0, -6.0) * moves
+        residuals = Residuals(
+            self.time_s,
+            np.zeros(size),
+            residual_deg,
+            residual_deg,
+            np.ones(size, dtype=bool),
+            immobile_deg,
+            np.zeros(size, dtype=np.int8),
+        )
+        level, nothing = np.full(size, 1.5), np.zeros(size)
+        cusum = design_cusum(0.5, 1e-3, Noise(1.0, np.eye(8)[0], 0.1))
+        threshold = Threshold("constant", level, nothing, nothing, level / 6.0, cusum, nothing)
+        return find_episodes(residuals, threshold, suspicion=np.isin(self.time_s, suspected_s))
+
+    def test_suspicions_ten_seconds_apart_are_one(self) -> None:
+        quiet = np.full(601, 0.1)
+        assert self.found(quiet, [10.0, 12.0, 22.0, 32.5, 50.0]) == (
+            Episode(10.0, 10.0, 22.0, "suspect"),
+            Episode(32.5, 32.5, 32.5, "suspect"),
+            Episode(50.0, 50.0, None, "suspect"),
+        )
+        assert self.found(quiet, [49.9])[0].end_s == 49.9
+        assert self.found(quiet, []) == ()
+
+    def test_an_alarm_knows_what_announced_it_and_outlasts_its_echo(self) -> None:
+        """0.8 deg at 29 s come half a second and more before the rest; 4.5 sigma of what was before are 0.67 deg."""
+        residual_deg = np.full(601, 0.1)
+        residual_deg[290] = 0.8
+        residual_deg[[297, 298, 299]] = 0.6, -0.7, 1.4
+        residual_deg[300:310] = -2.0
+        first, later = self.found(residual_deg, [5.0, 25.0, 35.0, 40.9, 41.0])[1:]
+        assert first == Episode(29.8, 30.0, 30.9, "fault", 25.0)
+        assert later == Episode(41.0, 41.0, 41.0, "suspect")
+
+    def test_a_suspicion_that_was_over_long_before_announces_nothing(self) -> None:
+        residual_deg = np.where((self.time_s >= 30.0) & (self.time_s < 31.0), 2.0, 0.1)
+        earlier, fault = self.found(residual_deg, [19.9])
+        assert (earlier.level, fault.suspected_s) == ("suspect", None)
+        (fault,) = self.found(residual_deg, [20.0])
+        assert (fault.level, fault.suspected_s) == ("fault", 20.0)
+
+    def test_without_motion_an_alarm_stands_and_all_after_it_is_its_echo(self) -> None:
+        residual_deg = np.where((self.time_s >= 30.0) & (self.time_s < 31.0), 1.5, 0.1)
+        (fault,) = self.found(residual_deg, [45.0, 59.0], moves=False)
+        assert fault == Episode(30.0, 30.0, None)
+
+
+def test_it_clears_after_twenty_thresholds_of_travel_beyond_a_zone() -> None:
+    """Each swing of 6 thresholds moves what is held by 4: the fifth after the last loud sample makes twenty."""
+    size = 9
+    immobile_deg = np.array([0.0, 4.5, -4.5, 4.5, -4.5, 4.5, -4.5, 4.5, -4.5])
+    residual_deg = np.array([0.0, 2.0, 0.75, 0.7, 0.7, 0.7, 0.7, 0.7, 2.0])
+    found_ = latch(new_latch_memory(), residual_deg, np.full(size, 1.5), immobile_deg, 1, 1.5)
+    assert np.flatnonzero(found_.alarm).tolist() == [1, 8]
+    assert np.flatnonzero(found_.clear).tolist() == [7]
+    assert found_.group.tolist() == [-1, 0, 0, -1, -1, -1, -1, -1, 1]

@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
+from servofd.detection.alarm import Episode
 from servofd.detection.bank.classify import BANK, name_fault, scores
-from servofd.detection.bank.explanation import Ridge
+from servofd.detection.bank.confirm import confirmed, joined
+from servofd.detection.bank.explanation import Explanation, Ridge
 from servofd.detection.bank.isolate import Fault as Found
+from servofd.detection.bank.isolate import Flight
+from servofd.detection.bank.onset import refine_onset_s
+from servofd.detection.bank.signature import narendra
+from servofd.detection.bank.window import Window
 from servofd.detection.plausible import wiring_problem
+from servofd.models.effects import RateLimit
 from servofd.models.faults import (
     Bias,
     DeadBand,
@@ -22,9 +31,10 @@ from servofd.models.faults import (
     Slow,
     Stuck,
 )
+from servofd.models.play import play
 from servofd.simulation.commands import COMMANDS
 from servofd.types import FloatArray
-from tests.detection.tolerated import MODEL
+from tests.detection.tolerated import MODEL, deviating
 from tests.detection.windows import NOISE_DEG, command, flown, judged, residuals_of, window
 
 HYPOTHESES = {hypothesis.kind: hypothesis for hypothesis in BANK}
@@ -66,6 +76,32 @@ def test_each_fault_is_recovered_within_its_interval(kind: str, name: str, truth
         hits += estimate.low <= truth <= estimate.high
     # 95 % of ten; eight or fewer have a chance of 9 %, seven of 1 %.
     assert hits >= 8
+
+
+def test_the_frequency_of_a_limit_cycle_is_as_sure_as_cramer_and_rao_allow() -> None:
+    one = window(0, GROSS["oscillation"])
+    found = HYPOTHESES["oscillation"].explain(one)
+    assert found is not None
+    size, frequency = found.parameters["amplitude_deg"], found.parameters["frequency_hz"]
+    # In n samples of white noise sigma a sine is known to sigma sqrt(2 / n), its tone to sqrt(6 / n) sigma / (pi T A).
+    samples = one.time_s.size
+    assert size.deviation == pytest.approx(NOISE_DEG * np.sqrt(2.0 / samples), rel=0.2)
+    least_hz = np.sqrt(6.0 / samples) * NOISE_DEG / (np.pi * one.duration_s * size.value)
+    assert frequency.deviation == pytest.approx(least_hz, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("index", "off"),
+    [(0, {"gain": 0.01}), (1, {"delay_s": 0.002}), (2, {"bandwidth": 0.01}), (3, {"bias_deg": 0.3})],
+)
+def test_nuisances_are_what_a_servo_that_is_a_little_off_adds(index: int, off: dict[str, float]) -> None:
+    time_s, one = np.arange(2400) / 100.0, window(0, None)
+    command_deg = command(0, time_s)
+    added_deg = (deviating(time_s, command_deg, **off) - deviating(time_s, command_deg))[1200:2000]
+    (size,) = off.values()
+    shape_deg = one.nuisances[:, index]
+    assert (shape_deg @ added_deg) / (shape_deg @ shape_deg) == pytest.approx(size, rel=0.04)
+    assert np.sum((added_deg - size * shape_deg) ** 2) < 0.06 * np.sum(added_deg**2)
 
 
 @pytest.mark.parametrize("kind", GROSS)
@@ -126,6 +162,62 @@ class TestRidge:
             low, high = ridge.estimate(ridge.fit(target_deg), target_deg, 0)[1:]
             hits += low <= 1.0 <= high
         assert hits >= 90
+
+
+class TestOnset:
+    """A servo with a bias that it always had, to which a fault adds a degree."""
+
+    time_s = np.arange(1000) / 100.0
+    habit_deg, noise_deg = 0.3, 0.05
+
+    def refined_s(
+        self, onset_s: float, before_s: float = 4.0, still_s: float = 0.0, size_deg: float = 1.0, way_s: float = 0.0
+    ) -> float:
+        """Refined onset [s] of what was suspected at 5 s; for so long the fault does not show, or is on its way."""
+        noise_deg = self.noise_deg * (-1.0) ** np.arange(self.time_s.size)
+        shown = np.where(self.time_s >= onset_s + way_s, 1.0, 0.7) * (self.time_s >= onset_s + still_s)
+        measured_deg = self.habit_deg + noise_deg + size_deg * shown
+
+        def of(first_s: float, last_s: float, _: object) -> Window:
+            cut = slice(*np.searchsorted(self.time_s, [first_s - 1e-9, last_s + 1e-9]).tolist())
+            nuisances, spread = np.ones((self.time_s[cut].size, 1)), np.array([0.5])
+            fields = {
+                "time_s": self.time_s[cut],
+                "measured_deg": measured_deg[cut],
+                "error_deg": measured_deg[cut],
+                "nuisances": nuisances,
+                "spread": spread,
+                "noise_deg": self.noise_deg,
+                "ridge": Ridge(nuisances, spread, self.noise_deg),
+                "onset": None,
+            }
+            return cast("Window", SimpleNamespace(**fields))
+
+        def predict(other: Window) -> FloatArray:
+            return np.where(other.time_s >= onset_s + still_s, self.habit_deg + size_deg, self.habit_deg)
+
+        fault = Explanation("bias", np.zeros(0), 0.0, 1.0, predict=predict)
+        flight = cast("Flight", SimpleNamespace(window=of))
+        return refine_onset_s(flight, fault, 5.0, of(5.0, 9.0, None), before_s)
+
+    @pytest.mark.parametrize("onset_s", [2.75, 4.0, 5.5])
+    def test_it_is_the_first_sample_that_the_fault_spoils(self, onset_s: float) -> None:
+        """Health is learnt until 2.7 s, three tenths before the middle of the four seconds before the suspicion."""
+        assert self.refined_s(onset_s) == self.refined_s(onset_s, size_deg=-1.0) == onset_s
+
+    def test_where_both_explain_alike_it_is_the_latest(self) -> None:
+        assert self.refined_s(3.0, still_s=1.5) == 4.5
+
+    def test_on_its_way_it_is_neither_healthy_nor_explained(self) -> None:
+        """0.7 of 1 deg are six sigma off the one and fourteen off the other: both count as four."""
+        assert self.refined_s(4.0, way_s=0.25) == 4.25
+
+    def test_a_shorter_look_back(self) -> None:
+        assert self.refined_s(4.75, before_s=2.0) == 4.75
+
+    def test_what_predicts_nothing_moves_nothing(self) -> None:
+        fault = Explanation("unknown", np.zeros(0), 0.0, 1.0)
+        assert refine_onset_s(cast("Flight", None), fault, 5.0, window(0, None)) == 5.0
 
 
 def only(time_s: FloatArray, command_deg: FloatArray, measured_deg: FloatArray) -> Found:
@@ -240,3 +332,81 @@ class TestWiring:
         command_deg = command(6, TIME_S)
         position_deg = MODEL.simulate(TIME_S, command_deg, TIME_S) * np.where(TIME_S < 30.0, 1.0, -1.0)
         assert wiring_problem(residuals_of(TIME_S, command_deg, position_deg)) == ""
+
+
+class TestVariants:
+    """The same fault in another machine."""
+
+    time_s = np.arange(2400) / 100.0
+
+    def window(self, measured_deg: FloatArray) -> Window:
+        noise_deg = NOISE_DEG * np.random.default_rng(9).standard_normal(measured_deg.size)
+        one = window(0, None)
+        object.__setattr__(one, "measured_deg", (measured_deg + noise_deg)[1200:2000])
+        return one
+
+    def test_play_behind_the_servo(self) -> None:
+        healthy_deg = MODEL.simulate(self.time_s, command(0, self.time_s), self.time_s)
+        found = HYPOTHESES["deadband"].explain(self.window(play(healthy_deg, 3.0, 0.0)))
+        assert found is not None
+        assert found.parameters["width_deg"].value == pytest.approx(3.0, abs=0.15)
+
+    def test_a_bias_that_stays_has_one_number_and_one_that_grows_has_two(self) -> None:
+        """It is told as it is at the end: 2 deg, and 0.3 deg/s over the eight seconds before."""
+        healthy_deg = MODEL.simulate(self.time_s, command(0, self.time_s), self.time_s)
+        for growth_deg_s, freedom in ((0.0, 1.0), (0.3, 2.0)):
+            biased_deg = healthy_deg + 2.0 + growth_deg_s * (self.time_s - 19.99)
+            found = HYPOTHESES["bias"].explain(self.window(biased_deg))
+            assert found is not None
+            assert found.freedom == freedom
+            assert found.parameters["bias_deg"].value == pytest.approx(2.0, abs=0.1)
+
+    def test_a_servo_that_has_lost_speed(self) -> None:
+        asked_deg = command(0, self.time_s)
+        fastest_deg_s = float(np.abs(np.gradient(window(0, None).healthy_deg, 0.01)).max())
+        weak = (MODEL + RateLimit(0.4 * fastest_deg_s)).simulate(self.time_s, asked_deg, self.time_s)
+        found = HYPOTHESES["slow"].explain(self.window(weak))
+        assert found is not None
+        limit = found.parameters["rate_limit_deg_s"]
+        assert limit.value == pytest.approx(0.4 * fastest_deg_s, rel=0.05)
+        assert limit.low < 0.4 * fastest_deg_s < limit.high
+
+
+def test_narendras_filter_remembers_nine_tenths() -> None:
+    np.testing.assert_allclose(narendra(np.array([1.0, 0.0, -2.0, 0.0])), [0.0, 0.1, 0.09, 0.281], rtol=1e-12)
+
+
+class TestConfirmation:
+    episode = Episode(10.0, 12.0, None, "suspect")
+    fault = Found("stuck", 10.0, 12.0, 20.0, {}, 0.95, (), "suspect", named_s=14.5)
+
+    def test_a_suspicion_that_is_sure_is_an_alarm_when_it_is_named(self) -> None:
+        later = replace(self.fault, start_s=30.0)
+        assert confirmed((self.fault, later), self.episode) == (
+            replace(self.fault, level="fault", alarm_s=14.5),
+            later,
+        )
+
+    @pytest.mark.parametrize(
+        "other", [{"probability": 0.949}, {"kind": "healthy"}, {"kind": "unknown"}, {"named_s": None}]
+    )
+    def test_one_that_is_not_remains_one(self, other: dict[str, Any]) -> None:
+        doubtful = replace(self.fault, **other)
+        assert confirmed((doubtful,), self.episode) == (doubtful,)
+
+    def test_an_alarm_remains_where_it_was_raised(self) -> None:
+        crossed = replace(self.fault, level="fault")
+        assert confirmed((crossed,), replace(self.episode, level="fault")) == (crossed,)
+
+    def test_neighbours_of_one_kind_are_one_unless_the_servo_was_well_in_between(self) -> None:
+        nothing_known = cast("Flight", SimpleNamespace(window=lambda *_: None))
+        well = cast("Flight", SimpleNamespace(window=lambda *_: window(0, None)))
+        still = cast("Flight", SimpleNamespace(window=lambda *_: window(0, GROSS["stuck"])))
+        again = replace(self.fault, start_s=25.0, end_s=None)
+        for flight in (nothing_known, still):
+            assert joined(flight, [self.fault, again]) == (replace(self.fault, end_s=None),)
+        assert joined(well, [self.fault, again]) == (self.fault, again)
+        lasting = replace(self.fault, end_s=None)
+        assert joined(well, [lasting, replace(again, end_s=40.0)]) == (replace(lasting, end_s=40.0),)
+        for other in (replace(again, kind="bias"), replace(again, level="fault")):
+            assert joined(nothing_known, [self.fault, other]) == (self.fault, other)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -11,14 +13,17 @@ from hypothesis import strategies as st
 
 from servofd.aircraft import Surface, plain_aircraft
 from servofd.detection.alarm import crossings
-from servofd.detection.events import Event
+from servofd.detection.bank.isolate import Fault
+from servofd.detection.events import Event, Look
 from servofd.detection.glitches import glitches
+from servofd.detection.history import CommandBuffer, History
 from servofd.detection.judge import judge
 from servofd.detection.latch import latch, new_latch_memory
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.prepare import prepared
 from servofd.detection.residual import ResidualGenerator, rhythm
 from servofd.detection.running import new_running_median, with_value
+from servofd.detection.starts import mark_starts, new_starts_memory
 from servofd.detection.stream import Piece, Stream
 from servofd.models.servo_model import ServoModel
 from servofd.segment import Segment
@@ -164,6 +169,106 @@ class TestNoVerdictFromNoMeasurement:
         assert monitor.is_watched
 
 
+class TestWhatTheBankTells:
+    """Alarms of one surface, as looks at them tell more."""
+
+    stuck = Fault("stuck", 11.8, 12.0, None, {}, 0.99, ())
+    healthy = Fault("healthy", 11.8, 12.0, None, {}, 0.99, ())
+
+    @staticmethod
+    def told(monitor: SurfaceMonitor, at_s: float, *faults: Fault, problem: str = "") -> list[tuple[float, str, str]]:
+        time_s = np.arange(0.0, at_s, 0.1)
+        levels = SimpleNamespace(time_s=time_s, residual_deg=2.0 * time_s, level_deg=0.0 * time_s + 1.5)
+        look = cast("Look", SimpleNamespace(at_s=at_s, residuals=levels, threshold=levels))
+        wrong = tuple(fault for fault in faults if fault.kind != "healthy")
+        right = tuple(fault for fault in faults if fault.kind == "healthy")
+        return [(event.time_s, event.event, event.kind) for event in monitor.told(look, (wrong, right, problem))]
+
+    def test_a_name_a_better_name_and_an_end(self) -> None:
+        monitor = SurfaceMonitor("x", *surface())
+        assert self.told(monitor, 13.0, self.stuck) == [(12.0, "alarm", "unknown"), (13.0, "named", "stuck")]
+        assert (monitor.standing, monitor.has_fault, monitor.faults) == ("stuck", True, (self.stuck,))
+        assert self.told(monitor, 14.0, self.stuck) == []
+        bias = replace(self.stuck, kind="bias")
+        assert self.told(monitor, 15.0, bias) == [(15.0, "named", "bias")]
+        over = replace(bias, end_s=14.5)
+        assert self.told(monitor, 16.0, over) == [(16.0, "clear", "bias")]
+        assert (monitor.standing, monitor.has_fault, monitor.faults) == ("", True, (over,))
+        assert self.told(monitor, 17.0, over) == []
+
+    def test_what_tolerances_explain_is_acquitted_until_they_do_not(self) -> None:
+        monitor = SurfaceMonitor("x", *surface())
+        self.told(monitor, 13.0, self.stuck)
+        assert self.told(monitor, 14.0, self.healthy) == [(14.0, "clear", "healthy")]
+        assert (monitor.standing, monitor.has_fault, monitor.faults) == ("", False, ())
+        assert self.told(monitor, 15.0, self.healthy) == []
+        assert self.told(monitor, 16.0, self.stuck) == [(16.0, "named", "stuck")]
+        assert (monitor.has_fault, monitor.faults) == (True, (self.stuck,))
+
+    def test_an_alarm_within_a_fault_belongs_to_it(self) -> None:
+        monitor = SurfaceMonitor("x", *surface())
+        later = replace(self.stuck, start_s=19.0, alarm_s=20.0)
+        self.told(monitor, 21.0, replace(self.stuck, end_s=15.0), later)
+        assert [fault.alarm_s for fault in monitor.faults] == [12.0, 20.0]
+        assert self.told(monitor, 22.0, self.stuck) == []
+        assert monitor.faults == (self.stuck,)
+
+    def test_a_wrong_calibration_takes_everything_back(self) -> None:
+        monitor = SurfaceMonitor("x", *surface())
+        self.told(monitor, 13.0, self.stuck)
+        assert self.told(monitor, 14.0, problem="check the sign") == [(14.0, "clear", "unknown")]
+        assert (monitor.problem, monitor.is_watched, monitor.has_fault) == ("check the sign", False, False)
+
+
+class TestPace:
+    @pytest.fixture
+    def monitor(self) -> SurfaceMonitor:
+        """Three seconds at 50 Hz."""
+        entry, model = surface(servo="hs225bb-eq31")
+        monitor, time_s = SurfaceMonitor("x", entry, model), TIME_S[:150]
+        position_deg = model.simulate(time_s, COMMAND_DEG[:150], time_s)
+        assert monitor.feed((time_s, COMMAND_DEG[:150]), (time_s, position_deg)) == []
+        assert monitor.is_watched
+        return monitor
+
+    @pytest.mark.parametrize(("interval_s", "is_new"), [(0.0125, True), (0.014, False), (0.029, False), (0.031, True)])
+    def test_half_as_fast_again_is_still_the_same(
+        self, monitor: SurfaceMonitor, interval_s: float, is_new: bool
+    ) -> None:
+        later_s = np.linspace(2.98 + interval_s, 2.98 + 101 * interval_s, 101)
+        events = monitor.feed((NOTHING, NOTHING), (later_s, np.sin(later_s)))
+        texts = [event.text for event in events if event.event == "no_data"]
+        told = f"positions now come at {1.0 / interval_s:.3g} Hz, not 50 Hz; begins anew"
+        assert texts == [told] * is_new
+        assert monitor.is_watched != is_new
+        assert monitor.rate_hz == pytest.approx(1.0 / interval_s) or is_new
+
+    @pytest.mark.parametrize(("bursts_s", "is_new"), [(0.4, False), (0.1, True)])
+    def test_bursts_of_late_positions_are_no_new_pace(
+        self, monitor: SurfaceMonitor, bursts_s: float, is_new: bool
+    ) -> None:
+        """Twenty within 20 ms, every so often: on the average one in 20 ms, or one in 5 ms."""
+        later_s = 3.0 + (bursts_s * np.arange(6)[:, None] + 0.001 * np.arange(20)).ravel()
+        events = monitor.feed((NOTHING, NOTHING), (later_s, np.sin(later_s)))
+        assert bool([event for event in events if event.event == "no_data"]) == is_new
+
+    def test_hundred_positions_are_needed_to_tell_a_new_one(self, monitor: SurfaceMonitor) -> None:
+        later_s = np.linspace(3.02, 6.94, 99)
+        events = monitor.feed((NOTHING, NOTHING), (later_s, np.sin(later_s)))
+        assert monitor.is_watched
+        assert "no_data" not in {event.event for event in events}
+
+    def test_what_was_too_slow_is_watched_once_it_is_quick_enough(self) -> None:
+        monitor = SurfaceMonitor("x", *surface(servo="hs225bb-eq31"))
+        slow_s = np.arange(101) / 5.0
+        (refused,) = monitor.feed((slow_s, np.zeros(101)), (slow_s, np.sin(slow_s)))
+        assert refused.text == "position comes at 5 Hz; a servo cannot be judged below 10 Hz"
+        assert (refused.time_s, monitor.is_watched) == (20.0, False)
+        quick_s = 20.0 + np.arange(1, 102) / 50.0
+        monitor.feed((quick_s, np.zeros(101)), (quick_s, np.sin(quick_s)))
+        assert (monitor.is_watched, monitor.problem) == (True, "")
+
+
 class TestSteps:
     @settings(max_examples=50)
     @given(st.lists(st.floats(1e-3, 1e3), min_size=1, max_size=60))
@@ -202,3 +307,81 @@ def test_memory_is_bounded() -> None:
         sizes.append((stream.history.size <= 30_000, stream.effective.size <= 30_000, stream.logged.size <= 4096))
     assert all(all(size) for size in sizes)
     assert not monitor.has_fault
+
+
+class TestStarts:
+    """Commands every 0.1 s but for a hole of 0.7 s; 0.3 s are bridged, an eighth of a second after a start is blank."""
+
+    command_s = np.array([0.0, 0.1, 0.2, 0.3, 1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6])
+
+    @pytest.mark.parametrize("cut", [12, 5, 1])
+    def test_what_starts_anew_and_what_is_judged(self, cut: int) -> None:
+        measured_s = np.array([-0.1, 0.0, 0.1, 0.2, 0.5, 0.7, 1.05, 1.15, 1.2, 1.55, 1.65, 1.8])
+        measured_deg = np.array([1.0, 1.0, np.nan, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, np.nan, 1.0, 1.0])
+        memory, found = new_starts_memory(), []
+        for first in range(0, 12, cut):
+            here = slice(first, first + cut)
+            found.append(mark_starts(memory, self.command_s, measured_s[here], measured_deg[here], 0.3, 0.18, 0.125))
+        restart, settled, usable_deg = (
+            np.concatenate([getattr(piece, name) for piece in found]) for name in ("restart", "settled", "measured_deg")
+        )
+        # Before the first command nothing is known; 1.05 s is the first after the hole, 1.65 s 0.45 s after 1.2 s.
+        assert restart.tolist() == [0, 2, 0, 0, 0, 0, 2, 0, 0, 0, 1, 0]
+        assert np.flatnonzero(np.isnan(usable_deg)).tolist() == [0, 2, 5, 9]
+        # At 0.5 s the last command is 0.2 s old, at 1.8 s as well: the next may have been lost.
+        assert np.flatnonzero(settled).tolist() == [3, 8]
+
+
+class TestMemory:
+    def test_a_full_history_drops_a_quarter_and_says_so(self) -> None:
+        history = History(8)
+        rows = np.tile(np.arange(8.0), (History.ROWS, 1))
+        history.append(rows)
+        assert (history.size, history.first_s, history.last_s, history.is_whole) == (8, 0.0, 7.0, True)
+        history.append(rows[:, :1] + 8.0)
+        assert (history.size, history.first_s, history.last_s, history.is_whole) == (6, 3.0, 8.0, False)
+        history.append(np.tile(np.arange(9.0, 29.0), (History.ROWS, 1)))
+        assert (history.size, history.first_s, history.last_s) == (8, 21.0, 28.0)
+        assert np.isnan([History(4).first_s, History(4).last_s]).all()
+
+    def test_a_full_buffer_of_commands_drops_a_quarter_and_bends_the_last(self) -> None:
+        buffer = CommandBuffer(8)
+        assert [buffer.append(float(k), 2.0 * k, 0.0) for k in range(10)] == [0] * 8 + [2, 0]
+        assert buffer.time_s.tolist() == [2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0]
+        buffer.bend(20.0, 0.5)
+        kept = buffer.copied()
+        assert kept.slope_deg_s.tolist() == [0.0] * 7 + [4.0]
+        buffer.bend(18.0, 0.5)
+        assert (buffer.commands().slope_deg_s[-1], kept.slope_deg_s[-1], kept.command_deg[-1]) == (0.0, 4.0, 18.0)
+
+
+class TestGlitches:
+    @staticmethod
+    def marked(*places: int, size: int = 300, restart: int | None = None, jump_deg: float = 5.0) -> list[int]:
+        error_deg = 0.01 * np.random.default_rng(1).standard_normal(size)
+        error_deg[list(places)] += jump_deg
+        begins = np.zeros(size, dtype=np.int8)
+        if restart is not None:
+            begins[restart] = 1
+        return np.flatnonzero(glitches(error_deg, begins)).tolist()
+
+    def test_one_or_two_away_and_two_back(self) -> None:
+        assert self.marked(50) == [50]
+        assert self.marked(50, 51) == [50, 51]
+        assert self.marked(50, 51, 52) == []
+        assert self.marked(50, 52) == []
+        assert self.marked(298) == []  # only one of them comes back before the end
+        assert self.marked(297) == [297]
+
+    def test_none_is_told_before_eight_samples_or_across_a_start(self) -> None:
+        assert (self.marked(7), self.marked(8)) == ([], [8])
+        assert self.marked(50, restart=51) == []
+        assert self.marked(50, restart=50) == []
+
+    def test_a_jump_of_less_than_ten_sigma_is_noise(self) -> None:
+        """The noise is not taken to be smaller than 0.05 deg."""
+        assert (self.marked(50, jump_deg=0.45), self.marked(50, jump_deg=0.55)) == ([], [50])
+
+    def test_where_one_in_fifty_jumps_it_is_what_the_position_does(self) -> None:
+        assert self.marked(20, 30, 40, 50) == [20, 30]
+        assert self.marked(20, 30, 110, 200) == [20, 30, 110, 200]

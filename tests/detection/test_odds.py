@@ -61,6 +61,20 @@ def test_no_noise_needs_no_threshold() -> None:
     assert false_alarms_per_hour(1.0, 0.0, 0.6, 0.01) == 0.0
 
 
+@pytest.mark.parametrize("correlation", [-0.7, 0.0, 0.5])
+@pytest.mark.parametrize("z", [1.0, 2.5])
+def test_the_rate_of_crossings_is_that_of_the_bivariate_normal_law(correlation: float, z: float) -> None:
+    """One sample inside both limits, the next outside either: 2 [P(b > z) - P(|a| > z, b > z)] per sample time."""
+    from scipy.special import ndtr
+    from scipy.stats import multivariate_normal
+
+    same, other = (
+        float(multivariate_normal.cdf([-z, -z], cov=[[1.0, rho], [rho, 1.0]])) for rho in (correlation, -correlation)
+    )
+    exact_per_hour = 2.0 * 3600.0 / 0.01 * (float(ndtr(-z)) - same - other)
+    assert false_alarms_per_hour(3.0 * z, 3.0, correlation, 0.01) == pytest.approx(exact_per_hour, rel=1e-6)
+
+
 @pytest.mark.parametrize("samples", [2, 3, 5])
 def test_runs_of_white_noise_have_a_closed_form(samples: int) -> None:
     from scipy.special import ndtr
@@ -194,6 +208,49 @@ def test_the_predicted_delay_is_that_of_a_simulation(shift: float) -> None:
     assert (detection.least <= detection.likely).all()
     assert (detection.likely <= detection.most).all()
     assert persistent_delay_s(response, 5.138, NOISE, 1, seed=9) == pytest.approx(cut_off_s, rel=0.2) or shift < 3.0
+
+
+def test_detection_in_white_noise_is_geometric() -> None:
+    """Every sample is missed with the same chance q, so alarms come like the first head of a coin."""
+    from scipy.special import ndtr
+
+    missed = float(ndtr(1.0) - ndtr(-5.0))
+    detection = detect(np.full(11, 2.0), 3.0, WHITE)
+    np.testing.assert_allclose(detection.least, 1.0 - missed, rtol=1e-12)
+    np.testing.assert_allclose(detection.likely, 1.0 - missed ** np.arange(1, 12), rtol=1e-9)
+    np.testing.assert_allclose(detection.most, detection.likely, rtol=1e-9)
+    assert detection.steady_per_s == pytest.approx(-np.log(missed) / 0.01, rel=1e-9)
+    drawn_s = 0.01 * sum(missed**k for k in range(1, 11))
+    assert detection.mean_delay_s == pytest.approx(drawn_s - 0.01 * missed**11 / np.log(missed), rel=1e-9)
+    assert detection.delay_s(0.5) == pytest.approx(0.04)  # 0.841^4 = 0.501, 0.841^5 = 0.422
+    assert detection.delay_s(0.9) == float("inf")
+
+
+def test_noise_alone_crosses_both_limits() -> None:
+    assert detect(np.zeros(2), 1.0, WHITE).least == pytest.approx([0.317311, 0.317311], abs=1e-6)
+    off_centre = Noise(2.0, np.eye(8)[0], 0.01, mean_deg=1.0)
+    assert detect(np.zeros(2), 4.0, off_centre).least[0] == pytest.approx(0.066807 + 0.006210, abs=1e-6)
+
+
+def test_what_is_seen_for_sure_in_the_end_has_a_delay() -> None:
+    """A fault of 50 sigma in the fourth sample; before, each sample alarms with a chance of 2 Phi(-3) = 0.0027."""
+    detection = detect(np.array([0.0, 0.0, 0.0, 50.0]), 3.0, WHITE)
+    assert detection.steady_per_s == float("inf")
+    assert detection.mean_delay_s == pytest.approx(0.01 * sum(0.9973002039**k for k in (1, 2, 3)), rel=1e-8)
+
+
+@pytest.mark.parametrize("correlations", [(0.9, 0.0), (0.2, 0.9)])
+def test_the_colour_of_the_noise_reaches_as_far_back_as_it_is_known(correlations: tuple[float, float]) -> None:
+    """Three samples against the trivariate normal law; the second colour is in the sample before the last."""
+    from scipy.linalg import toeplitz
+    from scipy.stats import multivariate_normal
+
+    first, second = correlations
+    colour = np.array([1.0, first, second or 2.0 * first**2 - 1.0])
+    inside = multivariate_normal(cov=toeplitz(colour), allow_singular=True)
+    stayed = inside.cdf(np.full(3, 0.5), lower_limit=np.full(3, -1.5))
+    likely = detect(np.full(3, 0.5), 1.0, Noise(1.0, colour, 0.01)).likely
+    assert likely[-1] == pytest.approx(1.0 - stayed, abs=0.015)
 
 
 def test_the_sign_of_a_fault_does_not_matter() -> None:

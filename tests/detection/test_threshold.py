@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from servofd.detection.allowance import Bounds, Signals, follow, new_work
 from servofd.detection.residual import ResidualGenerator, Residuals
 from servofd.detection.threshold import Threshold, constant_threshold, interval_threshold, suspicion
 from servofd.segment import Segment
@@ -178,3 +179,84 @@ class TestSuspicion:
     @pytest.mark.parametrize("off", [{}, {"bias_deg": 0.3}, {"gain": -0.03}, {"delay_s": 0.003}, {"bandwidth": -0.1}])
     def test_deviations_within_tolerance_do_not(self, off: dict[str, float], seed: int) -> None:
         assert not self.of(seed, **off).size
+
+
+class TestToleranceByHand:
+    """One tolerance at a time; a servo with one pole at 10 rad/s, and peaks that halve in the filter's 0.15 s."""
+
+    @staticmethod
+    def followed(
+        immobile_deg: list[float],
+        step_s: float,
+        habits: tuple[float, float, float, float],
+        decay_rad_s: complex = 10.0,
+        **others: list[float],
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        size, nothing = len(immobile_deg), np.zeros(0)
+        given = {name: np.array(values) for name, values in others.items()}
+        signals = Signals(
+            step_s * np.arange(size, dtype=float),
+            np.array(immobile_deg),
+            np.full(size, np.nan),
+            given.get("measured_deg", np.zeros(size)),
+            given.get("judged_deg", np.full(size, np.nan)),
+            given.get("restarted", np.zeros(size)) != 0.0,
+            given.get("rate_error_deg", nothing),
+            given.get("unseen_deg", nothing),
+        )
+        bounds = Bounds(np.array(habits), 0.1, 2.0, 3.0)
+        tolerated, saturated, sigma, drift = (np.zeros(size) for _ in range(4))
+        poles = np.array([decay_rad_s], dtype=complex)
+        follow(signals, bounds, new_work(bounds, 1), poles, tolerated, saturated, sigma, drift)
+        return tolerated, saturated, sigma, drift
+
+    def test_a_gain_leaves_its_share_of_the_recent_peak(self) -> None:
+        tolerated, saturated, sigma, _ = self.followed([0.0, -10.0, 0.0, np.nan, 0.0], 0.15, (0.03, 0.0, 0.0, 0.3))
+        np.testing.assert_allclose(tolerated, [0.3, 0.6, 0.45, 0.45, 0.3 + 0.3 / 2.0 / 3.0], rtol=1e-12)
+        np.testing.assert_array_equal(saturated, 0.0)
+        np.testing.assert_allclose(sigma, 2.0 * 0.1, rtol=1e-12)
+
+    def test_a_delay_leaves_its_share_of_the_speed(self) -> None:
+        """10 deg/s, and where it sets in 0.5 (1 + 3/10) times its change, for what a difference lags."""
+        tolerated, *_ = self.followed([0.0, 0.1, 0.2], 0.01, (0.0, 0.003, 0.0, 0.0))
+        np.testing.assert_allclose(tolerated, [0.0, 0.003 * 16.5, 0.003 * 16.5 * 15.0 / 16.0], rtol=1e-12)
+
+    @pytest.mark.parametrize(("decay_rad_s", "members"), [(10.0, 1.0), (10.0 + 1e-12j, 2.0)])
+    def test_a_bandwidth_leaves_its_share_of_what_passes_a_high_pass(
+        self, decay_rad_s: complex, members: float
+    ) -> None:
+        """A step of 1 deg, of which the pole has followed 0.05 / 1.05 after 0.01 s, then 0.1 more of the rest."""
+        tolerated, *_ = self.followed([0.0, 1.0, 1.0], 0.01, (0.0, 0.0, 0.5, 0.0), decay_rad_s)
+        np.testing.assert_allclose(tolerated[:2], [0.0, 0.5 * members * 1.5 / 1.05], rtol=1e-9)
+        np.testing.assert_allclose(tolerated[2], tolerated[1] * 15.0 / 16.0, rtol=1e-9)
+
+    def test_a_start_knows_no_speed(self) -> None:
+        tolerated, *_ = self.followed([0.0, 5.0, 5.0], 0.01, (0.0, 0.003, 0.5, 0.0), restarted=[1.0, 1.0, 0.0])
+        np.testing.assert_array_equal(tolerated, 0.0)
+
+    def test_what_a_saturated_servo_and_lost_commands_leave_fades(self) -> None:
+        rate, unseen = [0.0, -0.5, 0.0, 0.0], [0.0, 0.0, 0.2, 0.2]
+        tolerated, saturated, *_ = self.followed(
+            [0.0] * 4, 0.15, (0.0, 0.0, 0.0, 0.3), rate_error_deg=rate, unseen_deg=unseen
+        )
+        np.testing.assert_allclose(saturated, [0.0, 0.5, 0.25 + 0.2, 0.125 + 0.1 + 0.2], rtol=1e-12)
+        np.testing.assert_allclose(tolerated - saturated, 0.3, rtol=1e-12)
+
+    def test_no_noise_is_smaller_than_the_smallest_step_seen_allows(self) -> None:
+        *_, sigma, _ = self.followed([0.0] * 4, 0.01, (0.0, 0.0, 0.0, 0.3), measured_deg=[0.0, 0.9, 0.9, 1.5])
+        np.testing.assert_allclose(sigma, [0.2, 2.0 * 0.9 / 12**0.5, 2.0 * 0.9 / 12**0.5, 2.0 * 0.6 / 12**0.5])
+
+    def test_a_strange_habit_is_as_likely_as_bayes_says(self) -> None:
+        """At rest a residual of 0.35 deg can only be a bias: uniform within 0.3, or anything about 10 deg."""
+        count = 52
+        *_, drift = self.followed([0.0] * count, 0.01, (0.0, 0.0, 0.0, 0.3), judged_deg=[0.35] * count)
+        power = 3.0 * (2.0 * 0.1) ** 2
+
+        def odds(samples: int) -> float:
+            kept = (1.0 / (1.0 + 0.01 / 10.0)) ** np.arange(samples)
+            weight, moment = float(kept.sum()), float(0.35 * kept.sum())
+            return moment**2 / power * (1.0 / (weight + power / 100.0) - 1.0 / (weight + power * 3.0 / 0.09))
+
+        assert drift[0] == pytest.approx(odds(1), rel=1e-6)
+        assert drift[49] == drift[0]
+        assert drift[51] == pytest.approx(odds(51), rel=0.05)

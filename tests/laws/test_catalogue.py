@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import pytest
 
@@ -20,6 +21,29 @@ def test_a_search_begins_within_the_bounds_and_not_with_nothing(effect: type[Mis
         assert all(parameter.low <= value <= parameter.high for value in parameter.grid)
         if parameter.grid and not parameter.aside:
             assert not all(math.isclose(value, parameter.neutral) for value in parameter.grid)
+
+
+@every_effect
+def test_a_neutral_effect_is_none(effect: type[MissingEffect]) -> None:
+    """Neutral is what a servo without the effect has; of what is then infinite, the end of the range stands for it."""
+    for parameter in effect.parameters:
+        for without in (getattr(Physics(), name) for name in parameter.fields):
+            if math.isfinite(without) and parameter.name != "frequency_hz":
+                assert parameter.neutral == without
+            else:
+                assert parameter.neutral == (parameter.low if without < 0.0 else parameter.high)
+
+
+@every_effect
+def test_starting_values_rise_and_leave_no_hole(effect: type[MissingEffect]) -> None:
+    for parameter in effect.parameters:
+        grid = sorted(parameter.grid)
+        assert len(set(grid)) == len(grid)
+        assert parameter.typical < parameter.high - parameter.low
+        if not parameter.kinked:
+            assert tuple(grid) == parameter.grid
+            beside = [(a, b) for a, b in pairwise(grid) if a > 0.0]
+            assert all(b <= 3.0 * a or parameter.name == "damping_ratio" for a, b in beside)
 
 
 @every_effect

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from servofd.errors import ConfigError
 from servofd.models.effects import Delay, LinearDynamics, PositionLimit, RateLimit
-from servofd.models.failing import failing_deflection
+from servofd.models.failing import failing_deflection, in_order
 from servofd.models.faults import (
     FAULTS,
     Bias,
@@ -238,6 +238,43 @@ def test_a_servo_with_a_lower_rate_limit_keeps_its_poles() -> None:
     healthy, limited = MODEL.parameters(), Slow(START_S, rate_scale=0.16).become(MODEL.parameters())
     np.testing.assert_array_equal(limited.decay_rad_s, healthy.decay_rad_s)  # type: ignore[union-attr]
     assert limited.rate_up_deg_s == pytest.approx(0.16 * RATE_DEG_S)
+
+
+def test_a_fault_may_be_older_than_the_first_command() -> None:
+    model = MODEL.linear()
+    later_s = 5.0 + TIME_S
+    weak = LossOfEffectiveness(2.0, gain=0.5).deflection(model, later_s, 3.0 + command(), later_s)
+    np.testing.assert_allclose(weak, 0.5 * model.simulate(later_s, 3.0 + command(), later_s), rtol=0, atol=1e-9)
+    over = LossOfEffectiveness(2.0, gain=0.5, end_s=4.0).deflection(model, later_s, 3.0 + command(), later_s)
+    np.testing.assert_allclose(over, model.simulate(later_s, 3.0 + command(), later_s), rtol=0, atol=1e-9)
+
+
+def test_a_command_between_two_others_is_heard_anew_by_a_fault() -> None:
+    """The one in force when it begins, between two commands, and when it ends."""
+    command_s, command_deg = np.array([0.0, 10.0]), np.array([8.0, 4.0])
+    weak = LossOfEffectiveness(2.0, gain=0.5, end_s=6.0)
+    at_s = np.array([1.9, 5.9, 9.9, 11.9])
+    np.testing.assert_allclose(weak.deflection(MODEL, command_s, command_deg, at_s), [8.0, 4.0, 8.0, 4.0], atol=1e-6)
+
+
+def test_a_hardover_without_limits_runs_as_the_hs_225bb_does() -> None:
+    """To the full travel of 25 deg at 400 deg/s, between the two speeds of thesis Appendix A; not from rest at it."""
+    fine_s = 1.0 + np.array([0.0, 0.01, 0.05, 0.1])
+    moved_deg = HardOver(1.0).deflection(MODEL.linear(), np.zeros(1), np.full(1, 2.0), fine_s)
+    np.testing.assert_allclose(moved_deg, [2.0, 6.0, 22.0, 25.0], atol=1e-9)
+    down_deg = HardOver(1.0, -9.0).deflection(MODEL + RateLimit(100.0, 50.0), np.zeros(1), np.full(1, 2.0), fine_s)
+    np.testing.assert_allclose(down_deg, [2.0, 1.5, -0.5, -3.0], atol=1e-9)
+
+
+def test_the_smallest_and_largest_sizes_are_faults_too() -> None:
+    assert LossOfEffectiveness(0.0, gain=0.0).heard(np.array([4.0]), 0.0) == 0.0
+    assert (Slow(0.0, 1.0, 1.0).bandwidth_scale, Floating(0.0, seed=0).seed) == (1.0, 0)
+    with pytest.raises(ConfigError, match="whole number of zero or more"):
+        Floating(0.0, seed=-1)
+    with pytest.raises(ConfigError, match="at least 0"):
+        LossOfEffectiveness(0.0, gain=-0.1)
+    one, two = in_order([Stuck(12.0), Slow(10.0, end_s=12.0)])
+    assert (one.kind, two.kind) == ("slow", "stuck")
 
 
 def test_one_fault_at_a_time() -> None:

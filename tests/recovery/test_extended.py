@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -22,10 +23,11 @@ from servofd.models.catalogue import CATALOGUE, installed
 from servofd.models.context import Context
 from servofd.models.effect_table import effects_installed, table_of
 from servofd.models.effects import Extension
-from servofd.models.extended import ExtendedMotion
+from servofd.models.extended import ExtendedMotion, ExtendedServo
 from servofd.models.faults import Bias, Fault, HardOver, LossOfEffectiveness, Slow, Stuck
-from servofd.models.physics import plant_of
+from servofd.models.physics import Physics, longest_step_s, plant_of, scaled_transfer
 from servofd.models.servo_model import ServoModel
+from servofd.models.transfer import TransferFunction
 from servofd.segment import Segment
 from servofd.servos import servo_named
 from servofd.simulation.commands import lively
@@ -106,6 +108,103 @@ def test_a_run_in_pieces_is_the_run_in_one_go(name: str, size: dict[str, float |
         by_sample.append(samples.at(TIME_S[k : k + 1]))
     assert np.abs(np.concatenate(by_piece) - expected).max() < 1e-12
     assert np.abs(np.concatenate(by_sample) - expected).max() < 1e-12
+
+
+class TestNumbersOfAServoWithEffects:
+    """By hand."""
+
+    servo = ExtendedServo(
+        plant_of(KNOWN),
+        Physics(
+            rate_up_deg_s=90.0,
+            rate_down_deg_s=80.0,
+            set_point_deg_s=85.0,
+            gain=0.5,
+            lower_deg=-20.0,
+            upper_deg=30.0,
+            stop_lower_deg=-30.0,
+            stop_upper_deg=40.0,
+            bandwidth_scale=0.8,
+            backlash_deg=0.6,
+            deadband_deg=0.4,
+            friction_deg=0.1,
+        ),
+    )
+
+    def test_the_tightest_limit_counts(self) -> None:
+        assert (self.servo.rate_up_deg_s, self.servo.rate_down_deg_s) == (85.0, 80.0)
+        assert (self.servo.lower_deg, self.servo.upper_deg) == (-15.0, 20.0)
+
+    def test_play_is_half_of_every_full_width_and_all_of_the_friction(self) -> None:
+        assert self.servo.play_deg == pytest.approx(0.3 + 0.2 + 0.1)
+
+    def test_slower_weaker_and_limited_change_what_they_say(self) -> None:
+        assert self.servo.slower(0.5).physics == self.servo.physics._replace(bandwidth_scale=0.4)
+        weak = self.servo.weaker(0.1).physics
+        assert (weak.rate_up_deg_s, weak.rate_down_deg_s, weak.set_point_deg_s) == pytest.approx((81.0, 72.0, 76.5))
+        assert weak.follow_up_deg_s == np.inf
+        assert self.servo.limited(50.0).physics == self.servo.physics._replace(rate_up_deg_s=50.0, rate_down_deg_s=50.0)
+        assert self.servo.limited(85.0).physics == self.servo.physics._replace(rate_up_deg_s=85.0)
+        following = replace(self.servo, physics=Physics(follow_up_deg_s=100.0, follow_down_deg_s=60.0))
+        assert following.limited(70.0).physics == Physics(follow_up_deg_s=70.0, follow_down_deg_s=60.0)
+
+    def test_it_begins_where_its_command_wants_it_or_where_it_was_measured(self) -> None:
+        calm = ExtendedServo(plant_of(KNOWN), Physics(gain=0.5, bias_deg=1.0))
+        for start_deg, expected_deg in ((np.nan, 0.5 * 6.0 + 1.0), (-2.0, -2.0)):
+            motion = ExtendedMotion(calm, start_deg)
+            motion.hear(np.array([0.0, 0.5]), np.array([6.0, 9.0]), np.zeros(2))
+            np.testing.assert_allclose(motion.at(np.array([0.0]))[0], expected_deg, atol=1e-9)
+        assert ExtendedMotion(calm).at(np.zeros(1))[0] == 0.0
+
+    def test_an_output_follows_no_faster_than_its_two_rates(self) -> None:
+        physics = Physics(follow_up_deg_s=100.0, follow_down_deg_s=50.0)
+        motion = ExtendedMotion(ExtendedServo(plant_of(KNOWN), physics), 0.0)
+        motion.hear(np.array([0.0, 1.0]), np.array([20.0, 0.0]), np.zeros(2))
+        position_deg = motion.at(np.arange(251) / 100.0)
+        rates_deg_s = np.diff(position_deg) * 100.0
+        assert (rates_deg_s.max(), rates_deg_s.min()) == pytest.approx((100.0, -50.0), rel=1e-6)
+        assert position_deg[[100, 250]] == pytest.approx([20.0, 0.0], abs=1e-3)
+
+    def test_frames_carry_the_command_in_force_when_they_begin(self) -> None:
+        """Frames at 0.1, 0.3, 0.5 s: a ramp of 10 deg/s is heard as 1, 3 and 5 deg."""
+        framed = ExtendedMotion(ExtendedServo(plant_of(KNOWN), Physics(frame_s=0.2, frame_phase=0.5)), 0.0)
+        framed.hear(np.zeros(1), np.zeros(1), np.full(1, 10.0))
+        held = ExtendedMotion(ExtendedServo(plant_of(KNOWN), Physics()), 0.0)
+        held.hear(np.array([0.1, 0.3, 0.5]), np.array([1.0, 3.0, 5.0]), np.zeros(3))
+        at_s = np.arange(0.0, 0.7, 0.01)
+        np.testing.assert_allclose(framed.at(at_s), held.at(at_s), atol=1e-9)
+
+
+def test_scaled_damping_keeps_the_frequency_of_the_fast_pair() -> None:
+    """Thesis Eq. 3.1: (s + 24.84)(s^2 + 70.04 s + 4921), of which the pair rings at 70.15 rad/s."""
+    transfer = TransferFunction((122300.0,), tuple(np.polymul([1.0, 24.84], [1.0, 70.04, 4921.0])))
+    damped = scaled_transfer(transfer, Physics(damping_scale=0.5))
+    np.testing.assert_allclose(damped.denominator, np.polymul([1.0, 24.84], [1.0, 35.02, 4921.0]), rtol=1e-9)
+    both = scaled_transfer(transfer, Physics(damping_scale=0.5, bandwidth_scale=2.0))
+    np.testing.assert_allclose(both.poles_rad_s, 2.0 * damped.poles_rad_s, rtol=1e-9)
+    assert damped.dc_gain == pytest.approx(both.dc_gain) == pytest.approx(transfer.dc_gain)
+    real = scaled_transfer(TransferFunction((6.0,), (1.0, 6.0, 11.0, 6.0)), Physics(damping_scale=2.0))
+    np.testing.assert_allclose(real.denominator, np.polymul([1.0, 1.0], [1.0, 10.0, 6.0]), rtol=1e-9)
+
+
+def test_the_loop_has_the_poles_of_its_servo() -> None:
+    loop = plant_of(KNOWN).loop()
+    states = loop.closed_rate[:, :3]
+    np.testing.assert_allclose(np.poly(states), np.array(KNOWN.transfer.denominator), rtol=1e-9)
+    assert loop.load_per_error * loop.effort_per_torque == pytest.approx(1.0)
+    # At rest, a constant deceleration is balanced by the error that it is worth.
+    resting = np.linalg.solve(states, -(loop.closed_rate[:, 6] * loop.load_per_error))
+    assert resting[0] == pytest.approx(1.0)
+
+
+def test_what_is_linear_needs_no_substeps() -> None:
+    linear = (Physics(), Physics(bandwidth_scale=0.5, delay_s=0.1), Physics(bias_deg=1.0, lower_deg=-3.0))
+    assert [longest_step_s(physics) for physics in linear] == [np.inf] * 3
+    for name in ("deadband_deg", "friction_deg", "load_friction", "airload_per_pa", "cubic_per_deg2", "lag_s"):
+        assert longest_step_s(Physics(**{name: 0.1})) == 2.5e-3
+    for name in ("rate_up_deg_s", "rate_down_deg_s", "deg_s_per_v", "knee_deg", "stop_upper_deg", "set_point_deg_s"):
+        assert longest_step_s(Physics(**{name: 9.0})) == 2.5e-3
+    assert longest_step_s(Physics(insensitive_deg=0.1)) == 1e-3
 
 
 def test_a_model_says_which_context_its_effects_depend_on() -> None:

@@ -155,7 +155,7 @@ def _never_outside(lower: FloatArray, upper: FloatArray, noise: Noise) -> FloatA
 def _steady_per_s(likely: FloatArray, mean_deg: float, threshold_deg: float, noise: Noise) -> float:
     """Rate of alarms at the end of a response [1/s]."""
     missed = 1.0 - likely
-    half = missed.size // 2
+    half = min(missed.size // 2, missed.size - 2)
     if missed[-1] > _RARE:
         near, far = threshold_deg - abs(mean_deg), threshold_deg + abs(mean_deg)
         both_sides = sum(
