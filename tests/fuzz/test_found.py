@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import subprocess
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,9 +21,6 @@ from servofd.servos import find_servo
 from servofd.workflow import audit
 from tests.fuzz import seeds
 from tests.fuzz.doors import DOORS
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 @pytest.mark.parametrize(
@@ -151,3 +148,13 @@ def test_the_program_that_reads_first_says_what_it_met_and_reports_to_nobody(
     (tmp_path / "broken.rrd").write_bytes(b"RRF2" + bytes(100))
     assert run_rerun("rrd", "verify", str(tmp_path / "broken.rrd")).returncode != 0
     assert not list(tmp_path.rglob("*analytics*"))
+
+
+def test_a_file_of_two_recordings(tmp_path: Path) -> None:
+    """Rerun takes the first of them, with a warning."""
+    names = [str(tmp_path / name) for name in ("one.rrd", "two.rrd", "both.rrd")]
+    for name in names[:2]:
+        Path(name).write_bytes(DOORS["recording"].seeds(tmp_path)[0])
+    assert run_rerun("rrd", "merge", *names[:2], "-o", names[2]).returncode == 0
+    with pytest.raises(RecordingError, match="holds 2 recordings"):
+        read.read_recording(tmp_path / "both.rrd")

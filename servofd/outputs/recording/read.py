@@ -88,7 +88,13 @@ class _Stored:
         entities = set()
         chunks: dict[str, list[tuple[IntArray, FloatArray]]] = defaultdict(list)
         try:
-            for chunk in _reader(path).stream():
+            reader = _reader(path)
+            if len(recordings := reader.recordings()) > 1:
+                raise RecordingError(
+                    f"{path}: holds {len(recordings)} recordings, and one is judged at a time; "
+                    "'servofd audit LOG --rrd FILE' writes one for each log"
+                )
+            for chunk in reader.stream():
                 entities.add(chunk.entity_path)
                 if chunk.entity_path == _PROPERTIES:
                     properties |= _values(chunk)

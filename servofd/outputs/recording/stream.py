@@ -66,12 +66,13 @@ def surface_place(surface: str, *parts: str) -> str:
 
     Examples
     --------
-    >>> surface_place("elevator", "residual"), surface_place("a/b")
-    ('/surfaces/elevator/residual', '/surfaces/a\\/b')
+    >>> surface_place("elevator", "residual"), surface_place("a/b"), surface_place("a" + chr(92))
+    ('/surfaces/elevator/residual', '/surfaces/a\\/b', '/surfaces/aU\\+005C')
     """
     import rerun as rr
 
-    path: str = rr.new_entity_path(["surfaces", shown(surface), *parts])
+    # Rerun takes a backslash at the end of a name, which it writes twice, for an escape of what follows.
+    path: str = rr.new_entity_path(["surfaces", shown(surface).replace("\\", "U+005C"), *parts])
     return path
 
 
