@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from functools import partial
 
 import numpy as np
@@ -10,7 +9,7 @@ from numba import njit
 
 from servofd.types import FloatArray
 
-__all__ = ["build", "compiled", "fade", "flexed_tip", "inlined", "moved", "row", "step_matrices"]
+__all__ = ["build", "coasted", "compiled", "inlined", "moved", "row", "step_matrices"]
 
 _FAST = {"contract", "nsz", "arcp"}
 compiled = partial(njit, cache=True, nogil=True, error_model="numpy", fastmath=_FAST, _nrt=False)()
@@ -112,30 +111,3 @@ def build(table: FloatArray, k: int, steps: FloatArray, rate: FloatArray, grid_s
             1.0 * (j == 6),
         )
         table[k, 0, j], table[k, 1, j], table[k, 2, j] = moved(steps, rate, grid_s, h, unit)
-
-
-@compiled
-def fade(fades: FloatArray, slot: int, lag_s: float, natural: float, damping: float, h: float) -> None:
-    """What is left after `h` of a sensor's lag, and cosine and sine of the free swing of a flexible tip."""
-    if lag_s > 0.0:
-        fades[slot, 0] = math.exp(-h / lag_s)
-    if natural > 0.0:
-        decay, turn = math.exp(-damping * natural * h), natural * math.sqrt(1.0 - damping * damping)
-        fades[slot, 1], fades[slot, 2] = decay * math.cos(turn * h), decay * math.sin(turn * h)
-
-
-@inlined
-def flexed_tip(
-    natural: float, damping: float, h: float, decay: FloatArray, drive: tuple[float, float], tip: tuple[float, float]
-) -> tuple[float, float]:
-    """Position and speed of a flexible tip whose root moves straight from one position to the other.
-
-    `decay` holds cosine and sine of its free swing over `h`, as far as it dies away.
-    """
-    slope = (drive[1] - drive[0]) / h
-    lag = 2.0 * damping / natural * slope
-    turn = natural * math.sqrt(1.0 - damping * damping)
-    away, speed = tip[0] - (drive[0] - lag), tip[1] - slope
-    swing = (speed + damping * natural * away) / turn
-    position = drive[1] - lag + away * decay[1] + swing * decay[2]
-    return position, slope + speed * decay[1] - (away * turn + damping * natural * swing) * decay[2]
