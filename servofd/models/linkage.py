@@ -18,6 +18,8 @@ __all__ = ["LINKAGE", "begin_linkage", "carried", "deflected", "rest_linkage"]
 _KEPT, _FADE = 8, 5
 """Lengths of step of which is kept what fades within them, and how many numbers that are."""
 _SAME_STEP_S = 1e-9
+_SHORT_LAG_S, _FAST_RAD_S = 2e-3, 550.0
+"""Below and above, half a step of the grid is too much for six terms of a series (1e-8)."""
 _TOUCHING = 1.0 - 1e-9
 _PARTS = 4
 """Of a step of an output that cannot follow: they are of the shaft's shortest."""
@@ -33,6 +35,7 @@ _PARTS = 4
     _DOWN,
     _NATURAL,
     _DAMPING,
+    _TURN,
     _HALF,
     _GAIN,
     _QUADRATIC,
@@ -42,8 +45,10 @@ _PARTS = 4
     _BIAS,
     _LAG_S,
     _FADES,
-) = range(20)
-LINKAGE = _FADES + _FADE * _KEPT
+) = range(21)
+_GRID = _FADES + _FADE * _KEPT
+_GRID_S, _ON_GRID = 2.5e-4, 48
+LINKAGE = _GRID + 3 * _ON_GRID
 """Numbers that a linkage remembers: its positions, its sizes, and what fades."""
 
 
@@ -64,15 +69,36 @@ def _climb(link: FloatArray, played: float, speed: float) -> float:
 
 
 @compiled
-def _fade(link: FloatArray, at: int, h: float) -> None:
-    """Keep the length of a step, what it leaves of a sensor's lag, cosine and sine of a tip's free swing, and 1/h."""
-    link[at], link[at + 4] = h, 1.0 / h
+def _exactly(link: FloatArray, at: int, h: float) -> None:
+    """What a step leaves of a sensor's lag, and cosine and sine of a tip's free swing."""
     if link[_LAG_S] > 0.0:
-        link[at + 1] = math.exp(-h / link[_LAG_S])
+        link[at] = math.exp(-h / link[_LAG_S])
     if link[_NATURAL] > 0.0:
         damping = link[_DAMPING]
         decay, turn = math.exp(-damping * link[_NATURAL] * h), link[_NATURAL] * math.sqrt(1.0 - damping * damping)
-        link[at + 2], link[at + 3] = decay * math.cos(turn * h), decay * math.sin(turn * h)
+        link[at + 1], link[at + 2] = decay * math.cos(turn * h), decay * math.sin(turn * h)
+
+
+@inlined
+def _fade(link: FloatArray, at: int, h: float) -> None:
+    """Keep the length of a step, what it leaves, and 1/h: from that of a length nearby, if that is near enough."""
+    link[at], link[at + 4] = h, 1.0 / h
+    k = int(h / _GRID_S + 0.5)
+    lag_s, natural = link[_LAG_S], link[_NATURAL]
+    if k >= _ON_GRID or 0.0 < lag_s < _SHORT_LAG_S or natural > _FAST_RAD_S:
+        _exactly(link, at + 1, h)
+    else:
+        rest, k = h - k * _GRID_S, _GRID + 3 * k
+        if lag_s > 0.0:
+            z = rest / lag_s
+            link[at + 1] = link[k] * (1.0 - z * (1.0 - z * (0.5 - z * (1.0 / 6.0 - z * (1.0 / 24.0 - z / 120.0)))))
+        if natural > 0.0:
+            z = rest * link[_DAMPING] * natural
+            decay = 1.0 - z * (1.0 - z * (0.5 - z * (1.0 / 6.0 - z * (1.0 / 24.0 - z / 120.0))))
+            z = rest * link[_TURN]
+            cosine, sine = 1.0 - z * z * (0.5 - z * z * (1.0 / 24.0)), z * (1.0 - z * z * (1.0 / 6.0 - z * z / 120.0))
+            link[at + 2] = decay * (link[k + 1] * cosine - link[k + 2] * sine)
+            link[at + 3] = decay * (link[k + 2] * cosine + link[k + 1] * sine)
 
 
 @compiled
@@ -83,9 +109,13 @@ def begin_linkage(link: FloatArray, physics: Physics) -> bool:
     link[_HALF], link[_LAG_S] = 0.5 * physics.backlash_deg, physics.lag_s
     link[_GAIN], link[_QUADRATIC], link[_CUBIC] = physics.gain, physics.quadratic_per_deg, physics.cubic_per_deg2
     link[_LOWER], link[_UPPER], link[_BIAS] = physics.lower_deg, physics.upper_deg, physics.bias_deg
-    for k in range(_FADES, LINKAGE, _FADE):
-        if link[k] > 0.0:
-            _fade(link, k, link[k])
+    link[_TURN] = link[_NATURAL] * math.sqrt(1.0 - link[_DAMPING] * link[_DAMPING])
+    if link[_NATURAL] > 0.0 or link[_LAG_S] > 0.0:
+        for k in range(_ON_GRID):
+            _exactly(link, _GRID + 3 * k, k * _GRID_S)
+        for k in range(_FADES, _GRID, _FADE):
+            if link[k] > 0.0:
+                _fade(link, k, link[k])
     follows = link[_UP] < math.inf or link[_DOWN] < math.inf
     return follows or link[_HALF] > 0.0 or link[_NATURAL] > 0.0 or link[_LAG_S] > 0.0
 
@@ -96,7 +126,7 @@ def rest_linkage(link: FloatArray, shaft: float, seen_deg: float) -> None:
     link[_FOLLOWED] = link[_FLEXED] = link[_PLAYED] = shaft
     link[_SWING], link[_LAGGED] = 0.0, seen_deg
     link[_OLDER] = link[_LATEST] = _FADES
-    for k in range(_FADES, LINKAGE, _FADE):
+    for k in range(_FADES, _GRID, _FADE):
         link[k] = -1.0
 
 
@@ -105,11 +135,11 @@ def _faded(link: FloatArray, h: float) -> int:
     """Where the numbers for a length of step are kept; made, if it is new, in the place of the last but one."""
     at = int(link[_OLDER])
     if abs(link[at] - h) >= _SAME_STEP_S:  # most often two lengths take turns
-        for k in range(_FADES, LINKAGE, _FADE):
+        for k in range(_FADES, _GRID, _FADE):
             if abs(link[k] - h) < _SAME_STEP_S:
                 at = k
         if abs(link[at] - h) >= _SAME_STEP_S:
-            at = at + _FADE if at + _FADE < LINKAGE else _FADES
+            at = at + _FADE if at + _FADE < _GRID else _FADES
             _fade(link, at, h)
     link[_OLDER], link[_LATEST] = link[_LATEST], at
     return at
@@ -142,7 +172,7 @@ def carried(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
         a1 = -2.0 * damping / natural
         a2 = (4.0 * damping * damping - 1.0) / (natural * natural)
         a3 = (4.0 - 8.0 * damping * damping) * damping / natural**3
-        turn = natural * math.sqrt(1.0 - damping * damping)
+        turn = link[_TURN]
         turn_inverse = 1.0 / turn
     fading = flexes or lag_s > 0.0
     at = _FADES

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 
 import numpy as np
@@ -9,8 +10,10 @@ from numba import njit
 
 from servofd.types import FloatArray
 
-__all__ = ["build", "coasted", "compiled", "inlined", "moved", "row", "step_matrices"]
+__all__ = ["build", "coasted", "compiled", "inlined", "moved", "row", "sine", "step_matrices", "wound_up"]
 
+_NO_LOSS = 1e-6
+"""Of the torque [1/s]: below, a step keeps all of it; servos of lower order have none at all."""
 _FAST = {"contract", "nsz", "arcp"}
 compiled = partial(njit, cache=True, nogil=True, error_model="numpy", fastmath=_FAST, _nrt=False)()
 inlined = partial(njit, cache=True, nogil=True, error_model="numpy", fastmath=_FAST, _nrt=False, inline="always")()
@@ -97,9 +100,36 @@ def moved(
     )
 
 
+@inlined
+def wound_up(rate: FloatArray, left: FloatArray, grid_s: float, h: float) -> tuple[float, float, float]:
+    """Torque after `h` without motion: its share that is left, and per error and slope of the error that act on it."""
+    q, stiffness = max(-rate[2, 2], _NO_LOSS), rate[2, 5]
+    count = min(int(h / grid_s + 0.5), left.size - 1)
+    rest = q * (h - count * grid_s)
+    share = left[count] * (1.0 - rest * (1.0 - rest * (0.5 - rest * (1.0 / 6.0 - rest / 24.0))))
+    filled = (1.0 - share) / q
+    return share, stiffness * filled, stiffness * (h - filled) / q
+
+
+@inlined
+def sine(angle: float) -> float:
+    """Sine to 1e-9, by its series: a call would cost the loop around it its registers."""
+    if abs(angle) > 0.5 * math.pi:
+        angle -= 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
+        if abs(angle) > 0.5 * math.pi:
+            angle = math.copysign(math.pi, angle) - angle
+    z = angle * angle
+    late = (1.0 / 362880.0 - z * (1.0 / 39916800.0)) + z * z * (1.0 / 6227020800.0)
+    early = (-1.0 / 6.0 + z * (1.0 / 120.0)) + z * z * (z * late - 1.0 / 5040.0)
+    return angle + angle * z * early
+
+
 @compiled
-def build(table: FloatArray, k: int, steps: FloatArray, rate: FloatArray, grid_s: float, h: float) -> None:
-    """Matrix of a step of length `h`, column by column."""
+def build(
+    table: FloatArray, k: int, steps: FloatArray, rate: FloatArray, left: FloatArray, grid_s: float, h: float
+) -> None:
+    """Matrix of a step of length `h`, column by column; and what winds up the torque of a servo that sticks."""
+    table[k, 0, 7], table[k, 1, 7], table[k, 2, 7] = wound_up(rate, left, grid_s, h)
     for j in range(7):
         unit = (
             1.0 * (j == 0),

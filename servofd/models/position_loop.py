@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 
 from servofd.models.linkage import LINKAGE, begin_linkage, carried, deflected, rest_linkage
-from servofd.models.loop_steps import build, coasted, compiled, moved, row
+from servofd.models.loop_steps import build, coasted, compiled, moved, row, sine, wound_up
 from servofd.models.physics import Loop, Physics
 from servofd.types import FloatArray
 
@@ -85,7 +85,7 @@ def run(
     """
     inputs = effective_s, command_deg, slope_deg_s, at_s, pressure_pa, voltage_v
     result = np.empty(at_s.size)
-    room = np.empty((2 * _SLOTS, 3, 7)), np.empty((_NOTES, 5)), memory[_STATES + _SLOTS :], result
+    room = np.empty((2 * _SLOTS, 3, 8)), np.empty((_NOTES, 5)), memory[_STATES + _SLOTS :], result
     _run(physics, loop, dc_gain, longest_s, *inputs, memory, *room)
     return result
 
@@ -175,7 +175,7 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
     then. Of the matrices there are two for each length of step: while the error acts, and while it does not.
     """
     built_s = memory[_STATES:]
-    grid_s, order = loop.grid_s, loop.order
+    grid_s, order, stiffness = loop.grid_s, loop.order, loop.closed_rate[loop.order - 1, 3]
     closed, opened, closed_rate, opened_rate = loop.closed, loop.opened, loop.closed_rate, loop.opened_rate
     whole_s = grid_s * closed.shape[0]
     short_s = min(longest_s, whole_s)
@@ -191,7 +191,8 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
     rubs = order > 1 and (friction > 0.0 or physics.load_friction > 0.0)
     bends = edge > 0.0
     saturates = sags or up < math.inf or down < math.inf
-    loaded = physics.airload_per_pa != 0.0 or physics.droop_deg != 0.0
+    weighs = physics.droop_deg != 0.0
+    loaded = weighs or physics.airload_per_pa != 0.0
     stop_upper, stop_lower = physics.stop_upper_deg / dc_gain, physics.stop_lower_deg / dc_gain
     blocked = stop_upper < math.inf or stop_lower > -math.inf
     slews, rooted = physics.set_point_deg_s < math.inf, physics.knee_deg < math.inf
@@ -248,8 +249,8 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
                         built += 1
                         table[2 * slot, 0, 0] = np.nan
                     if slot >= 0 and math.isnan(table[2 * slot, 0, 0]):
-                        build(table, 2 * slot, closed, closed_rate, grid_s, built_s[slot])
-                        build(table, 2 * slot + 1, opened, opened_rate, grid_s, built_s[slot])
+                        build(table, 2 * slot, closed, closed_rate, loop.torque_left, grid_s, built_s[slot])
+                        build(table, 2 * slot + 1, opened, opened_rate, loop.torque_left, grid_s, built_s[slot])
                     older, latest = latest, max(slot, 0)
                 if slews:
                     s = max(min((wanted - u) / h, physics.set_point_deg_s), -physics.set_point_deg_s)
@@ -266,13 +267,33 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
                 pushed = max(min(bent, most), least) if held else bent - error
                 load = 0.0
                 if loaded:
-                    load = -per_error * (
-                        physics.airload_per_pa * pressure_pa[n] * middle
-                        + physics.droop_deg * math.sin(middle * _PER_DEG)
-                    )
+                    load = physics.airload_per_pa * pressure_pa[n] * middle
+                    if weighs:
+                        load += physics.droop_deg * sine(middle * _PER_DEG)
+                    load *= -per_error
                 x = (y, v, torque, u, s, pushed, load)
+                limit, sticks, wound = friction, False, 0.0
+                if rubs:
+                    if order == 3:
+                        limit += physics.load_friction * abs(torque)
+                    else:
+                        limit += physics.load_friction * abs(max(min(bent, most), least)) * per_error
+                    if v == 0.0:
+                        acts, grows = (pushed, 0.0) if held else (pushed + u - y, s)
+                        before, wound = stiffness * acts, stiffness * (acts + h * grows)
+                        if order == 3:
+                            if slot >= 0:
+                                k = 2 * slot
+                                left, filled, ramped = table[k, 0, 7], table[k, 1, 7], table[k, 2, 7]
+                            else:
+                                left, filled, ramped = wound_up(opened_rate, loop.torque_left, grid_s, h)
+                            before, wound = torque, left * torque + filled * acts + ramped * grows
+                        more = limit + (physics.load_friction * (abs(wound) - abs(torque)) if order == 3 else 0.0)
+                        sticks = abs(before + load) <= limit and abs(wound + load) <= more
                 # Branches, because the processor foresees which it is; it would have to wait for an index.
-                if slot >= 0 and held:
+                if sticks:
+                    y1, v1, torque1 = y, 0.0, wound if order == 3 else torque
+                elif slot >= 0 and held:
                     k, share = 2 * slot + 1, 1.0
                     y1, v1, torque1 = coasted(table, k, x)
                     by_y, by_v, by_torque = table[k, 0, 6], table[k, 1, 6], table[k, 2, 6]
@@ -285,12 +306,7 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
                 else:
                     y1, v1, torque1 = moved(closed, closed_rate, grid_s, h, x)
                 rested = False
-                if rubs:
-                    limit = friction
-                    if physics.load_friction > 0.0:
-                        limit += physics.load_friction * (
-                            abs(torque) if order == 3 else abs(max(min(bent, most), least)) * per_error
-                        )
+                if rubs and not sticks:
                     if slot < 0:  # in proportion to the time between two steps of the grid
                         k = min(max(int(h / grid_s + 0.5), 1), closed.shape[0]) - 1
                         share = h / ((k + 1) * grid_s)
@@ -303,13 +319,15 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
                     y1 += by_y * brake
                     v1 += by_v * brake
                     torque1 += by_torque * brake
+                    if rested:
+                        v1 = 0.0
                 if wary:
                     begin, end = u - y, u + h * s - y1
                     low, high = min(begin, end, error), max(begin, end, error)
                     if (
                         (bends and (low <= edge < high or low < -edge <= high))
                         or (saturates and (low <= top < high or low < bottom <= high))
-                        or (rubs and (rested or v * v1 <= 0.0) and abs(y1 - y) >= _STILL_DEG)
+                        or (rubs and not sticks and (rested or v * v1 <= 0.0) and abs(y1 - y) >= _STILL_DEG)
                         or (blocked and (max(y, y1) >= stop_upper or min(y, y1) <= stop_lower))
                     ):
                         left = count * h
