@@ -3,8 +3,9 @@
 Between events (a command taking effect, a position being measured) the loop is advanced by exact matrices. Dead band
 and saturation are straight pieces of slope 1 or 0, chosen by the error in the middle of each step, so that within
 a piece nothing is approximated. Friction is the constant deceleration that would stop the servo by the end of the
-step, as far as its strength allows (docs/explain.md, E5 to E7). A step goes from event to event unless something
-switches on its way (the error crosses an edge, the motion reverses): only then is it taken again in short ones.
+step, as far as its strength allows; of a servo that it holds, only the torque winds up (docs/explain.md, E5 to E7).
+A step goes from event to event unless something switches on its way (the error crosses an edge, the motion reverses):
+only then is it taken again in short ones. What hangs on the shaft is carried on afterwards (`servofd.models.linkage`).
 """
 
 from __future__ import annotations
@@ -177,6 +178,7 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
     built_s = memory[_STATES:]
     grid_s, order, stiffness = loop.grid_s, loop.order, loop.closed_rate[loop.order - 1, 3]
     closed, opened, closed_rate, opened_rate = loop.closed, loop.opened, loop.closed_rate, loop.opened_rate
+    by_speed, loss = -loop.closed_rate[2, 1], -loop.closed_rate[2, 2]
     whole_s = grid_s * closed.shape[0]
     short_s = min(longest_s, whole_s)
     built, older, latest = int(memory[_BUILT]), int(memory[_OLDER]), int(memory[_LATEST])
@@ -197,8 +199,9 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
     blocked = stop_upper < math.inf or stop_lower > -math.inf
     slews, rooted = physics.set_point_deg_s < math.inf, physics.knee_deg < math.inf
     per_knee = dc_gain / physics.knee_deg
-    if slews or rooted or physics.load_friction > 0.0:
-        whole_s = min(2.0 * short_s, whole_s)
+    if slews or rooted:
+        # Half of the usual step, whatever the shorter ones are.
+        whole_s = min((5.0 if insensitive > 0.0 else 2.0) * short_s, whole_s)
     if not (bends or saturates or rubs or blocked):
         short_s = math.inf  # nothing ever switches
     most_s = _MOST_STEPS * min(short_s, whole_s)
@@ -274,9 +277,10 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
                 x = (y, v, torque, u, s, pushed, load)
                 limit, sticks, wound = friction, False, 0.0
                 if rubs:
-                    if order == 3:
-                        limit += physics.load_friction * abs(torque)
-                    else:
+                    if order == 3 and physics.load_friction > 0.0:  # by the torque in mid-step
+                        grows = stiffness * max(min(bent, most), least) - by_speed * v - loss * torque
+                        limit += physics.load_friction * abs(torque + 0.5 * h * grows)
+                    elif order != 3:
                         limit += physics.load_friction * abs(max(min(bent, most), least)) * per_error
                     if v == 0.0:
                         acts, grows = (pushed, 0.0) if held else (pushed + u - y, s)
@@ -288,8 +292,11 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
                             else:
                                 left, filled, ramped = wound_up(opened_rate, loop.torque_left, grid_s, h)
                             before, wound = torque, left * torque + filled * acts + ramped * grows
-                        more = limit + (physics.load_friction * (abs(wound) - abs(torque)) if order == 3 else 0.0)
-                        sticks = abs(before + load) <= limit and abs(wound + load) <= more
+                        least_limit, most_limit = limit, limit
+                        if order == 3:
+                            least_limit = friction + physics.load_friction * abs(before)
+                            most_limit = friction + physics.load_friction * abs(wound)
+                        sticks = abs(before + load) <= least_limit and abs(wound + load) <= most_limit
                 # Branches, because the processor foresees which it is; it would have to wait for an index.
                 if sticks:
                     y1, v1, torque1 = y, 0.0, wound if order == 3 else torque
