@@ -1,4 +1,4 @@
-"""The linkage along cubics of the shaft, against an integration in steps a hundredth as long; and a shaft that sticks."""
+"""A linkage along cubics of the shaft, against an integration in much shorter steps; and a shaft that sticks."""
 
 from __future__ import annotations
 
