@@ -69,6 +69,7 @@ def test_audits(suffix: str, flight: Callable[[str], str]) -> None:
     leaves_nothing(lambda: main(["audit", path, "--json", "-"]))
 
 
+@pytest.mark.slow
 def test_refusals(tmp_path: Path) -> None:
     broken = tmp_path / "broken.mat"
     broken.write_bytes((SAMPLES / "faser_stuck_flight.mat").read_bytes()[:5000])
@@ -93,6 +94,7 @@ def test_monitors_of_logs(flight: Callable[[str], str], tmp_path: Path) -> None:
     leaves_nothing(lambda: main(["monitor", path, "-c", str(plane), "--speed", "0", "--plain", "--no-alert"]))
 
 
+@pytest.mark.slow
 def test_monitors_of_links(tmp_path: Path) -> None:
     plane = tmp_path / "plane.toml"
     plane.write_text(plane_file())
