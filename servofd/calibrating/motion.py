@@ -135,8 +135,17 @@ def memory(errors: Sequence[FloatArray], lags: int) -> float:
     total = sum(float(e @ e) for e in errors)
     if total == 0.0:
         return 1.0
-    products = [sum(float(e[k:] @ e[:-k]) for e in errors if e.size > k) / total for k in range(1, lags + 1)]
-    return max(1.0, 1.0 + 2.0 * sum((1.0 - k / (lags + 1)) * p for k, p in enumerate(products, start=1)))
+    products = np.sum([_products(e, lags) for e in errors], axis=0) / total
+    return max(1.0, 1.0 + 2.0 * float((1.0 - np.arange(1, lags + 1) / (lags + 1)) @ products))
+
+
+def _products(error: FloatArray, lags: int) -> FloatArray:
+    """Sums of products with itself a number of samples later, shape (lags,), by way of the spectrum."""
+    from scipy.fft import irfft, next_fast_len, rfft
+
+    size = next_fast_len(error.size + lags, real=True)
+    products: FloatArray = irfft(np.abs(rfft(error, size)) ** 2, size)[1 : lags + 1]
+    return products
 
 
 def noise_of(measured_deg: FloatArray, error_deg: FloatArray) -> float:
