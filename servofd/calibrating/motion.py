@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.detection.bank.window import noise_deg
+from servofd.detection.rehearsal import Rehearsal
 from servofd.detection.residual import ResidualGenerator
 
 if TYPE_CHECKING:
@@ -36,6 +37,8 @@ class Motion:
     """Flights of one surface, ready to be compared with a simulation."""
 
     flights: tuple[Flight, ...]
+    rehearsals: tuple[Rehearsal, ...]
+    """Of each flight."""
     used: tuple[BoolArray, ...]
     """Rows of each flight with a position that a simulation can be held against."""
     usual_gain: float = 1.0
@@ -44,7 +47,9 @@ class Motion:
     @classmethod
     def of(cls, flights: Sequence[Flight], servo: FlownServo) -> Motion:
         """Find the rows; they do not depend on the numbers of the servo."""
-        return cls(tuple(flights), tuple(_usable(flight, servo) for flight in flights))
+        generator = ResidualGenerator(servo.model, _POLE_RAD_S)
+        rehearsals = tuple(Rehearsal.of(generator, flight.segment) for flight in flights)
+        return cls(tuple(flights), rehearsals, tuple(_usable(each) for each in rehearsals))
 
     @property
     def measured_deg(self) -> FloatArray:
@@ -54,9 +59,8 @@ class Motion:
 
     def simulated_deg(self, servo: FlownServo) -> FloatArray:
         """Deflection of a servo in all used rows [deg], shape (n,)."""
-        generator = ResidualGenerator(servo.model, _POLE_RAD_S)
-        pairs = zip(self.flights, self.used, strict=True)
-        return np.concatenate([generator.run(flight.segment).simulated_deg[rows] for flight, rows in pairs])
+        model, pairs = servo.model, zip(self.rehearsals, self.used, strict=True)
+        return np.concatenate([rehearsal.simulated_deg(model)[rows] for rehearsal, rows in pairs])
 
     def split(self, values: FloatArray) -> list[FloatArray]:
         """What belongs to each flight of an array of shape (n,)."""
@@ -82,17 +86,17 @@ class Motion:
         return memory(self.split(error_deg), max(1, round(_MEMORY_S / self.period_s)))
 
 
-def _usable(flight: Flight, servo: FlownServo) -> BoolArray:
+def _usable(rehearsal: Rehearsal) -> BoolArray:
     from servofd.models.kernel import RESTART_ALL
 
-    residuals = ResidualGenerator(servo.model, _POLE_RAD_S).run(flight.segment)
-    starts = np.flatnonzero(residuals.restart == RESTART_ALL)
-    if starts.size == 0:
-        return np.zeros(residuals.time_s.size, dtype=bool)
-    last = np.searchsorted(starts, np.arange(residuals.time_s.size), side="right") - 1
-    since_s = residuals.time_s - residuals.time_s[starts[np.maximum(last, 0)]]
-    forgotten_s = min(_FORGOTTEN_S, _FORGOTTEN_SHARE * flight.segment.duration_s)
-    usable: BoolArray = residuals.settled & (last >= 0) & (since_s >= forgotten_s)
+    time_s, starts = rehearsal.segment.measured_s, rehearsal.starts
+    begins = np.flatnonzero(starts.restart == RESTART_ALL)
+    if begins.size == 0:
+        return np.zeros(time_s.size, dtype=bool)
+    last = np.searchsorted(begins, np.arange(time_s.size), side="right") - 1
+    since_s = time_s - time_s[begins[np.maximum(last, 0)]]
+    forgotten_s = min(_FORGOTTEN_S, _FORGOTTEN_SHARE * rehearsal.segment.duration_s)
+    usable: BoolArray = starts.settled & (last >= 0) & (since_s >= forgotten_s)
     return usable
 
 
@@ -131,8 +135,17 @@ def memory(errors: Sequence[FloatArray], lags: int) -> float:
     total = sum(float(e @ e) for e in errors)
     if total == 0.0:
         return 1.0
-    products = [sum(float(e[k:] @ e[:-k]) for e in errors if e.size > k) / total for k in range(1, lags + 1)]
-    return max(1.0, 1.0 + 2.0 * sum((1.0 - k / (lags + 1)) * p for k, p in enumerate(products, start=1)))
+    products = np.sum([_products(e, lags) for e in errors], axis=0) / total
+    return max(1.0, 1.0 + 2.0 * float((1.0 - np.arange(1, lags + 1) / (lags + 1)) @ products))
+
+
+def _products(error: FloatArray, lags: int) -> FloatArray:
+    """Sums of products with itself a number of samples later, shape (lags,), by way of the spectrum."""
+    from scipy.fft import irfft, next_fast_len, rfft
+
+    size = next_fast_len(error.size + lags, real=True)
+    products: FloatArray = irfft(np.abs(rfft(error, size)) ** 2, size)[1 : lags + 1]
+    return products
 
 
 def noise_of(measured_deg: FloatArray, error_deg: FloatArray) -> float:
