@@ -16,7 +16,6 @@ from tests.recordings.inside import everything
 from tests.recovery.fine_servo import FineServo, Hidden, hide
 
 
-
 def slow() -> Hidden:
     """A servo that reacts 26 ms later than its model."""
     return hide(FineServo(delay_s=0.03), duration_s=20.0)

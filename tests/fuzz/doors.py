@@ -18,7 +18,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-import logparsers
 from logparsers import LogError
 from logparsers.codec import Codec, signing_key
 from logparsers.endpoint import parse_endpoint

@@ -14,6 +14,7 @@ from servofd.cli import main
 from servofd.fleet.find import find_logs
 from servofd.fleet.key import Job
 from servofd.fleet.run import audit_fleet
+from tests.fuzz.seeds import drafted
 from tests.live.vehicles import free_port, plane_file
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="open files are counted in /proc")
@@ -65,8 +66,13 @@ def flight(tmp_path: Path) -> Callable[[str], str]:
 @pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".csv", ".mat", ".bin", ".tlog", ".ulg"])
 def test_audits(suffix: str, flight: Callable[[str], str]) -> None:
-    path = flight(suffix)
-    leaves_nothing(lambda: main(["audit", path, "--json", "-"]))
+    path = Path(flight(suffix))
+    words = ["audit", str(path), "--json", "-"]
+    if suffix in (".tlog", ".ulg"):  # a file of the aircraft; without one, as for .bin, it is fitted each time
+        plane = path.with_name("plane.toml")
+        plane.write_bytes(drafted(path.read_bytes()))
+        words += ["-c", str(plane)]
+    leaves_nothing(lambda: main(words))
 
 
 @pytest.mark.slow
