@@ -65,7 +65,7 @@ def test_the_odds_of_a_log_are_those_of_its_colour_offset_and_healthy_part(colou
 
 
 def test_what_comes_too_slowly_for_long_fills_no_memory_and_delays_nothing() -> None:
-    """Five minutes at 5 Hz, then 50 Hz: as soon as the slow ones are no longer most of those that a pace needs."""
+    """Five minutes at 5 Hz, then 50 Hz: it is watched once the slow ones are no longer most of what a pace needs."""
     monitor, now_s, told = SurfaceMonitor("x", *surface(servo="hs225bb-eq31")), 0.0, []
     for _ in range(1500):
         now_s += 0.2
@@ -79,4 +79,4 @@ def test_what_comes_too_slowly_for_long_fills_no_memory_and_delays_nothing() -> 
         now_s += 0.02
         at = np.array([now_s])
         monitor.feed((at, np.sin(at)), (at, np.sin(at)))
-        assert quick <= 2 * WARM_UP_STEPS
+        assert quick <= 2.5 * WARM_UP_STEPS
