@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from servofd.discrepancy.explanation import Explanation
     from servofd.discrepancy.regimes import Quantity
+    from servofd.discrepancy.varying import Varying
     from servofd.types import FloatArray
 
 __all__ = ["explain_figures"]
@@ -41,18 +42,21 @@ def explain_figures(found: Explanation, name: str) -> list[Picture]:
         _ladder(found, f"{name}-ladder"),
         _maps(found, f"{name}-maps"),
         _memory(found, f"{name}-memory"),
+        *(_varying(each, f"{name}-varying-{k}") for k, each in enumerate(found.varying, start=1)),
     ]
 
 
 def _traces(found: Explanation, name: str) -> Picture:
     """Seconds around the block that disagrees most."""
     record, selection = found.record, found.selection
-    before, after = selection.nominal.error_deg, selection.final.error_deg
+    begins = np.diff(record.run, prepend=0) != 0  # nothing joins a run to the next
+    not_judged = begins | ~record.counts if record.side is not None else begins
+    before, after = (np.where(not_judged, np.nan, fit.error_deg) for fit in (selection.nominal, selection.final))
     squared = np.where(record.counts, np.nan_to_num(before) ** 2, 0.0)
     worst = int(np.argmax(np.bincount(record.block, weights=squared)))
     middle_s = float(np.median(record.time_s[record.block == worst]))
     inside = np.abs(record.time_s - middle_s) <= 0.5 * _EXCERPT_S
-    time_s, measured = record.time_s[inside], record.measured_deg[inside]
+    time_s, measured = record.time_s[inside], np.where(begins, np.nan, record.measured_deg)[inside]
     commands = record.commands
     asked = np.abs(commands.effective_s - middle_s) <= 0.5 * _EXCERPT_S
     figure, (upper, lower) = new_figure(2, height=5.6, ratios=(3, 2))
@@ -170,6 +174,7 @@ def _memory(found: Explanation, name: str) -> Picture:
     left.axhline(floor, color=_FLOOR, lw=1.0, label="noise floor")
     bound = _SURE / np.sqrt(max(int(record.counts.sum()), 1))
     right.axhspan(-bound, bound, color=_FLOOR, alpha=0.35, lw=0, label="white noise")
+    left.xaxis.set_minor_formatter("")
     left.set_xlabel("frequency [Hz]")
     left.set_ylabel("error [deg/√Hz]")
     right.set_xlabel("lag [s]")
@@ -180,6 +185,22 @@ def _memory(found: Explanation, name: str) -> Picture:
         "spectrum and no memory, and stays in the grey band in 95 % of all lags."
     )
     return Picture(name, "Spectrum and memory of the error", text, figure)
+
+
+def _varying(each: Varying, name: str) -> Picture:
+    """A value of each run over the condition that it goes with."""
+    figure, (axes,) = new_figure(1, height=3.2)
+    axes.plot(each.condition, each.values, "o", color=_BEFORE, ms=4, label="each run by itself")
+    axes.plot(*zip(*each.ends, strict=True), color=_AFTER, label="line through the runs that were fitted")
+    axes.set_xlabel(each.conditions[0])
+    axes.set_ylabel(each.parameter)
+    finish(axes, legend="above")
+    text = (
+        f"The value of {each.parameter} that suits each run best, where the run shows it, over {each.conditions[0]} as "
+        "it was logged. With one value for all, the runs that were held out are off by "
+        f"{each.common_rms_deg:.3g} deg rms; with the line, by {each.line_rms_deg:.3g}."
+    )
+    return Picture(name, f"{each.parameter} over {each.conditions[0]}", text, figure)
 
 
 def _draw_floor(axes: Axes, sigma_deg: float) -> None:
