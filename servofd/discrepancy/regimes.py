@@ -91,6 +91,7 @@ def quantities(record: Record, simulated_deg: FloatArray) -> tuple[Quantity, ...
     for name, unit, values in (
         ("dynamic pressure", "Pa", record.pressure_pa),
         ("supply voltage", "V", record.voltage_v),
+        ("temperature", "°C", record.temperature_c),
     ):
         if values is not None and np.ptp(values[record.counts]) > _CHANGES * np.abs(values[record.counts]).max():
             found.append(Quantity(name, unit, values))

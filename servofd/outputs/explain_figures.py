@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.discrepancy.maps import maps
 from servofd.discrepancy.regimes import binned, quantities
+from servofd.discrepancy.spectrum import spectrum
 from servofd.outputs.palette import COLOURS
 from servofd.outputs.picture import Picture, finish, new_figure
 
@@ -40,6 +42,7 @@ def explain_figures(found: Explanation, name: str) -> list[Picture]:
     return [
         _traces(found, f"{name}-traces"),
         _ladder(found, f"{name}-ladder"),
+        _foretold(found, f"{name}-foretold"),
         _maps(found, f"{name}-maps"),
         _memory(found, f"{name}-memory"),
         *(_varying(each, f"{name}-varying-{k}") for k, each in enumerate(found.varying, start=1)),
@@ -148,6 +151,35 @@ def _draw_map(axes: Axes, quantity: Quantity, error_deg: FloatArray, found: Expl
     axes.set_xlabel(f"{quantity.name} [{quantity.unit}]", fontsize=9)
 
 
+def _foretold(found: Explanation, name: str) -> Picture:
+    """How much of the gap each quantity tells, and how linearly the position follows."""
+    record, nominal = found.record, found.selection.nominal
+    shares = [each for each in maps(record, nominal.error_deg, found.selection.sigma_deg) if each.quantity != "time"]
+    figure, (left, right) = new_figure(1, 2, height=1.2 + 0.24 * len(shares), share_x=False)
+    place = np.arange(len(shares), dtype=float)
+    told = np.array([each.share for each in shares])
+    reach = np.abs(np.array([[each.low, each.high] for each in shares]).T - told)
+    left.barh(place, told, xerr=reach, color=_BEFORE, ecolor="0.4", error_kw={"lw": 1.0})
+    left.set_yticks(place, [each.quantity for each in shares], fontsize=8)
+    left.invert_yaxis()
+    left.set_xlim(0.0, 1.05)
+    left.set_xlabel("share of the gap")
+    linear = spectrum(record, nominal.error_deg)
+    if linear is not None:
+        right.semilogx(linear.frequency_hz[1:], linear.coherence[1:], color=COLOURS["measured"])
+    right.xaxis.set_minor_formatter("")
+    right.set_ylim(0.0, 1.02)
+    right.set_xlabel("frequency [Hz]")
+    right.set_ylabel("coherence")
+    finish(left, right)
+    text = (
+        "Left, the share of the gap that each quantity foretells in blocks from which it was not learnt; the lines are "
+        "what chance makes of it in 99 of 100 logs, all quantities together. Right, coherence of command and position: "
+        "1 where the position follows linearly, whatever the servo; it also falls where nothing was asked."
+    )
+    return Picture(name, "What foretells the gap", text, figure)
+
+
 def _memory(found: Explanation, name: str) -> Picture:
     """Spectrum and autocorrelation of the error."""
     from scipy.signal import welch
@@ -167,8 +199,8 @@ def _memory(found: Explanation, name: str) -> Picture:
         left.loglog(frequency_hz[1:], np.sqrt(power[1:]), color=colour, ls=style, label=label)
         centred = error - error.mean()
         kept = min(lags, centred.size - 1)
-        spectrum = np.abs(np.fft.rfft(centred, 2 * centred.size)) ** 2
-        correlation = np.fft.irfft(spectrum)[: kept + 1]
+        power = np.abs(np.fft.rfft(centred, 2 * centred.size)) ** 2
+        correlation = np.fft.irfft(power)[: kept + 1]
         right.plot(period_s * np.arange(kept + 1), correlation / correlation[0], color=colour, ls=style, label=label)
     floor = selection.sigma_deg * np.sqrt(2.0 * period_s)
     left.axhline(floor, color=_FLOOR, lw=1.0, label="noise floor")
