@@ -27,10 +27,11 @@ _LARGEST_DEG = 1e6
 
 SURROUNDINGS: Final[Mapping[str, Mapping[str, float]]] = {
     "airspeed_m_s": {"airspeed_m_s": 1.0, "ARSP.Airspeed": 1.0, "VFR_HUD.airspeed": 1.0},
-    "servo_voltage_v": {"servo_voltage_v": 1.0, "POWR.Vservo": 1.0, "POWER_STATUS.Vservo": 1e-3},
+    "servo_voltage_v": {"servo_voltage_v": 1.0, "volts": 1.0, "POWR.Vservo": 1.0, "POWER_STATUS.Vservo": 1e-3},
     "servo_current_a": {"servo_current_a": 1.0, "amps": 1.0},
+    "servo_temperature_c": {"servo_temperature_c": 1.0, "temp_c": 1.0},
 }
-"""Channels that tell about the surroundings of servos, the best first, and what turns each into m/s, V or A."""
+"""Channels that tell about the surroundings of servos, the best first, and what turns each into m/s, V, A or °C."""
 WARM_UP_S, WARM_UP_STEPS = 10.0, 100
 """A monitor in flight learns the pace of a stream from so many intervals, or from as many as there are by then [s]."""
 _SAME_PACE = 1.5

@@ -36,11 +36,13 @@ friction in chirps to 25 Hz, 0.2 % for a sensor's lag, less for all others."""
 _PROMISING, _FEWER = 10, 6
 """Of the candidates of a first effect, and of a further one."""
 _LATE_SHARE, _LATE_CHI_SQUARED, _LATE_LEAVES, _FRAMES_EXCESS = 0.1, 30.0, 2.0, 0.02
-_SURE = 1.959963984540054
-"""Standard deviations of a 95 % interval."""
+_MUCH_LESS = 0.5
+"""Of what other effects left when frames were sought last: then they may be seen better."""
 
 
 Values = Sequence[float] | FloatArray
+Frame = tuple[float, float]
+"""Period [s] and phase of pulse frames."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,6 +92,8 @@ class Fitter:
     simulations: int = field(default=0, init=False)
     fewer: dict[tuple[Fit, int], Fit] = field(default_factory=dict, init=False)
     """Fits without one of their effects, by its number; they are asked for again and again."""
+    _frames: dict[float, Frame | None] = field(default_factory=dict, init=False)
+    """Pulse frames that were sought, by the sum of squares over the noise that the other effects left."""
     _trained: IntArray = field(init=False)
     _held_out: IntArray = field(init=False)
 
@@ -195,14 +199,24 @@ class Fitter:
             frame = usual_frame(self.record, known, max(later_s, default=0.0))
         elif min(fit.train for fit in late) - noise < _LATE_LEAVES * max(best.train - noise, _FRAMES_EXCESS * noise):
             # Frames are a delay on average: where something else fits far better, they are not what lacks most.
-            sigma_deg = float(np.sqrt(noise / self._trained.size))
-            likely = frames_like(self.record, known, None if scattered else best.error_deg, sigma_deg)
-            frame = best_frame(self.record, known, likely) if likely else None
+            frame = self._sought(known, base.train - noise, None if scattered else best, noise)
         if frame is None:
             return []
         values, count = polish(self.record, effects, [*base.values.tolist(), *frame], base.values.size)
         self.simulations += count
         return [self.refitted(effects, values)]
+
+    def _sought(self, known: Physics, left: float, rival: Fit | None, noise: float) -> Frame | None:
+        """Frames that a search of the whole log finds, unless a rival is clearly better; or those that it found before.
+
+        Beside other effects that leave as much, it would find them again, or again none.
+        """
+        alike = [before for before in self._frames if left > _MUCH_LESS * before]
+        if not alike:
+            sigma_deg = float(np.sqrt(noise / self._trained.size))
+            likely = frames_like(self.record, known, None if rival is None else rival.error_deg, sigma_deg)
+            self._frames[left] = best_frame(self.record, known, likely) if likely else None
+        return self._frames[min(alike, default=left)]
 
     def refitted(
         self, effects: tuple[type[MissingEffect], ...], values: Values, evaluations: int = _EVALUATIONS

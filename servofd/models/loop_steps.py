@@ -10,8 +10,10 @@ from numba import njit
 
 from servofd.types import FloatArray
 
-__all__ = ["build", "compiled", "fade", "flexed_tip", "inlined", "moved", "row", "step_matrices"]
+__all__ = ["build", "coasted", "compiled", "inlined", "moved", "row", "sine", "step_matrices", "wound_up"]
 
+_NO_LOSS = 1e-6
+"""Of the torque [1/s]: below, a step keeps all of it; servos of lower order have none at all."""
 _FAST = {"contract", "nsz", "arcp"}
 compiled = partial(njit, cache=True, nogil=True, error_model="numpy", fastmath=_FAST, _nrt=False)()
 inlined = partial(njit, cache=True, nogil=True, error_model="numpy", fastmath=_FAST, _nrt=False, inline="always")()
@@ -98,9 +100,36 @@ def moved(
     )
 
 
+@inlined
+def wound_up(rate: FloatArray, left: FloatArray, grid_s: float, h: float) -> tuple[float, float, float]:
+    """Torque after `h` without motion: its share that is left, and per error and slope of the error that act on it."""
+    q, stiffness = max(-rate[2, 2], _NO_LOSS), rate[2, 5]
+    count = min(int(h / grid_s + 0.5), left.size - 1)
+    rest = q * (h - count * grid_s)
+    share = left[count] * (1.0 - rest * (1.0 - rest * (0.5 - rest * (1.0 / 6.0 - rest / 24.0))))
+    filled = (1.0 - share) / q
+    return share, stiffness * filled, stiffness * (h - filled) / q
+
+
+@inlined
+def sine(angle: float) -> float:
+    """Sine to 1e-9, by its series: a call would cost the loop around it its registers."""
+    if abs(angle) > 0.5 * math.pi:
+        angle -= 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
+        if abs(angle) > 0.5 * math.pi:
+            angle = math.copysign(math.pi, angle) - angle
+    z = angle * angle
+    late = (1.0 / 362880.0 - z * (1.0 / 39916800.0)) + z * z * (1.0 / 6227020800.0)
+    early = (-1.0 / 6.0 + z * (1.0 / 120.0)) + z * z * (z * late - 1.0 / 5040.0)
+    return angle + angle * z * early
+
+
 @compiled
-def build(table: FloatArray, k: int, steps: FloatArray, rate: FloatArray, grid_s: float, h: float) -> None:
-    """Matrix of a step of length `h`, column by column."""
+def build(
+    table: FloatArray, k: int, steps: FloatArray, rate: FloatArray, left: FloatArray, grid_s: float, h: float
+) -> None:
+    """Matrix of a step of length `h`, column by column; and what winds up the torque of a servo that sticks."""
+    table[k, 0, 7], table[k, 1, 7], table[k, 2, 7] = wound_up(rate, left, grid_s, h)
     for j in range(7):
         unit = (
             1.0 * (j == 0),
@@ -112,30 +141,3 @@ def build(table: FloatArray, k: int, steps: FloatArray, rate: FloatArray, grid_s
             1.0 * (j == 6),
         )
         table[k, 0, j], table[k, 1, j], table[k, 2, j] = moved(steps, rate, grid_s, h, unit)
-
-
-@compiled
-def fade(fades: FloatArray, slot: int, lag_s: float, natural: float, damping: float, h: float) -> None:
-    """What is left after `h` of a sensor's lag, and cosine and sine of the free swing of a flexible tip."""
-    if lag_s > 0.0:
-        fades[slot, 0] = math.exp(-h / lag_s)
-    if natural > 0.0:
-        decay, turn = math.exp(-damping * natural * h), natural * math.sqrt(1.0 - damping * damping)
-        fades[slot, 1], fades[slot, 2] = decay * math.cos(turn * h), decay * math.sin(turn * h)
-
-
-@inlined
-def flexed_tip(
-    natural: float, damping: float, h: float, decay: FloatArray, drive: tuple[float, float], tip: tuple[float, float]
-) -> tuple[float, float]:
-    """Position and speed of a flexible tip whose root moves straight from one position to the other.
-
-    `decay` holds cosine and sine of its free swing over `h`, as far as it dies away.
-    """
-    slope = (drive[1] - drive[0]) / h
-    lag = 2.0 * damping / natural * slope
-    turn = natural * math.sqrt(1.0 - damping * damping)
-    away, speed = tip[0] - (drive[0] - lag), tip[1] - slope
-    swing = (speed + damping * natural * away) / turn
-    position = drive[1] - lag + away * decay[1] + swing * decay[2]
-    return position, slope + speed * decay[1] - (away * turn + damping * natural * swing) * decay[2]

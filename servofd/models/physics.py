@@ -131,6 +131,8 @@ class Loop(NamedTuple):
     after 1..k grid steps, while the error acts."""
     opened: FloatArray
     """The same while it does not: inside a dead band, or saturated."""
+    torque_left: FloatArray
+    """Share of the torque that is left after 0..k grid steps without motion, shape (k + 1,)."""
     closed_rate: FloatArray
     """Of shape (3, 7): derivatives of the states."""
     opened_rate: FloatArray
@@ -248,6 +250,7 @@ def _loop(denominator: tuple[float, ...], bandwidth_scale: float, damping_scale:
     return Loop(
         step_matrices(closed, grid_s, entries),
         step_matrices(opened, grid_s, entries),
+        np.exp(closed[2, 2] * grid_s * np.arange(entries + 1)),
         closed,
         opened,
         grid_s,

@@ -14,7 +14,8 @@ import math
 import numpy as np
 from numba import njit
 
-from servofd.models.loop_steps import build, coasted, compiled, fade, flexed_tip, inlined, moved, row
+from servofd.models.linkage import LINKAGE, begin_linkage, carried, deflected, rest_linkage
+from servofd.models.loop_steps import build, coasted, compiled, moved, row, sine, wound_up
 from servofd.models.physics import Loop, Physics
 from servofd.types import FloatArray
 
@@ -26,9 +27,10 @@ _SAME_STEP_S = 1e-9
 _STILL_DEG = 1e-5
 _SLOTS, _MOST_BUILT = 8, 64
 """Matrices of that many lengths of step are kept; where the stamps jitter, none are made any more after so many."""
-_READY = 3
 _PER_DEG = math.pi / 180.0
-_STATES = 17
+_NOTES, _MOST_STEPS = 512, 128
+"""Steps of the shaft that are noted for the linkage, and the most that are taken at once."""
+_STATES = 12
 (
     _CLOCK,
     _Y,
@@ -37,30 +39,25 @@ _STATES = 17
     _U,
     _S,
     _WANTED,
-    _FOLLOWED,
-    _FLEXED,
-    _SWING,
-    _PLAYED,
-    _STATIC,
-    _LAGGED,
     _CURSOR,
     _BUILT,
     _OLDER,
     _LATEST,
+    _NOTED,
 ) = range(_STATES)
 
 
 def new_memory(start_deg: float) -> FloatArray:
-    """Memory of a servo at rest where its surface was measured [deg], shape (25,); `run` starts at its first instant.
+    """Memory of a servo at rest where its surface was measured [deg], shape (k,); `run` starts at its first instant.
 
-    Time [s], the loop's states, command in force and its slope, wanted set point, positions along the linkage, how
-    many of the commands have taken effect, and the lengths of step whose matrices are kept, so that a run in pieces
-    takes the same steps as the run in one go.
+    Time [s], the loop's states, command in force and its slope, wanted set point, how many of the commands have taken
+    effect, the lengths of step whose matrices are kept, so that a run in pieces takes the same steps as the run in one
+    go, and the linkage's.
     """
-    memory = np.zeros(_STATES + _SLOTS)
+    memory = np.zeros(_STATES + _SLOTS + LINKAGE)
     memory[_CLOCK] = np.nan
-    memory[_STATES:] = -1.0
-    memory[_STATIC] = start_deg
+    memory[_STATES : _STATES + _SLOTS] = -1.0
+    memory[_Y] = start_deg
     return memory
 
 
@@ -86,22 +83,15 @@ def run(
 
     The memory is moved on: run again with later times, and with the commands from its cursor on.
     """
-    result, table = np.empty(at_s.size), np.empty((2 * _SLOTS, 3, 7))
-    fades = np.zeros((_SLOTS + 1, 4))
     inputs = effective_s, command_deg, slope_deg_s, at_s, pressure_pa, voltage_v
-    _run(physics, loop, dc_gain, longest_s, *inputs, memory, memory[_STATES:], table, fades, result)
+    result = np.empty(at_s.size)
+    room = np.empty((2 * _SLOTS, 3, 8)), np.empty((_NOTES, 5)), memory[_STATES + _SLOTS :], result
+    _run(physics, loop, dc_gain, longest_s, *inputs, memory, *room)
     return result
 
 
-@inlined
-def _deflected(physics: Physics, played: float) -> float:
-    """Deflection of the surface, from the position of the servo at the end of its play [deg]."""
-    bent = 1.0 + played * (physics.quadratic_per_deg + played * physics.cubic_per_deg2)
-    return float(max(min(physics.gain * played * bent, physics.upper_deg), physics.lower_deg) + physics.bias_deg)
-
-
 @compiled
-def _run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would take most of its time
+def _run(
     physics: Physics,
     loop: Loop,
     dc_gain: float,
@@ -113,24 +103,83 @@ def _run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would ta
     pressure_pa: FloatArray,
     voltage_v: FloatArray,
     memory: FloatArray,
-    built_s: FloatArray,
     table: FloatArray,
-    fades: FloatArray,
+    notes: FloatArray,
+    link: FloatArray,
     result: FloatArray,
 ) -> None:
-    """The same with room for lengths of step, their matrices, what fades within them, and the result.
+    """The same with room for matrices, for steps of the shaft, for the linkage, and for the result."""
+    linked = begin_linkage(link, physics)
+    for k in range(_SLOTS):
+        table[2 * k, 0, 0] = np.nan
+    if math.isnan(memory[_CLOCK]):
+        start_deg = memory[_Y]
+        shaft = (start_deg - physics.bias_deg) / physics.gain
+        rest_linkage(link, shaft, start_deg)
+        memory[_Y] = memory[_U] = shaft / dc_gain
+    first = 0
+    while first < at_s.size:
+        last = _turned(
+            physics,
+            loop,
+            dc_gain,
+            longest_s,
+            effective_s,
+            command_deg,
+            slope_deg_s,
+            at_s,
+            pressure_pa,
+            voltage_v,
+            memory,
+            table,
+            notes,
+            linked,
+            first,
+            result,
+        )
+        if linked:
+            carried(link, notes, int(memory[_NOTED]), result, first, last)
+        first = last
+    if not linked:
+        for n in range(at_s.size):
+            result[n] = deflected(link, result[n])
+        rest_linkage(link, dc_gain * memory[_Y], result[-1])
+    step_deg = physics.output_step_deg
+    if step_deg > 0.0:
+        for n in range(at_s.size):
+            result[n] = step_deg * math.floor(result[n] / step_deg + 0.5)
 
-    Of the matrices there are two for each length of step: while the error acts, and while it does not. The last entry
-    of the last array but one, which is also that of slot -1, is for steps that are not kept.
+
+@compiled
+def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would take most of its time
+    physics: Physics,
+    loop: Loop,
+    dc_gain: float,
+    longest_s: float,
+    effective_s: FloatArray,
+    command_deg: FloatArray,
+    slope_deg_s: FloatArray,
+    at_s: FloatArray,
+    pressure_pa: FloatArray,
+    voltage_v: FloatArray,
+    memory: FloatArray,
+    table: FloatArray,
+    notes: FloatArray,
+    linked: bool,
+    first: int,
+    result: FloatArray,
+) -> int:
+    """Turn the shaft from one of the instants until there is no more room for notes; the instant after the last.
+
+    Its positions at the instants are the result, or, if it is noted for a linkage, how many steps were taken until
+    then. Of the matrices there are two for each length of step: while the error acts, and while it does not.
     """
-    grid_s, order = loop.grid_s, loop.order
+    built_s = memory[_STATES:]
+    grid_s, order, stiffness = loop.grid_s, loop.order, loop.closed_rate[loop.order - 1, 3]
     closed, opened, closed_rate, opened_rate = loop.closed, loop.opened, loop.closed_rate, loop.opened_rate
     whole_s = grid_s * closed.shape[0]
     short_s = min(longest_s, whole_s)
     built, older, latest = int(memory[_BUILT]), int(memory[_OLDER]), int(memory[_LATEST])
-    for k in range(_SLOTS):
-        fades[k, _READY] = 0.0
-    fading = physics.lag_s > 0.0 or physics.resonance_hz > 0.0
     dead = 0.5 * physics.deadband_deg + (physics.friction_deg / dc_gain if order == 1 else 0.0)
     insensitive = 0.5 * physics.insensitive_deg
     edge = max(dead, insensitive)
@@ -142,47 +191,43 @@ def _run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would ta
     rubs = order > 1 and (friction > 0.0 or physics.load_friction > 0.0)
     bends = edge > 0.0
     saturates = sags or up < math.inf or down < math.inf
-    loaded = physics.airload_per_pa != 0.0 or physics.droop_deg != 0.0
+    weighs = physics.droop_deg != 0.0
+    loaded = weighs or physics.airload_per_pa != 0.0
     stop_upper, stop_lower = physics.stop_upper_deg / dc_gain, physics.stop_lower_deg / dc_gain
     blocked = stop_upper < math.inf or stop_lower > -math.inf
-    natural, half = 2.0 * math.pi * physics.resonance_hz, 0.5 * physics.backlash_deg
     slews, rooted = physics.set_point_deg_s < math.inf, physics.knee_deg < math.inf
     per_knee = dc_gain / physics.knee_deg
-    fastest, fastest_down = physics.follow_up_deg_s / dc_gain, physics.follow_down_deg_s / dc_gain
-    lags = fastest < math.inf or fastest_down < math.inf
-    turns = rubs or half > 0.0
-    # Without any of these the deflection follows from the position at that instant.
-    linked = lags or half > 0.0 or fading
-    if slews or rooted or physics.load_friction > 0.0 or fading:
+    if slews or rooted or physics.load_friction > 0.0:
         whole_s = min(2.0 * short_s, whole_s)
-    if not (bends or saturates or turns or lags or blocked):
+    if not (bends or saturates or rubs or blocked):
         short_s = math.inf  # nothing ever switches
-    c = 0
-    if math.isnan(memory[_CLOCK]):
-        start_deg, clock = memory[_STATIC], at_s[0]
-        followed = (start_deg - physics.bias_deg) / physics.gain
-        flexed, swing, played, static, lagged = followed, 0.0, followed, start_deg, start_deg
-        y, v, torque, u, s = followed / dc_gain, 0.0, 0.0, followed / dc_gain, 0.0
+    most_s = _MOST_STEPS * min(short_s, whole_s)
+    y, v, torque, u = memory[_Y], memory[_V], memory[_TORQUE], memory[_U]
+    s, wanted, clock = memory[_S], memory[_WANTED], memory[_CLOCK]
+    c = int(memory[_CURSOR]) if first > 0 else 0
+    if math.isnan(clock):
+        clock = at_s[0]
         while c < effective_s.size and effective_s[c] <= clock:
             u, s = command_deg[c] + slope_deg_s[c] * (clock - effective_s[c]), slope_deg_s[c]
             c += 1
         wanted = u
         if slews:
             s = 0.0
-    else:
-        clock, y, v, torque, u = memory[_CLOCK], memory[_Y], memory[_V], memory[_TORQUE], memory[_U]
-        s, wanted, followed, flexed = memory[_S], memory[_WANTED], memory[_FOLLOWED], memory[_FLEXED]
-        swing, played, static, lagged = memory[_SWING], memory[_PLAYED], memory[_STATIC], memory[_LAGGED]
-    for n in range(at_s.size):
+    noted, last = 0, first
+    while last < at_s.size:
+        n = last
         now = at_s[n]
         if sags:
             volt_limit = physics.deg_s_per_v * voltage_v[n] * per_rate
             most, least = min(up, volt_limit), -min(down, volt_limit)
         top, bottom = most + dead, least - dead
-        while True:
+        while noted <= _NOTES - _MOST_STEPS:
             commanded = c < effective_s.size and effective_s[c] <= now
             # A command that arrives late takes effect at once.
             until = max(effective_s[c], clock) if commanded else now
+            pauses = until - clock > most_s
+            if pauses:
+                until = clock + most_s
             left = until - clock
             clock = until
             count, h = 0, left
@@ -202,14 +247,10 @@ def _run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would ta
                         slot = built % _SLOTS
                         built_s[slot] = h
                         built += 1
-                        fades[slot, _READY] = 0.0
-                    if slot >= 0 and fades[slot, _READY] == 0.0:
-                        build(table, 2 * slot, closed, closed_rate, grid_s, built_s[slot])
-                        build(table, 2 * slot + 1, opened, opened_rate, grid_s, built_s[slot])
-                        fade(fades, slot, physics.lag_s, natural, physics.resonance_damping, built_s[slot])
-                        fades[slot, _READY] = 1.0
-                    elif slot < 0 and fading:
-                        fade(fades, _SLOTS, physics.lag_s, natural, physics.resonance_damping, h)
+                        table[2 * slot, 0, 0] = np.nan
+                    if slot >= 0 and math.isnan(table[2 * slot, 0, 0]):
+                        build(table, 2 * slot, closed, closed_rate, loop.torque_left, grid_s, built_s[slot])
+                        build(table, 2 * slot + 1, opened, opened_rate, loop.torque_left, grid_s, built_s[slot])
                     older, latest = latest, max(slot, 0)
                 if slews:
                     s = max(min((wanted - u) / h, physics.set_point_deg_s), -physics.set_point_deg_s)
@@ -226,13 +267,33 @@ def _run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would ta
                 pushed = max(min(bent, most), least) if held else bent - error
                 load = 0.0
                 if loaded:
-                    load = -per_error * (
-                        physics.airload_per_pa * pressure_pa[n] * middle
-                        + physics.droop_deg * math.sin(middle * _PER_DEG)
-                    )
+                    load = physics.airload_per_pa * pressure_pa[n] * middle
+                    if weighs:
+                        load += physics.droop_deg * sine(middle * _PER_DEG)
+                    load *= -per_error
                 x = (y, v, torque, u, s, pushed, load)
+                limit, sticks, wound = friction, False, 0.0
+                if rubs:
+                    if order == 3:
+                        limit += physics.load_friction * abs(torque)
+                    else:
+                        limit += physics.load_friction * abs(max(min(bent, most), least)) * per_error
+                    if v == 0.0:
+                        acts, grows = (pushed, 0.0) if held else (pushed + u - y, s)
+                        before, wound = stiffness * acts, stiffness * (acts + h * grows)
+                        if order == 3:
+                            if slot >= 0:
+                                k = 2 * slot
+                                left, filled, ramped = table[k, 0, 7], table[k, 1, 7], table[k, 2, 7]
+                            else:
+                                left, filled, ramped = wound_up(opened_rate, loop.torque_left, grid_s, h)
+                            before, wound = torque, left * torque + filled * acts + ramped * grows
+                        more = limit + (physics.load_friction * (abs(wound) - abs(torque)) if order == 3 else 0.0)
+                        sticks = abs(before + load) <= limit and abs(wound + load) <= more
                 # Branches, because the processor foresees which it is; it would have to wait for an index.
-                if slot >= 0 and held:
+                if sticks:
+                    y1, v1, torque1 = y, 0.0, wound if order == 3 else torque
+                elif slot >= 0 and held:
                     k, share = 2 * slot + 1, 1.0
                     y1, v1, torque1 = coasted(table, k, x)
                     by_y, by_v, by_torque = table[k, 0, 6], table[k, 1, 6], table[k, 2, 6]
@@ -245,12 +306,7 @@ def _run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would ta
                 else:
                     y1, v1, torque1 = moved(closed, closed_rate, grid_s, h, x)
                 rested = False
-                if rubs:
-                    limit = friction
-                    if physics.load_friction > 0.0:
-                        limit += physics.load_friction * (
-                            abs(torque) if order == 3 else abs(max(min(bent, most), least)) * per_error
-                        )
+                if rubs and not sticks:
                     if slot < 0:  # in proportion to the time between two steps of the grid
                         k = min(max(int(h / grid_s + 0.5), 1), closed.shape[0]) - 1
                         share = h / ((k + 1) * grid_s)
@@ -263,14 +319,15 @@ def _run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would ta
                     y1 += by_y * brake
                     v1 += by_v * brake
                     torque1 += by_torque * brake
+                    if rested:
+                        v1 = 0.0
                 if wary:
                     begin, end = u - y, u + h * s - y1
                     low, high = min(begin, end, error), max(begin, end, error)
                     if (
                         (bends and (low <= edge < high or low < -edge <= high))
                         or (saturates and (low <= top < high or low < bottom <= high))
-                        or (turns and (rested or v * v1 <= 0.0) and abs(y1 - y) >= _STILL_DEG)
-                        or (lags and (followed != dc_gain * y or max(v, v1) > fastest or min(v, v1) < -fastest_down))
+                        or (rubs and not sticks and (rested or v * v1 <= 0.0) and abs(y1 - y) >= _STILL_DEG)
                         or (blocked and (max(y, y1) >= stop_upper or min(y, y1) <= stop_lower))
                     ):
                         left = count * h
@@ -278,51 +335,36 @@ def _run(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would ta
                         h, wary, is_new = left / count, False, True
                         continue
                 count -= 1
-                y, v, torque = y1, v1, torque1
                 u += h * s
                 if blocked:
-                    if y > stop_upper:
-                        y, v = stop_upper, min(v, 0.0)
-                    elif y < stop_lower:
-                        y, v = stop_lower, max(v, 0.0)
-                if not linked:
-                    continue
-                before, followed = followed, dc_gain * y
-                if lags:
-                    followed = max(
-                        min(followed, before + physics.follow_up_deg_s * h), before - physics.follow_down_deg_s * h
-                    )
-                if natural > 0.0:
-                    flexed, swing = flexed_tip(
-                        natural, physics.resonance_damping, h, fades[slot], (before, followed), (flexed, swing)
-                    )
-                else:
-                    flexed = followed
-                played = max(min(played, flexed + half), flexed - half)
-                if physics.lag_s > 0.0:
-                    before, static = static, _deflected(physics, played)
-                    drift = (static - before) / h * physics.lag_s
-                    lagged = static - drift + fades[slot, 0] * (lagged - before + drift)
+                    if y1 > stop_upper:
+                        y1, v1 = stop_upper, min(v1, 0.0)
+                    elif y1 < stop_lower:
+                        y1, v1 = stop_lower, max(v1, 0.0)
+                if linked:
+                    notes[noted, 0], notes[noted, 1], notes[noted, 3] = h, dc_gain * y, dc_gain * y1
+                    notes[noted, 2], notes[noted, 4] = dc_gain * v, dc_gain * v1
+                    if order == 1:
+                        notes[noted, 2] = notes[noted, 4] = dc_gain * (y1 - y) / h
+                    noted += 1
+                y, v, torque = y1, v1, torque1
+            if pauses:
+                continue
             if not commanded:
+                result[n] = noted if linked else dc_gain * y
+                last += 1
                 break
             wanted = command_deg[c]
             if not slews:
                 u, s = wanted, slope_deg_s[c]
             c += 1
-        if not linked:
-            played = dc_gain * y
-        if physics.lag_s <= 0.0:
-            lagged = _deflected(physics, played)
-        if physics.output_step_deg > 0.0:
-            result[n] = physics.output_step_deg * math.floor(lagged / physics.output_step_deg + 0.5)
-        else:
-            result[n] = lagged
-    if not linked:
-        followed, flexed, static = played, played, lagged
+        if last == n:
+            break
     memory[_CLOCK], memory[_Y], memory[_V], memory[_TORQUE], memory[_U] = clock, y, v, torque, u
-    memory[_S], memory[_WANTED], memory[_FOLLOWED], memory[_FLEXED] = s, wanted, followed, flexed
-    memory[_SWING], memory[_PLAYED], memory[_STATIC], memory[_LAGGED] = swing, played, static, lagged
+    memory[_S], memory[_WANTED] = s, wanted
     memory[_CURSOR], memory[_BUILT], memory[_OLDER], memory[_LATEST] = c, built, older, latest
+    memory[_NOTED] = noted
+    return last
 
 
 @njit(cache=True, error_model="numpy")
