@@ -12,7 +12,7 @@ from servofd.detection.rehearsal import Rehearsal
 from servofd.detection.residual import ResidualGenerator
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from servofd.calibrating.flights import Flight
     from servofd.calibrating.servo import FlownServo
@@ -36,9 +36,7 @@ _NEVER = 0.999
 class Motion:
     """Flights of one surface, ready to be compared with a simulation."""
 
-    flights: tuple[Flight, ...]
     rehearsals: tuple[Rehearsal, ...]
-    """Of each flight."""
     used: tuple[BoolArray, ...]
     """Rows of each flight with a position that a simulation can be held against."""
     usual_gain: float = 1.0
@@ -49,18 +47,21 @@ class Motion:
         """Find the rows; they do not depend on the numbers of the servo."""
         generator = ResidualGenerator(servo.model, _POLE_RAD_S)
         rehearsals = tuple(Rehearsal.of(generator, flight.segment) for flight in flights)
-        return cls(tuple(flights), rehearsals, tuple(_usable(each) for each in rehearsals))
+        return cls(rehearsals, tuple(_usable(each) for each in rehearsals))
 
     @property
     def measured_deg(self) -> FloatArray:
         """Position in all used rows [deg], shape (n,)."""
-        pairs = zip(self.flights, self.used, strict=True)
-        return np.concatenate([flight.segment.measured_deg[rows] for flight, rows in pairs])
+        return np.concatenate([each.segment.measured_deg[rows] for each, rows in self._pairs()])
+
+    def hearing(self, changed: Callable[[FloatArray], FloatArray]) -> Motion:
+        """The same flights with commands [deg] that a function has changed."""
+        return replace(self, rehearsals=tuple(r.hearing(changed(r.segment.command_deg)) for r in self.rehearsals))
 
     def simulated_deg(self, servo: FlownServo) -> FloatArray:
         """Deflection of a servo in all used rows [deg], shape (n,)."""
-        model, pairs = servo.model, zip(self.rehearsals, self.used, strict=True)
-        return np.concatenate([rehearsal.simulated_deg(model)[rows] for rehearsal, rows in pairs])
+        model = servo.model
+        return np.concatenate([each.simulated_deg(model)[rows] for each, rows in self._pairs()])
 
     def split(self, values: FloatArray) -> list[FloatArray]:
         """What belongs to each flight of an array of shape (n,)."""
@@ -70,8 +71,8 @@ class Motion:
         """Largest speed that a servo without its rate limit would have [deg/s], single samples left out."""
         parts = self.split(self.simulated_deg(replace(servo, rate_limit_deg_s=None)))
         speeds = [
-            np.abs(np.diff(part) / np.diff(flight.segment.measured_s[rows]))
-            for part, flight, rows in zip(parts, self.flights, self.used, strict=True)
+            np.abs(np.diff(part) / np.diff(each.segment.measured_s[rows]))
+            for part, (each, rows) in zip(parts, self._pairs(), strict=True)
         ]
         every = np.concatenate(speeds)
         return float(np.quantile(every, _NEVER)) if every.size else 0.0
@@ -79,11 +80,15 @@ class Motion:
     @property
     def period_s(self) -> float:
         """Median sample time of the first flight [s]."""
-        return self.flights[0].segment.period_s
+        return self.rehearsals[0].segment.period_s
 
     def memory(self, error_deg: FloatArray) -> float:
         """Long-run variance of an error over its variance, at least 1."""
         return memory(self.split(error_deg), max(1, round(_MEMORY_S / self.period_s)))
+
+    def _pairs(self) -> Iterable[tuple[Rehearsal, BoolArray]]:
+        """Each flight with its rows."""
+        return zip(self.rehearsals, self.used, strict=True)
 
 
 def _usable(rehearsal: Rehearsal) -> BoolArray:

@@ -40,6 +40,8 @@ class Rehearsal:
     commands: Commands
     """As a servo without a delay gets them."""
     starts: Starts
+    longest_gap_s: float
+    """Longest interval between samples that is bridged."""
 
     @classmethod
     def of(cls, generator: ResidualGenerator, segment: Segment) -> Rehearsal:
@@ -48,7 +50,12 @@ class Rehearsal:
 
         gap_s = generator.longest_gap_s(segment)
         starts = find_starts(segment, gap_s, generator.blanking_s, rhythm(segment.command_s).longest_s)
-        return cls(segment, commands_at_servo(segment, 0.0, gap_s), starts)
+        return cls(segment, commands_at_servo(segment, 0.0, gap_s), starts, gap_s)
+
+    def hearing(self, command_deg: FloatArray) -> Rehearsal:
+        """The same part of the flight with other commands, shape (n,), at the instants of those that it has."""
+        segment = replace(self.segment, command_deg=command_deg)
+        return replace(self, segment=segment, commands=commands_at_servo(segment, 0.0, self.longest_gap_s))
 
     def simulated_deg(self, model: ServoModel) -> FloatArray:
         """Deflection of a servo [deg], shape (n,), as its residual generator would have it."""
