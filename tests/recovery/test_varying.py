@@ -34,6 +34,7 @@ def explained(slope: float = SLOPE) -> Explanation:
     return explain_gap(runs, KNOWN, on_bench=True)
 
 
+@pytest.mark.slow
 def test_a_rate_limit_that_falls_with_the_load_is_told_with_its_slope() -> None:
     selection = explained().selection
     assert selection.final.names[0] == "rate_limit"
