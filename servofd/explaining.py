@@ -6,14 +6,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 import logparsers
-from servofd.aircraft import Aircraft, load_aircraft
+from servofd.aircraft import Aircraft, Surface, load_aircraft
 from servofd.bench import bench_aircraft
 from servofd.detection.audit import audit_log
 from servofd.detection.words import describe
 from servofd.discrepancy.elsewhere import judged_elsewhere
 from servofd.discrepancy.explanation import Explanation, explain_gap
 from servofd.discrepancy.own import OwnEffect, load_own_effect
+from servofd.discrepancy.varying import varying
 from servofd.errors import ConfigError, DesignError, NoMeasurement, UnknownName, suggest
 from servofd.models.physics import scaled_transfer
 from servofd.segment import cut
@@ -25,6 +28,7 @@ if TYPE_CHECKING:
 
     from logparsers import FlightLog
     from servofd.segment import Segment
+    from servofd.types import FloatArray
 
 __all__ = ["UNKNOWN", "ExplainedLog", "ExplainedLogs", "explain_log", "explain_logs"]
 
@@ -41,6 +45,8 @@ _UNKNOWN_SERVO = Servo(
 )
 
 
+_STEADY = 0.5
+"""Of the spread between runs, that within one: more, and a mean says little about the run."""
 _WORSE = 1.05
 """What chance makes of an error of a thousand samples is less."""
 
@@ -237,8 +243,12 @@ def _surface(
 ) -> Explanation:
     free_poles = flown.has_unknown_servo(name)
     aircraft = _with_unknown_servo(flown.aircraft, name) if free_poles else flown.aircraft
-    segments, model = _segments(flown.logs, name, aircraft), aircraft.model(name)
+    logs, segments = _segments(flown.logs, name, aircraft)
+    model = aircraft.model(name)
     found = explain_gap(segments, model, on_bench=flown.on_bench, free_poles=free_poles, own=own, progress=progress)
+    if found.record.side is None:
+        differing = varying(found.selection, _conditions(logs, aircraft.surfaces[name]))
+        found = replace(found, varying=differing, notes=(*found.notes, *(each.sentence for each in differing)))
     if found.fault_s is not None and len(flown.logs) == 1:
         found = _with_kind(found, found.fault_s, flown.logs[0], aircraft)
     judged = tuple(judged_elsewhere(label, there[name], model, found.physics, own) for label, there in also)
@@ -273,17 +283,32 @@ def _is_bench(aircraft: Aircraft, surface: str) -> bool:
     return aircraft.table is not None and bool(aircraft.table.run) and "servo" not in entry.model_fields_set
 
 
-def _segments(logs: Sequence[FlightLog], surface: str, aircraft: Aircraft) -> list[Segment]:
-    """One for each run in which the surface was commanded and measured."""
-    segments, reasons = [], []
+def _segments(logs: Sequence[FlightLog], surface: str, aircraft: Aircraft) -> tuple[list[FlightLog], list[Segment]]:
+    """The runs in which the surface was commanded and measured, and it in each of them."""
+    used, segments, reasons = [], [], []
     for log in logs:
         try:
             segments.append(cut(log, surface, aircraft.surfaces[surface]))
+            used.append(log)
         except NoMeasurement as error:
             reasons.append(str(error))
     if not segments:
         raise NoMeasurement(reasons[0])
-    return segments
+    return used, segments
+
+
+def _conditions(logs: Sequence[FlightLog], surface: Surface) -> dict[str, FloatArray]:
+    """What else was logged in every run and hardly changed within one: its mean, by the name of its channel."""
+    own = {surface.command.channel, surface.measured.channel if surface.measured else ""}
+    result = {}
+    for name in set.intersection(*(set(log.channels) for log in logs)) - own:
+        each = [log[name].values[np.isfinite(log[name].values)] for log in logs]
+        if all(values.size for values in each):
+            means = np.array([np.mean(values) for values in each])
+            within = float(np.mean([np.std(values) for values in each]))
+            if within < _STEADY * float(np.std(means)):
+                result[name] = means
+    return dict(sorted(result.items()))
 
 
 def _with_unknown_servo(aircraft: Aircraft, surface: str, servo: Servo = _UNKNOWN_SERVO) -> Aircraft:

@@ -20,17 +20,18 @@ if TYPE_CHECKING:
     from servofd.aircraft import Surface
     from servofd.types import FloatArray
 
-__all__ = ["SLOWEST_RATE_HZ", "SURROUNDINGS", "WARM_UP_S", "WARM_UP_STEPS", "Segment", "cut", "pace_steps"]
+__all__ = ["SLOWEST_RATE_HZ", "SURROUNDINGS", "WARM_UP_S", "WARM_UP_STEPS", "Segment", "cut", "pace_steps", "too_far"]
 
 _LARGEST_DEG = 1e6
 """No servo turns so far; a motor drive in millimetres may."""
 
 SURROUNDINGS: Final[Mapping[str, Mapping[str, float]]] = {
     "airspeed_m_s": {"airspeed_m_s": 1.0, "ARSP.Airspeed": 1.0, "VFR_HUD.airspeed": 1.0},
-    "servo_voltage_v": {"servo_voltage_v": 1.0, "POWR.Vservo": 1.0, "POWER_STATUS.Vservo": 1e-3},
+    "servo_voltage_v": {"servo_voltage_v": 1.0, "volts": 1.0, "POWR.Vservo": 1.0, "POWER_STATUS.Vservo": 1e-3},
     "servo_current_a": {"servo_current_a": 1.0, "amps": 1.0},
+    "servo_temperature_c": {"servo_temperature_c": 1.0, "temp_c": 1.0},
 }
-"""Channels that tell about the surroundings of servos, the best first, and what turns each into m/s, V or A."""
+"""Channels that tell about the surroundings of servos, the best first, and what turns each into m/s, V, A or °C."""
 WARM_UP_S, WARM_UP_STEPS = 10.0, 100
 """A monitor in flight learns the pace of a stream from so many intervals, or from as many as there are by then [s]."""
 _SAME_PACE = 1.5
@@ -115,6 +116,22 @@ def pace_steps(time_s: FloatArray) -> FloatArray:
     early_s, usual_s = float(np.median(first_s)), float(np.median(steps_s))
     same = early_s <= _SAME_PACE * usual_s and usual_s <= _SAME_PACE * early_s
     return first_s if same else steps_s
+
+
+def too_far(segment: Segment) -> str:
+    """Which angle no servo reaches, or nothing: of a log `cut` refuses it, a damaged recording may hold it.
+
+    Examples
+    --------
+    >>> t = np.arange(3) / 50.0
+    >>> too_far(Segment("x", t, 1e9 * t, t, t))
+    'the command reaches 4e+07 deg: no servo turns so far'
+    """
+    for which, values_deg in (("command", segment.command_deg), ("position", segment.measured_deg)):
+        largest_deg = float(np.nanmax(np.abs(values_deg), initial=0.0))
+        if largest_deg > _LARGEST_DEG:
+            return f"the {which} reaches {largest_deg:.3g} deg: no servo turns so far"
+    return ""
 
 
 def cut(log: FlightLog, name: str, surface: Surface) -> Segment:

@@ -168,8 +168,9 @@ def _check_follows(motion: Motion, servo: FlownServo, line_: tuple[float, float]
     away = from_rest_deg >= _AWAY * float(np.percentile(from_rest_deg, 99.0))
     error_deg = float(np.median(np.abs(motion.measured_deg - simulated_deg - offset_deg)[away]))
     if not error_deg < _FOLLOWS * float(np.median(from_rest_deg[away])):
+        surface = motion.rehearsals[0].segment.surface
         raise CalibrationError(
-            f"{motion.flights[0].segment.surface}: the position does not follow the command: a surface that was stuck "
+            f"{surface}: the position does not follow the command: a surface that was stuck "
             "or floating all the time, channels that do not belong together, or too little motion"
         )
 

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.detection.bank.window import noise_deg
+from servofd.detection.rehearsal import Rehearsal
 from servofd.detection.residual import ResidualGenerator
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from servofd.calibrating.flights import Flight
     from servofd.calibrating.servo import FlownServo
@@ -35,7 +36,7 @@ _NEVER = 0.999
 class Motion:
     """Flights of one surface, ready to be compared with a simulation."""
 
-    flights: tuple[Flight, ...]
+    rehearsals: tuple[Rehearsal, ...]
     used: tuple[BoolArray, ...]
     """Rows of each flight with a position that a simulation can be held against."""
     usual_gain: float = 1.0
@@ -44,19 +45,23 @@ class Motion:
     @classmethod
     def of(cls, flights: Sequence[Flight], servo: FlownServo) -> Motion:
         """Find the rows; they do not depend on the numbers of the servo."""
-        return cls(tuple(flights), tuple(_usable(flight, servo) for flight in flights))
+        generator = ResidualGenerator(servo.model, _POLE_RAD_S)
+        rehearsals = tuple(Rehearsal.of(generator, flight.segment) for flight in flights)
+        return cls(rehearsals, tuple(_usable(each) for each in rehearsals))
 
     @property
     def measured_deg(self) -> FloatArray:
         """Position in all used rows [deg], shape (n,)."""
-        pairs = zip(self.flights, self.used, strict=True)
-        return np.concatenate([flight.segment.measured_deg[rows] for flight, rows in pairs])
+        return np.concatenate([each.segment.measured_deg[rows] for each, rows in self._pairs()])
+
+    def hearing(self, changed: Callable[[FloatArray], FloatArray]) -> Motion:
+        """The same flights with commands [deg] that a function has changed."""
+        return replace(self, rehearsals=tuple(r.hearing(changed(r.segment.command_deg)) for r in self.rehearsals))
 
     def simulated_deg(self, servo: FlownServo) -> FloatArray:
         """Deflection of a servo in all used rows [deg], shape (n,)."""
-        generator = ResidualGenerator(servo.model, _POLE_RAD_S)
-        pairs = zip(self.flights, self.used, strict=True)
-        return np.concatenate([generator.run(flight.segment).simulated_deg[rows] for flight, rows in pairs])
+        model = servo.model
+        return np.concatenate([each.simulated_deg(model)[rows] for each, rows in self._pairs()])
 
     def split(self, values: FloatArray) -> list[FloatArray]:
         """What belongs to each flight of an array of shape (n,)."""
@@ -66,8 +71,8 @@ class Motion:
         """Largest speed that a servo without its rate limit would have [deg/s], single samples left out."""
         parts = self.split(self.simulated_deg(replace(servo, rate_limit_deg_s=None)))
         speeds = [
-            np.abs(np.diff(part) / np.diff(flight.segment.measured_s[rows]))
-            for part, flight, rows in zip(parts, self.flights, self.used, strict=True)
+            np.abs(np.diff(part) / np.diff(each.segment.measured_s[rows]))
+            for part, (each, rows) in zip(parts, self._pairs(), strict=True)
         ]
         every = np.concatenate(speeds)
         return float(np.quantile(every, _NEVER)) if every.size else 0.0
@@ -75,24 +80,28 @@ class Motion:
     @property
     def period_s(self) -> float:
         """Median sample time of the first flight [s]."""
-        return self.flights[0].segment.period_s
+        return self.rehearsals[0].segment.period_s
 
     def memory(self, error_deg: FloatArray) -> float:
         """Long-run variance of an error over its variance, at least 1."""
         return memory(self.split(error_deg), max(1, round(_MEMORY_S / self.period_s)))
 
+    def _pairs(self) -> Iterable[tuple[Rehearsal, BoolArray]]:
+        """Each flight with its rows."""
+        return zip(self.rehearsals, self.used, strict=True)
 
-def _usable(flight: Flight, servo: FlownServo) -> BoolArray:
+
+def _usable(rehearsal: Rehearsal) -> BoolArray:
     from servofd.models.kernel import RESTART_ALL
 
-    residuals = ResidualGenerator(servo.model, _POLE_RAD_S).run(flight.segment)
-    starts = np.flatnonzero(residuals.restart == RESTART_ALL)
-    if starts.size == 0:
-        return np.zeros(residuals.time_s.size, dtype=bool)
-    last = np.searchsorted(starts, np.arange(residuals.time_s.size), side="right") - 1
-    since_s = residuals.time_s - residuals.time_s[starts[np.maximum(last, 0)]]
-    forgotten_s = min(_FORGOTTEN_S, _FORGOTTEN_SHARE * flight.segment.duration_s)
-    usable: BoolArray = residuals.settled & (last >= 0) & (since_s >= forgotten_s)
+    time_s, starts = rehearsal.segment.measured_s, rehearsal.starts
+    begins = np.flatnonzero(starts.restart == RESTART_ALL)
+    if begins.size == 0:
+        return np.zeros(time_s.size, dtype=bool)
+    last = np.searchsorted(begins, np.arange(time_s.size), side="right") - 1
+    since_s = time_s - time_s[begins[np.maximum(last, 0)]]
+    forgotten_s = min(_FORGOTTEN_S, _FORGOTTEN_SHARE * rehearsal.segment.duration_s)
+    usable: BoolArray = starts.settled & (last >= 0) & (since_s >= forgotten_s)
     return usable
 
 
@@ -131,8 +140,17 @@ def memory(errors: Sequence[FloatArray], lags: int) -> float:
     total = sum(float(e @ e) for e in errors)
     if total == 0.0:
         return 1.0
-    products = [sum(float(e[k:] @ e[:-k]) for e in errors if e.size > k) / total for k in range(1, lags + 1)]
-    return max(1.0, 1.0 + 2.0 * sum((1.0 - k / (lags + 1)) * p for k, p in enumerate(products, start=1)))
+    products = np.sum([_products(e, lags) for e in errors], axis=0) / total
+    return max(1.0, 1.0 + 2.0 * float((1.0 - np.arange(1, lags + 1) / (lags + 1)) @ products))
+
+
+def _products(error: FloatArray, lags: int) -> FloatArray:
+    """Sums of products with itself a number of samples later, shape (lags,), by way of the spectrum."""
+    from scipy.fft import irfft, next_fast_len, rfft
+
+    size = next_fast_len(error.size + lags, real=True)
+    products: FloatArray = irfft(np.abs(rfft(error, size)) ** 2, size)[1 : lags + 1]
+    return products
 
 
 def noise_of(measured_deg: FloatArray, error_deg: FloatArray) -> float:

@@ -115,6 +115,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # a terminal that cannot show a sign shows a question mark
     options = build_parser().parse_args(arguments)
+    # Vectors of a log are too short to share out: threads that wait for each other took two to five times the time.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Importing these takes a while; `servofd --help` does without.
     from logparsers import LogError
     from servofd.errors import ServofdError

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -46,8 +45,6 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Explain, write what was asked for, print."""
-    # Vectors of a log are too short to share out: threads that wait for each other took five times the time.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from servofd.cli.tables import one_line, progress_bar
     from servofd.cli.targets import check_targets
     from servofd.explaining import explain_logs

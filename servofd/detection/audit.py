@@ -18,7 +18,7 @@ from servofd.detection.probability import false_alarms_per_hour
 from servofd.detection.residual import ResidualGenerator, Residuals
 from servofd.detection.words import describe
 from servofd.errors import DesignError, NoMeasurement
-from servofd.segment import SLOWEST_RATE_HZ, Segment, cut
+from servofd.segment import SLOWEST_RATE_HZ, Segment, cut, too_far
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -324,7 +324,7 @@ def _too_little(segment: Segment) -> str:
         return f"position comes at {rate_hz:.2g} Hz; a servo cannot be judged below {SLOWEST_RATE_HZ:g} Hz"
     if rate_hz > _FASTEST_RATE_HZ:
         return f"position comes at {rate_hz:.2g} Hz: check the unit of the time stamps"
-    return ""
+    return too_far(segment)
 
 
 def _verdict(

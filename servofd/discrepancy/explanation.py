@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from servofd.discrepancy.fit import Fit
     from servofd.discrepancy.own import OwnEffect
     from servofd.discrepancy.record import Record
+    from servofd.discrepancy.varying import Varying
     from servofd.models.physics import Physics
     from servofd.models.servo_model import ServoModel
     from servofd.types import BoolArray, FloatArray
@@ -75,6 +76,8 @@ class Explanation:
     """How the model does on other flights, to which nothing was fitted."""
     runs: tuple[RunErrors, ...] = ()
     """Each of several runs as the others predict it."""
+    varying: tuple[Varying, ...] = ()
+    """Values that go with a condition of the runs."""
 
     @property
     def blocks(self) -> tuple[Block, ...]:
@@ -151,6 +154,7 @@ class Explanation:
             "notes": list(self.notes),
             "fault_s": self.fault_s,
             "runs": [each._asdict() for each in self.runs],
+            "varying": [each.document() for each in self.varying],
             "simulations": selection.simulations,
         }
 

@@ -143,6 +143,7 @@ def _window(record: Record, centre_s: float, window_s: float) -> Record:
         pressure_pa=None if record.pressure_pa is None else record.pressure_pa[inside],
         voltage_v=None if record.voltage_v is None else record.voltage_v[inside],
         current_a=None if record.current_a is None else record.current_a[inside],
+        temperature_c=None if record.temperature_c is None else record.temperature_c[inside],
     )
 
 

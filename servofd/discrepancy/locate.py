@@ -6,32 +6,29 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from servofd.discrepancy.record import Record
-    from servofd.types import BoolArray, FloatArray, IntArray
+from servofd.discrepancy.maps import EVEN, LINEAR, ODD, maps, since_reversal_s
+from servofd.discrepancy.spectrum import coherent_to_hz, excess_band_hz, spectrum
 
-__all__ = ["Block", "Map", "bad_seconds", "blocks", "is_told", "maps", "sentences", "speed_deg_s"]
+if TYPE_CHECKING:
+    from servofd.discrepancy.maps import Map
+    from servofd.discrepancy.record import Record
+    from servofd.types import FloatArray
+
+__all__ = ["Block", "bad_seconds", "blocks", "sentences"]
 
 _FALSE_DISCOVERIES = 0.01
-_BINS, _FEWEST_PER_BIN = 12, 30
-_TOP = 0.8
-_SHOWN_SHARE, _NO_SHARE, _MOST = 0.25, 0.05, 2.0 / 3.0
-_FIR_LAGS = 25
-_FOLDS = 2
+_SHOWN_SHARE, _NO_SHARE = 0.25, 0.05
+_HARDLY = 0.15
+"""What chance may make of a share that is said to be none."""
 _EXCESS = 0.03
-
-
-class Map(NamedTuple):
-    """How much of the disagreement one quantity tells."""
-
-    quantity: str
-    unit: str
-    share: float
-    """Of the variance above the noise floor, predicted for samples that were not used: 1 is all of it."""
-    above: float
-    """The quantity's size that 20 % of the samples exceed."""
-    concentration: float
-    """Share of the excess energy that lies in those samples."""
+_REVERSAL_DEG, _REVERSAL_OF_NOISE, _AFTER_S = 2.0, 6.0, 0.3
+_DENSE, _DENSER = 0.5, 1.5
+"""Share of the excess in a part of the log that is told, and times the share of the samples there."""
+_NOT_SILENT = ("time", "direction of motion")
+_SURROUNDS = ("V", "°C")
+"""Units of what acts on a servo from outside, which has no sign."""
+_NARROW = 0.5
+"""Share of all frequencies that a band may have and still be told."""
 
 
 class Block(NamedTuple):
@@ -82,53 +79,6 @@ def bad_seconds(record: Record, error_deg: FloatArray, sigma_deg: float) -> tupl
     return tuple(pieces)
 
 
-def maps(record: Record, error_deg: FloatArray, sigma_deg: float) -> tuple[Map, ...]:
-    """What the disagreement depends on, most telling first."""
-    where = record.counts
-    time_s, error = record.time_s[where], error_deg[where]
-    simulated = record.measured_deg[where] - error
-    excess = max(float(np.mean(error**2)) - sigma_deg**2, 1e-12)
-    command = _command(record)
-    speed = speed_deg_s(record, error_deg)[where]
-    rate = _gradient(_smooth(command), record.time_s)[where]
-    lag = command[where] - simulated
-    quantities: list[tuple[str, str, FloatArray, bool]] = [
-        ("command rate", "deg/s", rate, True),
-        ("speed", "deg/s", speed, True),
-        ("deflection", "deg", simulated, True),
-        ("lag behind the command", "deg", lag, True),
-        ("time", "s", time_s - time_s[0], False),
-    ]
-    if record.pressure_pa is not None:
-        quantities.append(("deflection times dynamic pressure", "deg Pa", simulated * record.pressure_pa[where], True))
-    if record.voltage_v is not None:
-        quantities.append(("supply voltage", "V", record.voltage_v[where], False))
-    block = record.block[where]
-    found = []
-    for name, unit, values, signed in quantities:
-        size = np.abs(values) if signed else values
-        above = float(np.quantile(size, _TOP))
-        top = size > above
-        share = float(np.sum(error[top] ** 2 - sigma_deg**2)) / (excess * error.size) if top.any() else 0.0
-        found.append(Map(name, unit, _predicted(values, error, block, excess), above, share))
-    moving = np.sign(speed) * (np.abs(speed) > np.quantile(np.abs(speed), 0.3))
-    found.append(Map("direction of motion", "", _predicted(moving, error, block, excess), 0.0, 0.0))
-    found.append(Map("linear filter of the command", "", _filtered(record, command, error_deg, excess), 0.0, 0.0))
-    return tuple(sorted(found, key=lambda m: -m.share))
-
-
-def is_told(record: Record, error_deg: FloatArray, sigma_deg: float) -> bool:
-    """Whether command or motion tell most of what is more than noise."""
-    return any(found.share > _MOST for found in maps(record, error_deg, sigma_deg))
-
-
-def speed_deg_s(record: Record, error_deg: FloatArray) -> FloatArray:
-    """Speed of the simulation that leaves this error [deg/s], shape (n,)."""
-    known = np.isfinite(error_deg)
-    moved = np.interp(record.time_s, record.time_s[known], (record.measured_deg - error_deg)[known])
-    return _gradient(moved, record.time_s)
-
-
 def sentences(record: Record, error_deg: FloatArray, sigma_deg: float) -> list[str]:
     """Where the disagreement lies, in words."""
     error = error_deg[record.counts]
@@ -148,14 +98,12 @@ def sentences(record: Record, error_deg: FloatArray, sigma_deg: float) -> list[s
     if rms**2 < (1.0 + 2.0 * _EXCESS) * sigma_deg**2:
         return texts
     found = maps(record, error_deg, sigma_deg)
-    dense = max(found, key=lambda m: m.concentration)
-    if dense.concentration > 0.5 and dense.quantity != "time":
-        size = f"|{dense.quantity}|" if dense.unit != "V" else dense.quantity
-        texts.append(
-            f"disagreement concentrates where {size} > {dense.above:.3g} {dense.unit} "
-            f"({dense.concentration:.0%} of the excess in 20 % of the samples)"
-        )
-    telling = [m for m in found if m.share > _SHOWN_SHARE]
+    texts += [
+        *_concentrated(found),
+        *_after_reversals(record, error_deg, sigma_deg),
+        *_at_frequencies(record, error_deg, sigma_deg),
+    ]
+    telling = [m for m in found if m.share > _SHOWN_SHARE and m.low > 0.0]
     if telling:
         texts.append("of the excess, " + ", ".join(f"{_percent(m.share)} follows {_article(m)}" for m in telling[:3]))
     else:
@@ -163,9 +111,51 @@ def sentences(record: Record, error_deg: FloatArray, sigma_deg: float) -> list[s
             "hardly any of the excess follows command, speed, deflection or time: a disturbance, noise with memory, or "
             "an effect with a memory of its own"
         )
-    silent = [_article(m) for m in found if m.share < _NO_SHARE and m.quantity not in ("time", "direction of motion")]
+    silent = [_article(m) for m in found if m.share < _NO_SHARE and m.high < _HARDLY and m.quantity not in _NOT_SILENT]
     if silent and telling:
         texts.append(f"none of it follows {' or '.join(silent[:3])}")
+    return texts
+
+
+def _concentrated(found: tuple[Map, ...]) -> list[str]:
+    """Where a quantity is large, if that is where most of the excess lies."""
+    dense = max(found, key=lambda m: m.concentration)
+    if dense.concentration <= _DENSE or dense.quantity == "time":
+        return []
+    size = dense.quantity if dense.unit in _SURROUNDS else f"|{dense.quantity}|"
+    return [
+        f"disagreement concentrates where {size} > {dense.above:.3g} {dense.unit} "
+        f"({dense.concentration:.0%} of the excess in 20 % of the samples)"
+    ]
+
+
+def _after_reversals(record: Record, error_deg: FloatArray, sigma_deg: float) -> list[str]:
+    """Right after the motion has turned, if that is where most of the excess lies."""
+    least_deg = max(_REVERSAL_DEG, _REVERSAL_OF_NOISE * sigma_deg)
+    counts = record.counts
+    error, moved_deg = error_deg[counts], (record.measured_deg - error_deg)[counts]
+    after = since_reversal_s(record.time_s[counts], moved_deg, least_deg) < _AFTER_S
+    excess = error**2 - sigma_deg**2
+    part, share = float(excess[after].sum() / max(excess.sum(), 1e-12)), float(np.mean(after))
+    if part < max(_DENSE, _DENSER * share):
+        return []
+    return [
+        f"{_percent(part)} of the excess lies within {_AFTER_S:g} s after reversals of more than {least_deg:.2g} deg "
+        f"({share:.0%} of the samples)"
+    ]
+
+
+def _at_frequencies(record: Record, error_deg: FloatArray, sigma_deg: float) -> list[str]:
+    """Band of the excess, if it is narrow, and where the position no longer follows the command linearly."""
+    found = spectrum(record, error_deg)
+    if found is None:
+        return []
+    texts, band_hz = [], excess_band_hz(found, sigma_deg)
+    if band_hz is not None and band_hz[1] - band_hz[0] < _NARROW * found.frequency_hz[-1]:
+        texts.append(f"four fifths of the excess lie between {band_hz[0]:.2g} and {band_hz[1]:.2g} Hz")
+    limit_hz = coherent_to_hz(found)
+    if limit_hz is not None:
+        texts.append(f"at {limit_hz:.2g} Hz the position no longer follows the command linearly (coherence below 0.9)")
     return texts
 
 
@@ -174,55 +164,5 @@ def _percent(share: float) -> str:
 
 
 def _article(found: Map) -> str:
-    if found.quantity == "linear filter of the command":
-        return "a linear filter of the command"
-    return f"the {found.quantity}"
-
-
-def _command(record: Record) -> FloatArray:
-    """Command in force at each sample [deg]."""
-    index = np.searchsorted(record.commands.effective_s, record.time_s, side="right") - 1
-    command: FloatArray = record.commands.command_deg[np.maximum(index, 0)]
-    return command
-
-
-def _gradient(values: FloatArray, time_s: FloatArray) -> FloatArray:
-    slope: FloatArray = np.asarray(np.gradient(values, time_s), dtype=float)
-    return slope
-
-
-def _smooth(values: FloatArray) -> FloatArray:
-    smooth: FloatArray = np.convolve(np.pad(values, 2, mode="edge"), np.full(5, 0.2), mode="valid")
-    return smooth
-
-
-def _predicted(values: FloatArray, error: FloatArray, block: IntArray, excess: float) -> float:
-    """Share of the excess variance that the means of bins predict, in blocks from which they were not taken."""
-    edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _BINS + 1)[1:-1]))
-    index = np.searchsorted(edges, values)
-    saved = 0.0
-    for fold in range(_FOLDS):
-        known = block % _FOLDS == fold
-        count = np.bincount(index[known], minlength=edges.size + 1)
-        mean = np.bincount(index[known], weights=error[known], minlength=edges.size + 1) / np.maximum(count, 1)
-        mean[count < _FEWEST_PER_BIN] = 0.0
-        other = ~known
-        saved += float(np.sum(error[other] ** 2) - np.sum((error[other] - mean[index[other]]) ** 2))
-    return max(saved / error.size / excess, 0.0)
-
-
-def _filtered(record: Record, command: FloatArray, error_deg: FloatArray, excess: float) -> float:
-    """The same for a finite response to the last quarter of a second of commands."""
-    lagged = np.column_stack([np.roll(command, k) for k in range(_FIR_LAGS)])
-    where = record.counts.copy()
-    where[:_FIR_LAGS] = False
-    features, error, block = lagged[where] - command[where].mean(), error_deg[where], record.block[where]
-    saved = 0.0
-    for fold in range(_FOLDS):
-        known: BoolArray = block % _FOLDS == fold
-        normal = np.einsum("ni,nj->ij", features[known], features[known])  # too small for threads
-        normal += 1e-6 * np.trace(normal) * np.eye(_FIR_LAGS) / _FIR_LAGS + 1e-9 * np.eye(_FIR_LAGS)
-        weights = np.linalg.solve(normal, features[known].T @ error[known])
-        other = ~known
-        saved += float(np.sum(error[other] ** 2) - np.sum((error[other] - features[other] @ weights) ** 2))
-    return max(saved / max(error.size, 1) / excess, 0.0)
+    article = {LINEAR: "a", ODD: "an", EVEN: "an"}.get(found.quantity, "the")
+    return f"{article} {found.quantity}"

@@ -64,6 +64,8 @@ class Record:
     """Supply of the servo."""
     current_a: FloatArray | None = None
     """Drawn by the servo."""
+    temperature_c: FloatArray | None = None
+    """Of the servo."""
     step_deg: float | None = None
     """Of the converter whose whole multiples the positions are."""
     runs: tuple[Record, ...] = ()
@@ -160,6 +162,7 @@ def record_of(
     if voltage_v is None and "servo_voltage_v" in context.logged:
         voltage_v = context.supply_v(time_s)
     current_a = context.drawn_a(time_s) if "servo_current_a" in context.logged else None
+    temperature_c = context.warmth_c(time_s) if "servo_temperature_c" in context.logged else None
     return Record(
         plant,
         commands,
@@ -170,6 +173,7 @@ def record_of(
         pressure_pa,
         voltage_v,
         current_a,
+        temperature_c,
         comb_step_deg(measured_deg),
         free_poles=free_poles,
         own=own,
@@ -208,6 +212,7 @@ def joined(records: Sequence[Record]) -> Record:
         _context([each.pressure_pa for each in runs]),
         _context([each.voltage_v for each in runs]),
         _context([each.current_a for each in runs]),
+        _context([each.temperature_c for each in runs]),
         comb_step_deg(np.concatenate([each.measured_deg for each in runs])),
         tuple(runs),
         records[0].free_poles,

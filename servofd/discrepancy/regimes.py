@@ -20,6 +20,8 @@ _AFTER_REVERSAL_S = 0.3
 _CHANGES = 0.05
 """What surrounds the aircraft is a condition only if it changes by this share."""
 _BAND = (5.0, 50.0, 95.0)
+_STANDS_STILL = 1e-6
+"""In the unit of a quantity: less is rounding."""
 
 
 class Quantity(NamedTuple):
@@ -89,10 +91,11 @@ def quantities(record: Record, simulated_deg: FloatArray) -> tuple[Quantity, ...
     for name, unit, values in (
         ("dynamic pressure", "Pa", record.pressure_pa),
         ("supply voltage", "V", record.voltage_v),
+        ("temperature", "°C", record.temperature_c),
     ):
         if values is not None and np.ptp(values[record.counts]) > _CHANGES * np.abs(values[record.counts]).max():
             found.append(Quantity(name, unit, values))
-    return tuple(q for q in found if np.ptp(q.values[record.counts]) > 0.0)
+    return tuple(q for q in found if np.ptp(q.values[record.counts]) > _STANDS_STILL)
 
 
 def binned(quantity: Quantity, error_deg: FloatArray, counts: BoolArray) -> Bins:
@@ -143,13 +146,16 @@ def errors_by_regime(
         since_s[last >= 0] = (record.time_s - record.time_s[turned[np.maximum(last, 0)]])[last >= 0]
     outer = np.quantile(np.abs(simulated_deg[record.counts]), _FAST)
     half_s = float(np.median(record.time_s[record.counts]))
-    regimes = {
-        "all": np.ones(speed.size, dtype=bool),
+    moving = {
         f"at rest (below {rest:.3g} deg/s)": size <= rest,
         f"fast (above {fast:.3g} deg/s)": size > fast,
         "moving up": (speed > 0.0) & (size > rest),
         "moving down": (speed < 0.0) & (size > rest),
         f"within {_AFTER_REVERSAL_S:g} s after it starts, stops or turns": since_s < _AFTER_REVERSAL_S,
+    }
+    regimes = {
+        "all": np.ones(speed.size, dtype=bool),
+        **(moving if fast > _STANDS_STILL else {}),
         f"far out (beyond ±{outer:.3g} deg)": np.abs(simulated_deg) > outer,
         f"first half (to {half_s:.1f} s)": record.time_s <= half_s,
         f"second half (from {half_s:.1f} s)": record.time_s > half_s,

@@ -49,6 +49,7 @@ def telling_part(record: Record, error_deg: FloatArray) -> Record:
         pressure_pa=None if record.pressure_pa is None else record.pressure_pa[inside],
         voltage_v=None if record.voltage_v is None else record.voltage_v[inside],
         current_a=None if record.current_a is None else record.current_a[inside],
+        temperature_c=None if record.temperature_c is None else record.temperature_c[inside],
         side=None if record.side is None else record.side[inside],
     )
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.discrepancy.locate import is_told, speed_deg_s
+from servofd.discrepancy.maps import is_told, speed_deg_s
 from servofd.discrepancy.noise import long_run_factor
 
 if TYPE_CHECKING:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from servofd.detection.rehearsal import Rehearsal
 from servofd.detection.residual import ResidualGenerator
 from servofd.models.effects import Delay, LinearDynamics, RateLimit
 from servofd.models.servo_model import ServoModel
@@ -58,6 +59,10 @@ class RoughFit:
         return ServoModel((Delay(self.delay_s), dynamics, RateLimit(self.rate_limit_deg_s)))
 
 
+_ORDINARY = RoughFit(bandwidth_hz=2.0)
+"""A slow servo: when it moves, any other does."""
+
+
 def fit_roughly(segment: Segment, *, free_scale: bool) -> RoughFit:
     """Fit bandwidth, delay and rate limit, and the scale if it is free, to most of a log.
 
@@ -89,12 +94,13 @@ def fit_roughly(segment: Segment, *, free_scale: bool) -> RoughFit:
     (True, True, 0.8)
     """
     busy = _busiest_part(segment)
-    moving = _moving_rows(busy)
+    rehearsal = _rehearsal(busy)
+    moving = _moving_rows(rehearsal)
     if np.count_nonzero(moving) < _FEWEST_ROWS:
         return RoughFit()
 
     def judged(fit: RoughFit) -> RoughFit:
-        return _judged(fit, busy, moving, free_scale=free_scale)
+        return _judged(fit, rehearsal, moving, free_scale=free_scale)
 
     coarse = [judged(RoughFit(*shape)) for shape in itertools.product(_BANDWIDTHS_HZ, _DAMPINGS, _DELAYS_S)]
     smooth = min((_refined(start, judged) for start in sorted(coarse, key=_error)[:_STARTS]), key=_error)
@@ -106,8 +112,8 @@ def fit_roughly(segment: Segment, *, free_scale: bool) -> RoughFit:
 
 def typical_error_deg(fit: RoughFit, segment: Segment) -> float:
     """Median size of the simulation error while the surface should move [deg]; half the motion may be faulty."""
-    busy = _busiest_part(segment)
-    error_deg = ResidualGenerator(fit.model, _POLE_RAD_S).run(busy).error_deg[_moving_rows(busy)]
+    rehearsal = _rehearsal(_busiest_part(segment))
+    error_deg = (rehearsal.starts.measured_deg - rehearsal.simulated_deg(fit.model))[_moving_rows(rehearsal)]
     return float(np.median(np.abs(error_deg))) if error_deg.size else float("inf")
 
 
@@ -160,18 +166,21 @@ def _busiest_part(segment: Segment) -> Segment:
     )
 
 
-def _moving_rows(segment: Segment) -> BoolArray:
+def _rehearsal(segment: Segment) -> Rehearsal:
+    return Rehearsal.of(ResidualGenerator(_ORDINARY.model, _POLE_RAD_S), segment)
+
+
+def _moving_rows(rehearsal: Rehearsal) -> BoolArray:
     """Rows with a position during which any ordinary servo would be moving."""
-    ordinary = ResidualGenerator(RoughFit(bandwidth_hz=2.0).model, _POLE_RAD_S).run(segment)
-    rate_deg_s = np.abs(np.gradient(ordinary.simulated_deg, ordinary.time_s))
-    moving: BoolArray = ordinary.settled & (rate_deg_s > _SLOWEST_SHARE * np.percentile(rate_deg_s, 99.0))
+    ordinary_deg = rehearsal.simulated_deg(_ORDINARY.model)
+    rate_deg_s = np.abs(np.gradient(ordinary_deg, rehearsal.segment.measured_s))
+    moving: BoolArray = rehearsal.starts.settled & (rate_deg_s > _SLOWEST_SHARE * np.percentile(rate_deg_s, 99.0))
     return moving
 
 
-def _judged(fit: RoughFit, segment: Segment, moving: BoolArray, *, free_scale: bool) -> RoughFit:
+def _judged(fit: RoughFit, rehearsal: Rehearsal, moving: BoolArray, *, free_scale: bool) -> RoughFit:
     """Same fit with its scale, if that is free, and its error."""
-    residuals = ResidualGenerator(fit.model, _POLE_RAD_S).run(segment)
-    simulated, measured = residuals.simulated_deg[moving], residuals.measured_deg[moving]
+    simulated, measured = rehearsal.simulated_deg(fit.model)[moving], rehearsal.starts.measured_deg[moving]
     gain, bias_deg = _line(simulated, measured) if free_scale else (1.0, 0.0)
     error = measured - gain * simulated - bias_deg
     # Cauchy's cost: quadratic for errors of a working servo, nearly flat for those of a jammed one.

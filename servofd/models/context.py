@@ -1,4 +1,4 @@
-"""What acts on a servo beside its command: the airstream, its supply and its current, as far as they were logged."""
+"""What acts on a servo beside its command: airstream, supply, current and temperature, as far as they were logged."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def _nothing() -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Context:
-    """Airspeed, supply voltage and current, each on its own time stamps; empty where a log holds none.
+    """Airspeed, supply voltage, current and temperature, each on its own time stamps; empty where a log holds none.
 
     Examples
     --------
@@ -38,6 +38,8 @@ class Context:
     voltage_v: FloatArray = field(default_factory=_nothing)
     current_s: FloatArray = field(default_factory=_nothing)
     current_a: FloatArray = field(default_factory=_nothing)
+    temperature_s: FloatArray = field(default_factory=_nothing)
+    temperature_c: FloatArray = field(default_factory=_nothing)
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
@@ -45,11 +47,12 @@ class Context:
 
     @property
     def logged(self) -> frozenset[str]:
-        """Which of ``airspeed_m_s``, ``servo_voltage_v`` and ``servo_current_a`` are there."""
+        """Which of ``airspeed_m_s``, ``servo_voltage_v``, ``servo_current_a``, ``servo_temperature_c`` are there."""
         sizes = {
             "airspeed_m_s": self.airspeed_s.size,
             "servo_voltage_v": self.voltage_s.size,
             "servo_current_a": self.current_s.size,
+            "servo_temperature_c": self.temperature_s.size,
         }
         return frozenset(name for name, size in sizes.items() if size)
 
@@ -69,6 +72,12 @@ class Context:
     def drawn_a(self, at_s: FloatArray) -> FloatArray:
         """Current of the servo [A], shape (n,), likewise; 0 if never logged."""
         return np.interp(at_s, self.current_s, self.current_a) if self.current_s.size else np.zeros(at_s.size)
+
+    def warmth_c(self, at_s: FloatArray) -> FloatArray:
+        """Temperature of the servo [°C], shape (n,), likewise; NaN if never logged."""
+        if not self.temperature_s.size:
+            return np.full(at_s.size, np.nan)
+        return np.interp(at_s, self.temperature_s, self.temperature_c)
 
 
 NO_CONTEXT = Context()

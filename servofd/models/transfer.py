@@ -164,9 +164,10 @@ class TransferFunction:
         """
         if len(self.numerator) >= len(self.denominator):
             raise DesignError("a servo's transfer function must have more poles than zeros")
-        if not self.is_stable:
-            raise DesignError(f"a servo's poles must have negative real parts, not {self.poles_rad_s}")
-        poles = _separated(self.poles_rad_s)
+        poles = self.poles_rad_s
+        if not np.all(poles.real < 0.0):
+            raise DesignError(f"a servo's poles must have negative real parts, not {poles}")
+        poles = _separated(poles)
         upper = poles[poles.imag >= 0.0]
         residues = [
             np.polyval(self.numerator, p) / (self.denominator[0] * np.prod(p - poles[poles != p])) for p in upper

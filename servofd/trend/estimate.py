@@ -11,7 +11,7 @@ backlash the same with the servo's deflection), which continues :math:`P_w u` sm
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -219,11 +219,7 @@ def _simulated(motion: Motion, servo: FlownServo, width_deg: float, *, behind: b
     """Deflection of a servo with a zone of rest, in all used rows [deg], shape (n,)."""
     if behind:
         return np.concatenate([_rested(part, width_deg) for part in motion.split(motion.simulated_deg(servo))])
-    heard = tuple(
-        Flight(one.label, replace(one.segment, command_deg=_rested(one.segment.command_deg, width_deg)))
-        for one in motion.flights
-    )
-    return replace(motion, flights=heard).simulated_deg(servo)
+    return motion.hearing(lambda command_deg: _rested(command_deg, width_deg)).simulated_deg(servo)
 
 
 def _rested(values_deg: FloatArray, width_deg: float) -> FloatArray:

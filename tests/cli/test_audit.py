@@ -170,6 +170,7 @@ def test_a_second_run_replaces_the_first(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["a.json"]
 
 
+@pytest.mark.slow
 def test_results_go_to_stdout_and_nothing_else_does() -> None:
     path = str(SAMPLES / "faser_healthy_flight.mat")
     command = [sys.executable, "-m", "servofd", "audit", path, "--json", "-"]

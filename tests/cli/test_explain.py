@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,12 +15,18 @@ from servofd.cli import main
 from tests.recordings.inside import everything
 from tests.recovery.fine_servo import FineServo, Hidden, hide
 
-SLOW = hide(FineServo(delay_s=0.03), duration_s=20.0)
-HEALTHY = hide(FineServo(), duration_s=20.0)
+
+def slow() -> Hidden:
+    """A servo that reacts 26 ms later than its model."""
+    return hide(FineServo(delay_s=0.03), duration_s=20.0)
+
+
+def healthy() -> Hidden:
+    return hide(FineServo(), duration_s=20.0)
 
 
 def test_the_json_is_what_the_contract_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = SLOW.write(tmp_path / "log.csv")
+    path = slow().write(tmp_path / "log.csv")
     assert main(["explain", str(path), "-s", "elevator", "--json", "-"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["schema"] == "servofd.explain/1"
@@ -35,7 +42,7 @@ def test_the_json_is_what_the_contract_says(tmp_path: Path, capsys: pytest.Captu
 
 
 def test_the_better_model_makes_the_audit_quieter(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path, better = SLOW.write(tmp_path / "log.csv"), tmp_path / "better.toml"
+    path, better = slow().write(tmp_path / "log.csv"), tmp_path / "better.toml"
     assert main(["explain", str(path), "--save", str(better)]) == 0
     text = capsys.readouterr().out
     assert "+ delay" in text
@@ -68,19 +75,21 @@ def _scaled(log: Hidden, factor: float) -> Hidden:
 
 
 @pytest.mark.parametrize(
-    ("log", "reason"),
+    ("changed", "reason"),
     [
-        (_scaled(HEALTHY, -1.0), "check the sign"),
-        (_scaled(HEALTHY, 0.1), "check the scale"),
-        (replace(HEALTHY, command_deg=HEALTHY.position_deg, position_deg=HEALTHY.command_deg), "swapped"),
-        (replace(HEALTHY, time_s=10.0 * HEALTHY.time_s), "at 10 Hz"),
-        (replace(HEALTHY, command_deg=np.linspace(0.0, 0.1, HEALTHY.time_s.size)), "hardly asked to move"),
-        (Hidden(*(v[:200] for v in (getattr(HEALTHY, n) for n in HEALTHY.__dataclass_fields__))), "at least 4 s"),
+        (lambda log: _scaled(log, -1.0), "check the sign"),
+        (lambda log: _scaled(log, 0.1), "check the scale"),
+        (lambda log: replace(log, command_deg=log.position_deg, position_deg=log.command_deg), "swapped"),
+        (lambda log: replace(log, time_s=10.0 * log.time_s), "at 10 Hz"),
+        (lambda log: replace(log, command_deg=np.linspace(0.0, 0.1, log.time_s.size)), "hardly asked to move"),
+        (lambda log: Hidden(*(getattr(log, field.name)[:200] for field in fields(log))), "at least 4 s"),
     ],
     ids=["sign", "scale", "swapped", "10 Hz", "rest", "short"],
 )
-def test_unfit_logs(log: Hidden, reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = log.write(tmp_path / "log.csv")
+def test_unfit_logs(
+    changed: Callable[[Hidden], Hidden], reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = changed(healthy()).write(tmp_path / "log.csv")
     assert main(["explain", str(path), "-s", "elevator"]) == 2
     message = capsys.readouterr().err
     assert reason in message
@@ -96,13 +105,13 @@ def test_unfit_logs(log: Hidden, reason: str, tmp_path: Path, capsys: pytest.Cap
     ],
 )
 def test_wrong_calls(options: list[str], reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = HEALTHY.write(tmp_path / "log.csv")
+    path = healthy().write(tmp_path / "log.csv")
     assert main(["explain", str(path), *options]) == 2
     assert reason in capsys.readouterr().err
 
 
 def test_what_has_no_better_model_is_saved_as_it_was(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path, saved = HEALTHY.write(tmp_path / "log.csv"), tmp_path / "same.toml"
+    path, saved = healthy().write(tmp_path / "log.csv"), tmp_path / "same.toml"
     assert main(["explain", str(path), "--save", str(saved)]) == 0
     captured = capsys.readouterr()
     assert "nothing missing" in captured.out
@@ -111,7 +120,7 @@ def test_what_has_no_better_model_is_saved_as_it_was(tmp_path: Path, capsys: pyt
 
 
 def test_the_model_is_judged_on_other_flights(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = SLOW.write(tmp_path / "log.csv")
+    path = slow().write(tmp_path / "log.csv")
     other = hide(FineServo(delay_s=0.03), duration_s=12.0, seed=4).write(tmp_path / "other.csv")
     assert main(["explain", str(path), "--also", str(other), "--json", "-"]) == 0
     document = json.loads(capsys.readouterr().out)
@@ -140,9 +149,9 @@ def test_several_flights_are_explained_together(tmp_path: Path, capsys: pytest.C
 
 
 def two_surfaces(path: Path) -> Path:
-    rests = np.zeros(SLOW.time_s.size)
+    rests = np.zeros(slow().time_s.size)
     noise = 0.1 * np.random.default_rng(0).standard_normal(rests.size)
-    columns = (SLOW.time_s, SLOW.command_deg, SLOW.position_deg, rests, noise)
+    columns = (slow().time_s, slow().command_deg, slow().position_deg, rests, noise)
     header = "time_s,elevator_cmd_deg,elevator_pos_deg,rudder_cmd_deg,rudder_pos_deg"
     np.savetxt(path, np.column_stack(columns), "%.6f", ",", header=header, comments="")
     return path
@@ -166,7 +175,7 @@ def test_a_surface_that_cannot_be_told_does_not_stop_the_others(
 def test_the_recording_holds_both_simulations(tmp_path: Path) -> None:
     from rerun.chunk import RrdReader
 
-    path, recording = SLOW.write(tmp_path / "log.csv"), tmp_path / "gap.rrd"
+    path, recording = slow().write(tmp_path / "log.csv"), tmp_path / "gap.rrd"
     assert main(["explain", str(path), "--rrd", str(recording)]) == 0
     assert str(tmp_path) not in everything(recording)
     values = {}
@@ -174,8 +183,8 @@ def test_the_recording_holds_both_simulations(tmp_path: Path) -> None:
         column = chunk.to_record_batch().column("Scalars:scalars")
         values[chunk.entity_path] = np.array(column.flatten()).reshape(len(column), -1)
     deflection, error = values["/surfaces/elevator/deflection"], values["/surfaces/elevator/error"]
-    assert deflection.shape == (SLOW.time_s.size, 4)
-    np.testing.assert_allclose(deflection[:, 3], SLOW.position_deg, atol=1e-5)
+    assert deflection.shape == (slow().time_s.size, 4)
+    np.testing.assert_allclose(deflection[:, 3], slow().position_deg, atol=1e-5)
     assert np.nanstd(error[:, 1]) < 0.11
     assert np.nanstd(error[:, 0]) > 0.2
 
@@ -221,7 +230,7 @@ OWN = "from servofd import OwnEffect, OwnParameter\na = OwnParameter('a_deg', 0.
 def test_errors_in_an_effect_of_ones_own(
     source: str | None, reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    log, path = HEALTHY.write(tmp_path / "log.csv"), tmp_path / "effect.py"
+    log, path = healthy().write(tmp_path / "log.csv"), tmp_path / "effect.py"
     if source is not None:
         path.write_text(source)
     assert main(["explain", str(log), "--effect", str(path)]) == 2
@@ -232,7 +241,7 @@ def test_errors_in_an_effect_of_ones_own(
 
 
 def test_other_wrong_calls(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    log = HEALTHY.write(tmp_path / "log.csv")
+    log = healthy().write(tmp_path / "log.csv")
     rudder = tmp_path / "rudder.csv"
     rudder.write_text(log.read_text().replace("elevator", "rudder"))
     unmeasured = tmp_path / "unmeasured.csv"
@@ -257,7 +266,7 @@ def test_other_wrong_calls(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
 def test_another_unit_is_told_as_a_wrong_scale(
     scale: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = replace(HEALTHY, position_deg=scale * HEALTHY.position_deg).write(tmp_path / "log.csv")
+    path = replace(healthy(), position_deg=scale * healthy().position_deg).write(tmp_path / "log.csv")
     assert main(["explain", str(path)]) == 2
     assert "check the scale of the calibration" in capsys.readouterr().err
 
@@ -272,7 +281,7 @@ def test_a_log_without_noise_hides_nothing(tmp_path: Path, capsys: pytest.Captur
 
 
 def test_a_model_that_does_worse_on_another_flight_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path, other = SLOW.write(tmp_path / "log.csv"), HEALTHY.write(tmp_path / "other.csv")
+    path, other = slow().write(tmp_path / "log.csv"), healthy().write(tmp_path / "other.csv")
     assert main(["explain", str(path), "--also", str(other)]) == 0
     assert "other.csv: the model does worse there" in capsys.readouterr().out
     assert main(["explain", str(path), "--also", str(path)]) == 0
@@ -280,11 +289,11 @@ def test_a_model_that_does_worse_on_another_flight_is_told(tmp_path: Path, capsy
 
 
 def test_what_is_missing_in_the_fitted_run_alone_is_not_nothing(tmp_path: Path) -> None:
-    path, other = SLOW.write(tmp_path / "log.csv"), HEALTHY.write(tmp_path / "other.csv")
+    path, other = slow().write(tmp_path / "log.csv"), healthy().write(tmp_path / "other.csv")
     assert main(["explain", str(path), str(other)]) == 1
 
 
 def test_every_run_must_come_fast_enough(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    slow = Hidden(*(np.ascontiguousarray(getattr(HEALTHY, name)[::10]) for name in HEALTHY.__dataclass_fields__))
-    assert main(["explain", str(SLOW.write(tmp_path / "a.csv")), str(slow.write(tmp_path / "b.csv"))]) == 2
+    thinned = Hidden(*(np.ascontiguousarray(getattr(healthy(), name)[::10]) for name in healthy().__dataclass_fields__))
+    assert main(["explain", str(thinned.write(tmp_path / "a.csv")), str(thinned.write(tmp_path / "b.csv"))]) == 2
     assert "position comes at 10 Hz" in capsys.readouterr().err

@@ -95,6 +95,18 @@ def test_smart_servo_of_low_gain(kp: str, least_deg: float, most_deg: float, tmp
     assert found.conclusion == "partly_explained"
 
 
+def test_digital_servo_whose_rate_limit_falls_with_its_load() -> None:
+    """Slopes of the steps themselves: 388 deg/s without a load, 303 with 400 g."""
+    found = explain_log(DATA / "bench" / "digital_servo_loads.csv").explanation
+    assert set(found.selection.final.names) == {"rate_limit", "supply_coupling"}
+    first = found.varying[0]
+    assert (first.parameter, set(first.conditions)) == ("rate_limit_deg_s", {"load_g", "load_kgcm"})
+    (_, empty_deg_s), (_, loaded_deg_s) = first.ends
+    assert (empty_deg_s, loaded_deg_s) == pytest.approx((388.0, 303.0), rel=0.06)
+    assert first.line_rms_deg < 0.5 * first.common_rms_deg
+    assert found.notes[-1] == first.sentence
+
+
 def test_linear_drive() -> None:
     """Coulomb friction and offset of the EMPS benchmark, whose closed loop is a servo of second order.
 

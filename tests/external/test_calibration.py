@@ -79,6 +79,7 @@ def bench(threshold_deg: float) -> Aircraft:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not (DATA / "bench").is_dir(), reason="no bench data: set SERVOFD_EXTERNAL_DATA")
 def test_a_smart_servo_calibrated_on_one_run_is_healthy_in_the_other() -> None:
     path = DATA / "bench" / "smart_servo_gravity_load.csv"
@@ -87,6 +88,7 @@ def test_a_smart_servo_calibrated_on_one_run_is_healthy_in_the_other() -> None:
     assert statuses == ["healthy", "healthy"]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not (DATA / "bench").is_dir(), reason="no bench data: set SERVOFD_EXTERNAL_DATA")
 def test_a_servo_that_sticks_under_its_load_is_refused() -> None:
     """With a proportional gain of 100 the servo gives way to its load: no linear model tells where it goes."""

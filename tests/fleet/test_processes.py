@@ -117,10 +117,12 @@ def test_ctrl_c_in_the_middle_keeps_what_was_done_and_the_next_run_goes_on(logs:
     assert "24 logs" in again.stdout
 
 
-def test_a_log_that_kills_its_process_is_given_up_and_the_others_are_judged(
-    logs: Path, tmp_path: Path, expected: dict[str, list[str]]
-) -> None:
+def test_a_log_that_kills_its_process_is_given_up_and_the_others_are_judged(logs: Path, tmp_path: Path) -> None:
     """The reader of one log is made to die as the system ends a process that takes too much memory."""
+    three = tmp_path / "three"
+    three.mkdir()
+    for name in ("flight0.csv", "flight1.csv", "flight2.csv"):
+        (three / name).symlink_to(logs / name)
     (tmp_path / "sitecustomize.py").write_text(
         "import os, sys\n"
         "def hook(event, args):\n"
@@ -130,7 +132,7 @@ def test_a_log_that_kills_its_process_is_given_up_and_the_others_are_judged(
     )
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])}
     done = subprocess.run(
-        [sys.executable, "-m", "servofd", "audit", str(logs), "--workers", "2", "--json", str(tmp_path / "out.json")],
+        [sys.executable, "-m", "servofd", "audit", str(three), "--workers", "2", "--json", str(tmp_path / "out.json")],
         capture_output=True,
         text=True,
         env=environment,
@@ -138,8 +140,8 @@ def test_a_log_that_kills_its_process_is_given_up_and_the_others_are_judged(
     )
     assert done.returncode == 2
     assert (
-        f"servofd: {logs}/flight1.csv: the process that read it died: out of memory, killed or crashed" in done.stderr
+        f"servofd: {three}/flight1.csv: the process that read it died: out of memory, killed or crashed" in done.stderr
     )
     document = json.loads((tmp_path / "out.json").read_text())
-    assert len(document["logs"]) == len(expected["logs"])
-    assert sum(log["error"] is None for log in document["logs"]) == 4
+    assert len(document["logs"]) == 3
+    assert sum(log["error"] is None for log in document["logs"]) == 2

@@ -18,15 +18,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-import logparsers
 from logparsers import LogError
 from logparsers.codec import Codec, signing_key
 from logparsers.endpoint import parse_endpoint
 from servofd.aircraft import load_aircraft
 from servofd.cli import main
 from servofd.errors import ServofdError
-from servofd.feedback.draft import draft_aircraft
-from servofd.feedback.toml import draft_to_toml
 from servofd.fleet.find import find_logs
 from servofd.fleet.key import Job
 from servofd.fleet.overview import overview
@@ -110,8 +107,7 @@ def _log_seeds(kind: str, folder: Path) -> list[bytes]:
     """Files of a kind; beside them the aircraft of those that would have to be fitted to each of them."""
     found = seeds.logs_of(kind)
     if kind in ("dataflash", "dataflash_text", "tlog", "ulog"):
-        drafted = draft_aircraft(logparsers.read(io.BytesIO(found[0])))
-        (folder / "plane.toml").write_text(draft_to_toml(drafted))
+        (folder / "plane.toml").write_bytes(seeds.drafted(found[0]))
     return found
 
 

@@ -162,11 +162,17 @@ def logs_of(kind: str) -> list[bytes]:
     return [_written(_SUFFIXES[kind]), *sound]
 
 
+@cache
+def drafted(log: bytes) -> bytes:
+    """Aircraft file fitted to a log."""
+    return draft_to_toml(draft_aircraft(logparsers.read(io.BytesIO(log)))).encode()
+
+
 def planes() -> list[bytes]:
     """Aircraft files: shipped, drafted, and one with everything."""
     shipped = [(ROOT / "configs" / f"{name}.toml").read_bytes() for name in ("faser", "bench", "simulated")]
-    drafted = [draft_to_toml(draft_aircraft(logparsers.read(io.BytesIO(_written(s))))) for s in (".bin", ".tlog")]
-    return [EFFECTS, EFFECTS, *shipped, *(text.encode() for text in (*drafted, plane_file()))]
+    fitted = [drafted(_written(suffix)) for suffix in (".bin", ".tlog")]
+    return [EFFECTS, EFFECTS, *shipped, *fitted, plane_file().encode()]
 
 
 def frames() -> list[bytes]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,8 @@ from servofd.fleet.key import Job
 from servofd.fleet.store import FleetStore, read_table
 from servofd.outputs.recording import read
 from servofd.outputs.recording.program import run_rerun
+from servofd.outputs.recording.write import recording_of
+from servofd.review.rejudge import rejudged
 from servofd.segment import pace_steps
 from servofd.servos import find_servo
 from servofd.workflow import audit
@@ -52,6 +55,20 @@ def test_a_threshold_that_nothing_reaches(threshold_deg: float, tmp_path: Path) 
     (found,) = audit(path, threshold_deg=threshold_deg)
     assert not any(surface.faults for surface in found.surfaces)
     assert all(surface.statistics for surface in found.surfaces)
+
+
+@pytest.mark.parametrize("curve", ["asked_deg", "measured_deg"])
+def test_a_recording_whose_numbers_no_servo_reaches(curve: str, tmp_path: Path) -> None:
+    path = tmp_path / "flight.csv"
+    path.write_bytes(seeds.logs_of("table")[0])
+    (found,) = audit(path, surfaces=("elevator",))
+    recording = recording_of(found)
+    values = getattr(recording.traces["elevator"], curve).copy()
+    values[20] = -1e308
+    damaged = replace(recording, traces={"elevator": replace(recording.traces["elevator"], **{curve: values})})
+    (again,) = rejudged(damaged, threshold_deg=1.0).audit.surfaces
+    assert (again.status, again.faults) == ("unknown", ())
+    assert "reaches 1e+308 deg" in again.reason
 
 
 def test_a_delay_longer_than_the_flight(tmp_path: Path) -> None:

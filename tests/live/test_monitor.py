@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from servofd.detection.stream import Piece
 
 SECONDS = 40.0
-FAULTS = {"elevator": Stuck(15.0), "rudder": Bias(25.0, bias_deg=3.0)}
+FAULTS = {"elevator": Stuck(10.0), "rudder": Bias(18.0, bias_deg=3.0)}
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +56,7 @@ def aircraft(config: Path) -> Aircraft:
 @pytest.fixture(scope="module")
 def log() -> bytes:
     """Telemetry of a flight in which two servos break."""
-    return telemetry_log(flown(rate_hz=40.0, duration_s=SECONDS, faults=FAULTS), PLANE)
+    return telemetry_log(flown(rate_hz=40.0, duration_s=26.0, faults=FAULTS), PLANE)
 
 
 @pytest.fixture(scope="module")

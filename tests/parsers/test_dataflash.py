@@ -300,7 +300,7 @@ def untouched(store: BinaryStore, lost_from: int, lost_to: int, shift: int) -> d
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_record_the_damage_did_not_touch_is_recovered(kind: str, tmp_path: Path) -> None:
     rng = np.random.default_rng(SEED)
-    sound = encode(servo_flight(8))
+    sound = encode(servo_flight(4))
     store = BinaryStore(memoryview(sound))
     first = int(store.offsets("RCOU")[5])
     path = tmp_path / "damaged.bin"

@@ -1,0 +1,87 @@
+"""A part of a flight made ready once, to be flown by one servo after another: what a fit does a thousand times."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servofd.detection.residual import Commands, ResidualGenerator, commands_at_servo, followed, rhythm
+
+if TYPE_CHECKING:
+    from servofd.detection.starts import Starts
+    from servofd.models.servo_model import ServoModel
+    from servofd.segment import Segment
+    from servofd.types import FloatArray
+
+__all__ = ["Rehearsal"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rehearsal:
+    """Commands and starts of a segment, which do not depend on the servo; the residual, most of the cost, is left out.
+
+    Examples
+    --------
+    >>> from servofd.models.servo_model import ServoModel
+    >>> from servofd.segment import Segment
+    >>> from servofd.servos import servo_named
+    >>> model = ServoModel.of(servo_named("hs225bb-eq31"))
+    >>> time_s = np.arange(1000) / 100.0
+    >>> segment = Segment("elevator", time_s, np.sin(time_s), time_s, np.zeros(1000))
+    >>> generator = ResidualGenerator(model, 30.0)
+    >>> rehearsal = Rehearsal.of(generator, segment)
+    >>> bool(np.array_equal(rehearsal.simulated_deg(model), generator.run(segment).simulated_deg))
+    True
+    """
+
+    segment: Segment
+    commands: Commands
+    """As a servo without a delay gets them."""
+    starts: Starts
+    longest_gap_s: float
+    """Longest interval between samples that is bridged."""
+
+    @classmethod
+    def of(cls, generator: ResidualGenerator, segment: Segment) -> Rehearsal:
+        """Make ready what the generator's filter would take: gaps and starts are found for its pole."""
+        from servofd.detection.starts import find_starts
+
+        gap_s = generator.longest_gap_s(segment)
+        starts = find_starts(segment, gap_s, generator.blanking_s, rhythm(segment.command_s).longest_s)
+        return cls(segment, commands_at_servo(segment, 0.0, gap_s), starts, gap_s)
+
+    def hearing(self, command_deg: FloatArray) -> Rehearsal:
+        """The same part of the flight with other commands, shape (n,), at the instants of those that it has."""
+        segment = replace(self.segment, command_deg=command_deg)
+        return replace(self, segment=segment, commands=commands_at_servo(segment, 0.0, self.longest_gap_s))
+
+    def simulated_deg(self, model: ServoModel) -> FloatArray:
+        """Deflection of a servo [deg], shape (n,), as its residual generator would have it."""
+        from servofd.models.kernel import RESTART_ALL, FilterParameters, new_memory, observe
+
+        time_s, (measured_deg, restart, _) = self.segment.measured_s, self.starts
+        commands = replace(self.commands, effective_s=self.commands.effective_s + model.plan.delay_s)
+        extended = model.extended(self.segment.context)
+        if extended is not None:
+            return followed(extended, commands, time_s, measured_deg, restart)
+        servo = model.parameters()
+        no_filter = FilterParameters(1.0, servo.decay_rad_s, 1.0)
+        # Where the servo does not start anew, the kernel wants the position only for the residual.
+        resting_deg = np.where(restart == RESTART_ALL, measured_deg, np.nan)
+        simulated_deg, residual_deg = np.empty(time_s.size), np.empty(time_s.size)
+        observe(
+            servo,
+            no_filter,
+            new_memory(servo, no_filter),
+            commands.effective_s,
+            commands.command_deg,
+            commands.slope_deg_s,
+            time_s,
+            resting_deg,
+            restart,
+            simulated_deg,
+            residual_deg,
+        )
+        return simulated_deg

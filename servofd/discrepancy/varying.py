@@ -1,0 +1,188 @@
+"""A value of an effect that differs from run to run, and what it goes with: a rate limit that falls with the load.
+
+Each run has its own best value, the others being common to all. A line through those of the fitted runs over something
+that was logged beside them is then held against the runs that were held out: only if it foresees them is it told.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servofd.discrepancy.noise import long_run_factor
+from servofd.discrepancy.record import simulate
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from servofd.discrepancy.record import Record
+    from servofd.discrepancy.select import Selection
+    from servofd.types import BoolArray, FloatArray
+
+__all__ = ["Varying", "varying"]
+
+_FEWEST_RUNS = 5
+"""Fitted ones with a value of their own, for a line."""
+_SHARES = tuple(np.geomspace(0.5, 2.0, 13).tolist())
+"""Of the value that is common to all runs; where a run's best is the first or the last of these, it has none."""
+_SURE_CHI_SQUARED = 9.0
+_LEAST_DETERMINED, _LEAST_GAIN = 0.7, 0.8
+"""Share of the spread of the values that the line tells, and of the error of held-out runs that it may leave."""
+_LEAST_CHANGE = 0.05
+"""Of the value, from one end of the runs to the other: less is what servos of one kind differ by."""
+_ALIKE = 0.98
+"""Correlation beyond which two conditions cannot be told apart."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Varying:
+    """A value that goes with a condition."""
+
+    effect: str
+    parameter: str
+    conditions: tuple[str, ...]
+    """The one that tells most of it, then those that vary with it."""
+    condition: FloatArray
+    """In each run, shape (r,)."""
+    values: FloatArray
+    """Of each run, shape (r,); NaN where it does not show."""
+    at_zero: float
+    slope: float
+    """Of the line through the values over the condition."""
+    common_rms_deg: float
+    """Error of the held-out runs with one value for all."""
+    line_rms_deg: float
+    """The same with the values of the line."""
+
+    @property
+    def ends(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Lowest and highest condition, each with the line's value there."""
+        low, high = float(self.condition.min()), float(self.condition.max())
+        return (low, self.at_zero + self.slope * low), (high, self.at_zero + self.slope * high)
+
+    @property
+    def sentence(self) -> str:
+        """In words."""
+        (low, first), (high, last) = self.ends
+        others = f" (or {', '.join(self.conditions[1:])}, which varies with it)" if len(self.conditions) > 1 else ""
+        return (
+            f"{self.parameter} {'falls' if last < first else 'rises'} with {self.conditions[0]}{others}: {first:.4g} "
+            f"at {low:.4g}, {last:.4g} at {high:.4g}; with that, the error of the runs held out is "
+            f"{self.line_rms_deg:.3g} instead of {self.common_rms_deg:.3g} deg rms"
+        )
+
+    def document(self) -> dict[str, object]:
+        """Plain dictionary."""
+        return {
+            "effect": self.effect,
+            "parameter": self.parameter,
+            "conditions": list(self.conditions),
+            "at_zero": self.at_zero,
+            "slope": self.slope,
+            "values": [float(value) if np.isfinite(value) else None for value in self.values],
+            "common_rms_deg": self.common_rms_deg,
+            "line_rms_deg": self.line_rms_deg,
+        }
+
+
+def varying(selection: Selection, conditions: Mapping[str, FloatArray]) -> tuple[Varying, ...]:
+    """Find values of the final effects that go with a condition of the runs.
+
+    Parameters
+    ----------
+    selection : Selection
+        What was found in several runs; in a single one there is nothing to compare.
+    conditions : mapping of str to ndarray, shape (r,)
+        What was logged beside the servo, one number for each run, by the name of its channel.
+
+    Returns
+    -------
+    tuple of Varying
+        For each value at most the condition that tells most of it; the one that foresees the held-out runs best first.
+    """
+    record, final = selection.fitter.record, selection.final
+    known = {name: of for name, of in conditions.items() if np.all(np.isfinite(of)) and np.ptp(of) > 0.0}
+    if not known or not record.runs:
+        return ()
+    held_out = _held_out(record)
+    found = []
+    names = [(effect.name, parameter) for effect in final.effects for parameter in effect.parameters]
+    for k, (effect, parameter) in enumerate(names):
+        if parameter.kinked or parameter.aside:
+            continue
+        values = np.array([_own_value(selection, run, k, parameter.low, parameter.high) for run in record.runs])
+        shown = np.isfinite(values)
+        fitted = shown & ~held_out
+        if np.count_nonzero(fitted) < _FEWEST_RUNS or not np.any(shown & held_out):
+            continue
+        determined = {name: _determined(of[fitted], values[fitted]) for name, of in known.items()}
+        best = max(determined, key=lambda name: determined[name])
+        if determined[best] < _LEAST_DETERMINED:
+            continue
+        slope, at_zero = np.polyfit(known[best][fitted], values[fitted], 1).tolist()
+        line = at_zero + slope * known[best]
+        common_deg, line_deg = (
+            _rms_deg(selection, k, np.where(shown, each, final.values[k]), held_out)
+            for each in (np.full(values.size, final.values[k]), line)
+        )
+        if np.ptp(line) < _LEAST_CHANGE * abs(final.values[k]) or line_deg > _LEAST_GAIN * common_deg:
+            continue
+        alike = [n for n in known if n != best and abs(np.corrcoef(known[n], known[best])[0, 1]) > _ALIKE]
+        found.append(
+            Varying(effect, parameter.name, (best, *alike), known[best], values, at_zero, slope, common_deg, line_deg)
+        )
+    return tuple(sorted(found, key=lambda each: each.line_rms_deg))
+
+
+def _held_out(record: Record) -> BoolArray:
+    """Which of the runs were not fitted, shape (r,)."""
+    ends = np.cumsum([each.time_s.size for each in record.runs])
+    held_out: BoolArray = record.block[ends - 1] % 2 == 1
+    return held_out
+
+
+def _error_deg(selection: Selection, run: Record, index: int, value: float) -> FloatArray:
+    """Of one run, with one of the final values in another's place, where it counts."""
+    values = selection.final.values.copy()
+    values[index] = value
+    simulated_deg = simulate(run, selection.fitter.physics(selection.final.effects, values))
+    error_deg: FloatArray = (run.measured_deg - simulated_deg)[run.counts]
+    return error_deg
+
+
+def _own_value(selection: Selection, run: Record, index: int, low: float, high: float) -> float:
+    """Best for one run; NaN where the run does not show it on both sides."""
+    from scipy.optimize import minimize_scalar
+
+    def loss(value: float) -> float:
+        error_deg = _error_deg(selection, run, index, value)
+        return float(error_deg @ error_deg)
+
+    common = float(selection.final.values[index])
+    tried = [value for value in (common * share for share in _SHARES) if low <= value <= high]
+    losses = [loss(value) for value in tried]
+    best = int(np.argmin(losses)) if losses else 0
+    if not 0 < best < len(tried) - 1:
+        return float("nan")
+    around = min(tried[best - 1], tried[best + 1]), max(tried[best - 1], tried[best + 1])
+    value = float(minimize_scalar(loss, bounds=around, method="bounded", options={"xatol": 1e-3 * abs(common)}).x)
+    error_deg = _error_deg(selection, run, index, value)
+    chance = float(error_deg @ error_deg) / error_deg.size * long_run_factor(error_deg)
+    shows = min(losses[0], losses[-1]) - float(error_deg @ error_deg) > _SURE_CHI_SQUARED * chance
+    return value if shows else float("nan")
+
+
+def _determined(condition: FloatArray, values: FloatArray) -> float:
+    """Share of the spread of values that a line over a condition tells."""
+    if np.ptp(condition) == 0.0 or np.ptp(values) == 0.0:
+        return 0.0
+    return float(np.corrcoef(condition, values)[0, 1] ** 2)
+
+
+def _rms_deg(selection: Selection, index: int, values: FloatArray, held_out: BoolArray) -> float:
+    """Error of the held-out runs, each with a value of its own [deg rms]."""
+    runs = selection.fitter.record.runs
+    errors = [_error_deg(selection, runs[k], index, float(values[k])) for k in np.flatnonzero(held_out)]
+    return float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))

@@ -1,0 +1,206 @@
+"""Parts of `explain`, each by itself: where a fault begins, when a model errs, frames of pulses, own effects."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from servofd.discrepancy.break_point import fault_start_s
+from servofd.discrepancy.explanation import explain_gap
+from servofd.discrepancy.fit import Fitter
+from servofd.discrepancy.frames import best_frame, frames_like
+from servofd.discrepancy.own import OwnEffect, OwnParameter, load_own_effect
+from servofd.discrepancy.poles import PoleFitter
+from servofd.discrepancy.record import record_of, simulate
+from servofd.discrepancy.regimes import errors_by_regime
+from servofd.errors import ConfigError
+from servofd.models.catalogue import Bias, Delay, Gain
+from servofd.models.effects import LinearDynamics
+from servofd.models.physics import Physics, scaled_transfer
+from servofd.models.servo_model import ServoModel
+from servofd.models.transfer import TransferFunction
+from servofd.segment import Segment
+from servofd.simulation.commands import COMMANDS
+from tests.recovery.test_honesty import KNOWN, flown
+
+
+def _found(error_deg: Any, sigma_deg: float) -> Any:
+    return SimpleNamespace(nominal=SimpleNamespace(error_deg=error_deg), sigma_deg=sigma_deg)
+
+
+@pytest.mark.parametrize("begin_s", [6.0, 12.5, 22.0])
+@pytest.mark.parametrize("end_s", [np.inf, 26.0])
+def test_a_fault_begins_where_the_error_grows(begin_s: float, end_s: float) -> None:
+    """Whether it stays or passes, and to a sample where its first error is no noise."""
+    record = flown((), [], 1)
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        error_deg = 0.1 * rng.standard_normal(record.time_s.size)
+        at_fault = (record.time_s >= begin_s) & (record.time_s < end_s)
+        error_deg[at_fault] += 3.0 * np.cos(2.0 * record.time_s[at_fault])
+        found_s = fault_start_s(record, _found(error_deg, 0.1))
+        assert found_s is not None
+        assert begin_s <= found_s < begin_s + 1.0
+
+
+def test_noise_and_a_few_seconds_have_no_fault() -> None:
+    record = flown((), [], 1)
+    noise_deg = 0.1 * np.random.default_rng(0).standard_normal(record.time_s.size)
+    assert fault_start_s(record, _found(noise_deg, 0.1)) is None
+    better_later = np.where(record.time_s < 15.0, 10.0, 1.0) * noise_deg
+    assert fault_start_s(record, _found(better_later, 0.1)) is None
+    short = flown((), [], 1, duration_s=4.0)
+    assert fault_start_s(short, _found(noise_deg[: short.time_s.size], 0.1)) is None
+
+
+def test_a_jam_in_a_short_flight_is_no_missing_effect() -> None:
+    record = flown((), [], 3, duration_s=20.0)
+    time_s, noise_deg = record.time_s, 0.1 * np.random.default_rng(0).standard_normal(record.time_s.size)
+    jammed_deg = np.where(time_s > 13.0, record.measured_deg[1300] + noise_deg, record.measured_deg)
+    found = explain_gap(
+        Segment("x", record.commands.effective_s, record.commands.command_deg, time_s, jammed_deg), KNOWN
+    )
+    assert found.conclusion == "nothing_missing"
+    assert found.fault_s == pytest.approx(13.0, abs=2.0)
+    assert "a fault, not a missing effect" in found.notes[0]
+
+
+def test_each_condition_has_the_error_that_was_made_under_it() -> None:
+    record = flown((), [], 2)
+    simulated_deg = simulate(record, record.plant.neutral)
+    up = np.gradient(simulated_deg, record.time_s) > 0.0
+    late = record.time_s > np.median(record.time_s[record.counts])
+    found = {
+        one.name.split(" (")[0]: one
+        for one in errors_by_regime(record, np.where(up, 2.0, -1.0), np.where(late, 0.5, 0.0), simulated_deg)
+    }
+    assert found["moving up"].before_deg == pytest.approx(2.0)
+    assert found["moving down"].before_deg == pytest.approx(1.0)
+    assert found["first half"].after_deg == 0.0
+    assert found["second half"].after_deg == pytest.approx(0.5)
+    assert found["all"].share == 1.0
+    for pair in (("first half", "second half"), ("at rest", "moving up", "moving down")):
+        assert sum(found[name].share for name in pair) == pytest.approx(1.0)
+        energy = sum(found[name].share * found[name].before_deg ** 2 for name in pair)
+        assert energy == pytest.approx(found["all"].before_deg ** 2)
+
+
+def test_a_surface_that_never_moves_has_no_speed() -> None:
+    record = flown((), [], 2)
+    still = np.zeros(record.time_s.size)
+    names = [one.name for one in errors_by_regime(record, still + 1.0, still, still)]
+    assert not [name for name in names if name.startswith(("at rest", "moving", "fast", "far out", "within"))]
+    assert names[0] == "all"
+
+
+def test_a_frame_is_found_in_a_log_longer_than_the_window_it_was_seen_in() -> None:
+    record = flown((), [], 2, duration_s=20.0)
+    framed = record.plant.neutral._replace(frame_s=0.047, frame_phase=0.41)
+    noise_deg = 0.1 * np.random.default_rng(2).standard_normal(record.time_s.size)
+    record = replace(record, measured_deg=simulate(record, framed) + noise_deg)
+    period_s, _ = best_frame(record, record.plant.neutral)
+    assert period_s == pytest.approx(0.047, rel=3e-4)
+
+
+def test_no_frame_is_proposed_where_something_else_explains_the_error() -> None:
+    record = flown((Delay,), [0.04], 2, duration_s=12.0)
+    noise_deg = Fitter(record).judged((Delay,), [0.04]).error_deg
+    assert frames_like(record, record.plant.neutral, noise_deg, 0.1) == []
+
+
+def test_poles_and_a_bias_are_found_together() -> None:
+    """The servo that is known has other poles: they are the first guess, and no more."""
+    hidden = ServoModel((LinearDynamics(TransferFunction((900.0,), (1.0, 42.0, 900.0))),))
+    rng = np.random.default_rng(4)
+    time_s = np.arange(0.0, 10.0, 0.01)
+    command_deg = COMMANDS["lively"](time_s, rng)
+    measured_deg = hidden.simulate(time_s, command_deg, time_s) + 0.4 + 0.02 * rng.standard_normal(time_s.size)
+    guess = ServoModel((LinearDynamics(TransferFunction((600.0,), (1.0, 30.0, 600.0))),))
+    record = record_of(Segment("x", time_s, command_deg, time_s, measured_deg), guess, free_poles=True)
+    fitter = PoleFitter(record)
+    tried: list[str] = []
+    found = fitter.with_effects(fitter.nominal(), [Bias, Gain], tried.append)
+    assert tried == ["bias", "gain"]
+    assert found[0].names == ("bias",)
+    assert found[0].values[0] == pytest.approx(0.4, abs=0.01)
+    physics = fitter.physics(found[0].effects, found[0].values)
+    denominator = scaled_transfer(record.plant.transfer, physics).denominator
+    assert np.sqrt(denominator[-1] / denominator[0]) == pytest.approx(30.0, rel=0.01)
+    assert [fit.names for fit in fitter.with_effects(found[0], [Bias], tried.append)] == []
+    other = PoleFitter(record)
+    other.adopt(fitter)
+    assert other.poles((Bias,)) == fitter.poles((Bias,)) == fitter.on(record).poles((Bias, Gain))
+
+
+SIZE = OwnParameter("size_deg", -5.0, 5.0, 0.0, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "why"),
+    [
+        ((1.0, 0.0, 0.0, 0.1), "low <= neutral"),
+        ((0.0, 1.0, 2.0, 0.1), "low <= neutral"),
+        ((0.0, 0.0, 0.0, 0.1), "low < high"),
+        ((0.0, 1.0, 0.0, 0.0), "typical > 0"),
+    ],
+)
+def test_numbers_that_contradict_each_other(numbers: tuple[float, float, float, float], why: str) -> None:
+    with pytest.raises(ConfigError, match=why):
+        OwnParameter("size_deg", *numbers)
+
+
+def test_an_effect_of_ones_own_acts_at_its_place_and_where_it_is_installed() -> None:
+    time_s, values_deg = np.arange(5) / 100.0, np.arange(5.0)
+    own = OwnEffect("offset", "deflection", (SIZE,), lambda _time, values, size: values + size)
+    absent = own.changed("deflection", Physics(), time_s, values_deg)
+    assert np.array_equal(absent, values_deg)
+    missing = own.missing_effect()
+    (parameter,) = missing.parameters
+    there = Physics()._replace(**dict.fromkeys(parameter.fields, 2.0))
+    assert np.array_equal(own.changed("deflection", there, time_s, values_deg), values_deg + 2.0)
+    assert np.array_equal(own.changed("command", there, time_s, values_deg), values_deg)
+    assert missing.name == "offset"
+    assert all(parameter.low < value < parameter.high for value in parameter.grid)
+    assert sorted(parameter.grid) == list(parameter.grid)
+
+
+def test_where_no_usual_size_is_allowed_the_middle_is_tried() -> None:
+    narrow = OwnParameter("size_deg", 0.0, 1e-6, 0.0, 0.1)
+    (parameter,) = OwnEffect("offset", "command", (narrow,), lambda _t, y, a: y + a).missing_effect().parameters
+    assert parameter.grid == (5e-7,)
+
+
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [
+        (None, "No such file"),
+        (b"\xff\xfe\x00", "not a text file"),
+        (b"x = 1\n", "makes no effect; one is needed"),
+        (b"raise ValueError('no')\n", "ValueError"),
+    ],
+)
+def test_files_that_make_no_effect(content: bytes | None, why: str, tmp_path: Path) -> None:
+    path = tmp_path / "effect.py"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(ConfigError, match=why) as refused:
+        load_own_effect(path)
+    assert str(path) in str(refused.value)
+
+
+def test_an_own_effect_is_loaded_from_its_file(tmp_path: Path) -> None:
+    path = tmp_path / "effect.py"
+    path.write_text(
+        "from servofd import OwnEffect, OwnParameter\n"
+        "size = OwnParameter('size_deg', 0.0, 1.0, 0.0, 0.1)\n"
+        "effect = OwnEffect('offset', 'command', (size,), lambda t, y, a: y + a)\n"
+    )
+    own = load_own_effect(path)
+    assert (own.name, own.place) == ("offset", "command")
+    assert math.isclose(own.checked(np.zeros(1), np.ones(1), [0.5])[0], 1.5)
