@@ -1,4 +1,4 @@
-"""Can an excitation tell a hidden effect from its look-alikes at all? Asked of the generator, before any model is."""
+"""Can an excitation tell hidden effects from their look-alikes at all? Asked of the generator, before any model is."""
 
 from __future__ import annotations
 
@@ -54,7 +54,9 @@ Doubt = tuple[str, float]
 
 
 def leftover_sigmas(record: HiddenRecord, seed: int, effects: Effects, excitation: str, noise_deg: float) -> Doubt:
-    """Fit every look-alike of a single hidden effect to the clean position, and tell how far the best stays away.
+    """Fit every look-alike of each hidden effect to the clean position, and tell how far the best stays away.
+
+    Of several effects, the others stay as they are: a look-alike has one parameter to fit with.
 
     Parameters
     ----------
@@ -70,12 +72,13 @@ def leftover_sigmas(record: HiddenRecord, seed: int, effects: Effects, excitatio
     """
     floor_deg = float(np.hypot(noise_deg, CONVERTER_DEG / np.sqrt(12.0)))
     best = ("", np.inf)
-    (name,) = effects
-    for rival in RIVALS.get(name, ()):
+    pairs = [(name, rival) for name in effects for rival in RIVALS.get(name, ()) if rival not in effects]
+    for name, rival in pairs:
         key, low, high = _RANGES[rival]
+        others = {other: values for other, values in effects.items() if other != name}
 
-        def away_deg(value: float, rival: str = rival, key: str = key) -> float:
-            other = hidden(seed, {rival: {key: value}}, excitation, noise_deg, record.time_s.size / 100.0)
+        def away_deg(value: float, rival: str = rival, key: str = key, others: Effects = others) -> float:
+            other = hidden(seed, {**others, rival: {key: value}}, excitation, noise_deg, record.time_s.size / 100.0)
             return _distance(record.clean_deg, other.clean_deg)
 
         least = _least(away_deg, low, high)

@@ -78,8 +78,10 @@ class Score:
     """How many of the hidden effects are named or declared indistinguishable from a name."""
     extra: tuple[str, ...]
     """Named, though neither they nor what is declared indistinguishable from them is hidden."""
+    fault: bool
+    """From some time on, the log is said to hold a fault and no missing effect."""
     silently_wrong: bool
-    """The gap is said to be explained, or not to exist, and a name is wrong or missing."""
+    """The gap is said to be explained, or not to exist, and a name is wrong or missing; and no fault is told of."""
     set_size: float
     """Mean number of names offered for a step; 0 without steps."""
     errors: Mapping[str, float]
@@ -153,7 +155,8 @@ def score(said: Mapping[str, Any] | None, truth: Effects, noise_deg: float, *, s
     found = sum(any(name in names for names in offered) for name in known)
     extra = tuple(name for name, names in zip(named, offered, strict=True) if not right & names)
     missed = found < len(known) or (bool(nameless) and not named)
-    settled = said["conclusion"] in ("explained", "nothing_missing")
+    fault = said.get("fault_s") is not None
+    settled = said["conclusion"] in ("explained", "nothing_missing") and not fault
     errors, covered = _sizes(steps, truth)
     return Score(
         conclusion=said["conclusion"],
@@ -163,6 +166,7 @@ def score(said: Mapping[str, Any] | None, truth: Effects, noise_deg: float, *, s
         in_set=found == len(known),
         found=found,
         extra=extra,
+        fault=fault,
         silently_wrong=settled and (bool(extra) or missed),
         set_size=sum(map(len, offered)) / len(offered) if offered else 0.0,
         errors=errors,

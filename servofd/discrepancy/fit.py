@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.discrepancy.descent import descended
 from servofd.discrepancy.frames import best_frame, frames_like, usual_frame
 from servofd.discrepancy.noise import floor_uncertainty, long_run_factor, noise_floor_deg
 from servofd.discrepancy.record import simulate
@@ -26,10 +27,13 @@ if TYPE_CHECKING:
 
 __all__ = ["Fit", "Fitter"]
 
-_STEP = 3e-2
-"""Of what is common: what sticks or has edges answers to less with jumps, in which the descent loses its way."""
-_TIE_TO_START = 1e-4
+_STICKS = "hysteresis"
+_STEP, _STRIDE = 3e-2, 0.3
+"""Of what is common: what sticks or has edges answers to less with jumps, in which the descent loses its way. Among the
+many small minima of what sticks, long strides find the largest, from where the step leads on."""
 _EVALUATIONS, _THOROUGH = 20, 40
+_SHARES = (1.0, 0.4)
+"""Of a first step: a whole one may be too long."""
 _FINER, _SIMULATORS_DIFFER = 10.0, 2.5e-3
 """The second is how far two simulators of one servo, both in steps of 0.1 ms and less, are apart in a value: 0.8 % for
 friction in chirps to 25 Hz, 0.2 % for a sensor's lag, less for all others."""
@@ -158,7 +162,20 @@ class Fitter:
         effects = (*base.effects, effect)
         values, count = begin(part, effects, base.values.tolist())
         self.simulations += count
-        return self.judged(effects, values)
+        return self._eased(part, self.judged(effects, values)) if base.effects else self.judged(effects, values)
+
+    def _eased(self, part: Record, fit: Fit) -> Fit:
+        """After a first step of all parameters together: what was known before had stood in for what is new."""
+        partly = self.on(part)
+        there = partly.judged(fit.effects, fit.values)
+        slopes = partly.slopes(there)
+        self.simulations += partly.simulations
+        step = np.linalg.lstsq(slopes, -there.error_deg[partly.record.trained], rcond=1e-6)[0]
+        scale, low, high = np.array([(p.typical, p.low, p.high) for p in fit.parameters]).T
+        eased = [fit.values + share * step * scale for share in _SHARES]
+        return min(
+            (fit, *(self.judged(fit.effects, np.clip(each, low, high)) for each in eased)), key=lambda f: f.train
+        )
 
     def _refitted_best(self, fits: list[Fit]) -> list[Fit]:
         fits = sorted(fits, key=lambda fit: fit.train)
@@ -189,6 +206,7 @@ class Fitter:
         best, effects = min(fits, key=lambda fit: fit.train), (*base.effects, PwmFrame)
         known, noise, frame = self.physics(base.effects, base.values), self._noise(fits), None
         late = [fit for fit in fits if fit.effects[-1] in (Delay, SensorLag, SlowDynamics)]
+        like = [fit for fit in late if fit.effects[-1] is Delay] or late
         more = best.train > (1.0 + max(_FRAMES_EXCESS, floor_uncertainty(self.record))) * noise
         # To wait for the next frame is to be late by chance: where that shows, no rival speaks against frames.
         scattered = scatter_s(self.record, best.error_deg, _FRAMES_EXCESS) > 0.0
@@ -197,7 +215,7 @@ class Fitter:
                 float(fit.values[-1]) - self.record.plant.neutral.delay_s for fit in late if fit.effects[-1] is Delay
             ]
             frame = usual_frame(self.record, known, max(later_s, default=0.0))
-        elif min(fit.train for fit in late) - noise < _LATE_LEAVES * max(best.train - noise, _FRAMES_EXCESS * noise):
+        elif min(fit.train for fit in like) - noise < _LATE_LEAVES * max(best.train - noise, _FRAMES_EXCESS * noise):
             # Frames are a delay on average: where something else fits far better, they are not what lacks most.
             frame = self._sought(known, base.train - noise, None if scattered else best, noise)
         if frame is None:
@@ -222,54 +240,19 @@ class Fitter:
         self, effects: tuple[type[MissingEffect], ...], values: Values, evaluations: int = _EVALUATIONS
     ) -> Fit:
         """All parameters fitted together, from given values: least squares within the bounds."""
-        from scipy.optimize import least_squares
+        best = self.judged(effects, values)
+        rough = np.array([effect.family == _STICKS and not p.aside for effect in effects for p in effect.parameters])
 
-        start = np.array(values, dtype=float)
-        parameters = [p for effect in effects for p in effect.parameters]
-        free = [k for k, p in enumerate(parameters) if not p.kinked]
-        if not free:
-            return self.judged(effects, start)
-        scale = np.array([parameters[k].typical for k in free])
-        low = np.array([parameters[k].low for k in free]) / scale
-        high = np.array([parameters[k].high for k in free]) / scale
+        def errors_deg(values: FloatArray) -> FloatArray:
+            return self.error_deg(effects, values)[self._trained]
 
-        def at(x: FloatArray) -> FloatArray:
-            whole = start.copy()
-            whole[free] = x * scale
-            return whole
-
-        x0 = np.asarray(np.clip(start[free] / scale, low + 1e-6 * (high - low), high - 1e-6 * (high - low)))
-
-        def errors(x: FloatArray) -> FloatArray:
-            # What the data do not show stays where it is.
-            return np.concatenate([self.error_deg(effects, at(x))[self._trained], _TIE_TO_START * (x - x0)])
-
-        at_once: list[tuple[FloatArray, FloatArray]] = []
-
-        def remembered(x: FloatArray) -> FloatArray:
-            at_once[:] = [(x.copy(), errors(x))]
-            return np.append(np.linalg.norm(at_once[0][1]), np.zeros(x.size))
-
-        def slopes(x: FloatArray) -> FloatArray:
-            same = bool(at_once) and np.array_equal(at_once[0][0], x)
-            here = at_once[0][1] if same else errors(x)
-            steps = np.where(x + _STEP > high, -_STEP, _STEP)
-            units = zip(steps, np.eye(x.size), strict=True)
-            return _turned(np.column_stack([(errors(x + step * unit) - here) / step for step, unit in units]), here)
-
-        found = least_squares(
-            remembered,
-            x0,
-            jac=slopes,
-            bounds=(low, high),
-            max_nfev=evaluations,
-            xtol=1e-4,
-            ftol=1e-7 if evaluations > _EVALUATIONS else 1e-5,
-            gtol=None,
-        )
-        best = self.judged(effects, at(found.x))
-        given = self.judged(effects, start)
-        return best if best.train <= given.train else given
+        for stride in (_STRIDE, _STEP) if rough.any() else (_STEP,):
+            steps, fine = np.where(rough, stride, _STEP), evaluations > _EVALUATIONS
+            found = self.judged(
+                effects, descended(errors_deg, best.values, best.parameters, steps, evaluations, fine=fine)
+            )
+            best = found if found.train <= best.train else best
+        return best
 
     def on_all(self, fit: Fit) -> tuple[Fit, FloatArray]:
         """A fit with its values refitted to all samples, and their covariance, shape (p, p).
@@ -290,7 +273,7 @@ class Fitter:
         """Of the values of a fit, shape (p, p), from the curvature on both sides; infinite where nothing shows."""
         if not fit.effects:
             return np.zeros((0, 0))
-        jacobian = self._jacobian(fit)
+        jacobian = self.slopes(fit)
         seen = np.linalg.norm(jacobian, axis=0) > 1e-9
         result = np.diag(np.where(seen, 0.0, np.inf))
         inside = np.ix_(seen, seen)
@@ -307,14 +290,14 @@ class Fitter:
         """
         finer = simulate(self.record, self.physics(fit.effects, fit.values), _FINER)
         change = (self.record.measured_deg - finer - fit.error_deg)[self._trained]
-        moved = np.linalg.lstsq(self._jacobian(fit), -change, rcond=1e-6)[0] * [p.typical for p in fit.parameters]
+        moved = np.linalg.lstsq(self.slopes(fit), -change, rcond=1e-6)[0] * [p.typical for p in fit.parameters]
         sizes = [
             min(p.away(float(v), self.record.plant.neutral), abs(v))
             for p, v in zip(fit.parameters, fit.values, strict=True)
         ]
         return np.outer(moved, moved) + np.diag((_SIMULATORS_DIFFER * np.array(sizes)) ** 2)
 
-    def _jacobian(self, fit: Fit) -> FloatArray:
+    def slopes(self, fit: Fit) -> FloatArray:
         """Slope of the errors over each parameter in units of what is common, shape (m, p)."""
         columns = []
         for k, parameter in enumerate(fit.parameters):
@@ -326,15 +309,3 @@ class Fitter:
             change = self.error_deg(fit.effects, up) - self.error_deg(fit.effects, down)
             columns.append(change[self._trained] / (up[k] - down[k]) * parameter.typical)
         return np.column_stack(columns)
-
-
-def _turned(slopes: FloatArray, errors: FloatArray) -> FloatArray:
-    """Slopes of errors, shape (m, p), in axes of which the first is along the errors: shape (p + 1, p).
-
-    Least squares sees lengths and angles alone; to decompose thousands of rows took a quarter of the search.
-    """
-    along = errors / max(float(np.linalg.norm(errors)), 1e-300)
-    first = along @ slopes
-    rest = np.linalg.qr(slopes - np.outer(along, first), mode="r")
-    turned: FloatArray = np.vstack([first, rest])
-    return turned

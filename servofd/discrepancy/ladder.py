@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from servofd.discrepancy.evidence import EXCESS_WORTH, floor_of, matters
 from servofd.discrepancy.noise import long_run_factor
 from servofd.discrepancy.prune import without
@@ -27,6 +29,8 @@ _TIE_OF_KIND = 0.7
 """The same for two of one family, and for a rival of an effect with many minima, which had as many chances."""
 
 
+_SMALL_MINIMA = 100.0
+"""Where something sticks, fits of one servo end in minima up to 60 squared noises apart."""
 _TOO_MANY = 5
 """Others in the place of an effect: no family of the catalogue is as large, so that the data say that something is
 missing, and not what."""
@@ -90,6 +94,9 @@ def equals_of(fitter: Fitter, best: Fit, able: list[type[MissingEffect]], tried:
         rivals = tried.get(keys_of(base)) or fitter.with_effects(base, able, _quietly)
         tried[keys_of(base)] = rivals
         common, unsure = _TIE_CHI_SQUARED * sigma**2 * factor, min(left, base.total - best.total)
+        near = _SMALL_MINIMA * sigma**2 * factor
+        rivals = [_beside(fitter, best, k, r) if common < r.total - best.total < near else r for r in rivals]
+        tried[keys_of(base)] = rivals
         equals.append(
             [
                 rival
@@ -100,6 +107,15 @@ def equals_of(fitter: Fitter, best: Fit, able: list[type[MissingEffect]], tried:
             ]
         )
     return equals
+
+
+def _beside(fitter: Fitter, best: Fit, index: int, rival: Fit) -> Fit:
+    """The rival of an effect beside the others as they are beside it, if that is better: it begins where they ended."""
+    first = sum(len(effect.parameters) for effect in best.effects[:index])
+    values = np.delete(best.values, range(first, first + len(best.effects[index].parameters)))
+    own = rival.values[-len(rival.effects[-1].parameters) :]
+    effects = (*best.effects[:index], *best.effects[index + 1 :], rival.effects[-1])
+    return min(rival, fitter.refitted(effects, [*values, *own]), key=lambda fit: fit.total)
 
 
 def told(fitter: Fitter, best: Fit, able: list[type[MissingEffect]], tried: Tried) -> Fit:

@@ -145,9 +145,11 @@ def _grown(
             break
         grown.sort(key=lambda fit: cost(record, fit))
         beam = _promising(record, _distinct(grown)[:width])
-        if not record.free_poles and worth_trying(record, beam[0], floor_of(record, beam[0])):
+        first = beam[0]
+        if not record.free_poles and len(first.effects) < most and worth_trying(record, first, floor_of(record, first)):
             # What was found first may stand in for two that are found now: not so late that nobody asks any more.
-            beam = _distinct([_swapped(fitter, able, tried, beam[0]), *beam])[:width]
+            others = [fit for k in range(len(first.effects)) for fit in _exchanged(fitter, able, tried, first, k)]
+            beam = _distinct(sorted([*others, *beam], key=lambda fit: cost(record, fit)))[:width]
         if cost(record, beam[0]) < cost(record, best):
             best = beam[0]
         if not worth_trying(record, best, floor_of(record, best)):
@@ -165,15 +167,20 @@ def _relieved(fitter: Fitter, fit: Fit) -> list[Fit]:
 
 def _swapped(fitter: Fitter, able: list[type[MissingEffect]], tried: Tried, best: Fit) -> Fit:
     """With another effect in the place of one, if that is better: the first that was found is not always the right."""
-    if len(best.effects) < 2:
-        return best
     for k in range(len(best.effects)):
-        base = without(fitter, best, k)
-        fits = tried.get(keys_of(base)) or fitter.with_effects(base, able, _quietly)
-        tried[keys_of(base)] = fits
-        better = [fit for fit in fits if accepted(fitter.record, base, fit, floor_of(fitter.record, fit))]
-        best = min((best, *better), key=lambda fit: cost(fitter.record, fit))
+        others = _exchanged(fitter, able, tried, best, k)
+        best = min((best, *others), key=lambda fit: cost(fitter.record, fit))
     return best
+
+
+def _exchanged(fitter: Fitter, able: list[type[MissingEffect]], tried: Tried, best: Fit, k: int) -> list[Fit]:
+    """With each of the other effects in the place of one, as far as that is any better than without it."""
+    if len(best.effects) < 2:
+        return []
+    base = without(fitter, best, k)
+    fits = tried.get(keys_of(base)) or fitter.with_effects(base, able, _quietly)
+    tried[keys_of(base)] = fits
+    return [fit for fit in fits if accepted(fitter.record, base, fit, floor_of(fitter.record, fit))]
 
 
 def _on_all(fitter: Fitter, best: Fit) -> tuple[Fit, Fit, FloatArray]:
