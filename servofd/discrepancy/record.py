@@ -39,6 +39,8 @@ _SOME_RUNS, _STEPS_OF_ZERO = 3, 1.5
 _PLACES = np.linspace(-1.0, 1.0, 5)
 """Within a dead band, from one end to the other."""
 _DOUBTFUL = 1.45
+_FARTHEST_DEG = 1e6
+"""As wrong as a servo can be: squares of more could not be summed up."""
 _LARGEST_GUESS_DEG, _FORGOTTEN_S = 0.25, 0.16
 """A lost command off by this much moves an HS-225BB by 0.04 deg, for four of its time constants."""
 
@@ -301,7 +303,8 @@ def simulate(record: Record, physics: Physics, finer: float = 1.0) -> FloatArray
         position_deg = position_deg + physics.deg_per_a * record.current_a
     if record.own is not None:
         position_deg = record.own.changed("deflection", physics, record.time_s, position_deg)
-    return position_deg
+    # A load that pushes harder the further it has pushed runs away from a motor at its limit.
+    return np.clip(np.nan_to_num(position_deg, nan=_FARTHEST_DEG), -_FARTHEST_DEG, _FARTHEST_DEG)
 
 
 def _from_where_it_lay(run: Record, physics: Physics, loose_deg: float, finer: float) -> FloatArray:

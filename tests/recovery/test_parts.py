@@ -204,3 +204,13 @@ def test_an_own_effect_is_loaded_from_its_file(tmp_path: Path) -> None:
     own = load_own_effect(path)
     assert (own.name, own.place) == ("offset", "command")
     assert math.isclose(own.checked(np.zeros(1), np.ones(1), [0.5])[0], 1.5)
+
+
+def test_a_servo_that_runs_away_is_as_wrong_as_can_be() -> None:
+    """A load that pushes the surface on, at a motor that has reached its limit, passes every number."""
+    record = flown((), [], 2)
+    lifted = replace(record, pressure_pa=np.full(record.time_s.size, 1e6))
+    limited = record.plant.neutral._replace(rate_up_deg_s=20.0, rate_down_deg_s=20.0, airload_per_pa=-0.0012)
+    moved_deg = simulate(lifted, limited)
+    assert np.abs(moved_deg).max() == 1e6
+    assert np.isfinite(moved_deg @ moved_deg)
