@@ -149,7 +149,11 @@ def judge(case: Case) -> Result:
     return Result(
         case=case,
         score=score(
-            answer.said, there, float(np.hypot(case.noise_deg, step_deg / np.sqrt(12.0))), scattered=case.spread > 0.0
+            answer.said,
+            there,
+            float(np.hypot(case.noise_deg, step_deg / np.sqrt(12.0))),
+            scattered=case.spread > 0.0,
+            unseen=tuple(effects),
         ),
         seconds=answer.seconds,
         sizes=sizes,

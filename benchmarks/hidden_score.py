@@ -8,7 +8,7 @@ import json
 import math
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -121,7 +121,14 @@ def ask(path: Path, surface: str, *options: str) -> Answer:
     return Answer(code, seconds, said, (errors.getvalue().strip().splitlines() or [""])[-1])
 
 
-def score(said: Mapping[str, Any] | None, truth: Effects, noise_deg: float, *, scattered: bool = False) -> Score:
+def score(
+    said: Mapping[str, Any] | None,
+    truth: Effects,
+    noise_deg: float,
+    *,
+    scattered: bool = False,
+    unseen: Collection[str] = (),
+) -> Score:
     """Score one answer.
 
     Parameters
@@ -134,6 +141,8 @@ def score(said: Mapping[str, Any] | None, truth: Effects, noise_deg: float, *, s
         Noise that is really there, with that of the converter [deg].
     scattered : bool
         Whether the servo itself differs from the known one: that may be named, too.
+    unseen : collection of str
+        Effects that were put in and hardly show: nobody has to name them, and whoever does is right.
 
     Examples
     --------
@@ -151,7 +160,7 @@ def score(said: Mapping[str, Any] | None, truth: Effects, noise_deg: float, *, s
     known = tuple(name for name in truth if name in CATALOGUE)
     nameless = tuple(name for name in truth if name not in CATALOGUE)
     right = {*known, *(alike for name in nameless for alike in ALIKE.get(name, ()))}
-    right |= set(_SCATTER) if scattered else set()
+    right |= {*unseen, *(_SCATTER if scattered else ())}
     found = sum(any(name in names for names in offered) for name in known)
     extra = tuple(name for name, names in zip(named, offered, strict=True) if not right & names)
     missed = found < len(known) or (bool(nameless) and not named)

@@ -36,6 +36,18 @@ def scored(truth: Effects, conclusion: str, *steps: dict[str, Any], alike: tuple
     return score(said, truth, 0.1)
 
 
+def test_what_hardly_shows_need_not_be_named_but_may() -> None:
+    said = {
+        "conclusion": "explained",
+        "steps": [step("gain", gain=(0.8, 0.79, 0.81)), step("rate_limit", rate_limit_deg_s=(50.0, 49.0, 51.0))],
+    }
+    assert score(said, GAIN, 0.1).extra == ("rate_limit",)
+    lenient = score(said, GAIN, 0.1, unseen=("gain", "rate_limit"))
+    assert lenient.first
+    assert not lenient.extra
+    assert not lenient.silently_wrong
+
+
 def test_every_log_is_made_byte_for_byte(tmp_path: Path) -> None:
     made = runpy.run_path(str(FOLDER / "make.py"))["make"](FOLDER / TRUTH, tmp_path)
     assert sorted(path.name for path in made) == sorted(path.name for path in FOLDER.glob("*.csv"))
