@@ -20,6 +20,9 @@ __all__ = ["Rung", "Tried", "equals_of", "keys_of", "rungs_of", "simplest", "tol
 
 _TIE_CHI_SQUARED, _EVEN_CHI_SQUARED = 10.0, 4.0
 """Below the second, the data do not even hint at which it is, and the simplest is named."""
+_NO_MODEL_KNOWS = 0.015
+"""Share of what an effect moves by which two fits may differ and mean the same: what acts on a servo is measured no better,
+and the laws of effects hold no better."""
 _CLEAR_CHI_SQUARED = 30.0
 """In units of what stays, whatever it is: the better of a family is named, though the other is still possible."""
 _TIE_OF_EXCESS = 0.15
@@ -93,7 +96,8 @@ def equals_of(fitter: Fitter, best: Fit, able: list[type[MissingEffect]], tried:
         base = without(fitter, best, k)
         rivals = tried.get(keys_of(base)) or fitter.with_effects(base, able, _quietly)
         tried[keys_of(base)] = rivals
-        common, unsure = _TIE_CHI_SQUARED * sigma**2 * factor, min(left, base.total - best.total)
+        taken, unsure = base.total - best.total, min(left, base.total - best.total)
+        common = max(_TIE_CHI_SQUARED * sigma**2 * factor, _NO_MODEL_KNOWS**2 * taken)
         near = _SMALL_MINIMA * sigma**2 * factor
         rivals = [_beside(fitter, best, k, r) if common < r.total - best.total < near else r for r in rivals]
         tried[keys_of(base)] = rivals

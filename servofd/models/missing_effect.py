@@ -15,6 +15,9 @@ __all__ = ["Context", "MissingEffect", "Parameter"]
 
 Context = Literal["airspeed_m_s", "servo_voltage_v", "servo_current_a"]
 
+_AT_BOUND, _NEAR = 1e-3, 0.1
+"""Share of the range, and of the lower bound, within which a value is at it."""
+
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
@@ -49,9 +52,11 @@ class Parameter:
         """Whether a value has run to the end of its range: a failure, not an answer."""
         if self.aside:
             return False
-        margin = 1e-3 * (self.high - self.low)
+        margin = _AT_BOUND * (self.high - self.low)
+        # Of a range over decades, that share would be many times its lower end.
+        lower = min(margin, _NEAR * self.low) if self.low > 0.0 else margin
         at_neutral = abs(self.neutral - value) <= margin
-        return (value - self.low <= margin or self.high - value <= margin) and not at_neutral
+        return (value - self.low <= lower or self.high - value <= margin) and not at_neutral
 
 
 class MissingEffect:

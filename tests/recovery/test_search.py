@@ -10,13 +10,14 @@ import pytest
 
 from hidden_effects import Case, judge
 from hidden_logs import SURFACE, write
-from hidden_physics import draw, hidden
+from hidden_physics import Effects, draw, hidden
 from hidden_score import ask, score
 from servofd.discrepancy.fit import Fitter
 from servofd.discrepancy.record import Record, record_of, simulate
 from servofd.models.catalogue import (
     CATALOGUE,
     Backlash,
+    CurrentLimit,
     Delay,
     MissingEffect,
     PwmFrame,
@@ -106,3 +107,30 @@ def test_a_fault_that_is_told_is_not_silent() -> None:
     assert one.score.fault
     assert not one.score.named
     assert not one.silently_wrong
+
+
+def test_an_effect_near_the_lower_end_of_decades_is_an_answer() -> None:
+    """A knee of 1 deg lies well above its bound of 0.3 deg, however far the upper one is."""
+    (knee,) = CurrentLimit.parameters
+    assert not knee.at_bound(1.05)
+    assert knee.at_bound(0.31)
+    (limit,) = RateLimit.parameters[:1]
+    assert not limit.at_bound(4.0)
+    assert limit.at_bound(2.1)
+
+
+@pytest.mark.slow
+def test_a_knee_of_one_degree_is_found(tmp_path: Path) -> None:
+    effects: Effects = {"current_limit": {"knee_deg": 1.05}}
+    log = write(hidden(301, effects, "sweep", NOISE_DEG), tmp_path / "log.csv")
+    assert score(ask(log, SURFACE).said, effects, NOISE_DEG).first
+
+
+@pytest.mark.slow
+def test_what_steady_air_cannot_tell_is_said(tmp_path: Path) -> None:
+    """A load that grows with the deflection, or with its sine: within 10 deg they differ by a hundredth."""
+    effects: Effects = {"airload": {"deg_per_deg_pa": 0.00194}}
+    log = write(hidden(301, effects, "sweep", NOISE_DEG), tmp_path / "log.csv")
+    one = score(ask(log, SURFACE).said, effects, NOISE_DEG)
+    assert one.in_set
+    assert one.set_size <= 2.0
