@@ -21,8 +21,8 @@ __all__ = ["Rung", "Tried", "equals_of", "keys_of", "rungs_of", "simplest", "tol
 _TIE_CHI_SQUARED, _EVEN_CHI_SQUARED = 10.0, 4.0
 """Below the second, the data do not even hint at which it is, and the simplest is named."""
 _NO_MODEL_KNOWS = 0.015
-"""Share of what an effect moves by which two fits may differ and mean the same: what acts on a servo is measured no better,
-and the laws of effects hold no better."""
+"""Share of what an effect moves by which two fits may differ and mean the same: what acts on a servo is no better
+measured, and the laws of effects are no better known."""
 _CLEAR_CHI_SQUARED = 30.0
 """In units of what stays, whatever it is: the better of a family is named, though the other is still possible."""
 _TIE_OF_EXCESS = 0.15
