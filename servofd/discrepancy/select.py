@@ -144,9 +144,12 @@ def _grown(
             break
         grown.sort(key=lambda fit: cost(record, fit))
         beam = _promising(record, _distinct(grown, able)[:width])
-        first = beam[0]
-        if not record.free_poles and worth_trying(record, first, floor_of(record, first)):
+        first = None
+        while (
+            not record.free_poles and beam[0] is not first and worth_trying(record, beam[0], floor_of(record, beam[0]))
+        ):
             # What was found first may stand in for two that are found now: not so late that nobody asks any more.
+            first = beam[0]
             others = [fit for k in range(len(first.effects)) for fit in _exchanged(fitter, able, tried, first, k)]
             grown = sorted([*others, *beam], key=lambda fit: cost(record, fit))
             beam = _promising(record, _distinct(grown, able)[:width])
