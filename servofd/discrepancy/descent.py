@@ -17,6 +17,13 @@ __all__ = ["descended"]
 _TIE_TO_START = 1e-4
 _XTOL = 1e-4
 _FTOL, _FINE_FTOL = 1e-5, 1e-7
+_MORE_THAN_FORETOLD = 5.0
+"""Times what the slopes foretell, at which a descent is given up: 1 is right where errors are linear in the values. Of
+782 descents, of which 321 ended well, 4 lost one of these, 3 two, 2 more; 5 lost none, and saved 36 % of the cost."""
+
+
+class _HopelessError(Exception):
+    """It ends where it is."""
 
 
 def descended(
@@ -27,6 +34,7 @@ def descended(
     evaluations: int,
     *,
     fine: bool = False,
+    enough: float = np.inf,
 ) -> FloatArray:
     """Go down from given values.
 
@@ -44,6 +52,8 @@ def descended(
         Most errors that are asked for, without those for slopes.
     fine : bool
         Whether the last digits matter.
+    enough : float
+        Sum of squares that is no good any more [deg^2]: what cannot come below it is not descended to its end.
     """
     from scipy.optimize import least_squares
 
@@ -74,19 +84,34 @@ def descended(
         here = at_once[0][1] if same else errors(x)
         signed = np.where(x + sizes > high, -sizes, sizes)
         units = zip(signed, np.eye(x.size), strict=True)
-        return _turned(np.column_stack([(errors(x + step * unit) - here) / step for step, unit in units]), here)
+        steep = np.column_stack([(errors(x + step * unit) - here) / step for step, unit in units])
+        if _least(steep, here) > enough:
+            last[:] = [x]
+            raise _HopelessError
+        return _turned(steep, here)
 
-    found = least_squares(
-        remembered,
-        x0,
-        jac=slopes,
-        bounds=(low, high),
-        max_nfev=evaluations,
-        xtol=_XTOL,
-        ftol=_FINE_FTOL if fine else _FTOL,
-        gtol=None,
-    )
+    last: list[FloatArray] = []
+    try:
+        found = least_squares(
+            remembered,
+            x0,
+            jac=slopes,
+            bounds=(low, high),
+            max_nfev=evaluations,
+            xtol=_XTOL,
+            ftol=_FINE_FTOL if fine else _FTOL,
+            gtol=None,
+        )
+    except _HopelessError:
+        return at(last[0])
     return at(found.x)
+
+
+def _least(slopes: FloatArray, errors: FloatArray) -> float:
+    """What may be left of the sum of squares of errors, shape (m,), with slopes of shape (m, p)."""
+    down = slopes.T @ errors
+    foretold = float(down @ np.linalg.pinv(slopes.T @ slopes, hermitian=True) @ down)
+    return float(errors @ errors) - _MORE_THAN_FORETOLD * foretold
 
 
 def _turned(slopes: FloatArray, errors: FloatArray) -> FloatArray:

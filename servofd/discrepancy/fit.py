@@ -40,6 +40,9 @@ friction in chirps to 25 Hz, 0.2 % for a sensor's lag, less for all others."""
 _PROMISING, _FEWER = 10, 6
 """Of the candidates of a first effect, and of a further one."""
 _LATE_SHARE, _LATE_CHI_SQUARED, _LATE_LEAVES, _FRAMES_EXCESS = 0.1, 30.0, 2.0, 0.02
+_NOT_MUCH_MORE, _SMALL_MINIMA, _CLEARLY = 2.0, 100.0, 1.15
+"""Times what the best fit leaves beside noise, and squared noises, beyond which no other goes on or passes for it; and
+how far beyond it must be, for a descent may rest on the way."""
 _MUCH_LESS = 0.5
 """Of what other effects left when frames were sought last: then they may be seen better."""
 
@@ -98,6 +101,8 @@ class Fitter:
     """Fits without one of their effects, by its number; they are asked for again and again."""
     _frames: dict[float, Frame | None] = field(default_factory=dict, init=False)
     """Pulse frames that were sought, by the sum of squares over the noise that the other effects left."""
+    _first: dict[int, Fit] = field(default_factory=dict, init=False)
+    """Best fit of each number of effects."""
     _trained: IntArray = field(init=False)
     _held_out: IntArray = field(init=False)
 
@@ -130,7 +135,7 @@ class Fitter:
             first = sum(len(effect.parameters) for effect in effects[:k])
             unstepped = self.error_deg(effects[:k] + effects[k + 1 :], np.delete(values, first))
         squares = float(train @ train), float(held_out @ held_out)
-        return Fit(effects, np.array(values, dtype=float), error, *squares, unstepped)
+        return Fit(effects, _in_force(effects, values), error, *squares, unstepped)
 
     def nominal(self) -> Fit:
         """The servo as it is known."""
@@ -180,15 +185,36 @@ class Fitter:
     def _refitted_best(self, fits: list[Fit]) -> list[Fit]:
         fits = sorted(fits, key=lambda fit: fit.train)
         count = _FEWER if len(fits[0].effects) > 1 else _PROMISING
-        return [self._settled(fit) for fit in fits[:count]] + fits[count:]
+        settled: list[Fit] = []
+        for fit in fits[:count]:
+            settled.append(self._settled(fit, self._enough(len(fit.effects))))
+            self._leads(settled[-1])
+        return settled + fits[count:]
 
-    def _settled(self, fit: Fit) -> Fit:
+    def _leads(self, fit: Fit) -> None:
+        """Remember the best fit of its length."""
+        length = len(fit.effects)
+        if length not in self._first or fit.train < self._first[length].train:
+            self._first[length] = fit
+
+    def _enough(self, length: int) -> float:
+        """Sum of squares at which a fit neither goes on beside the best of its length, nor passes for it [deg^2]."""
+        if length not in self._first:
+            return np.inf
+        first = self._first[length]
+        noise = self._noise([first])
+        chance = (
+            _SMALL_MINIMA * noise / max(self._trained.size, 1) * long_run_factor(first.error_deg[self.record.counts])
+        )
+        return _CLEARLY * (noise + _NOT_MUCH_MORE * max(first.train - noise, 0.0) + chance)
+
+    def _settled(self, fit: Fit, enough: float) -> Fit:
         """All parameters refitted; what cannot be descended is searched on the whole record."""
         values, newest = fit.values.tolist(), fit.effects[-1].parameters
         if all(p.kinked for p in newest):
             values, count = polish(self.record, fit.effects, values, len(values) - len(newest))
             self.simulations += count
-        return self.refitted(fit.effects, values)
+        return self._descended(fit.effects, values, _EVALUATIONS, enough)
 
     def _is_late(self, base: Fit, fits: list[Fit]) -> bool:
         """Whether a delay, or what passes for one, takes away some of what is left."""
@@ -215,14 +241,17 @@ class Fitter:
                 float(fit.values[-1]) - self.record.plant.neutral.delay_s for fit in late if fit.effects[-1] is Delay
             ]
             frame = usual_frame(self.record, known, max(later_s, default=0.0))
-        elif min(fit.train for fit in like) - noise < _LATE_LEAVES * max(best.train - noise, _FRAMES_EXCESS * noise):
-            # Frames are a delay on average: where something else fits far better, they are not what lacks most.
+        elif self._lacks_most(min(fit.train for fit in like), len(effects), noise):
             frame = self._sought(known, base.train - noise, None if scattered else best, noise)
         if frame is None:
             return []
         values, count = polish(self.record, effects, [*base.values.tolist(), *frame], base.values.size)
         self.simulations += count
         return [self.refitted(effects, values)]
+
+    def _lacks_most(self, train: float, length: int, noise: float) -> bool:
+        """Whether no fit of a length, whatever its effects, is far better than what frames are on average."""
+        return train - noise < _LATE_LEAVES * max(self._first[length].train - noise, _FRAMES_EXCESS * noise)
 
     def _sought(self, known: Physics, left: float, rival: Fit | None, noise: float) -> Frame | None:
         """Frames that a search of the whole log finds, unless a rival is clearly better; or those that it found before.
@@ -240,6 +269,12 @@ class Fitter:
         self, effects: tuple[type[MissingEffect], ...], values: Values, evaluations: int = _EVALUATIONS
     ) -> Fit:
         """All parameters fitted together, from given values: least squares within the bounds."""
+        return self._descended(effects, values, evaluations, np.inf)
+
+    def _descended(
+        self, effects: tuple[type[MissingEffect], ...], values: Values, evaluations: int, enough: float
+    ) -> Fit:
+        """The same; what cannot leave less than `enough` [deg^2] ends early."""
         best = self.judged(effects, values)
         rough = np.array([effect.family == _STICKS and not p.aside for effect in effects for p in effect.parameters])
 
@@ -249,7 +284,8 @@ class Fitter:
         for stride in (_STRIDE, _STEP) if rough.any() else (_STEP,):
             steps, fine = np.where(rough, stride, _STEP), evaluations > _EVALUATIONS
             found = self.judged(
-                effects, descended(errors_deg, best.values, best.parameters, steps, evaluations, fine=fine)
+                effects,
+                descended(errors_deg, best.values, best.parameters, steps, evaluations, fine=fine, enough=enough),
             )
             best = found if found.train <= best.train else best
         return best
@@ -309,3 +345,10 @@ class Fitter:
             change = self.error_deg(fit.effects, up) - self.error_deg(fit.effects, down)
             columns.append(change[self._trained] / (up[k] - down[k]) * parameter.typical)
         return np.column_stack(columns)
+
+
+def _in_force(effects: Sequence[type[MissingEffect]], values: Values) -> FloatArray:
+    """Values that mean the same in any order of the effects: of what several of them set, the last one's counts."""
+    parameters = [p for effect in effects for p in effect.parameters]
+    last = {p.fields: float(value) for p, value in zip(parameters, values, strict=True)}
+    return np.array([last[p.fields] for p in parameters])

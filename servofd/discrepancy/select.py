@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 __all__ = ["Rung", "Selection", "select", "unexplained"]
 
 _BEAM, _WIDE_BEAM, _FEW = 2, 4, 2
-"""The wide one where something stays, or more than a few effects seem to be needed: two simple ones may do as well."""
+"""The wide one where something stays, or a few effects are not enough: two simple ones may do as well."""
 _NOT_MUCH_MORE = 2.0
 _SAME_LOSS = 1e-3
 """Relative: the same servo in other words."""
@@ -85,12 +85,11 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     able, unable = judgeable(record)
     nominal = fitter.nominal()
     tried: Tried = {}
-    best = _grown(fitter, able, tried, _BEAM, progress, _most_effects(record))
+    most = _most_effects(record)
     # Where the poles are free, every start costs several fits, and each effect has had its chance from all of them.
-    if not record.free_poles and (len(best.effects) > _FEW or stays_above_noise(record, best)):
-        # A servo without a gap is not looked for in more words.
-        done = not worth_trying(record, best, floor_of(record, best))
-        most = len(best.effects) if done else _most_effects(record)
+    best = _grown(fitter, able, tried, _BEAM, progress, most if record.free_poles else _FEW)
+    more = len(best.effects) == _FEW and worth_trying(record, best, floor_of(record, best))
+    if not record.free_poles and (more or stays_above_noise(record, best)):
         wide = _grown(fitter, able, tried, _WIDE_BEAM, progress, most)
         best = min(best, wide, key=lambda fit: cost(record, fit))
     sure = convincing(fitter, pruned(fitter, _swapped(fitter, able, tried, best)), nominal)
@@ -144,12 +143,16 @@ def _grown(
         if not grown:
             break
         grown.sort(key=lambda fit: cost(record, fit))
-        beam = _promising(record, _distinct(grown)[:width])
-        first = beam[0]
-        if not record.free_poles and len(first.effects) < most and worth_trying(record, first, floor_of(record, first)):
+        beam = _promising(record, _distinct(grown, able)[:width])
+        first = None
+        while (
+            not record.free_poles and beam[0] is not first and worth_trying(record, beam[0], floor_of(record, beam[0]))
+        ):
             # What was found first may stand in for two that are found now: not so late that nobody asks any more.
+            first = beam[0]
             others = [fit for k in range(len(first.effects)) for fit in _exchanged(fitter, able, tried, first, k)]
-            beam = _distinct(sorted([*others, *beam], key=lambda fit: cost(record, fit)))[:width]
+            grown = sorted([*others, *beam], key=lambda fit: cost(record, fit))
+            beam = _promising(record, _distinct(grown, able)[:width])
         if cost(record, beam[0]) < cost(record, best):
             best = beam[0]
         if not worth_trying(record, best, floor_of(record, best)):
@@ -169,7 +172,8 @@ def _swapped(fitter: Fitter, able: list[type[MissingEffect]], tried: Tried, best
     """With another effect in the place of one, if that is better: the first that was found is not always the right."""
     for k in range(len(best.effects)):
         others = _exchanged(fitter, able, tried, best, k)
-        best = min((best, *others), key=lambda fit: cost(fitter.record, fit))
+        # The same servo in other words is not better, be it by a hair.
+        best = _distinct(sorted((best, *others), key=lambda fit: cost(fitter.record, fit)), able)[0]
     return best
 
 
@@ -196,13 +200,21 @@ def _quietly(_step: str) -> None:
     """Tell nobody."""
 
 
-def _distinct(fits: list[Fit]) -> list[Fit]:
-    """One fit for each set of names, and one of those that move alike."""
-    seen: dict[tuple[str, ...], Fit] = {}
+def _distinct(fits: list[Fit], able: list[type[MissingEffect]]) -> list[Fit]:
+    """One fit for each set of names, and the simplest of those that move alike."""
+    kept: list[Fit] = []
     for fit in fits:
-        if not any(abs(fit.total - other.total) < _SAME_LOSS * other.total for other in seen.values()):
-            seen.setdefault(tuple(sorted(fit.names)), fit)
-    return list(seen.values())
+        alike = [k for k, other in enumerate(kept) if abs(fit.total - other.total) < _SAME_LOSS * other.total]
+        if not alike:
+            kept += [] if any(sorted(fit.names) == sorted(other.names) for other in kept) else [fit]
+        elif _words(fit, able) < _words(kept[alike[0]], able):
+            kept[alike[0]] = fit
+    return kept
+
+
+def _words(fit: Fit, able: list[type[MissingEffect]]) -> tuple[int, int]:
+    """How many effects, and how far down the catalogue, which begins with the simplest."""
+    return len(fit.effects), sum(able.index(effect) for effect in fit.effects)
 
 
 def _promising(record: Record, fits: list[Fit]) -> list[Fit]:
