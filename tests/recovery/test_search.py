@@ -13,11 +13,14 @@ from hidden_logs import SURFACE, write
 from hidden_physics import draw, hidden
 from hidden_score import ask, score
 from servofd.discrepancy.fit import Fitter
+from servofd.discrepancy.prune import ordered
 from servofd.discrepancy.record import Record, record_of, simulate
 from servofd.models.catalogue import (
     CATALOGUE,
+    AirLoad,
     Backlash,
     Delay,
+    Friction,
     MissingEffect,
     PwmFrame,
     RateLimit,
@@ -67,6 +70,18 @@ def test_what_was_found_first_gives_way_to_what_comes_next() -> None:
     assert best.names == ("resonance", "rate_limit")
     assert best.train < 1.05 * count * NOISE_DEG**2
     assert best.values[2] == pytest.approx(45.5, rel=0.01)
+
+
+def test_effects_that_share_a_parameter_are_one_servo_in_any_order() -> None:
+    """Where in the motor a load acts is a number of both; the last one's counts, whichever came first."""
+    record = swept((AirLoad, Friction), [5e-4, 0.65, 0.9, 0.65], 1)
+    whole = replace(record, pressure_pa=np.full(record.time_s.size, 400.0))
+    fitter = Fitter(whole)
+    fit = fitter.judged((AirLoad, Friction), [5e-4, 0.35, 0.9, 0.65])
+    assert fit.values.tolist() == [5e-4, 0.65, 0.9, 0.65]
+    turned = fitter.judged((Friction, AirLoad), [*fit.values[2:], *fit.values[:2]])
+    assert turned.total == pytest.approx(fit.total, rel=1e-9)
+    assert ordered(fitter, fit).total == pytest.approx(fit.total, rel=1e-9)
 
 
 @pytest.mark.slow
