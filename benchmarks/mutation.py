@@ -208,10 +208,10 @@ def leave_uncompiled(is_plain: Callable[[str], bool]) -> None:
 
     njit = numba.njit
 
-    def chosen(*args: Callable[..., object], **options: object) -> object:
-        if not is_plain(sys._getframe(1).f_globals["__name__"]):
-            return njit(*args, **options)
-        return args[0] if args else lambda function: function
+    def chosen(*functions: Callable[..., object], **options: object) -> object:
+        if not functions:
+            return lambda function: chosen(function, **options)
+        return functions[0] if is_plain(functions[0].__module__) else njit(**options)(functions[0])
 
     numba.njit = chosen
 

@@ -11,8 +11,9 @@ import pytest
 from hidden_physics import Air, deflection
 from servofd.models.context import Context
 from servofd.models.effect_table import effects_installed
+from servofd.models.effects import RateLimit
 from servofd.models.extended import ExtendedMotion, ExtendedServo
-from servofd.models.physics import Physics, plant_of
+from servofd.models.physics import Physics, Plant, plant_of
 from servofd.models.servo_model import ServoModel
 from servofd.models.transfer import TransferFunction
 from servofd.servos import servo_named
@@ -127,3 +128,30 @@ def test_a_tip_and_a_sensor_are_linear_systems(sizes: dict[str, float]) -> None:
     twin_deg = linear_deflection(whole, 0.004, TIME_S, COMMAND_DEG, TIME_S)
     found_deg = moved(Physics(delay_s=0.004, **sizes), SPEED_M_S, STEADY_V)
     assert np.abs(found_deg - twin_deg).max() < 1e-4
+
+
+@pytest.mark.parametrize(("up_deg_s", "down_deg_s"), [(40.0, 25.0), (60.0, 90.0), (20.0, 15.0)])
+def test_an_output_that_follows_is_that_of_the_other_kernel(up_deg_s: float, down_deg_s: float) -> None:
+    """There, bisection finds when the limit begins and ends; here a step has four parts, worth 3e-4 deg."""
+    rate_limited = KNOWN.linear() + RateLimit(up_deg_s, down_deg_s)
+    expected_deg = rate_limited.simulate(TIME_S, COMMAND_DEG, TIME_S)
+    sizes = {"follow_up_deg_s": up_deg_s, "follow_down_deg_s": down_deg_s}
+    found_deg = moved(Physics(delay_s=KNOWN.plan.delay_s, **sizes), SPEED_M_S, STEADY_V)
+    assert np.abs(found_deg - expected_deg).max() < 6e-4
+
+
+@pytest.mark.parametrize("denominator", [(1.0, 25.0), (1.0, 42.0, 900.0), (1.0, 94.88, 6660.79, 122237.6)])
+def test_a_gain_of_the_servo_scales_its_motion_and_what_is_told_in_its_degrees(denominator: tuple[float, ...]) -> None:
+    """Dead bands are told in degrees of the command, friction and rates in those of the surface."""
+    found_deg = []
+    for gain in (1.0, 0.7):
+        plant = Plant(TransferFunction((gain * denominator[-1],), denominator), Physics())
+        physics = Physics(
+            friction_deg=0.5 * gain, deadband_deg=0.4, rate_up_deg_s=40.0 * gain, stop_upper_deg=5.0 * gain
+        )
+        motion = ExtendedMotion(ExtendedServo(plant, physics), 2.0 * gain)
+        motion.hear(TIME_S, COMMAND_DEG, np.zeros(TIME_S.size))
+        found_deg.append(motion.at(TIME_S) / gain)
+    assert found_deg[0][0] == pytest.approx(2.0)
+    assert np.ptp(found_deg[0]) > 4.0
+    np.testing.assert_allclose(found_deg[0], found_deg[1], rtol=0, atol=1e-9)
