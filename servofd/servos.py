@@ -65,9 +65,9 @@ class Servo(BaseModel):
             raise ValueError("give either numerator and denominator, or bandwidth_hz and damping")
         if (self.hold == "none") != (self.hold_period_s is not None):
             raise ValueError('hold_period_s belongs to hold = "none", and to that alone')
-        if not 0.0 < abs(self.printed.dc_gain) < float("inf"):
-            raise ValueError("the dc gain of a servo must be finite and not zero")
         try:
+            if not 0.0 < abs(self.printed.dc_gain) < float("inf"):
+                raise DesignError("the dc gain of a servo must be finite and not zero")
             self.transfer.modes()
         except DesignError as error:
             raise ValueError(str(error)) from None

@@ -17,6 +17,10 @@ __all__ = ["Modes", "TransferFunction"]
 BANDWIDTH_DROP_DB = 3.0
 """Below dc. Exactly 3.00 dB reproduces the bandwidth column of thesis Fig. 3.10; 3.0103 dB does not."""
 
+_LARGEST_RATIO = 1e200
+"""Of coefficients, whose quotients and products must be numbers."""
+_SLOWEST_RAD_S, _FASTEST_RAD_S = 1e-5, 1e5
+"""A day, and 10 us: no servo moves within the one or swings within the other, and to follow it would take as long."""
 _ROUND_OFF = 2.2e-16
 _LARGEST_CANCELLATION = 1e9
 """Sum of the modes' weights; times round-off it is the error of the simulation, relative to the deflection."""
@@ -70,6 +74,10 @@ class TransferFunction:
             object.__setattr__(self, name, tuple(float(c) for c in trimmed) or (0.0,))
         if self.denominator == (0.0,):
             raise DesignError("the denominator of a transfer function must not be zero")
+        largest = max(abs(c) for c in (*self.numerator, *self.denominator))
+        for name, leading in (("numerator", self.numerator[0]), ("denominator", self.denominator[0])):
+            if leading and not largest / _LARGEST_RATIO < abs(leading):
+                raise DesignError(f"{name}: the first coefficient, {leading:g}, is nothing beside {largest:g}")
 
     @classmethod
     def from_control(cls, system: Any) -> TransferFunction:  # noqa: ANN401 - python-control is untyped
@@ -167,6 +175,10 @@ class TransferFunction:
         poles = self.poles_rad_s
         if not np.all(poles.real < 0.0):
             raise DesignError(f"a servo's poles must have negative real parts, not {poles}")
+        if not np.all((np.abs(poles) >= _SLOWEST_RAD_S) & (np.abs(poles) <= _FASTEST_RAD_S)):
+            raise DesignError(
+                f"a servo's poles must lie between {_SLOWEST_RAD_S:g} and {_FASTEST_RAD_S:g} rad/s, not {poles}"
+            )
         poles = _separated(poles)
         upper = poles[poles.imag >= 0.0]
         residues = [

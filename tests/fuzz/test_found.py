@@ -175,3 +175,22 @@ def test_a_file_of_two_recordings(tmp_path: Path) -> None:
     assert run_rerun("rrd", "merge", *names[:2], "-o", names[2]).returncode == 0
     with pytest.raises(RecordingError, match="holds 2 recordings"):
         read.read_recording(tmp_path / "both.rrd")
+
+
+@pytest.mark.parametrize(
+    ("denominator", "why"),
+    [
+        ("[1.0, 42.0, 9007199254740993]", "must lie between"),
+        ("[1e308, 42.0, 811.0]", "nothing beside"),
+        ("[1e-320, 42.0, 811.0]", "nothing beside"),
+    ],
+)
+def test_a_servo_that_no_clock_can_follow(tmp_path: Path, denominator: str, why: str) -> None:
+    """It swung a hundred million times a second, which took forever, or its poles were no numbers."""
+    path = tmp_path / "servo.toml"
+    path.write_text(
+        f'[servos.mine]\ntitle = "My servo"\nnumerator = [811.0]\ndenominator = {denominator}\ndelay_s = 0.004\n'
+        'hold = "zoh"\nrate_limit_deg_s = 300.0\nsource = "bench"\n'
+    )
+    with pytest.raises(ConfigError, match=why):
+        find_servo(str(path))

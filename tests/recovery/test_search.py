@@ -48,7 +48,7 @@ def swept(effects: tuple[type[MissingEffect], ...], values: list[float], seed: i
 
 
 def test_small_minima_of_play_seldom_end_the_descent() -> None:
-    """Steps of a hundredth of a degree ended 7 of 18 up to 66 squared noises above the truth; another name won there."""
+    """Steps of a hundredth of a degree ended 7 of 18 up to 66 squared noises above the truth."""
     effects, truth = (Delay, Backlash, RateLimit), [0.0162, 0.96, 50.6]
     stuck = 0
     for seed in range(1, 7):
