@@ -66,11 +66,13 @@ class Servo(BaseModel):
         if (self.hold == "none") != (self.hold_period_s is not None):
             raise ValueError('hold_period_s belongs to hold = "none", and to that alone')
         try:
-            if not 0.0 < abs(self.printed.dc_gain) < float("inf"):
-                raise DesignError("the dc gain of a servo must be finite and not zero")
-            self.transfer.modes()
+            dc_gain = self.printed.dc_gain
+            if 0.0 < abs(dc_gain) < float("inf"):
+                self.transfer.modes()
         except DesignError as error:
             raise ValueError(str(error)) from None
+        if not 0.0 < abs(dc_gain) < float("inf"):
+            raise ValueError("the dc gain of a servo must be finite and not zero")
         return self
 
     @property
