@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from servofd.discrepancy.fit import Fit, Fitter
     from servofd.models.catalogue import MissingEffect
 
-__all__ = ["Rung", "Tried", "equals_of", "keys_of", "rungs_of", "simplest", "told"]
+__all__ = ["NO_MODEL_KNOWS", "Rung", "Tried", "equals_of", "keys_of", "rungs_of", "simplest", "told"]
 
 _TIE_CHI_SQUARED, _EVEN_CHI_SQUARED = 10.0, 4.0
 """Below the second, the data do not even hint at which it is, and the simplest is named."""
-_NO_MODEL_KNOWS = 0.015
+NO_MODEL_KNOWS = 0.015
 """Share of what an effect moves by which two fits may differ and mean the same: what acts on a servo is no better
 measured, and the laws of effects are no better known."""
 _CLEAR_CHI_SQUARED = 30.0
@@ -83,8 +83,13 @@ def rungs_of(
     return tuple(rungs)
 
 
-def equals_of(fitter: Fitter, best: Fit, able: list[type[MissingEffect]], tried: Tried) -> list[list[Fit]]:
-    """For each effect, the fits with another one in its place that the data cannot tell from it."""
+def equals_of(
+    fitter: Fitter, best: Fit, able: list[type[MissingEffect]], tried: Tried, unknown: float = 0.0
+) -> list[list[Fit]]:
+    """For each effect, the fits with another one in its place that the data cannot tell from it.
+
+    `unknown` is the share of what an effect moves to which laws and loads are not known, whatever the data say.
+    """
     record, sigma = fitter.record, floor_of(fitter.record, best)
     factor = long_run_factor(best.error_deg[record.counts])
     left = max(best.total - float(record.counts.sum()) * sigma**2 * (1.0 + EXCESS_WORTH), 0.0)
@@ -97,7 +102,7 @@ def equals_of(fitter: Fitter, best: Fit, able: list[type[MissingEffect]], tried:
         rivals = tried.get(keys_of(base)) or fitter.with_effects(base, able, _quietly)
         tried[keys_of(base)] = rivals
         taken, unsure = base.total - best.total, min(left, base.total - best.total)
-        common = max(_TIE_CHI_SQUARED * sigma**2 * factor, _NO_MODEL_KNOWS**2 * taken)
+        common = max(_TIE_CHI_SQUARED * sigma**2 * factor, unknown**2 * taken)
         near = _SMALL_MINIMA * sigma**2 * factor
         rivals = [_beside(fitter, best, k, r) if common < r.total - best.total < near else r for r in rivals]
         tried[keys_of(base)] = rivals

@@ -16,7 +16,7 @@ from servofd.discrepancy.evidence import (
     worth_trying,
 )
 from servofd.discrepancy.fit import Fit, Fitter
-from servofd.discrepancy.ladder import Rung, Tried, equals_of, keys_of, rungs_of, simplest, told
+from servofd.discrepancy.ladder import NO_MODEL_KNOWS, Rung, Tried, equals_of, keys_of, rungs_of, simplest, told
 from servofd.discrepancy.poles import PoleFitter
 from servofd.discrepancy.prune import convincing, ordered, pruned, with_steps, without
 from servofd.discrepancy.stamps import scatter_s
@@ -102,7 +102,7 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     rungs = rungs_of(fitter, nominal, best, tried, able)
     equal = [
         (effect, first_of_each(equals))
-        for effect, equals in zip(best.effects, equals_of(fitter, best, able, tried), strict=True)
+        for effect, equals in zip(best.effects, equals_of(fitter, best, able, tried, NO_MODEL_KNOWS), strict=True)
         if equals
     ]
     ties = tuple((effect.name, *(fit.names[-1] for fit in equals)) for effect, equals in equal)

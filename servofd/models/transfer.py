@@ -20,7 +20,7 @@ BANDWIDTH_DROP_DB = 3.0
 _LARGEST_RATIO = 1e200
 """Of coefficients, whose quotients and products must be numbers."""
 _SLOWEST_RAD_S, _FASTEST_RAD_S = 1e-5, 1e5
-"""A day, and 10 us: no servo moves within the one or swings within the other, and to follow it would take as long."""
+"""A day, and 10 us: no servo needs the one to move, or swings within the other; to follow it would take as long."""
 _ROUND_OFF = 2.2e-16
 _LARGEST_CANCELLATION = 1e9
 """Sum of the modes' weights; times round-off it is the error of the simulation, relative to the deflection."""
@@ -175,9 +175,10 @@ class TransferFunction:
         poles = self.poles_rad_s
         if not np.all(poles.real < 0.0):
             raise DesignError(f"a servo's poles must have negative real parts, not {poles}")
-        if not np.all((np.abs(poles) >= _SLOWEST_RAD_S) & (np.abs(poles) <= _FASTEST_RAD_S)):
+        if np.any(np.abs(poles) < _SLOWEST_RAD_S) or np.any(np.abs(poles.imag) > _FASTEST_RAD_S):
             raise DesignError(
-                f"a servo's poles must lie between {_SLOWEST_RAD_S:g} and {_FASTEST_RAD_S:g} rad/s, not {poles}"
+                f"a servo moves within {1.0 / _SLOWEST_RAD_S:g} s and swings no faster than {_FASTEST_RAD_S:g} rad/s, "
+                f"with these poles it would not: {poles}"
             )
         poles = _separated(poles)
         upper = poles[poles.imag >= 0.0]

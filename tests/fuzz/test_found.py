@@ -180,7 +180,7 @@ def test_a_file_of_two_recordings(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("denominator", "why"),
     [
-        ("[1.0, 42.0, 9007199254740993]", "must lie between"),
+        ("[1.0, 42.0, 9007199254740993]", "swings no faster"),
         ("[1e308, 42.0, 811.0]", "nothing beside"),
         ("[1e-320, 42.0, 811.0]", "nothing beside"),
     ],

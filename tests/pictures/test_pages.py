@@ -117,7 +117,7 @@ def test_an_explanation_shows_the_gap_before_and_after(explained: str) -> None:
     page = Page(explained)
     for words in ("rate limit", "explains the gap", "held-out samples", "Rivals, tried", "Error by regime", "0.50"):
         assert words in page.text
-    assert len(page.of("svg")) == 4
+    assert len(page.of("svg")) == 5
 
 
 @pytest.mark.slow
