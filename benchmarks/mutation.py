@@ -3,7 +3,11 @@
 Changes one comparison, one operator or one number of the package at a time, in a copy of the checkout, and runs the
 tests that execute the changed line, quickest first, until one fails. A mutant that none of them notices has survived.
 The mutants are drawn at random from all that can be made; the score is the share that is noticed. Error messages, type
-hints and docstrings are left alone. A mutant that takes ten times as long as the sound program is noticed.
+hints and docstrings are left alone. A mutant that makes a test last a minute and ten times as long as in the sound
+program is noticed as well, and told apart; one that cannot be judged in ten minutes counts as not noticed.
+
+A mutant is bytecode in place of that of the sound file: the file itself stays, and so does what numba has compiled of
+it, which would otherwise be compiled anew and spend the time that a test is given.
 
 A changed function that numba compiles is run uncompiled, and so is every compiled caller, which would go on using the
 sound one; everything else stays compiled. To compile the position loop anew for each mutant would take 30 s of
@@ -16,12 +20,15 @@ from __future__ import annotations
 import argparse
 import ast
 import copy
+import importlib.util
 import itertools
+import marshal
 import os
 import random
 import resource
 import shutil
 import signal
+import struct
 import subprocess
 import sys
 import tempfile
@@ -65,9 +72,8 @@ TESTS = (
     "tests/replay/test_extending.py",
 )
 SLOWEST_S, LEAST_LIMIT_S, PATIENCE = 2.0, 60.0, 10.0
-"""The limit leaves time to compile anew what stands beside a changed function."""
 MOST_S = 600
-"""Of processor time for all tests of a mutant; one that makes a single test last ten times as long ends sooner."""
+"""Of processor time for all tests of a mutant."""
 MOST_BYTES = 4 << 30
 """A mutant that fills the memory would take the machine along."""
 DECORATORS = {"njit", "compiled", "inlined"}
@@ -94,7 +100,7 @@ OPERATORS: dict[type[ast.operator], type[ast.operator]] = {
     ast.BitOr: ast.BitAnd,
 }
 
-STAMPS = itertools.count(1_000_000_000)
+VERDICTS = {0: "SURVIVED", 1: "noticed ", -signal.SIGVTALRM: "noticed , never ended", -signal.SIGXCPU: "UNDECIDED"}
 
 
 class Mutant(NamedTuple):
@@ -179,11 +185,14 @@ def mutants(path: Path) -> list[Mutant]:
     return [Mutant(where, k, line, what, line in compiled) for k, (line, what) in enumerate(altered(tree))]
 
 
-def source_of(mutant: Mutant) -> str:
-    """Of the whole file."""
-    tree = ast.parse(Path(mutant.path).read_text())
+def bytecode_of(mutant: Mutant) -> bytes:
+    """Of the whole file, as Python keeps it, with the stamp of the sound one."""
+    path = Path(mutant.path)
+    tree, stat = ast.parse(path.read_text()), path.stat()
     next(itertools.islice(altered(tree), mutant.number, None))
-    return ast.unparse(tree)
+    code = compile(ast.fix_missing_locations(tree), str(path.resolve()), "exec")
+    stamp = struct.pack("<III", 0, int(stat.st_mtime) & 0xFFFFFFFF, stat.st_size & 0xFFFFFFFF)
+    return importlib.util.MAGIC_NUMBER + stamp + marshal.dumps(code)
 
 
 def module_of(path: str) -> str:
@@ -306,16 +315,15 @@ def measured(folders: list[str], tests: tuple[str, ...], lines: Path, plain: boo
     return {name: float(taken_s) for taken_s, name in rows}
 
 
-def noticed(mutant: Mutant, tests: list[str], taken_s: dict[str, float], told: Path) -> bool:
+def verdict(mutant: Mutant, tests: list[str], taken_s: dict[str, float], told: Path) -> str:
     """Whether a test fails, or the program hangs; which test it was is told to those that come after."""
-    path = Path(mutant.path)
-    sound, stat = path.read_text(), path.stat()
-    path.write_text(source_of(mutant))
-    os.utime(path, (next(STAMPS),) * 2)  # else the bytecode of the mutant before might be taken for that of this one
+    kept = Path(importlib.util.cache_from_source(str(Path(mutant.path).resolve())))
+    kept.parent.mkdir(exist_ok=True)
+    kept.write_bytes(bytecode_of(mutant))
     try:
         if (child := os.fork()) == 0:
             silenced()
-            resource.setrlimit(resource.RLIMIT_CPU, (MOST_S, MOST_S))
+            resource.setrlimit(resource.RLIMIT_CPU, (MOST_S, MOST_S + 1))
             resource.setrlimit(resource.RLIMIT_DATA, (MOST_BYTES, MOST_BYTES))
             if mutant.compiled:
                 leave_uncompiled(callers(mutant.path).__contains__)
@@ -324,10 +332,9 @@ def noticed(mutant: Mutant, tests: list[str], taken_s: dict[str, float], told: P
             with told.open("a") as out:
                 out.writelines(f"{name}\n" for name in plugin.failed)
             os._exit(int(code != 0))
-        return os.waitpid(child, 0)[1] != 0
+        return VERDICTS.get(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), "noticed , crashed")
     finally:
-        path.write_text(sound)
-        os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns))
+        kept.unlink()
 
 
 def judged(folders: list[str], chosen: list[Mutant], tests: tuple[str, ...], lines: Path) -> None:
@@ -343,8 +350,10 @@ def judged(folders: list[str], chosen: list[Mutant], tests: tuple[str, ...], lin
         here = {test for test in contexts.get(mutant.line, []) if test in taken_s}
         # What runs while modules are imported belongs to no test: then all that run anything of the file.
         there = here or {test for those in contexts.values() for test in those if test in taken_s}
-        found = bool(there) and noticed(mutant, sorted(there), taken_s, told)
-        print(f"{'noticed ' if found else 'SURVIVED'} {mutant.path}:{mutant.line} {mutant.what}", flush=True)
+        begun_s = os.times().children_user
+        found = verdict(mutant, sorted(there), taken_s, told) if there else "SURVIVED, no test runs it:"
+        spent = f"[{len(there)} tests, {os.times().children_user - begun_s:.0f} s]"
+        print(f"{found} {mutant.path}:{mutant.line} {mutant.what} {spent}", flush=True)
 
 
 def main() -> None:
@@ -375,7 +384,7 @@ def main() -> None:
                 ) as process:
                     for line in process.stdout or ():
                         print(line, end="", flush=True)
-                        total += line.startswith(("noticed", "SURVIVED"))
+                        total += line.startswith(("noticed", "SURVIVED", "UNDECIDED"))
                         noticed_ += line.startswith("noticed")
                 if process.returncode:
                     sys.exit(process.returncode)
