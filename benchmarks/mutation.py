@@ -48,6 +48,8 @@ KERNEL_TESTS = (
     "tests/laws/test_bench_physics.py",
     "tests/laws/test_kernel.py",
     "tests/laws/test_loop_steps.py",
+    "tests/laws/test_observe.py",
+    "tests/laws/test_position_loop.py",
     "tests/laws/test_residual.py",
     "tests/golden/test_golden.py",
     "tests/recovery/test_extended.py",
@@ -226,6 +228,13 @@ def leave_uncompiled(is_plain: Callable[[str], bool]) -> None:
     numba.njit = chosen
 
 
+def forget() -> None:
+    """What a test has left in a cache would be run by that test alone."""
+    modules = [module for name, module in sys.modules.items() if name.startswith("servofd.")]
+    for kept in [value for module in modules for value in vars(module).values() if hasattr(value, "cache_clear")]:
+        kept.cache_clear()
+
+
 class Tests:
     """Measures each test, or runs them in order of what they take."""
 
@@ -241,6 +250,7 @@ class Tests:
     def pytest_runtest_logstart(self, nodeid: str) -> None:
         """Lines that run from here on are run by this test."""
         if self.coverage:
+            forget()
             self.begun_s = time.process_time()
             self.coverage.switch_context(nodeid)
             signal.setitimer(signal.ITIMER_VIRTUAL, SLOWEST_S)
@@ -337,6 +347,11 @@ def verdict(mutant: Mutant, tests: list[str], taken_s: dict[str, float], told: P
         kept.unlink()
 
 
+def imports(test: str, module: str) -> bool:
+    """Whether the file of a test takes something from a module, at the first level of its code."""
+    return f"\nfrom {module} import" in Path(test.split("::", maxsplit=1)[0]).read_text()
+
+
 def judged(folders: list[str], chosen: list[Mutant], tests: tuple[str, ...], lines: Path) -> None:
     """Print a line for each mutant."""
     import coverage
@@ -348,8 +363,10 @@ def judged(folders: list[str], chosen: list[Mutant], tests: tuple[str, ...], lin
     for mutant in chosen:
         contexts = data.contexts_by_lineno(str(Path(mutant.path).resolve()))
         here = {test for test in contexts.get(mutant.line, []) if test in taken_s}
-        # What runs while modules are imported belongs to no test: then all that run anything of the file.
+        # What runs while modules are imported belongs to no test: then all that run anything of the file, or name it.
         there = here or {test for those in contexts.values() for test in those if test in taken_s}
+        if not here:
+            there |= {test for test in taken_s if imports(test, module_of(mutant.path))}
         begun_s = os.times().children_user
         found = verdict(mutant, sorted(there), taken_s, told) if there else "SURVIVED, no test runs it:"
         spent = f"[{len(there)} tests, {os.times().children_user - begun_s:.0f} s]"

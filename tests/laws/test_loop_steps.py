@@ -94,7 +94,8 @@ def test_the_sine_is_the_sine() -> None:
 
 
 @pytest.mark.parametrize(
-    ("lag_s", "hertz", "damping"), [(0.002, 0.0, 0.1), (0.02, 9.0, 0.1), (0.0015, 80.0, 0.4), (0.05, 95.0, 0.02)]
+    ("lag_s", "hertz", "damping"),
+    [(0.002, 0.0, 0.1), (0.02, 9.0, 0.1), (0.0015, 80.0, 0.4), (0.05, 95.0, 0.02), (2e-4, 30.0, 0.3)],
 )
 def test_what_a_step_leaves_of_a_lag_and_a_swing_is_exact(lag_s: float, hertz: float, damping: float) -> None:
     link = np.zeros(linkage.LINKAGE)

@@ -1,0 +1,133 @@
+"""The compiled position loop against one in small steps, on stamps and commands as they come."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from servofd.models.physics import Physics, Plant, longest_step_s
+from servofd.models.position_loop import framed, new_memory, run
+from servofd.models.transfer import TransferFunction
+from servofd.servos import servo_named
+from servofd.types import FloatArray
+from tests.laws.slow_loop import SlowLoop
+
+DENOMINATORS = {
+    1: (1.0, 25.0),
+    2: (1.0, 42.0, 900.0),
+    3: servo_named("hs225bb-eq31").transfer.denominator,
+}
+RNG = np.random.default_rng(4)
+AT_S = 3.0 + np.cumsum(RNG.uniform(0.003, 0.03, 36))
+COMMANDS = np.array(
+    [  # a command long before, steps either way, ramps, a small step, a command at the instant of a position
+        [2.9, 3.05, 3.09, 3.17, 3.25, AT_S[18], 3.45, 3.52],
+        [1.0, 9.0, 9.3, -6.0, -6.0, 2.0, 2.0, 0.0],
+        [0.0, 0.0, 40.0, 0.0, -30.0, 0.0, 25.0, 0.0],
+    ]
+)
+AIR_PA = RNG.uniform(200.0, 500.0, AT_S.size)
+SUPPLY_V = RNG.uniform(4.0, 7.0, AT_S.size)
+ALIKE = (1e-4, 1e-4, 1e-4)
+SIZES: list[tuple[dict[str, float], tuple[float, float, float]]] = [
+    ({}, ALIKE),
+    ({"deadband_deg": 1.2}, ALIKE),
+    ({"insensitive_deg": 0.8}, (6e-3, 3e-3, 1e-3)),
+    ({"friction_deg": 0.5}, (1e-4, 8e-3, 1.2e-2)),
+    ({"load_friction": 0.3, "friction_deg": 0.2}, (1e-4, 4e-2, 7e-2)),
+    ({"rate_up_deg_s": 60.0, "rate_down_deg_s": 110.0}, (3e-4, 1e-4, 1e-4)),
+    ({"deg_s_per_v": 15.0, "rate_down_deg_s": 80.0}, ALIKE),
+    ({"knee_deg": 2.0, "deadband_deg": 0.4}, (6e-2, 5e-4, 5e-4)),
+    ({"set_point_deg_s": 90.0}, (7e-3, 7e-3, 7e-3)),
+    ({"set_point_deg_s": 120.0, "insensitive_deg": 0.6}, (1e-2, 1e-2, 1e-2)),
+    ({"stop_lower_deg": -3.0, "stop_upper_deg": 5.0}, (1e-4, 1e-4, 3e-2)),
+    (
+        {"stop_lower_deg": -3.0, "stop_upper_deg": 5.0, "friction_deg": 0.4, "rate_up_deg_s": 90.0},
+        (3e-4, 2e-3, 2e-2),
+    ),
+    ({"airload_per_pa": 1e-3}, (0.2, 9e-3, 1.5e-2)),
+    ({"droop_deg": 6.0}, (0.1, 5e-3, 6e-3)),
+    ({"airload_per_pa": 1e-3, "droop_deg": 6.0, "friction_deg": 0.5, "load_friction": 0.1}, (0.25, 3e-2, 3e-2)),
+    ({"follow_up_deg_s": 70.0, "follow_down_deg_s": 120.0}, (0.2, 6e-3, 8e-3)),
+    (
+        {"resonance_hz": 14.0, "resonance_damping": 0.2, "backlash_deg": 1.0, "gain": 0.8, "bias_deg": 0.7},
+        (6e-2, 4e-3, 4e-3),
+    ),
+    (
+        {"lag_s": 0.02, "backlash_deg": 1.0, "quadratic_per_deg": 0.01, "cubic_per_deg2": 1e-3, "upper_deg": 7.0},
+        (6e-2, 3e-2, 3e-2),
+    ),
+    ({"lag_s": 0.003, "lower_deg": -4.0, "gain": 1.2}, (0.1, 2e-2, 2.5e-2)),
+]
+"""With servos of one, two and three poles: loads, edges and what is driven, which of one pole moves in jumps, are exact
+to the length of a step; the rest to the twin's."""
+LONGEST_S = 5e-4
+
+
+def moved(order: int, physics: Physics, start_deg: float) -> FloatArray:
+    plant = Plant(TransferFunction((DENOMINATORS[order][-1],), DENOMINATORS[order]), Physics())
+    loop = plant.loop(torque_share=physics.torque_share)
+    longest_s = min(longest_step_s(physics), LONGEST_S)
+    when_s, deg, slope_deg_s = COMMANDS
+    return run(physics, loop, 1.0, longest_s, when_s, deg, slope_deg_s, AT_S, AIR_PA, SUPPLY_V, new_memory(start_deg))
+
+
+def named(value: object) -> str:
+    return "+".join(value) if isinstance(value, dict) else str(value)
+
+
+@pytest.mark.parametrize("order", DENOMINATORS)
+@pytest.mark.parametrize(("sizes", "within_deg"), SIZES, ids=named)
+def test_it_moves_as_a_loop_in_small_steps(
+    order: int, sizes: dict[str, float], within_deg: tuple[float, float, float]
+) -> None:
+    physics = Physics(torque_share=0.7, **sizes)
+    start_deg = physics.gain + physics.bias_deg
+    slow = SlowLoop(DENOMINATORS[order], physics, start_deg)
+    expected_deg = np.array(list(slow.positions(COMMANDS, AT_S, AIR_PA, SUPPLY_V)))[1:]
+    assert np.ptp(expected_deg) > 5.0
+    assert np.abs(moved(order, physics, start_deg)[1:] - expected_deg).max() < within_deg[order - 1]
+
+
+def held(order: int, physics: Physics, error_deg: float) -> FloatArray:
+    """A servo at rest whose command grows to an error within four seconds, and stays there for one."""
+    plant = Plant(TransferFunction((DENOMINATORS[order][-1],), DENOMINATORS[order]), Physics())
+    at_s = np.arange(500) / 100.0
+    when_s, deg, slope_deg_s = np.array([[0.0, 4.0], [0.0, error_deg], [error_deg / 4.0, 0.0]])
+    constant = np.ones(at_s.size)
+    return run(physics, plant.loop(), 1.0, 2.5e-3, when_s, deg, slope_deg_s, at_s, constant, constant, new_memory(0.0))
+
+
+@pytest.mark.parametrize("order", [2, 3])
+@pytest.mark.parametrize(("friction_deg", "share"), [(0.5, 0.0), (0.5, 0.4), (1.0, 0.2)])
+def test_a_servo_that_sticks_does_not_creep_and_breaks_away_at_the_torque_that_overcomes_its_friction(
+    order: int, friction_deg: float, share: float
+) -> None:
+    """The torque of an error e overcomes a friction of f + s e from e = f / (1 - s) on."""
+    physics, breakaway_deg = Physics(friction_deg=friction_deg, load_friction=share), friction_deg / (1.0 - share)
+    np.testing.assert_array_equal(held(order, physics, 0.99 * breakaway_deg), 0.0)
+    assert held(order, physics, 1.02 * breakaway_deg)[-1] > 0.0
+
+
+@pytest.mark.parametrize("order", DENOMINATORS)
+def test_a_dead_band_and_an_insensitive_one_hold_the_servo(order: int) -> None:
+    for name in ("deadband_deg", "insensitive_deg"):
+        np.testing.assert_array_equal(held(order, Physics(**{name: 1.0}), 0.49), 0.0)
+        assert held(order, Physics(**{name: 1.0}), 0.52)[-1] > 0.01
+
+
+def test_a_reading_in_steps_is_the_nearest_of_them() -> None:
+    fine_deg = moved(3, Physics(), 1.0)
+    coarse_deg = moved(3, Physics(output_step_deg=0.35), 1.0)
+    np.testing.assert_allclose(coarse_deg / 0.35, np.round(fine_deg / 0.35), atol=1e-9)
+
+
+def test_frames_carry_the_command_in_force_when_they_begin() -> None:
+    time_s, period_s, phase = COMMANDS[0], 0.02, 0.3
+    frame_s, frame_deg = framed(*COMMANDS, period_s, phase)
+    np.testing.assert_allclose(frame_s / period_s - phase, np.arange(145, 145 + frame_s.size), atol=1e-9)
+    assert frame_s[0] - period_s < time_s[0] <= frame_s[0]
+    assert frame_s[-2] <= time_s[-1] < frame_s[-1]
+    for when_s, deg in zip(frame_s, frame_deg, strict=True):
+        k = np.flatnonzero(time_s <= when_s)[-1]
+        assert deg == pytest.approx(COMMANDS[1, k] + COMMANDS[2, k] * (when_s - time_s[k]), abs=1e-12)
