@@ -379,6 +379,7 @@ def main() -> None:
     parser.add_argument("--mutants", type=int, default=100)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--compiled", choices=("yes", "no"), help="only what numba compiles, or only what it does not")
+    parser.add_argument("--tests", nargs="+", help="only these: sooner measured, and what is noticed is a lower bound")
     parser.add_argument("--inside", choices=("yes", "no"), help=argparse.SUPPRESS)
     options = parser.parse_args()
     files = [path for folder in options.folders for path in sorted((ROOT / folder).rglob("*.py"))]
@@ -419,7 +420,8 @@ def main() -> None:
         import scipy.stats  # noqa: F401
 
         compiled = KERNEL_TESTS if any("models" in folder for folder in options.folders) else COMPILED_TESTS
-        judged(options.folders, mine, compiled if options.inside == "yes" else TESTS, ROOT.parent / "lines")
+        tests = options.tests or (compiled if options.inside == "yes" else TESTS)
+        judged(options.folders, mine, tuple(tests), ROOT.parent / "lines")
 
 
 if __name__ == "__main__":
