@@ -116,6 +116,22 @@ def test_a_dead_band_and_an_insensitive_one_hold_the_servo(order: int) -> None:
         assert held(order, Physics(**{name: 1.0}), 0.52)[-1] > 0.01
 
 
+@pytest.mark.parametrize("order", DENOMINATORS)
+@pytest.mark.parametrize("sizes", [{"deadband_deg": 0.8}, {"rate_up_deg_s": 9.0, "backlash_deg": 0.5}], ids=named)
+def test_a_servo_that_is_seldom_looked_at_moves_as_one_that_is_watched(order: int, sizes: dict[str, float]) -> None:
+    """Two seconds are more steps than are taken at once."""
+    plant = Plant(TransferFunction((DENOMINATORS[order][-1],), DENOMINATORS[order]), Physics())
+    watched_s, seldom_s = np.arange(0.0, 6.01, 0.01), np.arange(0.0, 6.01, 2.0)
+    when_s, deg, slope_deg_s = np.array([[0.0, 0.5, 2.7], [0.0, 25.0, -10.0], [0.0, 0.0, 3.0]])
+    found_deg = []
+    for at_s in (watched_s, seldom_s):
+        constant, memory = np.ones(at_s.size), new_memory(0.0)
+        inputs = (when_s, deg, slope_deg_s, at_s, constant, constant)
+        found_deg.append(run(Physics(**sizes), plant.loop(), 1.0, LONGEST_S, *inputs, memory))
+    assert np.ptp(found_deg[1]) > 10.0
+    np.testing.assert_allclose(found_deg[1], found_deg[0][::200], rtol=0, atol=2e-3)
+
+
 def test_a_reading_in_steps_is_the_nearest_of_them() -> None:
     fine_deg = moved(3, Physics(), 1.0)
     coarse_deg = moved(3, Physics(output_step_deg=0.35), 1.0)
