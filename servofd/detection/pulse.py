@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.detection.nullspace import common_denominator
+from servofd.detection.nullspace import checked_pole_rad_s, common_denominator
 from servofd.errors import DesignError
 from servofd.models.transfer import TransferFunction
 
@@ -175,7 +175,7 @@ def design_pulse_filter(
     Raises
     ------
     DesignError
-        If the pole is zero or no command has a gain at zero frequency.
+        If the pole is of no use (`checked_pole_rad_s`) or no command has a gain at zero frequency.
 
     Notes
     -----
@@ -188,9 +188,7 @@ def design_pulse_filter(
     >>> round(design_pulse_filter(servo, 0.004, 0.01, 50.0).noise_gain, 3)
     0.418
     """
-    pole = abs(pole_rad_s)
-    if not 0.0 < pole < float("inf"):
-        raise DesignError(f"a filter pole of {pole_rad_s} rad/s is no use: it must be finite and not zero")
+    pole = checked_pole_rad_s(pole_rad_s)
     entries = (plant,) if isinstance(plant, TransferFunction) else tuple(plant)
     delays = (delay_s,) * len(entries) if isinstance(delay_s, float | int) else tuple(delay_s)
     denominator, numerators = common_denominator(entries)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from servofd.aircraft import load_aircraft, plain_aircraft
-from servofd.cli import main
+from servofd.cli import main, manual
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.errors import ConfigError, RecordingError
 from servofd.fleet.key import Job
@@ -194,3 +194,31 @@ def test_a_servo_that_no_clock_can_follow(tmp_path: Path, denominator: str, why:
     )
     with pytest.raises(ConfigError, match=why):
         find_servo(str(path))
+
+
+def test_a_word_that_is_in_no_name(capsys: pytest.CaptureFixture[str]) -> None:
+    """No shell can say it; a program that calls `main` can."""
+    with pytest.raises(SystemExit) as ended:
+        main(["audit", "flight\0.csv"])
+    assert ended.value.code == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+@pytest.mark.parametrize("pole", ["1e-320", "1e30", "0", "nan"])
+def test_a_filter_pole_whose_powers_are_no_numbers(pole: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["design", "s9254", "--pole", pole]) == 2
+    assert "must lie between" in capsys.readouterr().err
+
+
+def test_a_program_that_cannot_write_leaves_no_file_open(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(manual, "run", _full)
+    before = len(list(Path("/dev/fd").iterdir()))
+    assert main(["help"]) == 2
+    assert len(list(Path("/dev/fd").iterdir())) == before
+    assert "No space left" in capsys.readouterr().err
+
+
+def _full(_options: object) -> int:
+    raise OSError(28, "No space left on device")
