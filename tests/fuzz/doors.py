@@ -168,7 +168,7 @@ def _results_seeds(folder: Path) -> list[bytes]:
     """Files of a folder of results; the first byte says which."""
     parts = seeds.fleet_parts(folder)
     (folder / "parts.json").write_text(json.dumps(list(parts)))
-    return [bytes([number]) + part for number, part in enumerate(parts.values())]
+    return [bytes([number]) + part for number, part in enumerate(parts.values()) if part]
 
 
 def _results(content: bytes, folder: Path) -> str:
@@ -179,7 +179,7 @@ def _results(content: bytes, folder: Path) -> str:
     shutil.copytree(folder / "results", damaged)
     (damaged / names[content[0] % len(names) if content else 0]).write_bytes(content[1:])
     seen = overview(read_logs(damaged)).document()
-    if not zlib.crc32(content) % _SHOWN:
+    if zlib.crc32(content) % _SHOWN == 1:  # that of nothing is 0
         fleet_page(seen)
     with FleetStore(damaged, Job().key) as store:
         store.forget_untold()
