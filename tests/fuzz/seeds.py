@@ -161,15 +161,15 @@ def _written(suffix: str) -> bytes:
 
 
 @cache
-def _jam() -> bytes:
-    """Telemetry of a single servo that jams."""
+def _slip() -> bytes:
+    """Telemetry of a single servo that slips, and is found out."""
     flown = simulate_flight(
         ONE,
         command="lively",
-        duration_s=4.5,
+        duration_s=3.5,
         rate_hz=25.0,
         seed=1,
-        faults={"elevator": Stuck(2.5)},
+        faults={"elevator": Bias(2.5, bias_deg=3.0)},
         outputs=outputs_of(ONE),
     )
     with TemporaryDirectory() as folder:
@@ -215,7 +215,7 @@ def planes() -> list[bytes]:
 
 def frames() -> list[bytes]:
     """What comes over a link: telemetry, and the autopilot's own log in blocks."""
-    streamed = [frame for _, frame in replayed(_jam())]
+    streamed = [frame for _, frame in replayed(_slip())]
     log, vehicle = encode(dataflash_writer.servo_flight(0.5)), Codec(1, 1)
     blocks = [log[at : at + 200].ljust(200, b"\0") for at in range(0, len(log), 200)]
     remote = [
@@ -227,8 +227,8 @@ def frames() -> list[bytes]:
 
 
 def telemetry() -> list[bytes]:
-    """What a monitor replays: a servo that jams, and the beginning of that."""
-    return [_jam(), _jam()[: len(_jam()) // 3], SEEDS["tlog"]]
+    """What a monitor replays: a servo that slips, and the beginning of that."""
+    return [_slip(), _slip()[: len(_slip()) // 3], SEEDS["tlog"]]
 
 
 def recordings(folder: Path) -> list[bytes]:
@@ -236,11 +236,11 @@ def recordings(folder: Path) -> list[bytes]:
     times as long and which nobody reads back."""
     log, path = folder / "flight.csv", folder / "audit.rrd"
     log.write_bytes(_written(".csv"))
-    (found,) = audit(log, PLANE, threads=1, surfaces=("elevator",))
+    (found,) = audit(log, PLANE, threads=1, surfaces=("rudder",))
     recording, time_s = recording_of(found), np.arange(0.0, SECONDS, 0.5)
     with recording_file(path, "servofd", None) as recorder:
         recorder.properties(log.name, verdicts_of(recording))
-        send_surface(recorder, found.surfaces[0], recording.traces["elevator"], recording.start_s, "measured")
+        send_surface(recorder, found.surfaces[0], recording.traces["rudder"], recording.start_s, "measured")
         recorder.scalars(ATTITUDE, time_s, np.zeros((time_s.size, 3)))
         send_context(recorder, Context(time_s, time_s + 10.0, time_s, time_s + 5.0))
     return [path.read_bytes()]
