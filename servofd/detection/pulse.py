@@ -40,6 +40,8 @@ PREFERRED_POLES_RAD_S = (120.0, 80.0, 50.0, 30.0, 20.0, 15.0, 10.0, 5.0)
 LARGEST_NOISE_GAIN = 0.5
 _USELESS_NOISE_GAIN = 5.0
 _WHOLE_SAMPLE = 1e-9
+_MOST_SAMPLES = 2e7
+"""Of an impulse response, 160 MB: the slowest preferred pole at a million samples a second has 18 million."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,10 +66,22 @@ class PulseFilter:
         return float(np.linalg.norm(self.impulse_response()))
 
     def impulse_response(self) -> FloatArray:
-        """Residual after a measurement error of 1 deg in a single sample, shape (k,), until it has died out."""
+        """Residual after a measurement error of 1 deg in a single sample, shape (k,), until it has died out.
+
+        Raises
+        ------
+        DesignError
+            If that takes more samples than memory has room for.
+        """
         multiplicity = self.md.size - 1
         decay = np.exp(-self.pole_rad_s * self.sample_time_s)
-        k = np.arange(2 + int(np.ceil((40.0 + 10.0 * multiplicity) / (self.pole_rad_s * self.sample_time_s))))
+        samples = 2.0 + np.ceil((40.0 + 10.0 * multiplicity) / (self.pole_rad_s * self.sample_time_s))
+        if samples > _MOST_SAMPLES:
+            raise DesignError(
+                f"a filter pole of {self.pole_rad_s:g} rad/s is no use at {1.0 / self.sample_time_s:g} Hz: "
+                f"the residual of one sample lasts for {samples:.0e} samples"
+            )
+        k = np.arange(int(samples))
         ladder = np.ones(k.size)
         for i in range(1, multiplicity):
             ladder *= (k + i) / i

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from logparsers.endpoint import parse_endpoint
+from logparsers.errors import LinkError
 from servofd.aircraft import load_aircraft, plain_aircraft
 from servofd.cli import main, manual
 from servofd.detection.monitor import SurfaceMonitor
@@ -208,6 +210,17 @@ def test_a_word_that_is_in_no_name(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_filter_pole_whose_powers_are_no_numbers(pole: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["design", "s9254", "--pole", pole]) == 2
     assert "must lie between" in capsys.readouterr().err
+
+
+def test_a_filter_that_takes_a_billion_samples_to_settle(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["design", "s9254", "--pole", "1e-5"]) == 2
+    assert "is no use at 100 Hz" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("text", ["tcp:localhost:" + "9" * 5000, "/dev/ttyACM0," + "9" * 5000])
+def test_a_port_of_thousands_of_digits(text: str) -> None:
+    with pytest.raises(LinkError, match="is no"):
+        parse_endpoint(text)
 
 
 def test_a_program_that_cannot_write_leaves_no_file_open(
