@@ -206,6 +206,12 @@ def test_a_word_that_is_in_no_name(capsys: pytest.CaptureFixture[str]) -> None:
     assert len(capsys.readouterr().err.splitlines()) == 1
 
 
+def test_a_log_without_a_name(capsys: pytest.CaptureFixture[str]) -> None:
+    """As of a variable that is not set; it was taken for the folder, and everything below it audited."""
+    assert main(["audit", ""]) == 2
+    assert "without a name" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("pole", ["1e-320", "1e30", "0", "nan"])
 def test_a_filter_pole_whose_powers_are_no_numbers(pole: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["design", "s9254", "--pole", pole]) == 2
