@@ -19,6 +19,7 @@ from servofd.fleet.key import Job
 from servofd.fleet.store import FleetStore, read_table
 from servofd.outputs.recording import read
 from servofd.outputs.recording.program import run_rerun
+from servofd.outputs.recording.stream import recording_file
 from servofd.outputs.recording.write import recording_of
 from servofd.review.rejudge import rejudged
 from servofd.segment import pace_steps
@@ -149,11 +150,23 @@ def test_a_position_too_large_for_a_number() -> None:
     assert np.isinf(calibration.to_deg(np.array([0.1, 0.2, 1e308, 0.3]))).tolist() == [False, False, True, False]
 
 
-def test_a_recording_at_which_its_library_ends_the_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("code", [102, -6])
+def test_a_recording_at_which_its_library_ends_the_process(
+    code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """About one in a hundred that are broken; another process meets it first."""
     path = tmp_path / "flight.rrd"
     path.write_bytes(DOORS["recording"].seeds(tmp_path)[0])
-    monkeypatch.setattr(read, "run_rerun", lambda *words: subprocess.CompletedProcess(words, 102))
+    monkeypatch.setattr(read, "run_rerun", lambda *words: subprocess.CompletedProcess(words, code, ""))
+    with pytest.raises(RecordingError, match="damaged beyond"):
+        read.read_recording(path)
+
+
+def test_a_recording_with_a_column_that_its_library_cannot_name(tmp_path: Path) -> None:
+    """It wrote one, and ended the process that read it."""
+    path = tmp_path / "flight.rrd"
+    with recording_file(path, "servofd", None) as recorder:
+        recorder.properties("flight.csv", {"sch\0ma": "servofd.audit/1"})
     with pytest.raises(RecordingError, match="damaged beyond"):
         read.read_recording(path)
 
