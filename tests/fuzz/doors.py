@@ -168,6 +168,7 @@ def _results_seeds(folder: Path) -> list[bytes]:
     """Files of a folder of results; the first byte says which."""
     parts = seeds.fleet_parts(folder)
     (folder / "parts.json").write_text(json.dumps(list(parts)))
+    fleet_page(overview(read_logs(folder / "results")).document())  # opens fonts, which stay open
     return [bytes([number]) + part for number, part in enumerate(parts.values()) if part]
 
 
