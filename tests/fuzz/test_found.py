@@ -18,9 +18,11 @@ from servofd.errors import ConfigError, RecordingError
 from servofd.fleet.key import Job
 from servofd.fleet.store import FleetStore, read_table
 from servofd.outputs.recording import read
+from servofd.outputs.recording.content import Trace
 from servofd.outputs.recording.program import run_rerun
 from servofd.outputs.recording.stream import recording_file
 from servofd.outputs.recording.write import recording_of
+from servofd.review.check import statistics_of
 from servofd.review.rejudge import rejudged
 from servofd.segment import pace_steps
 from servofd.servos import find_servo
@@ -160,6 +162,14 @@ def test_a_recording_at_which_its_library_ends_the_process(
     monkeypatch.setattr(read, "run_rerun", lambda *words: subprocess.CompletedProcess(words, code, ""))
     with pytest.raises(RecordingError, match="damaged beyond"):
         read.read_recording(path)
+
+
+def test_recorded_numbers_whose_squares_are_none() -> None:
+    time_s, huge = np.arange(3.0), np.array([1e300, -1e300, 0.0])
+    found = statistics_of(Trace(time_s, time_s, time_s, huge, huge, time_s, time_s, time_s))
+    assert found is not None
+    assert np.isinf(found.std_deg)
+    assert np.isinf(found.simulation_error_rms_deg)
 
 
 def test_a_recording_with_a_column_that_its_library_cannot_name(tmp_path: Path) -> None:
