@@ -1,6 +1,6 @@
 """A day through audit and monitor: processor time, memory, open files, false alarms, and clocks that overflow.
 
-``python benchmarks/day.py [HOURS] [AUDIT_HZ] [MONITOR_HZ]`` (24, 50, 20). A healthy flight of that length is audited as
+``python benchmarks/day.py [HOURS] [AUDIT_HZ] [MONITOR_HZ]`` (24, 50, 10). A healthy flight of that length is audited as
 a table (two surfaces) and as telemetry (one), and the telemetry is replayed through the monitor as fast as it goes. Its
 32-bit clocks overflow: microseconds every 71.6 minutes, milliseconds in the middle of the day. Each part runs in a
 process of its own.
@@ -155,7 +155,7 @@ def main() -> None:
     if sys.argv[1:2] == ["--part"]:
         part(*sys.argv[2:])
         return
-    hours, audit_hz, monitor_hz = (*map(float, sys.argv[1:]), *(24.0, 50.0, 20.0)[len(sys.argv) - 1 :])
+    hours, audit_hz, monitor_hz = (*map(float, sys.argv[1:]), *(24.0, 50.0, 10.0)[len(sys.argv) - 1 :])
     with tempfile.TemporaryDirectory() as folder:
         plane = plain_aircraft(["elevator", "rudder"])
         flown = simulate_flight(plane, duration_s=3600.0 * hours, rate_hz=audit_hz, seed=7, noise_deg=NOISE_DEG)

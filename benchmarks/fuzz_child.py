@@ -38,6 +38,8 @@ LONGEST = 300_000
 """Bytes of an input; more are cut off."""
 LIMIT_S = 30.0
 """A small input that takes more processor time hangs: most take milliseconds, and what is compiled a few seconds."""
+SLOW_S = 5.0
+"""One that takes so long is kept, to be looked at."""
 TRACED = 25
 """One input in so many is followed line by line; those that reach new lines join the corpus."""
 MOST_CORPUS, LARGEST_KEPT = 400, 60_000
@@ -150,7 +152,10 @@ def run(door: Door, batch: Batch, rng: random.Random, count: int, out: Path) -> 
             if batch.failures[became] <= 2:
                 keep(out / "failures", content, "".join(traceback.format_exception(error)))
         if number % TRACED:
-            batch.longest_s = max(batch.longest_s, time.process_time() - begun)
+            took_s = time.process_time() - begun
+            batch.longest_s = max(batch.longest_s, took_s)
+            if took_s > SLOW_S:
+                keep(out / "slow", content, f"{took_s:.1f} s")
         batch.outcomes[became] += 1
         batch.done += 1
     signal.setitimer(signal.ITIMER_PROF, 0.0)
@@ -165,7 +170,7 @@ def main(name: str, seed: str, number: str, count: str, folder: str) -> None:
     warnings.simplefilter("error")
     batch = Batch()
     run(DOORS[name], batch, random.Random(f"{seed} {name} {number}"), int(count), out)  # noqa: S311 - a seed
-    batch.cpu_s = time.process_time()
+    batch.cpu_s = sum(os.times()[:4])  # with the processes that it started
     (out / "batch.json").write_text(json.dumps(vars(batch)))
 
 

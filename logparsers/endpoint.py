@@ -89,13 +89,18 @@ def parse_endpoint(text: str) -> Endpoint:
     """
     device, comma, baud = text.partition(",")
     if _DEVICE.fullmatch(device):
-        if comma and not (baud.isascii() and baud.isdigit() and 0 < int(baud) <= 10_000_000):
+        if comma and not _is_whole(baud, 10_000_000):
             raise LinkError(f"{text}: {baud!r} is no rate in bits per second; write {device},{_USUAL_BAUD}")
         return Serial(device, int(baud) if comma else _USUAL_BAUD)
     kind, _, rest = text.partition(":")
     host, _, port = rest.rpartition(":")
     if kind not in _KINDS or not (not host or _NAME.fullmatch(host)):
         raise LinkError(f"{text}: not a MAVLink endpoint; {_HELP}")
-    if not (port.isascii() and port.isdigit() and 0 < int(port) <= 65535):
+    if not _is_whole(port, 65535):
         raise LinkError(f"{text}: {port!r} is no port; {_HELP}")
     return Socket(kind, host or _LOOPBACK, int(port))  # type: ignore[arg-type]
+
+
+def _is_whole(text: str, most: int) -> bool:
+    """Whether a text is a number from 1 on in digits; Python makes none of thousands of them."""
+    return text.isascii() and text.isdigit() and len(text) < 20 and 0 < int(text) <= most

@@ -12,6 +12,7 @@ import os
 import signal
 import sys
 from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from servofd import __version__
@@ -114,7 +115,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # a terminal that cannot show a sign shows a question mark
-    options = build_parser().parse_args(arguments)
+    parser = build_parser()
+    if any("\0" in word for word in arguments or ()):
+        parser.error("a word with a NUL in it, which is in no file's name")
+    options = parser.parse_args(arguments)
     # Vectors of a log are too short to share out: threads that wait for each other took two to five times the time.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Importing these takes a while; `servofd --help` does without.
@@ -145,5 +149,5 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _silence() -> None:
     """Keep Python from trying again, and complaining, when it exits."""
-    with suppress(io.UnsupportedOperation):  # what a caller put in its place writes to no file
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    with suppress(io.UnsupportedOperation), Path(os.devnull).open("wb") as nowhere:
+        os.dup2(nowhere.fileno(), sys.stdout.fileno())  # what a caller put in its place writes to no file

@@ -64,6 +64,8 @@ def run(options: argparse.Namespace) -> int:
 
     if options.threshold == "interval" and options.threshold_deg is not None:
         raise ConfigError("--threshold-deg gives a constant threshold; leave it out, or leave out --threshold interval")
+    if "" in options.logs:  # which pathlib takes for this folder and everything below it
+        raise ConfigError("a log without a name; give a file, a folder or a pattern")
     aircraft = load_aircraft(options.config) if options.config else None
     if options.servo:
         find_servo(options.servo)

@@ -23,10 +23,12 @@ if TYPE_CHECKING:
 
     from servofd.types import ComplexArray, FloatArray
 
-__all__ = ["FilterRow", "NullspaceFilter", "common_denominator", "design_nullspace_filter"]
+__all__ = ["FilterRow", "NullspaceFilter", "checked_pole_rad_s", "common_denominator", "design_nullspace_filter"]
 
 _SAME_ROOT = 1e-6
 _ON_AXIS = 1e-9
+_SLOWEST_RAD_S, _FASTEST_RAD_S = 1e-5, 1e6
+"""Poles of filters: time constants from more than a day to a microsecond, so that their powers are still numbers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +121,7 @@ def design_nullspace_filter(
     Raises
     ------
     DesignError
-        If the pole is zero, or no fault on any command reaches an output at zero frequency.
+        If the pole is of no use (`checked_pole_rad_s`), or no fault on any command reaches an output at zero frequency.
 
     See Also
     --------
@@ -143,11 +145,31 @@ def design_nullspace_filter(
     >>> eq_4_10.leakage(np.geomspace(0.1, 300.0, 50)) < 1e-12
     True
     """
-    pole = abs(pole_rad_s)
-    if not 0.0 < pole < float("inf"):
-        raise DesignError(f"a filter pole of {pole_rad_s} rad/s is no use: it must be finite and not zero")
+    pole = checked_pole_rad_s(pole_rad_s)
     entries = ((plant,),) if isinstance(plant, TransferFunction) else tuple(tuple(row) for row in plant)
     return NullspaceFilter(tuple(_row(i, row, pole) for i, row in enumerate(entries)), entries)
+
+
+def checked_pole_rad_s(pole_rad_s: float) -> float:
+    """Size of a filter's pole [rad/s].
+
+    Raises
+    ------
+    DesignError
+        If no flight is long enough for it, or no clock fast enough.
+
+    Examples
+    --------
+    >>> checked_pole_rad_s(-50.0)
+    50.0
+    """
+    pole = abs(pole_rad_s)
+    if not _SLOWEST_RAD_S <= pole <= _FASTEST_RAD_S:
+        raise DesignError(
+            f"a filter pole of {pole_rad_s} rad/s is no use: it must lie between {_SLOWEST_RAD_S:g} and "
+            f"{_FASTEST_RAD_S:g} rad/s"
+        )
+    return pole
 
 
 def _row(output: int, entries: tuple[TransferFunction, ...], pole: float) -> FilterRow:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.detection.nullspace import common_denominator
+from servofd.detection.nullspace import checked_pole_rad_s, common_denominator
 from servofd.errors import DesignError
 from servofd.models.transfer import TransferFunction
 
@@ -40,6 +40,8 @@ PREFERRED_POLES_RAD_S = (120.0, 80.0, 50.0, 30.0, 20.0, 15.0, 10.0, 5.0)
 LARGEST_NOISE_GAIN = 0.5
 _USELESS_NOISE_GAIN = 5.0
 _WHOLE_SAMPLE = 1e-9
+_MOST_SAMPLES = 2e7
+"""Of an impulse response, 160 MB: the slowest preferred pole at a million samples a second has 18 million."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,10 +66,22 @@ class PulseFilter:
         return float(np.linalg.norm(self.impulse_response()))
 
     def impulse_response(self) -> FloatArray:
-        """Residual after a measurement error of 1 deg in a single sample, shape (k,), until it has died out."""
+        """Residual after a measurement error of 1 deg in a single sample, shape (k,), until it has died out.
+
+        Raises
+        ------
+        DesignError
+            If that takes more samples than memory has room for.
+        """
         multiplicity = self.md.size - 1
         decay = np.exp(-self.pole_rad_s * self.sample_time_s)
-        k = np.arange(2 + int(np.ceil((40.0 + 10.0 * multiplicity) / (self.pole_rad_s * self.sample_time_s))))
+        samples = 2.0 + np.ceil((40.0 + 10.0 * multiplicity) / (self.pole_rad_s * self.sample_time_s))
+        if samples > _MOST_SAMPLES:
+            raise DesignError(
+                f"a filter pole of {self.pole_rad_s:g} rad/s is no use at {1.0 / self.sample_time_s:g} Hz: "
+                f"the residual of one sample lasts for {samples:.0e} samples"
+            )
+        k = np.arange(int(samples))
         ladder = np.ones(k.size)
         for i in range(1, multiplicity):
             ladder *= (k + i) / i
@@ -175,7 +189,7 @@ def design_pulse_filter(
     Raises
     ------
     DesignError
-        If the pole is zero or no command has a gain at zero frequency.
+        If the pole is of no use (`checked_pole_rad_s`) or no command has a gain at zero frequency.
 
     Notes
     -----
@@ -188,9 +202,7 @@ def design_pulse_filter(
     >>> round(design_pulse_filter(servo, 0.004, 0.01, 50.0).noise_gain, 3)
     0.418
     """
-    pole = abs(pole_rad_s)
-    if not 0.0 < pole < float("inf"):
-        raise DesignError(f"a filter pole of {pole_rad_s} rad/s is no use: it must be finite and not zero")
+    pole = checked_pole_rad_s(pole_rad_s)
     entries = (plant,) if isinstance(plant, TransferFunction) else tuple(plant)
     delays = (delay_s,) * len(entries) if isinstance(delay_s, float | int) else tuple(delay_s)
     denominator, numerators = common_denominator(entries)

@@ -28,13 +28,14 @@ def statistics_of(trace: Trace) -> Statistics | None:
     if not judged.any():
         return None
     residual = trace.residual_deg[judged]
-    error = (trace.measured_deg - trace.simulated_deg)[judged]
-    return Statistics(
-        mean_deg=float(np.mean(residual)),
-        std_deg=float(np.std(residual)),
-        max_abs_deg=float(np.max(np.abs(residual))),
-        simulation_error_rms_deg=float(np.sqrt(np.mean(error**2))),
-    )
+    with np.errstate(over="ignore", invalid="ignore"):  # of a damaged recording; they are what nobody judged
+        error = (trace.measured_deg - trace.simulated_deg)[judged]
+        return Statistics(
+            mean_deg=float(np.mean(residual)),
+            std_deg=float(np.std(residual)),
+            max_abs_deg=float(np.max(np.abs(residual))),
+            simulation_error_rms_deg=float(np.sqrt(np.mean(error**2))),
+        )
 
 
 def contradictions(recording: Recording) -> list[str]:

@@ -21,8 +21,13 @@ from servofd.fleet.find import find_logs
 from servofd.fleet.key import Job
 from servofd.fleet.run import audit_fleet
 from servofd.fleet.store import FleetStore
+from servofd.models.context import Context
 from servofd.models.faults import Bias, Stuck
-from servofd.outputs.recording import save_recording
+from servofd.outputs.recording.scene import ATTITUDE, send_context
+from servofd.outputs.recording.stream import recording_file
+from servofd.outputs.recording.surface import send_surface
+from servofd.outputs.recording.verdicts import verdicts_of
+from servofd.outputs.recording.write import recording_of
 from servofd.simulation.flight import SimulatedFlight, simulate_flight
 from servofd.simulation.pulses import outputs_of
 from servofd.simulation.writers import write_flight
@@ -34,11 +39,26 @@ from tests.parsers import dataflash_writer, writers
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["EFFECTS", "PLANE", "SERVO", "fleet_parts", "flight", "frames", "logs_of", "planes", "recordings"]
+__all__ = [
+    "EFFECTS",
+    "ONE_SURFACE",
+    "PLANE",
+    "SERVO",
+    "fleet_parts",
+    "flight",
+    "frames",
+    "logs_of",
+    "planes",
+    "recordings",
+    "telemetry",
+]
 
 ROOT = Path(__file__).resolve().parents[2]
 PLANE = plain_aircraft(["elevator", "rudder"])
 SECONDS = 5.0
+ONE = plain_aircraft(["elevator"])
+ONE_SURFACE = plane_file(["elevator"])
+"""Aircraft file for what is judged at every input: a second surface takes its time, and reaches no other line."""
 
 EFFECTS = b"""name = "worn"
 
@@ -141,6 +161,24 @@ def _written(suffix: str) -> bytes:
 
 
 @cache
+def _slip() -> bytes:
+    """Telemetry of a single servo that slips, and is found out."""
+    flown = simulate_flight(
+        ONE,
+        command="lively",
+        duration_s=3.5,
+        rate_hz=25.0,
+        seed=1,
+        faults={"elevator": Bias(2.5, bias_deg=3.0)},
+        outputs=outputs_of(ONE),
+    )
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "flight.tlog"
+        write_flight(path, flown, ONE)
+        return path.read_bytes()
+
+
+@cache
 def _faser() -> Mapping[str, np.ndarray]:
     """Columns of a FASER log."""
     flown = flight()
@@ -177,7 +215,7 @@ def planes() -> list[bytes]:
 
 def frames() -> list[bytes]:
     """What comes over a link: telemetry, and the autopilot's own log in blocks."""
-    streamed = [frame for _, frame in replayed(_written(".tlog"))]
+    streamed = [frame for _, frame in replayed(_slip())]
     log, vehicle = encode(dataflash_writer.servo_flight(0.5)), Codec(1, 1)
     blocks = [log[at : at + 200].ljust(200, b"\0") for at in range(0, len(log), 200)]
     remote = [
@@ -188,13 +226,24 @@ def frames() -> list[bytes]:
     return [few, few, few, few, some, b"".join(streamed), b"".join(remote[:12]), b"".join(remote)]
 
 
+def telemetry() -> list[bytes]:
+    """What a monitor replays: a servo that slips, and the beginning of that."""
+    return [_slip(), _slip()[: len(_slip()) // 3], SEEDS["tlog"]]
+
+
 def recordings(folder: Path) -> list[bytes]:
-    """What an audit records, and what a monitor does."""
-    log = folder / "flight.csv"
+    """What an audit records of one surface, and of its surroundings; without the scene and the layout, which are five
+    times as long and which nobody reads back."""
+    log, path = folder / "flight.csv", folder / "audit.rrd"
     log.write_bytes(_written(".csv"))
-    (found,) = audit(log, PLANE, threads=1)
-    save_recording(found, folder / "audit.rrd")
-    return [(folder / "audit.rrd").read_bytes()]
+    (found,) = audit(log, PLANE, threads=1, surfaces=("rudder",))
+    recording, time_s = recording_of(found), np.arange(0.0, SECONDS, 0.5)
+    with recording_file(path, "servofd", None) as recorder:
+        recorder.properties(log.name, verdicts_of(recording))
+        send_surface(recorder, found.surfaces[0], recording.traces["rudder"], recording.start_s, "measured")
+        recorder.scalars(ATTITUDE, time_s, np.zeros((time_s.size, 3)))
+        send_context(recorder, Context(time_s, time_s + 10.0, time_s, time_s + 5.0))
+    return [path.read_bytes()]
 
 
 def fleet_parts(folder: Path) -> dict[str, bytes]:

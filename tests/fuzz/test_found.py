@@ -9,15 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from logparsers.endpoint import parse_endpoint
+from logparsers.errors import LinkError
 from servofd.aircraft import load_aircraft, plain_aircraft
-from servofd.cli import main
+from servofd.cli import main, manual
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.errors import ConfigError, RecordingError
 from servofd.fleet.key import Job
 from servofd.fleet.store import FleetStore, read_table
 from servofd.outputs.recording import read
+from servofd.outputs.recording.content import Trace
 from servofd.outputs.recording.program import run_rerun
+from servofd.outputs.recording.stream import recording_file
 from servofd.outputs.recording.write import recording_of
+from servofd.review.check import statistics_of
 from servofd.review.rejudge import rejudged
 from servofd.segment import pace_steps
 from servofd.servos import find_servo
@@ -147,11 +152,31 @@ def test_a_position_too_large_for_a_number() -> None:
     assert np.isinf(calibration.to_deg(np.array([0.1, 0.2, 1e308, 0.3]))).tolist() == [False, False, True, False]
 
 
-def test_a_recording_at_which_its_library_ends_the_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("code", [102, -6])
+def test_a_recording_at_which_its_library_ends_the_process(
+    code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """About one in a hundred that are broken; another process meets it first."""
     path = tmp_path / "flight.rrd"
     path.write_bytes(DOORS["recording"].seeds(tmp_path)[0])
-    monkeypatch.setattr(read, "run_rerun", lambda *words: subprocess.CompletedProcess(words, 102))
+    monkeypatch.setattr(read, "run_rerun", lambda *words: subprocess.CompletedProcess(words, code, ""))
+    with pytest.raises(RecordingError, match="damaged beyond"):
+        read.read_recording(path)
+
+
+def test_recorded_numbers_whose_squares_are_none() -> None:
+    time_s, huge = np.arange(3.0), np.array([1e300, -1e300, 0.0])
+    found = statistics_of(Trace(time_s, time_s, time_s, huge, huge, time_s, time_s, time_s))
+    assert found is not None
+    assert np.isinf(found.std_deg)
+    assert np.isinf(found.simulation_error_rms_deg)
+
+
+def test_a_recording_with_a_column_that_its_library_cannot_name(tmp_path: Path) -> None:
+    """It wrote one, and ended the process that read it."""
+    path = tmp_path / "flight.rrd"
+    with recording_file(path, "servofd", None) as recorder:
+        recorder.properties("flight.csv", {"sch\0ma": "servofd.audit/1"})
     with pytest.raises(RecordingError, match="damaged beyond"):
         read.read_recording(path)
 
@@ -194,3 +219,48 @@ def test_a_servo_that_no_clock_can_follow(tmp_path: Path, denominator: str, why:
     )
     with pytest.raises(ConfigError, match=why):
         find_servo(str(path))
+
+
+def test_a_word_that_is_in_no_name(capsys: pytest.CaptureFixture[str]) -> None:
+    """No shell can say it; a program that calls `main` can."""
+    with pytest.raises(SystemExit) as ended:
+        main(["audit", "flight\0.csv"])
+    assert ended.value.code == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_a_log_without_a_name(capsys: pytest.CaptureFixture[str]) -> None:
+    """As of a variable that is not set; it was taken for the folder, and everything below it audited."""
+    assert main(["audit", ""]) == 2
+    assert "without a name" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("pole", ["1e-320", "1e30", "0", "nan"])
+def test_a_filter_pole_whose_powers_are_no_numbers(pole: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["design", "s9254", "--pole", pole]) == 2
+    assert "must lie between" in capsys.readouterr().err
+
+
+def test_a_filter_that_takes_a_billion_samples_to_settle(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["design", "s9254", "--pole", "1e-5"]) == 2
+    assert "is no use at 100 Hz" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("text", ["tcp:localhost:" + "9" * 5000, "/dev/ttyACM0," + "9" * 5000])
+def test_a_port_of_thousands_of_digits(text: str) -> None:
+    with pytest.raises(LinkError, match="is no"):
+        parse_endpoint(text)
+
+
+def test_a_program_that_cannot_write_leaves_no_file_open(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(manual, "run", _full)
+    before = len(list(Path("/dev/fd").iterdir()))
+    assert main(["help"]) == 2
+    assert len(list(Path("/dev/fd").iterdir())) == before
+    assert "No space left" in capsys.readouterr().err
+
+
+def _full(_options: object) -> int:
+    raise OSError(28, "No space left on device")

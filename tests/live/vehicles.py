@@ -19,7 +19,7 @@ from servofd.simulation.vehicle.fly import Flown, fly
 from servofd.simulation.vehicle.vehicle import Settings, Vehicle
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     from logparsers.link import Link
     from servofd.simulation.vehicle.messages import Send
@@ -34,14 +34,15 @@ def flown(*, rate_hz: float = 50.0, duration_s: float = 10.0, **options: Any) ->
     return simulate_flight(PLANE, rate_hz=rate_hz, duration_s=duration_s, outputs=outputs_of(PLANE), **options)
 
 
-def plane_file() -> str:
-    """Aircraft file of `PLANE`, as its user would write it."""
+def plane_file(names: Sequence[str] = ("elevator", "aileron", "rudder")) -> str:
+    """Aircraft file of `PLANE`, or of some of its surfaces, as its user would write it."""
     surfaces = [
         f'[surfaces.{name}]\nservo = "hs225bb-eq31"\nthreshold_deg = 1.5\n'
         f'command = {{ channel = "SERVO_OUTPUT_RAW.servo{n}_raw", unit = "us", trim_us = 1500, '
         f"slope_deg_per_us = 0.09 }}\n"
         f'measured = {{ channel = "NAMED_VALUE_FLOAT[SRVP{n}].value", unit = "deg" }}\n'
         for name, n in (("elevator", 2), ("aileron", 1), ("rudder", 4))
+        if name in names
     ]
     return 'name = "plane"\n' + "".join(surfaces)
 

@@ -131,13 +131,15 @@ class _Stored:
 def _check_is_readable(path: Path) -> None:
     """Let another process read it first: at some damage Rerun's library ends the process that it is in.
 
+    It tells the names of all columns as well, since the library does the same at a NUL in one of them.
+
     Raises
     ------
     RecordingError
-        If that happens.
+        If that happens, or would.
     """
-    code = run_rerun("rrd", "verify", str(path.resolve())).returncode
-    if code < 0 or code in _PANICS:
+    met = run_rerun("rrd", "print", "-vv", str(path.resolve()))
+    if met.returncode < 0 or met.returncode in _PANICS or "\0" in met.stdout:
         raise RecordingError(f"{path}: damaged beyond what Rerun's library can read")
 
 
