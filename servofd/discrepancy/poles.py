@@ -49,6 +49,10 @@ class _Known(NamedTuple):
     poles: Poles
     values: dict[str, FloatArray]
 
+    def joined(self, effects: Sequence[type[MissingEffect]]) -> FloatArray:
+        """Values in the order of the effects, shape (p,)."""
+        return np.concatenate([self.values[effect.key()] for effect in effects] or [np.zeros(0)])
+
 
 def _key(effects: Sequence[type[MissingEffect]]) -> tuple[str, ...]:
     return tuple(sorted(effect.key() for effect in effects))
@@ -59,6 +63,8 @@ class PoleFitter(Fitter):
     """Fits effects and poles together, and remembers the poles that went with each set of effects."""
 
     known: dict[tuple[str, ...], _Known] = field(default_factory=dict, init=False)
+    settled: dict[tuple[str, ...], list[_Known]] = field(default_factory=dict, init=False)
+    """All that were ever the best of a set: a fit made then goes on with its own poles."""
     _is_nominal: bool = field(default=False, init=False)
 
     def on(self, record: Record) -> PoleFitter:
@@ -71,6 +77,8 @@ class PoleFitter(Fitter):
         """Take over the poles that another one found."""
         if isinstance(other, PoleFitter):
             self.known.update(other.known)
+            for key, known in other.settled.items():
+                self.settled.setdefault(key, []).extend(known)
 
     def poles(self, effects: Sequence[type[MissingEffect]]) -> Poles:
         """Those fitted with these effects, or with as many of them as were ever fitted."""
@@ -81,8 +89,12 @@ class PoleFitter(Fitter):
         return Poles()
 
     def physics(self, effects: Sequence[type[MissingEffect]], values: Values) -> Physics:
-        """The servo with these effects and the poles that go with them."""
-        return self._with_poles(effects, values, self.poles(effects))
+        """The servo with these effects, and the poles that were fitted with most of these values; of equals, the last."""
+        settled = self.settled.get(_key(effects))
+        if not settled:
+            return self._with_poles(effects, values, self.poles(effects))
+        common = [int(np.count_nonzero(known.joined(effects) == np.asarray(values))) for known in settled]
+        return self._with_poles(effects, values, settled[max(range(len(settled)), key=lambda k: (common[k], k))].poles)
 
     def nominal(self) -> Fit:
         """The best servo of second order."""
@@ -161,8 +173,8 @@ class PoleFitter(Fitter):
                 rest = iter(values)
                 named = {effect.key(): np.array([next(rest) for _ in effect.parameters]) for effect in effects}
                 self.known[key] = _Known(loss, fitted, named)
-        best = self.known[key].values
-        return self.judged(effects, np.concatenate([best[effect.key()] for effect in effects] or [np.zeros(0)]))
+                self.settled.setdefault(key, []).append(self.known[key])
+        return self.judged(effects, self.known[key].joined(effects))
 
     def _fitted(
         self, effects: tuple[type[MissingEffect], ...], values: Values, poles: Poles, evaluations: int
