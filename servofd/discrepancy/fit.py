@@ -165,7 +165,7 @@ class Fitter:
     def _begun(self, part: Record, base: Fit, effect: type[MissingEffect], tried: Callable[[str], None]) -> Fit:
         tried(effect.key())
         effects = (*base.effects, effect)
-        values, count = begin(part, effects, base.values.tolist())
+        values, count = begin(part, effects, base.values.tolist(), self.record)
         self.simulations += count
         return self._eased(part, self.judged(effects, values)) if base.effects else self.judged(effects, values)
 
