@@ -240,7 +240,9 @@ class Fitter:
             later_s = [
                 float(fit.values[-1]) - self.record.plant.neutral.delay_s for fit in late if fit.effects[-1] is Delay
             ]
-            frame = usual_frame(self.record, known, max(later_s, default=0.0))
+            late_s = max(later_s, default=0.0)
+            frame = self._sought(known, base.train - noise, best, noise, late_s)
+            frame = frame or usual_frame(self.record, known, late_s)
         elif self._lacks_most(min(fit.train for fit in like), len(effects), noise):
             frame = self._sought(known, base.train - noise, None if scattered else best, noise)
         if frame is None:
@@ -253,7 +255,9 @@ class Fitter:
         """Whether no fit of a length, whatever its effects, is far better than what frames are on average."""
         return train - noise < _LATE_LEAVES * max(self._first[length].train - noise, _FRAMES_EXCESS * noise)
 
-    def _sought(self, known: Physics, left: float, rival: Fit | None, noise: float) -> Frame | None:
+    def _sought(
+        self, known: Physics, left: float, rival: Fit | None, noise: float, late_s: float | None = None
+    ) -> Frame | None:
         """Frames that a search of the whole log finds, unless a rival is clearly better; or those that it found before.
 
         Beside other effects that leave as much, it would find them again, or again none.
@@ -261,7 +265,7 @@ class Fitter:
         alike = [before for before in self._frames if left > _MUCH_LESS * before]
         if not alike:
             sigma_deg = float(np.sqrt(noise / self._trained.size))
-            likely = frames_like(self.record, known, None if rival is None else rival.error_deg, sigma_deg)
+            likely = frames_like(self.record, known, None if rival is None else rival.error_deg, sigma_deg, late_s)
             self._frames[left] = best_frame(self.record, known, likely) if likely else None
         return self._frames[min(alike, default=left)]
 
