@@ -36,7 +36,7 @@ _SHIFTS = (-0.1, -0.04, 0.0, 0.04, 0.1)
 _AS_LATE = (0.7, 1.4)
 """Frames are late by half their period on average: twice a fitted delay is their period, give or take its phase."""
 _ABOUT_AS_LATE = (0.8, 1.25)
-"""The same for periods that fit no beat of the commands, whose phases come up evenly: off by 6 % at most in 7 flights."""
+"""The same for a period whose frames drift past the commands, so that all phases come up: off by 6 % in 7 flights."""
 _FINER = (0.5, 0.2, 0.08, 0.03, 0.01)
 _USUAL_S = (*(k / 1000.0 for k in range(10, 26)), 0.004, 0.005, 0.03, 0.04, 0.05, 1 / 70, 1 / 60, 1 / 45, 1 / 150)
 """Whole milliseconds, and common frame rates that are not."""
