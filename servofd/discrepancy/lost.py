@@ -17,7 +17,7 @@ _DOUBTFUL = 1.45
 """Times the usual interval, from which on a lost command may hide among time stamps that jitter."""
 _LARGEST_GUESS_DEG, _FORGOTTEN_S = 0.25, 0.16
 """A lost command off by this much moves an HS-225BB by 0.04 deg, for four of its time constants."""
-_SPANS, _NEAR = (10, 50), 25
+_SPANS, _NEAR = (3, 10, 50), 25
 """Commands over which the period is measured, ever better, and to either side of those whose beat is heard."""
 _ON_BEAT, _STEADY = 0.4, 0.3
 """Share of a period by which a command may be off its beat (half of one is where the count goes wrong), and length of
