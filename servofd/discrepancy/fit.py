@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.discrepancy.descent import descended
-from servofd.discrepancy.frames import best_frame, frames_like, usual_frame
+from servofd.discrepancy.frames import best_frame, frames_as_late, frames_like, usual_frame
 from servofd.discrepancy.noise import floor_uncertainty, long_run_factor, noise_floor_deg
 from servofd.discrepancy.record import simulate
 from servofd.discrepancy.search import begin, polish, telling_part
@@ -265,7 +265,11 @@ class Fitter:
         alike = [before for before in self._frames if left > _MUCH_LESS * before]
         if not alike:
             sigma_deg = float(np.sqrt(noise / self._trained.size))
-            likely = frames_like(self.record, known, None if rival is None else rival.error_deg, sigma_deg, late_s)
+            error_deg = None if rival is None else rival.error_deg
+            if late_s is None or error_deg is None:
+                likely = frames_like(self.record, known, error_deg, sigma_deg)
+            else:
+                likely = frames_as_late(self.record, known, late_s, error_deg, sigma_deg)
             self._frames[left] = best_frame(self.record, known, likely) if likely else None
         return self._frames[min(alike, default=left)]
 
