@@ -23,12 +23,12 @@ _SHORTEST_S, _LONGEST_S = 0.01, 0.055
 _WINDOW_S = 4.0
 _REMEMBERED_S = 1.5
 """Longest time that a command takes to the surface, with the longest frame before it."""
-_ROUGHLY_S, _NEARLY_S, _PRECISELY_S = 3e-3, 1.5e-3, 4e-4
-"""Between the phases that are tried in a window, for usual periods, and for one that is known: frames that pick other
-commands are far off."""
+_ROUGHLY_S, _QUITE_S, _NEARLY_S, _PRECISELY_S = 3e-3, 2e-3, 1.5e-3, 4e-4
+"""Between the phases that are tried in a window, in a longer one, for usual periods, and for one that is known: frames
+that pick other commands are far off."""
 _SHARE_OF_BEAT = 0.4
 """Of the change of period that moves the last frame of a window by one period."""
-_ZOOM, _KEPT, _LIKELY = 3.0, 27, 24
+_ZOOM, _KEPT, _FEWER, _LIKELY = 3.0, 27, 18, 24
 _WORSE_AT_FIRST, _WORSE = 100.0, 10.0
 """Squared noise by which frames may be worse than what is no frame: true ones, not yet met exactly, were better by 10
 and 89 in the two windows where they were hardest to see, and where there were none, worse by 1300 and 2600."""
@@ -67,7 +67,7 @@ def frames_as_late(
     shortest_s, longest_s = np.clip([2.0 * late_s * share for share in _ABOUT_AS_LATE], _SHORTEST_S, _LONGEST_S)
     part = _window(record, _liveliest_s(record, _WINDOW_S), window_s)
     most = _rival_loss(record, part, rival_deg) + _WORSE_AT_FIRST * sigma_deg**2
-    return _best(part, physics, _grid(float(shortest_s), float(longest_s), window_s, _NEARLY_S), _KEPT, most)
+    return _best(part, physics, _grid(float(shortest_s), float(longest_s), window_s, _QUITE_S), _FEWER, most)
 
 
 def _grid(shortest_s: float, longest_s: float, window_s: float, apart_s: float) -> list[tuple[float, float]]:
