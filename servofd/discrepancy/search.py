@@ -61,13 +61,15 @@ def begin(
 
     Limits do nothing where they are wide enough, and there the error has no slope over them. If that is best in a part
     of a log, whose known values may stand in for the limit, the search begins where the limit acts best in the whole.
+    Not where poles are fitted, too: those of this search are not the servo's.
     """
     newest = effects[-1]
     trial = _Trial(part, effects)
     grid = list(product(*(p.grid for p in newest.parameters)))
     values = [*known, *min(grid, key=lambda point: trial.loss([*known, *point]))]
     polished, count = polish(part, effects, values, len(known))
-    if part is not whole and trial.loss(polished) == _Trial(part, effects[:-1]).loss([*known]):
+    known_servo = not whole.free_poles and part is not whole
+    if known_servo and trial.loss(polished) == _Trial(part, effects[:-1]).loss([*known]):
         everywhere = _Trial(whole, effects)
         losses = [everywhere.loss([*known, *point]) for point in grid]
         idle = _Trial(whole, effects[:-1]).loss([*known])
