@@ -58,8 +58,10 @@ _INTERVALS_FOR_PERIOD = 10_000
 _FEWEST_COMMANDS = 3
 _MOST_KEPT = 60.0
 """A log that has lost three commands in ten has the right interval in seven of ten, give or take a few."""
-_REGULAR_SPREAD = 0.35
-"""From the lower quarter of all intervals to that quantile within this share of the median: a regular log."""
+_REGULAR_SPREAD = 0.45
+"""From the lower quarter of all intervals to that quantile within this share of the median: a regular log. In a hundred
+intervals of 10 ms it is 0.18 to 0.43 if stamps are off by up to 3 ms and a fifth is lost (400 draws). If commands come
+as they please (evenly, up to twice the mean apart), it is more than 0.45 in 99 of 100."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

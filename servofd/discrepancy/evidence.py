@@ -34,6 +34,8 @@ EXCESS_WORTH = 0.06
 _EXCESS_OF_NOISE, _EXCESS_OF_GAP = 0.15, 0.02
 _SURE_SIGMAS = 3.0
 """Chance alone passes one record in 700."""
+_MEMORY_SIGMAS = 4.0
+"""Of the memory that chance makes of noise: one record in 30 000."""
 _NOTHING_DEG = 1e-4
 """No noise is smaller: in logs that were simulated without any, the rounding of the file is no effect."""
 
@@ -69,10 +71,13 @@ def worth_trying(record: Record, base: Fit, sigma: float) -> bool:
     if base.total <= count * _NOTHING_DEG**2:
         return False
     more = base.total / max(count, 1) / sigma**2 - 1.0
-    error = base.error_deg[record.counts]
-    power = max(float(error @ error), 1e-300)
-    smooth = 0.5 * float(error[1:] @ error[:-1] + error[2:] @ error[:-2]) / power
-    return more > EXCESS_WORTH or smooth > max(_SHARE_OF_NOISE, 2.5 / np.sqrt(2.0 * max(count, 1)))
+    return more > EXCESS_WORTH or _memory(record, base) > max(_SHARE_OF_NOISE, 2.5 / np.sqrt(2.0 * max(count, 1)))
+
+
+def _memory(record: Record, fit: Fit) -> float:
+    """Correlation of the error with itself, one and two samples later: the share of it that is smooth."""
+    error = fit.error_deg[record.counts]
+    return 0.5 * float(error[1:] @ error[:-1] + error[2:] @ error[:-2]) / max(float(error @ error), 1e-300)
 
 
 def accepted(record: Record, base: Fit, fit: Fit, sigma: float) -> bool:
@@ -155,12 +160,18 @@ def _rounding(record: Record, final: Fit) -> float:
 
 
 def rest_matters(record: Record, nominal: Fit, final: Fit, sigma_deg: float) -> bool:
-    """Whether more is left on held-out samples than noise, and more than a rounding of what was there."""
+    """Whether more is left on held-out samples than noise, and more than a rounding of what was there.
+
+    Several effects that fit nearly as well as they should may be a flexible curve: nothing smooth may be left of them.
+    """
     left, gap = excess(record, final, sigma_deg), excess(record, nominal, sigma_deg)
     if record.runs and not final.effects:
         # Runs that were fitted are not like those held out: what is missing in them alone is missing all the same.
         fitted = final.train / max(int(record.trained.sum()), 1) - sigma_deg**2
         left, gap = max(left, fitted), max(gap, fitted)
+    several = len(final.effects) > 1 and not record.runs
+    if several and _memory(record, final) > max(EXCESS_WORTH, _MEMORY_SIGMAS / np.sqrt(2.0 * record.counts.sum())):
+        return True  # which needs no floor to be seen
     # Of few samples, neither the floor nor what is left is known well.
     chance = float(np.hypot(floor_uncertainty(record), np.sqrt(2.0 / max(int(record.held_out.sum()), 1))))
     return left > max(_EXCESS_OF_NOISE, _SURE_SIGMAS * chance) * sigma_deg**2 and left > _rounding(record, final) * gap

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.discrepancy.descent import descended
-from servofd.discrepancy.frames import best_frame, frames_like, usual_frame
+from servofd.discrepancy.frames import best_frame, frames_as_late, frames_like, usual_frame
 from servofd.discrepancy.noise import floor_uncertainty, long_run_factor, noise_floor_deg
 from servofd.discrepancy.record import simulate
 from servofd.discrepancy.search import begin, polish, telling_part
@@ -165,7 +165,7 @@ class Fitter:
     def _begun(self, part: Record, base: Fit, effect: type[MissingEffect], tried: Callable[[str], None]) -> Fit:
         tried(effect.key())
         effects = (*base.effects, effect)
-        values, count = begin(part, effects, base.values.tolist())
+        values, count = begin(part, effects, base.values.tolist(), self.record)
         self.simulations += count
         return self._eased(part, self.judged(effects, values)) if base.effects else self.judged(effects, values)
 
@@ -240,7 +240,9 @@ class Fitter:
             later_s = [
                 float(fit.values[-1]) - self.record.plant.neutral.delay_s for fit in late if fit.effects[-1] is Delay
             ]
-            frame = usual_frame(self.record, known, max(later_s, default=0.0))
+            late_s = max(later_s, default=0.0)
+            frame = self._sought(known, base.train - noise, best, noise, late_s)
+            frame = frame or usual_frame(self.record, known, late_s)
         elif self._lacks_most(min(fit.train for fit in like), len(effects), noise):
             frame = self._sought(known, base.train - noise, None if scattered else best, noise)
         if frame is None:
@@ -253,7 +255,9 @@ class Fitter:
         """Whether no fit of a length, whatever its effects, is far better than what frames are on average."""
         return train - noise < _LATE_LEAVES * max(self._first[length].train - noise, _FRAMES_EXCESS * noise)
 
-    def _sought(self, known: Physics, left: float, rival: Fit | None, noise: float) -> Frame | None:
+    def _sought(
+        self, known: Physics, left: float, rival: Fit | None, noise: float, late_s: float | None = None
+    ) -> Frame | None:
         """Frames that a search of the whole log finds, unless a rival is clearly better; or those that it found before.
 
         Beside other effects that leave as much, it would find them again, or again none.
@@ -261,7 +265,11 @@ class Fitter:
         alike = [before for before in self._frames if left > _MUCH_LESS * before]
         if not alike:
             sigma_deg = float(np.sqrt(noise / self._trained.size))
-            likely = frames_like(self.record, known, None if rival is None else rival.error_deg, sigma_deg)
+            error_deg = None if rival is None else rival.error_deg
+            if late_s is None or error_deg is None:
+                likely = frames_like(self.record, known, error_deg, sigma_deg)
+            else:
+                likely = frames_as_late(self.record, known, late_s, error_deg, sigma_deg)
             self._frames[left] = best_frame(self.record, known, likely) if likely else None
         return self._frames[min(alike, default=left)]
 

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.detection.residual import Commands, commands_at_servo, rhythm
+from servofd.detection.residual import Commands, commands_at_servo
+from servofd.discrepancy.lost import after_lost_commands
 from servofd.discrepancy.noise import comb_step_deg
 from servofd.models.physics import LOOSE_FIELDS, Physics, Plant, longest_step_s, plant_of
 
@@ -41,11 +42,8 @@ _FEW_RUNS = 6
 each is then foreseen from the other three to 3.7 deg, and to 2.2 deg if blocks of all four are fitted."""
 _PLACES = np.linspace(-1.0, 1.0, 5)
 """Within a dead band, from one end to the other."""
-_DOUBTFUL = 1.45
 _FARTHEST_DEG = 1e6
 """As wrong as a servo can be: squares of more could not be summed up."""
-_LARGEST_GUESS_DEG, _FORGOTTEN_S = 0.25, 0.16
-"""A lost command off by this much moves an HS-225BB by 0.04 deg, for four of its time constants."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,7 +155,9 @@ def record_of(
     begin = np.sort(np.array(starts_s))
     last = begin[np.maximum(np.searchsorted(begin, time_s, side="right") - 1, 0)]
     counts = known & (time_s - last >= start_s) & (time_s >= segment.command_s[0]) & (time_s < until_s)
-    counts &= (time_s <= segment.command_s[-1] + hole_s) & ~_after_lost_commands(segment, hole_s, time_s)
+    counts &= time_s <= segment.command_s[-1] + hole_s
+    if segment.command_period_s is None:
+        counts &= ~after_lost_commands(segment.command_s, segment.command_deg, hole_s, time_s)
     # Fewer commands than the servo received: they run straight between, later by the mean lag of the hold.
     commands = commands_at_servo(segment, 0.0, hole_s)
     block = ((time_s - time_s[0]) / BLOCK_S).astype(np.int64)
@@ -233,22 +233,6 @@ def _context(values: list[FloatArray | None]) -> FloatArray | None:
     """What was logged in every run; None if it was not in one of them."""
     there = [each for each in values if each is not None]
     return np.concatenate(there) if len(there) == len(values) else None
-
-
-def _after_lost_commands(segment: Segment, hole_s: float, time_s: FloatArray) -> BoolArray:
-    """Samples that follow a lost command nobody can guess: the commands around it do not lie on a line."""
-    after = np.zeros(time_s.size, dtype=bool)
-    if segment.command_period_s is not None or segment.command_s.size < 4:
-        return after
-    step_s = np.diff(segment.command_s)
-    # Among stamps that jitter, a lost command can hide in an interval that is merely long.
-    lost = np.flatnonzero((step_s > _DOUBTFUL * rhythm(segment.command_s).period_s) & (step_s <= hole_s))
-    bend = np.abs(np.diff(segment.command_deg, 2, prepend=segment.command_deg[:1], append=segment.command_deg[-1:]))
-    for k in lost[np.maximum(bend[lost], bend[np.minimum(lost + 1, bend.size - 1)]) > _LARGEST_GUESS_DEG]:
-        start_s = segment.command_s[k]
-        first, last = np.searchsorted(time_s, (start_s, segment.command_s[k + 1] + _FORGOTTEN_S))
-        after[first:last] = True
-    return after
 
 
 def simulate(record: Record, physics: Physics, finer: float = 1.0) -> FloatArray:

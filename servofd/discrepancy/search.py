@@ -54,13 +54,28 @@ def telling_part(record: Record, error_deg: FloatArray) -> Record:
     )
 
 
-def begin(part: Record, effects: Sequence[type[MissingEffect]], known: Sequence[float]) -> tuple[list[float], int]:
-    """Values near the best for the last of some effects, beside known ones for the others; and how many were tried."""
+def begin(
+    part: Record, effects: Sequence[type[MissingEffect]], known: Sequence[float], whole: Record
+) -> tuple[list[float], int]:
+    """Values near the best for the last of some effects, beside known ones for the others; and how many were tried.
+
+    Limits do nothing where they are wide enough, and there the error has no slope over them. If that is best in a part
+    of a log, whose known values may stand in for the limit, the search begins where the limit acts best in the whole.
+    Not where poles are fitted, too: those of this search are not the servo's.
+    """
     newest = effects[-1]
     trial = _Trial(part, effects)
-    grid = product(*(p.grid for p in newest.parameters))
+    grid = list(product(*(p.grid for p in newest.parameters)))
     values = [*known, *min(grid, key=lambda point: trial.loss([*known, *point]))]
     polished, count = polish(part, effects, values, len(known))
+    known_servo = not whole.free_poles and part is not whole
+    if known_servo and trial.loss(polished) == _Trial(part, effects[:-1]).loss([*known]):
+        everywhere = _Trial(whole, effects)
+        losses = [everywhere.loss([*known, *point]) for point in grid]
+        idle = _Trial(whole, effects[:-1]).loss([*known])
+        acting = [k for k, loss in enumerate(losses) if loss != idle]
+        polished = [*known, *grid[min(acting, key=losses.__getitem__)]] if acting else polished
+        count += everywhere.count
     return polished, count + trial.count
 
 

@@ -14,8 +14,19 @@ from servofd.discrepancy.frames import best_frame, usual_frame
 from servofd.discrepancy.noise import comb_step_deg, noise_floor_deg
 from servofd.discrepancy.prune import pruned
 from servofd.discrepancy.record import Record, record_of, simulate
+from servofd.discrepancy.search import begin
 from servofd.discrepancy.stamps import scatter_s
-from servofd.models.catalogue import Backlash, CurrentLimit, Delay, Friction, MissingEffect, Resonance, installed
+from servofd.models.catalogue import (
+    Backlash,
+    CurrentLimit,
+    Delay,
+    Friction,
+    MissingEffect,
+    PwmFrame,
+    RateLimit,
+    Resonance,
+    installed,
+)
 from servofd.models.servo_model import ServoModel
 from servofd.segment import Segment
 from servofd.servos import servo_named
@@ -151,3 +162,37 @@ def test_usual_frames_are_as_late_as_a_delay() -> None:
     assert found is not None
     assert found[0] == 0.04
     assert usual_frame(record, record.plant.neutral, 0.001) is None
+
+
+def test_frames_of_no_usual_period_are_found_where_a_delay_seems_to_explain_all() -> None:
+    """The floor is higher beside frames, so that a delay seems to leave nothing; and two phases are nearly as good."""
+    record = flown((), [], 2)
+    framed = record.plant.neutral._replace(frame_s=0.01808, frame_phase=0.97)
+    noise = 0.1 * np.random.default_rng(2).standard_normal(record.time_s.size)
+    record = replace(record, measured_deg=simulate(record, framed) + noise)
+    fitter = Fitter(record)
+    delay, frames = fitter.with_effects(fitter.nominal(), (Delay, PwmFrame), lambda _: None)
+    assert delay.total < 1.06 * record.counts.sum() * noise_floor_deg(record, delay.error_deg) ** 2
+    assert frames.values[0] == pytest.approx(0.01808, rel=1e-4)
+    assert frames.total < delay.total - 30.0 * 0.1**2
+
+
+def test_a_limit_begins_where_it_acts_though_a_part_of_the_log_never_reaches_it() -> None:
+    record = flown((RateLimit,), [57.0], 3)
+    calm = flown((), [], 3, command="calm")
+    values, _ = begin(calm, (RateLimit,), [], record)
+    assert values == [60.0]
+    assert begin(calm, (RateLimit,), [], calm)[0] != values
+
+
+def test_several_effects_that_leave_something_smooth_explain_nothing() -> None:
+    """Of a tenth of the noise's variance the floor says nothing; its memory does."""
+    record = flown((Delay, Backlash), [0.02, 1.0], 5, duration_s=60.0)
+    fitter = Fitter(record)
+    fit, noise = fitter.judged((Delay, Backlash), [0.02, 1.0]), np.random.default_rng(6)
+    wave = 0.1 * np.sqrt(2.0 * 0.1) * np.sin(2.0 * np.pi * 3.0 * record.time_s)
+    assert not rest_matters(record, fitter.nominal(), fit, 0.1)
+    left = replace(fit, error_deg=fit.error_deg + wave, held_out=1.1 * fit.held_out)
+    assert rest_matters(record, fitter.nominal(), left, 0.1)
+    shuffled = replace(left, error_deg=noise.permutation(left.error_deg))
+    assert not rest_matters(record, fitter.nominal(), shuffled, 0.1)

@@ -1,0 +1,60 @@
+"""Lost commands that nobody can guess are found by the beat of those that are left."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from servofd.detection.residual import rhythm
+from servofd.discrepancy.lost import after_lost_commands
+from servofd.types import FloatArray
+
+PERIOD_S, HOLE_S = 0.01, 0.1
+
+
+def beaten(seed: int, loss: float, off_s: float = 0.003, size: int = 6000) -> tuple[FloatArray, FloatArray]:
+    """Commands that keep to a clock, each off by a little, and those of them that are left."""
+    rng = np.random.default_rng(seed)
+    sent_s = PERIOD_S * np.arange(size) + rng.uniform(-off_s, off_s, size)
+    return sent_s, sent_s[rng.random(size) >= loss]
+
+
+def wavy(time_s: FloatArray) -> FloatArray:
+    """Three turns a second: it bends between any three commands but near its zeros."""
+    return 40.0 * np.sin(20.0 * time_s)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_samples_after_lost_commands_do_not_count(seed: int) -> None:
+    """Some intervals in which one was lost are shorter than others in which none was."""
+    sent_s, left_s = beaten(seed, 0.03)
+    lost_s = sent_s[1:-1][~np.isin(sent_s[1:-1], left_s)]
+    lost_s = lost_s[np.abs(wavy(lost_s)) > 20.0]
+    after = after_lost_commands(left_s, wavy(left_s), HOLE_S, lost_s + 0.02)
+    assert lost_s.size > 80
+    assert after.mean() > 0.98
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_where_none_was_lost_samples_count(seed: int) -> None:
+    """Two or three of a hundred intervals are longer than 14.5 ms, each of which hid a lost command once."""
+    _, left_s = beaten(seed, 0.0)
+    assert np.mean(np.diff(left_s) > 1.45 * PERIOD_S) > 0.02
+    assert np.mean(after_lost_commands(left_s, wavy(left_s), HOLE_S, left_s)) < 0.02
+
+
+def test_without_a_beat_every_long_interval_is_doubtful() -> None:
+    """A clock that goes on from each command, however late it was, tells nobody how many there were."""
+    step_s = PERIOD_S + np.random.default_rng(1).uniform(-0.005, 0.005, 4000)
+    sent_s = np.cumsum(step_s)
+    before = np.flatnonzero((step_s[1:] > 1.49 * PERIOD_S) & (np.abs(wavy(sent_s[:-1])) > 25.0))
+    after = after_lost_commands(sent_s, wavy(sent_s), HOLE_S, sent_s[before] + 0.01)
+    assert before.size > 8
+    assert after.mean() > 0.7
+
+
+def test_jitter_and_losses_leave_a_rhythm() -> None:
+    """A hundred intervals of the warm-up scatter: one log in a hundred was said to have none."""
+    found_s = [rhythm(beaten(seed, 0.03, size=400)[1]).period_s for seed in range(300)]
+    assert np.isfinite(found_s).all()
+    assert np.median(found_s) == pytest.approx(PERIOD_S, rel=0.02)
