@@ -84,11 +84,16 @@ def run(
 
     The memory is moved on: run again with later times, and with the commands from its cursor on.
     """
-    inputs = effective_s, command_deg, slope_deg_s, at_s, pressure_pa, voltage_v
+    inputs = [_plain(each) for each in (effective_s, command_deg, slope_deg_s, at_s, pressure_pa, voltage_v)]
     result = np.empty(at_s.size)
     room = np.empty((2 * _SLOTS, 3, 8)), np.empty((_NOTES, 5)), memory[_STATES + _SLOTS :], result
     _run(physics, loop, dc_gain, longest_s, *inputs, memory, *room)
     return result
+
+
+def _plain(values: FloatArray) -> FloatArray:
+    """Values as all others lie in memory: what a log lends is read-only, for which everything is compiled once more."""
+    return values if values.flags.carray else np.array(values)
 
 
 @compiled
@@ -118,7 +123,7 @@ def _run(
         shaft = (start_deg - physics.bias_deg) / physics.gain
         rest_linkage(link, shaft, start_deg)
         memory[_Y] = memory[_U] = shaft / dc_gain
-    first = 0
+    first = np.int64(0)  # a literal is a type of its own, for which the rest would be compiled as well
     while first < at_s.size:
         last = _turned(
             physics,
@@ -337,9 +342,10 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
                         or (rubs and not sticks and (rested or v * v1 <= 0.0) and abs(y1 - y) >= _STILL_DEG)
                         or (blocked and (max(y, y1) >= stop_upper or min(y, y1) <= stop_lower))
                     ):
-                        left = count * h
-                        count = math.ceil(left / short_s - 1e-9)
-                        h, wary, is_new = left / count, False, True
+                        clock -= (count - 1) * h
+                        pauses = True
+                        count = math.ceil(h / short_s - 1e-9)
+                        h, wary, is_new = h / count, False, True
                         continue
                 count -= 1
                 u += h * s
