@@ -17,8 +17,8 @@ _NO_LOSS = 1e-6
 _FAST = {"contract", "nsz", "arcp"}
 compiled = partial(njit, cache=True, nogil=True, error_model="numpy", fastmath=_FAST, _nrt=False)()
 inlined = partial(njit, cache=True, nogil=True, error_model="numpy", fastmath=_FAST, _nrt=False, forceinline=True)()
-"""No reference counting inside: nothing here allocates, and it would take half of the time (measured). LLVM puts these into
-the loop around them: numba's own inlining made it no faster, and took 5 s more to compile."""
+"""No reference counting inside: nothing here allocates, and it would take half of the time (measured). LLVM puts these
+into the loop around them: numba's own inlining made it no faster, and took 5 s more to compile."""
 
 
 @njit(cache=True, error_model="numpy")
