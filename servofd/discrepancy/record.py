@@ -252,10 +252,8 @@ def simulate(record: Record, physics: Physics, finer: float = 1.0) -> FloatArray
     >>> bool(np.abs(moved).max() < 1e-6)
     True
     """
-    from servofd.models.position_loop import framed, new_memory, run
-
     loose_deg = sum(getattr(physics, name) * share for name, share in LOOSE_FIELDS.items())
-    if record.runs and record.is_zeroed and record.side is None and loose_deg > 0.0:
+    if record.runs and loose_deg > 0.0 and record.side is None and record.is_zeroed:
         return np.concatenate([_from_where_it_lay(each, physics, loose_deg, finer) for each in record.runs])
     if record.runs:
         return np.concatenate([simulate(each, physics, finer) for each in record.runs])
@@ -264,6 +262,20 @@ def simulate(record: Record, physics: Physics, finer: float = 1.0) -> FloatArray
         tight = physics._replace(**dict.fromkeys(LOOSE_FIELDS, 0.0))
         lying_deg: FloatArray = simulate(replace(record, side=None), tight, finer) + loose_deg * record.side
         return lying_deg
+    moved_deg: FloatArray = _moved_from(record, physics, finer, [_first_deg(record)])[0]
+    return moved_deg
+
+
+def _first_deg(record: Record) -> float:
+    """First position that was measured [deg]; 0 if none was."""
+    known = np.flatnonzero(np.isfinite(record.measured_deg))
+    return float(record.measured_deg[known[0]]) if known.size else 0.0
+
+
+def _moved_from(record: Record, physics: Physics, finer: float, starts_deg: Sequence[float]) -> FloatArray:
+    """Positions of one run from rest at each of several places [deg], shape (p, n)."""
+    from servofd.models.position_loop import framed, new_memory, run
+
     commands, plant = record.commands, record.plant
     sent_s, deg, slope = commands.effective_s, commands.command_deg, commands.slope_deg_s
     if record.own is not None:
@@ -273,10 +285,8 @@ def simulate(record: Record, physics: Physics, finer: float = 1.0) -> FloatArray
     if physics.frame_s > 0.0:
         sent_s, deg = framed(sent_s, deg, slope, physics.frame_s, physics.frame_phase)
         slope = np.zeros(deg.size)
-    known = np.flatnonzero(np.isfinite(record.measured_deg))
-    start_deg = float(record.measured_deg[known[0]]) if known.size else 0.0
     nothing = np.zeros(record.time_s.size)
-    position_deg: FloatArray = run(
+    positions_deg = run(
         physics,
         plant.loop(physics.bandwidth_scale, physics.damping_scale, physics.torque_share),
         plant.dc_gain,
@@ -287,14 +297,16 @@ def simulate(record: Record, physics: Physics, finer: float = 1.0) -> FloatArray
         record.time_s - physics.offset_s,
         nothing if record.pressure_pa is None else record.pressure_pa,
         nothing if record.voltage_v is None else record.voltage_v,
-        new_memory(start_deg),
+        np.array([new_memory(start_deg) for start_deg in starts_deg]),
     )
     if physics.deg_per_a != 0.0 and record.current_a is not None:
-        position_deg = position_deg + physics.deg_per_a * record.current_a
+        positions_deg = positions_deg + physics.deg_per_a * record.current_a
     if record.own is not None:
-        position_deg = record.own.changed("deflection", physics, record.time_s, position_deg)
+        changed = [record.own.changed("deflection", physics, record.time_s, each) for each in positions_deg]
+        positions_deg = np.array(changed)
     # A load that pushes harder the further it has pushed runs away from a motor at its limit.
-    return np.clip(np.nan_to_num(position_deg, nan=_FARTHEST_DEG), -_FARTHEST_DEG, _FARTHEST_DEG)
+    bounded: FloatArray = np.fmax(np.fmin(positions_deg, _FARTHEST_DEG), -_FARTHEST_DEG)
+    return bounded
 
 
 def _from_where_it_lay(run: Record, physics: Physics, loose_deg: float, finer: float) -> FloatArray:
@@ -302,9 +314,8 @@ def _from_where_it_lay(run: Record, physics: Physics, loose_deg: float, finer: f
 
     Where that was, nobody wrote down; of a few places the one that agrees best with the run is taken.
     """
-    readings: list[FloatArray] = []
-    for place_deg in loose_deg * _PLACES:
-        moved = replace(run, measured_deg=run.measured_deg + place_deg)
-        readings.append(simulate(moved, physics, finer) - place_deg)
-    errors = [(run.measured_deg - reading)[run.counts] for reading in readings]
-    return readings[int(np.argmin([float(np.sum(error * error)) for error in errors]))]
+    places_deg = loose_deg * _PLACES
+    readings = _moved_from(run, physics, finer, (_first_deg(run) + places_deg).tolist()) - places_deg[:, None]
+    errors = (run.measured_deg - readings)[:, run.counts]
+    best_deg: FloatArray = readings[int(np.argmin(np.sum(errors * errors, axis=1)))]
+    return best_deg

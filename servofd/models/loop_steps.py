@@ -16,19 +16,21 @@ _NO_LOSS = 1e-6
 """Of the torque [1/s]: below, a step keeps all of it; servos of lower order have none at all."""
 _FAST = {"contract", "nsz", "arcp"}
 compiled = partial(njit, cache=True, nogil=True, error_model="numpy", fastmath=_FAST, _nrt=False)()
-inlined = partial(njit, cache=True, nogil=True, error_model="numpy", fastmath=_FAST, _nrt=False, inline="always")()
-"""No reference counting inside: nothing here allocates, and it would take half of the time (measured)."""
+inlined = partial(njit, cache=True, nogil=True, error_model="numpy", fastmath=_FAST, _nrt=False, forceinline=True)()
+"""No reference counting inside: nothing here allocates, and it would take half of the time (measured). LLVM puts these
+into the loop around them: numba's own inlining made it no faster, and took 5 s more to compile."""
 
 
 @njit(cache=True, error_model="numpy")
 def step_matrices(rate: FloatArray, grid_s: float, count: int) -> FloatArray:
     """States after 1..count grid steps, shape (count, 3, 7), from their derivatives, shape (3, 7)."""
     size = 7
-    whole = np.zeros((size, size))
-    whole[:3] = rate
+    whole, one, term = np.zeros((size, size)), np.eye(size), np.eye(size)
+    # Entry by entry: to assign a slice, with its words for shapes that do not fit, takes seconds to compile.
+    for i in range(3):
+        for j in range(size):
+            whole[i, j] = rate[i, j]
     whole[3, 4] = 1.0  # the command runs on at its slope
-    one = np.eye(size)
-    term = np.eye(size)
     fine = grid_s / 16.0
     for k in range(1, 9):
         term = term @ whole * (fine / k)
@@ -36,7 +38,9 @@ def step_matrices(rate: FloatArray, grid_s: float, count: int) -> FloatArray:
     for _ in range(4):
         one = one @ one
     steps = np.zeros((count, 3, size))
-    steps[0] = one[:3]
+    for i in range(3):
+        for j in range(size):
+            steps[0, i, j] = one[i, j]
     for k in range(1, count):
         for i in range(3):
             # Inputs are constant but for the command, which has moved on by its slope before this step.

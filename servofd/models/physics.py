@@ -112,8 +112,11 @@ class Physics(NamedTuple):
     @property
     def is_linear_loop(self) -> bool:
         """Whether nothing needs shorter steps than the events themselves."""
-        here, plain = self[8:28], Physics()[8:28]
-        return here == plain and self.lag_s == 0.0 and math.isinf(self.set_point_deg_s)
+        return self[8:28] == _PLAIN and self.lag_s == 0.0 and math.isinf(self.set_point_deg_s)
+
+
+_PLAIN = Physics()[8:28]
+"""What a linear loop is from the dead band on, to the curvature of its linkage."""
 
 
 def longest_step_s(physics: Physics) -> float:

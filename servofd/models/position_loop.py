@@ -11,6 +11,7 @@ only then is it taken again in short ones. What hangs on the shaft is carried on
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -82,34 +83,57 @@ def run(
 ) -> FloatArray:
     """Measured position at the rising times `at_s` [deg], shape (m,), from where the memory stands.
 
-    The memory is moved on: run again with later times, and with the commands from its cursor on.
+    The memory is moved on: run again with later times, and with the commands from its cursor on. From memories of shape
+    (p, k), one per row, positions are of shape (p, m).
     """
-    inputs = effective_s, command_deg, slope_deg_s, at_s, pressure_pa, voltage_v
-    result = np.empty(at_s.size)
-    room = np.empty((2 * _SLOTS, 3, 8)), np.empty((_NOTES, 5)), memory[_STATES + _SLOTS :], result
-    _run(physics, loop, dc_gain, longest_s, *inputs, memory, *room)
-    return result
+    inputs = tuple(_plain(each) for each in (effective_s, command_deg, slope_deg_s, at_s, pressure_pa, voltage_v))
+    memories = np.atleast_2d(memory)
+    result = np.empty((memories.shape[0], at_s.size))
+    room = np.empty((2 * _SLOTS, 3, 8)), np.empty((_NOTES, 5))
+    _run(tuple(physics), tuple(loop), dc_gain, longest_s, inputs, memories, *room, result)
+    return result if memory.ndim > 1 else result[0]
+
+
+def _plain(values: FloatArray) -> FloatArray:
+    """Values as all others lie in memory: what a log lends is read-only, for which everything is compiled once more."""
+    return values if values.flags.carray else np.array(values)
 
 
 @compiled
 def _run(
+    sizes: tuple[float, ...],
+    matrices: tuple[Any, ...],
+    dc_gain: float,
+    longest_s: float,
+    inputs: tuple[FloatArray, ...],
+    memories: FloatArray,
+    table: FloatArray,
+    notes: FloatArray,
+    results: FloatArray,
+) -> None:
+    """The same with room for matrices, for steps of the shaft, and for the results.
+
+    Sizes and matrices come without their names, which took 10 us to recognize, at every call.
+    """
+    physics, loop = Physics(*sizes), Loop(*matrices)
+    for k in range(memories.shape[0]):
+        _run_from(physics, loop, dc_gain, longest_s, inputs, memories[k], table, notes, results[k])
+
+
+@compiled
+def _run_from(
     physics: Physics,
     loop: Loop,
     dc_gain: float,
     longest_s: float,
-    effective_s: FloatArray,
-    command_deg: FloatArray,
-    slope_deg_s: FloatArray,
-    at_s: FloatArray,
-    pressure_pa: FloatArray,
-    voltage_v: FloatArray,
+    inputs: tuple[FloatArray, ...],
     memory: FloatArray,
     table: FloatArray,
     notes: FloatArray,
-    link: FloatArray,
     result: FloatArray,
 ) -> None:
-    """The same with room for matrices, for steps of the shaft, for the linkage, and for the result."""
+    """The same from one memory."""
+    link = memory[_STATES + _SLOTS :]
     linked = begin_linkage(link, physics)
     for k in range(_SLOTS):
         table[2 * k, 0, 0] = np.nan
@@ -118,36 +142,19 @@ def _run(
         shaft = (start_deg - physics.bias_deg) / physics.gain
         rest_linkage(link, shaft, start_deg)
         memory[_Y] = memory[_U] = shaft / dc_gain
-    first = 0
-    while first < at_s.size:
-        last = _turned(
-            physics,
-            loop,
-            dc_gain,
-            longest_s,
-            effective_s,
-            command_deg,
-            slope_deg_s,
-            at_s,
-            pressure_pa,
-            voltage_v,
-            memory,
-            table,
-            notes,
-            linked,
-            first,
-            result,
-        )
+    first = np.int64(0)  # a literal is a type of its own, for which the rest would be compiled as well
+    while first < result.size:
+        last = _turned(physics, loop, dc_gain, longest_s, inputs, memory, table, notes, linked, first, result)
         if linked:
             carried(link, notes, int(memory[_NOTED]), result, first, last)
         first = last
     if not linked:
-        for n in range(at_s.size):
+        for n in range(result.size):
             result[n] = deflected(link, result[n])
         rest_linkage(link, dc_gain * memory[_Y], result[-1])
     step_deg = physics.output_step_deg
     if step_deg > 0.0:
-        for n in range(at_s.size):
+        for n in range(result.size):
             result[n] = step_deg * math.floor(result[n] / step_deg + 0.5)
 
 
@@ -157,12 +164,7 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
     loop: Loop,
     dc_gain: float,
     longest_s: float,
-    effective_s: FloatArray,
-    command_deg: FloatArray,
-    slope_deg_s: FloatArray,
-    at_s: FloatArray,
-    pressure_pa: FloatArray,
-    voltage_v: FloatArray,
+    inputs: tuple[FloatArray, ...],
     memory: FloatArray,
     table: FloatArray,
     notes: FloatArray,
@@ -175,6 +177,7 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
     Its positions at the instants are the result, or, if it is noted for a linkage, how many steps were taken until
     then. Of the matrices there are two for each length of step: while the error acts, and while it does not.
     """
+    effective_s, command_deg, slope_deg_s, at_s, pressure_pa, voltage_v = inputs
     built_s = memory[_STATES:]
     grid_s, order, stiffness = loop.grid_s, loop.order, loop.closed_rate[loop.order - 1, 3]
     closed, opened, closed_rate, opened_rate = loop.closed, loop.opened, loop.closed_rate, loop.opened_rate
@@ -337,9 +340,10 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
                         or (rubs and not sticks and (rested or v * v1 <= 0.0) and abs(y1 - y) >= _STILL_DEG)
                         or (blocked and (max(y, y1) >= stop_upper or min(y, y1) <= stop_lower))
                     ):
-                        left = count * h
-                        count = math.ceil(left / short_s - 1e-9)
-                        h, wary, is_new = left / count, False, True
+                        clock -= (count - 1) * h
+                        pauses = True
+                        count = math.ceil(h / short_s - 1e-9)
+                        h, wary, is_new = h / count, False, True
                         continue
                 count -= 1
                 u += h * s
