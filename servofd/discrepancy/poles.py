@@ -89,7 +89,7 @@ class PoleFitter(Fitter):
         return Poles()
 
     def physics(self, effects: Sequence[type[MissingEffect]], values: Values) -> Physics:
-        """The servo with these effects, and the poles that were fitted with most of these values; of equals, the last."""
+        """The servo with these effects, and the last poles that were fitted with most of these values."""
         settled = self.settled.get(_key(effects))
         if not settled:
             return self._with_poles(effects, values, self.poles(effects))
