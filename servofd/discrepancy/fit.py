@@ -103,6 +103,8 @@ class Fitter:
     """Pulse frames that were sought, by the sum of squares over the noise that the other effects left."""
     _first: dict[int, Fit] = field(default_factory=dict, init=False)
     """Best fit of each number of effects."""
+    _on_all: dict[Fit, float] = field(default_factory=dict, init=False)
+    """Sums of squares of fits to all samples."""
     _trained: IntArray = field(init=False)
     _held_out: IntArray = field(init=False)
 
@@ -312,6 +314,14 @@ class Fitter:
         covariance = whole.covariance(best, sigma_deg, long_run_factor(error)) + whole.discretization(best)
         self.adopt(whole)
         return replace(fit, values=best.values, error_deg=best.error_deg, unstepped_deg=best.unstepped_deg), covariance
+
+    def total_on_all(self, fit: Fit) -> float:
+        """What an extended servo leaves of all samples if its values are fitted to all of them [deg^2]."""
+        if fit not in self._on_all:
+            whole = self.on(replace(self.record, block=np.zeros_like(self.record.block)))
+            self._on_all[fit] = whole.refitted(fit.effects, fit.values).total
+            self.simulations += whole.simulations
+        return self._on_all[fit]
 
     def covariance(self, fit: Fit, sigma_deg: float, factor: float) -> FloatArray:
         """Of the values of a fit, shape (p, p), from the curvature on both sides; infinite where nothing shows."""

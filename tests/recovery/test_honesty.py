@@ -11,6 +11,7 @@ from servofd.discrepancy.evidence import rest_matters
 from servofd.discrepancy.explanation import explain_gap
 from servofd.discrepancy.fit import Fitter
 from servofd.discrepancy.frames import best_frame, usual_frame
+from servofd.discrepancy.ladder import _behind
 from servofd.discrepancy.noise import comb_step_deg, noise_floor_deg
 from servofd.discrepancy.prune import pruned
 from servofd.discrepancy.record import Record, record_of, simulate
@@ -196,3 +197,14 @@ def test_several_effects_that_leave_something_smooth_explain_nothing() -> None:
     assert rest_matters(record, fitter.nominal(), left, 0.1)
     shuffled = replace(left, error_deg=noise.permutation(left.error_deg))
     assert not rest_matters(record, fitter.nominal(), shuffled, 0.1)
+
+
+def test_rivals_are_compared_as_well_as_they_fit_all_samples() -> None:
+    """Values that half of the samples foretell badly speak against no law."""
+    record = flown((RateLimit,), [57.0], 3)
+    fitter = Fitter(record)
+    best, rival = (fitter.judged((RateLimit,), [rate]) for rate in (57.0, 57.8))
+    behind = rival.total - best.total
+    assert behind > 10.0 * 0.1**2
+    assert abs(_behind(fitter, rival, best, 2.0 * behind)) < 0.1**2
+    assert _behind(fitter, rival, best, 0.5 * behind) == behind
