@@ -30,7 +30,7 @@ _TORQUE_SHARE = 0.8
 """Share of the damping that acts on the torque (q); the split changes neither the linear servo nor any steady state."""
 _FINEST_S, _LONGEST_S = 2.5e-4, 1e-2
 _FASTEST_TIMES_STEP = 0.05
-"""Of the fastest pole: what is left of a step is then a series whose fifth term is below 1e-10."""
+"""Of the fastest pole: what is left of a step is then a series of five terms, the next of which is below 1e-10."""
 _MOST_ENTRIES = 400
 _TIED = 1e-9
 
@@ -130,15 +130,12 @@ class Loop(NamedTuple):
     """Matrices of the loop, as the kernel needs them."""
 
     closed: FloatArray
-    """Of shape (k, 3, 7): states (y, v, tau) and inputs (u, its slope, constant error, deceleration) to the states
-    after 1..k grid steps, while the error acts."""
+    """From states (y, v, tau) and inputs (u, its slope, constant error, deceleration) to the states after 0..k grid
+    steps while the error acts, as `servofd.models.loop_steps.step_matrices` gives them."""
     opened: FloatArray
     """The same while it does not: inside a dead band, or saturated."""
-    torque_left: FloatArray
-    """Share of the torque that is left after 0..k grid steps without motion, shape (k + 1,)."""
     closed_rate: FloatArray
-    """Of shape (3, 7): derivatives of the states."""
-    opened_rate: FloatArray
+    """Of shape (3, 7): derivatives of the states while the error acts."""
     grid_s: float
     error_per_rate_s: float
     """Position error that drives a steady rate: a1/a0 [s]."""
@@ -253,9 +250,7 @@ def _loop(denominator: tuple[float, ...], bandwidth_scale: float, damping_scale:
     return Loop(
         step_matrices(closed, grid_s, entries),
         step_matrices(opened, grid_s, entries),
-        np.exp(closed[2, 2] * grid_s * np.arange(entries + 1)),
         closed,
-        opened,
         grid_s,
         float(monic[-2]) / stiffness,
         load,

@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit
 
 from servofd.models.linkage import LINKAGE, begin_linkage, carried, deflected, rest_linkage
-from servofd.models.loop_steps import build, coasted, compiled, moved, row, sine, wound_up
+from servofd.models.loop_steps import ROW, build, coasted, column, compiled, row, sine
 from servofd.models.physics import Loop, Physics
 from servofd.types import FloatArray
 
@@ -27,8 +27,8 @@ _NO_STEP_S = 1e-10
 _SAME_STEP_S = 1e-9
 """Steps that differ by less share their matrices: less than 1e-6 deg at 1000 deg/s."""
 _STILL_DEG = 1e-5
-_SLOTS, _MOST_BUILT = 8, 64
-"""Matrices of that many lengths of step are kept; where the stamps jitter, none are made any more after so many."""
+_SLOTS = 8
+"""Matrices of that many lengths of step are kept."""
 _PER_DEG = math.pi / 180.0
 _NOTES, _MOST_STEPS = 512, 128
 """Steps of the shaft that are noted for the linkage, and the most that are taken at once."""
@@ -89,7 +89,7 @@ def run(
     inputs = tuple(_plain(each) for each in (effective_s, command_deg, slope_deg_s, at_s, pressure_pa, voltage_v))
     memories = np.atleast_2d(memory)
     result = np.empty((memories.shape[0], at_s.size))
-    room = np.empty((2 * _SLOTS, 3, 8)), np.empty((_NOTES, 5))
+    room = np.empty((2 * _SLOTS, 3 * ROW)), np.empty((_NOTES, 5))
     _run(tuple(physics), tuple(loop), dc_gain, longest_s, inputs, memories, *room, result)
     return result if memory.ndim > 1 else result[0]
 
@@ -135,8 +135,8 @@ def _run_from(
     """The same from one memory."""
     link = memory[_STATES + _SLOTS :]
     linked = begin_linkage(link, physics)
-    for k in range(_SLOTS):
-        table[2 * k, 0, 0] = np.nan
+    for k in range(2 * _SLOTS):
+        table[k, 0] = np.nan
     if math.isnan(memory[_CLOCK]):
         start_deg = memory[_Y]
         shaft = (start_deg - physics.bias_deg) / physics.gain
@@ -180,9 +180,9 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
     effective_s, command_deg, slope_deg_s, at_s, pressure_pa, voltage_v = inputs
     built_s = memory[_STATES:]
     grid_s, order, stiffness = loop.grid_s, loop.order, loop.closed_rate[loop.order - 1, 3]
-    closed, opened, closed_rate, opened_rate = loop.closed, loop.opened, loop.closed_rate, loop.opened_rate
+    closed, opened = loop.closed, loop.opened
     by_speed, loss = -loop.closed_rate[2, 1], -loop.closed_rate[2, 2]
-    whole_s = grid_s * closed.shape[0]
+    whole_s = grid_s * (closed.shape[0] - 1)
     short_s = min(longest_s, whole_s)
     built, older, latest = int(memory[_BUILT]), int(memory[_OLDER]), int(memory[_LATEST])
     dead = 0.5 * physics.deadband_deg + (physics.friction_deg / dc_gain if order == 1 else 0.0)
@@ -240,7 +240,7 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
             if left > _NO_STEP_S:
                 count = 1 if left <= whole_s else math.ceil(left / whole_s - 1e-9)
                 h = left / count
-            wary, slot, is_new = h > short_s, -1, True
+            wary, slot, is_new = h > short_s, older, True
             while count > 0:
                 if is_new:
                     is_new, slot = False, older
@@ -249,15 +249,12 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
                         for k in range(_SLOTS):
                             if abs(built_s[k] - h) < _SAME_STEP_S:
                                 slot = k
-                    if slot < 0 and built < _MOST_BUILT:
+                    if slot < 0:
                         slot = built % _SLOTS
                         built_s[slot] = h
                         built += 1
-                        table[2 * slot, 0, 0] = np.nan
-                    if slot >= 0 and math.isnan(table[2 * slot, 0, 0]):
-                        build(table, 2 * slot, closed, closed_rate, loop.torque_left, grid_s, built_s[slot])
-                        build(table, 2 * slot + 1, opened, opened_rate, loop.torque_left, grid_s, built_s[slot])
-                    older, latest = latest, max(slot, 0)
+                        table[2 * slot, 0] = table[2 * slot + 1, 0] = np.nan
+                    older, latest = latest, slot
                 if slews:
                     s = max(min((wanted - u) / h, physics.set_point_deg_s), -physics.set_point_deg_s)
                 middle = y + 0.5 * h * v
@@ -289,11 +286,9 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
                         acts, grows = (pushed, 0.0) if held else (pushed + u - y, s)
                         before, wound = stiffness * acts, stiffness * (acts + h * grows)
                         if order == 3:
-                            if slot >= 0:
-                                k = 2 * slot
-                                left, filled, ramped = table[k, 0, 7], table[k, 1, 7], table[k, 2, 7]
-                            else:
-                                left, filled, ramped = wound_up(opened_rate, loop.torque_left, grid_s, h)
+                            if math.isnan(table[2 * slot, 0]):
+                                build(table, 2 * slot, closed, grid_s, built_s[slot])
+                            left, filled, ramped = column(table, 2 * slot, ROW - 1)
                             before, wound = torque, left * torque + filled * acts + ramped * grows
                         least_limit, most_limit = limit, limit
                         if order == 3:
@@ -303,29 +298,22 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
                 # Branches, because the processor foresees which it is; it would have to wait for an index.
                 if sticks:
                     y1, v1, torque1 = y, 0.0, wound if order == 3 else torque
-                elif slot >= 0 and held:
-                    k, share = 2 * slot + 1, 1.0
-                    y1, v1, torque1 = coasted(table, k, x)
-                    by_y, by_v, by_torque = table[k, 0, 6], table[k, 1, 6], table[k, 2, 6]
-                elif slot >= 0:
-                    k, share = 2 * slot, 1.0
-                    y1, v1, torque1 = row(table, k, 0, x), row(table, k, 1, x), row(table, k, 2, x)
-                    by_y, by_v, by_torque = table[k, 0, 6], table[k, 1, 6], table[k, 2, 6]
                 elif held:
-                    y1, v1, torque1 = moved(opened, opened_rate, grid_s, h, x)
+                    k = 2 * slot + 1
+                    if math.isnan(table[k, 0]):
+                        build(table, k, opened, grid_s, built_s[slot])
+                    y1, v1, torque1 = coasted(table, k, x)
+                    by_y, by_v, by_torque = column(table, k, 6)
                 else:
-                    y1, v1, torque1 = moved(closed, closed_rate, grid_s, h, x)
+                    k = 2 * slot
+                    if math.isnan(table[k, 0]):
+                        build(table, k, closed, grid_s, built_s[slot])
+                    y1, v1, torque1 = row(table, k, 0, x), row(table, k, 1, x), row(table, k, 2, x)
+                    by_y, by_v, by_torque = column(table, k, 6)
                 rested = False
                 if rubs and not sticks:
-                    if slot < 0:  # in proportion to the time between two steps of the grid
-                        k = min(max(int(h / grid_s + 0.5), 1), closed.shape[0]) - 1
-                        share = h / ((k + 1) * grid_s)
-                        by_y, by_v, by_torque = closed[k, 0, 6] * share, closed[k, 1, 6], closed[k, 2, 6] * share
-                        if held:
-                            by_y, by_v, by_torque = opened[k, 0, 6] * share, opened[k, 1, 6], opened[k, 2, 6] * share
-                    brake = max(min(-v1 / (by_v * share), limit), -limit)
+                    brake = max(min(-v1 / by_v, limit), -limit)
                     rested = abs(brake) < limit
-                    brake *= share
                     y1 += by_y * brake
                     v1 += by_v * brake
                     torque1 += by_torque * brake

@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import expm
 
 from servofd.models import linkage
-from servofd.models.loop_steps import build, coasted, moved, row, sine, step_matrices, wound_up
+from servofd.models.loop_steps import ROW, build, coasted, column, row, sine, step_matrices
 from servofd.models.physics import Loop, Physics, Plant
 from servofd.models.transfer import TransferFunction
 from servofd.servos import servo_named
@@ -38,52 +38,59 @@ def exact(rate: FloatArray, h: float) -> FloatArray:
     return np.asarray(expm(whole * h))[:3]
 
 
+def both(loop: Loop) -> list[tuple[FloatArray, FloatArray]]:
+    """Matrices of grid steps and derivatives: while the error acts, and while it does not."""
+    opened_rate = loop.closed_rate.copy()
+    opened_rate[loop.order - 1, [0, 3]] = 0.0
+    return [(loop.closed, loop.closed_rate), (loop.opened, opened_rate)]
+
+
 @pytest.mark.parametrize("name", SERVOS)
 def test_a_step_is_the_matrix_exponential(name: str) -> None:
-    loop, x = loop_of(name), np.array(STATE)
-    for steps, rate in ((loop.closed, loop.closed_rate), (loop.opened, loop.opened_rate)):
+    loop, x, table = loop_of(name), np.array(STATE), np.full((2, 3 * ROW), np.nan)
+    for k, (steps, rate) in enumerate(both(loop)):
         for h in STEPS_S:
             expected = exact(rate, h) @ x
             scale = np.abs(exact(rate, h)) @ np.abs(x)
-            found = moved(steps, rate, loop.grid_s, h, STATE)
+            build(table, k, steps, loop.grid_s, h)
+            found = np.array([row(table, k, i, STATE) for i in range(3)])
             assert np.all(np.abs(found - expected) <= 3e-8 * scale), (h, found, expected)
+            assert column(table, k, 6) == pytest.approx(exact(rate, h)[:, 6], rel=1e-7, abs=1e-12)
 
 
 @pytest.mark.parametrize("name", SERVOS)
 def test_grid_steps_are_matrix_exponentials(name: str) -> None:
     loop = loop_of(name)
     steps = step_matrices(loop.closed_rate, loop.grid_s, 30)
-    for k in (0, 1, 2, 17, 29):
-        expected = exact(loop.closed_rate, (k + 1) * loop.grid_s)
-        np.testing.assert_allclose(steps[k], expected, rtol=1e-10, atol=1e-13 * np.abs(expected).max())
+    for k in (0, 1, 2, 17, 30):
+        expected = exact(loop.closed_rate, k * loop.grid_s)
+        found = steps[k, 0].reshape(3, ROW)[:, :7]
+        np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-13 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("name", SERVOS)
-def test_a_table_of_a_step_gives_that_step_and_what_winds_up(name: str) -> None:
-    loop, table = loop_of(name), np.full((2, 3, 8), np.nan)
+def test_without_an_error_that_acts_a_servo_coasts(name: str) -> None:
+    loop, table = loop_of(name), np.full((1, 3 * ROW), np.nan)
     for h in STEPS_S:
-        for k, (steps, rate) in enumerate(((loop.closed, loop.closed_rate), (loop.opened, loop.opened_rate))):
-            build(table, k, steps, rate, loop.torque_left, loop.grid_s, h)
-            expected = moved(steps, rate, loop.grid_s, h, STATE)
-            assert [row(table, k, i, STATE) for i in range(3)] == pytest.approx(expected, rel=1e-9, abs=1e-9)
-            assert table[k, :, 7] == pytest.approx(wound_up(rate, loop.torque_left, loop.grid_s, h), rel=1e-12)
-        assert coasted(table, 1, STATE) == pytest.approx([row(table, 1, i, STATE) for i in range(3)], rel=1e-9)
+        build(table, 0, loop.opened, loop.grid_s, h)
+        assert coasted(table, 0, STATE) == pytest.approx([row(table, 0, i, STATE) for i in range(3)], rel=1e-9)
 
 
 def test_the_torque_of_a_servo_that_sticks_is_that_of_its_equation() -> None:
     """tau' = -q tau + K (error + its slope t), from the loop's own rates."""
-    loop = loop_of("Eq. 3.1")
-    q, stiffness = -loop.opened_rate[2, 2], loop.opened_rate[2, 5]
+    loop, table = loop_of("Eq. 3.1"), np.full((1, 3 * ROW), np.nan)
+    q, stiffness = -loop.closed_rate[2, 2], loop.closed_rate[2, 5]
     for h in STEPS_S:
         motion = expm(np.array([[-q, stiffness, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]]) * h)
-        assert wound_up(loop.opened_rate, loop.torque_left, loop.grid_s, h) == pytest.approx(
-            motion[0].tolist(), rel=1e-8
-        )
+        for steps, _ in both(loop):
+            build(table, 0, steps, loop.grid_s, h)
+            assert column(table, 0, ROW - 1) == pytest.approx(motion[0].tolist(), rel=1e-8)
 
 
 def test_without_a_torque_nothing_winds_down() -> None:
-    loop = loop_of("second order")
-    share, filled, ramped = wound_up(loop.closed_rate, loop.torque_left, loop.grid_s, 0.004)
+    loop, table = loop_of("second order"), np.full((1, 3 * ROW), np.nan)
+    build(table, 0, loop.closed, loop.grid_s, 0.004)
+    share, filled, ramped = column(table, 0, ROW - 1)
     assert share == pytest.approx(1.0, abs=1e-8)
     assert (filled, ramped) == pytest.approx((0.0, 0.0), abs=1e-12)
 
