@@ -278,7 +278,7 @@ def pytest_run(arguments: list[str], plugin: Tests) -> int:
     hypothesis.settings.register_profile("plain", phases=phases, report_multiple_bugs=False, database=None)
     hypothesis.settings.load_profile("plain")
     plain = ["-o", "addopts=--import-mode=importlib --doctest-modules", "-p", "no:cacheprovider", "-m", "not slow"]
-    plain += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]  # hypothesis is there already
+    plain += ["--assert=plain"]  # else pytest makes its own bytecode of modules with doctests, from the sound file
     plain += ["-W", "ignore::RuntimeWarning"]  # compiled code would not tell of an overflow
     return int(pytest.main([*plain, "-q", "--tb=no", "--no-header", *arguments], plugins=[plugin]))
 

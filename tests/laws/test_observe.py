@@ -166,3 +166,11 @@ def test_a_stop_is_where_the_position_ends() -> None:
     model = ServoModel((LinearDynamics(EQ31), PositionLimit(-2.0, 3.0)))
     found_deg = model.simulate(STEPS[0], STEPS[1], 0.5 + AT_S)
     np.testing.assert_allclose(found_deg, np.clip(exact(EQ31, 10.0, STEPS, 0.5 + AT_S), -2.0, 3.0), atol=1e-9)
+
+
+def test_a_step_of_one_second_is_a_step_like_any_other() -> None:
+    at_s, ramp = np.arange(0.0, 5.0), np.array([[0.0], [1.0], [2.0]])
+    measured_deg = exact(EQ31, 1.0, ramp, at_s) + np.array([0.0, 0.5, 0.5, 0.5, 0.5])
+    found_deg, residual_deg = observed(EQ31, ramp, at_s, measured_deg, [RESTART_ALL, RESTART_FILTER])
+    np.testing.assert_allclose(found_deg, exact(EQ31, 1.0, ramp, at_s), atol=1e-9)
+    assert residual_deg[1:] == pytest.approx(0.5, abs=1e-9)

@@ -221,3 +221,9 @@ def test_a_command_in_steps_is_the_nearest_of_them_and_positions_may_be_stamped_
 def test_the_wind_of_a_seed_is_the_same_in_every_version() -> None:
     moved_deg = Floating(0.0, seed=3).moved(KNOWN.parameters(), np.array([0.0, 0.2, 1.0, 30.0]), np.full(4, 2.0))
     assert moved_deg == pytest.approx([2.0, -3.2631387, 0.8697992, -0.0847946], abs=1e-6)
+
+
+def test_a_servo_with_effects_begins_where_the_latest_of_its_commands_wants_it() -> None:
+    motion = ExtendedMotion(ExtendedServo(plant_of(KNOWN), Physics(backlash_deg=0.1)))
+    motion.hear(np.array([0.0, 0.5, 2.0]), np.array([6.0, 9.0, -3.0]), np.zeros(3))
+    assert motion.at(np.array([1.0]))[0] == pytest.approx(9.0)
