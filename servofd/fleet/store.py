@@ -125,11 +125,12 @@ class FleetStore:
 
     def forget_untold(self) -> None:
         """Take out the rows of logs that are tried again."""
+        import pyarrow as pa
         import pyarrow.parquet as pq
 
         for path in sorted((self.folder / "logs").glob("*.parquet")):
             table = _read_part(path)
-            kept = table.filter([bool(content) for content in table["content"].to_pylist()])
+            kept = table.filter(pa.array([bool(content) for content in table["content"].to_pylist()], pa.bool_()))
             if len(kept) < len(table):
                 with whole_file(path) as temporary:
                     pq.write_table(kept, temporary, write_page_checksum=True)

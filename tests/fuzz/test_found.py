@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pyarrow import parquet
 
 from logparsers.endpoint import parse_endpoint
 from logparsers.errors import LinkError
@@ -170,6 +171,22 @@ def test_recorded_numbers_whose_squares_are_none() -> None:
     assert found is not None
     assert np.isinf(found.std_deg)
     assert np.isinf(found.simulation_error_rms_deg)
+
+
+def test_recorded_commands_that_are_no_numbers() -> None:
+    time_s = np.arange(3.0)
+    trace = Trace(time_s, time_s, time_s, time_s, time_s, time_s, time_s, np.array([np.inf, 1.0, np.nan]))
+    assert trace.segment("elevator").command_deg.tolist() == [1.0]
+
+
+def test_a_table_without_a_row(tmp_path: Path) -> None:
+    """Its column of nothing was no column of truths."""
+    seeds.fleet_parts(tmp_path)
+    (part,) = (tmp_path / "results" / "logs").iterdir()
+    parquet.write_table(parquet.read_table(part).slice(0, 0), part)
+    with FleetStore(tmp_path / "results", Job().key) as store:
+        store.forget_untold()
+    assert read_table(tmp_path / "results", "logs") == []
 
 
 def test_a_recording_with_a_column_that_its_library_cannot_name(tmp_path: Path) -> None:

@@ -88,13 +88,14 @@ class Trace:
         )
 
     def segment(self, surface: str, command_period_s: float | None = None) -> Segment:
-        """What an audit starts from; see `Segment`."""
+        """What an audit starts from, see `Segment`: as of a log, without commands that are no numbers."""
         from servofd.segment import Segment
 
+        given = np.isfinite(self.asked_deg)
         return Segment(
             surface,
-            self.asked_s,
-            self.asked_deg,
+            self.asked_s[given],
+            self.asked_deg[given],
             self.time_s,
             self.measured_deg,
             command_period_s,
