@@ -34,7 +34,7 @@ _STARTS = (Poles(0.8, 1.0), Poles(2.0, 1.0), Poles(4.0, 1.5))
 _LOWEST, _HIGHEST = Poles(0.05, 0.05), Poles(40.0, 20.0)
 _STEP = 2e-3
 _TIE_TO_START = 1e-4
-_EVALUATIONS, _FIRST_EVALUATIONS = 20, 6
+_EVALUATIONS, _FIRST_EVALUATIONS = 20, 12
 _USUAL_GAP_DEG = 1.0
 """Error of a linear servo for which the sizes of effects in the catalogue are meant."""
 _KEPT, _SETTLED = 2, 1
