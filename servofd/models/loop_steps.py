@@ -46,25 +46,43 @@ def step_matrices(rate: FloatArray, grid_s: float, count: int) -> FloatArray:
         one += term
     for _ in range(4):
         one = one @ one
-    steps, now = np.zeros((count + 1, _TERMS, 3 * ROW)), np.eye(size)
+    steps = np.zeros((count + 1, _TERMS, 3 * ROW))
     for k in range(count + 1):
-        for n in range(_TERMS):
-            for i in range(3):
-                for j in range(size):
-                    total = now[i, j] if n == 0 else 0.0
-                    if n == 1:
-                        total = rate[i, 3] * now[3, j] + rate[i, 5] * now[5, j] + rate[i, 6] * now[6, j]
-                    elif n == 2:  # of the inputs only the command changes, and only its slope is left
-                        total = rate[i, 3] * now[4, j]
-                    for m in range(3 * (n > 0)):
-                        total += rate[i, m] * steps[k, n - 1, ROW * m + j]
-                    steps[k, n, ROW * i + j] = total / max(n, 1)
+        for i in range(3):
+            for j in range(size):
+                if k == 0:
+                    steps[k, 0, ROW * i + j] = 1.0 * (i == j)
+                    continue
+                # Inputs are constant but for the command, which has moved on by its slope before this step.
+                total = one[i, j] if j > 2 else 0.0
+                for m in range(3):
+                    total += one[i, m] * steps[k - 1, 0, ROW * m + j]
+                steps[k, 0, ROW * i + j] = total
+            steps[k, 0, ROW * i + 4] += one[i, 3] * max(k - 1, 0) * grid_s
+        _derive(steps[k], rate, k * grid_s)
         _wind_up(steps[k], rate, k * grid_s)
-        now = one @ now
     return steps
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
+def _derive(series: FloatArray, rate: FloatArray, h: float) -> None:
+    """States after `h`: their derivatives over factorials."""
+    for n in range(1, _TERMS):
+        for i in range(3):
+            at = ROW * i
+            for j in range(ROW - 1):
+                early = rate[i, 0] * series[n - 1, j] + rate[i, 1] * series[n - 1, ROW + j]
+                series[n, at + j] = (early + rate[i, 2] * series[n - 1, 2 * ROW + j]) / n
+            if n == 1:
+                series[n, at + 3] += rate[i, 3]
+                series[n, at + 4] += rate[i, 3] * h
+                series[n, at + 5] += rate[i, 5]
+                series[n, at + 6] += rate[i, 6]
+            elif n == 2:  # of the inputs only the command changes, and only its slope is left
+                series[n, at + 4] += 0.5 * rate[i, 3]
+
+
+@compiled
 def _wind_up(series: FloatArray, rate: FloatArray, h: float) -> None:
     """Last column: the torque after `h` without motion, and its derivatives over factorials."""
     q, stiffness = max(-rate[2, 2], _NO_LOSS), rate[2, 5]

@@ -221,7 +221,7 @@ def scaled_transfer(transfer: TransferFunction, physics: Physics) -> TransferFun
     return TransferFunction((transfer.dc_gain * float(scaled[-1]),), tuple(scaled.tolist()))
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=64)  # of a fast servo 0.8 MB each
 def _loop(denominator: tuple[float, ...], bandwidth_scale: float, damping_scale: float, torque_share: float) -> Loop:
     from servofd.models.loop_steps import step_matrices
 
