@@ -170,7 +170,10 @@ def test_a_stop_is_where_the_position_ends() -> None:
 
 def test_a_step_of_one_second_is_a_step_like_any_other() -> None:
     at_s, ramp = np.arange(0.0, 5.0), np.array([[0.0], [1.0], [2.0]])
-    measured_deg = exact(EQ31, 1.0, ramp, at_s) + np.array([0.0, 0.5, 0.5, 0.5, 0.5])
-    found_deg, residual_deg = observed(EQ31, ramp, at_s, measured_deg, [RESTART_ALL, RESTART_FILTER])
-    np.testing.assert_allclose(found_deg, exact(EQ31, 1.0, ramp, at_s), atol=1e-9)
-    assert residual_deg[1:] == pytest.approx(0.5, abs=1e-9)
+    slow, residual_deg = TransferFunction((0.5,), (1.0, 0.5)), np.empty(5)
+    memory, once = new_memory(ServoModel((LinearDynamics(slow),)).parameters(), filter_of(slow, 1.0)), [RESTART_FILTER]
+    restarts = np.array(once + [RESTART_NONE] * 4, dtype=np.int8)
+    evaluate(filter_of(slow, 1.0), memory, at_s, np.full(5, 0.5), restarts, residual_deg)
+    assert residual_deg == pytest.approx(0.5, abs=1e-9)
+    found_deg, _ = observed(slow, ramp, at_s, np.full(5, 1.0), [RESTART_ALL])
+    np.testing.assert_allclose(found_deg, exact(slow, 1.0, ramp, at_s), atol=1e-9)
