@@ -28,6 +28,8 @@ __all__ = ["Session", "stamped"]
 
 _GROUND_SYSTEM, _AUTOPILOT = 255, 1
 _NO_AUTOPILOT = 8
+_LATEST_US = 2**64 - 1
+"""That a telemetry log can hold; read from a damaged one, seconds in a float come to one more."""
 
 
 def stamped(arrival_s: float, frame: bytes) -> bytes:
@@ -38,7 +40,7 @@ def stamped(arrival_s: float, frame: bytes) -> bytes:
     >>> stamped(1.5, b"frame").hex()
     '000000000016e3606672616d65'
     """
-    return struct.pack(">Q", round(arrival_s * 1e6)) + frame
+    return struct.pack(">Q", min(round(arrival_s * 1e6), _LATEST_US)) + frame
 
 
 @dataclass(slots=True)

@@ -18,6 +18,7 @@ from servofd.detection.monitor import SurfaceMonitor
 from servofd.errors import ConfigError, RecordingError
 from servofd.fleet.key import Job
 from servofd.fleet.store import FleetStore, read_table
+from servofd.live.session import stamped
 from servofd.outputs.recording import read
 from servofd.outputs.recording.content import Trace
 from servofd.outputs.recording.program import run_rerun
@@ -281,3 +282,8 @@ def test_a_program_that_cannot_write_leaves_no_file_open(
 
 def _full(_options: object) -> int:
     raise OSError(28, "No space left on device")
+
+
+def test_the_latest_arrival_that_a_telemetry_log_can_hold() -> None:
+    """Its microseconds, as seconds in a float and back, are one more than fit."""
+    assert stamped((2**64 - 1) / 1e6, b"frame") == b"\xff" * 8 + b"frame"
