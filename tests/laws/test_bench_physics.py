@@ -101,6 +101,16 @@ def test_joined_runs_move_as_each_run_does_alone() -> None:
     physics = Physics(load_friction=0.3, droop_deg=10.0)
     alone = [simulate(each, physics) for each in (one, two)]
     np.testing.assert_allclose(simulate(both, physics), np.concatenate(alone), atol=1e-9)
-    assert both.trained.sum() == one.counts.sum()
-    assert both.held_out.sum() == two.counts.sum()
     assert joined([one]) is one
+
+
+def test_of_many_runs_every_other_one_is_held_out_and_of_few_every_other_block() -> None:
+    one = bench_record()
+    for count in (2, 5, 6, 9):
+        both = joined([one] * count)
+        shares = [np.mean(both.held_out[both.run == k]) for k in range(count)]
+        if count < 6:
+            assert shares == pytest.approx([0.5] * count, abs=0.06)
+        else:
+            assert shares == [k % 2 for k in range(count)]
+        assert both.trained.sum() + both.held_out.sum() == count * one.counts.sum()

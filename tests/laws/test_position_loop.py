@@ -32,7 +32,7 @@ ALIKE = (1e-4, 1e-4, 1e-4)
 SIZES: list[tuple[dict[str, float], tuple[float, float, float]]] = [
     ({}, ALIKE),
     ({"deadband_deg": 1.2}, ALIKE),
-    ({"insensitive_deg": 0.8}, (6e-3, 3e-3, 1e-3)),
+    ({"insensitive_deg": 0.8}, (6e-3, 3e-3, 2e-3)),
     ({"friction_deg": 0.5}, (1e-4, 8e-3, 1.2e-2)),
     ({"load_friction": 0.3, "friction_deg": 0.2}, (1e-4, 4e-2, 7e-2)),
     ({"rate_up_deg_s": 60.0, "rate_down_deg_s": 110.0}, (3e-4, 1e-4, 1e-4)),

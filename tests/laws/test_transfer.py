@@ -11,6 +11,7 @@ from servofd.errors import DesignError
 from servofd.models.effects import LinearDynamics, Place
 from servofd.models.extended import ExtendedMotion, ExtendedServo
 from servofd.models.faults import Floating
+from servofd.models.loop_steps import ROW
 from servofd.models.physics import Physics, Plant, longest_step_s, plant_of, scaled_transfer
 from servofd.models.servo_model import ServoModel
 from servofd.models.transfer import TransferFunction
@@ -144,11 +145,12 @@ def test_a_loop_has_the_poles_of_its_servo_scaled(
     # While the error does not act, neither position nor command does; all else is the same.
     opened = loop.closed_rate.copy()
     opened[order - 1, [0, 3]] = 0.0
-    np.testing.assert_array_equal(loop.opened_rate, opened)
-    assert not loop.opened_rate[:, 0].any()
-    left = np.exp(loop.closed_rate[2, 2] * loop.grid_s * np.arange(loop.torque_left.size))
-    np.testing.assert_allclose(loop.torque_left, left, rtol=1e-12)
-    assert loop.closed.shape == loop.opened.shape == (loop.torque_left.size - 1, 3, 7)
+    first = loop.opened[0, 1].reshape(3, ROW)[:, : ROW - 1]  # derivatives at once
+    np.testing.assert_allclose(first, opened, rtol=1e-12)
+    time_s = loop.grid_s * np.arange(loop.opened.shape[0])
+    left = np.exp(min(loop.closed_rate[2, 2], 0.0) * time_s)
+    np.testing.assert_allclose(loop.opened[:, 0, ROW - 1], left, rtol=1e-7)
+    assert loop.closed.shape == loop.opened.shape == (time_s.size, 5, 3 * ROW)
 
 
 def test_a_grid_is_fine_enough_for_the_fastest_pole_and_reaches_a_hundredth_of_a_second() -> None:
@@ -159,7 +161,7 @@ def test_a_grid_is_fine_enough_for_the_fastest_pole_and_reaches_a_hundredth_of_a
     ):
         loop = Plant(transfer, Physics()).loop()
         assert loop.grid_s == pytest.approx(grid_s)
-        assert loop.closed.shape[0] * loop.grid_s == pytest.approx(reach_s)
+        assert (loop.closed.shape[0] - 1) * loop.grid_s == pytest.approx(reach_s)
 
 
 def test_damping_acts_on_the_fastest_pair_and_on_nothing_of_one_pole() -> None:
