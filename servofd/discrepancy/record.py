@@ -39,7 +39,7 @@ _BETWEEN_RUNS_S = 1.0
 _SOME_RUNS, _STEPS_OF_ZERO = 3, 1.5
 _FEW_RUNS = 6
 """Of fewer, half move as the others never do, and to fit those alone leads astray: of four with an XL330 of low gain,
-each is then foreseen from the other three to 3.7 deg, and to 2.2 deg if blocks of all four are fitted."""
+the three slower ones are then foreseen to 3.1 to 3.5 deg, and to 1.0 to 1.6 deg if blocks of all four are fitted."""
 _PLACES = np.linspace(-1.0, 1.0, 5)
 """Within a dead band, from one end to the other."""
 _FARTHEST_DEG = 1e6
