@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from servofd.segment import Segment
     from servofd.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["BLOCK_S", "SLOWEST_RATE_HZ", "Record", "joined", "record_of", "simulate"]
+__all__ = ["BLOCK_S", "FEW_RUNS", "SLOWEST_RATE_HZ", "Record", "joined", "record_of", "simulate"]
 
 SLOWEST_RATE_HZ = 19.0
 """Below this the effects of a servo fall between the samples: HS-225BB, time constants 15 to 40 ms."""
@@ -37,7 +37,7 @@ _BETWEEN_RUNS_S = 1.0
 
 
 _SOME_RUNS, _STEPS_OF_ZERO = 3, 1.5
-_FEW_RUNS = 6
+FEW_RUNS = 6
 """Of fewer, half move as the others never do, and to fit those alone leads astray: of four with an XL330 of low gain,
 the three slower ones are then foreseen to 3.1 to 3.5 deg, and to 1.0 to 1.6 deg if blocks of all four are fitted."""
 _PLACES = np.linspace(-1.0, 1.0, 5)
@@ -203,7 +203,7 @@ def joined(records: Sequence[Record]) -> Record:
         moved = replace(each.commands, effective_s=each.commands.effective_s + shift_s)
         runs.append(replace(each, commands=moved, time_s=each.time_s + shift_s))
         number = each.block + count
-        blocks.append(2 * number + k % 2 if len(records) >= _FEW_RUNS else number)
+        blocks.append(2 * number + k % 2 if len(records) >= FEW_RUNS else number)
         count += int(each.block[-1]) + 1
         later_s = float(runs[-1].time_s[-1]) + _BETWEEN_RUNS_S
     return Record(

@@ -19,6 +19,7 @@ from servofd.discrepancy.fit import Fit, Fitter
 from servofd.discrepancy.ladder import NO_MODEL_KNOWS, Rung, Tried, equals_of, keys_of, rungs_of, simplest, told
 from servofd.discrepancy.poles import PoleFitter
 from servofd.discrepancy.prune import convincing, ordered, pruned, with_steps, without
+from servofd.discrepancy.run_by_run import vouched
 from servofd.discrepancy.stamps import scatter_s
 from servofd.models.catalogue import Quantization
 
@@ -96,7 +97,7 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     best = simplest(fitter, sure, able, tried)
     # A simpler word for an effect may be one that is not needed.
     best = ordered(fitter, with_steps(fitter, best if best is sure else pruned(fitter, best)))
-    best = told(fitter, best, able, tried)
+    best = vouched(fitter, told(fitter, best, able, tried))
     best, final, covariance = _on_all(fitter, best)
     sigma = floor_of(record, best)
     rungs = rungs_of(fitter, nominal, best, tried, able)

@@ -50,6 +50,7 @@ def test_a_rate_limit_that_falls_with_the_load_is_told_with_its_slope() -> None:
     assert first.document()["slope"] == first.slope
 
 
+@pytest.mark.slow
 def test_what_does_not_go_with_the_value_is_not_told() -> None:
     """A number drawn by lot for each run, and one that is missing for a run."""
     by_lot = {f"lot {k}": np.random.default_rng(k).standard_normal(12) for k in range(20)}
