@@ -16,6 +16,7 @@ from servofd.detection.plausible import wiring_problem
 from servofd.detection.prepare import prepared
 from servofd.detection.probability import false_alarms_per_hour
 from servofd.detection.residual import ResidualGenerator, Residuals
+from servofd.detection.statistics import Statistics
 from servofd.detection.words import describe
 from servofd.errors import DesignError, NoMeasurement
 from servofd.segment import SLOWEST_RATE_HZ, Segment, cut, too_far
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from servofd.detection.threshold import Threshold, ThresholdKind
     from servofd.models.servo_model import ServoModel
 
-__all__ = ["LogAudit", "Statistics", "Status", "SurfaceAudit", "audit_log", "audit_segment", "judged_by"]
+__all__ = ["LogAudit", "Status", "SurfaceAudit", "audit_log", "audit_segment", "judged_by"]
 
 Status = Literal["healthy", "suspect", "fault", "no_data", "unknown"]
 
@@ -37,16 +38,6 @@ _SECONDS_FOR_ODDS = 10.0
 _SHORTEST_JUDGED_S = 0.25
 _MOST_OF_THE_LOG = 0.9
 _FASTEST_RATE_HZ = 50_000.0
-
-
-@dataclass(frozen=True, slots=True)
-class Statistics:
-    """Size of the residual while it was judged [deg]."""
-
-    mean_deg: float
-    std_deg: float
-    max_abs_deg: float
-    simulation_error_rms_deg: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,7 +221,7 @@ def audit_segment(
     if judged_s < _SHORTEST_JUDGED_S:
         reason_text = f"only {judged_s:.1f} s of command and position together; {_SHORTEST_JUDGED_S:g} s are needed"
         return verdict(status="unknown", reason=reason_text, segment=segment, residuals=residuals)
-    statistics = _statistics(residuals)
+    statistics = Statistics.of(residuals.residual_deg[residuals.settled], residuals.error_deg[residuals.settled])
     if not np.isfinite(statistics.max_abs_deg):
         return verdict(status="unknown", reason="the residual is not a number: check model and units", segment=segment)
     # Whoever names a level wants to know what reaches it.
@@ -372,17 +363,6 @@ def _judged_s(residuals: Residuals, longest_gap_s: float) -> float:
     """Time covered by judged samples, intervals that the filter bridges included [s]."""
     step_s = np.diff(residuals.time_s[residuals.settled])
     return float(step_s[step_s <= longest_gap_s].sum())
-
-
-def _statistics(residuals: Residuals) -> Statistics:
-    residual = residuals.residual_deg[residuals.settled]
-    error = residuals.error_deg[residuals.settled]
-    return Statistics(
-        mean_deg=float(np.mean(residual)),
-        std_deg=float(np.std(residual)),
-        max_abs_deg=float(np.max(np.abs(residual))),
-        simulation_error_rms_deg=float(np.sqrt(np.mean(error**2))),
-    )
 
 
 def _odds(residuals: Residuals, found: tuple[Fault, ...], period_s: float, threshold_deg: float) -> float | None:

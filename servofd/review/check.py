@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.detection.audit import Statistics
+from servofd.detection.statistics import Statistics
 
 if TYPE_CHECKING:
     from servofd.outputs.recording.content import Recording, Trace
@@ -27,15 +27,9 @@ def statistics_of(trace: Trace) -> Statistics | None:
     judged = np.isfinite(trace.residual_deg)
     if not judged.any():
         return None
-    residual = trace.residual_deg[judged]
-    with np.errstate(over="ignore", invalid="ignore"):  # of a damaged recording; they are what nobody judged
-        error = (trace.measured_deg - trace.simulated_deg)[judged]
-        return Statistics(
-            mean_deg=float(np.mean(residual)),
-            std_deg=float(np.std(residual)),
-            max_abs_deg=float(np.max(np.abs(residual))),
-            simulation_error_rms_deg=float(np.sqrt(np.mean(error**2))),
-        )
+    with np.errstate(over="ignore"):  # of a damaged recording
+        error_deg = (trace.measured_deg - trace.simulated_deg)[judged]
+    return Statistics.of(trace.residual_deg[judged], error_deg)
 
 
 def contradictions(recording: Recording) -> list[str]:

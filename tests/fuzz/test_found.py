@@ -15,6 +15,7 @@ from logparsers.errors import LinkError
 from servofd.aircraft import load_aircraft, plain_aircraft
 from servofd.cli import main, manual
 from servofd.detection.monitor import SurfaceMonitor
+from servofd.detection.statistics import Statistics
 from servofd.errors import ConfigError, RecordingError
 from servofd.fleet.key import Job
 from servofd.fleet.store import FleetStore, read_table
@@ -172,6 +173,12 @@ def test_recorded_numbers_whose_squares_are_none() -> None:
     assert found is not None
     assert np.isinf(found.std_deg)
     assert np.isinf(found.simulation_error_rms_deg)
+
+
+def test_positions_whose_squares_are_none() -> None:
+    found = Statistics.of(np.array([1e300, -1e300]), np.array([1e308, 1e308]))
+    assert (found.mean_deg, found.max_abs_deg) == (0.0, 1e300)
+    assert np.isinf([found.std_deg, found.simulation_error_rms_deg]).all()
 
 
 def test_recorded_commands_that_are_no_numbers() -> None:

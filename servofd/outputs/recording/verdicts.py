@@ -11,9 +11,10 @@ from pydantic import ValidationError
 
 from logparsers.records import Damage, FlightLog
 from servofd.aircraft import Aircraft
-from servofd.detection.audit import LogAudit, Statistics, SurfaceAudit
+from servofd.detection.audit import LogAudit, SurfaceAudit
 from servofd.detection.bank.explanation import Estimate
 from servofd.detection.bank.isolate import Fault
+from servofd.detection.statistics import Statistics
 from servofd.errors import RecordingError
 from servofd.outputs.json_report import audit_document
 from servofd.outputs.recording.stream import shown
