@@ -20,6 +20,7 @@ from servofd.detection.bank.isolate import Fault
 from servofd.outputs.recording.clock import microseconds, seconds
 from servofd.outputs.recording.content import Recording, Trace
 from servofd.outputs.recording.read import read_recording
+from servofd.outputs.recording.states import breaks_s
 from servofd.outputs.recording.write import write_recording
 from servofd.review.check import statistics_of
 from servofd.review.compare import compared
@@ -107,6 +108,11 @@ def test_what_is_read_is_what_was_written(recording: Recording) -> None:
         again = read_recording(path)
         same(recording, again)
         assert not compared(recording, again)
+
+
+def test_a_curve_is_broken_a_microsecond_later_whatever_the_stamps_are_rounded_to() -> None:
+    time_s = 2504.0 + np.array([0.10, 0.15, 0.1934375, 3.2, 3.25, 3.3000005, 7.0, 7.1])  # two on half microseconds
+    assert np.array_equal(microseconds(breaks_s(time_s)) - microseconds(time_s[[2, 5]]), [1, 1])
 
 
 @given(st.integers(-(10**15), 10**15))

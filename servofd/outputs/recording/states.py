@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.detection.words import describe
+from servofd.outputs.recording.clock import microseconds, seconds
 
 if TYPE_CHECKING:
     from servofd.detection.audit import SurfaceAudit
@@ -98,5 +99,5 @@ def breaks_s(time_s: FloatArray) -> FloatArray:
         return np.zeros(0)
     step_s = np.diff(time_s)
     long = step_s > max(_PERIODS * float(np.median(step_s)), 1e-3)
-    broken: FloatArray = time_s[:-1][long] + 1e-6
-    return broken
+    # Counted in the microseconds of the recording: 0.5 us + 1 us may be rounded to 0 or 2 us.
+    return seconds(microseconds(time_s[:-1][long]) + 1)
