@@ -280,6 +280,7 @@ def test_a_log_without_noise_hides_nothing(tmp_path: Path, capsys: pytest.Captur
     assert (document["conclusion"], document["steps"]) == ("nothing_missing", [])
 
 
+@pytest.mark.slow
 def test_a_model_that_does_worse_on_another_flight_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, other = slow().write(tmp_path / "log.csv"), healthy().write(tmp_path / "other.csv")
     assert main(["explain", str(path), "--also", str(other)]) == 0
@@ -288,6 +289,7 @@ def test_a_model_that_does_worse_on_another_flight_is_told(tmp_path: Path, capsy
     assert "does worse" not in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_what_is_missing_in_the_fitted_run_alone_is_not_nothing(tmp_path: Path) -> None:
     path, other = slow().write(tmp_path / "log.csv"), healthy().write(tmp_path / "other.csv")
     assert main(["explain", str(path), str(other)]) == 1

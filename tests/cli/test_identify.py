@@ -155,7 +155,7 @@ BAD: dict[str, tuple[Segment, str]] = {
 }
 
 
-SLOW = {"saturated", "jammed half way"}
+SLOW = {"saturated", "jammed half way", "two servos"}
 
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in BAD])

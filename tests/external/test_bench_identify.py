@@ -39,6 +39,7 @@ def test_hobby_servo_with_everything_it_has() -> None:
     assert 0.03 < result.servo.linear.delay_s < 0.06
 
 
+@pytest.mark.slow
 def test_smart_servo_under_gravity() -> None:
     result = identify([[segment(log) for log in logs_of("smart_servo_gravity_load")]])
     assert min(result.fits_percent) >= 99.3

@@ -63,6 +63,7 @@ def test_a_folder_is_judged_like_its_logs_one_by_one(
     assert str(logs) not in page
 
 
+@pytest.mark.slow
 def test_logs_at_an_address_are_fetched_and_named_by_it(
     logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], judged: list[str]
 ) -> None:

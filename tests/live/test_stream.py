@@ -113,6 +113,7 @@ def test_every_kind_of_link_carries_both_ways(kind: str) -> None:
         assert stamps == sorted(stamps)
 
 
+@pytest.mark.slow
 def test_a_tcp_link_is_dialled_again_after_the_other_end_was_gone() -> None:
     port = free_port(socket.SOCK_STREAM)
     with contextlib.ExitStack() as first:
@@ -153,6 +154,7 @@ def test_a_signed_link_hears_only_who_has_the_key() -> None:
     assert counted[0].heard == 1
 
 
+@pytest.mark.slow
 def test_the_log_arrives_whole_through_a_bad_link() -> None:
     """A tenth lost, a tenth twice, a tenth late, a tenth damaged, both ways: blocks are sent until acknowledged."""
     port = free_port()

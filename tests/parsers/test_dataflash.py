@@ -316,6 +316,7 @@ def test_every_record_the_damage_did_not_touch_is_recovered(kind: str, tmp_path:
         assert ours >= pymavlink_counts(path).total(), (kind, at)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", REAL_LOGS)
 def test_a_damaged_real_log_gives_at_least_what_pymavlink_gets(name: str, kind: str, tmp_path: Path) -> None:

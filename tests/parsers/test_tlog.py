@@ -95,38 +95,40 @@ def test_every_value_of_a_generated_log_equals_pymavlinks(flight: Path) -> None:
     assert assert_equal_to_pymavlink(flight) > 5_000
 
 
+@pytest.mark.parametrize(
+    "dialect", ["all", *(pytest.param(d, marks=pytest.mark.slow) for d in ("matrixpilot", "paparazzi"))]
+)
 @pytest.mark.parametrize("version", [1, 2])
-def test_every_message_of_every_dialect_is_decoded(tmp_path: Path, version: int) -> None:
+def test_every_message_of_every_dialect_is_decoded(tmp_path: Path, version: int, dialect: str) -> None:
     rng = np.random.default_rng(version)
-    for dialect in ("all", "matrixpilot", "paparazzi"):
-        entries: list[tuple[float, bytes]] = []
-        for name, layout in mavlink.dialect(dialect).layouts.items():
-            if version == 1 and layout.id > 255:
-                continue
-            for k in range(3):
-                values: dict[str, Any] = {}
-                for field in layout.fields.values():
-                    if field.is_text:
-                        values[field.name] = "AbC"[:k]
-                    elif field.dtype.kind == "f":
-                        values[field.name] = rng.normal(size=max(field.length, 1)).tolist()
-                    else:
-                        top = 2 ** (8 * field.dtype.itemsize - 1) - 1
-                        values[field.name] = rng.integers(0, top, max(field.length, 1)).tolist()
-                content = writer.frame(
-                    name,
-                    values,
-                    version=version,
-                    extensions=k < 2,
-                    signed=version == 2 and k == 2,
-                    dialect_name=dialect,
-                )
-                entries.append((len(entries) * 0.01, content))
-        path = tmp_path / f"{dialect}.tlog"
-        path.write_bytes(writer.log(entries))
-        assert_equal_to_pymavlink(path, dialect)
-        assert TelemetryFile.open(path).dialect == dialect
-        assert TelemetryFile.open(path).lost_bytes == 0
+    entries: list[tuple[float, bytes]] = []
+    for name, layout in mavlink.dialect(dialect).layouts.items():
+        if version == 1 and layout.id > 255:
+            continue
+        for k in range(3):
+            values: dict[str, Any] = {}
+            for field in layout.fields.values():
+                if field.is_text:
+                    values[field.name] = "AbC"[:k]
+                elif field.dtype.kind == "f":
+                    values[field.name] = rng.normal(size=max(field.length, 1)).tolist()
+                else:
+                    top = 2 ** (8 * field.dtype.itemsize - 1) - 1
+                    values[field.name] = rng.integers(0, top, max(field.length, 1)).tolist()
+            content = writer.frame(
+                name,
+                values,
+                version=version,
+                extensions=k < 2,
+                signed=version == 2 and k == 2,
+                dialect_name=dialect,
+            )
+            entries.append((len(entries) * 0.01, content))
+    path = tmp_path / f"{dialect}.tlog"
+    path.write_bytes(writer.log(entries))
+    assert_equal_to_pymavlink(path, dialect)
+    assert TelemetryFile.open(path).dialect == dialect
+    assert TelemetryFile.open(path).lost_bytes == 0
 
 
 def test_trailing_zeros_and_extensions_may_be_missing() -> None:
@@ -374,6 +376,7 @@ def test_as_many_good_messages_as_pymavlink_and_the_damage_recorded(tmp_path: Pa
         assert int(spans["length"].sum()) == log.lost_bytes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_real_logs_damaged_as_well(tmp_path: Path, kind: str) -> None:
     content = real_logs(".tlog")[0].read_bytes()[:200_000]

@@ -59,6 +59,7 @@ def test_noise_and_a_few_seconds_have_no_fault() -> None:
     assert fault_start_s(short, _found(noise_deg[: short.time_s.size], 0.1)) is None
 
 
+@pytest.mark.slow
 def test_a_jam_in_a_short_flight_is_no_missing_effect() -> None:
     record = flown((), [], 3, duration_s=20.0)
     time_s, noise_deg = record.time_s, 0.1 * np.random.default_rng(0).standard_normal(record.time_s.size)
