@@ -89,7 +89,7 @@ class Conformance:
             np.testing.assert_array_equal(log[name].values[:-1], values[: size - 1])
 
     def test_flipped_bytes_are_never_another_error(self) -> None:
-        for at in range(0, len(self.content), max(len(self.content) // 60, 1)):
+        for at in range(0, len(self.content), max(len(self.content) // 20, 1)):
             broken = bytearray(self.content)
             broken[at] ^= 0x55
             assert "\n" not in str(self.outcome(bytes(broken)))
