@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Fault", "failing_deflection", "in_order"]
 
+_LARGEST = 1e9
+"""In degrees, Hz or seconds: beyond what any servo does, and far from where products of such numbers overflow."""
+
 
 @dataclass(frozen=True, slots=True)
 class Fault:
@@ -37,7 +40,8 @@ class Fault:
     Raises
     ------
     ConfigError
-        If a parameter is not finite, one that must be positive is not, or the fault ends before it starts.
+        If a parameter is not finite or larger than anything on an aircraft, one that must be positive is not, or the
+        fault ends before it starts.
     """
 
     kind: ClassVar[str]
@@ -53,6 +57,8 @@ class Fault:
             value = getattr(self, name)
             if value is not None and not math.isfinite(value):
                 raise ConfigError(f"{self.kind}: {name} must be finite, not {value}")
+            if value is not None and abs(value) > _LARGEST and name != "seed":
+                raise ConfigError(f"{self.kind}: {name} must be within {_LARGEST:g}, not {value:g}")
             if name in self.positive and not value > 0.0:
                 raise ConfigError(f"{self.kind}: {name} must be positive, not {value}")
         if not self.end_s > self.start_s:

@@ -27,6 +27,7 @@ from servofd.detection.starts import mark_starts, new_starts_memory
 from servofd.detection.stream import Piece, Stream
 from servofd.models.servo_model import ServoModel
 from servofd.segment import Segment
+from tests.detection.windows import troubled
 
 SAME_DEG = 1e-9
 TIME_S = np.arange(0.0, 40.0, 0.02)
@@ -61,6 +62,26 @@ def in_order(segment: Segment) -> list[tuple[float, int, float]]:
     return sorted([*asked, *seen], key=lambda sample: sample[:2])
 
 
+def assert_same_as_offline(generator: ResidualGenerator, raw: Segment, entry: Surface) -> None:
+    """Residual and threshold of a stream that is cut at random are those of the whole."""
+    segment, residuals, _ = prepared(generator, raw)
+    threshold = judge(generator, segment, residuals, entry).threshold
+    stream = Stream(generator, entry, raw.period_s, rhythm(raw.command_s))
+    rng = np.random.default_rng(2)
+    evaluated: list[Piece | None] = []
+    for time_s, role, value in in_order(raw):
+        (stream.position if role else stream.command)(time_s, value)
+        if rng.random() < 0.3:
+            evaluated.append(stream.evaluate())
+    pieces = [piece for piece in (*evaluated, stream.evaluate(final=True)) if piece is not None]
+    for name in ("simulated_deg", "measured_deg", "residual_deg", "immobile_deg", "settled", "time_s"):
+        together = np.concatenate([getattr(piece.residuals, name) for piece in pieces])
+        np.testing.assert_allclose(together, getattr(residuals, name), rtol=0.0, atol=SAME_DEG, err_msg=name)
+    for name in ("level_deg", "tolerance_deg", "sigma_deg", "drift"):
+        together = np.concatenate([getattr(piece.threshold, name) for piece in pieces])
+        np.testing.assert_allclose(together, getattr(threshold, name), rtol=1e-9, atol=SAME_DEG, err_msg=name)
+
+
 class TestTheSameStepAsOffline:
     @pytest.mark.parametrize("servo", ["hs225bb-eq31", pytest.param("s9254", marks=pytest.mark.slow)])
     @pytest.mark.parametrize("lost", [0.0, pytest.param(0.05, marks=pytest.mark.slow), 0.3])
@@ -72,23 +93,13 @@ class TestTheSameStepAsOffline:
         if period_s is not None:
             entry = entry.model_copy(update={"command_hold": "linear", "command_period_s": period_s})
         raw = replace(flight(1, servo=servo, lost=lost, stuck_s=30.0), command_period_s=period_s)
-        generator = ResidualGenerator.fitting(model, raw)
-        segment, residuals, _ = prepared(generator, raw)
-        threshold = judge(generator, segment, residuals, entry).threshold
-        stream = Stream(generator, entry, raw.period_s, rhythm(raw.command_s))
-        rng = np.random.default_rng(2)
-        evaluated: list[Piece | None] = []
-        for time_s, role, value in in_order(raw):
-            (stream.position if role else stream.command)(time_s, value)
-            if rng.random() < 0.3:
-                evaluated.append(stream.evaluate())
-        pieces = [piece for piece in (*evaluated, stream.evaluate(final=True)) if piece is not None]
-        for name in ("simulated_deg", "measured_deg", "residual_deg", "immobile_deg", "settled", "time_s"):
-            together = np.concatenate([getattr(piece.residuals, name) for piece in pieces])
-            np.testing.assert_allclose(together, getattr(residuals, name), rtol=0.0, atol=SAME_DEG, err_msg=name)
-        for name in ("level_deg", "tolerance_deg", "sigma_deg", "drift"):
-            together = np.concatenate([getattr(piece.threshold, name) for piece in pieces])
-            np.testing.assert_allclose(together, getattr(threshold, name), rtol=1e-9, atol=SAME_DEG, err_msg=name)
+        assert_same_as_offline(ResidualGenerator.fitting(model, raw), raw, entry)
+
+    @pytest.mark.parametrize("servo", ["hs225bb-eq31", "s9254", "s3151"])
+    def test_in_twelve_seconds_of_all_that_can_happen(self, servo: str) -> None:
+        generator, raw = troubled(servo)
+        entry, _ = surface(servo=servo)
+        assert_same_as_offline(generator, raw, entry)
 
     @pytest.mark.parametrize("kind", ["interval", pytest.param("constant", marks=pytest.mark.slow)])
     @pytest.mark.parametrize("lost", [pytest.param(0.0, marks=pytest.mark.slow), 0.05])
@@ -126,6 +137,19 @@ def watched(entry: Surface, model: ServoModel, segment: Segment) -> tuple[Surfac
         if look is not None:
             events += monitor.told(look, look.judge())
     return monitor, events + monitor.finish()
+
+
+def test_the_bank_looks_when_it_is_time_and_once_for_all_that_is_due(monkeypatch: pytest.MonkeyPatch) -> None:
+    monitor = SurfaceMonitor("x", *surface())
+    looks: list[float] = []
+    history = SimpleNamespace(last_s=0.0)
+    monkeypatch.setattr(monitor, "_stream", SimpleNamespace(history=history))
+    monkeypatch.setattr(monitor, "_look", lambda: looks.append(history.last_s))
+    monitor._looks_s.extend([5.0, 6.0, 9.0])
+    for history.last_s in (4.9, 5.0, 5.5, 7.0, 9.5, 20.0):
+        monitor.due()
+    assert looks == [5.0, 7.0, 9.5]
+    assert not monitor._looks_s
 
 
 class TestNoVerdictFromNoMeasurement:

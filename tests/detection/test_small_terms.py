@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,13 +11,24 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from servofd.detection.audit import _odds
+from servofd.detection.bank.altered import _with_interval
+from servofd.detection.bank.classify import BANK
+from servofd.detection.bank.explanation import COLOUR, Estimate, Explanation
 from servofd.detection.bank.oscillation import _cycle
 from servofd.detection.monitor import SurfaceMonitor
+from servofd.detection.plausible import wiring_problem
+from servofd.detection.probability.noise import Noise
+from servofd.detection.probability.persistence import persistent_threshold_deg
 from servofd.detection.probability.upcrossing import false_alarms_per_hour
+from servofd.detection.pulse import design_pulse_filter
 from servofd.models.faults import Oscillation
+from servofd.models.transfer import TransferFunction
 from servofd.segment import WARM_UP_STEPS
+from servofd.servos import servo_named
 from tests.detection.test_monitor import surface
-from tests.detection.windows import window
+from tests.detection.test_numbers import FAULTS
+from tests.detection.tolerated import MODEL
+from tests.detection.windows import residuals_of, window
 
 
 @pytest.mark.parametrize(("seed", "frequency_hz", "amplitude_deg"), [(0, 0.5, 2.0), (0, 1.0, 1.0), (1, 1.0, 1.0)])
@@ -41,6 +53,70 @@ def test_the_frequency_of_a_limit_cycle_minimizes_misfit_and_prior(
     found = _cycle(seen, commanded=True)
     assert found is not None
     assert found.parameters["frequency_hz"].value == pytest.approx(best_hz, abs=5e-7)
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_what_a_hypothesis_says_of_its_own_window_is_what_it_predicts_for_any(fault: str) -> None:
+    seen = window(5, FAULTS[fault])
+    for hypothesis in BANK:
+        found = hypothesis.explain(seen)
+        if found is not None and found.predict is not None:
+            np.testing.assert_allclose(found.predict(seen), found.predicted_deg, rtol=0.0, atol=1e-9)
+
+
+def test_a_perfect_explanation_is_as_good_as_half_the_power_of_the_noise() -> None:
+    """Else a window without noise would make any other explanation infinitely worse."""
+    seen = window(0, None)
+    perfect = Explanation("healthy", seen.measured_deg, 0.0, 0.0)
+    assert seen.score(perfect) == pytest.approx(seen.time_s.size / COLOUR * np.log(0.5 * seen.noise_deg**2))
+
+
+def test_the_interval_of_a_perfect_fit_is_that_of_its_noise() -> None:
+    """Where the parabola of the cost has risen by one variance of the noise is one deviation, times its colour."""
+    seen, bent = window(0, None), 7.0
+    tried = {v: Explanation("slow", seen.measured_deg, bent * (v - 0.5) ** 2, 1.0) for v in (0.3, 0.5, 0.8)}
+    best = replace(tried[0.5], parameters={"bandwidth_scale": Estimate(0.5, 0.5, 0.5)})
+    found = _with_interval(best, tried, seen, "bandwidth_scale").parameters["bandwidth_scale"]
+    assert found.deviation == pytest.approx(np.sqrt(COLOUR / bent) * seen.noise_deg)
+
+
+def test_noise_without_a_sample_time_is_none() -> None:
+    with pytest.raises(ValueError, match="sample time"):
+        Noise(0.1, np.array([1.0, 0.5]), 0.0)
+
+
+@pytest.mark.parametrize("times", [0.25, 8.0])
+def test_coefficients_that_all_are_so_many_times_larger_are_the_same_servo(times: float) -> None:
+    servo = servo_named("hs225bb-eq31").transfer
+    numerator, denominator = (tuple(times * c for c in part) for part in (servo.numerator, servo.denominator))
+    design = design_pulse_filter(TransferFunction(numerator, denominator), 0.004, 0.01, 50.0)
+    assert design.leakage(np.linspace(0.1, 314.0, 50)) < 1e-11
+
+
+@pytest.mark.parametrize("samples", [1, 3])
+def test_the_threshold_of_samples_in_a_row_grows_with_the_noise_and_its_mean(samples: int) -> None:
+    lags = 0.7 ** np.arange(8.0)
+    one, other = (persistent_threshold_deg(1e-2, Noise(s, lags, 0.02, m), samples) for s, m in ((0.1, 0.0), (0.4, 0.3)))
+    assert other == pytest.approx(4.0 * one + 0.3)
+
+
+@pytest.mark.parametrize(("seconds", "told"), [(9.5, False), (10.5, True)])
+def test_odds_of_one_log_need_ten_seconds(seconds: float, told: bool) -> None:
+    time_s = np.arange(0.0, seconds, 0.05)
+    residual_deg = 0.1 * np.random.default_rng(0).standard_normal(time_s.size)
+    residuals: Any = SimpleNamespace(settled=np.ones(time_s.size, bool), time_s=time_s, residual_deg=residual_deg)
+    assert (_odds(residuals, (), 0.05, 1.5) is not None) == told
+
+
+def test_a_gain_that_changes_in_flight_is_no_wrong_scale() -> None:
+    """Wired wrongly, a position is off by the same factor throughout; a fault comes in flight."""
+    time_s = np.arange(6000) / 100.0
+    command_deg = 8.0 * np.sin(2.0 * time_s)
+    moved_deg = MODEL.simulate(time_s, command_deg, time_s)
+    assert "2.00x" in wiring_problem(residuals_of(time_s, command_deg, 2.0 * moved_deg))
+    for last, wrong in ((1.8, True), (1.6, False)):
+        changed_deg = np.where(time_s < 40.0, 2.0, last) * moved_deg
+        assert ("scale" in wiring_problem(residuals_of(time_s, command_deg, changed_deg))) == wrong
 
 
 @pytest.mark.parametrize("colour", [-0.5, 0.6, 0.95])

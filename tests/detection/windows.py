@@ -10,13 +10,15 @@ from servofd.detection.judge import Judgement, judge
 from servofd.detection.residual import ResidualGenerator, Residuals, commands_at_servo
 from servofd.detection.threshold import ThresholdKind
 from servofd.models.faults import Fault
+from servofd.models.servo_model import ServoModel
 from servofd.segment import Segment
+from servofd.servos import servo_named
 from servofd.simulation.commands import COMMANDS
 from servofd.tolerance import Tolerance
 from servofd.types import FloatArray
 from tests.detection.tolerated import MODEL
 
-__all__ = ["NOISE_DEG", "command", "flown", "judged", "residuals_of", "window"]
+__all__ = ["NOISE_DEG", "command", "flown", "judged", "residuals_of", "troubled", "window"]
 
 GENERATOR = ResidualGenerator(MODEL, 50.0)
 NOISE_DEG = 0.1
@@ -41,6 +43,22 @@ def window(seed: int, fault: Fault | None) -> Window:
     segment = Segment("x", time_s, command(seed, time_s), time_s, flown(seed, fault, time_s))
     commands = commands_at_servo(segment, MODEL.plan.delay_s, GENERATOR.longest_gap_s(segment))
     return Window.of(MODEL, Tolerance(), NOISE_DEG, GENERATOR.run(segment), commands, slice(1200, 2000))
+
+
+def troubled(servo: str) -> tuple[ResidualGenerator, Segment]:
+    """Twelve seconds with lost samples, a hole, a glitch, and commands that rest."""
+    rng = np.random.default_rng(7)
+    time_s = np.arange(600) / 50.0
+    command_deg = command(5, time_s)
+    command_deg[400:470] = command_deg[400]
+    model = ServoModel.of(servo_named(servo))
+    measured_deg = model.simulate(time_s, command_deg, time_s) + NOISE_DEG * rng.standard_normal(time_s.size)
+    measured_deg[150] += 20.0
+    measured_deg[520:] += 3.0
+    asked, seen = rng.random(time_s.size) > 0.1, rng.random(time_s.size) > 0.1
+    seen[250:280] = asked[330:350] = False
+    segment = Segment("x", time_s[asked], command_deg[asked], time_s[seen], measured_deg[seen])
+    return ResidualGenerator.fitting(model, segment), segment
 
 
 def residuals_of(time_s: FloatArray, command_deg: FloatArray, measured_deg: FloatArray) -> Residuals:

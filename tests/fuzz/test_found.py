@@ -260,6 +260,14 @@ def test_a_log_without_a_name(capsys: pytest.CaptureFixture[str]) -> None:
     assert "without a name" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("size", ["amplitude_deg=1e308", "frequency_hz=-1e308"])
+def test_a_fault_larger_than_any_servo(size: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    flight = tmp_path / "flight.csv"
+    assert main(["simulate", "-o", str(flight), "--fault", f"rudder:oscillation@1:{size}"]) == 2
+    assert "must be within 1e+09" in capsys.readouterr().err
+    assert not flight.exists()
+
+
 @pytest.mark.parametrize("pole", ["1e-320", "1e30", "0", "nan"])
 def test_a_filter_pole_whose_powers_are_no_numbers(pole: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["design", "s9254", "--pole", pole]) == 2

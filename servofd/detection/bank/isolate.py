@@ -219,10 +219,10 @@ def _fault(naming: Naming, episode: Episode, start_s: float) -> Fault:
 
 def _change(flight: Flight, kind: str, from_s: float, until_s: float) -> tuple[float, Naming] | None:
     """When the fault turned into another, or went away, and into what; found by bisection."""
-    last = _block(flight, until_s - _BLOCK_S, from_s, until_s)
+    last = _block(flight, until_s, from_s, until_s)
     if last is None or not _differs(last.naming, kind):
         return None
-    confirmed = _block(flight, last.begin_s - _BLOCK_S, from_s, last.begin_s)
+    confirmed = _block(flight, last.begin_s, from_s, last.begin_s)
     if confirmed is None or confirmed.naming.kind != last.naming.kind:
         return None
     low_s, high_s = from_s, confirmed.begin_s
@@ -248,7 +248,7 @@ class _Block(NamedTuple):
 
 
 def _block(flight: Flight, begin_s: float, earliest_s: float, latest_s: float) -> _Block | None:
-    """Name what happens about some instant, in as long a block as it takes to see motion."""
+    """Name what happens from some instant on, or in the last block, in as long a block as it takes to see motion."""
     length_s = _BLOCK_S
     while length_s <= _LONGEST_BLOCK_S:
         first_s = max(earliest_s, min(begin_s, latest_s - length_s))

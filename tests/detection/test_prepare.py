@@ -1,0 +1,61 @@
+"""What is done to a segment before it is judged."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from servofd.detection.prepare import prepared
+from servofd.detection.residual import ResidualGenerator, Residuals
+from servofd.segment import Segment
+from tests.detection.tolerated import MODEL
+
+TIME_S = np.arange(1000) / 50.0
+COMMAND_DEG = 12.0 * np.sin(2.0 * np.pi * 0.7 * TIME_S)
+GENERATOR = ResidualGenerator(MODEL, 50.0)
+
+
+def thinly(period_s: float | None, *, kept: int = 5) -> Segment:
+    """Commands given at 50 Hz, of which every fifth is logged."""
+    rng = np.random.default_rng(0)
+    measured_deg = MODEL.simulate(TIME_S, COMMAND_DEG, TIME_S) + 0.05 * rng.standard_normal(TIME_S.size)
+    return Segment("x", TIME_S[::kept], COMMAND_DEG[::kept], TIME_S, measured_deg, command_period_s=period_s)
+
+
+def largest_deg(residuals: Residuals) -> float:
+    """Of the residual where it is judged [deg]."""
+    return float(np.max(np.abs(residuals.residual_deg[residuals.settled])))
+
+
+def test_commands_that_are_logged_thinly_are_joined_by_lines_and_it_is_said() -> None:
+    done = prepared(GENERATOR, thinly(None))
+    (note,) = done.notes
+    assert "logged more thinly" in note
+    assert largest_deg(done.residuals) < 0.4 * largest_deg(GENERATOR.run(thinly(None)))
+
+
+@pytest.mark.parametrize("segment", [thinly(0.02), thinly(None, kept=1)], ids=["known", "all there"])
+def test_commands_whose_pace_is_known_or_fast_are_left_as_they_are(segment: Segment) -> None:
+    done = prepared(GENERATOR, segment)
+    assert done.notes == ()
+    assert done.segment.command_period_s == segment.command_period_s
+
+
+def test_a_servo_that_holds_thin_commands_is_not_taken_for_one_with_lost_ones() -> None:
+    segment = thinly(None)
+    held_deg = MODEL.simulate(segment.command_s, segment.command_deg, TIME_S)
+    done = prepared(GENERATOR, replace(segment, measured_deg=held_deg))
+    assert done.notes == ()
+    assert done.segment.command_period_s is None
+
+
+def test_positions_that_jump_away_and_back_are_counted() -> None:
+    segment = thinly(None, kept=1)
+    jumping_deg = segment.measured_deg.copy()
+    jumping_deg[[300, 600, 601]] += [25.0, -25.0, -25.0]
+    done = prepared(GENERATOR, replace(segment, measured_deg=jumping_deg))
+    assert done.notes == ("3 positions that jumped away and back not judged",)
+    assert np.flatnonzero(np.isnan(done.segment.measured_deg)).tolist() == [300, 600, 601]
+    assert largest_deg(done.residuals) < 0.5
