@@ -144,7 +144,7 @@ def test_the_bank_looks_when_it_is_time_and_once_for_all_that_is_due(monkeypatch
     looks: list[float] = []
     history = SimpleNamespace(last_s=0.0)
     monkeypatch.setattr(monitor, "_stream", SimpleNamespace(history=history))
-    monkeypatch.setattr(monitor, "_look", lambda: looks.append(history.last_s))
+    monkeypatch.setattr(SurfaceMonitor, "_look", lambda _: looks.append(history.last_s))
     monitor._looks_s.extend([5.0, 6.0, 9.0])
     for history.last_s in (4.9, 5.0, 5.5, 7.0, 9.5, 20.0):
         monitor.due()

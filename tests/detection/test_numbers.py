@@ -79,10 +79,11 @@ def named(fault: str) -> dict[str, Any]:
     return numbers
 
 
-def judged(servo: str) -> dict[str, Any]:
-    """Residual, threshold and faults of that flight."""
+def judged(case: str) -> dict[str, Any]:
+    """Residual, threshold and faults of a flight of such a servo, with such a threshold."""
+    servo, kind = case.split()
     generator, raw = troubled(servo)
-    surface = plain_aircraft(["x"], servo).surfaces["x"].model_copy(update={"threshold": "interval"})
+    surface = plain_aircraft(["x"], servo).surfaces["x"].model_copy(update={"threshold": kind})
     segment, residuals, notes = prepared(generator, raw)
     found = judge(generator, segment, residuals, surface)
     curves = {
@@ -136,7 +137,7 @@ def odds(servo: str) -> dict[str, Any]:
 
 RECORDED: dict[str, tuple[Callable[[str], dict[str, Any]], Iterable[str]]] = {
     "named": (named, FAULTS),
-    "judged": (judged, SERVOS),
+    "judged": (judged, [*(f"{servo} interval" for servo in SERVOS), "s9254 constant"]),
     "odds": (odds, SERVOS[:2]),
 }
 CASES = [(what, case) for what, (_, cases) in RECORDED.items() for case in cases]
