@@ -101,10 +101,11 @@ def find_episodes(
 
 def _echoes(time_s: FloatArray, faults: tuple[Episode, ...]) -> BoolArray:
     """Instants during a fault and shortly after it, when suspicion is no news."""
-    echo = np.zeros(time_s.size, dtype=bool)
-    for fault in faults:
-        after_s = np.inf if fault.end_s is None else fault.end_s + _SUSPICION_LASTS_S
-        echo |= (time_s >= fault.alarm_s) & (time_s <= after_s)
+    after_s = [np.inf if fault.end_s is None else fault.end_s + _SUSPICION_LASTS_S for fault in faults]
+    steps = np.zeros(time_s.size + 1, dtype=np.int64)
+    np.add.at(steps, np.searchsorted(time_s, [fault.alarm_s for fault in faults]), 1)
+    np.add.at(steps, np.searchsorted(time_s, after_s, side="right"), -1)
+    echo: BoolArray = np.cumsum(steps[:-1]) > 0
     return echo
 
 
@@ -118,16 +119,15 @@ def _faults(residuals: Residuals, threshold: Threshold, judged: IntArray, persis
         persistence,
         threshold.typical_deg if threshold.kind == "constant" else np.nan,
     )
-    raised, cleared = np.flatnonzero(found.alarm), np.flatnonzero(found.clear)
+    raised, tolerance_deg = np.flatnonzero(found.alarm), threshold.tolerance_deg[judged]
     loud = np.flatnonzero(found.group >= 0)
+    first, behind = (np.searchsorted(found.group[loud], found.group[raised], side) for side in ("left", "right"))
+    last_cleared = int(np.flatnonzero(found.clear)[-1]) if found.clear.any() else -1
     episodes = []
-    for alarm in raised.tolist():
-        group = loud[found.group[loud] == found.group[alarm]]
-        before = loud[loud < group[0]]
-        earliest = int(before[-1]) + 1 if before.size else 0
-        onset = _onset(time_s, size_deg, threshold.tolerance_deg[judged], earliest, alarm)
-        ends = cleared[cleared > alarm]
-        end_s = float(time_s[group[-1]]) if ends.size else None
+    for alarm, begin, end in zip(raised.tolist(), first.tolist(), behind.tolist(), strict=True):
+        earliest = int(loud[begin - 1]) + 1 if begin else 0
+        onset = _onset(time_s, size_deg, tolerance_deg, earliest, alarm)
+        end_s = float(time_s[loud[end - 1]]) if last_cleared > alarm else None
         episodes.append(Episode(float(time_s[onset]), float(time_s[alarm]), end_s))
     return tuple(episodes)
 

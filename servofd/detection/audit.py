@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from servofd.detection.judge import judge
+from servofd.detection.judge import Judgement, judge
 from servofd.detection.plausible import wiring_problem
 from servofd.detection.prepare import prepared
 from servofd.detection.probability import false_alarms_per_hour
@@ -38,6 +38,8 @@ _SECONDS_FOR_ODDS = 10.0
 _SHORTEST_JUDGED_S = 0.25
 _MOST_OF_THE_LOG = 0.9
 _FASTEST_RATE_HZ = 50_000.0
+_CLEAR_SIGMAS = 4.0
+"""A threshold of less is crossed by noise alone, once in some thousand samples."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,7 +241,7 @@ def audit_segment(
     if problem:
         faults = suspicions = ()
     status, reason_text = _verdict(residuals, statistics, faults, suspicions, level, problem)
-    reason_text = "; ".join((reason_text, *notes))
+    reason_text = "; ".join((reason_text, *_too_many(judgement), *notes))
     judged_share = judged_s / max(duration_s, 1e-9)
     if judged_share < _MOST_OF_THE_LOG:
         reason_text += f"; judged for {judged_share:.0%} of the log"
@@ -357,6 +359,16 @@ def _would_have_shown(residuals: Residuals) -> float:
     asked_deg = float(np.ptp(residuals.immobile_deg[residuals.settled])) / 2.0
     low_deg, high_deg = np.nanpercentile(residuals.measured_deg, [5.0, 95.0])
     return max(asked_deg, float(high_deg - low_deg) / 2.0)
+
+
+def _too_many(judgement: Judgement) -> tuple[str, ...]:
+    """That not every alarm was named, and why there are so many if the threshold is to blame."""
+    if not judgement.unnamed:
+        return ()
+    sigma_deg, level_deg = float(np.median(judgement.threshold.sigma_deg)), judgement.threshold.typical_deg
+    within = f"the threshold of {level_deg:.2g} deg lies within the residual's noise of {sigma_deg:.2g} deg"
+    blamed = f": {within}" if level_deg < _CLEAR_SIGMAS * sigma_deg else ""
+    return (f"{judgement.unnamed} smaller alarms not named{blamed}",)
 
 
 def _judged_s(residuals: Residuals, longest_gap_s: float) -> float:

@@ -23,6 +23,10 @@ if TYPE_CHECKING:
 
 __all__ = ["Judgement", "judge", "judge_evaluated"]
 
+_MOST_EPISODES = 50
+"""Of one surface that are named, which takes some 50 ms each: a threshold within the noise is crossed thousands of
+times, and what matters is in the largest."""
+
 
 class Judgement(NamedTuple):
     """What was found, and against which threshold."""
@@ -31,6 +35,8 @@ class Judgement(NamedTuple):
     faults: tuple[Fault, ...]
     suspicions: tuple[Fault, ...]
     """What only the cumulative sum noticed, or the tolerances of a working servo explain."""
+    unnamed: int = 0
+    """Smaller episodes that nobody named, because there are too many."""
 
 
 def judge(
@@ -80,6 +86,9 @@ def judge_evaluated(
     episodes = find_episodes(residuals, threshold, persistence=surface.persistence, suspicion=suspects)
     if not episodes:
         return Judgement(threshold, (), ())
+    unnamed = max(len(episodes) - _MOST_EPISODES, 0)
+    if unnamed:
+        episodes = _largest(episodes, residuals, threshold)
     noise = noise_deg(residuals.error_deg[residuals.settled])
     sigma_deg = float(np.median(threshold.sigma_deg))
     flight = Flight(generator, surface.tolerances, noise, sigma_deg, residuals, commands)
@@ -87,7 +96,17 @@ def judge_evaluated(
     if not acquit:
         named = tuple(_held(fault) for fault in named)
     faults = tuple(fault for fault in named if fault.level == "fault" and fault.kind != "healthy")
-    return Judgement(threshold, faults, tuple(fault for fault in named if fault not in faults))
+    return Judgement(threshold, faults, tuple(fault for fault in named if fault not in faults), unnamed)
+
+
+def _largest(episodes: tuple[Episode, ...], residuals: Residuals, threshold: Threshold) -> tuple[Episode, ...]:
+    """Those in which the residual is the most above its threshold, in order of time."""
+    size = np.where(residuals.settled, np.abs(residuals.residual_deg) / threshold.level_deg, 0.0)
+    first = np.searchsorted(residuals.time_s, [episode.alarm_s for episode in episodes])
+    last = np.searchsorted(residuals.time_s, [np.inf if e.end_s is None else e.end_s for e in episodes], side="right")
+    peaks = [float(size[i:j].max(initial=0.0)) for i, j in zip(first, last, strict=True)]
+    chosen = sorted(np.argsort(peaks, kind="stable")[-_MOST_EPISODES:].tolist())
+    return tuple(episodes[k] for k in chosen)
 
 
 def _named(flight: Flight, episode: Episode, threshold: Threshold) -> tuple[Fault, ...]:

@@ -10,13 +10,17 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
+from servofd.detection.alarm import Level
 from servofd.detection.audit import _odds
 from servofd.detection.bank.altered import _with_interval
 from servofd.detection.bank.classify import BANK
 from servofd.detection.bank.explanation import COLOUR, Estimate, Explanation
+from servofd.detection.bank.isolate import Fault
 from servofd.detection.bank.oscillation import _cycle
+from servofd.detection.judge import _held
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.plausible import wiring_problem
+from servofd.detection.probability.cusum import CusumDesign
 from servofd.detection.probability.noise import Noise
 from servofd.detection.probability.persistence import persistent_delay_s, persistent_threshold_deg
 from servofd.detection.probability.upcrossing import false_alarms_per_hour
@@ -106,6 +110,26 @@ def test_a_delay_that_one_flight_in_twenty_never_ends_is_infinite(above_sigma: f
     noise = Noise(0.1, np.array([1.0, 0.0]), 0.02)
     delay_s = persistent_delay_s(np.array([1.0 + 0.1 * above_sigma]), 1.0, noise, 1)
     assert np.isfinite(delay_s) == known
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_sum_waits_for_the_side_on_which_the_fault_settles(sign: float) -> None:
+    """Ten samples the other way, which the sum of the right side does not gather, and then so many of the shift."""
+    design = CusumDesign(0.5, 5.0, 1.0, 0.02)
+    at_once = design.mean_delay_s(sign * np.full(50, 2.0))
+    assert 0.02 < at_once < 0.2
+    turned = design.mean_delay_s(sign * np.concatenate([np.full(10, -0.1), np.full(400, 2.0)]))
+    assert turned == pytest.approx(at_once + 10 * 0.02 + 10 * 0.6 / 1.5 * 0.02, abs=0.021)
+
+
+@pytest.mark.parametrize(
+    ("level", "kind", "held"),
+    [("fault", "healthy", "unknown"), ("suspect", "healthy", "healthy"), ("fault", "bias", "bias")],
+)
+def test_an_alarm_at_a_level_that_the_user_named_remains_one(level: Level, kind: str, held: str) -> None:
+    fault = _held(Fault(kind, 1.0, 1.0, None, {}, 0.75, (), level))
+    assert (fault.kind, fault.level) == (held, level)
+    assert fault.probability == (0.25 if kind != held else 0.75)
 
 
 @pytest.mark.parametrize(("seconds", "told"), [(9.5, False), (10.5, True)])
