@@ -24,6 +24,7 @@ from servofd.outputs.recording import read
 from servofd.outputs.recording.content import Trace
 from servofd.outputs.recording.program import run_rerun
 from servofd.outputs.recording.stream import recording_file
+from servofd.outputs.recording.verdicts import audit_of
 from servofd.outputs.recording.write import recording_of
 from servofd.review.check import statistics_of
 from servofd.review.rejudge import rejudged
@@ -185,6 +186,11 @@ def test_recorded_commands_that_are_no_numbers() -> None:
     time_s = np.arange(3.0)
     trace = Trace(time_s, time_s, time_s, time_s, time_s, time_s, time_s, np.array([np.inf, 1.0, np.nan]))
     assert trace.segment("elevator").command_deg.tolist() == [1.0]
+
+
+def test_a_recording_with_two_schemas() -> None:
+    with pytest.raises(RecordingError, match="written by schema"):
+        audit_of({"schema": ["servofd.identification/1", "servofd.recording/1"]}, "a.rrd")
 
 
 def test_a_table_without_a_row(tmp_path: Path) -> None:

@@ -124,7 +124,7 @@ def audit_of(properties: Mapping[str, Any], name: str) -> Verdicts:
         If they are not what this version of servofd writes.
     """
     schema = properties.get("schema")
-    if schema in _WITHOUT_VERDICTS:
+    if isinstance(schema, str) and schema in _WITHOUT_VERDICTS:
         raise RecordingError(
             f"{name}: a recording of {_WITHOUT_VERDICTS[schema]}: no verdicts to review; 'servofd view' shows it"
         )
