@@ -101,7 +101,8 @@ def judge_evaluated(
 
 def _largest(episodes: tuple[Episode, ...], residuals: Residuals, threshold: Threshold) -> tuple[Episode, ...]:
     """Those in which the residual is the most above its threshold, in order of time."""
-    size = np.where(residuals.settled, np.abs(residuals.residual_deg) / threshold.level_deg, 0.0)
+    with np.errstate(over="ignore"):
+        size = np.where(residuals.settled, np.abs(residuals.residual_deg) / threshold.level_deg, 0.0)
     first = np.searchsorted(residuals.time_s, [episode.alarm_s for episode in episodes])
     last = np.searchsorted(residuals.time_s, [np.inf if e.end_s is None else e.end_s for e in episodes], side="right")
     peaks = [float(size[i:j].max(initial=0.0)) for i, j in zip(first, last, strict=True)]
