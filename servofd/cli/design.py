@@ -40,8 +40,8 @@ def run(options: argparse.Namespace) -> int:
     from servofd.servos import servo_named
 
     servo = servo_named(options.servo)
-    if not 0.0 < options.rate_hz < 1e6:
-        raise DesignError(f"--rate-hz {options.rate_hz}: give a rate above 0 and below 1e6 Hz")
+    if not 1e-3 <= options.rate_hz <= 1e6:
+        raise DesignError(f"--rate-hz {options.rate_hz}: give a rate between 0.001 and 1e6 Hz")
     sample_time_s = 1.0 / options.rate_hz
     plant = servo.printed if options.printed_gain else servo.transfer
     pole = abs(options.pole) if options.pole is not None else fastest_pole_rad_s(plant, sample_time_s)

@@ -27,7 +27,7 @@ def statistics_of(trace: Trace) -> Statistics | None:
     judged = np.isfinite(trace.residual_deg)
     if not judged.any():
         return None
-    with np.errstate(over="ignore"):  # of a damaged recording
+    with np.errstate(over="ignore", invalid="ignore"):  # of a damaged recording
         error_deg = (trace.measured_deg - trace.simulated_deg)[judged]
     return Statistics.of(trace.residual_deg[judged], error_deg)
 

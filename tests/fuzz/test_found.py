@@ -174,6 +174,10 @@ def test_recorded_numbers_whose_squares_are_none() -> None:
     assert found is not None
     assert np.isinf(found.std_deg)
     assert np.isinf(found.simulation_error_rms_deg)
+    endless = np.array([np.inf, 0.0, 0.0])
+    found = statistics_of(Trace(time_s, time_s, endless, endless, time_s, time_s, time_s, time_s))
+    assert found is not None
+    assert np.isnan(found.simulation_error_rms_deg)
 
 
 def test_positions_whose_squares_are_none() -> None:
@@ -278,6 +282,12 @@ def test_a_fault_larger_than_any_servo(size: str, tmp_path: Path, capsys: pytest
 def test_a_filter_pole_whose_powers_are_no_numbers(pole: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["design", "s9254", "--pole", pole]) == 2
     assert "must lie between" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("rate_hz", ["1e-320", "0", "nan", "2e6"])
+def test_a_rate_whose_inverse_is_no_time(rate_hz: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["design", "s9254", "--pole", "50", "--rate-hz", rate_hz]) == 2
+    assert "give a rate between" in capsys.readouterr().err
 
 
 def test_a_filter_that_takes_a_billion_samples_to_settle(capsys: pytest.CaptureFixture[str]) -> None:
