@@ -186,6 +186,15 @@ def test_positions_whose_squares_are_none() -> None:
     assert np.isinf([found.std_deg, found.simulation_error_rms_deg]).all()
 
 
+def test_recorded_samples_that_come_again_or_too_late() -> None:
+    time_s, asked_s = np.array([0.0, 1.0, 1.0, 0.5, 2.0]), np.array([0.0, 0.0, 3.0, 1.0, 4.0])
+    trace = Trace(time_s, time_s, time_s, time_s, time_s, time_s, asked_s, np.arange(5.0))
+    segment = trace.segment("x")
+    assert segment.measured_s.tolist() == [0.0, 1.0, 2.0]
+    assert segment.command_s.tolist() == [0.0, 3.0, 4.0]
+    assert segment.command_deg.tolist() == [0.0, 2.0, 4.0]
+
+
 def test_recorded_commands_that_are_no_numbers() -> None:
     time_s = np.arange(3.0)
     trace = Trace(time_s, time_s, time_s, time_s, time_s, time_s, time_s, np.array([np.inf, 1.0, np.nan]))

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from servofd.detection.audit import LogAudit, SurfaceAudit
     from servofd.detection.residual import Residuals
     from servofd.segment import Segment
-    from servofd.types import FloatArray
+    from servofd.types import BoolArray, FloatArray
 
 __all__ = ["Recording", "Trace", "command_at"]
 
@@ -88,16 +88,17 @@ class Trace:
         )
 
     def segment(self, surface: str, command_period_s: float | None = None) -> Segment:
-        """What an audit starts from, see `Segment`: as of a log, without commands that are no numbers."""
+        """What an audit starts from, see `Segment`: as of a log, without commands that are no numbers or come again."""
         from servofd.segment import Segment
 
-        given = np.isfinite(self.asked_deg)
+        given = np.isfinite(self.asked_deg) & _rising(self.asked_s)
+        seen = _rising(self.time_s)
         return Segment(
             surface,
             self.asked_s[given],
             self.asked_deg[given],
-            self.time_s,
-            self.measured_deg,
+            self.time_s[seen],
+            self.measured_deg[seen],
             command_period_s,
             self.frozen_s,
             self.frozen_to_end,
@@ -192,6 +193,12 @@ def _trace(surface: SurfaceAudit) -> Trace | None:
     size = surface.residuals.time_s.size
     level_deg = np.full(size, np.nan) if surface.threshold is None else surface.threshold.level_deg
     return Trace.of(surface.segment, surface.residuals, level_deg)
+
+
+def _rising(time_s: FloatArray) -> BoolArray:
+    """Samples later than all before them: in a damaged recording some are not."""
+    rising: BoolArray = time_s > np.concatenate([[-np.inf], np.maximum.accumulate(time_s)[:-1]])
+    return rising
 
 
 def _span_s(log: FlightLog) -> tuple[float, float]:

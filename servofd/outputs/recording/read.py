@@ -244,6 +244,9 @@ def _context(stored: _Stored) -> Context:
 
 
 def _exact(stored: _Stored, time_s: FloatArray, place: str) -> FloatArray:
-    """Time stamps to the last bit, where they are no whole microseconds."""
+    """Time stamps to the last bit, where they are no whole microseconds; unless they are damaged."""
     found = stored.curves(place)
-    return time_s if found is None or len(found[1]) != len(time_s) else found[1][:, 0]
+    if found is None or len(found[1]) != len(time_s):
+        return time_s
+    exact_s = found[1][:, 0]
+    return exact_s if np.all(np.abs(exact_s - time_s) < 1e-6) else time_s
