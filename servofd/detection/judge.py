@@ -25,7 +25,7 @@ __all__ = ["Judgement", "judge", "judge_evaluated"]
 
 _MOST_EPISODES = 50
 """Of one surface that are named, which takes some 50 ms each: a threshold within the noise is crossed thousands of
-times, and what matters is in the largest."""
+times, and what matters is in the largest, and in what goes on."""
 
 
 class Judgement(NamedTuple):
@@ -100,12 +100,13 @@ def judge_evaluated(
 
 
 def _largest(episodes: tuple[Episode, ...], residuals: Residuals, threshold: Threshold) -> tuple[Episode, ...]:
-    """Those in which the residual is the most above its threshold, in order of time."""
+    """Those in which the residual is the most above its threshold, and the last, which may go on; in order of time."""
     with np.errstate(over="ignore"):
         size = np.where(residuals.settled, np.abs(residuals.residual_deg) / threshold.level_deg, 0.0)
     first = np.searchsorted(residuals.time_s, [episode.alarm_s for episode in episodes])
     last = np.searchsorted(residuals.time_s, [np.inf if e.end_s is None else e.end_s for e in episodes], side="right")
     peaks = [float(size[i:j].max(initial=0.0)) for i, j in zip(first, last, strict=True)]
+    peaks[-1] = np.inf
     chosen = sorted(np.argsort(peaks, kind="stable")[-_MOST_EPISODES:].tolist())
     return tuple(episodes[k] for k in chosen)
 

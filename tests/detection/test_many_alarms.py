@@ -12,10 +12,12 @@ from servofd.detection.alarm import Episode, find_episodes
 from servofd.detection.audit import SurfaceAudit, audit_segment
 from servofd.detection.judge import _largest
 from servofd.detection.threshold import constant_threshold, interval_threshold
-from servofd.models.faults import Stuck
+from servofd.models.failing import failing_deflection
+from servofd.models.faults import Bias, HardOver, Stuck
 from servofd.segment import Segment
 from servofd.tolerance import Tolerance
-from tests.detection.windows import GENERATOR, command, flown, residuals_of
+from tests.detection.tolerated import MODEL
+from tests.detection.windows import GENERATOR, command, flown, judged, residuals_of
 
 TIME_S = np.arange(6000) / 50.0
 
@@ -47,13 +49,26 @@ def test_a_jam_among_them_is_found() -> None:
     assert all(60.0 <= fault.alarm_s <= 80.5 for fault in stuck)
 
 
+@pytest.mark.slow
+def test_a_small_fault_that_goes_on_after_many_large_ones_has_its_name() -> None:
+    time_s = np.arange(24_000) / 50.0
+    faults = [HardOver(float(t), 20.0, end_s=t + 0.5) for t in range(10, 430, 7)]
+    command_deg = 8.0 * np.sin(2.0 * np.pi * 0.5 * time_s)
+    moved_deg = failing_deflection(MODEL, (*faults, Bias(450.0, bias_deg=2.5)), time_s, command_deg, time_s)
+    measured_deg = moved_deg + 0.1 * np.random.default_rng(1).standard_normal(time_s.size)
+    found = judged(time_s, command_deg, measured_deg)
+    assert found.unnamed > 0
+    assert (found.faults[-1].kind, found.faults[-1].end_s) == ("bias", None)
+    assert found.faults[-1].start_s == pytest.approx(450.0, abs=0.5)
+
+
 def test_a_threshold_above_the_noise_is_not_blamed() -> None:
     found = audited(1.5, stuck=True)
     assert [fault.kind for fault in found.faults] == ["stuck"]
     assert "not named" not in found.reason
 
 
-def test_the_largest_are_those_furthest_above_their_threshold_in_order_of_time() -> None:
+def test_the_largest_are_those_furthest_above_their_threshold_and_the_last_in_order_of_time() -> None:
     segment = Segment("x", TIME_S, command(2, TIME_S), TIME_S, flown(2, None, TIME_S))
     residuals = residuals_of(TIME_S, segment.command_deg, segment.measured_deg)
     varying = interval_threshold(GENERATOR, segment, residuals, Tolerance(), 6.0)
@@ -68,5 +83,6 @@ def test_the_largest_are_those_furthest_above_their_threshold_in_order_of_time()
         begin, end = np.searchsorted(TIME_S, (episode.alarm_s, (episode.end_s or np.inf) + 1e-9))
         return float(size[begin:end].max())
 
-    smallest = min(map(peak, chosen))
+    assert chosen[-1] == episodes[-1]
+    smallest = min(map(peak, chosen[:-1]))
     assert max(map(peak, set(episodes) - set(chosen))) <= smallest
