@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from detection import calibration, delays, false_alarms, fly, limits, onsets, shares
 from detection_pictures import draw
 from servofd.aircraft import DEFAULT_SIGMAS
-from servofd.detection import alarm, allowance, latch, threshold
+from servofd.detection import alarm, allowance, judge, latch, threshold
 from servofd.detection.bank import (
     classify,
     confirm,
@@ -147,6 +147,9 @@ episode ends only if |r| stayed below {alarm._QUIET_SHARE:g} tau while the resid
     sum |d play(r0, 2 tau)| >= {latch._TRAVEL_TO_CLEAR:g} tau                                                           (D7)
 
 (play: motion within a zone of twice the usual threshold so far, its median, does not count), and then at the last sample at which it was louder.
+
+Of more than {judge._MOST_EPISODES} alarms of one surface those with the largest |r| / tau and the last are named, and the others counted: so many come
+from a constant threshold within the noise, where a name for each would say nothing, or from a loose contact, which {judge._MOST_EPISODES} tell as well.
 """
 
 
