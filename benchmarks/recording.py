@@ -21,7 +21,8 @@ import pyarrow.parquet as pq
 
 from logparsers.records import Channel, FlightLog
 from servofd.aircraft import plain_aircraft
-from servofd.detection.audit import LogAudit, audit_log
+from servofd.detection.audit import audit_log
+from servofd.detection.verdict import LogAudit
 from servofd.models.servo_model import ServoModel
 from servofd.outputs.recording import save_recording
 from servofd.outputs.recording.content import Recording

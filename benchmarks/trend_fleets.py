@@ -19,14 +19,14 @@ from fleet import FleetServo, Truth, deflection
 from servofd.aircraft import plain_aircraft
 from servofd.segment import Segment
 from servofd.simulation.commands import COMMANDS
-from servofd.trend.estimate import estimate_flight
-from servofd.trend.logs import FlownLog
-from servofd.trend.records import FlightEstimate
-from servofd.trend.trend import trend_of
+from servofd.wear.estimate import estimate_flight
+from servofd.wear.logs import FlownLog
+from servofd.wear.records import FlightEstimate
+from servofd.wear.trend import trend_of
 
 if TYPE_CHECKING:
-    from servofd.trend.estimate import Told
-    from servofd.trend.trend import AircraftTrend
+    from servofd.wear.estimate import Told
+    from servofd.wear.trend import AircraftTrend
 
 __all__ = ["crossing_at", "drawn_servo", "followed", "widths_trend"]
 

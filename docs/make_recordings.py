@@ -24,7 +24,7 @@ def main(docs: Path = ROOT / "docs") -> None:
     folder.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as name, viewer() as view:
         recording = Path(name) / "faser_stuck_flight.rrd"
-        save_recording(next(servofd.audit(ROOT / "sample_logs" / "faser_stuck_flight.mat")), recording)
+        save_recording(next(iter(servofd.audit(ROOT / "sample_logs" / "faser_stuck_flight.mat"))), recording)
         tabs = view.open(recording)
         view.set_time(FAULT_SEEN_S)
         for tab, what in ((0, "overview"), (1, "fault"), (-1, "aircraft")):

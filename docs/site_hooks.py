@@ -13,8 +13,8 @@ _NUMBER = re.compile(r"\\tag\{(\d+)\}")
 
 
 def on_page_markdown(markdown: str, **_: object) -> str:
-    """Links to files of the repository that are no page keep their text."""
-    return _OUTSIDE.sub(r"\1", markdown)
+    """Links to files of the repository that are no page keep their text; every page leads to the words."""
+    return _OUTSIDE.sub(r"\1", markdown) + "\n\n[What the words mean](glossary.md)\n"
 
 
 def on_page_content(html: str, **_: object) -> str:

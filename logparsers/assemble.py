@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from logparsers import clock
 from logparsers.errors import EmptyLog
-from logparsers.records import Channel, Damage, FlightLog
+from logparsers.records import Channel, Damage, FlightLog, own
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
     from logparsers.records import FloatArray
 
-__all__ = ["Column", "assemble"]
+__all__ = ["Column", "Columns", "assemble"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,7 +32,7 @@ class Column:
     name : str
         Name of the channel.
     values : ndarray, shape (n,)
-        One value per row, in `unit`.
+        One value per row, in `unit`; integers stay integers until the channel is looked up.
     unit : str
         Unit of the values.
     origin : str
@@ -37,7 +40,7 @@ class Column:
     """
 
     name: str
-    values: FloatArray
+    values: NDArray[Any]
     unit: str
     origin: str
 
@@ -88,15 +91,45 @@ def assemble(
     if not stamps.size:
         raise EmptyLog(f"{label}: none of its {time_s.size} rows has a time stamp; a log needs at least one sample")
     found = [*damage, *disorder, *clock.gaps(stamps)]
-    channels = {}
-    for column in columns:
-        values = column.values[kept]
-        blank = ~np.isfinite(values)
+    series = {column.name: column for column in columns}
+    for column in series.values():
+        blank = ~np.isfinite(column.values) & kept
         if blank.any():
-            found.append(_non_finite(column.name, stamps, values, np.flatnonzero(blank)))
-            values[blank] = np.nan
-        channels[column.name] = Channel(column.name, stamps, values, column.unit, column.origin)
-    return FlightLog(path, kind, channels, tuple(found), run)
+            rows = np.flatnonzero(blank[kept])
+            found.append(_non_finite(column.name, stamps, column.values[kept], rows))
+    ends = float(stamps[0]), float(stamps[-1])
+    return FlightLog(path, kind, Columns(stamps, None if kept.all() else kept, series), tuple(found), run, span_s=ends)
+
+
+class Columns(Mapping[str, Channel]):
+    """Channels of rows that share a clock, made of the columns of a file when they are looked up.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (m,)
+        Stamps of the rows that are kept [s].
+    kept : ndarray of bool, shape (n,), or None
+        Which they are; None: all.
+    columns : Mapping[str, Column]
+        By name, n values each.
+    """
+
+    def __init__(self, time_s: FloatArray, kept: NDArray[np.bool_] | None, columns: Mapping[str, Column]) -> None:
+        self._time_s, self._kept, self._columns = own(time_s), kept, columns
+
+    def __getitem__(self, name: str) -> Channel:
+        column = self._columns[name]
+        values = column.values if self._kept is None else column.values[self._kept]
+        floats = values.astype(np.float64)
+        floats[np.isinf(floats)] = np.nan
+        floats.setflags(write=False)
+        return Channel(name, self._time_s, floats, column.unit, column.origin)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._columns)
+
+    def __len__(self) -> int:
+        return len(self._columns)
 
 
 def _non_finite(name: str, stamps: FloatArray, values: FloatArray, rows: np.ndarray) -> Damage:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from logparsers.only import Only
     from logparsers.records import FloatArray
 
-__all__ = ["LazyChannels", "Recording", "Series", "as_float"]
+__all__ = ["LazyChannels", "Recording", "Series", "Together", "as_float"]
 
 MOST_NOTES = 100
 """Groups of channels whose rows are out of order and that are told one by one."""
@@ -74,6 +74,28 @@ def as_float(values: NDArray[Any]) -> FloatArray:
         return values.astype(np.float64)
 
 
+class Together(Mapping[str, Channel]):
+    """Channels of several records under one roof, each made by its own when it is looked up.
+
+    Parameters
+    ----------
+    homes : Mapping[str, Mapping[str, Channel]]
+        Where the channel of a name is.
+    """
+
+    def __init__(self, homes: Mapping[str, Mapping[str, Channel]]) -> None:
+        self._homes = homes
+
+    def __getitem__(self, name: str) -> Channel:
+        return self._homes[name][name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._homes)
+
+    def __len__(self) -> int:
+        return len(self._homes)
+
+
 class LazyChannels(Mapping[str, Channel]):
     """Channels by name, each decoded when it is looked up; time stamps are kept, values are not.
 
@@ -90,7 +112,7 @@ class LazyChannels(Mapping[str, Channel]):
     def __init__(self, recording: Recording, names: Mapping[str, Series] | None = None) -> None:
         self._recording = recording
         self._series = recording.series() if names is None else names
-        self._clocks: dict[Hashable, tuple[FloatArray, NDArray[np.intp] | None]] = {}
+        self._clocks: dict[Hashable, tuple[FloatArray, NDArray[np.intp] | None, Damage | None]] = {}
 
     def only(self, wanted: Only, path: Path, others: Iterable[str] = ()) -> LazyChannels:
         """Restrict to those that are wanted.
@@ -130,7 +152,7 @@ class LazyChannels(Mapping[str, Channel]):
             If there is none of that name.
         """
         series = self._series[name]
-        time_s, rows = self._clock(series.group)
+        time_s, rows, _ = self._clock(series.group)
         values = self._recording.values(series)
         if rows is not None:
             values = values[rows]
@@ -159,12 +181,11 @@ class LazyChannels(Mapping[str, Channel]):
         """
         found, ends = [], []
         for group, label in self._groups().items():
-            time_s, sound = self._recording.stamps(group)
-            rows, damage = clock.rise(time_s, label, sound)
+            time_s, _, damage = self._clock(group)
             if damage:
-                found.append(damage)
-            if rows.size:
-                ends += [float(time_s[rows[0]]), float(time_s[rows[-1]])]
+                found.append(replace(damage, note=f"{label}: {damage.note}"))
+            if time_s.size:
+                ends += [float(time_s[0]), float(time_s[-1])]
         told, rest = found[:MOST_NOTES], found[MOST_NOTES:]
         if rest:
             total = sum(damage.count for damage in rest)
@@ -175,10 +196,10 @@ class LazyChannels(Mapping[str, Channel]):
         """Groups, and what to call them: the name of a channel up to its last dot."""
         return {series.group: name.rpartition(".")[0] for name, series in self._series.items()}
 
-    def _clock(self, group: Hashable) -> tuple[FloatArray, NDArray[np.intp] | None]:
-        """Time stamps of a group, and its rows in that order; None for all as they are."""
+    def _clock(self, group: Hashable) -> tuple[FloatArray, NDArray[np.intp] | None, Damage | None]:
+        """Time stamps of a group, its rows in that order (None: all as they are), and what is wrong with them."""
         if group not in self._clocks:
             time_s, sound = self._recording.stamps(group)
-            rows, damage = clock.rise(time_s, "", sound)
-            self._clocks[group] = (own(time_s), None) if damage is None else (own(time_s[rows]), rows)
+            rows, damage = clock.rise(time_s, sound)
+            self._clocks[group] = (own(time_s), None, None) if damage is None else (own(time_s[rows]), rows, damage)
         return self._clocks[group]

@@ -123,9 +123,7 @@ def _rising(stamps: FloatArray) -> NDArray[np.bool_]:
     return kept
 
 
-def rise(
-    time_s: FloatArray, label: str, sound: NDArray[np.bool_] | None = None
-) -> tuple[NDArray[np.intp], Damage | None]:
+def rise(time_s: FloatArray, sound: NDArray[np.bool_] | None = None) -> tuple[NDArray[np.intp], Damage | None]:
     """Choose rows of a telemetry series, in an order in which their time stamps rise strictly.
 
     Links and loggers let messages overtake each other, so that rows which came late are sorted in, unlike those of
@@ -135,8 +133,6 @@ def rise(
     ----------
     time_s : ndarray, shape (n,)
         Time stamps in the order of the file [s].
-    label : str
-        What the rows are, for the note.
     sound : ndarray of bool, shape (n,), optional
         False for rows whose stamp is known to be wrong.
 
@@ -149,9 +145,9 @@ def rise(
 
     Examples
     --------
-    >>> rows, damage = rise(np.array([0.0, 2.0, 1.0, 2.0, 3.0]), "ATTITUDE")
+    >>> rows, damage = rise(np.array([0.0, 2.0, 1.0, 2.0, 3.0]))
     >>> rows.tolist(), damage.note
-    ([0, 2, 1, 4], 'ATTITUDE: 1 rows came late and are sorted in, 1 rows with repeated or wrong stamps left out')
+    ([0, 2, 1, 4], '1 rows came late and are sorted in, 1 rows with repeated or wrong stamps left out')
     """
     usable = np.isfinite(time_s)
     if sound is not None:
@@ -176,7 +172,7 @@ def rise(
     words = [f"{late} rows came late and are sorted in"] if late else []
     words += [f"{dropped} rows with repeated or wrong stamps left out"] if dropped else []
     where = (float(time_s[rows].min()), float(time_s[rows].max())) if rows.size else (None, None)
-    return rows, Damage("out_of_order", f"{label}: {', '.join(words)}", late + dropped, *where)
+    return rows, Damage("out_of_order", ", ".join(words), late + dropped, *where)
 
 
 def gaps(time_s: FloatArray) -> tuple[Damage, ...]:

@@ -56,6 +56,10 @@ class Signature:
     key: bytes
     time_s: float
 
+    def of_any_time(self) -> Signature:
+        """The same key for frames of a record: however old, each is newer than the one before."""
+        return Signature(self.key, _SIGNING_EPOCH_S)
+
 
 def signing_key(content: bytes) -> bytes:
     r"""Key from the content of a key file: 32 bytes, 64 hexadecimal digits, or a passphrase, which is hashed.
@@ -118,6 +122,10 @@ class Codec:
         frame: bytes = bytes(kind(**(empty | given)).pack(self._mav))
         self._mav.seq = (self._mav.seq + 1) % 256
         return frame
+
+    def skip(self, frames: int) -> None:
+        """Count frames that are sent elsewhere."""
+        self._mav.seq = (self._mav.seq + frames) % 256
 
     def decode(self, data: bytes) -> list[Heard]:
         """Messages that the bytes complete; damaged ones are passed over."""

@@ -9,20 +9,23 @@ from functools import wraps
 from typing import TYPE_CHECKING
 
 from logparsers.errors import UnknownFormat
-from logparsers.faser import read_hdf5, read_level4, read_level5
-from logparsers.matlab4 import header4
+from logparsers.exports import flights, kind_of, read_part
+from logparsers.mat import header4
 from logparsers.table import TableLayout, read_table
+from logparsers.variables import read_hdf5, read_level4, read_level5
 
 if TYPE_CHECKING:
     from logparsers.only import Only
     from logparsers.records import FlightLog
     from logparsers.source import Source
 
-__all__ = ["FORMATS", "Format", "detect"]
+__all__ = ["FORMATS", "Format", "detect", "read_messages"]
 
 Test = Callable[[bytes], bool]
 Reader = Callable[["Source", TableLayout | None, "Only"], "tuple[FlightLog, ...]"]
 
+A_LOG = "give a flight log"
+A_TABLE = "CSV with time_s, <surface>_cmd_deg and <surface>_pos_deg"
 HDF5 = b"\x89HDF\r\n\x1a\n"
 FMT_RECORD, FMT_LINE = b"\xa3\x95\x80", re.compile(rb"(?:^|\n)FMT, ?\d+, ?\d+, ?\w")
 FRAMES = 3
@@ -39,13 +42,13 @@ class Format:
         What people call it.
     matches : callable
         Does a file that starts with these bytes have it?
-    read : callable or None
-        Reader; None for a format that is only known well enough to say so.
+    read : callable or str
+        Reader; of a format that is only known well enough to say so, what to give instead.
     """
 
     name: str
     matches: Test
-    read: Reader | None = None
+    read: Reader | str
 
 
 def _starts(*signatures: bytes) -> Test:
@@ -63,6 +66,20 @@ def _is_level4(head: bytes) -> bool:
         return False
     name = head[20 : 20 + header.name_bytes]
     return name[:1].isalpha() and name.rstrip(b"\0").replace(b"_", b"0").isalnum()
+
+
+def _is_foreign_archive(head: bytes) -> bool:
+    return head[257:262] == b"ustar" or head.startswith((b"7z\xbc\xaf\x27\x1c", b"Rar!\x1a\x07", b"\x28\xb5\x2f\xfd"))
+
+
+def _is_dji(head: bytes) -> bool:
+    return head[16:21] == b"BUILD" or b"DJI_LOG" in head[:512]
+
+
+def _is_sdlog2(head: bytes) -> bool:
+    """Like ArduPilot's, but time has messages of its own, and none of the others a stamp."""
+    first_is_attitude = head[5:9] == b"ATT\0" and b"Time" not in head[25:89]
+    return head.startswith(FMT_RECORD) and (first_is_attitude or b"StartTime" in head)
 
 
 def _is_text(head: bytes) -> bool:
@@ -140,21 +157,40 @@ def _ulog(source: Source, _: TableLayout | None, only: Only) -> tuple[FlightLog,
     return (read_ulog(source, only),)
 
 
+def read_messages(source: Source, layout: TableLayout | None, only: Only) -> tuple[FlightLog, ...]:
+    """Read one table of messages alone; with a layout it is a table like any other."""
+    if layout is not None:
+        return tuple(log.only(only) for log in read_table(source, layout))
+    return flights([read_part(source)], source.path, only)
+
+
 FORMATS = (
-    Format("HDF5 (MATLAB 7.3, RAPTRS)", _is_hdf5, _eager(read_hdf5)),
-    Format("MATLAB level 5", _starts(b"MATLAB 5.0"), _eager(read_level5)),
-    Format("PNG image", _starts(b"\x89PNG")),
-    Format("JPEG image", _starts(b"\xff\xd8\xff")),
-    Format("PDF document", _starts(b"%PDF")),
-    Format("ZIP archive", _starts(b"PK\x03\x04", b"PK\x05\x06")),
-    Format("gzip archive", _starts(b"\x1f\x8b")),
-    Format("UTF-16 text", _starts(b"\xff\xfe", b"\xfe\xff")),
+    Format("HDF5 (MATLAB 7.3, RAPTRS)", _is_hdf5, read_hdf5),
+    Format("MATLAB level 5", _starts(b"MATLAB 5.0"), read_level5),
+    Format("PNG image", _starts(b"\x89PNG"), A_LOG),
+    Format("JPEG image", _starts(b"\xff\xd8\xff"), A_LOG),
+    Format("PDF document", _starts(b"%PDF"), A_LOG),
+    Format("tar, 7z, RAR or Zstandard archive", _is_foreign_archive, "unpack it; .gz, .bz2, .xz and .zip are read"),
+    Format("UTF-16 text", _starts(b"\xff\xfe", b"\xfe\xff"), "save it as UTF-8"),
+    Format("ROS bag", _starts(b"#ROSBAG"), "export each topic with rostopic echo -b BAG -p TOPIC > TOPIC.csv"),
+    Format("MCAP recording", _starts(b"\x89MCAP"), f"export its topics to {A_TABLE}"),
+    Format("SQLite database, as ROS 2 bags are", _starts(b"SQLite format 3\0"), f"export its topics to {A_TABLE}"),
+    Format(
+        "Betaflight blackbox log",
+        _starts(b"H Product:Blackbox"),
+        "it has no servo positions; log those",
+    ),
+    Format("DJI flight record", _is_dji, f"export it with a DJI log converter to {A_TABLE}"),
+    Format("Parquet table", _starts(b"PAR1"), f"save it as {A_TABLE}"),
+    Format("Excel or OLE document", _starts(b"\xd0\xcf\x11\xe0"), f"save it as {A_TABLE}"),
+    Format("PX4 log of before 2016 (sdlog2)", _is_sdlog2, f"export it with sdlog2_dump.py to {A_TABLE}"),
     Format("ArduPilot DataFlash log", _is_dataflash, _dataflash),
     Format("PX4 ULog", _starts(b"ULog"), _ulog),
     Format("MAVLink telemetry log", _is_telemetry, _telemetry),
-    Format("MATLAB level 4", _is_level4, _eager(read_level4)),
+    Format("MATLAB level 4", _is_level4, read_level4),
     Format("damaged ArduPilot DataFlash log", _has_dataflash, _dataflash),
     Format("damaged MAVLink telemetry log", _has_telemetry, _telemetry),
+    Format("table of messages", lambda head: _is_text(head) and bool(kind_of(head)), read_messages),
     Format("text table", _is_text, _eager(read_table)),
 )
 """Tried from top to bottom; to add a format is to give its line a reader."""
@@ -179,17 +215,15 @@ def detect(head: bytes, label: str) -> Reader:
     --------
     >>> detect(b"time_s,elevator_cmd_deg\n", "flight.csv").__name__
     'read_table'
-    >>> detect(b"\x89PNG\r\n", "flight.mat")  # doctest: +ELLIPSIS
+    >>> detect(b"\x89PNG\r\n", "flight.mat")
     Traceback (most recent call last):
-    logparsers.errors.UnknownFormat: flight.mat: its format is PNG image, which cannot be read by this version; ...
+    logparsers.errors.UnknownFormat: flight.mat: is a PNG image, which cannot be read; give a flight log
     """
-    known = ", ".join(f.name for f in FORMATS if f.read and not f.name.startswith("damaged"))
     for found in FORMATS:
         if found.matches(head):
-            if found.read:
+            if not isinstance(found.read, str):
                 return found.read
-            raise UnknownFormat(
-                f"{label}: its format is {found.name}, which cannot be read by this version; it reads {known}"
-            )
+            raise UnknownFormat(f"{label}: is a {found.name}, which cannot be read; {found.read}")
+    known = ", ".join(f.name for f in FORMATS if not isinstance(f.read, str) and not f.name.startswith("damaged"))
     first = head[:8].hex(" ")
     raise UnknownFormat(f"{label}: its first bytes ({first}) belong to no known format; this version reads {known}")

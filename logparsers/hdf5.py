@@ -1,23 +1,24 @@
-"""HDF5 through h5py: every plausible numeric vector, by its path."""
+"""HDF5 through h5py: every plausible array of numbers, by its path."""
 
 from __future__ import annotations
 
 import re
 import struct
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from logparsers.archive import IN_MEMORY_MB, check_size
 from logparsers.errors import UnreadableLog
 from logparsers.source import decoding
 
 if TYPE_CHECKING:
     import h5py
+    from numpy.typing import NDArray
 
-    from logparsers.records import FloatArray
     from logparsers.source import Source
 
-__all__ = ["vectors"]
+__all__ = ["arrays"]
 
 SIGNATURE = re.compile(rb"\x89HDF\r\n\x1a\n")
 TREE_HEAD = struct.Struct("<4sBBHQQ")
@@ -26,8 +27,8 @@ BEST_COMPRESSION = 1100
 """Deflate never shrinks data further than 1032 times: a data set that claims more is forged, or was never written."""
 
 
-def vectors(source: Source) -> dict[str, FloatArray]:
-    """Read all numeric vectors, whether stored as (n,), (n, 1) or (1, n).
+def arrays(source: Source) -> dict[str, NDArray[Any]]:
+    """Read all numeric vectors and matrices.
 
     Parameters
     ----------
@@ -36,13 +37,13 @@ def vectors(source: Source) -> dict[str, FloatArray]:
 
     Returns
     -------
-    dict of str to ndarray, shape (n,)
-        By path, ``"/Control/cmdElev_rad"``; native float64.
+    dict of str to ndarray
+        By path, ``"/Control/cmdElev_rad"``, in the type and shape of the file.
 
     Raises
     ------
     UnreadableLog
-        If the HDF5 library gives up.
+        If the HDF5 library gives up, or it unpacks to more than allowed.
 
     Examples
     --------
@@ -52,17 +53,20 @@ def vectors(source: Source) -> dict[str, FloatArray]:
     >>> with h5py.File(file, "w") as h5:
     ...     h5["Control/cmdElev_rad"] = np.array([[0.5], [0.25]])
     >>> with opened(file) as source:
-    ...     vectors(source)
-    {'/Control/cmdElev_rad': array([0.5 , 0.25])}
+    ...     arrays(source)["/Control/cmdElev_rad"].tolist()
+    [[0.5], [0.25]]
     """
     import h5py
 
-    found: dict[str, FloatArray] = {}
+    found: dict[str, NDArray[Any]] = {}
+    sizes = [0]
 
     def visit(name: str, item: object) -> None:
         cell = name.startswith("#")  # MATLAB 7.3 keeps the contents of cells in #refs#
-        if isinstance(item, h5py.Dataset) and not cell and _is_vector(item):
-            found["/" + name] = np.asarray(item[()]).reshape(-1).astype(np.float64)
+        if isinstance(item, h5py.Dataset) and not cell and _is_numeric(item):
+            sizes.append(sizes[-1] + item.nbytes)
+            check_size(source.path, sizes[-1], IN_MEMORY_MB)
+            found["/" + name] = np.asarray(item[()])
 
     with decoding(source, "HDF5 file"):
         if _has_endless_tree(source.mapped().data):
@@ -105,10 +109,10 @@ def _has_endless_tree(content: memoryview) -> bool:
     return False
 
 
-def _is_vector(data: h5py.Dataset) -> bool:
+def _is_numeric(data: h5py.Dataset) -> bool:
     """No text, no references, nothing kept in other files, nothing that claims more than was stored."""
     if data.dtype.kind not in "iuf" or "MATLAB_empty" in data.attrs or data.external or data.is_virtual:
         return False
-    if data.attrs.get("MATLAB_class") == b"char" or data.size != max(data.shape, default=0):
+    if data.attrs.get("MATLAB_class") == b"char" or not data.shape:
         return False
     return bool(data.nbytes <= BEST_COMPRESSION * data.id.get_storage_size())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -157,6 +158,17 @@ class Text:
     source: str = ""
 
 
+MOST_ALIKE = 3
+
+
+def _together(group: Sequence[Damage]) -> Damage:
+    first = group[0]
+    starts = [d.start_s for d in group if d.start_s is not None]
+    ends = [d.end_s for d in group if d.end_s is not None]
+    note = f"{len(group)} times, as in: {first.note}"
+    return Damage(first.kind, note, sum(d.count for d in group), min(starts, default=None), max(ends, default=None))
+
+
 _OF_AUTOPILOTS = frozenset({"dataflash", "tlog", "ulog"})
 
 
@@ -256,6 +268,28 @@ class FlightLog:
             return self.span_s[1] - self.span_s[0]
         spans = [(c.time_s[0], c.time_s[-1]) for c in self.channels.values() if c.time_s.size]
         return float(max(s[1] for s in spans) - min(s[0] for s in spans)) if spans else 0.0
+
+    @property
+    def damage_summary(self) -> tuple[Damage, ...]:
+        """The same damage for people: what stands there more than `MOST_ALIKE` times in other numbers is one entry.
+
+        Examples
+        --------
+        >>> lost = [Damage("bad_checksum", f"{k} bytes at offset {9 * k}", k) for k in range(1, 8)]
+        >>> [(d.note, d.count) for d in FlightLog(Path("a.tlog"), "tlog", {}, tuple(lost)).damage_summary]
+        [('7 times, as in: 1 bytes at offset 9', 28)]
+        """
+        alike: dict[tuple[str, str], list[Damage]] = {}
+        for damage in self.damage:
+            alike.setdefault((damage.kind, re.sub(r"[\d.]+", "#", damage.note)), []).append(damage)
+        return tuple(
+            told for group in alike.values() for told in (group if len(group) <= MOST_ALIKE else [_together(group)])
+        )
+
+    @property
+    def boots_s(self) -> tuple[float, ...]:
+        """When the vehicle was booted again, on the time base of the log [s]: what is before is another flight."""
+        return tuple(d.end_s for d in self.damage if d.kind == "reboot" and d.end_s is not None)
 
     def to_pandas(self, names: str | Sequence[str] | None = None) -> pd.DataFrame:
         """Put channels into one table, one row per time stamp.

@@ -4,22 +4,36 @@ from __future__ import annotations
 
 import mmap
 import warnings
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
 
-from logparsers.errors import EmptyLog, LogError, MissingLog, UnreadableLog
+from logparsers.archive import beginning, inflated, is_packed, members
+from logparsers.errors import EmptyLog, LogError, MissingLog, SeveralRuns, UnreadableLog
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Generator, Iterator
 
     from numpy.typing import NDArray
 
-__all__ = ["HEAD_BYTES", "LogBytes", "LogFile", "Source", "decoding", "mapped", "opened"]
+    from logparsers.records import Damage, FlightLog
+
+__all__ = [
+    "HEAD_BYTES",
+    "LogBytes",
+    "LogFile",
+    "Source",
+    "decoding",
+    "files_of",
+    "heads",
+    "mapped",
+    "opened",
+    "sources",
+]
 
 LogFile = str | PathLike[str] | BinaryIO
 """What a reader accepts: a path, or a binary file that can seek."""
@@ -43,6 +57,10 @@ class Source:
         The open file.
     head : bytes
         Its first `HEAD_BYTES` bytes.
+    archive : Path or None
+        Where it came from, if that holds several: then `path` is that name, and its own behind it.
+    damage : tuple of Damage
+        What is wrong with that archive.
 
     Examples
     --------
@@ -55,6 +73,8 @@ class Source:
     path: Path
     file: BinaryIO
     head: bytes
+    archive: Path | None = None
+    damage: tuple[Damage, ...] = ()
 
     def content(self) -> bytes:
         """Every byte of the file.
@@ -69,6 +89,14 @@ class Source:
             return self.file.read()
         except (OSError, MemoryError) as error:
             raise UnreadableLog(f"{self.path}: cannot be read to its end: {_reason(error)}") from error
+
+    def packed(self, log: FlightLog) -> FlightLog:
+        """Add to a log what archive it came from, and what is wrong with that."""
+        damage = (*self.damage, *log.damage)
+        if self.archive is None:
+            return replace(log, damage=damage)
+        member = self.path.relative_to(self.archive).as_posix()
+        return replace(log, source=self.archive, run=" ".join(filter(None, (member, log.run))), damage=damage)
 
     def mapped(self) -> NDArray[np.uint8]:
         """Every byte of the file, mapped into memory rather than read where the system can; read only.
@@ -122,7 +150,7 @@ def mapped(file: LogBytes) -> tuple[NDArray[np.uint8], str]:
 
 @contextmanager
 def opened(file: LogFile) -> Iterator[Source]:
-    """Open a log; one that was open already is read from its beginning and stays open.
+    """Open a log, packed or not; one that was open already is read from its beginning and stays open.
 
     Parameters
     ----------
@@ -135,6 +163,8 @@ def opened(file: LogFile) -> Iterator[Source]:
         If there is no such file, or no right to read it.
     EmptyLog
         If it holds no byte.
+    SeveralRuns
+        If it is an archive of several files.
     TypeError
         If the file object is not binary.
 
@@ -145,12 +175,104 @@ def opened(file: LogFile) -> Iterator[Source]:
     Traceback (most recent call last):
     logparsers.errors.MissingLog: no/such.csv: no such file; give the path of a flight log
     """
+    with closing(sources(file)) as found:
+        source = next(found)
+        if source.archive:
+            raise SeveralRuns(f"{source.archive}: an archive of several files; unpack it, and give one of them")
+        yield source
+
+
+def sources(file: LogFile) -> Generator[Source]:
+    """Open a log, or one file of an archive after the other: each is closed when the next is asked for.
+
+    Parameters
+    ----------
+    file : str, PathLike or BinaryIO
+        A path, or a binary file that can seek; it is read from its beginning and left open.
+
+    Yields
+    ------
+    Source
+        At least one; those of an archive of several have the archive's name before theirs.
+
+    Raises
+    ------
+    LogError
+        As for `opened`; an empty file of an archive is passed over.
+    """
+    with _raw(file) as source:
+        if not is_packed(source.head):
+            yield source
+            return
+        packed = members(source.file, source.path)
+        if not packed:
+            raise EmptyLog(f"{source.path}: the archive holds no file; was it copied completely?")
+        several = len(packed) > 1
+        for name, unpack in packed:
+            path = source.path / name if several else source.path
+            with inflated(unpack, path) as (content, damage):
+                try:
+                    inner = _source(path, content)
+                except EmptyLog:
+                    if several:
+                        continue
+                    raise
+                yield replace(inner, archive=source.path if several else None, damage=damage)
+
+
+def files_of(path: Path) -> list[Path]:
+    """Files that a path stands for: itself, or all that fit a name with ``*`` in it.
+
+    Parameters
+    ----------
+    path : Path
+        Of a log, or of the tables of one flight.
+
+    Examples
+    --------
+    >>> [file.name for file in files_of(Path("sample_logs/px4_*.ulg"))]
+    ['px4_stuck.ulg']
+    """
+    if "*" not in path.name or path.exists():
+        return [path]
+    return sorted(file for file in path.parent.glob(path.name) if file.is_file())
+
+
+def heads(file: LogFile, size: int) -> list[bytes]:
+    """First bytes of a log, or of each file of an archive, of which no more is unpacked.
+
+    Parameters
+    ----------
+    file : str, PathLike or BinaryIO
+        A path, or a binary file that can seek.
+    size : int
+        How many bytes.
+
+    Raises
+    ------
+    LogError
+        As for `opened`.
+
+    Examples
+    --------
+    >>> import gzip, io
+    >>> heads(io.BytesIO(gzip.compress(b"time_s,elevator_cmd_deg")), 6)
+    [b'time_s']
+    """
+    with _raw(file) as source:
+        source.file.seek(0)
+        if not is_packed(source.head):
+            return [source.file.read(size)]
+        return [beginning(unpack, source.path, size) for _, unpack in members(source.file, source.path)]
+
+
+@contextmanager
+def _raw(file: LogFile) -> Iterator[Source]:
     if not isinstance(file, (str, PathLike)):
         yield _source(Path(str(getattr(file, "name", "<file>"))), file)
         return
     path = Path(file)
-    stream = _open(path)
-    with stream:
+    with _open(path) as stream:
         yield _source(path, stream)
 
 

@@ -14,7 +14,7 @@ from logparsers.errors import EmptyLog, MissingChannel, UnreadableLog
 from logparsers.records import Damage
 from logparsers.source import decoding
 from logparsers.text import read_grid
-from logparsers.units import COMMANDS, faser_unit, is_faser, suffix_unit
+from logparsers.units import COMMANDS, SECONDS, faser_unit, is_faser, suffix_unit
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
 __all__ = ["TableLayout", "read_table"]
 
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 MOST_RUNS = 10_000
 """A column that tells more experiments apart holds measurements."""
 
@@ -93,7 +92,7 @@ def read_table(source: Source, layout: TableLayout | None = None) -> tuple[Fligh
     source : Source
         The file.
     layout : TableLayout, optional
-        How to read it; without one the header has ``time_s``, or the names of a FASER log.
+        How to read it; without one the header has ``time_s`` and perhaps ``run``, or the names of a FASER log.
 
     Raises
     ------
@@ -116,16 +115,21 @@ def read_table(source: Source, layout: TableLayout | None = None) -> tuple[Fligh
     kind = "table"
     if layout is None:
         kind = _guess(source.path, grid)
-        layout = TableLayout(time="time" if kind == "faser" else "time_s")
+        clock = next((name for name in _CLOCKS if name in grid.names), _CLOCKS[0])
+        run = "run" if kind == "table" and "run" in grid.names else ""
+        layout = TableLayout(time="time" if kind == "faser" else clock, run=run)
     _check_names(source.path, grid, layout)
     with decoding(source, "text table"):
         cells = convert(grid, {*layout.where, layout.run} - {""})
     return _Reading(source.path, grid, layout, kind, cells).logs()
 
 
+_CLOCKS = ("time_s", "t_s")
+
+
 def _guess(path: Path, grid: Grid) -> Literal["faser", "table"]:
     """Tell apart the two headers that need no layout."""
-    if "time_s" in grid.names:
+    if any(name in grid.names for name in _CLOCKS):
         return "table"
     if "time" in grid.names and any(is_faser(name) for name in grid.names):
         return "faser"

@@ -10,19 +10,18 @@ import csv
 import io
 import re
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from logparsers.errors import EmptyLog, MissingChannel, UnreadableLog
+from logparsers.errors import EmptyLog, LogError, MissingChannel, UnreadableLog
 from logparsers.records import Damage
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from numpy.typing import NDArray
 
-__all__ = ["Grid", "read_grid"]
+__all__ = ["Grid", "header_cells", "read_grid"]
 
 CONTROL = bytes(c for c in range(32) if c not in b"\t\n\f\r") + b"\x7f"
 NO_CONTROL = bytes(c for c in range(256) if c not in CONTROL)
@@ -91,7 +90,7 @@ def read_grid(path: Path, content: bytes, columns: tuple[str, ...] = ()) -> Grid
     start, skipped = _preamble(path, text)
     end = text.find(b"\n", start)
     first = text[start:] if end < 0 else text[start:end]
-    delimiter = next((d for d in ("\t", ";", ",") if d.encode() in first), " ")
+    delimiter = _delimiter(first)
     names = columns or _names(path, first.decode("utf-8", "replace"), delimiter, skipped + 1)
     rest = text[start:] if columns else text[start + len(first) + 1 :]
     skipped += not columns
@@ -102,6 +101,33 @@ def read_grid(path: Path, content: bytes, columns: tuple[str, ...] = ()) -> Grid
     if b'"' in rest:
         rest = _unquoted(path, rest, delimiter, skipped)
     return _rows(path, names, rest, delimiter, "," if comma else ".", skipped)
+
+
+def header_cells(head: bytes) -> tuple[str, ...]:
+    r"""Names in the first line that is neither blank nor a comment; none if there is no such line.
+
+    Parameters
+    ----------
+    head : bytes
+        The beginning of a table.
+
+    Examples
+    --------
+    >>> header_cells(b"# by hand\n\ntime_s; x\n0;1\n")
+    ('time_s', 'x')
+    """
+    path = Path("<head>")
+    try:
+        text = _lines(path, head.rpartition(b"\n")[0] or head)
+        start, _ = _preamble(path, text)
+        first = text[start:].partition(b"\n")[0]
+        return _names(path, first.decode("utf-8", "replace"), _delimiter(first), 1)
+    except LogError:
+        return ()
+
+
+def _delimiter(first: bytes) -> str:
+    return next((d for d in ("\t", ";", ",") if d.encode() in first), " ")
 
 
 def _lines(path: Path, content: bytes) -> bytes:

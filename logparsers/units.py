@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-__all__ = ["COMMANDS", "faser_unit", "is_faser", "suffix_unit"]
+__all__ = ["COMMANDS", "SECONDS", "faser_unit", "is_faser", "suffix_unit"]
+
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+"""Of a tick of a clock."""
 
 COMMANDS = ("de", "dr", "da_l", "da_r", "df_l", "df_r")
 """FASER's surface commands [rad]: elevator, rudder, ailerons, flaps; ``_pos`` behind them is the measured position."""

@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from servofd.axes.schema import MotionModel
 from servofd.calibration import Calibration, DegreeCalibration
 from servofd.errors import ConfigError, DesignError, ServofdError, suggest
+from servofd.evidence import ModelOrigin
 from servofd.limits import Limits
 from servofd.models.effect_table import EffectTable, effects_installed
 from servofd.models.effects import Extension, PositionLimit
@@ -116,6 +118,8 @@ class Surface(_Entry):
     """When servos were replaced, the oldest first."""
     limits: Limits = Limits()
     """How far the servo may wear."""
+    model: ModelOrigin = ModelOrigin()
+    """Where the servo's model comes from: a servo that a file names is ``named`` unless it says otherwise."""
 
     @property
     def tolerances(self) -> Tolerance:
@@ -156,12 +160,16 @@ class Aircraft(_Entry):
     """An aircraft: its surfaces, and the servos that are not in the library."""
 
     name: str = ""
-    surfaces: dict[str, Surface] = Field(min_length=1)
+    surfaces: dict[str, Surface] = {}
+    motion: MotionModel | None = None
+    """What the aircraft's motion tells of its axes; the only thing known of one whose servos report nothing."""
     servos: dict[str, Servo] = {}
     table: Table | None = None
 
     @model_validator(mode="after")
     def _servos_exist(self) -> Self:
+        if not self.surfaces and self.motion is None:
+            raise ValueError("surfaces: at least one entry is needed, for example [surfaces.elevator]")
         known = {**library(), **self.servos}
         for name, surface in self.surfaces.items():
             if surface.servo not in known:
@@ -288,8 +296,6 @@ def _sentence(detail: ErrorDetails) -> str:
     kind, message = detail["type"], detail["msg"].removeprefix("Value error, ")
     if kind == "extra_forbidden":
         return f"{where}: unknown key; {_siblings(path)}"
-    if kind == "too_short":
-        return f"{where}: at least one entry is needed, for example [surfaces.elevator]"
     if kind == "missing":
         return f"{where}: this key is missing"
     if kind == "union_tag_not_found":

@@ -14,10 +14,18 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from logparsers import FlightLog
+
 import difflib
 from collections.abc import Iterable
+from importlib.util import find_spec
+from types import MappingProxyType
 
 __all__ = [
+    "EXTRAS",
     "CalibrationError",
     "ConfigError",
     "DesignError",
@@ -26,7 +34,9 @@ __all__ = [
     "RecordingError",
     "ServofdError",
     "UnknownName",
+    "needs",
     "suggest",
+    "without",
 ]
 
 
@@ -43,7 +53,15 @@ class UnknownName(ServofdError):  # noqa: N818 - reads better without "Error" wh
 
 
 class NoMeasurement(ServofdError):  # noqa: N818
-    """Nothing in the log tells where a surface was."""
+    """Nothing in the log tells where a surface was.
+
+    Attributes
+    ----------
+    log : FlightLog or None
+        The log, if it could be read.
+    """
+
+    log: FlightLog | None = None
 
 
 class CalibrationError(ServofdError):
@@ -60,6 +78,54 @@ class RecordingError(ServofdError):
 
 class IdentificationError(ServofdError):
     """A test does not show what a servo is like."""
+
+
+EXTRAS = MappingProxyType(
+    {
+        "matplotlib": "view",
+        "rerun": "view",
+        "rerun_cli": "view",
+        "pyarrow": "view",
+        "starlette": "serve",
+        "uvicorn": "serve",
+        "control": "control",
+        "distributed": "cluster",
+    }
+)
+"""Packages that not everybody needs, and the optional part of servofd that brings each."""
+
+
+def needs(*packages: str) -> None:
+    """Refuse what packages are needed for that are not installed, and say how to get them.
+
+    Parameters
+    ----------
+    *packages : str
+        Some of `EXTRAS`.
+
+    Raises
+    ------
+    ConfigError
+        If one of them is not there.
+
+    Examples
+    --------
+    >>> needs("matplotlib")
+    """
+    for package in packages:
+        if find_spec(package) is None:
+            raise ConfigError(without(package))
+
+
+def without(package: str) -> str:
+    """What to say where a package is not installed.
+
+    Examples
+    --------
+    >>> without("rerun")
+    'this needs rerun, which is not installed: pip install "servofd[view]"'
+    """
+    return f'this needs {package}, which is not installed: pip install "servofd[{EXTRAS[package]}]"'
 
 
 def suggest(kind: str, name: str, known: Iterable[str]) -> str:

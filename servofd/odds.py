@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from servofd.aircraft import Aircraft
-    from servofd.detection.audit import LogAudit, SurfaceAudit
+    from servofd.detection.verdict import LogAudit, SurfaceAudit
     from servofd.types import FloatArray
 
 __all__ = ["LeftOut", "Part", "odds_from_design", "odds_from_logs", "odds_of_surface", "parts_of"]

@@ -11,6 +11,8 @@ import logparsers
 from servofd.aircraft import Aircraft, load_aircraft
 from servofd.errors import NoMeasurement
 from servofd.feedback.advice import what_to_log
+from servofd.onboard.plan import output_of
+from servofd.onboard.seen import seen_on_board
 from servofd.segment import SLOWEST_RATE_HZ, cut
 from servofd.workflow import aircraft_for, layout_of
 
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
 
     from logparsers import Channel, FlightLog
 
-__all__ = ["ChannelSurvey", "SurfaceSurvey", "Survey", "survey"]
+__all__ = ["ChannelSurvey", "OnBoard", "SurfaceSurvey", "Survey", "survey"]
 
 _GAP_PERIODS = 5.0
 _RATE_PER_BANDWIDTH = 10.0
@@ -53,12 +55,28 @@ class SurfaceSurvey:
 
 
 @dataclass(frozen=True, slots=True)
+class OnBoard:
+    """What a script on board saw of one surface."""
+
+    name: str
+    """Of the surface; of the output, if the aircraft does not know it."""
+    output: int
+    samples: int
+    peak_share: float | None
+    """Largest residual as a share of its threshold; None if none was judged."""
+    alarms_s: tuple[float, ...]
+    """When it went over that [s]."""
+
+
+@dataclass(frozen=True, slots=True)
 class Survey:
     """One log."""
 
     log: FlightLog
     surfaces: tuple[SurfaceSurvey, ...]
     channels: tuple[ChannelSurvey, ...]
+    on_board: tuple[OnBoard, ...]
+    """What a script on board saw."""
     advice: str
     """What would have to be logged; empty if every surface can be audited."""
 
@@ -74,8 +92,9 @@ class Survey:
             "firmware": log.firmware or None,
             "start_utc": log.start_utc.isoformat() if log.start_utc else None,
             "channels": len(log.channels),
-            "damage": [asdict(damage) for damage in log.damage],
+            "damage": [asdict(damage) for damage in log.damage_summary],
             "surfaces": [asdict(surface) for surface in self.surfaces],
+            "on_board": [asdict(seen) for seen in self.on_board],
             "channel_details": [asdict(channel) for channel in self.channels],
             "advice": self.advice or None,
         }
@@ -111,7 +130,9 @@ def _survey(log: FlightLog, known: Aircraft | None, every_channel: bool) -> Surv
     surfaces = tuple(_surface(log, aircraft, name) for name in aircraft.surfaces) if aircraft else ()
     unfit = not surfaces or any(not s.verdict.startswith("yes") for s in surfaces)
     channels = tuple(_channel(log[name]) for name in log.channels) if every_channel else ()
-    return Survey(log, surfaces, channels, what_to_log(log) if unfit and log.is_of_autopilot else "")
+    return Survey(
+        log, surfaces, channels, _on_board(log, aircraft), what_to_log(log) if unfit and log.is_of_autopilot else ""
+    )
 
 
 def _surface(log: FlightLog, aircraft: Aircraft, name: str) -> SurfaceSurvey:
@@ -126,6 +147,20 @@ def _surface(log: FlightLog, aircraft: Aircraft, name: str) -> SurfaceSurvey:
         round(1.0 / segment.period_s, 3) if segment.period_s > 0.0 else None,
     )
     return SurfaceSurvey(name, surface.command.channel, position, command_hz, position_hz, _judged_by_rate(position_hz))
+
+
+def _on_board(log: FlightLog, aircraft: Aircraft | None) -> tuple[OnBoard, ...]:
+    names = {output_of(surface): name for name, surface in aircraft.surfaces.items()} if aircraft else {}
+    return tuple(
+        OnBoard(
+            names.get(seen.output, f"output {seen.output}"),
+            seen.output,
+            seen.time_s.size,
+            None if np.isnan(seen.peak_share) else round(seen.peak_share, 3),
+            tuple(np.round(seen.crossed_s, 3).tolist()),
+        )
+        for seen in seen_on_board(log)
+    )
 
 
 def _judged_by_rate(position_hz: float | None) -> str:

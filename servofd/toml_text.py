@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 __all__ = ["read_toml", "toml_inline", "toml_key", "toml_value"]
+
+_ACTS = re.compile(r"[\x7f-\x9f\u200b-\u200f\u2028-\u202e\ud800-\udfff]")
+"""What JSON leaves as it is, and no reader of TOML should meet."""
+_NO_CHARACTER = "\ufffd"
 
 
 def read_toml(source: Path | Traversable, name: str, what: str) -> dict[str, Any]:
@@ -59,7 +64,7 @@ def toml_key(name: str) -> str:
     >>> toml_key("aileron_left"), toml_key("servo 1")
     ('aileron_left', '"servo 1"')
     """
-    return name if name.replace("_", "").replace("-", "").isalnum() and name.isascii() else json.dumps(name)
+    return name if name.replace("_", "").replace("-", "").isalnum() and name.isascii() else toml_value(name)
 
 
 def toml_inline(table: Mapping[str, Any]) -> str:
@@ -84,5 +89,6 @@ def toml_value(value: Any) -> str:  # noqa: ANN401 - anything a TOML file can ho
     if isinstance(value, dict):
         return toml_inline(value)
     if isinstance(value, bool | str | list | tuple):
-        return json.dumps(value, ensure_ascii=False)
+        text = json.dumps(value, ensure_ascii=False)
+        return _ACTS.sub(lambda found: _NO_CHARACTER if found[0] >= "\ud800" else f"\\u{ord(found[0]):04x}", text)
     return repr(value)

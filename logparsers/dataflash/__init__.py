@@ -13,10 +13,12 @@ from logparsers.dataflash.store import Step, Stretch
 from logparsers.records import FlightLog
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from logparsers.only import Only
     from logparsers.source import Source
 
-__all__ = ["DataFlashFile", "Field", "Layout", "ParameterChange", "Step", "Stretch", "read_dataflash"]
+__all__ = ["DataFlashFile", "Field", "Layout", "ParameterChange", "Step", "Stretch", "flight_log", "read_dataflash"]
 
 
 def read_dataflash(source: Source, only: Only) -> FlightLog:
@@ -34,11 +36,30 @@ def read_dataflash(source: Source, only: Only) -> FlightLog:
     LogError
         If it defines no message, or has none of the channels.
     """
-    file = DataFlashFile.of(source.mapped(), str(source.path))
-    channels = LazyChannels(DataFlashRecording(file)).only(only, source.path)
+    return flight_log(DataFlashFile.of(source.mapped(), str(source.path)), source.path, only)
+
+
+def flight_log(file: DataFlashFile, path: Path, only: Only) -> FlightLog:
+    """Make a log of a file, or of what another tool exported of one.
+
+    Parameters
+    ----------
+    file : DataFlashFile
+        The messages.
+    path : Path
+        Where they come from.
+    only : Only
+        Which channels.
+
+    Raises
+    ------
+    LogError
+        If it has none of the channels.
+    """
+    channels = LazyChannels(DataFlashRecording(file)).only(only, path)
     disorder, span_s = channels.survey()
     return FlightLog(
-        source.path,
+        path,
         "dataflash",
         channels,
         (*file.damage, *disorder),

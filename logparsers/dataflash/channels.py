@@ -55,9 +55,10 @@ class DataFlashRecording:
                     found[f"{message}{which}.{field.name}"] = series
         return found
 
-    def stamps(self, group: Group) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Time of each row [s], and whether it agrees with the rows around it."""
-        return self._file.times_s(*group), ~self._file.suspect(*group)
+    def stamps(self, group: Group) -> tuple[NDArray[np.float64], NDArray[np.bool_] | None]:
+        """Time of each row [s], and whether it agrees with the rows around it (None: all do)."""
+        suspect = self._file.suspect(*group)
+        return self._file.times_s(*group), ~suspect if suspect.any() else None
 
     def values(self, series: Series) -> NDArray[Any]:
         """Numbers of a series in the order of the file."""

@@ -12,8 +12,7 @@ import numpy as np
 
 from logparsers.dataflash import about
 from logparsers.dataflash.binary import BinaryStore
-from logparsers.dataflash.report import describe
-from logparsers.dataflash.scan import BACK_US
+from logparsers.dataflash.report import Boots, describe
 from logparsers.dataflash.text import TextStore
 from logparsers.errors import MissingChannel, UnreadableLog
 from logparsers.source import mapped
@@ -34,7 +33,6 @@ if TYPE_CHECKING:
 
 __all__ = ["DataFlashFile"]
 
-REBOOT_US: Final = 1_000_000  # set between two runs of the clock in one file; the true pause is unknown
 HEAD_SIZE: Final = 8192
 
 
@@ -270,10 +268,8 @@ class DataFlashFile:
         if clock is None:
             return np.full(self.count(name) if rows is None else len(rows), np.nan)
         times = self._times_us(name, clock, rows)
-        starts, shifts = self._reboots
-        if starts.size:
-            where = self._store.offsets(name)
-            times += shifts[np.searchsorted(starts, where if rows is None else where[rows], side="right")]
+        where = self._store.offsets(name)
+        times += self._boots.shift_us(where if rows is None else where[rows])
         return times / 1.0e6
 
     def suspect(self, name: str, instance: int | str | None = None) -> NDArray[np.bool_]:
@@ -329,15 +325,11 @@ class DataFlashFile:
     @cached_property
     def damage(self) -> tuple[Damage, ...]:
         """All that is wrong with the log: bytes lost, gaps, jumps of the clock."""
-        return describe(self._store)
+        return describe(self._store, self._boots)
 
     @cached_property
-    def _reboots(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Where the clock began again [bytes], and what to add to it before the first, from it on, ... [us]."""
-        steps = [step for step in self._store.steps if step.after_us < step.before_us - BACK_US]
-        starts = np.array([step.offset for step in steps], np.int64)
-        shifts = np.array([0, *(step.before_us + REBOOT_US - step.after_us for step in steps)], np.int64)
-        return starts, np.cumsum(shifts)
+    def _boots(self) -> Boots:
+        return Boots(self._store.steps)
 
     def _layout(self, name: str) -> Layout:
         try:

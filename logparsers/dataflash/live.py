@@ -20,6 +20,8 @@ _INSTANCE: Final = "#"
 _PATIENCE_S, _AGAIN_S = 2.0, 0.2
 _MOST_AHEAD: Final = 2_000
 _MOST_NACKS: Final = 20
+_REMEMBERED: Final = 1024
+"""Blocks that may come again because their acknowledgement was lost: autopilots keep 40, or some hundreds, of them."""
 
 Answer = tuple[int, bool]
 """Number of a block, and whether it arrived."""
@@ -60,7 +62,16 @@ class RowDecoder:
 
     def feed(self, data: bytes) -> list[LiveRow]:
         """Rows that these bytes complete."""
-        data, at, rows = self._rest + data, 0, []
+        rows = []
+        for record in self.records(data):
+            known = self._formats.get(record[2])
+            row = self._row(known, record[_HEAD_SIZE:]) if known is not None and record[2] != _FMT else None
+            rows += [row] if row is not None else []
+        return rows
+
+    def records(self, data: bytes) -> list[bytes]:
+        """Whole records that these bytes complete, as they are."""
+        data, at, found = self._rest + data, 0, []
         while True:
             at = data.find(_HEAD, at)
             if at < 0 or at + _HEAD_SIZE > len(data):
@@ -75,12 +86,10 @@ class RowDecoder:
                 break
             if kind == _FMT:
                 self._learn(data[at + _HEAD_SIZE : at + size])
-            elif known is not None:
-                row = self._row(known, data[at + _HEAD_SIZE : at + size])
-                rows += [row] if row is not None else []
+            found.append(data[at : at + size])
             at += size
         self._rest = data[at:] if at >= 0 else data[-1:]
-        return rows
+        return found
 
     def lose(self) -> None:
         """Bytes are missing here."""
@@ -134,30 +143,58 @@ class BlockStream:
     def __init__(self) -> None:
         self._next = 0
         self._early: dict[int, bytes] = {}
+        self._lately: dict[int, bytes] = {}
+        """Latest blocks that were given, by their numbers; empty for those that never came."""
+        self._again: dict[int, bytes] = {}
+        """Of these, what has come again since the latest new one: copies, or a new beginning that begins alike."""
         self._answers: list[Answer] = []
         self._missing_since_s, self._asked_s = math.inf, -math.inf
-        self.lost = 0
-        """Blocks that never came."""
+        self.received = self.lost = self.restarts = 0
+        """Blocks that came, and that never did; how often the autopilot began anew, with block 0."""
         self.begun = False
 
     def take(self, number: int, data: bytes, now_s: float) -> list[bytes]:
         """Blocks that are in order now; an empty one stands for what is lost."""
         self._answers.append((number, True))
+        ready = []
         if not self.begun:
             self.begun, self._next = True, number if number > _MOST_AHEAD else 0
-        if number >= self._next:
-            self._early[number] = data
-        ready = self._in_order()
+        elif self._began_anew(number, data):
+            self._next, self.restarts = 0, self.restarts + 1
+            self._early, self._again = self._again, {}
+            self._lately.clear()
+            ready.append(b"")
+        if number < self._next:
+            self._again[number] = data
+            return ready
+        self._again.clear()
+        self._early[number] = data
+        whole = self._in_order()
         if not self._early:
             self._missing_since_s = math.inf
-        elif math.isinf(self._missing_since_s) or ready:
+        elif math.isinf(self._missing_since_s) or whole:
             self._missing_since_s = now_s
+        ready += whole
         if self._early and (now_s - self._missing_since_s > _PATIENCE_S or len(self._early) > _MOST_AHEAD):
             first = min(self._early)
             self.lost += first - self._next
+            for never in range(max(self._next, first - _REMEMBERED), first):
+                self._remember(never, b"")
             self._next, self._missing_since_s = first, now_s
             ready += [b"", *self._in_order()]
         return ready
+
+    def _began_anew(self, number: int, data: bytes) -> bool:
+        """Whether this block is neither new, nor one of the latest once more, nor one that was given up."""
+        if number >= self._next:
+            return False
+        known = self._lately.get(number)
+        return known is None or known not in (b"", data)
+
+    def _remember(self, number: int, data: bytes) -> None:
+        self._lately[number] = data
+        if len(self._lately) > _REMEMBERED:
+            del self._lately[next(iter(self._lately))]
 
     def answers(self, now_s: float) -> list[Answer]:
         """Acknowledgements, and requests for what is missing."""
@@ -172,7 +209,9 @@ class BlockStream:
         ready = []
         while self._next in self._early:
             ready.append(self._early.pop(self._next))
+            self._remember(self._next, ready[-1])
             self._next += 1
+            self.received += 1
         return ready
 
 

@@ -22,6 +22,8 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from numpy.typing import NDArray
+
     Ints = array[int]
 
 __all__ = [
@@ -35,6 +37,7 @@ __all__ = [
     "NEW_FORMAT",
     "NO_TIME",
     "Walk",
+    "clock_steps",
     "finish",
     "follow",
     "is_header",
@@ -267,6 +270,33 @@ def follow(times_us: Sequence[int], offsets: Sequence[int]) -> tuple[list[int], 
     finish(state, odd, steps)
     collect()
     return odd_places, step_places
+
+
+def clock_steps(
+    times_us: Sequence[NDArray[np.int64]], offsets: Sequence[NDArray[np.int64]]
+) -> tuple[NDArray[np.int64], list[tuple[int, int, int]]]:
+    """Find gaps and jumps of a clock that several messages share, and records whose time stamp is wrong.
+
+    Parameters
+    ----------
+    times_us, offsets : sequence of ndarray of int64, each of shape (n_i,)
+        Time stamps [us] or `NO_TIME`, and places, of the records of each message.
+
+    Returns
+    -------
+    odd, steps
+        As of `follow`.
+    """
+    if not times_us:
+        return np.zeros(0, np.int64), []
+    places = np.concatenate(offsets)
+    order = np.argsort(places, kind="stable")
+    places, times = places[order], np.concatenate(times_us)[order]
+    step = np.diff(times)
+    if not times.size or (times.min() >= 0 and (not step.size or (step.min() >= -BACK_US and step.max() <= GAP_US))):
+        return np.zeros(0, np.int64), []
+    odd, steps = follow(times.tolist(), places.tolist())
+    return np.array(odd, np.int64), steps
 
 
 @cache

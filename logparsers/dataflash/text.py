@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from logparsers.dataflash.formats import FMT, Layout, define
-from logparsers.dataflash.scan import BACK_US, GAP_US, NO_TIME, follow
+from logparsers.dataflash.scan import NO_TIME, clock_steps
 from logparsers.dataflash.store import Step, Stretch
 from logparsers.dataflash.units import apply_units
 
@@ -57,7 +57,6 @@ class TextStore:
         self._starts = starts
         self._index(commas, names)
         apply_units(self.layouts, self.read)
-        self._odd = np.zeros(0, np.int64)
         self._follow_clock()
 
     def count(self, name: str) -> int:
@@ -187,17 +186,7 @@ class TextStore:
     def _follow_clock(self) -> None:
         """Find gaps and jumps of the clock, and lines whose time stamp is wrong."""
         timed = [name for name, layout in self.layouts.items() if self.count(name) and _is_timed(layout)]
-        if not timed:
-            return
-        offsets = np.concatenate([self.offsets(name) for name in timed])
-        times = np.concatenate([self._times_us(name) for name in timed])
-        order = np.argsort(offsets)
-        offsets, times = offsets[order], times[order]
-        step = np.diff(times)
-        if times.min() >= 0 and (not step.size or (step.min() >= -BACK_US and step.max() <= GAP_US)):
-            return
-        odd, steps = follow(times.tolist(), offsets.tolist())
-        self._odd = np.array(odd, np.int64)
+        self._odd, steps = clock_steps([self._times_us(name) for name in timed], [self.offsets(name) for name in timed])
         self.steps += [Step(*found) for found in steps[:LISTED]]
 
     def _times_us(self, name: str) -> NDArray[np.int64]:

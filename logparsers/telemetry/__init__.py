@@ -9,9 +9,11 @@ from logparsers.records import FlightLog
 from logparsers.telemetry.channels import TelemetryRecording
 from logparsers.telemetry.file import TelemetryFile
 from logparsers.telemetry.messages import Sender
+from logparsers.telemetry.remote_log import BLOCKS, RemoteLogs, WithRemoteLog, remote_logs
 from logparsers.telemetry.vehicle import Vehicle
 
 if TYPE_CHECKING:
+    from logparsers.channels import Recording
     from logparsers.only import Only
     from logparsers.source import Source
 
@@ -36,15 +38,19 @@ def read_telemetry(source: Source, only: Only) -> FlightLog:
         If it holds no good message, or none of the channels.
     """
     file = TelemetryFile(source.mapped(), str(source.path))
-    channels = LazyChannels(TelemetryRecording(file)).only(only, source.path)
+    recording: Recording = TelemetryRecording(file)
+    logs = remote_logs(file) if BLOCKS in file.messages else RemoteLogs((), ())
+    if logs.parts:
+        recording = WithRemoteLog(recording, logs)
+    channels = LazyChannels(recording).only(only, source.path)
     craft = file.vehicle
     disorder, span_s = channels.survey()
     return FlightLog(
         source.path,
         "tlog",
         channels,
-        (*file.damage, *disorder),
-        parameters=file.parameters,
+        (*file.damage, *logs.damage, *disorder),
+        parameters={**logs.parameters, **file.parameters},
         texts=file.texts,
         vehicle=craft.type if craft else "",
         firmware=_firmware(craft) if craft else "",

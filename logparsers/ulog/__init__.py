@@ -34,6 +34,8 @@ def read_ulog(source: Source, only: Only) -> FlightLog:
     file = UlogFile(source.mapped(), str(source.path), only.topics)
     channels = LazyChannels(UlogRecording(file)).only(only, source.path, file.announced)
     disorder, span_s = channels.survey()
+    if span_s and span_s[0] < file.begin_s < span_s[1]:  # topics published once, before the log began
+        span_s = file.begin_s, span_s[1]
     return FlightLog(
         source.path,
         "ulog",

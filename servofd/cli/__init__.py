@@ -13,9 +13,8 @@ import signal
 import sys
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING
 
-from servofd import __version__
 from servofd.cli import (
     audit,
     calibrate,
@@ -25,10 +24,13 @@ from servofd.cli import (
     fleet,
     identify,
     info,
+    look,
     manual,
     monitor,
     odds,
+    onboard,
     review,
+    serve,
     servos,
     simulate,
     sweep,
@@ -37,54 +39,61 @@ from servofd.cli import (
 )
 from servofd.cli.completion import SHELLS, PrintCompletion
 from servofd.cli.interrupt import interruptible
+from servofd.cli.parser import COULD_NOT_TELL, OneLineParser
 from servofd.cli.tables import one_line
+from servofd.cli.terminal import plain_streams
+from servofd.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from types import ModuleType
 
-__all__ = ["main"]
+__all__ = ["main", "parsed"]
 
-_VERBS = (
-    info,
-    config,
-    calibrate,
-    audit,
-    monitor,
-    fleet,
-    trend,
-    view,
-    review,
-    explain,
-    sweep,
-    odds,
-    identify,
-    simulate,
-    servos,
-    design,
-    manual,
-)
+_GROUPS = {
+    "look at flights": (audit, info, explain, view, review, fleet, trend, serve),
+    "model an aircraft": (config, calibrate, identify, sweep, servos, odds, design),
+    "fly": (monitor, onboard, simulate),
+    "more": (manual,),
+}
 """In the order in which the help shows them."""
+_VERBS = tuple(verb for group in _GROUPS.values() for verb in group)
 
-_COULD_NOT_TELL = 2
 _INTERRUPTED = 128 + signal.SIGINT
 
 
-class _OneLineParser(argparse.ArgumentParser):
-    """Reports a wrong call in one line, with the way to help; options must be spelt out."""
+class _WholeParser(OneLineParser):
+    """Its help lists the verbs by what one wants to do."""
 
-    def __init__(self, **options: Any) -> None:  # noqa: ANN401 - whatever argparse takes
-        super().__init__(**(options | {"allow_abbrev": False}))
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(_COULD_NOT_TELL, f"{self.prog}: {message} (see '{self.prog} --help')\n")
+    def format_help(self) -> str:
+        """What to type first, then the verbs in their groups."""
+        (verbs,) = (action for action in self._actions if isinstance(action, argparse._SubParsersAction))
+        says = {action.dest: action.help or "" for action in verbs._choices_actions}
+        lines = [
+            "usage: servofd LOG... [-c AIRCRAFT.toml] [options]     judge, and open the page",
+            "       servofd VERB ...",
+            "",
+            str(self.description),
+            "",
+            "LOG is a flight log (.bin, .log, .tlog, .ulg, .mat, .csv, ...), a folder of them, a recording (.rrd), or",
+            "the endpoint of a flying aircraft (udpin:127.0.0.1:14550).",
+        ]
+        for title, group in _GROUPS.items():
+            lines += ["", f"{title}:", *(f"  {name:<12}{says[name]}" for name in map(_name, group))]
+        lines += [
+            "",
+            "servofd help VERB tells its options, servofd LOG --help those of the first form.",
+            str(self.epilog),
+        ]
+        return "\n".join(lines) + "\n"
 
 
 def build_parser() -> argparse.ArgumentParser:
     """All verbs and their options."""
-    parser = _OneLineParser(
+    parser = _WholeParser(
         prog="servofd",
         description="Tells which servo of an aircraft is lying, from its flight log.",
-        epilog="Example: servofd audit sample_logs/faser_stuck_flight.mat",
+        epilog="Example: servofd sample_logs/faser_stuck_flight.mat",
     )
     parser.add_argument("--version", action="version", version=f"servofd {__version__}")
     parser.add_argument(
@@ -93,9 +102,10 @@ def build_parser() -> argparse.ArgumentParser:
         choices=SHELLS,
         help="print what lets the tabulator key complete verbs, options and files: eval it in your shell's start file",
     )
-    verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
+    verbs = parser.add_subparsers(dest="verb", metavar="VERB", parser_class=OneLineParser)
     for verb in _VERBS:
         verb.add_parser(verbs)
+    parser.set_defaults(whole=parser)  # whose page `servofd help` shows
     return parser
 
 
@@ -115,15 +125,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # a terminal that cannot show a sign shows a question mark
-    parser = build_parser()
-    if any("\0" in word for word in arguments or ()):
-        parser.error("a word with a NUL in it, which is in no file's name")
-    options = parser.parse_args(arguments)
+    with plain_streams():
+        return _main(arguments)
+
+
+def _main(arguments: Sequence[str] | None) -> int:
+    options = parsed(sys.argv[1:] if arguments is None else arguments)
     # Vectors of a log are too short to share out: threads that wait for each other took two to five times the time.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Importing these takes a while; `servofd --help` does without.
     from logparsers import LogError
-    from servofd.errors import ServofdError
+    from servofd.errors import EXTRAS, ServofdError, without
 
     try:
         with interruptible():
@@ -132,19 +144,51 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 sys.stdout.flush()
     except (LogError, ServofdError) as error:
         print(f"servofd: {one_line(error)}", file=sys.stderr)
-        return _COULD_NOT_TELL
+        return COULD_NOT_TELL
+    except ModuleNotFoundError as error:
+        package = (error.name or "").partition(".")[0]
+        if package not in EXTRAS:
+            raise
+        print(f"servofd: {without(package)}", file=sys.stderr)
+        return COULD_NOT_TELL
     except KeyboardInterrupt:
         print("servofd: interrupted; nothing half-written was left behind", file=sys.stderr)
         return _INTERRUPTED
     except BrokenPipeError:
         # The reader of our output has gone (`servofd ... | head`); keep Python from complaining at exit.
         _silence()
-        return _COULD_NOT_TELL
+        return COULD_NOT_TELL
     except OSError as error:
         print(f"servofd: cannot write the result: {error.strerror or error}", file=sys.stderr)
         _silence()
-        return _COULD_NOT_TELL
+        return COULD_NOT_TELL
     return code
+
+
+def parsed(words: Sequence[str]) -> argparse.Namespace:
+    """Options of a verb, or of the logs, the recording or the endpoint that stand in its place."""
+    parser = build_parser()
+    if any("\0" in word for word in words):
+        parser.error("a word with a NUL in it, which is in no file's name")
+    names = [_name(verb) for verb in _VERBS]
+    verb = look.verb_for(words, names) if words else ""
+    if verb == "look":
+        return look.look_parser().parse_args(words)
+    if verb and verb != words[0]:
+        return parser.parse_args([verb, *words])
+    if words and not verb and not words[0].startswith("-"):
+        from servofd.errors import suggest
+
+        parser.error(f"{words[0]}: no such file, and {suggest('verb', words[0], names)}")
+    options = parser.parse_args(words)
+    if options.verb is None:
+        parser.error("a log or a verb is needed: servofd flight.bin judges a flight")
+    return options
+
+
+def _name(verb: ModuleType) -> str:
+    """What the user types for a verb."""
+    return "help" if verb is manual else verb.__name__.rpartition(".")[2]
 
 
 def _silence() -> None:

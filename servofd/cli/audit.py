@@ -7,14 +7,26 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from servofd.cli.audit_fleet import add_options, is_fleet, run_fleet
+from servofd.cli.audit_fleet import add_options as add_options_of_many
+from servofd.cli.audit_fleet import is_fleet, run_fleet
+from servofd.cli.exit_codes import worst
 
 if TYPE_CHECKING:
     from servofd.aircraft import Aircraft
-    from servofd.detection.audit import LogAudit
+    from servofd.detection.verdict import LogAudit
     from servofd.outputs.json_report import FailedLog
 
-__all__ = ["add_parser", "positive", "run"]
+__all__ = [
+    "add_options",
+    "add_parser",
+    "check",
+    "exit_code",
+    "judged",
+    "positive",
+    "print_json",
+    "run",
+    "write",
+]
 
 
 def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
@@ -26,6 +38,12 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
         "2: could not tell.",
         epilog="Example: servofd audit flight.mat -c configs/faser.toml -o report/",
     )
+    add_options(parser)
+    parser.set_defaults(run=run)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Declare what to judge, how, and what to write."""
     parser.add_argument(
         "logs",
         nargs="+",
@@ -51,32 +69,51 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
         help="write figures, recordings and audit.json to a folder; "
         "of many logs, tables (Parquet) and a page, to which the next call adds what is new",
     )
-    add_options(parser)
-    parser.set_defaults(run=run)
+    add_options_of_many(parser)
+    parser.set_defaults(pages=None)
 
 
 def run(options: argparse.Namespace) -> int:
     """Audit all logs, then write all outputs, then print."""
-    from servofd.aircraft import load_aircraft
+    check(options)
+    if is_fleet(options):
+        return run_fleet(options)
+    results = judged(options)
+    write(options, results)
+    if options.json == "-":
+        print_json(results)
+    else:
+        _print(results)
+    return exit_code(results)
+
+
+def check(options: argparse.Namespace) -> None:
+    """Refuse what cannot be, before the work starts."""
     from servofd.cli.targets import check_targets
-    from servofd.errors import ConfigError
+    from servofd.errors import ConfigError, needs
     from servofd.servos import find_servo
 
     if options.threshold == "interval" and options.threshold_deg is not None:
         raise ConfigError("--threshold-deg gives a constant threshold; leave it out, or leave out --threshold interval")
     if "" in options.logs:  # which pathlib takes for this folder and everything below it
         raise ConfigError("a log without a name; give a file, a folder or a pattern")
-    aircraft = load_aircraft(options.config) if options.config else None
     if options.servo:
         find_servo(options.servo)
+    if options.rrd:
+        needs("rerun")
     outputs = (options.rrd, options.json, options.html)
     check_targets(outputs, {"a log": options.logs, "the aircraft file": [options.config]}, folder=options.output)
-    if is_fleet(options):
-        return run_fleet(options, aircraft)
-    results = [result for path in options.logs for result in _audit(path, aircraft, options)]
-    _write(options, results)
-    _print(options, results)
-    return max(_exit_codes(results), key=(0, 1, 2).index)
+
+
+def judged(options: argparse.Namespace) -> list[LogAudit | FailedLog]:
+    """Every run of every log that was named."""
+    from servofd.aircraft import load_aircraft
+    from servofd.fleet.find import flights_joined
+    from servofd.workflow import layout_of
+
+    aircraft = load_aircraft(options.config) if options.config else None
+    logs = options.logs if layout_of(aircraft) else flights_joined(options.logs)
+    return [result for path in logs for result in _audit(path, aircraft, options)]
 
 
 def _audit(path: str, aircraft: Aircraft | None, options: argparse.Namespace) -> list[LogAudit | FailedLog]:
@@ -103,8 +140,13 @@ def _audit(path: str, aircraft: Aircraft | None, options: argparse.Namespace) ->
                 )
             )
     except (LogError, NoMeasurement, UnknownName) as error:
-        results.append(FailedLog(path, str(error)))
+        results.append(FailedLog(path, str(error), getattr(error, "log", None)))
     return results
+
+
+def exit_code(results: list[LogAudit | FailedLog]) -> int:
+    """The worst of all logs; why a log gave no verdict goes to stderr, in a line each."""
+    return worst(_exit_codes(results))
 
 
 def _exit_codes(results: list[LogAudit | FailedLog]) -> list[int]:
@@ -127,7 +169,7 @@ def _exit_codes(results: list[LogAudit | FailedLog]) -> list[int]:
     return codes
 
 
-def _write(options: argparse.Namespace, results: list[LogAudit | FailedLog]) -> None:
+def write(options: argparse.Namespace, results: list[LogAudit | FailedLog]) -> None:
     """Write the files that were asked for."""
     from servofd.errors import ConfigError
     from servofd.outputs.files import write_whole
@@ -152,35 +194,41 @@ def _write(options: argparse.Namespace, results: list[LogAudit | FailedLog]) -> 
 
 
 def _write_folder(folder: Path, audits: list[LogAudit], document: str, *, where: bool, on_map: bool) -> None:
-    from servofd.errors import ConfigError
+    from servofd.errors import ConfigError, needs
     from servofd.outputs.figure import save_figure
-    from servofd.outputs.files import distinct_file_names, write_whole
+    from servofd.outputs.files import distinct_file_names, make_folder, write_whole
     from servofd.outputs.recording import save_recording
 
+    make_folder(folder)
+    write_whole(folder / "audit.json", document.encode())
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"{folder}: cannot make this folder: {error.strerror}") from None
+        needs("matplotlib", "rerun")
+    except ConfigError as error:
+        print(f"servofd: no figures, no recording: {error}", file=sys.stderr)
+        return
     for audit, stem in zip(audits, distinct_file_names([_stem(audit) for audit in audits]), strict=True):
         names = distinct_file_names([surface.surface for surface in audit.surfaces])
         for surface, name in zip(audit.surfaces, names, strict=True):
             if surface.threshold is not None:
                 save_figure(surface, folder / f"{stem}-{name}.png", audit.log.source.name)
         save_recording(audit, folder / f"{stem}.rrd", include_position=where, online_map=on_map)
-    write_whole(folder / "audit.json", document.encode())
 
 
 def _stem(audit: LogAudit) -> str:
     return audit.log.source.stem + (f"-{audit.log.run}" if audit.log.run else "")
 
 
-def _print(options: argparse.Namespace, results: list[LogAudit | FailedLog]) -> None:
-    from servofd.cli.tables import print_verdicts
-    from servofd.outputs.json_report import FailedLog, audit_document, to_json
+def print_json(results: list[LogAudit | FailedLog]) -> None:
+    """Print the result as JSON."""
+    from servofd.outputs.json_report import audit_document, to_json
 
-    if options.json == "-":
-        print(to_json(audit_document(results)), end="")
-        return
+    print(to_json(audit_document(results)), end="")
+
+
+def _print(results: list[LogAudit | FailedLog]) -> None:
+    from servofd.cli.tables import print_verdicts
+    from servofd.outputs.json_report import FailedLog
+
     for result in results:
         if not isinstance(result, FailedLog):
             print_verdicts(result)

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import sys
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from servofd.cli.exit_codes import worst
 
 if TYPE_CHECKING:
     import argparse
 
-    from servofd.aircraft import Aircraft
     from servofd.fleet.find import Found, LogSource
     from servofd.fleet.judge import JudgedLog
     from servofd.fleet.key import Job
@@ -38,8 +40,9 @@ def is_fleet(options: argparse.Namespace) -> bool:
     return several or bool(options.cluster or options.workers) or len(options.logs) > _A_FEW
 
 
-def run_fleet(options: argparse.Namespace, aircraft: Aircraft | None) -> int:
+def run_fleet(options: argparse.Namespace) -> int:
     """Judge all logs, each printed as it is done; then the overview, and what was asked for."""
+    from servofd.aircraft import load_aircraft
     from servofd.cli.tables import one_line
     from servofd.errors import ConfigError
     from servofd.fleet.find import find_logs
@@ -50,7 +53,16 @@ def run_fleet(options: argparse.Namespace, aircraft: Aircraft | None) -> int:
 
     if options.rrd:
         raise ConfigError(f"{options.rrd}: --rrd takes one log; judge the one you want to see by itself")
-    job = Job(aircraft, options.servo, options.threshold_deg, options.threshold, tuple(options.surface))
+    aircraft = load_aircraft(options.config) if options.config else None
+    folder = options.output or options.pages
+    job = Job(
+        aircraft,
+        options.servo,
+        options.threshold_deg,
+        options.threshold,
+        tuple(options.surface),
+        pages=folder is not None,
+    )
     found = find_logs(options.logs, layout_of(aircraft))
     _say_what_was_skipped(found)
     with FleetStore(Path(options.output), job.key) if options.output else nullcontext() as store:
@@ -59,36 +71,63 @@ def run_fleet(options: argparse.Namespace, aircraft: Aircraft | None) -> int:
     seen = _overview(logs)
     if options.json and options.json != "-":
         _write_json(options.json, logs)
-    for page in filter(None, (options.html, str(Path(options.output, PAGE)) if options.output else None)):
+    for page in filter(None, (options.html, str(Path(folder, PAGE)) if folder else None)):
         write_page(seen, page)
     if options.json == "-":
         print(to_json({"schema": "servofd.audit/1", "logs": [log["document"] for log in logs]}), end="")
+    elif options.pages:
+        _print_closing(seen, Path(options.pages, PAGE))
     else:
         print_overview(seen)
     for problem in (*found.problems, *(one["reason"] for one in seen.untold)):
         print(f"servofd: {one_line(problem)}", file=sys.stderr)
-    return 2 if found.problems else seen.exit_code
+    return worst([seen.exit_code, *(2 for _ in found.problems)])
 
 
 def _judged(found: Found, job: Job, store: FleetStore | None, options: argparse.Namespace) -> list[JudgedLog]:
     """Judge what is not done, and print it; kept in memory only if there is no folder for it."""
     from servofd.cli.tables import progress_with_estimate
     from servofd.fleet.run import audit_fleet
+    from servofd.outputs.files import make_folder
 
     kept = []
     to_do = _to_do(found.logs, store)
     if not to_do:
         return []
+    folder = options.output or options.pages
+    if folder:
+        make_folder(Path(folder))
     with progress_with_estimate("audit", len(found.logs), len(found.logs) - len(to_do)) as step:
-        for judged in audit_fleet(to_do, job, cluster=options.cluster, workers=options.workers):
+        for result in audit_fleet(to_do, job, cluster=options.cluster, workers=options.workers):
+            judged = _with_page(result, Path(folder)) if folder else result
             if store is None:
                 kept.append(judged)
             elif not store.add(judged):
                 print(f"servofd: {judged.source.path}: the same bytes as another log; counted once", file=sys.stderr)
-            if options.json != "-":
+            if options.json != "-" and not options.pages:
                 print(_line(judged), flush=True)
             step()
     return kept
+
+
+def _with_page(judged: JudgedLog, folder: Path) -> JudgedLog:
+    """Write the page of a log, and keep it no longer."""
+    from servofd.fleet.key import page_name
+    from servofd.outputs.files import write_whole
+
+    if judged.page:
+        write_whole(folder / page_name(judged.source.path, judged.content), judged.page.encode())
+    return replace(judged, page="")
+
+
+def _print_closing(seen: Overview, page: Path) -> None:
+    """What many logs come to, the worst of them, and where the page is."""
+    from servofd.cli.tables import one_line
+    from servofd.outputs.fleet_page import fleet_sentence, flight_name
+
+    print(f"{fleet_sentence(seen.document())} → {page}")
+    for flight in [flight for flight in seen.flights if flight["status"] in ("fault", "suspect")][:_SHOWN]:
+        print(f"{one_line(flight_name(flight))}: {one_line(flight['sentence'])}")
 
 
 def _to_do(logs: tuple[LogSource, ...], store: FleetStore | None) -> list[LogSource]:
@@ -138,7 +177,9 @@ def _line(judged: JudgedLog) -> str:
 
 
 def _in_memory(judged: list[JudgedLog]) -> list[dict[str, Any]]:
-    every = [{"document": run.document, "untold": run.untold} for one in judged for run in one.runs]
+    every = [
+        {"document": run.document, "untold": run.untold, "content": one.content} for one in judged for run in one.runs
+    ]
     return sorted(every, key=lambda log: (log["document"]["path"], log["document"].get("run") or ""))
 
 
@@ -162,11 +203,12 @@ def _write_json(target: str, logs: list[dict[str, Any]]) -> None:
 
 
 def write_page(seen: Overview, target: str) -> None:
-    """Write the page of a fleet."""
+    """Write the page of a fleet, with links to the pages of its flights that stand beside it."""
     from servofd.outputs.files import write_whole
     from servofd.outputs.fleet_page import fleet_page
 
-    write_whole(target, fleet_page(seen.document()).encode())
+    pages = frozenset(path.name for path in Path(target).parent.glob("*.html"))
+    write_whole(target, fleet_page(seen.document(), pages).encode())
 
 
 def print_overview(seen: Overview) -> None:

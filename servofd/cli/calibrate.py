@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 __all__ = ["add_parser", "run"]
 
 _MILLI = 1e3
+_PER_HOUR = 1e-3
 
 
 def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
@@ -26,10 +27,25 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
         epilog="Example: servofd calibrate good_flight.bin -c my_plane.toml -o calibrated.toml",
     )
     parser.add_argument("logs", nargs="+", metavar="LOG", help="flights of one aircraft, all of them good")
-    parser.add_argument("-c", "--config", required=True, metavar="AIRCRAFT.toml", help="what is known of it so far")
+    parser.add_argument(
+        "-c", "--config", metavar="AIRCRAFT.toml", help="what is known of it so far; not needed for motion alone"
+    )
+    parser.add_argument(
+        "--motion",
+        action="store_true",
+        help="calibrate what the aircraft's motion tells of its axes (which is what happens where no servo reports)",
+    )
+    parser.add_argument(
+        "--own-days",
+        action="store_true",
+        help="of motion: flights of one date differ as days do, in payload, trim or wind",
+    )
     parser.add_argument("-o", "--output", required=True, metavar="CALIBRATED.toml", help="aircraft file to write")
     parser.add_argument(
-        "--false-alarms-per-hour", type=_rate, default=1e-3, metavar="X", help="of the whole aircraft (default: 0.001)"
+        "--false-alarms-per-hour",
+        type=_rate,
+        metavar="X",
+        help="of the whole aircraft (default: 0.001; of motion alone: 1)",
     )
     parser.add_argument("-s", "--surface", action="append", default=[], metavar="NAME", help="calibrate only this one")
     parser.add_argument("--until", type=_seconds, metavar="S", help="use each log up to this time [s] only")
@@ -56,12 +72,23 @@ def run(options: argparse.Namespace) -> int:
     """Calibrate, write, then print."""
     from servofd.aircraft import load_aircraft
     from servofd.calibrating.toml import calibration_to_toml
+    from servofd.cli.calibrate_axes import has_feedback, run_axes
     from servofd.cli.tables import progress_bar
+    from servofd.errors import ConfigError
     from servofd.outputs.files import write_whole
     from servofd.workflow import calibrate
 
     _check_output(options)
+    if options.config is None:
+        if options.motion or not has_feedback(options.logs):
+            return run_axes(options)
+        raise ConfigError(
+            "-c AIRCRAFT.toml is needed where servos report their positions: servofd config LOG drafts it; or --motion "
+            "for what the aircraft's motion tells alone"
+        )
     aircraft = load_aircraft(options.config)
+    if not aircraft.surfaces:
+        raise ConfigError(f"{options.config}: no surface in it to calibrate; leave -c out to calibrate motion anew")
     spans = tuple(options.between)
     if options.until is not None:
         spans = (*spans, (float("-inf"), options.until))
@@ -69,14 +96,17 @@ def run(options: argparse.Namespace) -> int:
         calibration = calibrate(
             options.logs,
             aircraft,
-            false_alarms_per_hour=options.false_alarms_per_hour,
+            false_alarms_per_hour=_PER_HOUR if options.false_alarms_per_hour is None else options.false_alarms_per_hour,
             surfaces=tuple(options.surface),
             spans=spans,
             runs=tuple(options.runs),
             progress=step,
         )
-    write_whole(options.output, calibration_to_toml(calibration).encode())
+    text = calibration_to_toml(calibration)
+    write_whole(options.output, text.encode())
     _print(calibration, options.output)
+    if options.motion:
+        return run_axes(options, text)
     return 0
 
 

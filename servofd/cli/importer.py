@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servofd.detection.audit import LogAudit
+    from servofd.detection.verdict import LogAudit
 
 __all__ = ["NOT_MINE", "main"]
 

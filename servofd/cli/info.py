@@ -49,7 +49,7 @@ def _print(found: Survey) -> None:
     for label, value in (("vehicle", log.vehicle), ("firmware", log.firmware), ("booted", log.start_utc)):
         if value:
             print(f"  {label}: {value}")
-    for damage in log.damage:
+    for damage in log.damage_summary:
         print(f"  damage: {damage.kind}: {damage.note}")
     if found.surfaces:
         print_table(
@@ -67,8 +67,27 @@ def _print(found: Survey) -> None:
                 for c in found.channels
             ],
         )
+    if found.on_board:
+        print_table(
+            ["seen on board", "positions", "largest residual / threshold", "over it at [s]"],
+            [[s.name, str(s.samples), _share(s.peak_share), _times(s.alarms_s)] for s in found.on_board],
+        )
+    elif log.format in ("dataflash", "tlog") and found.surfaces:
+        print(
+            "  in flight: `servofd onboard AIRCRAFT.toml -o servofd.lua` writes the script that watches these servos "
+            "on the autopilot; copy it to APM/scripts, set SCR_ENABLE = 1"
+        )
     if found.advice:
         print(f"  to audit this aircraft: {found.advice}")
+
+
+def _share(share: float | None) -> str:
+    return "not judged" if share is None else f"{share:.2f}"
+
+
+def _times(times_s: tuple[float, ...], most: int = 3) -> str:
+    shown = ", ".join(f"{time_s:.2f}" for time_s in times_s[:most])
+    return f"{shown}, and {len(times_s) - most} more" if len(times_s) > most else shown or "never"
 
 
 def _rate(rate_hz: float | None) -> str:

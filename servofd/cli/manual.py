@@ -26,10 +26,8 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print one page."""
-    from servofd.cli import build_parser
-
     if options.about is None:
-        page = build_parser().format_help()
+        page = options.whole.format_help()
     elif options.about in options.pages:
         page = options.pages[options.about].format_help()
     else:

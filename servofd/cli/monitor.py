@@ -13,7 +13,7 @@ from servofd.cli.signing import signature_of
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from logparsers.codec import Signature
+    from logparsers.records import FlightLog
     from servofd.aircraft import Aircraft
     from servofd.live.session import Session
     from servofd.live.speaker import Speaker
@@ -94,6 +94,7 @@ def _watch(options: argparse.Namespace, aircraft: Mapping[int, Aircraft]) -> Ses
     from servofd.cli.monitor_outputs import Outputs
     from servofd.live.run import watch_link
     from servofd.live.session import Session
+    from servofd.live.speaker import Speaker
     from servofd.live.threads import Receiver
 
     endpoint = parse_endpoint(options.endpoint)
@@ -102,9 +103,13 @@ def _watch(options: argparse.Namespace, aircraft: Mapping[int, Aircraft]) -> Ses
         link = open_link(endpoint)
         open_.callback(link.close)
         session = Session(
-            Codec(0, options.component, signature=signature), aircraft, aside=True, remote_log=options.dataflash
+            Codec(0, options.component, signature=signature),
+            aircraft,
+            aside=True,
+            remote_log=options.dataflash,
+            component=options.component,
         )
-        speaker = _speaker(options, session, signature)
+        speaker = Speaker(options.system or 0, options.component, signature)
         if not options.no_request:
             to_vehicle = open_.enter_context(speaker.to(link))
             session.send = to_vehicle
@@ -129,14 +134,23 @@ def _replay(options: argparse.Namespace, aircraft: Mapping[int, Aircraft]) -> Se
     from servofd.cli.monitor_outputs import Outputs
     from servofd.live.run import Pace, replay_log, replay_telemetry
     from servofd.live.session import Session
+    from servofd.live.speaker import Speaker
     from servofd.workflow import layout_of
 
     pace = Pace(1.0 if options.speed is None else options.speed)
     path = Path(options.endpoint)
     with contextlib.ExitStack() as open_:
         log = logparsers.read(path, layout_of(next(iter(aircraft.values()))))
-        session = Session(Codec(0, options.component), aircraft, is_stream=log.format == "tlog")
-        _alert_aside(options, session, _speaker(options, session, signature_of(options.signing_key)), open_)
+        signature = signature_of(options.signing_key)
+        recorded = signature.of_any_time() if signature else None
+        is_stream = log.format == "tlog"
+        session = Session(
+            Codec(0, options.component, signature=recorded),
+            aircraft,
+            is_stream=is_stream,
+            remote_log=is_stream and _asks_its_log(aircraft, log),
+        )
+        _alert_aside(options, session, Speaker(options.system or 0, options.component, signature), open_)
         outputs = open_.enter_context(Outputs.of(options, session, options.endpoint, aircraft))
         now_s = 0.0
         with contextlib.suppress(KeyboardInterrupt):
@@ -148,16 +162,6 @@ def _replay(options: argparse.Namespace, aircraft: Mapping[int, Aircraft]) -> Se
     return session
 
 
-def _speaker(options: argparse.Namespace, session: Session, signature: Signature | None) -> Speaker:
-    """Speaks in the name of the vehicle that is watched."""
-    from servofd.live.speaker import Speaker
-
-    known = next(iter(session.aircraft)) if len(session.aircraft) == 1 else 0
-    return Speaker(
-        lambda: options.system or known or next(iter(session.vehicles), 0) or 1, options.component, signature
-    )
-
-
 def _alert_aside(options: argparse.Namespace, session: Session, speaker: Speaker, open_: contextlib.ExitStack) -> None:
     """Send alerts to an address of their own, if there is one."""
     from logparsers.endpoint import parse_endpoint
@@ -167,6 +171,14 @@ def _alert_aside(options: argparse.Namespace, session: Session, speaker: Speaker
         link = open_link(parse_endpoint(options.alert_to))
         open_.callback(link.close)
         session.alert = open_.enter_context(speaker.to(link))
+
+
+def _asks_its_log(aircraft: Mapping[int, Aircraft], log: FlightLog) -> bool:
+    """Whether a telemetry log has the aircraft's channels in the autopilot's own log, which came with it."""
+    from servofd.live.channels import ChannelTable
+
+    wanted = {s.measured.channel for craft in aircraft.values() for s in craft.surfaces.values() if s.measured}
+    return any(name in log.channels for name in ChannelTable(wanted).unknown)
 
 
 def _verdict(session: Session) -> int:

@@ -64,7 +64,9 @@ class Outputs:
             if made._prints and not options.plain and sys.stdout.isatty():
                 from rich.live import Live
 
-                made._screen = open_.enter_context(Live(made._view.drawn(0.0), auto_refresh=False))
+                from servofd.cli.terminal import console
+
+                made._screen = open_.enter_context(Live(made._view.drawn(0.0), console=console(), auto_refresh=False))
             yield made
             if made._screen is not None:
                 made._screen.update(made._view.drawn(made._drawn_s), refresh=True)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from servofd.cli.audit import positive
+from servofd.cli.exit_codes import worst
 
 if TYPE_CHECKING:
     from servofd.outputs.recording.content import Recording
@@ -53,7 +54,7 @@ def run(options: argparse.Namespace) -> int:
 
         write_recording(found[0][1], options.output)
     _show(options, found, failed)
-    return max((_exit_code(recording) for _, recording in found), key=(0, 1, 2).index) if not failed else 2
+    return worst([*(_exit_code(recording) for _, recording in found), *(2 for _ in failed)])
 
 
 def _errors() -> tuple[type[Exception], ...]:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
     from servofd.aircraft import Aircraft
     from servofd.simulation.flight import SimulatedFlight
+    from servofd.simulation.vehicle.troubles import Trouble
 
 __all__ = ["add_options", "refuse_options", "stream"]
 
@@ -49,6 +50,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--signing-key", metavar="FILE", help="sign with this key (32 bytes, 64 hex digits, or a passphrase)"
     )
     live.add_argument(
+        "--trouble",
+        action="append",
+        metavar="KIND@START[:KEY=VALUE]",
+        help="late, pause, silence, sequence, reboot, stall, freeze or parameter, from START [s] on, as seen on a real "
+        "ArduPilot, e.g. late@30:by_s=4 or parameter@60:name=SERVO_VOLZ_RANGE:value=160; may be given again",
+    )
+    live.add_argument(
         "--clock-s", type=float, metavar="S", help="what its clock shows at the start [s]; 4290 wraps after 5 s"
     )
 
@@ -63,7 +71,18 @@ def refuse_options(options: argparse.Namespace) -> None:
     """
     from servofd.errors import ConfigError
 
-    for name in ("speed", "wait", "system", "feedback", "message_hz", "any_rate", "mavlink1", "signing_key", "clock_s"):
+    for name in (
+        "speed",
+        "wait",
+        "system",
+        "feedback",
+        "message_hz",
+        "any_rate",
+        "mavlink1",
+        "signing_key",
+        "clock_s",
+        "trouble",
+    ):
         if getattr(options, name) is not None:
             raise ConfigError(f"--{name.replace('_', '-')} belongs to --stream; {options.output} is a file")
 
@@ -83,29 +102,50 @@ def stream(options: argparse.Namespace, flight: SimulatedFlight, aircraft: Aircr
     from logparsers.link import open_link
     from servofd.errors import ConfigError
     from servofd.simulation.ardupilot import rate_hz
-    from servofd.simulation.vehicle.fly import fly
-    from servofd.simulation.vehicle.vehicle import Settings, Vehicle
+    from servofd.simulation.vehicle.fly import fly, legs
+    from servofd.simulation.vehicle.troubles import Air
+    from servofd.simulation.vehicle.vehicle import Settings
 
     if options.mavlink1 and options.signing_key is not None:
         raise ConfigError("--signing-key: frames of MAVLink 1 cannot be signed; leave --mavlink1 out")
     endpoint = parse_endpoint(options.stream)
     names = ("system", "feedback", "message_hz", "any_rate", "speed")
     given: dict[str, Any] = {n: getattr(options, n) for n in names if getattr(options, n) is not None}
-    settings = Settings(**given)
-    vehicle = Vehicle(_shifted(flight, options.clock_s), aircraft, settings)
+    settings = Settings(**given, troubles=tuple(_trouble(text) for text in options.trouble or ()))
+    flown_legs = legs(_shifted(flight, options.clock_s), aircraft, settings)
     codec = Codec(settings.system, 1, version=1 if options.mavlink1 else 2, signature=signature_of(options.signing_key))
     link = open_link(endpoint)
     try:
         length_s = flight.time_s.size / rate_hz(flight)
         print(f"{endpoint}: system {settings.system}, {', '.join(flight.surfaces)}, {length_s:g} s; Ctrl-C ends it")
         sys.stdout.flush()
-        flown = fly(vehicle, link, codec, wait=bool(options.wait))
+        flown = fly(flown_legs, link, codec, wait=bool(options.wait), air=Air(settings.troubles))
     finally:
         link.close()
-    if vehicle.dropped_rows:
-        print(f"servofd: {vehicle.dropped_rows} rows of the streamed log found its buffer full", file=sys.stderr)
+    dropped = sum(leg.vehicle.dropped_rows for leg in flown_legs)
+    if dropped:
+        print(f"servofd: {dropped} rows of the streamed log found its buffer full", file=sys.stderr)
     print(f"{endpoint}: flew {flown.turns} turns of the main loop, sent {flown.sent} messages, heard {flown.heard}")
     return 0
+
+
+def _trouble(text: str) -> Trouble:
+    """Read ``kind@start:key=value``."""
+    from servofd.errors import ConfigError, UnknownName, suggest
+    from servofd.simulation.vehicle.troubles import TROUBLES
+
+    what, *pairs = text.split(":")
+    kind, _, start = what.partition("@")
+    if kind not in TROUBLES:
+        raise UnknownName(f"--trouble {text}: {suggest('trouble', kind, TROUBLES)}")
+    values: dict[str, Any] = dict(pair.partition("=")[::2] for pair in (f"start_s={start}", *pairs))
+    known = TROUBLES[kind].__dataclass_fields__
+    if set(values) - set(known):
+        raise ConfigError(f"--trouble {text}: takes {', '.join(known)}; the start stands after the @")
+    try:
+        return TROUBLES[kind](**{key: value if key == "name" else float(value) for key, value in values.items()})
+    except ValueError as error:
+        raise ConfigError(f"--trouble {text}: write KIND@START:KEY=NUMBER ({error})") from None
 
 
 def _shifted(flight: SimulatedFlight, clock_s: float | None) -> SimulatedFlight:

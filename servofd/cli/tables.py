@@ -6,12 +6,14 @@ import sys
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from servofd.cli.terminal import console
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from rich.console import Console
 
-    from servofd.detection.audit import LogAudit
+    from servofd.detection.verdict import LogAudit
 
 __all__ = ["one_line", "print_table", "print_verdicts", "progress_bar", "progress_with_estimate"]
 
@@ -47,55 +49,58 @@ def print_verdicts(audit: LogAudit) -> None:
     from rich.text import Text
 
     from servofd.detection.advice import headline, next_step
+    from servofd.outputs.sentence import axes_sentence
 
-    log, console = audit.log, _console()
-    if console.is_terminal:
-        console.width = min(console.width, _WIDEST)
+    log, shown = audit.log, _console()
+    if shown.is_terminal:
+        shown.width = min(shown.width, _WIDEST)
     title = f"{log.label}   {log.format}, {log.duration_s:.1f} s"
     rows = [[s.surface, s.status, s.reason] for s in audit.surfaces]
-    _print_table(console, ["surface", "status", "why"], rows, title)
-    for damage in log.damage:
-        console.print(Text(f"damage: {damage.kind}: {damage.note}"))
-    console.print(Text(headline(audit.surfaces), style="bold"))
+    if rows:
+        _print_table(shown, ["surface", "status", "why"], rows, title)
+    if audit.axes:
+        rows = [[axis.axis, axis.status, axis.reason] for axis in audit.axes]
+        _print_table(shown, ["axis", "status", "what the motion tells"], rows, "" if audit.surfaces else title)
+    for damage in log.damage_summary:
+        shown.print(Text(f"damage: {damage.kind}: {damage.note}"))
+    shown.print(Text(headline(audit.surfaces) if audit.surfaces else axes_sentence(audit.axes), style="bold"))
     for surface in audit.surfaces:
         if next_step(surface):
             step = Text(f"{surface.surface}: {next_step(surface)}")
-            console.print(Padding(step, (0, 0, 0, 2), expand=False))
+            shown.print(Padding(step, (0, 0, 0, 2), expand=False))
 
 
 def _console() -> Console:
-    from rich.console import Console
-
-    console = Console(highlight=False)
-    return console if console.is_terminal else Console(width=400, highlight=False)
+    shown = console()
+    return shown if shown.is_terminal else console(width=400)
 
 
-def _print_table(console: Console, headings: Sequence[str], rows: Sequence[Sequence[str]], title: str) -> None:
+def _print_table(shown: Console, headings: Sequence[str], rows: Sequence[Sequence[str]], title: str) -> None:
     from rich import box
     from rich.table import Table
     from rich.text import Text
 
-    if console.width < _NARROWEST:
-        _print_list(console, headings, rows, title)
+    if shown.width < _NARROWEST:
+        _print_list(shown, headings, rows, title)
         return
     table = Table(*headings, title=title or None, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
     for row in rows:
         table.add_row(*(Text(cell, style=_style(cell)) for cell in row))
-    console.print(table)
+    shown.print(table)
 
 
-def _print_list(console: Console, headings: Sequence[str], rows: Sequence[Sequence[str]], title: str) -> None:
+def _print_list(shown: Console, headings: Sequence[str], rows: Sequence[Sequence[str]], title: str) -> None:
     """Each row as its first two cells on a line, numbers with their headings below, and the last cell as it is."""
     from rich.padding import Padding
     from rich.text import Text
 
     if title:
-        console.print(Text(title, style="bold"))
+        shown.print(Text(title, style="bold"))
     for row in rows:
-        console.print(Text.assemble(f"{row[0]}: ", (row[1], _style(row[1]))))
+        shown.print(Text.assemble(f"{row[0]}: ", (row[1], _style(row[1]))))
         named = [f"{heading} {cell}" for heading, cell in zip(headings[2:-1], row[2:-1], strict=True) if cell]
         for line in filter(None, (", ".join(named), *row[2:][-1:])):
-            console.print(Padding(Text(line), (0, 0, 0, 2), expand=False))
+            shown.print(Padding(Text(line), (0, 0, 0, 2), expand=False))
 
 
 def _style(cell: str) -> str:
@@ -112,10 +117,10 @@ def progress_bar(what: str, total: int) -> Iterator[Callable[[str], None]]:
     if not sys.stderr.isatty():
         yield lambda _step: None
         return
-    from rich.console import Console
-    from rich.progress import Progress
+    from rich.progress import BarColumn, Progress, TextColumn
 
-    with Progress(console=Console(stderr=True), transient=True) as progress:
+    columns = TextColumn("{task.description}", markup=False), BarColumn()
+    with Progress(*columns, console=console(stderr=True), transient=True) as progress:
         task = progress.add_task(what, total=total)
         yield lambda step: progress.update(task, advance=1, description=f"{what}: {step}")
 
@@ -126,7 +131,6 @@ def progress_with_estimate(what: str, total: int, done: int = 0) -> Iterator[Cal
     if not sys.stderr.isatty():
         yield lambda: None
         return
-    from rich.console import Console
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
@@ -137,7 +141,7 @@ def progress_with_estimate(what: str, total: int, done: int = 0) -> Iterator[Cal
     )
 
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
@@ -146,7 +150,7 @@ def progress_with_estimate(what: str, total: int, done: int = 0) -> Iterator[Cal
     )
     # Lines on stdout go above the bar if both are on the same terminal, and past it if not.
     with Progress(
-        *columns, console=Console(stderr=True), transient=True, redirect_stdout=sys.stdout.isatty()
+        *columns, console=console(stderr=True), transient=True, redirect_stdout=sys.stdout.isatty()
     ) as progress:
         task = progress.add_task(what, total=total, completed=done)
         yield lambda: progress.update(task, advance=1)

@@ -6,11 +6,12 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from servofd.cli.audit_fleet import add_options
+from servofd.cli.exit_codes import worst
 
 if TYPE_CHECKING:
     import argparse
 
-    from servofd.trend.trend import AircraftTrend
+    from servofd.wear.trend import AircraftTrend
 
 __all__ = ["add_parser", "run"]
 
@@ -44,7 +45,7 @@ def run(options: argparse.Namespace) -> int:
     from servofd.cli.targets import check_targets
     from servofd.outputs.files import write_whole
     from servofd.outputs.json_report import to_json
-    from servofd.trend.document import trend_document
+    from servofd.wear.document import trend_document
 
     check_targets((options.json, options.html), {"a log": options.logs, "the aircraft file": [options.config]})
     seen = _followed(options)
@@ -60,14 +61,14 @@ def run(options: argparse.Namespace) -> int:
         print(f"servofd: {one_line(problem)}", file=sys.stderr)
     if len(seen.problems) > _SHOWN:
         print(f"servofd: and {len(seen.problems) - _SHOWN} more like these", file=sys.stderr)
-    return 2 if seen.untold else int(seen.has_alarm)
+    return worst([int(seen.has_alarm), 2 if seen.untold else 0])
 
 
 def _followed(options: argparse.Namespace) -> AircraftTrend:
     from functools import partial
 
     from servofd.cli.tables import progress_with_estimate
-    from servofd.trend.trend import trend_logs
+    from servofd.wear.trend import trend_logs
 
     return trend_logs(
         options.logs,

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servofd.detection.audit import SurfaceAudit
     from servofd.detection.bank.isolate import Fault
+    from servofd.detection.verdict import SurfaceAudit
 
 __all__ = ["headline", "meaning", "next_step"]
 
@@ -62,7 +62,7 @@ def next_step(surface: SurfaceAudit) -> str:
 
     Examples
     --------
-    >>> from servofd.detection.audit import SurfaceAudit
+    >>> from servofd.detection.verdict import SurfaceAudit
     >>> next_step(SurfaceAudit("rudder", "healthy", "", "s9254", "constant", 1.5, True))
     ''
     """
@@ -86,7 +86,7 @@ def headline(surfaces: Sequence[SurfaceAudit]) -> str:
 
     Examples
     --------
-    >>> from servofd.detection.audit import SurfaceAudit
+    >>> from servofd.detection.verdict import SurfaceAudit
     >>> rudder = SurfaceAudit("rudder", "healthy", "", "s9254", "constant", 1.5, True)
     >>> headline([rudder])
     'The one surface that could be judged is healthy.'

@@ -1,13 +1,12 @@
-"""The verdict on each surface of a log, in data types that outputs can show."""
+"""The verdict on each surface of a log."""
 
 from __future__ import annotations
 
 import difflib
 import os
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from servofd.detection.prepare import prepared
 from servofd.detection.probability import false_alarms_per_hour
 from servofd.detection.residual import ResidualGenerator, Residuals
 from servofd.detection.statistics import Statistics
+from servofd.detection.verdict import LogAudit, Status, SurfaceAudit
 from servofd.detection.words import describe
 from servofd.errors import DesignError, NoMeasurement
 from servofd.segment import SLOWEST_RATE_HZ, Segment, cut, too_far
@@ -30,9 +30,7 @@ if TYPE_CHECKING:
     from servofd.detection.threshold import Threshold, ThresholdKind
     from servofd.models.servo_model import ServoModel
 
-__all__ = ["LogAudit", "Status", "SurfaceAudit", "audit_log", "audit_segment", "judged_by"]
-
-Status = Literal["healthy", "suspect", "fault", "no_data", "unknown"]
+__all__ = ["audit_log", "audit_segment", "judged_by"]
 
 _SECONDS_FOR_ODDS = 10.0
 _SHORTEST_JUDGED_S = 0.25
@@ -40,63 +38,6 @@ _MOST_OF_THE_LOG = 0.9
 _FASTEST_RATE_HZ = 50_000.0
 _CLEAR_SIGMAS = 4.0
 """A threshold of less is crossed by noise alone, once in some thousand samples."""
-
-
-@dataclass(frozen=True, slots=True)
-class SurfaceAudit:
-    """Verdict on one surface."""
-
-    surface: str
-    status: Status
-    reason: str
-    servo: str
-    threshold_kind: ThresholdKind
-    threshold_deg: float
-    """Of an interval threshold the median level."""
-    expected: bool
-    """False if the aircraft file names no measured channel, or the log knows nothing of this surface."""
-    faults: tuple[Fault, ...] = ()
-    suspicions: tuple[Fault, ...] = ()
-    """What only a cumulative sum noticed, or the tolerances of a working servo explain."""
-    statistics: Statistics | None = None
-    false_alarms_per_hour: float | None = None
-    segment: Segment | None = None
-    residuals: Residuals | None = None
-    threshold: Threshold | None = None
-
-    @property
-    def is_judged(self) -> bool:
-        """True if the data told whether this surface is well."""
-        return self.status not in ("no_data", "unknown")
-
-
-@dataclass(frozen=True, slots=True)
-class LogAudit:
-    """Verdict on all surfaces of one log."""
-
-    log: FlightLog
-    aircraft: Aircraft
-    surfaces: tuple[SurfaceAudit, ...]
-
-    @property
-    def has_fault(self) -> bool:
-        """True if any surface is at fault."""
-        return any(surface.status == "fault" for surface in self.surfaces)
-
-    @property
-    def unjudged(self) -> tuple[SurfaceAudit, ...]:
-        """Surfaces that were expected to be judged and could not be."""
-        return tuple(s for s in self.surfaces if s.expected and not s.is_judged)
-
-    @property
-    def untold(self) -> str:
-        """Why there is no verdict on the log as a whole, in one line; empty if there is one."""
-        if self.has_fault or (not self.unjudged and any(s.is_judged for s in self.surfaces)):
-            return ""
-        missing = self.unjudged or self.surfaces
-        if not any(s.is_judged for s in self.surfaces) and all(s.status == "no_data" for s in missing):
-            return f"no measured deflection to judge: {missing[0].surface}: {missing[0].reason}"
-        return "could not judge " + "; ".join(f"{s.surface}: {s.reason}" for s in missing)
 
 
 def audit_log(
@@ -242,7 +183,8 @@ def audit_segment(
         faults = suspicions = ()
     status, reason_text = _verdict(residuals, statistics, faults, suspicions, level, problem)
     reason_text = "; ".join((reason_text, *_too_many(judgement), *notes))
-    judged_share = judged_s / max(duration_s, 1e-9)
+    judged_share = min(judged_s / max(duration_s, 1e-9), 1.0)
+    verdict = partial(verdict, judged_share=judged_share)
     if judged_share < _MOST_OF_THE_LOG:
         reason_text += f"; judged for {judged_share:.0%} of the log"
     if segment.frozen_s > 0.0:
@@ -275,6 +217,7 @@ def _verdict_on(name: str, surface: Surface, *, expected: bool) -> partial[Surfa
         servo=surface.servo,
         threshold_kind=surface.threshold,
         threshold_deg=surface.threshold_deg,
+        model=surface.model,
         expected=expected,
     )
 

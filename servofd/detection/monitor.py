@@ -32,15 +32,17 @@ if TYPE_CHECKING:
 
 __all__ = ["SurfaceMonitor"]
 
-_LOOKS_S = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
-"""How long after an alarm the bank looks at it,"""
+_NAMED_S = 2.0
+"""A name follows its alarm within so long, or is not told."""
+_LOOKS_S = (0.25, 0.5, 1.0, 1.75, 4.0, 8.0, 16.0)
+"""How long after an alarm the bank looks at it; the last one that may name it leaves the bank time to think,"""
 _LOOKS_AGAIN_S = 30.0
 """and how often after that."""
 _WINDOWS_S = (2.25, 4.25, 8.25, 16.25)
 """The bank's own windows, which begin a quarter of a second after what raised a suspicion."""
 _NEWS_S = 10.0
 """Suspicions this close together are one."""
-_SILENCE_S = 1.0
+_STEADY_S = 2.0
 _SAME_PACE = 1.5
 _LONGEST_WAIT = 6_000
 """Samples that are kept while a position that has never changed may still turn out to be one."""
@@ -84,6 +86,12 @@ class SurfaceMonitor:
     reading: Reading | None = None
     problem: str = ""
     """Why this surface is not watched; empty if it is."""
+    suspended: str = ""
+    """Why its calibration is not believed any more; empty if it is."""
+    outage: str = ""
+    """What stopped coming, and has not come steadily since; empty if nothing has."""
+    patience_s: float = 2.0
+    """Without commands or positions for so long, while the vehicle is heard, nothing is known of it [s]."""
     _stream: Stream | None = None
     _generator: ResidualGenerator | None = None
     _waiting: tuple[list[tuple[float, float]], list[tuple[float, float]]] = field(default_factory=lambda: ([], []))
@@ -94,7 +102,11 @@ class SurfaceMonitor:
     _period_s: float = float("nan")
     _command_period_s: float = float("nan")
     _off_pace: int = 0
-    _silent: bool = False
+    _heard: dict[str, list[float]] = field(
+        default_factory=lambda: {"command": [np.nan, 0.0], "position": [np.nan, 0.0]}
+    )
+    """When the latest of each was made [s], and for how long since then nothing at all was heard [s]."""
+    _steady_s: float = np.inf
     _told_slow: bool = False
     _earlier: dict[float, Fault] = field(default_factory=dict)
     _context: Context = NO_CONTEXT
@@ -110,6 +122,8 @@ class SurfaceMonitor:
 
         Commands come before positions of the same instant.
         """
+        if self.suspended:
+            return []
         asked_deg = self.surface.command.to_deg(commands[1])
         if self.surface.command_saturation_deg is not None:
             asked_deg = np.clip(asked_deg, *self.surface.command_saturation_deg)
@@ -119,6 +133,9 @@ class SurfaceMonitor:
         if self.surface.measured is not None:
             seen_deg = self.surface.measured.to_deg(positions[1])
             seen = list(zip(positions[0].tolist(), seen_deg.tolist(), strict=True))
+        for what, rows in (("command", asked), ("position", seen)):
+            if rows:
+                self._heard[what] = [rows[-1][0], 0.0]
         events = self._alive(seen)
         if self._stream is None:
             return events + self._warm_up(asked, seen)
@@ -128,7 +145,7 @@ class SurfaceMonitor:
     @property
     def is_watched(self) -> bool:
         """Whether residuals are being judged."""
-        return self._stream is not None and not self.problem
+        return self._stream is not None and not (self.problem or self.outage or self.suspended)
 
     @property
     def standing(self) -> str:
@@ -166,12 +183,31 @@ class SurfaceMonitor:
         """Whether any alarm was raised that the tolerances of a working servo do not explain."""
         return any(not alarm.acquitted for alarm in self._alarms.values())
 
+    def excuse(self, gap_s: float) -> None:
+        """Nothing of the vehicle was heard for so long [s]: that is no silence of this surface alone."""
+        for heard in self._heard.values():
+            heard[1] += gap_s
+
+    def suspend(self, why: str, now_s: float) -> list[Event]:
+        """Tell that nothing is known of this surface from now on [s], and why; empty: it is watched again."""
+        told, self.suspended = self.suspended, why
+        return [Event(now_s, self.name, "no_data", text=why)] if why and not told else []
+
     def silence(self, now_s: float) -> list[Event]:
-        """Tell that no position came for long, by the time of the vehicle's other messages [s]."""
-        if self._silent or not self._recent or now_s - self._recent[-1] < max(_SILENCE_S, 5.0 * self._usual_s()):
+        """Tell, once in each outage, that commands or positions have stopped, by the vehicle's newest message [s]."""
+        if self.suspended:
             return []
-        self._silent = True
-        return [Event(now_s, self.name, "no_data", text=f"no position since {self._recent[-1]:.1f} s")]
+        for what, period_s in (("position", self._period_s), ("command", self._command_period_s)):
+            last_s, excused_s = self._heard[what]
+            longest_s = max(self.patience_s, 5.0 * (period_s if np.isfinite(period_s) else 1.0))
+            if now_s - last_s - excused_s > longest_s:
+                told, self.outage, self._steady_s = self.outage, f"no {what} since {last_s:.1f} s", np.inf
+                return [] if told else [Event(now_s, self.name, "no_data", text=self.outage)]
+        if self.outage:
+            self._steady_s = min(self._steady_s, now_s)
+            if now_s - self._steady_s >= _STEADY_S:
+                self.outage = ""
+        return []
 
     def due(self) -> Look | None:
         """What the bank should look at now, if anything."""
@@ -185,18 +221,21 @@ class SurfaceMonitor:
         return self._look()
 
     def told(self, look: Look, verdict: tuple[tuple[Fault, ...], tuple[Fault, ...], str]) -> list[Event]:
-        """Take what the bank made of a look."""
+        """Take what the bank made of a look.
+
+        A name that comes later than `_NAMED_S` after the alarm, or after its end, would be news of something else to
+        whoever hears it: it is kept for the report.
+        """
         faults, suspicions, problem = verdict
         events = []
         for fault in faults:
             alarm = self._alarms.get(fault.alarm_s)
-            if alarm is None:
-                alarm = self._alarms[fault.alarm_s] = Alarm(stands=fault.end_s is None)
-                events.append(self._event(look, fault.alarm_s, "alarm", "unknown", fault))
-            if fault.kind != alarm.kind or alarm.acquitted:
-                alarm.kind, alarm.acquitted = fault.kind, False
+            if alarm is None or alarm.acquitted:
+                alarm = self._alarms[fault.alarm_s] = Alarm(fault.kind, stands=fault.end_s is None)
+                events.append(self._event(look, look.at_s, "alarm", fault.kind, fault))
+            elif alarm.stands and look.at_s - fault.alarm_s <= _NAMED_S and fault.kind != alarm.kind:
                 events.append(self._event(look, look.at_s, "named", fault.kind, fault))
-            alarm.fault = fault
+            alarm.kind, alarm.fault = fault.kind, fault
             if alarm.stands and fault.end_s is not None:
                 alarm.stands = False
                 events.append(self._event(look, look.at_s, "clear", fault.kind, fault))
@@ -209,7 +248,8 @@ class SurfaceMonitor:
                 stood, alarm.acquitted, alarm.stands, alarm.fault = alarm.stands, True, False, None
                 alarm.kind = "unknown" if problem else "healthy"
                 text = problem or "the tolerances of a working servo explain it"
-                events.append(Event(look.at_s, self.name, "clear" if stood else "named", alarm.kind, text=text))
+                if stood:
+                    events.append(Event(look.at_s, self.name, "clear", alarm.kind, text=text))
         self.problem = problem
         return events
 
@@ -248,14 +288,10 @@ class SurfaceMonitor:
         self._off_pace = 0
         return events
 
-    def _usual_s(self) -> float:
-        return self._period_s if np.isfinite(self._period_s) else 0.0
-
     def _alive(self, seen: list[tuple[float, float]]) -> list[Event]:
         """Follow the pace of the positions; a new one means to begin anew."""
         if not seen:
             return []
-        self._silent = False
         self._recent.extend(time_s for time_s, value in seen if np.isfinite(value))
         if self._stream is None or len(self._recent) <= WARM_UP_STEPS:
             return []

@@ -10,6 +10,11 @@ if TYPE_CHECKING:
 __all__ = ["what_to_log"]
 
 
+_ROTORCRAFT = frozenset(
+    {"multirotor", "quadrotor", "hexarotor", "octorotor", "tricopter", "decarotor", "dodecarotor", "coaxial"}
+)
+
+
 def what_to_log(log: FlightLog) -> str:
     """One sentence: how this kind of autopilot gets servo positions into its logs.
 
@@ -20,6 +25,8 @@ def what_to_log(log: FlightLog) -> str:
     >>> what_to_log(FlightLog(Path("a.ulg"), "ulog", {}))[:30]
     'send the positions as DEBUG_FL'
     """
+    if log.vehicle in _ROTORCRAFT:
+        return f"it is of a {log.vehicle}, whose motors turn no surface; log the position of the servos it has, if any"
     if log.format == "ulog":
         return (
             "send the positions as DEBUG_FLOAT_ARRAY (name SRVP) and log debug topics (SDLOG_PROFILE bit 5); "
@@ -27,8 +34,9 @@ def what_to_log(log: FlightLog) -> str:
         )
     if log.format == "tlog":
         return (
-            "send the positions as NAMED_VALUE_FLOAT SRVP1, SRVP2, ... in degrees (a Lua script can read them from "
-            "servo telemetry), or audit the autopilot's own .bin log; SERVO_OUTPUT_RAW is a command"
+            "send the positions as NAMED_VALUE_FLOAT SRVP1, SRVP2, ... in degrees: `servofd onboard --stream-only -o "
+            "servofd.lua` writes the script, copy it to APM/scripts and set SCR_ENABLE = 1; or audit the autopilot's "
+            "own .bin log; SERVO_OUTPUT_RAW is a command"
         )
     return (
         "RCOU is a command; servos with feedback log CSRV: Volz (SERIALn_PROTOCOL = 14, SERVO_VOLZ_MASK) or DroneCAN "

@@ -61,6 +61,7 @@ class Draft:
                     s.pair.surface: {
                         "servo": f"{s.pair.surface}-draft",
                         "threshold_deg": self.threshold_deg,
+                        "model": {"origin": "fitted"},
                         "alive": s.pair.position.alive,
                         "command": s.command,
                         "measured": s.measured,

@@ -14,7 +14,7 @@ from servofd.feedback.outputs import LoggedOutput, named_outputs, outputs_of
 if TYPE_CHECKING:
     from logparsers.records import Channel, FlightLog
 
-__all__ = ["Pair", "Position", "find_pairs", "find_positions"]
+__all__ = ["Pair", "Position", "find_pairs", "find_positions", "pulse_channel"]
 
 _POSITION_PATTERNS = (
     # pattern of the channel's name, field with the command beside it, fields that a living telemetry changes
@@ -24,6 +24,7 @@ _POSITION_PATTERNS = (
     (re.compile(r"UMSV\[(\d+)\]\.Pos"), "", ("Curr", "Temp")),
     (re.compile(r"(?:NVF|NVAL)\[(?:SRVP|UMPOS_|SERVO|POS)_?(\d+)\]\.Value"), "", ()),
     (re.compile(r"(?:.*:)?NAMED_VALUE_FLOAT\[(?:SRVP|UMPOS_|SERVO|POS)_?(\d+)\]\.value"), "", ()),
+    (re.compile(r"SFD\[(\d+)\]\.Pos"), "Cmd", ()),
     (re.compile(r"debug_array\[\d+\](?:\[SRVP\])?\.data\[(\d+)\]"), "", ()),
 )
 _MOVES = 1e-9
@@ -91,7 +92,8 @@ def find_pairs(log: FlightLog) -> tuple[Pair, ...]:
     outputs = outputs_of(log.parameters)
     numbered: dict[int, Position] = {}
     positions = find_positions(log)
-    for group in dict.fromkeys(position.group for position in positions):
+    # What a script on board saw is what the servos said before.
+    for group in sorted(dict.fromkeys(position.group for position in positions), key="SFD".__eq__):
         members = [position for position in positions if position.group == group]
         base = _first_output(log, members)
         for position in members:
@@ -117,6 +119,8 @@ def _says_something(channel: Channel) -> bool:
 def _first_output(log: FlightLog, members: list[Position]) -> int:
     """LoggedOutput number of id 0: 1 where ids start at 0, and 0 where they start at 1."""
     ids = {position.id for position in members}
+    if members[0].group == "SFD":
+        return 0
     if 0 in ids:
         return 1
     volz = int(log.parameters.get("SERVO_VOLZ_MASK", 0.0))
@@ -135,7 +139,7 @@ def _agreement(log: FlightLog, members: list[Position], base: int) -> float:
     """Mean correlation of positions with the pulses of the outputs that this base gives them."""
     values = []
     for position in members:
-        pulses = _pulse_channel(log.channels, position.id + base)
+        pulses = pulse_channel(log.channels, position.id + base)
         if pulses:
             values.append(_correlation(log[pulses], log[position.channel]))
     return float(np.mean(values)) if values else -1.0
@@ -158,10 +162,10 @@ def _command_channel(log: FlightLog, number: int, position: Position) -> str:
         told = log[position.command]
         if np.any(np.isfinite(told.values)) and not told.is_constant:
             return position.command
-    return _pulse_channel(log.channels, number)
+    return pulse_channel(log.channels, number)
 
 
-def _pulse_channel(channels: Mapping[str, object], number: int) -> str:
+def pulse_channel(channels: Mapping[str, object], number: int) -> str:
     """Channel with the command of an output, in whatever message this log has it; empty if nowhere."""
     names = (
         f"RCOU.C{number}",

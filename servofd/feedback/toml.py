@@ -22,6 +22,7 @@ def draft_to_toml(draft: Draft) -> str:
         "# signs, replace the servos by identified ones (`servofd servos` lists known types), and set thresholds from",
         "# flights that you know to be good. If this flight had a faulty servo, its numbers are wrong.",
         "#",
+        *_on_board(log.format),
         f"# Threshold {draft.threshold_deg:g} deg: what most surfaces of this log stay below, with a margin.",
         "",
         f"name = {toml_value(log.vehicle or log.format)}",
@@ -29,6 +30,17 @@ def draft_to_toml(draft: Draft) -> str:
     for surface in draft.surfaces:
         lines += ["", *_surface_lines(surface, draft.threshold_deg)]
     return "\n".join(lines) + "\n"
+
+
+def _on_board(format_name: str) -> list[str]:
+    """How an ArduPilot watches these servos itself."""
+    if format_name not in ("dataflash", "tlog"):
+        return []
+    return [
+        "# Once calibrated, `servofd onboard THIS_FILE.toml -o servofd.lua` makes the autopilot watch these servos",
+        "# itself: copy the script to APM/scripts on its SD card and set SCR_ENABLE = 1.",
+        "#",
+    ]
 
 
 def _surface_lines(surface: DraftedSurface, threshold_deg: float) -> list[str]:

@@ -7,8 +7,8 @@ from concurrent.futures import CancelledError, as_completed
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from servofd import __version__
 from servofd.errors import ConfigError, ServofdError
+from servofd.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

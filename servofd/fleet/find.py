@@ -6,14 +6,16 @@ import glob
 import io
 import os
 import re
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import logparsers
-from logparsers import LogError
+from logparsers import EmptyLog, LogError
 from logparsers.detect import detect
-from logparsers.source import HEAD_BYTES
+from logparsers.exports import flight_of, kind_of
+from logparsers.source import HEAD_BYTES, files_of, heads
 from servofd.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -21,7 +23,17 @@ if TYPE_CHECKING:
 
     from logparsers import TableLayout
 
-__all__ = ["META_FILE", "Found", "LogSource", "Skipped", "find_logs", "is_address", "is_folder", "is_pattern"]
+__all__ = [
+    "META_FILE",
+    "Found",
+    "LogSource",
+    "Skipped",
+    "find_logs",
+    "flights_joined",
+    "is_address",
+    "is_folder",
+    "is_pattern",
+]
 
 META_FILE = "fleet.json"
 """Marks a folder of results, in which no logs are looked for."""
@@ -96,6 +108,8 @@ def find_logs(inputs: Sequence[str], layout: TableLayout | None = None) -> Found
         skipped |= {one.path: one for one in passed}
     if not logs:
         raise ConfigError("; ".join(problems) or "no log was named")
+    if layout is None:
+        logs = _with_flights_joined(logs)
     return Found(tuple(logs.values()), tuple(skipped.values()), tuple(problems))
 
 
@@ -134,6 +148,47 @@ def is_folder(text: str) -> bool:
         return False
 
 
+def flights_joined(paths: Iterable[str]) -> list[str]:
+    """The same logs, but for the tables of messages of one flight a pattern, as in ``"log_7_*.csv"``.
+
+    Parameters
+    ----------
+    paths : iterable of str
+        Files.
+
+    Examples
+    --------
+    >>> flights_joined(["sample_logs/px4_stuck.ulg"])
+    ['sample_logs/px4_stuck.ulg']
+    """
+    logs = [(path, _flight_of(path)) for path in paths]
+    tables = Counter(pattern for _, pattern in logs if pattern)
+    joined = [pattern if tables[pattern] > 1 else path for path, pattern in logs]
+    return [path for k, path in enumerate(joined) if tables[path] < 2 or path not in joined[:k]]
+
+
+def _with_flights_joined(logs: dict[str, LogSource]) -> dict[str, LogSource]:
+    known = {log.path: log for log in logs.values()}
+    joined = (known.get(path) or _together(path) for path in flights_joined(known))
+    return {os.path.normpath(log.path) if not is_address(log.path) else log.path: log for log in joined}
+
+
+def _together(pattern: str) -> LogSource:
+    return LogSource(pattern, sum(_size_bytes(str(file)) for file in files_of(Path(pattern))))
+
+
+def _flight_of(path: str) -> str:
+    """Pattern for the tables of the same flight; empty if it is none, or nothing tells their names."""
+    if not path.lower().endswith(".csv") or not is_plain_file(path):
+        return ""
+    try:
+        kind = kind_of(b"".join(heads(path, HEAD_BYTES)))
+    except LogError:
+        return ""
+    flight = flight_of(Path(path), kind)
+    return str(Path(path).with_name(f"{flight}*{Path(path).suffix}")) if kind else ""
+
+
 def _found(text: str, layout: TableLayout | None) -> tuple[list[LogSource], list[Skipped]]:
     if is_address(text):
         return _sorted_out(_remote_files(text), layout)
@@ -143,7 +198,7 @@ def _found(text: str, layout: TableLayout | None) -> tuple[list[LogSource], list
     if is_pattern(text):
         matches = sorted(glob.glob(text, recursive=True))  # noqa: PTH207 - Path.glob takes no absolute patterns
     files = (name for match in matches for name in (_walked(match) if is_folder(match) else [match]))
-    return _sorted_out(((name, _size_bytes(name), _head) for name in files), layout)
+    return _sorted_out(((name, _size_bytes(name), _heads) for name in files), layout)
 
 
 def _nothing(text: str, skipped: list[Skipped]) -> str:
@@ -175,8 +230,8 @@ def _sorted_out(
     files: Iterable[tuple[str, int, Any]], layout: TableLayout | None
 ) -> tuple[list[LogSource], list[Skipped]]:
     logs, skipped = [], []
-    for name, size_bytes, head in files:
-        reason = _why_no_log(name, head, layout)
+    for name, size_bytes, heads_of in files:
+        reason = _why_no_log(name, heads_of, layout)
         if reason:
             skipped.append(Skipped(name, reason))
         else:
@@ -184,19 +239,28 @@ def _sorted_out(
     return logs, skipped
 
 
-def _why_no_log(name: str, head: Any, layout: TableLayout | None) -> str:  # noqa: ANN401 - reader of bytes
-    """Why a file is no log, or nothing; text is a log if its first lines are a table of flight data."""
+def _why_no_log(name: str, heads: Any, layout: TableLayout | None) -> str:  # noqa: ANN401 - reader of bytes
+    """Why a file is no log, or nothing; an archive is one if it holds one."""
     try:
-        begin = head(name, HEAD_BYTES)
-        if not begin:
-            return "empty"
-        if detect(begin, name).__name__ == "read_table":
-            return _why_no_table(head(name, _TABLE_HEAD_BYTES), layout)
+        reasons = [_why_no_head(head, name, layout) for head in heads(name)]
+    except EmptyLog:
+        return "empty"
     except LogError as error:
         return str(error).removeprefix(f"{name}: ")
     except OSError as error:
         return f"cannot be read: {error.strerror or error}"
-    return ""
+    return min(reasons, key=bool, default="empty")
+
+
+def _why_no_head(head: bytes, name: str, layout: TableLayout | None) -> str:
+    """Text is a log if its first lines are a table of flight data."""
+    if not head:
+        return "empty"
+    try:
+        reader = detect(head[:HEAD_BYTES], name)
+    except LogError as error:
+        return str(error).removeprefix(f"{name}: ")
+    return _why_no_table(head, layout) if reader.__name__ == "read_table" else ""
 
 
 def _why_no_table(text: bytes, layout: TableLayout | None) -> str:
@@ -213,9 +277,8 @@ def _why_no_table(text: bytes, layout: TableLayout | None) -> str:
     return ""
 
 
-def _head(name: str, size: int) -> bytes:
-    with Path(name).open("rb") as file:
-        return file.read(size)
+def _heads(name: str) -> list[bytes]:
+    return heads(name, _TABLE_HEAD_BYTES)
 
 
 def _size_bytes(name: str) -> int:
@@ -245,12 +308,11 @@ def _remote_files(address: str) -> Iterator[tuple[str, int, Any]]:
     except (ImportError, ValueError, OSError) as error:
         raise ConfigError(f"{address}: cannot be opened: {error}") from None
 
-    def head(name: str, size: int) -> bytes:
+    def remote_heads(name: str) -> list[bytes]:
         with fsspec.open(name, "rb") as file:
-            content: bytes = file.read(size)
-        return content
+            return heads(file, _TABLE_HEAD_BYTES)
 
     for name, info in sorted(infos.items()):
         hidden = Path(name).name.startswith(".")
         if info.get("type") == "file" and not hidden:
-            yield system.unstrip_protocol(name), int(info.get("size") or 0), head
+            yield system.unstrip_protocol(name), int(info.get("size") or 0), remote_heads

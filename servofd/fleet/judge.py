@@ -15,7 +15,8 @@ from servofd.workflow import audit
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from servofd.detection.audit import LogAudit
+    from logparsers import FlightLog
+    from servofd.detection.verdict import LogAudit
     from servofd.fleet.find import LogSource
     from servofd.fleet.key import Job
 
@@ -44,6 +45,8 @@ class JudgedLog:
     content: str
     """Digest of its bytes; empty if they could not be read."""
     runs: tuple[RunVerdict, ...]
+    page: str = ""
+    """HTML, where the job asked for it and there is something to show."""
 
 
 def judge_log(source: LogSource, job: Job) -> JudgedLog:
@@ -62,7 +65,9 @@ def judge_log(source: LogSource, job: Job) -> JudgedLog:
         content = ""  # reading it tells what is wrong, in its own words
     try:
         with fetched(source.path) as local:
-            return JudgedLog(source, content, tuple(_verdicts(local, source.path, job)))
+            results: list[LogAudit] = []
+            runs = tuple(_verdicts(local, source.path, job, results))
+            return JudgedLog(source, content, runs, _page(results) if job.pages and results else "")
     except ConfigError as error:
         return failed(source, str(error), content)
 
@@ -72,12 +77,18 @@ def failed(source: LogSource, reason: str, content: str = "") -> JudgedLog:
     return JudgedLog(source, content, (_untold(source.path, reason),))
 
 
-def _untold(path: str, reason: str) -> RunVerdict:
-    return RunVerdict(audit_document([FailedLog(path, reason)])["logs"][0], reason)
+def _untold(path: str, reason: str, log: FlightLog | None = None) -> RunVerdict:
+    return RunVerdict(audit_document([FailedLog(path, reason, log)])["logs"][0], reason)
 
 
-def _verdicts(local: str, path: str, job: Job) -> Iterator[RunVerdict]:
-    """One for each run; what stops the reading comes last."""
+def _page(results: list[LogAudit]) -> str:
+    from servofd.outputs.audit_page import audit_page
+
+    return audit_page(results)
+
+
+def _verdicts(local: str, path: str, job: Job, seen: list[LogAudit]) -> Iterator[RunVerdict]:
+    """One for each run, kept in `seen` if the job wants pages; what stops the reading comes last."""
     options: dict[str, Any] = {
         "servo": job.servo,
         "threshold_deg": job.threshold_deg,
@@ -87,9 +98,11 @@ def _verdicts(local: str, path: str, job: Job) -> Iterator[RunVerdict]:
     }
     try:
         for result in audit(local, job.aircraft, **options):
+            if job.pages:
+                seen.append(result)
             yield _verdict(result, local, path)
     except (LogError, ServofdError) as error:
-        yield _untold(path, str(error).replace(local, path))
+        yield _untold(path, str(error).replace(local, path), getattr(error, "log", None))
     except MemoryError:
         yield _untold(path, f"{path}: does not fit into the memory of the process that read it")
 

@@ -5,20 +5,23 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
-from servofd import __version__
+from logparsers.source import files_of
 from servofd.fleet.find import is_address
+from servofd.outputs.files import distinct_file_names
 from servofd.servos import find_servo
+from servofd.version import __version__
 
 if TYPE_CHECKING:
     from servofd.aircraft import Aircraft
     from servofd.detection.threshold import ThresholdKind
 
-__all__ = ["Job", "content_key"]
+__all__ = ["Job", "content_key", "page_name"]
 
 _DIGEST_BYTES = 16
+_OF_DIGEST = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +40,8 @@ class Job:
         Kind of threshold.
     surfaces : tuple of str
         Which to judge; all if empty.
+    pages : bool
+        Whether each log gets its page; it changes no verdict, and is no part of the key.
 
     Examples
     --------
@@ -49,6 +54,7 @@ class Job:
     threshold_deg: float | None = None
     threshold: ThresholdKind | None = None
     surfaces: tuple[str, ...] = ()
+    pages: bool = False
 
     @property
     def key(self) -> str:
@@ -62,6 +68,18 @@ class Job:
             "surfaces": self.surfaces,
         }
         return _digest(json.dumps(described, sort_keys=True).encode())
+
+
+def page_name(path: str, content: str) -> str:
+    """File name of the page of a log: its own name, and enough of its digest for logs of one name in several folders.
+
+    Examples
+    --------
+    >>> page_name("flights/today/00000012.BIN", "a1b2c3d4e5f6a7b8")
+    '00000012.BIN-a1b2c3d4.html'
+    """
+    (plain,) = distinct_file_names([PurePosixPath(path.replace("\\", "/")).name])
+    return f"{plain}-{content[:_OF_DIGEST]}.html"
 
 
 def content_key(path: str) -> str:
@@ -82,8 +100,11 @@ def content_key(path: str) -> str:
 
         system, name = url_to_fs(path)
         return _digest(str(system.ukey(name)).encode())
-    with Path(path).open("rb") as file:
-        return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=_DIGEST_BYTES)).hexdigest()
+    content = hashlib.blake2b(digest_size=_DIGEST_BYTES)
+    for member in files_of(Path(path)):
+        with member.open("rb") as file:
+            hashlib.file_digest(file, lambda: content)
+    return content.hexdigest()
 
 
 def _digest(content: bytes) -> str:

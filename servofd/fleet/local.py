@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from concurrent.futures import Future
 
-__all__ = ["WorkerDied", "cores", "run_local"]
+__all__ = ["WorkerDied", "cores", "interrupts_wait", "processes", "run_local"]
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
@@ -81,11 +81,11 @@ def _until_broken(
 ) -> Iterator[tuple[_Item, _Result | Exception]]:
     """Work until all is done, or a process has died; what it may have died of goes to `suspects`."""
     running: dict[Future[_Result], _Item] = {}
-    with _processes(count) as pool:
+    with processes(count) as pool:
         while waiting or running:
             try:
                 while waiting and len(running) < _AHEAD * count:
-                    with _interrupts_wait():  # for the processes that this starts: the parent ends them
+                    with interrupts_wait():  # for the processes that this starts: the parent ends them
                         running[pool.submit(task, waiting[0])] = waiting[0]
                     waiting.popleft()
             except BrokenProcessPool:
@@ -110,8 +110,8 @@ def _outcome(result: Callable[[], _Result]) -> _Result | Exception:
 
 
 def _alone(task: Callable[[_Item], _Result], item: _Item) -> Iterator[tuple[_Item, _Result | Exception]]:
-    with _processes(1) as pool:
-        with _interrupts_wait():
+    with processes(1) as pool:
+        with interrupts_wait():
             future = pool.submit(task, item)
         outcome = _outcome(future.result)
     died = isinstance(outcome, BrokenProcessPool)
@@ -119,7 +119,7 @@ def _alone(task: Callable[[_Item], _Result], item: _Item) -> Iterator[tuple[_Ite
 
 
 @contextmanager
-def _processes(count: int) -> Iterator[ProcessPoolExecutor]:
+def processes(count: int) -> Iterator[ProcessPoolExecutor]:
     """Some processes with one thread each for linear algebra; left early, they are ended at once."""
     before = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), initializer=_end_with_parent)
@@ -151,7 +151,7 @@ def _one_thread_each() -> Iterator[None]:
 
 
 @contextmanager
-def _interrupts_wait() -> Iterator[None]:
+def interrupts_wait() -> Iterator[None]:
     """Within the block Ctrl-C waits for its end; processes that start in it never hear of it."""
     if not hasattr(signal, "pthread_sigmask"):
         yield

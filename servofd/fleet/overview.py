@@ -6,12 +6,15 @@ from collections import Counter
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
+from servofd.fleet.key import page_name
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
 __all__ = ["Overview", "SurfaceCount", "overview"]
 
 _WORST_FIRST = ("fault", "suspect", "healthy", "unknown", "no_data")
+_RANK = ("fault", "suspect", "untold", "unknown", "no_data", "healthy")
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,15 +50,18 @@ class Overview:
     """One for each fault: path, run, surface, and what servofd.audit/1 says of it."""
     untold: tuple[dict[str, Any], ...]
     """Path, run and reason of each log without a verdict."""
+    flights: tuple[dict[str, Any], ...]
+    """One for each log, the worst first: path, run, start, duration, status, sentence, page, and the outline of the
+    residual of its worst surface."""
     residuals: tuple[dict[str, Any], ...]
     """Path, run, start, surface, status and largest residual over threshold, one for each log and surface."""
 
     @property
     def exit_code(self) -> int:
-        """2 if any log could not be told, else 1 if there is any fault, else 0."""
-        if self.statuses.get("untold") or not self.logs:
-            return 2
-        return 1 if self.statuses.get("fault") else 0
+        """1 if there is any fault, else 2 if any log was not cleared, else 0."""
+        if self.statuses.get("fault"):
+            return 1
+        return 2 if self.untold or not self.logs else 0
 
     def document(self) -> dict[str, Any]:
         """As plain dictionaries and lists, schema servofd.fleet/1."""
@@ -81,6 +87,7 @@ def overview(logs: Sequence[dict[str, Any]]) -> Overview:
             _where(log) | {"surface": name} | fault for log, name, entry in every for fault in entry["faults"]
         ),
         untold=tuple(_where(log) | {"reason": log["untold"]} for log in ordered if log["untold"]),
+        flights=tuple(sorted(map(_flight, ordered), key=lambda flight: _RANK.index(flight["status"]))),
         residuals=tuple(
             _where(log) | {"surface": name, "status": entry["status"], "share": _share(entry)}
             for log, name, entry in every
@@ -91,7 +98,7 @@ def overview(logs: Sequence[dict[str, Any]]) -> Overview:
 def log_status(log: dict[str, Any]) -> str:
     """Worst status of a log's surfaces; ``untold`` where there is no verdict on it as a whole."""
     statuses = {entry["status"] for entry in log["document"]["surfaces"].values()}
-    if log["untold"]:
+    if log["untold"] and "suspect" not in statuses:
         return "untold"
     return next((status for status in _WORST_FIRST if status in statuses), "untold")
 
@@ -103,6 +110,20 @@ def _place(log: dict[str, Any]) -> tuple[str, str, str]:
 
 def _where(log: dict[str, Any]) -> dict[str, Any]:
     return {key: log["document"].get(key) for key in ("path", "run", "start_utc")}
+
+
+def _flight(log: dict[str, Any]) -> dict[str, Any]:
+    document = log["document"]
+    entries = document["surfaces"].items()
+    name, worst = max(entries, key=lambda one: _share(one[1]) or 0.0, default=("", None))
+    return _where(log) | {
+        "duration_s": document["duration_s"],
+        "status": log_status(log),
+        "sentence": document.get("sentence") or document["error"] or "",
+        "page": page_name(document["path"], log.get("content") or ""),
+        "surface": name,
+        "outline": ((worst or {}).get("residual") or {}).get("outline") or [],
+    }
 
 
 def _count(name: str, every: Sequence[tuple[dict[str, Any], str, dict[str, Any]]]) -> SurfaceCount:

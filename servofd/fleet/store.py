@@ -8,13 +8,13 @@ import uuid
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from servofd import __version__
 from servofd.errors import ConfigError
 from servofd.fleet.find import META_FILE
 from servofd.fleet.key import content_key
 from servofd.fleet.lock import locked
 from servofd.fleet.tables import TABLES, rows, to_arrow
 from servofd.outputs.files import whole_file, write_whole
+from servofd.version import __version__
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -184,8 +184,8 @@ def read_logs(folder: Path) -> list[dict[str, Any]]:
         raise ConfigError(f"{folder}: no results of many logs; make them with servofd audit LOGS/ -o {folder}")
     _read_meta(meta)
     logs = [
-        {"document": json.loads(row["document"]), "untold": row["untold"] or ""}
-        for row in read_table(folder, "logs", ["document", "untold"])
+        {"document": json.loads(row["document"]), "untold": row["untold"] or "", "content": row["content"] or ""}
+        for row in read_table(folder, "logs", ["document", "untold", "content"])
     ]
     return sorted(logs, key=lambda log: (log["document"]["path"], log["document"].get("run") or ""))
 

@@ -111,7 +111,12 @@ def to_arrow(name: str, content: list[dict[str, Any]]) -> pa.Table:
         "time": pa.timestamp("us", tz="UTC"),
     }
     schema = pa.schema([(column, kinds[kind]) for column, kind in TABLES[name].items()])
-    return pa.Table.from_pylist(content, schema=schema)
+    return pa.Table.from_pylist([{key: _text(value) for key, value in row.items()} for row in content], schema=schema)
+
+
+def _text(value: Any) -> Any:  # noqa: ANN401 - any cell
+    """Names of files that are no UTF-8 as Python writes them; anything else as it is."""
+    return value.encode("utf-8", "backslashreplace").decode() if isinstance(value, str) else value
 
 
 def _surface(name: str, surface: dict[str, Any]) -> dict[str, Any]:

@@ -1,23 +1,30 @@
 """What the monitor says on the link: alarms in words, health in numbers, and that it is there.
 
-It never commands the vehicle.
+It never commands the vehicle. A ground station shows the last few texts, and a radio loses some: alarms and their names
+leave at once and once more a second later, whatever else there is to say; the rest is gathered, and waits its turn.
 """
 
 from __future__ import annotations
 
 import math
-from collections import deque
+import re
+from collections import defaultdict
 from typing import TYPE_CHECKING, Any, Final
 
+from servofd.live.names import short_names
+
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
     from servofd.detection.events import Event
     from servofd.detection.monitor import SurfaceMonitor
 
-__all__ = ["Alerts", "health", "status_text"]
+__all__ = ["Alerts", "health"]
 
-_LONGEST = 50
-_NAME_LONGEST = 10
-_CRITICAL, _ERROR, _WARNING, _NOTICE, _INFO = 2, 3, 4, 5, 6  # MAV_SEVERITY
+_LONGEST, _NAME_LONGEST = 50, 10
+_LEAST_ROOM: Final = 12
+"""For a surface's name, however long the rest of a text would like to be."""
+_CRITICAL, _ERROR, _WARNING, _NOTICE = 2, 3, 4, 5  # MAV_SEVERITY
 _SEVERITIES: Final = {
     "hardover": _CRITICAL,
     "stuck": _CRITICAL,
@@ -30,6 +37,7 @@ _SEVERITIES: Final = {
     "deadband": _WARNING,
 }
 """By what the fault does to the aircraft: control lost, trim lost, control worse."""
+_KINDS: Final = {"deadband": "dead band", "loss_of_effectiveness": "loss of effectiveness", "unknown": "at fault"}
 _SHOWN: Final = (
     "position_deg",
     "bias_deg",
@@ -41,52 +49,13 @@ _SHOWN: Final = (
 )
 _UNITS: Final = {"bandwidth_scale": "x", "gain": "x", "rate_limit_deg_s": " deg/s"}
 _ONBOARD, _NO_AUTOPILOT, _ACTIVE, _STATE_CRITICAL = 18, 8, 4, 5  # MAV_TYPE, MAV_AUTOPILOT, MAV_STATE
-_SAME_S, _WINDOW_S, _MOST = 30.0, 10.0, 10
-_PERIOD_S = 1.0
+_PERIOD_S: Final = 1.0
+_AGAIN_S: Final = 1.0
+"""An urgent text is said twice: of a link that loses 30 %, one in eleven is lost and not three in ten."""
+_GATHER_S, _PAUSE_S = 1.0, 10.0
+"""So long what is not urgent is gathered, and so long it waits for its turn; one line in ten seconds buries nothing."""
 
 Message = tuple[str, dict[str, Any]]
-
-
-def status_text(event: Event) -> tuple[int, str] | None:
-    """Severity and words of an event, 50 characters at most; None for what a ground station sees itself.
-
-    Examples
-    --------
-    >>> from servofd.detection.events import Event
-    >>> status_text(Event(30.4, "elevator", "alarm", "unknown", -2.1, 1.5))
-    (2, 'servo elevator: ALARM, off by 2.1 deg')
-    >>> status_text(Event(60.0, "elevator", "clear", "stuck"))
-    (5, 'servo elevator: moves as commanded again')
-    """
-    if event.event in ("link_lost", "link_restored") or not event.surface:
-        return None
-    who = f"servo {event.surface}: "
-    if event.event == "clear":
-        what = "cleared: within tolerance" if event.kind == "healthy" else "moves as commanded again"
-        return _NOTICE, _short(who, what)
-    if event.event == "no_data":
-        return _WARNING, _short(who, "not watched: " + event.text)
-    severity = _SEVERITIES.get(event.kind, _NOTICE)
-    if event.event == "alarm":
-        return severity, _short(who, f"ALARM, off by {abs(event.residual_deg):.1f} deg")
-    kind = event.kind.replace("_", " ").upper() if event.kind != "healthy" else "within tolerance"
-    return severity, _short(who, kind + _size(event))
-
-
-def _size(event: Event) -> str:
-    if event.fault is None:
-        return ""
-    known = next((name for name in _SHOWN if name in event.fault.parameters), "")
-    if not known:
-        return ""
-    return f" {event.fault.parameters[known].value:.2g}{_UNITS.get(known, ' deg')}"
-
-
-def _short(who: str, what: str) -> str:
-    """Rather shorten the name than the news; plain letters only."""
-    room = _LONGEST - len(what)
-    name = who if len(who) <= room else who[: max(room - 3, 8)] + "~: "
-    return (name + what).encode("ascii", "replace").decode()[:_LONGEST]
 
 
 def health(monitor: SurfaceMonitor) -> float:
@@ -100,39 +69,72 @@ def health(monitor: SurfaceMonitor) -> float:
 
 
 class Alerts:
-    """Messages to send; says nothing twice within 30 s, and no more than 10 things within 10 s.
+    """Messages to send about one vehicle.
+
+    Parameters
+    ----------
+    surfaces : Iterable of str
+        All that are watched.
 
     Examples
     --------
     >>> from servofd.detection.events import Event
-    >>> alerts = Alerts()
-    >>> event = Event(1.0, "rudder", "alarm", "unknown", 2.0, 1.5)
-    >>> [len(alerts.of(event, at_s)) for at_s in (0.0, 1.0, 40.0)]
-    [1, 0, 1]
+    >>> alerts = Alerts(["elevator", "rudder"])
+    >>> alerts.take(Event(30.4, "elevator", "alarm", "unknown", -2.1, 1.5), 1000.0)
+    >>> [(name, fields["text"]) for name, fields in alerts.due(1000.0)]
+    [('STATUSTEXT', 'ELEVATOR ALARM, off by 2.1 deg')]
+    >>> alerts.take(Event(31.0, "elevator", "no_data", text="no position since 31.0 s"), 1000.5)
+    >>> alerts.take(Event(31.0, "rudder", "no_data", text="no position since 31.0 s"), 1000.5)
+    >>> [fields["text"] for _, fields in alerts.due(1001.6)]
+    ['ELEVATOR ALARM, off by 2.1 deg', 'ELEVATOR, RUDDER not watched: no position']
     """
 
-    def __init__(self) -> None:
-        self._said: dict[str, float] = {}
-        self._lately: deque[float] = deque()
-        self._beat_s = float("-inf")
-        self.held_back = 0
+    def __init__(self, surfaces: Iterable[str]) -> None:
+        self._surfaces = list(surfaces)
+        self._health = short_names(self._surfaces, _NAME_LONGEST - len("SF_"))
+        self._urgent: dict[str, list[tuple[float, int, str]]] = {}
+        """By surface: what is still to be said about its alarm, and when."""
+        self._unwatched: dict[str, str] = {}
+        self._notes: list[str] = []
+        self._gathered_s, self._spoke_s, self._beat_s = math.inf, -math.inf, -math.inf
 
-    def of(self, event: Event, now_s: float) -> list[Message]:
-        """Text about an event; `now_s` is the receiver's clock [s]."""
-        said = status_text(event)
-        if said is None:
-            return []
-        severity, text = said
-        while self._lately and self._lately[0] < now_s - _WINDOW_S:
-            self._lately.popleft()
-        if now_s - self._said.get(text, float("-inf")) < _SAME_S or len(self._lately) >= _MOST:
-            self.held_back += 1
-            return []
-        self._said = {old: at_s for old, at_s in self._said.items() if now_s - at_s < _SAME_S} | {text: now_s}
-        self._lately.append(now_s)
-        return [("STATUSTEXT", {"severity": severity, "text": text})]
+    def take(self, event: Event, now_s: float) -> None:
+        """Take an event; `now_s` is the receiver's clock [s]."""
+        if event.event in ("link_lost", "link_restored") or not event.surface:
+            return  # a ground station sees that itself
+        if event.event == "no_data":
+            self._unwatched[event.surface] = event.text
+            self._gathered_s = min(self._gathered_s, now_s)
+            return
+        severity, what = _words(event)
+        text = self._text([event.surface], what)
+        again = [] if event.event == "clear" else [(now_s + _AGAIN_S, severity, text)]
+        self._urgent[event.surface] = [(now_s, severity, text), *again]
 
-    def periodic(self, monitors: dict[str, SurfaceMonitor], vehicle_s: float, now_s: float) -> list[Message]:
+    def note(self, text: str, now_s: float) -> None:
+        """Have something said about the whole vehicle."""
+        self._notes.append(text)
+        self._gathered_s = min(self._gathered_s, now_s)
+
+    def watched(self, surface: str) -> None:
+        """Nothing need be said of this surface's silence any more."""
+        self._unwatched.pop(surface, None)
+
+    def due(self, now_s: float) -> list[Message]:
+        """What leaves now."""
+        found = []
+        for surface, texts in self._urgent.items():
+            found += [(severity, text) for at_s, severity, text in texts if at_s <= now_s]
+            self._urgent[surface] = [entry for entry in texts if entry[0] > now_s]
+        if now_s - self._gathered_s >= _GATHER_S and now_s - self._spoke_s >= _PAUSE_S:
+            quiet = self._quiet()
+            if quiet:
+                self._spoke_s = now_s
+                found += [(_WARNING, text) for text in quiet]
+            self._gathered_s = math.inf
+        return [("STATUSTEXT", {"severity": severity, "text": text}) for severity, text in found]
+
+    def periodic(self, monitors: Mapping[str, SurfaceMonitor], vehicle_s: float, now_s: float) -> list[Message]:
         """Heartbeat and health of each surface, once a second."""
         if now_s - self._beat_s < _PERIOD_S:
             return []
@@ -141,21 +143,51 @@ class Alerts:
         state = _STATE_CRITICAL if alarmed else _ACTIVE
         beat = {"type": _ONBOARD, "autopilot": _NO_AUTOPILOT, "system_status": state, "mavlink_version": 3}
         boot_ms = int(vehicle_s * 1e3) % 2**32 if math.isfinite(vehicle_s) else 0
-        names = _health_names(monitors)
         numbers: list[Message] = [
-            ("NAMED_VALUE_FLOAT", {"time_boot_ms": boot_ms, "name": names[name], "value": health(monitor)})
+            (
+                "NAMED_VALUE_FLOAT",
+                {"time_boot_ms": boot_ms, "name": f"SF_{self._health[name]}", "value": health(monitor)},
+            )
             for name, monitor in monitors.items()
         ]
         return [("HEARTBEAT", beat), *numbers]
 
+    def _quiet(self) -> list[str]:
+        """One line for each reason not to watch surfaces, and one for all that is new of the link."""
+        reasons: dict[str, list[str]] = defaultdict(list)
+        for surface, text in self._unwatched.items():
+            reasons[_reason(text)].append(surface)
+        self._unwatched.clear()
+        notes, self._notes = self._notes, []
+        told = [self._text(surfaces, f"not watched: {reason}") for reason, surfaces in reasons.items()]
+        return told + ([notes[-1][:_LONGEST]] if notes else [])
 
-def _health_names(surfaces: dict[str, SurfaceMonitor]) -> dict[str, str]:
-    """Ten letters for each surface, all different."""
-    names: dict[str, str] = {}
-    for surface in surfaces:
-        name = "SF_" + surface.upper().replace("AILERON", "AIL").replace("ELEVATOR", "ELEV").replace("RUDDER", "RUD")
-        name, number = name.encode("ascii", "replace").decode()[:_NAME_LONGEST], 2
-        while name in names.values():
-            name, number = name[: _NAME_LONGEST - len(str(number))] + str(number), number + 1
-        names[surface] = name
-    return names
+    def _text(self, surfaces: list[str], what: str) -> str:
+        """Names, then what there is to say of them; what does not fit is cut off the latter."""
+        room = max(_LONGEST - len(what) - 1, _LEAST_ROOM)
+        whole = ", ".join(short_names(self._surfaces, room)[surface] for surface in surfaces)
+        who = whole if len(whole) <= room else f"{len(surfaces)} surfaces"
+        return f"{who} {what}"[:_LONGEST]
+
+
+def _words(event: Event) -> tuple[int, str]:
+    """Severity, and what follows the surface's name."""
+    if event.event == "clear":
+        return _NOTICE, "cleared: within tolerance" if event.kind == "healthy" else "moves as commanded again"
+    if event.event == "alarm" and event.fault is None:
+        return _SEVERITIES["unknown"], f"ALARM, off by {abs(event.residual_deg):.1f} deg"
+    return _SEVERITIES.get(event.kind, _NOTICE), _KINDS.get(event.kind, event.kind) + _size(event)
+
+
+def _size(event: Event) -> str:
+    if event.fault is None:
+        return ""
+    known = next((name for name in _SHOWN if name in event.fault.parameters), "")
+    if not known:
+        return ""
+    return f" {event.fault.parameters[known].value:.2g}{_UNITS.get(known, ' deg')}"
+
+
+def _reason(text: str) -> str:
+    """The shortest that says why; times and remedies are in the monitor's own view."""
+    return re.split(" since|[:;,]", text, maxsplit=1)[0]

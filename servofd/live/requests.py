@@ -19,6 +19,10 @@ _RATES_HZ: Final = (50.0, 40.0, 25.0, 10.0)
 _SELDOM_HZ: Final = (5.0, 2.0, 1.0)
 """Of airspeed and supply."""
 _PATIENCE_S, _TRIES = 1.0, 3
+_DEADLINE_S = 5.0
+"""An answer that is later than this will not come. It does not say what it answers: what is asked next waits for it."""
+_UNASKED = ("NAMED_VALUE", "DEBUG")
+"""Sent by scripts: no autopilot grants them, and ArduPilot complains on every ground station."""
 _AGAIN_S = 30.0
 _TOO_SLOW = 0.6
 
@@ -45,6 +49,8 @@ class Requests:
         What its surfaces need.
     seldom : set of str
         What tells of airspeed and supply.
+    component : int
+        Who asks.
 
     Examples
     --------
@@ -63,9 +69,10 @@ class Requests:
     system: int
     messages: set[str]
     seldom: set[str] = field(default_factory=set)
+    component: int = 191
     _wishes: list[_Wish] = field(init=False)
-    _asked_s: float = float("-inf")
-    _open: _Wish | None = None
+    _open: list[tuple[_Wish, int, float]] = field(default_factory=list)
+    """Asked and not answered, in order: what, which of its rates, and when [s]; copies of one question only."""
     _finished_s: float = float("-inf")
 
     def __post_init__(self) -> None:
@@ -73,16 +80,19 @@ class Requests:
 
     def due(self, now_s: float) -> list[tuple[str, dict[str, Any]]]:
         """What to ask now [s, the receiver's clock]."""
-        if self._open is not None and now_s - self._asked_s < _PATIENCE_S:
-            return []
-        wish = self._open or next((wish for wish in self._wishes if not wish.done), None)
+        self._open = [entry for entry in self._open if now_s - entry[2] < _DEADLINE_S]
+        wish = next((wish for wish in self._wishes if not wish.done), None)
         if wish is None:
             return []
+        if self._open:
+            asked, step, asked_s = self._open[-1]
+            if asked is not wish or step != wish.step or now_s - asked_s < _PATIENCE_S or wish.tries >= _TRIES:
+                return []
+        elif wish.tries >= _TRIES:
+            wish.done, self._finished_s = True, now_s
+            return self.due(now_s)
         wish.tries += 1
-        if wish.tries > _TRIES:
-            wish.done, self._open, self._finished_s = True, None, now_s
-            return []
-        self._open, self._asked_s = wish, now_s
+        self._open.append((wish, wish.step, now_s))
         period_us = 1e6 / wish.rates_hz[wish.step]
         number = dialect().layouts[wish.message].id
         fields = {"target_system": self.system, "target_component": 1, "command": _SET_MESSAGE_INTERVAL}
@@ -90,25 +100,26 @@ class Requests:
 
     def hear(self, heard: Heard) -> str:
         """Take an answer, and say what it means; empty if it is none."""
-        wish = self._open
-        if wish is None or heard.name != "COMMAND_ACK" or heard.fields["command"] != _SET_MESSAGE_INTERVAL:
+        if heard.name != "COMMAND_ACK" or heard.fields["command"] != _SET_MESSAGE_INTERVAL or not self._open:
             return ""
         result = int(heard.fields["result"])
-        if result == _IN_PROGRESS:
+        if result == _IN_PROGRESS or heard.fields.get("target_component", 0) not in (0, self.component):
             return ""
-        asked_hz = wish.rates_hz[wish.step]
-        self._open, self._finished_s = None, self._asked_s
+        wish, step, self._finished_s = self._open.pop(0)
+        if wish.done or step != wish.step:
+            return ""  # the answer to a copy of a question that has been answered
+        asked_hz = wish.rates_hz[step]
         if result == _ACCEPTED:
             wish.done, wish.granted_hz = True, asked_hz
             return f"{wish.message} at {asked_hz:g} Hz granted"
-        wish.step, wish.tries = wish.step + 1, 0
+        wish.step, wish.tries = step + 1, 0
         wish.done = result == _UNSUPPORTED or wish.step == len(wish.rates_hz)
         return f"{wish.message} at {asked_hz:g} Hz denied" if not wish.done else f"{wish.message}: no rate is granted"
 
     def measured(self, message: str, rate_hz: float, now_s: float) -> str:
         """Ask again if a message comes much more slowly than was granted, and say so: another station changed it."""
         wish = next((wish for wish in self._wishes if wish.message == message), None)
-        if wish is None or self._open is not None or now_s - self._finished_s <= _AGAIN_S:
+        if wish is None or self._open or now_s - self._finished_s <= _AGAIN_S:
             return ""
         if not rate_hz < _TOO_SLOW * wish.granted_hz:
             return ""
@@ -118,6 +129,5 @@ class Requests:
 
     def again(self) -> None:
         """Ask for everything once more, as after a restart."""
-        self._wishes = [_Wish(message) for message in sorted(self.messages)]
+        self._wishes = [_Wish(message) for message in sorted(self.messages) if not message.startswith(_UNASKED)]
         self._wishes += [_Wish(message, _SELDOM_HZ) for message in sorted(self.seldom)]
-        self._open = None

@@ -21,13 +21,15 @@ if TYPE_CHECKING:
     from servofd.detection.events import Event, Look
     from servofd.detection.monitor import SurfaceMonitor
     from servofd.detection.stream import Piece
-    from servofd.live.alerts import Message
     from servofd.types import FloatArray
 
 __all__ = ["Session", "stamped"]
 
 _GROUND_SYSTEM, _AUTOPILOT = 255, 1
 _NO_AUTOPILOT = 8
+_SYNC_S = 5.0
+"""How often the delay of a link is asked for; ground stations ask every 10 s."""
+_READS = 3
 _LATEST_US = 2**64 - 1
 """That a telemetry log can hold; read from a damaged one, seconds in a float come to one more."""
 
@@ -56,9 +58,9 @@ class Session:
     store : callable
         Takes every frame with its arrival time, as a telemetry log has it.
     send : callable, optional
-        Sends requests: message name and fields. None: nothing is asked for.
+        Sends requests to a vehicle: its number, message name and fields. None: nothing is asked for.
     alert : callable, optional
-        Sends alerts. None: nothing is said.
+        Sends alerts about a vehicle, with the same arguments. None: nothing is said.
     aside : bool
         Whether the bank works in a thread of its own; otherwise the session waits for it.
     """
@@ -66,13 +68,15 @@ class Session:
     codec: Codec
     aircraft: Mapping[int, Aircraft]
     store: Callable[[bytes], None] = lambda _: None
-    send: Callable[[str, dict[str, Any]], None] | None = None
-    alert: Callable[[str, dict[str, Any]], None] | None = None
+    send: Callable[[int, str, dict[str, Any]], None] | None = None
+    alert: Callable[[int, str, dict[str, Any]], None] | None = None
     is_stream: bool = True
     """False for a log of another kind, whose samples are given directly."""
     aside: bool = False
     remote_log: bool = False
-    """Whether to ask for the autopilot's own log; needs `send`."""
+    """Whether channels are those of the autopilot's own log, which is asked for if there is a `send`."""
+    component: int = 191
+    """As which it asks: answers to others are none of its own."""
     listener: Callable[[str, Piece, FloatArray], None] | None = None
     """Told of every piece that was evaluated."""
     vehicles: dict[int, Vehicle] = field(default_factory=dict)
@@ -85,8 +89,9 @@ class Session:
     frames: int = 0
     damaged_bytes: int = 0
     _alerts: dict[int, Alerts] = field(default_factory=dict)
-    _logs: dict[int, RemoteLog] = field(default_factory=dict)
     _requests: dict[int, Requests] = field(default_factory=dict)
+    _reads: dict[int, int] = field(default_factory=dict)
+    _synced_s: dict[int, float] = field(default_factory=dict)
     _pool: ThreadPoolExecutor | None = None
     _looks: list[tuple[Vehicle, SurfaceMonitor, Look, Future[Any]]] = field(default_factory=list)
     _compared: set[str] = field(default_factory=set)
@@ -116,9 +121,7 @@ class Session:
                 told = vehicle.hear(heard, arrival_s)
                 self._ask_again(vehicle, told)
                 events += told
-                self._answered(heard)
-                if heard.system in self._logs:
-                    vehicle.give(self._logs[heard.system].hear(heard, arrival_s))
+                self._answered(vehicle, heard, arrival_s)
         return events
 
     def step(self, arrival_now_s: float) -> list[Event]:
@@ -131,6 +134,7 @@ class Session:
             mine += vehicle.silence(arrival_now_s)
             mine += self._look(vehicle)
             self._speak(vehicle, mine, arrival_now_s)
+            self._inquire(vehicle, arrival_now_s)
             self._compare(vehicle)
             events += mine
         return events
@@ -167,15 +171,16 @@ class Session:
 
     def _adopt(self, system: int, vehicle: Vehicle) -> None:
         self.vehicles[system] = vehicle
-        self._alerts[system] = Alerts()
+        if self.remote_log:
+            vehicle.log = RemoteLog(system)
 
     def _ask(self, vehicle: Vehicle) -> None:
         """Begin to ask a vehicle for what is needed."""
-        self._requests[vehicle.system] = Requests(vehicle.system, vehicle.messages, vehicle.seldom)
-        if self.remote_log:
-            self._logs[vehicle.system] = RemoteLog(vehicle.system)
+        self._requests[vehicle.system] = Requests(vehicle.system, vehicle.messages, vehicle.seldom, self.component)
 
-    def _answered(self, heard: Heard) -> None:
+    def _answered(self, vehicle: Vehicle, heard: Heard, arrival_s: float) -> None:
+        if heard.name == "TIMESYNC" and heard.component == _AUTOPILOT and heard.fields["tc1"] > 0:
+            vehicle.clock.answered(heard.fields["ts1"], heard.fields["tc1"] * 1e-9, arrival_s)
         requests = self._requests.get(heard.system)
         if requests is not None:
             said = requests.hear(heard)
@@ -204,27 +209,54 @@ class Session:
         return events
 
     def _speak(self, vehicle: Vehicle, events: list[Event], now_s: float) -> None:
-        """Alerts, and requests."""
-        alerts = self._alerts.setdefault(vehicle.system, Alerts())
-        messages: list[Message] = [message for event in events for message in alerts.of(event, now_s)]
-        messages += alerts.periodic(vehicle.monitors, vehicle.now_s, now_s)
+        """Say what there is to say about a vehicle."""
+        alerts = self._alerts.setdefault(vehicle.system, Alerts(vehicle.monitors))
+        late = vehicle.clock.latency.news(now_s)
+        for news in (*vehicle.news, *([late] if late else [])):
+            self.notes.append(news)
+            alerts.note(f"servofd: {news}", now_s)
+        vehicle.news.clear()
+        if vehicle.log is not None:
+            thin = vehicle.log.news(now_s)
+            self.notes += [thin] if thin else []
+        for event in events:
+            alerts.take(event, now_s)
+        for name, monitor in vehicle.monitors.items():
+            if monitor.is_watched:
+                alerts.watched(name)
+        messages = alerts.due(now_s) + alerts.periodic(vehicle.monitors, vehicle.now_s, now_s)
         if self.alert is not None:
             for name, fields in messages:
-                self.alert(name, fields)
-        if self.send is not None and vehicle.system not in self._requests:
+                self.alert(vehicle.system, name, fields)
+
+    def _inquire(self, vehicle: Vehicle, now_s: float) -> None:
+        """Ask a vehicle for what is needed, and for the time."""
+        if self.send is None:
+            return
+        if vehicle.system not in self._requests:
             self._ask(vehicle)
-        requests = self._requests.get(vehicle.system)
-        if requests is None or self.send is None or vehicle.heard_s == float("-inf"):
+        requests = self._requests[vehicle.system]
+        if vehicle.heard_s == float("-inf"):
             return
         for message, rate_hz in vehicle.rates_hz(now_s).items():
             said = requests.measured(message, rate_hz, now_s)
             if said:
                 self.notes.append(said)
         due = requests.due(now_s)
-        if vehicle.system in self._logs:
-            due += self._logs[vehicle.system].due(now_s)
+        if vehicle.log is not None:
+            due += vehicle.log.due(now_s)
+        if now_s - self._synced_s.get(vehicle.system, float("-inf")) >= _SYNC_S:
+            self._synced_s[vehicle.system] = now_s
+            due.append(("TIMESYNC", {"tc1": 0, "ts1": vehicle.clock.latency.ask(now_s)}))
+            target = {"target_system": vehicle.system, "target_component": _AUTOPILOT, "param_index": -1}
+            due += [("PARAM_REQUEST_READ", target | {"param_id": name}) for name in self._unread(vehicle)]
         for name, fields in due:
-            self.send(name, fields)
+            self.send(vehicle.system, name, fields)
+
+    def _unread(self, vehicle: Vehicle) -> tuple[str, ...]:
+        """Parameters to ask for, a few times: an autopilot without such servos does not answer."""
+        self._reads[vehicle.system] = self._reads.get(vehicle.system, 0) + 1
+        return vehicle.unread() if self._reads[vehicle.system] <= _READS else ()
 
     def _compare(self, vehicle: Vehicle) -> None:
         """Say once, of each surface, that less comes than its servo needs."""
@@ -251,14 +283,13 @@ class Session:
             if self.damaged_bytes:
                 return "hears bytes that are no MAVLink: another baud rate, or another signing key?"
             return "waiting for the first byte"
-        missing = []
+        missing: dict[str, list[str]] = {}
         for vehicle, monitor in self.watched:
             if not monitor.is_watched:
                 channel = monitor.surface.measured.channel if monitor.surface.measured else ""
-                why = monitor.problem or f"waiting for {channel}"
-                if not monitor.problem and math.isfinite(monitor.rate_hz):
+                why = monitor.suspended or monitor.outage or monitor.problem or f"waiting for {channel}"
+                if not (monitor.suspended or monitor.outage or monitor.problem) and math.isfinite(monitor.rate_hz):
                     why = "learning its pace"
-                missing.append(
-                    f"{monitor.name}: {why}" if len(self.vehicles) == 1 else f"{vehicle.system}/{monitor.name}: {why}"
-                )
-        return "; ".join(missing)
+                who = monitor.name if len(self.vehicles) == 1 else f"{vehicle.system}/{monitor.name}"
+                missing.setdefault(why, []).append(who)
+        return "; ".join(f"{', '.join(who)}: {why}" for why, who in missing.items())

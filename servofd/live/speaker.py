@@ -16,7 +16,17 @@ if TYPE_CHECKING:
 
 __all__ = ["ALLOWED", "Speaker"]
 
-ALLOWED = frozenset({"HEARTBEAT", "STATUSTEXT", "NAMED_VALUE_FLOAT", "COMMAND_LONG", "REMOTE_LOG_BLOCK_STATUS"})
+ALLOWED = frozenset(
+    {
+        "HEARTBEAT",
+        "STATUSTEXT",
+        "NAMED_VALUE_FLOAT",
+        "COMMAND_LONG",
+        "TIMESYNC",
+        "PARAM_REQUEST_READ",
+        "REMOTE_LOG_BLOCK_STATUS",
+    }
+)
 """COMMAND_LONG for message intervals alone: nothing that moves the vehicle or changes a setting of it."""
 _SET_MESSAGE_INTERVAL = 511
 _ROOM = 256
@@ -27,19 +37,19 @@ class Speaker:
 
     Parameters
     ----------
-    system : callable
-        Tells the system id, which may not be known before the vehicle is heard.
+    system : int
+        System id to speak as; 0 to speak as the vehicle that is spoken of.
     component : int
         Component id.
     signature : Signature, optional
         Signs what is sent.
     """
 
-    def __init__(self, system: Callable[[], int], component: int, signature: Signature | None = None) -> None:
+    def __init__(self, system: int, component: int, signature: Signature | None = None) -> None:
         self._system, self._component, self._signature = system, component, signature
 
     @contextmanager
-    def to(self, link: Link) -> Iterator[Callable[[str, dict[str, Any]], None]]:
+    def to(self, link: Link) -> Iterator[Callable[[int, str, dict[str, Any]], None]]:
         """Sender of messages on a link, which works in a thread of its own."""
 
         def write(data: bytes) -> None:
@@ -48,10 +58,10 @@ class Speaker:
         worker = Worker(write, lambda: None, _ROOM)
         codecs: dict[int, Codec] = {}
 
-        def send(name: str, fields: dict[str, Any]) -> None:
+        def send(vehicle: int, name: str, fields: dict[str, Any]) -> None:
             if name not in ALLOWED or (name == "COMMAND_LONG" and fields["command"] != _SET_MESSAGE_INTERVAL):
                 raise ValueError(f"the monitor never sends {name}")
-            system = self._system()
+            system = self._system or vehicle or 1
             if system not in codecs:
                 codecs[system] = Codec(system, self._component, signature=self._signature)
             worker.put(codecs[system].encode(name, fields))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,16 +13,25 @@ from servofd.detection.surroundings import Surroundings
 from servofd.errors import ConfigError
 from servofd.live.channels import ChannelTable
 from servofd.live.clock import VehicleClock
+from servofd.live.remote_log import LOG_SILENCE_S, RemoteLog
+from servofd.live.settings import Settings, rescaled
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
     from logparsers.codec import Heard
     from servofd.aircraft import Aircraft
+    from servofd.types import FloatArray
 
 __all__ = ["Losses", "Vehicle"]
 
 _SILENCE_S = 2.0
+_GAP_S = 1.0
+"""Longer than any pause between two messages of a vehicle that is heard."""
+_JUMP_S = 1.0
+"""Left out after a parameter has changed: pulses jump, and nobody knows exactly when."""
+_AUTOPILOT = 1
+_NO_PLACE = 65_535
 _NONE = np.zeros(0)
 _REORDERED = 200
 _COUNT_S = 5.0
@@ -89,8 +98,10 @@ class Vehicle:
     heard_s: float = float("-inf")
     """Arrival of the latest message [s]."""
     now_s: float = float("nan")
-    """Its own time [s]."""
+    """Its own time [s], as its newest message tells it."""
     is_lost: bool = False
+    log: RemoteLog | None = None
+    """Its own log, where its channels are in that."""
     autopilot: int | None = None
     is_stream: bool = True
     """False where samples of any channel are given directly."""
@@ -98,7 +109,14 @@ class Vehicle:
     """Messages that carry its channels."""
     seldom: set[str] = field(init=False)
     """Messages that tell of airspeed and supply, if its servos depend on them."""
+    news: list[str] = field(default_factory=list)
+    """What is to be told of it, and forgotten."""
+    settings: Settings = field(init=False)
     _table: ChannelTable = field(init=False)
+    _read: set[str] = field(default_factory=set)
+    """Parameters that were asked for."""
+    _held_s: dict[str, float] = field(default_factory=dict)
+    """Until when samples of a surface are left out [s]."""
     _around: Surroundings = field(init=False)
     _is_news: bool = False
     _counted_s: float = float("-inf")
@@ -113,10 +131,13 @@ class Vehicle:
             if surface.measured is None:
                 continue
             self.monitors[name] = SurfaceMonitor(name, surface, self.aircraft.model(name))
+            if not self.is_stream:
+                self.monitors[name].patience_s = LOG_SILENCE_S
             self._routes.setdefault(surface.command.channel, []).append((name, 0))
             self._routes.setdefault(surface.measured.channel, []).append((name, 1))
         if not self.monitors:
             raise ConfigError("the aircraft file names no measured channel: nothing can be watched")
+        self.settings = Settings.of(self.aircraft.surfaces, self.monitors)
         self.messages = ChannelTable(self._routes).messages
         self._around = Surroundings(sorted({need for m in self.monitors.values() for need in m.model.needs}))
         beside = ChannelTable(self._around.channels)
@@ -139,8 +160,10 @@ class Vehicle:
         events = self._back(arrival_s)
         self.losses.setdefault(heard.component, Losses()).count(heard.sequence)
         self.heard_s = arrival_s
-        if heard.name == "HEARTBEAT" and heard.component == 1:
+        if heard.name == "HEARTBEAT" and heard.component == _AUTOPILOT:
             self.autopilot = int(heard.fields["autopilot"])
+        elif heard.name == "PARAM_VALUE" and heard.component == _AUTOPILOT:
+            events += self._set(heard.fields)
         if not self.clock.is_set(arrival_s) and not self.clock.is_reference(heard):
             if heard.name in self._table.messages:
                 self._early.append((heard, arrival_s))
@@ -153,9 +176,44 @@ class Vehicle:
         for before, at_s in early:
             self._sort(before, self.clock.time_s(before, at_s))
         if time_s is not None:
-            self.now_s = time_s
+            self._advance(time_s)
             self._sort(heard, time_s)
+        if self.log is not None:
+            self.give(self.log.hear(heard, arrival_s))
         return events
+
+    def _set(self, told: Mapping[str, Any]) -> list[Event]:
+        """A parameter: what was evaluated is, the rest is calibrated anew, or not watched any more."""
+        is_news = told["param_index"] == _NO_PLACE and told["param_id"] not in self._read
+        self._read.discard(told["param_id"])
+        change = self.settings.hear(str(told["param_id"]), float(told["param_value"]), is_news=is_news)
+        if change is None:
+            return []
+        self.news.append(change.text)
+        events = self.evaluate()
+        for surface in change.surfaces:
+            monitor = self.monitors[surface]
+            known = rescaled(monitor.surface.command, change.scale)
+            if known is not None:
+                monitor.surface = monitor.surface.model_copy(update={"command": known})
+            self._held_s[surface] = self.now_s + _JUMP_S
+            events += monitor.suspend(change.text if change.suspends or known is None else "", self.now_s)
+        return events
+
+    def unread(self) -> tuple[str, ...]:
+        """Parameters to ask for now: the answer is no news."""
+        names = self.settings.missing()
+        self._read.update(names)
+        return names
+
+    def _advance(self, time_s: float) -> None:
+        """Its time goes on; while nothing at all came, no surface has fallen silent."""
+        missed_s = time_s - self.now_s
+        if missed_s > _GAP_S:
+            for monitor in self.monitors.values():
+                monitor.excuse(missed_s)
+        if not missed_s <= 0.0:
+            self.now_s = time_s
 
     def rates_hz(self, arrival_now_s: float) -> dict[str, float]:
         """How often each message came, once every few seconds; empty in between, and while nothing comes at all."""
@@ -168,9 +226,10 @@ class Vehicle:
         return {message: count / span_s for message, count in counts.items()}
 
     def give(self, channels: Iterable[tuple[str, float, float]]) -> None:
-        """Take samples of channels directly: name, time [s] and value as logged."""
-        for channel, time_s, value in channels:
-            self.now_s = time_s
+        """Take samples of its own log: channel, time since its latest boot [s] and value as logged."""
+        for channel, stamp_s, value in channels:
+            time_s = self.clock.log_s(stamp_s)
+            self._advance(time_s)
             self._add(channel, time_s, value)
 
     def evaluate(self) -> list[Event]:
@@ -182,9 +241,7 @@ class Vehicle:
             for monitor in self.monitors.values():
                 monitor.surroundings(context)
         for name, (commands, positions) in samples.items():
-            asked = (np.array(commands[0]), np.array(commands[1])) if commands[0] else (_NONE, _NONE)
-            seen = (np.array(positions[0]), np.array(positions[1])) if positions[0] else (_NONE, _NONE)
-            events += self.monitors[name].feed(asked, seen)
+            events += self.monitors[name].feed(_in_order(*commands), _in_order(*positions))
         if np.isfinite(self.now_s):
             for monitor in self.monitors.values():
                 events += monitor.silence(self.now_s)
@@ -237,6 +294,19 @@ class Vehicle:
     def _add(self, channel: str, time_s: float, value: float) -> None:
         self._is_news |= self._around.add(channel, time_s, value)
         for name, role in self._routes.get(channel, ()):
+            if time_s < self._held_s.get(name, time_s):
+                continue
             columns = self._samples.setdefault(name, (([], []), ([], [])))[role]
             columns[0].append(time_s)
             columns[1].append(value)
+
+
+def _in_order(time_s: list[float], values: list[float]) -> tuple[FloatArray, FloatArray]:
+    """Samples of one channel by time: links overtake themselves."""
+    if not time_s:
+        return _NONE, _NONE
+    times, taken = np.array(time_s), np.array(values)
+    if times.size > 1 and (np.diff(times) < 0.0).any():
+        order = np.argsort(times, kind="stable")
+        return times[order], taken[order]
+    return times, taken

@@ -52,7 +52,7 @@ def status_of(monitor: SurfaceMonitor) -> str:
     if monitor.standing:
         return "ALARM"
     if not monitor.is_watched:
-        return "waiting" if not monitor.problem else "no data"
+        return "no data" if monitor.problem or monitor.outage or monitor.suspended else "waiting"
     if monitor.reading is None or not monitor.reading.settled:
         return "settling"
     return "watched"
@@ -137,8 +137,12 @@ class View:
             share = lost / max(received + lost, 1)
             age_s = arrival_now_s - vehicle.heard_s
             state = "LOST" if vehicle.is_lost else f"heard {max(age_s, 0.0):.1f} s ago"
+            late_s = vehicle.clock.latency.late_s
+            state += f", {late_s:.0f} s late" if late_s >= 1.0 else ""
             now = f"{vehicle.now_s:.1f} s" if math.isfinite(vehicle.now_s) else "?"
-            parts.append(f"vehicle {vehicle.system}: {state}, its time {now}, {received} frames, {share:.1%} lost")
+            parts.append(f"vehicle {vehicle.system}: {state}, its time {now}, {received} frames, {share:.1%} skipped")
+            if vehicle.log is not None and vehicle.log.said:
+                parts.append(vehicle.log.said)
         damaged, dropped = self._session.damaged_bytes, self.dropped
         more = f"{damaged} damaged bytes" if damaged else ""
         if dropped:

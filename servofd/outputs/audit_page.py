@@ -5,29 +5,37 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from servofd.detection.advice import headline, meaning, next_step
-from servofd.detection.odds import SurfaceOdds, Wish
+from servofd.axes.words import named
+from servofd.detection.advice import meaning, next_step
 from servofd.detection.words import describe
-from servofd.odds import odds_of_surface
-from servofd.outputs.audit_figures import MOST_FAULTS, flight_pictures, residual_picture
+from servofd.outputs.audit_charts import MOST_FAULTS, fault_charts, flight_chart
+from servofd.outputs.axis_chart import axis_chart
 from servofd.outputs.json_report import FailedLog
-from servofd.outputs.odds_report import odds_rows
 from servofd.outputs.page import page
 from servofd.outputs.quality import quality_rows
+from servofd.outputs.sentence import plain_rate, seen, spoken, whole_sentence, worst
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from servofd.aircraft import Aircraft
-    from servofd.detection.audit import LogAudit, SurfaceAudit
+    from servofd.axes.verdict import AxisAudit, Between
     from servofd.detection.bank.explanation import Estimate
     from servofd.detection.bank.isolate import Fault
+    from servofd.detection.verdict import LogAudit, SurfaceAudit
+    from servofd.evidence import ModelOrigin
 
 __all__ = ["audit_page", "quantity"]
 
 _UNITS = {"deg_s": "deg/s", "deg": "deg", "hz": "Hz", "s": "s"}
 _MISSING = "none"
-_RAREST = 1e-100
+_ORIGINS = {
+    "calibrated": "calibrated on good flights",
+    "named": "the servo that was named",
+    "fitted": "fitted to this very log",
+    "none": "none that predicts",
+}
+_RANK = {"fault": 0, "suspect": 1}
 
 
 def audit_page(results: Sequence[LogAudit | FailedLog]) -> str:
@@ -50,7 +58,23 @@ def audit_page(results: Sequence[LogAudit | FailedLog]) -> str:
         _failed(result) if isinstance(result, FailedLog) else _log(result, f"log-{k}")
         for k, result in enumerate(results, start=1)
     ]
-    return page("audit.html", logs=logs, most_faults=MOST_FAULTS)
+    first = logs[0] if len(logs) == 1 else _all_of(logs)
+    return page(
+        "audit.html",
+        logs=logs,
+        most_faults=MOST_FAULTS,
+        status=first["status"],
+        sentence=first["sentence"],
+        facts=first["facts"],
+    )
+
+
+def _all_of(logs: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """What several logs come to."""
+    faulty = sum(log["status"] == "fault" for log in logs)
+    known = {log["status"] for log in logs}
+    status = next((s for s in ("fault", "suspect", "unknown", "no_data", "healthy") if s in known), "no_data")
+    return {"status": status, "sentence": f"{faulty or 'None'} of {len(logs)} logs show a fault.", "facts": ""}
 
 
 def _failed(result: FailedLog) -> dict[str, Any]:
@@ -58,9 +82,11 @@ def _failed(result: FailedLog) -> dict[str, Any]:
     error = result.error.replace(result.path, name)
     return {
         "name": name,
-        "verdict": "Could not be read.",
+        "file": name,
+        "sentence": "Could not be read.",
         "facts": error,
         "surfaces": [],
+        "axes": [],
         "damage": [],
         "status": "unknown",
     }
@@ -71,47 +97,86 @@ def _log(audit: LogAudit, anchor: str) -> dict[str, Any]:
     facts = [log.format, f"{log.duration_s:.1f} s", log.vehicle, log.firmware]
     if log.start_utc is not None:
         facts.append(f"begun {log.start_utc:%Y-%m-%d %H:%M} UTC")
-    statuses = [surface.status for surface in audit.surfaces]
+    ordered = sorted(audit.surfaces, key=lambda surface: _RANK.get(surface.status, len(_RANK)))
     return {
         "name": log.source.name + (f", run {log.run}" if log.run else ""),
-        "verdict": headline(audit.surfaces),
-        "status": next((s for s in ("fault", "suspect", "healthy", "unknown") if s in statuses), "no_data"),
-        "facts": ", ".join(filter(None, facts)),
-        "surfaces": [
-            _surface(audit.aircraft, surface, f"{anchor}-{k}") for k, surface in enumerate(audit.surfaces, start=1)
-        ],
+        "file": log.source.name,
+        "sentence": whole_sentence(audit),
+        "status": worst((*audit.surfaces, *audit.axes)),
+        "facts": ", ".join(filter(None, [log.source.name, *facts])),
+        "surfaces": [_surface(audit.aircraft, surface, f"{anchor}-{k}") for k, surface in enumerate(ordered, start=1)],
+        "axes": [_axis(axis, f"{anchor}-{axis.axis}") for axis in audit.axes],
         "damage": [
             (damage.kind.replace("_", " "), damage.note, str(damage.count), _span(damage.start_s, damage.end_s))
-            for damage in log.damage
+            for damage in log.damage_summary
         ],
     }
 
 
 def _surface(aircraft: Aircraft, surface: SurfaceAudit, anchor: str) -> dict[str, Any]:
-    odds = odds_of_surface(aircraft, surface, Wish()) if surface.residuals is not None else None
-    known = odds if isinstance(odds, SurfaceOdds) else None
-    pictures = []
-    if surface.residuals is not None and surface.threshold is not None:
-        pictures = flight_pictures(surface, anchor)
-        spread = residual_picture(surface, known, f"{anchor}-residual")
-        pictures += [spread] if spread is not None else []
+    charts = []
+    if surface.residuals is not None and surface.threshold is not None and surface.residuals.time_s.size > 1:
+        charts = [*fault_charts(surface), flight_chart(surface)]
     found = (*surface.faults, *surface.suspicions)
     return {
-        "name": surface.surface,
+        "name": spoken(surface.surface),
         "anchor": anchor,
         "status": surface.status,
+        "found": surface.status in _RANK,
+        "untold": not surface.is_judged,
         "reason": f"{surface.reason[:1].upper()}{surface.reason[1:]}.",
+        "line": _line(surface),
         "next": next_step(surface),
         "faults": [_fault_row(fault) for fault in found],
         "meanings": [(describe(fault), meaning(fault)) for fault in found],
-        "pictures": pictures,
+        "charts": charts,
         "statistics": _statistics(surface),
-        "odds": odds_rows([known]) if known is not None else [],
-        "odds_notes": known.notes if known is not None else (),
-        "no_odds": getattr(odds, "reason", ""),
         "quality": quality_rows(surface),
         "method": _method(aircraft, surface),
     }
+
+
+def _axis(axis: AxisAudit, anchor: str) -> dict[str, Any]:
+    return {
+        "name": f"{axis.axis.capitalize()} ({named(axis.members, axis.axis)})",
+        "anchor": anchor,
+        "status": axis.status,
+        "found": axis.status in _RANK,
+        "reason": f"{axis.reason[:1].upper()}{axis.reason[1:]}.",
+        "chart": axis_chart(axis),
+        "events": [
+            (
+                f"{event.start_s:.1f}",
+                f"{event.alarm_s:.1f}",
+                "lasts" if event.end_s is None else f"{event.end_s:.1f}",
+                f"{event.lost_share.value:.2f} ({event.lost_share.low:.2f} to {event.lost_share.high:.2f})",
+                f"{event.offset_us.value:+.0f} ({event.offset_us.low:+.0f} to {event.offset_us.high:+.0f})",
+                event.cause or "its own",
+            )
+            for event in axis.events
+        ],
+        "numbers": [
+            ("lost share", _estimated(axis.lost_share, 2)),
+            ("offset [us]", _estimated(axis.offset_us, 0)),
+            ("judged", f"{axis.judged_share:.0%} of the flight"),
+            ("lost share known to +-0.3", f"in {axis.identifiable:.0%} of the flight"),
+            ("model", f"{axis.model.form.replace('_', ' ')}, explains {axis.model.explained:.0%} on days not seen"),
+            ("false alarms", f"about {axis.false_alarms_per_hour:.2g} an hour"),
+        ],
+    }
+
+
+def _estimated(estimate: Between | None, digits: int) -> str:
+    if estimate is None:
+        return "not known"
+    return f"{estimate.value:+.{digits}f} ({estimate.low:+.{digits}f} to {estimate.high:+.{digits}f})"
+
+
+def _line(surface: SurfaceAudit) -> str:
+    """A healthy surface in a line."""
+    within = "" if surface.statistics is None else f" within {surface.statistics.max_abs_deg:.1f} deg"
+    sizes = seen(surface.detectable)
+    return f"followed its command{within}{'; ' + sizes if sizes else ''}."
 
 
 def _fault_row(fault: Fault) -> tuple[str, ...]:
@@ -148,6 +213,7 @@ def _statistics(surface: SurfaceAudit) -> list[tuple[str, str]]:
     statistics = surface.statistics
     if statistics is None:
         return []
+    model = surface.model
     about = "about " if surface.threshold_kind == "interval" else ""
     rows = [
         ("threshold [deg]", f"{about}{surface.threshold_deg:.3g} ({surface.threshold_kind})"),
@@ -155,12 +221,17 @@ def _statistics(surface: SurfaceAudit) -> list[tuple[str, str]]:
         ("residual, standard deviation [deg]", f"{statistics.std_deg:.3f}"),
         ("residual, largest size [deg]", f"{statistics.max_abs_deg:.2f}"),
         ("simulation error, rms [deg]", f"{statistics.simulation_error_rms_deg:.3f}"),
+        ("model", f"{_ORIGINS[model.origin]}{_explained(model)}"),
+        ("judged", f"{surface.judged_share:.0%} of the log"),
+        ("smallest faults", seen(surface.detectable) or "none would have been seen"),
     ]
     if surface.false_alarms_per_hour is not None:
-        rate = surface.false_alarms_per_hour
-        shown = f"{rate:.1e}" if rate > _RAREST else f"below {_RAREST:.0e}"
-        rows.append(("false alarms per flight hour, Gaussian", shown))
+        rows.append(("false alarms, were the residual Gaussian", plain_rate(surface.false_alarms_per_hour)))
     return rows
+
+
+def _explained(model: ModelOrigin) -> str:
+    return "" if model.explained_share is None else f", predicts {model.explained_share:.1%} of the motion held out"
 
 
 def _method(aircraft: Aircraft, surface: SurfaceAudit) -> str:

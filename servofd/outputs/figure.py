@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 import textwrap
-import warnings
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from servofd.outputs.files import whole_file
+from servofd.outputs.files import write_whole
 from servofd.outputs.palette import COLOURS
-from servofd.outputs.picture import finish, new_figure
+from servofd.outputs.picture import finish, new_figure, saved
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from servofd.detection.audit import SurfaceAudit
     from servofd.detection.residual import Residuals
     from servofd.detection.threshold import Threshold
+    from servofd.detection.verdict import SurfaceAudit
     from servofd.segment import Segment
     from servofd.types import BoolArray, FloatArray
 
@@ -53,9 +51,7 @@ def save_figure(audit: SurfaceAudit, path: Path, title: str) -> None:
     figure = audit_figure(audit)
     reason = textwrap.fill(audit.reason, _TITLE_COLUMNS)
     figure.axes[0].set_title(f"{title}   {audit.surface}: {audit.status}\n{reason}", loc="left", fontsize=10)
-    with whole_file(path) as temporary, warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Glyph .* missing")  # names in scripts that the font lacks
-        figure.savefig(temporary, dpi=110)
+    write_whole(path, saved(figure, Path(path).suffix.lstrip(".") or "png"))
 
 
 def audit_figure(

@@ -14,7 +14,7 @@ from servofd.errors import ConfigError
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-__all__ = ["distinct_file_names", "whole_file", "write_whole"]
+__all__ = ["distinct_file_names", "make_folder", "whole_file", "write_whole"]
 
 _LONGEST_NAME = 80
 
@@ -34,6 +34,20 @@ def distinct_file_names(names: Sequence[str]) -> list[str]:
         used[plain] = used.get(plain, 0) + 1
         result.append(plain if used[plain] == 1 else f"{plain}~{used[plain]}")
     return result
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder for results, if it is not there.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot make this folder: {error.strerror}") from None
 
 
 @contextmanager

@@ -6,20 +6,22 @@ from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from servofd.outputs.page import page
-from servofd.outputs.palette import STATUS_COLOURS
-from servofd.outputs.picture import Picture, finish, new_figure
+from servofd.outputs.sentence import clock, spoken
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["fleet_page"]
+__all__ = ["fleet_page", "fleet_sentence", "flight_name", "thumbnail"]
 
 _MOST_ROWS = 200
+_MOST_FLIGHTS = 2000
+_TALLEST, _AT_THRESHOLD = 24, 12
+"""Of a thumbnail: units of its height, and how high the threshold stands; what is twice as large is cut."""
 _STATUSES = ("healthy", "suspect", "fault")
-_MARKERS = {"healthy": "o", "suspect": "s", "fault": "X", "unknown": "d", "no_data": "d"}
+_OF_PAGE = {"untold": "unknown"}
 
 
-def fleet_page(document: dict[str, Any]) -> str:
+def fleet_page(document: dict[str, Any], pages: frozenset[str] = frozenset()) -> str:
     """Text of the page.
 
     It names files without their folders, and tells nothing else of the machine or its user.
@@ -28,6 +30,8 @@ def fleet_page(document: dict[str, Any]) -> str:
     ----------
     document : dict
         Overview of a fleet, schema servofd.fleet/1.
+    pages : frozenset of str
+        Names of the pages of flights that stand beside this one, to be linked to.
 
     Examples
     --------
@@ -35,21 +39,27 @@ def fleet_page(document: dict[str, Any]) -> str:
     >>> "No log was judged." in fleet_page(overview([]).document())
     True
     """
-    faults, untold = document["faults"], document["untold"]
+    faults, untold, flights = document["faults"], document["untold"], document["flights"]
+    known = {flight["status"] for flight in flights}
     return page(
         "fleet.html",
-        sentence=_sentence(document),
+        status=next((s for s in ("fault", "suspect", "healthy") if s in known), "unknown"),
+        sentence=fleet_sentence(document),
         facts=f"{document['logs']} logs, {document['hours']:.1f} h of flight",
+        flights=[_flight(rank, flight, pages) for rank, flight in enumerate(flights[:_MOST_FLIGHTS])],
+        more_flights=max(0, len(flights) - _MOST_FLIGHTS),
         surfaces=[_surface(surface) for surface in document["surfaces"]],
         faults=[_fault(fault) for fault in faults[:_MOST_ROWS]],
         more_faults=max(0, len(faults) - _MOST_ROWS),
-        untold=[(_name(one), one["reason"].replace(one["path"], _name(one))) for one in untold[:_MOST_ROWS]],
+        untold=[
+            (flight_name(one), one["reason"].replace(one["path"], flight_name(one))) for one in untold[:_MOST_ROWS]
+        ],
         more_untold=max(0, len(untold) - _MOST_ROWS),
-        pictures=[_picture(document)] if any(one["share"] for one in document["residuals"]) else [],
     )
 
 
-def _sentence(document: dict[str, Any]) -> str:
+def fleet_sentence(document: dict[str, Any]) -> str:
+    """What many logs come to."""
     statuses = document["statuses"]
     told = document["logs"] - statuses.get("untold", 0)
     if not told:
@@ -62,7 +72,47 @@ def _sentence(document: dict[str, Any]) -> str:
     return ", ".join(parts) + "."
 
 
-def _name(one: dict[str, Any]) -> str:
+def _flight(rank: int, flight: dict[str, Any], pages: frozenset[str]) -> dict[str, Any]:
+    name = flight_name(flight)
+    return {
+        "rank": rank,
+        "status": _OF_PAGE.get(flight["status"], flight["status"]),
+        "name": name,
+        "page": flight["page"] if flight["page"] in pages else "",
+        "begun": (flight["start_utc"] or "")[:16].replace("T", " "),
+        "duration_s": flight["duration_s"] or 0.0,
+        "duration": clock(flight["duration_s"] or 0.0),
+        "sentence": flight["sentence"].replace(flight["path"], name),
+        "surface": spoken(flight["surface"]),
+        "thumbnail": thumbnail(flight["outline"]),
+    }
+
+
+def thumbnail(outline: Sequence[float | None]) -> tuple[int, str, str]:
+    """How many columns a small picture of a flight has, the outline of those below the threshold, and of the others.
+
+    Examples
+    --------
+    >>> thumbnail([0.5, None, 1.5])
+    (3, 'M0 24v-6', 'M2 24v-18')
+    """
+    below: list[str] = []
+    above: list[str] = []
+    for k, share in enumerate(outline):
+        if share is not None:
+            height = round(min(max(share * _AT_THRESHOLD, 1), _TALLEST))
+            (above if share >= 1.0 else below).append(f"M{k} {_TALLEST}v-{height}")
+    return len(outline), "".join(below), "".join(above)
+
+
+def flight_name(one: dict[str, Any]) -> str:
+    """Name of a log without its folders, and of its run.
+
+    Examples
+    --------
+    >>> flight_name({"path": "flights/today/a.csv", "run": "2"})
+    'a.csv (run 2)'
+    """
     return PurePosixPath(one["path"].replace("\\", "/")).name + (f" (run {one['run']})" if one.get("run") else "")
 
 
@@ -81,7 +131,7 @@ def _surface(surface: dict[str, Any]) -> tuple[str, ...]:
 def _fault(fault: dict[str, Any]) -> tuple[str, ...]:
     end_s = fault["end_s"]
     return (
-        _name(fault),
+        flight_name(fault),
         (fault["start_utc"] or "")[:16].replace("T", " "),
         fault["surface"],
         fault["kind"].replace("_", " "),
@@ -90,38 +140,3 @@ def _fault(fault: dict[str, Any]) -> tuple[str, ...]:
         ", ".join(f"{name} {value:.3g}" for name, value in fault["parameters"].items()),
         f"{fault['probability']:.0%}",
     )
-
-
-def _picture(document: dict[str, Any]) -> Picture:
-    """Largest residual over threshold of every log, one row of dots per surface."""
-    shown = [one for one in document["residuals"] if one["share"]]
-    names = list(dict.fromkeys(one["surface"] for one in shown))
-    logs = {key: k for k, key in enumerate(dict.fromkeys((one["path"], one["run"]) for one in shown), start=1)}
-    figure, all_axes = new_figure(len(names), height=0.6 + 1.4 * len(names))
-    for name, axes in zip(names, all_axes, strict=True):
-        for status, colour in STATUS_COLOURS.items():
-            mine = [one for one in shown if one["surface"] == name and one["status"] == status]
-            axes.plot(
-                [logs[one["path"], one["run"]] for one in mine],
-                [one["share"] for one in mine],
-                _MARKERS[status],
-                color=colour,
-                markersize=4,
-                label=status.replace("_", " ") if mine else None,
-                rasterized=len(shown) > 10 * _MOST_ROWS,
-            )
-        axes.axhline(1.0, color="0.5", linewidth=1.0)
-        axes.set_yscale("log")
-        axes.set_ylabel(f"{name}\n|r| / threshold")
-    all_axes[-1].set_xlabel(_order(document["residuals"]))
-    finish(*all_axes)
-    return Picture(
-        "residuals",
-        "Largest residual of every log",
-        "For each surface the largest residual over its threshold, which is the grey line at 1.",
-        figure,
-    )
-
-
-def _order(residuals: Sequence[dict[str, Any]]) -> str:
-    return "log, by time of flight" if all(one["start_utc"] for one in residuals) else "log, by name"

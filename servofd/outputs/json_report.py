@@ -7,22 +7,28 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from servofd.axes.names import MOST_OF_THE_FLIGHT
+from servofd.outputs.audit_charts import outline
+from servofd.outputs.sentence import whole_sentence
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from logparsers.records import Damage
-    from servofd.detection.audit import LogAudit, SurfaceAudit
+    from logparsers.records import Damage, FlightLog
+    from servofd.axes.verdict import AxisAudit
     from servofd.detection.bank.isolate import Fault
+    from servofd.detection.verdict import LogAudit, SurfaceAudit
 
 __all__ = ["FailedLog", "audit_document", "to_json"]
 
 
 @dataclass(frozen=True, slots=True)
 class FailedLog:
-    """A log that could not be read at all, and why."""
+    """A log that could not be judged, and why; the log itself if it could be read."""
 
     path: str
     error: str
+    log: FlightLog | None = None
 
 
 def audit_document(results: Sequence[LogAudit | FailedLog]) -> dict[str, Any]:
@@ -43,24 +49,58 @@ def to_json(document: dict[str, Any]) -> str:
 
 def _log(result: LogAudit | FailedLog) -> dict[str, Any]:
     if isinstance(result, FailedLog):
-        return {
-            "path": result.path,
-            "format": None,
-            "duration_s": None,
-            "error": result.error,
-            "damage": [],
-            "surfaces": {},
-        }
-    log = result.log
+        known: dict[str, Any] = {"path": result.path, "format": None, "duration_s": None, "damage": []}
+        if result.log is not None:
+            known |= _about(result.log) | {"path": result.path}
+        return {**known, "error": result.error, "surfaces": {}}
+    return {
+        **_about(result.log),
+        "error": None,
+        "sentence": whole_sentence(result),
+        "surfaces": {surface.surface: _surface(surface) for surface in result.surfaces},
+        "axes": {axis.axis: _axis(axis) for axis in result.axes},
+    }
+
+
+def _about(log: FlightLog) -> dict[str, Any]:
+    """What is known of a log before anything is judged."""
     return {
         "path": str(log.source),
         "run": log.run or None,
         "format": log.format,
         "start_utc": log.start_utc.isoformat() if log.start_utc else None,
         "duration_s": log.duration_s,
-        "error": None,
-        "damage": [_damage(damage) for damage in log.damage],
-        "surfaces": {surface.surface: _surface(surface) for surface in result.surfaces},
+        "damage": [_damage(damage) for damage in log.damage_summary],
+    }
+
+
+def _axis(axis: AxisAudit) -> dict[str, Any]:
+    return {
+        "status": axis.status,
+        "reason": axis.reason,
+        "members": list(axis.members),
+        "lost_share": axis.lost_share and axis.lost_share.value,
+        "offset_us": axis.offset_us and axis.offset_us.value,
+        "intervals": {
+            "lost_share": axis.lost_share and [axis.lost_share.low, axis.lost_share.high],
+            "offset_us": axis.offset_us and [axis.offset_us.low, axis.offset_us.high],
+        },
+        "since_s": axis.since_s,
+        "false_alarms_per_hour": axis.false_alarms_per_hour,
+        "identifiable": axis.identifiable >= MOST_OF_THE_FLIGHT,
+        "identifiable_share": axis.identifiable,
+        "judged_share": axis.judged_share,
+        "events": [
+            {
+                "start_s": event.start_s,
+                "alarm_s": event.alarm_s,
+                "end_s": event.end_s,
+                "lost_share": event.lost_share._asdict(),
+                "offset_us": event.offset_us._asdict(),
+                "cause": event.cause or None,
+            }
+            for event in axis.events
+        ],
     }
 
 
@@ -70,6 +110,9 @@ def _surface(surface: SurfaceAudit) -> dict[str, Any]:
         "status": surface.status,
         "reason": surface.reason,
         "servo": surface.servo,
+        "model": surface.model.model_dump(),
+        "detectable": surface.detectable.document(),
+        "judged_share": surface.judged_share,
         "threshold": {"kind": surface.threshold_kind, "deg": surface.threshold_deg},
         "residual": None
         if statistics is None
@@ -77,6 +120,7 @@ def _surface(surface: SurfaceAudit) -> dict[str, Any]:
             "mean_deg": statistics.mean_deg,
             "std_deg": statistics.std_deg,
             "max_abs_deg": statistics.max_abs_deg,
+            "outline": outline(surface),
         },
         "simulation_error_rms_deg": None if statistics is None else statistics.simulation_error_rms_deg,
         "false_alarms_per_hour": surface.false_alarms_per_hour,

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from servofd.detection.odds import WITHIN_S, settled_bias
 from servofd.detection.probability import bias_response, detect, false_alarms_per_hour, persistent_delay_s
-from servofd.outputs.files import whole_file
+from servofd.outputs.files import write_whole
+from servofd.outputs.picture import saved
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from matplotlib.axes import Axes
 
     from servofd.detection.odds import SurfaceOdds
@@ -63,8 +63,7 @@ def save_odds_figure(odds: SurfaceOdds, path: Path) -> None:
         ha="left",
         fontsize=11,
     )
-    with whole_file(path) as temporary:
-        figure.savefig(temporary, dpi=110)
+    write_whole(path, saved(figure, Path(path).suffix.lstrip(".") or "png"))
 
 
 def _draw_characteristic(axes: Axes, odds: SurfaceOdds) -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["COLOURS", "SERIES", "STATUS_COLOURS", "rgba"]
+__all__ = ["BANNER_COLOURS", "COLOURS", "SERIES", "STATUS_COLOURS", "rgba"]
 
 COLOURS: Mapping[str, str] = MappingProxyType(
     {
@@ -45,6 +45,12 @@ STATUS_COLOURS: Mapping[str, str] = MappingProxyType(
     }
 )
 """Status of a surface, to ``#rrggbb``."""
+
+
+BANNER_COLOURS: Mapping[str, str] = MappingProxyType(
+    {"healthy": "#00694d", "suspect": "#8a3d68", "fault": "#a33c00", "no_data": "#555b66", "unknown": "#1f5f8b"}
+)
+"""Ground under white letters, of the same hues: contrast above 6, where 4.5 is asked for (WCAG 2.1, AA)."""
 
 
 def rgba(name: str, opacity: float = 1.0) -> int:

@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.outputs.plain import plain
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Picture", "finish", "new_figure"]
+__all__ = ["Picture", "finish", "new_figure", "saved"]
 
 _PATH = re.compile(r'(?<= d=")[^"]+(?=")')
 _NUMBER = re.compile(r"(-?\d+\.\d)\d+")
@@ -52,16 +54,34 @@ class Picture:
         svg = svg[svg.index("<svg") :]
         svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
         svg = _PATH.sub(lambda path: _NUMBER.sub(r"\1", " ".join(path[0].split())), svg)
-        svg = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{self.name}-", svg)
-        label = escape(f"{self.title}. {self.text}")
+        anchor = re.sub(r"[^\w-]", "_", self.name)
+        svg = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{anchor}-", svg)
+        label = escape(plain(f"{self.title}. {self.text}"))
         return svg.replace("<svg", f'<svg role="img" aria-label="{label}"', 1)
 
     def _saved(self, kind: str) -> bytes:
-        buffer = io.BytesIO()
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message="Glyph .* missing")  # names in scripts that the font lacks
-            self.figure.savefig(buffer, format=kind, dpi=110, metadata={"Date": None} if kind == "svg" else None)
-        return buffer.getvalue()
+        return saved(self.figure, kind)
+
+
+def saved(figure: Figure, kind: str = "png") -> bytes:
+    r"""Picture of a figure, the same bytes for the same data, whatever names from outside stand in it.
+
+    Examples
+    --------
+    >>> figure, (axes,) = new_figure()
+    >>> _ = axes.set_title("a\udcff.csv")
+    >>> saved(figure)[:4]
+    b'\x89PNG'
+    """
+    from matplotlib.text import Text
+
+    for text in figure.findobj(Text):
+        text.set_text(plain(text.get_text()))
+    buffer = io.BytesIO()
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph .* missing")  # names in scripts that the font lacks
+        figure.savefig(buffer, format=kind, dpi=110, metadata={"Date": None} if kind == "svg" else None)
+    return buffer.getvalue()
 
 
 def new_figure(
@@ -81,9 +101,11 @@ def new_figure(
     >>> len(axes)
     2
     """
+    from matplotlib import rcParams
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure as NewFigure
 
+    rcParams["text.parse_math"] = False  # a dollar in a name is a dollar
     figure = NewFigure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     all_axes = figure.subplots(rows, columns, sharex=share_x, height_ratios=ratios)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from servofd.detection.audit import SurfaceAudit
+    from servofd.detection.verdict import SurfaceAudit
     from servofd.types import FloatArray
 
 __all__ = ["quality_rows"]
@@ -25,7 +25,7 @@ def quality_rows(surface: SurfaceAudit) -> list[tuple[str, str]]:
 
     Examples
     --------
-    >>> from servofd.detection.audit import SurfaceAudit
+    >>> from servofd.detection.verdict import SurfaceAudit
     >>> from servofd.segment import Segment
     >>> t = np.arange(0.0, 10.0, 0.02)
     >>> segment = Segment("rudder", t, 0.0 * t, t, np.where(t < 5.0, 0.0, np.nan))

@@ -11,8 +11,8 @@ from servofd.errors import RecordingError
 from servofd.outputs.recording.clock import microseconds
 
 if TYPE_CHECKING:
-    from servofd.detection.audit import SurfaceAudit
     from servofd.detection.bank.isolate import Fault
+    from servofd.detection.verdict import SurfaceAudit
     from servofd.outputs.recording.content import Recording, Trace
 
 __all__ = ["Change", "compared"]

@@ -10,8 +10,8 @@ from servofd.outputs.recording.content import Recording
 from servofd.outputs.recording.verdicts import LIVE
 
 if TYPE_CHECKING:
-    from servofd.detection.audit import SurfaceAudit
     from servofd.detection.threshold import ThresholdKind
+    from servofd.detection.verdict import SurfaceAudit
 
 __all__ = ["rejudged"]
 

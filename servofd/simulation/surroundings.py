@@ -10,7 +10,6 @@ import numpy as np
 from servofd.models.context import Context
 
 if TYPE_CHECKING:
-    from servofd.simulation.flight import SimulatedFlight
     from servofd.types import FloatArray, IntArray
 
 __all__ = [
@@ -126,18 +125,16 @@ def current_a(speed_deg_s: FloatArray, rng: np.random.Generator) -> FloatArray:
     return np.abs(0.06 + 0.9 * load + 0.01 * rng.standard_normal(speed_deg_s.size))
 
 
-def servo_state(flight: SimulatedFlight, surface: int) -> ServoState:
+def servo_state(time_s: FloatArray, measured_deg: FloatArray, rng: np.random.Generator) -> ServoState:
     """Electrical and thermal state of a servo: it draws current as it turns, and it is never perfectly still.
 
     Parameters
     ----------
-    flight : SimulatedFlight
-        The flight.
-    surface : int
-        Index of the surface.
+    time_s, measured_deg : ndarray of shape (n,)
+        Its motion [s], [deg].
+    rng : Generator
+        Draws what is random of it.
     """
-    rng = np.random.default_rng([flight.seed, surface, 1001])
-    time_s, measured_deg = flight.time_s, flight.measured_deg[:, surface]
     speed_deg_s = np.gradient(measured_deg, time_s)
     drawn_a = current_a(speed_deg_s, rng)
     warm = 1.0 - np.exp(-(time_s - time_s[0]) / 300.0)

@@ -104,8 +104,7 @@ def write_flight(
 
 
 def _csv(flight: SimulatedFlight, aircraft: Aircraft) -> bytes:  # noqa: ARG001 - all writers share a form
-    import pyarrow as pa
-    from pyarrow import csv
+    import pandas as pd
 
     columns = {"time_s": flight.time_s}
     for i, name in enumerate(flight.surfaces):
@@ -121,10 +120,7 @@ def _csv(flight: SimulatedFlight, aircraft: Aircraft) -> bytes:  # noqa: ARG001 
         )
         if values.size
     }
-    sink = io.BytesIO()
-    sink.write((",".join(columns) + "\n").encode())  # pyarrow would put every name in quotes
-    csv.write_csv(pa.table(columns), sink, csv.WriteOptions(include_header=False))
-    return sink.getvalue()
+    return pd.DataFrame(columns).to_csv(index=False).encode()
 
 
 def _mat(flight: SimulatedFlight, aircraft: Aircraft) -> bytes:

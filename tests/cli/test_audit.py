@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from logparsers.dataflash.encode import Message, encode
 from servofd.cli import main
 
 SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"
@@ -184,3 +185,16 @@ def test_a_reader_that_goes_away_is_no_error() -> None:
     result = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=True)  # noqa: S607
     assert result.stdout.strip() == "{"
     assert result.stderr == ""
+
+
+def test_the_json_of_a_log_that_cannot_be_judged_tells_what_is_known_of_it(tmp_path: Path) -> None:
+    stamps = 40_000 * np.arange(200)
+    rows = encode([Message("RCOU", "QH", {"TimeUS": stamps, "C1": [1500] * 200})])
+    log, told = tmp_path / "a.bin", tmp_path / "a.json"
+    log.write_bytes(rows + bytes(700) + rows[89 * 2 :])
+    assert main(["audit", str(log), "--json", str(told)]) == 2
+    (document,) = json.loads(told.read_text())["logs"]
+    assert (document["format"], document["surfaces"]) == ("dataflash", {})
+    assert document["duration_s"] == pytest.approx(2 * 7.96 + 1.0)  # and a boot between
+    assert "no measured deflection" in document["error"]
+    assert {damage["kind"] for damage in document["damage"]} >= {"corrupt"}

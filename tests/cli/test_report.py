@@ -12,8 +12,8 @@ from servofd.cli import main
 from servofd.cli.tables import print_table, print_verdicts
 from servofd.cli.targets import check_targets
 from servofd.detection.advice import headline, meaning, next_step
-from servofd.detection.audit import LogAudit, SurfaceAudit
 from servofd.detection.bank.isolate import Fault
+from servofd.detection.verdict import LogAudit, SurfaceAudit
 
 SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"
 STUCK = str(SAMPLES / "faser_stuck_flight.mat")
@@ -26,7 +26,7 @@ def test_audit_writes_a_page_and_names_no_folder(tmp_path: Path, capsys: pytest.
     assert main(["audit", STUCK, "-s", "elevator", "--html", str(page)]) == 1
     capsys.readouterr()
     text = page.read_text()
-    assert "Servo or position sensor at fault: elevator." in text
+    assert "ELEVATOR JAMMED at 0:05 (-0.2 deg). Do not fly." in text
     assert str(SAMPLES) not in text
     assert str(tmp_path) not in text
 

@@ -9,9 +9,10 @@ import pytest
 
 from servofd.aircraft import plain_aircraft
 from servofd.detection.alarm import Episode, find_episodes
-from servofd.detection.audit import SurfaceAudit, audit_segment
+from servofd.detection.audit import audit_segment
 from servofd.detection.judge import _largest
 from servofd.detection.threshold import constant_threshold, interval_threshold
+from servofd.detection.verdict import SurfaceAudit
 from servofd.models.failing import failing_deflection
 from servofd.models.faults import Bias, HardOver, Stuck
 from servofd.segment import Segment

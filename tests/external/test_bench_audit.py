@@ -15,7 +15,7 @@ import servofd
 from tests.external.test_bench_tables import DATA
 
 if TYPE_CHECKING:
-    from servofd.detection.audit import LogAudit
+    from servofd.detection.verdict import LogAudit
 
 AIRCRAFT = """
 name = "{name} on the bench"

@@ -8,7 +8,8 @@ import numpy as np
 
 from logparsers import Channel, FlightLog
 from servofd.aircraft import Aircraft
-from servofd.detection.audit import SurfaceAudit, audit_log
+from servofd.detection.audit import audit_log
+from servofd.detection.verdict import SurfaceAudit
 from servofd.models.servo_model import ServoModel
 from servofd.servos import servo_named
 from servofd.simulation.commands import flight

@@ -9,6 +9,7 @@ import pytest
 
 from logparsers import Channel, FlightLog
 from servofd.errors import NoMeasurement
+from servofd.feedback.advice import what_to_log
 from servofd.feedback.draft import draft_aircraft
 from servofd.feedback.pairs import find_pairs
 from servofd.feedback.toml import draft_to_toml
@@ -108,3 +109,9 @@ def test_a_log_without_positions_says_what_to_log() -> None:
 def test_positions_in_another_unit_are_not_taken_for_degrees() -> None:
     with pytest.raises(NoMeasurement, match="is in us, not in deg or rad"):
         draft_aircraft(log_of([1, 2, 4], base=1, unit="us"))
+
+
+def test_a_multirotor_is_called_one() -> None:
+    for craft in ("quadrotor", "multirotor"):
+        assert f"it is of a {craft}" in what_to_log(FlightLog(Path("a.bin"), "dataflash", {}, vehicle=craft))
+    assert "CSRV" in what_to_log(FlightLog(Path("a.bin"), "dataflash", {}, vehicle="fixed wing"))

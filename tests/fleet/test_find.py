@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import os
 from pathlib import Path
 
@@ -27,6 +28,29 @@ def test_a_folder_gives_its_logs_whatever_they_are_called(logs: Path) -> None:
     assert reasons["empty.csv"] == "empty"
     assert "belong to no known format" in reasons["noise.bin"]
     assert all(log.size_bytes == Path(log.path).stat().st_size for log in found.logs)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
+def test_pipes_sockets_and_loops_are_passed_over(tmp_path: Path, logs: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")  # opening it would wait for ever
+    (tmp_path / "self").symlink_to("self")
+    (tmp_path / "up").symlink_to(".")
+    (tmp_path / "null").symlink_to(os.devnull)
+    (tmp_path / "flight.csv").symlink_to(logs / "flight0.csv")
+    found = find_logs([str(tmp_path)])
+    assert [Path(log.path).name for log in found.logs] == ["flight.csv"]
+    reasons = {Path(one.path).name: one.reason for one in found.skipped}
+    assert reasons.keys() == {"pipe", "self", "null"}
+    assert "not a regular file" in reasons["pipe"]
+
+
+def test_archives_are_told_by_what_is_in_them(tmp_path: Path, logs: Path) -> None:
+    (tmp_path / "a.csv.gz").write_bytes(gzip.compress((logs / "flight0.csv").read_bytes()))
+    (tmp_path / "notes.gz").write_bytes(gzip.compress(b"nothing here\n"))
+    (tmp_path / "cut.gz").write_bytes(b"\x1f\x8b\x08")
+    found = find_logs([str(tmp_path)])
+    assert [Path(log.path).name for log in found.logs] == ["a.csv.gz"]
+    assert len(found.skipped) == 2
 
 
 def test_patterns_folders_and_files_give_no_log_twice(logs: Path) -> None:

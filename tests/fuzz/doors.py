@@ -42,7 +42,7 @@ from tests.fuzz.harness import outcome
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from servofd.detection.audit import LogAudit
+    from servofd.detection.verdict import LogAudit
     from tests.fuzz.mutate import Shape
 
 __all__ = ["DOORS", "Door", "entered"]
@@ -199,7 +199,7 @@ def _live(content: bytes, folder: Path) -> str:
     session = Session(Codec(0, 191), {0: plane}, remote_log=rng.random() < 0.3)
     answers = Codec(1, 191)
 
-    def say(name: str, fields: dict[str, Any]) -> None:
+    def say(_: int, name: str, fields: dict[str, Any]) -> None:
         answers.encode(name, fields)
 
     session.send = session.alert = say

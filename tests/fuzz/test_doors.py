@@ -34,7 +34,7 @@ def test_a_door_takes_a_few_broken_inputs(name: str, tmp_path: Path, monkeypatch
     assert withstand(name, FEW, tmp_path)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", DOORS)
 def test_a_door_takes_many_broken_inputs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

@@ -16,7 +16,7 @@ SECONDS = 3
 TARGET = Path(__file__).with_name("fuzz_logs.py")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.skipif(importlib.util.find_spec("atheris") is None, reason="atheris is not installed: pip install atheris")
 @pytest.mark.parametrize("kind", SEEDS)
 def test_the_fuzzer_finds_nothing_in_a_few_seconds(kind: str, tmp_path: Path) -> None:

@@ -41,7 +41,7 @@ def survive(kind: str, number: int) -> set[str]:
     return outcomes
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("kind", SEEDS)
 def test_damaged_bytes_are_a_log_or_a_log_error(kind: str, capfd: pytest.CaptureFixture[str]) -> None:
     outcomes = survive(kind, MUTANTS)
@@ -50,7 +50,7 @@ def test_damaged_bytes_are_a_log_or_a_log_error(kind: str, capfd: pytest.Capture
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_random_bytes() -> None:
     rng = random.Random(0)  # noqa: S311
     for size in range(1, 600):

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 import servofd
 from servofd.aircraft import plain_aircraft
-from servofd.detection.audit import SurfaceAudit
+from servofd.detection.verdict import SurfaceAudit
 from servofd.models.failing import Fault
 from servofd.models.faults import Bias, HardOver, LossOfEffectiveness, Stuck
 from servofd.simulation.flight import SimulatedFlight, simulate_flight

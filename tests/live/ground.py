@@ -11,6 +11,7 @@ from collections import defaultdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import pytest
 from pymavlink import mavutil
 
 from logparsers.codec import Codec, Heard
@@ -79,6 +80,8 @@ class MavProxy:
 
     def __init__(self, folder: Path, *arguments: str) -> None:
         program = Path(sys.executable).with_name("mavproxy.py")
+        if not program.exists():
+            pytest.skip("MAVProxy is not installed: pip install '.[test-mavproxy]'")
         command = [sys.executable, str(program), "--non-interactive", f"--state-basedir={folder}", "--aircraft=plane"]
         self._process = subprocess.Popen(
             [*command, *arguments],

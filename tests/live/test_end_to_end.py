@@ -104,8 +104,8 @@ def test_an_alert_reaches_the_console_of_mavproxy(tmp_path: Path, aircraft_file:
     ):
         console.wait_for("Waiting for heartbeat")
         with flying(vehicle, flight, speed=3.0) as counted:
-            console.wait_for("AP: servo elevator: ALARM")
-            console.wait_for("AP: servo elevator: STUCK")
+            console.wait_for("AP: ELEVATOR ALARM, off by ")
+            console.wait_for("AP: ELEVATOR stuck ")
             until(lambda: console.read() and watching.read() and counted, "the end of the flight")
         assert watching.end() == 1, watching.err
     assert watching.alarms("elevator")[0]["time_s"] == pytest.approx(30.5, abs=1.0)

@@ -14,7 +14,7 @@ import pytest
 
 import logparsers
 import servofd
-from logparsers.codec import Codec, Signature
+from logparsers.codec import Codec, Signature, signing_key
 from logparsers.replay import replayed
 from servofd.aircraft import load_aircraft
 from servofd.cli import main
@@ -289,7 +289,7 @@ class TestOnSockets:
         assert alarm["time_s"] == verdict.faults[0].alarm_s
         assert [e["kind"] for e in events if e["event"] == "named"][-1] == "stuck"
         texts = [m.fields["text"] for m in listener.messages if m.name == "STATUSTEXT"]
-        assert any("elevator: ALARM" in text for text in texts)
+        assert any("ELEVATOR ALARM" in text for text in texts)
         assert all(len(text) <= 50 for text in texts)
         said = {m.name for m in listener.messages} | {m.name for m in Codec(1, 1).decode(bytes(up.record))}
         assert said <= ALLOWED
@@ -357,6 +357,23 @@ def test_replay_writes_json_lines(log: bytes, config: Path, tmp_path: Path, caps
     assert ("elevator", "named", "stuck") in kinds
     assert ("rudder", "named", "bias") in kinds
     assert np.isfinite([event["time_s"] for event in events]).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("passphrase", "code"), [("ours", 1), ("theirs", 2)])
+def test_a_signed_log_is_believed_with_its_key(
+    log: bytes, config: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], passphrase: str, code: int
+) -> None:
+    """However long ago it was signed."""
+    plane, reader = Codec(1, 1, signature=Signature(signing_key(b"ours"), 1.6e9)), Codec(0, 1)
+    heard_frames = [(at_s, reader.decode(frame)[0]) for at_s, frame in replayed(log)]
+    (tmp_path / "signed.tlog").write_bytes(
+        b"".join(stamped(at_s, plane.encode(m.name, m.fields)) for at_s, m in heard_frames)
+    )
+    (tmp_path / "key").write_text(passphrase)
+    arguments = ["monitor", str(tmp_path / "signed.tlog"), "-c", str(config), "--speed", "0", "--plain"]
+    assert main([*arguments, "--signing-key", str(tmp_path / "key")]) == code
+    assert ("another signing key?" in capsys.readouterr().err) == (code == 2)
 
 
 def test_stamps_are_those_of_a_telemetry_log() -> None:

@@ -16,6 +16,7 @@ from tests.live.relay import BadLink
 from tests.live.vehicles import flown, plane_file, said, vehicle
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from servofd.detection.events import Event
@@ -52,13 +53,20 @@ class Field:
     now_s: float = EPOCH_S
 
     @staticmethod
-    def of(aircraft: dict[int, Aircraft], **options: Any) -> Field:
+    def of(
+        aircraft: dict[int, Aircraft],
+        *,
+        remote_log: bool = False,
+        store: Callable[[bytes], None] = lambda _: None,
+        **options: Any,
+    ) -> Field:
         sent: list[tuple[str, dict[str, Any]]] = []
 
-        def say(name: str, fields: dict[str, Any]) -> None:
+        def say(_: int, name: str, fields: dict[str, Any]) -> None:
             sent.append((name, fields))
 
-        session = Session(Codec(250, 1, signature=options.get("signature")), aircraft, send=say, alert=say)
+        codec = Codec(250, 1, signature=options.get("signature"))
+        session = Session(codec, aircraft, store=store, send=say, alert=say, remote_log=remote_log)
         return Field(session, sent=sent, **options)
 
     def fly(self, *planes: Vehicle) -> None:

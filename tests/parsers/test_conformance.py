@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,7 +14,7 @@ import pytest
 import logparsers
 from logparsers import FlightLog, LogError, TableLayout
 from logparsers.dataflash.encode import encode
-from tests.parsers import dataflash_writer, reference, tlog_writer, ulog_writer, writers
+from tests.parsers import dataflash_writer, export_writer, reference, tlog_writer, ulog_writer, writers
 from tests.parsers.writers import COMMAND, FLIGHT, POSITION, TIME_S, Floats
 
 MICROSECOND = 1e-6
@@ -250,6 +251,39 @@ class TestDataFlashText(TestDataFlash):
     @staticmethod
     def decoder(content: bytes) -> reference.Series:
         return reference.dataflash_text(content)
+
+
+class Exported(TestDataFlash):
+    """Of the same log by another tool: a file of MATLAB is whole, or refused."""
+
+    prefixes_are_logs = False
+    units: ClassVar[Mapping[str, str]] = {"CSRV[0].Pos": "deg"}
+    test_truncated = Conformance.test_truncated
+
+    @staticmethod
+    def decoder(content: bytes) -> reference.Series:
+        del content
+        return reference.dataflash(TestDataFlash.content)
+
+
+class TestMavlogdumpMat(Exported):
+    content = export_writer.mavlogdump_mat(TestDataFlash.content)
+
+
+class TestMavlogdumpMatCompressed(Exported):
+    content = export_writer.mavlogdump_mat(TestDataFlash.content, "-c")
+
+
+class TestMissionPlannerMat(Exported):
+    """Texts became zeros, which nobody can tell from numbers."""
+
+    content = export_writer.mission_planner_mat(TestDataFlash.content)
+
+    def check(self, log: FlightLog) -> None:
+        extra = set(log.channels) - set(self.decoder(self.content))
+        assert extra == {"TXT.n", "TXT.N", "TXT.Z", "ODD.Data"}
+        assert not any(log[name].values.any() for name in extra)
+        super().check(dataclasses.replace(log, channels={n: c for n, c in log.channels.items() if n not in extra}))
 
 
 class TestTelemetry(Autopilot):

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from pymavlink import DFReader
 
+import logparsers
 from logparsers.channels import LazyChannels
 from logparsers.dataflash import DataFlashFile
 from logparsers.dataflash.binary import BinaryStore
@@ -245,7 +246,8 @@ def test_a_reboot_is_reported_and_time_goes_on() -> None:
     log = DataFlashFile.open(first + encode(servo_flight(first_us=5_000_000)))
     jumps = [d for d in log.damage if d.kind == "reboot"]
     assert len(jumps) == 1
-    assert jumps[0].end_s == pytest.approx(5.0, abs=0.1)
+    assert "to 5.000 s" in jumps[0].note
+    assert jumps[0].end_s == pytest.approx(log.times_s("RCOU")[100], abs=0.1)
     assert log.times_us("RCOU")[100] == 5_000_020
     times = log.times_s("RCOU")
     assert (np.diff(times) > 0).all()
@@ -474,3 +476,20 @@ def test_one_wrong_time_stamp_in_a_text_log_is_not_believed(wrong: bytes) -> Non
     assert (channels(log)["RCOU.C1"].time_s == np.delete(stamps, 50) / 1e6).all()
     (lost,), _ = channels(log).survey()
     assert (lost.kind, lost.count) == ("out_of_order", 1)
+
+
+def test_after_reboots_every_time_is_on_the_base_of_the_log() -> None:
+    def run(start_us: int) -> bytes:
+        stamps = start_us + 40_000 * np.arange(50)
+        return encode([Message("RCOU", "QH", {"TimeUS": stamps, "C1": [1500] * 50})])
+
+    content = run(5_000_000) + run(1_000_000) + bytes(600) + run(3_000_000)
+    log = logparsers.read(io.BytesIO(content))
+    assert [damage.kind for damage in log.damage if damage.kind == "reboot"] == ["reboot"]
+    (boot_s,) = log.boots_s
+    stamps = log["RCOU.C1"].time_s
+    assert boot_s in stamps
+    assert np.isclose(boot_s, stamps[49] + 1.0)
+    (hurt,) = (damage for damage in log.damage if damage.kind == "corrupt")
+    assert hurt.start_s is not None
+    assert hurt.start_s > boot_s

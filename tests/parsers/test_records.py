@@ -98,3 +98,16 @@ def test_a_lazy_mapping_of_channels_stays_lazy() -> None:
     log = FlightLog(Path("a.bin"), "dataflash", Never(), span_s=(1.0, 3.5))
     assert repr(log) == "<FlightLog a.bin: dataflash, 2.5 s, 2 channels, no damage>"
     assert (log.parameters, log.texts, log.vehicle, log.firmware, log.start_utc) == ({}, (), "", "", None)
+
+
+def test_repeated_damage_is_one_line_with_a_count() -> None:
+    bad = [
+        Damage("bad_checksum", f"a message with a wrong check-sum: {k} bytes", k, k / 1.0, k / 1.0)
+        for k in range(1, 1001)
+    ]
+    gap = Damage("gap", "nothing logged for 2.0 s", 1, 3.0, 5.0)
+    log = FlightLog(Path("a.tlog"), "tlog", {}, (*bad, gap))
+    (one, other) = log.damage_summary
+    assert (one.kind, one.count, one.start_s, one.end_s) == ("bad_checksum", 500_500, 1.0, 1000.0)
+    assert one.note.startswith("1000 times, as in: a message with a wrong check-sum")
+    assert other == gap

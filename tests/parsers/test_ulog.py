@@ -19,6 +19,7 @@ from logparsers.channels import LazyChannels
 from logparsers.errors import EmptyLog, LogError, MissingChannel, MissingLog, UnreadableLog
 from logparsers.ulog import AUDIT_TOPICS, UlogFile
 from logparsers.ulog.channels import UlogRecording
+from logparsers.ulog.encode import Topic, encode
 from tests.parsers import ulog_writer as writer
 from tests.parsers.external import real_logs
 
@@ -185,3 +186,15 @@ def test_the_date_is_that_of_the_first_fix() -> None:
     content = head + writer.message("F", gps.encode()) + writer.flight(20).removeprefix(head)
     assert logparsers.read(io.BytesIO(content)).start_utc is None
     assert logparsers.read(io.BytesIO(content + b"".join(out))).start_utc == boot
+
+
+def test_topics_published_before_the_log_began_do_not_make_it_longer() -> None:
+    stamps = np.arange(100_000_000, 104_000_000, 20_000).astype(np.uint64)
+    servos = Topic("actuator_servos", {"timestamp": stamps, "control": np.zeros((stamps.size, 8), np.float32)})
+    content = encode([servos])
+    latched = Topic("home_position", {"timestamp": np.array([3_000_000], np.uint64), "alt": np.zeros(1, np.float32)})
+    both = encode([latched, servos])
+    both = both[:8] + content[8:16] + both[16:]  # the head tells when logging began
+    log = logparsers.read(io.BytesIO(both))
+    assert log["home_position[0].alt"].time_s.tolist() == [3.0]
+    assert log.duration_s == pytest.approx(3.98)

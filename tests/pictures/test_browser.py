@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import html
 import re
-import shutil
 import subprocess
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -16,20 +16,21 @@ from servofd.outputs.audit_page import audit_page
 from servofd.outputs.explain_page import explain_page
 from servofd.outputs.identify_page import identify_page
 from servofd.outputs.palette import COLOURS
+from tests.pictures.browser import BROWSER, FLAGS, Browser, wait_for
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-WIDTHS = (360, 800, 1400)
-FLAGS = (
-    *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--hide-scrollbars"),
-    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
-)
+WIDTHS = (360, 400, 1280)
+ON_PAPER = "#c77f00"
+"""The colour of what was measured, darkened for thin lines on white."""
 PROBE = """<script>onload = () => document.title = [...document.querySelectorAll("iframe")].map(f => {
   const page = f.contentDocument.documentElement;
   const drawn = [...page.querySelectorAll("svg")].map(s => Math.round(s.getBBox().width)).join(" ");
   return [page.clientWidth, page.scrollWidth, drawn].join(",") }).join(";")</script>"""
 
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(BROWSER is None, reason="no browser (Debian: chromium)")]
+pytestmark = [pytest.mark.nightly, pytest.mark.skipif(BROWSER is None, reason="no browser (Debian: chromium)")]
 
 
 def browse(folder: Path, page: Path, *options: str) -> str:
@@ -49,7 +50,7 @@ def explain_text() -> str:
 
 def identify_text() -> str:
     log = SAMPLES / "faser_healthy_chirp.mat"
-    return identify_page(servofd.identify_logs([log], surface="aileron_right"), log.name)
+    return identify_page(servofd.identify(log, surface="aileron_right"), log.name)
 
 
 @pytest.mark.parametrize("write", [audit_text, explain_text, identify_text])
@@ -74,8 +75,8 @@ def test_a_page_fits_every_screen_and_shows_its_pictures(write: object, tmp_path
     page, shot = tmp_path / "page.html", tmp_path / "page.png"
     page.write_text(text)
     browse(tmp_path, page, f"--screenshot={shot}", "--window-size=1000,3500")
-    for colour in (COLOURS["simulated"], COLOURS["measured"]):
-        assert share(shot, colour) > 1e-4
+    for shades in ((COLOURS["simulated"],), (COLOURS["measured"], ON_PAPER)):
+        assert max(share(shot, colour) for colour in shades) > 1e-4
 
 
 def test_an_audit_prints(tmp_path: Path) -> None:
@@ -85,6 +86,110 @@ def test_an_audit_prints(tmp_path: Path) -> None:
     content = paper.read_bytes()
     assert content.startswith(b"%PDF")
     assert 4 <= content.count(b"/Type /Page\n") <= 24
+
+
+@pytest.fixture
+def browser(tmp_path: Path) -> Iterator[Browser]:
+    with Browser(tmp_path) as found:
+        yield found
+
+
+def plots(browser: Browser) -> list[dict[str, float]]:
+    """Where the plots of the first chart are."""
+    found: list[dict[str, float]] = browser.tell(
+        "[...document.querySelector('.chart').querySelectorAll('.plot')].map(p => p.getBoundingClientRect().toJSON())"
+    )
+    return found
+
+
+def test_a_chart_tells_values_and_shows_a_part_from_near(browser: Browser, tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    page.write_text(audit_text())
+    browser.size(1280)
+    browser.goto(page.as_uri())
+    upper = plots(browser)[0]
+    # 0:08.50: the elevator rests at -0.2 deg, a healthy servo would be at about 5.
+    first, last = (float(browser.tell(f"document.querySelector('.chart').dataset.{end}")) for end in ("first", "last"))
+    middle = upper["y"] + upper["height"] / 2
+
+    def across(time_s: float) -> float:
+        return upper["x"] + upper["width"] * (time_s - first) / (last - first)
+
+    browser.mouse("mouseMoved", across(8.5), middle)
+    told = browser.tell("document.querySelector('.readout').textContent")
+    values = {name: float(value) for name, value in re.findall(r"(asked|healthy servo|measured) (-?[\d.]+) deg", told)}
+    assert told.startswith("0:08.5")
+    assert values["measured"] == pytest.approx(-0.2, abs=0.3)
+    assert values["healthy servo"] == pytest.approx(5.0, abs=0.6)
+    browser.mouse("mousePressed", across(7.5), middle, 1)
+    browser.mouse("mouseMoved", across(8.0), middle, 1)
+    browser.mouse("mouseReleased", across(8.5), middle)
+    ticks = browser.tell("[...document.querySelector('.times').children].map(t => t.textContent)")
+    assert ticks[0] in ("0:07.50", "0:07.60")
+    assert browser.tell("document.querySelector('.label').style.left.slice(0, -1) | 0") in range(58, 63)
+    browser.tell("document.querySelector('.plots').focus()")
+    browser.key("0")
+    assert browser.tell("document.querySelector('.chart svg').getAttribute('viewBox')") == "0 0 4000 1000"
+    assert browser.complaints == []
+    assert browser.requested == [page.as_uri()]
+
+
+def test_without_script_everything_is_there_but_the_hint_to_point_at_it(browser: Browser, tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    page.write_text(re.sub(r"<script>.*?</script>", "", audit_text(), flags=re.DOTALL))
+    browser.size(360)
+    browser.goto(page.as_uri())
+    seen = browser.tell("document.body.innerText")
+    for words in (
+        "ELEVATOR JAMMED at 0:05",
+        "deflection [deg]",
+        "0:08",
+        "healthy servo",
+        "rudder followed its command",
+    ):
+        assert words in seen
+    assert "Point at it" not in seen
+    assert browser.tell("document.querySelector('path.measured').getBoundingClientRect().width") > 200
+    browser.tell("document.querySelectorAll('details').forEach(one => one.open = true)")
+    assert browser.tell("document.documentElement.scrollWidth") == 360
+
+
+@pytest.mark.parametrize("width", [400, 1280])
+def test_logs_are_dropped_and_judged_with_the_keyboard_alone(width: int, browser: Browser, tmp_path: Path) -> None:
+    pytest.importorskip("starlette")
+    from tests.serve.test_serve import running
+
+    logs = [SAMPLES / "faser_stuck_flight.mat", SAMPLES / "faser_healthy_flight.mat"]
+    with running(tmp_path / "club") as link:
+        browser.size(width, dark=width == 400)
+        browser.goto(link)
+        browser.key("Tab")
+        assert browser.tell("document.activeElement.id") == "files"
+        browser.choose("#files", logs)
+        wait_for(lambda: browser.tell("document.querySelectorAll('tr[data-state=done]').length === 2"))
+        browser.shot(tmp_path / "list.png")
+        assert browser.tell("document.documentElement.scrollWidth <= innerWidth")
+        assert browser.tell("document.getElementById('progress').textContent") == ""
+        # On to the flight, by its link.
+        for _ in range(20):
+            browser.key("Tab")
+            if "stuck" in (browser.tell("document.activeElement.textContent") or ""):
+                break
+        browser.key("Enter", text="\r")
+        wait_for(lambda: browser.tell("document.querySelector('iframe')?.contentDocument?.querySelector('h1') != null"))
+        inside = "document.querySelector('iframe').contentDocument"
+        assert "ELEVATOR JAMMED" in browser.tell(f"{inside}.querySelector('h1').textContent")
+        assert browser.tell("document.documentElement.scrollWidth <= innerWidth")
+        assert browser.tell(f"{inside}.documentElement.scrollWidth <= document.querySelector('iframe').clientWidth")
+        # Two flights beside each other.
+        browser.goto(link)
+        browser.tell("document.querySelectorAll('input[type=checkbox]').forEach(box => box.focus() || box.click())")
+        browser.tell("document.querySelector('button.button').focus()")
+        browser.key("Enter", text="\r")
+        wait_for(lambda: browser.tell("document.querySelector('caption')?.textContent.includes('two flights')"))
+        assert browser.tell("document.documentElement.scrollWidth <= innerWidth")
+    assert browser.complaints == []
+    assert all(address.startswith(link) for address in browser.requested)
 
 
 def share(path: Path, colour: str) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import servofd
-from servofd.detection.audit import LogAudit
+from servofd.detection.verdict import LogAudit
 from servofd.outputs.figure import save_figure
 from servofd.outputs.recording import save_recording
 from tests.recordings.inside import everything

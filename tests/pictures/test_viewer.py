@@ -26,13 +26,13 @@ FAULTS = {
     "slow": "faser_slow_flight.mat",
     "stuck": "faser_stuck_flight.mat",
 }
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 
 
 def recorded(log: Path, folder: Path, **options: bool) -> Path:
     """Recording of a log's first run."""
     path = folder / f"{log.stem}.rrd"
-    save_recording(next(servofd.audit(log)), path, **options)
+    save_recording(next(iter(servofd.audit(log))), path, **options)
     return path
 
 

@@ -12,11 +12,12 @@ import pytest
 
 import logparsers
 from servofd.aircraft import Aircraft, load_aircraft
-from servofd.detection.audit import SurfaceAudit, audit_log
+from servofd.detection.audit import audit_log
 from servofd.detection.judge import judge
 from servofd.detection.residual import ResidualGenerator, rhythm
 from servofd.detection.stream import Stream
 from servofd.detection.threshold import interval_threshold
+from servofd.detection.verdict import SurfaceAudit
 from servofd.discrepancy.record import record_of, simulate
 from servofd.errors import ConfigError
 from servofd.models.catalogue import CATALOGUE, installed

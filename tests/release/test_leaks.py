@@ -63,7 +63,7 @@ def flight(tmp_path: Path) -> Callable[[str], str]:
     return write
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("suffix", [".csv", ".mat", ".bin", ".tlog", ".ulg"])
 def test_audits(suffix: str, flight: Callable[[str], str]) -> None:
     path = Path(flight(suffix))
@@ -75,14 +75,14 @@ def test_audits(suffix: str, flight: Callable[[str], str]) -> None:
     leaves_nothing(lambda: main(words))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_refusals(tmp_path: Path) -> None:
     broken = tmp_path / "broken.mat"
     broken.write_bytes((SAMPLES / "faser_stuck_flight.mat").read_bytes()[:5000])
     leaves_nothing(lambda: main(["audit", str(broken)]))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_recordings_written_and_read(flight: Callable[[str], str], tmp_path: Path) -> None:
     path, recording = flight(".csv"), str(tmp_path / "flight.rrd")
 
@@ -93,14 +93,14 @@ def test_recordings_written_and_read(flight: Callable[[str], str], tmp_path: Pat
     leaves_nothing(turn)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_monitors_of_logs(flight: Callable[[str], str], tmp_path: Path) -> None:
     path, plane = flight(".tlog"), tmp_path / "plane.toml"
     plane.write_text(plane_file())
     leaves_nothing(lambda: main(["monitor", path, "-c", str(plane), "--speed", "0", "--plain", "--no-alert"]))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_monitors_of_links(tmp_path: Path) -> None:
     plane = tmp_path / "plane.toml"
     plane.write_text(plane_file())
@@ -108,13 +108,13 @@ def test_monitors_of_links(tmp_path: Path) -> None:
     leaves_nothing(lambda: main(["monitor", f"udpin:127.0.0.1:{free_port()}", *words]))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_fleets_in_processes() -> None:
     logs = find_logs([str(SAMPLES / "faser_*_chirp.mat")]).logs
     leaves_nothing(lambda: list(audit_fleet(logs[:1], Job(), workers=1)))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_fleets_kept_in_a_folder(flight: Callable[[str], str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         "servofd.fleet.run.run_local", lambda task, items, _workers: ((item, task(item)) for item in items)

@@ -30,7 +30,7 @@ DATA = {
 def test_the_version_is_written_once() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
     assert "version" in project["project"]["dynamic"]
-    assert project["tool"]["hatch"]["version"]["path"] == "servofd/__init__.py"
+    assert project["tool"]["hatch"]["version"]["path"] == "servofd/version.py"
     cited = re.search(r"^version: (.+)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)
     assert cited is not None
     assert cited[1] == servofd.__version__

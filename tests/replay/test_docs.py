@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from servofd.aircraft import load_aircraft
-from servofd.cli import main
+from servofd.cli import main, parsed
 from servofd.models.catalogue import CATALOGUE
 from servofd.tolerance import Tolerance
 
@@ -35,38 +35,28 @@ def test_the_readme_has_exactly_two_set_up_commands() -> None:
     commands = [line for block in blocks(README, "sh") for line in block.splitlines()]
     assert len(commands) == 2
     assert all(command.startswith("python3 -m venv .venv && .venv/bin/pip install") for command in commands)
+    assert "'.[all]'" in commands[0]
+    assert len(README.splitlines()) <= 90
 
 
 def test_the_audit_of_the_readme_prints_what_the_readme_shows(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    (shown,) = [block for block in blocks(README, "text") if "aileron_left" in block]
+    (shown,) = [block for block in blocks(README, "text") if "JAMMED" in block]
     monkeypatch.chdir(ROOT)
-    command = re.search(r"bin/servofd (audit .*?) -o out", README)
+    command = re.search(r"bin/servofd (sample_logs/.*?) -o out", README)
     assert command is not None
     assert main([*shlex.split(command[1]), "-o", str(tmp_path)]) == 1
-    assert plain(capsys.readouterr().out) == plain(shown)
-    assert (tmp_path / "audit.json").exists()
-    assert (tmp_path / "faser_stuck_flight.rrd").exists()
+    assert capsys.readouterr().out.replace(str(tmp_path), "out") == shown
+    assert {path.suffix for path in tmp_path.iterdir()} == {".html", ".json", ".png", ".rrd"}
 
 
-@pytest.mark.slow
-def test_the_verbs_of_the_readme_run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    (tmp_path / "sample_logs").symlink_to(ROOT / "sample_logs")
-    monkeypatch.chdir(tmp_path)
-    commands = [c for c in re.findall(r"\| `servofd (.*?)` \|", README) if not c.startswith("audit")]
-    assert {shlex.split(command)[0] for command in commands} == {
-        "info",
-        "config",
-        "odds",
-        "identify",
-        "explain",
-        "simulate",
-        "servos",
-        "design",
-    }
+def test_the_verbs_of_the_readme_exist() -> None:
+    commands = [shlex.split(command) for command in re.findall(r"`servofd (.*?)`", README)]
+    assert len(commands) >= 9
     for command in commands:
-        assert main(shlex.split(command)) == 0
+        if command[0] not in ("help", "serve"):
+            assert callable(parsed(command).run), command
 
 
 def test_the_python_of_the_readme_runs(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -75,7 +65,7 @@ def test_the_python_of_the_readme_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     output = io.StringIO()
     with contextlib.redirect_stdout(output):
         exec(compile(code, "README.md", "exec"), {})  # noqa: S102 - our own README
-    assert "elevator fault [('stuck', 8.1" in output.getvalue()
+    assert output.getvalue() == "ELEVATOR JAMMED at 0:05 (-0.2 deg). Do not fly.\n"
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)

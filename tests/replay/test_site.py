@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from servofd.cli import build_parser
+from servofd.cli import build_parser, parsed
 
 ROOT = Path(__file__).parent.parent.parent
 PAGES = sorted([*ROOT.glob("docs/*.md"), ROOT / "README.md", *ROOT.glob("sample_logs/*.md")])
@@ -47,7 +47,7 @@ def commands(text: str) -> list[str]:
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
 def test_every_command_is_valid(path: Path) -> None:
     for command in commands(path.read_text()):
-        options = build_parser().parse_args(shlex.split(command.partition(" > ")[0], comments=True))
+        options = parsed(shlex.split(command.partition(" > ")[0], comments=True))
         assert callable(options.run), command
 
 

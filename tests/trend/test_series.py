@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from servofd.trend.events import find_events
-from servofd.trend.forecast import FEWEST_FLIGHTS, forecast
-from servofd.trend.series import Piece, fit_line, pieces
+from servofd.wear.events import find_events
+from servofd.wear.forecast import FEWEST_FLIGHTS, forecast
+from servofd.wear.series import Piece, fit_line, pieces
 
 TELLING = dict.fromkeys(("dead_band_deg", "bias_deg", "delay_s", "bandwidth_hz", "noise_deg"), 0.1)
 

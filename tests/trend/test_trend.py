@@ -17,10 +17,10 @@ from servofd.models.faults import DeadBand
 from servofd.models.play import play
 from servofd.segment import Segment
 from servofd.simulation.flight import simulate_flight
-from servofd.trend.estimate import estimate_flight
-from servofd.trend.logs import FlownLog, in_order
-from servofd.trend.records import FlightEstimate
-from servofd.trend.trend import trend_of
+from servofd.wear.estimate import estimate_flight
+from servofd.wear.logs import FlownLog, in_order
+from servofd.wear.records import FlightEstimate
+from servofd.wear.trend import trend_of
 from trend_fleets import crossing_at, healthy_fleet, widths_trend
 
 if TYPE_CHECKING:
@@ -171,7 +171,7 @@ def test_the_command_line_prints_writes_and_returns_what_it_found(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen = trend_of(logs([0.02 * number for number in range(1, 41)], START), PLANE)
-    monkeypatch.setattr("servofd.trend.trend.trend_logs", lambda *_, **__: seen)
+    monkeypatch.setattr("servofd.wear.trend.trend_logs", lambda *_, **__: seen)
     words = ["trend", "flights", "-c", "faser", "--json", str(tmp_path / "t.json"), "--html", str(tmp_path / "t.html")]
     assert main(words) == 1
     printed = capsys.readouterr().out

@@ -26,6 +26,8 @@ __all__ = ["first_signs", "narendra"]
 
 _ALPHA, _BETA, _GAMMA = 0.0, 1.0, 0.9
 """Defaults of Varga's FaultDetectionTools."""
+_FORGOTTEN = 350
+"""Samples after which less than 1e-16 of one is left."""
 _QUIET = 1.5
 """Levels this much above that of noise alone are still quiet: the mean of ten or so coloured samples scatters."""
 _MEAN_OF_ABSOLUTE = float(np.sqrt(2.0 / np.pi))
@@ -39,10 +41,9 @@ def narendra(residual_deg: FloatArray) -> FloatArray:
     >>> float(narendra(np.full(200, -0.5))[-1].round(6))
     0.5
     """
-    from scipy.signal import lfilter
-
     size_deg = np.abs(residual_deg)
-    remembered_deg = lfilter([0.0, 1.0], [1.0, -_GAMMA], size_deg)
+    # The sum of what came before, forgotten by the power of its age; scipy.signal takes longer to load than all else.
+    remembered_deg = np.convolve(np.append(0.0, size_deg[:-1]), _GAMMA ** np.arange(_FORGOTTEN))[: size_deg.size]
     level_deg: FloatArray = (_ALPHA * size_deg + _BETA * remembered_deg) / (_ALPHA + _BETA / (1.0 - _GAMMA))
     return level_deg
 

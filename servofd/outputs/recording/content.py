@@ -15,8 +15,9 @@ from servofd.models.context import NO_CONTEXT, Context
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from servofd.detection.audit import LogAudit, SurfaceAudit
     from servofd.detection.residual import Residuals
+    from servofd.detection.verdict import LogAudit, SurfaceAudit
+    from servofd.onboard.seen import Seen
     from servofd.segment import Segment
     from servofd.types import BoolArray, FloatArray
 
@@ -137,6 +138,8 @@ class Recording:
     geo: FloatArray | None = None
     notes: tuple[str, ...] = field(default=())
     """What a reader of the recording should know: that it was cut, or judged anew."""
+    on_board: Mapping[str, Seen] = field(default_factory=dict)
+    """What a script on the autopilot saw of each surface that it watched; a recording read back has none."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "traces", MappingProxyType(dict(self.traces)))

@@ -80,7 +80,8 @@ def _overview(names: Sequence[str], shown: Sequence[str]) -> Any:  # noqa: ANN40
 
 def _plot(place: str, which: str, name: str, span: tuple[float, float] | None) -> Any:  # noqa: ANN401
     """Curves of one entity over the shading of its faults."""
-    return curves(name, [f"{place}/{which}", f"{place}/shade/{which}/**"], origin=place, span=span)
+    beside = [f"{place}/onboard"] if which == "residual" else []
+    return curves(name, [f"{place}/{which}", *beside, f"{place}/shade/{which}/**"], origin=place, span=span)
 
 
 def _aircraft(recording: Recording) -> Any:  # noqa: ANN401

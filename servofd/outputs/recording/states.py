@@ -10,7 +10,7 @@ from servofd.detection.words import describe
 from servofd.outputs.recording.clock import microseconds, seconds
 
 if TYPE_CHECKING:
-    from servofd.detection.audit import SurfaceAudit
+    from servofd.detection.verdict import SurfaceAudit
     from servofd.outputs.recording.content import Trace
     from servofd.types import BoolArray, FloatArray, IntArray
 

@@ -11,13 +11,23 @@ from servofd.outputs.recording.states import breaks_s, events, ratio, states
 from servofd.outputs.recording.stream import STATES, surface_place
 
 if TYPE_CHECKING:
-    from servofd.detection.audit import SurfaceAudit
     from servofd.detection.bank.isolate import Fault
+    from servofd.detection.verdict import SurfaceAudit
+    from servofd.onboard.seen import Seen
     from servofd.outputs.recording.content import Trace
     from servofd.outputs.recording.stream import Recorder
     from servofd.types import FloatArray
 
-__all__ = ["DEFLECTIONS", "RESIDUALS", "WIDTHS", "plot_range", "send_seconds", "send_styles", "send_surface"]
+__all__ = [
+    "DEFLECTIONS",
+    "RESIDUALS",
+    "WIDTHS",
+    "plot_range",
+    "send_on_board",
+    "send_seconds",
+    "send_styles",
+    "send_surface",
+]
 
 DEFLECTIONS = ("command", "simulated", "measured")
 WIDTHS = (1.0, 2.5, 1.5)
@@ -89,6 +99,14 @@ def send_surface(
             spans = [_span(fault, trace) for fault in found]
             if spans:
                 recorder.shade(f"{place}/shade/{name}/{level}", spans, (low + high) / 2.0, high - low, level)
+
+
+def send_on_board(recorder: Recorder, surface: str, seen: Seen) -> None:
+    """Residual and threshold that a script on board logged, for the plot of the residual."""
+    place = f"{surface_place(surface)}/onboard"
+    recorder.lines(place, ("on board", "+ on board", "- on board"), ("measured", "command", "command"))
+    values = np.column_stack([seen.residual_deg, seen.threshold_deg, -seen.threshold_deg])
+    recorder.scalars(place, seen.time_s, values)
 
 
 def send_styles(recorder: Recorder, surface: str, tint: str = "simulated") -> None:

@@ -11,11 +11,12 @@ from pydantic import ValidationError
 
 from logparsers.records import Damage, FlightLog
 from servofd.aircraft import Aircraft
-from servofd.detection.audit import LogAudit, SurfaceAudit
 from servofd.detection.bank.explanation import Estimate
 from servofd.detection.bank.isolate import Fault
 from servofd.detection.statistics import Statistics
+from servofd.detection.verdict import LogAudit, SurfaceAudit
 from servofd.errors import RecordingError
+from servofd.evidence import Detectable, ModelOrigin
 from servofd.outputs.json_report import audit_document
 from servofd.outputs.recording.stream import shown
 
@@ -52,7 +53,7 @@ class Verdicts(NamedTuple):
 
 def verdicts_of(recording: Recording) -> dict[str, Any]:
     """Properties of a recording: few words for people, and everything an audit found for machines."""
-    from servofd import __version__
+    from servofd.version import __version__
 
     audit, log = recording.audit, recording.audit.log
     (document,) = audit_document([audit])["logs"]
@@ -101,6 +102,7 @@ def live_verdicts(aircraft: Aircraft, surfaces: Sequence[str], name: str) -> dic
             threshold_kind=aircraft.surfaces[key].threshold,
             threshold_deg=aircraft.surfaces[key].threshold_deg,
             expected=aircraft.surfaces[key].measured is not None,
+            model=aircraft.surfaces[key].model,
         )
         for key in surfaces
     )
@@ -184,6 +186,9 @@ def _surface(name: str, entry: Mapping[str, Any]) -> SurfaceAudit:
         suspicions=tuple(_fault(fault) for fault in entry["suspicions"]),
         statistics=statistics,
         false_alarms_per_hour=entry["false_alarms_per_hour"],
+        model=ModelOrigin.model_validate(entry["model"]),
+        detectable=Detectable.from_document(entry["detectable"]),
+        judged_share=entry["judged_share"],
     )
 
 

@@ -2,8 +2,9 @@
 
 Entities below ``/surfaces/<name>``: ``deflection`` (command, simulated, measured [deg]), ``residual`` (residual and
 both thresholds [deg]), ``command`` (on its own time stamps [deg]), ``ratio``, ``flag`` (0 or 1), ``state``, ``onset``,
-``events``, ``shade/*``; ``/aircraft/**`` and ``/flight/**`` move; ``/report`` is the verdict in words. Time lines:
-``time_boot``, and ``time_utc`` where the log knows it.
+``events``, ``shade/*``, ``onboard`` (residual and thresholds of a script on board [deg]); ``/aircraft/**`` and
+``/flight/**`` move; ``/report`` is the verdict in words. Time lines: ``time_boot``, and ``time_utc`` where the log
+knows it.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.onboard.seen import seen_of
 from servofd.outputs.palette import SERIES
 from servofd.outputs.recording.clock import Clock
 from servofd.outputs.recording.content import Recording
@@ -21,13 +23,13 @@ from servofd.outputs.recording.layout import ALARM_LINE, REPORT, audit_layout
 from servofd.outputs.recording.motion import attitude_of, geo_of, local_of
 from servofd.outputs.recording.scene import send_scene
 from servofd.outputs.recording.stream import Recorder, application_name, recording_file
-from servofd.outputs.recording.surface import send_surface
+from servofd.outputs.recording.surface import send_on_board, send_surface
 from servofd.outputs.recording.verdicts import verdicts_of
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from servofd.detection.audit import LogAudit
+    from servofd.detection.verdict import LogAudit
 
 __all__ = ["application_of", "fill", "recording_of", "save_recording", "send_to_stdout", "write_recording"]
 
@@ -64,6 +66,7 @@ def recording_of(audit: LogAudit, *, include_position: bool = False, online_map:
         attitude=attitude_of(audit.log),
         position=None if geo is None else local_of(geo),
         geo=geo if online_map else None,
+        on_board=seen_of(audit.log, audit.aircraft),
     )
 
 
@@ -102,6 +105,8 @@ def fill(recorder: Recorder, recording: Recording) -> None:
     recorder.document(REPORT, report(recording))
     for surface, tint in zip(recording.audit.surfaces, itertools.cycle(SERIES), strict=False):
         send_surface(recorder, surface, recording.traces.get(surface.surface), recording.start_s, tint)
+        if surface.surface in recording.on_board:
+            send_on_board(recorder, surface.surface, recording.on_board[surface.surface])
     if any(trace.time_s.size for trace in recording.traces.values()):
         recorder.lines(ALARM_LINE, ["threshold"], ["threshold"])
         recorder.scalars(ALARM_LINE, np.array([recording.start_s, recording.end_s]), np.ones(2))
@@ -112,7 +117,7 @@ def report(recording: Recording) -> str:
     """Verdicts as Markdown."""
     audit = recording.audit
     rows = "\n".join(f"| {_cell(s.surface)} | {s.status} | {_cell(s.reason)} |" for s in audit.surfaces)
-    damage = "\n".join(f"- {d.kind}: {d.note}" for d in audit.log.damage) or "none"
+    damage = "\n".join(f"- {d.kind}: {d.note}" for d in audit.log.damage_summary) or "none"
     notes = "".join(f"{note}\n\n" for note in recording.notes)
     return (
         f"# {audit.log.source.name}\n\n{notes}| surface | status | reason |\n|---|---|---|\n{rows}\n\n"

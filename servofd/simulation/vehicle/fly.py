@@ -3,21 +3,34 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from servofd.simulation.vehicle.troubles import Air, Edit, Reboot, Stall, troubled_flight
+from servofd.simulation.vehicle.vehicle import Settings, Vehicle
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from logparsers.codec import Codec
     from logparsers.link import Link
+    from servofd.aircraft import Aircraft
+    from servofd.simulation.flight import SimulatedFlight
     from servofd.simulation.vehicle.messages import Send
-    from servofd.simulation.vehicle.vehicle import Vehicle
 
-__all__ = ["Flown", "fly"]
+__all__ = ["Flown", "Leg", "fly", "legs"]
 
 _BEAT_S: Final = 0.5
+_TICK_S: Final = 0.02
 _MOST_AT_ONCE: Final = 256
+
+
+class Leg(NamedTuple):
+    """A vehicle from one start of its autopilot to the next."""
+
+    begun_s: float
+    """Since the beginning of the flight [s]."""
+    vehicle: Vehicle
 
 
 @dataclass(slots=True)
@@ -32,12 +45,69 @@ class Flown:
     """Messages."""
 
 
-def fly(vehicle: Vehicle, link: Link, codec: Codec, *, wait: bool = False) -> Flown:
+def legs(flight: SimulatedFlight, aircraft: Aircraft, settings: Settings) -> tuple[Leg, ...]:
+    """A flight between the restarts of its autopilot.
+
+    Parameters
+    ----------
+    flight : SimulatedFlight
+        The whole of it.
+    aircraft : Aircraft
+        What flies.
+    settings : Settings
+        How it speaks; its troubles are counted from the beginning of the flight.
+
+    Raises
+    ------
+    ConfigError
+        If a trouble begins after the flight.
+
+    Examples
+    --------
+    >>> from servofd.aircraft import plain_aircraft
+    >>> from servofd.simulation.flight import simulate_flight
+    >>> from servofd.simulation.pulses import outputs_of
+    >>> from servofd.simulation.vehicle.troubles import Reboot
+    >>> from servofd.simulation.vehicle.vehicle import Settings
+    >>> plane = plain_aircraft(["elevator"])
+    >>> flown = simulate_flight(plane, duration_s=9.0, rate_hz=50.0, outputs=outputs_of(plane))
+    >>> [(leg.begun_s, leg.vehicle.time_us.size) for leg in legs(flown, plane, Settings(troubles=(Reboot(3.0, 2.0),)))]
+    [(0.0, 150), (5.0, 200)]
+    """
+    flight = troubled_flight(flight, aircraft, settings.troubles)
+    first_s = float(flight.time_s[0])
+    reboots = sorted((t for t in settings.troubles if isinstance(t, Reboot)), key=lambda t: t.start_s)
+    begins_s = [0.0, *(t.start_s + t.away_s for t in reboots)]
+    ends_s = [*(t.start_s for t in reboots), float("inf")]
+    found = []
+    for begun_s, end_s in zip(begins_s, ends_s, strict=True):
+        rows = (flight.time_s - first_s >= begun_s - 1e-9) & (flight.time_s - first_s < end_s - 1e-9)
+        if rows.sum() < 2:
+            continue
+        part = replace(
+            flight,
+            time_s=flight.time_s[rows] - begun_s,
+            command_deg=flight.command_deg[rows],
+            measured_deg=flight.measured_deg[rows],
+            pulse_us=flight.pulse_us[rows],
+        )
+        mine = tuple(
+            replace(t, start_s=t.start_s - begun_s)
+            for t in settings.troubles
+            if isinstance(t, Edit | Stall) and begun_s <= t.start_s < end_s
+        )
+        found.append(Leg(begun_s, Vehicle(part, aircraft, replace(settings, troubles=mine))))
+    return tuple(found)
+
+
+def fly(
+    vehicle: Vehicle | tuple[Leg, ...], link: Link, codec: Codec, *, wait: bool = False, air: Air | None = None
+) -> Flown:
     """Fly until the flight ends, or Ctrl-C ends it.
 
     Parameters
     ----------
-    vehicle : Vehicle
+    vehicle : Vehicle or tuple of Leg
         What flies.
     link : Link
         Where it is heard; left open.
@@ -45,13 +115,16 @@ def fly(vehicle: Vehicle, link: Link, codec: Codec, *, wait: bool = False) -> Fl
         Its end of the link.
     wait : bool
         Begin when somebody has said something.
+    air : Air, optional
+        What is between it and the link.
 
     Returns
     -------
     Flown
         Counts, also of a flight that was ended.
     """
-    session = _Session(vehicle, link, codec)
+    flown = vehicle if isinstance(vehicle, tuple) else (Leg(0.0, vehicle),)
+    session = _Session(flown, link, codec, air or Air())
     try:
         if wait:
             session.wait()
@@ -62,9 +135,11 @@ def fly(vehicle: Vehicle, link: Link, codec: Codec, *, wait: bool = False) -> Fl
 
 
 class _Session:
-    def __init__(self, vehicle: Vehicle, link: Link, codec: Codec) -> None:
+    def __init__(self, flown: tuple[Leg, ...], link: Link, codec: Codec, air: Air) -> None:
         self.flown = Flown()
-        self._vehicle, self._link, self._codec, self._speed = vehicle, link, codec, vehicle.speed
+        self._legs, self._link, self._codec, self._air = flown, link, codec, air
+        self._vehicle, self._speed = flown[0].vehicle, flown[0].vehicle.speed
+        self._at_s = 0.0
 
     def wait(self) -> None:
         """Say that it is there, and stand still."""
@@ -74,27 +149,38 @@ class _Session:
             self._listen(_BEAT_S, now_us)
 
     def fly(self) -> None:
-        at_us = self._vehicle.time_us
-        begin_s = time.monotonic()
-        for index in range(at_us.size):
-            due_s = begin_s + 1e-6 * float(at_us[index] - at_us[0]) / self._speed
-            for _ in range(_MOST_AT_ONCE):
-                left_s = due_s - time.monotonic()
-                now_us = int(at_us[index] - 1e6 * max(left_s, 0.0) * self._speed)
-                if not self._listen(left_s, now_us) and time.monotonic() >= due_s:
-                    break
-            self._send(self._vehicle.turn(index))
-            self.flown.turns += 1
+        takeoff_s = time.monotonic()
+        for leg in self._legs:
+            self._vehicle = leg.vehicle
+            at_us = leg.vehicle.time_us
+            for index in range(at_us.size):
+                self._at_s = leg.begun_s + 1e-6 * float(at_us[index] - at_us[0])
+                due_s = takeoff_s + self._at_s / self._speed
+                for _ in range(_MOST_AT_ONCE):
+                    left_s = due_s - time.monotonic()
+                    now_us = int(at_us[index] - 1e6 * max(left_s, 0.0) * self._speed)
+                    if not self._listen(left_s, now_us) and time.monotonic() >= due_s:
+                        break
+                self._send(leg.vehicle.turn(index))
+                self.flown.turns += 1
+        while not self._air.empty:
+            time.sleep(_TICK_S / self._speed)
+            self._at_s += _TICK_S
+            self._send([])
 
     def _listen(self, timeout_s: float, now_us: int) -> bool:
         """Hear what arrives within a time, and answer; False if nothing did."""
         data = self._link.receive(timeout_s)
+        if not self._air.passes(self._at_s):
+            return bool(data)
         for heard in self._codec.decode(data):
             self.flown.heard += 1
             self._send(self._vehicle.hear(heard, now_us))
         return bool(data)
 
     def _send(self, messages: Iterable[Send]) -> None:
-        for name, fields in messages:
-            self._link.send(self._codec.encode(name, fields))
+        self._codec.skip(self._air.jump(self._at_s))
+        frames = [self._codec.encode(name, fields) for name, fields in messages]
+        for frame in self._air.through(self._at_s, frames):
+            self._link.send(frame)
             self.flown.sent += 1

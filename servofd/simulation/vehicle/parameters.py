@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 __all__ = ["Parameters"]
 
 _PER_TURN: Final = 5
+_NO_PLACE: Final = 65_535
 _INT8, _INT16, _INT32, _REAL32 = 2, 4, 6, 9  # MAV_PARAM_TYPE
 _WHOLE: Final = (
     (("_REVERSED", "_DISARMED", "_REPLAY", "_TYPE", "_ENABLE", "_TRIM_AUTO", "_PROTOCOL", "_DRIVER"), _INT8),
@@ -21,7 +22,7 @@ _WHOLE: Final = (
 
 
 class Parameters:
-    """Answers what a ground station asks about parameters; none can be changed.
+    """Answers what a ground station asks about parameters; it can change none.
 
     Parameters
     ----------
@@ -55,6 +56,14 @@ class Parameters:
         if index < 0:
             index = self._names.index(name) if name in self._known else -1
         return [self._value(index)] if 0 <= index < len(self._names) else []
+
+    def set(self, name: str, value: float) -> list[Send]:
+        """Set one, as somebody with other means did; every ground station is told, without its place in the list."""
+        if name not in self._known:
+            return []
+        self._known[name] = value
+        told = self._value(self._names.index(name))
+        return [Send(told.name, {**told.fields, "param_index": _NO_PLACE})]
 
     def _value(self, index: int) -> Send:
         name = self._names[index]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -9,6 +10,8 @@ import numpy as np
 from servofd.simulation.vehicle.messages import Send
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from logparsers.dataflash.encode import Rows
 
 __all__ = ["START", "STOP", "RemoteLog"]
@@ -22,6 +25,7 @@ _BUFFER: Final = 40  # blocks of the usual 8 kB (HAL_LOGGING_MAV_BUFSIZE)
 _PER_TURN: Final = 8
 _AGAIN_US: Final = 100_000
 _GONE_US: Final = 10_000_000
+_HEAD: Final = 3  # bytes of a row before its time stamp
 _PROLOGUE: Final = ("UNIT", "MULT", "FMTU", "PARM", "MSG")
 
 Client = tuple[int, int]
@@ -40,11 +44,14 @@ class RemoteLog:
         Of the whole flight; each is written at its time.
     speed : float
         How much faster than real time the vehicle's clock runs: buffer and patience grow with it.
+    stalls_us : sequence of (int, int)
+        When nothing is sent, from and until [us]; what finds no room meanwhile is dropped.
     """
 
-    def __init__(self, rows: Rows, speed: float = 1.0) -> None:
+    def __init__(self, rows: Rows, speed: float = 1.0, stalls_us: Sequence[tuple[int, int]] = ()) -> None:
         self._rows = rows
         self._speed = max(speed, 1.0)
+        self._stalls_us = tuple(stalls_us)
         self._session: _Session | None = None
         self.dropped = 0
         """Rows that found no room."""
@@ -79,6 +86,8 @@ class RemoteLog:
         if self._session is None:
             return []
         self.dropped += self._session.write(now_us)
+        if any(begin_us <= now_us < end_us for begin_us, end_us in self._stalls_us):
+            return []
         return self._session.due(now_us)
 
 
@@ -87,7 +96,7 @@ class _Session:
 
     def __init__(self, rows: Rows, client: Client, now_us: int, speed: float) -> None:
         self.client = client
-        self._rows = rows
+        self._rows, self._begun_us = rows, now_us
         self._room = round(_BUFFER * speed)
         self._again_us = round(_AGAIN_US * speed)
         self._gone_us = round(_GONE_US * speed)
@@ -117,7 +126,7 @@ class _Session:
         rows = self._rows
         while self._row < rows.ends.size and rows.time_us[self._row] <= now_us:
             begin = int(rows.ends[self._row - 1]) if self._row else 0  # the definitions go with the first row
-            content = rows.content[begin : rows.ends[self._row]]
+            content = self._stamped(rows.content[begin : rows.ends[self._row]])
             if len(content) <= (self._room - len(self._blocks)) * _BLOCK - len(self._partial):
                 self._put(content)
             elif self._row < self._prologue:
@@ -135,6 +144,14 @@ class _Session:
         for number in (*again, *new):
             self._sent_us[number] = now_us
         return [self._message(number) for number in (*again, *new)]
+
+    def _stamped(self, content: bytes) -> bytes:
+        """A row at the beginning of a log is written when that begins, whenever the vehicle was booted."""
+        if self._row >= self._prologue or self._rows.time_us[self._row] >= self._begun_us:
+            return content
+        size = int(self._rows.ends[1] - self._rows.ends[0]) if self._row == 0 else len(content)
+        at = len(content) - size + _HEAD
+        return content[:at] + struct.pack("<Q", self._begun_us) + content[at + 8 :]
 
     def _put(self, content: bytes) -> None:
         waiting = self._partial + content

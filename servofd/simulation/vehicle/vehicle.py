@@ -19,6 +19,7 @@ from servofd.simulation.vehicle.messages import Send, Telemetry
 from servofd.simulation.vehicle.parameters import Parameters
 from servofd.simulation.vehicle.remote_log import RemoteLog
 from servofd.simulation.vehicle.schedule import Schedule, TooFastError
+from servofd.simulation.vehicle.troubles import Edit, Stall, Trouble
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -62,6 +63,8 @@ class Settings:
         Grant rates up to that of the main loop, not just 0.8 of it.
     speed : float
         How much faster than real time it flies.
+    troubles : tuple of Trouble
+        What goes wrong on board: `servofd.simulation.vehicle.fly.legs` makes the flight that belongs to it.
 
     Raises
     ------
@@ -74,6 +77,7 @@ class Settings:
     message_hz: float = 1.0
     any_rate: bool = False
     speed: float = 1.0
+    troubles: tuple[Trouble, ...] = ()
 
     def __post_init__(self) -> None:
         if not 1 <= self.system <= 255:
@@ -122,6 +126,7 @@ class Vehicle:
     def __init__(self, flight: SimulatedFlight, aircraft: Aircraft, settings: Settings | None = None) -> None:
         outputs_needed(flight)
         settings = settings or Settings()
+        begun_us = int(microseconds(flight.time_s[:1])[0])
         loop_hz = rate_hz(flight)
         self.system, self.speed = settings.system, settings.speed
         self.time_us: IntArray = microseconds(flight.time_s)
@@ -133,7 +138,13 @@ class Vehicle:
         self._parameters = Parameters(known)
         self._telemetry = Telemetry(flight, aircraft, settings.feedback)
         self._schedule = _schedule(self._telemetry.names, loop_hz, settings)
-        self._log = RemoteLog(encode_rows(dataflash_messages(flight, aircraft, VOLZ, settings=known)), settings.speed)
+        rows = encode_rows(dataflash_messages(flight, aircraft, VOLZ, settings=known))
+        self._log = RemoteLog(
+            rows, settings.speed, [_span_us(t, begun_us) for t in settings.troubles if isinstance(t, Stall)]
+        )
+        self._edits = sorted(
+            ((begun_us + round(1e6 * t.start_s), t.name, t.value) for t in settings.troubles if isinstance(t, Edit)),
+        )
         self._answers: dict[str, Callable[[Heard, int], list[Send]]] = {
             "COMMAND_LONG": self._command,
             "COMMAND_INT": self._command,
@@ -169,6 +180,9 @@ class Vehicle:
         sent = [Send("STATUSTEXT", {"severity": _INFO, "text": banner(VERSION)})] if index == 0 else []
         for name in self._schedule.due(now_us):
             sent += self._telemetry.newest(name, now_us, again=name == "HEARTBEAT")
+        while self._edits and self._edits[0][0] <= now_us:
+            _, parameter, value = self._edits.pop(0)
+            sent += self._parameters.set(parameter, value)
         return [*sent, *self._parameters.due(), *self._log.due(now_us)]
 
     def heartbeat(self) -> Send:
@@ -213,6 +227,9 @@ class Vehicle:
         return [_result(heard, _UNSUPPORTED)]
 
     def _set_interval(self, heard: Heard, name: str, interval_us: int) -> list[Send]:
+        if name in _POSITIONS:
+            number = int(heard.fields["param1"])
+            return [*_chunks(f"No ap_message for mavlink id ({number})"), _result(heard, _DENIED)]
         if name not in self._telemetry.names or interval_us < -1:
             return [_result(heard, _DENIED)]
         try:
@@ -274,6 +291,11 @@ def _schedule(names: tuple[str, ...], loop_hz: float, settings: Settings) -> Sch
 def _result(heard: Heard, result: int) -> Send:
     to = {"target_system": heard.system, "target_component": heard.component}
     return Send("COMMAND_ACK", {"command": heard.fields["command"], "result": result, **to})
+
+
+def _span_us(stall: Stall, begun_us: int) -> tuple[int, int]:
+    """When it begins and ends [us]."""
+    return begun_us + round(1e6 * stall.start_s), begun_us + round(1e6 * (stall.start_s + stall.for_s))
 
 
 def _chunks(words: str) -> list[Send]:

@@ -1,0 +1,300 @@
+"""MATLAB files of level 4, 5 and 7: numbers, texts, cells and structures of them, as views of the file.
+
+A file is a chain of variables, each with its size before it. Objects, functions, sparse and complex arrays are stepped
+over; nothing is copied but what was compressed, and that only up to what its header promises and `archive.check_size`
+allows.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from dataclasses import dataclass
+from math import prod
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from logparsers.archive import IN_MEMORY_MB, check_size
+from logparsers.errors import TruncatedLog, UnreadableLog
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+__all__ = ["Header4", "header4", "level4", "level5"]
+
+CODES4: Final = ("f8", "f4", "i4", "i2", "u2", "u1")
+CODES5: Final = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+UTF8: Final = 16
+MATRIX, COMPRESSED = 14, 15
+CELL, STRUCTURE, TEXT, NUMERIC = 1, 2, 4, range(6, 16)
+COMPLEX: Final = 0x0800
+DEEPEST: Final = 16
+"""Structures within structures; deeper ones are forged."""
+MOST_PARTS: Final = 200_000
+"""Cells and fields of a file: each costs memory of its own, however small it is."""
+
+
+@dataclass(frozen=True, slots=True)
+class Header4:
+    """Header of one level-4 variable.
+
+    Parameters
+    ----------
+    dtype : str
+        Byte order and type of the values, as numpy writes them.
+    numeric : bool
+        False for text and sparse matrices.
+    shape : tuple of int
+        Rows and columns.
+    parts : int
+        2 if an imaginary part follows the real one.
+    name_bytes : int
+        Length of the name with its closing NUL.
+    """
+
+    dtype: str
+    numeric: bool
+    shape: tuple[int, int]
+    parts: int
+    name_bytes: int
+
+
+def header4(head: bytes) -> Header4 | None:
+    """Read a level-4 header in whichever byte order makes sense, or None if neither does.
+
+    Parameters
+    ----------
+    head : bytes
+        At least 20 bytes.
+
+    Examples
+    --------
+    >>> header4(struct.pack(">5i", 1010, 90000, 1, 0, 3))
+    Header4(dtype='>f4', numeric=True, shape=(90000, 1), parts=1, name_bytes=3)
+    >>> header4(b"time_s,elevator_cmd_deg") is None
+    True
+    """
+    for order, machine in (("<", 0), (">", 1)):
+        kind, rows, columns, imaginary, name_bytes = struct.unpack(order + "5i", head[:20])
+        m, o, p, t = (kind // 10**k % 10 for k in (3, 2, 1, 0))
+        sizes = rows >= 0 and columns >= 0 and imaginary in (0, 1) and 1 < name_bytes <= 256
+        if 0 <= kind < 2000 and m == machine and o == 0 and p < len(CODES4) and t <= 2 and sizes:
+            return Header4(order + CODES4[p], t == 0, (rows, columns), 1 + imaginary, name_bytes)
+    return None
+
+
+def level4(path: Path, content: memoryview) -> dict[str, Any]:
+    r"""Decode every real array of a level-4 file.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for messages.
+    content : memoryview
+        All of it.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (rows, columns)
+        By name, in the order of the file, in the type of the file.
+
+    Raises
+    ------
+    TruncatedLog
+        If the file ends inside a variable.
+    UnreadableLog
+        If a header makes no sense.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> file = struct.pack(">5i", 1030, 2, 1, 0, 3) + b"de\0" + struct.pack(">2h", 7, 8)
+    >>> level4(Path("a.mat"), memoryview(file))["de"].tolist()
+    [[7], [8]]
+    """
+    found = {}
+    at = 0
+    while at < len(content):
+        if len(content) - at < 20:
+            raise _cut(path, "the header of a variable", len(content), at + 20)
+        header = header4(bytes(content[at : at + 20]))
+        if header is None:
+            raise UnreadableLog(
+                f"{path}: no MATLAB level-4 variable at byte {at}; copy the log again from its recorder"
+            )
+        start = at + 20 + header.name_bytes
+        name = bytes(content[at + 20 : start]).rstrip(b"\0").decode("ascii", "replace")
+        size = prod(header.shape)
+        at = start + size * header.parts * np.dtype(header.dtype).itemsize
+        if at > len(content):
+            raise _cut(path, name, len(content), at)
+        if header.numeric and header.parts == 1:
+            found[name] = np.frombuffer(content, header.dtype, size, start).reshape(header.shape, order="F")
+    return found
+
+
+def level5(path: Path, content: memoryview) -> dict[str, Any]:
+    """Decode every real array of a level-5 file, its texts, and the cells and structures that hold them.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for messages.
+    content : memoryview
+        All of it.
+
+    Returns
+    -------
+    dict of str to ndarray, list or dict
+        By name, in the order of the file: numbers in the type of the file, texts as str, a cell as a list (column after
+        column), a structure by the names of its fields.
+
+    Raises
+    ------
+    TruncatedLog
+        If the file ends inside a variable.
+    UnreadableLog
+        If it unpacks to more than allowed.
+    struct.error, ValueError, zlib.error
+        If the bytes make no sense.
+
+    Examples
+    --------
+    >>> import io
+    >>> from pathlib import Path
+    >>> from scipy.io import savemat
+    >>> file = io.BytesIO()
+    >>> savemat(file, {"flight": {"de": np.array([0.5, 0.25])}, "pilot": ["ann", "bo"]})
+    >>> found = level5(Path("a.mat"), memoryview(file.getvalue()))
+    >>> found["flight"]["de"].tolist(), found["pilot"].tolist()
+    ([[0.5, 0.25]], ['ann', 'bo'])
+    """
+    reading = _Level5(path, "<" if bytes(content[126:128]) == b"IM" else ">")
+    found: dict[str, Any] = {}
+    at = 128
+    while at < len(content):
+        if len(content) - at < 8:
+            raise _cut(path, "the header of a variable", len(content), at + 8)
+        kind, size = struct.unpack_from(reading.order + "2I", content, at)
+        element = content[at + 8 : at + 8 + size]
+        if at + 8 + size > len(content):
+            raise _cut(path, reading.name(element, kind), len(content), at + 8 + size)
+        if kind == COMPRESSED:
+            kind, element = reading.inflated(element)
+        if kind == MATRIX:
+            name, value = reading.array(element, DEEPEST)
+            if value is not None:
+                found[name] = value
+        at += 8 + size
+    return found
+
+
+@dataclass(slots=True)
+class _Level5:
+    """A level-5 file while it is being read."""
+
+    path: Path
+    order: str
+    inflated_bytes: int = 0
+    parts: int = 0
+
+    def inflated(self, element: memoryview) -> tuple[int, memoryview]:
+        """As much as the header at the beginning of a compressed variable promises."""
+        unpack = zlib.decompressobj()
+        head = unpack.decompress(element, 8)
+        kind, size = struct.unpack(self.order + "2I", head)
+        self.inflated_bytes += size
+        check_size(self.path, self.inflated_bytes, IN_MEMORY_MB)
+        body = unpack.decompress(unpack.unconsumed_tail, size) if size else b""
+        if len(body) < size:
+            raise ValueError(f"a compressed variable holds {len(body)} of {size} bytes")
+        return kind, memoryview(body)
+
+    def name(self, element: memoryview, kind: int) -> str:
+        """Name of a variable of which only the beginning is left."""
+        try:
+            start = zlib.decompressobj().decompress(element, 512)[8:] if kind == COMPRESSED else bytes(element[:512])
+            parts = self.elements(memoryview(start))
+            return bytes([next(parts)[1] for _ in range(3)][2]).decode("ascii", "replace")
+        except (zlib.error, struct.error, StopIteration, ValueError):
+            return "a variable"
+
+    def elements(self, content: memoryview) -> Iterator[tuple[int, memoryview]]:
+        """What stands within an array: type and content of one part after the other."""
+        at = 0
+        while at + 8 <= len(content):
+            kind, size = struct.unpack_from(self.order + "2I", content, at)
+            small = kind >> 16  # size and type share four bytes, up to four bytes of data follow at once
+            start, room = (at + 4, 4) if small else (at + 8, len(content) - at - 8)
+            if small:
+                kind, size = kind & 0xFFFF, small
+            if size > room:
+                raise ValueError(f"an element of {size} bytes does not fit into the {room} that are left")
+            yield kind, content[start : start + size]
+            at += 8 if small else 8 + (size + 7) // 8 * 8
+
+    def array(self, content: memoryview, depth: int) -> tuple[str, Any]:
+        """Name and value of an array; no value if it is none of those that are read."""
+        self.parts += 1
+        if self.parts > MOST_PARTS:
+            raise UnreadableLog(
+                f"{self.path}: more than {MOST_PARTS} cells and fields: no flight log; save plain vectors"
+            )
+        if not content:  # an empty field
+            return "", None
+        if depth == 0:
+            raise ValueError(f"more than {DEEPEST} structures within one another")
+        parts = self.elements(content)
+        (word,) = struct.unpack_from(self.order + "I", next(parts)[1])
+        kind = word & 0xFF
+        if word & COMPLEX or not (kind in (CELL, STRUCTURE, TEXT) or kind in NUMERIC):
+            return "", None  # an object has no dimensions, but the names of its class
+        shape = tuple(np.frombuffer(next(parts)[1], self.order + "i4").tolist())
+        name = bytes(next(parts)[1]).decode("ascii", "replace")
+        if not shape or min(shape) < 1:
+            return name, None
+        if kind == STRUCTURE:
+            return name, self.structure(parts, depth) if prod(shape) == 1 else None
+        if kind == CELL:
+            return name, [self.array(part, depth - 1)[1] for _, part in parts]
+        return name, (self.texts if kind == TEXT else self.numbers)(*next(parts), shape)
+
+    def structure(self, parts: Iterator[tuple[int, memoryview]], depth: int) -> Mapping[str, Any]:
+        (width,) = struct.unpack_from(self.order + "i", next(parts)[1])
+        names = bytes(next(parts)[1])
+        if width < 1:
+            raise ValueError(f"field names of {width} bytes")
+        starts = range(0, len(names), width)
+        labels = (names[at : at + width].split(b"\0")[0].decode("ascii", "replace") for at in starts)
+        fields = ((label, self.array(part, depth - 1)[1]) for label, (_, part) in zip(labels, parts, strict=False))
+        return {label: value for label, value in fields if value is not None}
+
+    def numbers(self, kind: int, content: memoryview, shape: tuple[int, ...]) -> NDArray[Any]:
+        if kind not in CODES5:
+            raise ValueError(f"values of unknown type {kind}")
+        return np.frombuffer(content, self.order + CODES5[kind], prod(shape)).reshape(shape, order="F")
+
+    def texts(self, kind: int, content: memoryview, shape: tuple[int, ...]) -> NDArray[np.str_] | None:
+        """One text for each row of characters, without the blanks at its end; None if they are none."""
+        raw = bytes(content)
+        if kind == UTF8:
+            raw, code = raw.decode("utf-8", "replace").encode("utf-32-le"), "<u4"
+        else:
+            code = self.order + ("u1" if CODES5.get(kind) in ("i1", "u1") else "u2")
+        letters = np.frombuffer(raw, code)
+        if len(shape) != 2 or letters.size != prod(shape):
+            return None
+        rows = np.ascontiguousarray(letters.reshape(shape, order="F"), np.uint32)
+        return np.char.rstrip(rows.view(f"U{shape[1]}")[:, 0])
+
+
+def _cut(path: Path, name: str, size: int, needed: int) -> TruncatedLog:
+    """Error for a file that ends inside a variable."""
+    return TruncatedLog(
+        f"{path}: the file ends inside {name!r}: it has {size} bytes and needs at least {needed}, so that channel is "
+        "lost for the whole flight; copy the log again from its recorder"
+    )

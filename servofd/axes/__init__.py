@@ -1,0 +1,1 @@
+"""Aircraft whose servos report nothing: what their motion tells of each axis."""

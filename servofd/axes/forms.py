@@ -1,0 +1,179 @@
+"""Forms that the model of an axis may take: which motion answers a command, and what else moves it.
+
+Each form is linear in its unknowns, so that a lost share and an offset of the command enter linearly as well. With the
+command u [us], the airspeed ratio v = V / V0 and a low-pass filter F that is the same for everything::
+
+    forward   F y = K F(g u) + K beta F(g) + sum c_i F z_i        y a rate, an acceleration, a specific force
+    inverse   F u = -beta + sum c_i F z_i                         the command that the motion shows
+
+g is the dependence of the surface's effect on dynamic pressure: v for a rate in balance, v^2 for an acceleration.
+Forces are proportional to v^2, damping to v (Etkin and Reid, Dynamics of Flight, 3rd ed., sec. 4.9).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import signal
+
+if TYPE_CHECKING:
+    from servofd.axes.motion import Motion
+    from servofd.types import FloatArray
+
+__all__ = ["FORMS", "Filtered", "Form", "Regression"]
+
+_DAMPING = 0.8
+
+
+class Filtered:
+    """Channels of a flight, all through one second-order low-pass filter."""
+
+    def __init__(self, motion: Motion, *, corner_hz: float, reference_m_s: float) -> None:
+        self.rate_hz = motion.rate_hz
+        self.commands_us = motion.commands_us
+        corner = 2.0 * np.pi * corner_hz
+        bottom = [1.0, 2.0 * _DAMPING * corner, corner**2]
+        self._low = signal.bilinear([corner**2], bottom, self.rate_hz)
+        self._slope = signal.bilinear([corner**2, 0.0], bottom, self.rate_hz)
+        self.v = np.maximum(motion.airspeed_m_s, 1.0) / reference_m_s
+        self.p, self.q, self.r = motion.rates_deg_s
+        self.ax, self.ay, self.az = motion.accelerations_m_s2
+        self.bank = np.sin(np.radians(motion.roll_deg))
+        self.throttle = motion.throttle
+
+    def low(self, values: FloatArray) -> FloatArray:
+        """F of a channel, beginning at rest on its first value."""
+        return _run(self._low, values)
+
+    def slope(self, values: FloatArray) -> FloatArray:
+        """F of the derivative of a channel."""
+        return _run(self._slope, values)
+
+
+def _run(coefficients: tuple[FloatArray, FloatArray], values: FloatArray) -> FloatArray:
+    top, bottom = coefficients
+    out: FloatArray = signal.lfilter(top, bottom, values, zi=signal.lfilter_zi(top, bottom) * values[0])[0]
+    return out
+
+
+@dataclass(frozen=True, slots=True)
+class Regression:
+    """A form's columns, all filtered.
+
+    Parameters
+    ----------
+    answer : ndarray, shape (n,)
+        The motion of a forward form; zero of an inverse one.
+    command : ndarray, shape (n,)
+        F(g u) [us].
+    offset : ndarray, shape (n,)
+        F(g).
+    others : ndarray, shape (k, n)
+        What else moves the aircraft.
+    """
+
+    answer: FloatArray
+    command: FloatArray
+    offset: FloatArray
+    others: FloatArray
+
+    def delayed(self, delay_s: float, rate_hz: float) -> Regression:
+        """With a command that acts later."""
+        if delay_s <= 0.0:
+            return self
+        place = np.arange(self.command.size)
+        return replace(self, command=np.interp(place - delay_s * rate_hz, place, self.command))
+
+
+@dataclass(frozen=True, slots=True)
+class Form:
+    """One way to model one axis."""
+
+    name: str
+    axis: str
+    command: str
+    """Whose command drives it: ``"roll"``, ``"pitch"``, ``"yaw"`` or ``"throttle"``."""
+    inverse: bool
+    columns: Callable[[Filtered], tuple[FloatArray | None, FloatArray, list[FloatArray]]]
+    """Filtered answer (None if inverse), g, and filtered others."""
+    unit: str
+    """Of what it compares."""
+
+    def regression(self, filtered: Filtered) -> Regression:
+        """Columns of one flight."""
+        answer, weight, others = self.columns(filtered)
+        asked = filtered.throttle if self.command == "throttle" else filtered.commands_us[self.command]
+        return Regression(
+            np.zeros_like(asked) if answer is None else answer,
+            filtered.low(weight * asked),
+            filtered.low(weight),
+            np.array(others),
+        )
+
+
+def _roll_rate(s: Filtered) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
+    others = [s.low(s.r), s.low(s.ay / s.v), s.low(s.bank), s.slope(s.p / s.v)]
+    return s.low(s.p), s.v, others
+
+
+def _roll_acceleration(s: Filtered) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
+    others = [s.low(s.v * s.p), s.low(s.v * s.r), s.low(s.ay), s.low(s.bank)]
+    return s.slope(s.p), s.v**2, others
+
+
+def _pitch_inverse(s: Filtered) -> tuple[None, FloatArray, list[FloatArray]]:
+    force = s.az / s.v**2
+    turn = s.r * s.bank / s.v**2
+    others = [
+        s.low(force),
+        s.low(s.q / s.v),
+        s.low(s.throttle / s.v**2),
+        s.slope(s.q / s.v**2),
+        s.low(turn),
+        s.slope(force),
+    ]
+    return None, np.ones_like(s.v), others
+
+
+def _pitch_acceleration(s: Filtered) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
+    others = [s.low(s.az), s.low(s.v * s.q), s.low(s.throttle), s.low(s.r * s.bank), s.slope(s.az / s.v)]
+    return s.slope(s.q), s.v**2, others
+
+
+def _side_force(s: Filtered) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
+    others = [s.low(s.v * s.p), s.low(s.v * s.r), s.low(s.bank), s.low(s.throttle)]
+    return s.low(s.ay), s.v**2, others
+
+
+def _yaw_rate(s: Filtered) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
+    others = [s.low(s.bank / s.v), s.low(s.p), s.low(s.ay / s.v), s.low(s.throttle), s.slope(s.r / s.v)]
+    return s.low(s.r), s.v, others
+
+
+def _yaw_acceleration(s: Filtered) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
+    others = [s.low(s.v * s.r), s.low(s.v * s.p), s.low(s.ay), s.low(s.bank), s.low(s.throttle)]
+    return s.slope(s.r), s.v**2, others
+
+
+def _thrust(s: Filtered) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
+    others = [s.low(s.v), s.low(s.v**2), s.low(s.az**2 / s.v**2)]
+    return s.low(s.ax), np.ones_like(s.v), others
+
+
+FORMS: Mapping[str, Form] = {
+    form.name: form
+    for form in (
+        Form("roll_rate", "roll", "roll", False, _roll_rate, "deg/s"),
+        Form("roll_acceleration", "roll", "roll", False, _roll_acceleration, "deg/s2"),
+        Form("pitch_inverse", "pitch", "pitch", True, _pitch_inverse, "us"),
+        Form("pitch_acceleration", "pitch", "pitch", False, _pitch_acceleration, "deg/s2"),
+        Form("side_force", "side", "yaw", False, _side_force, "m/s2"),
+        Form("yaw_rate", "side", "yaw", False, _yaw_rate, "deg/s"),
+        Form("yaw_acceleration", "side", "yaw", False, _yaw_acceleration, "deg/s2"),
+        Form("specific_thrust", "thrust", "throttle", False, _thrust, "m/s2"),
+    )
+}
+"""By name; calibration takes for each axis the one under which a lost axis stands out most."""

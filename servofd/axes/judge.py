@@ -1,0 +1,294 @@
+"""Verdict on each axis of one flight: what it lost, since when, and what the flight could have shown."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servofd.axes.model import covered, distances, flown_of, inputs_of, statistic, windows_of
+from servofd.axes.names import MOST_OF_THE_FLIGHT, SURFACE_AXES
+from servofd.axes.verdict import AxisAudit, AxisEvent, AxisStatus, Between
+from servofd.axes.windows import Expected, nothing_known, sliding
+from servofd.axes.words import reason_of
+
+if TYPE_CHECKING:
+    from servofd.axes.motion import Motion
+    from servofd.axes.schema import AxisModel, MotionModel
+    from servofd.axes.windows import Inputs
+    from servofd.types import BoolArray, FloatArray
+
+__all__ = ["judge_motion", "lost_between"]
+
+_NORMAL_95 = 1.96
+_KNOWN_WITHIN = 0.3
+"""Half width of the 95 % interval of lambda beyond which an axis is never called healthy."""
+_NAMING_S = 1.0
+"""As long after an alarm another axis may still show that it is the cause: a nose that drops late follows a rudder."""
+_CLEAR_S = 5.0
+_CLEAR_SHARE = 0.25
+_ONSET_S = 60.0
+_OWN_PAST_S = 15.0
+"""A flight that was judged for less does not tell what it was like before a fault."""
+
+
+def judge_motion(model: MotionModel, motion: Motion) -> tuple[AxisAudit, ...]:
+    """Judge the axes of one flight.
+
+    Everything is causal: the statistic at a sample uses no later one, so that a monitor sees the same alarms.
+
+    Parameters
+    ----------
+    model : MotionModel
+        From calibration.
+    motion : Motion
+        The flight, at the model's rate of samples.
+
+    Returns
+    -------
+    tuple of AxisAudit
+        One for each axis of the model.
+    """
+    inside = covered(model.regime, flown_of(motion, model.reference_m_s))
+    usable = motion.present & np.logical_and.reduce(list(inside.values()))
+    flown = motion.present & (motion.airspeed_m_s > 0.5 * model.reference_m_s)
+    drafts = {name: _draft(axis, motion, usable, flown, model.reference_m_s) for name, axis in model.axes.items()}
+    events = _with_causes(drafts, {name: axis.suspect for name, axis in model.axes.items()}, motion.time_s)
+    return tuple(_verdict(name, model, drafts[name], events[name], motion, inside, flown) for name in model.axes)
+
+
+@dataclass(frozen=True, slots=True)
+class _Draft:
+    inputs: Inputs
+    score: FloatArray
+    events: tuple[AxisEvent, ...]
+    known: BoolArray
+    """Where lambda is known to less than +-0.3."""
+    whole: tuple[Between, Between] | None
+
+
+def _draft(axis: AxisModel, motion: Motion, usable: BoolArray, flown: BoolArray, reference_m_s: float) -> _Draft:
+    inputs = inputs_of(axis, motion, usable, reference_m_s)
+    rate_hz = motion.rate_hz
+    score, events = np.zeros(motion.time_s.size), []
+    begin = 0
+    while True:
+        rest = replace(inputs, usable=inputs.usable & (np.arange(score.size) >= begin))
+        windows = windows_of(axis, rest, rate_hz)
+        score[begin:] = statistic(axis, rest, windows, rate_hz)[begin:]
+        above = np.flatnonzero(score[begin:] > axis.suspect)
+        if not above.size:
+            break
+        alarm = begin + int(above[0])
+        end = _recovered(axis, rest, alarm, rate_hz)
+        last = score.size if end is None else end
+        past = _own_past(axis, rest, alarm, begin, rate_hz)
+        changed = replace(rest, residual=rest.residual - past.loss[0] * rest.loss - past.offset[0] * rest.offset)
+        start = _onset(changed, alarm, begin, rate_hz)
+        lost, offset = _estimate(axis, rest, start, last, rate_hz, past)
+        time_s = motion.time_s
+        events.append(
+            AxisEvent(
+                start_s=float(time_s[start]),
+                alarm_s=float(time_s[alarm]),
+                end_s=None if end is None else float(time_s[end]),
+                score=float(score[alarm:last].max()),
+                lost_share=lost,
+                offset_us=offset,
+            )
+        )
+        if end is None:
+            break
+        begin = end
+    return _Draft(inputs, score, tuple(events), _known(axis, inputs, rate_hz), _whole(axis, inputs, flown))
+
+
+def _recovered(axis: AxisModel, inputs: Inputs, alarm: int, rate_hz: float) -> int | None:
+    """First sample by which the axis has answered well for some seconds; windows begin anew there."""
+    clear = round(_CLEAR_S * rate_hz)
+    spread = min(axis.spreads, key=lambda s: abs(s.window_s - _CLEAR_S))
+    only = axis.model_copy(update={"spreads": (spread,)})
+    windows = windows_of(only, inputs, rate_hz)
+    j = distances(only, inputs, windows, rate_hz)[0] / spread.scale
+    well = windows[0].known & (j < _CLEAR_SHARE * axis.suspect)
+    if axis.own_command:
+        well &= np.sqrt(np.nan_to_num(windows[0].loss_var, nan=np.inf) + spread.loss_var) < _KNOWN_WITHIN / _NORMAL_95
+    well[: alarm + clear] = False
+    runs = np.convolve(well, np.ones(clear), mode="full")[: well.size]
+    found = np.flatnonzero(runs >= clear)
+    return int(found[0]) if found.size else None
+
+
+def _onset(inputs: Inputs, alarm: int, begin: int, rate_hz: float) -> int:
+    """Where a fault must have begun to explain most of the residual up to its alarm."""
+    first = max(begin, alarm - round(_ONSET_S * rate_hz))
+    a, b, c, d1, d2, count = (total[alarm] - total[first:alarm] for total in inputs.sums())
+    determinant = a * c - b * b
+    good = (count > 3) & (determinant > 1e-9 * a * c)
+    safe = np.where(good, determinant, 1.0)
+    explained = np.where(good, (c * d1**2 - 2.0 * b * d1 * d2 + a * d2**2) / safe, -np.inf)
+    return first + int(np.argmax(explained)) if good.any() else alarm
+
+
+def _own_past(axis: AxisModel, inputs: Inputs, alarm: int, begin: int, rate_hz: float) -> Expected:
+    """What the flight was like before the longest window that ends with the alarm, if it was judged for long enough."""
+    spread = axis.spreads[-1]
+    before = alarm - spread.samples(rate_hz)
+    found = sliding(inputs, inputs.usable.size, axis.noise_var, enough=0.0)
+    if int(inputs.usable[begin : max(before, begin)].sum()) < _OWN_PAST_S * rate_hz or not found.known[before]:
+        return nothing_known(spread.covariance)
+    return Expected(
+        found.loss[[before]],
+        found.offset[[before]],
+        found.loss_var[[before]] + spread.loss_var,
+        found.cross[[before]] + spread.cross_us,
+        found.offset_var[[before]] + spread.offset_var_us2,
+    )
+
+
+def _estimate(
+    axis: AxisModel, inputs: Inputs, start: int, last: int, rate_hz: float, past: Expected
+) -> tuple[Between, Between]:
+    """Loss and offset from an onset on, beyond what the flight was like before; healthy flights differ as well."""
+    last = min(last, start + round(_ONSET_S * rate_hz))
+    event = replace(inputs, usable=inputs.usable & (np.arange(inputs.usable.size) >= start))
+    found = sliding(event, inputs.usable.size, axis.noise_var, enough=0.0)
+    spread, place = axis.spreads[-1], last - 1
+    return (
+        _between(found.loss[place] - past.loss[0], found.loss_var[place] + spread.loss_var + past.loss_var[0]),
+        _between(
+            found.offset[place] - past.offset[0], found.offset_var[place] + spread.offset_var_us2 + past.offset_var[0]
+        ),
+    )
+
+
+def _between(value: float, variance: float) -> Between:
+    half = _NORMAL_95 * math.sqrt(variance) if variance >= 0.0 else math.nan
+    return Between(float(value), float(value - half), float(value + half))
+
+
+def _is_known(whole: tuple[Between, Between] | None) -> bool:
+    return whole is not None and whole[0].high - whole[0].low <= 2.0 * _KNOWN_WITHIN
+
+
+def _known(axis: AxisModel, inputs: Inputs, rate_hz: float) -> BoolArray:
+    """Where lambda is known to less than +-0.3 in some window."""
+    known = np.zeros(inputs.usable.size, dtype=bool)
+    for spread in axis.spreads if axis.own_command else ():
+        found = sliding(inputs, spread.samples(rate_hz), axis.noise_var)
+        variance = np.nan_to_num(found.loss_var, nan=np.inf) + spread.loss_var
+        known |= _NORMAL_95 * np.sqrt(variance) < _KNOWN_WITHIN
+    return known
+
+
+def _whole(axis: AxisModel, inputs: Inputs, flown: BoolArray) -> tuple[Between, Between] | None:
+    """Loss and offset of the whole flight, in which windows average out and the flight's own difference does not."""
+    if not (inputs.usable & flown).any():
+        return None
+    found = sliding(inputs, inputs.usable.size, axis.noise_var, enough=0.0)
+    spread = axis.spreads[-1]
+    lost = _between(found.loss[-1], found.loss_var[-1] + spread.loss_var)
+    return (
+        None
+        if math.isnan(lost.value)
+        else (
+            lost,
+            _between(found.offset[-1], found.offset_var[-1] + spread.offset_var_us2),
+        )
+    )
+
+
+def lost_between(audit: AxisAudit, start_s: float, end_s: float) -> Between | None:
+    """Lost share of an axis in a part of the flight, beyond what it was before; None if it cannot be told.
+
+    Parameters
+    ----------
+    audit : AxisAudit
+        The axis.
+    start_s, end_s : float
+        The part [s].
+    """
+    axis, inputs = audit.model, audit.inputs
+    start, end = np.searchsorted(audit.time_s, (start_s, end_s))
+    if not axis.own_command or end <= start:
+        return None
+    rate_hz = 1.0 / float(audit.time_s[1] - audit.time_s[0])
+    part = replace(inputs, usable=inputs.usable & (np.arange(inputs.usable.size) < end))
+    past = _own_past(axis, part, int(start), 0, rate_hz)
+    lost, _ = _estimate(axis, part, int(start), int(end), rate_hz, past)
+    return None if math.isnan(lost.value) else lost
+
+
+def _with_causes(
+    drafts: dict[str, _Draft], levels: dict[str, float], time_s: FloatArray
+) -> dict[str, tuple[AxisEvent, ...]]:
+    """Of events that overlap one axis is the cause: the strongest, over its threshold, soon after the first alarm."""
+
+    def strength(axis: str, event: AxisEvent, first_s: float) -> float:
+        around = (time_s >= event.start_s) & (time_s <= first_s + _NAMING_S)
+        return float(np.max(drafts[axis].score[around], initial=0.0)) / levels[axis]
+
+    found = {}
+    for axis, draft in drafts.items():
+        judged = []
+        for event in draft.events:
+            strengths = {axis: 0.0}
+            for other, rivals in drafts.items():
+                for rival in rivals.events if other != axis else ():
+                    if _overlap(rival, event):
+                        first_s = min(rival.alarm_s, event.alarm_s)
+                        strengths[axis] = max(strengths[axis], strength(axis, event, first_s))
+                        strengths[other] = max(strengths.get(other, 0.0), strength(other, rival, first_s))
+            strongest = max(strengths, key=lambda name: strengths[name])
+            judged.append(event if strongest == axis else replace(event, cause=strongest))
+        found[axis] = tuple(judged)
+    return found
+
+
+def _overlap(one: AxisEvent, other: AxisEvent) -> bool:
+    """Whether one was still going on when the other was told."""
+    return one.alarm_s <= (other.end_s or math.inf) and other.alarm_s <= (one.end_s or math.inf)
+
+
+def _verdict(
+    name: str,
+    model: MotionModel,
+    draft: _Draft,
+    events: tuple[AxisEvent, ...],
+    motion: Motion,
+    inside: dict[str, BoolArray],
+    flown: BoolArray,
+) -> AxisAudit:
+    axis = model.axes[name]
+    own = [event for event in events if not event.cause]
+    worst = max(own, key=lambda event: event.score, default=None)
+    seconds = max(int(flown.sum()), 1)
+    identifiable = float((draft.known & flown).sum()) / seconds
+    judged = float((draft.inputs.usable & flown).sum()) / seconds
+    status: AxisStatus = "unknown"
+    if worst is not None:
+        certain = axis.fault is not None and worst.score > max(axis.fault, axis.suspect) and name in SURFACE_AXES
+        status = "fault" if certain else "suspect"
+    elif not events and min(identifiable, judged) >= MOST_OF_THE_FLIGHT and _is_known(draft.whole):
+        status = "healthy"
+    lost, offset = (worst.lost_share, worst.offset_us) if worst is not None else draft.whole or (None, None)
+    members = motion.members.get(name) or axis.members
+    outside = {reason: float((~good & flown).sum()) / seconds for reason, good in inside.items() if flown.any()}
+    return AxisAudit(
+        axis=name,
+        status=status,
+        reason=reason_of(name, status, model, members, events, identifiable, outside, lost),
+        members=members,
+        lost_share=lost,
+        offset_us=offset,
+        events=events,
+        identifiable=identifiable,
+        judged_share=judged,
+        false_alarms_per_hour=axis.false_alarms_per_hour,
+        time_s=motion.time_s,
+        score=draft.score / axis.suspect,
+        inputs=draft.inputs,
+        model=axis,
+    )

@@ -1,0 +1,132 @@
+"""The model of an axis at work: its residual over a flight, and how far that is from healthy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import ndimage, signal
+
+from servofd.axes.forms import FORMS, Filtered, Regression
+from servofd.axes.windows import Inputs, Sliding, distance, expected, sliding
+
+if TYPE_CHECKING:
+    from servofd.axes.motion import Motion
+    from servofd.axes.schema import AxisModel, Regime
+    from servofd.types import BoolArray, FloatArray
+
+__all__ = [
+    "Flown",
+    "covered",
+    "distances",
+    "flown_of",
+    "inputs_of",
+    "residual_of",
+    "settled",
+    "statistic",
+    "whitened",
+    "windows_of",
+]
+
+_PERSISTENCE_S = 0.5
+"""As long the statistic stays above its threshold before it is an alarm: a gust's edge does not."""
+_SETTLING = 1.0
+"""Periods of the filter's corner after a gap that are not judged."""
+_REGIME_HZ = 0.5
+"""Airspeed and throttle are smoothed so far before they are compared with what was calibrated."""
+
+
+@dataclass(frozen=True, slots=True)
+class Flown:
+    """Smoothed airspeed, throttle, and lift over dynamic pressure; shape (n,) each."""
+
+    speed_m_s: FloatArray
+    throttle: FloatArray
+    lift_m_s2: FloatArray
+
+
+def flown_of(motion: Motion, reference_m_s: float) -> Flown:
+    """Under which conditions an aircraft flew."""
+    smooth = signal.butter(2, min(_REGIME_HZ, 0.4 * motion.rate_hz), fs=motion.rate_hz)
+
+    def low(values: FloatArray) -> FloatArray:
+        out: FloatArray = signal.lfilter(*smooth, values, zi=signal.lfilter_zi(*smooth) * values[0])[0]
+        return out
+
+    speed = low(motion.airspeed_m_s)
+    lift = low(-motion.accelerations_m_s2[2]) / np.maximum(speed / reference_m_s, 0.1) ** 2
+    return Flown(speed, low(motion.throttle), lift)
+
+
+def covered(regime: Regime, flown: Flown) -> dict[str, BoolArray]:
+    """Which samples are inside the calibrated regime, for each reason that a sample may be outside."""
+    return {
+        "airspeed": (flown.speed_m_s >= regime.airspeed_low_m_s) & (flown.speed_m_s <= regime.airspeed_high_m_s),
+        "throttle": flown.throttle >= regime.throttle_low,
+        "stall": flown.lift_m_s2 <= regime.lift_high_m_s2,
+    }
+
+
+def inputs_of(axis: AxisModel, motion: Motion, usable: BoolArray, reference_m_s: float) -> Inputs:
+    """Residual of an axis over one flight, and what a loss and an offset would leave in it."""
+    filtered = Filtered(motion, corner_hz=axis.corner_hz, reference_m_s=reference_m_s)
+    columns = FORMS[axis.form].regression(filtered).delayed(axis.delay_s, motion.rate_hz)
+    return whitened(residual_of(axis, columns, settled(axis, motion, usable)), axis.whitening)
+
+
+def residual_of(axis: AxisModel, columns: Regression, usable: BoolArray) -> Inputs:
+    """Residual of a form whose columns are there."""
+    moved = np.asarray(axis.others) @ columns.others + axis.offset * columns.offset
+    if FORMS[axis.form].inverse:
+        residual = moved - columns.command
+    else:
+        residual = columns.answer - axis.gain * columns.command - moved
+    return Inputs(residual, -axis.gain * columns.command, axis.gain * columns.offset, usable)
+
+
+def whitened(inputs: Inputs, coefficients: tuple[float, ...]) -> Inputs:
+    """Take what the past predicts of the residual out of everything."""
+    if not coefficients:
+        return inputs
+    taps = np.concatenate(([1.0], -np.asarray(coefficients)))
+    residual, loss, offset = (signal.lfilter(taps, [1.0], x) for x in (inputs.residual, inputs.loss, inputs.offset))
+    return Inputs(residual, loss, offset, inputs.usable)
+
+
+def settled(axis: AxisModel, motion: Motion, usable: BoolArray) -> BoolArray:
+    """What is usable, and not soon after a gap."""
+    settling = max(1, round(_SETTLING / axis.corner_hz * motion.rate_hz))
+    broken = ~motion.present
+    broken[0] = True
+    return usable & ~_soon_after(broken, settling)
+
+
+def _soon_after(events: BoolArray, samples: int) -> BoolArray:
+    last = np.maximum.accumulate(np.where(events, np.arange(events.size), -samples - 1))
+    near: BoolArray = np.arange(events.size) - last <= samples
+    return near
+
+
+def windows_of(axis: AxisModel, inputs: Inputs, rate_hz: float) -> list[Sliding]:
+    """Estimates in the windows of each length."""
+    return [sliding(inputs, spread.samples(rate_hz), axis.noise_var) for spread in axis.spreads]
+
+
+def distances(axis: AxisModel, inputs: Inputs, windows: list[Sliding], rate_hz: float) -> list[FloatArray]:
+    """J in the windows of each length."""
+    found = []
+    for estimates, spread in zip(windows, axis.spreads, strict=True):
+        window = spread.covariance
+        known = expected(inputs, spread.samples(rate_hz), axis.noise_var, window, window)
+        found.append(distance(estimates, known, window, loss_matters=axis.own_command))
+    return found
+
+
+def statistic(axis: AxisModel, inputs: Inputs, windows: list[Sliding], rate_hz: float) -> FloatArray:
+    """Largest J of all windows at each sample, as a multiple of the calibration's largest, after persistence."""
+    found = distances(axis, inputs, windows, rate_hz)
+    largest = np.max([j / spread.scale for j, spread in zip(found, axis.spreads, strict=True)], axis=0)
+    length = max(1, round(_PERSISTENCE_S * rate_hz))
+    kept: FloatArray = ndimage.minimum_filter1d(largest, length, origin=(length - 1) // 2, mode="constant", cval=0.0)
+    return kept

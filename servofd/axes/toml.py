@@ -1,0 +1,53 @@
+"""The ``[motion]`` table of an aircraft file."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from servofd.toml_text import toml_value
+
+if TYPE_CHECKING:
+    from servofd.axes.schema import MotionModel
+
+__all__ = ["motion_to_toml"]
+
+_COMMENTS = {
+    "rate_hz": "samples a second at which it is judged",
+    "reference_m_s": "airspeed at which the gains below hold",
+    "days": "of the calibration flights: the more, the fewer false alarms",
+    "explained": "share of the command's effect explained on days the model had not seen",
+    "own_command": "false: its command always was a copy of another axis'",
+    "suspect": "multiple of the largest statistic of the calibration flights",
+    "fault": "multiple that is exceeded wrongly once in a hundred hours",
+}
+
+
+def motion_to_toml(model: MotionModel) -> str:
+    """Text of the table, to stand at the end of an aircraft file.
+
+    Parameters
+    ----------
+    model : MotionModel
+        What was calibrated.
+    """
+    document = model.model_dump(exclude_none=True)
+    axes, regime = document.pop("axes"), document.pop("regime")
+    lines = [
+        "# What the aircraft's motion tells of its axes: fitted to healthy flights by servofd calibrate.",
+        "[motion]",
+    ]
+    lines += _lines(document)
+    lines += ["", "[motion.regime] # where the calibration flights were: nothing is judged outside", *_lines(regime)]
+    for name, axis in axes.items():
+        spreads = axis.pop("spreads")
+        lines += ["", f"[motion.axes.{name}]", *_lines(axis), "spreads = ["]
+        lines += [f"    {toml_value(spread)}," for spread in spreads]
+        lines += ["]"]
+    return "\n".join(lines) + "\n"
+
+
+def _lines(table: dict[str, Any]) -> list[str]:
+    return [
+        f"{key} = {toml_value(value)}" + (f" # {_COMMENTS[key]}" if key in _COMMENTS else "")
+        for key, value in table.items()
+    ]

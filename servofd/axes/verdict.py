@@ -1,0 +1,120 @@
+"""What was found on an axis, in data types that outputs can show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+if TYPE_CHECKING:
+    from servofd.axes.schema import AxisModel
+    from servofd.axes.windows import Inputs
+    from servofd.types import FloatArray
+
+__all__ = ["AxisAudit", "AxisEvent", "AxisStatus", "Between"]
+
+AxisStatus = Literal["healthy", "suspect", "fault", "unknown"]
+
+
+class Between(NamedTuple):
+    """An estimate and its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class AxisEvent:
+    """A time in which an axis did not answer as it should.
+
+    Parameters
+    ----------
+    start_s, alarm_s : float
+        Best estimate of the onset, and when it would have been told in flight [s].
+    end_s : float or None
+        When the axis answered again [s]; None if it never did.
+    score : float
+        Largest statistic, as a multiple of the calibration flights' largest.
+    lost_share : Between
+        lambda.
+    offset_us : Between
+        beta [us].
+    cause : str
+        Another axis whose event explains this one; empty if this is the cause.
+    """
+
+    start_s: float
+    alarm_s: float
+    end_s: float | None
+    score: float
+    lost_share: Between
+    offset_us: Between
+    cause: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AxisAudit:
+    """Verdict on one axis.
+
+    Parameters
+    ----------
+    axis : str
+        ``"roll"``, ``"pitch"``, ``"side"`` or ``"thrust"``.
+    status : {"healthy", "suspect", "fault", "unknown"}
+        `fault` only beyond the multiple of the threshold that the calibrated hours support.
+    reason : str
+        One sentence.
+    members : tuple of str
+        Surfaces that serve it; which of them failed cannot be told.
+    lost_share, offset_us : Between or None
+        Of the worst event; of the whole flight without one; None if nothing could be estimated.
+    events : tuple of AxisEvent
+        In order of time.
+    identifiable : float
+        Share of the flight in which lambda was known to less than +-0.3.
+    judged_share : float
+        Share of the flight inside the calibrated regime.
+    false_alarms_per_hour : float
+        To expect of this axis at its threshold.
+    time_s, score : ndarray, shape (n,)
+        Statistic over its threshold.
+    inputs : Inputs
+        Residual, and what a loss and an offset would leave in it.
+    model : AxisModel
+        By which it was judged.
+    """
+
+    axis: str
+    status: AxisStatus
+    reason: str
+    members: tuple[str, ...]
+    lost_share: Between | None
+    offset_us: Between | None
+    events: tuple[AxisEvent, ...]
+    identifiable: float
+    judged_share: float
+    false_alarms_per_hour: float
+    time_s: FloatArray
+    score: FloatArray
+    inputs: Inputs
+    model: AxisModel
+
+    @property
+    def is_expected(self) -> bool:
+        """Whether a verdict can be expected: not of a command that copies another, nor of the engine."""
+        return self.axis != "thrust" and self.model.own_command
+
+    @property
+    def asked(self) -> FloatArray:
+        """Effect of the command that the model expects, in the unit of its form."""
+        return -self.inputs.loss
+
+    @property
+    def shown(self) -> FloatArray:
+        """What the motion shows of it."""
+        return self.inputs.residual - self.inputs.loss
+
+    @property
+    def since_s(self) -> float | None:
+        """Onset of the first event that is the axis' own [s]."""
+        return next((event.start_s for event in self.events if not event.cause), None)

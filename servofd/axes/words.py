@@ -1,0 +1,133 @@
+"""What motion can and cannot tell of an axis, in one sentence."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from servofd.axes.schema import AxisModel, MotionModel
+    from servofd.axes.verdict import AxisEvent, AxisStatus, Between
+
+__all__ = ["named", "reason_of"]
+
+_SURFACES = {"roll": "ailerons", "pitch": "elevator", "side": "rudder", "thrust": "engine"}
+_OUTSIDE = {
+    "airspeed": "outside the calibrated airspeed ({low:.0f} to {high:.0f} m/s)",
+    "throttle": "at less throttle than the calibration flights",
+    "stall": "nearer to the stall than the calibration flights",
+}
+_HALF = 0.75
+_ALL = 0.25
+_OFTEN = 0.25
+_ENOUGH_DAYS = 3
+"""From which on another day changes the rate of false alarms by less than a half."""
+
+
+def named(members: Sequence[str], axis: str) -> str:
+    """Members of an axis as one would say them.
+
+    Examples
+    --------
+    >>> named(("aileron_left", "aileron_right"), "roll")
+    'aileron left/right'
+    >>> named((), "pitch")
+    'elevator'
+    """
+    if not members:
+        return _SURFACES[axis]
+    stems = {member.rsplit("_", 1)[0] for member in members}
+    if len(members) > 1 and len(stems) == 1 and all("_" in member for member in members):
+        return f"{stems.pop().replace('_', ' ')} {'/'.join(member.rsplit('_', 1)[1] for member in members)}"
+    return " or ".join(member.replace("_", " ") for member in members)
+
+
+def reason_of(
+    name: str,
+    status: AxisStatus,
+    model: MotionModel,
+    members: Sequence[str],
+    events: Sequence[AxisEvent],
+    identifiable: float,
+    outside: Mapping[str, float],
+    lost: Between | None,
+) -> str:
+    """One sentence for the verdict on an axis.
+
+    Parameters
+    ----------
+    name : str
+        The axis.
+    status : AxisStatus
+        The verdict.
+    model : MotionModel
+        What was calibrated.
+    members : sequence of str
+        Surfaces of the axis.
+    events : sequence of AxisEvent
+        What was found.
+    identifiable : float
+        Share of the flight in which the lost share was known.
+    outside : mapping of str to float
+        Share of the flight outside the calibrated regime, by reason; empty if the aircraft never flew.
+    lost : Between or None
+        Lost share of the whole flight.
+    """
+    axis = model.axes[name]
+    if any(not event.cause for event in events):
+        text = _failed(name, axis, members, [event for event in events if not event.cause])
+    elif events:
+        text = _moved(name, events[0])
+    elif status == "healthy" and lost is not None:
+        shown = f"lost share {lost.value:+.2f} [{lost.low:+.2f}, {lost.high:+.2f}]"
+        text = f"{shown}, known in {identifiable:.0%} of the flight"
+    else:
+        text = _untold(name, model, members, identifiable, outside)
+    if model.days >= _ENOUGH_DAYS:
+        return text
+    days = "one day" if model.days == 1 else f"{model.days} days"
+    return f"{text}; calibrated on {days}: about {axis.false_alarms_per_hour:.2g} false alarms an hour of this axis"
+
+
+def _failed(name: str, axis: AxisModel, members: Sequence[str], own: Sequence[AxisEvent]) -> str:
+    worst = max(own, key=lambda event: event.score)
+    ended = "" if worst.end_s is None else f" until {worst.end_s:.1f} s"
+    return f"{_loss(name, axis, members, worst)}, since {worst.start_s:.1f} s{ended}"
+
+
+def _moved(name: str, event: AxisEvent) -> str:
+    if {name, event.cause} == {"pitch", "thrust"}:
+        return f"engine or elevator since {event.start_s:.1f} s: the energy balance shows lost thrust as well"
+    return f"not judged from {event.start_s:.1f} s on: what happened to {event.cause} moves this axis too"
+
+
+def _untold(
+    name: str, model: MotionModel, members: Sequence[str], identifiable: float, outside: Mapping[str, float]
+) -> str:
+    if not outside:
+        return "the aircraft never flew"
+    most = max(outside, key=lambda reason: outside[reason])
+    if outside[most] > max(_OFTEN, 0.5 * (1.0 - identifiable)):
+        low, high = model.regime.airspeed_low_m_s, model.regime.airspeed_high_m_s
+        return f"{outside[most]:.0%} of the flight was {_OUTSIDE[most].format(low=low, high=high)}"
+    if not model.axes[name].own_command:
+        return f"{named(members, name)} never moved on its own: a surface that does not move would look the same"
+    return f"too little motion: in {1.0 - identifiable:.0%} of the flight a stuck surface would have looked the same"
+
+
+def _loss(name: str, axis: AxisModel, members: Sequence[str], event: AxisEvent) -> str:
+    surfaces = named(members, name)
+    lost = event.lost_share
+    if name == "thrust":
+        return f"thrust is missing ({lost.value:.0%} [{lost.low:.0%}, {lost.high:.0%}])"
+    if not axis.own_command:
+        return f"{surfaces} stands {event.offset_us.value:+.0f} us from where it was asked, or does not move"
+    share = f"lost {lost.value:.0%} [{lost.low:.0%}, {lost.high:.0%}] of its effect"
+    if lost.high < _ALL:
+        return f"{surfaces} acts as if it stood {event.offset_us.value:+.0f} us away"
+    if lost.value > _HALF or len(members) == 1:
+        return f"{surfaces} {share}, offset {event.offset_us.value:+.0f} us"
+    if name == "roll":
+        return f"{surfaces} {share}: one of them, or both at half effect; offset {event.offset_us.value:+.0f} us"
+    return f"{surfaces} {share}: one half, or all at part of the effect; offset {event.offset_us.value:+.0f} us"

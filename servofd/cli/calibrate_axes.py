@@ -1,0 +1,100 @@
+"""``servofd calibrate`` where servos report nothing: what the motion of good flights tells."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import argparse
+
+    from servofd.axes.schema import MotionModel
+
+__all__ = ["has_feedback", "run_axes"]
+
+_PER_HOUR = 1.0
+_BY_DAYS = "1 day: 17, 2: 6, 3: 1.5 times as many as after four"
+
+
+def has_feedback(paths: list[str]) -> bool:
+    """Whether any of the logs tells where a surface was."""
+    import logparsers
+    from servofd.errors import NoMeasurement
+    from servofd.workflow import aircraft_for
+
+    for path in paths:
+        for log in logparsers.read_all(path):
+            try:
+                aircraft_for(log)
+            except NoMeasurement:
+                continue
+            return True
+    return False
+
+
+def run_axes(options: argparse.Namespace, text: str = "") -> int:
+    """Calibrate axes, write them after what is known already, then print.
+
+    Parameters
+    ----------
+    options : Namespace
+        Of ``servofd calibrate``.
+    text : str
+        Aircraft file so far.
+    """
+    from servofd.axes.toml import motion_to_toml
+    from servofd.outputs.files import write_whole
+    from servofd.workflow import calibrate_axes
+
+    spans = tuple(options.between)
+    if options.until is not None:
+        spans = (*spans, (float("-inf"), options.until))
+    per_hour = _PER_HOUR if options.false_alarms_per_hour is None else options.false_alarms_per_hour
+    model = calibrate_axes(options.logs, false_alarms_per_hour=per_hour, spans=spans, own_days=options.own_days)
+    head = text or f'name = "{Path(options.output).stem}"\n'
+    write_whole(options.output, f"{head.rstrip()}\n\n{motion_to_toml(model)}".encode())
+    _print(model, options.output)
+    return 0
+
+
+def _print(model: MotionModel, output: str) -> None:
+    from servofd.cli.tables import print_table
+
+    rows = [
+        [
+            name,
+            axis.form.replace("_", " "),
+            f"{axis.explained:.0%}",
+            f"{axis.delay_s:.2f}",
+            f"{axis.spreads[-1].loss_var ** 0.5:.2f}",
+            f"{axis.spreads[-1].offset_var_us2 ** 0.5:.1f}",
+            f"{axis.suspect:.2g}",
+            "never" if axis.fault is None else f"{axis.fault:.2g}",
+            f"{axis.false_alarms_per_hour:.2g}",
+        ]
+        for name, axis in model.axes.items()
+    ]
+    headings = [
+        "axis",
+        "form",
+        "explained",
+        "delay (s)",
+        "lost share ±",
+        "offset ± (us)",
+        "suspect",
+        "fault",
+        "false/h",
+    ]
+    title = (
+        f"{model.flights} flights, {model.hours:.2f} h, {model.days} {'day' if model.days == 1 else 'days'}; "
+        "explained: on days not seen; ±: between healthy windows; levels: multiples of the largest seen"
+    )
+    print_table(headings, rows, title)
+    low, high = model.regime.airspeed_low_m_s, model.regime.airspeed_high_m_s
+    print(f"judged between {low:.0f} and {high:.0f} m/s, with at least {model.regime.throttle_low:.0%} throttle")
+    for name, axis in model.axes.items():
+        if not axis.own_command:
+            print(f"{name}: its command never moved on its own: fly a wiggle of it alone to have it judged")
+    if model.days < len(_BY_DAYS.split(",")) + 1:
+        print(f"thresholds allow for few days ({_BY_DAYS}): more days make them lower")
+    print(f"wrote {output}")

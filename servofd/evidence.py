@@ -1,0 +1,84 @@
+"""What a model has earned the right to say, and what a flight would have shown: the ground under every verdict."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, fields
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field
+
+__all__ = ["NAMED", "NOTHING_DETECTABLE", "Detectable", "ModelOrigin", "Origin"]
+
+Origin = Literal["calibrated", "named", "fitted", "none"]
+
+_SizeDeg = Annotated[float, Field(ge=0.0)]
+_Share = Annotated[float, Field(le=1.0)]
+
+
+class ModelOrigin(BaseModel):
+    """Where a servo's model comes from, and how well it predicts what it was not fitted to.
+
+    Examples
+    --------
+    >>> ModelOrigin(origin="fitted", held_out_rms_deg=0.05, explained_share=0.998).origin
+    'fitted'
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    origin: Origin = "named"
+    """``calibrated`` on good flights; ``named`` by the user; ``fitted`` to the very log; ``none`` predicts nothing."""
+    held_out_rms_deg: _SizeDeg | None = None
+    """Error of the prediction on what the model was not fitted to [deg]; None if that is not known."""
+    explained_share: _Share | None = None
+    """Share of the motion's power there that the model explains: 1 all of it, below 0 worse than no model."""
+
+
+NAMED = ModelOrigin()
+
+
+@dataclass(frozen=True, slots=True)
+class Detectable:
+    """The smallest fault of each kind that a log would have shown, 19 times in 20; None where none could be shown.
+
+    Parameters
+    ----------
+    bias_deg : float or None
+        Constant offset [deg].
+    slow_share : float or None
+        Share of its speed that the servo has left.
+    loss_share : float or None
+        Share of the travel that is lost.
+    deadband_deg : float or None
+        Full width of dead band or play [deg].
+    oscillation_deg : float or None
+        Amplitude of an oscillation [deg].
+
+    Examples
+    --------
+    >>> Detectable(bias_deg=0.8, loss_share=0.2).missing
+    ('slow_share', 'deadband_deg', 'oscillation_deg')
+    """
+
+    bias_deg: float | None = None
+    slow_share: float | None = None
+    loss_share: float | None = None
+    deadband_deg: float | None = None
+    oscillation_deg: float | None = None
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Kinds that this log could not have shown."""
+        return tuple(field.name for field in fields(self) if getattr(self, field.name) is None)
+
+    def document(self) -> dict[str, float | None]:
+        """As in JSON."""
+        return asdict(self)
+
+    @classmethod
+    def from_document(cls, document: dict[str, Any]) -> Self:
+        """What `document` gave; keys that are not known are left out."""
+        return cls(**{field.name: document.get(field.name) for field in fields(cls)})
+
+
+NOTHING_DETECTABLE = Detectable()

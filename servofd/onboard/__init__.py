@@ -1,0 +1,1 @@
+"""The surveillance as a Lua script that runs on an ArduPilot autopilot itself."""

@@ -1,0 +1,205 @@
+"""Curves over time for a page: vector graphics that fill any width, with text beside them that never shrinks.
+
+The curves stand in one ``<svg>`` per panel, stretched to whatever width there is; ticks, names and values are text of
+the page around it, so that a phone shows them as large as any other. A page is readable as it is; `chart.js` adds the
+value under the pointer, and a view from nearer.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servofd.outputs.sentence import clock
+
+if TYPE_CHECKING:
+    from servofd.types import FloatArray
+
+__all__ = ["HEIGHT", "WIDTH", "Chart", "Curve", "Mark", "Panel", "Span", "nice_ticks", "thinned"]
+
+WIDTH, HEIGHT = 4000, 1000
+"""Units of the drawing: four to a column of pixels of a wide screen, four to a row of a tall panel."""
+_TIME_STEPS_S = (0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 14400, 43200, 86400)
+_MOST_TIME_TICKS, _MOST_VALUE_TICKS = 6, 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Curve:
+    """One line of a panel; a value that is not finite interrupts it."""
+
+    name: str
+    """In the legend; empty for a line that belongs to the one before."""
+    role: str
+    """Class in `page.css`, which gives it its colour."""
+    time_s: FloatArray
+    values: FloatArray
+    holds: bool = False
+    """Whether each value lasts until the next."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Panel:
+    """Curves of one quantity."""
+
+    title: str
+    unit: str
+    curves: tuple[Curve, ...]
+    low: float
+    high: float
+
+    def top(self, value: float) -> float:
+        """Where a value stands, in percent from above."""
+        return 100.0 * (self.high - value) / (self.high - self.low)
+
+    @property
+    def ticks(self) -> list[tuple[float, str]]:
+        """Place [%] and text of each tick."""
+        return [(self.top(value), f"{value:g}") for value in nice_ticks(self.low, self.high, _MOST_VALUE_TICKS)]
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """A time that is shaded."""
+
+    role: str
+    start_s: float
+    end_s: float
+    label: str
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """An instant that is marked."""
+
+    role: str
+    time_s: float
+    label: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chart:
+    """Panels above each other, over the same time.
+
+    Examples
+    --------
+    >>> time_s = np.array([0.0, 1.0, 2.0])
+    >>> curve = Curve("residual", "residual", time_s, np.array([0.0, 0.5, np.nan]))
+    >>> panel = Panel("residual", "deg", (curve,), -1.0, 1.0)
+    >>> Chart("Residual", "What is left.", 0.0, 2.0, (panel,)).paths(panel)
+    [('residual', 'M0 500l2000-250')]
+    """
+
+    title: str
+    text: str
+    """What somebody must know who cannot see it."""
+    first_s: float
+    last_s: float
+    panels: tuple[Panel, ...]
+    spans: tuple[Span, ...] = ()
+    marks: tuple[Mark, ...] = ()
+    points: int = field(default=1200)
+    """Points drawn per curve, at most; the extremes of each column survive."""
+
+    def across(self, time_s: float) -> float:
+        """Where an instant stands, in units of the drawing from the left, within it."""
+        return round(min(max((time_s - self.first_s) / (self.last_s - self.first_s), 0.0), 1.0) * WIDTH)
+
+    @property
+    def ticks(self) -> list[tuple[float, str]]:
+        """Place [%] and text of each tick of the time axis."""
+        span_s = self.last_s - self.first_s
+        step_s = next((step for step in _TIME_STEPS_S if span_s / step <= _MOST_TIME_TICKS), span_s)
+        first = math.ceil(self.first_s / step_s - 1e-9)
+        last = math.floor(self.last_s / step_s + 1e-9)
+        times_s = [k * step_s for k in range(first, last + 1)]
+        return [
+            (100.0 * (time_s - self.first_s) / span_s, clock(time_s) if step_s >= 1 else f"{time_s:.1f} s")
+            for time_s in times_s
+        ]
+
+    @property
+    def legend(self) -> list[tuple[str, str]]:
+        """Role and name of each curve that has one."""
+        return list(dict.fromkeys((c.role, c.name) for panel in self.panels for c in panel.curves if c.name))
+
+    def paths(self, panel: Panel) -> list[tuple[str, str]]:
+        """Role and outline of each curve of a panel."""
+        return [(curve.role, self._path(curve, panel)) for curve in panel.curves]
+
+    def _path(self, curve: Curve, panel: Panel) -> str:
+        time_s, values = curve.time_s, curve.values
+        inside = slice(
+            max(int(np.searchsorted(time_s, self.first_s)) - 1, 0), int(np.searchsorted(time_s, self.last_s)) + 1
+        )
+        time_s, values = thinned(time_s[inside], values[inside], self.points)
+        if curve.holds:
+            end_s = max(self.last_s, float(time_s[-1])) if time_s.size else self.last_s
+            time_s = np.repeat(np.append(time_s, end_s), 2)[1:-1]
+            values = np.repeat(values, 2)
+        x = np.round((time_s - self.first_s) / (self.last_s - self.first_s) * WIDTH)
+        y = np.round((panel.high - values) / (panel.high - panel.low) * HEIGHT)
+        return _outline(x, np.clip(y, -HEIGHT, 2 * HEIGHT))
+
+
+def _outline(x: FloatArray, y: FloatArray) -> str:
+    """Path through whole numbers, in steps from point to point; broken where a value is missing."""
+    pieces = []
+    known = np.flatnonzero(np.isfinite(y))
+    for run in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1):
+        if run.size == 0:
+            continue
+        points = np.column_stack([x[run], y[run]]).astype(np.int64)
+        steps = np.diff(points, axis=0)
+        turning = np.ones(len(points), dtype=bool)
+        # A point on the straight line from its neighbour to its neighbour is not needed.
+        cross = steps[:-1, 0] * steps[1:, 1] - steps[:-1, 1] * steps[1:, 0]
+        forth = np.sum(steps[:-1] * steps[1:], axis=1) >= 0
+        turning[1:-1] = (cross != 0) | ~forth
+        kept = points[turning]
+        first, *moves = (
+            f"{x}{y}" if y < 0 else f"{x} {y}" for x, y in np.diff(kept, axis=0, prepend=[[0, 0]]).tolist()
+        )
+        pieces.append(f"M{first}l{' '.join(moves) or '0 0'}")
+    return "".join(pieces)
+
+
+def thinned(time_s: FloatArray, values: FloatArray, points: int) -> tuple[FloatArray, FloatArray]:
+    """Keep the smallest and the largest sample of each column, so that no spike is lost.
+
+    Parameters
+    ----------
+    time_s, values : ndarray, shape (n,)
+        A curve.
+    points : int
+        How many of it are left, at most.
+
+    Returns
+    -------
+    tuple of ndarray
+        All of it if it has no more points than that.
+    """
+    if time_s.size <= points:
+        return time_s, values
+    edges = np.linspace(0, time_s.size, points // 2 + 1).astype(int)[:-1]
+    missing = ~np.isfinite(values)
+    low = np.minimum.reduceat(np.where(missing, np.inf, values), edges)
+    high = np.maximum.reduceat(np.where(missing, -np.inf, values), edges)
+    empty = low > high
+    both = np.column_stack([np.where(empty, np.nan, low), np.where(empty, np.nan, high)]).ravel()
+    return np.repeat(time_s[edges], 2), both
+
+
+def nice_ticks(low: float, high: float, most: int) -> list[float]:
+    """Round numbers between two others.
+
+    Examples
+    --------
+    >>> nice_ticks(-3.2, 8.1, 4), nice_ticks(0.0, 1.0, 4)
+    ([0.0, 5.0], [0.0, 0.5, 1.0])
+    """
+    power = 10.0 ** math.floor(math.log10((high - low) / most))
+    step = next(power * k for k in (1, 2, 5, 10, 20) if (high - low) / (power * k) <= most)
+    return [k * step + 0.0 for k in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)]

@@ -1,0 +1,190 @@
+"""The verdict on a log in one plain sentence: the same in the terminal, on pages and in notebooks."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from servofd.axes.verdict import AxisAudit
+    from servofd.detection.bank.isolate import Fault
+    from servofd.detection.verdict import LogAudit, Status, SurfaceAudit
+    from servofd.evidence import Detectable
+
+__all__ = ["axes_sentence", "clock", "plain_rate", "seen", "sentence", "spoken", "whole_sentence", "worst"]
+
+_WORST_FIRST: tuple[Status, ...] = ("fault", "suspect", "healthy", "unknown", "no_data")
+_WHAT = {
+    "stuck": "JAMMED at {since} ({position_deg:+z.1f} deg)",
+    "bias": "OFF BY {bias_deg:+z.1f} deg since {since}",
+    "hardover": "RAN TO {position_deg:+z.0f} deg at {since} and stays there",
+    "floating": "FLOATS FREE since {since}",
+    "oscillation": "OSCILLATES since {since} (±{amplitude_deg:.1f} deg at {frequency_hz:.1f} Hz)",
+    "deadband": "IGNORES SMALL COMMANDS since {since} (play or dead band of {width_deg:.1f} deg)",
+    "slow": "TOO SLOW since {since}",
+    "loss_of_effectiveness": "MOVES ONLY {gain:.0%} of its command since {since}",
+    "unknown": "NOT WHERE IT SHOULD BE since {since}",
+}
+_MOST_NAMED = 2
+_RARE_PER_HOUR = 1e-6
+
+
+def worst(surfaces: Sequence[SurfaceAudit | AxisAudit]) -> Status:
+    """Worst status of the surfaces and axes that could be judged; of the others if none could.
+
+    Examples
+    --------
+    >>> from servofd.detection.verdict import SurfaceAudit
+    >>> worst([SurfaceAudit("flap", "no_data", "", "s9254", "constant", 1.5, True)])
+    'no_data'
+    """
+    statuses: set[Status] = {surface.status for surface in surfaces}
+    return next((status for status in _WORST_FIRST if status in statuses), "no_data")
+
+
+def sentence(surfaces: Sequence[SurfaceAudit]) -> str:
+    """What happened, and whether to fly.
+
+    Examples
+    --------
+    >>> from servofd.detection.verdict import SurfaceAudit
+    >>> rudder = SurfaceAudit("rudder", "healthy", "", "s9254", "constant", 1.5, True)
+    >>> flap = SurfaceAudit("flap", "no_data", "no position", "s9254", "constant", 1.5, True)
+    >>> sentence([rudder])
+    'Rudder followed its command.'
+    >>> sentence([rudder, flap])
+    'Rudder followed its command. No verdict on flap: no position.'
+    """
+    faulty = [s for s in surfaces if s.status == "fault"]
+    suspect = [s for s in surfaces if s.status == "suspect"]
+    healthy = [s for s in surfaces if s.status == "healthy"]
+    if faulty:
+        return f"{_faults(faulty)}. Do not fly."
+    if suspect:
+        return f"{_listed(suspect).upper()} SUSPECT: look at it before the next flight."
+    missing = _missing([s for s in surfaces if s.expected and not s.is_judged])
+    if not healthy:
+        return f"Could not tell. {missing or 'No surface could be judged.'}"
+    if len(healthy) == 1:
+        text = f"{spoken(healthy[0].surface).capitalize()} followed its command."
+    else:
+        text = f"All {len(healthy)} surfaces {'that could be judged ' if missing else ''}followed their commands."
+    return f"{text} {missing}".strip()
+
+
+def whole_sentence(audit: LogAudit) -> str:
+    """What happened to surfaces and axes, and whether to fly."""
+    parts = [sentence(audit.surfaces)] if audit.surfaces else []
+    return " ".join([*parts, *([axes_sentence(audit.axes)] if audit.axes else [])]) or sentence(())
+
+
+def axes_sentence(axes: Sequence[AxisAudit]) -> str:
+    """What motion tells of the axes."""
+    lost = [axis for axis in axes if axis.status in ("fault", "suspect")]
+    if lost:
+        named = "; ".join(f"{axis.axis.upper()}: {axis.reason}" for axis in lost)
+        return f"{named}. {'Do not fly.' if lost[0].status == 'fault' else 'Look at it before the next flight.'}"
+    healthy = [axis.axis for axis in axes if axis.status == "healthy"]
+    dark = [axis.axis for axis in axes if axis.status == "unknown" and axis.axis != "thrust"]
+    answered = f"{' and '.join(healthy).capitalize()} answered as on healthy days." if healthy else "Could not tell."
+    return f"{answered} No verdict on {', '.join(dark)}." if dark else answered
+
+
+def _faults(faulty: Sequence[SurfaceAudit]) -> str:
+    if len(faulty) > _MOST_NAMED:
+        return f"{len(faulty)} SERVOS AT FAULT: {_listed(faulty)}"
+    return "; ".join(f"{spoken(s.surface).upper()} {_what(_told(s.faults))}" for s in faulty)
+
+
+def _told(faults: Sequence[Fault]) -> Fault:
+    """The first fault that lasts to the end of the log; the first of all if every one has passed."""
+    return next((fault for fault in faults if fault.end_s is None), faults[0])
+
+
+def _what(fault: Fault) -> str:
+    values = {name: estimate.value for name, estimate in fault.parameters.items()}
+    if fault.kind == "slow" and "bandwidth_scale" in values:
+        return f"TOO SLOW since {clock(fault.start_s)} ({values['bandwidth_scale']:.0%} of its speed is left)"
+    form = _WHAT.get(fault.kind, _WHAT["unknown"])
+    try:
+        return form.format(since=clock(fault.start_s), **values)
+    except KeyError:  # a fault that was found without all of its parameters
+        return _WHAT["unknown"].format(since=clock(fault.start_s))
+
+
+def _missing(surfaces: Sequence[SurfaceAudit]) -> str:
+    if not surfaces:
+        return ""
+    reasons = dict.fromkeys(s.reason for s in surfaces)
+    return f"No verdict on {_listed(surfaces)}: {'; '.join(reasons)}."
+
+
+def _listed(surfaces: Sequence[SurfaceAudit]) -> str:
+    names = [spoken(s.surface) for s in surfaces]
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def spoken(name: str) -> str:
+    """Name of a surface, a status or a fault as it is read aloud.
+
+    Examples
+    --------
+    >>> spoken("aileron_left")
+    'aileron left'
+    """
+    return name.replace("_", " ")
+
+
+def seen(detectable: Detectable) -> str:
+    """The smallest faults that a flight would have shown; empty if it would have shown none.
+
+    Examples
+    --------
+    >>> from servofd.evidence import Detectable
+    >>> seen(Detectable(bias_deg=0.8, loss_share=0.2))
+    'would have seen 0.8 deg, -20 % travel'
+    >>> seen(Detectable(bias_deg=0.8, slow_share=0.5, oscillation_deg=0.42))
+    'would have seen 0.8 deg, -50 % speed, ±0.4 deg of oscillation'
+    """
+    sizes = [
+        None if detectable.bias_deg is None else f"{detectable.bias_deg:.1f} deg",
+        None if detectable.loss_share is None else f"-{detectable.loss_share:.0%} travel",
+        None if detectable.slow_share is None else f"-{1.0 - detectable.slow_share:.0%} speed",
+        None if detectable.deadband_deg is None else f"{detectable.deadband_deg:.1f} deg of play",
+        None if detectable.oscillation_deg is None else f"±{detectable.oscillation_deg:.1f} deg of oscillation",
+    ]
+    known = [size.replace("%", " %") for size in sizes if size is not None]
+    return f"would have seen {', '.join(known)}" if known else ""
+
+
+def clock(time_s: float) -> str:
+    """A time of the log as its minutes and seconds.
+
+    Examples
+    --------
+    >>> clock(5.01), clock(3725.0), clock(-2.0)
+    ('0:05', '1:02:05', '-0:02')
+    """
+    seconds = round(abs(time_s))
+    hours, minutes, rest = seconds // 3600, seconds // 60 % 60, seconds % 60
+    text = f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
+    return f"-{text}" if time_s <= -0.5 else text
+
+
+def plain_rate(per_hour: float) -> str:
+    """How often something happens, as somebody would say it who does not count in powers of ten.
+
+    Examples
+    --------
+    >>> plain_rate(1e-100), plain_rate(2e-4), plain_rate(0.5), plain_rate(12.0)
+    ('less than one in a million hours', 'one in 5,000 hours', 'one in 2 hours', '12 an hour')
+    """
+    if per_hour < _RARE_PER_HOUR:
+        return "less than one in a million hours"
+    if per_hour < 1.0:
+        hours = 1.0 / per_hour
+        digits = 1 if hours >= 10.0 else 0
+        scale = 10.0 ** (len(str(int(hours))) - 1 - digits)
+        return f"one in {round(hours / scale) * scale:,.0f} hours"
+    return f"{per_hour:.2g} an hour"

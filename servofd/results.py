@@ -1,0 +1,527 @@
+"""The verbs as functions for a notebook: results that show themselves, and become a table, a figure or a page."""
+
+from __future__ import annotations
+
+import io
+from abc import ABC, abstractmethod
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+from servofd import bench, workflow
+from servofd.calibrating.result import Calibration
+from servofd.detection.verdict import LogAudit, SurfaceAudit
+from servofd.errors import ConfigError, UnknownName, needs, suggest
+from servofd.identification.identify import identify as identify_records
+from servofd.identification.result import Identification
+from servofd.outputs.files import write_whole
+from servofd.outputs.sentence import spoken, whole_sentence, worst
+from servofd.segment import Segment
+from servofd.wear.trend import AircraftTrend, trend_logs
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+    from servofd.aircraft import Aircraft
+    from servofd.calibrating.flights import Span
+    from servofd.detection.threshold import ThresholdKind
+    from servofd.identification.identify import Method
+
+__all__ = ["Audit", "Audits", "Calibrated", "Identified", "Shown", "Trend", "audit", "calibrate", "identify", "trend"]
+
+
+class Shown(ABC):
+    """A result that a notebook shows, and that becomes a table or a page."""
+
+    __slots__ = ()
+
+    @property
+    @abstractmethod
+    def sentence(self) -> str:
+        """What it comes to, in a sentence."""
+
+    @property
+    @abstractmethod
+    def status(self) -> str:
+        """``healthy``, ``suspect``, ``fault``, ``unknown`` or ``no_data``: which colour it has."""
+
+    @abstractmethod
+    def to_html(self) -> str:
+        """Text of its page."""
+
+    @abstractmethod
+    def _rows(self) -> list[dict[str, Any]]:
+        """One for each surface or quantity."""
+
+    @abstractmethod
+    def _facts(self) -> str:
+        """Where it comes from."""
+
+    @classmethod
+    def _of(cls, found: Any) -> Self:  # noqa: ANN401 - the data type that it extends
+        return cls(**{field.name: getattr(found, field.name) for field in fields(found)})
+
+    def to_pandas(self) -> pd.DataFrame:
+        """One row for each surface or quantity."""
+        import pandas as pd
+
+        return pd.DataFrame(self._rows())
+
+    def save_html(self, path: str | Path) -> Path:
+        """Write its page, and give the path.
+
+        Raises
+        ------
+        ConfigError
+            If it cannot be written.
+        """
+        write_whole(path, self.to_html().encode())
+        return Path(path)
+
+    def __repr__(self) -> str:
+        """Short: one line, and one for each surface or quantity."""
+        rows = [list(map(str, list(row.values())[:_SHORT])) for row in self._rows()]
+        widths = [max((len(row[k]) for row in rows), default=0) for k in range(len(rows[0]) if rows else 0)]
+        lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+        head = f"{type(self).__name__}: {self.sentence} ({self._facts()})"
+        return "\n".join([head, *(f"  {line}" for line in lines)])
+
+    def _repr_html_(self) -> str:
+        from servofd.outputs.page import page
+
+        rows = self._rows()
+        return page(
+            "cell.html",
+            status=self.status,
+            sentence=self.sentence,
+            facts=self._facts(),
+            head=[spoken(name) for name in (rows[0] if rows else ())][:_SHOWN],
+            rows=[["" if value is None else value for value in row.values()][:_SHOWN] for row in rows],
+        )
+
+
+_SHORT, _SHOWN = 3, 6
+"""Columns of a row in a terminal, and in a notebook."""
+
+
+class Audit(LogAudit, Shown):
+    """Verdicts on the surfaces of one run of a log.
+
+    A loop over it gives itself, so that a loop over `audit` need not know whether a log holds runs.
+    """
+
+    __slots__ = ()
+    __repr__ = Shown.__repr__
+
+    def __iter__(self) -> Iterator[Self]:
+        """Itself, once."""
+        return iter((self,))
+
+    def __getitem__(self, surface: str) -> SurfaceAudit:
+        """Verdict on one surface."""
+        found = {one.surface: one for one in self.surfaces}
+        if surface not in found:
+            raise UnknownName(suggest("surface", surface, found))
+        return found[surface]
+
+    @property
+    def sentence(self) -> str:
+        """What happened, and whether to fly."""
+        return whole_sentence(self)
+
+    @property
+    def status(self) -> str:
+        """Worst status of the surfaces that could be judged."""
+        return worst((*self.surfaces, *self.axes))
+
+    def to_html(self) -> str:
+        """Text of the page that ``servofd LOG`` writes."""
+        from servofd.outputs.audit_page import audit_page
+
+        return audit_page([self])
+
+    def to_dict(self) -> dict[str, Any]:
+        """As in JSON, schema servofd.audit/1."""
+        from servofd.outputs.json_report import audit_document
+
+        return audit_document([self])
+
+    def series(self, surface: str) -> pd.DataFrame:
+        """Measured and simulated deflection, residual and threshold of one surface, over time; all in degrees."""
+        import pandas as pd
+
+        one = self[surface]
+        if one.residuals is None or one.threshold is None:
+            raise ConfigError(f"{surface}: no residual: {one.reason}")
+        return pd.DataFrame(
+            {
+                "measured_deg": one.residuals.measured_deg,
+                "simulated_deg": one.residuals.simulated_deg,
+                "residual_deg": one.residuals.residual_deg,
+                "threshold_deg": one.threshold.level_deg,
+                "judged": one.residuals.settled,
+            },
+            index=pd.Index(one.residuals.time_s, name="time_s"),
+        )
+
+    def plot(self, surface: str | None = None) -> Figure:
+        """Figure of one surface; of the worst that could be judged if none is named."""
+        needs("matplotlib")
+        from servofd.outputs.figure import audit_figure
+
+        drawn = [one for one in self.surfaces if one.residuals is not None and one.threshold is not None]
+        if surface is None and not drawn:
+            raise ConfigError(f"nothing to draw: {self.sentence}")
+        chosen = self[surface] if surface is not None else min(drawn, key=lambda one: _WORST_FIRST.index(one.status))
+        return audit_figure(chosen)
+
+    def _rows(self) -> list[dict[str, Any]]:
+        return [_row(one) for one in self.surfaces] + [
+            {"surface": axis.axis, "status": axis.status, "reason": axis.reason} for axis in self.axes
+        ]
+
+    def _facts(self) -> str:
+        return f"{Path(self.log.label).name}, {self.log.format}, {self.log.duration_s:.1f} s"
+
+
+_WORST_FIRST = ("fault", "suspect", "unknown", "healthy", "no_data")
+
+
+def _row(one: SurfaceAudit) -> dict[str, Any]:
+    first = next(iter((*one.faults, *one.suspicions)), None)
+    return {
+        "surface": one.surface,
+        "status": one.status,
+        "reason": one.reason,
+        "kind": first.kind if first else None,
+        "start_s": first.start_s if first else None,
+        "alarm_s": first.alarm_s if first else None,
+        "end_s": first.end_s if first else None,
+        "probability": first.probability if first else None,
+        "servo": one.servo,
+        "model": one.model.origin,
+        "judged_share": one.judged_share,
+        "threshold_deg": one.threshold_deg,
+        "max_abs_deg": one.statistics.max_abs_deg if one.statistics else None,
+        **{f"detectable_{name}": size for name, size in one.detectable.document().items()},
+    }
+
+
+class Audits(tuple[Audit, ...]):
+    """The runs of one log, each with its verdicts."""
+
+    __slots__ = ()
+
+    def __repr__(self) -> str:
+        """One result after the other."""
+        return "\n".join(map(repr, self))
+
+    def _repr_html_(self) -> str:
+        return "".join(one._repr_html_() for one in self)
+
+    def to_pandas(self) -> pd.DataFrame:
+        """One row for each run and surface."""
+        import pandas as pd
+
+        return pd.DataFrame([{"run": one.log.run} | row for one in self for row in one._rows()])
+
+    def save_html(self, path: str | Path) -> Path:
+        """Write the page of all runs, and give the path."""
+        from servofd.outputs.audit_page import audit_page
+
+        write_whole(path, audit_page(self).encode())
+        return Path(path)
+
+
+def audit(
+    log: str | Path | pd.DataFrame,
+    aircraft: Aircraft | str | Path | None = None,
+    *,
+    servo: str | None = None,
+    threshold_deg: float | None = None,
+    threshold: ThresholdKind | None = None,
+    surfaces: tuple[str, ...] = (),
+) -> Audit | Audits:
+    """Judge every surface of a log.
+
+    Parameters
+    ----------
+    log : str, Path or DataFrame
+        The log; or a table with ``time_s`` (a column, or the index) and, for each surface, ``<surface>_cmd_deg`` and
+        ``<surface>_pos_deg``.
+    aircraft : Aircraft, str or Path, optional
+        An aircraft, its file, or the name of one that comes with servofd; what the log itself says if left out.
+    servo : str, optional
+        Servo to assume for all surfaces: a name of the library, or a servo file.
+    threshold_deg : float, optional
+        Constant alarm level for all surfaces [deg].
+    threshold : {"constant", "interval"}, optional
+        Kind of threshold for all surfaces.
+    surfaces : tuple of str
+        Which to judge; all if empty.
+
+    Returns
+    -------
+    Audit or Audits
+        One result; of a log that holds several runs one for each.
+
+    Raises
+    ------
+    LogError
+        If the log is of no use.
+    ServofdError
+        If the aircraft is not what it should be, or a name is unknown.
+
+    Examples
+    --------
+    >>> found = audit("sample_logs/faser_stuck_flight.mat", surfaces=("elevator", "rudder"))
+    >>> found.sentence
+    'ELEVATOR JAMMED at 0:05 (-0.2 deg). Do not fly.'
+    >>> found.to_pandas()[["surface", "status"]].values.tolist()
+    [['elevator', 'fault'], ['rudder', 'healthy']]
+    """
+    results = workflow.audit(
+        _readable(log), aircraft, servo=servo, threshold_deg=threshold_deg, threshold=threshold, surfaces=surfaces
+    )
+    found = [Audit._of(result) for result in results]
+    return found[0] if len(found) == 1 else Audits(found)
+
+
+def _readable(log: str | Path | pd.DataFrame) -> Any:  # noqa: ANN401 - whatever the readers take
+    """A table as the bytes of a file; a path as it is."""
+    if isinstance(log, str | Path):
+        return log
+    table = log.reset_index() if log.index.name == "time_s" else log
+    return io.BytesIO(table.to_csv(index=False).encode())
+
+
+class Identified(Identification, Shown):
+    """A servo, how sure its numbers are, and the evidence."""
+
+    __slots__ = ()
+    __repr__ = Shown.__repr__
+
+    @property
+    def sentence(self) -> str:
+        """What was identified."""
+        from servofd.outputs.identify_page import sentence_of
+
+        return f"{spoken(self.surface)}: {sentence_of(self)}"
+
+    @property
+    def status(self) -> str:
+        """An identification has no verdict."""
+        return "no_data"
+
+    def to_html(self) -> str:
+        """Text of the page that ``servofd identify --html`` writes."""
+        needs("matplotlib")
+        from servofd.outputs.identify_page import identify_page
+
+        return identify_page(self, self._facts())
+
+    def plot(self) -> Figure:
+        """Figure of the frequency response, or of the motion where there is none."""
+        needs("matplotlib")
+        from servofd.outputs.identify_figures import identify_figures
+
+        return identify_figures(self)[0].figure
+
+    def _rows(self) -> list[dict[str, Any]]:
+        from servofd.outputs.identify_page import identified
+
+        return [dict(zip(("quantity", "value", "interval"), row, strict=True)) for row in identified(self)]
+
+    def _facts(self) -> str:
+        return f"{len(self.runs)} {'test' if len(self.runs) == 1 else 'tests'}"
+
+
+def identify(
+    tests: str | Path | Sequence[str | Path] | Segment | Sequence[Sequence[Segment]],
+    aircraft: Aircraft | None = None,
+    *,
+    surface: str | None = None,
+    method: Method = "response",
+    order: int | None = None,
+) -> Identified:
+    """Identify a servo from chirps, steps or other motion.
+
+    Parameters
+    ----------
+    tests : str, Path, Segment, or sequence of them
+        Logs of bench tests, or what was asked of a servo and what it did.
+    aircraft : Aircraft, optional
+        Which channels they are, of logs that do not say.
+    surface : str, optional
+        Which surface of the logs.
+    method : {"response", "motion", "magnitude"}
+        As of ``servofd identify --method``.
+    order : int, optional
+        Number of poles; as many as the data tell if None.
+
+    Raises
+    ------
+    IdentificationError
+        If a test does not show what a servo is like.
+
+    Examples
+    --------
+    >>> found = identify("sample_logs/faser_healthy_chirp.mat", surface="aileron_right")
+    >>> found.servo.linear.order
+    3
+    """
+    if isinstance(tests, str | Path):
+        return identify([tests], aircraft, surface=surface, method=method, order=order)
+    if isinstance(tests, Segment):
+        return Identified._of(identify_records(tests, method=method, order=order))
+    paths = [one for one in tests if isinstance(one, str | Path)]
+    if paths:
+        return Identified._of(bench.identify_logs(paths, aircraft, surface=surface, method=method, order=order))
+    records = [one for one in tests if not isinstance(one, str | Path)]
+    return Identified._of(identify_records(records, method=method, order=order))
+
+
+class Calibrated(Calibration, Shown):
+    """An aircraft calibrated from good flights."""
+
+    __slots__ = ()
+    __repr__ = Shown.__repr__
+
+    @property
+    def sentence(self) -> str:
+        """What was calibrated."""
+        kept = f"; left as they were: {', '.join(map(spoken, self.kept))}" if self.kept else ""
+        return f"{', '.join(spoken(one.surface) for one in self.surfaces) or 'nothing'}{kept}"
+
+    @property
+    def status(self) -> str:
+        """Healthy if every surface was calibrated."""
+        return "unknown" if self.kept else "healthy"
+
+    def to_toml(self) -> str:
+        """The aircraft file, with its comments."""
+        from servofd.calibrating.toml import calibration_to_toml
+
+        return calibration_to_toml(self)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the aircraft file, and give the path."""
+        write_whole(path, self.to_toml().encode())
+        return Path(path)
+
+    def to_html(self) -> str:
+        """The table as a page."""
+        from servofd.outputs.page import page
+
+        rows = [list(row.values()) for row in self._rows()]
+        return page(
+            "table.html",
+            status=self.status,
+            sentence=self.sentence,
+            facts=self._facts(),
+            caption="Surfaces",
+            head=[spoken(name) for name in next(iter(self._rows()), {"surface": ""})],
+            rows=rows,
+        )
+
+    def _rows(self) -> list[dict[str, Any]]:
+        return [
+            {
+                "surface": one.surface,
+                "flights": ", ".join(record.label for record in one.flights),
+                "notes": "; ".join(one.notes),
+            }
+            for one in self.surfaces
+        ]
+
+    def _facts(self) -> str:
+        return f"{self.false_alarms_per_hour:g} false alarms an hour wanted"
+
+
+def calibrate(
+    logs: str | Path | Sequence[str | Path],
+    aircraft: Aircraft | str | Path,
+    *,
+    false_alarms_per_hour: float = 1e-3,
+    surfaces: tuple[str, ...] = (),
+    spans: tuple[Span, ...] = (),
+    runs: tuple[str, ...] = (),
+) -> Calibrated:
+    """Calibrate an aircraft on flights that are known to be good; parameters as of `servofd.workflow.calibrate`.
+
+    Examples
+    --------
+    >>> found = calibrate("sample_logs/faser_healthy_flight.mat", "faser", surfaces=("elevator",))
+    >>> "[surfaces.elevator" in found.to_toml()
+    True
+    """
+    paths = [logs] if isinstance(logs, str | Path) else logs
+    found = workflow.calibrate(
+        paths, aircraft, false_alarms_per_hour=false_alarms_per_hour, surfaces=surfaces, spans=spans, runs=runs
+    )
+    return Calibrated._of(found)
+
+
+class Trend(AircraftTrend, Shown):
+    """All surfaces of one aircraft over its flights."""
+
+    __slots__ = ()
+    __repr__ = Shown.__repr__
+
+    @property
+    def sentence(self) -> str:
+        """Which limit is exceeded or in sight."""
+        from servofd.outputs.trend_page import verdict
+
+        return verdict(self._document())
+
+    @property
+    def status(self) -> str:
+        """Suspect if any limit is exceeded or in sight."""
+        return "suspect" if self.has_alarm else "healthy"
+
+    def to_html(self) -> str:
+        """Text of the page that ``servofd trend --html`` writes."""
+        from servofd.outputs.trend_page import trend_page
+
+        return trend_page(self._document())
+
+    def _document(self) -> dict[str, Any]:
+        from servofd.wear.document import trend_document
+
+        return trend_document(self)
+
+    def _rows(self) -> list[dict[str, Any]]:
+        from servofd.outputs.trend_page import quantity_row
+
+        names = ("quantity", "now", "per_flight", "limit", "forecast")
+        return [
+            {"surface": name} | dict(zip(names, quantity_row(one), strict=True))
+            for name, surface in self._document()["surfaces"].items()
+            for one in surface["quantities"].values()
+        ]
+
+    def _facts(self) -> str:
+        return f"{len(self._document()['flights'])} flights, {self.order.reason}"
+
+
+def trend(
+    logs: str | Path | Sequence[str | Path],
+    aircraft: Aircraft | str | Path,
+    *,
+    surfaces: tuple[str, ...] = (),
+    workers: int | None = None,
+) -> Trend:
+    """Follow the servos of one aircraft over many flights; parameters as of `servofd.wear.trend.trend_logs`.
+
+    Examples
+    --------
+    >>> seen = trend("sample_logs/faser_healthy_flight.mat", "faser", surfaces=("rudder",), workers=0)
+    >>> seen.sentence
+    'No limit is exceeded or in sight.'
+    """
+    paths = [logs] if isinstance(logs, str | Path) else logs
+    return Trend._of(trend_logs(paths, aircraft, surfaces=surfaces, workers=workers))

@@ -1,0 +1,129 @@
+"""One log of the page, judged in a process of its own: verdict, page and recording go to a folder."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+from logparsers import LogError
+from servofd.errors import ServofdError
+from servofd.outputs.audit_page import audit_page
+from servofd.outputs.files import make_folder, write_whole
+from servofd.outputs.json_report import FailedLog, audit_document, to_json
+from servofd.outputs.sentence import whole_sentence, worst
+from servofd.workflow import audit
+
+if TYPE_CHECKING:
+    from servofd.detection.verdict import LogAudit
+    from servofd.fleet.key import Job
+
+__all__ = ["AUDIT", "PAGE", "RECORDING", "SUMMARY", "Summary", "judge"]
+
+AUDIT, PAGE, RECORDING, SUMMARY = "audit.json", "page.html", "recording.rrd", "summary.json"
+"""What the folder of a flight holds; the summary is written last."""
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """A judged log in the list of flights."""
+
+    status: str
+    sentence: str
+    duration_s: float | None = None
+    start_utc: str | None = None
+    surface: str = ""
+    outline: tuple[float | None, ...] = ()
+    alarm_s: float | None = None
+    """When the first alarm would have been raised [s]."""
+    key: str = ""
+    """Of the `servofd.fleet.key.Job` that judged it."""
+
+    @classmethod
+    def read(cls, folder: Path) -> Self | None:
+        """Summary in the folder of a flight; None if there is none that can be read."""
+        try:
+            known = json.loads((folder / SUMMARY).read_text())
+            return cls(**known | {"outline": tuple(known["outline"])})
+        except (OSError, ValueError, TypeError, KeyError):
+            return None
+
+
+def judge(log: str, folder: str, job: Job) -> Summary:
+    """Judge a log, and write what was found; what is wrong with the log is part of the result.
+
+    Parameters
+    ----------
+    log : str
+        The file.
+    folder : str
+        Where its results go; made if it is not there. None of them tells where the log lies.
+    job : Job
+        What to judge it with.
+
+    Returns
+    -------
+    Summary
+        Also written into the folder.
+    """
+    target = Path(folder)
+    make_folder(target)
+    results = _judged(log, job)
+    document = json.loads(
+        to_json(audit_document(results)).replace(json.dumps(log)[1:-1], json.dumps(Path(log).name)[1:-1])
+    )
+    write_whole(target / AUDIT, (json.dumps(document, indent=2) + "\n").encode())
+    write_whole(target / PAGE, audit_page(results).encode())
+    audits = [result for result in results if not isinstance(result, FailedLog)]
+    if audits and find_spec("rerun") is not None:
+        from servofd.outputs.recording import save_recording
+
+        save_recording(audits[0], target / RECORDING)
+    summary = _summary(results, document["logs"], job)
+    write_whole(target / SUMMARY, json.dumps(asdict(summary)).encode())
+    return summary
+
+
+def _judged(log: str, job: Job) -> list[LogAudit | FailedLog]:
+    results: list[LogAudit | FailedLog] = []
+    options: dict[str, Any] = {"servo": job.servo, "threads": 1}  # flights are judged side by side already
+    try:
+        results.extend(audit(log, job.aircraft, **options))
+    except (LogError, ServofdError) as error:
+        results.append(FailedLog(log, str(error)))
+    except MemoryError:
+        results.append(FailedLog(log, f"{log}: does not fit into the memory of this machine"))
+    return results
+
+
+def _summary(results: list[LogAudit | FailedLog], documents: list[dict[str, Any]], job: Job) -> Summary:
+    """Of several runs the worst."""
+    ranks = ("fault", "suspect", "unknown", "no_data", "healthy")
+    judged = [
+        (ranks.index(worst((*result.surfaces, *result.axes))), result, document)
+        for result, document in zip(results, documents, strict=True)
+        if not isinstance(result, FailedLog)
+    ]
+    if not judged:
+        error = str(documents[0]["error"])
+        return Summary("unknown", f"Could not be read: {error.partition(': ')[2] or error}", key=job.key)
+    _, shown, document = min(judged, key=lambda one: one[0])
+    faults = [fault.alarm_s for surface in shown.surfaces for fault in surface.faults]
+    entries = {name: entry for name, entry in document["surfaces"].items() if entry["residual"]}
+    name = max(entries, key=lambda surface: _share(entries[surface]), default="")
+    return Summary(
+        worst((*shown.surfaces, *shown.axes)),
+        whole_sentence(shown),
+        document["duration_s"],
+        document["start_utc"],
+        name,
+        tuple(entries[name]["residual"]["outline"]) if name else (),
+        min(faults, default=None),
+        job.key,
+    )
+
+
+def _share(entry: dict[str, Any]) -> float:
+    return float((entry["residual"]["max_abs_deg"] or 0.0) / (entry["threshold"]["deg"] or 1.0))

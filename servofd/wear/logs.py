@@ -1,0 +1,146 @@
+"""From logs to estimates: one task per log, done side by side, and the order in which the logs were flown."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+import logparsers
+from logparsers import LogError
+from servofd.errors import ConfigError, ServofdError
+from servofd.fleet.fetch import fetched
+from servofd.segment import cut
+from servofd.wear.estimate import estimate_flight
+from servofd.wear.records import FlightEstimate
+from servofd.workflow import layout_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from datetime import datetime
+
+    from logparsers import FlightLog
+    from servofd.aircraft import Aircraft
+    from servofd.fleet.find import LogSource
+    from servofd.segment import Segment
+
+__all__ = ["FlownLog", "Order", "check_one_aircraft", "estimate_log", "in_order"]
+
+_VOLTAGES = ("servo_voltage_v", "POWR.Vservo")
+_SYSTEM_IDS = ("MAV_SYSID", "SYSID_THISMAV")
+
+
+@dataclass(frozen=True, slots=True)
+class FlownLog:
+    """One run of one log: what it tells of each surface."""
+
+    path: str
+    run: str
+    start_utc: datetime | None
+    identity: str
+    """What the log says of the vehicle it comes from; empty if nothing."""
+    flights: tuple[FlightEstimate, ...]
+    problems: tuple[str, ...]
+    """Why it tells nothing of some surfaces, a line each."""
+
+
+class Order(NamedTuple):
+    """Logs in the order in which they were flown, and how that is known."""
+
+    logs: tuple[FlownLog, ...]
+    by: str
+    """``time`` or ``name``."""
+    reason: str
+
+
+def estimate_log(source: LogSource, aircraft: Aircraft, surfaces: tuple[str, ...] = ()) -> tuple[FlownLog, ...]:
+    """Estimate every surface of a log; one result for each run; what cannot be read becomes a problem.
+
+    Examples
+    --------
+    >>> from servofd.aircraft import load_aircraft
+    >>> from servofd.fleet.find import LogSource
+    >>> (log,) = estimate_log(LogSource("sample_logs/faser_healthy_flight.mat", 0), load_aircraft("faser"))
+    >>> log.flights[0].surface, log.flights[0].values["dead_band_deg"].value < 0.2
+    ('elevator', True)
+    """
+    try:
+        with fetched(source.path) as local:
+            logs = logparsers.read_all(local, layout_of(aircraft))
+            return tuple(_of_run(log, source.path, aircraft, surfaces) for log in logs)
+    except (LogError, ServofdError, OSError) as error:
+        return (FlownLog(source.path, "", None, "", (), (str(error).removeprefix(f"{source.path}: "),)),)
+
+
+def _of_run(log: FlightLog, path: str, aircraft: Aircraft, surfaces: tuple[str, ...]) -> FlownLog:
+    flights, problems = [], []
+    for name in surfaces or aircraft.surfaces:
+        entry = aircraft.surfaces[name]
+        if entry.measured is None:
+            continue
+        try:
+            segment = cut(log, name, entry)
+            told = estimate_flight(segment, aircraft, _voltage_v(log, segment))
+        except ServofdError as error:
+            problems.append(f"{name}: {error}")
+            continue
+        flights.append(FlightEstimate(path, log.run, name, log.start_utc, log.duration_s, *told))
+    return FlownLog(path, log.run, log.start_utc, _identity(log), tuple(flights), tuple(problems))
+
+
+def _voltage_v(log: FlightLog, segment: Segment) -> float | None:
+    """Mean supply voltage during the flight [V]; None if it was not logged."""
+    for name in _VOLTAGES:
+        if name in log.channels:
+            channel = log[name]
+            during = (channel.time_s >= segment.measured_s[0]) & (channel.time_s <= segment.measured_s[-1])
+            volts = channel.values[during & np.isfinite(channel.values)]
+            if volts.size and float(np.mean(volts)) > 0.0:
+                return float(np.mean(volts))
+    return None
+
+
+def _identity(log: FlightLog) -> str:
+    number = next((f"{log.parameters[name]:.0f}" for name in _SYSTEM_IDS if name in log.parameters), "")
+    return ", ".join(filter(None, (log.vehicle, f"system {number}" if number else "")))
+
+
+def check_one_aircraft(logs: Iterable[FlownLog]) -> None:
+    """Refuse logs that say they come from different vehicles.
+
+    Raises
+    ------
+    ConfigError
+        Naming one log of each.
+    """
+    first: dict[str, str] = {}
+    for log in logs:
+        if log.identity:
+            first.setdefault(log.identity, log.path)
+    if len(first) > 1:
+        told = "; ".join(f"{path}: {identity}" for identity, path in list(first.items())[:3])
+        raise ConfigError(f"these logs come from {len(first)} vehicles, a trend follows one: {told}")
+
+
+def in_order(logs: Sequence[FlownLog]) -> Order:
+    """By when they were flown, if all of them tell; else by name, numbers in it by their size.
+
+    Examples
+    --------
+    >>> some = [FlownLog(f"f{k}.csv", "", None, "", (), ()) for k in (10, 9)]
+    >>> [log.path for log in in_order(some).logs], in_order(some).by
+    (['f9.csv', 'f10.csv'], 'name')
+    """
+    silent = [log for log in logs if log.start_utc is None]
+    if not silent:
+        ordered = sorted(logs, key=lambda log: (log.start_utc.timestamp() if log.start_utc else 0.0, log.path))
+        return Order(tuple(ordered), "time", "by the UTC time at which each log begins")
+    why = "none tells" if len(silent) == len(logs) else f"{len(silent)} of {len(logs)} do not tell"
+    return Order(tuple(sorted(logs, key=_natural)), "name", f"by name of the logs, as {why} when it was flown")
+
+
+def _natural(log: FlownLog) -> tuple[list[tuple[int, str]], str]:
+    parts = re.split(r"(\d+)", log.path)
+    return [(int(part) if part.isdecimal() else -1, part) for part in parts], log.run

@@ -1,0 +1,148 @@
+"""One aircraft over many flights."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
+
+from servofd.aircraft import Aircraft, load_aircraft
+from servofd.errors import NoMeasurement, UnknownName, suggest
+from servofd.fleet.cluster import run_on_cluster
+from servofd.fleet.find import find_logs
+from servofd.fleet.local import run_local
+from servofd.wear.follow import SurfaceTrend, Wear, follow
+from servofd.wear.limits import limits_of, telling_steps
+from servofd.wear.logs import FlownLog, Order, check_one_aircraft, estimate_log, in_order
+from servofd.workflow import layout_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from servofd.fleet.find import Skipped
+
+__all__ = ["AircraftTrend", "trend_logs", "trend_of"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AircraftTrend:
+    """All surfaces of one aircraft over its flights."""
+
+    aircraft: str
+    order: Order
+    surfaces: tuple[SurfaceTrend, ...]
+    problems: tuple[str, ...]
+    """What could not be used, and why, a line each."""
+    untold: tuple[str, ...]
+    """Logs that tell nothing at all."""
+    skipped: tuple[Skipped, ...] = ()
+    """Files that are no logs."""
+
+    @property
+    def has_alarm(self) -> bool:
+        """Whether anything is beyond its limit, or will be."""
+        return any(surface.alarms for surface in self.surfaces)
+
+
+def _no_progress(_count: int) -> AbstractContextManager[Callable[[], None]]:
+    return nullcontext(lambda: None)
+
+
+def trend_logs(
+    paths: Sequence[str | Path],
+    aircraft: Aircraft | str | Path,
+    *,
+    surfaces: tuple[str, ...] = (),
+    cluster: str | None = None,
+    workers: int | None = None,
+    progress: Callable[[int], AbstractContextManager[Callable[[], None]]] = _no_progress,
+) -> AircraftTrend:
+    """Follow the servos of one aircraft over many flights.
+
+    Parameters
+    ----------
+    paths : sequence of str or Path
+        Logs, folders, patterns or addresses.
+    aircraft : Aircraft, str or Path
+        The aircraft or its file, with serial numbers, swaps and limits where there are any.
+    surfaces : tuple of str
+        Which to follow; all if empty.
+    cluster : str, optional
+        Scheduler of a Dask cluster; the processes of this machine if None.
+    workers : int, optional
+        Number of processes; one per core if None, 0: this one.
+    progress : callable
+        Called with the number of logs; gives a context with the function to call after each of them.
+
+    Returns
+    -------
+    AircraftTrend
+        What changes, and when it will be too much.
+
+    Raises
+    ------
+    ServofdError
+        If there are no logs, they come from several vehicles, or none of them tells anything of any surface.
+
+    Examples
+    --------
+    >>> seen = trend_logs(["sample_logs/faser_healthy_flight.mat"], "faser", surfaces=("rudder",), workers=0)
+    >>> seen.has_alarm
+    False
+    """
+    known = aircraft if isinstance(aircraft, Aircraft) else load_aircraft(aircraft)
+    for name in surfaces:
+        if name not in known.surfaces:
+            raise UnknownName(suggest("surface", name, known.surfaces))
+    there = find_logs([str(path) for path in paths], layout_of(known))
+    task = partial(estimate_log, aircraft=known, surfaces=surfaces)
+    logs: list[FlownLog] = []
+    problems = list(there.problems)
+    outcomes = run_on_cluster(cluster, task, there.logs) if cluster else run_local(task, there.logs, workers)
+    with progress(len(there.logs)) as step:
+        for source, outcome in outcomes:
+            if isinstance(outcome, Exception):
+                problems.append(f"{source.path}: {outcome}")
+            else:
+                logs += outcome
+            step()
+    return trend_of(logs, known, problems=problems, skipped=there.skipped)
+
+
+def trend_of(
+    logs: Sequence[FlownLog],
+    aircraft: Aircraft,
+    *,
+    problems: Sequence[str] = (),
+    skipped: tuple[Skipped, ...] = (),
+) -> AircraftTrend:
+    """Follow the servos of one aircraft over flights that are estimated already.
+
+    Raises
+    ------
+    ServofdError
+        As for `trend_logs`.
+    """
+    check_one_aircraft(logs)
+    told = [log for log in logs if log.flights]
+    reasons = [*problems, *(f"{log.path}: {problem}" for log in logs for problem in log.problems)]
+    if not told:
+        raise NoMeasurement(f"no flight tells anything of a servo: {reasons[0]}" if reasons else "no flight")
+    order = in_order(told)
+    numbered = list(enumerate(order.logs, start=1))
+    surfaces = []
+    for name in aircraft.surfaces:
+        flights = [(number, flight) for number, log in numbered for flight in log.flights if flight.surface == name]
+        if flights:
+            surfaces.append(follow(name, flights, _wear(aircraft, name)))
+    untold = (*problems, *(log.path for log in logs if not log.flights))
+    return AircraftTrend(aircraft.name, order, tuple(surfaces), tuple(reasons), untold, skipped)
+
+
+def _wear(aircraft: Aircraft, name: str) -> Wear:
+    entry = aircraft.surfaces[name]
+    swaps = tuple((swap.date, swap.removed) for swap in entry.swaps)
+    return Wear(limits_of(aircraft, name), telling_steps(aircraft, name), entry.serial, swaps)
