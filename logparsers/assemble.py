@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from logparsers.records import FloatArray
 
-__all__ = ["Column", "Columns", "assemble"]
+__all__ = ["Column", "Columns", "assemble", "join_rows"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,18 +87,101 @@ def assemble(
     <FlightLog a.mat: faser, 2.0 s, 1 channels, 1 non_finite>
     """
     label = f"{path} (run {run})" if run else str(path)
-    kept, stamps, disorder = clock.order(time_s, label)
+    columns = tuple(columns)
+    apart = _written_apart(columns)
+    time_s, columns, row_of, repeated = join_rows(time_s, columns)
+    kept, stamps, disorder = clock.order(time_s, label, row_of)
     if not stamps.size:
         raise EmptyLog(f"{label}: none of its {time_s.size} rows has a time stamp; a log needs at least one sample")
-    found = [*damage, *disorder, *clock.gaps(stamps)]
+    found = [*damage, *disorder, *repeated, *clock.gaps(stamps)]
     series = {column.name: column for column in columns}
     for column in series.values():
         blank = ~np.isfinite(column.values) & kept
-        if blank.any():
+        if blank.any() and column.name not in apart:
             rows = np.flatnonzero(blank[kept])
             found.append(_non_finite(column.name, stamps, column.values[kept], rows))
     ends = float(stamps[0]), float(stamps[-1])
     return FlightLog(path, kind, Columns(stamps, None if kept.all() else kept, series), tuple(found), run, span_s=ends)
+
+
+def join_rows(
+    time_s: FloatArray, columns: tuple[Column, ...]
+) -> tuple[FloatArray, tuple[Column, ...], NDArray[np.intp], tuple[Damage, ...]]:
+    """Make one row of the rows of one time stamp; put rows in order where no column's own stamps fall.
+
+    Loggers write what comes from several sources in rows of their own, each with the cells of the others left empty:
+    such rows may share a stamp, or pass each other by a little.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,)
+        Time stamp of every row [s]; not finite where there is none.
+    columns : tuple of Column
+        Their cells; not finite where there is none.
+
+    Returns
+    -------
+    time_s : ndarray, shape (m,)
+        m <= n.
+    columns : tuple of Column
+        Of cells with the same stamp, the first of each column.
+    row_of : ndarray of int, shape (m,)
+        The row that each stamp stood in.
+    damage : tuple of Damage
+        Rows that gave a column another value for the same stamp.
+
+    Examples
+    --------
+    >>> command = Column("command", np.array([1.0, np.nan, 2.0]), "deg", "")
+    >>> position = Column("position", np.array([np.nan, 0.9, np.nan]), "deg", "")
+    >>> time_s, joined, _, damage = join_rows(np.array([0.0, 0.0, 0.1]), (command, position))
+    >>> time_s.tolist(), [column.values.tolist() for column in joined], damage
+    ([0.0, 0.1], [[1.0, 2.0], [0.9, nan]], ())
+    """
+    row_of = np.arange(time_s.size)
+    if np.all(np.diff(time_s) > 0.0):
+        return time_s, columns, row_of, ()
+    if all(np.all(np.diff(time_s[np.isfinite(column.values) & np.isfinite(time_s)]) >= 0.0) for column in columns):
+        row_of = np.argsort(time_s, kind="stable")  # rows without a stamp come last
+        time_s = time_s[row_of]
+    starts = np.flatnonzero(np.concatenate([[True], np.diff(time_s) != 0.0]))
+    if starts.size == time_s.size:
+        return time_s, tuple(replace(column, values=column.values[row_of]) for column in columns), row_of, ()
+    row = np.arange(time_s.size)
+    another = np.zeros(time_s.size, dtype=np.bool_)
+    joined = []
+    for column in columns:
+        values = column.values[row_of]
+        given = np.isfinite(values)
+        first = np.minimum.reduceat(np.where(given, row, time_s.size), starts)
+        first = np.where(first < time_s.size, first, starts)
+        joined.append(replace(column, values=values[first]))
+        another |= given & (values != np.repeat(values[first], np.diff(starts, append=time_s.size)))
+    return time_s[starts], tuple(joined), row_of[starts], _repeated(time_s, another, row_of)
+
+
+def _written_apart(columns: tuple[Column, ...]) -> frozenset[str]:
+    """Columns that never stand in one row with some other: their empty cells are the other's rows, and no damage."""
+    names: dict[bytes, list[str]] = {}
+    for column in columns:
+        given = np.isfinite(column.values)
+        if given.any() and not given.all():
+            names.setdefault(np.packbits(given).tobytes(), []).append(column.name)
+    patterns = {bits: np.frombuffer(bits, np.uint8) for bits in names}
+    return frozenset(
+        name
+        for bits, members in names.items()
+        if any(not np.any(patterns[bits] & other) for other in patterns.values())
+        for name in members
+    )
+
+
+def _repeated(time_s: FloatArray, another: NDArray[np.bool_], row_of: NDArray[np.intp]) -> tuple[Damage, ...]:
+    rows = np.flatnonzero(another)
+    if not rows.size:
+        return ()
+    note = f"{rows.size} rows give a time stamp again with other values, left out, first row {row_of[rows[0]] + 1}"
+    return (Damage("out_of_order", note, int(rows.size), float(time_s[rows[0]]), float(time_s[rows[-1]])),)
 
 
 class Columns(Mapping[str, Channel]):

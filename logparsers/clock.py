@@ -40,7 +40,9 @@ MOST_GAPS = 100
 """A log in tatters is told from its longest gaps; the others are summed up."""
 
 
-def order(time_s: FloatArray, label: str) -> tuple[NDArray[np.bool_], FloatArray, tuple[Damage, ...]]:
+def order(
+    time_s: FloatArray, label: str, row_of: NDArray[np.intp] | None = None
+) -> tuple[NDArray[np.bool_], FloatArray, tuple[Damage, ...]]:
     """Choose the rows whose time stamps rise strictly; drop as few rows as possible.
 
     Parameters
@@ -49,6 +51,8 @@ def order(time_s: FloatArray, label: str) -> tuple[NDArray[np.bool_], FloatArray
         Time stamps as they stand in the log [s].
     label : str
         Name of the log, for messages.
+    row_of : ndarray of int, shape (n,), optional
+        Where each stamp stands in the file, from 0, for messages; as they are counted here if left out.
 
     Returns
     -------
@@ -71,16 +75,17 @@ def order(time_s: FloatArray, label: str) -> tuple[NDArray[np.bool_], FloatArray
     ([0.0, 1.0, 1.5, 3.0], ['non_finite', 'out_of_order'])
     """
     kept = np.isfinite(time_s)
+    places = np.arange(time_s.size) if row_of is None else row_of
     damage = []
     if not kept.all():
         missing = np.flatnonzero(~kept)
-        note = f"{missing.size} of {kept.size} rows without a time stamp left out, first row {missing[0] + 1}"
+        note = f"{missing.size} of {kept.size} rows without a time stamp left out, first row {places[missing[0]] + 1}"
         damage.append(Damage("non_finite", note, int(missing.size)))
     rows = np.flatnonzero(kept)
     stamps = time_s[rows]
     if np.any(np.diff(stamps) <= 0.0):
         rising = _rising(stamps)
-        damage.append(_disorder(stamps, rows, rising, label))
+        damage.append(_disorder(stamps, places[rows], rising, label))
         kept[rows[~rising]] = False
     return kept, time_s[kept], tuple(damage)
 

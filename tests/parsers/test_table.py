@@ -202,6 +202,32 @@ def test_damaged_stamps_are_dropped() -> None:
     assert kinds(log) == [("non_finite", 1), ("out_of_order", 1)]
 
 
+def test_rows_of_one_stamp_are_one_row() -> None:
+    """A logger writes commands and positions in rows of their own: the same log as with both in one row."""
+    apart = read("time_s,a_cmd_deg,a_pos_deg\n0,1,\n0,,2\n0.1,3,\n0.1,,4\n0.2,5,\n0.2,,6\n")
+    together = read("time_s,a_cmd_deg,a_pos_deg\n0,1,2\n0.1,3,4\n0.2,5,6\n")
+    for name in together.channels:
+        np.testing.assert_array_equal(apart[name].time_s, together[name].time_s)
+        np.testing.assert_array_equal(apart[name].values, together[name].values)
+    assert apart.damage == ()
+
+
+def test_rows_of_two_sources_may_pass_each_other() -> None:
+    log = read("time_s,a,b\n0,1,\n0.03,,7\n0.02,2,\n0.04,3,\n0.05,,8\n")
+    np.testing.assert_allclose(log["a"].time_s, [0.0, 0.02, 0.03, 0.04, 0.05])
+    np.testing.assert_array_equal(log["a"].values, [1, 2, np.nan, 3, np.nan])
+    np.testing.assert_array_equal(log["b"].values, [np.nan, np.nan, 7, np.nan, 8])
+    assert log.damage == ()
+
+
+def test_a_stamp_that_comes_again_with_another_value_is_counted_and_refuses_nothing() -> None:
+    rows = "".join(f"{k // 2 / 10},{k}\n" for k in range(40))
+    log = read("time_s,x\n" + rows)
+    np.testing.assert_array_equal(log["x"].values, np.arange(0, 40, 2))
+    assert kinds(log) == [("out_of_order", 20)]
+    assert "20 rows give a time stamp again with other values, left out, first row 2" in log.damage[0].note
+
+
 def test_numbers_are_read_to_the_last_bit() -> None:
     values = np.random.default_rng(5).normal(size=5000) * 10.0 ** np.arange(-10, 10).repeat(250)
     log = read(writers.table({"time_s": np.arange(5000), "x": values.tolist()}))
