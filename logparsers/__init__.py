@@ -25,7 +25,7 @@ from logparsers.exports import flights, read_part
 from logparsers.only import Only
 from logparsers.records import Channel, Damage, FlightLog, Text
 from logparsers.source import LogFile, files_of, opened, sources
-from logparsers.table import TableLayout
+from logparsers.table import TableLayout, read_table
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -52,6 +52,9 @@ __all__ = [
     "read",
     "read_all",
 ]
+
+_NO_LOG = (UnknownFormat, EmptyLog, MissingChannel)
+"""What a note or a picture beside the logs of an archive is told by."""
 
 
 def read(path: LogFile, layout: TableLayout | None = None, *, only: Sequence[str] | None = None) -> FlightLog:
@@ -135,8 +138,10 @@ def read_all(
     logs: list[FlightLog] = []
     parts: list[Part] = []
     problems: list[LogError] = []
+    strange: list[Damage] = []
     with np.errstate(all="ignore"):  # what overflows is counted as damage
         for source in _tables_of(at) if _is_pattern(at) else sources(path):
+            reader = None
             try:
                 reader = detect(source.head, str(source.path))
                 if source.archive and reader is read_messages and layout is None:
@@ -145,12 +150,12 @@ def read_all(
                     logs += [source.packed(log) for log in reader(source, layout, wanted)]
             except LogError as error:
                 problems.append(error)
+                if not isinstance(error, _NO_LOG) or reader not in (None, read_table):
+                    strange.append(Damage("corrupt", f"not read: {error}"))
         if parts:
             logs += flights(parts, at, wanted)
     if not logs:
         raise problems[0]
-    no_log = UnknownFormat, EmptyLog, MissingChannel  # a note or a picture beside the logs of an archive
-    strange = tuple(Damage("corrupt", f"not read: {error}") for error in problems if not isinstance(error, no_log))
     return (replace(logs[0], damage=(*strange, *logs[0].damage)), *logs[1:])
 
 

@@ -15,7 +15,7 @@ from servofd.detection.plausible import wiring_problem
 from servofd.detection.prepare import prepared
 from servofd.detection.probability import false_alarms_per_hour
 from servofd.detection.residual import ResidualGenerator, Residuals
-from servofd.detection.statistics import Statistics
+from servofd.detection.statistics import Statistics, outline
 from servofd.detection.verdict import LogAudit, Status, SurfaceAudit
 from servofd.detection.words import describe
 from servofd.errors import DesignError, NoMeasurement
@@ -177,6 +177,7 @@ def audit_segment(
         residuals=residuals,
         threshold=level,
         threshold_deg=level.typical_deg,
+        outline=outline(residuals.time_s, np.where(residuals.settled, residuals.residual_deg, np.nan), level.level_deg),
     )
     problem = wiring_problem(residuals) if faults or suspicions else ""
     if problem:

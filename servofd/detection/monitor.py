@@ -74,8 +74,10 @@ class SurfaceMonitor:
     >>> for k in range(time_s.size):
     ...     here = slice(k, k + 1)
     ...     events += monitor.feed((time_s[here], command_deg[here]), (time_s[here], jammed_deg[here]))
-    >>> [(event.event, round(event.time_s, 1)) for event in events + monitor.finish()]
-    [('alarm', 12.0), ('named', 20.0)]
+    ...     if look := monitor.due():
+    ...         events += monitor.told(look, look.judge())
+    >>> [(event.event, event.kind, round(event.time_s, 1)) for event in events + monitor.finish()]
+    [('alarm', 'unknown', 12.0), ('named', 'hardover', 12.5)]
     """
 
     name: str
@@ -223,8 +225,8 @@ class SurfaceMonitor:
     def told(self, look: Look, verdict: tuple[tuple[Fault, ...], tuple[Fault, ...], str]) -> list[Event]:
         """Take what the bank made of a look.
 
-        A name that comes later than `_NAMED_S` after the alarm, or after its end, would be news of something else to
-        whoever hears it: it is kept for the report.
+        A fault that only the bank finds is one event, an alarm with its name. A name that comes later than `_NAMED_S`
+        after the alarm, or after its end, would be taken for another fault's: it is kept for the report.
         """
         faults, suspicions, problem = verdict
         events = []

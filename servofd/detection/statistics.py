@@ -10,7 +10,9 @@ import numpy as np
 if TYPE_CHECKING:
     from servofd.types import FloatArray
 
-__all__ = ["Statistics"]
+__all__ = ["Statistics", "outline"]
+
+_OUTLINE_PARTS = 60
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,3 +42,29 @@ class Statistics:
                 max_abs_deg=float(np.max(np.abs(residual_deg))),
                 simulation_error_rms_deg=float(np.sqrt(np.mean(error_deg**2))),
             )
+
+
+def outline(time_s: FloatArray, residual_deg: FloatArray, level_deg: FloatArray) -> tuple[float | None, ...]:
+    """Largest residual over its threshold in each of equal parts of the flight; None where nothing was judged.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,)
+        Rising [s].
+    residual_deg : ndarray, shape (n,)
+        NaN where it was not judged.
+    level_deg : ndarray, shape (n,)
+        Threshold.
+
+    Examples
+    --------
+    >>> time_s = np.arange(600.0)
+    >>> outline(time_s, np.where(time_s < 10.0, np.nan, time_s), np.full(600, 100.0))[:3]
+    (None, 0.19, 0.29)
+    """
+    if time_s.size < 2:
+        return ()
+    share = np.abs(residual_deg) / level_deg
+    edges_s = np.linspace(time_s[0], time_s[-1], _OUTLINE_PARTS + 1)[:-1]
+    parts = np.split(share, np.searchsorted(time_s, edges_s)[1:])
+    return tuple(round(float(np.nanmax(part)), 3) if np.isfinite(part).any() else None for part in parts)

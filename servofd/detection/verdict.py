@@ -49,6 +49,8 @@ class SurfaceAudit:
     """The smallest faults that this log would have shown."""
     judged_share: float = 0.0
     """Share of the log for which this surface was judged."""
+    outline: tuple[float | None, ...] = ()
+    """Largest residual over its threshold in each of equal parts of the flight; None where nothing was judged."""
 
     @property
     def is_judged(self) -> bool:

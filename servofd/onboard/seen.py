@@ -53,7 +53,7 @@ def seen_on_board(log: FlightLog) -> tuple[Seen, ...]:
     >>> from pathlib import Path
     >>> from logparsers import Channel, FlightLog
     >>> t = np.arange(3.0)
-    >>> channels = {f"SFD[2].{n}": Channel(f"SFD[2].{n}", "deg", t, np.array(v)) for n, v in
+    >>> channels = {f"SFD[2].{n}": Channel(f"SFD[2].{n}", t, np.array(v), "deg", "") for n, v in
     ...             {"Res": [np.nan, 0.3, -1.8], "Thr": [1.5, 1.5, 1.5]}.items()}
     >>> (seen,) = seen_on_board(FlightLog(Path("flight.bin"), "dataflash", channels))
     >>> seen.output, round(seen.peak_share, 3), seen.crossed_s

@@ -17,14 +17,13 @@ if TYPE_CHECKING:
     from servofd.segment import Segment
     from servofd.types import FloatArray
 
-__all__ = ["MOST_FAULTS", "fault_charts", "flight_chart", "outline"]
+__all__ = ["MOST_FAULTS", "fault_charts", "flight_chart"]
 
 MOST_FAULTS = 4
 """Faults that are shown from near; the table lists all."""
 _MARGIN_S, _MARGIN = 2.0, 0.35
 _SLACK = 0.06
 """Of a panel's height, above and below its curves."""
-_BINS = 60
 
 
 def flight_chart(surface: SurfaceAudit) -> Chart:
@@ -55,25 +54,6 @@ def fault_charts(surface: SurfaceAudit) -> list[Chart]:
     """
     data = _drawn(surface)
     return [_near(surface, fault, data) for fault in (*surface.faults, *surface.suspicions)[:MOST_FAULTS]]
-
-
-def outline(surface: SurfaceAudit, bins: int = _BINS) -> list[float | None]:
-    """Largest residual over its threshold in each of many equal parts of the flight; None where nothing was judged.
-
-    Parameters
-    ----------
-    surface : SurfaceAudit
-        Any; without residuals there is no outline.
-    bins : int
-        How many parts, of a log that has as many samples.
-    """
-    residuals, threshold = surface.residuals, surface.threshold
-    if residuals is None or threshold is None or residuals.time_s.size < 2:
-        return []
-    share = np.where(residuals.settled, np.abs(residuals.residual_deg) / threshold.level_deg, np.nan)
-    edges = np.linspace(residuals.time_s[0], residuals.time_s[-1], bins + 1)[:-1]
-    parts = np.split(share, np.searchsorted(residuals.time_s, edges)[1:])
-    return [round(float(np.nanmax(part)), 3) if np.isfinite(part).any() else None for part in parts]
 
 
 def _drawn(surface: SurfaceAudit) -> tuple[Segment, Residuals, Threshold]:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from servofd.axes.names import MOST_OF_THE_FLIGHT
-from servofd.outputs.audit_charts import outline
 from servofd.outputs.sentence import whole_sentence
 
 if TYPE_CHECKING:
@@ -120,7 +119,7 @@ def _surface(surface: SurfaceAudit) -> dict[str, Any]:
             "mean_deg": statistics.mean_deg,
             "std_deg": statistics.std_deg,
             "max_abs_deg": statistics.max_abs_deg,
-            "outline": outline(surface),
+            "outline": list(surface.outline),
         },
         "simulation_error_rms_deg": None if statistics is None else statistics.simulation_error_rms_deg,
         "false_alarms_per_hour": surface.false_alarms_per_hour,

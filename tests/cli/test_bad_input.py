@@ -221,7 +221,9 @@ def test_one_bad_log_does_not_stop_the_others(tmp_path: Path, capsys: pytest.Cap
     good = tmp_path / "good.csv"
     good.write_text(table())
     stuck = shutil.copy(SAMPLES / "faser_stuck_flight.mat", tmp_path)
-    assert main(["audit", str(good), str(tmp_path / "gone.csv"), str(stuck)]) == 1  # a fault anywhere outranks what could not be told
+    assert (
+        main(["audit", str(good), str(tmp_path / "gone.csv"), str(stuck)]) == 1
+    )  # a fault anywhere outranks what could not be told
     captured = capsys.readouterr()
     assert "gone.csv" in one_line(captured.err)
     assert "healthy" in captured.out

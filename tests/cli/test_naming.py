@@ -104,12 +104,12 @@ def test_a_suspect_is_no_fault(tmp_path: Path, capsys: pytest.CaptureFixture[str
     header = "time_s,elevator_cmd_deg,elevator_pos_deg"
     np.savetxt(path, table, fmt="%.5f", delimiter=",", header=header, comments="")
     code, surfaces = audited(capsys, str(path))
-    assert (code, surfaces["elevator"]["status"], surfaces["elevator"]["faults"]) == (0, "suspect", [])
+    assert (code, surfaces["elevator"]["status"], surfaces["elevator"]["faults"]) == (2, "suspect", [])
     (suspicion,) = surfaces["elevator"]["suspicions"]
     assert suspicion["kind"] == "bias"
     assert suspicion["parameters"]["bias_deg"] == pytest.approx(0.8, abs=0.1)
     assert suspicion["start_s"] == pytest.approx(20.0, abs=1.0)
-    assert main(["audit", str(path)]) == 0
+    assert main(["audit", str(path)]) == 2
     shown = capsys.readouterr().out
     assert "suspect" in shown
     assert "off by +0.8 deg" in shown

@@ -178,7 +178,7 @@ class TestNoVerdictFromNoMeasurement:
         half = raw.measured_s < 20.0
         events += monitor.feed((raw.command_s, raw.command_deg), (raw.measured_s[half], raw.measured_deg[half]))
         events += [event for now_s in np.arange(20.0, 40.0, 0.5) for event in monitor.silence(now_s)]
-        assert [(event.event, event.time_s) for event in events] == [("no_data", 21.0)]
+        assert [(event.event, event.time_s) for event in events] == [("no_data", 22.0)]
 
     def test_a_new_pace_begins_anew(self) -> None:
         entry, model = surface()
@@ -210,11 +210,14 @@ class TestWhatTheBankTells:
 
     def test_a_name_a_better_name_and_an_end(self) -> None:
         monitor = SurfaceMonitor("x", *surface())
-        assert self.told(monitor, 13.0, self.stuck) == [(12.0, "alarm", "unknown"), (13.0, "named", "stuck")]
+        assert self.told(monitor, 13.0, self.stuck) == [(13.0, "alarm", "stuck")]
         assert (monitor.standing, monitor.has_fault, monitor.faults) == ("stuck", True, (self.stuck,))
-        assert self.told(monitor, 14.0, self.stuck) == []
+        assert self.told(monitor, 13.5, self.stuck) == []
+        floating = replace(self.stuck, kind="floating")
+        assert self.told(monitor, 14.0, floating) == [(14.0, "named", "floating")]
         bias = replace(self.stuck, kind="bias")
-        assert self.told(monitor, 15.0, bias) == [(15.0, "named", "bias")]
+        assert self.told(monitor, 15.0, bias) == []  # more than 2 s after the alarm: for the report alone
+        assert monitor.standing == "bias"
         over = replace(bias, end_s=14.5)
         assert self.told(monitor, 16.0, over) == [(16.0, "clear", "bias")]
         assert (monitor.standing, monitor.has_fault, monitor.faults) == ("", True, (over,))
@@ -226,7 +229,7 @@ class TestWhatTheBankTells:
         assert self.told(monitor, 14.0, self.healthy) == [(14.0, "clear", "healthy")]
         assert (monitor.standing, monitor.has_fault, monitor.faults) == ("", False, ())
         assert self.told(monitor, 15.0, self.healthy) == []
-        assert self.told(monitor, 16.0, self.stuck) == [(16.0, "named", "stuck")]
+        assert self.told(monitor, 16.0, self.stuck) == [(16.0, "alarm", "stuck")]
         assert (monitor.has_fault, monitor.faults) == (True, (self.stuck,))
 
     def test_an_alarm_within_a_fault_belongs_to_it(self) -> None:

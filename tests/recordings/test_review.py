@@ -14,7 +14,6 @@ import pytest
 
 from servofd.cli import importer, main
 from servofd.outputs.recording.read import read_recording
-from tests.pictures.viewer import VIEWER
 from tests.recordings.inside import everything
 
 ROOT = Path(__file__).parent.parent.parent
@@ -207,8 +206,7 @@ def test_a_truncated_recording_is_repaired(stuck: Path, tmp_path: Path, capsys: 
     assert code == 1
     assert document["logs"][0]["surfaces"]["elevator"]["status"] == "fault"
     assert "incomplete or altered" in complaints
-    assert VIEWER is not None
-    subprocess.run([VIEWER, "rrd", "verify", str(fixed)], check=True, capture_output=True)
+    subprocess.run([sys.executable, "-m", "rerun", "rrd", "verify", str(fixed)], check=True, capture_output=True)
 
 
 @pytest.mark.slow
@@ -230,9 +228,13 @@ os.kill(os.getpid(), signal.SIGKILL)
     assert dead.returncode == -signal.SIGKILL
     assert read_recording(path).audit.has_fault
     assert main(["review", str(path), "--repair", "-o", str(fixed)]) == 1
-    assert VIEWER is not None
-    assert subprocess.run([VIEWER, "rrd", "verify", str(path)], check=False, capture_output=True).returncode != 0
-    subprocess.run([VIEWER, "rrd", "verify", str(fixed)], check=True, capture_output=True)
+    assert (
+        subprocess.run(
+            [sys.executable, "-m", "rerun", "rrd", "verify", str(path)], check=False, capture_output=True
+        ).returncode
+        != 0
+    )
+    subprocess.run([sys.executable, "-m", "rerun", "rrd", "verify", str(fixed)], check=True, capture_output=True)
     whole, saved = read_recording(path), read_recording(fixed)
     assert saved.audit.surfaces == whole.audit.surfaces
     assert saved.traces["elevator"].residual_deg.tobytes() == whole.traces["elevator"].residual_deg.tobytes()

@@ -173,7 +173,12 @@ def _log(document: Mapping[str, Any]) -> FlightLog:
 def _surface(name: str, entry: Mapping[str, Any]) -> SurfaceAudit:
     statistics = entry["residual"]
     if statistics is not None:
-        statistics = Statistics(**statistics, simulation_error_rms_deg=entry["simulation_error_rms_deg"])
+        statistics = Statistics(
+            statistics["mean_deg"],
+            statistics["std_deg"],
+            statistics["max_abs_deg"],
+            entry["simulation_error_rms_deg"],
+        )
     return SurfaceAudit(
         surface=name,
         status=entry["status"],
@@ -189,6 +194,7 @@ def _surface(name: str, entry: Mapping[str, Any]) -> SurfaceAudit:
         model=ModelOrigin.model_validate(entry["model"]),
         detectable=Detectable.from_document(entry["detectable"]),
         judged_share=entry["judged_share"],
+        outline=tuple(entry["residual"].get("outline", ())) if entry["residual"] else (),
     )
 
 
