@@ -18,8 +18,8 @@ from servofd.evidence import ModelOrigin
 from servofd.limits import Limits
 from servofd.models.effect_table import EffectTable, effects_installed
 from servofd.models.effects import Extension, PositionLimit
-from servofd.models.physics import Physics, plant_of
-from servofd.models.servo_model import ServoModel
+from servofd.models.physics import Physics
+from servofd.models.servo_model import ServoModel, plant_of
 from servofd.servos import Positive, Servo, find_servo, library
 from servofd.tolerance import Tolerance
 from servofd.toml_text import read_toml

@@ -21,15 +21,6 @@ KNOWN_CIRCLES = [
     ["servofd.detection.bank.confirm", "servofd.detection.bank.isolate", "servofd.detection.bank.onset"],
     ["servofd.detection.bank.explanation", "servofd.detection.bank.window"],
     ["servofd.discrepancy.noise", "servofd.discrepancy.record"],
-    [
-        "servofd.models.effects",
-        "servofd.models.extended",
-        "servofd.models.linkage",
-        "servofd.models.motion",
-        "servofd.models.physics",
-        "servofd.models.position_loop",
-        "servofd.models.servo_model",
-    ],
 ]
 """Which are left to break, none of them of more than one room."""
 ONLY_IN = {

@@ -10,7 +10,8 @@ import numpy as np
 from servofd.detection.residual import Commands, commands_at_servo
 from servofd.discrepancy.lost import after_lost_commands
 from servofd.discrepancy.noise import comb_step_deg
-from servofd.models.physics import LOOSE_FIELDS, Physics, Plant, longest_step_s, plant_of
+from servofd.models.physics import LOOSE_FIELDS, Physics, Plant, longest_step_s
+from servofd.models.servo_model import plant_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -286,11 +287,12 @@ def _moved_from(record: Record, physics: Physics, finer: float, starts_deg: Sequ
         sent_s, deg = framed(sent_s, deg, slope, physics.frame_s, physics.frame_phase)
         slope = np.zeros(deg.size)
     nothing = np.zeros(record.time_s.size)
+    machine, loop = plant.machine(physics)
     positions_deg = run(
-        physics,
-        plant.loop(physics.bandwidth_scale, physics.damping_scale, physics.torque_share),
+        machine,
+        loop,
         plant.dc_gain,
-        longest_step_s(physics) / finer,
+        longest_step_s(machine) / finer,
         sent_s + physics.delay_s,
         deg,
         slope,

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from servofd.errors import ConfigError, UnknownName, suggest
 from servofd.models.catalogue import CATALOGUE, MissingEffect, Parameter, effects_named, installed
-from servofd.models.effects import Extension, Place, Plan
-from servofd.models.physics import neutral_of
+from servofd.models.effects import Extension, Place, Plan, neutral_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

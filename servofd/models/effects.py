@@ -14,7 +14,17 @@ from servofd.errors import ConfigError
 from servofd.models.physics import Physics, scaled_transfer
 from servofd.models.transfer import TransferFunction
 
-__all__ = ["Delay", "Effect", "Extension", "LinearDynamics", "Place", "Plan", "PositionLimit", "RateLimit"]
+__all__ = [
+    "Delay",
+    "Effect",
+    "Extension",
+    "LinearDynamics",
+    "Place",
+    "Plan",
+    "PositionLimit",
+    "RateLimit",
+    "neutral_of",
+]
 
 
 class Place(IntEnum):
@@ -173,3 +183,14 @@ class Extension:
             upper_deg=physics.upper_deg,
             physics=physics._replace(bandwidth_scale=1.0, damping_scale=1.0),
         )
+
+
+def neutral_of(plan: Plan) -> Physics:
+    """Delay and limits of a servo, and its effects if it has any."""
+    return plan.physics or Physics(
+        delay_s=plan.delay_s,
+        follow_up_deg_s=plan.rate_up_deg_s,
+        follow_down_deg_s=plan.rate_down_deg_s,
+        lower_deg=plan.lower_deg,
+        upper_deg=plan.upper_deg,
+    )

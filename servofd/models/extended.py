@@ -100,8 +100,7 @@ class ExtendedMotion:
     --------
     A sample at a time, or all at once:
 
-    >>> from servofd.models.physics import plant_of
-    >>> from servofd.models.servo_model import ServoModel
+    >>> from servofd.models.servo_model import ServoModel, plant_of
     >>> from servofd.servos import servo_named
     >>> plant = plant_of(ServoModel.of(servo_named("hs225bb-eq31")))
     >>> servo = ExtendedServo(plant, Physics(backlash_deg=1.0))
@@ -146,11 +145,12 @@ class ExtendedMotion:
         if self._memory is None:
             self._memory = new_memory(self._first_deg(float(instants_s[0])))
         commands = self._framed(float(instants_s[-1])) if physics.frame_s > 0.0 else self._waiting
+        machine, loop = servo.plant.machine(physics)
         position_deg: FloatArray = run(
-            physics,
-            servo.plant.loop(physics.bandwidth_scale, physics.damping_scale, physics.torque_share),
+            machine,
+            loop,
             servo.plant.dc_gain,
-            longest_step_s(physics),
+            longest_step_s(machine),
             commands[0],
             commands[1],
             commands[2],

@@ -16,15 +16,23 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from servofd.errors import DesignError
-
 if TYPE_CHECKING:
-    from servofd.models.effects import Plan
-    from servofd.models.servo_model import ServoModel
     from servofd.models.transfer import TransferFunction
     from servofd.types import FloatArray
 
-__all__ = ["LOOSE_FIELDS", "RATE_FIELDS", "Loop", "Physics", "Plant", "longest_step_s", "plant_of", "scaled_transfer"]
+__all__ = [
+    "AFTER",
+    "BEFORE",
+    "INSIDE",
+    "LOOSE_FIELDS",
+    "RATE_FIELDS",
+    "Loop",
+    "Physics",
+    "Plant",
+    "longest_step_s",
+    "scaled_transfer",
+    "split",
+]
 
 _TORQUE_SHARE = 0.8
 """Share of the damping that acts on the torque (q); the split changes neither the linear servo nor any steady state."""
@@ -41,6 +49,8 @@ _SUBSTEP_S, _SHORT_SUBSTEP_S = 2.5e-3, 1e-3
 RATE_FIELDS = (
     "rate_up_deg_s",
     "rate_down_deg_s",
+    "speed_up_deg_s",
+    "speed_down_deg_s",
     "follow_up_deg_s",
     "follow_down_deg_s",
     "set_point_deg_s",
@@ -49,6 +59,10 @@ RATE_FIELDS = (
 """Sizes of `Physics` that limit a speed."""
 LOOSE_FIELDS = {"backlash_deg": 0.5, "deadband_deg": 0.5, "insensitive_deg": 0.5, "friction_deg": 1.0}
 """Sizes of `Physics` within which a surface rests anywhere, and the share of each that it may be off to either side."""
+
+
+BEFORE, INSIDE, AFTER = -1.0, 0.0, 1.0
+"""Places of a servo's slow pole: a filter of the command, a part of the position loop, a filter of what it moves."""
 
 
 class Physics(NamedTuple):
@@ -103,6 +117,15 @@ class Physics(NamedTuple):
     """How far the reading moves with the current that the servo draws, on a supply that it shares with its sensor."""
     offset_s: float = 0.0
     """How much too late positions are stamped."""
+    slow_place: float = INSIDE
+    """Where the slow pole of a servo of three acts: before its position loop, inside or after it."""
+    slow_scale: float = 1.0
+    """Of that pole alone."""
+    pair_scale: float = 1.0
+    """Of the other two poles alone."""
+    speed_up_deg_s: float = math.inf
+    """Speed at which the shaft is held back, whatever drives it: the loop does not wait."""
+    speed_down_deg_s: float = math.inf
     own_1: float = math.nan
     """Parameters of an effect of the user's own; the kernel knows nothing of them."""
     own_2: float = math.nan
@@ -112,7 +135,8 @@ class Physics(NamedTuple):
     @property
     def is_linear_loop(self) -> bool:
         """Whether nothing needs shorter steps than the events themselves."""
-        return self[8:28] == _PLAIN and self.lag_s == 0.0 and math.isinf(self.set_point_deg_s)
+        held_back = min(self.speed_up_deg_s, self.speed_down_deg_s) < math.inf
+        return self[8:28] == _PLAIN and self.lag_s == 0.0 and math.isinf(self.set_point_deg_s) and not held_back
 
 
 _PLAIN = Physics()[8:28]
@@ -123,7 +147,8 @@ def longest_step_s(physics: Physics) -> float:
     """Longest substep of the kernel [s]: none if the loop is linear, and the events themselves are steps enough."""
     if physics.is_linear_loop:
         return math.inf
-    return _SHORT_SUBSTEP_S if physics.insensitive_deg > 0.0 else _SUBSTEP_S
+    edged = physics.insensitive_deg > 0.0 or min(physics.speed_up_deg_s, physics.speed_down_deg_s) < math.inf
+    return _SHORT_SUBSTEP_S if edged else _SUBSTEP_S
 
 
 class Loop(NamedTuple):
@@ -144,6 +169,14 @@ class Loop(NamedTuple):
     effort_per_torque: float
     """Error that a torque is worth: q/K; 0 if the servo has no such state."""
     order: int
+    """Of the loop itself."""
+    filters: bool = False
+    """Whether the third state is the command that a slow pole before the loop lets through."""
+
+
+_NEUTRAL = Physics()
+_PLACED = 4
+"""Coefficients of a polynomial of three poles."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,47 +191,23 @@ class Plant:
         """Gain at rest [deg/deg]."""
         return self.transfer.dc_gain
 
-    def loop(
-        self, bandwidth_scale: float = 1.0, damping_scale: float = 1.0, torque_share: float = _TORQUE_SHARE
-    ) -> Loop:
-        """Matrices of the loop with its poles scaled, and the damping of its fastest pair."""
-        return _loop(self.transfer.denominator, bandwidth_scale, damping_scale, torque_share)
+    @property
+    def has_places(self) -> bool:
+        """Whether its slow pole may act elsewhere: one of three, and real."""
+        return len(self.transfer.denominator) == _PLACED
 
+    def loop(self, physics: Physics = _NEUTRAL) -> Loop:
+        """Matrices of the loop, its slow pole in its place, its poles and the damping of its fastest pair scaled."""
+        scales = physics.bandwidth_scale, physics.slow_scale, physics.pair_scale, physics.damping_scale
+        place = physics.slow_place if self.has_places else INSIDE
+        return _loop(self.transfer.denominator, scales, physics.torque_share, place)
 
-def plant_of(model: ServoModel) -> Plant:
-    """Position loop with the poles, the delay and the limits of a servo model.
-
-    Raises
-    ------
-    DesignError
-        If the servo has zeros or more than three poles.
-
-    Examples
-    --------
-    >>> from servofd.models.servo_model import ServoModel
-    >>> from servofd.servos import servo_named
-    >>> plant = plant_of(ServoModel.of(servo_named("hs225bb-eq31")))
-    >>> round(plant.loop().error_per_rate_s, 5)  # 332 deg/s need 18.1 deg of error
-    0.05449
-    """
-    plan, transfer = model.plan, model.transfer
-    if len(transfer.numerator) != 1 or not 2 <= len(transfer.denominator) <= 4:
-        raise DesignError(
-            f"a servo of order {len(transfer.denominator) - 1} with {len(transfer.numerator) - 1} zeros cannot be "
-            "explained: servos of one to three poles and no zeros can"
-        )
-    return Plant(transfer, neutral_of(plan))
-
-
-def neutral_of(plan: Plan) -> Physics:
-    """Delay and limits of a servo, and its effects if it has any."""
-    return plan.physics or Physics(
-        delay_s=plan.delay_s,
-        follow_up_deg_s=plan.rate_up_deg_s,
-        follow_down_deg_s=plan.rate_down_deg_s,
-        lower_deg=plan.lower_deg,
-        upper_deg=plan.upper_deg,
-    )
+    def machine(self, physics: Physics) -> tuple[Physics, Loop]:
+        """What the kernel runs: a slow pole after the loop is a lag of what is read."""
+        if physics.slow_place == AFTER and self.has_places:
+            slow, _ = split(_scaled(self.transfer.denominator, physics))
+            physics = physics._replace(lag_s=1.0 / slow)
+        return physics, self.loop(physics)
 
 
 def scaled_transfer(transfer: TransferFunction, physics: Physics) -> TransferFunction:
@@ -213,21 +222,65 @@ def scaled_transfer(transfer: TransferFunction, physics: Physics) -> TransferFun
     """
     from servofd.models.transfer import TransferFunction
 
-    if physics.bandwidth_scale == 1.0 and physics.damping_scale == 1.0:
+    scales = physics.bandwidth_scale, physics.slow_scale, physics.pair_scale, physics.damping_scale
+    if scales == (1.0, 1.0, 1.0, 1.0):
         return transfer
-    denominator = np.array(transfer.denominator) / transfer.denominator[0]
-    scales = physics.bandwidth_scale ** np.arange(denominator.size)
-    scaled = _damped(denominator, physics.damping_scale) * scales
+    scaled = _scaled(transfer.denominator, physics)
     return TransferFunction((transfer.dc_gain * float(scaled[-1]),), tuple(scaled.tolist()))
 
 
+def _scaled(denominator: tuple[float, ...], physics: Physics) -> FloatArray:
+    return _polynomial(
+        denominator, (physics.bandwidth_scale, physics.slow_scale, physics.pair_scale, physics.damping_scale)
+    )
+
+
+def _polynomial(denominator: tuple[float, ...], scales: tuple[float, float, float, float]) -> FloatArray:
+    """Monic characteristic polynomial with its poles scaled: all of them, the slow one, the pair, its damping."""
+    bandwidth, slow_scale, pair_scale, damping = scales
+    monic = _damped(np.array(denominator) / denominator[0], damping)
+    if slow_scale != 1.0 or pair_scale != 1.0:
+        if monic.size == _PLACED:
+            slow, (sum_rad_s, product) = split(monic)
+            quadratic = np.array([1.0, pair_scale * sum_rad_s, pair_scale**2 * product])
+            monic = np.polymul([1.0, slow_scale * slow], quadratic)
+        else:
+            monic = monic * pair_scale ** np.arange(monic.size)
+    scaled: FloatArray = monic * bandwidth ** np.arange(monic.size)
+    return scaled
+
+
+def split(monic: FloatArray) -> tuple[float, tuple[float, float]]:
+    """Slow pole of a monic polynomial of three [rad/s], and what the other two leave: s^2 + sum s + product.
+
+    Examples
+    --------
+    >>> slow, pair = split(np.poly([-24.84, -30.0, -40.0]))
+    >>> round(slow, 2), [round(each, 2) for each in pair]
+    (24.84, [70.0, 1200.0])
+    """
+    roots = np.roots(monic)
+    real = roots[np.abs(roots.imag) <= _TIED * np.abs(roots)].real
+    slow = float(-real[np.argmin(np.abs(real))])
+    # Deflated, not multiplied from roots: the polynomial stays what it was.
+    total = float(monic[1]) - slow
+    return slow, (total, float(monic[3]) / slow)
+
+
 @lru_cache(maxsize=64)  # of a fast servo 0.8 MB each
-def _loop(denominator: tuple[float, ...], bandwidth_scale: float, damping_scale: float, torque_share: float) -> Loop:
+def _loop(
+    denominator: tuple[float, ...], scales: tuple[float, float, float, float], torque_share: float, place: float
+) -> Loop:
     from servofd.models.loop_steps import step_matrices
 
-    order = len(denominator) - 1
-    monic = _damped(np.array(denominator) / denominator[0], damping_scale) * bandwidth_scale ** np.arange(order + 1)
+    monic = _polynomial(denominator, scales)
+    slow = 0.0
+    if place != INSIDE:
+        slow, pair = split(monic)
+        monic = np.array([1.0, *pair])
+    order = monic.size - 1
     stiffness = float(monic[-1])
+    filters = place == BEFORE
     closed = np.zeros((3, 7))
     torque = min(order, 2)  # row that the error drives
     closed[torque if order == 3 else order - 1, [0, 3, 5]] = -stiffness, stiffness, stiffness
@@ -241,10 +294,13 @@ def _loop(denominator: tuple[float, ...], bandwidth_scale: float, damping_scale:
         closed[1, [1, 2]] = -p, 1.0
         closed[2, [1, 2]] = -(float(monic[2]) - p * q), -q
         effort, load = q / stiffness, stiffness / q
+    if filters:
+        closed[1, [2, 3]] = stiffness, 0.0
+        closed[2, [2, 3]] = -slow, slow
     closed[min(order - 1, 1), 6] = 1.0
     opened = closed.copy()
-    opened[order - 1, [0, 3]] = 0.0
-    fastest = max(float(np.abs(np.roots(monic)).max()), float(monic[1]))
+    opened[order - 1, [0, 2, 3] if filters else [0, 3]] = 0.0
+    fastest = max(float(np.abs(np.roots(monic)).max()), float(monic[1]), slow if filters else 0.0)
     grid_s = min(_FINEST_S, _FASTEST_TIMES_STEP / fastest)
     entries = min(round(_LONGEST_S / grid_s), _MOST_ENTRIES)
     return Loop(
@@ -256,6 +312,7 @@ def _loop(denominator: tuple[float, ...], bandwidth_scale: float, damping_scale:
         load,
         effort,
         order,
+        filters,
     )
 
 

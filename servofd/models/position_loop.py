@@ -142,6 +142,8 @@ def _run_from(
         shaft = (start_deg - physics.bias_deg) / physics.gain
         rest_linkage(link, shaft, start_deg)
         memory[_Y] = memory[_U] = shaft / dc_gain
+        if loop.filters:
+            memory[_TORQUE] = memory[_Y]
     first = np.int64(0)  # a literal is a type of its own, for which the rest would be compiled as well
     while first < result.size:
         last = _turned(physics, loop, dc_gain, longest_s, inputs, memory, table, notes, linked, first, result)
@@ -179,7 +181,10 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
     """
     effective_s, command_deg, slope_deg_s, at_s, pressure_pa, voltage_v = inputs
     built_s = memory[_STATES:]
-    grid_s, order, stiffness = loop.grid_s, loop.order, loop.closed_rate[loop.order - 1, 3]
+    grid_s, order, stiffness = loop.grid_s, loop.order, loop.closed_rate[loop.order - 1, 5]
+    filters = loop.filters
+    fast_up, fast_down = physics.speed_up_deg_s / dc_gain, -physics.speed_down_deg_s / dc_gain
+    races = fast_up < math.inf or fast_down > -math.inf
     closed, opened = loop.closed, loop.opened
     by_speed, loss = -loop.closed_rate[2, 1], -loop.closed_rate[2, 2]
     whole_s = grid_s * (closed.shape[0] - 1)
@@ -205,7 +210,7 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
     if slews or rooted:
         # Half of the usual step, whatever the shorter ones are.
         whole_s = min((5.0 if insensitive > 0.0 else 2.0) * short_s, whole_s)
-    if not (bends or saturates or rubs or blocked):
+    if not (bends or saturates or rubs or blocked or races):
         short_s = math.inf  # nothing ever switches
     most_s = _MOST_STEPS * min(short_s, whole_s)
     y, v, torque, u = memory[_Y], memory[_V], memory[_TORQUE], memory[_U]
@@ -258,7 +263,14 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
                 if slews:
                     s = max(min((wanted - u) / h, physics.set_point_deg_s), -physics.set_point_deg_s)
                 middle = y + 0.5 * h * v
-                error = u + 0.5 * h * s - middle
+                error, come, gone = u + 0.5 * h * s - middle, u, u + h * s
+                if filters:  # what the slow pole lets through of the command takes its place, in the third state
+                    k = 2 * slot
+                    if math.isnan(table[k, 0]):
+                        build(table, k, closed, grid_s, built_s[slot])
+                    left, filled, ramped = table[k, 2 * ROW + 2], table[k, 2 * ROW + 3], table[k, 2 * ROW + 4]
+                    come, gone = torque, left * torque + filled * u + ramped * s
+                    error = 0.5 * (come + gone) - middle
                 bent = error
                 if bends:
                     bent = max(error - dead, 0.0) + min(error + dead, 0.0)
@@ -283,7 +295,7 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
                     elif order != 3:
                         limit += physics.load_friction * abs(max(min(bent, most), least)) * per_error
                     if v == 0.0:
-                        acts, grows = (pushed, 0.0) if held else (pushed + u - y, s)
+                        acts, grows = (pushed, 0.0) if held else (pushed + come - y, (gone - come) / h)
                         before, wound = stiffness * acts, stiffness * (acts + h * grows)
                         if order == 3:
                             if math.isnan(table[2 * slot, 0]):
@@ -319,14 +331,25 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
                     torque1 += by_torque * brake
                     if rested:
                         v1 = 0.0
+                if filters:
+                    torque1 = gone
+                raced = False
+                if races and not sticks and not (fast_down <= v1 <= fast_up):
+                    # Held back at its fastest from where it came to be; until then its speed grew evenly.
+                    raced = v != (fast_up if v1 > 0.0 else fast_down)
+                    fastest = fast_up if v1 > 0.0 else fast_down
+                    grown = min(max((fastest - v) / (v1 - v), 0.0), 1.0) if v1 != v else 0.0
+                    y1, v1 = y + h * (0.5 * grown * (v + fastest) + (1.0 - grown) * fastest), fastest
                 if wary:
-                    begin, end = u - y, u + h * s - y1
+                    begin, end = come - y, gone - y1
                     low, high = min(begin, end, error), max(begin, end, error)
                     if (
                         (bends and (low <= edge < high or low < -edge <= high))
                         or (saturates and (low <= top < high or low < bottom <= high))
                         or (rubs and not sticks and (rested or v * v1 <= 0.0) and abs(y1 - y) >= _STILL_DEG)
                         or (blocked and (max(y, y1) >= stop_upper or min(y, y1) <= stop_lower))
+                        or raced
+                        or (races and (v in (fast_up, fast_down)) and v1 != v)
                     ):
                         clock -= (count - 1) * h
                         pauses = True

@@ -10,8 +10,8 @@ import numpy as np
 
 from servofd.errors import DesignError
 from servofd.models.context import NO_CONTEXT
-from servofd.models.effects import Delay, Effect, Extension, LinearDynamics, Plan, RateLimit
-from servofd.models.physics import RATE_FIELDS
+from servofd.models.effects import Delay, Effect, Extension, LinearDynamics, Plan, RateLimit, neutral_of
+from servofd.models.physics import RATE_FIELDS, Physics, Plant
 
 if TYPE_CHECKING:
     from servofd.models.context import Context
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from servofd.servos import Servo
     from servofd.types import FloatArray
 
-__all__ = ["ServoModel"]
+__all__ = ["ServoModel", "plant_of"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +94,6 @@ class ServoModel:
         (True, 0.25)
         """
         from servofd.models.extended import ExtendedServo
-        from servofd.models.physics import Physics, Plant
 
         physics = self.plan.physics
         if physics is None:
@@ -181,3 +180,27 @@ class ServoModel:
         if command_s.size:
             motion.rest(float(command_s[0]))
         return motion
+
+
+def plant_of(model: ServoModel) -> Plant:
+    """Position loop with the poles, the delay and the limits of a servo model.
+
+    Raises
+    ------
+    DesignError
+        If the servo has zeros or more than three poles.
+
+    Examples
+    --------
+    >>> from servofd.servos import servo_named
+    >>> plant = plant_of(ServoModel.of(servo_named("hs225bb-eq31")))
+    >>> round(plant.loop().error_per_rate_s, 5)  # 332 deg/s need 18.1 deg of error
+    0.05449
+    """
+    transfer = model.transfer
+    if len(transfer.numerator) != 1 or not 2 <= len(transfer.denominator) <= 4:
+        raise DesignError(
+            f"a servo of order {len(transfer.denominator) - 1} with {len(transfer.numerator) - 1} zeros cannot be "
+            "explained: servos of one to three poles and no zeros can"
+        )
+    return Plant(transfer, neutral_of(model.plan))

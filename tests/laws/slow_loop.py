@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from servofd.models.physics import Physics
+from servofd.models.physics import AFTER, BEFORE, INSIDE, Physics, split
 from servofd.types import FloatArray
 
 _STEP_S = 1e-4
@@ -34,6 +34,10 @@ class SlowLoop:
         self.followed = self.tip = self.played = shaft
         self.swing, self.sensed, self.set_point = 0.0, self.start_deg, math.nan
         coefficients = [c / self.denominator[0] for c in self.denominator[1:]]
+        self.let, self.slow_rad_s = shaft, 0.0
+        if self.physics.slow_place != INSIDE:
+            self.slow_rad_s, pair = split(np.array([1.0, *coefficients]))
+            coefficients = list(pair)
         self.order, self.stiffness = len(coefficients), coefficients[-1]
         self.error_per_rate_s = ([1.0, *coefficients])[-2] / self.stiffness
         self.q = self.physics.torque_share * coefficients[0] if self.order == 3 else 1.0
@@ -70,17 +74,25 @@ class SlowLoop:
             self.set_point = command_deg
         most = self.physics.set_point_deg_s * h
         self.set_point += max(min(command_deg - self.set_point, most), -most)
-        begin = self.slopes(self.state, self.set_point, air_pa, supply_v)
+        target = self.set_point
+        if self.physics.slow_place == BEFORE:
+            before = self.let
+            self.let = target + (before - target) * math.exp(-self.slow_rad_s * h)
+            target = 0.5 * (before + self.let)
+        begin = self.slopes(self.state, target, air_pa, supply_v)
         middle = [x + 0.5 * h * d for x, d in zip(self.state, begin, strict=True)]
-        slope = self.slopes(middle, self.set_point, air_pa, supply_v)
+        slope = self.slopes(middle, target, air_pa, supply_v)
         y, v, torque = (x + h * d for x, d in zip(self.state, slope, strict=True))
         if self.order > 1:
             push = middle[2]
             if self.order == 2:
-                push = self.stiffness * self.effort(self.set_point - middle[0], supply_v)
+                push = self.stiffness * self.effort(target - middle[0], supply_v)
             strength = self.stiffness / self.q * self.physics.friction_deg + self.physics.load_friction * abs(push)
             slower = math.copysign(max(abs(v) - strength * h, 0.0), v)
             y, v = y + 0.5 * h * (slower - v), slower
+        if not -self.physics.speed_down_deg_s <= v <= self.physics.speed_up_deg_s:
+            held_back = min(max(v, -self.physics.speed_down_deg_s), self.physics.speed_up_deg_s)
+            y, v = y + h * (held_back - v) * 0.5, held_back
         if not self.physics.stop_lower_deg < y < self.physics.stop_upper_deg:
             y, v = min(max(y, self.physics.stop_lower_deg), self.physics.stop_upper_deg), 0.0
         self.hang(h, y)
@@ -104,7 +116,8 @@ class SlowLoop:
         x = self.played
         surface = self.physics.gain * (x + self.physics.quadratic_per_deg * x**2 + self.physics.cubic_per_deg2 * x**3)
         surface = min(max(surface, self.physics.lower_deg), self.physics.upper_deg) + self.physics.bias_deg
-        share = -math.expm1(-h / self.physics.lag_s) if self.physics.lag_s else 1.0
+        lag_s = 1.0 / self.slow_rad_s if self.physics.slow_place == AFTER else self.physics.lag_s
+        share = -math.expm1(-h / lag_s) if lag_s else 1.0
         self.sensed += share * (surface - self.sensed)
 
     def positions(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from servofd.models.physics import Physics, Plant, longest_step_s
+from servofd.models.physics import AFTER, BEFORE, Physics, Plant, longest_step_s
 from servofd.models.position_loop import framed, new_memory, run
 from servofd.models.transfer import TransferFunction
 from servofd.servos import servo_named
@@ -66,7 +66,7 @@ LONGEST_S = 5e-4
 
 def moved(order: int, physics: Physics, start_deg: float) -> FloatArray:
     plant = Plant(TransferFunction((DENOMINATORS[order][-1],), DENOMINATORS[order]), Physics())
-    loop = plant.loop(torque_share=physics.torque_share)
+    physics, loop = plant.machine(physics)
     longest_s = min(longest_step_s(physics), LONGEST_S)
     when_s, deg, slope_deg_s = COMMANDS
     return run(physics, loop, 1.0, longest_s, when_s, deg, slope_deg_s, AT_S, AIR_PA, SUPPLY_V, new_memory(start_deg))
@@ -87,6 +87,44 @@ def test_it_moves_as_a_loop_in_small_steps(
     expected_deg = np.array(list(slow.positions(COMMANDS, AT_S, AIR_PA, SUPPLY_V)))[1:]
     assert np.ptp(expected_deg) > 5.0
     assert np.abs(moved(order, physics, start_deg)[1:] - expected_deg).max() < within_deg[order - 1]
+
+
+TWIN_LATE_S = 5e-5
+"""Half of a step, by which the twin's lag is early."""
+PLACED: list[tuple[dict[str, float], float]] = [
+    ({}, 2e-3),
+    ({"deadband_deg": 1.2}, 3e-3),
+    ({"insensitive_deg": 0.8}, 5e-3),
+    ({"friction_deg": 0.5}, 2e-2),
+    ({"friction_deg": 0.2, "load_friction": 0.3, "droop_deg": 5.0}, 3e-2),
+    ({"rate_up_deg_s": 60.0, "rate_down_deg_s": 110.0}, 2e-3),
+    ({"deg_s_per_v": 15.0}, 2e-3),
+    ({"speed_up_deg_s": 60.0, "speed_down_deg_s": 90.0}, 1e-2),
+    ({"speed_up_deg_s": 80.0, "deadband_deg": 0.5, "backlash_deg": 0.6}, 1e-2),
+    ({"set_point_deg_s": 90.0, "knee_deg": 2.0}, 1e-2),
+    ({"stop_lower_deg": -3.0, "stop_upper_deg": 5.0}, 1e-2),
+]
+
+
+@pytest.mark.parametrize("place", [BEFORE, AFTER], ids=["before", "after"])
+@pytest.mark.parametrize(("sizes", "within_deg"), PLACED, ids=named)
+def test_with_its_slow_pole_elsewhere_it_moves_as_that_loop_in_small_steps(
+    place: float, sizes: dict[str, float], within_deg: float
+) -> None:
+    physics = Physics(slow_place=place, **sizes)
+    expected_deg = np.array(list(SlowLoop(DENOMINATORS[3], physics, 1.0).positions(COMMANDS, AT_S, AIR_PA, SUPPLY_V)))[
+        1:
+    ]
+    assert np.ptp(expected_deg) > 5.0
+    twin_deg = TWIN_LATE_S * np.abs(np.diff(expected_deg) / np.diff(AT_S[1:])).max() if place == AFTER else 0.0
+    assert np.abs(moved(3, physics, 1.0)[1:] - expected_deg).max() < within_deg + twin_deg
+
+
+@pytest.mark.parametrize("place", [BEFORE, AFTER], ids=["before", "after"])
+def test_where_nothing_switches_the_place_of_the_slow_pole_does_not_matter(place: float) -> None:
+    inside_deg = moved(3, Physics(lag_s=0.0, gain=0.9, delay_s=0.01, slow_scale=0.8), 1.0)
+    there_deg = moved(3, Physics(slow_place=place, gain=0.9, delay_s=0.01, slow_scale=0.8), 1.0)
+    np.testing.assert_allclose(there_deg[1:], inside_deg[1:], atol=2e-3 if place == AFTER else 1e-6)
 
 
 def held(order: int, physics: Physics, error_deg: float) -> FloatArray:
@@ -117,7 +155,17 @@ def test_a_dead_band_and_an_insensitive_one_hold_the_servo(order: int) -> None:
 
 
 @pytest.mark.parametrize("order", DENOMINATORS)
-@pytest.mark.parametrize("sizes", [{"deadband_deg": 0.8}, {"rate_up_deg_s": 9.0, "backlash_deg": 0.5}], ids=named)
+@pytest.mark.parametrize(
+    "sizes",
+    [
+        {"deadband_deg": 0.8},
+        {"rate_up_deg_s": 9.0, "backlash_deg": 0.5},
+        {"slow_place": BEFORE, "deadband_deg": 0.8},
+        {"slow_place": BEFORE, "rate_up_deg_s": 9.0},
+        {"slow_place": BEFORE, "friction_deg": 0.5},
+    ],
+    ids=named,
+)
 def test_a_servo_that_is_seldom_looked_at_moves_as_one_that_is_watched(order: int, sizes: dict[str, float]) -> None:
     """Two seconds are more steps than are taken at once."""
     plant = Plant(TransferFunction((DENOMINATORS[order][-1],), DENOMINATORS[order]), Physics())
@@ -127,7 +175,8 @@ def test_a_servo_that_is_seldom_looked_at_moves_as_one_that_is_watched(order: in
     for at_s in (watched_s, seldom_s):
         constant, memory = np.ones(at_s.size), new_memory(0.0)
         inputs = (when_s, deg, slope_deg_s, at_s, constant, constant)
-        found_deg.append(run(Physics(**sizes), plant.loop(), 1.0, LONGEST_S, *inputs, memory))
+        physics = Physics(**sizes) if order == 3 else Physics(**sizes)._replace(slow_place=0.0)
+        found_deg.append(run(*plant.machine(physics), 1.0, LONGEST_S, *inputs, memory))
     assert np.ptp(found_deg[1]) > 10.0
     np.testing.assert_allclose(found_deg[1], found_deg[0][::200], rtol=0, atol=2e-3)
 

@@ -12,8 +12,8 @@ from servofd.models.effects import LinearDynamics, Place
 from servofd.models.extended import ExtendedMotion, ExtendedServo
 from servofd.models.faults import Floating
 from servofd.models.loop_steps import ROW
-from servofd.models.physics import Physics, Plant, longest_step_s, plant_of, scaled_transfer
-from servofd.models.servo_model import ServoModel
+from servofd.models.physics import Physics, Plant, longest_step_s, scaled_transfer
+from servofd.models.servo_model import ServoModel, plant_of
 from servofd.models.transfer import TransferFunction
 from servofd.servos import library, servo_named
 
@@ -129,7 +129,7 @@ def test_a_loop_has_the_poles_of_its_servo_scaled(
 ) -> None:
     order = len(denominator) - 1
     plant = Plant(TransferFunction((0.7 * denominator[-1],), denominator), Physics())
-    loop = plant.loop(bandwidth, damping, share)
+    loop = plant.loop(Physics(bandwidth_scale=bandwidth, damping_scale=damping, torque_share=share))
     transfer = scaled_transfer(plant.transfer, Physics(bandwidth_scale=bandwidth, damping_scale=damping))
     monic = np.array(transfer.denominator) / transfer.denominator[0]
     states = loop.closed_rate[:order, :order]

@@ -13,8 +13,8 @@ from servofd.models.context import Context
 from servofd.models.effect_table import effects_installed
 from servofd.models.effects import RateLimit
 from servofd.models.extended import ExtendedMotion, ExtendedServo
-from servofd.models.physics import Physics, Plant, plant_of
-from servofd.models.servo_model import ServoModel
+from servofd.models.physics import Physics, Plant
+from servofd.models.servo_model import ServoModel, plant_of
 from servofd.models.transfer import TransferFunction
 from servofd.servos import servo_named
 from servofd.simulation.commands import COMMANDS

@@ -20,8 +20,7 @@ from servofd.models.effect_table import effects_installed
 from servofd.models.effects import Extension
 from servofd.models.failing import Fault
 from servofd.models.faults import FAULTS, Stuck
-from servofd.models.physics import plant_of
-from servofd.models.servo_model import ServoModel
+from servofd.models.servo_model import ServoModel, plant_of
 from servofd.servos import servo_named
 from servofd.simulation.commands import lively
 from servofd.simulation.flight import simulate_flight
