@@ -220,7 +220,7 @@ from servofd.outputs.recording.write import fill, recording_of
 import rerun as rr
 stream = rr.RecordingStream("servofd-killed", send_properties=False)
 stream.save({str(path)!r})
-fill(Recorder(stream), recording_of(next(servofd.audit({str(STUCK)!r}))))
+fill(Recorder(stream), recording_of(*servofd.audit({str(STUCK)!r})))
 stream.flush()
 os.kill(os.getpid(), signal.SIGKILL)
 """
