@@ -1,10 +1,10 @@
-"""Cells to numbers: pandas does the work, and what it cannot convert is looked at one by one."""
+"""Cells to numbers: numpy does the work, and a table with cells that it cannot convert is looked at cell by cell."""
 
 from __future__ import annotations
 
 import io
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,8 +16,10 @@ if TYPE_CHECKING:
 
 __all__ = ["Cells", "convert"]
 
-MISSING = ("", "nan", "NaN", "NAN", "Nan", "-nan", "-NaN")
-"""What stands for no value, as far as pandas is told; other spellings are understood too, only slower."""
+MISSING = frozenset((b"", b"nan", b"-nan", b"+nan"))
+"""What stands for no value, in small letters."""
+BLOCK_BYTES = 1 << 20
+"""As much text is taken apart at a time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,47 +70,75 @@ def convert(grid: Grid, texts: Collection[str] = ()) -> dict[str, Cells]:
     >>> cells.values, cells.strange, cells.first_strange
     (array([ 1., nan, nan]), array([2]), 'off')
     """
-    import pandas as pd
-
-    frame = pd.read_csv(
-        io.BytesIO(grid.body),
-        sep=grid.delimiter,
-        decimal=grid.decimal,
-        header=None,
-        names=list(range(len(grid.names))),
-        usecols=[place for place, name in enumerate(grid.names) if name],
-        index_col=False,
-        dtype={place: str for place, name in enumerate(grid.names) if name in texts},
-        na_values=list(MISSING),
-        keep_default_na=False,
-        skipinitialspace=True,
-        skip_blank_lines=False,
-        quoting=3,  # csv.QUOTE_NONE
-        encoding_errors="replace",
-        low_memory=False,
-    )
-    named = ((place, name) for place, name in enumerate(grid.names) if name)
-    return {name: _cells(frame[place].to_numpy(), grid.decimal, wanted=name in texts) for place, name in named}
+    delimiter, named = grid.delimiter.encode(), {name: place for place, name in enumerate(grid.names) if name}
+    top = grid.body.partition(b"\n")[0].split(delimiter)
+    plain = [p for name, p in named.items() if name not in texts and _number(top[p], grid.decimal) is not None]
+    table = _numbers(grid, delimiter, plain)
+    rest = list(named.values()) if table is None else [place for place in named.values() if place not in plain]
+    found = {} if table is None else {place: _of_numbers(table[:, k]) for k, place in enumerate(plain)}
+    found |= _cell_by_cell(grid, delimiter, rest, {named[name] for name in texts if name in named}) if rest else {}
+    return {name: found[place] for name, place in named.items()}
 
 
-def _cells(column: np.ndarray[Any, Any], decimal: str, *, wanted: bool) -> Cells:
-    if column.dtype.kind in "iuf" and not wanted:
-        values = column.astype(np.float64)
-        return Cells(values, (), np.empty(0, dtype=np.intp), "", not np.isnan(values).all())
-    texts = tuple("" if isinstance(cell, float) and np.isnan(cell) else str(cell).strip() for cell in column)
-    numbers = [_number(text, decimal) for text in texts]
-    strange = np.array([row for row, number in enumerate(numbers) if number is None], dtype=np.intp)
-    values = np.array([np.nan if number is None else number for number in numbers])
-    first = texts[strange[0]] if strange.size else ""
-    return Cells(values, texts if wanted else (), strange, first, not np.isnan(values).all())
-
-
-def _number(text: str, decimal: str) -> float | None:
-    if text.lower() in ("", "nan", "-nan", "+nan"):
-        return np.nan
-    if "_" in text:  # Python reads 1_000 as a number, a log does not write it
-        return None
+def _numbers(grid: Grid, delimiter: bytes, places: list[int]) -> FloatArray | None:
+    """Columns in which every cell is a number or empty, of shape (rows, columns); None of any others."""
+    body = grid.body if grid.decimal == "." else grid.body.replace(grid.decimal.encode(), b".")
+    empty = delimiter * 2
+    if empty in body or delimiter + b"\n" in body or b"\n" + delimiter in body:
+        lines = b"\n" + body.rstrip(b"\n") + b"\n"
+        for mark, after in ((delimiter, delimiter), (delimiter, delimiter), (delimiter, b"\n"), (b"\n", delimiter)):
+            lines = lines.replace(mark + after, mark + b"nan" + after)
+        body = lines[1:]
     try:
-        return float(text.replace(decimal, "."))
+        table: FloatArray = np.loadtxt(
+            io.BytesIO(body), delimiter=grid.delimiter, usecols=places, comments=None, ndmin=2, encoding="latin-1"
+        )
     except ValueError:
         return None
+    return table if places and table.shape[0] == grid.row.size else None
+
+
+def _of_numbers(values: FloatArray) -> Cells:
+    return Cells(values.copy(), (), np.empty(0, dtype=np.intp), "", not np.isnan(values).all())
+
+
+def _cell_by_cell(grid: Grid, delimiter: bytes, places: list[int], wanted: set[int]) -> dict[int, Cells]:
+    """Columns in which cells may be missing, or text."""
+    width, at = len(grid.names), 0
+    values: dict[int, list[FloatArray]] = {place: [] for place in places}
+    texts: dict[int, list[str]] = {place: [] for place in places}
+    strange: dict[int, list[int]] = {place: [] for place in places}
+    first: dict[int, str] = {}
+    rows = 0
+    while at < len(grid.body):
+        end = grid.body.find(b"\n", at + BLOCK_BYTES) + 1 or len(grid.body)
+        cells = grid.body[at:end].removesuffix(b"\n").replace(b"\n", delimiter).split(delimiter)
+        at = end
+        for place in places:
+            column = cells[place::width]
+            numbers = [_number(cell, grid.decimal) for cell in column]
+            values[place].append(np.array([np.nan if number is None else number for number in numbers]))
+            odd = [row for row, number in enumerate(numbers) if number is None]
+            if odd and place not in first:
+                first[place] = column[odd[0]].decode("utf-8", "replace").strip()
+            strange[place] += [rows + row for row in odd]
+            if place in wanted:
+                texts[place] += [
+                    "" if cell.strip().lower() in MISSING else cell.decode("utf-8", "replace").strip()
+                    for cell in column
+                ]
+        rows += len(cells) // width
+    return {place: _column(values[place], texts[place], strange[place], first.get(place, "")) for place in places}
+
+
+def _column(values: list[FloatArray], texts: list[str], strange: list[int], first: str) -> Cells:
+    numbers = np.concatenate(values)
+    return Cells(numbers, tuple(texts), np.array(strange, dtype=np.intp), first, not np.isnan(numbers).all())
+
+
+def _number(cell: bytes, decimal: str) -> float | None:
+    """Value of a cell; None of text, as which 1_000 counts: Python reads it as a number, a log does not write it."""
+    try:
+        return float(cell if decimal == "." else cell.replace(decimal.encode(), b".")) if b"_" not in cell else None
+    except ValueError:
+        return np.nan if cell.strip().lower() in MISSING else None

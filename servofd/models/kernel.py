@@ -16,11 +16,15 @@ A whole log and a single live sample run through the same `observe`.
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.models.state import SLOTS, FilterParameters, Memory, ServoParameters, compiled, inlined, new_memory
+from servofd.models.state import SLOTS, FilterParameters, Memory, ServoParameters, compiled, fixed, inlined, new_memory
 from servofd.types import FloatArray
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 __all__ = ["FilterParameters", "Memory", "ServoParameters", "evaluate", "lag_weights", "new_memory", "observe"]
 
@@ -281,7 +285,6 @@ def _filter(residual_filter: FilterParameters, memory: Memory, time_s: float, er
     return residual
 
 
-@compiled
 def observe(
     servo: ServoParameters,
     residual_filter: FilterParameters,
@@ -291,7 +294,7 @@ def observe(
     slope_deg_s: FloatArray,
     measured_s: FloatArray,
     measured_deg: FloatArray,
-    restart: np.ndarray[tuple[int], np.dtype[np.int8]],
+    restart: NDArray[np.int8],
     simulated_deg: FloatArray,
     residual_deg: FloatArray,
 ) -> None:
@@ -300,6 +303,25 @@ def observe(
     `effective_s` are the instants at which commands reach the servo (logged time plus delay). A measurement
     of NaN advances the simulation only. Call again with more data to continue where the memory stands.
     """
+    asked = fixed(effective_s), fixed(command_deg), fixed(slope_deg_s)
+    seen = fixed(measured_s), fixed(measured_deg), fixed(restart)
+    _observe(servo, residual_filter, memory, *asked, *seen, simulated_deg, residual_deg)
+
+
+@compiled
+def _observe(
+    servo: ServoParameters,
+    residual_filter: FilterParameters,
+    memory: Memory,
+    effective_s: FloatArray,
+    command_deg: FloatArray,
+    slope_deg_s: FloatArray,
+    measured_s: FloatArray,
+    measured_deg: FloatArray,
+    restart: NDArray[np.int8],
+    simulated_deg: FloatArray,
+    residual_deg: FloatArray,
+) -> None:
     motion, lags = memory.motion, memory.lags
     for k in range(measured_s.size):
         now = measured_s[k]
@@ -331,16 +353,27 @@ def observe(
             residual_deg[k] = _filter(residual_filter, memory, now, error)
 
 
-@compiled
 def evaluate(
     residual_filter: FilterParameters,
     memory: Memory,
     measured_s: FloatArray,
     error_deg: FloatArray,
-    restart: np.ndarray[tuple[int], np.dtype[np.int8]],
+    restart: NDArray[np.int8],
     residual_deg: FloatArray,
 ) -> None:
     """Filter a simulation error that is already there, as `observe` would; the result goes into the last array."""
+    _evaluate(residual_filter, memory, fixed(measured_s), fixed(error_deg), fixed(restart), residual_deg)
+
+
+@compiled
+def _evaluate(
+    residual_filter: FilterParameters,
+    memory: Memory,
+    measured_s: FloatArray,
+    error_deg: FloatArray,
+    restart: NDArray[np.int8],
+    residual_deg: FloatArray,
+) -> None:
     for k in range(measured_s.size):
         error = error_deg[k]
         if math.isnan(error):

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 from numba import njit
 
 from servofd.types import ComplexArray, FloatArray
 
-__all__ = ["FilterParameters", "Memory", "ServoParameters", "compiled", "inlined", "new_memory"]
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["FilterParameters", "Memory", "ServoParameters", "compiled", "fixed", "inlined", "new_memory"]
+
+Kind = TypeVar("Kind", np.float64, np.int8)
 
 SLOTS = 4
 """Step lengths whose exponentials are kept. A uniform log with a fractional delay alternates between two."""
@@ -64,6 +69,19 @@ class Memory(NamedTuple):
     """Of shape (slots,)."""
     slot_factor: ComplexArray
     """Of shape (slots, m)."""
+
+
+def fixed(values: NDArray[Kind]) -> NDArray[Kind]:
+    """The same values, contiguous and read-only: compiled for them alone, a function is compiled once.
+
+    Examples
+    --------
+    >>> fixed(np.arange(6.0)[::2]).flags.writeable
+    False
+    """
+    view = np.ascontiguousarray(values).view()
+    view.setflags(write=False)
+    return view
 
 
 def new_memory(servo: ServoParameters, residual_filter: FilterParameters) -> Memory:

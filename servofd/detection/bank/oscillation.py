@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 import numpy as np
 
 from servofd.detection.bank.explanation import Estimate, Explanation, Regression, Ridge
+from servofd.numeric import least
 
 if TYPE_CHECKING:
     from servofd.detection.bank.window import Window
@@ -54,8 +55,6 @@ def _rest(window: Window, *, commanded: bool) -> _Rest:
 
 def _cycle(window: Window, *, commanded: bool) -> Explanation | None:
     """Explain the window by one sine and the rest."""
-    from scipy.optimize import minimize_scalar
-
     start_s, duration_s = float(window.time_s[0]), max(window.duration_s, 1e-9)
     rest = _rest(window, commanded=commanded)
     target_deg = window.measured_deg - rest.base_deg
@@ -74,14 +73,7 @@ def _cycle(window: Window, *, commanded: bool) -> Explanation | None:
 
     # The cost has one minimum within half a line width of the spectrum's peak.
     near_hz = (max(start_hz - 0.5 / duration_s, 0.1 * start_hz), start_hz + 0.5 / duration_s)
-    frequency_hz = float(
-        minimize_scalar(
-            lambda f: objective(ridge(f).fit(target_deg)),
-            bounds=near_hz,
-            method="bounded",
-            options={"maxiter": _SEARCH_STEPS},
-        ).x
-    )
+    frequency_hz = least(lambda f: objective(ridge(f).fit(target_deg)), *near_hz, steps=_SEARCH_STEPS)
     fitted = ridge(frequency_hz)
     fit = fitted.fit(target_deg)
     sine, cosine = (fitted.estimate(fit, target_deg, index) for index in (-2, -1))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
+from servofd.numeric import root
 from servofd.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
@@ -103,13 +104,11 @@ def design_cusum(kappa: float, rate_per_hour: float, noise: Noise) -> CusumDesig
     >>> round(design_cusum(0.5, 3600.0 / (9556.0 * 0.01), white).limit, 3)
     8.0
     """
-    from scipy.optimize import brentq
-
     samples = 2.0 * 3600.0 / (rate_per_hour * noise.sample_time_s)
     wanted = 2.0 * kappa**2 * samples
     # exp(x) - x - 1 = wanted; it lies below exp(x), and above it by no more than twice near the root.
     top = np.log(wanted + 1.0) * 2.0 + 4.0
-    x: float = brentq(lambda value: np.expm1(value) - value - wanted, 0.0, top, xtol=1e-12)
+    x = root(lambda value: np.expm1(value) - value - wanted, 0.0, top)
     white = max(x / (2.0 * kappa) - _OVERSHOOT, 0.0)
     return CusumDesign(kappa, noise.long_run_factor * white, noise.long_run_factor, noise.sample_time_s)
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.errors import DesignError
+from servofd.numeric import root
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -135,8 +136,6 @@ def root_of_rate(rate: Callable[[float], float], wanted_per_hour: float) -> floa
     >>> round(root_of_rate(lambda z: 10.0 ** -z, 1e-3), 9)
     3.0
     """
-    from scipy.optimize import brentq
-
     most, least = rate(_LOWEST_Z), rate(_HIGHEST_Z)
     if not least <= wanted_per_hour <= most:
         raise DesignError(
@@ -145,11 +144,5 @@ def root_of_rate(rate: Callable[[float], float], wanted_per_hour: float) -> floa
         )
     # Rates span hundreds of powers of ten: only their logarithm is near a straight line.
     tiny = np.finfo(float).tiny
-    z: float = brentq(
-        lambda level: np.log(max(rate(level), tiny)) - np.log(max(wanted_per_hour, tiny)),
-        _LOWEST_Z,
-        _HIGHEST_Z,
-        xtol=1e-13,
-        rtol=1e-13,
-    )
-    return z
+    wanted = np.log(max(wanted_per_hour, tiny))
+    return root(lambda level: float(np.log(max(rate(level), tiny)) - wanted), _LOWEST_Z, _HIGHEST_Z)
