@@ -34,6 +34,7 @@ __all__ = [
     "DEFAULT_SERVO",
     "DEFAULT_SIGMAS",
     "DEFAULT_THRESHOLD_DEG",
+    "UNKNOWN_SERVO",
     "Aircraft",
     "Surface",
     "Swap",
@@ -43,6 +44,8 @@ __all__ = [
 ]
 
 DEFAULT_SERVO = "hs225bb-eq31"
+UNKNOWN_SERVO = "unknown"
+"""Asks for servos fitted to the log."""
 DEFAULT_THRESHOLD_DEG = 1.5
 """Thesis 4.2: the residuals of healthy HS-225BB servos on FASER commands stay within +-1.5 deg."""
 
@@ -201,7 +204,8 @@ class Aircraft(_Entry):
         's9254'
         """
         key, servo = find_servo(name)
-        changed = {surface: entry.model_copy(update={"servo": key}) for surface, entry in self.surfaces.items()}
+        change = {"servo": key, "model": ModelOrigin()}
+        changed = {surface: entry.model_copy(update=change) for surface, entry in self.surfaces.items()}
         return self.model_copy(update={"surfaces": changed, "servos": {} if key == name else {key: servo}})
 
     def model(self, surface: str) -> ServoModel:

@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import logparsers
-from servofd.aircraft import DEFAULT_SERVO, Aircraft, load_aircraft, plain_aircraft
+from servofd.aircraft import UNKNOWN_SERVO, Aircraft, load_aircraft, plain_aircraft
 from servofd.detection.audit import audit_log
 from servofd.detection.verdict import LogAudit
 from servofd.errors import ConfigError, NoMeasurement, UnknownName, suggest
 from servofd.feedback.draft import draft_aircraft
+from servofd.feedback.fitted import fitted_aircraft
 from servofd.segment import cut
 
 if TYPE_CHECKING:
@@ -50,7 +51,8 @@ def audit(
         An aircraft, its file, or the name of one that comes with servofd. Left out, FASER logs use ``faser`` and
         plain tables the surfaces of their header.
     servo : str, optional
-        Servo to assume for all surfaces: a name of the library, or a servo file.
+        Servo of all surfaces: a name of the library, or a servo file; ``unknown``, which it is for plain tables and
+        autopilots' logs that come without an aircraft, fits each servo to the log.
     threshold_deg : float, optional
         Constant alarm level for all surfaces [deg].
     threshold : {"constant", "interval"}, optional
@@ -83,11 +85,13 @@ def audit(
     nothing: NoMeasurement | None = None
     for log in logparsers.read_all(path, layout_of(known)):
         try:
-            flown = known if known is not None and known.surfaces else _with_surfaces(log, known)
+            flown = known if known is not None and known.surfaces else _with_surfaces(log, known, servo)
         except NoMeasurement as error:  # the other runs are judged first
             error.log, nothing = log, nothing or error
             continue
-        if servo is not None:
+        if servo == UNKNOWN_SERVO and known is not None:
+            flown = fitted_aircraft(log, flown)
+        elif servo is not None and servo != UNKNOWN_SERVO:
             flown = flown.with_servo(servo)
         for name in surfaces:
             if name not in flown.surfaces:
@@ -106,12 +110,12 @@ def audit(
         raise nothing
 
 
-def _with_surfaces(log: FlightLog, known: Aircraft | None) -> Aircraft:
+def _with_surfaces(log: FlightLog, known: Aircraft | None, servo: str | None) -> Aircraft:
     """Surfaces as the log has them, beside what is known of the aircraft's motion."""
     if known is None or known.motion is None:
-        return aircraft_for(log)
+        return aircraft_for(log, servo)
     try:
-        return aircraft_for(log).model_copy(update={"motion": known.motion})
+        return aircraft_for(log, servo).model_copy(update={"motion": known.motion})
     except NoMeasurement:
         return known
 
@@ -277,8 +281,15 @@ def flights_of(
     return flights
 
 
-def aircraft_for(log: FlightLog) -> Aircraft:
+def aircraft_for(log: FlightLog, servo: str | None = None) -> Aircraft:
     """Aircraft to assume for a log that comes without a file of its own.
+
+    Parameters
+    ----------
+    log : FlightLog
+        What is to be judged.
+    servo : str, optional
+        Servo of a plain table's surfaces, of the library or a servo file; each is fitted to the log if left out.
 
     Raises
     ------
@@ -307,7 +318,8 @@ def aircraft_for(log: FlightLog) -> Aircraft:
             f"{log.label}: no surface found: a plain table needs columns <surface>_cmd_deg and <surface>_pos_deg; "
             f"for other names write an aircraft file (-c). Its columns: {', '.join(list(log.channels)[:12])}"
         )
-    return plain_aircraft(names, DEFAULT_SERVO)
+    plain = plain_aircraft(names)
+    return fitted_aircraft(log, plain) if servo in (None, UNKNOWN_SERVO) else plain.with_servo(servo)
 
 
 def layout_of(aircraft: Aircraft | None) -> logparsers.TableLayout | None:

@@ -89,6 +89,7 @@ def run(options: argparse.Namespace) -> int:
 
 def check(options: argparse.Namespace) -> None:
     """Refuse what cannot be, before the work starts."""
+    from servofd.aircraft import UNKNOWN_SERVO
     from servofd.cli.targets import check_targets
     from servofd.errors import ConfigError, needs
     from servofd.servos import find_servo
@@ -97,7 +98,7 @@ def check(options: argparse.Namespace) -> None:
         raise ConfigError("--threshold-deg gives a constant threshold; leave it out, or leave out --threshold interval")
     if "" in options.logs:  # which pathlib takes for this folder and everything below it
         raise ConfigError("a log without a name; give a file, a folder or a pattern")
-    if options.servo:
+    if options.servo not in (None, UNKNOWN_SERVO):
         find_servo(options.servo)
     if options.rrd:
         needs("rerun")

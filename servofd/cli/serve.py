@@ -45,7 +45,7 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Serve until Ctrl-C."""
-    from servofd.aircraft import load_aircraft
+    from servofd.aircraft import UNKNOWN_SERVO, load_aircraft
     from servofd.errors import ConfigError, needs
     from servofd.fleet.key import Job
     from servofd.servos import find_servo
@@ -55,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
     from servofd.serve.flights import Flights
     from servofd.serve.server import listening, serve
 
-    if options.servo:
+    if options.servo not in (None, UNKNOWN_SERVO):
         find_servo(options.servo)
     job = Job(load_aircraft(options.config) if options.config else None, options.servo)
     token = "" if options.host in _LOOPBACK else secrets.token_urlsafe(18)

@@ -151,7 +151,7 @@ def audit_segment(
     name = segment.surface
     surface = judged_by(aircraft.surfaces[name], threshold_deg, threshold)
     verdict = _verdict_on(name, surface, expected=expected)
-    problem = _too_little(segment)
+    problem = _too_little(segment) or _unpredicted(surface, segment)
     if problem:
         return verdict(status="unknown", reason=problem, segment=segment)
     try:
@@ -262,6 +262,22 @@ def _too_little(segment: Segment) -> str:
     if rate_hz > _FASTEST_RATE_HZ:
         return f"position comes at {rate_hz:.2g} Hz: check the unit of the time stamps"
     return too_far(segment)
+
+
+def _unpredicted(surface: Surface, segment: Segment) -> str:
+    """Why no servo could be fitted to this log, and what to record; or nothing."""
+    if surface.model.origin != "none":
+        return ""
+    asked_deg = float(np.ptp(segment.command_deg)) if segment.command_deg.size else 0.0
+    record = "record a minute of full and free control movements with this surface, brisk and slow"
+    share = surface.model.explained_share
+    if share is None:
+        seen = f"{segment.duration_s:.0f} s in which the command stays within {asked_deg:.2g} deg"
+        return f"too little motion to fit a servo to ({seen}): {record}"
+    return (
+        f"no servo predicts this surface from its command, which stays within {asked_deg:.2g} deg (a fitted one "
+        f"explains {max(share, 0.0):.0%} of the motion): check that command and position belong together, or {record}"
+    )
 
 
 def _verdict(

@@ -11,6 +11,7 @@ from servofd.detection.alarm import find_episodes
 from servofd.detection.bank.confirm import confirmed, joined
 from servofd.detection.bank.isolate import Fault, Flight, isolate
 from servofd.detection.bank.window import noise_deg
+from servofd.detection.contradiction import contradictions
 from servofd.detection.residual import commands_at_servo
 from servofd.detection.threshold import Threshold, constant_threshold, interval_threshold, suspicion
 
@@ -26,6 +27,9 @@ __all__ = ["Judgement", "judge", "judge_evaluated"]
 _MOST_EPISODES = 50
 """Of one surface that are named, which takes some 50 ms each: a threshold within the noise is crossed thousands of
 times, and what matters is in the largest, and in what goes on."""
+
+_ECHO_S = 3.0
+"""Alarms so close to a contradiction are part of it."""
 
 
 class Judgement(NamedTuple):
@@ -79,7 +83,12 @@ def judge_evaluated(
     *,
     acquit: bool = True,
 ) -> Judgement:
-    """Name each alarm of a flight whose threshold is known, and whose suspicious samples may be."""
+    """Name each alarm of a flight whose threshold is known, and whose suspicious samples may be.
+
+    A model that was fitted to a log accuses only of what contradicts any servo; the rest is suspicious.
+    """
+    if surface.model.origin == "fitted":
+        return _by_fitted(generator, surface, residuals, threshold, commands)
     suspects = None
     if surface.tells_small_faults:
         suspects = suspicion(residuals, threshold) if suspicious is None else suspicious
@@ -97,6 +106,32 @@ def judge_evaluated(
         named = tuple(_held(fault) for fault in named)
     faults = tuple(fault for fault in named if fault.level == "fault" and fault.kind != "healthy")
     return Judgement(threshold, faults, tuple(fault for fault in named if fault not in faults), unnamed)
+
+
+def _by_fitted(
+    generator: ResidualGenerator, surface: Surface, residuals: Residuals, threshold: Threshold, commands: Commands
+) -> Judgement:
+    """What a model says that was fitted to the log."""
+    faults = contradictions(generator, residuals)
+    episodes = tuple(
+        episode
+        for episode in find_episodes(residuals, threshold, persistence=surface.persistence)
+        if not any(_belongs(episode, fault) for fault in faults)
+    )
+    unnamed = max(len(episodes) - _MOST_EPISODES, 0)
+    if unnamed:
+        episodes = _largest(episodes, residuals, threshold)
+    noise = noise_deg(residuals.error_deg[residuals.settled])
+    sigma_deg = float(np.median(threshold.sigma_deg))
+    flight = Flight(generator, surface.tolerances, noise, sigma_deg, residuals, commands)
+    named = joined(flight, (replace(f, level="suspect") for e in episodes for f in isolate(flight, e)))
+    return Judgement(threshold, faults, tuple(fault for fault in named if fault.kind != "healthy"), unnamed)
+
+
+def _belongs(episode: Episode, fault: Fault) -> bool:
+    """Whether an alarm is raised by what is known to be a fault, or by its end."""
+    end_s = np.inf if fault.end_s is None else fault.end_s + _ECHO_S
+    return fault.start_s - _ECHO_S <= episode.alarm_s <= end_s
 
 
 def _largest(episodes: tuple[Episode, ...], residuals: Residuals, threshold: Threshold) -> tuple[Episode, ...]:

@@ -7,25 +7,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from servofd.aircraft import DEFAULT_THRESHOLD_DEG, Aircraft
-from servofd.detection.residual import ResidualGenerator
+from servofd.aircraft import Aircraft
 from servofd.errors import NoMeasurement
 from servofd.feedback.advice import what_to_log
-from servofd.feedback.fit import RoughFit, fit_roughly, typical_error_deg
+from servofd.feedback.fit import RoughFit, fit_roughly
+from servofd.feedback.fitted import draft_tolerance
 from servofd.feedback.pairs import Pair, find_pairs
 from servofd.segment import Segment, cut
 
 if TYPE_CHECKING:
     from logparsers.records import FlightLog
+    from servofd.evidence import ModelOrigin
+    from servofd.feedback.fitted import Drafted
 
 __all__ = ["Draft", "DraftedSurface", "draft_aircraft"]
 
-_ENOUGH_SURFACES = 4
-_THRESHOLD_MARGIN = 1.5
-_FALLBACK_MARGIN = 20.0
 _FULL_NORM_DEG = 25.0
-_FIT_FAILS = 2.5
-_ENOUGH_SIBLINGS = 2
 _SHORTEST_PERIOD_S, _LONGEST_PERIOD_S = 1e-4, 0.2
 _ANGLES = {"deg", "rad"}
 
@@ -38,9 +35,13 @@ class DraftedSurface:
     fit: RoughFit
     command: dict[str, Any]
     measured: dict[str, Any]
-    peak_deg: float
-    """Largest residual of the fitted model in this log [deg]."""
-    median_deg: float
+    drafted: Drafted | None = None
+    """Tolerances under which this log raises no alarm but where it contradicts itself; None where nothing fits."""
+
+    @property
+    def origin(self) -> ModelOrigin:
+        """What the model has earned."""
+        return self.fit.origin if self.drafted else self.fit.origin.model_copy(update={"origin": "none"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +50,6 @@ class Draft:
 
     log: FlightLog
     surfaces: tuple[DraftedSurface, ...]
-    threshold_deg: float
 
     def aircraft(self) -> Aircraft:
         """The aircraft, ready for an audit."""
@@ -57,17 +57,7 @@ class Draft:
             {
                 "name": self.log.vehicle or self.log.format,
                 "servos": {f"{s.pair.surface}-draft": servo_entry(s) for s in self.surfaces},
-                "surfaces": {
-                    s.pair.surface: {
-                        "servo": f"{s.pair.surface}-draft",
-                        "threshold_deg": self.threshold_deg,
-                        "model": {"origin": "fitted"},
-                        "alive": s.pair.position.alive,
-                        "command": s.command,
-                        "measured": s.measured,
-                    }
-                    for s in self.surfaces
-                },
+                "surfaces": {s.pair.surface: surface_entry(s) for s in self.surfaces},
             }
         )
 
@@ -91,8 +81,27 @@ def draft_aircraft(log: FlightLog) -> Draft:
     surfaces = [_draft(log, pair) for pair in find_pairs(log)]
     if not surfaces:
         raise NoMeasurement(f"{log.label}: no measured deflection in this log: {what_to_log(log)}")
-    surfaces = _helped_by_siblings(log, surfaces)
-    return Draft(log, tuple(surfaces), _threshold_deg(surfaces))
+    return Draft(log, tuple(surfaces))
+
+
+def surface_entry(surface: DraftedSurface) -> dict[str, Any]:
+    """Entry of a surface in an aircraft file."""
+    entry: dict[str, Any] = {"servo": f"{surface.pair.surface}-draft"}
+    if surface.drafted is not None:
+        entry |= {
+            "threshold": "interval",
+            "threshold_deg": surface.drafted.level_deg,
+            "tolerance": surface.drafted.tolerance.model_dump(),
+            "suspicions": False,
+        }
+    entry["model"] = {key: _short(value) for key, value in surface.origin.model_dump(exclude_none=True).items()}
+    if surface.pair.position.alive:
+        entry["alive"] = surface.pair.position.alive
+    return entry | {"command": surface.command, "measured": surface.measured}
+
+
+def _short(value: object) -> object:
+    return round(value, 4) if isinstance(value, float) else value
 
 
 def servo_entry(surface: DraftedSurface) -> dict[str, Any]:
@@ -106,7 +115,7 @@ def servo_entry(surface: DraftedSurface) -> dict[str, Any]:
         "hold": "zoh",
         "source": "rough fit to one log",
     }
-    if fit.rate_limit_deg_s < RoughFit().rate_limit_deg_s:
+    if np.isfinite(fit.rate_limit_deg_s):
         entry["rate_limit_deg_s"] = round(fit.rate_limit_deg_s, 1)
     return entry
 
@@ -126,15 +135,17 @@ def _draft(log: FlightLog, pair: Pair) -> DraftedSurface:
     try:
         segment = _cut(log, pair, command, measured)
     except NoMeasurement:
-        return DraftedSurface(pair, RoughFit(), command, measured, 0.0, 0.0)
+        return DraftedSurface(pair, RoughFit(), command, measured)
     if not _SHORTEST_PERIOD_S < segment.period_s < _LONGEST_PERIOD_S:
-        return DraftedSurface(pair, RoughFit(), command, measured, 0.0, 0.0)
+        return DraftedSurface(pair, RoughFit(), command, measured)
     fit = fit_roughly(segment, free_scale=not angle_command)
-    if not angle_command and np.isfinite(fit.error_deg) and fit.gain != 0.0:
+    if fit.origin.origin != "fitted":
+        return DraftedSurface(pair, fit, command, measured)
+    if not angle_command:
         command = _rescaled(command, fit)
         fit = replace(fit, gain=1.0, bias_deg=0.0)
         segment = _cut(log, pair, command, measured)
-    return _with_residual(DraftedSurface(pair, fit, command, measured, 0.0, 0.0), segment)
+    return DraftedSurface(pair, fit, command, measured, draft_tolerance(fit, segment))
 
 
 def _cut(log: FlightLog, pair: Pair, command: dict[str, Any], measured: dict[str, Any]) -> Segment:
@@ -165,64 +176,3 @@ def _rescaled(command: dict[str, Any], fit: RoughFit) -> dict[str, Any]:
     sign = int(np.sign(fit.gain)) * command.get("sign", 1)
     trim = command[trim_key] - fit.bias_deg / (fit.gain * command.get("sign", 1) * slope)
     return {**command, "sign": sign, trim_key: round(float(trim), 4), slope_key: round(abs(fit.gain) * slope, 6)}
-
-
-def _helped_by_siblings(log: FlightLog, surfaces: list[DraftedSurface]) -> list[DraftedSurface]:
-    """Give a servo that could not be fitted the numbers of one that could: it may be the faulty one."""
-    errors = [s.fit.error_deg for s in surfaces]
-    typical_deg = float(np.median(errors))
-    sound = [s for s in surfaces if s.fit.error_deg <= _FIT_FAILS * typical_deg]
-    if len(sound) == len(surfaces) or len(sound) < _ENOUGH_SIBLINGS or not np.isfinite(typical_deg):
-        return surfaces
-    return [s if s in sound else _borrowed(log, s, sound) for s in surfaces]
-
-
-def _borrowed(log: FlightLog, surface: DraftedSurface, sound: list[DraftedSurface]) -> DraftedSurface:
-    """Same surface with the sibling's servo, and scale, under which it comes closest most of the time."""
-    candidates = []
-    for sibling in sound:
-        command = dict(surface.command)
-        for key in ("slope_deg_per_us", "slope_deg"):
-            if key in command and key in sibling.command:
-                command |= {key: sibling.command[key], "sign": surface.pair.output.sign}
-        if "trim_us" in command:
-            command["trim_us"] = surface.pair.output.trim_us
-        elif "trim" in command:
-            command["trim"] = 0.0
-        candidate = replace(surface, fit=sibling.fit, command=command)
-        try:
-            segment = _cut(log, surface.pair, command, surface.measured)
-        except NoMeasurement:
-            return surface
-        candidates.append((typical_error_deg(sibling.fit, segment), candidate))
-    return _measured_draft(log, min(candidates, key=lambda pair: pair[0])[1])
-
-
-def _measured_draft(log: FlightLog, surface: DraftedSurface) -> DraftedSurface:
-    """Same surface with the size of its residual."""
-    try:
-        segment = _cut(log, surface.pair, surface.command, surface.measured)
-    except NoMeasurement:
-        return surface
-    return _with_residual(surface, segment)
-
-
-def _with_residual(surface: DraftedSurface, segment: Segment) -> DraftedSurface:
-    residuals = ResidualGenerator.fitting(surface.fit.model, segment).run(segment)
-    size_deg = np.abs(residuals.residual_deg[residuals.settled])
-    if size_deg.size == 0:
-        return surface
-    return replace(surface, peak_deg=float(size_deg.max()), median_deg=float(np.median(size_deg)))
-
-
-def _threshold_deg(surfaces: list[DraftedSurface]) -> float:
-    """Threshold that most surfaces of this log would have passed.
-
-    With four surfaces or more a faulty one does not move the median of their largest residuals; with fewer,
-    a multiple of the median residual has to do.
-    """
-    if len(surfaces) >= _ENOUGH_SURFACES:
-        wanted_deg = _THRESHOLD_MARGIN * float(np.median([s.peak_deg for s in surfaces]))
-    else:
-        wanted_deg = _FALLBACK_MARGIN * float(np.median([s.median_deg for s in surfaces]))
-    return max(DEFAULT_THRESHOLD_DEG, round(wanted_deg, 1))

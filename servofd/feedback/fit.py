@@ -1,15 +1,19 @@
-"""A rough model of a servo from the log it is in: a starting point where nobody has identified it."""
+"""A rough model of a servo from the log it is in, and how well it predicts the blocks that it was not fitted to."""
 
 from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from servofd.detection.contradiction import resting_runs, resting_width_deg
 from servofd.detection.rehearsal import Rehearsal
 from servofd.detection.residual import ResidualGenerator
+from servofd.detection.resolution import step_deg
+from servofd.evidence import ModelOrigin
 from servofd.models.effects import Delay, LinearDynamics, RateLimit
 from servofd.models.servo_model import ServoModel
 from servofd.segment import Segment
@@ -18,9 +22,9 @@ from servofd.servos import second_order
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from servofd.types import BoolArray, FloatArray
+    from servofd.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["RoughFit", "fit_roughly", "typical_error_deg"]
+__all__ = ["RoughFit", "fit_roughly"]
 
 _MOST_SAMPLES = 4_000
 _ORDINARY_SHARE = 0.02
@@ -33,9 +37,23 @@ _MOST_EVALUATIONS = 100
 _STARTS = 3
 _REWEIGHTINGS = 5
 _BANDWIDTH_RANGE_HZ, _DAMPING_RANGE = (0.2, 100.0), (0.2, 10.0)
-_FEWEST_ROWS = 50
+_FEWEST_ROWS = 30
 _SLOWEST_SHARE = 0.1
 _POLE_RAD_S = 30.0
+_BLOCK_S = 5.0
+_ROWS_PER_BLOCK, _MOST_BLOCKS = 10, 32
+_STRATA = 8
+_RESTS_S, _ASKED_DEG = 1.0, 5.0
+"""A surface that rests for so long while it is asked to move by so much [deg] tells nothing about its servo."""
+_QUIET_SHARE = 20.0
+_PREDICTED = 3.0
+"""Blocks whose error is below so many times that of the best quarter are those that the model predicts."""
+_LEAST_PREDICTED = 0.2
+_EXPLAINS = 0.8
+"""Share of the motion that a model explains in blocks it was not fitted to, or it is none."""
+_NO_MODEL = ModelOrigin(origin="none")
+_NOTHING_DEG = 1e9
+_SCALES = (0.1, 5.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,18 +63,21 @@ class RoughFit:
     bandwidth_hz: float = 6.0
     damping: float = 0.8
     delay_s: float = 0.02
-    rate_limit_deg_s: float = 1e4
+    rate_limit_deg_s: float = float("inf")
     gain: float = 1.0
     """Deflection per degree of the command as it was converted [deg/deg]."""
     bias_deg: float = 0.0
     error_deg: float = float("inf")
     """Typical simulation error of the moving samples, large ones hardly counted [deg]."""
+    origin: ModelOrigin = _NO_MODEL
+    """``fitted`` if it predicts the blocks that were held out."""
 
     @property
     def model(self) -> ServoModel:
         """Healthy model with these numbers."""
         dynamics = LinearDynamics(second_order(2.0 * np.pi * self.bandwidth_hz, self.damping))
-        return ServoModel((Delay(self.delay_s), dynamics, RateLimit(self.rate_limit_deg_s)))
+        limit = (RateLimit(self.rate_limit_deg_s),) if np.isfinite(self.rate_limit_deg_s) else ()
+        return ServoModel((Delay(self.delay_s), dynamics, *limit))
 
 
 _ORDINARY = RoughFit(bandwidth_hz=2.0)
@@ -66,9 +87,9 @@ _ORDINARY = RoughFit(bandwidth_hz=2.0)
 def fit_roughly(segment: Segment, *, free_scale: bool) -> RoughFit:
     """Fit bandwidth, delay and rate limit, and the scale if it is free, to most of a log.
 
-    The cost is nearly flat for large errors, so that a fault during part of the motion does not bend the model; a
-    wide grid, then downhill. It finds a starting point, no more: the order is
-    not fitted, and no interval is given.
+    Blocks of motion from all over the log are fitted and held out by turns, then all of them are fitted. Where the
+    surface rests although it is asked to move, nothing is fitted, and the cost is nearly flat for large errors, so that
+    a fault during part of the motion does not bend the model. A wide grid, then downhill; the order is not fitted.
 
     Parameters
     ----------
@@ -93,28 +114,46 @@ def fit_roughly(segment: Segment, *, free_scale: bool) -> RoughFit:
     >>> abs(fit.bandwidth_hz - 5.0) < 0.3, abs(fit.delay_s - 0.03) < 0.003, round(fit.gain, 1)
     (True, True, 0.8)
     """
-    busy = _busiest_part(segment)
-    rehearsal = _rehearsal(busy)
-    moving = _moving_rows(rehearsal)
-    if np.count_nonzero(moving) < _FEWEST_ROWS:
+    part = _busy_blocks(segment)
+    rehearsal = _rehearsal(part)
+    moving = _moving_rows(rehearsal) & ~_jammed_rows(rehearsal)
+    rows = np.flatnonzero(moving)
+    if rows.size < _FEWEST_ROWS:
         return RoughFit()
+    block = np.arange(rows.size) * min(rows.size // _ROWS_PER_BLOCK, _MOST_BLOCKS) // rows.size
+    held_out = np.zeros(moving.size, dtype=bool)
+    held_out[rows[block % 2 == 1]] = True
 
-    def judged(fit: RoughFit) -> RoughFit:
-        return _judged(fit, rehearsal, moving, free_scale=free_scale)
+    def judged(fit: RoughFit, rows: BoolArray) -> RoughFit:
+        return _judged(fit, rehearsal, rows, free_scale=free_scale)
 
-    coarse = [judged(RoughFit(*shape)) for shape in itertools.product(_BANDWIDTHS_HZ, _DAMPINGS, _DELAYS_S)]
-    smooth = min((_refined(start, judged) for start in sorted(coarse, key=_error)[:_STARTS]), key=_error)
-    limited = min((judged(replace(smooth, rate_limit_deg_s=rate)) for rate in _RATES_DEG_S), key=_error)
-    if limited.error_deg < _WORTH_A_LIMIT * smooth.error_deg:
-        return _refined(limited, judged)
-    return smooth
+    train = partial(judged, rows=moving & ~held_out)
+    coarse = [train(RoughFit(*shape)) for shape in itertools.product(_BANDWIDTHS_HZ, _DAMPINGS, _DELAYS_S)]
+    found = min((_refined(start, train) for start in sorted(coarse, key=_error)[:_STARTS]), key=_error)
+    limited = min((train(replace(found, rate_limit_deg_s=rate)) for rate in _RATES_DEG_S), key=_error)
+    if limited.error_deg < _WORTH_A_LIMIT * found.error_deg:
+        found = _refined(limited, train)
+    everything = partial(judged, rows=moving)
+    origin = _origin(found, rehearsal, held_out, block[block % 2 == 1] // 2)
+    return replace(_refined(everything(found), everything), origin=origin)
 
 
-def typical_error_deg(fit: RoughFit, segment: Segment) -> float:
-    """Median size of the simulation error while the surface should move [deg]; half the motion may be faulty."""
-    rehearsal = _rehearsal(_busiest_part(segment))
-    error_deg = (rehearsal.starts.measured_deg - rehearsal.simulated_deg(fit.model))[_moving_rows(rehearsal)]
-    return float(np.median(np.abs(error_deg))) if error_deg.size else float("inf")
+def _origin(fit: RoughFit, rehearsal: Rehearsal, held_out: BoolArray, block: IntArray) -> ModelOrigin:
+    """How well a model predicts rows that it was not fitted to, in the blocks that it predicts at all."""
+    if not np.isfinite(fit.error_deg):
+        return _NO_MODEL
+    measured = rehearsal.starts.measured_deg[held_out]
+    error = measured - fit.gain * rehearsal.simulated_deg(fit.model)[held_out] - fit.bias_deg
+    rms_deg = np.sqrt(np.bincount(block, error**2) / np.bincount(block))
+    predicted = (rms_deg <= max(_PREDICTED * float(np.percentile(rms_deg, 25.0)), fit.error_deg))[block]
+    power = float(np.mean(error[predicted] ** 2))
+    explained = 1.0 - power / max(float(np.var(measured[predicted])), 1e-300)
+    sound = explained >= _EXPLAINS and np.count_nonzero(predicted) >= _LEAST_PREDICTED * error.size
+    return ModelOrigin(
+        origin="fitted" if sound else "none",
+        held_out_rms_deg=float(np.sqrt(power)),
+        explained_share=explained,
+    )
 
 
 def _refined(start: RoughFit, judged: Callable[[RoughFit], RoughFit]) -> RoughFit:
@@ -122,17 +161,19 @@ def _refined(start: RoughFit, judged: Callable[[RoughFit], RoughFit]) -> RoughFi
     from scipy.optimize import minimize
 
     def at(x: FloatArray) -> RoughFit:
-        shape = {
+        shape: dict[str, Any] = {
             "bandwidth_hz": float(np.clip(np.exp(x[0]), *_BANDWIDTH_RANGE_HZ)),
             "damping": float(np.clip(np.exp(x[1]), *_DAMPING_RANGE)),
             "delay_s": max(float(x[2]), 0.0),
         }
-        if start.rate_limit_deg_s < RoughFit().rate_limit_deg_s:
+        if x.size > 3:
             shape["rate_limit_deg_s"] = float(np.clip(np.exp(x[3]), 10.0, 5000.0))
         return replace(start, **shape)
 
-    begin = np.array([np.log(start.bandwidth_hz), np.log(start.damping), start.delay_s, np.log(start.rate_limit_deg_s)])
-    simplex = begin + np.vstack([np.zeros(4), np.diag([0.3, 0.4, 0.01, 0.3])])
+    begin = np.array([np.log(start.bandwidth_hz), np.log(start.damping), start.delay_s])
+    if np.isfinite(start.rate_limit_deg_s):
+        begin = np.append(begin, np.log(start.rate_limit_deg_s))
+    simplex = begin + np.vstack([np.zeros(begin.size), np.diag([0.3, 0.4, 0.01, 0.3])[: begin.size, : begin.size]])
     options: Any = {"initial_simplex": simplex, "maxfev": _MOST_EVALUATIONS, "xatol": 1e-3, "fatol": 1e-5}
 
     def error_deg(x: FloatArray) -> float:
@@ -146,24 +187,52 @@ def _error(fit: RoughFit) -> float:
     return fit.error_deg
 
 
-def _busiest_part(segment: Segment) -> Segment:
-    """Stretch of the log with most motion of the command, short enough to be simulated a hundred times."""
-    size = segment.measured_s.size
-    if size <= _MOST_SAMPLES:
+def _busy_blocks(segment: Segment) -> Segment:
+    """Blocks of the log with most motion of the command, from all parts of it, few enough to be simulated often."""
+    time_s = segment.measured_s
+    if time_s.size <= _MOST_SAMPLES:
         return segment
-    asked = np.interp(segment.measured_s, segment.command_s, segment.command_deg)
-    travel = np.cumsum(np.abs(np.diff(asked, prepend=asked[0])))
-    begin = int(np.argmax(travel[_MOST_SAMPLES:] - travel[:-_MOST_SAMPLES]))
-    from_s, to_s = segment.measured_s[begin], segment.measured_s[begin + _MOST_SAMPLES - 1]
-    commands = slice(*np.searchsorted(segment.command_s, [from_s, to_s]))
-    rows = slice(begin, begin + _MOST_SAMPLES)
+    block = np.floor(time_s / _BLOCK_S).astype(np.int64)
+    asked_deg = np.interp(time_s, segment.command_s, segment.command_deg)
+    names, first, size = np.unique(block, return_index=True, return_counts=True)
+    travel_deg = np.add.reduceat(np.abs(np.diff(asked_deg, prepend=asked_deg[0])), first)
+    part = (np.arange(names.size) * _STRATA) // names.size
+    rank = np.empty(names.size)
+    for stratum in range(_STRATA):
+        members = np.flatnonzero(part == stratum)
+        rank[members[np.argsort(-travel_deg[members], kind="stable")]] = np.arange(members.size)
+    order = np.lexsort((-travel_deg, rank))
+    chosen = names[order[np.cumsum(size[order]) <= max(_MOST_SAMPLES, int(size[order[0]]))]]
+    rows = np.isin(block, chosen)
+    commands = np.isin(np.floor(segment.command_s / _BLOCK_S).astype(np.int64), chosen)
     return replace(
         segment,
         command_s=segment.command_s[commands],
         command_deg=segment.command_deg[commands],
-        measured_s=segment.measured_s[rows],
+        measured_s=time_s[rows],
         measured_deg=segment.measured_deg[rows],
     )
+
+
+def _jammed_rows(rehearsal: Rehearsal) -> BoolArray:
+    """Rows at which the surface rests although any servo would have moved."""
+    measured_deg = rehearsal.starts.measured_deg
+    rows = np.flatnonzero(np.isfinite(measured_deg))
+    jammed = np.zeros(measured_deg.size, dtype=bool)
+    if rows.size == 0:
+        return jammed
+    position_deg, time_s = measured_deg[rows], rehearsal.segment.measured_s[rows]
+    asked_deg = rehearsal.simulated_deg(_ORDINARY.model)[rows]
+    # At rest second differences are noise.
+    quiet = np.abs(np.diff(position_deg, 2))
+    noise = float(np.percentile(quiet, _QUIET_SHARE)) if quiet.size else 0.0
+    labels = resting_runs(position_deg, resting_width_deg(noise, step_deg(position_deg)))
+    begins = np.flatnonzero(np.diff(labels, prepend=-1))
+    asked = np.maximum.reduceat(asked_deg, begins) - np.minimum.reduceat(asked_deg, begins)
+    ends = np.append(begins[1:], rows.size) - 1
+    rests = (time_s[ends] - time_s[begins] >= _RESTS_S) & (asked >= _ASKED_DEG)
+    jammed[rows] = rests[labels]
+    return jammed
 
 
 def _rehearsal(segment: Segment) -> Rehearsal:
@@ -184,9 +253,12 @@ def _judged(fit: RoughFit, rehearsal: Rehearsal, moving: BoolArray, *, free_scal
     gain, bias_deg = _line(simulated, measured) if free_scale else (1.0, 0.0)
     error = measured - gain * simulated - bias_deg
     # Cauchy's cost: quadratic for errors of a working servo, nearly flat for those of a jammed one.
-    ordinary_deg = max(_ORDINARY_SHARE * float(np.ptp(measured)), 1e-9)
+    low_deg, high_deg = np.percentile(measured, [2.0, 98.0])
+    ordinary_deg = max(_ORDINARY_SHARE * float(high_deg - low_deg), 1e-9)
+    if free_scale and not _SCALES[0] <= abs(gain) <= _SCALES[1]:
+        return replace(fit, gain=gain, bias_deg=bias_deg, error_deg=_NOTHING_DEG)
     cost = float(np.expm1(np.mean(np.log1p((error / ordinary_deg) ** 2))))
-    error_deg = ordinary_deg * float(np.sqrt(cost)) / max(abs(gain), 1e-6)
+    error_deg = ordinary_deg * float(np.sqrt(cost))
     return replace(fit, gain=gain, bias_deg=bias_deg, error_deg=error_deg)
 
 

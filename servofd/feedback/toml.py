@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from servofd.feedback.draft import servo_entry
+from servofd.feedback.draft import servo_entry, surface_entry
 from servofd.toml_text import toml_inline, toml_key, toml_value
 
 if TYPE_CHECKING:
@@ -23,13 +23,21 @@ def draft_to_toml(draft: Draft) -> str:
         "# flights that you know to be good. If this flight had a faulty servo, its numbers are wrong.",
         "#",
         *_on_board(log.format),
-        f"# Threshold {draft.threshold_deg:g} deg: what most surfaces of this log stay below, with a margin.",
+        "# Tolerances are so wide that this log raises no alarm, but where it contradicts any servo.",
         "",
         f"name = {toml_value(log.vehicle or log.format)}",
     ]
     for surface in draft.surfaces:
-        lines += ["", *_surface_lines(surface, draft.threshold_deg)]
+        lines += ["", *_surface_lines(surface)]
     return "\n".join(lines) + "\n"
+
+
+def _peak(surface: DraftedSurface) -> str:
+    return f"  # largest residual in this log: {surface.drafted.peak_deg:.1f} deg" if surface.drafted else ""
+
+
+def _predicts(surface: DraftedSurface) -> str:
+    return "" if surface.drafted else "  # no servo predicts what this surface did"
 
 
 def _on_board(format_name: str) -> list[str]:
@@ -43,7 +51,7 @@ def _on_board(format_name: str) -> list[str]:
     ]
 
 
-def _surface_lines(surface: DraftedSurface, threshold_deg: float) -> list[str]:
+def _surface_lines(surface: DraftedSurface) -> list[str]:
     pair, output, key = surface.pair, surface.pair.output, toml_key(surface.pair.surface)
     function = "function unknown" if output.function is None else f"SERVO{output.number}_FUNCTION = {output.function}"
     scale = (
@@ -53,9 +61,13 @@ def _surface_lines(surface: DraftedSurface, threshold_deg: float) -> list[str]:
     )
     lines = [
         f"[surfaces.{key}]  # output {output.number}, {function}",
-        f"servo = {toml_value(f'{pair.surface}-draft')}",
-        f"threshold_deg = {threshold_deg:g}  # largest residual in this log: {surface.peak_deg:.1f} deg",
     ]
+    entry = surface_entry(surface)
+    notes = {"threshold_deg": _peak(surface), "model": _predicts(surface)}
+    for name in ("servo", "threshold", "threshold_deg", "tolerance", "suspicions", "model"):
+        if name in entry:
+            value = toml_inline(entry[name]) if isinstance(entry[name], dict) else toml_value(entry[name])
+            lines.append(f"{name} = {value}{notes.get(name, '')}")
     if pair.position.alive:
         lines.append(
             f"alive = {toml_value(list(pair.position.alive))}  # all still, and the position too: dead telemetry"

@@ -70,7 +70,7 @@ def test_a_noise_free_table_comes_back_to_the_nanodegree(tmp_path: Path, capsys:
     path = tmp_path / "clean.csv"
     main(["simulate", "-o", str(path), "--noise-deg", "0", "--command", "doublets"])
     capsys.readouterr()
-    _, document = audited([str(path)], capsys)
+    _, document = audited([str(path), "--servo", "hs225bb-eq31"], capsys)
     assert document["logs"][0]["surfaces"]["elevator"]["residual"]["max_abs_deg"] < 1e-9
 
 
@@ -79,8 +79,10 @@ def test_another_servo_can_be_assumed(tmp_path: Path, capsys: pytest.CaptureFixt
     main(["simulate", "-o", path, "--servo", "s9254", "--command", "steps"])
     capsys.readouterr()
     right, document = audited([path, "--servo", "s9254"], capsys)
-    wrong, _ = audited([path], capsys)
-    assert (right, wrong) == (0, 1)
+    wrong, _ = audited([path, "--servo", "hs225bb-eq31"], capsys)
+    fitted, of_itself = audited([path, "--servo", "unknown"], capsys)
+    assert (right, wrong, fitted) == (0, 1, 0)
+    assert of_itself["logs"][0]["surfaces"]["elevator"]["model"]["origin"] == "fitted"
     assert document["logs"][0]["surfaces"]["elevator"]["servo"] == "s9254"
 
 

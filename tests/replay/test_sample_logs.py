@@ -55,7 +55,7 @@ def test_verdicts(name: str) -> None:
 
 
 def test_one_fault_passes_another_follows_and_a_second_surface_fails_meanwhile() -> None:
-    (result,) = servofd.audit(SAMPLES / TABLE)
+    (result,) = servofd.audit(SAMPLES / TABLE, servo="hs225bb-eq31")
     verdicts = {verdict.surface: verdict for verdict in result.surfaces}
     assert {name: verdict.status for name, verdict in verdicts.items()} == {
         "aileron": "healthy",

@@ -1,0 +1,355 @@
+"""What contradicts any servo: all that a model fitted to the very log may accuse a surface of.
+
+A servo whose numbers were fitted to the log that is judged may be off by what nobody knows; but no servo rests while it
+is asked to move by degrees, stays far from where it is asked to be, moves without being asked, or falls behind by more
+than its own lag in part of a flight.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from servofd.detection.bank.explanation import Estimate
+from servofd.detection.bank.isolate import Fault
+from servofd.detection.bank.window import noise_deg
+from servofd.detection.resolution import step_deg
+from servofd.models.state import compiled
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from servofd.detection.residual import ResidualGenerator, Residuals
+    from servofd.types import FloatArray, IntArray
+
+__all__ = ["contradictions", "resting_runs", "resting_width_deg"]
+
+_WIDTH_DEG, _WIDTH_SIGMAS, _WIDTH_STEPS, _WIDEST_DEG = 0.4, 6.0, 2.0, 2.0
+"""A surface at rest reads within so much: play that the air takes up, noise, steps of the reading."""
+_MISSED_DEG, _ASKED_DEG, _MISSED_S = 2.5, 4.0, 0.5
+"""A jammed surface is so far from where it should be, while that moves by so much, for so long beyond its lag."""
+_FAR_DEG, _FAR_SHARE, _FAR_S = 6.0, 0.3, 1.5
+"""So far from the command, and by such a share of its travel, nothing rests that is well."""
+_WINDOW_S, _HOP_S = 3.0, 0.5
+_WRONG_DEG = 1.4
+"""Windows whose motion is off by less than this (rms) are not looked at again [deg]."""
+_LINE_DEG, _LINE_SHARE, _NOT_ASKED = 2.0, 0.6, 0.5
+"""Amplitude of an oscillation, its share of the error's power, and of the command's amplitude there to its own."""
+_SLOWEST_HZ = 0.7
+_FOLLOWS = 0.3
+"""Slope of the position over the healthy deflection below which it does not follow."""
+_BRISK_DEG = 1.4
+_LAG_SHARE, _LAG_S, _LAG_DEG, _LAG_EXPLAINS = 1.0, 0.03, 1.0, 0.5
+"""Lag beyond its own by this share and this time [s], which moves it by so much (rms) and explains its error."""
+_LATE_SHARE, _LATE_S = 0.7, 6.0
+_FEWEST_SAMPLES = 30
+_JOINED_S = 6.0
+_KINDS = ("stuck", "hardover", "oscillation", "floating", "slow")
+
+
+class _Stretch(NamedTuple):
+    kind: str
+    start_s: float
+    seen_s: float
+    end_s: float
+    parameters: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Flight:
+    """Judged samples of a surface, all arrays of shape (n,)."""
+
+    time_s: FloatArray
+    healthy_deg: FloatArray
+    measured_deg: FloatArray
+    noise_deg: float
+    step_deg: float
+    lag_s: float
+    """Of the servo without its delay."""
+    delay_s: float
+
+    @property
+    def error_deg(self) -> FloatArray:
+        return self.measured_deg - self.healthy_deg
+
+    @property
+    def travel_deg(self) -> float:
+        low, high = np.percentile(self.measured_deg, [2.0, 98.0])
+        return float(high - low)
+
+
+def contradictions(generator: ResidualGenerator, residuals: Residuals) -> tuple[Fault, ...]:
+    """Find what no servo does, whatever its numbers, in order of time.
+
+    Parameters
+    ----------
+    generator : ResidualGenerator
+        With the servo that was fitted to this log, or to another of the same aircraft.
+    residuals : Residuals
+        What it makes of the log.
+
+    Examples
+    --------
+    >>> from servofd.detection.residual import ResidualGenerator
+    >>> from servofd.models.servo_model import ServoModel
+    >>> from servofd.segment import Segment
+    >>> from servofd.servos import servo_named
+    >>> model, time_s = ServoModel.of(servo_named("hs225bb-eq31")), np.arange(0.0, 40.0, 0.02)
+    >>> command_deg = 10.0 * np.sin(2.0 * time_s)
+    >>> jammed_deg = np.where(time_s < 20.0, model.simulate(time_s, command_deg, time_s), 3.0)
+    >>> generator = ResidualGenerator(model, 30.0)
+    >>> (found,) = contradictions(generator, generator.run(Segment("x", time_s, command_deg, time_s, jammed_deg)))
+    >>> found.kind, round(found.start_s), found.end_s
+    ('stuck', 20, None)
+    """
+    use = residuals.settled & np.isfinite(residuals.measured_deg) & np.isfinite(residuals.simulated_deg)
+    if np.count_nonzero(use) < _FEWEST_SAMPLES:
+        return ()
+    plan = generator.model.plan
+    lag_s = float(np.sum(1.0 / generator.filter_parameters().decay_rad_s).real)
+    flight = _Flight(
+        residuals.time_s[use],
+        residuals.simulated_deg[use],
+        residuals.measured_deg[use],
+        noise_deg(residuals.error_deg[use]),
+        step_deg(residuals.measured_deg[use]),
+        lag_s,
+        plan.delay_s,
+    )
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = [*_resting(flight), *_moving(flight)]
+    return _as_faults(found, float(residuals.time_s[-1]))
+
+
+def resting_width_deg(noise: float, step: float) -> float:
+    """Within how much a surface at rest reads, by its noise and the step of its reading [deg]."""
+    return min(_WIDTH_DEG + _WIDTH_SIGMAS * noise + _WIDTH_STEPS * step, _WIDEST_DEG)
+
+
+def resting_runs(measured_deg: FloatArray, width_deg: float) -> IntArray:
+    """Label of the run to which each sample belongs, shape (n,): samples of one run lie within a width [deg].
+
+    Examples
+    --------
+    >>> resting_runs(np.array([0.0, 0.1, 0.0, 5.0, 9.0, 9.1]), 0.5).tolist()
+    [0, 0, 0, 1, 2, 2]
+    """
+    labels = np.zeros(measured_deg.size, dtype=np.int64)
+    _label(measured_deg, width_deg, labels)
+    return labels
+
+
+@compiled
+def _label(measured_deg: FloatArray, width_deg: float, labels: IntArray) -> None:
+    low = high = measured_deg[0]
+    label = 0
+    for k in range(measured_deg.size):
+        value = measured_deg[k]
+        low, high = min(low, value), max(high, value)
+        if high - low > width_deg:
+            label += 1
+            low = high = value
+        labels[k] = label
+
+
+def _resting(flight: _Flight) -> Iterator[_Stretch]:
+    """Jammed, at an end of the travel or anywhere else."""
+    width_deg = resting_width_deg(flight.noise_deg, flight.step_deg)
+    labels = resting_runs(flight.measured_deg, width_deg)
+    begins = np.flatnonzero(np.diff(labels, prepend=-1))
+    ends = np.append(begins[1:], labels.size)
+    time_s, step_s = flight.time_s, np.diff(flight.time_s, append=flight.time_s[-1])
+    usual_s = float(np.median(step_s))
+    step_s = np.minimum(step_s, 3.0 * usual_s)
+    # Beyond the stops nobody expects it.
+    low_deg, high_deg = float(flight.measured_deg.min()), float(flight.measured_deg.max())
+    asked_deg = np.clip(flight.healthy_deg, low_deg, high_deg)
+    late_s = _MISSED_S + 2.0 * (flight.lag_s + flight.delay_s)
+    for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
+        if time_s[end - 1] - time_s[begin] < late_s:
+            continue
+        rows = slice(begin, end)
+        at_deg = float(np.median(flight.measured_deg[rows]))
+        off_deg = np.abs(asked_deg[rows] - at_deg)
+        missed = off_deg > _MISSED_DEG
+        missed_s = np.cumsum(step_s[rows] * missed)
+        far = off_deg > max(_FAR_DEG, _FAR_SHARE * flight.travel_deg)
+        far_s = np.cumsum(step_s[rows] * far)
+        jammed = missed_s[-1] >= late_s and float(np.ptp(asked_deg[rows][missed.argmax() :])) >= _ASKED_DEG
+        jammed = jammed or (missed_s[-1] >= late_s and float(np.ptp(asked_deg[rows])) >= _ASKED_DEG)
+        if not jammed and far_s[-1] < _FAR_S + late_s:
+            continue
+        seen = int(np.searchsorted(missed_s, late_s) if jammed else np.searchsorted(far_s, _FAR_S + late_s))
+        seen_s = float(time_s[min(begin + seen, end - 1)])
+        yield _Stretch(
+            "stuck" if off_deg[0] < _FAR_DEG else "hardover",
+            _onset_s(flight, begin, begin + int(missed.argmax())),
+            seen_s,
+            float(time_s[end - 1]),
+            {"position_deg": at_deg},
+        )
+
+
+def _onset_s(flight: _Flight, earliest: int, latest: int) -> float:
+    """Last instant at which the position was where it should be, before it clearly was not [s]."""
+    near_deg = max(4.0 * flight.noise_deg, 2.0 * flight.step_deg, 0.6)
+    near = np.flatnonzero(np.abs(flight.error_deg[: latest + 1]) <= near_deg)
+    return float(flight.time_s[max(int(near[-1]), earliest - 1, 0)] if near.size else flight.time_s[earliest])
+
+
+def _moving(flight: _Flight) -> Iterator[_Stretch]:
+    """Windows in which it moves as nobody asked it to, or far too late."""
+    time_s, error_deg = flight.time_s, flight.error_deg
+    starts = np.arange(time_s[0], time_s[-1] - _WINDOW_S + 1e-9, _HOP_S)
+    firsts = np.searchsorted(time_s, starts)
+    lasts = np.searchsorted(time_s, starts + _WINDOW_S)
+    total, power = (np.concatenate([[0.0], np.cumsum(x)]) for x in (error_deg, error_deg**2))
+    count = np.maximum(lasts - firsts, 1)
+    spread = (power[lasts] - power[firsts]) / count - ((total[lasts] - total[firsts]) / count) ** 2
+    fewest = 0.6 * _WINDOW_S / max(float(np.median(np.diff(time_s))), 1e-9)
+    brisk: list[_Stretch] = []
+    for k in np.flatnonzero(count >= fewest).tolist():
+        rows = slice(int(firsts[k]), int(lasts[k]))
+        found = _strange(flight, rows) if spread[k] > _WRONG_DEG**2 else None
+        if found is not None:
+            yield found
+            continue
+        behind = _behind(flight, rows)
+        if behind is not None:
+            brisk.append(behind)
+    yield from _lasting(brisk)
+
+
+def _strange(flight: _Flight, rows: slice) -> _Stretch | None:
+    """A window whose motion the command does not explain."""
+    time_s, error = flight.time_s[rows], flight.error_deg[rows]
+    span = (_left_s(flight, rows), float(time_s[-1]), float(time_s[-1]))
+    line = _line(time_s, error, flight.healthy_deg[rows])
+    if line is not None:
+        frequency_hz, amplitude_deg = line
+        return _Stretch("oscillation", *span, {"amplitude_deg": amplitude_deg, "frequency_hz": frequency_hz})
+    asked, moved = flight.healthy_deg[rows], flight.measured_deg[rows]
+    asked_deg, moved_deg = float(np.std(asked)), float(np.std(moved))
+    slope, explained = _best_slope(flight, rows)
+    amplitude_deg = float(np.ptp(moved)) / 2.0
+    if asked_deg >= _BRISK_DEG and abs(slope) < _FOLLOWS:
+        if 2.0 * amplitude_deg <= resting_width_deg(flight.noise_deg, flight.step_deg):
+            return _Stretch("stuck", *span, {"position_deg": float(np.median(moved))})
+        return _Stretch("floating", *span, {"amplitude_deg": amplitude_deg})
+    if moved_deg >= 1.5 * _WRONG_DEG and explained < _FOLLOWS:
+        return _Stretch("floating", *span, {"amplitude_deg": amplitude_deg})
+    return None
+
+
+def _left_s(flight: _Flight, rows: slice) -> float:
+    """When the error of a window leaves what it is as a rule [s]."""
+    size_deg = np.abs(flight.error_deg[rows])
+    off = size_deg > max(6.0 * flight.noise_deg, 0.5 * float(size_deg.max()))
+    return float(flight.time_s[rows][int(off.argmax())])
+
+
+def _best_slope(flight: _Flight, rows: slice) -> tuple[float, float]:
+    """Slope and share of the position's variance explained by the healthy deflection, at the lag that suits it best."""
+    time_s, moved = flight.time_s[rows], flight.measured_deg[rows]
+    best = (0.0, 0.0)
+    for lag_s in (-0.1, 0.0, 0.1, 0.2, 0.35, 0.5):
+        asked = np.interp(time_s - lag_s, flight.time_s, flight.healthy_deg)
+        spread = np.cov(asked, moved)
+        explained = float(spread[0, 1] ** 2 / max(spread[0, 0] * spread[1, 1], 1e-300))
+        slope = float(spread[0, 1] / max(spread[0, 0], 1e-300))
+        if explained > best[1]:
+            best = (slope, explained)
+    return best
+
+
+def _line(time_s: FloatArray, error: FloatArray, asked: FloatArray) -> tuple[float, float] | None:
+    """Frequency [Hz] and amplitude [deg] of an oscillation of the error that the command has no part in."""
+    step_s = float(np.median(np.diff(time_s)))
+    highest_hz = 0.5 / step_s
+    frequencies = np.arange(_SLOWEST_HZ, min(highest_hz, 12.0), 0.25 / _WINDOW_S)
+    if frequencies.size == 0:
+        return None
+    taper = np.hanning(time_s.size)
+    waves = np.exp(-2j * np.pi * frequencies[:, None] * (time_s - time_s[0])[None, :])
+    scale = 2.0 / taper.sum()
+    amplitude = np.abs(waves @ (taper * (error - error.mean()))) * scale
+    best = int(np.argmax(amplitude))
+    size_deg = float(amplitude[best])
+    own_deg = float(np.abs(waves[best] @ (taper * (asked - asked.mean()))) * scale)
+    share = 0.5 * size_deg**2 / max(float(np.var(error)), 1e-12)
+    if size_deg < _LINE_DEG or share < _LINE_SHARE or own_deg > _NOT_ASKED * size_deg:
+        return None
+    return float(frequencies[best]), size_deg
+
+
+def _behind(flight: _Flight, rows: slice) -> _Stretch | None:
+    """A window brisk enough to tell whether it lags behind more than it does as a rule; its scale is 1 where not."""
+    time_s, healthy = flight.time_s[rows], flight.healthy_deg[rows]
+    rate_deg_s = np.gradient(healthy, time_s)
+    error = flight.error_deg[rows]
+    error = error - error.mean()
+    centred = rate_deg_s - rate_deg_s.mean()
+    power = float(centred @ centred)
+    enough_s = max(_LAG_SHARE * flight.lag_s, _LAG_S)
+    brisk = enough_s * float(np.sqrt(power / error.size)) >= _LAG_DEG
+    if not brisk:
+        return None
+    lag_s = -float(centred @ error) / power
+    explained = lag_s**2 * power / max(float(error @ error), 1e-12)
+    late = lag_s >= enough_s and explained >= _LAG_EXPLAINS
+    scale = flight.lag_s / (flight.lag_s + lag_s) if late else 1.0
+    return _Stretch("slow", float(time_s[0]), float(time_s[-1]), float(time_s[-1]), {"bandwidth_scale": scale})
+
+
+def _lasting(brisk: list[_Stretch]) -> Iterator[_Stretch]:
+    """A lag that is there in most of what can tell, from some time on."""
+    late = [s.parameters["bandwidth_scale"] < 1.0 for s in brisk]
+    for k in np.flatnonzero(late).tolist():
+        rest = [s for s, is_late in zip(brisk[k:], late[k:], strict=True) if is_late]
+        if len(rest) < _LATE_SHARE * (len(brisk) - k) or _union_s(rest) < _LATE_S:
+            continue
+        scale = float(np.median([s.parameters["bandwidth_scale"] for s in rest]))
+        seen_s = next(s.seen_s for j, s in enumerate(rest) if _union_s(rest[: j + 1]) >= _LATE_S)
+        yield _Stretch("slow", rest[0].start_s, seen_s, rest[-1].end_s, {"bandwidth_scale": scale})
+        return
+
+
+def _as_faults(found: list[_Stretch], end_s: float) -> tuple[Fault, ...]:
+    """Stretches that belong together joined, the plainest kind first."""
+    joined: list[list[_Stretch]] = []
+    for stretch in sorted(found, key=lambda s: s.start_s):
+        if joined and stretch.start_s - max(s.end_s for s in joined[-1]) <= _JOINED_S:
+            joined[-1].append(stretch)
+        else:
+            joined.append([stretch])
+    return tuple(_as_fault(group, end_s) for group in joined)
+
+
+def _union_s(stretches: list[_Stretch]) -> float:
+    """How long they last together, what they share counted once [s]."""
+    total_s, until_s = 0.0, -np.inf
+    for stretch in sorted(stretches, key=lambda s: s.start_s):
+        total_s += max(stretch.end_s - max(stretch.start_s, until_s), 0.0)
+        until_s = max(until_s, stretch.end_s)
+    return total_s
+
+
+def _as_fault(group: list[_Stretch], end_s: float) -> Fault:
+    lasted = {kind: _union_s([s for s in group if s.kind == kind]) for kind in _KINDS}
+    kind = max(_KINDS, key=lasted.__getitem__)
+    owner = max((s for s in group if s.kind == kind), key=lambda s: s.end_s - s.start_s)
+    others = tuple(k for k in _KINDS if k != kind and lasted[k] > 0.0)
+    last_s = max(s.end_s for s in group)
+    parameters = {name: Estimate(value, value, value) for name, value in owner.parameters.items()}
+    return Fault(
+        kind,
+        min(s.start_s for s in group),
+        min(s.seen_s for s in group),
+        None if last_s >= end_s - _WINDOW_S else last_s,
+        parameters,
+        0.99 if not others else 0.9,
+        others,
+        named_s=owner.seen_s,
+    )

@@ -1,0 +1,176 @@
+"""Servos fitted to the very log that is judged: what is done where nobody has named or calibrated them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from servofd.detection.bank.window import noise_deg
+from servofd.detection.contradiction import contradictions
+from servofd.detection.prepare import prepared
+from servofd.detection.residual import ResidualGenerator
+from servofd.detection.resolution import step_deg
+from servofd.detection.threshold import interval_threshold
+from servofd.errors import DesignError, NoMeasurement
+from servofd.evidence import ModelOrigin
+from servofd.feedback.fit import RoughFit, fit_roughly
+from servofd.segment import cut
+from servofd.servos import Servo
+from servofd.tolerance import Tolerance
+
+if TYPE_CHECKING:
+    from logparsers.records import FlightLog
+    from servofd.aircraft import Aircraft, Surface
+    from servofd.segment import Segment
+    from servofd.types import FloatArray
+
+__all__ = ["Drafted", "draft_tolerance", "fitted_aircraft", "fitted_servo"]
+
+_BLOCK_S = 2.0
+_USUAL = 4.0
+"""Blocks whose residual, measured in tolerances, is so many times the median are no part of what a threshold comes
+from."""
+_MARGIN, _UNSURE = 1.25, 2.0
+"""A threshold is so many times the largest residual, and more where few blocks were seen."""
+_NOISE_SIGMAS = 3.0
+_AROUND_S = 2.0
+_SMALLEST_GAIN, _LARGEST_GAIN = 0.3, 1.7
+_SHORTEST_PERIOD_S, _LONGEST_PERIOD_S = 1e-4, 0.2
+
+
+class Drafted(NamedTuple):
+    """Tolerances under which the log that they come from raises no alarm, but where it contradicts itself."""
+
+    tolerance: Tolerance
+    level_deg: float
+    """Median of the threshold that follows from it [deg]."""
+    peak_deg: float
+    """Largest residual of the blocks from which it was drafted [deg]."""
+
+
+def fitted_aircraft(log: FlightLog, aircraft: Aircraft) -> Aircraft:
+    """Return the same aircraft with every servo fitted to a log.
+
+    Parameters
+    ----------
+    log : FlightLog
+        What is to be judged.
+    aircraft : Aircraft
+        Its surfaces; which servo turns them is left out of account.
+
+    Examples
+    --------
+    >>> import logparsers
+    >>> from servofd.aircraft import plain_aircraft
+    >>> log = logparsers.read("sample_logs/table_three_faults.csv")
+    >>> model = fitted_aircraft(log, plain_aircraft(["aileron"])).surfaces["aileron"].model
+    >>> model.origin, model.explained_share > 0.99
+    ('fitted', True)
+    """
+    surfaces, servos = {}, {}
+    for name, surface in aircraft.surfaces.items():
+        key = f"{name}-fitted"
+        surfaces[name], servos[key] = _fitted(log, name, surface, key)
+    return aircraft.model_copy(update={"surfaces": surfaces, "servos": {**aircraft.servos, **servos}})
+
+
+def fitted_servo(fit: RoughFit, title: str) -> Servo:
+    """What was fitted, as a servo."""
+    return Servo(
+        title=title,
+        bandwidth_hz=round(fit.bandwidth_hz, 3),
+        damping=round(fit.damping, 3),
+        delay_s=round(fit.delay_s, 4),
+        hold="zoh",
+        rate_limit_deg_s=round(fit.rate_limit_deg_s, 1) if np.isfinite(fit.rate_limit_deg_s) else None,
+        source="fitted to the log that is judged",
+    )
+
+
+def _fitted(log: FlightLog, name: str, surface: Surface, key: str) -> tuple[Surface, Servo]:
+    """One surface with the servo that was fitted to it."""
+    plain = surface.model_copy(update={"servo": key, "effects": {}, "model": ModelOrigin(origin="none")})
+    title = f"fitted to {name} of this log"
+    unfit = fitted_servo(RoughFit(), title)
+    try:
+        segment = cut(log, name, surface)
+    except NoMeasurement:
+        return plain, unfit
+    if not _SHORTEST_PERIOD_S < segment.period_s < _LONGEST_PERIOD_S:
+        return plain, unfit
+    fit = fit_roughly(segment, free_scale=True)
+    if fit.origin.origin != "fitted":
+        return plain.model_copy(update={"model": fit.origin}), unfit
+    servo = fitted_servo(fit, title)
+    change: dict[str, object] = {"model": fit.origin, "suspicions": False}
+    if _SMALLEST_GAIN <= fit.gain <= _LARGEST_GAIN:  # else sign or scale are wrong, and the verdict tells so
+        change["command"] = surface.command.corrected(fit.gain, fit.bias_deg)
+        if surface.command_saturation_deg is not None:
+            ends = tuple(fit.gain * end + fit.bias_deg for end in surface.command_saturation_deg)
+            change["command_saturation_deg"] = ends
+    fitted = plain.model_copy(update=change)
+    drafted = draft_tolerance(fit, cut(log, name, fitted))
+    if drafted is None:
+        return plain, unfit
+    levels = {"threshold": "interval", "tolerance": drafted.tolerance, "threshold_deg": drafted.level_deg}
+    return fitted.model_copy(update=levels), servo
+
+
+def draft_tolerance(fit: RoughFit, segment: Segment) -> Drafted | None:
+    """Tolerances drafted from a log; None if nothing of it can be judged.
+
+    No threshold that follows from them lies below the largest residual of the blocks that are alike, nor below one step
+    of the command and one of the reading together; the fewer blocks there are, the wider they become.
+
+    Parameters
+    ----------
+    fit : RoughFit
+        Servo, fitted to this log.
+    segment : Segment
+        One surface of the log, its command scaled as the fit says.
+    """
+    try:
+        generator = ResidualGenerator.fitting(fit.model, segment)
+    except DesignError:
+        return None
+    segment, residuals, _ = prepared(generator, segment)
+    usual = residuals.settled & np.isfinite(residuals.residual_deg)
+    for fault in contradictions(generator, residuals):
+        end_s = np.inf if fault.end_s is None else fault.end_s + _AROUND_S
+        usual &= (residuals.time_s < fault.start_s - _AROUND_S) | (residuals.time_s > end_s)
+    if not usual.any():
+        return None
+    base = Tolerance(noise_deg=max(round(noise_deg(residuals.error_deg[usual]), 4), 0.02))
+    level = interval_threshold(generator, segment, residuals, base)
+    size_deg = np.abs(residuals.residual_deg)
+    excess = np.maximum(size_deg - _NOISE_SIGMAS * level.sigma_deg, 0.0) / np.maximum(level.tolerance_deg, 1e-9)
+    scale, blocks = _scale(np.floor(residuals.time_s / _BLOCK_S)[usual], excess[usual])
+    steps_deg = step_deg(segment.command_deg) + step_deg(segment.measured_deg)
+    scale = max(scale, steps_deg / base.bias_deg)
+    tolerance = _scaled(base, scale)
+    inside = usual & (excess * (_MARGIN + _UNSURE / np.sqrt(blocks)) <= scale * (1.0 + 1e-9))
+    drafted = interval_threshold(generator, segment, residuals, tolerance)
+    peak_deg = float(size_deg[inside].max()) if inside.any() else 0.0
+    return Drafted(tolerance, round(drafted.typical_deg, 3), peak_deg)
+
+
+def _scale(block: FloatArray, excess: FloatArray) -> tuple[float, int]:
+    """How many times as wide tolerances have to be, and from how many blocks that is known."""
+    first = np.flatnonzero(np.diff(block, prepend=-np.inf))
+    peaks = np.maximum.reduceat(excess, first)
+    usual = peaks[peaks <= max(_USUAL * float(np.median(peaks)), 1.0)]
+    return max(1.0, float(usual.max()) * (_MARGIN + _UNSURE / float(np.sqrt(usual.size)))), usual.size
+
+
+def _scaled(base: Tolerance, scale: float) -> Tolerance:
+    """Every tolerance so many times as wide; lags, not bandwidths, grow with the scale."""
+    lags = scale * base.bandwidth / (1.0 - base.bandwidth)
+    return Tolerance(
+        gain=round(min(scale * base.gain, 0.9), 4),
+        delay_s=round(scale * base.delay_s, 5),
+        bandwidth=round(lags / (1.0 + lags), 4),
+        rate=round(min(scale * base.rate, 0.9), 4),
+        bias_deg=round(scale * base.bias_deg, 4),
+        noise_deg=base.noise_deg,
+    )
