@@ -1,11 +1,16 @@
 """What the live monitor costs, per message and stage, beside pymavlink's own receive loop; and how late it is.
 
 ``python benchmarks/monitor.py [SURFACES] [SECONDS]``: CPU time of one thread, best of three; then latency in real time
-from the arrival of a datagram to the end of its evaluation, on loopback.
+from the arrival of a datagram to the end of its evaluation, on loopback; and what share of a core and how much memory
+``servofd monitor`` itself takes of such a flight.
 """
 
 from __future__ import annotations
 
+import contextlib
+import os
+import signal
+import subprocess
 import sys
 import tempfile
 import threading
@@ -29,6 +34,7 @@ from servofd.simulation.flight import simulate_flight
 from servofd.simulation.pulses import MOST_OUTPUTS, outputs_of
 from servofd.simulation.telemetry_writer import telemetry_log
 
+_STARTED_S = 10.0
 _BATCH = 100
 """Messages that have come in together at 5000 a second, evaluated every 20 ms."""
 
@@ -126,6 +132,49 @@ def late_s(aircraft: Aircraft, frames: list[tuple[float, bytes]]) -> np.ndarray:
     return np.array(found)
 
 
+def aircraft_file(surfaces: int) -> str:
+    """The aircraft of `craft` as its user would write it."""
+    _, aircraft = craft(surfaces)
+    text = 'name = "plane"\n'
+    for name, one in aircraft.surfaces.items():
+        command, measured = one.command, one.measured
+        if not isinstance(command, PulseCalibration) or measured is None:
+            continue
+        text += f'[surfaces.{name}]\nservo = "hs225bb-eq31"\nthreshold = "interval"\n'
+        text += f'command = {{ channel = "{command.channel}", unit = "us", slope_deg_per_us = '
+        text += f'{command.slope_deg_per_us} }}\nmeasured = {{ channel = "{measured.channel}", unit = "deg" }}\n'
+    return text
+
+
+def process(surfaces: int, frames: list[tuple[float, bytes]]) -> tuple[float, float]:
+    """Share of a core, after its start, and peak memory [MB] of the program itself."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "plane.toml"
+        path.write_text(aircraft_file(surfaces))
+        words = ["monitor", "udpin:127.0.0.1:14798", "-c", str(path), "--plain"]
+        child = subprocess.Popen([sys.executable, "-m", "servofd", *words], stdout=subprocess.DEVNULL)
+        vehicle = open_link(parse_endpoint("udpout:127.0.0.1:14798"))
+        begun_s, first_s, used_s, since_s = time.monotonic(), frames[0][0], 0.0, 0.0
+        for at_s, frame in frames:
+            time.sleep(max(begun_s + at_s - first_s - time.monotonic(), 0.0))
+            with contextlib.suppress(OSError):
+                vehicle.send(frame)
+            if not since_s and at_s - first_s > _STARTED_S:
+                since_s, used_s = time.monotonic(), spent_s(child.pid)
+        share = (spent_s(child.pid) - used_s) / (time.monotonic() - since_s)
+        peak = next(line for line in Path(f"/proc/{child.pid}/status").read_text().splitlines() if "VmHWM" in line)
+        child.send_signal(signal.SIGINT)
+        child.wait()
+        vehicle.close()
+        return share, float(peak.split()[1]) / 1e3
+
+
+def spent_s(pid: int) -> float:
+    """Processor time of a process until now [s]."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
 def main() -> None:
     given = [int(word) for word in sys.argv[1:]]
     surfaces, seconds = (*given, *(16, 30)[len(given) :])
@@ -150,6 +199,8 @@ def main() -> None:
         print(f"{name:20} {1e6 * spent_s / count:8.1f} us/message")
     print(f"{'pymavlink recv_match':20} {1e6 * reference_s / count:8.1f} us/message, ratio {total_s / reference_s:.1f}")
     print(f"one core holds {count / total_s:.0f} messages/s")
+    share, peak_mb = process(surfaces, frames)
+    print(f"the program: {share:.1%} of a core for {count / seconds:.0f} messages/s, {peak_mb:.0f} MB at most")
     few, eight = craft(8)
     short = simulate_flight(
         few, rate_hz=50.0, duration_s=20.0, faults={"surface_1": Stuck(10.0)}, outputs=outputs_of(few)

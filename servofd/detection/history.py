@@ -64,23 +64,25 @@ class History:
     @staticmethod
     def packed(residuals: Residuals, threshold: Threshold, suspicious: BoolArray) -> FloatArray:
         """Rows of a piece, of shape (`ROWS`, n)."""
-        return np.stack(
-            [
-                residuals.time_s,
-                residuals.simulated_deg,
-                residuals.measured_deg,
-                residuals.residual_deg,
-                residuals.settled,
-                residuals.immobile_deg,
-                residuals.restart,
-                threshold.level_deg,
-                threshold.tolerance_deg,
-                threshold.saturated_deg,
-                threshold.sigma_deg,
-                threshold.drift,
-                suspicious,
-            ]
+        rows = (
+            residuals.time_s,
+            residuals.simulated_deg,
+            residuals.measured_deg,
+            residuals.residual_deg,
+            residuals.settled,
+            residuals.immobile_deg,
+            residuals.restart,
+            threshold.level_deg,
+            threshold.tolerance_deg,
+            threshold.saturated_deg,
+            threshold.sigma_deg,
+            threshold.drift,
+            suspicious,
         )
+        packed = np.empty((len(rows), residuals.time_s.size))
+        for place, row in enumerate(rows):
+            packed[place] = row
+        return packed
 
     def snapshot(self, kind: ThresholdKind, cusum: CusumDesign) -> tuple[Residuals, Threshold, BoolArray]:
         """Residuals, threshold and suspicious samples, copied."""

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.detection.bandwidth import too_slow
+from servofd.detection.bank.confirm import SURE
 from servofd.detection.events import Alarm, Event, Look, Reading
-from servofd.detection.residual import ResidualGenerator, rhythm
+from servofd.detection.residual import ResidualGenerator, rhythm, thinned_rhythm
 from servofd.detection.stream import Stream
 from servofd.errors import DesignError
 from servofd.models.context import NO_CONTEXT, Context
@@ -34,7 +35,7 @@ __all__ = ["SurfaceMonitor"]
 
 _NAMED_S = 2.0
 """A name follows its alarm within so long, or is not told."""
-_LOOKS_S = (0.25, 0.5, 1.0, 1.75, 4.0, 8.0, 16.0)
+_LOOKS_S = (0.5, 1.0, 1.75, 6.0)
 """How long after an alarm the bank looks at it; the last one that may name it leaves the bank time to think,"""
 _LOOKS_AGAIN_S = 30.0
 """and how often after that."""
@@ -92,6 +93,8 @@ class SurfaceMonitor:
     """Why its calibration is not believed any more; empty if it is."""
     outage: str = ""
     """What stopped coming, and has not come steadily since; empty if nothing has."""
+    is_periodic: bool = False
+    """Whether commands are sent at a steady rate, as on a link: where they come unevenly, the rest was lost."""
     patience_s: float = 2.0
     """Without commands or positions for so long, while the vehicle is heard, nothing is known of it [s]."""
     _stream: Stream | None = None
@@ -102,6 +105,7 @@ class SurfaceMonitor:
     _suspected_s: float = -np.inf
     _recent: deque[float] = field(default_factory=lambda: deque(maxlen=WARM_UP_STEPS + 1))
     _period_s: float = float("nan")
+    _mean_s: float = float("nan")
     _command_period_s: float = float("nan")
     _off_pace: int = 0
     _heard: dict[str, list[float]] = field(
@@ -109,7 +113,13 @@ class SurfaceMonitor:
     )
     """When the latest of each was made [s], and for how long since then nothing at all was heard [s]."""
     _steady_s: float = np.inf
+    _latest_seen: float = float("nan")
+    _moved: bool = False
+    """Whether positions have changed while the stream had not begun."""
     _told_slow: bool = False
+    _slow: str = ""
+    _excused: tuple[float, float] = (-np.inf, 0.0)
+    """Until when nothing at all was heard of the vehicle, and for how long [s]."""
     _earlier: dict[float, Fault] = field(default_factory=dict)
     _context: Context = NO_CONTEXT
 
@@ -126,18 +136,21 @@ class SurfaceMonitor:
         """
         if self.suspended:
             return []
-        asked_deg = self.surface.command.to_deg(commands[1])
-        if self.surface.command_saturation_deg is not None:
-            asked_deg = np.clip(asked_deg, *self.surface.command_saturation_deg)
-        given = np.isfinite(asked_deg)
-        asked = list(zip(commands[0][given].tolist(), asked_deg[given].tolist(), strict=True))
+        asked: list[tuple[float, float]] = []
         seen: list[tuple[float, float]] = []
-        if self.surface.measured is not None:
+        if commands[0].size:
+            asked_deg = self.surface.command.to_deg(commands[1])
+            if self.surface.command_saturation_deg is not None:
+                asked_deg = np.clip(asked_deg, *self.surface.command_saturation_deg)
+            given = np.isfinite(asked_deg)
+            asked = list(zip(commands[0][given].tolist(), asked_deg[given].tolist(), strict=True))
+        if positions[0].size and self.surface.measured is not None:
             seen_deg = self.surface.measured.to_deg(positions[1])
             seen = list(zip(positions[0].tolist(), seen_deg.tolist(), strict=True))
         for what, rows in (("command", asked), ("position", seen)):
             if rows:
-                self._heard[what] = [rows[-1][0], 0.0]
+                until_s, gap_s = self._excused
+                self._heard[what] = [rows[-1][0], gap_s if rows[-1][0] < until_s else 0.0]
         events = self._alive(seen)
         if self._stream is None:
             return events + self._warm_up(asked, seen)
@@ -169,9 +182,7 @@ class SurfaceMonitor:
     @property
     def too_slow(self) -> str:
         """What comes too slowly for the bandwidth of the servo, in words; empty if nothing does."""
-        if self._stream is None:
-            return ""
-        return too_slow(self.model.transfer.bandwidth_rad_s, self._period_s, self._command_period_s)
+        return self._slow if self._stream is not None else ""
 
     @property
     def faults(self) -> tuple[Fault, ...]:
@@ -185,8 +196,9 @@ class SurfaceMonitor:
         """Whether any alarm was raised that the tolerances of a working servo do not explain."""
         return any(not alarm.acquitted for alarm in self._alarms.values())
 
-    def excuse(self, gap_s: float) -> None:
-        """Nothing of the vehicle was heard for so long [s]: that is no silence of this surface alone."""
+    def excuse(self, gap_s: float, until_s: float) -> None:
+        """Nothing of the vehicle was heard for so long, until then [s]: that is no silence of this surface alone."""
+        self._excused = until_s, gap_s
         for heard in self._heard.values():
             heard[1] += gap_s
 
@@ -238,6 +250,8 @@ class SurfaceMonitor:
             elif alarm.stands and look.at_s - fault.alarm_s <= _NAMED_S and fault.kind != alarm.kind:
                 events.append(self._event(look, look.at_s, "named", fault.kind, fault))
             alarm.kind, alarm.fault = fault.kind, fault
+            if fault.kind != "unknown" and fault.probability >= SURE:
+                self._looks_s = [at_s for at_s in self._looks_s if not at_s < fault.alarm_s + _NAMED_S]
             if alarm.stands and fault.end_s is not None:
                 alarm.stands = False
                 events.append(self._event(look, look.at_s, "clear", fault.kind, fault))
@@ -285,6 +299,7 @@ class SurfaceMonitor:
         for alarm in self._alarms.values():
             alarm.stands = False
         self._stream, self._generator, self._waiting = None, None, ([], [])
+        self._latest_seen, self._moved = float("nan"), False
         self._looks_s.clear()
         self._recent.clear()
         self._off_pace = 0
@@ -301,9 +316,10 @@ class SurfaceMonitor:
         if self._off_pace < WARM_UP_STEPS:
             return []
         self._off_pace = 0
-        ratio = (self._recent[-1] - self._recent[0]) / WARM_UP_STEPS / self._period_s
+        mean_s = (self._recent[-1] - self._recent[0]) / WARM_UP_STEPS
         now = float(np.median(np.diff(np.array(self._recent)))) / self._period_s
-        if 1.0 / _SAME_PACE <= now <= _SAME_PACE or ratio > 10.0 * now:
+        same = any(1.0 / _SAME_PACE <= pace <= _SAME_PACE for pace in (now, mean_s / self._mean_s))
+        if same or mean_s / self._period_s > 10.0 * now:
             return []
         text = f"positions now come at {self.rate_hz:.3g} Hz, not {1.0 / self._period_s:.3g} Hz; begins anew"
         time_s = self._recent[-1]
@@ -316,6 +332,10 @@ class SurfaceMonitor:
             for row in new:  # as the stream does: a pace of zero might come of the others
                 if not rows or row[0] > rows[-1][0]:
                     rows.append(row)
+        for _, value in seen:
+            if np.isfinite(value):
+                self._moved = self._moved or (value != self._latest_seen and np.isfinite(self._latest_seen))
+                self._latest_seen = value
         if not commands or not positions:
             del commands[:-WARM_UP_STEPS], positions[:-WARM_UP_STEPS]
             return []
@@ -323,8 +343,7 @@ class SurfaceMonitor:
         for rows in (commands, positions):
             if len(rows) <= WARM_UP_STEPS and now_s - rows[0][0] <= WARM_UP_S:
                 return []
-        values = {value for _, value in positions if np.isfinite(value)}
-        if len(values) < 2:
+        if not self._moved:
             del commands[:-_LONGEST_WAIT], positions[:-_LONGEST_WAIT]
             if self._told_slow or now_s - positions[0][0] < WARM_UP_S:
                 return []
@@ -339,7 +358,7 @@ class SurfaceMonitor:
         steps_s = pace_steps(valued_s)
         if not commands or steps_s.size < 2 or np.ptp([value for _, value in positions if np.isfinite(value)]) == 0.0:
             return []
-        self._period_s = float(np.median(steps_s))
+        self._period_s, self._mean_s = float(np.median(steps_s)), float(np.mean(steps_s))
         problem = ""
         if 1.0 / self._period_s < SLOWEST_RATE_HZ * (1.0 - 1e-6):
             problem = f"position comes at {1.0 / self._period_s:.2g} Hz; a servo cannot be judged below "
@@ -358,7 +377,10 @@ class SurfaceMonitor:
         self.problem = ""
         logged_s = np.array([time_s for time_s, _ in commands[: WARM_UP_STEPS + 1]])
         beat = rhythm(logged_s)
+        if self.is_periodic and not np.isfinite(beat.period_s):
+            beat = thinned_rhythm(logged_s)
         self._command_period_s = beat.period_s
+        self._slow = too_slow(self.model.transfer.bandwidth_rad_s, self._period_s, beat.period_s)
         self._stream = Stream(self._generator, self.surface, self._period_s, beat)
         self._stream.surroundings(self._context)
         self._waiting = ([], [])

@@ -42,6 +42,7 @@ __all__ = [
     "go_on",
     "lost_commands",
     "rhythm",
+    "thinned_rhythm",
 ]
 
 _GAP_TIME_CONSTANTS = 5.0
@@ -50,6 +51,8 @@ _BLANKING_TIME_CONSTANTS = 8.0
 _LARGEST_GAIN_ERROR = 1e-6
 _LOST_SAMPLE = (1.5, 1.75)
 """An interval at least this many times the median holds a lost sample: the more, the more the time stamps jitter."""
+_LOW_QUANTILE_OF_THINNED = 10.0
+"""Where one message in four arrives, as many intervals in four are whole."""
 _LOW_QUANTILE, _TRIANGLE = 5.0, 1.0 - 0.1**0.5
 """Two uniform jitters make a triangular one; its lower 5 % lie beyond this share of its half width."""
 _FEW_INTERVALS = 1.25
@@ -386,3 +389,18 @@ def rhythm(command_s: FloatArray) -> Rhythm:
     jitter_s = _FEW_INTERVALS * (period_s - low_s) / _TRIANGLE
     least, most = (share * period_s for share in _LOST_SAMPLE)
     return Rhythm(period_s, min(max(period_s + jitter_s, least), most))
+
+
+def thinned_rhythm(command_s: FloatArray) -> Rhythm:
+    """Rhythm of commands that are sent steadily, and most of which get lost; time stamps [s] of shape (n,).
+
+    Examples
+    --------
+    >>> sent_s = np.arange(400) * 0.02
+    >>> thinned_rhythm(sent_s[np.random.default_rng(1).random(400) < 0.25]).period_s.__round__(3)
+    0.02
+    """
+    if command_s.size < _FEWEST_COMMANDS:
+        return Rhythm(float("inf"), float("inf"))
+    period_s = float(np.percentile(pace_steps(command_s), _LOW_QUANTILE_OF_THINNED))
+    return Rhythm(period_s, _LOST_SAMPLE[0] * period_s)

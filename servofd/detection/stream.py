@@ -31,7 +31,7 @@ from servofd.detection.threshold import (
     unseen_deg,
 )
 from servofd.models.extended import ExtendedMotion
-from servofd.models.kernel import evaluate, new_memory, observe
+from servofd.models.kernel import evaluate_rows, new_memory, observe
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -49,6 +49,7 @@ _SURELY_NEXT = 0.75
 """Share of the command period within which no made-up command lies: between 1.5 and 2 periods, halved."""
 _FASTEST_COMMANDS_S = 0.005
 _PENDING_ROWS = 7
+_NOTHING_READY = np.zeros((2, 0))
 
 
 class Piece(NamedTuple):
@@ -83,6 +84,7 @@ class Stream:
         self.longest_gap_s = generator.longest_gap_s_at(period_s)
         self.evaluation = Evaluation.of(generator, surface.tolerances, period_s)
         self._servo, self._filter = generator.model.parameters(), generator.filter_parameters()
+        self._delay_s = generator.model.plan.delay_s
         slower = slower_generator(generator, surface.tolerances.rate)
         self._slower = slower.model.parameters() if slower else None
         self._motions = [_motion(generator), _motion(slower)]
@@ -96,7 +98,9 @@ class Stream:
         self._starts, self._glitch, self._latch = new_starts_memory(), new_glitch_memory(), new_latch_memory()
         self._work = new_work(self.evaluation.bounds, self._servo.decay_rad_s.size)
         self._cusum = np.zeros(2)
-        self._memories = [new_memory(self._servo, self._filter) for _ in range(5)]
+        self._memories = [new_memory(self._servo, self._filter) for _ in range(2)]
+        self._filtered = new_memory(self._servo, self._filter)
+        self._lags = np.zeros((3, self._filtered.lags.size))
         self._positions: list[tuple[float, float]] = []
         self._pending = np.zeros((_PENDING_ROWS, 0))
         self._unseen: list[tuple[float, float]] = []
@@ -113,7 +117,7 @@ class Stream:
         """Add a command [deg]; one that is no later than the one before is left out."""
         if not time_s > self._newest_s:
             return
-        shift_s = self._generator.model.plan.delay_s
+        shift_s = self._delay_s
         if self._surface.command_period_s is not None:
             self._straight(time_s, command_deg, shift_s + self._surface.command_period_s / 2.0)
         else:
@@ -131,7 +135,10 @@ class Stream:
 
     def evaluate(self, *, final: bool = False) -> Piece | None:
         """Evaluate what can be decided by now; everything if nothing more will come. None if that is nothing."""
-        self._simulate(self._ready(final=final))
+        ready = self._ready(final=final)
+        if ready.size == 0 and not final:
+            return None  # what waits behind a jump waits for a position
+        self._simulate(ready)
         pending = self._pending
         if pending.shape[1] == 0:
             return None
@@ -145,7 +152,7 @@ class Stream:
 
     def _add(self, effective_s: float, command_deg: float, slope_deg_s: float) -> None:
         dropped = self.effective.append(effective_s, command_deg, slope_deg_s)
-        for memory in self._memories[:2]:
+        for memory in self._memories:
             memory.cursor[0] = max(memory.cursor[0] - dropped, 0)
 
     def _straight(self, time_s: float, command_deg: float, shift_s: float) -> None:
@@ -176,6 +183,8 @@ class Stream:
         if final or self.latest_s - self._newest_s > self.longest_gap_s:
             known_s = np.inf
         count = sum(1 for time_s, _ in self._positions if time_s <= known_s)
+        if count == 0:
+            return _NOTHING_READY
         ready, self._positions = self._positions[:count], self._positions[count:]
         return np.array(ready, dtype=float).reshape(-1, 2).T.copy()
 
@@ -202,7 +211,12 @@ class Stream:
             at_s, size_deg = self._unseen.pop(0)
             added_deg[np.searchsorted(time_s, at_s)] += size_deg
         rows = [time_s, simulated_deg, starts.measured_deg, starts.settled, starts.restart, slower_deg, added_deg]
-        self._pending = np.concatenate([self._pending, np.stack(rows)], axis=1)
+        waiting = self._pending.shape[1]
+        pending = np.empty((_PENDING_ROWS, waiting + time_s.size))
+        pending[:, :waiting] = self._pending
+        for place, row in enumerate(rows):
+            pending[place, waiting:] = row
+        self._pending = pending
 
     def _run(self, which: int, time_s: FloatArray, measured_deg: FloatArray, restart: NDArray[np.int8]) -> FloatArray:
         """Deflection of the healthy servo (0), or of the slowest one tolerated (1) [deg]."""
@@ -229,14 +243,12 @@ class Stream:
         """Residual, threshold and alarms of what was decided."""
         time_s, simulated_deg, measured_deg = rows[0].copy(), rows[1].copy(), np.where(glitch, np.nan, rows[2])
         restart, usable = rows[4].astype(np.int8), np.isfinite(measured_deg)
-        inputs = (
-            measured_deg - simulated_deg,
-            np.where(usable, -simulated_deg, np.nan),
-            np.where(usable, rows[5] - simulated_deg, np.nan),
-        )
-        outputs = [np.empty(time_s.size) for _ in inputs]
-        for memory, error_deg, filtered_deg in zip(self._memories[2:], inputs, outputs, strict=True):
-            evaluate(self._filter, memory, time_s, error_deg, restart, filtered_deg)
+        inputs = np.empty((3, time_s.size))
+        inputs[0] = measured_deg - simulated_deg
+        inputs[1] = np.where(usable, -simulated_deg, np.nan)
+        inputs[2] = np.where(usable, rows[5] - simulated_deg, np.nan)
+        outputs = np.empty_like(inputs)
+        evaluate_rows(self._filter, self._filtered, self._lags, time_s, inputs, restart, outputs)
         settled = (rows[3] != 0.0) & ~glitch
         residuals = Residuals(time_s, simulated_deg, measured_deg, outputs[0], settled, outputs[1], restart)
         threshold = self._threshold(residuals, outputs[2], rows[6].copy())

@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 __all__ = ["Pace", "Watcher", "replay_log", "replay_telemetry", "watch_link"]
 
 _STEP_S = 0.02
-"""Data is evaluated in steps of this length, or as soon as it comes on a live link."""
+"""Of a replay: data is evaluated in steps of this length."""
+_TOGETHER_S = 0.003
+"""Of a live link: what arrives within so long is evaluated together, as an autopilot sends it together."""
 
 
 class Watcher(Protocol):
@@ -59,7 +61,11 @@ def watch_link(session: Session, receiver: Receiver, watcher: Watcher, duration_
     end_s = time.monotonic() + duration_s
     while time.monotonic() < end_s:
         events: list[Event] = []
-        for arrival_s, data in receiver.chunks.take(min(0.05, max(end_s - time.monotonic(), 0.0))):
+        chunks = receiver.chunks.take(min(0.05, max(end_s - time.monotonic(), 0.0)))
+        if chunks:
+            time.sleep(_TOGETHER_S)
+            chunks += receiver.chunks.take(0.0)
+        for arrival_s, data in chunks:
             events += session.take(arrival_s, data)
         now_s = receiver.now_s()
         events += session.step(now_s)

@@ -210,7 +210,9 @@ class Session:
 
     def _speak(self, vehicle: Vehicle, events: list[Event], now_s: float) -> None:
         """Say what there is to say about a vehicle."""
-        alerts = self._alerts.setdefault(vehicle.system, Alerts(vehicle.monitors))
+        alerts = self._alerts.get(vehicle.system)
+        if alerts is None:
+            alerts = self._alerts[vehicle.system] = Alerts(vehicle.monitors)
         late = vehicle.clock.latency.news(now_s)
         for news in (*vehicle.news, *([late] if late else [])):
             self.notes.append(news)

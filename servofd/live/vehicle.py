@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections import deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +25,10 @@ if TYPE_CHECKING:
     from servofd.aircraft import Aircraft
     from servofd.types import FloatArray
 
-__all__ = ["Losses", "Vehicle"]
+__all__ = ["Disorder", "Losses", "Vehicle"]
+
+Samples = tuple[list[float], list[float]]
+"""Times and values of one channel."""
 
 _SILENCE_S = 2.0
 _GAP_S = 1.0
@@ -34,6 +39,10 @@ _AUTOPILOT = 1
 _NO_PLACE = 65_535
 _NONE = np.zeros(0)
 _REORDERED = 200
+_DISORDER_S, _LONGEST_WAIT_S = 30.0, 0.5
+"""So long messages that overtake each other are remembered; whatever comes later than the latter is left out."""
+_REMEMBERED = 128
+"""Samples of a channel, to tell copies: 2.5 s at 50 Hz."""
 _COUNT_S = 5.0
 
 
@@ -71,6 +80,53 @@ class Losses:
     def share(self) -> float:
         """Of all frames that were sent."""
         return self.lost / max(self.received + self.lost, 1)
+
+
+class Disorder:
+    """How far behind each other messages of one vehicle come that overtake themselves on their way.
+
+    In order, nothing waits; else samples wait for as long as any was behind its successor in the last half minute.
+
+    Examples
+    --------
+    >>> disorder = Disorder()
+    >>> [disorder.take("x", at_s) for at_s in (1.0, 1.1, 1.05, 1.2, 1.05)]
+    [True, True, True, True, False]
+    >>> round(disorder.known_s(), 2)
+    1.15
+    """
+
+    def __init__(self) -> None:
+        self._recent: dict[str, deque[float]] = {}
+        self._last_s: dict[str, float] = {}
+        self._newest_s = self._begun_s = -math.inf
+        self._behind_s = self._before_s = 0.0
+
+    def take(self, channel: str, time_s: float) -> bool:
+        """Take the time of a sample [s]; False if it is a copy of one that came before."""
+        recent = self._recent.get(channel)
+        if recent is None:
+            recent = self._recent[channel] = deque(maxlen=_REMEMBERED)
+        newest_s = self._last_s.get(channel, -math.inf)
+        if time_s > newest_s:
+            recent.append(time_s)
+            self._last_s[channel] = time_s
+            self._newest_s = max(self._newest_s, time_s)
+            return True
+        if time_s in recent:
+            return False
+        recent.append(time_s)
+        behind_s = newest_s - time_s
+        if behind_s <= _LONGEST_WAIT_S:
+            self._behind_s = max(self._behind_s, behind_s)
+        return True
+
+    def known_s(self) -> float:
+        """Until when all samples are there [s]."""
+        if not self._newest_s - self._begun_s < _DISORDER_S:
+            self._begun_s, self._before_s, self._behind_s = self._newest_s, self._behind_s, 0.0
+        behind_s = max(self._behind_s, self._before_s)
+        return self._newest_s - behind_s if behind_s > 0.0 else math.inf
 
 
 @dataclass(slots=True)
@@ -122,15 +178,15 @@ class Vehicle:
     _counted_s: float = float("-inf")
     _routes: dict[str, list[tuple[str, int]]] = field(default_factory=dict)
     _early: list[tuple[Heard, float]] = field(default_factory=list)
-    _samples: dict[str, tuple[tuple[list[float], list[float]], tuple[list[float], list[float]]]] = field(
-        default_factory=dict
-    )
+    _samples: dict[str, tuple[Samples, Samples]] = field(default_factory=dict)
+    _disorder: Disorder = field(default_factory=Disorder)
 
     def __post_init__(self) -> None:
         for name, surface in self.aircraft.surfaces.items():
             if surface.measured is None:
                 continue
             self.monitors[name] = SurfaceMonitor(name, surface, self.aircraft.model(name))
+            self.monitors[name].is_periodic = self.is_stream
             if not self.is_stream:
                 self.monitors[name].patience_s = LOG_SILENCE_S
             self._routes.setdefault(surface.command.channel, []).append((name, 0))
@@ -211,7 +267,7 @@ class Vehicle:
         missed_s = time_s - self.now_s
         if missed_s > _GAP_S:
             for monitor in self.monitors.values():
-                monitor.excuse(missed_s)
+                monitor.excuse(missed_s, time_s)
         if not missed_s <= 0.0:
             self.now_s = time_s
 
@@ -235,13 +291,16 @@ class Vehicle:
     def evaluate(self) -> list[Event]:
         """Evaluate all that was heard since."""
         samples, self._samples = self._samples, {}
-        events = []
+        known_s, events = self._disorder.known_s(), []
         if self._is_news:
             context, self._is_news = self._around.context(), False
             for monitor in self.monitors.values():
                 monitor.surroundings(context)
         for name, (commands, positions) in samples.items():
-            events += self.monitors[name].feed(_in_order(*commands), _in_order(*positions))
+            now, later = zip(*(_in_order(each, known_s) for each in (commands, positions)), strict=True)
+            events += self.monitors[name].feed(*now)
+            if any(times for times, _ in later):
+                self._samples[name] = later
         if np.isfinite(self.now_s):
             for monitor in self.monitors.values():
                 events += monitor.silence(self.now_s)
@@ -262,6 +321,7 @@ class Vehicle:
 
     def finish(self) -> list[Event]:
         """End of the stream."""
+        self._disorder = Disorder()  # nothing more will come
         events = self.evaluate()
         for monitor in self.monitors.values():
             events += monitor.finish()
@@ -277,6 +337,7 @@ class Vehicle:
         return [*events, Event(self.now_s, "", "link_restored", text=text)]
 
     def _restart(self, time_s: float | None) -> list[Event]:
+        self._disorder = Disorder()
         events = self.evaluate()
         for monitor in self.monitors.values():
             events += monitor.restart()
@@ -293,6 +354,8 @@ class Vehicle:
 
     def _add(self, channel: str, time_s: float, value: float) -> None:
         self._is_news |= self._around.add(channel, time_s, value)
+        if channel in self._routes and not self._disorder.take(channel, time_s):
+            return
         for name, role in self._routes.get(channel, ()):
             if time_s < self._held_s.get(name, time_s):
                 continue
@@ -301,12 +364,14 @@ class Vehicle:
             columns[1].append(value)
 
 
-def _in_order(time_s: list[float], values: list[float]) -> tuple[FloatArray, FloatArray]:
-    """Samples of one channel by time: links overtake themselves."""
+def _in_order(samples: Samples, known_s: float) -> tuple[tuple[FloatArray, FloatArray], Samples]:
+    """Samples of one channel by time, until then [s]; and what is left."""
+    time_s, values = samples
     if not time_s:
-        return _NONE, _NONE
+        return (_NONE, _NONE), ([], [])
     times, taken = np.array(time_s), np.array(values)
     if times.size > 1 and (np.diff(times) < 0.0).any():
         order = np.argsort(times, kind="stable")
-        return times[order], taken[order]
-    return times, taken
+        times, taken = times[order], taken[order]
+    count = int(np.searchsorted(times, known_s, side="right"))
+    return (times[:count], taken[:count]), (times[count:].tolist(), taken[count:].tolist())

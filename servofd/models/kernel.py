@@ -26,7 +26,16 @@ from servofd.types import FloatArray
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["FilterParameters", "Memory", "ServoParameters", "evaluate", "lag_weights", "new_memory", "observe"]
+__all__ = [
+    "FilterParameters",
+    "Memory",
+    "ServoParameters",
+    "evaluate",
+    "evaluate_rows",
+    "lag_weights",
+    "new_memory",
+    "observe",
+]
 
 _SAME_STEP_S = 1e-7
 """Steps this close share an exponential, corrected by a three-term series (error below 1e-15)."""
@@ -384,3 +393,42 @@ def _evaluate(
             residual_deg[k] = error / residual_filter.dc_gain
         else:
             residual_deg[k] = _filter(residual_filter, memory, measured_s[k], error)
+
+
+@compiled
+def evaluate_rows(
+    residual_filter: FilterParameters,
+    memory: Memory,
+    lags: FloatArray,
+    measured_s: FloatArray,
+    rows_deg: FloatArray,
+    restart: np.ndarray[tuple[int], np.dtype[np.int8]],
+    filtered_deg: FloatArray,
+) -> None:
+    """Filter several signals of the same instants, of shape (r, n), as `evaluate` would each; NaN in all or none.
+
+    `lags`, of shape (r, order + 1), are theirs; the memory holds the weights.
+    """
+    for k in range(measured_s.size):
+        now = measured_s[k]
+        if math.isnan(rows_deg[0, k]):
+            filtered_deg[:, k] = math.nan
+            continue
+        if restart[k] != RESTART_NONE:
+            memory.lag_step[2] = now
+            for r in range(lags.shape[0]):
+                lags[r, :] = rows_deg[r, k]
+                filtered_deg[r, k] = rows_deg[r, k] / residual_filter.dc_gain
+            continue
+        step_s = now - memory.lag_step[2]
+        memory.lag_step[2] = now
+        if abs(step_s - memory.lag_step[0]) > _SAME_STEP_S:
+            _weigh_lags(residual_filter, memory, step_s)
+        lag = memory.lag_step[1]
+        for r in range(lags.shape[0]):
+            value, residual = rows_deg[r, k], 0.0
+            for j in range(lags.shape[1]):
+                value = lag * lags[r, j] + (1.0 - lag) * value
+                lags[r, j] = value
+                residual += memory.lag_weights[j] * value
+            filtered_deg[r, k] = residual

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import reduce
 from typing import TYPE_CHECKING
 
@@ -48,9 +48,12 @@ class ServoModel:
     """
 
     effects: tuple[Effect, ...]
+    plan: Plan = field(init=False, repr=False, compare=False)
+    """All effects together."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "effects", tuple(sorted(self.effects, key=lambda effect: effect.place)))
+        object.__setattr__(self, "plan", reduce(lambda plan, effect: effect.install(plan), self.effects, Plan()))
         if self.plan.transfer is None:
             raise DesignError("a servo model needs linear dynamics")
 
@@ -64,11 +67,6 @@ class ServoModel:
 
     def __add__(self, effect: Effect) -> ServoModel:
         return ServoModel((*self.effects, effect))
-
-    @property
-    def plan(self) -> Plan:
-        """All effects together."""
-        return reduce(lambda plan, effect: effect.install(plan), self.effects, Plan())
 
     @property
     def transfer(self) -> TransferFunction:
