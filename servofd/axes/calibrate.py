@@ -14,6 +14,7 @@ from servofd.axes.model import (
     flown_of,
     residual_of,
     settled,
+    slowness,
     statistic,
     whitened,
     windows_of,
@@ -21,7 +22,7 @@ from servofd.axes.model import (
 from servofd.axes.names import AXES, SURFACE_AXES
 from servofd.axes.schema import AxisModel, MotionModel, Regime, Spread
 from servofd.axes.tail import Tail, tail_of
-from servofd.axes.windows import Inputs, Sliding, sliding, spread_between
+from servofd.axes.windows import Inputs, Sliding, lags, sliding, spread_between
 from servofd.errors import CalibrationError
 
 if TYPE_CHECKING:
@@ -88,9 +89,9 @@ def calibrate_motion(flights: Sequence[Motion], *, false_alarms_per_hour: float 
     for name in AXES:
         forms = [form for form in FORMS.values() if form.axis == name and _drives(flights, form)]
         tried = [trial for form in forms for trial in setting.trials(form)]
-        best = max(tried, key=lambda trial: trial.power / trial.tail.level(per_hour), default=None)
+        best = min(tried, key=lambda trial: trial.delay_s(trial.tail.level(per_hour)), default=None)
         if best is not None and best.model.explained > 0.0:
-            axes[name] = best
+            axes[name] = setting.learning(best, per_hour)
     if not axes:
         raise CalibrationError("no axis answers its command: are these flights of a fixed wing, with commands logged?")
     return MotionModel(
@@ -152,8 +153,24 @@ class _Trial:
 
     model: AxisModel
     tail: Tail
-    power: float
-    """Median J of a lost axis in 5 s over the level: how far a loss stands out."""
+    losses: tuple[FloatArray, ...]
+    """Of each flight, J / scale in the windows of each length if half of the axis were lost; shape (k, n)."""
+    inputs: tuple[Inputs, ...]
+
+    def delay_s(self, level: float) -> float:
+        """Mean length of the shortest window in which the loss of half an axis exceeds a level."""
+        lengths_s = [spread.window_s for spread in self.model.spreads]
+        delays_s = [
+            np.min(np.where(shares > level, np.array(lengths_s)[:, np.newaxis], _NEVER_S), axis=0)
+            for shares in self.losses
+        ]
+        return float(np.mean(np.concatenate(delays_s))) if delays_s else _NEVER_S
+
+
+_AWAY_US = 100.0
+"""A fifth of the usual travel."""
+_NEVER_S = 60.0
+"""What is not seen within the longest window counts as twice that window."""
 
 
 @dataclass(frozen=True)
@@ -215,6 +232,16 @@ class _Setting:
         explained = 1.0 - (power - float(solved @ right)) / max(power, 1e-300)
         return _Fit(1.0 if form.inverse else float(solved[0]), offset, solved[drive:shared], explained)
 
+    def learning(self, trial: _Trial, per_hour: float) -> _Trial:
+        """The same with more of what windows differ by learned from the flight itself, if it finds losses sooner."""
+        learned = trial.model.own_command  # where lambda is free, what was learned early would hide an offset
+        rate_hz = self.flights[0].rate_hz
+        model = _with_spreads(trial.model, trial.inputs, rate_hz, _MOST_OF_FLIGHT) if learned else None
+        if model is None:
+            return trial
+        more = self._scored(model, trial.inputs)
+        return min(trial, more, key=lambda one: one.delay_s(one.tail.level(per_hour)))
+
     def _trial(
         self, form: Form, columns: Sequence[Regression], corner_hz: float, delay_s: float, order: int
     ) -> _Trial | None:
@@ -240,27 +267,32 @@ class _Setting:
         plain = [self._inputs(held[group], columns[i], i) for i, group in enumerate(self.groups)]
         whitening = _autoregression([_centred(inputs) for inputs in plain], order)
         inputs = [whitened(one, whitening) for one in plain]
+        residual_var = _residual_var(inputs) if own else 0.0  # what jumps in a window is no turbulence
+        inputs = [replace(one, variance=residual_var) for one in inputs]
         fitted = model("").model_copy(
             update={
                 "whitening": whitening,
                 "noise_var": _noise_var(inputs),
+                "residual_var": residual_var,
                 "explained": _explained(plain, columns, own=own),
             }
         )
-        whole = _with_spreads(fitted, inputs, self.flights[0].rate_hz)
-        if whole is None:
-            return None
-        tops, hours, powers = [], [], []
+        whole = _with_spreads(fitted, inputs, self.flights[0].rate_hz, _OF_FLIGHT)
+        return None if whole is None else self._scored(whole, inputs)
+
+    def _scored(self, whole: AxisModel, inputs: Sequence[Inputs]) -> _Trial:
+        tops, hours, losses = [], [], []
         for one, flight in zip(inputs, self.flights, strict=True):
             windows = windows_of(whole, one, flight.rate_hz)
             tops.append(float(statistic(whole, one, windows, flight.rate_hz).max()))
             hours.append(float(one.usable.sum()) / flight.rate_hz / 3600.0)
-            powers.append(_power(whole, one, windows, flight.rate_hz))
+            losses.append(_lost_half(whole, one, windows, flight.rate_hz))
         tail = tail_of(np.array(tops), np.array(hours), days=len({flight.day for flight in self.flights}))
-        return _Trial(whole, tail, float(np.median(powers)))
+        return _Trial(whole, tail, tuple(losses), tuple(inputs))
 
     def _inputs(self, model: AxisModel, columns: Regression, i: int) -> Inputs:
-        return residual_of(model, columns, settled(model, self.flights[i], self.usable[i]))
+        flight = self.flights[i]
+        return residual_of(model, columns, settled(model, flight, self.usable[i]), flight.rate_hz)
 
     def _own(self, form: Form) -> bool:
         """Whether a command ever moved on its own."""
@@ -299,13 +331,13 @@ def _explained(flights: Sequence[Inputs], columns: Sequence[Regression], *, own:
     return 1.0 - float(np.var(left) / max(np.var(effect), 1e-300))
 
 
-_OF_FLIGHT = 0.5
-"""Share of what healthy windows differ by that is the flight's own, and so learned from it. On the latest of three days
-of a real aircraft half a share parted healthy flights (up to 1.3) from a lost aileron (3.2 and more) better than none
-(2.5 and 3.2) and than what maximum likelihood gives to windows (3.0 and 2.8)."""
+_OF_FLIGHT, _MOST_OF_FLIGHT = 0.5, 0.9
+"""Shares of what healthy windows differ by that may be the flight's own; taken is the one that finds a loss sooner. On
+the latest of three days of a real aircraft half a share parted healthy flights (up to 1.3) from a lost aileron (3.2 and
+more) better than none (2.5 and 3.2)."""
 
 
-def _with_spreads(model: AxisModel, flights: Sequence[Inputs], rate_hz: float) -> AxisModel | None:
+def _with_spreads(model: AxisModel, flights: Sequence[Inputs], rate_hz: float, share: float) -> AxisModel | None:
     """Covariances between flights and between windows, and the largest J that each window length reached."""
     start = np.diag([0.05**2, 10.0**2])
     spreads = []
@@ -314,10 +346,10 @@ def _with_spreads(model: AxisModel, flights: Sequence[Inputs], rate_hz: float) -
         found = [sliding(one, length, model.noise_var) for one in flights]
         apart = [one.at(np.flatnonzero(one.known)[:: max(1, length // 10)]) for one in found]
         if any(one.loss.size for one in apart):
-            spreads.append(Spread.of(window_s, (1.0 - _OF_FLIGHT) * spread_between(apart, start)))
+            spreads.append(Spread.of(window_s, (1.0 - share) * (spread_between(apart, start) + _LEAST_SPREAD)))
     if not spreads:
         return None
-    model = model.model_copy(update={"spreads": tuple(spreads)})
+    model = model.model_copy(update={"spreads": tuple(spreads), "of_flight": share})
     scales = np.zeros(len(spreads))
     for one in flights:
         found_j = distances(model, one, windows_of(model, one, rate_hz), rate_hz)
@@ -327,7 +359,35 @@ def _with_spreads(model: AxisModel, flights: Sequence[Inputs], rate_hz: float) -
         for spread, scale in zip(spreads, scales, strict=True)
         if scale > 0.0
     )
-    return model.model_copy(update={"spreads": kept}) if kept else None
+    return _with_lags(model.model_copy(update={"spreads": kept}), flights, rate_hz) if kept else None
+
+
+def _with_lags(model: AxisModel, flights: Sequence[Inputs], rate_hz: float) -> AxisModel:
+    """How far the lag of healthy windows strays, and the largest statistic that each window length reached."""
+    spreads = []
+    for spread in model.spreads:
+        length = spread.samples(rate_hz)
+        found = [lags(one, length, model.noise_var) for one in flights]
+        apart = [np.flatnonzero(np.isfinite(lag_s))[:: max(1, length // 10)] for lag_s, _ in found]
+        lag_s, var_s2 = (np.concatenate([one[k][at] for one, at in zip(found, apart, strict=True)]) for k in (0, 1))
+        weights = 1.0 / var_s2
+        excess = float(weights @ (lag_s**2 - var_s2) / weights.sum()) if lag_s.size else 0.0
+        within = (1.0 - model.of_flight) * max(excess, _LEAST_LAG_S**2)
+        spreads.append(spread.model_copy(update={"lag_var_s2": within}))
+    model = model.model_copy(update={"spreads": tuple(spreads)})
+    scales = np.max([[float(j.max()) for j in slowness(model, one, rate_hz)] for one in flights], axis=0)
+    scaled = [
+        spread.model_copy(update={"lag_scale": float(scale) if scale > 0.0 else None})
+        for spread, scale in zip(spreads, scales, strict=True)
+    ]
+    return model.model_copy(update={"spreads": tuple(scaled)})
+
+
+_LEAST_SPREAD = np.diag([0.03**2, 5.0**2])
+"""Healthy flights differ by no less than 3 % of their effect (air density: 10 degC or 300 m) and 5 us, however alike
+those of the calibration were."""
+_LEAST_LAG_S = 0.02
+"""Nor than by the period of a servo's pulses, which are not locked to the autopilot."""
 
 
 def _autoregression(residuals: Sequence[FloatArray], order: int) -> tuple[float, ...]:
@@ -340,11 +400,14 @@ def _autoregression(residuals: Sequence[FloatArray], order: int) -> tuple[float,
     return tuple(float(c) for c in np.linalg.lstsq(past, now, rcond=None)[0])
 
 
+def _residual_var(flights: Sequence[Inputs]) -> float:
+    return float(np.var(np.concatenate([_centred(one) for one in flights])))
+
+
 def _noise_var(flights: Sequence[Inputs]) -> float:
     """Variance of the residual times what its colour makes of sums over a few seconds."""
     pieces = [_centred(one) for one in flights]
-    variance = float(np.var(np.concatenate(pieces)))
-
+    variance = _residual_var(flights)
     total, count = 0.0, 0
     length = _COLOUR_SAMPLES
     for e in pieces:
@@ -354,12 +417,12 @@ def _noise_var(flights: Sequence[Inputs]) -> float:
     return max(variance, total / max(count, 1) / length)
 
 
-def _power(model: AxisModel, inputs: Inputs, windows: Sequence[Sliding], rate_hz: float) -> float:
-    """Median largest J / scale if half of the axis were lost (if a copied command: if it stood 50 us away)."""
+def _lost_half(model: AxisModel, inputs: Inputs, windows: Sequence[Sliding], rate_hz: float) -> FloatArray:
+    """J / scale if half of the axis were lost (if a copied command: if it stood far away), where it is judged."""
     shifted = [
-        replace(found, loss=found.loss + 0.5) if model.own_command else replace(found, offset=found.offset + 50.0)
+        replace(found, loss=found.loss + 0.5) if model.own_command else replace(found, offset=found.offset + _AWAY_US)
         for found in windows
     ]
     found_j = distances(model, inputs, shifted, rate_hz)
-    largest = np.max([j / spread.scale for j, spread in zip(found_j, model.spreads, strict=True)], axis=0)
-    return float(np.median(largest[inputs.usable])) if inputs.usable.any() else 0.0
+    shares = np.array([j / spread.scale for j, spread in zip(found_j, model.spreads, strict=True)])
+    return np.asarray(shares[:, inputs.usable])

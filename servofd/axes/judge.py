@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.axes.model import covered, distances, flown_of, inputs_of, statistic, windows_of
+from servofd.axes.model import covered, distances, flown_of, inputs_of, slowness, statistic, windows_of
 from servofd.axes.names import MOST_OF_THE_FLIGHT, SURFACE_AXES
 from servofd.axes.verdict import AxisAudit, AxisEvent, AxisStatus, Between
-from servofd.axes.windows import Expected, nothing_known, sliding
+from servofd.axes.windows import Expected, lags, nothing_known, sliding
 from servofd.axes.words import reason_of
 
 if TYPE_CHECKING:
     from servofd.axes.motion import Motion
     from servofd.axes.schema import AxisModel, MotionModel
-    from servofd.axes.windows import Inputs
+    from servofd.axes.windows import Inputs, Sliding
     from servofd.types import BoolArray, FloatArray
 
 __all__ = ["judge_motion", "lost_between"]
@@ -27,11 +27,18 @@ _KNOWN_WITHIN = 0.3
 """Half width of the 95 % interval of lambda beyond which an axis is never called healthy."""
 _NAMING_S = 1.0
 """As long after an alarm another axis may still show that it is the cause: a nose that drops late follows a rudder."""
+_KIND_S = 20.0
+"""As long after an alarm it is seen whether the axis acts late or too little."""
 _CLEAR_S = 5.0
 _CLEAR_SHARE = 0.25
 _ONSET_S = 60.0
 _OWN_PAST_S = 15.0
 """A flight that was judged for less does not tell what it was like before a fault."""
+_AT_ONCE_S = 10.0
+"""What began within so many judged seconds is how this flight is, not what happened in it."""
+_LEARNING_S = 20.0
+_FAILED_LOSS, _FAILED_US = 0.25, 100.0
+"""A single axis that differs by more from the beginning failed before take-off, or is of another aircraft."""
 
 
 def judge_motion(model: MotionModel, motion: Motion) -> tuple[AxisAudit, ...]:
@@ -56,7 +63,11 @@ def judge_motion(model: MotionModel, motion: Motion) -> tuple[AxisAudit, ...]:
     flown = motion.present & (motion.airspeed_m_s > 0.5 * model.reference_m_s)
     drafts = {name: _draft(axis, motion, usable, flown, model.reference_m_s) for name, axis in model.axes.items()}
     events = _with_causes(drafts, {name: axis.suspect for name, axis in model.axes.items()}, motion.time_s)
-    return tuple(_verdict(name, model, drafts[name], events[name], motion, inside, flown) for name in model.axes)
+    differing = [name for name, found in events.items() if any(event.from_start for event in found)]
+    return tuple(
+        _verdict(name, model, drafts[name], events[name], motion, inside, flown, alone=differing == [name])
+        for name in model.axes
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,38 +82,69 @@ class _Draft:
 
 def _draft(axis: AxisModel, motion: Motion, usable: BoolArray, flown: BoolArray, reference_m_s: float) -> _Draft:
     inputs = inputs_of(axis, motion, usable, reference_m_s)
-    rate_hz = motion.rate_hz
-    score, events = np.zeros(motion.time_s.size), []
-    begin = 0
+    rate_hz, time_s = motion.rate_hz, motion.time_s
+    score, events = np.zeros(time_s.size), []
+    judged, naming = np.cumsum(inputs.usable), round(_KIND_S * rate_hz)
+    of_flight, begin = inputs, 0
     while True:
-        rest = replace(inputs, usable=inputs.usable & (np.arange(score.size) >= begin))
+        rest = replace(of_flight, usable=inputs.usable & (np.arange(score.size) >= begin))
         windows = windows_of(axis, rest, rate_hz)
         score[begin:] = statistic(axis, rest, windows, rate_hz)[begin:]
         above = np.flatnonzero(score[begin:] > axis.suspect)
         if not above.size:
             break
         alarm = begin + int(above[0])
-        end = _recovered(axis, rest, alarm, rate_hz)
-        last = score.size if end is None else end
         past = _own_past(axis, rest, alarm, begin, rate_hz)
         changed = replace(rest, residual=rest.residual - past.loss[0] * rest.loss - past.offset[0] * rest.offset)
         start = _onset(changed, alarm, begin, rate_hz)
+        from_start = of_flight is inputs and bool(judged[start] <= _AT_ONCE_S * rate_hz)
+        if from_start:
+            end = max(alarm + 1, int(np.searchsorted(judged, _LEARNING_S * rate_hz)))
+            past, last = nothing_known(axis.of_flights(axis.spreads[-1])), min(end, score.size)
+        else:
+            recovered = _recovered(axis, rest, alarm, rate_hz)
+            end = score.size if recovered is None else recovered
+            last = end
         lost, offset = _estimate(axis, rest, start, last, rate_hz, past)
-        time_s = motion.time_s
         events.append(
             AxisEvent(
                 start_s=float(time_s[start]),
                 alarm_s=float(time_s[alarm]),
-                end_s=None if end is None else float(time_s[end]),
+                end_s=None if from_start or end >= score.size else float(time_s[end]),
                 score=float(score[alarm:last].max()),
                 lost_share=lost,
                 offset_us=offset,
+                lag_s=_late(axis, rest, windows, slice(alarm, min(last, alarm + naming)), rate_hz),
+                from_start=from_start,
             )
         )
-        if end is None:
+        if end >= score.size:
             break
+        if from_start:
+            seen = replace(rest, usable=rest.usable & (np.arange(score.size) < end))
+            late_s = float(np.nan_to_num(lags(seen, score.size, axis.noise_var, enough=0.0).lag_s[-1]))
+            as_is = inputs.residual - lost.value * inputs.loss - offset.value * inputs.offset - late_s * inputs.lag
+            of_flight = replace(inputs, residual=as_is)
+            score[: end + 1] = 0.0
         begin = end
     return _Draft(inputs, score, tuple(events), _known(axis, inputs, rate_hz), _whole(axis, inputs, flown))
+
+
+def _late(axis: AxisModel, inputs: Inputs, windows: list[Sliding], span: slice, rate_hz: float) -> Between | None:
+    """Lag in a part of the flight, if it stands out there by more than a loss does."""
+    if not axis.own_command:
+        return None
+    late = zip(slowness(axis, inputs, rate_hz), axis.spreads, strict=True)
+    lost = zip(distances(axis, inputs, windows, rate_hz), axis.spreads, strict=True)
+    slow = max((float(j[span].max()) / s.lag_scale for j, s in late if s.lag_scale is not None), default=0.0)
+    if slow <= max(float(j[span].max()) / s.scale for j, s in lost):
+        return None
+    event = replace(inputs, usable=inputs.usable & (np.arange(inputs.usable.size) >= span.start))
+    found = lags(event, event.usable.size, axis.noise_var, enough=0.0)
+    lag_s = _between(
+        float(found.lag_s[span.stop - 1]), float(found.var_s2[span.stop - 1]) + axis.spreads[-1].lag_var_s2
+    )
+    return lag_s if lag_s.low > 0.0 else None
 
 
 def _recovered(axis: AxisModel, inputs: Inputs, alarm: int, rate_hz: float) -> int | None:
@@ -124,7 +166,7 @@ def _recovered(axis: AxisModel, inputs: Inputs, alarm: int, rate_hz: float) -> i
 def _onset(inputs: Inputs, alarm: int, begin: int, rate_hz: float) -> int:
     """Where a fault must have begun to explain most of the residual up to its alarm."""
     first = max(begin, alarm - round(_ONSET_S * rate_hz))
-    a, b, c, d1, d2, count = (total[alarm] - total[first:alarm] for total in inputs.sums())
+    a, b, c, d1, d2, count = (total[alarm] - total[first:alarm] for total in inputs.sums[:6])
     determinant = a * c - b * b
     good = (count > 3) & (determinant > 1e-9 * a * c)
     safe = np.where(good, determinant, 1.0)
@@ -138,7 +180,7 @@ def _own_past(axis: AxisModel, inputs: Inputs, alarm: int, begin: int, rate_hz: 
     before = alarm - spread.samples(rate_hz)
     found = sliding(inputs, inputs.usable.size, axis.noise_var, enough=0.0)
     if int(inputs.usable[begin : max(before, begin)].sum()) < _OWN_PAST_S * rate_hz or not found.known[before]:
-        return nothing_known(spread.covariance)
+        return nothing_known(axis.of_flights(spread))
     return Expected(
         found.loss[[before]],
         found.offset[[before]],
@@ -162,6 +204,12 @@ def _estimate(
             found.offset[place] - past.offset[0], found.offset_var[place] + spread.offset_var_us2 + past.offset_var[0]
         ),
     )
+
+
+def _failed(event: AxisEvent) -> bool:
+    offset = event.offset_us
+    away_us = max(offset.low, -offset.high)
+    return event.from_start and (event.lost_share.low > _FAILED_LOSS or away_us > _FAILED_US)
 
 
 def _between(value: float, variance: float) -> Between:
@@ -188,14 +236,14 @@ def _whole(axis: AxisModel, inputs: Inputs, flown: BoolArray) -> tuple[Between, 
     if not (inputs.usable & flown).any():
         return None
     found = sliding(inputs, inputs.usable.size, axis.noise_var, enough=0.0)
-    spread = axis.spreads[-1]
-    lost = _between(found.loss[-1], found.loss_var[-1] + spread.loss_var)
+    flight = axis.of_flights(axis.spreads[-1])
+    lost = _between(found.loss[-1], found.loss_var[-1] + flight[0, 0])
     return (
         None
         if math.isnan(lost.value)
         else (
             lost,
-            _between(found.offset[-1], found.offset_var[-1] + spread.offset_var_us2),
+            _between(found.offset[-1], found.offset_var[-1] + flight[1, 1]),
         )
     )
 
@@ -237,12 +285,12 @@ def _with_causes(
             strengths = {axis: 0.0}
             for other, rivals in drafts.items():
                 for rival in rivals.events if other != axis else ():
-                    if _overlap(rival, event):
+                    if not rival.from_start and _overlap(rival, event):
                         first_s = min(rival.alarm_s, event.alarm_s)
                         strengths[axis] = max(strengths[axis], strength(axis, event, first_s))
                         strengths[other] = max(strengths.get(other, 0.0), strength(other, rival, first_s))
             strongest = max(strengths, key=lambda name: strengths[name])
-            judged.append(event if strongest == axis else replace(event, cause=strongest))
+            judged.append(event if event.from_start or strongest == axis else replace(event, cause=strongest))
         found[axis] = tuple(judged)
     return found
 
@@ -260,9 +308,11 @@ def _verdict(
     motion: Motion,
     inside: dict[str, BoolArray],
     flown: BoolArray,
+    *,
+    alone: bool,
 ) -> AxisAudit:
     axis = model.axes[name]
-    own = [event for event in events if not event.cause]
+    own = [event for event in events if event.is_own or (alone and _failed(event))]
     worst = max(own, key=lambda event: event.score, default=None)
     seconds = max(int(flown.sum()), 1)
     identifiable = float((draft.known & flown).sum()) / seconds
@@ -279,7 +329,7 @@ def _verdict(
     return AxisAudit(
         axis=name,
         status=status,
-        reason=reason_of(name, status, model, members, events, identifiable, outside, lost),
+        reason=reason_of(name, model, members, events, identifiable, outside, lost, status=status, worst=worst),
         members=members,
         lost_share=lost,
         offset_us=offset,

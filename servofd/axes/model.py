@@ -9,7 +9,7 @@ import numpy as np
 from scipy import ndimage, signal
 
 from servofd.axes.forms import FORMS, Filtered, Regression
-from servofd.axes.windows import Inputs, Sliding, distance, expected, sliding
+from servofd.axes.windows import Inputs, Sliding, distance, expected, lags, sliding
 
 if TYPE_CHECKING:
     from servofd.axes.motion import Motion
@@ -24,6 +24,7 @@ __all__ = [
     "inputs_of",
     "residual_of",
     "settled",
+    "slowness",
     "statistic",
     "whitened",
     "windows_of",
@@ -72,17 +73,19 @@ def inputs_of(axis: AxisModel, motion: Motion, usable: BoolArray, reference_m_s:
     """Residual of an axis over one flight, and what a loss and an offset would leave in it."""
     filtered = Filtered(motion, corner_hz=axis.corner_hz, reference_m_s=reference_m_s)
     columns = FORMS[axis.form].regression(filtered).delayed(axis.delay_s, motion.rate_hz)
-    return whitened(residual_of(axis, columns, settled(axis, motion, usable)), axis.whitening)
+    return whitened(residual_of(axis, columns, settled(axis, motion, usable), motion.rate_hz), axis.whitening)
 
 
-def residual_of(axis: AxisModel, columns: Regression, usable: BoolArray) -> Inputs:
+def residual_of(axis: AxisModel, columns: Regression, usable: BoolArray, rate_hz: float) -> Inputs:
     """Residual of a form whose columns are there."""
     moved = np.asarray(axis.others) @ columns.others + axis.offset * columns.offset
     if FORMS[axis.form].inverse:
         residual = moved - columns.command
     else:
         residual = columns.answer - axis.gain * columns.command - moved
-    return Inputs(residual, -axis.gain * columns.command, axis.gain * columns.offset, usable)
+    loss = -axis.gain * columns.command
+    lag = rate_hz * np.gradient(loss)
+    return Inputs(residual, loss, axis.gain * columns.offset, usable, lag, axis.residual_var)
 
 
 def whitened(inputs: Inputs, coefficients: tuple[float, ...]) -> Inputs:
@@ -90,8 +93,9 @@ def whitened(inputs: Inputs, coefficients: tuple[float, ...]) -> Inputs:
     if not coefficients:
         return inputs
     taps = np.concatenate(([1.0], -np.asarray(coefficients)))
-    residual, loss, offset = (signal.lfilter(taps, [1.0], x) for x in (inputs.residual, inputs.loss, inputs.offset))
-    return Inputs(residual, loss, offset, inputs.usable)
+    channels = (inputs.residual, inputs.loss, inputs.offset, inputs.lag)
+    residual, loss, offset, lag = (signal.lfilter(taps, [1.0], x) for x in channels)
+    return Inputs(residual, loss, offset, inputs.usable, lag, inputs.variance)
 
 
 def settled(axis: AxisModel, motion: Motion, usable: BoolArray) -> BoolArray:
@@ -118,15 +122,42 @@ def distances(axis: AxisModel, inputs: Inputs, windows: list[Sliding], rate_hz: 
     found = []
     for estimates, spread in zip(windows, axis.spreads, strict=True):
         window = spread.covariance
-        known = expected(inputs, spread.samples(rate_hz), axis.noise_var, window, window)
+        known = expected(inputs, spread.samples(rate_hz), axis.noise_var, axis.of_flights(spread), window)
         found.append(distance(estimates, known, window, loss_matters=axis.own_command))
+    return found
+
+
+def slowness(axis: AxisModel, inputs: Inputs, rate_hz: float) -> list[FloatArray]:
+    """Square of the lag over its healthy deviation in the windows of each length; earlier than expected is not slow.
+
+    What to expect follows from the flight before each window, as that of a loss does.
+    """
+    past_s, past_var_s2 = lags(inputs, inputs.usable.size, axis.noise_var, enough=0.0)
+    share = axis.of_flight / (1.0 - axis.of_flight)
+    found = []
+    for spread in axis.spreads:
+        length = spread.samples(rate_hz)
+        lag_s, var_s2 = lags(inputs, length, axis.noise_var)
+        flight = spread.lag_var_s2 * share
+        before_var_s2 = np.full_like(var_s2, np.inf)
+        before_s = np.zeros_like(lag_s)
+        before_s[length:] = np.nan_to_num(past_s[:-length])
+        before_var_s2[length:] = np.nan_to_num(past_var_s2[:-length], nan=np.inf) + spread.lag_var_s2
+        learned = flight / (flight + before_var_s2)
+        late_s = lag_s - learned * before_s
+        variance = var_s2 + spread.lag_var_s2 + flight * (1.0 - learned)
+        found.append(np.nan_to_num(np.maximum(late_s, 0.0) ** 2 / variance))
     return found
 
 
 def statistic(axis: AxisModel, inputs: Inputs, windows: list[Sliding], rate_hz: float) -> FloatArray:
     """Largest J of all windows at each sample, as a multiple of the calibration's largest, after persistence."""
     found = distances(axis, inputs, windows, rate_hz)
-    largest = np.max([j / spread.scale for j, spread in zip(found, axis.spreads, strict=True)], axis=0)
+    shares = [j / spread.scale for j, spread in zip(found, axis.spreads, strict=True)]
+    if axis.own_command:
+        slow = zip(slowness(axis, inputs, rate_hz), axis.spreads, strict=True)
+        shares += [j / spread.lag_scale for j, spread in slow if spread.lag_scale is not None]
+    largest = np.max(shares, axis=0)
     length = max(1, round(_PERSISTENCE_S * rate_hz))
     kept: FloatArray = ndimage.minimum_filter1d(largest, length, origin=(length - 1) // 2, mode="constant", cval=0.0)
     return kept

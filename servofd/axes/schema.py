@@ -26,6 +26,9 @@ class Spread(_Entry):
     offset_var_us2: Annotated[float, Field(ge=0.0)]
     scale: Annotated[float, Field(gt=0.0)] = 1.0
     """Largest J of the calibration flights, each judged by a model that has not seen its day."""
+    lag_var_s2: Annotated[float, Field(ge=0.0)] = 0.0
+    lag_scale: Annotated[float, Field(gt=0.0)] | None = None
+    """As `scale`, of the lag; None if these windows do not tell it."""
 
     @classmethod
     def of(cls, window_s: float, covariance: FloatArray) -> Spread:
@@ -66,7 +69,12 @@ class AxisModel(_Entry):
     whitening: tuple[float, ...] = ()
     """Autoregression of the residual that is taken out of everything."""
     noise_var: Annotated[float, Field(gt=0.0)]
+    """Of the residual, times what its colour makes of sums."""
+    residual_var: Annotated[float, Field(ge=0.0)] = 0.0
+    """Of the residual alone; 0 if windows are not to be judged by what they leave unexplained themselves."""
     spreads: tuple[Spread, ...] = Field(min_length=1)
+    of_flight: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.5
+    """Share of what healthy windows differ by that is the flight's own, and so learned from it."""
     own_command: bool = True
     """False if its command always was a copy of another axis' command."""
     explained: float
@@ -76,6 +84,10 @@ class AxisModel(_Entry):
     """Multiples of the calibration's largest statistic; None: the calibrated hours support none."""
     false_alarms_per_hour: float = 0.0
     members: tuple[str, ...] = ()
+
+    def of_flights(self, spread: Spread) -> FloatArray:
+        """Covariance between flights beside that between the windows of one, shape (2, 2)."""
+        return spread.covariance * self.of_flight / (1.0 - self.of_flight)
 
     @model_validator(mode="after")
     def _known(self) -> Self:

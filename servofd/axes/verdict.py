@@ -41,6 +41,11 @@ class AxisEvent:
         beta [us].
     cause : str
         Another axis whose event explains this one; empty if this is the cause.
+    lag_s : Between or None
+        tau [s], if the axis answers late rather than too little.
+    from_start : bool
+        Whether the flight differed from its first judged seconds on: another trim, payload or aircraft, or a failure
+        before take-off. What comes later is judged beyond it.
     """
 
     start_s: float
@@ -50,6 +55,13 @@ class AxisEvent:
     lost_share: Between
     offset_us: Between
     cause: str = ""
+    lag_s: Between | None = None
+    from_start: bool = False
+
+    @property
+    def is_own(self) -> bool:
+        """Whether something happened to this axis in flight."""
+        return not self.cause and not self.from_start
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,4 +129,4 @@ class AxisAudit:
     @property
     def since_s(self) -> float | None:
         """Onset of the first event that is the axis' own [s]."""
-        return next((event.start_s for event in self.events if not event.cause), None)
+        return next((event.start_s for event in self.events if event.is_own), None)

@@ -13,12 +13,17 @@ N(0, P_flight)), and what counts is
 
 one-sided in lambda: more effect than expected is no loss. An aircraft that has failed before its flight must not teach
 what to expect, so theta0 is held within what flights differ by.
+
+A servo that became slow leaves e = tau x3 with x3 = dx1/dt, to first order in the lag tau, which is judged beside any
+loss and offset. Turbulence differs from flight to flight, so that Sigma_n is scaled by what each window itself leaves
+unexplained (an inverse gamma prior, worth some seconds, keeps short windows from being too sure).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -27,31 +32,78 @@ if TYPE_CHECKING:
 
     from servofd.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["Expected", "Inputs", "Sliding", "distance", "expected", "nothing_known", "sliding", "spread_between"]
+__all__ = [
+    "Expected",
+    "Inputs",
+    "Lags",
+    "Sliding",
+    "distance",
+    "expected",
+    "lags",
+    "nothing_known",
+    "sliding",
+    "spread_between",
+]
 
 _ENOUGH = 0.9
 """Share of a window that must be usable."""
 
 _ROUNDS = 60
 
-_LEARNED_SIGMAS = 1.5
-"""A flight is believed to differ from others by no more: one in three does by a chance of its own."""
+_PRIOR_SAMPLES = 50.0
+"""Weight of the calibrated noise beside a window's own, in samples: two seconds of 25 Hz."""
+_MOST_NOISE = 2.0
+"""What a window leaves unexplained beyond that is a fault that began within it, and not turbulence."""
+
+_LEARNED_SIGMAS = 2.5
+"""A flight is believed to differ from others by no more: one in twenty does by a chance of its own."""
 
 
-@dataclass(frozen=True, slots=True)
+class _Sums(NamedTuple):
+    """Cumulative products over what is usable, and its count; shape (n,) each."""
+
+    loss_loss: FloatArray
+    loss_offset: FloatArray
+    offset_offset: FloatArray
+    loss_e: FloatArray
+    offset_e: FloatArray
+    samples: FloatArray
+    e_e: FloatArray
+    lag_loss: FloatArray
+    lag_offset: FloatArray
+    lag_lag: FloatArray
+    lag_e: FloatArray
+
+    def within(self, length: int) -> _Sums:
+        """Over the window that ends at each sample."""
+        return _Sums(*(total - _before(total, length) for total in self))
+
+
+@dataclass(frozen=True, eq=False)
 class Inputs:
-    """Residual of a form, and what a loss and an offset would leave in it; shape (n,) each."""
+    """Residual of a form, and what a loss, an offset and a lag would leave in it; shape (n,) each.
+
+    Without `lag` no lag can be estimated.
+    """
 
     residual: FloatArray
     loss: FloatArray
     offset: FloatArray
     usable: BoolArray
+    lag: FloatArray = field(default_factory=lambda: np.zeros(0))
+    variance: float = 0.0
+    """Of the residual in calibration; 0 takes the calibrated noise for every window as it is."""
 
-    def sums(self) -> tuple[FloatArray, ...]:
-        """Cumulative x1 x1, x1 x2, x2 x2, x1 e, x2 e, and the count, over what is usable."""
-        e, x1, x2 = (np.where(self.usable, x, 0.0) for x in (self.residual, self.loss, self.offset))
-        products = (x1 * x1, x1 * x2, x2 * x2, x1 * e, x2 * e, self.usable.astype(np.float64))
-        return tuple(np.cumsum(product) for product in products)
+    @cached_property
+    def sums(self) -> _Sums:
+        """Cumulative products."""
+        lag = self.lag if self.lag.size else np.zeros_like(self.loss)
+        e, x1, x2, x3 = (np.where(self.usable, x, 0.0) for x in (self.residual, self.loss, self.offset, lag))
+        products = (
+            *(x1 * x1, x1 * x2, x2 * x2, x1 * e, x2 * e),
+            *(self.usable.astype(np.float64), e * e, x3 * x1, x3 * x2, x3 * x3, x3 * e),
+        )
+        return _Sums(*(np.cumsum(product) for product in products))
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,21 +182,66 @@ def sliding(inputs: Inputs, length: int, noise_var: float, *, enough: float = _E
     >>> round(float(found.loss[-1]), 6), round(float(found.offset[-1]), 6)
     (0.4, 12.0)
     """
-    *sums, count = (total - _before(total, length) for total in inputs.sums())
-    return _solved(sums, count >= enough * length, noise_var)
-
-
-def _solved(sums: Sequence[FloatArray], enough: BoolArray, noise_var: float) -> Sliding:
-    a, b, c, d1, d2 = sums
+    sums = inputs.sums.within(length)
+    a, b, c, d1, d2 = sums[:5]
     determinant = a * c - b * b
-    determinant = np.where(enough & (determinant > 1e-9 * a * c), determinant, np.nan)
-    return Sliding(
-        (c * d1 - b * d2) / determinant,
-        (a * d2 - b * d1) / determinant,
-        noise_var * c / determinant,
-        -noise_var * b / determinant,
-        noise_var * a / determinant,
-    )
+    determinant = np.where((sums.samples >= enough * length) & (determinant > 1e-9 * a * c), determinant, np.nan)
+    loss, offset = (c * d1 - b * d2) / determinant, (a * d2 - b * d1) / determinant
+    noise = noise_var * _noise_ratio(inputs, sums, loss * d1 + offset * d2)
+    return Sliding(loss, offset, noise * c / determinant, -noise * b / determinant, noise * a / determinant)
+
+
+def _noise_ratio(inputs: Inputs, sums: _Sums, explained: FloatArray) -> FloatArray:
+    """Variance in each window over the calibrated one."""
+    if inputs.variance <= 0.0:
+        return np.ones_like(explained)
+    left = np.maximum(sums.e_e - np.nan_to_num(explained), 0.0) / inputs.variance
+    ratio: FloatArray = (_PRIOR_SAMPLES + left) / (_PRIOR_SAMPLES + sums.samples)
+    return np.minimum(ratio, _MOST_NOISE)
+
+
+class Lags(NamedTuple):
+    """tau [s] in the window that ends at each sample, and its variance [s2]; NaN where there is none; shape (n,)."""
+
+    lag_s: FloatArray
+    var_s2: FloatArray
+
+
+def lags(inputs: Inputs, length: int, noise_var: float, *, enough: float = _ENOUGH) -> Lags:
+    """Lag beside any loss and offset, by least squares in every window of a length.
+
+    Parameters
+    ----------
+    inputs : Inputs
+        Of one flight.
+    length : int
+        Samples in a window.
+    noise_var : float
+        Variance of the residual's noise, with its colour.
+    enough : float
+        Share of a window that must be usable.
+
+    Examples
+    --------
+    A command that acts 0.04 s late:
+
+    >>> time_s = np.arange(0.0, 10.0, 0.04)
+    >>> late = 0.04 * -np.cos(time_s)
+    >>> inputs = Inputs(late, -np.sin(time_s), np.ones(250), np.ones(250, dtype=bool), lag=-np.cos(time_s))
+    >>> round(float(lags(inputs, 250, 1.0).lag_s[-1]), 4)
+    0.04
+    """
+    sums = inputs.sums.within(length)
+    a, b, c, d1, d2 = sums[:5]
+    u, v = sums.lag_loss, sums.lag_offset
+    determinant = a * c - b * b
+    determinant = np.where((sums.samples >= enough * length) & (determinant > 1e-9 * a * c), determinant, np.nan)
+    g1, g2 = (c * u - b * v) / determinant, (a * v - b * u) / determinant
+    left = sums.lag_lag - g1 * u - g2 * v
+    left = np.where(left > 1e-6 * sums.lag_lag, left, np.nan)
+    lag_s = (sums.lag_e - g1 * d1 - g2 * d2) / left
+    explained = ((c * d1 - b * d2) * d1 + (a * d2 - b * d1) * d2) / determinant + lag_s**2 * left
+    return Lags(lag_s, noise_var * _noise_ratio(inputs, sums, explained) / left)
 
 
 def _before(total: FloatArray, length: int) -> FloatArray:
@@ -174,7 +271,7 @@ def expected(inputs: Inputs, length: int, noise_var: float, flight: FloatArray, 
     Expected
         theta0 and P0.
     """
-    a, b, c, d1, d2, _ = (_before(total, length) / noise_var for total in inputs.sums())
+    a, b, c, d1, d2 = (_before(total, length) / noise_var for total in inputs.sums[:5])
     w11, w12, w22 = window[0, 0], window[0, 1], window[1, 1]
     # (I + A W)^-1 for A = [[a, b], [b, c]]
     n11, n12 = 1.0 + a * w11 + b * w12, a * w12 + b * w22

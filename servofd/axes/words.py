@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from servofd.axes.names import MOST_OF_THE_FLIGHT
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
@@ -45,13 +47,15 @@ def named(members: Sequence[str], axis: str) -> str:
 
 def reason_of(
     name: str,
-    status: AxisStatus,
     model: MotionModel,
     members: Sequence[str],
     events: Sequence[AxisEvent],
     identifiable: float,
     outside: Mapping[str, float],
     lost: Between | None,
+    *,
+    status: AxisStatus,
+    worst: AxisEvent | None,
 ) -> str:
     """One sentence for the verdict on an axis.
 
@@ -59,8 +63,6 @@ def reason_of(
     ----------
     name : str
         The axis.
-    status : AxisStatus
-        The verdict.
     model : MotionModel
         What was calibrated.
     members : sequence of str
@@ -73,27 +75,43 @@ def reason_of(
         Share of the flight outside the calibrated regime, by reason; empty if the aircraft never flew.
     lost : Between or None
         Lost share of the whole flight.
+    status : AxisStatus
+        The verdict.
+    worst : AxisEvent or None
+        The event that the verdict rests on.
     """
     axis = model.axes[name]
-    if any(not event.cause for event in events):
-        text = _failed(name, axis, members, [event for event in events if not event.cause])
-    elif events:
-        text = _moved(name, events[0])
+    caused = next((event for event in events if event.cause), None)
+    at_once = next((event for event in events if event.from_start), None)
+    if worst is not None:
+        text = _failed(name, axis, members, worst)
+    elif caused is not None:
+        text = _moved(name, caused)
+    elif at_once is not None:
+        text = _differs(name, members, at_once)
     elif status == "healthy" and lost is not None:
         shown = f"lost share {lost.value:+.2f} [{lost.low:+.2f}, {lost.high:+.2f}]"
         text = f"{shown}, known in {identifiable:.0%} of the flight"
     else:
-        text = _untold(name, model, members, identifiable, outside)
+        text = _untold(name, model, members, identifiable, outside, lost)
     if model.days >= _ENOUGH_DAYS:
         return text
     days = "one day" if model.days == 1 else f"{model.days} days"
     return f"{text}; calibrated on {days}: about {axis.false_alarms_per_hour:.2g} false alarms an hour of this axis"
 
 
-def _failed(name: str, axis: AxisModel, members: Sequence[str], own: Sequence[AxisEvent]) -> str:
-    worst = max(own, key=lambda event: event.score)
+def _failed(name: str, axis: AxisModel, members: Sequence[str], worst: AxisEvent) -> str:
     ended = "" if worst.end_s is None else f" until {worst.end_s:.1f} s"
-    return f"{_loss(name, axis, members, worst)}, since {worst.start_s:.1f} s{ended}"
+    since = "from the first judged second on" if worst.from_start else f"since {worst.start_s:.1f} s"
+    return f"{_loss(name, axis, members, worst)}, {since}{ended}"
+
+
+def _differs(name: str, members: Sequence[str], event: AxisEvent) -> str:
+    return (
+        f"{named(members, name)} differed from calibration from the first judged second on (lost share "
+        f"{event.lost_share.value:+.2f}, offset {event.offset_us.value:+.0f} us): another trim, payload or aircraft, "
+        "or a failure before take-off; what came later was judged beyond that"
+    )
 
 
 def _moved(name: str, event: AxisEvent) -> str:
@@ -103,7 +121,12 @@ def _moved(name: str, event: AxisEvent) -> str:
 
 
 def _untold(
-    name: str, model: MotionModel, members: Sequence[str], identifiable: float, outside: Mapping[str, float]
+    name: str,
+    model: MotionModel,
+    members: Sequence[str],
+    identifiable: float,
+    outside: Mapping[str, float],
+    lost: Between | None,
 ) -> str:
     if not outside:
         return "the aircraft never flew"
@@ -113,6 +136,9 @@ def _untold(
         return f"{outside[most]:.0%} of the flight was {_OUTSIDE[most].format(low=low, high=high)}"
     if not model.axes[name].own_command:
         return f"{named(members, name)} never moved on its own: a surface that does not move would look the same"
+    if identifiable >= MOST_OF_THE_FLIGHT and lost is not None:
+        half = (lost.high - lost.low) / 2.0
+        return f"lost share {lost.value:+.2f}, known to ±{half:.2f} only: healthy flights of calibration differ as much"
     return f"too little motion: in {1.0 - identifiable:.0%} of the flight a stuck surface would have looked the same"
 
 
@@ -121,13 +147,17 @@ def _loss(name: str, axis: AxisModel, members: Sequence[str], event: AxisEvent) 
     lost = event.lost_share
     if name == "thrust":
         return f"thrust is missing ({lost.value:.0%} [{lost.low:.0%}, {lost.high:.0%}])"
+    share = f"lost {lost.value:.0%} [{lost.low:.0%}, {lost.high:.0%}] of its effect"
     if not axis.own_command:
         return f"{surfaces} stands {event.offset_us.value:+.0f} us from where it was asked, or does not move"
-    share = f"lost {lost.value:.0%} [{lost.low:.0%}, {lost.high:.0%}] of its effect"
-    if lost.high < _ALL:
-        return f"{surfaces} acts as if it stood {event.offset_us.value:+.0f} us away"
-    if lost.value > _HALF or len(members) == 1:
-        return f"{surfaces} {share}, offset {event.offset_us.value:+.0f} us"
-    if name == "roll":
-        return f"{surfaces} {share}: one of them, or both at half effect; offset {event.offset_us.value:+.0f} us"
-    return f"{surfaces} {share}: one half, or all at part of the effect; offset {event.offset_us.value:+.0f} us"
+    if event.lag_s is not None:
+        late = event.lag_s
+        text = f"slow: answers {late.value:.2f} s [{late.low:.2f}, {late.high:.2f}] later than calibrated"
+    elif lost.high < _ALL:
+        text = f"acts as if it stood {event.offset_us.value:+.0f} us away"
+    elif lost.value > _HALF or len(members) == 1:
+        text = f"{share}, offset {event.offset_us.value:+.0f} us"
+    else:
+        which = "one of them, or both at half effect" if name == "roll" else "one half, or all at part of the effect"
+        text = f"{share}: {which}; offset {event.offset_us.value:+.0f} us"
+    return f"{surfaces} {text}"

@@ -96,7 +96,9 @@ def _axis(axis: AxisAudit) -> dict[str, Any]:
                 "end_s": event.end_s,
                 "lost_share": event.lost_share._asdict(),
                 "offset_us": event.offset_us._asdict(),
+                "lag_s": None if event.lag_s is None else event.lag_s._asdict(),
                 "cause": event.cause or None,
+                "from_start": event.from_start,
             }
             for event in axis.events
         ],

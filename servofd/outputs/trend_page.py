@@ -18,6 +18,7 @@ __all__ = ["quantity_row", "trend_page", "verdict"]
 
 _SIGMA_95 = 1.96
 _EVENT_STYLES = {"swap": "-", "adjusted": "--", "changed": ":"}
+_WORST_FIRST = ("fault", "suspect", "healthy")
 _WORST = {"reached": "fault", "crossing": "suspect", "none": "healthy"}
 
 
@@ -36,12 +37,15 @@ def trend_page(document: dict[str, Any]) -> str:
     True
     """
     flights = document["flights"]
+    aircraft = document["aircraft"] or "aircraft"
     surfaces = [_surface(name, surface) for name, surface in document["surfaces"].items()]
+    surfaces.sort(key=lambda surface: _WORST_FIRST.index(surface["status"]))
     return page(
         "trend.html",
-        aircraft=document["aircraft"] or "aircraft",
+        aircraft=aircraft,
+        status=surfaces[0]["status"] if surfaces else "unknown",
         sentence=verdict(document),
-        facts=f"{len(flights)} flights, {document['order']['reason']}",
+        facts=f"{aircraft}: {len(flights)} flights, {document['order']['reason']}",
         surfaces=surfaces,
         flights=[(str(one["number"]), _name(one), (one["start_utc"] or "")[:16].replace("T", " ")) for one in flights],
         problems=document["problems"],
@@ -125,7 +129,7 @@ def _picture(name: str, surface: dict[str, Any]) -> Picture:
         f"trend-{name}",
         f"{name} over its flights",
         "Dots are flights with their 95 % intervals, blue lines what they follow since the last change, the dashed "
-        "part what is expected; grey lines are limits, vertical lines changes at once (solid: another servo).",
+        "part what is expected; level lines are limits, vertical lines changes at once (solid: another servo).",
         figure,
     )
 
@@ -138,7 +142,7 @@ def _draw(one: dict[str, Any], axes: Axes) -> None:
     for piece in lines:
         ends = scale * np.array([piece["begin"]["value"], piece["end"]["value"]])
         axes.plot([piece["first"], piece["last"]], ends, color=COLOURS["simulated"], linewidth=1.5)
-    if forecast["kind"] == "none":
+    if one["limit"] is None:
         return
     limit = scale * one["limit"] * (np.sign(one["now"]["value"]) if one["worse"] == "away" else 1.0)
     axes.axhline(limit, color=COLOURS["threshold"], linewidth=1.5)

@@ -1,0 +1,41 @@
+"""Simulated aeroplanes in wind: jams are found by the motion alone, by a model of other healthy aeroplanes."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.external.test_bench_tables import DATA
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+from motion_wind import flights_of, told
+
+WIND = DATA / "logs" / "wind"
+
+pytestmark = [
+    pytest.mark.nightly,
+    pytest.mark.skipif(
+        not WIND.is_dir(), reason="no flights in wind: set SERVOFD_EXTERNAL_DATA to the folder that holds logs/wind"
+    ),
+]
+
+
+def test_jams_are_found_slow_is_named_and_an_engine_is_no_servo() -> None:
+    faults, _, _ = told(flights_of(WIND))
+    jams = [one for one in faults if one.fault.kind == "stuck"]
+    ailerons = [one for one in jams if one.fault.axis == "roll"]
+    assert len(jams) == 4
+    assert all(one.delay_s is not None and one.delay_s <= 2.0 for one in ailerons)
+    assert sum(one.event is not None for one in jams) >= 3
+    for one in jams:
+        if one.event is not None:
+            assert one.event.lost_share.low < 0.5 < one.event.lost_share.high
+            assert one.holds_offset is not False
+    slow = next(one for one in faults if one.fault.kind == "slow" and one.fault.axis == "pitch")
+    assert slow.event is not None
+    assert slow.event.lag_s is not None
+    engine = next(one for one in faults if one.fault.kind == "engine_cut")
+    assert engine.event is not None
+    assert engine.event.lost_share.value > 0.75
