@@ -73,7 +73,8 @@ def realisation() -> ComplexArray:
     segment = record("hs225bb-eq31", 0)
     parameters = control.markov(segment.measured_deg, segment.command_deg, MARKOV_PARAMETERS, dt=0.01)
     system, _ = control.eigensys_realization(parameters, 4, dt=0.01)
-    poles: ComplexArray = np.log(np.linalg.eigvals(system.A).astype(complex)) / 0.01
+    eigenvalues: ComplexArray = np.linalg.eigvals(system.A).astype(complex)
+    poles: ComplexArray = np.log(eigenvalues) / 0.01
     return poles
 
 

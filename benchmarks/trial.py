@@ -17,7 +17,7 @@ from servofd.detection.residual import ResidualGenerator, Residuals, commands_at
 from servofd.segment import Segment
 
 if TYPE_CHECKING:
-    from servofd.detection.bank.isolate import Fault
+    from servofd.detection.bank.flight import Fault
     from servofd.types import FloatArray
 
 __all__ = ["CONSTANT_DEG", "MOVING_DEG_S", "Case", "Found", "Judged", "Trial", "judged", "trial"]

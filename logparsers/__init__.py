@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from logparsers.detect import detect, read_messages
+from logparsers.detect import detect, read_messages, read_text
 from logparsers.errors import (
     ClockError,
     EmptyLog,
@@ -25,7 +25,7 @@ from logparsers.exports import flights, read_part
 from logparsers.only import Only
 from logparsers.records import Channel, Damage, FlightLog, Text
 from logparsers.source import LogFile, files_of, opened, sources
-from logparsers.table import TableLayout, read_table
+from logparsers.table import TableLayout
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -150,7 +150,7 @@ def read_all(
                     logs += [source.packed(log) for log in reader(source, layout, wanted)]
             except LogError as error:
                 problems.append(error)
-                if not isinstance(error, _NO_LOG) or reader not in (None, read_table):
+                if not isinstance(error, _NO_LOG) or reader not in (None, read_text):
                     strange.append(Damage("corrupt", f"not read: {error}"))
         if parts:
             logs += flights(parts, at, wanted)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from logparsers.records import FlightLog
     from logparsers.source import Source
 
-__all__ = ["FORMATS", "Format", "detect", "read_messages"]
+__all__ = ["FORMATS", "Format", "detect", "read_messages", "read_text"]
 
 Test = Callable[[bytes], bool]
 Reader = Callable[["Source", TableLayout | None, "Only"], "tuple[FlightLog, ...]"]
@@ -164,6 +164,8 @@ def read_messages(source: Source, layout: TableLayout | None, only: Only) -> tup
     return flights([read_part(source)], source.path, only)
 
 
+read_text = _eager(read_table)
+
 FORMATS = (
     Format("HDF5 (MATLAB 7.3, RAPTRS)", _is_hdf5, read_hdf5),
     Format("MATLAB level 5", _starts(b"MATLAB 5.0"), read_level5),
@@ -191,7 +193,7 @@ FORMATS = (
     Format("damaged ArduPilot DataFlash log", _has_dataflash, _dataflash),
     Format("damaged MAVLink telemetry log", _has_telemetry, _telemetry),
     Format("table of messages", lambda head: _is_text(head) and bool(kind_of(head)), read_messages),
-    Format("text table", _is_text, _eager(read_table)),
+    Format("text table", _is_text, read_text),
 )
 """Tried from top to bottom; to add a format is to give its line a reader."""
 

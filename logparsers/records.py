@@ -26,6 +26,9 @@ __all__ = ["Channel", "Damage", "FlightLog", "Text", "own"]
 
 FloatArray = NDArray[np.float64]
 
+_MOST_CELLS = 100_000_000
+"""A larger table (0.8 GB) is a mistake: hundreds of channels that share no time stamps."""
+
 
 def own(values: ArrayLike) -> FloatArray:
     """Copy to a read-only float64 array, so that no record can change behind its owner's back.
@@ -310,7 +313,7 @@ class FlightLog:
         MissingChannel
             If one of the names fits no channel.
         ValueError
-            If the table would have more than `logparsers.joined.MOST_CELLS` cells.
+            If the table would have more than a hundred million cells.
 
         Examples
         --------
@@ -319,14 +322,12 @@ class FlightLog:
         >>> log.to_pandas(["de", "de_pos"]).columns.tolist()
         ['de', 'de_pos']
         """
-        from logparsers.joined import joined
-
         wanted = Only.of(names)
         for pattern in wanted.patterns or ():
             if not Only.of(pattern).pick(self.channels):
                 self[pattern]
         found = wanted.pick(self.channels)
-        return joined([self.channels[name] for name in found])
+        return _joined([self.channels[name] for name in found])
 
     def __repr__(self) -> str:
         kinds = Counter(d.kind for d in self.damage)
@@ -334,3 +335,25 @@ class FlightLog:
         return (
             f"<FlightLog {self.label}: {self.format}, {self.duration_s:.1f} s, {len(self.channels)} channels, {damage}>"
         )
+
+
+def _joined(channels: Sequence[Channel]) -> pd.DataFrame:
+    """Join channels on their time stamps: a row for each stamp of any channel, NaN where a channel has no sample."""
+    import pandas as pd
+
+    clocks = {id(channel.time_s): channel.time_s for channel in channels}
+    time_s = np.unique(np.concatenate(list(clocks.values())))
+    if time_s.size * len(channels) > _MOST_CELLS:
+        raise ValueError(
+            f"{len(channels)} channels on {time_s.size} time stamps make a table of {time_s.size * len(channels):.1e} "
+            f"cells; name fewer channels, for example to_pandas({channels[0].name!r})"
+        )
+    rows = {key: np.searchsorted(time_s, stamps) for key, stamps in clocks.items()}
+    columns = {}
+    for channel in channels:
+        column = np.full(time_s.size, np.nan)
+        column[rows[id(channel.time_s)]] = channel.values
+        columns[channel.name] = column
+    table = pd.DataFrame(columns, index=pd.Index(time_s, name="time_s"), copy=False)
+    table.attrs["units"] = {channel.name: channel.unit for channel in channels}
+    return table

@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from logparsers.channels import LazyChannels
-from logparsers.dataflash.about import ParameterChange
 from logparsers.dataflash.channels import DataFlashRecording
-from logparsers.dataflash.file import DataFlashFile
+from logparsers.dataflash.file import DataFlashFile, ParameterChange
 from logparsers.dataflash.formats import Field, Layout
 from logparsers.dataflash.store import Step, Stretch
 from logparsers.records import FlightLog

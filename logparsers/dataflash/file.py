@@ -4,36 +4,76 @@ from __future__ import annotations
 
 import difflib
 import re
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
 from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from logparsers.dataflash import about
 from logparsers.dataflash.binary import BinaryStore
+from logparsers.dataflash.formats import NUMBER, WORDS
 from logparsers.dataflash.report import Boots, describe
 from logparsers.dataflash.text import TextStore
 from logparsers.errors import MissingChannel, UnreadableLog
+from logparsers.records import Text
 from logparsers.source import mapped
 from logparsers.texts import split_rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
-    from datetime import datetime
     from typing import Self
 
     from numpy.typing import NDArray
 
-    from logparsers.dataflash.about import ParameterChange
     from logparsers.dataflash.formats import Layout
     from logparsers.dataflash.store import Store, Stretch
-    from logparsers.records import Damage, Text
+    from logparsers.records import Damage
     from logparsers.source import LogBytes
 
-__all__ = ["DataFlashFile"]
+__all__ = ["DataFlashFile", "ParameterChange"]
 
 HEAD_SIZE: Final = 8192
+GPS_EPOCH: Final = datetime(1980, 1, 6, tzinfo=UTC)
+# Since that year, UTC is this much behind GPS time [s].
+LEAP_SECONDS: Final = (
+    (2017, 18),
+    (2015.5, 17),
+    (2012.5, 16),
+    (2009, 15),
+    (2006, 14),
+    (0, 13),
+)
+FIX_3D: Final = 3
+VEHICLES: Final = {
+    "ArduPlane": "fixed wing", "ArduRover": "ground rover", "Rover": "ground rover", "ArduSub": "submarine",
+    "AntennaTracker": "antenna tracker", "Blimp": "airship",
+}  # fmt: skip
+FRAMES: Final = {
+    1: "quadrotor", 2: "hexarotor", 3: "octorotor", 4: "octorotor", 5: "hexarotor", 6: "helicopter", 7: "tricopter",
+    8: "coaxial", 9: "coaxial", 10: "coaxial", 11: "helicopter", 12: "dodecarotor", 13: "helicopter",
+}  # fmt: skip
+FIRST_WEEK: Final = 1000  # before 1999 there was no autopilot
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterChange:
+    """A parameter got a value: at the start of the log, or later.
+
+    Parameters
+    ----------
+    time_s : float
+        Since boot [s]; NaN if the log does not say.
+    name : str
+        For example ``"SERVO1_TRIM"``.
+    value : float
+        As logged.
+    """
+
+    time_s: float
+    name: str
+    value: float
 
 
 def _is_text(head: bytes) -> bool:
@@ -295,7 +335,13 @@ class DataFlashFile:
     @cached_property
     def parameter_changes(self) -> tuple[ParameterChange, ...]:
         """Every value a parameter was given, in order; repetitions of the same value left out."""
-        return about.parameter_changes(self)
+        last: dict[str, float] = {}
+        changes = []
+        for time, name, value in _rows(self, "PARM", {"Name": WORDS, "Value": NUMBER}):
+            if last.get(name) != value:
+                last[name] = value
+                changes.append(ParameterChange(time, name, value))
+        return tuple(changes)
 
     @cached_property
     def parameters(self) -> Mapping[str, float]:
@@ -305,22 +351,43 @@ class DataFlashFile:
     @cached_property
     def texts(self) -> tuple[Text, ...]:
         """What the vehicle said (MSG), in order."""
-        return about.texts(self, "MSG", "Message")
+        return _texts(self, "MSG", "Message")
 
     @cached_property
     def firmware(self) -> str:
         """For example ``"ArduPlane V4.5.1 (1a2b3c4d)"``, from VER or MSG; empty if the log does not say."""
-        return about.firmware(self)
+        said = (t.text for t in (*_texts(self, "VER", "FWS"), *self.texts))
+        return next((t for t in said if re.match(r"[A-Za-z][\w:]* V?\d+\.\d", t)), "")
 
     @property
     def vehicle(self) -> str:
         """Kind of aircraft, for example ``"fixed wing"``; empty if the log does not say."""
-        return about.vehicle(self)
+        name = self.firmware.partition(" ")[0]
+        if name in ("ArduCopter", "APM:Copter"):
+            return FRAMES.get(int(self.parameters.get("FRAME_CLASS", 0.0)), "multirotor")
+        return VEHICLES.get(name, name)
 
     @cached_property
     def start_utc(self) -> datetime | None:
         """When the vehicle was booted, by the first GPS message with a 3D fix; None without one."""
-        return about.start_utc(self)
+        layout = self.formats["GPS"] if self.count("GPS") else None
+        if layout is None or layout.clock is None:
+            return None
+        week, ms = ("GWk", "GMS") if "GWk" in layout.fields else ("Week", "TimeMS")
+        if not layout.has({week: NUMBER, ms: NUMBER, "Status": NUMBER}):
+            return None
+        rows = self.table("GPS", (week, ms, "Status"))
+        fixed = np.flatnonzero((rows["Status"] >= FIX_3D) & (rows[week] > FIRST_WEEK) & ~self.suspect("GPS"))
+        if not len(fixed):
+            return None
+        first = fixed[0]
+        try:
+            since_boot = timedelta(seconds=float(self.times_s("GPS")[first]))
+            gps = GPS_EPOCH + timedelta(weeks=int(rows[week][first]), milliseconds=int(rows[ms][first]))
+            year = gps.year + (gps.month - 1) / 12
+            return gps - timedelta(seconds=next(s for since, s in LEAP_SECONDS if year >= since)) - since_boot
+        except (OverflowError, ValueError):  # a damaged row: no such year, or no number
+            return None
 
     @cached_property
     def damage(self) -> tuple[Damage, ...]:
@@ -365,3 +432,17 @@ class DataFlashFile:
     def __repr__(self) -> str:
         rows = sum(self.count(n) for n in self.names)
         return f"<DataFlashFile {self.source}: {len(self.names)} messages, {rows} rows>"
+
+
+def _texts(file: DataFlashFile, message: str, field: str) -> tuple[Text, ...]:
+    """A column of words with its times; empty if the log has no such column."""
+    return tuple(Text(time, text) for time, text in _rows(file, message, {field: WORDS}))
+
+
+def _rows(file: DataFlashFile, name: str, fields: Mapping[str, bool]) -> Iterable[tuple[Any, ...]]:
+    """Time [s] and columns, row by row; nothing if the log has no such columns."""
+    layout = file.formats.get(name)
+    if layout is None or not layout.has(fields):
+        return ()
+    rows = file.table(name, tuple(fields))
+    return zip(file.times_s(name).tolist(), *(rows[f].tolist() for f in fields), strict=True)

@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING
 from logparsers.channels import LazyChannels
 from logparsers.records import FlightLog
 from logparsers.telemetry.channels import TelemetryRecording
-from logparsers.telemetry.file import TelemetryFile
+from logparsers.telemetry.file import TelemetryFile, Vehicle
 from logparsers.telemetry.messages import Sender
 from logparsers.telemetry.remote_log import BLOCKS, RemoteLogs, WithRemoteLog, remote_logs
-from logparsers.telemetry.vehicle import Vehicle
 
 if TYPE_CHECKING:
     from logparsers.channels import Recording

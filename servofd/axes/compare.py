@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from servofd.axes.verdict import AxisAudit, Between
-    from servofd.detection.bank.isolate import Fault
+    from servofd.detection.bank.flight import Fault
     from servofd.detection.verdict import SurfaceAudit
 
 __all__ = ["compared"]

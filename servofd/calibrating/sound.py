@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from servofd.aircraft import Surface
     from servofd.calibrating.levels import Terms
     from servofd.calibrating.stretches import Flown, Stretch
-    from servofd.detection.bank.isolate import Fault
+    from servofd.detection.bank.flight import Fault
     from servofd.tolerance import Tolerance
     from servofd.types import FloatArray
 

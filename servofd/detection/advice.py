@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servofd.detection.bank.isolate import Fault
+    from servofd.detection.bank.flight import Fault
     from servofd.detection.verdict import SurfaceAudit
 
 __all__ = ["headline", "meaning", "next_step"]
@@ -50,7 +50,7 @@ def meaning(fault: Fault) -> str:
 
     Examples
     --------
-    >>> from servofd.detection.bank.isolate import Fault
+    >>> from servofd.detection.bank.flight import Fault
     >>> meaning(Fault("deadband", 10.0, 10.4, None, {}, 0.99, ()))
     'Small commands have no effect: worn gears, play in the linkage, or friction.'
     """

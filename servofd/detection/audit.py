@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from logparsers.records import FlightLog
     from servofd.aircraft import Aircraft, Surface
-    from servofd.detection.bank.isolate import Fault
+    from servofd.detection.bank.flight import Fault
     from servofd.detection.threshold import Threshold, ThresholdKind
     from servofd.models.servo_model import ServoModel
 

@@ -10,7 +10,7 @@ from servofd.detection.plausible import wiring_problem
 
 if TYPE_CHECKING:
     from servofd.aircraft import Surface
-    from servofd.detection.bank.isolate import Fault
+    from servofd.detection.bank.flight import Fault
     from servofd.detection.residual import Commands, ResidualGenerator, Residuals
     from servofd.detection.threshold import Threshold
     from servofd.types import BoolArray

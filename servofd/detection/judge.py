@@ -9,7 +9,8 @@ import numpy as np
 
 from servofd.detection.alarm import find_episodes
 from servofd.detection.bank.confirm import confirmed, joined
-from servofd.detection.bank.isolate import Fault, Flight, isolate
+from servofd.detection.bank.flight import Fault, Flight
+from servofd.detection.bank.isolate import isolate
 from servofd.detection.bank.window import noise_deg
 from servofd.detection.contradiction import contradictions
 from servofd.detection.residual import commands_at_servo

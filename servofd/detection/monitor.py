@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from servofd.aircraft import Surface
-    from servofd.detection.bank.isolate import Fault
+    from servofd.detection.bank.flight import Fault
     from servofd.detection.events import EventKind
     from servofd.detection.stream import Piece
     from servofd.models.servo_model import ServoModel

@@ -225,7 +225,7 @@ class Stream:
             return go_on(motion, commands, memory.cursor, time_s, measured_deg, restart)
         simulated_deg, unused_deg = np.empty(time_s.size), np.empty(time_s.size)
         observe(
-            self._slower if which else self._servo,
+            self._slower if which and self._slower else self._servo,
             self._filter,
             memory,
             commands.effective_s,

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from logparsers.records import FlightLog
     from servofd.aircraft import Aircraft
     from servofd.axes.verdict import AxisAudit
-    from servofd.detection.bank.isolate import Fault
+    from servofd.detection.bank.flight import Fault
     from servofd.detection.residual import Residuals
     from servofd.detection.statistics import Statistics
     from servofd.detection.threshold import Threshold, ThresholdKind

@@ -214,7 +214,7 @@ def _separated(poles: ComplexArray) -> ComplexArray:
             continue
         centre = poles[cluster].mean()
         if abs(centre.imag) < 1e-3 * abs(centre):
-            centre = complex(centre.real)
+            centre = np.complex128(centre.real)
         radius = abs(centre) * _ROUND_OFF ** (1.0 / (2 * count - 1))
         # Angles symmetric about the real axis, so that the set stays closed under conjugation.
         angles = 2.0 * np.pi * (np.arange(count) + 0.5 * (count % 2 == 0)) / count

@@ -10,7 +10,7 @@ from servofd.outputs.chart import Chart, Curve, Mark, Panel, Span, thinned
 from servofd.outputs.sentence import clock, spoken
 
 if TYPE_CHECKING:
-    from servofd.detection.bank.isolate import Fault
+    from servofd.detection.bank.flight import Fault
     from servofd.detection.residual import Residuals
     from servofd.detection.threshold import Threshold
     from servofd.detection.verdict import SurfaceAudit

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from servofd.aircraft import Aircraft
     from servofd.axes.verdict import AxisAudit, Between
     from servofd.detection.bank.explanation import Estimate
-    from servofd.detection.bank.isolate import Fault
+    from servofd.detection.bank.flight import Fault
     from servofd.detection.verdict import LogAudit, SurfaceAudit
     from servofd.evidence import ModelOrigin
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from logparsers.records import Damage, FlightLog
     from servofd.axes.verdict import AxisAudit
-    from servofd.detection.bank.isolate import Fault
+    from servofd.detection.bank.flight import Fault
     from servofd.detection.verdict import LogAudit, SurfaceAudit
 
 __all__ = ["FailedLog", "audit_document", "to_json"]

@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from servofd.axes.verdict import AxisAudit
-    from servofd.detection.bank.isolate import Fault
+    from servofd.detection.bank.flight import Fault
     from servofd.detection.verdict import LogAudit, Status, SurfaceAudit
     from servofd.evidence import Detectable
 

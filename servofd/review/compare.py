@@ -11,7 +11,7 @@ from servofd.errors import RecordingError
 from servofd.outputs.recording.clock import microseconds
 
 if TYPE_CHECKING:
-    from servofd.detection.bank.isolate import Fault
+    from servofd.detection.bank.flight import Fault
     from servofd.detection.verdict import SurfaceAudit
     from servofd.outputs.recording.content import Recording, Trace
 

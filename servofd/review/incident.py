@@ -11,7 +11,7 @@ from servofd.errors import RecordingError
 from servofd.review.check import statistics_of
 
 if TYPE_CHECKING:
-    from servofd.detection.bank.isolate import Fault
+    from servofd.detection.bank.flight import Fault
     from servofd.detection.verdict import Status, SurfaceAudit
     from servofd.outputs.recording.content import Recording
     from servofd.types import FloatArray

@@ -12,7 +12,7 @@ from servofd.cli import main
 from servofd.cli.tables import print_table, print_verdicts
 from servofd.cli.targets import check_targets
 from servofd.detection.advice import headline, meaning, next_step
-from servofd.detection.bank.isolate import Fault
+from servofd.detection.bank.flight import Fault
 from servofd.detection.verdict import LogAudit, SurfaceAudit
 
 SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"

@@ -12,12 +12,12 @@ import pytest
 from servofd.detection.alarm import Episode
 from servofd.detection.bank.classify import BANK, name_fault, scores
 from servofd.detection.bank.confirm import confirmed, joined
-from servofd.detection.bank.explanation import Explanation, Ridge
-from servofd.detection.bank.isolate import Fault as Found
-from servofd.detection.bank.isolate import Flight
+from servofd.detection.bank.explanation import Ridge
+from servofd.detection.bank.flight import Fault as Found
+from servofd.detection.bank.flight import Flight
 from servofd.detection.bank.onset import refine_onset_s
 from servofd.detection.bank.signature import narendra
-from servofd.detection.bank.window import Window
+from servofd.detection.bank.window import Explanation, Window
 from servofd.detection.plausible import wiring_problem
 from servofd.models.effects import RateLimit
 from servofd.models.faults import (

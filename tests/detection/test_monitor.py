@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from servofd.aircraft import Surface, plain_aircraft
 from servofd.detection.alarm import crossings
-from servofd.detection.bank.isolate import Fault
+from servofd.detection.bank.flight import Fault
 from servofd.detection.events import Event, Look
 from servofd.detection.glitches import glitches
 from servofd.detection.history import CommandBuffer, History

@@ -16,9 +16,8 @@ import pytest
 
 from servofd.aircraft import plain_aircraft
 from servofd.detection.bank.classify import BANK, name_fault
-from servofd.detection.bank.explanation import Explanation
 from servofd.detection.bank.lost import Wandering
-from servofd.detection.bank.window import Window
+from servofd.detection.bank.window import Explanation, Window
 from servofd.detection.judge import judge
 from servofd.detection.odds import Wish, surface_odds
 from servofd.detection.prepare import prepared

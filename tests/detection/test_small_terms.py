@@ -14,9 +14,10 @@ from servofd.detection.alarm import Level
 from servofd.detection.audit import _odds
 from servofd.detection.bank.altered import _with_interval
 from servofd.detection.bank.classify import BANK
-from servofd.detection.bank.explanation import COLOUR, Estimate, Explanation
-from servofd.detection.bank.isolate import Fault
+from servofd.detection.bank.explanation import COLOUR, Estimate
+from servofd.detection.bank.flight import Fault
 from servofd.detection.bank.oscillation import _cycle
+from servofd.detection.bank.window import Explanation
 from servofd.detection.judge import _held
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.plausible import wiring_problem

@@ -48,7 +48,9 @@ def observed(
     simulated_deg, residual_deg = np.empty(at_s.size), np.empty(at_s.size)
     restarts = np.array(restart + [RESTART_NONE] * (at_s.size - len(restart)), dtype=np.int8)
     memory = new_memory(servo, residual_filter)
-    observe(servo, residual_filter, memory, *commands, at_s, measured_deg, restarts, simulated_deg, residual_deg)
+    effective_s, command_deg, slope_deg_s = commands
+    asked, seen = (effective_s, command_deg, slope_deg_s), (at_s, measured_deg, restarts)
+    observe(servo, residual_filter, memory, *asked, *seen, simulated_deg, residual_deg)
     return simulated_deg, residual_deg
 
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from logparsers.records import Damage, FlightLog
 from servofd.aircraft import plain_aircraft
 from servofd.detection.bank.explanation import Estimate
-from servofd.detection.bank.isolate import Fault
+from servofd.detection.bank.flight import Fault
 from servofd.detection.verdict import LogAudit, Status, SurfaceAudit
 from servofd.outputs.recording.clock import microseconds, seconds
 from servofd.outputs.recording.content import Recording, Trace

@@ -7,7 +7,7 @@ import itertools
 import pytest
 
 from servofd.detection.bank.explanation import Estimate
-from servofd.detection.bank.isolate import Fault
+from servofd.detection.bank.flight import Fault
 from servofd.detection.events import Event
 from servofd.live.alerts import Alerts
 from servofd.live.names import short_names

@@ -66,7 +66,7 @@ def mission_planner_mat(content: bytes) -> bytes:
     file["MSG1"] = _cell(said).T
     file["PARM"] = np.hstack([_cell(sorted(parameters)), _cell([parameters[name] for name in sorted(parameters)])])
     out = io.BytesIO()
-    savemat(out, file)  # type: ignore[arg-type]
+    savemat(out, file)
     return out.getvalue()
 
 

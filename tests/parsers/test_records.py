@@ -59,7 +59,7 @@ def test_a_table_joins_channels_on_their_own_time_stamps() -> None:
 
 
 def test_a_table_that_would_fill_the_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("logparsers.joined.MOST_CELLS", 7)
+    monkeypatch.setattr("logparsers.records._MOST_CELLS", 7)
     with pytest.raises(ValueError, match=r"2 channels on 4 time stamps .* to_pandas\('tail_cmd_deg'\)"):
         LOG.to_pandas()
     assert LOG.to_pandas("tail_cmd_deg").size == 2

@@ -108,6 +108,6 @@ def test_the_recording_tells_nothing_of_the_machine(recording: Path) -> None:
 
 
 def test_the_recording_passes_the_viewers_own_check(recording: Path) -> None:
-    verify = [sys.executable, "-m", "rerun", "rrd", "verify", recording]
+    verify = [sys.executable, "-m", "rerun", "rrd", "verify", str(recording)]
     result = subprocess.run(verify, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr

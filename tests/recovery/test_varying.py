@@ -26,7 +26,7 @@ def explained(slope: float = SLOPE) -> Explanation:
     rng, runs = np.random.default_rng(4), []
     time_s = np.arange(0.0, 4.0, 0.01)
     for load_g in LOAD_G:
-        command_deg = np.repeat(rng.choice([-20.0, -8.0, 8.0, 20.0], 8), 50)
+        command_deg = np.repeat(rng.choice(np.array([-20.0, -8.0, 8.0, 20.0]), 8), 50)
         limit_deg_s = AT_ZERO + slope * load_g
         physics = Physics(delay_s=KNOWN.plan.delay_s, rate_up_deg_s=limit_deg_s, rate_down_deg_s=limit_deg_s)
         moved_deg = (KNOWN + Extension(physics)).simulate(time_s, command_deg, time_s)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numba import njit
 
-from servofd.detection.bank.explanation import COLOUR, Estimate, Explanation
-from servofd.detection.bank.window import limited, slower
+from servofd.detection.bank.explanation import COLOUR, Estimate
+from servofd.detection.bank.window import Explanation, limited, slower
 from servofd.models.extended import ExtendedServo
 from servofd.models.play import play
 from servofd.types import FloatArray

@@ -8,16 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.detection.bank.altered import DeadBand, Slow
-from servofd.detection.bank.explanation import Explanation
 from servofd.detection.bank.following import Bias, Healthy, LossOfEffectiveness
 from servofd.detection.bank.lost import Floating, Hardover, Stuck, Wandering
 from servofd.detection.bank.oscillation import Oscillation
+from servofd.detection.bank.window import Explanation
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from servofd.detection.bank.explanation import Hypothesis
-    from servofd.detection.bank.window import Window
+    from servofd.detection.bank.window import Hypothesis, Window
 
 __all__ = ["BANK", "Naming", "name_fault", "scores"]
 

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from servofd.detection.alarm import Episode
-    from servofd.detection.bank.isolate import Fault, Flight
+    from servofd.detection.bank.flight import Fault, Flight
 
 __all__ = ["SURE", "confirmed", "joined"]
 

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from servofd.detection.bank.window import Window
     from servofd.types import FloatArray
 
-__all__ = ["COLOUR", "Estimate", "Explanation", "Hypothesis", "Regression", "Ridge"]
+__all__ = ["COLOUR", "Estimate", "Regression", "Ridge"]
 
 COLOUR = 4.0
 """Misfits of neighbouring samples are alike: so many samples tell as much as one."""
@@ -37,33 +33,6 @@ class Estimate(NamedTuple):
     def deviation(self) -> float:
         """Standard deviation."""
         return (self.high - self.low) / (2.0 * _Z_95)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Explanation:
-    """The best that a hypothesis can do for a window."""
-
-    kind: str
-    predicted_deg: FloatArray
-    """Of shape (n,)."""
-    cost_deg2: float
-    """Sum of squared misfits, and what the priors of the nuisances add [deg^2]."""
-    freedom: float
-    """Number of free parameters."""
-    parameters: Mapping[str, Estimate] = field(default_factory=dict)
-    doubt: float = 0.0
-    """Twice the negative logarithm of how plausible the parameters are in themselves."""
-    predict: Callable[[Window], FloatArray] | None = None
-    """Deflection that this fault would cause in another window [deg], shape (n,)."""
-
-
-class Hypothesis(Protocol):
-    """One way in which a servo may behave."""
-
-    kind: ClassVar[str]
-
-    def explain(self, window: Window) -> Explanation | None:
-        """Fit the window; None if this cannot be it."""
 
 
 class Regression(NamedTuple):

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from servofd.detection.bank.altered import heard_less
-from servofd.detection.bank.explanation import Explanation, Ridge
+from servofd.detection.bank.explanation import Ridge
+from servofd.detection.bank.window import Explanation
 
 if TYPE_CHECKING:
     from servofd.detection.bank.window import Window

@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from servofd.detection.bank.classify import BANK, Naming, name_fault
 from servofd.detection.bank.confirm import SURE
+from servofd.detection.bank.flight import Fault, Flight
 from servofd.detection.bank.onset import BEFORE_S, refine_onset_s
 from servofd.detection.bank.signature import first_signs
 from servofd.detection.bank.window import Onset, Window
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from servofd.detection.alarm import Episode
 
-    from servofd.detection.alarm import Episode, Level
-    from servofd.detection.bank.explanation import Estimate
-    from servofd.detection.residual import Commands, ResidualGenerator, Residuals
-    from servofd.tolerance import Tolerance
-
-__all__ = ["Fault", "Flight", "isolate"]
+__all__ = ["isolate"]
 
 _SETTLING_S = 0.25
 """Left out after the onset: faults that set in abruptly still move the surface as a healthy servo would."""
@@ -30,7 +26,6 @@ _TAKES_ANYTHING = ("floating", "unknown")
 _WINDOWS_S = (2.0, 4.0, 8.0, 16.0)
 _ENOUGH_MOTION_DEG = 4.0
 _LIKELY = 0.4
-_FEWEST_SAMPLES = 12
 _SHORT_S = 1.0
 _BLOCK_S = 3.0
 _LONGEST_BLOCK_S = 12.0
@@ -38,59 +33,6 @@ _FIRST_S = 1.0 - _SETTLING_S
 _SUSPICION_LASTS_S = 15.0
 """The cumulative sum and the habits look back about ten seconds."""
 _ONSET_BEFORE_RECORD_S = 0.5
-
-
-@dataclass(frozen=True, slots=True)
-class Fault:
-    """One fault of one surface."""
-
-    kind: str
-    """`unknown` if no hypothesis explains it, or several do alike."""
-    start_s: float
-    """Best estimate of the onset [s]."""
-    alarm_s: float
-    """When the alarm would have been raised in flight [s]."""
-    end_s: float | None
-    """When it was last seen [s]; None if it lasts to the end of the log."""
-    parameters: Mapping[str, Estimate]
-    probability: float
-    """Of that kind; of the likeliest alternative if several do alike."""
-    alternatives: tuple[str, ...]
-    level: Level = "fault"
-    named_s: float | None = None
-    """When there were data enough for this name [s]."""
-    first_signs: tuple[str, ...] = ()
-    """What it could have been for all that was known within its first second."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Flight:
-    """All that the bank needs to know of one surface's flight."""
-
-    generator: ResidualGenerator
-    tolerance: Tolerance
-    noise_deg: float
-    """Of the position."""
-    sigma_deg: float
-    """Of the healthy residual."""
-    residuals: Residuals
-    commands: Commands
-
-    def window(self, from_s: float, to_s: float, onset: Onset | None) -> Window | None:
-        """Cut out a stretch; None if it holds too few samples."""
-        time_s = self.residuals.time_s
-        first, last = (int(i) for i in np.searchsorted(time_s, (from_s, to_s + 1e-9)))
-        span = slice(first, last)
-        if np.count_nonzero(self.residuals.settled[span]) < _FEWEST_SAMPLES:
-            return None
-        return Window.of(
-            self.generator.model, self.tolerance, self.noise_deg, self.residuals, self.commands, span, onset
-        )
-
-    @property
-    def end_s(self) -> float:
-        """Last sample [s]."""
-        return float(self.residuals.time_s[-1])
 
 
 def isolate(flight: Flight, episode: Episode) -> tuple[Fault, ...]:

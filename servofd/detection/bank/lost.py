@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from servofd.detection.bank.explanation import COLOUR, Estimate, Explanation, Ridge
+from servofd.detection.bank.explanation import COLOUR, Estimate, Ridge
+from servofd.detection.bank.window import Explanation
 
 if TYPE_CHECKING:
     from servofd.detection.bank.window import Window

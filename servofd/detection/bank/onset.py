@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from servofd.detection.bank.explanation import Explanation
-    from servofd.detection.bank.isolate import Flight
-    from servofd.detection.bank.window import Window
+    from servofd.detection.bank.flight import Flight
+    from servofd.detection.bank.window import Explanation, Window
 
 __all__ = ["BEFORE_S", "refine_onset_s"]
 

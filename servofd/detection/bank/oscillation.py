@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 
-from servofd.detection.bank.explanation import Estimate, Explanation, Regression, Ridge
+from servofd.detection.bank.explanation import Estimate, Regression, Ridge
+from servofd.detection.bank.window import Explanation
 from servofd.numeric import least
 
 if TYPE_CHECKING:

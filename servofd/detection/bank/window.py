@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
@@ -12,13 +12,15 @@ from servofd.detection.bank.explanation import COLOUR, Ridge
 from servofd.models.extended import AnyServo, ExtendedMotion, ExtendedServo
 
 if TYPE_CHECKING:
-    from servofd.detection.bank.explanation import Explanation
+    from collections.abc import Callable, Mapping
+
+    from servofd.detection.bank.explanation import Estimate
     from servofd.detection.residual import Commands, Residuals
     from servofd.models.servo_model import ServoModel
     from servofd.tolerance import Tolerance
     from servofd.types import FloatArray
 
-__all__ = ["Onset", "Window", "limited", "noise_deg", "simulate", "slower"]
+__all__ = ["Explanation", "Hypothesis", "Onset", "Window", "limited", "noise_deg", "simulate", "slower"]
 
 _LEAD_S = 1.5
 """Simulations start this long before the window, so that how they start is forgotten (lags are below 0.15 s)."""
@@ -41,6 +43,33 @@ class Onset(NamedTuple):
     low_deg: float
     high_deg: float
     """Range of the healthy deflection from then to the beginning of the window."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Explanation:
+    """The best that a hypothesis can do for a window."""
+
+    kind: str
+    predicted_deg: FloatArray
+    """Of shape (n,)."""
+    cost_deg2: float
+    """Sum of squared misfits, and what the priors of the nuisances add [deg^2]."""
+    freedom: float
+    """Number of free parameters."""
+    parameters: Mapping[str, Estimate] = field(default_factory=dict)
+    doubt: float = 0.0
+    """Twice the negative logarithm of how plausible the parameters are in themselves."""
+    predict: Callable[[Window], FloatArray] | None = None
+    """Deflection that this fault would cause in another window [deg], shape (n,)."""
+
+
+class Hypothesis(Protocol):
+    """One way in which a servo may behave."""
+
+    kind: ClassVar[str]
+
+    def explain(self, window: Window) -> Explanation | None:
+        """Fit the window; None if this cannot be it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

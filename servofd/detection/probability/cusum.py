@@ -107,9 +107,9 @@ def design_cusum(kappa: float, rate_per_hour: float, noise: Noise) -> CusumDesig
     samples = 2.0 * 3600.0 / (rate_per_hour * noise.sample_time_s)
     wanted = 2.0 * kappa**2 * samples
     # exp(x) - x - 1 = wanted; it lies below exp(x), and above it by no more than twice near the root.
-    top = np.log(wanted + 1.0) * 2.0 + 4.0
+    top = float(np.log(wanted + 1.0)) * 2.0 + 4.0
     x = root(lambda value: np.expm1(value) - value - wanted, 0.0, top)
-    white = max(x / (2.0 * kappa) - _OVERSHOOT, 0.0)
+    white = max(float(x) / (2.0 * kappa) - _OVERSHOOT, 0.0)
     return CusumDesign(kappa, noise.long_run_factor * white, noise.long_run_factor, noise.sample_time_s)
 
 

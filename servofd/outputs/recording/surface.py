@@ -11,7 +11,7 @@ from servofd.outputs.recording.states import breaks_s, events, ratio, states
 from servofd.outputs.recording.stream import STATES, surface_place
 
 if TYPE_CHECKING:
-    from servofd.detection.bank.isolate import Fault
+    from servofd.detection.bank.flight import Fault
     from servofd.detection.verdict import SurfaceAudit
     from servofd.onboard.seen import Seen
     from servofd.outputs.recording.content import Trace

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from logparsers.records import Damage, FlightLog
 from servofd.aircraft import Aircraft
 from servofd.detection.bank.explanation import Estimate
-from servofd.detection.bank.isolate import Fault
+from servofd.detection.bank.flight import Fault
 from servofd.detection.statistics import Statistics
 from servofd.detection.verdict import LogAudit, SurfaceAudit
 from servofd.errors import RecordingError
