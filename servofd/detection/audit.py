@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.detection.cleared import not_judgeable, why_not_cleared
+from servofd.detection.detectable import detectable
 from servofd.detection.judge import Judgement, judge
 from servofd.detection.plausible import wiring_problem
 from servofd.detection.prepare import prepared
@@ -19,6 +21,7 @@ from servofd.detection.statistics import Statistics, outline
 from servofd.detection.verdict import LogAudit, Status, SurfaceAudit
 from servofd.detection.words import describe
 from servofd.errors import DesignError, NoMeasurement
+from servofd.evidence import NOTHING_DETECTABLE
 from servofd.segment import SLOWEST_RATE_HZ, Segment, cut, too_far
 
 if TYPE_CHECKING:
@@ -28,6 +31,7 @@ if TYPE_CHECKING:
     from servofd.aircraft import Aircraft, Surface
     from servofd.detection.bank.flight import Fault
     from servofd.detection.threshold import Threshold, ThresholdKind
+    from servofd.evidence import Detectable
     from servofd.models.servo_model import ServoModel
 
 __all__ = ["audit_log", "audit_segment", "judged_by"]
@@ -36,6 +40,8 @@ _SECONDS_FOR_ODDS = 10.0
 _SHORTEST_JUDGED_S = 0.25
 _MOST_OF_THE_LOG = 0.9
 _FASTEST_RATE_HZ = 50_000.0
+_WIDENED = 1.4
+"""A threshold drafted from the log that is judged grows with the fault that it should show (flights of `strangers`)."""
 _CLEAR_SIGMAS = 4.0
 """A threshold of less is crossed by noise alone, once in some thousand samples."""
 
@@ -182,10 +188,20 @@ def audit_segment(
     problem = wiring_problem(residuals) if faults or suspicions else ""
     if problem:
         faults = suspicions = ()
-    status, reason_text = _verdict(residuals, statistics, faults, suspicions, level, problem)
+    shown = NOTHING_DETECTABLE
+    if not problem:
+        fitted = surface.model.origin == "fitted"
+        shown = detectable(
+            generator,
+            residuals,
+            level,
+            suspicions=surface.tells_small_faults,
+            margin=_WIDENED if fitted else 1.0,
+        )
+    status, reason_text = _verdict(residuals, statistics, faults, suspicions, level, problem or shown)
     reason_text = "; ".join((reason_text, *_too_many(judgement), *notes))
     judged_share = min(judged_s / max(duration_s, 1e-9), 1.0)
-    verdict = partial(verdict, judged_share=judged_share)
+    verdict = partial(verdict, judged_share=judged_share, detectable=shown)
     if judged_share < _MOST_OF_THE_LOG:
         reason_text += f"; judged for {judged_share:.0%} of the log"
     if segment.frozen_s > 0.0:
@@ -286,39 +302,27 @@ def _verdict(
     faults: tuple[Fault, ...],
     suspicions: tuple[Fault, ...],
     threshold: Threshold,
-    problem: str,
+    shown: Detectable | str,
 ) -> tuple[Status, str]:
-    if problem:
-        return "unknown", problem
+    """Status and reason; `shown` is what the log would have shown, or why nothing of it can be believed."""
+    if isinstance(shown, str):
+        return "unknown", shown
     if faults:
         found = "; then ".join(describe(fault) for fault in faults)
         return "fault", f"servo or its feedback: {found}"
     if suspicions:
         found = "; ".join(describe(fault) for fault in suspicions)
         return "suspect", f"no alarm stands, but look at it: {found}"
-    shown_deg = _would_have_shown(residuals)
-    if shown_deg < threshold.typical_deg:
-        return "unknown", (
-            f"hardly asked to move: a servo stuck all along would have left a residual of {shown_deg:.2g} deg only, "
-            f"and the threshold is {threshold.typical_deg:.3g} deg"
-        )
+    problem = why_not_cleared(residuals, shown, threshold.typical_deg)
+    if problem:
+        return "unknown", problem
+    stayed = f"{threshold.typical_deg:.3g} deg" if threshold.kind == "constant" else "its interval threshold"
+    limits = not_judgeable(shown)
     return (
         "healthy",
-        f"|residual| stayed below {threshold.typical_deg:.3g} deg (largest {statistics.max_abs_deg:.2f} deg)"
-        if threshold.kind == "constant"
-        else f"|residual| stayed below its interval threshold (largest {statistics.max_abs_deg:.2f} deg)",
+        f"|residual| stayed below {stayed} (largest {statistics.max_abs_deg:.2f} deg)"
+        + (f"; {limits}" if limits else ""),
     )
-
-
-def _would_have_shown(residuals: Residuals) -> float:
-    """Smallest residual that a stuck servo would have left, wherever it was stuck [deg].
-
-    From what the filter sees of the commands; or from the position itself, which a stuck servo does not change
-    (its outermost values left out, they may be glitches).
-    """
-    asked_deg = float(np.ptp(residuals.immobile_deg[residuals.settled])) / 2.0
-    low_deg, high_deg = np.nanpercentile(residuals.measured_deg, [5.0, 95.0])
-    return max(asked_deg, float(high_deg - low_deg) / 2.0)
 
 
 def _too_many(judgement: Judgement) -> tuple[str, ...]:

@@ -59,11 +59,13 @@ def test_what_simulate_writes_audit_reads(
     command: str, suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / f"flown.{suffix}"
-    assert main(["simulate", "-o", str(path), "--command", command, "--duration", "30"]) == 0
+    assert main(["simulate", "-o", str(path), "--command", command, "--duration", "60"]) == 0
     capsys.readouterr()
     code, document = audited([str(path)], capsys)
-    assert code == 0
-    assert {s["status"] for s in document["logs"][0]["surfaces"].values()} <= {"healthy", "no_data"}
+    # A chirp ends in motion so small that a jam in its second half would not show.
+    cleared = "unknown" if command == "chirp" else "healthy"
+    assert code == (2 if command == "chirp" else 0)
+    assert {s["status"] for s in document["logs"][0]["surfaces"].values()} <= {cleared, "no_data"}
 
 
 def test_a_noise_free_table_comes_back_to_the_nanodegree(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -87,7 +87,7 @@ LOGS: dict[str, tuple[str, Callable[[Path], object], str]] = {
         lambda path: path.write_text(
             table(elevator_cmd_deg=np.zeros(600), elevator_pos_deg=0.1 * np.sin(np.arange(600)))
         ),
-        "hardly asked to move",
+        "too little motion",
     ),
     "too slow": (
         "slow.csv",

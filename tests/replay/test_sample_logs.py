@@ -46,7 +46,9 @@ def test_verdicts(name: str) -> None:
     verdicts = {verdict.surface: verdict for verdict in result.surfaces}
     for other, verdict in verdicts.items():
         if other != surface or kind is None:
-            assert verdict.status == ("no_data" if other.startswith("flap") else "healthy")
+            # A chirp ends in motion so small that a jam in its second half would not show.
+            cleared = "unknown" if name.endswith("chirp") else "healthy"
+            assert verdict.status == ("no_data" if other.startswith("flap") else cleared)
     if kind is not None:
         assert verdicts[surface].status == "fault"
         (fault,) = verdicts[surface].faults

@@ -1,0 +1,64 @@
+"""What a surface without an alarm has earned: it is healthy only if a log would have shown that it is not."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from servofd.detection.residual import Residuals
+    from servofd.evidence import Detectable
+
+__all__ = ["MOST_LOST", "not_judgeable", "why_not_cleared"]
+
+MOST_LOST = 0.34
+"""A surface that could have lost more than a third of its travel unseen is not called healthy."""
+_MARGIN = 1.2
+_NAMES = {
+    "bias_deg": "offset",
+    "slow_share": "speed",
+    "loss_share": "travel",
+    "deadband_deg": "play",
+    "oscillation_deg": "oscillation",
+}
+
+
+def why_not_cleared(residuals: Residuals, shown: Detectable, level_deg: float) -> str:
+    """Why a log without an alarm does not clear a surface, and what to fly; empty if it does.
+
+    Parameters
+    ----------
+    residuals : Residuals
+        Of the surface.
+    shown : Detectable
+        The smallest faults that the log would have shown.
+    level_deg : float
+        Typical threshold [deg].
+    """
+    if shown.loss_share is not None and shown.loss_share <= MOST_LOST:
+        return ""
+    moved = residuals.simulated_deg[residuals.settled]
+    reach_deg = float(np.ptp(moved)) / 2.0 if moved.size else 0.0
+    unseen = "a jam" if shown.loss_share is None else f"the loss of {shown.loss_share:.0%} of its travel"
+    wanted_deg = max(3.0 * _MARGIN * level_deg, _MARGIN * reach_deg)
+    return (
+        f"hardly asked to move: even {unseen} might not have shown (moved within ±{reach_deg:.2g} deg, threshold "
+        f"{level_deg:.2g} deg); fly or bench-test movements of ±{wanted_deg:.0f} deg or more, brisk and slow"
+    )
+
+
+def not_judgeable(shown: Detectable) -> str:
+    """Kinds of faults that a log could not have shown, in words.
+
+    Examples
+    --------
+    >>> from servofd.evidence import Detectable
+    >>> not_judgeable(Detectable(bias_deg=0.5, loss_share=0.1, deadband_deg=1.0, oscillation_deg=0.5))
+    'speed not judgeable: no brisk motion'
+    """
+    missing = [_NAMES[name] for name in shown.missing]
+    if not missing:
+        return ""
+    why = ": no brisk motion" if missing == ["speed"] else ""
+    return f"{' and '.join(missing)} not judgeable{why}"

@@ -1,0 +1,193 @@
+r"""The smallest fault of each kind that a log would have shown, from its own commands, residual and threshold.
+
+A fault of size :math:`k` that adds :math:`k\,s(t)` to the residual raises an alarm in a log whose residual is :math:`r`
+and whose threshold is :math:`\tau` as soon as :math:`|r + k s| > \tau`: it needs :math:`k(t) = (\tau \mp r) / |s|`, and
+if it sets in at :math:`t_0`, :math:`\min_{t \ge t_0} k(t)`: one pass from the end of the log to its beginning. What is
+detectable is the size that 19 of 20 onsets need. An offset adds a constant, a loss of travel what an immobile surface
+leaves, an oscillation a filtered wave; less speed adds a lag, and play what play leaves, of sizes found by bisection.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servofd.evidence import NOTHING_DETECTABLE, Detectable
+from servofd.models.play import play
+from servofd.models.state import compiled
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from servofd.detection.residual import ResidualGenerator, Residuals
+    from servofd.detection.threshold import Threshold
+    from servofd.types import BoolArray, FloatArray
+
+__all__ = ["detectable"]
+
+_POWER = 95.0
+_LATEST_ONSET = 0.5
+"""Faults set in during this share of the log, and last to its end."""
+_SUSPICIOUS_DRIFT = 40.0
+_MEMORY_S = 10.0
+"""As in `servofd.detection.threshold.suspicion`."""
+_OSCILLATES_HZ = 3.0
+_LEAST_SPEED = 0.1
+_BISECTIONS = 6
+_WIDEST_DEG = 20.0
+_LARGEST = {"bias_deg": 45.0, "loss_share": 1.0, "oscillation_deg": 20.0}
+
+
+def detectable(
+    generator: ResidualGenerator,
+    residuals: Residuals,
+    threshold: Threshold,
+    *,
+    suspicions: bool = False,
+    margin: float = 1.0,
+) -> Detectable:
+    """Smallest faults that this log would have shown, 19 times in 20.
+
+    Parameters
+    ----------
+    generator : ResidualGenerator
+        Healthy model and filter.
+    residuals : Residuals
+        Of the log.
+    threshold : Threshold
+        Its alarm level.
+    suspicions : bool
+        Whether what stays below the threshold may be suspect, if it lasts.
+    margin : float
+        How many times the threshold a residual has to reach, where the fault itself would have widened the threshold.
+
+    Examples
+    --------
+    >>> from servofd.detection.residual import ResidualGenerator
+    >>> from servofd.detection.threshold import constant_threshold, interval_threshold
+    >>> from servofd.models.servo_model import ServoModel
+    >>> from servofd.segment import Segment
+    >>> from servofd.servos import servo_named
+    >>> from servofd.tolerance import Tolerance
+    >>> model, time_s = ServoModel.of(servo_named("hs225bb-eq31")), np.arange(0.0, 40.0, 0.02)
+    >>> command_deg = 10.0 * np.sin(time_s)
+    >>> segment = Segment("x", time_s, command_deg, time_s, model.simulate(time_s, command_deg, time_s))
+    >>> generator = ResidualGenerator(model, 50.0)
+    >>> residuals = generator.run(segment)
+    >>> interval = interval_threshold(generator, segment, residuals, Tolerance())
+    >>> shown = detectable(generator, residuals, constant_threshold(interval, 1.5))
+    >>> round(shown.bias_deg, 1), round(shown.loss_share, 2), shown.slow_share
+    (1.5, 0.15, 0.24)
+    """
+    use = residuals.settled & np.isfinite(residuals.residual_deg)
+    if np.count_nonzero(use) < 2:
+        return NOTHING_DETECTABLE
+    level_deg = margin * threshold.level_deg
+    judge = _Judge(residuals, level_deg, use)
+    ones = np.where(np.isfinite(residuals.measured_deg), 1.0, np.nan)
+    signals = {
+        "bias_deg": [generator.filtered(residuals.time_s, ones, residuals.restart)],
+        "loss_share": [residuals.immobile_deg],
+        "oscillation_deg": [
+            generator.filtered(
+                residuals.time_s, ones * wave(2.0 * np.pi * _OSCILLATES_HZ * residuals.time_s), residuals.restart
+            )
+            for wave in (np.sin, np.cos)
+        ],
+    }
+    found: dict[str, float | None] = {}
+    for name, ways in signals.items():
+        signs = (1.0,) if name == "loss_share" else (1.0, -1.0)
+        size = float(np.percentile(np.concatenate([judge.needed(s * way) for way in ways for s in signs]), _POWER))
+        if suspicions and name != "oscillation_deg":
+            size = min(size, _drift_size(residuals, threshold, ways[0], use))
+        found[name] = size if size <= _LARGEST[name] else None
+    lag_s = float(np.sum(1.0 / generator.filter_parameters().decay_rad_s).real)
+    start_deg = float(residuals.simulated_deg[use][0])
+
+    def slowed(speed: float) -> FloatArray:
+        return _lagged(residuals.time_s, residuals.simulated_deg, lag_s * (1.0 / speed - 1.0))
+
+    def loose(width_deg: float) -> FloatArray:
+        return play(residuals.simulated_deg, width_deg, start_deg)
+
+    def shows(moved: Callable[[float], FloatArray], size: float) -> bool:
+        error_deg = ones * (moved(size) - residuals.simulated_deg)
+        return judge.shown(generator.filtered(residuals.time_s, error_deg, residuals.restart))
+
+    reach_deg = min(float(np.ptp(residuals.simulated_deg[use])), _WIDEST_DEG)
+    found["slow_share"] = _bisected(lambda speed: shows(slowed, speed), _LEAST_SPEED, 1.0)
+    found["deadband_deg"] = _bisected(lambda width: shows(loose, width), reach_deg, 0.0) if reach_deg > 0.0 else None
+    return Detectable(**{name: None if size is None else _rounded(size) for name, size in found.items()})
+
+
+class _Judge:
+    """Whether an addition to the residual raises an alarm, whenever it sets in."""
+
+    def __init__(self, residuals: Residuals, level_deg: FloatArray, use: BoolArray) -> None:
+        self.residual_deg, self.level_deg, self.use = residuals.residual_deg[use], level_deg[use], use
+        time_s = residuals.time_s[use]
+        self.onsets = time_s <= time_s[0] + _LATEST_ONSET * (time_s[-1] - time_s[0])
+
+    def needed(self, signal: FloatArray) -> FloatArray:
+        """Size that a fault of each onset needs, if it adds this much for each unit of its size."""
+        added = signal[self.use]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            size = (self.level_deg - np.sign(added) * self.residual_deg) / np.abs(added)
+        size = np.where(np.isfinite(size), np.maximum(size, 0.0), 1e9)
+        needed: FloatArray = np.minimum.accumulate(size[::-1])[::-1][self.onsets]
+        return needed
+
+    def shown(self, added: FloatArray) -> bool:
+        """Whether 19 of 20 onsets of this very addition raise an alarm."""
+        beyond = np.abs(self.residual_deg + np.nan_to_num(added[self.use])) > self.level_deg
+        after = np.logical_or.accumulate(beyond[::-1])[::-1][self.onsets]
+        return bool(np.mean(after) >= _POWER / 100.0)
+
+
+def _drift_size(residuals: Residuals, threshold: Threshold, signal: FloatArray, use: BoolArray) -> float:
+    """Size from which on strange habits over ten seconds are suspicious."""
+    time_s, power = residuals.time_s[use], np.nan_to_num(signal[use]) ** 2
+    step_s = float(np.median(np.diff(time_s)))
+    samples = max(int(_MEMORY_S / max(step_s, 1e-6)), 1)
+    total = np.cumsum(power)
+    seen = total - np.concatenate([np.zeros(min(samples, total.size)), total[: max(total.size - samples, 0)]])
+    noise = threshold.cusum.factor * float(np.median(threshold.sigma_deg)) ** 2
+    best = float(np.percentile(np.maximum.accumulate(seen[::-1]), 100.0 - _POWER))
+    tolerated = float(np.median(threshold.tolerance_deg[use])) / max(float(np.sqrt(np.mean(power))), 1e-9)
+    return tolerated + float(np.sqrt(_SUSPICIOUS_DRIFT * noise / max(best, 1e-12)))
+
+
+def _bisected(shows: Callable[[float], bool], large: float, none: float) -> float | None:
+    """Size nearest to no fault that shows; None if not even a large one does."""
+    if not shows(large):
+        return None
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (large + none)
+        if shows(middle):
+            large = middle
+        else:
+            none = middle
+    return large
+
+
+def _lagged(time_s: FloatArray, values: FloatArray, lag_s: float) -> FloatArray:
+    """Values behind one more lag [s], shape (n,)."""
+    result = np.empty(values.size)
+    _lag(time_s, values, max(lag_s, 1e-9), result)
+    return result
+
+
+@compiled
+def _lag(time_s: FloatArray, values: FloatArray, lag_s: float, result: FloatArray) -> None:
+    state = values[0]
+    for k in range(values.size):
+        if k > 0:
+            state += (1.0 - np.exp(-(time_s[k] - time_s[k - 1]) / lag_s)) * (values[k] - state)
+        result[k] = state
+
+
+def _rounded(size: float) -> float:
+    """Two digits: nobody knows more."""
+    return float(f"{size:.2g}")
