@@ -127,7 +127,7 @@ def _with_axes(result: LogAudit, motion: MotionModel) -> LogAudit:
     from servofd.axes.read import motion_of
 
     try:
-        axes = judge_motion(motion, motion_of(result.log, motion.rate_hz))
+        axes = judge_motion(motion, motion_of(result.log, motion.rate_hz, motion.parameters))
     except NoMeasurement:
         if not result.surfaces:
             raise

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +15,7 @@ from servofd.feedback.outputs import outputs_of
 from servofd.feedback.pairs import pulse_channel
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from logparsers.records import FlightLog
     from servofd.axes.mixers import Airframe
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["motion_of_autopilot"]
 
 _FASTEST_HZ = 25.0
+_OF_AN_OUTPUT = re.compile(r"SERVO\d+_(FUNCTION|TRIM|MIN|MAX|REVERSED)")
 _IDLE_SHARE = 0.05
 _MEASURES_M_S = 1.0
 _RATES = (
@@ -41,7 +43,9 @@ _WINDS = (
 )
 
 
-def motion_of_autopilot(log: FlightLog, rate_hz: float | None = None) -> Motion:
+def motion_of_autopilot(
+    log: FlightLog, rate_hz: float | None = None, parameters: Mapping[str, float] | None = None
+) -> Motion:
     """Motion of an ArduPilot log, from flash or telemetry.
 
     Parameters
@@ -50,6 +54,8 @@ def motion_of_autopilot(log: FlightLog, rate_hz: float | None = None) -> Motion:
         With ``SERVOn_FUNCTION`` among its parameters, outputs, gyros, accelerometers, attitude and an airspeed.
     rate_hz : float, optional
         Of the grid; None: that of the outputs, 25 Hz at most.
+    parameters : mapping of str to float, optional
+        SERVOn_... to assume where the log has none.
 
     Returns
     -------
@@ -61,7 +67,10 @@ def motion_of_autopilot(log: FlightLog, rate_hz: float | None = None) -> Motion:
     NoMeasurement
         If something is missing, or the aircraft has no control surfaces; the message says which.
     """
-    outputs = outputs_of(log.parameters)
+    settings = {name: value for name, value in log.parameters.items() if _OF_AN_OUTPUT.fullmatch(name)}
+    if not any(name.endswith("_FUNCTION") for name in settings):
+        settings = dict(parameters or {})
+    outputs = outputs_of(settings)
     airframe = airframe_of(outputs)
     if not airframe.has_surfaces:
         raise NoMeasurement(_no_surfaces(log, airframe))
@@ -89,6 +98,7 @@ def motion_of_autopilot(log: FlightLog, rate_hz: float | None = None) -> Motion:
     for axis, parts in airframe.commands.items():
         asked = [part.weight * part.output.sign * (of_output(part.output) - part.output.trim_us) for part in parts]
         commands[axis] = np.sum(asked, axis=0)
+    served = needed | {output.number for output in (*airframe.throttles, *airframe.lift_motors)}
     every = [first, *rates, *forces, roll, pitch, airspeed]
     return Motion(
         name=log.source.name,
@@ -104,7 +114,12 @@ def motion_of_autopilot(log: FlightLog, rate_hz: float | None = None) -> Motion:
         present=present_on(grid_s, every) & ~_lifting(airframe, of_output, grid_s),
         airspeed_source=source,
         members=airframe.members,
+        parameters={name: value for name, value in settings.items() if _number(name) in served},
     )
+
+
+def _number(parameter: str) -> int:
+    return int(parameter.removeprefix("SERVO").partition("_")[0])
 
 
 def _no_surfaces(log: FlightLog, airframe: Airframe) -> str:

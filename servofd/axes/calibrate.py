@@ -102,6 +102,7 @@ def calibrate_motion(flights: Sequence[Motion], *, false_alarms_per_hour: float 
         flights=len(flights),
         hours=seconds / 3600.0,
         axes={name: _with_levels(trial, per_hour) for name, trial in axes.items()},
+        parameters=dict(flights[0].parameters),
     )
 
 

@@ -46,6 +46,8 @@ class Motion:
         In words.
     members : mapping of str to tuple of str
         Surfaces that serve each axis.
+    parameters : mapping of str to float
+        SERVOn_... of the outputs that do.
     """
 
     name: str
@@ -61,6 +63,7 @@ class Motion:
     present: BoolArray
     airspeed_source: str = "sensor"
     members: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    parameters: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def rate_hz(self) -> float:
@@ -77,18 +80,15 @@ class Motion:
     def until(self, end_s: float) -> Motion:
         """The part before a time."""
         last = int(np.searchsorted(self.time_s, end_s))
-        return Motion(
-            self.name,
-            self.day,
-            self.time_s[:last],
-            {axis: values[:last] for axis, values in self.commands_us.items()},
-            self.rates_deg_s[:, :last],
-            self.accelerations_m_s2[:, :last],
-            self.roll_deg[:last],
-            self.pitch_deg[:last],
-            self.airspeed_m_s[:last],
-            self.throttle[:last],
-            self.present[:last],
-            self.airspeed_source,
-            self.members,
+        return replace(
+            self,
+            time_s=self.time_s[:last],
+            commands_us={axis: values[:last] for axis, values in self.commands_us.items()},
+            rates_deg_s=self.rates_deg_s[:, :last],
+            accelerations_m_s2=self.accelerations_m_s2[:, :last],
+            roll_deg=self.roll_deg[:last],
+            pitch_deg=self.pitch_deg[:last],
+            airspeed_m_s=self.airspeed_m_s[:last],
+            throttle=self.throttle[:last],
+            present=self.present[:last],
         )

@@ -108,6 +108,8 @@ class MotionModel(_Entry):
     flights: int
     hours: float
     axes: dict[str, AxisModel] = Field(min_length=1)
+    parameters: dict[str, float] = Field(default_factory=dict)
+    """SERVOn_... of the outputs that move surfaces and engines: for logs and links that do not tell them."""
 
     @model_validator(mode="after")
     def _named(self) -> Self:

@@ -52,8 +52,6 @@ _ROUNDS = 60
 
 _PRIOR_SAMPLES = 50.0
 """Weight of the calibrated noise beside a window's own, in samples: two seconds of 25 Hz."""
-_MOST_NOISE = 2.0
-"""What a window leaves unexplained beyond that is a fault that began within it, and not turbulence."""
 
 _LEARNED_SIGMAS = 2.5
 """A flight is believed to differ from others by no more: one in twenty does by a chance of its own."""
@@ -197,7 +195,7 @@ def _noise_ratio(inputs: Inputs, sums: _Sums, explained: FloatArray) -> FloatArr
         return np.ones_like(explained)
     left = np.maximum(sums.e_e - np.nan_to_num(explained), 0.0) / inputs.variance
     ratio: FloatArray = (_PRIOR_SAMPLES + left) / (_PRIOR_SAMPLES + sums.samples)
-    return np.minimum(ratio, _MOST_NOISE)
+    return ratio
 
 
 class Lags(NamedTuple):

@@ -183,10 +183,16 @@ def _asks_its_log(aircraft: Mapping[int, Aircraft], log: FlightLog) -> bool:
 
 def _verdict(session: Session) -> int:
     """Exit code; the reason for a 2 goes to stderr."""
-    if any(monitor.has_fault for _, monitor in session.watched):
+    axes = [vehicle.axes for vehicle in session.vehicles.values() if vehicle.axes is not None]
+    if any(monitor.has_fault for _, monitor in session.watched) or any(one.has_fault for one in axes):
         return 1
+    suspect = [audit for one in axes if one.has_suspect for audit in one.audits if audit.status == "suspect"]
+    if any(one.has_suspect for one in axes):
+        why = suspect[0].reason if suspect else "an axis did not answer its command"
+        print(f"servofd: not cleared: {why}", file=sys.stderr)
+        return 2
     unjudged = [monitor for _, monitor in session.watched if not monitor.was_judged]
-    if session.watched and not unjudged:
+    if (session.watched or any(not one.problem for one in axes)) and not unjudged:
         return 0
     names = ", ".join(sorted(session.names)[:8])
     heard = f"; heard {names}" if unjudged and names else ""

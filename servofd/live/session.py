@@ -212,7 +212,9 @@ class Session:
         """Say what there is to say about a vehicle."""
         alerts = self._alerts.get(vehicle.system)
         if alerts is None:
-            alerts = self._alerts[vehicle.system] = Alerts(vehicle.monitors)
+            alerts = self._alerts[vehicle.system] = Alerts(
+                [*vehicle.monitors, *(vehicle.axes.model.axes if vehicle.axes is not None else ())]
+            )
         late = vehicle.clock.latency.news(now_s)
         for news in (*vehicle.news, *([late] if late else [])):
             self.notes.append(news)
@@ -286,6 +288,10 @@ class Session:
                 return "hears bytes that are no MAVLink: another baud rate, or another signing key?"
             return "waiting for the first byte"
         missing: dict[str, list[str]] = {}
+        for vehicle in self.vehicles.values():
+            why = vehicle.axes.waiting() if vehicle.axes is not None else ""
+            if why:
+                missing.setdefault(why.partition(": ")[2], []).append("axes")
         for vehicle, monitor in self.watched:
             if not monitor.is_watched:
                 channel = monitor.surface.measured.channel if monitor.surface.measured else ""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from servofd.axes.watch import STREAMED, AxisWatch
 from servofd.detection.events import Event, Look
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.surroundings import Surroundings
@@ -167,6 +168,8 @@ class Vehicle:
     """Messages that tell of airspeed and supply, if its servos depend on them."""
     news: list[str] = field(default_factory=list)
     """What is to be told of it, and forgotten."""
+    axes: AxisWatch | None = None
+    """Its axes, if the aircraft file knows its motion."""
     settings: Settings = field(init=False)
     _table: ChannelTable = field(init=False)
     _read: set[str] = field(default_factory=set)
@@ -191,13 +194,18 @@ class Vehicle:
                 self.monitors[name].patience_s = LOG_SILENCE_S
             self._routes.setdefault(surface.command.channel, []).append((name, 0))
             self._routes.setdefault(surface.measured.channel, []).append((name, 1))
-        if not self.monitors:
+        if self.aircraft.motion is not None:
+            self.axes = AxisWatch(self.aircraft.motion)
+        if not self.monitors and self.axes is None:
             raise ConfigError("the aircraft file names no measured channel: nothing can be watched")
         self.settings = Settings.of(self.aircraft.surfaces, self.monitors)
         self.messages = ChannelTable(self._routes).messages
         self._around = Surroundings(sorted({need for m in self.monitors.values() for need in m.model.needs}))
         beside = ChannelTable(self._around.channels)
         self.seldom = beside.messages - self.messages
+        if self.axes is not None:
+            self.messages |= set(STREAMED) - {"VFR_HUD"}
+            self.seldom |= {"VFR_HUD"}
         self._table = ChannelTable([*self._routes, *(n for n in self._around.channels if n not in beside.unknown)])
         if self._table.unknown and self.is_stream:
             raise ConfigError(
@@ -209,7 +217,7 @@ class Vehicle:
     def channels(self) -> list[str]:
         """Names of its channels: commands first, after what both depend on."""
         mine = sorted(self._routes, key=lambda channel: min(role for _, role in self._routes[channel]))
-        return [*self._around.channels, *mine]
+        return [*self._around.channels, *mine, *(self.axes.channels if self.axes is not None else ())]
 
     def hear(self, heard: Heard, arrival_s: float) -> list[Event]:
         """Take a message of this vehicle; what is to be told comes with `evaluate`, except about the link."""
@@ -234,6 +242,8 @@ class Vehicle:
         if time_s is not None:
             self._advance(time_s)
             self._sort(heard, time_s)
+            if self.axes is not None:
+                self.axes.hear(heard.name, heard.fields, time_s)
         if self.log is not None:
             self.give(self.log.hear(heard, arrival_s))
         return events
@@ -287,6 +297,8 @@ class Vehicle:
             time_s = self.clock.log_s(stamp_s)
             self._advance(time_s)
             self._add(channel, time_s, value)
+            if self.axes is not None:
+                self.axes.add(channel, time_s, value)
 
     def evaluate(self) -> list[Event]:
         """Evaluate all that was heard since."""
@@ -304,6 +316,8 @@ class Vehicle:
         if np.isfinite(self.now_s):
             for monitor in self.monitors.values():
                 events += monitor.silence(self.now_s)
+            if self.axes is not None:
+                events += self.axes.due(self.now_s)
         return events
 
     def silence(self, arrival_now_s: float) -> list[Event]:

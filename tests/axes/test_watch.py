@@ -1,0 +1,62 @@
+"""Axes in flight: alarms of the monitor are those of the audit, on what every autopilot sends."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from servofd.axes.calibrate import calibrate_motion
+from servofd.axes.motion import Motion
+from servofd.axes.schema import MotionModel
+from servofd.axes.watch import AxisWatch
+from servofd.detection.events import Event
+from tests.axes.flights import flown
+
+MIXER = {"SERVO1_FUNCTION": 4.0, "SERVO1_TRIM": 1500.0, "SERVO3_FUNCTION": 70.0, "SERVO3_MIN": 1000.0}
+
+
+def model() -> MotionModel:
+    days = ("2026-05-01", "2026-05-02", "2026-05-03")
+    found = calibrate_motion([flown(seed, days[seed % 3]) for seed in range(3)])
+    return found.model_copy(update={"parameters": MIXER})
+
+
+def sent(watch: AxisWatch, flight: Motion) -> list[Event]:
+    """What the watch tells of a flight whose autopilot sends its messages one after the other."""
+    events: list[Event] = []
+    p, q, r = np.radians(flight.rates_deg_s) * 1e3
+    ax, ay, az = flight.accelerations_m_s2 / 9.80665e-3
+    roll, pitch = np.radians(flight.roll_deg), np.radians(flight.pitch_deg)
+    for k, time_s in enumerate(flight.time_s.tolist()):
+        pulses = {"servo1_raw": round(1500.0 + flight.commands_us["roll"][k]), "servo3_raw": 1500}
+        watch.hear("SERVO_OUTPUT_RAW", dict(pulses), time_s)
+        watch.hear("RAW_IMU", dict(zip(("xgyro", "ygyro", "zgyro"), (p[k], q[k], r[k]), strict=True)), time_s)
+        watch.hear("RAW_IMU", dict(zip(("xacc", "yacc", "zacc"), (ax[k], ay[k], az[k]), strict=True)), time_s)
+        watch.hear("ATTITUDE", {"roll": roll[k], "pitch": pitch[k]}, time_s)
+        watch.hear("VFR_HUD", {"airspeed": flight.airspeed_m_s[k]}, time_s)
+        events += watch.due(time_s)
+    return events
+
+
+def test_a_lost_aileron_is_told_in_flight_and_a_healthy_one_is_not() -> None:
+    known = model()
+    watch = AxisWatch(known)
+    assert sent(watch, flown(50, "2026-05-09", duration_s=60.0)) == []
+    assert watch.problem == ""
+    watch = AxisWatch(known)
+    events = sent(watch, flown(51, "2026-05-09", duration_s=60.0, aileron_share=0.2, from_s=30.0))
+    assert [event.event for event in events[:2]] == ["alarm", "named"]
+    assert {event.surface for event in events} == {"roll"}
+    assert 30.0 < events[0].time_s < 45.0
+    assert events[1].kind == "loss_of_effectiveness"
+    assert watch.has_suspect
+
+
+def test_a_link_without_motion_says_what_is_missing() -> None:
+    watch = AxisWatch(model())
+    assert "nothing was heard" in watch.waiting()
+    watch.hear("SERVO_OUTPUT_RAW", {"servo1_raw": 1500}, 1.0)
+    assert watch.due(2.0) == []
+    assert "no body rates" in watch.waiting() or "no commands" in watch.waiting()
+    assert math.isfinite(watch._judged_s)
