@@ -321,8 +321,7 @@ def _with_unknown_servo(aircraft: Aircraft, surface: str, servo: Servo = _UNKNOW
 
 def _with_fitted_poles(aircraft: Aircraft, surface: str, found: Explanation) -> Aircraft:
     """The aircraft with the servo whose poles were found, for an audit."""
-    fitted = found.selection.fitter.physics(found.selection.final.effects, found.selection.final.values)
-    transfer = scaled_transfer(found.record.plant.transfer, fitted)
+    transfer = scaled_transfer(found.record.plant.transfer, found.selection.final.physics)
     servo = Servo(
         title=_UNKNOWN_SERVO.title,
         numerator=transfer.numerator,

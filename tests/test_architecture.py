@@ -14,7 +14,6 @@ import pytest
 ROOT = Path(__file__).parent.parent
 MODULES = sorted([*ROOT.glob("servofd/**/*.py"), *ROOT.glob("logparsers/**/*.py")])
 
-KNOWN_CIRCLES = [["servofd.discrepancy.noise", "servofd.discrepancy.record"]]
 ONLY_IN = {
     "rerun": {
         "servofd/outputs/live_recording.py",
@@ -148,7 +147,7 @@ def test_imports_point_one_way() -> None:
         for name, used in arrows().items()
         if name.startswith("logparsers") and any(u.startswith("servofd") for u in used)
     ]
-    assert [circle for circle in circles(arrows()) if circle not in KNOWN_CIRCLES] == []
+    assert circles(arrows()) == []
 
 
 @pytest.mark.parametrize("package", ONLY_IN)

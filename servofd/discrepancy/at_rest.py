@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.discrepancy.noise import comb_step_deg, noise_floor_deg
+from servofd.discrepancy.noise import noise_floor_deg
 from servofd.discrepancy.record import SLOWEST_RATE_HZ
+from servofd.discrepancy.steps import comb_step_deg
 from servofd.models.catalogue import Backlash, Bias, DeadBand, Friction, Gain, InsensitiveBand
 
 if TYPE_CHECKING:

@@ -1,18 +1,75 @@
-"""Which effects are tried on a record, and which it cannot judge."""
+"""Which effects are tried on a record, at which places of the servo's slow pole, and which it cannot judge."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from servofd.discrepancy.at_rest import AT_REST
-from servofd.models.catalogue import CATALOGUE, Damping, PwmFrame, SlowDynamics
+from servofd.discrepancy.steps import COARSE_STEP_DEG
+from servofd.models import catalogue
+from servofd.models.catalogue import CATALOGUE
+from servofd.models.physics import AFTER, BEFORE, INSIDE
 
 if TYPE_CHECKING:
-    from servofd.discrepancy.fit import Fit
     from servofd.discrepancy.record import Record
     from servofd.models.catalogue import MissingEffect
 
-__all__ = ["first_of_each", "judgeable"]
+__all__ = ["PLACES", "SMALLEST", "SURPRISE", "Candidate", "candidates", "is_placed", "judgeable"]
+
+PLACES: dict[type[MissingEffect], tuple[float, ...]] = {
+    catalogue.DeadBand: (BEFORE, INSIDE, AFTER),
+    catalogue.InsensitiveBand: (BEFORE, INSIDE),
+    catalogue.Friction: (BEFORE, INSIDE, AFTER),
+    catalogue.StribeckFriction: (BEFORE, INSIDE, AFTER),
+    catalogue.RateLimit: (BEFORE, INSIDE, AFTER),
+    catalogue.AsymmetricRate: (BEFORE, INSIDE),
+    catalogue.ShaftSpeed: (BEFORE, AFTER, INSIDE),
+    catalogue.VoltageRate: (BEFORE, INSIDE, AFTER),
+    catalogue.ShaftSpeedBySupply: (BEFORE, AFTER, INSIDE),
+    catalogue.AirLoad: (BEFORE, INSIDE),
+    catalogue.GravityLoad: (BEFORE, INSIDE),
+    catalogue.LoadFriction: (BEFORE, INSIDE),
+    catalogue.CurrentLimit: (BEFORE, INSIDE),
+    catalogue.Backlash: (INSIDE, AFTER),
+}
+"""Effects that act within the loop, or before what may follow it, and so differ with the place of the slow pole."""
+SMALLEST = {
+    "gain": 0.02,
+    "bandwidth_scale": 0.08,
+    "damping_scale": 0.2,
+    "delay_s": 0.004,
+    "offset_s": 0.004,
+    "lag_s": 0.004,
+    "deadband_deg": 0.15,
+    "insensitive_deg": 0.15,
+    "friction_deg": 0.08,
+    "backlash_deg": 0.12,
+    "bias_deg": 0.2,
+    "load_friction": 0.03,
+}
+"""What is smaller is the difference between two servos of a type, or no servo's at all; by field of `Physics`."""
+SURPRISE = {
+    "clock_offset": 4.0,
+    "damping": 8.0,
+    "quantization": 24.0,
+    "supply_coupling": 8.0,
+    "load_friction": 8.0,
+    "current_limit": 8.0,
+    "linkage_nonlinearity": 12.0,
+    "resonance": 8.0,
+}
+"""Minus twice the logarithm of how much rarer than the others an effect is, or how much more it can pass for."""
+
+
+_EITHER = (("rate_limit", "voltage_rate"), ("delay", "clock_offset"), ("friction", "load_friction"))
+"""Two forms of one thing."""
+
+
+class Candidate(NamedTuple):
+    """An effect, and where the slow pole lies."""
+
+    effect: type[MissingEffect]
+    place: float
 
 
 def judgeable(record: Record) -> tuple[list[type[MissingEffect]], list[type[MissingEffect]]]:
@@ -31,15 +88,34 @@ def judgeable(record: Record) -> tuple[list[type[MissingEffect]], list[type[Miss
     own = (record.own.missing_effect(),) if record.own else ()
     able = [effect for effect in (*CATALOGUE, *own) if set(effect.needs) <= held]
     unable = [effect for effect in CATALOGUE if effect not in able]
-    fitted = {SlowDynamics, Damping} if record.free_poles else set()
+    fitted = {catalogue.SlowDynamics, catalogue.Damping} if record.free_poles else set()
     # Frames run on between separate runs, so that nobody knows when each of them began.
-    fitted |= {PwmFrame} if record.runs or record.free_poles else set()
+    fitted |= {catalogue.PwmFrame} if record.runs or record.free_poles else set()
+    # A converter whose steps do not show in the readings has none that matter.
+    fitted |= {catalogue.CommandSteps} if (record.step_deg or 0.0) >= COARSE_STEP_DEG else {catalogue.Quantization}
     return [effect for effect in able if effect not in fitted], unable
 
 
-def first_of_each(fits: list[Fit]) -> tuple[Fit, ...]:
-    """The first fit of each name."""
-    first: dict[str, Fit] = {}
-    for fit in fits:
-        first.setdefault(fit.names[-1], fit)
-    return tuple(first.values())
+def is_placed(effects: tuple[type[MissingEffect], ...]) -> bool:
+    """Whether any effect fixes where the slow pole lies."""
+    return any(effect in PLACES for effect in effects)
+
+
+def candidates(
+    record: Record, able: list[type[MissingEffect]], known: tuple[type[MissingEffect], ...], place: float
+) -> list[Candidate]:
+    """What may come on top of known effects; a servo has one slow pole, in one place."""
+    names = {effect.name for effect in known}
+    names |= {other for pair in _EITHER for name in pair if name in names for other in pair}
+    common = [each for each in (BEFORE, INSIDE, AFTER) if all(each in PLACES[e] for e in known if e in PLACES)]
+    found = []
+    for effect in able:
+        if effect.name in names or effect is catalogue.PwmFrame:
+            continue
+        where: tuple[float, ...] = (place,)
+        if effect in PLACES and record.plant.has_places and record.side is None:
+            where = tuple(each for each in PLACES[effect] if each in common)
+        found += [Candidate(effect, each) for each in where if not (effect is catalogue.SensorLag and each == AFTER)]
+    if catalogue.SensorLag in known:
+        found = [each for each in found if each.place != AFTER]
+    return found

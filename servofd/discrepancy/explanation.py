@@ -14,13 +14,13 @@ from servofd.discrepancy.checks import check
 from servofd.discrepancy.locate import Block, blocks, sentences
 from servofd.discrepancy.record import joined, record_of, simulate
 from servofd.discrepancy.run_by_run import RunErrors, run_errors
-from servofd.discrepancy.select import Selection, select, unexplained
+from servofd.discrepancy.select import Selection, select
 from servofd.discrepancy.separate import Separation, separations
 from servofd.discrepancy.words import (
     effect_values,
+    form_of,
     linear_sentence,
     only_rests_sentence,
-    scatter_sentence,
     unjudged_sentence,
 )
 from servofd.models.catalogue import CATALOGUE
@@ -87,7 +87,7 @@ class Explanation:
     @property
     def conclusion(self) -> Conclusion:
         """In a word."""
-        left = unexplained(self.selection, self.record) or self.record.side is not None  # how it moves is not judged
+        left = self.selection.adequacy.reasons or self.record.side is not None  # how it moves is not judged
         if self.selection.rungs:
             return "partly_explained" if left else "explained"
         return "unexplained" if left else "nothing_missing"
@@ -95,8 +95,7 @@ class Explanation:
     @property
     def physics(self) -> Physics:
         """The servo with everything that was found."""
-        final = self.selection.final
-        return self.selection.fitter.physics(final.effects, final.values)
+        return self.selection.final.physics
 
     @property
     def is_simulated_by_audit(self) -> bool:
@@ -130,7 +129,7 @@ class Explanation:
             "steps": [
                 {
                     "effect": rung.fit.names[-1],
-                    "form": rung.fit.effects[-1].form or None,
+                    "form": form_of(rung.fit.effects[-1], rung.fit.place),
                     "parameters": effect_values(selection, len(rung.fit.effects) - 1),
                     **self.rms_deg(rung.fit),
                     "rivals": [
@@ -222,7 +221,7 @@ def explain_gap(
     check(record)
     selection = select(record, progress)
     fault_s, notes = None, []
-    if unexplained(selection, record) and not (record.runs or record.side is not None):
+    if selection.adequacy.reasons and not (record.runs or record.side is not None):
         part = _healthy_part(record, selection, progress)
         if part is not None:
             record, selection, fault_s = part
@@ -233,8 +232,7 @@ def explain_gap(
         notes.append(only_rests_sentence(record))
     elif free_poles:
         notes.append(linear_sentence(record, selection))
-    if selection.scatter_s > 0.0:
-        notes.append(scatter_sentence(selection))
+    notes += [f"left over: {reason}" for reason in selection.adequacy.reasons]
     if selection.unjudged:
         notes.append(unjudged_sentence(selection))
     where = sentences(record, selection.nominal.error_deg, selection.sigma_deg)
@@ -271,7 +269,7 @@ def _healthy_part(
         healthy = select(before, progress)
         later = record.counts & ~before.counts
         error = healthy.final.error_deg
-        explained = not unexplained(healthy, before)
+        explained = not healthy.adequacy.reasons
         usual_deg = healthy.sigma_deg if explained else float(np.sqrt(np.mean(error[before.counts] ** 2)))
         wrong = later & (np.abs(error) > _NO_NOISE * usual_deg)
         if not wrong.any():

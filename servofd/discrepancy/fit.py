@@ -1,55 +1,91 @@
-"""Fit of effects to one record: all parameters together, by least squares, from where a search on a part began."""
+r"""One structure fitted to one record: effects, and the servo's own numbers within what servos of a type differ by.
+
+The misfit of a structure is
+
+.. math:: \sum_r \frac{n_r}{\kappa_r} \ln s_r^2 + \sum_k \left(\frac{\theta_k - \theta_{0k}}{\sigma_k}\right)^2
+
+with the mean square :math:`s_r^2` that it leaves of run r, the run's samples :math:`n_r` over their memory
+:math:`\kappa_r`, and the servo's own numbers :math:`\theta` (poles, damping, gain, delay, zero) with their priors. Near
+the noise it is chi-squared; far from it a run counts by how many times better it is foreseen, whatever its size.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from itertools import product
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from servofd.discrepancy.descent import descended
-from servofd.discrepancy.frames import best_frame, frames_as_late, frames_like, usual_frame
-from servofd.discrepancy.noise import floor_uncertainty, long_run_factor, noise_floor_deg
-from servofd.discrepancy.record import simulate
-from servofd.discrepancy.search import begin, polish, telling_part
-from servofd.discrepancy.stamps import scatter_s
-from servofd.discrepancy.steps import COARSE_STEP_DEG
-from servofd.models.catalogue import CommandSteps, Delay, PwmFrame, Quantization, SensorLag, SlowDynamics, installed
+from servofd.discrepancy.noise import long_run_factor, noise_floor_deg
+from servofd.discrepancy.record import Record, simulate, thinned
+from servofd.models.catalogue import Quantization, installed
+from servofd.models.physics import Physics
 from servofd.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from servofd.discrepancy.record import Record
+    from servofd.discrepancy.candidates import Candidate
     from servofd.models.catalogue import MissingEffect, Parameter
-    from servofd.models.physics import Physics
 
 __all__ = ["Fit", "Fitter"]
 
-_STICKS = "hysteresis"
-_STEP, _STRIDE = 3e-2, 0.3
-"""Of what is common: what sticks or has edges answers to less with jumps, in which the descent loses its way. Among the
-many small minima of what sticks, long strides find the largest, from where the step leads on."""
-_EVALUATIONS, _THOROUGH = 20, 40
-_SHARES = (1.0, 0.4)
-"""Of a first step: a whole one may be too long."""
-_FINER, _SIMULATORS_DIFFER = 10.0, 2.5e-3
-"""The second is how far two simulators of one servo, both in steps of 0.1 ms and less, are apart in a value: 0.8 % for
-friction in chirps to 25 Hz, 0.2 % for a sensor's lag, less for all others."""
-_PROMISING, _FEWER = 10, 6
-"""Of the candidates of a first effect, and of a further one."""
-_LATE_SHARE, _LATE_CHI_SQUARED, _LATE_LEAVES, _FRAMES_EXCESS = 0.1, 30.0, 2.0, 0.02
-_NOT_MUCH_MORE, _SMALL_MINIMA, _CLEARLY = 2.0, 100.0, 1.15
-"""Times what the best fit leaves beside noise, and squared noises, beyond which no other goes on or passes for it; and
-how far beyond it must be, for a descent may rest on the way."""
-_MUCH_LESS = 0.5
-"""Of what other effects left when frames were sought last: then they may be seen better."""
+_ITERATIONS, _GAIN_OVER = 8, 0.3
+"""A descent ends where a step improves the misfit by less."""
+_SHORTER = (1.0, 0.35, 0.1)
+_DAMPING = 1e-3
+_STEP = 0.1
+"""In units of what is common, or of a prior: what sticks answers to less with jumps."""
+_LOG_STEP, _DECADES = 0.2, 50.0
+"""Numbers that range over decades are fitted by their logarithm, in such units."""
+_STRAIN, _STRAINED = 2.0, 3.0
+"""Standard deviations at which one of the servo's own numbers may stand in for something else."""
+_SAME = 1e-9
+_SIMULATORS_DIFFER = 2.5e-3
+_NOTHING_DEG = 1e-5
+_USUAL_GAP_DEG = 1.0
+"""Error of a servo for which the sizes of effects in the catalogue are meant."""
 
 
-Values = Sequence[float] | FloatArray
-Frame = tuple[float, float]
-"""Period [s] and phase of pulse frames."""
+class _Number(NamedTuple):
+    """Something that is fitted: value = neutral + unit x, or neutral exp(unit x)."""
+
+    fields: tuple[str, ...]
+    neutral: float
+    unit: float
+    low: float
+    high: float
+    is_log: bool
+    prior: bool
+
+    def value(self, x: float) -> float:
+        value = self.neutral * np.exp(self.unit * x) if self.is_log else self.neutral + self.unit * x
+        return float(min(max(value, self.low), self.high))
+
+    def x(self, value: float) -> float:
+        if self.is_log:
+            return float(np.log(max(value, self.low) / self.neutral)) / self.unit
+        return (value - self.neutral) / self.unit
+
+
+_OWN = (
+    ("slow_scale", 0.03, True),
+    ("pair_scale", 0.03, True),
+    ("damping_scale", 0.06, True),
+    ("gain", 0.01, False),
+    ("delay_s", 1.5e-3, False),
+    ("bias_deg", 0.08, False),
+)
+"""How far servos of one type differ (standard deviations): poles 3 %, damping 6 %, gain 1 %, 1.5 ms, 0.08 deg."""
+_UNKNOWN = {"pair_scale": 1.5, "damping_scale": 1.5}
+"""The same of a servo that nobody knows."""
+_STARTS: tuple[dict[str, float], ...] = (
+    {"pair_scale": 0.8},
+    {"pair_scale": 2.0},
+    {"pair_scale": 4.0, "damping_scale": 1.5},
+    {"pair_scale": 8.0, "damping_scale": 1.2},
+)
+"""Of a servo of 5 Hz: one that is weak, two as small servos are, and one so fast that other effects hide its poles."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,6 +95,8 @@ class Fit:
     effects: tuple[type[MissingEffect], ...]
     values: FloatArray
     """Parameters of the effects in order, shape (p,)."""
+    physics: Physics
+    """The servo with them, and with its own numbers refitted."""
     error_deg: FloatArray
     """Measured minus simulated position, shape (n,)."""
     train: float
@@ -67,6 +105,9 @@ class Fit:
     """The same over the samples that only judge."""
     unstepped_deg: FloatArray
     """The error of the position before the steps of its converter, shape (n,); where there are none, `error_deg`."""
+    misfit: float = np.inf
+    run_deg2: FloatArray = field(default_factory=lambda: np.zeros(0))
+    """Mean square that is left of each run."""
 
     @property
     def total(self) -> float:
@@ -77,6 +118,16 @@ class Fit:
     def names(self) -> tuple[str, ...]:
         """Of the effects."""
         return tuple(effect.name for effect in self.effects)
+
+    @property
+    def place(self) -> float:
+        """Of the slow pole."""
+        return self.physics.slow_place
+
+    @property
+    def key(self) -> tuple[tuple[str, ...], float]:
+        """Which structure it is, in whatever order its effects were found."""
+        return tuple(sorted(effect.key() for effect in self.effects)), self.place
 
     @property
     def ran_away(self) -> tuple[int, ...]:
@@ -93,280 +144,338 @@ class Fit:
 
 @dataclass(slots=True, eq=False)
 class Fitter:
-    """Fits effects to a record; counts its simulations."""
+    """Fits structures to a record; counts its simulations."""
 
     record: Record
     simulations: int = field(default=0, init=False)
-    fewer: dict[tuple[Fit, int], Fit] = field(default_factory=dict, init=False)
-    """Fits without one of their effects, by its number; they are asked for again and again."""
-    _frames: dict[float, Frame | None] = field(default_factory=dict, init=False)
-    """Pulse frames that were sought, by the sum of squares over the noise that the other effects left."""
-    _first: dict[int, Fit] = field(default_factory=dict, init=False)
-    """Best fit of each number of effects."""
-    _on_all: dict[Fit, float] = field(default_factory=dict, init=False)
-    """Sums of squares of fits to all samples."""
-    _trained: IntArray = field(init=False)
-    _held_out: IntArray = field(init=False)
+    part: Record = field(init=False)
+    """Samples that are fitted: all of them, or of a long record enough."""
+    kappa: FloatArray = field(init=False)
+    """How much memory the errors have, for each run."""
+    _where: IntArray = field(init=False)
+    _run: IntArray = field(init=False)
+    _count: FloatArray = field(init=False)
+    _least: float = field(init=False)
+    _size: float = field(default=1.0, init=False)
 
     def __post_init__(self) -> None:
-        self._trained, self._held_out = np.flatnonzero(self.record.trained), np.flatnonzero(self.record.held_out)
+        self._look_at(thinned(self.record))
+        self.kappa = np.ones(self._count.size)
 
-    def on(self, record: Record) -> Fitter:
-        """The same for other samples."""
-        return Fitter(record)
+    def _look_at(self, part: Record) -> None:
+        self.part = part
+        self._where = np.flatnonzero(part.counts)
+        self._run = part.run[self._where]
+        self._count = np.maximum(np.bincount(self._run, minlength=max(len(part.runs), 1)).astype(float), 1.0)
+        floor_deg = noise_floor_deg(part, part.measured_deg)
+        self._least = max(0.2 * floor_deg, 0.29 * (part.step_deg or 0.0), _NOTHING_DEG) ** 2
 
-    def adopt(self, other: Fitter) -> None:
-        """Take over what another one learnt beside the values of effects: nothing here."""
+    @property
+    def effective(self) -> float:
+        """Number of samples, over their memory."""
+        return float((self._count / self.kappa).sum())
 
-    def physics(self, effects: Sequence[type[MissingEffect]], values: Values) -> Physics:
-        """The servo with these effects."""
+    def remember(self, fit: Fit) -> None:
+        """Take the memory of what a fit leaves for that of the noise."""
+        errors = self._error_deg(fit.physics)[self._where]
+        kappa = [long_run_factor(errors[self._run == r]) for r in range(self._count.size)]
+        self.kappa = np.array(kappa)
+
+    def physics(self, effects: Sequence[type[MissingEffect]], values: Sequence[float] | FloatArray) -> Physics:
+        """The servo as it is known, with these effects."""
         return installed(self.record.plant.neutral, effects, [float(v) for v in values])
 
-    def error_deg(self, effects: Sequence[type[MissingEffect]], values: Values) -> FloatArray:
-        """Measured minus simulated position [deg], shape (n,)."""
-        self.simulations += 1
-        return self.record.measured_deg - simulate(self.record, self.physics(effects, values))
-
-    def judged(self, effects: tuple[type[MissingEffect], ...], values: Values) -> Fit:
-        """Fit with given values."""
-        error = self.error_deg(effects, values)
-        train, held_out = error[self._trained], error[self._held_out]
-        unstepped = error
-        if Quantization in effects:
-            k = effects.index(Quantization)
-            first = sum(len(effect.parameters) for effect in effects[:k])
-            unstepped = self.error_deg(effects[:k] + effects[k + 1 :], np.delete(values, first))
-        squares = float(train @ train), float(held_out @ held_out)
-        return Fit(effects, _in_force(effects, values), error, *squares, unstepped)
-
     def nominal(self) -> Fit:
-        """The servo as it is known."""
-        return self.judged((), ())
+        """The servo as it is known; one that nobody knows as well as a linear one fits."""
+        if self.record.free_poles:
+            root = self.root()
+            return self.judged((), root.physics)
+        return self.judged((), self.record.plant.neutral)
 
-    def with_effects(self, base: Fit, able: Sequence[type[MissingEffect]], tried: Callable[[str], None]) -> list[Fit]:
-        """The best fits that have one effect more; of the most promising, all parameters are refitted.
-
-        Pulse frames, a search of thousands of simulations, are looked for only if a delay helps (it is what they do on
-        average); if nothing else leaves more than noise, only those of usual periods that are as late as that.
-        """
-        part = telling_part(self.record, base.error_deg)
-        others = [effect for effect in able if self._possible(effect, base)]
-        fits = self._refitted_best([self._begun(part, base, effect, tried) for effect in others])
-        if PwmFrame in able and PwmFrame not in base.effects and self._is_late(base, fits):
-            tried(PwmFrame.key())
-            fits += self._framed(base, fits)
-        return fits
-
-    def _possible(self, effect: type[MissingEffect], base: Fit) -> bool:
-        """Whether an effect is tried with the others: its name is new, and it is not found in a way of its own."""
-        own_way = {PwmFrame, Quantization}
-        if (self.record.step_deg or 0.0) >= COARSE_STEP_DEG:
-            own_way.add(CommandSteps)  # at rest, steps of the position look like those of the command
-        return effect.name not in base.names and effect not in own_way
-
-    def _begun(self, part: Record, base: Fit, effect: type[MissingEffect], tried: Callable[[str], None]) -> Fit:
-        tried(effect.key())
-        effects = (*base.effects, effect)
-        values, count = begin(part, effects, base.values.tolist(), self.record)
-        self.simulations += count
-        return self._eased(part, self.judged(effects, values)) if base.effects else self.judged(effects, values)
-
-    def _eased(self, part: Record, fit: Fit) -> Fit:
-        """After a first step of all parameters together: what was known before had stood in for what is new."""
-        partly = self.on(part)
-        there = partly.judged(fit.effects, fit.values)
-        slopes = partly.slopes(there)
-        self.simulations += partly.simulations
-        step = np.linalg.lstsq(slopes, -there.error_deg[partly.record.trained], rcond=1e-6)[0]
-        scale, low, high = np.array([(p.typical, p.low, p.high) for p in fit.parameters]).T
-        eased = [fit.values + share * step * scale for share in _SHARES]
-        return min(
-            (fit, *(self.judged(fit.effects, np.clip(each, low, high)) for each in eased)), key=lambda f: f.train
-        )
-
-    def _refitted_best(self, fits: list[Fit]) -> list[Fit]:
-        fits = sorted(fits, key=lambda fit: fit.train)
-        count = _FEWER if len(fits[0].effects) > 1 else _PROMISING
-        settled: list[Fit] = []
-        for fit in fits[:count]:
-            settled.append(self._settled(fit, self._enough(len(fit.effects))))
-            self._leads(settled[-1])
-        return settled + fits[count:]
-
-    def _leads(self, fit: Fit) -> None:
-        """Remember the best fit of its length."""
-        length = len(fit.effects)
-        if length not in self._first or fit.train < self._first[length].train:
-            self._first[length] = fit
-
-    def _enough(self, length: int) -> float:
-        """Sum of squares at which a fit neither goes on beside the best of its length, nor passes for it [deg^2]."""
-        if length not in self._first:
-            return np.inf
-        first = self._first[length]
-        noise = self._noise([first])
-        chance = (
-            _SMALL_MINIMA * noise / max(self._trained.size, 1) * long_run_factor(first.error_deg[self.record.counts])
-        )
-        return _CLEARLY * (noise + _NOT_MUCH_MORE * max(first.train - noise, 0.0) + chance)
-
-    def _settled(self, fit: Fit, enough: float) -> Fit:
-        """All parameters refitted; what cannot be descended is searched on the whole record."""
-        values, newest = fit.values.tolist(), fit.effects[-1].parameters
-        if all(p.kinked for p in newest):
-            values, count = polish(self.record, fit.effects, values, len(values) - len(newest))
-            self.simulations += count
-        return self._descended(fit.effects, values, _EVALUATIONS, enough)
-
-    def _is_late(self, base: Fit, fits: list[Fit]) -> bool:
-        """Whether a delay, or what passes for one, takes away some of what is left."""
-        late = [fit for fit in fits if fit.effects[-1] in (Delay, SensorLag, SlowDynamics)]
-        noise = self._noise(fits)
-        least = max(_LATE_SHARE * (base.train - noise), _LATE_CHI_SQUARED * noise / max(self._trained.size, 1))
-        return any(base.train - fit.train > least for fit in late)
-
-    def _noise(self, fits: list[Fit]) -> float:
-        """Of the fitted samples, as the best fit shows it [deg^2]."""
-        return self._trained.size * noise_floor_deg(self.record, min(fits, key=lambda fit: fit.train).error_deg) ** 2
-
-    def _framed(self, base: Fit, fits: list[Fit]) -> list[Fit]:
-        """The best fit with pulse frames, if there is any."""
-        best, effects = min(fits, key=lambda fit: fit.train), (*base.effects, PwmFrame)
-        known, noise, frame = self.physics(base.effects, base.values), self._noise(fits), None
-        late = [fit for fit in fits if fit.effects[-1] in (Delay, SensorLag, SlowDynamics)]
-        like = [fit for fit in late if fit.effects[-1] is Delay] or late
-        more = best.train > (1.0 + max(_FRAMES_EXCESS, floor_uncertainty(self.record))) * noise
-        # To wait for the next frame is to be late by chance: where that shows, no rival speaks against frames.
-        scattered = scatter_s(self.record, best.error_deg, _FRAMES_EXCESS) > 0.0
-        if not (more or scattered):
-            later_s = [
-                float(fit.values[-1]) - self.record.plant.neutral.delay_s for fit in late if fit.effects[-1] is Delay
-            ]
-            late_s = max(later_s, default=0.0)
-            frame = self._sought(known, base.train - noise, best, noise, late_s)
-            frame = frame or usual_frame(self.record, known, late_s)
-        elif self._lacks_most(min(fit.train for fit in like), len(effects), noise):
-            frame = self._sought(known, base.train - noise, None if scattered else best, noise)
-        if frame is None:
-            return []
-        values, count = polish(self.record, effects, [*base.values.tolist(), *frame], base.values.size)
-        self.simulations += count
-        return [self.refitted(effects, values)]
-
-    def _lacks_most(self, train: float, length: int, noise: float) -> bool:
-        """Whether no fit of a length, whatever its effects, is far better than what frames are on average."""
-        return train - noise < _LATE_LEAVES * max(self._first[length].train - noise, _FRAMES_EXCESS * noise)
-
-    def _sought(
-        self, known: Physics, left: float, rival: Fit | None, noise: float, late_s: float | None = None
-    ) -> Frame | None:
-        """Frames that a search of the whole log finds, unless a rival is clearly better; or those that it found before.
-
-        Beside other effects that leave as much, it would find them again, or again none.
-        """
-        alike = [before for before in self._frames if left > _MUCH_LESS * before]
-        if not alike:
-            sigma_deg = float(np.sqrt(noise / self._trained.size))
-            error_deg = None if rival is None else rival.error_deg
-            if late_s is None or error_deg is None:
-                likely = frames_like(self.record, known, error_deg, sigma_deg)
-            else:
-                likely = frames_as_late(self.record, known, late_s, error_deg, sigma_deg)
-            self._frames[left] = best_frame(self.record, known, likely) if likely else None
-        return self._frames[min(alike, default=left)]
-
-    def refitted(
-        self, effects: tuple[type[MissingEffect], ...], values: Values, evaluations: int = _EVALUATIONS
-    ) -> Fit:
-        """All parameters fitted together, from given values: least squares within the bounds."""
-        return self._descended(effects, values, evaluations, np.inf)
-
-    def _descended(
-        self, effects: tuple[type[MissingEffect], ...], values: Values, evaluations: int, enough: float
-    ) -> Fit:
-        """The same; what cannot leave less than `enough` [deg^2] ends early."""
-        best = self.judged(effects, values)
-        rough = np.array([effect.family == _STICKS and not p.aside for effect in effects for p in effect.parameters])
-
-        def errors_deg(values: FloatArray) -> FloatArray:
-            return self.error_deg(effects, values)[self._trained]
-
-        for stride in (_STRIDE, _STEP) if rough.any() else (_STEP,):
-            steps, fine = np.where(rough, stride, _STEP), evaluations > _EVALUATIONS
-            found = self.judged(
-                effects,
-                descended(errors_deg, best.values, best.parameters, steps, evaluations, fine=fine, enough=enough),
-            )
-            best = found if found.train <= best.train else best
+    def root(self) -> Fit:
+        """The linear servo with its own numbers refitted."""
+        neutral = self.record.plant.neutral
+        if not self.record.free_poles:
+            return self.descended((), neutral)
+        starts = [self.descended((), neutral._replace(**start)) for start in ({}, *_STARTS)]
+        best = min(starts, key=lambda fit: fit.misfit)
+        rms = float(np.sqrt(best.run_deg2.max()))
+        self._size = min(1.0, rms / _USUAL_GAP_DEG)
         return best
 
-    def on_all(self, fit: Fit) -> tuple[Fit, FloatArray]:
-        """A fit with its values refitted to all samples, and their covariance, shape (p, p).
+    def judged(self, effects: tuple[type[MissingEffect], ...], physics: Physics) -> Fit:
+        """A servo with given numbers on the whole record."""
+        self.simulations += 1
+        record = self.record
+        error = record.measured_deg - simulate(record, physics)
+        unstepped = error
+        if Quantization in effects:
+            unstepped = record.measured_deg - simulate(record, physics._replace(output_step_deg=0.0))
+        train, held_out = error[record.trained], error[record.held_out]
+        values = np.array([getattr(physics, p.fields[0]) for effect in effects for p in effect.parameters])
+        runs = record.run[record.counts]
+        squares = np.bincount(runs, weights=error[record.counts] ** 2, minlength=max(len(record.runs), 1))
+        count = np.maximum(np.bincount(runs, minlength=squares.size), 1)
+        return Fit(
+            effects,
+            values,
+            physics,
+            error,
+            float(train @ train),
+            float(held_out @ held_out),
+            unstepped,
+            run_deg2=squares / count,
+        )
 
-        The sums of squares stay those of the fit to the fitted blocks alone: they judge, the values are used.
+    def is_own(self, effect: type[MissingEffect]) -> bool:
+        """Whether an effect is one of the servo's own numbers, beyond what servos of a type differ by."""
+        own = {name for name, _, _ in _OWN}
+        return all(set(p.fields) <= own for p in effect.parameters)
+
+    def strains(self, effect: type[MissingEffect], base: Fit) -> bool:
+        """Whether it is, and a base has moved it so far that to free it may be better."""
+        if not self.is_own(effect):
+            return False
+        names = {name for p in effect.parameters for name in p.fields}
+        numbers = [n for n in self._numbers(base.effects, base.physics) if n.prior and n.fields[0] in names]
+        return any(abs(x) > _STRAIN for x in self._x(numbers, base.physics))
+
+    def smallest(self, parameter: Parameter, size: float) -> float:
+        """A size in degrees as this record is to be judged: of a drive that is off by micrometres, micrometres."""
+        return size * (self._size if _grows_with_gap(parameter) else 1.0)
+
+    def starts(self, base: Fit) -> list[Physics]:
+        """Where a further effect may start: from what its own numbers came to, and from what is usual.
+
+        Without the effect they may have gone far to stand in for it; of a servo that nobody knows all are.
         """
-        if not fit.effects:
-            return fit, np.zeros((0, 0))
-        whole = self.on(replace(self.record, block=np.zeros_like(self.record.block)))
-        best = whole.refitted(fit.effects, fit.values, _THOROUGH)
-        error = best.error_deg[self.record.counts]
-        sigma_deg = float(np.sqrt(np.mean(error**2)))
-        covariance = whole.covariance(best, sigma_deg, long_run_factor(error)) + whole.discretization(best)
-        self.adopt(whole)
-        return replace(fit, values=best.values, error_deg=best.error_deg, unstepped_deg=best.unstepped_deg), covariance
+        numbers = [n for n in self._numbers(base.effects, base.physics) if n.prior]
+        if self.record.free_poles and not base.effects:
+            return [base.physics, *(base.physics._replace(**start) for start in _STARTS)]
+        strained = not self.record.free_poles and any(abs(x) > _STRAINED for x in self._x(numbers, base.physics))
+        usual = base.physics._replace(**{n.fields[0]: n.neutral for n in numbers})
+        return [base.physics, usual] if strained else [base.physics]
 
-    def total_on_all(self, fit: Fit) -> float:
-        """What an extended servo leaves of all samples if its values are fitted to all of them [deg^2]."""
-        if fit not in self._on_all:
-            whole = self.on(replace(self.record, block=np.zeros_like(self.record.block)))
-            self._on_all[fit] = whole.refitted(fit.effects, fit.values).total
-            self.simulations += whole.simulations
-        return self._on_all[fit]
+    def screened(self, base: Fit, slopes: FloatArray, candidate: Candidate) -> tuple[float, Physics]:
+        """Best misfit that a coarse grid of one more effect reaches, and the servo there.
 
-    def covariance(self, fit: Fit, sigma_deg: float, factor: float) -> FloatArray:
-        """Of the values of a fit, shape (p, p), from the curvature on both sides; infinite where nothing shows."""
-        if not fit.effects:
-            return np.zeros((0, 0))
-        jacobian = self.slopes(fit)
-        seen = np.linalg.norm(jacobian, axis=0) > 1e-9
-        result = np.diag(np.where(seen, 0.0, np.inf))
-        inside = np.ix_(seen, seen)
-        result[inside] = np.linalg.pinv(jacobian[:, seen].T @ jacobian[:, seen], rcond=1e-12) * sigma_deg**2 * factor
-        scale = np.array([p.typical for p in fit.parameters])
-        covariance: FloatArray = result * np.where(np.isinf(result), 1.0, np.outer(scale, scale))
-        return covariance
-
-    def discretization(self, fit: Fit) -> FloatArray:
-        """Square of how far a simulation in steps ten times as fine would move the values of a fit, shape (p, p).
-
-        No noise, but the same in every record: what sticks and slips within a step of the kernel is not exact. Nor is
-        any other simulator, to a small share of each value.
+        What is fitted already gives way as far as its slopes tell.
         """
-        finer = simulate(self.record, self.physics(fit.effects, fit.values), _FINER)
-        change = (self.record.measured_deg - finer - fit.error_deg)[self._trained]
-        moved = np.linalg.lstsq(self.slopes(fit), -change, rcond=1e-6)[0] * [p.typical for p in fit.parameters]
-        sizes = [
-            min(p.away(float(v), self.record.plant.neutral), abs(v))
-            for p, v in zip(fit.parameters, fit.values, strict=True)
-        ]
-        return np.outer(moved, moved) + np.diag((_SIMULATORS_DIFFER * np.array(sizes)) ** 2)
+        effect, place = candidate
+        grids = [self._sized(p, p.grid if not p.aside else p.grid[:1]) for p in effect.parameters]
+        if effect is Quantization:
+            grids = [[self.record.step_deg or 0.0]]
+        tried: dict[tuple[float, ...], tuple[float, Physics]] = {}
+
+        def misfit(point: tuple[float, ...]) -> float:
+            if point not in tried:
+                physics = installed(base.physics._replace(slow_place=place), [effect], list(point))
+                tried[point] = self.given_way(physics, slopes), physics
+            return tried[point][0]
+
+        best = min(product(*grids), key=misfit)
+        for k, grid in enumerate(grids):  # between the neighbours on the grid
+            near = [0.5 * (best[k] + other) for other in _beside(grid, best[k])]
+            best = min((best, *((*best[:k], value, *best[k + 1 :]) for value in near)), key=misfit)
+        return tried[best]
+
+    def given_way(self, physics: Physics, slopes: FloatArray) -> float:
+        """Misfit of a servo after its numbers gave way as far as their slopes tell."""
+        return self._given_way(self._error_deg(physics)[self._where], slopes)
 
     def slopes(self, fit: Fit) -> FloatArray:
-        """Slope of the errors over each parameter in units of what is common, shape (m, p)."""
+        """Slope of the errors over each number that is fitted, and its prior in the last row, shape (m + 1, q)."""
+        numbers = self._numbers(fit.effects, fit.physics)
+        x = self._x(numbers, fit.physics)
+        error = self._error_deg(fit.physics)[self._where]
+        return np.vstack([self._slopes(numbers, x, fit.physics, error), [float(n.prior) for n in numbers]])
+
+    def descended(
+        self,
+        effects: tuple[type[MissingEffect], ...],
+        start: Physics,
+        iterations: int = _ITERATIONS,
+        enough: float = np.inf,
+    ) -> Fit:
+        """All numbers fitted together from where a servo is (Gauss, Newton, Levenberg).
+
+        What is still worse than `enough` after two steps, and improves too slowly to become better, ends there.
+        """
+        numbers = self._numbers(effects, start)
+        x = self._x(numbers, start)
+        physics = self._servo(numbers, x, start)
+        error = self._error_deg(physics)[self._where]
+        best = self._misfit(error, numbers, x)
+        own = len([n for n in numbers if n.prior])
+        slopes = np.zeros((error.size, 0))
+        is_old, damping = False, _DAMPING
+        for k in range(iterations):
+            if not is_old or slopes.shape[1] == 0:
+                slopes = self._slopes(numbers, x, physics, error)
+                is_old = False
+            else:  # those of the servo's own numbers hardly change
+                slopes[:, own:] = self._slopes(numbers[own:], x[own:], physics, error)
+            before = best
+            step = self._step(slopes, error, numbers, x, damping)
+            for share in _SHORTER:
+                trial = x + share * step
+                trial = np.array([n.x(n.value(v)) for n, v in zip(numbers, trial, strict=True)])
+                candidate = self._servo(numbers, trial, start)
+                error_there = self._error_deg(candidate)[self._where]
+                there = self._misfit(error_there, numbers, trial)
+                if there < best:
+                    x, physics, error, best = trial, candidate, error_there, there
+                    break
+            if before - best < _GAIN_OVER:
+                if not is_old or before - best > 0.0:
+                    break
+                slopes = np.zeros((error.size, 0))
+                continue
+            if k >= 1 and best - 3.0 * (before - best) > enough:
+                break
+            is_old = own > 0
+        fit = Fit(effects, self._values(effects, physics), physics, np.zeros(0), 0.0, 0.0, np.zeros(0))
+        return replace(fit, misfit=best, run_deg2=self._squares(error))
+
+    def halved(self, fit: Fit) -> Fit:
+        """A fit whose errors are those of a servo fitted to the training blocks alone; its numbers stay."""
+        if self.record.side is None and (fit.effects or fit.physics != self.record.plant.neutral):
+            half = Fitter(replace(self.record, counts=self.record.trained))
+            half.kappa, half._size = self.kappa, self._size
+            trained = half.descended(fit.effects, fit.physics, 4)
+            self.simulations += half.simulations
+            judged = self.judged(fit.effects, trained.physics)
+        else:
+            judged = self.judged(fit.effects, fit.physics)
+        whole = self.judged(fit.effects, fit.physics)
+        return replace(whole, train=judged.train, held_out=judged.held_out, misfit=fit.misfit)
+
+    def covariance(self, fit: Fit) -> FloatArray:
+        """Of the values of a fit, shape (p, p); infinite where nothing shows."""
+        numbers = self._numbers(fit.effects, fit.physics)
+        count = len(fit.values)
+        if not count:
+            return np.zeros((0, 0))
+        x = self._x(numbers, fit.physics)
+        error = self._error_deg(fit.physics)[self._where]
+        slopes = self._slopes(numbers, x, fit.physics, error)
+        weight = self._weights(error)
+        curvature = slopes.T @ (slopes * weight[:, None]) + np.diag([float(n.prior) for n in numbers])
+        seen = np.diag(curvature) > _SAME
+        spread = np.full((len(numbers), len(numbers)), 0.0)
+        spread[np.ix_(seen, seen)] = np.linalg.pinv(curvature[np.ix_(seen, seen)], rcond=1e-12)
+        own = len(numbers) - count
+        units = np.array(
+            [n.unit * (abs(v) if n.is_log else 1.0) for n, v in zip(numbers[own:], fit.values, strict=True)]
+        )
+        result = spread[own:, own:] * np.outer(units, units)
+        known = np.array([n.low == n.high for n in numbers[own:]])
+        unseen = ~seen[own:] & ~known
+        result[unseen, unseen] = np.inf
+        neutral = self.record.plant.neutral
+        sizes = [min(p.away(float(v), neutral), abs(v)) for p, v in zip(fit.parameters, fit.values, strict=True)]
+        covariance: FloatArray = result + np.diag((_SIMULATORS_DIFFER * np.array(sizes)) ** 2)
+        return covariance
+
+    def _numbers(self, effects: tuple[type[MissingEffect], ...], start: Physics) -> list[_Number]:
+        """The servo's own numbers first, but for those that an effect fits; then those of the effects."""
+        neutral, record = self.record.plant.neutral, self.record
+        taken = {name for effect in effects for p in effect.parameters for name in p.fields}
+        numbers = []
+        for name, deviation, is_log in _OWN:
+            if name in taken or (name == "slow_scale" and not record.plant.has_places):
+                continue
+            if record.side is not None and name not in ("gain", "bias_deg"):
+                continue
+            if record.free_poles:
+                deviation = _UNKNOWN.get(name, deviation)  # noqa: PLW2901
+            low, high = (0.02, 50.0) if is_log else (0.0 if name == "delay_s" else -np.inf, np.inf)
+            numbers.append(_Number((name,), getattr(neutral, name), deviation, low, high, is_log, prior=True))
+        for effect in effects:
+            for p in effect.parameters:
+                is_log = p.low > 0.0 and p.high / p.low > _DECADES
+                unit = _LOG_STEP if is_log else p.typical * (self._size if _grows_with_gap(p) else 1.0)
+                value = getattr(start, p.fields[0])
+                at = value if is_log else 0.0
+                # The comb of the readings tells their step, and nothing else does.
+                low, high = (value, value) if effect is Quantization else (p.low, p.high)
+                numbers.append(_Number(p.fields, at, unit, low, high, is_log, prior=False))
+        return numbers
+
+    def _x(self, numbers: list[_Number], physics: Physics) -> FloatArray:
+        return np.array([n.x(getattr(physics, n.fields[0])) for n in numbers])
+
+    def _servo(self, numbers: list[_Number], x: FloatArray, start: Physics) -> Physics:
+        changes: dict[str, float] = {}
+        for number, each in zip(numbers, x.tolist(), strict=True):
+            changes |= dict.fromkeys(number.fields, number.value(each))
+        return start._replace(**changes)
+
+    def _values(self, effects: tuple[type[MissingEffect], ...], physics: Physics) -> FloatArray:
+        return np.array([getattr(physics, p.fields[0]) for effect in effects for p in effect.parameters])
+
+    def _error_deg(self, physics: Physics) -> FloatArray:
+        self.simulations += 1
+        return self.part.measured_deg - simulate(self.part, physics)
+
+    def _squares(self, error: FloatArray) -> FloatArray:
+        """Mean square of each run."""
+        squares: FloatArray = np.bincount(self._run, weights=error * error, minlength=self._count.size) / self._count
+        return squares
+
+    def _misfit(self, error: FloatArray, numbers: list[_Number], x: FloatArray) -> float:
+        prior = sum(float(v) ** 2 for n, v in zip(numbers, x, strict=True) if n.prior)
+        return float((self._count / self.kappa) @ np.log(self._squares(error) + self._least)) + prior
+
+    def _weights(self, error: FloatArray) -> FloatArray:
+        per_run = 1.0 / (self.kappa * (self._squares(error) + self._least))
+        weights: FloatArray = per_run[self._run]
+        return weights
+
+    def _slopes(self, numbers: list[_Number], x: FloatArray, physics: Physics, error: FloatArray) -> FloatArray:
         columns = []
-        for k, parameter in enumerate(fit.parameters):
-            # Of a knee at 3 deg, 300 of which are common, a hundredth is a hundredth of 3.
-            value = abs(float(fit.values[k]))
-            step = 1e-2 * (min(parameter.typical, value) if value > 1e-3 * parameter.typical else parameter.typical)
-            up, down = fit.values.copy(), fit.values.copy()
-            up[k], down[k] = min(up[k] + step, parameter.high), max(down[k] - step, parameter.low)
-            change = self.error_deg(fit.effects, up) - self.error_deg(fit.effects, down)
-            columns.append(change[self._trained] / (up[k] - down[k]) * parameter.typical)
-        return np.column_stack(columns)
+        for number, each in zip(numbers, x.tolist(), strict=True):
+            step = _STEP * (1.0 if number.is_log or number.prior else max(1.0, 0.2 * abs(each)))
+            if abs(number.value(each + step) - number.value(each)) < _SAME:
+                step = -step
+            there = physics._replace(**dict.fromkeys(number.fields, number.value(each + step)))
+            columns.append((self._error_deg(there)[self._where] - error) / step)
+        return np.column_stack(columns) if columns else np.zeros((error.size, 0))
+
+    def _step(
+        self, slopes: FloatArray, error: FloatArray, numbers: list[_Number], x: FloatArray, damping: float
+    ) -> FloatArray:
+        weight = self._weights(error)
+        weighted = slopes * weight[:, None]
+        prior = np.array([float(n.prior) for n in numbers])
+        curvature = slopes.T @ weighted + np.diag(prior)
+        curvature += np.diag(damping * np.diag(curvature) + 1e-12)
+        step: FloatArray = -np.linalg.solve(curvature, weighted.T @ error + prior * x)
+        return step
+
+    def _given_way(self, error: FloatArray, slopes: FloatArray) -> float:
+        """Misfit after a step of the numbers that are fitted already."""
+        if slopes.shape[1]:
+            rows, prior = slopes[:-1], slopes[-1]
+            weighted = rows * self._weights(error)[:, None]
+            curvature = rows.T @ weighted + np.diag(prior + 1e-9)
+            step = -np.linalg.solve(curvature, weighted.T @ error)
+            error = error + rows @ step
+            penalty = float(prior @ step**2)
+        else:
+            penalty = 0.0
+        return float((self._count / self.kappa) @ np.log(self._squares(error) + self._least)) + penalty
+
+    def _sized(self, parameter: Parameter, grid: tuple[float, ...]) -> list[float]:
+        scale = self._size if _grows_with_gap(parameter) else 1.0
+        return [scale * value for value in grid]
 
 
-def _in_force(effects: Sequence[type[MissingEffect]], values: Values) -> FloatArray:
-    """Values that mean the same in any order of the effects: of what several of them set, the last one's counts."""
-    parameters = [p for effect in effects for p in effect.parameters]
-    last = {p.fields: float(value) for p, value in zip(parameters, values, strict=True)}
-    return np.array([last[p.fields] for p in parameters])
+def _grows_with_gap(parameter: Parameter) -> bool:
+    return parameter.neutral == 0.0 and parameter.name.endswith("_deg")
+
+
+def _beside(grid: list[float], value: float) -> list[float]:
+    """The next values on a grid."""
+    below, above = [x for x in grid if x < value], [x for x in grid if x > value]
+    return [*([max(below)] if below else []), *([min(above)] if above else [])]

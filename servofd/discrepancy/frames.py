@@ -17,26 +17,22 @@ if TYPE_CHECKING:
     from servofd.models.physics import Physics
     from servofd.types import FloatArray
 
-__all__ = ["best_frame", "frames_as_late", "frames_like", "usual_frame"]
+__all__ = ["best_frame", "frames_like"]
 
 _SHORTEST_S, _LONGEST_S = 0.01, 0.055
 _WINDOW_S = 4.0
 _REMEMBERED_S = 1.5
 """Longest time that a command takes to the surface, with the longest frame before it."""
-_ROUGHLY_S, _QUITE_S, _NEARLY_S, _PRECISELY_S = 3e-3, 2e-3, 1.5e-3, 4e-4
-"""Between the phases that are tried in a window, in a longer one, for usual periods, and for one that is known: frames
+_ROUGHLY_S, _NEARLY_S, _PRECISELY_S = 3e-3, 1.5e-3, 4e-4
+"""Between the phases that are tried in a window, for usual periods, and for one that is known: frames
 that pick other commands are far off."""
 _SHARE_OF_BEAT = 0.4
 """Of the change of period that moves the last frame of a window by one period."""
-_ZOOM, _KEPT, _FEWER, _LIKELY = 3.0, 27, 18, 24
+_ZOOM, _KEPT, _LIKELY = 3.0, 27, 24
 _WORSE_AT_FIRST, _WORSE = 100.0, 10.0
 """Squared noise by which frames may be worse than what is no frame: true ones, not yet met exactly, were better by 10
 and 89 in the two windows where they were hardest to see, and where there were none, worse by 1300 and 2600."""
 _SHIFTS = (-0.1, -0.04, 0.0, 0.04, 0.1)
-_AS_LATE = (0.7, 1.4)
-"""Frames are late by half their period on average: twice a fitted delay is their period, give or take its phase."""
-_ABOUT_AS_LATE = (0.9, 1.1)
-"""The same for a period whose frames drift past the commands, so that all phases come up: off by 6 % in 7 flights."""
 _FINER = (0.5, 0.2, 0.08, 0.03, 0.01)
 _USUAL_S = (*(k / 1000.0 for k in range(10, 26)), 0.004, 0.005, 0.03, 0.04, 0.05, 1 / 70, 1 / 60, 1 / 45, 1 / 150)
 """Whole milliseconds, and common frame rates that are not."""
@@ -57,17 +53,6 @@ def frames_like(
     near = [frame for one in best for frame in _around(one, centre_s, longer_s)]
     part = _window(record, centre_s, longer_s)
     return _best(part, physics, near, _KEPT // 3, _rival_loss(record, part, rival_deg) + _WORSE * sigma_deg**2)
-
-
-def frames_as_late(
-    record: Record, physics: Physics, late_s: float, rival_deg: FloatArray, sigma_deg: float
-) -> list[tuple[float, float]]:
-    """The same among those that are about as late on average: so few that the longer window can tell them at once."""
-    window_s = _WINDOW_S * _ZOOM
-    shortest_s, longest_s = np.clip([2.0 * late_s * share for share in _ABOUT_AS_LATE], _SHORTEST_S, _LONGEST_S)
-    part = _window(record, _liveliest_s(record, _WINDOW_S), window_s)
-    most = _rival_loss(record, part, rival_deg) + _WORSE_AT_FIRST * sigma_deg**2
-    return _best(part, physics, _grid(float(shortest_s), float(longest_s), window_s, _QUITE_S), _FEWER, most)
 
 
 def _grid(shortest_s: float, longest_s: float, window_s: float, apart_s: float) -> list[tuple[float, float]]:
@@ -116,12 +101,6 @@ def best_frame(record: Record, physics: Physics, begin: Sequence[tuple[float, fl
     for finer in _FINER if found in turned else ():
         found = min(_around(found, centre_s, window_s, finer), key=lambda frame: _loss(record, physics, frame))
     return found
-
-
-def usual_frame(record: Record, physics: Physics, late_s: float) -> tuple[float, float] | None:
-    """Period [s] and phase of frames of a usual period, as late as that on average, that explain a record best."""
-    low, high = (2.0 * late_s * share for share in _AS_LATE)
-    return min(_usual(low, high), key=lambda frame: _loss(record, physics, frame), default=None)
 
 
 def _usual(low_s: float, high_s: float) -> list[tuple[float, float]]:

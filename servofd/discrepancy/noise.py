@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
     from servofd.types import BoolArray, FloatArray
 
-__all__ = ["comb_step_deg", "floor_uncertainty", "long_run_factor", "noise_floor_deg"]
+__all__ = ["floor_uncertainty", "long_run_factor", "noise_floor_deg"]
 
 _TO_SIGMA = 1.482602218505602
 """Standard deviation over median absolute deviation, of a Gaussian."""
@@ -22,8 +22,6 @@ _MEDIAN_OF_THIRD = 3.02
 """Relative standard deviation of the squared floor, times the root of the number of differences (2000 simulations)."""
 _LAGS = 25
 _SMALLEST_DEG = 1e-6
-_OFF_COMB, _FEWEST_VALUES = 0.1, 3
-_NO_CHANCE = 20.0
 
 
 def noise_floor_deg(record: Record, error_deg: FloatArray) -> float:
@@ -79,30 +77,3 @@ def long_run_factor(error_deg: FloatArray) -> float:
     for lag in range(1, _LAGS + 1):
         total += 2.0 * (1.0 - lag / (_LAGS + 1)) * float(error_deg[lag:] @ error_deg[:-lag]) / power
     return max(1.0, total)
-
-
-def comb_step_deg(values_deg: FloatArray) -> float | None:
-    """Step of the converter that made some values [deg], wherever its zero is; None if they lie on no comb.
-
-    Examples
-    --------
-    >>> rng = np.random.default_rng(0)
-    >>> comb_step_deg(0.9 * np.round(5.0 * rng.standard_normal(1000) / 0.9)), comb_step_deg(rng.standard_normal(1000))
-    (0.9, None)
-    """
-    known = values_deg[np.isfinite(values_deg)]
-    unique = np.unique(np.round(known, 6))
-    if not _FEWEST_VALUES <= unique.size <= known.size / 2:
-        return None
-    apart = np.diff(unique)
-    # Files round each value; most of the smallest differences are one step all the same.
-    step_deg = float(np.median(apart[apart < 1.5 * apart.min()]))
-    # Of n values without a converter the two closest are the n-th part of the mean distance apart.
-    if unique.size > known.size / 4 and step_deg < _NO_CHANCE * (unique[-1] - unique[0]) / unique.size**2:
-        return None
-    # Gaps are rounded by the file; numbered one after the other, all values together are not.
-    tooth = np.concatenate([[0.0], np.cumsum(np.round(apart / step_deg))])
-    tooth -= tooth.mean()
-    step_deg = float(unique @ tooth / (tooth @ tooth))
-    off = np.abs(unique - unique.mean() - tooth * step_deg).max()
-    return round(step_deg, 6) if off < _OFF_COMB * step_deg else None

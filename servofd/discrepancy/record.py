@@ -9,7 +9,7 @@ import numpy as np
 
 from servofd.detection.residual import Commands, commands_at_servo
 from servofd.discrepancy.lost import after_lost_commands
-from servofd.discrepancy.noise import comb_step_deg
+from servofd.discrepancy.steps import comb_step_deg
 from servofd.models.physics import LOOSE_FIELDS, Physics, Plant, longest_step_s
 from servofd.models.servo_model import plant_of
 
@@ -21,7 +21,17 @@ if TYPE_CHECKING:
     from servofd.segment import Segment
     from servofd.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["BLOCK_S", "FEW_RUNS", "SLOWEST_RATE_HZ", "Record", "joined", "record_of", "simulate"]
+__all__ = [
+    "BLOCK_S",
+    "FEW_RUNS",
+    "SLOWEST_RATE_HZ",
+    "Record",
+    "joined",
+    "liveliest",
+    "record_of",
+    "simulate",
+    "thinned",
+]
 
 SLOWEST_RATE_HZ = 19.0
 """Below this the effects of a servo fall between the samples: HS-225BB, time constants 15 to 40 ms."""
@@ -43,6 +53,10 @@ FEW_RUNS = 6
 the three slower ones are then foreseen to 3.1 to 3.5 deg, and to 1.0 to 1.6 deg if blocks of all four are fitted."""
 _PLACES = np.linspace(-1.0, 1.0, 5)
 """Within a dead band, from one end to the other."""
+_PART_S, _SETTLED_S, _FEW_PARTS = 18.0, 0.3, 8
+"""Enough for a dozen manoeuvres, and runs enough, to tell which effects come into question."""
+_ENOUGH, _FASTEST_HZ = 6000, 100.0
+"""Samples that are fitted, and the rate below which none is left out."""
 _FARTHEST_DEG = 1e6
 """As wrong as a servo can be: squares of more could not be summed up."""
 
@@ -227,6 +241,62 @@ def joined(records: Sequence[Record]) -> Record:
         records[0].free_poles,
         records[0].own,
         _context([each.side for each in runs]),
+    )
+
+
+def thinned(record: Record) -> Record:
+    """The record with no more samples than tell its servo: of those that come very fast, every so manieth."""
+    first, kept, total = 0, [], record.time_s.size
+    for run in record.runs or (record,):
+        stride = min(-(-total // _ENOUGH), max(round(1.0 / (run.period_s * _FASTEST_HZ)), 1))
+        kept.append(np.arange(first, first + run.time_s.size, stride))
+        first += run.time_s.size
+    where = np.concatenate(kept)
+    return record if where.size == total else _only(record, where)
+
+
+def liveliest(record: Record, error_deg: FloatArray) -> Record:
+    """The stretch of a record in which a simulation is most wrong; all of a short one; of many runs the most wrong."""
+    if record.runs:
+        if len(record.runs) <= _FEW_PARTS:
+            return record
+        energy = np.bincount(
+            record.run[record.counts], weights=error_deg[record.counts] ** 2, minlength=len(record.runs)
+        )
+        chosen = np.argsort(-energy)[:: -(-len(record.runs) // _FEW_PARTS)]
+        return _only(record, np.flatnonzero(np.isin(record.run, chosen)))
+    if record.time_s[-1] - record.time_s[0] < 1.5 * _PART_S:
+        return record
+    second = (record.time_s - record.time_s[0]).astype(np.int64)
+    energy = np.bincount(second, weights=np.where(record.counts, np.nan_to_num(error_deg) ** 2, 0.0))
+    sums = np.concatenate([[0.0], np.cumsum(energy)])
+    length = round(_PART_S)
+    first = int(np.argmax(sums[length:] - sums[:-length]))
+    part = _only(record, np.flatnonzero((second >= first) & (second < first + length)))
+    return replace(part, counts=part.counts & (part.time_s >= part.time_s[0] + _SETTLED_S))
+
+
+def _only(record: Record, where: IntArray) -> Record:
+    """Some of the samples of a record, and what of its runs they are."""
+    run = record.run[where]
+    first = np.cumsum([0, *(each.time_s.size for each in record.runs)])
+    runs = tuple(_only(each, where[run == k] - first[k]) for k, each in enumerate(record.runs) if np.any(run == k))
+
+    def of(values: FloatArray | None) -> FloatArray | None:
+        return None if values is None else values[where]
+
+    return replace(
+        record,
+        time_s=record.time_s[where],
+        measured_deg=record.measured_deg[where],
+        counts=record.counts[where],
+        block=record.block[where],
+        pressure_pa=of(record.pressure_pa),
+        voltage_v=of(record.voltage_v),
+        current_a=of(record.current_a),
+        temperature_c=of(record.temperature_c),
+        side=of(record.side),
+        runs=runs,
     )
 
 

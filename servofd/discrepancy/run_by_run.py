@@ -7,19 +7,16 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from servofd.discrepancy.prune import without
-from servofd.discrepancy.record import FEW_RUNS
+from servofd.discrepancy.fit import Fitter
 
 if TYPE_CHECKING:
-    from servofd.discrepancy.fit import Fit, Fitter
+    from servofd.discrepancy.fit import Fit
     from servofd.types import FloatArray
 
-__all__ = ["RunErrors", "run_errors", "vouched"]
+__all__ = ["RunErrors", "run_errors"]
 
 _MOST_FOLDS = 8
 """Runs that are held out at the same time, where there are many."""
-_WORTH = 1.05
-"""Times as badly as with an effect, the runs must be foreseen without it."""
 
 
 class RunErrors(NamedTuple):
@@ -35,32 +32,11 @@ def run_errors(fitter: Fitter, final: Fit) -> tuple[RunErrors, ...]:
     record = fitter.record
     if not record.runs:
         return ()
-    nominal = replace(final, effects=(), values=np.zeros(0))
-    errors_deg = [_foreseen_deg(fitter, fit) for fit in (nominal, final)]
+    errors_deg = [_foreseen_deg(fitter, fit) for fit in (fitter.nominal(), final)]
     return tuple(
         RunErrors(k, *(_rms(error[(record.run == k) & record.counts]) for error in errors_deg))
         for k in range(len(record.runs))
     )
-
-
-def vouched(fitter: Fitter, best: Fit) -> Fit:
-    """Without the effects that do not help to foresee a run from the others, where these are few.
-
-    Each was fitted in part, and held-out blocks of it are no proof of what another run would do.
-    """
-    record = fitter.record
-    while 0 < len(record.runs) < FEW_RUNS and len(best.effects) > 1:
-        fewer = [without(fitter, best, k) for k in range(len(best.effects))]
-        losses = [_loss(fitter, fit) for fit in fewer]
-        if min(losses) > _WORTH * _loss(fitter, best):
-            break
-        best = fewer[int(np.argmin(losses))]
-    return best
-
-
-def _loss(fitter: Fitter, fit: Fit) -> float:
-    error_deg = _foreseen_deg(fitter, fit)[fitter.record.counts]
-    return float(error_deg @ error_deg)
 
 
 def _foreseen_deg(fitter: Fitter, fit: Fit) -> FloatArray:
@@ -69,9 +45,12 @@ def _foreseen_deg(fitter: Fitter, fit: Fit) -> FloatArray:
     error_deg = np.full(record.time_s.size, np.nan)
     for fold in range(min(len(record.runs), _MOST_FOLDS)):
         left_out = record.run % _MOST_FOLDS == fold
-        part = fitter.on(replace(record, block=2 * (record.block // 2) + left_out))
-        fitted = part.refitted(fit.effects, fit.values) if fit.effects else part.nominal()
-        error_deg[left_out] = fitted.error_deg[left_out]
+        physics = fit.physics
+        if fit.effects or record.free_poles:
+            physics = (
+                Fitter(replace(record, counts=record.counts & ~left_out)).descended(fit.effects, physics, 4).physics
+            )
+        error_deg[left_out] = fitter.judged(fit.effects, physics).error_deg[left_out]
     return error_deg
 
 

@@ -1,44 +1,61 @@
-"""Which effects are missing: forward with a beam, backward by significance, judged on blocks that were not fitted."""
+"""Which effects are missing: structures are tried, each with the servo's own numbers refitted, and weighed together.
+
+A structure is a set of effects and the place of the servo's slow pole. Those that screening makes likely are fitted;
+a name must beat every structure that does without it by a wide margin (Occam's window), and structures of as many names
+share the probability by their misfit and number of parameters (BIC, with samples counted over their memory). The
+probability of a name is the sum over its places and forms.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from servofd.discrepancy.candidates import first_of_each, judgeable
-from servofd.discrepancy.evidence import (
-    accepted,
-    cost,
-    floor_of,
-    least_scatter,
-    rest_matters,
-    stays_above_noise,
-    worth_trying,
-)
+import numpy as np
+
+from servofd.discrepancy.adequacy import Adequacy, adequacy
+from servofd.discrepancy.candidates import PLACES, SMALLEST, SURPRISE, candidates, is_placed, judgeable
 from servofd.discrepancy.fit import Fit, Fitter
-from servofd.discrepancy.ladder import NO_MODEL_KNOWS, Rung, Tried, equals_of, keys_of, rungs_of, simplest, told
-from servofd.discrepancy.poles import PoleFitter
-from servofd.discrepancy.prune import convincing, ordered, pruned, with_steps, without
-from servofd.discrepancy.run_by_run import vouched
-from servofd.discrepancy.stamps import scatter_s
-from servofd.models.catalogue import Quantization
+from servofd.discrepancy.frames import best_frame, frames_like
+from servofd.discrepancy.record import liveliest
+from servofd.models.catalogue import Delay, PwmFrame, SensorLag, SlowDynamics
+from servofd.models.physics import INSIDE
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from servofd.discrepancy.record import Record
     from servofd.models.catalogue import MissingEffect
+    from servofd.models.physics import Physics
     from servofd.types import FloatArray
 
-__all__ = ["Rung", "Selection", "select", "unexplained"]
+__all__ = ["Rung", "Selection", "select"]
 
-_BEAM, _WIDE_BEAM, _FEW = 2, 4, 2
-"""The wide one where something stays, or a few effects are not enough: two simple ones may do as well."""
-_NOT_MUCH_MORE = 2.0
-_SAME_LOSS = 1e-3
-"""Relative: the same servo in other words."""
-_MOST_EFFECTS, _MOST_ON_BENCH = 4, 5
-"""More where whole runs are held out, which no flexible combination survives for long."""
+_MOST, _MOST_ON_BENCH = 3, 4
+"""Effects; one more where whole runs are held out, which no flexible combination survives for long."""
+_BEAM = 3
+_OCCAM, _OF_GAP = 30.0, 1e-4
+"""By how much a further name must improve the misfit, and the share of what was there (as chi-squared) on top."""
+_POSSIBLE = 6.0
+"""Improvement on the screen below which a candidate is not fitted."""
+_NAMES, _FITS, _CLOSE, _SHARE = 8, 16, 60.0, 0.3
+"""Names and structures that are fitted from one base, and how far behind the best of its name a structure may be: so
+much, or that share of what it improves."""
+_DECLARED, _NEGLIGIBLE = 0.99, 1e-3
+_WORSE, _WORSE_FLOORS = 1.15, 2.0
+"""Times the mean square of a run that an effect must not leave, where that is above so many times the noise."""
+_HYSTERESIS = ("deadband_deg", "insensitive_deg", "friction_deg", "backlash_deg", "stribeck")
+_LATER = 1e-3
+_LATE = (Delay, SensorLag, SlowDynamics)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rung:
+    """A servo with one effect more than the one before."""
+
+    fit: Fit
+    rivals: tuple[Fit, ...]
+    """Servos with another effect in its place, best first."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,18 +75,169 @@ class Selection:
     covariance: FloatArray
     fitter: Fitter
     """What fitted it."""
-    scatter_s: float = 0.0
-    """Of time stamps, as far as the error of the final servo grows with its speed and has no sign [s]."""
+    final: Fit
+    """The servo with all effects."""
+    adequacy: Adequacy
+    """What of its errors is not noise."""
+    probability: float = 1.0
+    """Of the names, among all structures that were fitted."""
 
     @property
     def simulations(self) -> int:
         """How many it took."""
         return self.fitter.simulations
 
-    @property
-    def final(self) -> Fit:
-        """The servo with all effects."""
-        return self.rungs[-1].fit if self.rungs else self.nominal
+
+@dataclass(slots=True, eq=False)
+class _Search:
+    fitter: Fitter
+    able: list[type[MissingEffect]]
+    progress: Callable[[str], None]
+    visited: dict[tuple[tuple[str, ...], float], Fit] = field(default_factory=dict)
+    grown: set[tuple[tuple[str, ...], float]] = field(default_factory=set)
+    part: Fitter = field(init=False)
+
+    def begin(self, root: Fit) -> None:
+        record = self.fitter.record
+        self.part = Fitter(liveliest(record, self.fitter.judged((), root.physics).error_deg))
+        self.look_again()
+        self.keep(root)
+
+    def look_again(self) -> None:
+        """Count the part's samples as the whole's."""
+        self.part._size = self.fitter._size
+        if self.part.kappa.size == self.fitter.kappa.size:
+            self.part.kappa = self.fitter.kappa
+        else:
+            self.part.kappa = np.full(self.part.kappa.size, float(np.median(self.fitter.kappa)))
+
+    def keep(self, fit: Fit) -> bool:
+        """Remember a fit if it is the best of its structure; whether it is a servo at all."""
+        if fit.key not in self.visited or fit.misfit < self.visited[fit.key].misfit:
+            self.visited[fit.key] = fit
+        return self.is_physical(fit)
+
+    def is_physical(self, fit: Fit) -> bool:
+        """Whether no number is at its bound, and none so small that it is none."""
+        if fit.ran_away:
+            return False
+        neutral, first = self.fitter.record.plant.neutral, 0
+        for effect in fit.effects:
+            sizes = []
+            for p, value in zip(effect.parameters, fit.values[first:].tolist(), strict=False):
+                least = SMALLEST.get(p.fields[0])
+                if least is not None and not p.aside:
+                    sizes.append(p.away(value, neutral) >= self.fitter.smallest(p, least))
+            first += len(effect.parameters)
+            if sizes and not any(sizes):
+                return False
+        return True
+
+    def grow(self, base: Fit, enough: float) -> list[Fit]:
+        """Fits with one effect more than a base."""
+        if base.key in self.grown:
+            return []
+        self.grown.add(base.key)
+        physical = self.fitter.starts(base)
+        chosen = [each for start in physical for each in self._screened(replace(base, physics=start), len(physical))]
+        fits = [self._fitted((*base.effects, effect), physics, enough) for effect, physics in chosen]
+        fits += [
+            self._fitted((*base.effects, effect), base.physics, enough)
+            for effect in self.able
+            if effect.name not in base.names and self.fitter.strains(effect, base)
+        ]
+        fits += self._siblings(base, fits, enough)
+        if PwmFrame in self.able and PwmFrame.name not in base.names:
+            fits += self._framed(base, fits)
+        return fits
+
+    def _screened(self, start: Fit, shares: int) -> list[tuple[type[MissingEffect], Physics]]:
+        """What is worth fitting on top of a start, one of so many."""
+        slopes = self.part.slopes(start)
+        before = self.part.given_way(start.physics, slopes)
+        screened: list[tuple[float, type[MissingEffect], Physics]] = []
+        for candidate in candidates(self.fitter.record, self.able, start.effects, start.place):
+            if self.fitter.is_own(candidate.effect):
+                continue
+            self.progress(candidate.effect.key())
+            misfit, physics = self.part.screened(start, slopes, candidate)
+            screened.append((misfit, candidate.effect, physics))
+        screened.sort(key=lambda each: each[0])
+        best_of: dict[str, float] = {}
+        for misfit, effect, _ in screened:
+            best_of.setdefault(effect.name, misfit)
+        most = -(-_NAMES // shares)
+        names = [name for name, misfit in best_of.items() if misfit < before - _POSSIBLE][:most]
+        near = {name: max(_CLOSE, _SHARE * (before - best_of[name])) for name in names}
+        return [
+            (effect, physics)
+            for misfit, effect, physics in screened
+            if effect.name in near and misfit < best_of[effect.name] + near[effect.name]
+        ][: -(-_FITS // shares)]
+
+    def _fitted(self, effects: tuple[type[MissingEffect], ...], start: Physics, enough: float = np.inf) -> Fit:
+        fit = self.fitter.descended(effects, start, enough=enough)
+        self.keep(fit)
+        return fit
+
+    def _siblings(self, base: Fit, fits: list[Fit], enough: float) -> list[Fit]:
+        """What sticks, is dead or loose, each started from what the best of them came to, at its place."""
+        loose = [fit for fit in fits if fit.effects[-1].family == "hysteresis"]
+        if not loose:
+            return []
+        best = min(loose, key=lambda fit: fit.misfit)
+        width = _width(best)
+        found = []
+        for effect in self.able:
+            if effect.family != "hysteresis" or effect.name in base.names:
+                continue
+            for place in PLACES.get(effect, (INSIDE,)) if self.fitter.record.plant.has_places else (base.place,):
+                if any(place not in PLACES[other] for other in base.effects if other in PLACES):
+                    continue
+                if SensorLag in base.effects and place > INSIDE:
+                    continue
+                p = effect.parameters[0]
+                size = 0.5 * width if p.fields[0] == "friction_deg" else width
+                start = best.physics._replace(slow_place=place, deadband_deg=0.0, insensitive_deg=0.0)
+                start = start._replace(friction_deg=0.0, backlash_deg=0.0, stribeck=0.0)
+                start = start._replace(**{name: getattr(base.physics, name) for name in _kept(base)})
+                extra = {q.fields[0]: q.grid[0] for q in effect.parameters[1:]}
+                start = start._replace(**{p.fields[0]: size}, **extra)
+                found.append(self._fitted((*base.effects, effect), start, enough))
+        return found
+
+    def _framed(self, base: Fit, fits: list[Fit]) -> list[Fit]:
+        """The base with pulse frames, if a delay or what passes for one helps it."""
+        late = [fit for fit in fits if fit.effects[-1] in _LATE]
+        if not late or base.misfit - min(fit.misfit for fit in late) < _OCCAM:
+            return []
+        self.progress(PwmFrame.key())
+        record = self.fitter.record
+        known = base.physics
+        rival = self.fitter.judged((), min(fits, key=lambda fit: fit.misfit).physics)
+        sigma = float(np.sqrt(rival.run_deg2.mean()))
+        likely = frames_like(record, known, rival.error_deg, sigma)
+        if not likely:
+            return []
+        period_s, phase = best_frame(record, known, likely)
+        start = known._replace(frame_s=period_s, frame_phase=phase)
+        return [self._fitted((*base.effects, PwmFrame), start)]
+
+
+def _kept(base: Fit) -> tuple[str, ...]:
+    """Fields of the family that the base itself has fitted."""
+    fields = {name for effect in base.effects for p in effect.parameters for name in p.fields}
+    return tuple(
+        name
+        for name in ("deadband_deg", "insensitive_deg", "friction_deg", "backlash_deg", "stribeck")
+        if name in fields
+    )
+
+
+def _width(fit: Fit) -> float:
+    """Full width of what sticks, is dead or loose."""
+    p, first = fit.effects[-1].parameters[0], len(fit.values) - len(fit.effects[-1].parameters)
+    return float(fit.values[first]) * (2.0 if p.fields[0] == "friction_deg" else 1.0)
 
 
 def select(record: Record, progress: Callable[[str], None] = lambda _step: None) -> Selection:
@@ -82,149 +250,235 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     progress : callable
         Called with the name of each effect that was tried.
     """
-    fitter = PoleFitter(record) if record.free_poles else Fitter(record)
+    fitter = Fitter(record)
     able, unable = judgeable(record)
+    root = fitter.root()
+    fitter.remember(root)
+    root = fitter.descended((), root.physics)
+    search = _Search(fitter, able, progress)
+    search.begin(root)
+    _widened(search, root)
+    best = _chosen(search)
+    # The memory of what the best leaves is that of the noise; all were weighed by that of the first.
+    fitter.remember(best)
+    search.look_again()
+    _reweighed(search)
+    best = _chosen(search)
+    names, sets = _shares(search, best)
+    best = names[0]
     nominal = fitter.nominal()
-    tried: Tried = {}
-    most = _most_effects(record)
-    # Where the poles are free, every start costs several fits, and each effect has had its chance from all of them.
-    best = _grown(fitter, able, tried, _BEAM, progress, most if record.free_poles else _FEW)
-    more = len(best.effects) == _FEW and worth_trying(record, best, floor_of(record, best))
-    if not record.free_poles and (more or stays_above_noise(record, best)):
-        wide = _grown(fitter, able, tried, _WIDE_BEAM, progress, most)
-        best = min(best, wide, key=lambda fit: cost(record, fit))
-    sure = convincing(fitter, pruned(fitter, _swapped(fitter, able, tried, best)), nominal)
-    best = simplest(fitter, sure, able, tried)
-    # A simpler word for an effect may be one that is not needed.
-    best = ordered(fitter, with_steps(fitter, best if best is sure else pruned(fitter, best)))
-    best = vouched(fitter, told(fitter, best, able, tried))
-    best, final, covariance = _on_all(fitter, best)
-    sigma = floor_of(record, best)
-    rungs = rungs_of(fitter, nominal, best, tried, able)
-    equal = [
-        (effect, first_of_each(equals))
-        for effect, equals in zip(best.effects, equals_of(fitter, best, able, tried, NO_MODEL_KNOWS), strict=True)
-        if equals
-    ]
-    ties = tuple((effect.name, *(fit.names[-1] for fit in equals)) for effect, equals in equal)
-    tied = tuple(fits for _, fits in equal)
-    if rungs:
-        rungs = (*rungs[:-1], Rung(final, rungs[-1].rivals))
-    least = least_scatter(record, nominal, best, sigma)
-    # Steps let readings stand while the surface does: that is no scatter of time stamps.
-    scattered_s = 0.0 if Quantization in final.effects else scatter_s(record, final.error_deg, least)
-    return Selection(nominal, rungs, ties, tied, sigma, tuple(unable), covariance, fitter, scattered_s)
+    rungs = _rungs(search, best)
+    final = rungs[-1].fit if rungs else fitter.halved(best)
+    found = adequacy(record, final)
+    ties, tied = _ties(best, names[1:])
+    return Selection(
+        nominal,
+        rungs,
+        ties,
+        tied,
+        found.floor_deg,
+        tuple(unable),
+        fitter.covariance(final),
+        fitter,
+        final,
+        found,
+        sets,
+    )
 
 
-def _most_effects(record: Record) -> int:
-    return _MOST_ON_BENCH if record.runs else _MOST_EFFECTS
-
-
-def _grown(
-    fitter: Fitter,
-    able: list[type[MissingEffect]],
-    tried: Tried,
-    width: int,
-    progress: Callable[[str], None],
-    most: int,
-) -> Fit:
-    """Forward search: the best few of each length go on."""
-    record, best = fitter.record, fitter.nominal()
-    beam = [best]
-    for _ in range(most):
-        sigma = floor_of(record, best)
-        grown: list[Fit] = []
+def _widened(search: _Search, root: Fit) -> None:
+    """Forward with a beam, and back: what came first may stand in for what is found later."""
+    record = search.fitter.record
+    beam, best = [root], root
+    for size in range(_MOST_ON_BENCH if record.runs else _MOST):
         for base in beam:
-            if not worth_trying(record, base, sigma):
-                continue
-            fits = tried.get(keys_of(base)) or fitter.with_effects(base, able, progress)
-            tried[keys_of(base)] = fits
-            grown += [fit for fit in fits if accepted(record, base, fit, min(sigma, floor_of(record, fit)))]
-            grown += _relieved(fitter, min(fits, key=lambda fit: cost(record, fit)))
-        if not grown:
-            break
-        grown.sort(key=lambda fit: cost(record, fit))
-        beam = _promising(record, _distinct(grown, able)[:width])
-        first = None
-        while (
-            not record.free_poles and beam[0] is not first and worth_trying(record, beam[0], floor_of(record, beam[0]))
-        ):
-            # What was found first may stand in for two that are found now: not so late that nobody asks any more.
-            first = beam[0]
-            others = [fit for k in range(len(first.effects)) for fit in _exchanged(fitter, able, tried, first, k)]
-            grown = sorted([*others, *beam], key=lambda fit: cost(record, fit))
-            beam = _promising(record, _distinct(grown, able)[:width])
-        if cost(record, beam[0]) < cost(record, best):
-            best = beam[0]
-        if not worth_trying(record, best, floor_of(record, best)):
-            break
+            least = min(f.misfit for f in search.visited.values())
+            search.grow(base, least + 40.0)
+        longer = _best_of_size(search, size + 1)
+        for fit in longer[:1]:  # without each of its effects, and with others in their place
+            for k in range(len(fit.effects) - 1):
+                fewer = _without(search, fit, k)
+                if size + 1 > 1 and fit.misfit < best.misfit - _window(search, fit):
+                    search.grow(fewer, min(f.misfit for f in search.visited.values()) + 40.0)
+        longer = _best_of_size(search, size + 1)
+        if not longer or longer[0].misfit > best.misfit - _window(search, longer[0]):
+            return
+        best, beam = longer[0], longer[:_BEAM]
+        beam = [fit for fit in beam if fit.misfit < best.misfit + 4.0 * _OCCAM]
+
+
+def _without(search: _Search, fit: Fit, k: int) -> Fit:
+    """The servo without one of its effects, started from where it is with it."""
+    effects = tuple(effect for j, effect in enumerate(fit.effects) if j != k)
+    neutral = search.fitter.record.plant.neutral
+    gone = {name: getattr(neutral, name) for p in fit.effects[k].parameters for name in p.fields}
+    start = fit.physics._replace(**gone)
+    if not is_placed(effects):
+        start = start._replace(slow_place=INSIDE)
+    key = tuple(sorted(effect.key() for effect in effects)), start.slow_place
+    known = search.visited.get(key)
+    found = search.fitter.descended(effects, start)
+    search.keep(found)
+    return found if known is None or found.misfit < known.misfit else known
+
+
+def _best_of_size(search: _Search, size: int) -> list[Fit]:
+    """The best fit of each set of names of a size, best first."""
+    best: dict[tuple[str, ...], Fit] = {}
+    for fit in search.visited.values():
+        if len(fit.effects) == size and search.is_physical(fit) and not _harms(search, fit):
+            key = tuple(sorted(fit.names))
+            if key not in best or _cost(search, fit) < _cost(search, best[key]):
+                best[key] = fit
+    return sorted(best.values(), key=lambda fit: _cost(search, fit))
+
+
+def _harms(search: _Search, fit: Fit) -> bool:
+    """Whether a run is clearly worse with an effect than with fewer."""
+    if fit.run_deg2.size < 2:
+        return False
+    floor = search.fitter._least * 25.0
+    shorter = [f for f in search.visited.values() if f.effects == fit.effects[:-1]]
+    return any(
+        bool(np.any((fit.run_deg2 > _WORSE * f.run_deg2) & (fit.run_deg2 > _WORSE_FLOORS * floor))) for f in shorter
+    )
+
+
+def _cost(search: _Search, fit: Fit) -> float:
+    """BIC, and how surprising its names are."""
+    count = sum(len(effect.parameters) for effect in fit.effects)
+    surprise = sum(SURPRISE.get(name, 0.0) for name in fit.names)
+    late = sum(search.able.index(effect) for effect in fit.effects)  # what is equal goes by the catalogue's order
+    return fit.misfit + count * float(np.log(max(search.fitter.effective, 2.0))) + surprise + _LATER * late
+
+
+def _window(search: _Search, more: Fit) -> float:
+    """By how much the misfit must fall for a further name."""
+    count = search.fitter._count / search.fitter.kappa
+    root = search.visited[((), INSIDE)]
+    left = more.run_deg2 + search.fitter._least
+    gap = float(count @ np.maximum(root.run_deg2 / left - 1.0, 0.0))
+    return _OCCAM + min(_OF_GAP * gap, 0.02 * float(count.sum()))
+
+
+def _chosen(search: _Search) -> Fit:
+    """The best structure of as many names as are needed."""
+    best = search.visited[((), INSIDE)]
+    for size in range(1, _MOST_ON_BENCH + 1):
+        longer = _best_of_size(search, size)
+        if longer and longer[0].misfit < best.misfit - _window(search, longer[0]) * (size - len(best.effects)):
+            best = longer[0]
     return best
 
 
-def _relieved(fitter: Fitter, fit: Fit) -> list[Fit]:
-    """The fit without an effect that its last one made needless, which had stood in for it."""
-    if len(fit.effects) < 3:
-        return []
-    fewer = [without(fitter, fit, k) for k in range(len(fit.effects) - 1)]
-    return [each for each in fewer if cost(fitter.record, each) <= cost(fitter.record, fit)]
+def _reweighed(search: _Search) -> None:
+    """Misfits of all that comes into question, counted by another memory."""
+    fitter = search.fitter
+    for key, fit in list(search.visited.items()):
+        numbers = fitter._numbers(fit.effects, fit.physics)
+        x = fitter._x(numbers, fit.physics)
+        prior = sum(float(v) ** 2 for n, v in zip(numbers, x, strict=True) if n.prior)
+        misfit = float((fitter._count / fitter.kappa) @ np.log(fit.run_deg2 + fitter._least)) + prior
+        search.visited[key] = replace(fit, misfit=misfit)
 
 
-def _swapped(fitter: Fitter, able: list[type[MissingEffect]], tried: Tried, best: Fit) -> Fit:
-    """With another effect in the place of one, if that is better: the first that was found is not always the right."""
-    for k in range(len(best.effects)):
-        others = _exchanged(fitter, able, tried, best, k)
-        # The same servo in other words is not better, be it by a hair.
-        best = _distinct(sorted((best, *others), key=lambda fit: cost(fitter.record, fit)), able)[0]
-    return best
+def _shares(search: _Search, best: Fit) -> tuple[list[Fit], float]:
+    """Fits of each set of names that belongs to those that share 99 % of the probability, likeliest first."""
+    size = len(best.effects)
+    weight: dict[tuple[str, ...], float] = {}
+    first: dict[tuple[str, ...], Fit] = {}
+    least = _cost(search, best)
+    for fit in search.visited.values():
+        if len(fit.effects) != size or not search.is_physical(fit) or _harms(search, fit):
+            continue
+        key = tuple(sorted(fit.names))
+        weight[key] = weight.get(key, 0.0) + float(np.exp(-0.5 * (_cost(search, fit) - least))) / _places(fit)
+        if key not in first or fit.misfit < first[key].misfit:
+            first[key] = fit
+    if not weight:
+        return [best], 1.0
+    total, reached, names = sum(weight.values()), 0.0, []
+    for key in sorted(weight, key=lambda key: -weight[key]):
+        if names and (reached >= _DECLARED * total or weight[key] < _NEGLIGIBLE * total):
+            break
+        names.append(first[key])
+        reached += weight[key]
+    return names, max(weight.values()) / total
 
 
-def _exchanged(fitter: Fitter, able: list[type[MissingEffect]], tried: Tried, best: Fit, k: int) -> list[Fit]:
-    """With each of the other effects in the place of one, as far as that is any better than without it."""
-    if len(best.effects) < 2:
-        return []
-    base = without(fitter, best, k)
-    fits = tried.get(keys_of(base)) or fitter.with_effects(base, able, _quietly)
-    tried[keys_of(base)] = fits
-    return [fit for fit in fits if accepted(fitter.record, base, fit, floor_of(fitter.record, fit))]
+def _places(fit: Fit) -> float:
+    """How many structures the names of a fit may have."""
+    return float(max((len(PLACES.get(effect, (INSIDE,))) for effect in fit.effects), default=1))
 
 
-def _on_all(fitter: Fitter, best: Fit) -> tuple[Fit, Fit, FloatArray]:
-    """Fitted to all samples as well, without effects of which that drives a parameter to its bound."""
-    while True:
-        final, covariance = fitter.on_all(best)
-        if not final.ran_away:
-            return best, final, covariance
-        best = without(fitter, best, final.ran_away[0])
+def _ties(best: Fit, others: list[Fit]) -> tuple[tuple[tuple[str, ...], ...], tuple[tuple[Fit, ...], ...]]:
+    """For each effect of the best what may stand in its place, and the servos that have it."""
+    rivals: dict[str, dict[str, Fit]] = {}
+    for other in others:
+        mine = [name for name in best.names if name not in other.names]
+        theirs = [effect for effect in other.effects if effect.name not in best.names]
+        families = {effect.name: effect.family for effect in best.effects}
+        for effect in theirs:
+            if not mine:
+                break
+            like = next((name for name in mine if effect.family and families[name] == effect.family), mine[0])
+            mine.remove(like)
+            rivals.setdefault(like, {}).setdefault(effect.name, other)
+    named = [name for name in best.names if name in rivals]
+    return (
+        tuple((name, *rivals[name]) for name in named),
+        tuple(tuple(rivals[name].values()) for name in named),
+    )
 
 
-def _quietly(_step: str) -> None:
-    """Tell nobody."""
+def _rungs(search: _Search, best: Fit) -> tuple[Rung, ...]:
+    """From the servo as it is known to the best, the effect that helps most first."""
+    fitter, rungs = search.fitter, []
+    left, known = list(best.effects), []
+    while left:
+        fits = [_prefix(search, best, (*known, effect)) for effect in left]
+        k = int(np.argmin([fit.misfit for fit in fits]))
+        known.append(left.pop(k))
+        fit = fitter.halved(_reordered(fits[k], tuple(known)))
+        before = tuple(sorted(effect.name for effect in known[:-1]))
+        rivals = {}
+        for other in sorted(search.visited.values(), key=lambda f: f.misfit):
+            rest = [name for name in other.names if name not in before]
+            if len(other.effects) == len(known) and len(rest) == 1 and rest[0] != known[-1].name:
+                last = next(e for e in other.effects if e.name == rest[0])
+                order = (*(e for e in other.effects if e is not last), last)
+                if search.is_physical(other):
+                    rivals.setdefault(rest[0], _reordered(other, order))
+        shown = [fitter.judged(each.effects, each.physics) for each in list(rivals.values())[:_NAMES]]
+        rungs.append(Rung(fit, tuple(shown)))
+    return tuple(rungs)
 
 
-def _distinct(fits: list[Fit], able: list[type[MissingEffect]]) -> list[Fit]:
-    """One fit for each set of names, and the simplest of those that move alike."""
-    kept: list[Fit] = []
-    for fit in fits:
-        alike = [k for k, other in enumerate(kept) if abs(fit.total - other.total) < _SAME_LOSS * other.total]
-        if not alike:
-            kept += [] if any(sorted(fit.names) == sorted(other.names) for other in kept) else [fit]
-        elif _words(fit, able) < _words(kept[alike[0]], able):
-            kept[alike[0]] = fit
-    return kept
+def _prefix(search: _Search, best: Fit, effects: tuple[type[MissingEffect], ...]) -> Fit:
+    """The servo with some of its effects."""
+    if len(effects) == len(best.effects):
+        return best
+    known = [
+        fit
+        for fit in search.visited.values()
+        if sorted(e.key() for e in fit.effects) == sorted(e.key() for e in effects)
+        and (fit.place == best.place or not is_placed(effects))
+    ]
+    if known:
+        return min(known, key=lambda fit: fit.misfit)
+    neutral = search.fitter.record.plant.neutral
+    gone = {
+        name: getattr(neutral, name)
+        for effect in best.effects
+        if effect not in effects
+        for p in effect.parameters
+        for name in p.fields
+    }
+    fit = search.fitter.descended(effects, best.physics._replace(**gone))
+    search.keep(fit)
+    return fit
 
 
-def _words(fit: Fit, able: list[type[MissingEffect]]) -> tuple[int, int]:
-    """How many effects, and how far down the catalogue, which begins with the simplest."""
-    return len(fit.effects), sum(able.index(effect) for effect in fit.effects)
-
-
-def _promising(record: Record, fits: list[Fit]) -> list[Fit]:
-    """The first two, and of the others those that leave not much more than the first."""
-    floor = float(record.counts.sum()) * floor_of(record, fits[0]) ** 2
-    most = floor + _NOT_MUCH_MORE * max(fits[0].total - floor, 0.0)
-    return fits[:_BEAM] + [fit for fit in fits[_BEAM:] if fit.total < most]
-
-
-def unexplained(selection: Selection, record: Record) -> bool:
-    """Whether more is left than noise, and more than a rounding of what was there; or noise that the motion makes."""
-    return selection.scatter_s > 0.0 or rest_matters(record, selection.nominal, selection.final, selection.sigma_deg)
+def _reordered(fit: Fit, effects: tuple[type[MissingEffect], ...]) -> Fit:
+    values = np.array([getattr(fit.physics, p.fields[0]) for effect in effects for p in effect.parameters])
+    return replace(fit, effects=effects, values=values)

@@ -137,7 +137,7 @@ def separations(selection: Selection) -> tuple[Separation, ...]:
 
 
 def _separation(fitter: Fitter, names: tuple[str, str], best: Fit, rival: Fit, sigma_deg: float) -> Separation:
-    one, two = (fitter.physics(fit.effects, fit.values) for fit in (best, rival))
+    one, two = best.physics, rival.physics
     rms, most = [], []
     for manoeuvre in MANOEUVRES:
         flown = _flown(fitter.record, manoeuvre)

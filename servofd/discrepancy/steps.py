@@ -9,7 +9,7 @@ import numpy as np
 if TYPE_CHECKING:
     from servofd.types import FloatArray
 
-__all__ = ["COARSE_STEP_DEG", "noise_below_deg", "stepped_noise_deg"]
+__all__ = ["COARSE_STEP_DEG", "comb_step_deg", "noise_below_deg", "stepped_noise_deg"]
 
 COARSE_STEP_DEG = 0.12
 """10 bits for 120 deg; what is finer is a usual potentiometer's or encoder's converter, and missing in no model."""
@@ -19,6 +19,8 @@ _EDGES = np.arange(-3.5, 4.0)
 _FINEST_SHARE = 0.02
 """Nothing finer is seen through steps: it is what a simulation may be wrong by, too."""
 _NODES = 24
+_OFF_COMB, _FEWEST_VALUES = 0.1, 3
+_NO_CHANCE = 20.0
 
 
 def noise_below_deg(measured_deg: FloatArray, simulated_deg: FloatArray, step_deg: float) -> float:
@@ -84,3 +86,30 @@ def stepped_noise_deg(sigma_deg: float, step_deg: float) -> float:
     whole, rest = np.divmod(np.abs(nodes) * sigma_deg / step_deg, 1.0)
     squares = whole**2 + (2.0 * whole + 1.0) * rest
     return step_deg * float(np.sqrt(weights @ squares / weights.sum()))
+
+
+def comb_step_deg(values_deg: FloatArray) -> float | None:
+    """Step of the converter that made some values [deg], wherever its zero is; None if they lie on no comb.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> comb_step_deg(0.9 * np.round(5.0 * rng.standard_normal(1000) / 0.9)), comb_step_deg(rng.standard_normal(1000))
+    (0.9, None)
+    """
+    known = values_deg[np.isfinite(values_deg)]
+    unique = np.unique(np.round(known, 6))
+    if not _FEWEST_VALUES <= unique.size <= known.size / 2:
+        return None
+    apart = np.diff(unique)
+    # Files round each value; most of the smallest differences are one step all the same.
+    step_deg = float(np.median(apart[apart < 1.5 * apart.min()]))
+    # Of n values without a converter the two closest are the n-th part of the mean distance apart.
+    if unique.size > known.size / 4 and step_deg < _NO_CHANCE * (unique[-1] - unique[0]) / unique.size**2:
+        return None
+    # Gaps are rounded by the file; numbered one after the other, all values together are not.
+    tooth = np.concatenate([[0.0], np.cumsum(np.round(apart / step_deg))])
+    tooth -= tooth.mean()
+    step_deg = float(unique @ tooth / (tooth @ tooth))
+    off = np.abs(unique - unique.mean() - tooth * step_deg).max()
+    return round(step_deg, 6) if off < _OFF_COMB * step_deg else None

@@ -145,9 +145,8 @@ def _held_out(record: Record) -> BoolArray:
 
 def _error_deg(selection: Selection, run: Record, index: int, value: float) -> FloatArray:
     """Of one run, with one of the final values in another's place, where it counts."""
-    values = selection.final.values.copy()
-    values[index] = value
-    simulated_deg = simulate(run, selection.fitter.physics(selection.final.effects, values))
+    fields = selection.final.parameters[index].fields
+    simulated_deg = simulate(run, selection.final.physics._replace(**dict.fromkeys(fields, value)))
     error_deg: FloatArray = (run.measured_deg - simulated_deg)[run.counts]
     return error_deg
 

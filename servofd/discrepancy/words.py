@@ -7,12 +7,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.discrepancy.at_rest import rest_sentence
+from servofd.discrepancy.candidates import PLACES
+from servofd.models.physics import AFTER, BEFORE, scaled_transfer
 
 if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
     from servofd.discrepancy.select import Selection
+    from servofd.models.catalogue import MissingEffect
 
-__all__ = ["effect_values", "linear_sentence", "only_rests_sentence", "scatter_sentence", "unjudged_sentence"]
+__all__ = ["effect_values", "form_of", "linear_sentence", "only_rests_sentence", "unjudged_sentence"]
 
 _SURE = 1.959963984540054
 """Standard deviations of a 95 % interval."""
@@ -62,20 +65,16 @@ def only_rests_sentence(record: Record) -> str:
 
 def linear_sentence(record: Record, selection: Selection) -> str:
     """Which linear servo was fitted, as nobody knew one."""
-    from servofd.models.physics import scaled_transfer
-
     said = []
     for fit in (selection.nominal, selection.final):
-        transfer = scaled_transfer(record.plant.transfer, selection.fitter.physics(fit.effects, fit.values))
+        transfer = scaled_transfer(record.plant.transfer, fit.physics)
         _, twice_damping, stiffness = np.array(transfer.denominator) / transfer.denominator[0]
         natural = float(np.sqrt(stiffness))
         said.append(f"{natural / (2.0 * np.pi):.3g} Hz, damping ratio {twice_damping / (2.0 * natural):.2g}")
     return f"no servo was known: a second order was fitted, by itself {said[0]}; beside the effects {said[1]}"
 
 
-def scatter_sentence(selection: Selection) -> str:
-    """What the clock of a log makes of a servo that is well."""
-    return (
-        "what stays grows with the speed of the motion, and command and motion tell its sign at best in part: as if "
-        f"time stamps scattered by {1e3 * selection.scatter_s:.2g} ms (polling at 50 Hz: 5.8 ms)"
-    )
+def form_of(effect: type[MissingEffect], place: float) -> str | None:
+    """Which machine an effect is, and on which side of the servo's slow pole it acts, where that matters."""
+    where = {BEFORE: "behind the slow pole", AFTER: "ahead of the slow pole"}.get(place) if effect in PLACES else None
+    return "; ".join(filter(None, (effect.form, where))) or None

@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING
 
 from servofd.models.effects import Place
 from servofd.models.missing_effect import Context, MissingEffect, Parameter
+from servofd.models.physics import AFTER, BEFORE, INSIDE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from servofd.models.physics import Physics
 
-__all__ = ["CATALOGUE", "Context", "MissingEffect", "Parameter", "effects_named", "installed"]
+__all__ = ["CATALOGUE", "OWN", "Context", "MissingEffect", "Parameter", "effects_named", "installed"]
 
 
 def installed(physics: Physics, effects: Sequence[type[MissingEffect]], values: Sequence[float]) -> Physics:
@@ -119,6 +120,15 @@ class FollowedRate(MissingEffect):
     )
 
 
+class ShaftSpeed(MissingEffect):
+    """Largest speed of the shaft, whatever drives it: gear and bearings at their end, while the loop does not wait."""
+
+    name, place, form, fixed = "rate_limit", Place.SERVO, "shaft", _UNFOLLOWED
+    parameters = (
+        Parameter("rate_limit_deg_s", ("speed_up_deg_s", "speed_down_deg_s"), 2.0, 3e3, 3e3, 60.0, _RATES_DEG_S),
+    )
+
+
 class AsymmetricRate(MissingEffect):
     """Largest speed of the motor, different in the two directions: a load that pulls one way."""
 
@@ -143,6 +153,24 @@ class VoltageRate(MissingEffect):
     parameters = (
         Parameter(
             "deg_s_per_v", ("deg_s_per_v",), 0.5, 600.0, 600.0, 12.0, (4.0, 7.0, 11.0, 16.0, 22.0, 30.0, 45.0, 70.0)
+        ),
+    )
+
+
+class ShaftSpeedBySupply(MissingEffect):
+    """Largest speed of the shaft in proportion to the supply."""
+
+    name, place, form, fixed = "voltage_rate", Place.SERVO, "shaft", _UNFOLLOWED
+    needs = ("servo_voltage_v",)
+    parameters = (
+        Parameter(
+            "deg_s_per_v",
+            ("speed_deg_s_per_v",),
+            0.5,
+            600.0,
+            600.0,
+            12.0,
+            (4.0, 7.0, 11.0, 16.0, 22.0, 30.0, 45.0, 70.0),
         ),
     )
 
@@ -190,6 +218,16 @@ class Friction(MissingEffect):
     parameters = (
         Parameter("friction_deg", ("friction_deg",), 0.0, 10.0, 0.0, 0.15, (0.05, 0.1, 0.2, 0.4, 0.7, 1.2, 2.0)),
         _SPLIT,
+    )
+
+
+class StribeckFriction(MissingEffect):
+    """Friction that is larger at rest than at speed (Stribeck): usual of grease and bushings."""
+
+    name, place, form, family = "friction", Place.SERVO, "Stribeck", "hysteresis"
+    parameters = (
+        Parameter("friction_deg", ("friction_deg",), 0.0, 10.0, 0.0, 0.15, (0.05, 0.1, 0.2, 0.4, 0.7, 1.2, 2.0)),
+        Parameter("stribeck", ("stribeck",), 0.0, 1.0, 0.0, 0.3, (0.3,), aside=True),
     )
 
 
@@ -319,15 +357,18 @@ CATALOGUE: tuple[type[MissingEffect], ...] = (
     RateLimit,
     FollowedRate,
     SetPointRate,
+    ShaftSpeed,
     PositionLimit,
     ServoStop,
     DeadBand,
     InsensitiveBand,
     Backlash,
     Friction,
+    StribeckFriction,
     SensorLag,
     AirLoad,
     VoltageRate,
+    ShaftSpeedBySupply,
     PwmFrame,
     Quantization,
     CommandSteps,
@@ -343,12 +384,38 @@ CATALOGUE: tuple[type[MissingEffect], ...] = (
 """Simple before flexible: where data cannot tell two effects apart, the earlier one is named."""
 
 
+class Poles(MissingEffect):
+    """How a servo's poles differ from those of its type, and where the slow one acts: part of a model, no effect."""
+
+    name, place, form, fixed = "poles", Place.SERVO, "inside", {"slow_place": INSIDE}
+    parameters = (
+        Parameter("slow_scale", ("slow_scale",), 0.02, 50.0, 1.0, 0.03, ()),
+        Parameter("pair_scale", ("pair_scale",), 0.02, 50.0, 1.0, 0.03, ()),
+        Parameter("damping_scale", ("damping_scale",), 0.02, 50.0, 1.0, 0.06, ()),
+    )
+
+
+class PolesBefore(Poles):
+    """The same of a servo whose slow pole filters the command."""
+
+    form, fixed = "before", {"slow_place": BEFORE}
+
+
+class PolesAfter(Poles):
+    """The same of a servo whose slow pole filters what the loop moves."""
+
+    form, fixed = "after", {"slow_place": AFTER}
+
+
+OWN: tuple[type[MissingEffect], ...] = (Poles, PolesBefore, PolesAfter)
+
+
 def effects_named(name: str) -> tuple[type[MissingEffect], ...]:
     """All forms of an effect.
 
     Examples
     --------
     >>> [effect.form for effect in effects_named("rate_limit")]
-    ['motor', 'output', 'set point', 'motor, asymmetric']
+    ['motor', 'output', 'set point', 'shaft', 'motor, asymmetric']
     """
-    return tuple(effect for effect in CATALOGUE if effect.name == name)
+    return tuple(effect for effect in (*CATALOGUE, *OWN) if effect.name == name)

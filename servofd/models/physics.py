@@ -51,6 +51,7 @@ RATE_FIELDS = (
     "rate_down_deg_s",
     "speed_up_deg_s",
     "speed_down_deg_s",
+    "speed_deg_s_per_v",
     "follow_up_deg_s",
     "follow_down_deg_s",
     "set_point_deg_s",
@@ -126,6 +127,12 @@ class Physics(NamedTuple):
     speed_up_deg_s: float = math.inf
     """Speed at which the shaft is held back, whatever drives it: the loop does not wait."""
     speed_down_deg_s: float = math.inf
+    speed_deg_s_per_v: float = math.inf
+    """The same speed per volt of supply."""
+    stribeck: float = 0.0
+    """By which share friction is larger at rest than at speed."""
+    stribeck_deg_s: float = 10.0
+    """Speed at which most of that is gone."""
     own_1: float = math.nan
     """Parameters of an effect of the user's own; the kernel knows nothing of them."""
     own_2: float = math.nan
@@ -135,8 +142,12 @@ class Physics(NamedTuple):
     @property
     def is_linear_loop(self) -> bool:
         """Whether nothing needs shorter steps than the events themselves."""
-        held_back = min(self.speed_up_deg_s, self.speed_down_deg_s) < math.inf
-        return self[8:28] == _PLAIN and self.lag_s == 0.0 and math.isinf(self.set_point_deg_s) and not held_back
+        return self[8:28] == _PLAIN and self.lag_s == 0.0 and math.isinf(self.set_point_deg_s) and not self.is_held_back
+
+    @property
+    def is_held_back(self) -> bool:
+        """Whether its shaft has a largest speed."""
+        return min(self.speed_up_deg_s, self.speed_down_deg_s, self.speed_deg_s_per_v) < math.inf
 
 
 _PLAIN = Physics()[8:28]
@@ -147,8 +158,7 @@ def longest_step_s(physics: Physics) -> float:
     """Longest substep of the kernel [s]: none if the loop is linear, and the events themselves are steps enough."""
     if physics.is_linear_loop:
         return math.inf
-    edged = physics.insensitive_deg > 0.0 or min(physics.speed_up_deg_s, physics.speed_down_deg_s) < math.inf
-    return _SHORT_SUBSTEP_S if edged else _SUBSTEP_S
+    return _SHORT_SUBSTEP_S if physics.insensitive_deg > 0.0 or physics.is_held_back else _SUBSTEP_S
 
 
 class Loop(NamedTuple):

@@ -184,7 +184,9 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
     grid_s, order, stiffness = loop.grid_s, loop.order, loop.closed_rate[loop.order - 1, 5]
     filters = loop.filters
     fast_up, fast_down = physics.speed_up_deg_s / dc_gain, -physics.speed_down_deg_s / dc_gain
-    races = fast_up < math.inf or fast_down > -math.inf
+    tires = physics.speed_deg_s_per_v < math.inf
+    races = tires or fast_up < math.inf or fast_down > -math.inf
+    grips, per_speed = physics.stribeck > 0.0, dc_gain / physics.stribeck_deg_s
     closed, opened = loop.closed, loop.opened
     by_speed, loss = -loop.closed_rate[2, 1], -loop.closed_rate[2, 2]
     whole_s = grid_s * (closed.shape[0] - 1)
@@ -231,6 +233,10 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
         if sags:
             volt_limit = physics.deg_s_per_v * voltage_v[n] * per_rate
             most, least = min(up, volt_limit), -min(down, volt_limit)
+        if tires:
+            volt_limit = physics.speed_deg_s_per_v * voltage_v[n]
+            fast_up = min(physics.speed_up_deg_s, volt_limit) / dc_gain
+            fast_down = -min(physics.speed_down_deg_s, volt_limit) / dc_gain
         top, bottom = most + dead, least - dead
         while noted <= _NOTES - _MOST_STEPS:
             commanded = c < effective_s.size and effective_s[c] <= now
@@ -289,6 +295,10 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
                 x = (y, v, torque, u, s, pushed, load)
                 limit, sticks, wound = friction, False, 0.0
                 if rubs:
+                    if grips:
+                        slip = v * per_speed
+                        limit *= 1.0 + physics.stribeck * math.exp(-slip * slip)
+                    rest_limit = limit
                     if order == 3 and physics.load_friction > 0.0:  # by the torque in mid-step
                         grows = stiffness * max(min(bent, most), least) - by_speed * v - loss * torque
                         limit += physics.load_friction * abs(torque + 0.5 * h * grows)
@@ -304,8 +314,8 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
                             before, wound = torque, left * torque + filled * acts + ramped * grows
                         least_limit, most_limit = limit, limit
                         if order == 3:
-                            least_limit = friction + physics.load_friction * abs(before)
-                            most_limit = friction + physics.load_friction * abs(wound)
+                            least_limit = rest_limit + physics.load_friction * abs(before)
+                            most_limit = rest_limit + physics.load_friction * abs(wound)
                         sticks = abs(before + load) <= least_limit and abs(wound + load) <= most_limit
                 # Branches, because the processor foresees which it is; it would have to wait for an index.
                 if sticks:

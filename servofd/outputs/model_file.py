@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from servofd.models.catalogue import CATALOGUE
+import numpy as np
+
+from servofd.models.catalogue import CATALOGUE, OWN, Bias, Delay, Gain
 from servofd.models.effect_table import table_of
+from servofd.models.physics import INSIDE
 from servofd.toml_text import toml_inline, toml_key, toml_value
 
 if TYPE_CHECKING:
@@ -14,6 +17,8 @@ if TYPE_CHECKING:
     from servofd.aircraft import Aircraft
     from servofd.discrepancy.explanation import Explanation
     from servofd.models.effect_table import EffectTable
+    from servofd.models.missing_effect import MissingEffect
+    from servofd.models.physics import Physics
 
 __all__ = ["model_file", "not_better"]
 
@@ -41,13 +46,34 @@ def model_file(found: Sequence[Explanation], aircraft: Aircraft, source: str) ->
     for one in (each for each in found if each.surface not in kept):
         final = one.selection.final
         entry = document["surfaces"][one.surface]
-        entry["effects"] = _merged(entry.get("effects", {}), table_of(final.effects, final.values))
+        entry["effects"] = _merged(entry.get("effects", {}), _table(one))
         before, after = (one.rms_deg(fit)["held_out_rms_deg"] for fit in (one.selection.nominal, final))
         lines += [
             f"# Found by servofd explain in {' '.join(source.split())}: {one.surface}: {', '.join(final.names)}.",
             f"# Held-out error of {one.surface}: {before:.4g} deg rms before, {after:.4g} with this model.",
         ]
     return "\n".join(lines) + "\n\n" + "\n".join(_toml(document)).lstrip("\n") + "\n"
+
+
+def _table(found: Explanation) -> EffectTable:
+    """The effects, and what the servo's own numbers came to beside them."""
+    final, known = found.selection.final, found.record.plant.neutral
+    poles = next(each for each in OWN if each.fixed["slow_place"] == final.place)
+    # Of a servo that nobody knew the poles are written as its own.
+    own = [*([] if found.record.free_poles else [poles]), Gain, Delay, Bias]
+    fields = {name for effect in final.effects for p in effect.parameters for name in p.fields}
+    beside = [
+        effect
+        for effect in own
+        if not fields.issuperset(p.fields[0] for p in effect.parameters)
+        and ((effect is poles and final.place != INSIDE) or _moved(effect, final.physics, known))
+    ]
+    values = [getattr(final.physics, p.fields[0]) for effect in beside for p in effect.parameters]
+    return table_of([*beside, *final.effects], np.array([*values, *final.values]))
+
+
+def _moved(effect: type[MissingEffect], physics: Physics, known: Physics) -> bool:
+    return any(getattr(physics, p.fields[0]) != getattr(known, p.fields[0]) for p in effect.parameters)
 
 
 def not_better(found: Sequence[Explanation]) -> dict[str, str]:

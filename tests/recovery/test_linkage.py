@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from servofd.discrepancy.fit import Fit, Fitter
 from servofd.discrepancy.record import record_of, simulate
 from servofd.models.physics import Physics
 from servofd.models.play import play
@@ -55,13 +54,3 @@ def test_a_servo_within_its_friction_stays_where_it_is() -> None:
     heavy_deg = simulate(record, FREE._replace(friction_deg=0.3, load_friction=0.5))
     assert np.ptp(heavy_deg[time_s < 1.2]) == 0.0
     assert heavy_deg[time_s < 1.25][-1] > 0.0
-
-
-def test_frames_are_sought_again_only_where_much_less_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    record = record_of(Segment("x", COMMAND_S, COMMAND_DEG, COMMAND_S, np.zeros(COMMAND_S.size)), KNOWN)
-    fitter, found = Fitter(record), iter([[], [(0.02, 0.5)]])
-    monkeypatch.setattr("servofd.discrepancy.fit.frames_like", lambda *_: next(found))
-    monkeypatch.setattr("servofd.discrepancy.fit.best_frame", lambda *_: (0.02, 0.25))
-    rival: Fit = fitter.nominal()
-    sought = [fitter._sought(FREE, left, rival, 1.0) for left in (40.0, 60.0, 21.0, 19.0, 11.0, 50.0)]
-    assert sought == [None, None, None, (0.02, 0.25), (0.02, 0.25), (0.02, 0.25)]

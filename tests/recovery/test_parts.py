@@ -16,17 +16,12 @@ from servofd.discrepancy.explanation import explain_gap
 from servofd.discrepancy.fit import Fitter
 from servofd.discrepancy.frames import best_frame, frames_like
 from servofd.discrepancy.own import OwnEffect, OwnParameter, load_own_effect
-from servofd.discrepancy.poles import PoleFitter
-from servofd.discrepancy.record import record_of, simulate
+from servofd.discrepancy.record import simulate
 from servofd.discrepancy.regimes import errors_by_regime
 from servofd.errors import ConfigError
-from servofd.models.catalogue import Bias, Delay, Gain
-from servofd.models.effects import LinearDynamics
-from servofd.models.physics import Physics, scaled_transfer
-from servofd.models.servo_model import ServoModel
-from servofd.models.transfer import TransferFunction
+from servofd.models.catalogue import Delay
+from servofd.models.physics import Physics
 from servofd.segment import Segment
-from servofd.simulation.commands import COMMANDS
 from tests.recovery.test_honesty import KNOWN, flown
 
 
@@ -111,32 +106,8 @@ def test_a_frame_is_found_in_a_log_longer_than_the_window_it_was_seen_in() -> No
 
 def test_no_frame_is_proposed_where_something_else_explains_the_error() -> None:
     record = flown((Delay,), [0.04], 2, duration_s=12.0)
-    noise_deg = Fitter(record).judged((Delay,), [0.04]).error_deg
+    noise_deg = Fitter(record).judged((Delay,), record.plant.neutral._replace(delay_s=0.04)).error_deg
     assert frames_like(record, record.plant.neutral, noise_deg, 0.1) == []
-
-
-def test_poles_and_a_bias_are_found_together() -> None:
-    """The servo that is known has other poles: they are the first guess, and no more."""
-    hidden = ServoModel((LinearDynamics(TransferFunction((900.0,), (1.0, 42.0, 900.0))),))
-    rng = np.random.default_rng(4)
-    time_s = np.arange(0.0, 10.0, 0.01)
-    command_deg = COMMANDS["lively"](time_s, rng)
-    measured_deg = hidden.simulate(time_s, command_deg, time_s) + 0.4 + 0.02 * rng.standard_normal(time_s.size)
-    guess = ServoModel((LinearDynamics(TransferFunction((600.0,), (1.0, 30.0, 600.0))),))
-    record = record_of(Segment("x", time_s, command_deg, time_s, measured_deg), guess, free_poles=True)
-    fitter = PoleFitter(record)
-    tried: list[str] = []
-    found = fitter.with_effects(fitter.nominal(), [Bias, Gain], tried.append)
-    assert tried == ["bias", "gain"]
-    assert found[0].names == ("bias",)
-    assert found[0].values[0] == pytest.approx(0.4, abs=0.01)
-    physics = fitter.physics(found[0].effects, found[0].values)
-    denominator = scaled_transfer(record.plant.transfer, physics).denominator
-    assert np.sqrt(denominator[-1] / denominator[0]) == pytest.approx(30.0, rel=0.01)
-    assert [fit.names for fit in fitter.with_effects(found[0], [Bias], tried.append)] == []
-    other = PoleFitter(record)
-    other.adopt(fitter)
-    assert other.poles((Bias,)) == fitter.poles((Bias,)) == fitter.on(record).poles((Bias, Gain))
 
 
 SIZE = OwnParameter("size_deg", -5.0, 5.0, 0.0, 0.1)

@@ -12,20 +12,11 @@ from hidden_effects import Case, judge
 from hidden_logs import SURFACE, write
 from hidden_physics import Effects, draw, hidden
 from hidden_score import ask, score
-from servofd.discrepancy.fit import Fitter
-from servofd.discrepancy.prune import ordered
 from servofd.discrepancy.record import Record, record_of, simulate
 from servofd.models.catalogue import (
-    CATALOGUE,
-    AirLoad,
-    Backlash,
     CurrentLimit,
-    Delay,
-    Friction,
     MissingEffect,
-    PwmFrame,
     RateLimit,
-    Resonance,
     installed,
 )
 from servofd.models.servo_model import ServoModel
@@ -45,46 +36,6 @@ def swept(effects: tuple[type[MissingEffect], ...], values: list[float], seed: i
     empty = record_of(Segment("x", time_s, command_deg, time_s, 0.0 * time_s), KNOWN)
     moved_deg = simulate(empty, installed(empty.plant.neutral, effects, values))
     return replace(empty, measured_deg=moved_deg + NOISE_DEG * rng.standard_normal(time_s.size))
-
-
-def test_small_minima_of_play_seldom_end_the_descent() -> None:
-    """Steps of a hundredth of a degree ended 7 of 18 up to 66 squared noises above the truth."""
-    effects, truth = (Delay, Backlash, RateLimit), [0.0162, 0.96, 50.6]
-    stuck = 0
-    for seed in range(1, 7):
-        fitter = Fitter(swept(effects, truth, seed))
-        best = fitter.judged(effects, truth).train
-        lot = np.random.default_rng(seed)
-        for _ in range(3):
-            begin = np.array(truth) + lot.normal(0.0, 0.35, 3) * [0.003, 0.3, 60.0]
-            stuck += fitter.refitted(effects, begin.tolist()).train > best + 5.0 * NOISE_DEG**2
-    assert stuck <= 2
-
-
-def test_what_was_found_first_gives_way_to_what_comes_next() -> None:
-    """A resonance without its rate limit is far too well damped: beside it, no rate seemed worth a fit."""
-    fitter = Fitter(swept((Resonance, RateLimit), [8.06, 0.1, 45.5], 1))
-    alone = fitter.refitted((Resonance,), [8.0, 0.15])
-    assert alone.values[1] > 0.15
-    count = float(fitter.record.trained.sum())
-    able = [effect for effect in CATALOGUE if not effect.needs and effect is not PwmFrame]
-    beside = fitter.with_effects(alone, able, lambda _step: None)
-    best = min(beside, key=lambda fit: fit.train)
-    assert best.names == ("resonance", "rate_limit")
-    assert best.train < 1.05 * count * NOISE_DEG**2
-    assert best.values[2] == pytest.approx(45.5, rel=0.01)
-
-
-def test_effects_that_share_a_parameter_are_one_servo_in_any_order() -> None:
-    """Where in the motor a load acts is a number of both; the last one's counts, whichever came first."""
-    record = swept((AirLoad, Friction), [5e-4, 0.65, 0.9, 0.65], 1)
-    whole = replace(record, pressure_pa=np.full(record.time_s.size, 400.0))
-    fitter = Fitter(whole)
-    fit = fitter.judged((AirLoad, Friction), [5e-4, 0.35, 0.9, 0.65])
-    assert fit.values.tolist() == [5e-4, 0.65, 0.9, 0.65]
-    turned = fitter.judged((Friction, AirLoad), [*fit.values[2:], *fit.values[:2]])
-    assert turned.total == pytest.approx(fit.total, rel=1e-9)
-    assert ordered(fitter, fit).total == pytest.approx(fit.total, rel=1e-9)
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from servofd.discrepancy.adequacy import adequacy
 from servofd.discrepancy.fit import Fit, Fitter
 from servofd.discrepancy.record import Record, record_of
 from servofd.discrepancy.select import Rung, Selection
@@ -25,15 +26,17 @@ def record() -> Record:
 
 
 def tied(record: Record, *fits: Fit) -> Selection:
-    nominal = Fitter(record).nominal()
+    fitter = Fitter(record)
     names = tuple(fit.names[0] for fit in fits)
+    rungs, found = (Rung(fits[0], ()),), adequacy(record, fits[0])
     return Selection(
-        nominal, (Rung(fits[0], ()),), (names,), (fits[1:],), NOISE_DEG, (), np.zeros((1, 1)), Fitter(record)
+        fitter.nominal(), rungs, (names,), (fits[1:],), NOISE_DEG, (), np.zeros((1, 1)), fitter, fits[0], found
     )
 
 
 def fit(record: Record, effect: type[MissingEffect], *values: float) -> Fit:
-    return Fitter(record).judged((effect,), values)
+    fitter = Fitter(record)
+    return fitter.judged((effect,), fitter.physics((effect,), values))
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,218 @@
+"""Whether what a servo leaves is noise: judged on held-out samples, against the noise's own colour at rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servofd.discrepancy.noise import floor_uncertainty, long_run_factor, noise_floor_deg
+from servofd.discrepancy.steps import COARSE_STEP_DEG, noise_below_deg, stepped_noise_deg
+from servofd.models.catalogue import Quantization
+
+if TYPE_CHECKING:
+    from servofd.discrepancy.fit import Fit
+    from servofd.discrepancy.record import Record
+    from servofd.types import BoolArray, FloatArray
+
+__all__ = ["Adequacy", "adequacy", "floor_of", "foretold_share"]
+
+_RATIO = 1.1
+"""Held-out error over the noise floor, beyond which something is left."""
+_SIGMAS = 3.0
+_FORETOLD = 0.02
+_BLOCK_S, _BLOCK_SIGMAS = 2.0, 6.0
+_QUIET, _QUIET_S, _ACTIVITY_S = 0.15, 3.0, 0.5
+"""Share of the usual swing of the command below which a servo rests, and how much of that tells the noise's colour."""
+_LAGS_S = tuple(0.03 * k for k in range(13))
+_RIDGE = 1e-3
+_BINS = 48
+"""Of the deflection, for what goes with it in no simple way: a worn gear."""
+_MEMORY = 1.6
+_NOTHING_DEG = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Adequacy:
+    """What of the errors of a servo is not noise."""
+
+    floor_deg: float
+    """Noise floor."""
+    ratio: float
+    """Held-out error over it, of the worst run."""
+    foretold: float
+    """Share of what is left that command and motion foretell."""
+    worst: tuple[float, float]
+    """The two seconds with the largest error: when they begin [s], and their rms [deg]."""
+    reasons: tuple[str, ...]
+    """Why it is more than noise; empty if it is not."""
+
+
+def floor_of(record: Record, fit: Fit) -> float:
+    """Noise floor as this fit shows it [deg]: a converter's steps at least, no more than its error, but not nothing."""
+    noise_deg = max(noise_floor_deg(record, fit.error_deg), _floor_of_steps(record, fit))
+    return max(min(noise_deg, float(np.sqrt(fit.total / max(record.counts.sum(), 1)))), _NOTHING_DEG)
+
+
+def _floor_of_steps(record: Record, fit: Fit) -> float:
+    """What a converter's steps, and the noise before it, leave of a true model [deg], even where readings stand."""
+    step_deg = record.step_deg or 0.0
+    if step_deg < COARSE_STEP_DEG:
+        return step_deg / float(np.sqrt(12.0))
+    read_deg = np.where(record.counts, record.measured_deg, np.nan)
+    below_deg = noise_below_deg(read_deg, record.measured_deg - fit.unstepped_deg, step_deg)
+    if Quantization in fit.effects:
+        return stepped_noise_deg(below_deg, step_deg)
+    return float(np.hypot(below_deg, step_deg / np.sqrt(12.0)))
+
+
+def adequacy(record: Record, fit: Fit) -> Adequacy:
+    """Judge what a servo leaves.
+
+    Parameters
+    ----------
+    record : Record
+        What was asked and what happened.
+    fit : Fit
+        The servo, with its held-out errors.
+    """
+    counts = record.counts
+    error = fit.error_deg[counts]
+    quiet = _quiet(record)[counts]
+    white_deg = floor_of(record, fit)
+    rest_deg, rest_memory = _at_rest(record, fit.error_deg, quiet)
+    floor_deg = max(white_deg, min(rest_deg, float(np.sqrt(np.mean(error**2)))))
+    memory = long_run_factor(error - error.mean())
+    chance = _SIGMAS * float(
+        np.hypot(floor_uncertainty(record), np.sqrt(2.0 * memory / max(int(record.held_out.sum()), 1)))
+    )
+    ratios = _ratios(record, fit, floor_deg)
+    reasons = []
+    ratio = max(ratios, default=1.0)
+    foretold = foretold_share(record, fit.error_deg)
+    told = foretold > _FORETOLD
+    # Noise with a colour of its own, which no rest shows: nothing foretells it, and it is everywhere the same.
+    coloured = not told and rest_deg == 0.0 and memory > _MEMORY
+    if ratio**2 > _RATIO**2 + chance and not coloured:
+        reasons.append(f"{ratio * floor_deg:.3g} deg rms are left on data not fitted, the noise is {floor_deg:.3g} deg")
+    if told:
+        reasons.append(f"command and motion still foretell {foretold:.0%} of what is left")
+    if rest_memory > 0.0 and memory > _MEMORY * rest_memory + 1.0:
+        reasons.append("what is left has a longer memory than the noise at rest")
+    start_s, worst_deg, sigmas = _worst_block(record, fit.error_deg, floor_deg if not coloured else 0.0, memory)
+    if sigmas > _BLOCK_SIGMAS:
+        reasons.append(f"from {start_s:.1f} to {start_s + _BLOCK_S:.1f} s {worst_deg:.3g} deg rms are left")
+    return Adequacy(floor_deg, ratio, foretold, (start_s, worst_deg), tuple(reasons))
+
+
+def _ratios(record: Record, fit: Fit, floor_deg: float) -> list[float]:
+    """Held-out error over the floor, of the whole and of each run."""
+    held = float(np.sqrt(fit.held_out / max(int(record.held_out.sum()), 1)))
+    runs = np.sqrt(fit.run_deg2[fit.run_deg2 > 0.0]).tolist() if len(record.runs) > 1 else []
+    return [each / floor_deg for each in (held, *runs)]
+
+
+def _quiet(record: Record) -> BoolArray:
+    """Samples at which little was asked for a while."""
+    quiet = []
+    for run in record.runs or (record,):
+        sent_s, deg = run.commands.effective_s, run.commands.command_deg
+        command = deg[np.maximum(np.searchsorted(sent_s, run.time_s, side="right") - 1, 0)]
+        width = max(1, round(_ACTIVITY_S / run.period_s))
+        windows = np.lib.stride_tricks.sliding_window_view(np.pad(command, (width, 0), mode="edge"), width + 1)
+        quiet.append(np.ptp(windows, axis=1))
+    swing = np.concatenate(quiet)
+    quieter: BoolArray = swing <= _QUIET * np.quantile(swing, 0.9)
+    return quieter
+
+
+def _at_rest(record: Record, error_deg: FloatArray, quiet: BoolArray) -> tuple[float, float]:
+    """Standard deviation of the noise where the servo rests [deg], and its memory; zeros if it hardly does."""
+    errors, second = error_deg[record.counts], (record.time_s[record.counts] // _BLOCK_S).astype(np.int64)
+    number = second[quiet] - second.min(initial=0)
+    if number.size * record.period_s < _QUIET_S:
+        return 0.0, 0.0
+    count = np.bincount(number)
+    mean = np.bincount(number, weights=errors[quiet]) / np.maximum(count, 1)
+    enough = count[number] * record.period_s > 0.5 * _BLOCK_S
+    centred = (errors[quiet] - mean[number])[enough]
+    if centred.size * record.period_s < _QUIET_S:
+        return 0.0, 0.0
+    return float(np.sqrt(np.mean(centred**2))), long_run_factor(centred)
+
+
+def foretold_share(record: Record, error_deg: FloatArray) -> float:
+    """Share of an error that a regression on command and motion foretells in blocks that it was not made on."""
+    counts = record.counts
+    error = error_deg[counts]
+    if error.size < 10 * (len(_LAGS_S) + 12 + _BINS):
+        return 0.0
+    features = _features(record, error_deg)[counts]
+    spread = features.std(axis=0)
+    features = (features[:, spread > 0.0] - features[:, spread > 0.0].mean(axis=0)) / spread[spread > 0.0]
+    block = (record.time_s[counts] / _BLOCK_S).astype(np.int64) % 2 == 0
+    left, there = 0.0, 0.0
+    for fold in (block, ~block):
+        if fold.sum() < features.shape[1] or (~fold).sum() < features.shape[1]:
+            return 0.0
+        mean = error[fold].mean()
+        inside = features[fold]
+        curvature = inside.T @ inside + _RIDGE * fold.sum() * np.eye(features.shape[1])
+        found = np.linalg.solve(curvature, inside.T @ (error[fold] - mean))
+        after = error[~fold] - mean - features[~fold] @ found
+        left += float(after @ after)
+        there += float(np.sum((error[~fold] - mean) ** 2))
+    return max(1.0 - left / there, 0.0) if there > 0.0 else 0.0
+
+
+def _features(record: Record, error_deg: FloatArray) -> FloatArray:
+    rows = []
+    known = np.nan_to_num(error_deg)
+    first = 0
+    for run in record.runs or (record,):
+        last = first + run.time_s.size
+        moved = np.nan_to_num(run.measured_deg - known[first:last])
+        first = last
+        sent_s, deg = run.commands.effective_s, run.commands.command_deg
+        lagged = [deg[np.maximum(np.searchsorted(sent_s, run.time_s - lag, side="right") - 1, 0)] for lag in _LAGS_S]
+        speed = np.gradient(moved, run.time_s)
+        bend = np.gradient(speed, run.time_s)
+        usual = max(float(np.quantile(np.abs(speed), 0.9)), 1e-9)
+        error = lagged[0] - moved
+        rows.append(
+            np.column_stack(
+                [
+                    *[each - moved for each in lagged],
+                    moved,
+                    moved * np.abs(moved),
+                    np.abs(moved),
+                    speed,
+                    np.tanh(10.0 * speed / usual),
+                    np.tanh(3.0 * speed / usual),
+                    np.abs(speed),
+                    speed * np.abs(speed),
+                    bend,
+                    np.tanh(5.0 * error / max(float(np.std(error)), 1e-9)),
+                ]
+            )
+        )
+    features = np.vstack(rows)
+    moved = features[:, len(_LAGS_S)]
+    edges = np.unique(np.quantile(moved[record.counts], np.linspace(0.0, 1.0, _BINS + 1)[1:-1]))
+    return np.hstack([features, np.searchsorted(edges, moved)[:, None] == np.arange(edges.size)])
+
+
+def _worst_block(record: Record, error_deg: FloatArray, floor_deg: float, memory: float) -> tuple[float, float, float]:
+    """The two seconds with the largest error: when they begin [s], rms [deg], and standard deviations from noise."""
+    counts = record.counts
+    time_s = record.time_s[counts]
+    number = ((time_s - time_s[0]) / _BLOCK_S).astype(np.int64)
+    count = np.bincount(number).astype(float)
+    energy = np.bincount(number, weights=error_deg[counts] ** 2)
+    used = count > 0.5 * count.max()
+    mean = np.where(used, energy / np.maximum(count, 1.0), 0.0)
+    k = int(np.argmax(mean))
+    floor = max(floor_deg**2, float(np.median(mean[used])) if floor_deg == 0.0 else 0.0)
+    sigmas = (mean[k] / floor - 1.0) / np.sqrt(2.0 * memory / count[k]) if floor > 0.0 else 0.0
+    return float(time_s[0] + k * _BLOCK_S), float(np.sqrt(mean[k])), float(sigmas)
