@@ -191,12 +191,13 @@ def _verdict(session: Session) -> int:
         why = suspect[0].reason if suspect else "an axis did not answer its command"
         print(f"servofd: not cleared: {why}", file=sys.stderr)
         return 2
-    unjudged = [monitor for _, monitor in session.watched if not monitor.was_judged]
-    if (session.watched or any(not one.problem for one in axes)) and not unjudged:
+    by_motion = not session.watched and any(not one.problem for one in axes)
+    unjudged = "" if by_motion else session.unjudged()
+    if not unjudged:
         return 0
     names = ", ".join(sorted(session.names)[:8])
-    heard = f"; heard {names}" if unjudged and names else ""
-    print(f"servofd: could not tell: {session.waiting() or 'no vehicle'}{heard}", file=sys.stderr)
+    heard = f"; heard {names}" if names and not any(monitor.was_judged for _, monitor in session.watched) else ""
+    print(f"servofd: could not tell: {unjudged}{heard}", file=sys.stderr)
     return 2
 
 

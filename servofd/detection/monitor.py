@@ -43,6 +43,8 @@ _WINDOWS_S = (2.25, 4.25, 8.25, 16.25)
 """The bank's own windows, which begin a quarter of a second after what raised a suspicion."""
 _NEWS_S = 10.0
 """Suspicions this close together are one."""
+_MOST = 0.5
+"""Share of the time that must be judged for a verdict."""
 _STEADY_S = 2.0
 _SAME_PACE = 1.5
 _LONGEST_WAIT = 6_000
@@ -106,6 +108,9 @@ class SurfaceMonitor:
     _recent: deque[float] = field(default_factory=lambda: deque(maxlen=WARM_UP_STEPS + 1))
     _period_s: float = float("nan")
     _mean_s: float = float("nan")
+    _begun_s: float = float("inf")
+    _judged_s: float = 0.0
+    """Since when positions were evaluated, and how long they were judged [s]."""
     _command_period_s: float = float("nan")
     _off_pace: int = 0
     _heard: dict[str, list[float]] = field(
@@ -171,6 +176,16 @@ class SurfaceMonitor:
     def was_judged(self) -> bool:
         """Whether any sample was ever judged."""
         return self.reading is not None and self._stream is not None
+
+    @property
+    def unjudged(self) -> str:
+        """Why this surface was not judged to the end, and for most of its time, in words; empty if it was."""
+        if self.suspended or self.outage or self.problem:
+            return self.suspended or self.outage or self.problem
+        if self.reading is None or not self.was_judged:
+            return "never judged"
+        share = self._judged_s / max(self.reading.time_s - self._begun_s, 1e-9)
+        return f"judged for {share:.0%} of the time" if share < _MOST else ""
 
     @property
     def rate_hz(self) -> float:
@@ -382,6 +397,7 @@ class SurfaceMonitor:
         self._command_period_s = beat.period_s
         self._slow = too_slow(self.model.transfer.bandwidth_rad_s, self._period_s, beat.period_s)
         self._stream = Stream(self._generator, self.surface, self._period_s, beat)
+        self._begun_s = min(self._begun_s, float(valued_s[0]))
         self._stream.surroundings(self._context)
         self._waiting = ([], [])
         self._hand_over(commands, positions)
@@ -415,6 +431,7 @@ class SurfaceMonitor:
                 events.append(Event(time_s, self.name, "alarm", "unknown", *numbers))
                 self._looks_s = sorted([*self._looks_s, *(time_s + after_s for after_s in _LOOKS_S)])
         self._suspect(piece)
+        self._judged_s += self._mean_s * float(np.count_nonzero(residuals.settled))
         last = int(residuals.time_s.size) - 1
         commands = self._stream.logged.commands().command_deg
         if self.listener is not None:

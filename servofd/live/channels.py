@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 from logparsers.mavlink import dialect
@@ -14,6 +15,10 @@ if TYPE_CHECKING:
 
 __all__ = ["ChannelTable", "Stamp", "stamp_of"]
 
+_AUTOPILOT = 1
+_GONE_S = 5.0
+"""A sender that is no autopilot and silent for so long makes room for another."""
+_MOST_OTHERS = 64
 _NAME = re.compile(r"(?:(\d+)/(\d+):)?([A-Z0-9_]+)(?:\[([^\]]*)\])?\.(\w+)(?:\[(\d+)\])?")
 
 
@@ -22,6 +27,14 @@ class _Wanted(NamedTuple):
     source: tuple[int, int] | None
     field: str
     element: int | None
+
+
+@dataclass(slots=True)
+class _Sender:
+    """Whom a channel is taken from."""
+
+    who: tuple[int, int]
+    latest_s: float
 
 
 class Stamp(NamedTuple):
@@ -35,7 +48,8 @@ class Stamp(NamedTuple):
 class ChannelTable:
     """Finds the wanted channels in messages.
 
-    A channel without a source takes the first sender of that message, and keeps to it.
+    A channel without a source takes the autopilot, if that sends it, or else the first that does, for as long as that
+    goes on; whoever else sends it is named in `news`, and not obeyed.
 
     Examples
     --------
@@ -47,7 +61,10 @@ class ChannelTable:
 
     def __init__(self, channels: Iterable[str]) -> None:
         self._wanted: dict[tuple[str, str], list[_Wanted]] = {}
-        self._senders: dict[str, tuple[int, int]] = {}
+        self._senders: dict[str, _Sender] = {}
+        self._others: set[tuple[str, tuple[int, int]]] = set()
+        self.news: list[str] = []
+        """What is to be told of senders, and forgotten."""
         self._counts: dict[str, tuple[str, int]] = {}
         self.unknown: list[str] = []
         """Names that are no channels of a telemetry stream."""
@@ -65,8 +82,8 @@ class ChannelTable:
         self.messages = {message for message, _ in self._wanted}
         self._instances = {name: layouts[name].instance for name in self.messages}
 
-    def of(self, heard: Heard) -> list[tuple[str, float]]:
-        """Wanted channels of a message, and their values as logged."""
+    def of(self, heard: Heard, arrival_s: float = 0.0) -> list[tuple[str, float]]:
+        """Wanted channels of a message that arrived then [s, receiver's clock], and their values as logged."""
         if heard.name not in self.messages:
             return []
         field = self._instances[heard.name]
@@ -75,7 +92,7 @@ class ChannelTable:
         for wanted in self._wanted.get((heard.name, instance), ()):
             sender = (heard.system, heard.component)
             if wanted.source is None:
-                if self._senders.setdefault(wanted.channel, sender) != sender:
+                if not self._obeyed(wanted.channel, sender, arrival_s):
                     continue
             elif wanted.source != sender:
                 continue
@@ -83,6 +100,27 @@ class ChannelTable:
             self._counts[wanted.channel] = (heard.name, self._counts[wanted.channel][1] + 1)
             found.append((wanted.channel, float(value if wanted.element is None else value[wanted.element])))
         return found
+
+    def _obeyed(self, channel: str, sender: tuple[int, int], arrival_s: float) -> bool:
+        bound, message = self._senders.get(channel), self._counts[channel][0]
+        if bound is None:
+            self._senders[channel] = _Sender(sender, arrival_s)
+            return True
+        if bound.who == sender:
+            bound.latest_s = arrival_s
+            return True
+        is_better = sender[1] == _AUTOPILOT and bound.who[1] != _AUTOPILOT
+        if is_better or (bound.who[1] != _AUTOPILOT and arrival_s - bound.latest_s > _GONE_S):
+            self._tell(message, sender, f"component {sender[1]}, not {bound.who[1]}")
+            self._senders[channel] = _Sender(sender, arrival_s)
+            return True
+        self._tell(message, sender, f"not that of component {sender[1]}")
+        return False
+
+    def _tell(self, message: str, sender: tuple[int, int], what: str) -> None:
+        if (message, sender) not in self._others and len(self._others) < _MOST_OTHERS:
+            self._others.add((message, sender))
+            self.news.append(f"{message}: {what}")
 
     def counted(self) -> dict[str, int]:
         """By message, samples of its rarest channel since this was last asked."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from servofd.live.alerts import Alerts
+from servofd.live.channels import ChannelTable
 from servofd.live.remote_log import RemoteLog
 from servofd.live.requests import Requests
 from servofd.live.vehicle import Vehicle
@@ -96,6 +97,7 @@ class Session:
     _looks: list[tuple[Vehicle, SurfaceMonitor, Look, Future[Any]]] = field(default_factory=list)
     _compared: set[str] = field(default_factory=set)
     _wanted: dict[int, set[str]] = field(default_factory=dict)
+    _tables: dict[int, ChannelTable] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for system, aircraft in self.aircraft.items():
@@ -115,7 +117,7 @@ class Session:
                 self.damaged_bytes += len(frame)
                 continue
             self.frames += 1
-            vehicle = self.vehicles.get(heard.system) or self._found(heard)
+            vehicle = self.vehicles.get(heard.system) or self._found(heard, arrival_s)
             if vehicle is not None:
                 self.names.add(heard.name)
                 told = vehicle.hear(heard, arrival_s)
@@ -155,19 +157,40 @@ class Session:
         """Every surface of every vehicle."""
         return [(vehicle, monitor) for vehicle in self.vehicles.values() for monitor in vehicle.monitors.values()]
 
-    def _found(self, heard: Heard) -> Vehicle | None:
-        """The first vehicle that speaks, if the aircraft file says of none which it is."""
+    def _found(self, heard: Heard, arrival_s: float) -> Vehicle | None:
+        """The first vehicle that speaks, if the aircraft file says of none which it is.
+
+        Whoever speaks first is asked for positions; the first that sends any is the one.
+        """
         autopilot = heard.name == "HEARTBEAT" and heard.component == _AUTOPILOT
         autopilot = autopilot and heard.fields["autopilot"] != _NO_AUTOPILOT
-        if 0 not in self.aircraft or self.vehicles or heard.system == _GROUND_SYSTEM:
-            if autopilot:
-                self.strangers.add(heard.system)
-            return None
-        if not autopilot and heard.name not in self._wanted[0]:
+        if 0 not in self.aircraft or heard.system == _GROUND_SYSTEM:
+            return self._stranger(heard) if autopilot else None
+        bound = next(iter(self.vehicles.values()), None)
+        if bound is not None:
+            if bound.has_positions or not self._sends_positions(heard, arrival_s):
+                return self._stranger(heard) if autopilot else None
+            self.notes.append(f"vehicle {heard.system} sends the positions: it is watched, not vehicle {bound.system}")
+            del self.vehicles[bound.system]
+            self.strangers.add(bound.system)
+        elif not autopilot and heard.name not in self._wanted[0]:
             return None
         vehicle = Vehicle(heard.system, self.aircraft[0], is_stream=not self.remote_log)
         self._adopt(heard.system, vehicle)
         return vehicle
+
+    def _stranger(self, heard: Heard) -> None:
+        """Name a vehicle that is not watched, once."""
+        if heard.system not in self.strangers and self.vehicles:
+            self.notes.append(f"vehicle {heard.system} is not watched: -c {heard.system}=FILE would")
+        self.strangers.add(heard.system)
+
+    def _sends_positions(self, heard: Heard, arrival_s: float) -> bool:
+        """Whether a message holds a measured position of the aircraft that may be any."""
+        if heard.system not in self._tables:
+            surfaces = self.aircraft[0].surfaces.values()
+            self._tables[heard.system] = ChannelTable([s.measured.channel for s in surfaces if s.measured])
+        return bool(self._tables[heard.system].of(heard, arrival_s))
 
     def _adopt(self, system: int, vehicle: Vehicle) -> None:
         self.vehicles[system] = vehicle
@@ -275,6 +298,19 @@ class Session:
         requests = self._requests.get(vehicle.system)
         if requests is not None and any(e.event == "link_restored" or "restarted" in e.text for e in events):
             requests.again()
+
+    def unjudged(self) -> str:
+        """Which surfaces were not judged to the end, or not for most of the flight, and why; empty if all were."""
+        if not self.watched:
+            return self.waiting() or "no vehicle"
+        reasons: dict[str, list[str]] = {}
+        for vehicle, monitor in self.watched:
+            why = monitor.unjudged
+            if vehicle.is_lost:
+                why = f"nothing from vehicle {vehicle.system} since {vehicle.now_s:.1f} s"
+            if why:
+                reasons.setdefault(why, []).append(monitor.name)
+        return "; ".join(f"{', '.join(who)}: {why}" for why, who in reasons.items())
 
     def waiting(self) -> str:
         """What is still missing, in words; empty if every surface is watched."""

@@ -157,6 +157,8 @@ class Vehicle:
     now_s: float = float("nan")
     """Its own time [s], as its newest message tells it."""
     is_lost: bool = False
+    has_positions: bool = False
+    """Whether it has sent any measured position."""
     log: RemoteLog | None = None
     """Its own log, where its channels are in that."""
     autopilot: int | None = None
@@ -238,10 +240,10 @@ class Vehicle:
             events += self._restart(time_s)
         early, self._early = self._early, []
         for before, at_s in early:
-            self._sort(before, self.clock.time_s(before, at_s))
+            self._sort(before, self.clock.time_s(before, at_s), at_s)
         if time_s is not None:
             self._advance(time_s)
-            self._sort(heard, time_s)
+            self._sort(heard, time_s, arrival_s)
             if self.axes is not None:
                 self.axes.hear(heard.name, heard.fields, time_s)
         if self.log is not None:
@@ -361,10 +363,13 @@ class Vehicle:
             Event(now_s, "", "no_data", text=f"vehicle {self.system} has restarted; the monitor begins anew"),
         ]
 
-    def _sort(self, heard: Heard, time_s: float | None) -> None:
+    def _sort(self, heard: Heard, time_s: float | None, arrival_s: float) -> None:
         if time_s is not None:
-            for channel, value in self._table.of(heard):
+            for channel, value in self._table.of(heard, arrival_s):
                 self._add(channel, time_s, value)
+            if self._table.news:
+                self.news += self._table.news
+                self._table.news.clear()
 
     def _add(self, channel: str, time_s: float, value: float) -> None:
         self._is_news |= self._around.add(channel, time_s, value)
@@ -373,6 +378,7 @@ class Vehicle:
         for name, role in self._routes.get(channel, ()):
             if time_s < self._held_s.get(name, time_s):
                 continue
+            self.has_positions |= role == 1
             columns = self._samples.setdefault(name, (([], []), ([], [])))[role]
             columns[0].append(time_s)
             columns[1].append(value)

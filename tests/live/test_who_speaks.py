@@ -1,0 +1,120 @@
+"""Who is believed on a link: bound by system, component and content; others are named, and never obeyed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from logparsers.codec import Codec, Heard
+from servofd.aircraft import Aircraft, load_aircraft
+from servofd.cli import main
+from servofd.live.channels import ChannelTable
+from servofd.live.session import Session
+from tests.live.test_troubles import Field, kinds, lively
+from tests.live.vehicles import plane_file, vehicle
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+POSITION = "NAMED_VALUE_FLOAT[SRVP2].value"
+
+
+@pytest.fixture(scope="module")
+def aircraft(tmp_path_factory: pytest.TempPathFactory) -> Aircraft:
+    path: Path = tmp_path_factory.mktemp("plane") / "plane.toml"
+    path.write_text(plane_file())
+    return load_aircraft(path)
+
+
+def position(component: int, deg: float) -> Heard:
+    return Heard("NAMED_VALUE_FLOAT", 1, component, {"name": "SRVP2", "value": deg})
+
+
+def test_the_autopilot_outranks_a_packet_that_came_first() -> None:
+    table = ChannelTable([POSITION])
+    assert table.of(position(158, 40.0), 0.0)
+    assert table.of(position(1, 3.0), 0.1)
+    assert not table.of(position(158, 40.0), 0.2)
+    assert not table.of(position(158, 40.0), 100.0), "however long it is the only one"
+    assert table.news == ["NAMED_VALUE_FLOAT: component 1, not 158", "NAMED_VALUE_FLOAT: not that of component 158"]
+
+
+def test_of_two_companions_the_first_is_believed_while_it_speaks() -> None:
+    table = ChannelTable([POSITION])
+    assert table.of(position(191, 1.0), 0.0)
+    assert not table.of(position(158, 1.0), 1.0)
+    assert table.of(position(158, 1.0), 5.1)
+    assert not table.of(position(191, 1.0), 5.2)
+
+
+@pytest.mark.slow
+def test_a_second_sender_of_positions_raises_no_alarm_and_is_named(aircraft: Aircraft) -> None:
+    field, stray, plane = Field.of({0: aircraft}), Codec(1, 158), vehicle(lively(duration_s=20.0))
+    turn = plane.turn
+
+    def beside(index: int) -> list[Any]:
+        wrong = {"time_boot_ms": 1, "name": "SRVP2", "value": 44.0}
+        field.session.take(field.now_s, stray.encode("NAMED_VALUE_FLOAT", wrong))
+        return turn(index)
+
+    plane.turn = beside  # type: ignore[method-assign]
+    field.fly(plane)
+    assert kinds(field.end(), "alarm") == []
+    assert [note for note in field.session.notes if "158" in note] == [
+        "NAMED_VALUE_FLOAT: component 1, not 158",
+        "NAMED_VALUE_FLOAT: not that of component 158",
+    ]
+
+
+@pytest.mark.slow
+def test_a_foreign_heartbeat_captures_nothing(aircraft: Aircraft) -> None:
+    field, other = Field.of({0: aircraft}), Codec(7, 1)
+    beat = other.encode("HEARTBEAT", {"type": 1, "autopilot": 3, "mavlink_version": 3})
+    field.session.take(field.now_s, beat)
+    assert list(field.session.vehicles) == [7], "nobody else has spoken yet"
+    field.fly(vehicle(lively(stuck_s=15.0)))
+    field.session.take(field.now_s, beat)
+    assert list(field.session.vehicles) == [1]
+    assert {surface for surface, _ in kinds(field.end(), "alarm")} == {"elevator"}
+    assert "vehicle 1 sends the positions: it is watched, not vehicle 7" in field.session.notes
+
+
+@pytest.mark.slow
+def test_another_aircraft_on_the_port_is_named_and_not_watched(aircraft: Aircraft) -> None:
+    field = Field.of({0: aircraft})
+    field.fly(vehicle(lively(duration_s=20.0)), vehicle(lively(duration_s=20.0, stuck_s=12.0, seed=5), system=2))
+    assert kinds(field.end(), "alarm") == []
+    assert list(field.session.vehicles) == [1]
+    assert [note for note in field.session.notes if note.startswith("vehicle 2")] == [
+        "vehicle 2 is not watched: -c 2=FILE would"
+    ]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("gone", ["", "NAMED_VALUE_FLOAT", "SERVO_OUTPUT_RAW"])
+def test_healthy_is_only_what_was_judged_to_the_end(
+    tmp_path: Path, gone: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of a replayed log whose commands, or positions, stop at 20 s of 30."""
+    import struct
+
+    plane, codec = vehicle(lively(duration_s=30.0), message_hz=40.0), Codec(1, 1)
+    log, config = tmp_path / "flight.tlog", tmp_path / "plane.toml"
+    config.write_text(plane_file())
+    with log.open("wb") as out:
+        for turn in range(plane.time_us.size):
+            for message in plane.turn(turn):
+                if message.name != gone or turn < 1000:
+                    stamp = 1_700_000_000_000_000 + int(plane.time_us[turn])
+                    out.write(struct.pack(">Q", stamp) + codec.encode(*message))
+    code = main(["monitor", str(log), "-c", str(config), "--speed", "0", "--plain"])
+    error = capsys.readouterr().err
+    assert code == (2 if gone else 0)
+    assert error.count("\n") == bool(gone)
+    if gone:
+        assert f"no {'position' if gone.startswith('NAMED') else 'command'} since" in error
+
+
+def test_nobody_is_judged_of_no_vehicle(aircraft: Aircraft) -> None:
+    assert Session(Codec(0, 191), {0: aircraft}).unjudged() == "waiting for the first byte"
