@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.axes.grid import LARGEST_GAP_S, Series, cell_means, day_of, present_on
+from servofd.axes.grid import LARGEST_GAP_S, Series, cell_means, check_rate, day_of, present_on
 from servofd.axes.mixers import airframe_of
 from servofd.axes.motion import Motion
 from servofd.errors import NoMeasurement
@@ -83,7 +83,9 @@ def motion_of_autopilot(
     roll, pitch = _attitude(log)
     airspeed, source = _airspeed(log)
     first = next(series for number in needed if (series := pulses[number]) is not None)
-    rate_hz = rate_hz or min([_FASTEST_HZ, *(one.rate_hz for one in (first, rates[0], forces[0]))])
+    native_hz = min(_FASTEST_HZ, *(one.rate_hz for one in (first, rates[0], forces[0])))
+    check_rate(log.label, native_hz, rate_hz)
+    rate_hz = rate_hz or native_hz
     start_s = max(one.time_s[0] for one in (first, rates[0], forces[0], roll, airspeed))
     end_s = min(one.time_s[-1] for one in (first, rates[0], forces[0], roll, airspeed))
     if end_s - start_s < LARGEST_GAP_S:

@@ -320,6 +320,7 @@ def _verdict(
     status: AxisStatus = "unknown"
     if worst is not None:
         certain = axis.fault is not None and worst.score > max(axis.fault, axis.suspect) and name in SURFACE_AXES
+        certain = certain and not worst.from_start  # it may be another aircraft
         status = "fault" if certain else "suspect"
     elif not events and min(identifiable, judged) >= MOST_OF_THE_FLIGHT and _is_known(draft.whole):
         status = "healthy"

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.axes.grid import Series, day_of, present_on
+from servofd.axes.grid import Series, check_rate, day_of, present_on
 from servofd.axes.motion import Motion
 from servofd.errors import NoMeasurement
 
@@ -62,6 +62,7 @@ def motion_of_table(log: FlightLog, rate_hz: float | None = None) -> Motion:
     airspeed, source = _airspeed(log)
     first = next(iter(given.values()), forces[0])
     time_s = first.time_s
+    check_rate(log.label, _rate(time_s), rate_hz)
     rate_hz = rate_hz or _rate(time_s)
     grid_s = time_s[0] + np.arange(int((time_s[-1] - time_s[0]) * rate_hz) + 1) / rate_hz
 

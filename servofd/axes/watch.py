@@ -17,7 +17,7 @@ from servofd.detection.events import Event
 from servofd.errors import NoMeasurement
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
     from servofd.axes.schema import MotionModel
     from servofd.axes.verdict import AxisAudit, AxisEvent
@@ -73,7 +73,7 @@ class AxisWatch:
         outputs = {int(name.removeprefix("SERVO").partition("_")[0]) for name in self.model.parameters}
         return [*(f"RCOU.C{number}" for number in sorted(outputs)), *_LOGGED]
 
-    def hear(self, message: str, fields: dict[str, object], time_s: float) -> None:
+    def hear(self, message: str, fields: Mapping[str, object], time_s: float) -> None:
         """Take a message of a stream."""
         for name in STREAMED.get(message, ()):
             value = fields.get(name)

@@ -129,12 +129,15 @@ def closing_lines(results: Sequence[LogAudit | FailedLog], page: Path | None) ->
     """What happened, what to do, what is well, and where the page is: at most four lines."""
     from servofd.detection.advice import next_step
     from servofd.outputs.json_report import FailedLog
+    from servofd.outputs.motors import motors_of
     from servofd.outputs.sentence import spoken, whole_sentence, worst
 
     where = f" → {page}" if page else ""
     audits = [result for result in results if not isinstance(result, FailedLog)]
     if not audits:
-        return [f"Could not tell.{where}"]
+        failed = next((result for result in results if isinstance(result, FailedLog) and result.log is not None), None)
+        motors = None if failed is None or failed.log is None else motors_of(failed.log)
+        return [f"Could not tell.{where}" if motors is None else f"No control surfaces: a {motors['kind']}.{where}"]
     shown = min(audits, key=lambda audit: _WORST_FIRST.index(worst((*audit.surfaces, *audit.axes))))
     run_name = f"Run {shown.log.run}: " if shown.log.run else ""
     lines = [f"{run_name}{whole_sentence(shown)}{where}"]
@@ -158,8 +161,10 @@ def _written(options: argparse.Namespace, results: Sequence[LogAudit | FailedLog
     from servofd.outputs.audit_page import audit_page
     from servofd.outputs.files import distinct_file_names, write_whole
     from servofd.outputs.json_report import FailedLog
+    from servofd.outputs.motors import motors_of
 
-    if all(isinstance(result, FailedLog) for result in results):
+    failed = [result for result in results if isinstance(result, FailedLog)]
+    if len(failed) == len(results) and not any(one.log is not None and motors_of(one.log) for one in failed):
         return None
     log = Path(options.logs[0])
     folder = Path(options.output) if options.output else log.parent if os.access(log.parent, os.W_OK) else Path()

@@ -26,7 +26,7 @@ def what_to_log(log: FlightLog) -> str:
     'send the positions as DEBUG_FL'
     """
     if log.vehicle in _ROTORCRAFT:
-        return f"it is of a {log.vehicle}, whose motors turn no surface; log the position of the servos it has, if any"
+        return f"it is of a {log.vehicle}, which has no control surfaces: its outputs turn motors"
     if log.format == "ulog":
         return (
             "send the positions as DEBUG_FLOAT_ARRAY (name SRVP) and log debug topics (SDLOG_PROFILE bit 5); "

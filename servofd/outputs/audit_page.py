@@ -11,6 +11,7 @@ from servofd.detection.words import describe
 from servofd.outputs.audit_charts import MOST_FAULTS, fault_charts, flight_chart
 from servofd.outputs.axis_chart import axis_chart
 from servofd.outputs.json_report import FailedLog
+from servofd.outputs.motors import motors_of
 from servofd.outputs.page import page
 from servofd.outputs.quality import quality_rows
 from servofd.outputs.sentence import plain_rate, seen, spoken, whole_sentence, worst
@@ -80,11 +81,14 @@ def _all_of(logs: Sequence[dict[str, Any]]) -> dict[str, Any]:
 def _failed(result: FailedLog) -> dict[str, Any]:
     name = Path(result.path).name
     error = result.error.replace(result.path, name)
+    motors = None if result.log is None else motors_of(result.log)
+    read = "Could not be read." if result.log is None else "Could not be judged."
     return {
         "name": name,
         "file": name,
-        "sentence": "Could not be read.",
+        "sentence": read if motors is None else f"No control surfaces: a {motors['kind']}.",
         "facts": error,
+        "motors": motors,
         "surfaces": [],
         "axes": [],
         "damage": [],
@@ -106,6 +110,7 @@ def _log(audit: LogAudit, anchor: str) -> dict[str, Any]:
         "facts": ", ".join(filter(None, [log.source.name, *facts])),
         "surfaces": [_surface(audit.aircraft, surface, f"{anchor}-{k}") for k, surface in enumerate(ordered, start=1)],
         "axes": [_axis(axis, f"{anchor}-{axis.axis}") for axis in audit.axes],
+        "motors": None,
         "damage": [
             (damage.kind.replace("_", " "), damage.note, str(damage.count), _span(damage.start_s, damage.end_s))
             for damage in log.damage_summary

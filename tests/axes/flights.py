@@ -18,8 +18,13 @@ def flown(
     rate_hz: float = 25.0,
     aileron_share: float = 1.0,
     from_s: float = 1e9,
+    gusts: float = 6.0,
+    trim_step_us: float = 0.0,
 ) -> Motion:
-    """Roll by Euler steps with a servo's lag, gusts and a pilot; ailerons that keep a share of their effect at last."""
+    """Roll by Euler steps with a servo's lag, gusts and a pilot; at last ailerons that keep a share of their effect.
+
+    At the same time their trim may change.
+    """
     rng = np.random.default_rng(seed)
     trim = np.random.default_rng(list(day.encode())).normal(0.0, 6.0)
     n, dt = int(duration_s * rate_hz), 1.0 / rate_hz
@@ -34,12 +39,12 @@ def flown(
         if hold == 0:
             want, hold = rng.uniform(-35.0, 35.0), int(rng.uniform(2.0, 6.0) * rate_hz)
         hold -= 1
-        gust[k] = 0.96 * gust[k - 1] + 6.0 * shocks[k]
+        gust[k] = 0.96 * gust[k - 1] + gusts * shocks[k]
         asked[k] = np.clip(6.0 * (want - roll[k - 1]) - 1.0 * rate[k - 1], -250.0, 250.0)
         surface[k] = surface[k - 1] + (asked[k] - surface[k - 1]) * dt / 0.08
-        share = aileron_share if time_s[k] >= from_s else 1.0
+        share, away_us = (aileron_share, trim_step_us) if time_s[k] >= from_s else (1.0, 0.0)
         v = speed[k] / 18.0
-        pull = 3.0 * v * v * (share * surface[k] + trim) - 8.0 * v * rate[k - 1] + gust[k]
+        pull = 3.0 * v * v * (share * surface[k] + trim + away_us) - 8.0 * v * rate[k - 1] + gust[k]
         rate[k] = rate[k - 1] + pull * dt
         roll[k] = roll[k - 1] + rate[k] * dt
     pitch_asked = 20.0 * np.sin(0.3 * time_s) + rng.normal(0.0, 2.0, n)
