@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from servofd.axes.schema import MotionModel
 from servofd.calibration import Calibration, DegreeCalibration
-from servofd.errors import ConfigError, DesignError, ServofdError, suggest
+from servofd.errors import ConfigError, DesignError, ServofdError, UnknownName, suggest
 from servofd.evidence import ModelOrigin
 from servofd.limits import Limits
 from servofd.models.effect_table import EffectTable, effects_installed
@@ -187,6 +187,18 @@ class Aircraft(_Entry):
         """Servo of a surface; the aircraft's own definitions come before the library's."""
         name = self.surfaces[surface].servo
         return self.servos[name] if name in self.servos else library()[name]
+
+    def check_names(self, surfaces: Iterable[str], where: str = "") -> None:
+        """Refuse names of surfaces that the aircraft does not have.
+
+        Raises
+        ------
+        UnknownName
+            For the first of them; the message begins with `where`.
+        """
+        for name in surfaces:
+            if name not in self.surfaces:
+                raise UnknownName(f"{where}: " * bool(where) + suggest("surface", name, self.surfaces))
 
     def with_servo(self, name: str) -> Self:
         """Return the same aircraft with one servo on every surface: one of the library, or of a servo file.

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-import logparsers
 from servofd.aircraft import load_aircraft
-from servofd.errors import ConfigError, NoMeasurement, UnknownName, suggest
+from servofd.errors import ConfigError, NoMeasurement
 from servofd.identification.identify import Method, identify
+from servofd.job import aircraft_for, logs_of
 from servofd.segment import Segment, cut
-from servofd.workflow import aircraft_for, layout_of
 
 if TYPE_CHECKING:
     from logparsers import FlightLog
@@ -66,7 +65,7 @@ def bench_tests(
     UnknownName
         If there is no such surface.
     """
-    logs = logparsers.read_all(path, layout_of(aircraft))
+    logs = tuple(logs_of(path, aircraft))
     found: list[BenchTest] = []
     reasons: list[str] = []
     for log in logs:
@@ -149,8 +148,8 @@ def bench_aircraft(path: str | Path) -> Aircraft | None:
 
 
 def _of_surface(log: FlightLog, aircraft: Aircraft, surface: str | None) -> BenchTest:
-    if surface is not None and surface not in aircraft.surfaces:
-        raise UnknownName(f"{log.label}: {suggest('surface', surface, aircraft.surfaces)}")
+    if surface is not None:
+        aircraft.check_names([surface], log.label)
     segments: dict[str, Segment] = {}
     reasons: dict[str, str] = {}
     for name in [surface] if surface is not None else aircraft.surfaces:

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-import logparsers
-from servofd.aircraft import Aircraft, Surface, load_aircraft
+from servofd.aircraft import Aircraft, Surface
 from servofd.bench import bench_aircraft
 from servofd.detection.audit import audit_log
 from servofd.detection.words import describe
@@ -18,10 +17,10 @@ from servofd.discrepancy.explanation import Explanation, explain_gap
 from servofd.discrepancy.own import OwnEffect, load_own_effect
 from servofd.discrepancy.varying import varying
 from servofd.errors import ConfigError, DesignError, NoMeasurement, UnknownName, suggest
+from servofd.job import aircraft_for, known_aircraft, logs_of
 from servofd.models.physics import scaled_transfer
 from servofd.segment import cut
 from servofd.servos import Servo
-from servofd.workflow import aircraft_for, layout_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -165,7 +164,7 @@ def explain_logs(
         if name not in flown.aircraft.surfaces:
             raise UnknownName(f"{flown.source}: {suggest('surface', name, flown.aircraft.surfaces)}")
     wanted = tuple(dict.fromkeys(surfaces)) or flown.surfaces
-    others = [log for path in also for log in logparsers.read_all(path, layout_of(flown.aircraft))]
+    others = list(logs_of(also, flown.aircraft))
     judged = [(log.label, {name: _also(log, flown.aircraft, name) for name in wanted}) for log in others]
     return _explained(flown, wanted, judged, effect, progress)
 
@@ -203,9 +202,8 @@ class _Flown:
 
 
 def _opened(paths: Sequence[str | Path], aircraft: str | Path | Aircraft | None, servo: str | None) -> _Flown:
-    known = load_aircraft(aircraft) if isinstance(aircraft, str | Path) else aircraft
-    known = known or bench_aircraft(paths[0])
-    logs = tuple(log for path in paths for log in logparsers.read_all(path, layout_of(known)))
+    known = known_aircraft(aircraft) or bench_aircraft(paths[0])
+    logs = tuple(logs_of(paths, known))
     flown = known or aircraft_for(logs[0])
     if servo is not None and servo != UNKNOWN:
         flown = flown.with_servo(servo)

@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-import logparsers
-from servofd.aircraft import Aircraft, load_aircraft
+from servofd.aircraft import Aircraft
 from servofd.errors import NoMeasurement
 from servofd.feedback.advice import what_to_log
-from servofd.onboard.plan import output_of
+from servofd.job import aircraft_for, known_aircraft, logs_of
+from servofd.onboard.output import output_of
 from servofd.onboard.seen import seen_on_board
 from servofd.segment import SLOWEST_RATE_HZ, cut
-from servofd.workflow import aircraft_for, layout_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -118,8 +117,8 @@ def survey(path: str | Path, aircraft: str | Path | None = None, *, every_channe
     >>> round(found.surfaces[0].position_hz)
     100
     """
-    known = load_aircraft(aircraft) if aircraft else None
-    return tuple(_survey(log, known, every_channel) for log in logparsers.read_all(path, layout_of(known)))
+    known = known_aircraft(aircraft)
+    return tuple(_survey(log, known, every_channel) for log in logs_of(path, known))
 
 
 def _survey(log: FlightLog, known: Aircraft | None, every_channel: bool) -> Survey:

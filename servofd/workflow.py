@@ -6,28 +6,25 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import logparsers
-from servofd.aircraft import UNKNOWN_SERVO, Aircraft, load_aircraft, plain_aircraft
+from servofd.aircraft import load_aircraft
 from servofd.detection.audit import audit_log
-from servofd.detection.verdict import LogAudit
-from servofd.errors import ConfigError, NoMeasurement, UnknownName, suggest
-from servofd.feedback.draft import draft_aircraft
-from servofd.feedback.fitted import fitted_aircraft
+from servofd.errors import NoMeasurement, UnknownName, suggest
+from servofd.job import flown_aircraft, known_aircraft, logs_of
 from servofd.segment import cut
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from logparsers import FlightLog
+    from servofd.aircraft import Aircraft
     from servofd.axes.schema import MotionModel
     from servofd.calibrating.flights import Flight, Span
     from servofd.calibrating.result import Calibration
     from servofd.detection.threshold import ThresholdKind
+    from servofd.detection.verdict import LogAudit
 
-__all__ = ["aircraft_for", "audit", "calibrate", "calibrate_axes", "flights_of", "layout_of"]
+__all__ = ["audit", "calibrate", "calibrate_axes", "flights_of"]
 
 _SAME_RATE = 1.01
-_COMMAND_SUFFIX, _POSITION_SUFFIX = "_cmd_deg", "_pos_deg"
 
 
 def audit(
@@ -81,21 +78,14 @@ def audit(
     >>> [result.has_fault for result in audit("sample_logs/faser_healthy_flight.mat")]
     [False]
     """
-    known = load_aircraft(aircraft) if isinstance(aircraft, str | Path) else aircraft
-    nothing: NoMeasurement | None = None
-    for log in logparsers.read_all(path, layout_of(known)):
+    known, nothing = known_aircraft(aircraft), None
+    for log in logs_of(path, known):
         try:
-            flown = known if known is not None and known.surfaces else _with_surfaces(log, known, servo)
+            flown = flown_aircraft(log, known, servo)
         except NoMeasurement as error:  # the other runs are judged first
             error.log, nothing = log, nothing or error
             continue
-        if servo == UNKNOWN_SERVO and known is not None:
-            flown = fitted_aircraft(log, flown)
-        elif servo is not None and servo != UNKNOWN_SERVO:
-            flown = flown.with_servo(servo)
-        for name in surfaces:
-            if name not in flown.surfaces:
-                raise UnknownName(f"{log.label}: {suggest('surface', name, flown.surfaces)}")
+        flown.check_names(surfaces, log.label)
         result = audit_log(
             log,
             flown,
@@ -108,16 +98,6 @@ def audit(
         yield result if flown.motion is None else _with_axes(result, flown.motion)
     if nothing is not None:
         raise nothing
-
-
-def _with_surfaces(log: FlightLog, known: Aircraft | None, servo: str | None) -> Aircraft:
-    """Surfaces as the log has them, beside what is known of the aircraft's motion."""
-    if known is None or known.motion is None:
-        return aircraft_for(log, servo)
-    try:
-        return aircraft_for(log, servo).model_copy(update={"motion": known.motion})
-    except NoMeasurement:
-        return known
 
 
 def _with_axes(result: LogAudit, motion: MotionModel) -> LogAudit:
@@ -170,7 +150,7 @@ def calibrate_axes(
     from servofd.axes.calibrate import calibrate_motion
     from servofd.axes.read import motion_of
 
-    logs = [log for path in paths for log in logparsers.read_all(path)]
+    logs = list(logs_of(paths))
     flights = [motion_of(log) for log in logs]
     rate_hz = min(flight.rate_hz for flight in flights)
     flights = [
@@ -234,9 +214,7 @@ def calibrate(
     from servofd.calibrating.calibrate import calibrate_aircraft
 
     known = load_aircraft(aircraft) if isinstance(aircraft, str | Path) else aircraft
-    for name in surfaces:
-        if name not in known.surfaces:
-            raise UnknownName(suggest("surface", name, known.surfaces))
+    known.check_names(surfaces)
     flights = flights_of(paths, known, surfaces=surfaces, spans=spans, runs=runs)
     return calibrate_aircraft(known, flights, false_alarms_per_hour=false_alarms_per_hour, progress=progress)
 
@@ -260,73 +238,21 @@ def flights_of(
 
     flights: dict[str, list[Flight]] = {name: [] for name in surfaces or aircraft.surfaces}
     reasons, seen = [], set()
-    for path in paths:
-        for log in logparsers.read_all(path, layout_of(aircraft)):
-            seen.add(log.run)
-            if runs and log.run not in runs:
+    for log in logs_of(paths, aircraft):
+        seen.add(log.run)
+        if runs and log.run not in runs:
+            continue
+        for name, there in flights.items():
+            try:
+                segment = cropped(cut(log, name, aircraft.surfaces[name]), spans)
+            except NoMeasurement as error:
+                if aircraft.surfaces[name].measured is not None:
+                    reasons.append(f"{log.label}: {name}: {error}")
                 continue
-            for name, there in flights.items():
-                try:
-                    segment = cropped(cut(log, name, aircraft.surfaces[name]), spans)
-                except NoMeasurement as error:
-                    if aircraft.surfaces[name].measured is not None:
-                        reasons.append(f"{log.label}: {name}: {error}")
-                    continue
-                there.append(Flight(Path(log.label).name, segment))
+            there.append(Flight(Path(log.label).name, segment))
     missing = [run for run in runs if run not in seen]
     if missing:
         raise UnknownName(suggest("run", missing[0], sorted(seen)))
     if not any(flights.values()):
         raise NoMeasurement("; ".join(reasons) or "the aircraft file names no measured channel")
     return flights
-
-
-def aircraft_for(log: FlightLog, servo: str | None = None) -> Aircraft:
-    """Aircraft to assume for a log that comes without a file of its own.
-
-    Parameters
-    ----------
-    log : FlightLog
-        What is to be judged.
-    servo : str, optional
-        Servo of a plain table's surfaces, of the library or a servo file; each is fitted to the log if left out.
-
-    Raises
-    ------
-    NoMeasurement
-        If the log has no columns that name a surface.
-    """
-    if log.format == "faser":
-        faser = load_aircraft("faser")
-        logged = {name: s for name, s in faser.surfaces.items() if s.command.channel in log.channels}
-        if logged:
-            return faser.model_copy(update={"surfaces": logged})
-        raise NoMeasurement(
-            f"{log.label}: no measured deflection: this log holds {', '.join(list(log.channels)[:8])}; a position "
-            "per surface is needed (de_pos, dr_pos, da_l_pos, ...), or an aircraft file (-c) that names other channels"
-        )
-    if log.is_of_autopilot:
-        return draft_aircraft(log).aircraft()
-    names = dict.fromkeys(
-        name.removesuffix(suffix)
-        for name in log.channels
-        for suffix in (_COMMAND_SUFFIX, _POSITION_SUFFIX)
-        if name.endswith(suffix)
-    )
-    if not names:
-        raise NoMeasurement(
-            f"{log.label}: no surface found: a plain table needs columns <surface>_cmd_deg and <surface>_pos_deg; "
-            f"for other names write an aircraft file (-c). Its columns: {', '.join(list(log.channels)[:12])}"
-        )
-    plain = plain_aircraft(names)
-    return fitted_aircraft(log, plain) if servo in (None, UNKNOWN_SERVO) else plain.with_servo(servo)
-
-
-def layout_of(aircraft: Aircraft | None) -> logparsers.TableLayout | None:
-    """How to read a text table that belongs to this aircraft; None if it does not say."""
-    if aircraft is None or aircraft.table is None:
-        return None
-    try:
-        return logparsers.TableLayout(**aircraft.table.model_dump())
-    except ValueError as error:
-        raise ConfigError(f"table: {error}") from None

@@ -108,11 +108,10 @@ def check(options: argparse.Namespace) -> None:
 
 def judged(options: argparse.Namespace) -> list[LogAudit | FailedLog]:
     """Every run of every log that was named."""
-    from servofd.aircraft import load_aircraft
     from servofd.fleet.find import flights_joined
-    from servofd.workflow import layout_of
+    from servofd.job import known_aircraft, layout_of
 
-    aircraft = load_aircraft(options.config) if options.config else None
+    aircraft = known_aircraft(options.config)
     logs = options.logs if layout_of(aircraft) else flights_joined(options.logs)
     return [result for path in logs for result in _audit(path, aircraft, options)]
 

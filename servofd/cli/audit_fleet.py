@@ -42,18 +42,17 @@ def is_fleet(options: argparse.Namespace) -> bool:
 
 def run_fleet(options: argparse.Namespace) -> int:
     """Judge all logs, each printed as it is done; then the overview, and what was asked for."""
-    from servofd.aircraft import load_aircraft
     from servofd.cli.tables import one_line
     from servofd.errors import ConfigError
     from servofd.fleet.find import find_logs
     from servofd.fleet.key import Job
     from servofd.fleet.store import FleetStore
+    from servofd.job import known_aircraft, layout_of
     from servofd.outputs.json_report import to_json
-    from servofd.workflow import layout_of
 
     if options.rrd:
         raise ConfigError(f"{options.rrd}: --rrd takes one log; judge the one you want to see by itself")
-    aircraft = load_aircraft(options.config) if options.config else None
+    aircraft = known_aircraft(options.config)
     folder = options.output or options.pages
     job = Job(
         aircraft,

@@ -18,17 +18,15 @@ _BY_DAYS = "1 day: 17, 2: 6, 3: 1.5 times as many as after four"
 
 def has_feedback(paths: list[str]) -> bool:
     """Whether any of the logs tells where a surface was."""
-    import logparsers
     from servofd.errors import NoMeasurement
-    from servofd.workflow import aircraft_for
+    from servofd.job import aircraft_for, logs_of
 
-    for path in paths:
-        for log in logparsers.read_all(path):
-            try:
-                aircraft_for(log)
-            except NoMeasurement:
-                continue
-            return True
+    for log in logs_of(paths):
+        try:
+            aircraft_for(log)
+        except NoMeasurement:
+            continue
+        return True
     return False
 
 

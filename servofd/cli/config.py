@@ -22,12 +22,12 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print the draft."""
-    import logparsers
     from servofd.errors import NoMeasurement
     from servofd.feedback.draft import draft_aircraft
     from servofd.feedback.toml import draft_to_toml
+    from servofd.job import one_log
 
-    log = logparsers.read(options.log)
+    log = one_log(options.log)
     if not log.is_of_autopilot:
         raise NoMeasurement(
             f"{log.label}: a {log.format} log does not describe its aircraft; start from configs/faser.toml"

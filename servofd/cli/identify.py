@@ -47,15 +47,15 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Identify, then write all outputs, then print."""
-    from servofd.aircraft import load_aircraft
     from servofd.bench import identify_logs
     from servofd.cli.tables import progress_bar
     from servofd.cli.targets import check_targets
+    from servofd.job import known_aircraft
     from servofd.outputs.json_report import to_json
 
     outputs = (options.json, options.save, options.html, options.rrd)
     check_targets(outputs, {"a log": options.logs, "the aircraft file": [options.config]}, folder=options.output)
-    aircraft = load_aircraft(options.config) if options.config else None
+    aircraft = known_aircraft(options.config)
     with progress_bar("identify", _STEPS) as step:
         found = identify_logs(
             options.logs, aircraft, surface=options.surface, method=options.method, order=options.order, progress=step

@@ -129,18 +129,17 @@ def _watch(options: argparse.Namespace, aircraft: Mapping[int, Aircraft]) -> Ses
 
 def _replay(options: argparse.Namespace, aircraft: Mapping[int, Aircraft]) -> Session:
     """Replay a log in the same view; nothing is sent but alerts, if they have an address."""
-    import logparsers
     from logparsers.codec import Codec
     from servofd.cli.monitor_outputs import Outputs
+    from servofd.job import one_log
     from servofd.live.run import Pace, replay_log, replay_telemetry
     from servofd.live.session import Session
     from servofd.live.speaker import Speaker
-    from servofd.workflow import layout_of
 
     pace = Pace(1.0 if options.speed is None else options.speed)
     path = Path(options.endpoint)
     with contextlib.ExitStack() as open_:
-        log = logparsers.read(path, layout_of(next(iter(aircraft.values()))))
+        log = one_log(path, next(iter(aircraft.values())))
         signature = signature_of(options.signing_key)
         recorded = signature.of_any_time() if signature else None
         is_stream = log.format == "tlog"

@@ -128,11 +128,9 @@ def _aircraft(options: argparse.Namespace, *, with_servo: bool = True) -> Aircra
 
 
 def _check_surfaces(options: argparse.Namespace, aircraft: Aircraft) -> None:
-    from servofd.errors import NoMeasurement, UnknownName, suggest
+    from servofd.errors import NoMeasurement
 
-    for name in options.surface:
-        if name not in aircraft.surfaces:
-            raise UnknownName(suggest("surface", name, aircraft.surfaces))
+    aircraft.check_names(options.surface)
     if not options.surface and all(surface.measured is None for surface in aircraft.surfaces.values()):
         raise NoMeasurement(f"{options.config}: names no measured channel for any surface")
 

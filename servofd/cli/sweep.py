@@ -29,21 +29,16 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Check, then write or print."""
-    import logparsers
-    from servofd.aircraft import load_aircraft
-    from servofd.errors import UnknownName, suggest
+    from servofd.job import aircraft_for, known_aircraft, one_log
     from servofd.outputs.files import write_whole
     from servofd.outputs.json_report import to_json
     from servofd.outputs.sweep_report import sweep_document
     from servofd.sweep.check import check_sweep
-    from servofd.workflow import aircraft_for, layout_of
 
-    known = load_aircraft(options.config) if options.config else None
-    log = logparsers.read(options.log, layout_of(known))
+    known = known_aircraft(options.config)
+    log = one_log(options.log, known)
     aircraft = known or aircraft_for(log)
-    for name in options.surface:
-        if name not in aircraft.surfaces:
-            raise UnknownName(f"{log.label}: {suggest('surface', name, aircraft.surfaces)}")
+    aircraft.check_names(options.surface, log.label)
     found = check_sweep(log, aircraft, tuple(options.surface))
     document = to_json(sweep_document(log, found))
     if options.json and options.json != "-":

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from servofd.detection.bank.explanation import Estimate
-from servofd.detection.bank.isolate import Fault
+from servofd.detection.bank.flight import Fault
 from servofd.detection.bank.window import noise_deg
 from servofd.detection.resolution import step_deg
 from servofd.models.state import compiled

@@ -6,13 +6,12 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from servofd.aircraft import load_aircraft
 from servofd.fleet.cluster import run_on_cluster
 from servofd.fleet.find import find_logs
 from servofd.fleet.judge import failed, judge_log
 from servofd.fleet.key import Job
 from servofd.fleet.local import run_local
-from servofd.workflow import layout_of
+from servofd.job import known_aircraft, layout_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -90,7 +89,7 @@ def audit_logs(
     >>> [judged.runs[0].has_fault for judged in audit_logs(["sample_logs/faser_stuck_flight.ma?"], "faser", workers=0)]
     [True]
     """
-    known = load_aircraft(aircraft) if isinstance(aircraft, str | Path) else aircraft
+    known = known_aircraft(aircraft)
     found = find_logs([str(one) for one in inputs], layout_of(known))
     return audit_fleet(found.logs, Job(known), cluster=cluster, workers=workers)
 

@@ -18,8 +18,9 @@ import numpy as np
 from servofd.calibration import DegreeCalibration, PulseCalibration, RadianCalibration
 from servofd.detection.residual import ResidualGenerator
 from servofd.detection.threshold import Evaluation
-from servofd.errors import ConfigError, DesignError, UnknownName, suggest
+from servofd.errors import ConfigError, DesignError
 from servofd.models.physics import Physics
+from servofd.onboard.output import COMMANDS_OF_SERVO, POSITIONS_FROM_0, POSITIONS_FROM_1, output_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,17 +35,12 @@ __all__ = [
     "OnboardPlan",
     "OnboardSurface",
     "onboard_name",
-    "output_of",
     "outputs_of",
     "plan_onboard",
 ]
 
 LONGEST_NAME = 22
 """With " not moved yet: use sticks" it fills the 50 characters of a message."""
-_COMMANDS_OF_OUTPUT = re.compile(r"(?:.*:)?(?:RCOU\.C|RCO2\.C|RCO3\.C|SERVO_OUTPUT_RAW\.servo)(\d+)(?:_raw)?")
-_COMMANDS_OF_SERVO = re.compile(r"CSRV\[(\d+)\]\.PosCmd")
-_POSITIONS_FROM_0 = re.compile(r"CSRV\[(\d+)\]\.Pos")
-_POSITIONS_FROM_1 = re.compile(r"(?:.*:)?(?:NAMED_VALUE_FLOAT|NVF|NVAL)\[SRVP(\d+)\]\.[vV]alue")
 _SAME_POLE = 4e-3
 """Poles closer than this share are moved that far apart: half the digits of a 32-bit number, as the error of moving
 grows with the square of the distance and that of rounding with its inverse."""
@@ -174,9 +170,7 @@ def plan_onboard(
     >>> [(surface.name, surface.output) for surface in plan_onboard(load_aircraft("simulated")).surfaces]
     [('AILERON', 1), ('ELEVATOR', 2), ('RUDDER', 4)]
     """
-    for name in surfaces:
-        if name not in aircraft.surfaces:
-            raise UnknownName(suggest("surface", name, aircraft.surfaces))
+    aircraft.check_names(surfaces)
     if not 10.0 <= rate_hz <= 200.0:
         raise ConfigError(f"a script cannot look {rate_hz:g} times a second: 10 to 200 Hz work")
     period_ms = round(1e3 / rate_hz)
@@ -208,25 +202,6 @@ def plan_onboard(
     return OnboardPlan(aircraft.name, tuple(planned), period_ms, turns, tuple(notes))
 
 
-def output_of(surface: Surface) -> int | None:
-    """Number of the output that turns a surface, from 1, as its channels tell it; None if they do not.
-
-    Examples
-    --------
-    >>> from servofd.aircraft import load_aircraft
-    >>> output_of(load_aircraft("simulated").surfaces["rudder"]), output_of(load_aircraft("faser").surfaces["rudder"])
-    (4, None)
-    """
-    places = [(_COMMANDS_OF_OUTPUT, surface.command.channel, 0), (_COMMANDS_OF_SERVO, surface.command.channel, 1)]
-    if surface.measured is not None:
-        places += [(_POSITIONS_FROM_0, surface.measured.channel, 1), (_POSITIONS_FROM_1, surface.measured.channel, 0)]
-    for pattern, channel, base in places:
-        match = pattern.fullmatch(channel)
-        if match:
-            return int(match[1]) + base
-    return None
-
-
 def outputs_of(aircraft: Aircraft, surfaces: Sequence[str] = ()) -> list[int]:
     """Outputs of the surfaces that have a position, rising; of all surfaces if none is named.
 
@@ -244,9 +219,8 @@ def outputs_of(aircraft: Aircraft, surfaces: Sequence[str] = ()) -> list[int]:
     [1, 2, 4]
     """
     found = set()
+    aircraft.check_names(surfaces)
     for name in surfaces or aircraft.surfaces:
-        if name not in aircraft.surfaces:
-            raise UnknownName(suggest("surface", name, aircraft.surfaces))
         if aircraft.surfaces[name].measured is not None:
             found.add(_output(aircraft.surfaces[name]))
     if not found:
@@ -305,7 +279,7 @@ def _planned(aircraft: Aircraft, name: str, short: str, period_s: float) -> Onbo
         name=short,
         surface=name,
         output=output,
-        from_servo=_COMMANDS_OF_SERVO.fullmatch(surface.command.channel) is not None,
+        from_servo=COMMANDS_OF_SERVO.fullmatch(surface.command.channel) is not None,
         command=_polynomial(surface),
         position=(scale, offset_deg - physics.bias_deg),
         saturation_deg=surface.command_saturation_deg,
@@ -380,7 +354,7 @@ def _straight(surface: Surface) -> tuple[float, float]:
     """Scale and offset that make a deflection of what `servo_telem` measures [deg]."""
     measured = surface.measured
     if not isinstance(measured, DegreeCalibration | RadianCalibration) or not (
-        _POSITIONS_FROM_0.fullmatch(measured.channel) or _POSITIONS_FROM_1.fullmatch(measured.channel)
+        POSITIONS_FROM_0.fullmatch(measured.channel) or POSITIONS_FROM_1.fullmatch(measured.channel)
     ):
         raise ConfigError(
             f"position channel {measured.channel if measured else ''!r} is none that ArduPilot has on board "
@@ -394,7 +368,7 @@ def _straight(surface: Surface) -> tuple[float, float]:
 def _polynomial(surface: Surface) -> tuple[float, float, float, float]:
     """Deflection [deg] from the pulse less 1500 us, or from the command that the servo repeats [deg]."""
     command, centre = surface.command, _CENTRE_US
-    if isinstance(command, DegreeCalibration) and _COMMANDS_OF_SERVO.fullmatch(command.channel):
+    if isinstance(command, DegreeCalibration) and COMMANDS_OF_SERVO.fullmatch(command.channel):
         centre = 0.0
     elif not isinstance(command, PulseCalibration):
         raise ConfigError(f'command channel {command.channel!r} is no pulse width of an output (unit = "us")')

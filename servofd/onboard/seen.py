@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.onboard.plan import output_of
+from servofd.onboard.output import output_of
 
 if TYPE_CHECKING:
     from logparsers.records import FlightLog

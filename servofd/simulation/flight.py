@@ -100,9 +100,7 @@ def simulate_flight(
     """
     if command not in COMMANDS:
         raise UnknownName(suggest("command", command, COMMANDS))
-    for name in (*(faults or {}), *(effects or {})):
-        if name not in aircraft.surfaces:
-            raise UnknownName(suggest("surface", name, aircraft.surfaces))
+    aircraft.check_names([*(faults or {}), *(effects or {})])
     if not (0.0 < rate_hz <= 10_000.0 and 2.0 <= duration_s * rate_hz <= 1e8 and 0.0 <= noise_deg < 1e3):
         raise ConfigError(
             f"cannot simulate {duration_s} s at {rate_hz} Hz with {noise_deg} deg of noise: "

@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-import logparsers
 from logparsers import LogError
 from servofd.errors import ConfigError, ServofdError
 from servofd.fleet.fetch import fetched
+from servofd.job import logs_of
 from servofd.segment import cut
 from servofd.wear.estimate import estimate_flight
 from servofd.wear.records import FlightEstimate
-from servofd.workflow import layout_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -68,8 +67,7 @@ def estimate_log(source: LogSource, aircraft: Aircraft, surfaces: tuple[str, ...
     """
     try:
         with fetched(source.path) as local:
-            logs = logparsers.read_all(local, layout_of(aircraft))
-            return tuple(_of_run(log, source.path, aircraft, surfaces) for log in logs)
+            return tuple(_of_run(log, source.path, aircraft, surfaces) for log in logs_of(local, aircraft))
     except (LogError, ServofdError, OSError) as error:
         return (FlownLog(source.path, "", None, "", (), (str(error).removeprefix(f"{source.path}: "),)),)
 

@@ -9,14 +9,14 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from servofd.aircraft import Aircraft, load_aircraft
-from servofd.errors import NoMeasurement, UnknownName, suggest
+from servofd.errors import NoMeasurement
 from servofd.fleet.cluster import run_on_cluster
 from servofd.fleet.find import find_logs
 from servofd.fleet.local import run_local
+from servofd.job import layout_of
 from servofd.wear.follow import SurfaceTrend, Wear, follow
 from servofd.wear.limits import limits_of, telling_steps
 from servofd.wear.logs import FlownLog, Order, check_one_aircraft, estimate_log, in_order
-from servofd.workflow import layout_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -94,9 +94,7 @@ def trend_logs(
     False
     """
     known = aircraft if isinstance(aircraft, Aircraft) else load_aircraft(aircraft)
-    for name in surfaces:
-        if name not in known.surfaces:
-            raise UnknownName(suggest("surface", name, known.surfaces))
+    known.check_names(surfaces)
     there = find_logs([str(path) for path in paths], layout_of(known))
     task = partial(estimate_log, aircraft=known, surfaces=surfaces)
     logs: list[FlownLog] = []
