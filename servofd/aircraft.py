@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from servofd.axes.schema import MotionModel
 from servofd.calibration import Calibration, DegreeCalibration
 from servofd.errors import ConfigError, DesignError, ServofdError, UnknownName, suggest
+from servofd.estimate.schema import CalibratedServo
 from servofd.evidence import ModelOrigin
 from servofd.limits import Limits
 from servofd.models.effect_table import EffectTable, effects_installed
@@ -123,6 +124,8 @@ class Surface(_Entry):
     """How far the servo may wear."""
     model: ModelOrigin = ModelOrigin()
     """Where the servo's model comes from: a servo that a file names is ``named`` unless it says otherwise."""
+    calibrated: CalibratedServo | None = None
+    """What ``servofd calibrate`` fitted to good flights; judged by it unless a constant threshold is asked for."""
 
     @property
     def tolerances(self) -> Tolerance:
@@ -134,6 +137,11 @@ class Surface(_Entry):
         0.03
         """
         return self.tolerance or Tolerance().scaled(max(1.0, self.threshold_deg / DEFAULT_THRESHOLD_DEG))
+
+    @property
+    def is_calibrated(self) -> bool:
+        """Whether it is judged by what was fitted to its good flights."""
+        return self.calibrated is not None and self.threshold != "constant"
 
     @property
     def tells_small_faults(self) -> bool:

@@ -71,6 +71,8 @@ ONLY_IN = {
         "servofd/models/play.py",
         "servofd/detection/probability/cusum.py",
         "servofd/detection/starts.py",
+        "servofd/detection/changes.py",
+        "servofd/estimate/family.py",
         "servofd/detection/bank/altered.py",
         "servofd/models/loop_steps.py",
         "servofd/models/position_loop.py",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
@@ -11,6 +10,7 @@ from servofd.aircraft import Aircraft
 from servofd.calibrating.result import Calibration
 from servofd.calibrating.surface import calibrate_surface, hardly_moved
 from servofd.errors import CalibrationError
+from servofd.evidence import ModelOrigin
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -63,7 +63,7 @@ def calibrate_aircraft(
     >>> segment = Segment("rudder", flown.time_s, flown.command_deg[:, 0], flown.time_s, flown.measured_deg[:, 0])
     >>> rough = plain_aircraft(["rudder"], "s9256")
     >>> calibrated = calibrate_aircraft(rough, {"rudder": [Flight("good.csv", segment)]})
-    >>> calibrated.surfaces[0].levels.interval_deg < 0.5
+    >>> calibrated.surfaces[0].held_out_rms_deg < 0.1
     True
     """
     kept = {name: "not asked for" for name in aircraft.surfaces if name not in flights}
@@ -78,7 +78,7 @@ def calibrate_aircraft(
 
     def one(name: str) -> CalibratedSurface | CalibrationError:
         try:
-            return calibrate_surface(flights[name], aircraft, false_alarms_per_hour / len(wanted))
+            return calibrate_surface(flights[name], aircraft)
         except CalibrationError as error:
             return error
         finally:
@@ -101,7 +101,7 @@ def _with(aircraft: Aircraft, found: Sequence[CalibratedSurface]) -> Aircraft:
     for one in found:
         name = f"{one.surface}-calibrated"
         surfaces[one.surface] = _entry(surfaces[one.surface], one, name)
-        servos[name] = one.fit.servo.described(_source(one))
+        servos[name] = one.servo
     used = {surface.servo for surface in surfaces.values()}
     servos |= {name: servo for name, servo in aircraft.servos.items() if name in used and name not in servos}
     return Aircraft.model_validate(
@@ -110,40 +110,21 @@ def _with(aircraft: Aircraft, found: Sequence[CalibratedSurface]) -> Aircraft:
 
 
 def _entry(surface: Surface, one: CalibratedSurface, servo: str) -> Surface:
-    if surface.measured is None:
-        raise CalibrationError(f"{one.surface}: the aircraft file names no measured channel for it")
-    gain, offset_deg = one.fit.gain.value, one.fit.offset_deg.value
-    measured = surface.measured.corrected(1.0 / gain, -offset_deg / gain)
-    rounded = (float(f"{measured.correction[0]:.6g}"), round(measured.correction[1], 4))
-    levels = one.levels
     return surface.model_copy(
         update={
             "servo": servo,
-            "measured": measured.model_copy(update={"correction": rounded}),
+            "measured": one.measured,
             "threshold": "interval",
-            "threshold_deg": _two_digits_up(levels.constant_deg),
-            "filter_pole_rad_s": float(one.filter_pole_rad_s),
-            "suspicions": one.suspicions,
-            "threshold_sigmas": round(levels.sigmas, 2),
-            "tolerance": levels.tolerance.model_copy(
-                update={key: _two_digits_up(value) for key, value in levels.tolerance.model_dump().items()}
+            "threshold_deg": one.threshold_deg,
+            "tolerance": one.tolerance,
+            "suspicions": True,
+            "effects": {},
+            "filter_pole_rad_s": None,
+            "model": ModelOrigin(
+                origin="calibrated",
+                held_out_rms_deg=float(f"{one.held_out_rms_deg:.3g}"),
+                explained_share=round(one.explained_share, 4),
             ),
+            "calibrated": one.known,
         }
     )
-
-
-def _two_digits_up(value: float) -> float:
-    """Two digits that count and a half, never below the value.
-
-    >>> _two_digits_up(0.03141), _two_digits_up(2.0)
-    (0.0315, 2.0)
-    """
-    if value <= 0.0:
-        return 0.0
-    step = 5.0 * 10.0 ** (math.floor(math.log10(value)) - 2)
-    return float(f"{math.ceil(value / step - 1e-9) * step:.6g}")
-
-
-def _source(one: CalibratedSurface) -> str:
-    logs = ", ".join(f"{record.label} ({record.used_s:.0f} s)" for record in one.flights)
-    return f"fitted to {logs}"

@@ -5,12 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from servofd.aircraft import Aircraft
-    from servofd.calibrating.fit import ServoFit
-    from servofd.calibrating.levels import Levels
+from servofd.evidence import NOTHING_DETECTABLE, Detectable
 
-__all__ = ["Before", "CalibratedSurface", "Calibration", "FlightRecord"]
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from servofd.aircraft import Aircraft
+    from servofd.calibration import Calibration as Scale
+    from servofd.detection.bank.explanation import Estimate
+    from servofd.estimate.schema import CalibratedServo
+    from servofd.servos import Servo
+    from servofd.tolerance import Tolerance
+
+__all__ = ["CalibratedSurface", "Calibration", "FlightRecord"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,26 +35,29 @@ class CalibratedSurface:
     """One surface, fitted."""
 
     surface: str
-    fit: ServoFit
-    levels: Levels
-    filter_pole_rad_s: float
-    """Of the residual filter that the levels belong to [rad/s]."""
-    before: Before
-    flights: tuple[FlightRecord, ...]
-    stretches: int
-    """How many stretches with motion the tolerances come from."""
-    suspicions: bool
-    """Whether faults below the threshold may be looked for: not if the good flights already look suspect."""
-    notes: tuple[str, ...]
-    """What a user should know before trusting it."""
-
-
-@dataclass(frozen=True, slots=True)
-class Before:
-    """How the aircraft file did before."""
-
-    residual_std_deg: float
+    known: CalibratedServo
+    """Servo, noise, differences between flights, thresholds."""
+    estimates: Mapping[str, Estimate]
+    """Of the parameters, with 95 % intervals."""
+    effects: tuple[str, ...]
+    """Effects that predict flights better which they were not fitted to, in words, the most telling first."""
+    measured: Scale
+    """Channel of the position, so scaled that it reads in degrees of the command."""
+    servo: Servo
+    """The linear part alone, for constant thresholds, simulations and the script on board."""
+    tolerance: Tolerance
+    """How far a good servo strays from the linear part."""
     threshold_deg: float
+    """Constant threshold that the flights stayed below, with a margin [deg]."""
+    held_out_rms_deg: float
+    explained_share: float
+    flights: tuple[FlightRecord, ...]
+    detectable: Detectable = NOTHING_DETECTABLE
+    """What these flights would have shown."""
+    sharper: str = ""
+    """What more flights buy."""
+    notes: tuple[str, ...] = ()
+    """What a user should know before trusting it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,48 +1,77 @@
-"""Calibration of one surface."""
+"""Calibration of one surface: effects fitted to good flights, and how well they predict what the fit had not seen."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from servofd.calibrating.fit import ServoFit, fit_servo
 from servofd.calibrating.flights import asked_deg
-from servofd.calibrating.levels import MARGIN, levels_for, sigmas_for, terms_of, widened, with_tail
-from servofd.calibrating.order import runs_ahead
-from servofd.calibrating.result import Before, CalibratedSurface, FlightRecord
-from servofd.calibrating.servo import FlownServo
-from servofd.calibrating.sound import problem
-from servofd.calibrating.spread import tolerance_from
-from servofd.calibrating.still import stands_still
-from servofd.calibrating.stretches import Flown, flown, stretches_of, telling
+from servofd.calibrating.result import CalibratedSurface, FlightRecord
 from servofd.detection.bank.explanation import Estimate
-from servofd.detection.bank.window import noise_deg
-from servofd.detection.judge import judge
-from servofd.detection.pulse import fastest_pole_rad_s
+from servofd.detection.calibrated import judged
+from servofd.detection.changes import STATISTICS
+from servofd.detection.watch import FLOORS, MARGIN, detectable, statistics_of, watched
 from servofd.errors import CalibrationError
+from servofd.estimate.family import NAMES, PRIORS
+from servofd.estimate.fit import fit
+from servofd.estimate.record import Record, usual_supply_v
+from servofd.estimate.schema import CalibratedNoise, CalibratedServo
+from servofd.servos import Servo
+from servofd.tolerance import Tolerance
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servofd.aircraft import Aircraft, Surface
+    from servofd.aircraft import Aircraft
     from servofd.calibrating.flights import Flight
-    from servofd.models.servo_model import ServoModel
-    from servofd.tolerance import Tolerance
+    from servofd.estimate.fit import Fit
+    from servofd.types import FloatArray
 
 __all__ = ["calibrate_surface", "hardly_moved"]
 
-_ENOUGH_MOTION_DEG = 1.0
-_SHORTEST_S = 2.5
+_ENOUGH_MOTION_DEG: Final = 1.0
+_SHORTEST_S: Final = 2.5
 """A bench test that is all motion; a flight says more."""
-_SLOWEST_HZ = 15.0
-"""Healthy residuals pass 0.4 deg at 10 Hz and 0.13 deg at 25 Hz for lack of samples: no base for a threshold."""
-_GAINS = (0.5, 2.0)
-_USUAL_GAINS = (0.8, 1.25)
-_LARGE_SHARE = 2.0
-_POOR = 0.1
-_TRIALS = 6
-_ADVICE = "leave that part out (--until, --between), or the surface (-s)"
+_FAR_GAINS: Final = (0.5, 2.0)
+_USUAL_GAINS: Final = (0.8, 1.25)
+_POOR: Final = 0.6
+_FEWEST: Final = 60
+_LONGEST_LEAD_S: Final = 0.5
+_LEAST_REACH: Final = 0.5
+_STRANGE: Final = 6.0
+"""A flight that differs from the others by so many standard deviations between flights is of another aircraft."""
+_OWN_MARGIN: Final = 1.3
+_REFUSED: Final = 1.5
+"""A good flight over so many times its thresholds is none."""
+_PAYS: Final = 1.01
+_UNCERTAINTIES: Final = 4.0
+_KNOWN_FLIGHTS: Final = 4.0
+"""A stated prior counts as so many differences between flights."""
+_LEAST_SHARE: Final = 0.25
+_ADVICE: Final = "leave that part out (--until, --between), or the surface (-s)"
+_FAST_M_S: Final = 25.0
+
+_MANY: Final = 3
+_VAGUE: Final = 4.0
+"""A parameter is vague if its variance is so many times the usual one between flights."""
+_SPOKEN: Final = dict(
+    zip(
+        NAMES,
+        ("the scale", "the offset", "the delay", "the bandwidth", "the damping", "the largest speed", "the dead band",
+         "the friction", "the play", "the load of the air", "the load of the air", "the bend of the reading",
+         "the bend of the reading"),
+        strict=True,
+    )
+)  # fmt: skip
+
+_EFFECTS: Final = {
+    "friction_deg": "friction {:.2g} deg",
+    "deadband_deg": "dead band {:.2g} deg",
+    "play_deg": "play {:.2g} deg",
+    "hinge": "gives way {:.2g} deg",
+    "bend2_deg": "reading bent by {:.2g} deg",
+}
 
 
 def hardly_moved(flights: Sequence[Flight]) -> str:
@@ -56,21 +85,20 @@ def hardly_moved(flights: Sequence[Flight]) -> str:
     >>> hardly_moved([Flight("a.csv", Segment("x", t, 0.0 * t, t, 0.0 * t))])
     'the command moves by 0 deg only; a calibration needs 1 deg or more'
     """
-    for flight in flights:
-        rate_hz = 1.0 / flight.segment.period_s if flight.segment.period_s > 0.0 else 0.0
-        if rate_hz < _SLOWEST_HZ:
-            return f"{flight.label}: position comes at {rate_hz:.2g} Hz; a calibration needs {_SLOWEST_HZ:g} Hz or more"
     seconds = sum(flight.segment.duration_s for flight in flights)
     if seconds < _SHORTEST_S:
         return f"only {seconds:.1f} s of flight; a calibration needs {_SHORTEST_S:g} s or more"
     motion_deg = max(float(np.ptp(asked_deg(flight.segment))) for flight in flights)
     if motion_deg < _ENOUGH_MOTION_DEG:
         return f"the command moves by {motion_deg:.2g} deg only; a calibration needs {_ENOUGH_MOTION_DEG:g} deg or more"
+    count = sum(int(np.count_nonzero(Record.of(flight.segment).usable)) for flight in flights)
+    if count < _FEWEST:
+        return f"only {count} positions with commands around them; a calibration needs {_FEWEST}"
     return ""
 
 
-def calibrate_surface(flights: Sequence[Flight], aircraft: Aircraft, rate_per_hour: float) -> CalibratedSurface:
-    """Fit the servo of one surface, then its tolerances and thresholds.
+def calibrate_surface(flights: Sequence[Flight], aircraft: Aircraft) -> CalibratedSurface:
+    """Fit the servo of one surface, what it may differ by between flights, and its thresholds.
 
     Parameters
     ----------
@@ -78,8 +106,6 @@ def calibrate_surface(flights: Sequence[Flight], aircraft: Aircraft, rate_per_ho
         Of one surface; long enough and with motion (`hardly_moved` says nothing).
     aircraft : Aircraft
         What is known of it.
-    rate_per_hour : float
-        Wanted false alarms of this surface.
 
     Raises
     ------
@@ -88,156 +114,265 @@ def calibrate_surface(flights: Sequence[Flight], aircraft: Aircraft, rate_per_ho
     """
     name = flights[0].segment.surface
     surface = aircraft.surfaces[name]
-    prior = FlownServo.on(aircraft, name)
-    _check_moves(name, flights)
-    fit = _as_known(flights, aircraft, prior) if surface.effects else fit_servo(flights, prior, surface.tolerances)
-    model = aircraft.model(name) if surface.effects else fit.servo.model
-    _check_fit(name, fit, flights)
-    _check_scale(name, fit)
-    scaled = [flight.with_scale(fit.gain.value, fit.offset_deg.value) for flight in flights]
-    pole_rad_s = surface.filter_pole_rad_s or _pole_rad_s(model, flights)
-    runs = [flown(flight, model, pole_rad_s) for flight in scaled]
-    stretches = [s for run in runs for s in stretches_of(run, surface.tolerances, fit.noise_deg)]
-    if not stretches:
-        raise CalibrationError(
-            f"{name}: no stretch of a second in which the surface moves: fly, or move the sticks, for longer"
-        )
-    tolerance = tolerance_from(telling(stretches), _half_widths(fit), surface.tolerances, fit.noise_deg)
-    sigmas = sigmas_for(rate_per_hour, runs[0])
-    terms = terms_of(runs, tolerance)
-    wrong = problem(runs, stretches, terms, tolerance, sigmas, surface)
-    if wrong:
-        raise CalibrationError(f"{name}: not a good flight: {wrong}; {_ADVICE}")
-    tolerance = widened(terms, tolerance, sigmas)
-    tolerance = with_tail(terms, tolerance, sigmas, rate_per_hour, scaled[0].segment.period_s)
-    tolerance, suspicions = _verified(runs, surface, tolerance, sigmas)
-    levels = levels_for(terms, tolerance, rate_per_hour, sigmas, scaled[0].segment.period_s)
+    if surface.measured is None:
+        raise CalibrationError(f"{name}: the aircraft file names no measured channel for it")
+    supply_v = float(np.median([usual_supply_v(flight.segment.context) for flight in flights]))
+    records = [Record.of(flight.segment, supply_v) for flight in flights]
+    first = fit(records)
+    gain, offset_deg = first.theta[0], first.theta[1]
+    _check(name, first, records, flights)
+    measured = surface.measured.corrected(1.0 / gain, -offset_deg / gain)
+    scale, shift_deg = float(f"{measured.correction[0]:.6g}"), round(measured.correction[1], 4)
+    measured = measured.model_copy(update={"correction": (scale, shift_deg)})
+    _refuse_mixed(name, first, records, flights)
+    scaled = [flight.with_scale(gain, offset_deg) for flight in flights]
+    records = [Record.of(flight.segment, supply_v) for flight in scaled]
+    fitted = fit(records, start=_scaled(first.theta))
+    known = _known(fitted, records, supply_v, len(flights))
+    _refuse_broken(name, known, records, scaled)
+    known = known.model_copy(update={"thresholds": _thresholds(known, fitted, records)})
+    flown = [watched(known, record) for record in records]
+    servo = _linear(fitted.theta, flights)
     return CalibratedSurface(
         name,
-        fit,
-        levels,
-        pole_rad_s,
-        _before(flights, aircraft),
+        known,
+        {key: _estimate(fitted, place) for place, key in enumerate(NAMES)},
+        _effects(fitted, records),
+        measured,
+        servo,
+        _tolerance(known),
+        _constant_deg(fitted),
+        fitted.held_out_rms_deg,
+        fitted.explained_share,
         tuple(FlightRecord(flight.label, flight.segment.duration_s) for flight in flights),
-        len(telling(stretches)),
-        suspicions,
-        _notes(fit, prior),
+        detectable(flown),
+        _sharper(known, len(flights)),
+        _notes(gain, known),
     )
 
 
-def _verified(runs: Sequence[Flown], surface: Surface, tolerance: Tolerance, sigmas: float) -> tuple[Tolerance, bool]:
-    """Tolerances under which an audit of these flights finds nothing, and whether it may look for small faults."""
-    for suspicions in (True, False):
-        for _ in range(_TRIALS):
-            judged = surface.model_copy(
-                update={
-                    "threshold": "interval",
-                    "threshold_sigmas": sigmas,
-                    "tolerance": tolerance,
-                    "suspicions": suspicions,
-                }
-            )
-            found = [judge(run.generator, run.flight.segment, run.residuals, judged) for run in runs]
-            if not any(judgement.faults or judgement.suspicions for judgement in found):
-                return tolerance, suspicions
-            if suspicions:
-                break
-            tolerance = tolerance.scaled(MARGIN)
-    raise CalibrationError(
-        f"{runs[0].flight.segment.surface}: no tolerances keep these flights free of alarms: not one servo, or a fault"
-    )
+def _scaled(theta: FloatArray) -> FloatArray:
+    """The same servo with a reading in degrees of the command."""
+    gain = theta[0]
+    out = theta.copy()
+    out[0], out[1] = 1.0, 0.0
+    out[5] -= np.log(gain)
+    for place in (6, 7, 8, 10, 11, 12):
+        out[place] /= gain
+    return out
 
 
-def _check_moves(name: str, flights: Sequence[Flight]) -> None:
-    for flight in flights:
-        ahead = runs_ahead(flight)
-        if ahead:
-            raise CalibrationError(f"{name}: {ahead}")
-        where = stands_still(flight)
-        if where:
-            raise CalibrationError(f"{name}: not a good flight: {where}; {_ADVICE}")
-
-
-def _check_scale(name: str, fit: ServoFit) -> None:
-    gain = abs(fit.gain.value)
-    if not _GAINS[0] <= gain <= _GAINS[1]:
+def _check(name: str, fitted: Fit, records: Sequence[Record], flights: Sequence[Flight]) -> None:
+    """Refuse flights whose position has little to do with the command."""
+    gain = fitted.theta[0]
+    logs = ", ".join(flight.label for flight in flights)
+    ahead_s = max(_ahead_s(record) for record in records)
+    if ahead_s > 0.0:
         raise CalibrationError(
-            f"{name}: the position moves {gain:.3g} times as far as the command: check units and channels of the "
-            "aircraft file; a calibration corrects factors between 0.5 and 2"
+            f"{name}: the position moves {1e3 * ahead_s:.0f} ms before the command in {logs}: swapped columns, or "
+            "clocks that disagree"
+        )
+    if fitted.explained_share < _POOR:
+        raise CalibrationError(
+            f"{name}: not a good flight: no servo explains more than {max(fitted.explained_share, 0.0):.0%} of how the "
+            f"position moves in {logs}: it does not follow its command; {_ADVICE}"
+        )
+    wanted_deg = max(float(np.ptp(asked_deg(flight.segment))) for flight in flights) * abs(gain)
+    given_deg = fitted.reach_deg[1] - fitted.reach_deg[0]
+    if given_deg < _LEAST_REACH * wanted_deg:
+        raise CalibrationError(
+            f"{name}: not a good flight: asked for {wanted_deg:.3g} deg of travel, the position shows "
+            f"{given_deg:.3g} deg in {logs}; {_ADVICE}"
+        )
+    if not _FAR_GAINS[0] <= gain <= _FAR_GAINS[1]:
+        raise CalibrationError(
+            f"{name}: the position moves by {gain:.2f} times its command in {logs}: check scale and unit in the "
+            "aircraft file, or a servo that has lost its travel"
         )
 
 
-def _as_known(flights: Sequence[Flight], aircraft: Aircraft, prior: FlownServo) -> ServoFit:
-    """A servo with effects: they were fitted together with what they act on, and no part of it is fitted anew."""
-    name = flights[0].segment.surface
-    runs = [flown(flight, aircraft.model(name), aircraft.surfaces[name].filter_pole_rad_s) for flight in flights]
-    error_deg = np.concatenate([run.residuals.error_deg[run.residuals.settled] for run in runs])
-    return ServoFit(
-        prior,
-        Estimate(1.0, 1.0, 1.0),
-        Estimate(0.0, 0.0, 0.0),
-        {},
-        dict.fromkeys(prior.numbers, "the effects of this surface were found around it"),
-        noise_deg(error_deg),
-        float(np.sqrt(np.mean(error_deg**2))) if error_deg.size else 0.0,
+def _ahead_s(record: Record) -> float:
+    """By how much the position moves before the command [s]; 0 if it does not, or hardly moves."""
+    step_s = max(record.period_s, 0.005)
+    grid_s = np.arange(record.time_s[0], record.time_s[-1], step_s)
+    if grid_s.size < _FEWEST:
+        return 0.0
+    asked = np.diff(np.interp(grid_s, record.command_s, record.command_deg))
+    seen = np.diff(np.interp(grid_s, record.time_s, record.measured_deg))
+    most = max(round(_LONGEST_LEAD_S / step_s), 2)
+    middle = seen[most:-most]
+    power = np.array([float(middle @ asked[most + lag : asked.size - most + lag]) for lag in range(-most, most + 1)])
+    lead = int(np.argmax(power)) - most
+    return lead * step_s if lead > 1 else 0.0
+
+
+def _known(fitted: Fit, records: Sequence[Record], supply_v: float, flights: int) -> CalibratedServo:
+    """What goes into the file, with the usual thresholds."""
+    spread = np.array([prior.between for prior in PRIORS]) ** 2
+    if len(records) > 1:
+        changes = _changes(fitted, records)
+        spread = (_KNOWN_FLIGHTS * spread + (changes**2).sum(axis=0)) / (_KNOWN_FLIGHTS + len(records) - 1.0)
+        spread = np.maximum(spread, _LEAST_SHARE * np.array([prior.between for prior in PRIORS]) ** 2)
+    between = np.diag(spread) + _UNCERTAINTIES * fitted.covariance
+    noise = fitted.noise
+    return CalibratedServo(
+        parameters={key: float(f"{value:.6g}") for key, value in zip(NAMES, fitted.theta.tolist(), strict=True)},
+        between=tuple(tuple(float(f"{x:.5g}") for x in row[: i + 1]) for i, row in enumerate(between.tolist())),
+        noise=CalibratedNoise(
+            still_deg=float(f"{noise.still_deg:.4g}"),
+            lag_s=float(f"{noise.lag_s:.4g}"),
+            colour=(round(noise.colour[0], 4), round(noise.colour[1], 4)),
+            innovation=float(f"{noise.innovation:.4g}"),
+            period_s=float(f"{noise.period_s:.6g}"),
+        ),
+        reach_deg=(round(fitted.reach_deg[0], 3), round(fitted.reach_deg[1], 3)),
+        supply_v=round(supply_v, 3),
+        flights=flights,
     )
 
 
-def _pole_rad_s(model: ServoModel, flights: Sequence[Flight]) -> float:
-    """Fastest filter pole that suits all these flights; thresholds hold for the filter that they were found with."""
-    return min(fastest_pole_rad_s(model.transfer, flight.segment.period_s) for flight in flights)
+def _changes(fitted: Fit, records: Sequence[Record]) -> FloatArray:
+    """How each flight alone would change the parameters, as far as it tells; shape (flights, 13)."""
+    from servofd.estimate.fit import FAMILY, residual
+
+    between = np.array([prior.between for prior in PRIORS])
+    out = []
+    for record in records:
+        reading_deg, slopes, speed = FAMILY.predicted(fitted.theta, record, fitted.reach_deg)
+        error_deg, inside = residual(record.measured_deg, reading_deg, fitted.reach_deg)
+        rows = record.usable & inside
+        sigma = fitted.noise.sigma_deg(speed[rows])
+        weight = np.minimum(1.0, 2.5 / np.maximum(np.abs(error_deg[rows]) / sigma, 1e-9)) / sigma**2 / 4.0
+        block = (slopes[rows] * weight[:, None]).T @ slopes[rows] + np.diag((2.0 * between) ** -2.0)
+        out.append(np.linalg.solve(block, slopes[rows].T @ (weight * error_deg[rows])))
+    return np.array(out)
 
 
-def _check_fit(name: str, fit: ServoFit, flights: Sequence[Flight]) -> None:
-    """Refuse a servo that no linear model with a rate limit comes near."""
-    positions = np.concatenate([flight.segment.measured_deg for flight in flights]) / abs(fit.gain.value)
-    low_deg, high_deg = np.nanpercentile(positions, [2.0, 98.0])
-    beyond_noise_deg = float(np.sqrt(max(fit.error_rms_deg**2 - fit.noise_deg**2, 0.0)))
-    if beyond_noise_deg > _POOR * (high_deg - low_deg):
+def _refuse_mixed(name: str, fitted: Fit, records: Sequence[Record], flights: Sequence[Flight]) -> None:
+    """Refuse flights of different aircraft, or with different servos."""
+    if len(records) < 2:
+        return
+    usual = np.array([prior.between for prior in PRIORS])
+    apart = np.abs(_changes(fitted, records)) / (2.0 * usual)
+    worst = np.unravel_index(int(np.argmax(apart)), apart.shape)
+    if apart[worst] > _STRANGE:
         raise CalibrationError(
-            f"{name}: the best servo leaves {fit.error_rms_deg:.2g} deg rms of a motion of {high_deg - low_deg:.3g} deg"
-            ": a fault in large parts of these flights, or friction or load beyond the model; `servofd audit` and "
-            "`servofd explain` tell more"
+            f"{name}: not the same aircraft, or not the same servo: {_SPOKEN[NAMES[worst[1]]]} of "
+            f"{flights[int(worst[0])].label} differs by {apart[worst]:.0f} times what good flights differ by"
         )
 
 
-def _half_widths(fit: ServoFit) -> dict[str, float]:
-    """Half the 95 % interval of each number that was fitted, in the units of `Tolerance`."""
-    gain = abs(fit.gain.value)
-    half = {"gain": (fit.gain.high - fit.gain.low) / 2.0 / gain}
-    half["bias_deg"] = (fit.offset_deg.high - fit.offset_deg.low) / 2.0 / gain
-    for name, key in (("bandwidth_hz", "bandwidth"), ("rate_limit_deg_s", "rate")):
-        if name in fit.numbers:
-            value, low, high = fit.numbers[name]
-            half[key] = (high - low) / 2.0 / value
-    if "delay_s" in fit.numbers:
-        half["delay_s"] = (fit.numbers["delay_s"].high - fit.numbers["delay_s"].low) / 2.0
-    return half
+def _refuse_broken(name: str, known: CalibratedServo, records: Sequence[Record], flights: Sequence[Flight]) -> None:
+    """Refuse flights in which something changed that is larger than good flights differ by."""
+    from servofd.detection.words import describe
+
+    trial = known.model_copy(update={"thresholds": {key: _REFUSED * MARGIN * FLOORS[key] for key in STATISTICS}})
+    for record, flight in zip(records, flights, strict=True):
+        found = judged(watched(trial, record)).faults
+        if found:
+            text = "; then ".join(describe(fault) for fault in found)
+            raise CalibrationError(f"{name}: not a good flight: {flight.label}: {text}; {_ADVICE}")
 
 
-def _before(flights: Sequence[Flight], aircraft: Aircraft) -> Before:
-    """Residual of the aircraft file as it was."""
-    name = flights[0].segment.surface
-    surface: Surface = aircraft.surfaces[name]
-    runs = [flown(flight, aircraft.model(name), surface.filter_pole_rad_s) for flight in flights]
-    residual = np.concatenate([run.residuals.residual_deg[run.residuals.settled] for run in runs])
-    return Before(float(np.std(residual)), surface.threshold_deg)
+def _thresholds(known: CalibratedServo, fitted: Fit, records: Sequence[Record]) -> dict[str, float]:
+    """Thresholds that the flights stay below where they were left out of the fit."""
+    largest = np.zeros(len(STATISTICS))
+    for record, left_deg in zip(records, fitted.held_out_deg, strict=True):
+        statistics = statistics_of(watched(known, record), left_deg)
+        if statistics.size:
+            largest = np.maximum(largest, statistics)
+    return {
+        key: float(f"{max(FLOORS[key], _OWN_MARGIN * value) * MARGIN:.3g}")
+        for key, value in zip(STATISTICS, largest.tolist(), strict=True)
+    }
 
 
-def _notes(fit: ServoFit, prior: FlownServo) -> tuple[str, ...]:
-    """What is unusual: it may be the nature of this servo, or a fault as old as the flights."""
+def _estimate(fitted: Fit, place: int) -> Estimate:
+    return Estimate.of(fitted.theta[place], float(np.sqrt(max(fitted.covariance[place, place], 0.0))))
+
+
+def _effects(fitted: Fit, records: Sequence[Record]) -> tuple[str, ...]:
+    """Effects without which what was left out is predicted worse."""
+    found = []
+    for key, words in _EFFECTS.items():
+        place = NAMES.index(key)
+        together = {"hinge": ("hinge", "hinge_deg"), "bend2_deg": ("bend2_deg", "bend3_deg")}.get(key, (key,))
+        value = max(abs(float(fitted.theta[NAMES.index(each)])) for each in together)
+        if value < 1e-3:
+            continue
+        without = fit(records, fixed=together, start=fitted.theta, steps=2)
+        ratio = without.held_out_rms_deg / fitted.held_out_rms_deg
+        if ratio < _PAYS:
+            continue
+        if key == "hinge":
+            pressure = 0.5 * 1.225 * _FAST_M_S**2 / 300.0
+            reach = max(abs(fitted.reach_deg[0]), abs(fitted.reach_deg[1]))
+            value = pressure * (abs(float(fitted.theta[place])) * reach + abs(float(fitted.theta[place + 1])))
+            found.append((ratio, words.format(value) + f" at {reach:.0f} deg and {_FAST_M_S:g} m/s"))
+        else:
+            found.append((ratio, words.format(value)))
+    return tuple(text for _, text in sorted(found, reverse=True))
+
+
+def _linear(theta: FloatArray, flights: Sequence[Flight]) -> Servo:
+    """The servo without its effects."""
+    from servofd.models.transfer import TransferFunction
+
+    natural, damping = float(np.exp(theta[3])), float(np.exp(theta[4]))
+    transfer = TransferFunction((natural**2,), (1.0, 2.0 * damping * natural, natural**2))
+    logs = ", ".join(f"{flight.label} ({flight.segment.duration_s:.0f} s)" for flight in flights)
+    return Servo.model_validate(
+        {
+            "title": "calibrated servo",
+            "bandwidth_hz": float(f"{transfer.bandwidth_rad_s / (2.0 * np.pi):.6g}"),
+            "damping": float(f"{damping:.6g}"),
+            "delay_s": round(float(theta[2]), 6),
+            "hold": "zoh",
+            "rate_limit_deg_s": float(f"{np.exp(theta[5]):.6g}"),
+            "source": f"fitted to {logs}",
+        }
+    )
+
+
+def _tolerance(known: CalibratedServo) -> Tolerance:
+    """Three standard deviations between flights, and the effects that a linear servo lacks."""
+    deviation = dict(zip(NAMES, 3.0 * np.sqrt(np.diag(known.covariance)), strict=True))
+    lacking = sum(known.parameters[key] for key in ("deadband_deg", "friction_deg", "play_deg")) / 2.0
+
+    def rounded(value: float, most: float = 0.9) -> float:
+        return float(f"{min(value, most):.3g}")
+
+    return Tolerance(
+        gain=rounded(deviation["gain"] + abs(known.parameters["hinge"])),
+        delay_s=rounded(deviation["delay_s"]),
+        bandwidth=rounded(deviation["ln_bandwidth"] + deviation["ln_damping"]),
+        rate=rounded(deviation["ln_rate"] + 0.1),
+        bias_deg=rounded(deviation["bias_deg"] + lacking + abs(known.parameters["hinge_deg"]), 900.0),
+        noise_deg=rounded(known.noise.still_deg, 900.0),
+    )
+
+
+def _constant_deg(fitted: Fit) -> float:
+    largest = max(float(np.nanmax(np.abs(part))) for part in fitted.held_out_deg)
+    return float(f"{max(1.5 * largest, 0.05):.2g}")
+
+
+def _sharper(known: CalibratedServo, flights: int) -> str:
+    """What more flights buy."""
+    usual = np.array([prior.between for prior in PRIORS]) ** 2
+    ratio = np.diag(known.covariance) / usual
+    if flights > _MANY:
+        return f"differences between flights are measured on {flights} flights"
+    vague = [_SPOKEN[key] for key, value in zip(NAMES, ratio.tolist(), strict=True) if value > _VAGUE]
+    if vague:
+        return f"more flights, or livelier ones, would make {', '.join(dict.fromkeys(vague))} surer"
+    return "more flights would measure what differs between them; a usual amount is assumed"
+
+
+def _notes(gain: float, known: CalibratedServo) -> tuple[str, ...]:
     notes = []
-    gain = fit.gain.value
-    if gain < 0.0:
-        notes.append("the position runs against the command: the sign of the file was wrong, or a linkage is reversed")
-    if not _USUAL_GAINS[0] <= abs(gain) <= _USUAL_GAINS[1]:
-        notes.append(f"the position moves {abs(gain):.2f} times as far as the command: check unit and linkage")
-    share = fit.servo.bandwidth_hz / prior.bandwidth_hz
-    if not 1.0 / _LARGE_SHARE < share < _LARGE_SHARE:
-        notes.append(f"{share:.2g} times the bandwidth of {prior.prior.title}: is this the right servo?")
-    if fit.error_rms_deg > 5.0 * max(fit.noise_deg, 1e-3):
-        notes.append(
-            f"the model leaves {fit.error_rms_deg:.2g} deg rms, the noise is {fit.noise_deg:.2g} deg: something else "
-            "is in this servo; thresholds are wide for it"
-        )
+    if not _USUAL_GAINS[0] <= gain <= _USUAL_GAINS[1]:
+        notes.append(f"the position moves by {gain:.2f} times the command: check the scale in the aircraft file")
+    if known.noise.period_s > 0.06:
+        notes.append(f"positions at {1.0 / known.noise.period_s:.0f} Hz: slow servos show less")
     return tuple(notes)

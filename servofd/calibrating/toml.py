@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from servofd.estimate.family import PRIORS
 from servofd.toml_text import toml_inline, toml_key, toml_value
 
 if TYPE_CHECKING:
@@ -12,8 +13,6 @@ if TYPE_CHECKING:
 
 __all__ = ["calibration_to_toml"]
 
-_UNITS = {"bandwidth_hz": "Hz", "damping": "", "delay_s": "s", "rate_limit_deg_s": "deg/s"}
-
 
 def calibration_to_toml(calibration: Calibration) -> str:
     """Text of an aircraft file that `servofd audit -c` accepts, with intervals and provenance as comments."""
@@ -21,7 +20,6 @@ def calibration_to_toml(calibration: Calibration) -> str:
     logs = {record.label: None for one in calibration.surfaces for record in one.flights}
     lines = [
         f"# Calibrated by `servofd calibrate` from {', '.join(logs)}: flights taken to be good.",
-        f"# Thresholds are for {calibration.false_alarms_per_hour:g} false alarms per hour of the whole aircraft.",
         "# Numbers in square brackets behind a # are 95 % intervals.",
         "",
         f"name = {toml_value(aircraft.name)}",
@@ -32,8 +30,7 @@ def calibration_to_toml(calibration: Calibration) -> str:
     for name in aircraft.surfaces:
         lines += ["", *_surface(calibration, name, found.get(name))]
     for name, servo in aircraft.servos.items():
-        one = next((one for one in found.values() if aircraft.surfaces[one.surface].servo == name), None)
-        lines += ["", *_servo(name, servo, one)]
+        lines += ["", *_servo(name, servo)]
     return "\n".join(lines) + "\n"
 
 
@@ -48,45 +45,44 @@ def _plain(table: dict[str, Any]) -> list[str]:
 def _surface(calibration: Calibration, name: str, one: CalibratedSurface | None) -> list[str]:
     entry = calibration.aircraft.surfaces[name].model_dump(exclude_defaults=True)
     entry = {"servo": calibration.aircraft.surfaces[name].servo, **entry}
+    known = entry.pop("calibrated", None)
     lines = [f"[surfaces.{toml_key(name)}]"]
     if one is None:
-        return [*lines, f"# not calibrated: {calibration.kept.get(name, 'not asked for')}", *_plain(entry)]
-    fit, levels = one.fit, one.levels
-    lines += [f"# note: {note}" for note in one.notes]
-    comments = {
-        "measured": f"in degrees of the command: position = {fit.gain.value:.4f} [{fit.gain.low:.4f}, "
-        f"{fit.gain.high:.4f}] x command {fit.offset_deg.value:+.3f} [{fit.offset_deg.low:+.3f}, "
-        f"{fit.offset_deg.high:+.3f}] deg before",
-        "threshold": f"median level {levels.interval_deg:.2f} deg; the largest residual reached "
-        f"{levels.peak_ratio:.0%} of its level in {_duration(levels.hours)}",
-        "threshold_deg": f"for `--threshold constant`; residual {levels.residual_std_deg:.3f} deg std, "
-        f"{levels.residual_peak_deg:.2f} deg at most",
-        "suspicions": "off: below the threshold good flights look suspect, as the model does not reach the noise",
-        "tolerance": f"from {one.stretches} stretches with motion; never below a third of a fleet's",
-    }
-    entry.setdefault("threshold_deg", calibration.aircraft.surfaces[name].threshold_deg)
-    for line in _plain(entry):
-        comment = comments.get(line.split(" = ")[0])
-        lines.append(f"{line}  # {comment}" if comment else line)
+        lines += [f"# not calibrated: {calibration.kept.get(name, 'not asked for')}", *_plain(entry)]
+    else:
+        lines += [f"# {effect}" for effect in one.effects]
+        lines += [f"# note: {note}" for note in (*one.notes, one.sharper) if note]
+        comments = {
+            "measured": "position in degrees of the command",
+            "threshold_deg": "for `--threshold constant`",
+            "tolerance": "of the linear servo alone: for the script on board, and for limits of wear",
+        }
+        entry.setdefault("threshold_deg", one.threshold_deg)
+        for line in _plain(entry):
+            comment = comments.get(line.split(" = ")[0])
+            lines.append(f"{line}  # {comment}" if comment else line)
+    return lines if known is None else [*lines, *_calibrated(name, known, one)]
+
+
+def _calibrated(name: str, known: dict[str, Any], one: CalibratedSurface | None) -> list[str]:
+    """The fitted servo and its tests."""
+    heading = f"surfaces.{toml_key(name)}.calibrated"
+    parameters, thresholds = known.pop("parameters"), known.pop("thresholds", {})
+    between, noise = known.pop("between"), known.pop("noise")
+    lines = ["", f"[{heading}]", *_plain(known), "between = [  # covariance between good flights, lower triangle"]
+    lines += [f"    {toml_value(row)}," for row in between]
+    lines += ["]", "", f"[{heading}.parameters]"]
+    for prior in PRIORS:
+        comment = f"  # {prior.unit}" if prior.unit else ""
+        if one is not None:
+            _, low, high = one.estimates[prior.name]
+            comment = f"  # [{low:.4g}, {high:.4g}] {prior.unit}".rstrip()
+        lines.append(f"{prior.name} = {toml_value(parameters[prior.name])}{comment}")
+    lines += ["", f"[{heading}.noise]", *_plain(noise)]
+    if thresholds:
+        lines += ["", f"[{heading}.thresholds]", *_plain(thresholds)]
     return lines
 
 
-def _servo(name: str, servo: Servo, one: CalibratedSurface | None) -> list[str]:
-    lines = [f"[servos.{toml_key(name)}]"]
-    if one is not None:
-        for number, estimate in one.fit.numbers.items():
-            unit = f" {_UNITS[number]}" if _UNITS[number] else ""
-            lines.append(f"# {number}: {estimate.value:.4g} [{estimate.low:.4g}, {estimate.high:.4g}]{unit}")
-        lines += [f"# {number}: kept from the file before; {reason}" for number, reason in one.fit.kept.items()]
-        lines.append(f"# noise of the position: {one.fit.noise_deg:.3f} deg")
-    dump = servo.model_dump(exclude_defaults=True)
-    return [*lines, *_plain(dump)]
-
-
-def _duration(hours: float) -> str:
-    """Time in words.
-
-    >>> _duration(0.02), _duration(2.5)
-    ('72 s', '2.5 h')
-    """
-    return f"{3600.0 * hours:.0f} s" if hours < 0.1 else f"{hours:.2g} h"
+def _servo(name: str, servo: Servo) -> list[str]:
+    return [f"[servos.{toml_key(name)}]", *_plain(servo.model_dump(exclude_defaults=True))]

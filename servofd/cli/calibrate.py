@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from servofd.aircraft import Aircraft
     from servofd.calibrating.result import CalibratedSurface, Calibration
-    from servofd.detection.bank.explanation import Estimate
 
 __all__ = ["add_parser", "run"]
 
@@ -21,14 +23,14 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
     parser = verbs.add_parser(
         "calibrate",
         help="fit an aircraft file to flights that are known to be good",
-        description="Fits each servo (scale, offset, delay, bandwidth, rate limit as far as the flights show it), how "
-        "far it strays, and its threshold to flights that are known to be good, and writes a new aircraft file. "
-        "Flights that look faulty are refused. Exit code 0: written; 2: not.",
-        epilog="Example: servofd calibrate good_flight.bin -c my_plane.toml -o calibrated.toml",
+        description="Fits each servo with its effects (scale, offset, delay, bandwidth, largest speed, dead band, "
+        "friction, play, load of the air) to flights that are known to be good, and what it may differ by between "
+        "flights, and writes a new aircraft file. Flights that look faulty are refused. Exit code 0: written; 2: not.",
+        epilog="Example: servofd calibrate good1.bin good2.bin -o plane.toml",
     )
     parser.add_argument("logs", nargs="+", metavar="LOG", help="flights of one aircraft, all of them good")
     parser.add_argument(
-        "-c", "--config", metavar="AIRCRAFT.toml", help="what is known of it so far; not needed for motion alone"
+        "-c", "--config", metavar="AIRCRAFT.toml", help="what is known of it so far (default: drafted from the logs)"
     )
     parser.add_argument(
         "--motion",
@@ -82,11 +84,9 @@ def run(options: argparse.Namespace) -> int:
     if options.config is None:
         if options.motion or not has_feedback(options.logs):
             return run_axes(options)
-        raise ConfigError(
-            "-c AIRCRAFT.toml is needed where servos report their positions: servofd config LOG drafts it; or --motion "
-            "for what the aircraft's motion tells alone"
-        )
-    aircraft = load_aircraft(options.config)
+        aircraft = _drafted(options.logs)
+    else:
+        aircraft = load_aircraft(options.config)
     if not aircraft.surfaces:
         raise ConfigError(f"{options.config}: no surface in it to calibrate; leave -c out to calibrate motion anew")
     spans = tuple(options.between)
@@ -110,6 +110,22 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
+def _drafted(logs: Sequence[str]) -> Aircraft:
+    """The aircraft as the first log that tells of servos describes it."""
+    import logparsers
+    from servofd.errors import NoMeasurement
+    from servofd.job import aircraft_for
+
+    reason = ""
+    for path in logs:
+        for log in logparsers.read_all(path):
+            try:
+                return aircraft_for(log)
+            except NoMeasurement as error:
+                reason = str(error)
+    raise NoMeasurement(reason)
+
+
 def _check_output(options: argparse.Namespace) -> None:
     """Refuse to overwrite what the numbers come from."""
     from servofd.errors import ConfigError
@@ -124,62 +140,53 @@ def _check_output(options: argparse.Namespace) -> None:
 def _print(calibration: Calibration, output: str) -> None:
     from servofd.cli.tables import print_table
 
+    headings = ["surface", "delay (ms)", "bandwidth (rad/s)", "speed (deg/s)", "noise (deg)", "held out (deg)"]
     rows = [_row(one) for one in calibration.surfaces]
-    headings = ["surface", "scale", "offset (deg)", "delay (ms)", "bandwidth (Hz)", "rate limit (deg/s)", "noise (deg)"]
-    print_table(headings, rows, "fitted, with 95 % intervals; (kept) means as in the aircraft file before")
-    headings = ["surface", "residual std (deg)", "threshold (deg)", "gain", "delay (ms)", "bandwidth", "bias (deg)"]
-    rows = [_tolerance_row(one) for one in calibration.surfaces]
-    print_table(headings, rows, "before and after; how far this servo may stray")
+    print_table(headings, rows, "fitted, with 95 % intervals; error on what the fit had not seen")
+    headings = ["surface", "offset (deg)", "speed left", "travel lost", "play (deg)", "oscillation (deg)"]
+    rows = [_detectable_row(one) for one in calibration.surfaces]
+    print_table(headings, rows, "smallest faults that flights like these show, 19 times in 20")
     for one in calibration.surfaces:
-        for number, reason in one.fit.kept.items():
-            print(f"{one.surface}: {number} kept: {reason}")
-        for note in one.notes:
+        print(f"{one.surface}: {', '.join(one.effects) or 'no effect beyond a linear servo pays'}")
+        for note in (*one.notes, one.sharper):
             print(f"{one.surface}: note: {note}")
-        if one.levels.extrapolated:
-            print(
-                f"{one.surface}: {calibration.false_alarms_per_hour:g} false alarms per hour is an extrapolation from "
-                f"{60.0 * one.levels.hours:.1f} min, for Gaussian noise"
-            )
     for name, reason in calibration.kept.items():
         print(f"{name}: not calibrated: {reason}")
     print(f"wrote {output}")
 
 
 def _row(one: CalibratedSurface) -> list[str]:
-    fit = one.fit
+    from math import exp
+
+    delay, bandwidth, rate = (one.estimates[key] for key in ("delay_s", "ln_bandwidth", "ln_rate"))
     return [
         one.surface,
-        _interval(fit.gain, 3),
-        _interval(fit.offset_deg, 2),
-        _number(one, "delay_s", 1, _MILLI),
-        _number(one, "bandwidth_hz", 2),
-        _number(one, "rate_limit_deg_s", 0),
-        f"{fit.noise_deg:.2g}",
+        _interval(delay, 0, _MILLI),
+        _interval((exp(x) for x in bandwidth), 0),
+        _interval((exp(x) for x in rate), 0),
+        f"{one.known.noise.still_deg:.2g}",
+        f"{one.held_out_rms_deg:.2g}",
     ]
 
 
-def _number(one: CalibratedSurface, name: str, digits: int, scale: float = 1.0) -> str:
-    if name in one.fit.numbers:
-        return _interval(one.fit.numbers[name], digits, scale)
-    value = getattr(one.fit.servo, name)
-    return "none" if value is None else f"{scale * value:.{digits}f} (kept)"
-
-
-def _interval(estimate: Estimate, digits: int, scale: float = 1.0) -> str:
+def _interval(estimate: Iterable[float], digits: int, scale: float = 1.0) -> str:
     value, low, high = (scale * x for x in estimate)
     return f"{value:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
 
 
-def _tolerance_row(one: CalibratedSurface) -> list[str]:
-    levels, tolerance = one.levels, one.levels.tolerance
+def _detectable_row(one: CalibratedSurface) -> list[str]:
+    sizes = one.detectable
+
+    def shown(value: float | None, form: str) -> str:
+        return "none" if value is None else format(value, form)
+
     return [
         one.surface,
-        f"{one.before.residual_std_deg:.3g} -> {levels.residual_std_deg:.3g}",
-        f"{one.before.threshold_deg:.3g} -> {levels.interval_deg:.2g} (interval)",
-        f"{tolerance.gain:.1%}",
-        f"{_MILLI * tolerance.delay_s:.1f}",
-        f"{tolerance.bandwidth:.1%}",
-        f"{tolerance.bias_deg:.2g}",
+        shown(sizes.bias_deg, ".2g"),
+        shown(sizes.slow_share, ".0%"),
+        shown(sizes.loss_share, ".0%"),
+        shown(sizes.deadband_deg, ".2g"),
+        shown(sizes.oscillation_deg, ".2g"),
     ]
 
 

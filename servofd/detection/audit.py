@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.detection.calibrated import audit_calibrated
 from servofd.detection.cleared import not_judgeable, why_not_cleared
 from servofd.detection.detectable import detectable
 from servofd.detection.judge import Judgement, judge
@@ -160,6 +161,8 @@ def audit_segment(
     problem = _too_little(segment) or _unpredicted(surface, segment)
     if problem:
         return verdict(status="unknown", reason=problem, segment=segment)
+    if surface.is_calibrated:
+        return audit_calibrated(segment, surface, verdict, duration_s)
     try:
         generator = ResidualGenerator.fitting(aircraft.model(name), segment, surface.filter_pole_rad_s)
     except DesignError as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
+from servofd.detection.calibrated import judge_stretch
 from servofd.detection.judge import judge_evaluated
 from servofd.detection.plausible import wiring_problem
 
@@ -61,6 +62,9 @@ class Look(NamedTuple):
     def judge(self) -> tuple[tuple[Fault, ...], tuple[Fault, ...], str]:
         """Faults and suspicions, and why nothing should be concluded from them; depends on nothing else."""
         _, _, _, residuals, threshold, suspicious, commands = self
+        if self.surface.calibrated is not None and self.surface.is_calibrated:
+            calibrated = judge_stretch(self.surface.calibrated, residuals, commands)
+            return calibrated.faults, calibrated.suspicions, ""
         found = judge_evaluated(self.generator, self.surface, residuals, threshold, suspicious, commands)
         problem = wiring_problem(residuals) if found.faults or found.suspicions else ""
         return (() if problem else found.faults), (() if problem else found.suspicions), problem

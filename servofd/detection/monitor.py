@@ -14,6 +14,7 @@ import numpy as np
 
 from servofd.detection.bandwidth import too_slow
 from servofd.detection.bank.confirm import SURE
+from servofd.detection.calibrated_stream import CalibratedStream
 from servofd.detection.events import Alarm, Event, Look, Reading
 from servofd.detection.residual import ResidualGenerator, rhythm, thinned_rhythm
 from servofd.detection.stream import Stream
@@ -47,6 +48,8 @@ _MOST = 0.5
 """Share of the time that must be judged for a verdict."""
 _STEADY_S = 2.0
 _SAME_PACE = 1.5
+_CALIBRATED_RAD_S = 10.0
+"""A filter that nothing is judged by."""
 _LONGEST_WAIT = 6_000
 """Samples that are kept while a position that has never changed may still turn out to be one."""
 
@@ -99,7 +102,7 @@ class SurfaceMonitor:
     """Whether commands are sent at a steady rate, as on a link: where they come unevenly, the rest was lost."""
     patience_s: float = 2.0
     """Without commands or positions for so long, while the vehicle is heard, nothing is known of it [s]."""
-    _stream: Stream | None = None
+    _stream: Stream | CalibratedStream | None = None
     _generator: ResidualGenerator | None = None
     _waiting: tuple[list[tuple[float, float]], list[tuple[float, float]]] = field(default_factory=lambda: ([], []))
     _alarms: dict[float, Alarm] = field(default_factory=dict)
@@ -282,6 +285,8 @@ class SurfaceMonitor:
                 if stood:
                     events.append(Event(look.at_s, self.name, "clear", alarm.kind, text=text))
         self.problem = problem
+        if isinstance(self._stream, CalibratedStream) and self._stream.latched and not self.standing:
+            self._stream.again()
         return events
 
     def _acquitted(self, look: Look, found: list[Fault]) -> list[float]:
@@ -380,8 +385,10 @@ class SurfaceMonitor:
             problem += f"{SLOWEST_RATE_HZ:g} Hz"
         else:
             try:
-                self._generator = ResidualGenerator.fitting_pace(
-                    self.model, self._period_s, self.surface.filter_pole_rad_s
+                self._generator = (
+                    ResidualGenerator(self.model, _CALIBRATED_RAD_S)
+                    if self.surface.is_calibrated
+                    else ResidualGenerator.fitting_pace(self.model, self._period_s, self.surface.filter_pole_rad_s)
                 )
             except DesignError as error:
                 problem = str(error)
@@ -396,7 +403,10 @@ class SurfaceMonitor:
             beat = thinned_rhythm(logged_s)
         self._command_period_s = beat.period_s
         self._slow = too_slow(self.model.transfer.bandwidth_rad_s, self._period_s, beat.period_s)
-        self._stream = Stream(self._generator, self.surface, self._period_s, beat)
+        if self.surface.calibrated is not None and self.surface.is_calibrated:
+            self._stream = CalibratedStream(self.surface.calibrated, self.surface, self._period_s, logged_s)
+        else:
+            self._stream = Stream(self._generator, self.surface, self._period_s, beat)
         self._begun_s = min(self._begun_s, float(valued_s[0]))
         self._stream.surroundings(self._context)
         self._waiting = ([], [])

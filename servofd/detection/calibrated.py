@@ -1,0 +1,204 @@
+"""The verdict on a surface whose servo was fitted to good flights.
+
+An alarm is raised where a statistic stays above its threshold twice in a row, or three residuals in a row on one side
+pass theirs; its name and times come from `servofd.detection.refit`, and the tests begin anew where it ended.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from servofd.detection.changes import STATISTICS, Memory, follow
+from servofd.detection.cleared import not_judgeable, why_not_cleared
+from servofd.detection.probability.cusum import CusumDesign
+from servofd.detection.refit import named
+from servofd.detection.residual import Residuals
+from servofd.detection.statistics import Statistics, outline
+from servofd.detection.threshold import Threshold
+from servofd.detection.watch import detectable, thresholds_of, watched
+from servofd.detection.words import describe
+from servofd.estimate.record import Record
+from servofd.segment import Segment
+
+if TYPE_CHECKING:
+    from functools import partial
+
+    from servofd.aircraft import Surface
+    from servofd.detection.bank.flight import Fault
+    from servofd.detection.residual import Commands
+    from servofd.detection.verdict import Status, SurfaceAudit
+    from servofd.detection.watch import Watched
+    from servofd.estimate.schema import CalibratedServo
+    from servofd.evidence import Detectable
+    from servofd.types import FloatArray
+
+__all__ = ["Found", "audit_calibrated", "judge_stretch", "judged", "shown"]
+
+_MOST_FAULTS: Final = 8
+_AGAIN_S: Final = 1.0
+_MOST_OF_THE_LOG: Final = 0.9
+_SHORTEST_JUDGED_S: Final = 0.25
+FALSE_ALARMS_PER_HOUR: Final = 0.05
+"""Of one surface: measured on simulated aircraft of odd seed, `benchmarks/calibration_campaign.py`."""
+
+
+def audit_calibrated(
+    segment: Segment, surface: Surface, verdict: partial[SurfaceAudit], duration_s: float
+) -> SurfaceAudit:
+    """Judge one surface by what its good flights were like.
+
+    Parameters
+    ----------
+    segment : Segment
+        What was asked of it and what it did.
+    surface : Surface
+        Holds the calibrated servo.
+    verdict : partial of SurfaceAudit
+        Knows which surface it is about.
+    duration_s : float
+        Length of the whole log [s].
+    """
+    known = surface.calibrated
+    if known is None:
+        raise ValueError(f"{segment.surface}: not calibrated")
+    flight = watched(known, Record.of(segment, known.supply_v))
+    rows = flight.judged
+    steps_s = np.minimum(np.diff(flight.record.time_s, append=np.nan), 3.0 * segment.period_s)
+    judged_s = float(np.nansum(steps_s[rows]))
+    if judged_s < _SHORTEST_JUDGED_S:
+        reason = f"only {judged_s:.1f} s of command and position together; {_SHORTEST_JUDGED_S:g} s are needed"
+        return verdict(status="unknown", reason=reason, segment=segment)
+    residuals, threshold = shown(flight)
+    found = judged(flight)
+    sizes = detectable([flight])
+    error_deg = flight.error_deg[rows]
+    statistics = Statistics.of(error_deg, error_deg)
+    status, reason = _verdict(flight, found.faults, found.suspicions, sizes, statistics.max_abs_deg)
+    judged_share = min(judged_s / max(duration_s, 1e-9), 1.0)
+    if judged_share < _MOST_OF_THE_LOG:
+        reason += f"; judged for {judged_share:.0%} of the log"
+    if segment.frozen_s > 0.0:
+        reason += f"; {segment.frozen_s:.1f} s of frozen telemetry not judged"
+        if segment.frozen_to_end and status != "fault":
+            status, reason = "no_data", "telemetry froze and never came back; before that, " + reason
+    return verdict(
+        status=status,
+        reason=reason,
+        faults=found.faults,
+        suspicions=found.suspicions,
+        statistics=statistics,
+        false_alarms_per_hour=FALSE_ALARMS_PER_HOUR,
+        segment=segment,
+        residuals=residuals,
+        threshold=threshold,
+        threshold_deg=threshold.typical_deg,
+        detectable=sizes,
+        judged_share=judged_share,
+        outline=outline(
+            residuals.time_s, np.where(residuals.settled, residuals.residual_deg, np.nan), threshold.level_deg
+        ),
+    )
+
+
+class Found(NamedTuple):
+    """What became of a flight."""
+
+    faults: tuple[Fault, ...]
+    suspicions: tuple[Fault, ...]
+    grid_s: FloatArray
+    statistics: FloatArray
+
+
+def judged(flight: Watched) -> Found:
+    """Find and name the faults of a flight."""
+    limits = thresholds_of(flight.known)
+    time_s, error_deg = flight.record.time_s, flight.error_deg
+    faults: list[Fault] = []
+    suspicions: list[Fault] = []
+    begin, grids, tables = 0, [], []
+    earliest_s = float(time_s[0]) if time_s.size else 0.0
+    for _ in range(_MOST_FAULTS):
+        part = slice(begin, None)
+        memory = Memory(flight.tests)
+        _, triple, grid_s, statistics = follow(
+            flight.tests, memory, time_s[part], error_deg[part], flight.slopes[part], flight.speed_deg_s[part]
+        )
+        raised_s, ratio = _alarm(limits, time_s[part], triple, grid_s, statistics[:, : len(STATISTICS)])
+        keep = grid_s <= raised_s
+        statistics = statistics[:, : len(STATISTICS)]
+        grids.append(grid_s[keep])
+        tables.append(statistics[keep])
+        if not np.isfinite(raised_s):
+            break
+        fault = named(flight, raised_s, ratio, earliest_s=earliest_s)
+        (suspicions if fault.kind == "healthy" else faults).append(fault)
+        if fault.end_s is None:
+            if fault.kind != "healthy":
+                break
+            earliest_s = raised_s + 20.0
+        else:
+            earliest_s = max(fault.end_s, raised_s)
+        begin = int(np.searchsorted(time_s, earliest_s + _AGAIN_S))
+        if begin >= time_s.size - 2:
+            break
+    return Found(tuple(faults), tuple(suspicions), np.concatenate(grids), np.concatenate(tables))
+
+
+def _alarm(
+    limits: FloatArray, time_s: FloatArray, triple: FloatArray, grid_s: FloatArray, statistics: FloatArray
+) -> tuple[float, float]:
+    """When the first alarm is raised [s], infinite if never, and the largest statistic over its threshold then."""
+    direct = np.flatnonzero(triple >= limits[0])
+    first_s = float(time_s[direct[0]]) if direct.size else np.inf
+    ratios = statistics[:, 1:] / limits[1:]
+    both = np.minimum(ratios[1:], ratios[:-1]).max(axis=1) if len(ratios) > 1 else np.zeros(0)
+    raised = np.flatnonzero(both >= 1.0)
+    second_s = float(grid_s[1 + raised[0]]) if raised.size else np.inf
+    at_s = min(first_s, second_s)
+    if not np.isfinite(at_s):
+        return np.inf, float(both.max(initial=0.0))
+    soon = (grid_s >= at_s) & (grid_s <= at_s + 5.0)
+    return at_s, float(max((statistics[soon] / limits).max(initial=1.0), 1.0))
+
+
+def judge_stretch(known: CalibratedServo, residuals: Residuals, commands: Commands) -> Found:
+    """Judge what a stream remembers of a surface."""
+    segment = Segment("", commands.effective_s, commands.command_deg, residuals.time_s, residuals.measured_deg)
+    segment = replace(segment, context=residuals.context)
+    return judged(watched(known, Record.of(segment, known.supply_v)))
+
+
+def shown(flight: Watched) -> tuple[Residuals, Threshold]:
+    """The residual, and the level that three samples in a row would have to pass, for plots and streams."""
+    record = flight.record
+    level_deg = thresholds_of(flight.known)[0] * flight.sigma_deg
+    rest = np.zeros(record.time_s.size)
+    residuals = Residuals(
+        record.time_s,
+        flight.reading_deg,
+        record.measured_deg,
+        np.where(flight.judged, flight.error_deg, np.nan),
+        flight.judged,
+        -flight.reading_deg,
+        np.isfinite(record.start_deg).astype(np.int8),
+    )
+    no_sum = CusumDesign(1.0, np.inf, 1.0, record.period_s)
+    return residuals, Threshold("interval", level_deg, rest, rest, flight.sigma_deg, no_sum, rest)
+
+
+def _verdict(
+    flight: Watched, faults: tuple[Fault, ...], suspicions: tuple[Fault, ...], sizes: Detectable, largest_deg: float
+) -> tuple[Status, str]:
+    if faults:
+        return "fault", f"servo or its feedback: {'; then '.join(describe(fault) for fault in faults)}"
+    if suspicions:
+        return "suspect", f"no alarm stands, but look at it: {'; '.join(describe(fault) for fault in suspicions)}"
+    residuals, threshold = shown(flight)
+    problem = why_not_cleared(residuals, sizes, threshold.typical_deg)
+    if problem:
+        return "unknown", problem
+    reason = f"as in its good flights (largest residual {largest_deg:.2f} deg)"
+    return "healthy", "; ".join(filter(None, (reason, not_judgeable(sizes))))

@@ -1,0 +1,376 @@
+"""What a calibrated surface does since an alarm: each fault refitted, the other parameters free as between flights.
+
+A hypothesis is a servo of the family with one thing changed, or no servo at all. Its cost is that of the whitened
+residual that no allowed change of the other parameters explains; the best size is found on a grid and refined by the
+linear estimate around it. Costs are divided by the misfit that even the best hypothesis leaves, because the family is
+not the servo, and every other sample counts. Probabilities follow from these costs and the number of free sizes (BIC).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from servofd.detection.bank.explanation import Estimate
+from servofd.detection.bank.flight import Fault
+from servofd.estimate.family import FITTED, NAMES, new_state, sensitivities, simulated, variants
+from servofd.estimate.fit import residual
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from servofd.detection.watch import Watched
+    from servofd.types import BoolArray, FloatArray
+
+__all__ = ["named"]
+
+_WINDOW_S: Final = 20.0
+_SETTLING_S: Final = 0.5
+_LEAD_S: Final = 1.0
+_BEFORE_S: Final = 62.0
+_FEWEST: Final = 12
+_COUNTED: Final = 0.5
+_ALARMED: Final = 3.0
+"""Logarithm of how much less likely a good servo is to be looked at than a faulty one: an alarm was raised."""
+_SCALES = (0.05, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.93)
+_SPEEDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+_WIDTHS_DEG = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0)
+_FLAT = 1e-8
+_LOST_GAIN = 0.12
+_AT_STOP_DEG = 1.5
+_SURE = 0.5
+_STRANGE, _UNEXPLAINED = 2.0, 0.55
+"""Misfit for each sample, and the share of what a good servo does not do, that no hypothesis may leave."""
+_ENDED = 1.0
+"""Seconds of one standard deviation by which the healthy servo must explain better what comes after an end."""
+_AFTER_END_S = 3.0
+_LOG_CLIP = 25.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Guess:
+    """What one hypothesis makes of the window."""
+
+    kind: str
+    cost: tuple[float, float]
+    """Misfit, and how far the other parameters had to go."""
+    freedom: int
+    parameters: dict[str, Estimate] = field(default_factory=dict)
+    theta: FloatArray | None = None
+    power: float = 0.0
+    added: tuple[str, FloatArray] | None = None
+
+
+class _Window:
+    """Samples of a stretch, and what servos of the family do there."""
+
+    def __init__(self, watched: Watched, from_s: float, to_s: float) -> None:
+        record, known = watched.record, watched.known
+        first, last = np.searchsorted(record.time_s, (from_s - _LEAD_S, to_s))
+        self.rows = slice(int(first), int(last))
+        self.time_s = record.time_s[self.rows]
+        self.measured_deg = record.measured_deg[self.rows]
+        self.used: BoolArray = watched.judged[self.rows] & (self.time_s >= from_s)
+        self.sigma_deg = watched.noise_deg[self.rows]
+        self.total_deg = watched.sigma_deg[self.rows]
+        self.record, self.known, self.theta = record, known, known.theta
+        self.precision = np.linalg.inv(known.covariance)
+        self.noise = watched.noise
+        start_deg = record.start_deg[self.rows].copy()
+        good = np.flatnonzero(np.isfinite(self.measured_deg))
+        if good.size and not np.isfinite(start_deg[0]):
+            start_deg[0] = self.measured_deg[good[0]]
+        self.start_deg = start_deg
+
+    @property
+    def count(self) -> int:
+        return int(np.count_nonzero(self.used))
+
+    def reading(self, theta: FloatArray, power: float = 0.0) -> tuple[FloatArray, FloatArray]:
+        """Reading and sensitivities of a servo, shapes (m,) and (m, 13)."""
+        table = variants(theta, patterns=False)
+        table[:, FITTED] = power
+        record = self.record
+        position_deg, speed_deg_s = simulated(
+            table, new_state(table.shape[0]), record.commands, self.time_s, record.load[self.rows],
+            record.power[self.rows], self.start_deg,
+        )  # fmt: skip
+        return sensitivities(position_deg, speed_deg_s, theta, self.known.reach_deg)
+
+    def whitened(self, values: FloatArray) -> FloatArray:
+        """Rows over the noise's sigma, without its colour; shape (k, ...) of used rows."""
+        scaled = values[self.used] / (self.sigma_deg[self.used, None] if values.ndim > 1 else self.sigma_deg[self.used])
+        first, second = self.noise.colour
+        out: FloatArray = (scaled[2:] - first * scaled[1:-1] - second * scaled[:-2]) / self.noise.innovation
+        return out
+
+    def reduced(
+        self, error_deg: FloatArray, slopes: FloatArray, free: FloatArray | None = None
+    ) -> tuple[tuple[float, float], FloatArray, FloatArray]:
+        """Costs of an error once parameters (and free columns) have done their best; these, and their covariance.
+
+        The costs are its misfit, and how far the parameters had to go for it: sums of squares over their variances.
+        """
+        columns = slopes if free is None else np.concatenate([slopes, free], axis=1)
+        precision = np.full(columns.shape[1], _FLAT)
+        w, e = self.whitened(columns), self.whitened(error_deg)
+        block = w.T @ w
+        block[:FITTED, :FITTED] += self.precision
+        block[np.diag_indices(columns.shape[1])] += np.where(np.arange(columns.shape[1]) < FITTED, 0.0, precision)
+        covariance = np.linalg.inv(block)
+        best = covariance @ (w.T @ e)
+        apart = best[:FITTED]
+        left = e - w @ best
+        return (float(left @ left), float(apart @ self.precision @ apart)), best, covariance
+
+
+def named(watched: Watched, alarm_s: float, ratio: float, *, earliest_s: float) -> Fault:
+    """Name what an alarm stands for.
+
+    Parameters
+    ----------
+    watched : Watched
+        The surface.
+    alarm_s : float
+        When the alarm was raised [s].
+    ratio : float
+        Largest statistic over its threshold at or after the alarm.
+    earliest_s : float
+        Before it nothing of this fault can have happened [s].
+
+    Returns
+    -------
+    Fault
+        `healthy` if a working servo explains it after all.
+    """
+    window = _Window(watched, alarm_s + _SETTLING_S, alarm_s + _WINDOW_S)
+    if window.count < max(_FEWEST, 1.5 / watched.record.period_s):
+        window = _Window(watched, max(alarm_s - 1.5, earliest_s), alarm_s + _WINDOW_S)
+    if window.count < _FEWEST:
+        return Fault("unknown", alarm_s, alarm_s, None, {}, 0.5, ())
+    guesses = _ranked(window)
+    end_s = _end_s(watched, guesses[0], alarm_s)
+    if end_s is not None and alarm_s + 1.5 < end_s < alarm_s + _WINDOW_S - 2.0:
+        shorter = _Window(watched, alarm_s + min(_SETTLING_S, 0.2 * (end_s - alarm_s)), end_s)
+        if shorter.count >= _FEWEST:
+            window, guesses = shorter, _ranked(shorter)
+            end_s = _end_s(watched, guesses[0], alarm_s)
+    kind, probability, alternatives, parameters = _verdict(window, guesses, ratio)
+    start_s = _start_s(watched, guesses[0], alarm_s, earliest_s)
+    return Fault(
+        kind, start_s, alarm_s, end_s, parameters, probability, alternatives,
+        named_s=float(min(window.time_s[-1], alarm_s + _WINDOW_S)),
+    )  # fmt: skip
+
+
+def _ranked(window: _Window) -> list[_Guess]:
+    guesses = list(_guesses(window))
+    best: dict[str, _Guess] = {}
+    for guess in sorted(guesses, key=lambda each: sum(each.cost)):
+        best.setdefault(guess.kind, guess)
+    scale = _misfit(window, best.values())
+    return sorted(best.values(), key=lambda guess: _score(window, guess, scale))
+
+
+def _misfit(window: _Window, guesses: Iterable[_Guess]) -> float:
+    """Misfit of the best guess for each sample, at least 1."""
+    return max(min(guess.cost[0] for guess in guesses) / max(window.count - 2, 1), 1.0)
+
+
+def _score(window: _Window, guess: _Guess, scale: float) -> float:
+    """Minus the logarithm of how likely it is."""
+    counted = max(_COUNTED * window.count, 2.0)
+    misfit, apart = guess.cost
+    doubt = _ALARMED if guess.kind == "healthy" else 0.0
+    return 0.5 * (_COUNTED * misfit / scale + apart) + 0.5 * guess.freedom * float(np.log(counted)) + doubt
+
+
+def _guesses(window: _Window) -> Iterator[_Guess]:
+    theta = window.theta
+    nominal_deg, slopes = window.reading(theta)
+    error_deg, _ = residual(window.measured_deg, nominal_deg, window.known.reach_deg)
+    cost, _, _ = window.reduced(error_deg, slopes)
+    yield _Guess("healthy", cost, 0, theta=theta)
+    one = np.ones((error_deg.size, 1))
+    cost, best, covariance = window.reduced(error_deg, slopes, one)
+    bias = Estimate.of(best[FITTED], float(np.sqrt(covariance[FITTED, FITTED])))
+    changed = theta.copy()
+    changed[1] += best[FITTED]
+    yield _Guess("bias", cost, 1, {"bias_deg": bias}, changed)
+    for scale in _SCALES:
+        changed = theta.copy()
+        changed[0] = theta[0] * scale
+        yield _sized(window, "loss_of_effectiveness", changed, 0, {"gain": (theta[0], 0.0)})
+    for speed in _SPEEDS:
+        changed = theta.copy()
+        yield _sized(window, "slow", changed, None, {"bandwidth_scale": (speed, 0.1 * speed)}, float(np.log(speed)))
+        changed = theta.copy()
+        changed[3] += np.log(speed)
+        changed[5] += np.log(speed)
+        yield _sized(window, "slow", changed, None, {"bandwidth_scale": (speed, 0.1 * speed)})
+    for width in _WIDTHS_DEG:
+        for place in (NAMES.index("deadband_deg"), NAMES.index("play_deg")):
+            changed = theta.copy()
+            changed[place] = theta[place] + width
+            yield _sized(window, "deadband", changed, place, {"width_deg": (1.0, 0.0)})
+        if width <= 4.0:
+            changed = theta.copy()
+            changed[NAMES.index("friction_deg")] += 0.5 * width
+            yield _sized(window, "deadband", changed, None, {"width_deg": (width, 0.25 * width)})
+    yield from _oscillating(window, error_deg, slopes)
+    yield from _immobile(window)
+
+
+def _sized(
+    window: _Window, kind: str, theta: FloatArray, place: int | None, size: dict[str, tuple[float, float]],
+    power: float = 0.0,
+) -> _Guess:  # fmt: skip
+    """A servo with one parameter changed; that one is free around its new value."""
+    reading_deg, slopes = window.reading(theta, power)
+    error_deg, _ = residual(window.measured_deg, reading_deg, window.known.reach_deg)
+    name, (reference, spread) = next(iter(size.items()))
+    if place is None:
+        cost, _, _ = window.reduced(error_deg, slopes)
+        return _Guess(kind, cost, 1, {name: Estimate.of(reference, spread)}, theta, power)
+    cost, best, covariance = window.reduced(error_deg, slopes, slopes[:, [place]])
+    moved = theta.copy()
+    allowed = 0.35 * abs(theta[place]) + 0.3 * (kind == "deadband")
+    moved[place] += float(np.clip(best[FITTED], -allowed, allowed))
+    deviation = float(np.sqrt(covariance[FITTED, FITTED]))
+    if kind == "deadband":
+        value = moved[place] - window.theta[place]
+        return _Guess(kind, cost, 1, {name: Estimate.of(max(value, 0.0), deviation)}, moved)
+    return _Guess(kind, cost, 1, {name: Estimate.of(moved[place] / reference, deviation / abs(reference))}, moved)
+
+
+def _oscillating(window: _Window, error_deg: FloatArray, slopes: FloatArray) -> Iterator[_Guess]:
+    """The healthy servo and a sine, at the two strongest frequencies."""
+    used = window.used
+    t = window.time_s - window.time_s[0]
+    highest = min(12.0, 0.4 / window.record.period_s)
+    hz = np.arange(0.5, highest, 0.05)
+    whole = window.total_deg[used]
+    scaled = (error_deg[used] - np.median(error_deg[used])) / whole
+    power = np.abs(np.exp(-2j * np.pi * np.outer(hz, t[used])) @ scaled)
+    tried = hz[np.argsort(power)[-1:]]
+    for middle in tried.tolist():
+        best: _Guess | None = None
+        for frequency in middle + np.linspace(-0.05, 0.05, 5):
+            angle = 2.0 * np.pi * frequency * t
+            waves = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+            cost, found, covariance = window.reduced(error_deg, slopes, waves)
+            size = float(np.hypot(*found[FITTED:]))
+            deviation = float(np.sqrt(np.trace(covariance[FITTED:, FITTED:]) / 2.0))
+            parameters = {
+                "amplitude_deg": Estimate.of(size, deviation),
+                "frequency_hz": Estimate.of(frequency, 0.02),
+            }
+            guess = _Guess("oscillation", cost, 3, parameters, window.theta)
+            if size > 0.0 and (best is None or sum(cost) < sum(best.cost)):
+                best = guess
+        if best is not None:
+            yield best
+
+
+def _immobile(window: _Window) -> Iterator[_Guess]:
+    """The command means nothing: at rest, at an end, or moved by the air alone."""
+    used = window.used
+    measured = window.measured_deg[used]
+    still = np.maximum(window.known.noise.still_deg, 0.02)
+    value = float(np.median(measured))
+    play = window.known.parameters["play_deg"]
+    loose = np.hypot(still, 0.3 * play)
+    spread = float(np.std(measured))
+    rest = np.clip((measured - value) / loose, -_LOG_CLIP, _LOG_CLIP)
+    new = window.noise.innovation
+    cost = float((rest**2).sum())
+    low, high = window.known.reach_deg
+    at_stop = value > high - _AT_STOP_DEG or value < low + _AT_STOP_DEG
+    kind = "hardover" if at_stop else "stuck"
+    moved = {"position_deg": Estimate.of(value, still / np.sqrt(measured.size) / new)}
+    yield _Guess(kind, (cost, 0.0), 1, moved, added=("constant", np.array([value])))
+    t = window.time_s[used] - window.time_s[used].mean()
+    span = max(float(np.ptp(t)), 1.0)
+    basis = np.stack([np.ones(t.size), t / span, (t / span) ** 2], axis=1)
+    fitted = np.linalg.lstsq(basis, measured, rcond=None)[0]
+    left = max(float(np.std(measured - basis @ fitted)), float(loose))
+    cost = measured.size * (1.0 + 2.0 * float(np.log(left / loose)))
+    amplitude = max(1.4 * spread, still)
+    yield _Guess(
+        "floating", (cost, 0.0), 4, {"amplitude_deg": Estimate.of(amplitude, 0.3 * amplitude)},
+        added=("constant", np.array([value])),
+    )  # fmt: skip
+
+
+def _verdict(
+    window: _Window, guesses: list[_Guess], ratio: float
+) -> tuple[str, float, tuple[str, ...], dict[str, Estimate]]:
+    """Kind, probability, alternatives and sizes."""
+    scale = _misfit(window, guesses)
+    scores = np.array([_score(window, guess, scale) for guess in guesses])
+    odds = np.exp(-(scores - scores.min()))
+    shares = odds / odds.sum()
+    best = guesses[0]
+    kind, probability = best.kind, float(shares[0])
+    alternatives = tuple(g.kind for g, share in zip(guesses[1:], shares[1:], strict=True) if share > 0.02)
+    if kind == "loss_of_effectiveness" and best.parameters["gain"].value < _LOST_GAIN:
+        kind, probability, alternatives = "floating", min(probability, 0.7), ("stuck", *alternatives)
+    healthy = next(guess for guess in guesses if guess.kind == "healthy")
+    excess = sum(healthy.cost) - window.count
+    gained = sum(healthy.cost) - sum(best.cost)
+    if kind != "healthy" and scale > _STRANGE and gained < (1.0 - _UNEXPLAINED) * excess:
+        return "unknown", max(0.5, 1.0 - probability), tuple(dict.fromkeys((kind, *alternatives)))[:3], {}
+    twins = {"stuck": "floating", "floating": "stuck"}
+    if kind in twins and twins[kind] not in alternatives:
+        alternatives = (twins[kind], *alternatives)
+        probability = min(probability, 0.9)
+    alternatives = tuple(name for name in dict.fromkeys(alternatives) if name not in (kind, "healthy"))
+    if kind == "healthy":
+        return "healthy" if ratio < 1.5 else "unknown", probability, alternatives[:3], {}
+    if probability < _SURE:
+        return "unknown", probability, (kind, *alternatives)[:3], {}
+    return kind, probability, alternatives[:3], best.parameters
+
+
+def _likelier(watched: Watched, guess: _Guess, from_s: float, to_s: float) -> tuple[FloatArray, FloatArray]:
+    """Sample times, and by how much the guess explains each better than the healthy servo (twice the log odds)."""
+    stretch = _Window(watched, from_s, to_s)
+    used = stretch.used
+    healthy = watched.error_deg[stretch.rows]
+    if guess.added is not None:
+        other = stretch.measured_deg - guess.added[1][0]
+    elif guess.theta is not None and guess.kind != "oscillation":
+        other = stretch.measured_deg - stretch.reading(guess.theta, guess.power)[0]
+    else:
+        other = np.full(healthy.size, 1.5) * stretch.total_deg
+    total = stretch.total_deg
+    gain = np.minimum((healthy / total) ** 2, _LOG_CLIP) - np.minimum((other / total) ** 2, _LOG_CLIP)
+    return stretch.time_s[used], gain[used]
+
+
+def _start_s(watched: Watched, guess: _Guess, alarm_s: float, earliest_s: float) -> float:
+    """When the fault became the better explanation."""
+    time_s, gain = _likelier(watched, guess, max(alarm_s - _BEFORE_S, earliest_s), alarm_s + 1.0)
+    if time_s.size == 0:
+        return alarm_s
+    since = np.cumsum(gain[::-1])[::-1]
+    if since.max() <= 0.0:
+        return alarm_s
+    return float(min(time_s[int(np.argmax(since))], alarm_s))
+
+
+def _end_s(watched: Watched, guess: _Guess, alarm_s: float) -> float | None:
+    """When the healthy servo became the better explanation again; None if it never did."""
+    last_s = float(watched.record.time_s[-1])
+    time_s, gain = _likelier(watched, guess, alarm_s, last_s + 1.0)
+    if time_s.size < _FEWEST:
+        return None
+    so_far = np.cumsum(gain)
+    top = int(np.argmax(so_far))
+    per_second = 1.0 / watched.record.period_s
+    fell = (so_far[top] - so_far[-1]) / per_second
+    if fell > _ENDED and time_s[-1] - time_s[top] > _AFTER_END_S:
+        return float(time_s[top])
+    return None

@@ -1,0 +1,173 @@
+"""A calibrated surface under watch: one path for whole logs and for streams, sample by sample the same.
+
+`Watch` simulates the calibrated servo beside its sensitivities, leaves out what cannot be judged, and lets
+`servofd.detection.changes` test what is left. `servofd.detection.calibrated` makes faults of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from servofd.detection.changes import STATISTICS, Memory, Tests, follow
+from servofd.detection.glitches import decide, new_glitch_memory
+from servofd.estimate.family import NAMES, PRIORS, new_state, sensitivities, simulated, variants
+from servofd.estimate.fit import peaks, residual
+from servofd.evidence import Detectable
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from servofd.estimate.noise import Noise
+    from servofd.estimate.record import Record
+    from servofd.estimate.schema import CalibratedServo
+    from servofd.types import BoolArray, FloatArray
+
+__all__ = [
+    "FLOORS",
+    "MARGIN",
+    "Watched",
+    "detectable",
+    "statistics_of",
+    "thresholds_of",
+    "watched",
+]
+
+MARGIN: Final = 1.25
+FLOORS: Final = dict(
+    zip(
+        STATISTICS,
+        (
+            8.5,
+            *(9.2, 8.4, 7.6, 5.0),
+            *(5.0, 3.6, 2.7, 2.5),
+            *(2.3, 2.2, 7.7, 7.6, 7.0, 6.1),  # 2 s
+            *(2.4, 2.5, 8.4, 8.6, 7.7, 8.0),  # 5 s
+            *(2.5, 2.5, 10.0, 10.0, 9.5, 10.0),  # 10 s
+            *(3.0, 2.2, 14.0, 13.0, 11.0, 14.0),  # 30 s
+            *(3.4, 2.1, 18.0, 17.0, 14.0, 16.0),  # 60 s
+            *(7.1, 5.1),
+        ),
+        strict=True,
+    )
+)
+_OFTEN: Final = 0.9
+_POWER: Final = 1.64
+_ENERGY_S: Final = 5.0
+_SLOWEST: Final = 0.1
+_LEAST_WAVE_DEG: Final = 0.3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Watched:
+    """A stretch of flight of a calibrated surface; arrays of shape (m,) unless said."""
+
+    known: CalibratedServo
+    noise: Noise
+    """At the rate of this flight."""
+    record: Record
+    reading_deg: FloatArray
+    """Of the healthy servo."""
+    slopes: FloatArray
+    """Sensitivities and patterns, shape (m, 17)."""
+    speed_deg_s: FloatArray
+    judged: BoolArray
+    noise_deg: FloatArray
+    sigma_deg: FloatArray
+    """Total."""
+    tests: Tests
+
+    @property
+    def error_deg(self) -> FloatArray:
+        """Residual; NaN where none is judged."""
+        error_deg, _ = residual(self.record.measured_deg, self.reading_deg, self.known.reach_deg)
+        return np.where(self.judged, error_deg, np.nan)
+
+
+def thresholds_of(known: CalibratedServo) -> FloatArray:
+    """Threshold of each statistic, in their order."""
+    return np.array([known.thresholds.get(name, FLOORS[name] * MARGIN) for name in STATISTICS])
+
+
+def watched(known: CalibratedServo, record: Record) -> Watched:
+    """Simulate the calibrated servo beside a record, and see what can be judged."""
+    theta = known.theta
+    table = variants(theta)
+    position_deg, speed_deg_s = simulated(
+        table, new_state(table.shape[0]), record.commands, record.time_s, record.load, record.power, record.start_deg
+    )
+    reading_deg, slopes = sensitivities(position_deg, speed_deg_s, theta, known.reach_deg)
+    error_deg, _ = residual(record.measured_deg, reading_deg, known.reach_deg)
+    error_deg = np.where(record.usable, error_deg, np.nan)
+    glitch = np.zeros(error_deg.size, dtype=bool)
+    decide(new_glitch_memory(), error_deg, np.isfinite(record.start_deg).astype(np.int8), glitch, True)
+    usable = record.usable & ~glitch
+    speed = peaks(speed_deg_s, record.time_s)
+    tests = Tests.of(known.noise.noise, known.covariance, record.period_s)
+    noise = known.noise.noise.at(record.period_s)
+    sigma_deg, *_ = follow(tests, Memory(tests), record.time_s, np.where(usable, error_deg, np.nan), slopes, speed)
+    return Watched(known, noise, record, reading_deg, slopes, speed, usable, noise.sigma_deg(speed), sigma_deg, tests)
+
+
+def statistics_of(flight: Watched, error_deg: FloatArray) -> FloatArray:
+    """Largest value of each statistic for other residuals (m,) of a flight, as far as two in a row reach it."""
+    _, _, _, table = follow(
+        flight.tests, Memory(flight.tests), flight.record.time_s, error_deg, flight.slopes, flight.speed_deg_s
+    )
+    statistics = table[:, : len(STATISTICS)]
+    if len(statistics) < 2:
+        return np.zeros(len(STATISTICS))
+    largest: FloatArray = np.minimum(statistics[1:], statistics[:-1]).max(axis=0)
+    largest[0] = statistics[:, 0].max()
+    return largest
+
+
+def detectable(flights: Sequence[Watched]) -> Detectable:
+    """The smallest change of each kind that some window of these flights would have shown, 19 times in 20.
+
+    A change of size a has the score a (free), of variance free + 1, where `free` is the information that is left of
+    it once the other parameters have explained what they can; it shows where the score passes its threshold by
+    1.64 standard deviations.
+    """
+    sizes: dict[str, float] = dict.fromkeys(("loss", "bias", "weak", "play", "dead", "band"), np.inf)
+    for flight in flights:
+        limits = thresholds_of(flight.known)
+        _, _, _, table = follow(
+            flight.tests, Memory(flight.tests), flight.record.time_s, flight.error_deg, flight.slopes,
+            flight.speed_deg_s,
+        )  # fmt: skip
+        if not len(table):
+            continue
+        for place, name in enumerate(STATISTICS[9:39]):
+            kind = name.split("_")[0]
+            free = float(np.quantile(table[:, len(STATISTICS) + place], _OFTEN))
+            size = (limits[9 + place] + _POWER) * np.sqrt(free + 1.0) / free if free > 0.0 else np.inf
+            if kind in sizes:
+                sizes[kind] = min(sizes[kind], size)
+        total_deg = float(np.median(flight.sigma_deg[flight.judged])) if flight.judged.any() else np.inf
+        seen_deg = total_deg * (np.sqrt(limits[4]) + _POWER / np.sqrt(_ENERGY_S / flight.record.period_s))
+        sizes["bias"] = min(sizes["bias"], seen_deg / PRIORS[1].between)
+        for place in (0, 1):
+            count, weight = np.median(table[:, 71 + 2 * place : 73 + 2 * place], axis=0)
+            needed = (limits[39 + place] + _POWER) * np.sqrt(count * np.median(flight.tests.spectrum))
+            if weight > 0.0:
+                sizes["band"] = min(sizes["band"], max(2.0 * needed / weight, _LEAST_WAVE_DEG))
+    units = dict(zip(NAMES, (prior.between for prior in PRIORS), strict=True))
+    loss, share = units["gain"] * sizes["loss"], 0.5 ** sizes["weak"]
+    return Detectable(
+        bias_deg=_within(units["bias_deg"] * sizes["bias"], 10.0),
+        slow_share=_rounded(share) if share > _SLOWEST else None,
+        loss_share=_within(loss, 0.5),
+        deadband_deg=_within(min(2.0 * sizes["play"], 1.5 * sizes["dead"]), 8.0),
+        oscillation_deg=_within(sizes["band"], 8.0),
+    )
+
+
+def _within(value: float, most: float) -> float | None:
+    return _rounded(value) if value <= most else None
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.2g}")

@@ -1,0 +1,301 @@
+"""A servo of the family fitted to good flights, and the noise that it leaves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from servofd.estimate.family import FITTED, NAMES, PRIORS, new_state, sensitivities, simulated, variants
+from servofd.estimate.noise import Noise
+from servofd.models.state import compiled
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from servofd.estimate.record import Record
+    from servofd.types import BoolArray, FloatArray
+
+__all__ = ["FAMILY", "Fit", "fit", "peaks", "residual"]
+
+_HUBER: Final = 2.5
+_DELAYS_S: Final = (0.01, 0.03, 0.06, 0.1)
+_FIRST_STEPS, _STEPS = 4, 12
+_CLOSE: Final = 1e-3
+_FOLD_S: Final = 20.0
+_MAD: Final = 1.4826
+_LAG_FLOOR_S: Final = 0.003
+_LAG_CAP_S: Final = 0.03
+_QUIET_DEG_S: Final = 5.0
+_FAST_DEG_S: Final = 20.0
+_LEAST_DEG: Final = 0.01
+_SELDOM: Final = 0.001
+
+_VALUES = np.array([prior.value for prior in PRIORS])
+_SIGMAS = np.array([prior.sigma for prior in PRIORS])
+_LOWS, _HIGHS = np.array([prior.low for prior in PRIORS]), np.array([prior.high for prior in PRIORS])
+
+
+class Family:
+    """How well parameters predict records, and how that changes with them."""
+
+    def predicted(
+        self, theta: FloatArray, record: Record, reach_deg: tuple[float, float], *, patterns: bool = False
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Reading (m,) [deg], sensitivities (m, 13 or 17), largest speed (m,) [deg/s]."""
+        table = variants(theta, patterns=patterns)
+        state = new_state(table.shape[0])
+        position_deg, speed_deg_s = simulated(
+            table, state, record.commands, record.time_s, record.load, record.power, record.start_deg
+        )
+        reading_deg, slopes = sensitivities(position_deg, speed_deg_s, theta, reach_deg)
+        return reading_deg, slopes, peaks(speed_deg_s, record.time_s)
+
+
+FAMILY: Final = Family()
+
+
+def peaks(speed_deg_s: FloatArray, time_s: FloatArray, memory: FloatArray | None = None) -> FloatArray:
+    """Largest speed, or speed aimed at, until now, slowly forgotten; shape (m,) [deg/s].
+
+    `memory` is carried on: the last of them, and its time.
+    """
+    memory = np.array([0.0, np.nan]) if memory is None else memory
+    out = np.empty(time_s.size)
+    _hold(np.abs(speed_deg_s).max(axis=1, initial=0.0), time_s, memory, out)
+    return out
+
+
+@compiled  # type: ignore[untyped-decorator]
+def _hold(top: FloatArray, time_s: FloatArray, memory: FloatArray, out: FloatArray) -> None:
+    for k in range(top.size):
+        kept = memory[0] * np.exp(-(time_s[k] - memory[1]) / 0.15) if memory[1] == memory[1] else 0.0
+        memory[0] = max(top[k], kept)
+        memory[1] = time_s[k]
+        out[k] = memory[0]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """Parameters, noise, and how sure they are."""
+
+    theta: FloatArray
+    covariance: FloatArray
+    noise: Noise
+    reach_deg: tuple[float, float]
+    held_out_deg: tuple[FloatArray, ...]
+    """Of each record: reading of a servo fitted to the other folds (m,) [deg]."""
+    error_deg: tuple[FloatArray, ...]
+    held_out_rms_deg: float
+    explained_share: float
+    usable: tuple[BoolArray, ...]
+
+
+def fit(
+    records: Sequence[Record], *, fixed: Sequence[str] = (), start: FloatArray | None = None, steps: int = _STEPS
+) -> Fit:
+    """Fit one servo to records of it.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Good flights.
+    fixed : sequence of str
+        Names of effects that are left out: their parameters are held at zero.
+    start : ndarray, shape (13,), optional
+        Where to begin; else some delays are tried.
+    steps : int
+        Of the descent, at most.
+    """
+    held = np.array([name in fixed for name in NAMES])
+    seen = np.concatenate([r.measured_deg[r.usable] for r in records])
+    reach_deg = (float(np.quantile(seen, _SELDOM)), float(np.quantile(seen, 1.0 - _SELDOM)))
+    if start is not None:
+        begins = [np.where(held, 0.0, start)]
+    else:
+        begins = [np.where(held, 0.0, _with_delay(delay_s)) for delay_s in _DELAYS_S]
+    tried = [_descended(records, theta, held, reach_deg, _FIRST_STEPS) for theta in begins]
+    theta = min(tried, key=lambda each: each[1])[0] if len(tried) > 1 else tried[0][0]
+    theta, _ = _descended(records, theta, held, reach_deg, steps)
+    return _finished(records, theta, held, reach_deg)
+
+
+def residual(
+    measured_deg: FloatArray, reading_deg: FloatArray, reach_deg: tuple[float, float]
+) -> tuple[FloatArray, BoolArray]:
+    """Position less prediction (m,) [deg], and where it depends on the prediction.
+
+    Beyond the deflections that good flights showed, the surface may as well stay there: there may be a stop.
+
+    Examples
+    --------
+    >>> residual(np.array([1.0, 20.5, 18.0]), np.array([0.5, 24.0, 24.0]), (-20.0, 20.0))
+    (array([ 0.5,  0. , -2. ]), array([ True, False, False]))
+    """
+    lower, upper = np.minimum(reading_deg, reach_deg[1]), np.maximum(reading_deg, reach_deg[0])
+    error = np.minimum(measured_deg - lower, 0.0) + np.maximum(measured_deg - upper, 0.0)
+    inside: BoolArray = (lower == upper) | (error == measured_deg - reading_deg)
+    return error, inside
+
+
+def _with_delay(delay_s: float) -> FloatArray:
+    theta = _VALUES.copy()
+    theta[NAMES.index("delay_s")] = delay_s
+    return theta
+
+
+def _spread_deg(error_deg: FloatArray) -> float:
+    return max(_MAD * float(np.median(np.abs(error_deg - np.median(error_deg)))), _LEAST_DEG)
+
+
+def _evaluated(
+    records: Sequence[Record], theta: FloatArray, reach_deg: tuple[float, float]
+) -> tuple[list[FloatArray], list[FloatArray], list[FloatArray]]:
+    """Errors, sensitivities and largest speeds of each record, in usable rows."""
+    errors, slopes, speeds = [], [], []
+    for record in records:
+        reading_deg, slope, speed = FAMILY.predicted(theta, record, reach_deg)
+        error, inside = residual(record.measured_deg, reading_deg, reach_deg)
+        errors.append(error[record.usable])
+        slopes.append((slope * inside[:, None])[record.usable])
+        speeds.append(speed[record.usable])
+    return errors, slopes, speeds
+
+
+def _descended(
+    records: Sequence[Record], theta: FloatArray, held: BoolArray, reach_deg: tuple[float, float], steps: int
+) -> tuple[FloatArray, float]:
+    """Levenberg-Marquardt on Huber's loss with a ridge to the prior; parameters and their cost."""
+    damping, best, known = 1e-2, np.inf, theta
+    normal: tuple[FloatArray, FloatArray] | None = None
+    for _ in range(steps + 1):
+        errors, slopes, speeds = _evaluated(records, theta, reach_deg)
+        error, slope, speed = np.concatenate(errors), np.concatenate(slopes), np.concatenate(speeds)
+        if normal is None:
+            spread = max(_spread_deg(error), 0.03)
+            sigma = np.sqrt(spread**2 + (0.01 * speed) ** 2)
+        ratio = np.abs(error) / sigma
+        loss = np.where(ratio < _HUBER, 0.5 * ratio**2, _HUBER * (ratio - 0.5 * _HUBER))
+        apart = (theta - _VALUES) / _SIGMAS
+        cost = float(loss.sum()) + 0.5 * float((apart[~held] ** 2).sum())
+        if cost < best:
+            gained = best - cost
+            best, known = cost, theta
+            weight = np.minimum(1.0, _HUBER / np.maximum(ratio, 1e-12)) / sigma**2
+            curvature = (slope * weight[:, None]).T @ slope + np.diag(_SIGMAS**-2.0)
+            pull = slope.T @ (weight * error) - apart / _SIGMAS
+            normal = curvature, pull
+            damping = max(damping / 5.0, 1e-6)
+            if gained < _CLOSE * max(best, 1.0):
+                break
+        else:
+            damping *= 8.0
+        curvature, pull = normal if normal is not None else (np.eye(FITTED), np.zeros(FITTED))
+        theta = _stepped(known, curvature, pull, held, damping)
+    return known, best
+
+
+def _stepped(theta: FloatArray, curvature: FloatArray, pull: FloatArray, held: BoolArray, damping: float) -> FloatArray:
+    """One damped step that stays within the bounds; parameters at a bound that would pass it are held there."""
+    still = held.copy()
+    for _ in range(4):
+        free = ~still
+        block = curvature[np.ix_(free, free)]
+        block = block + damping * np.diag(np.diag(block))
+        step = np.zeros(FITTED)
+        step[free] = np.linalg.solve(block, pull[free])
+        step = np.clip(step, -2.0 * _SIGMAS, 2.0 * _SIGMAS)
+        outside = (~still) & (((theta <= _LOWS) & (step < 0.0)) | ((theta >= _HIGHS) & (step > 0.0)))
+        if not outside.any():
+            break
+        still |= outside
+    return np.where(held, theta, np.clip(theta + step, _LOWS, _HIGHS))
+
+
+def _finished(records: Sequence[Record], theta: FloatArray, held: BoolArray, reach_deg: tuple[float, float]) -> Fit:
+    """Noise, covariance, and what the folds left out say."""
+    errors, slopes, speeds = _evaluated(records, theta, reach_deg)
+    error, slope, speed = np.concatenate(errors), np.concatenate(slopes), np.concatenate(speeds)
+    noise = _noise(errors, speeds, records)
+    sigma = noise.sigma_deg(speed)
+    ratio = np.abs(error) / sigma
+    weight = np.minimum(1.0, _HUBER / np.maximum(ratio, 1e-12)) / sigma**2
+    lengthened = _colour_length(noise)
+    free = ~held
+    weighted = slope[:, free] * weight[:, None] / lengthened
+    fold = np.concatenate([(np.floor(r.time_s[r.usable] / _FOLD_S).astype(int) + k) % 2 for k, r in enumerate(records)])
+    ridge = np.diag(_SIGMAS[free] ** -2.0)
+    left = np.zeros(error.size)
+    folds = [np.flatnonzero(fold == k) for k in (0, 1)]
+    for mine, other in (folds, folds[::-1]):
+        block = weighted[other].T @ slope[np.ix_(other, free)] + ridge
+        change = np.linalg.solve(block, weighted[other].T @ error[other])
+        left[mine] = error[mine] - slope[np.ix_(mine, free)] @ change
+    covariance = np.zeros((FITTED, FITTED))
+    covariance[np.ix_(free, free)] = np.linalg.inv(weighted.T @ slope[:, free] + ridge)
+    measured = np.concatenate([r.measured_deg[r.usable] for r in records])
+    rms = float(np.sqrt(np.mean(np.clip(left, -6.0 * sigma, 6.0 * sigma) ** 2)))
+    power = float(np.var(measured))
+    share = 1.0 - float(np.mean(left**2)) / power if power > 0.0 else 0.0
+    parts = np.split(left, np.cumsum([e.size for e in errors])[:-1])
+    whole = []
+    for part, record in zip(parts, records, strict=True):
+        full = np.full(record.time_s.size, np.nan)
+        full[record.usable] = part
+        whole.append(full)
+    return Fit(
+        theta, covariance, noise, reach_deg, tuple(whole), tuple(errors), rms, share, tuple(r.usable for r in records)
+    )
+
+
+def _colour_length(noise: Noise) -> float:
+    """How many samples of coloured noise tell as much as one of white noise."""
+    first, second = noise.colour
+    return float(np.clip(noise.innovation**2 / (1.0 - first - second) ** 2, 1.0, 50.0))
+
+
+def _noise(errors: Sequence[FloatArray], speeds: Sequence[FloatArray], records: Sequence[Record]) -> Noise:
+    error, speed = np.concatenate(errors), np.concatenate(speeds)
+    slow = speed <= max(float(np.quantile(speed, 0.3)), _QUIET_DEG_S)
+    still = max(_MAD * float(np.median(np.abs(error[slow]))), _LEAST_DEG, _step_deg(records) / np.sqrt(12.0))
+    fast = speed > _FAST_DEG_S
+    lag = _LAG_FLOOR_S
+    if np.count_nonzero(fast) > 30:
+        lag = _MAD * float(np.median(np.sqrt(np.maximum(error[fast] ** 2 - still**2, 0.0)) / speed[fast]))
+    lag = float(np.clip(lag, _LAG_FLOOR_S, _LAG_CAP_S))
+    ratio = error / np.sqrt(still**2 + (lag * speed) ** 2)
+    inflation = float(np.sqrt(np.mean(np.minimum(ratio**2, 9.0))))
+    inflation = max(inflation, 0.7)
+    scaled = [
+        np.clip(e / (inflation * np.sqrt(still**2 + (lag * v) ** 2)), -3.0, 3.0)
+        for e, v in zip(errors, speeds, strict=True)
+    ]
+    r0 = sum(float(s @ s) for s in scaled)
+    r1 = sum(float(s[1:] @ s[:-1]) for s in scaled)
+    r2 = sum(float(s[2:] @ s[:-2]) for s in scaled)
+    first, second = _ar2(r1 / max(r0, 1e-12), r2 / max(r0, 1e-12))
+    rho1, rho2 = first / (1.0 - second), first**2 / (1.0 - second) + second
+    new = float(np.sqrt(max(1.0 - first * rho1 - second * rho2, 0.02)))
+    return Noise(still * inflation, lag * inflation, (first, second), new, records[0].period_s)
+
+
+def _ar2(rho1: float, rho2: float) -> tuple[float, float]:
+    """Coefficients of an AR(2) process with these correlations, within what is stable."""
+    rho1 = float(np.clip(rho1, -0.5, 0.97))
+    rho2 = float(np.clip(rho2, max(2.0 * rho1**2 - 1.0 + 0.02, -0.5), 0.95))
+    second = (rho2 - rho1**2) / (1.0 - rho1**2)
+    second = float(np.clip(second, -0.5, 0.6))
+    first = rho1 * (1.0 - second)
+    return first, second
+
+
+def _step_deg(records: Sequence[Record]) -> float:
+    """Smallest step of the reading [deg]."""
+    steps = []
+    for record in records:
+        size = np.abs(np.diff(record.measured_deg[record.usable]))
+        size = size[size > 1e-9]
+        if size.size:
+            steps.append(float(np.quantile(size, 0.02)))
+    return min(steps, default=0.0)

@@ -1,0 +1,179 @@
+"""One surface of one log as the fit needs it: commands, positions, load, supply, and which samples may be used."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servofd.estimate.family import PRESSURE_PA
+
+if TYPE_CHECKING:
+    from servofd.models.context import Context
+    from servofd.segment import Segment
+    from servofd.types import BoolArray, FloatArray
+
+__all__ = ["SETTLING_S", "Record", "gap_s", "loads", "powers", "starts", "straightened", "usual_supply_v"]
+
+SETTLING_S = 0.45
+"""After a gap in the commands; a servo that rested anywhere in its friction band is where it is asked to be by then."""
+_START_S = 0.3
+"""After a gap: the simulation begins anew from the position."""
+_FIRST_S = 1.0
+_GAP_PERIODS = 2.5
+_SHORTEST_GAP_S = 0.05
+_RHYTHM = 101
+"""Commands that tell their rhythm: those that a monitor waits for."""
+_RARELY = 0.98
+"""Intervals between commands of which fewer than one in fifty is longer are the rhythm, and no gap."""
+_LEAST_SUPPLY_V = 2.0
+_POWERS = (0.6, 1.4)
+_FINE_S = 0.01
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Record:
+    """One surface in one log; arrays of shape (m,), one entry per position, unless said."""
+
+    command_s: FloatArray
+    """Shape (n,)."""
+    command_deg: FloatArray
+    time_s: FloatArray
+    measured_deg: FloatArray
+    load: FloatArray
+    """Dynamic pressure over 300 Pa."""
+    power: FloatArray
+    """Supply over the usual one."""
+    start_deg: FloatArray
+    """Where the simulation begins anew; NaN where it goes on."""
+    usable: BoolArray
+    period_s: float
+
+    @classmethod
+    def of(cls, segment: Segment, supply_v: float | None = None) -> Record:
+        """Prepare a segment.
+
+        Parameters
+        ----------
+        segment : Segment
+            Commands and positions.
+        supply_v : float, optional
+            Usual supply; that of this segment if None.
+        """
+        commands = straightened(segment.command_s, segment.command_deg, segment.command_period_s)
+        known = np.isfinite(segment.measured_deg)
+        time_s, measured_deg = segment.measured_s[known], segment.measured_deg[known]
+        start_deg, usable = starts(segment.command_s, time_s, measured_deg)
+        context = segment.context
+        if supply_v is None:
+            supply_v = usual_supply_v(context)
+        return cls(
+            *commands,
+            time_s,
+            measured_deg,
+            loads(context, time_s),
+            powers(context, time_s, supply_v),
+            start_deg,
+            usable,
+            segment.period_s,
+        )
+
+    @property
+    def commands(self) -> tuple[FloatArray, FloatArray]:
+        """Times and values."""
+        return self.command_s, self.command_deg
+
+
+def straightened(
+    command_s: FloatArray, command_deg: FloatArray, period_s: float | None
+) -> tuple[FloatArray, FloatArray]:
+    """Commands as they are; those that were thinned out of a faster stream, on straight lines between.
+
+    Examples
+    --------
+    >>> straightened(np.array([0.0, 0.02]), np.array([0.0, 2.0]), 0.02)[1]
+    array([0., 1., 2.])
+    """
+    if period_s is None or command_s.size < 2:
+        return command_s, command_deg
+    step_s = np.diff(command_s)
+    pieces = np.where(step_s < 1.0, np.maximum(np.round(step_s / _FINE_S), 1.0), 1.0).astype(int)
+    place = np.arange(pieces.sum()) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    share = place / np.repeat(pieces, pieces)
+    fine_s = np.repeat(command_s[:-1], pieces) + share * np.repeat(step_s, pieces)
+    fine_deg = np.repeat(command_deg[:-1], pieces) + share * np.repeat(np.diff(command_deg), pieces)
+    return np.append(fine_s, command_s[-1]), np.append(fine_deg, command_deg[-1])
+
+
+def gap_s(command_s: FloatArray) -> float:
+    """Longest time between commands that is no gap [s]."""
+    steps_s = np.diff(command_s[:_RHYTHM])
+    if not steps_s.size:
+        return _SHORTEST_GAP_S
+    usual_s = max(_GAP_PERIODS * float(np.median(steps_s)), 1.2 * float(np.quantile(steps_s, _RARELY)))
+    return max(_SHORTEST_GAP_S, min(usual_s, 10.0 * float(np.median(steps_s))))
+
+
+def starts(
+    command_s: FloatArray,
+    time_s: FloatArray,
+    measured_deg: FloatArray,
+    longest_s: float | None = None,
+    begun_s: float = float("nan"),
+) -> tuple[FloatArray, BoolArray]:
+    """Where the simulation begins anew (positions, else NaN), and which samples may be judged; both (m,).
+
+    `longest_s` is the longest time between commands that is no gap, `begun_s` when the flight began, if that is known.
+
+    Examples
+    --------
+    >>> t = np.arange(100) / 10.0
+    >>> begin_deg, usable = starts(t[(t < 4.0) | (t > 6.0)], t, t)
+    >>> begin_deg[np.isfinite(begin_deg)], t[~usable & (t > 2.0)]
+    (array([0. , 6.4]), array([4.4, 4.5, 4.6, 4.7, 4.8, 4.9, 5. , 5.1, 5.2, 5.3, 5.4, 5.5, 5.6,
+           5.7, 5.8, 5.9, 6. , 6.1, 6.2, 6.3, 6.4, 6.5]))
+    """
+    longest_s = gap_s(command_s) if longest_s is None else longest_s
+    start_deg = np.full(time_s.size, np.nan)
+    usable = np.isfinite(measured_deg)
+    if not command_s.size or not time_s.size:
+        return start_deg, np.zeros(time_s.size, dtype=bool)
+    last = np.searchsorted(command_s, time_s, side="right") - 1
+    usable &= (last >= 0) & (time_s - command_s[np.maximum(last, 0)] <= longest_s)
+    breaks = np.flatnonzero(np.diff(command_s) > longest_s)
+    for begin_s, end_s in zip(command_s[breaks], command_s[breaks + 1], strict=True):
+        first, here, settled = np.searchsorted(
+            time_s, (begin_s + longest_s, end_s + _START_S - 1e-9, end_s + SETTLING_S)
+        )
+        usable[first:settled] = False
+        good = here + np.flatnonzero(np.isfinite(measured_deg[here : here + 10]))
+        if good.size:
+            start_deg[good[0]] = measured_deg[good[0]]
+    first = np.flatnonzero(usable)
+    if not np.isfinite(begun_s) and first.size:
+        begun_s = float(time_s[first[0]])
+        start_deg[first[0]] = measured_deg[first[0]]
+    if np.isfinite(begun_s):
+        usable[: np.searchsorted(time_s, begun_s + _FIRST_S)] = False
+    return start_deg, usable
+
+
+def loads(context: Context, time_s: FloatArray) -> FloatArray:
+    """Dynamic pressure over 300 Pa, shape (m,)."""
+    return np.clip(context.pressure_pa(time_s) / PRESSURE_PA, 0.0, 20.0)
+
+
+def usual_supply_v(context: Context) -> float:
+    """Median supply [V]; 0 if it was never logged, or is none of a servo."""
+    if not context.voltage_s.size:
+        return 0.0
+    volts = float(np.median(context.voltage_v))
+    return volts if volts > _LEAST_SUPPLY_V else 0.0
+
+
+def powers(context: Context, time_s: FloatArray, supply_v: float) -> FloatArray:
+    """Supply over the usual one, shape (m,); 1 where either is not known."""
+    if not supply_v or not context.voltage_s.size:
+        return np.ones(time_s.size)
+    return np.clip(context.supply_v(time_s) / supply_v, *_POWERS)
