@@ -36,8 +36,9 @@ WARM_UP_S, WARM_UP_STEPS = 10.0, 100
 """A monitor in flight learns the pace of a stream from so many intervals, or from as many as there are by then [s]."""
 _SAME_PACE = 1.5
 
-SLOWEST_RATE_HZ = 10.0
-"""Below this a healthy servo's residual passes 0.9 deg for lack of samples (measured on simulated flights)."""
+SLOWEST_RATE_HZ = 8.0
+"""Feedback of nominally 10 Hz, whose pace jitters, is judged; below, samples are further apart than a servo takes for
+5 deg (0.1 s at the slowest of the library), and a jam looks like a delay."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

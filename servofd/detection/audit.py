@@ -276,7 +276,7 @@ def _too_little(segment: Segment) -> str:
     if not segment.period_s > 0.0:
         return "fewer than two position samples"
     rate_hz = 1.0 / segment.period_s
-    if rate_hz < SLOWEST_RATE_HZ * (1.0 - 1e-6):
+    if rate_hz < SLOWEST_RATE_HZ:
         return f"position comes at {rate_hz:.2g} Hz; a servo cannot be judged below {SLOWEST_RATE_HZ:g} Hz"
     if rate_hz > _FASTEST_RATE_HZ:
         return f"position comes at {rate_hz:.2g} Hz: check the unit of the time stamps"

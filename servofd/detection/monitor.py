@@ -380,7 +380,7 @@ class SurfaceMonitor:
             return []
         self._period_s, self._mean_s = float(np.median(steps_s)), float(np.mean(steps_s))
         problem = ""
-        if 1.0 / self._period_s < SLOWEST_RATE_HZ * (1.0 - 1e-6):
+        if 1.0 / self._period_s < SLOWEST_RATE_HZ:
             problem = f"position comes at {1.0 / self._period_s:.2g} Hz; a servo cannot be judged below "
             problem += f"{SLOWEST_RATE_HZ:g} Hz"
         else:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 __all__ = ["check_clipping", "check_drift", "check_order_of_columns", "check_saturation", "check_segment"]
 
-_SLOWEST_HZ, _FASTEST_HZ = 10.0, 20_000.0
+_SLOWEST_HZ, _FASTEST_HZ = 8.0, 20_000.0
 _FEWEST_SAMPLES = 30
 _CLIPPED_SAMPLES, _CLIPPED_COMMAND = 0.05, 0.15
 _AT_LIMIT, _SATURATED_TIME, _DENSE_S = 0.97, 0.8, 2e-3

@@ -100,7 +100,7 @@ def check_segment(segment: Segment, surface: Surface, model: ServoModel) -> Surf
     """
     name = segment.surface
     rate_hz = 1.0 / segment.period_s if segment.period_s > 0.0 else 0.0
-    if rate_hz < SLOWEST_RATE_HZ * (1.0 - 1e-6):
+    if rate_hz < SLOWEST_RATE_HZ:
         slow = f"position comes at {rate_hz:.2g} Hz; a sweep needs {SLOWEST_RATE_HZ:g} Hz or more"
         return SurfaceSweep(name, "unknown", (slow,))
     try:

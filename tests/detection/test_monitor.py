@@ -168,7 +168,7 @@ class TestNoVerdictFromNoMeasurement:
         slow = flight(6)
         slow = Segment("x", slow.command_s, slow.command_deg, slow.measured_s[::10], slow.measured_deg[::10])
         monitor, events = watched(entry, model, slow)
-        assert "a servo cannot be judged below 10 Hz" in events[0].text
+        assert "a servo cannot be judged below 8 Hz" in events[0].text
         assert not monitor.is_watched
 
     def test_silence_is_told_once_and_raises_no_alarm(self) -> None:
@@ -289,7 +289,7 @@ class TestPace:
         monitor = SurfaceMonitor("x", *surface(servo="hs225bb-eq31"))
         slow_s = np.arange(101) / 5.0
         (refused,) = monitor.feed((slow_s, np.zeros(101)), (slow_s, np.sin(slow_s)))
-        assert refused.text == "position comes at 5 Hz; a servo cannot be judged below 10 Hz"
+        assert refused.text == "position comes at 5 Hz; a servo cannot be judged below 8 Hz"
         assert (refused.time_s, monitor.is_watched) == (20.0, False)
         quick_s = 20.0 + np.arange(1, 102) / 50.0
         monitor.feed((quick_s, np.zeros(101)), (quick_s, np.sin(quick_s)))
