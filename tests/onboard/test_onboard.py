@@ -102,6 +102,7 @@ def test_six_surfaces_fit_an_autopilot(tmp_path: Path) -> None:
     plan = plan_onboard(plane)
     flown = fly(watch_script(plan), flight, tmp_path, counted=True)
     assert flown.most_instructions <= plan.instructions <= 10_000
+    assert flown.heap_kb <= 80.0, "with pointers and numbers of 64 bits; an autopilot's have 32"
 
 
 def test_more_surfaces_than_a_call_has_time_for_are_refused_with_how_many_fit() -> None:

@@ -1,0 +1,80 @@
+"""What the script on board costs: instructions of Lua's machine in its longest call, and memory.
+
+``python benchmarks/onboard.py``: real Lua 5.3 runs scripts of one to twelve surfaces through eight seconds of sticks at
+their ends, one servo jammed, in which glitches are sorted out. ArduPilot gives a call 10 000 instructions, and a script
+what is left of SCR_HEAP_SIZE; numbers of 32 bits take less room there than the 64 bits measured here.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from servofd.aircraft import Aircraft
+from servofd.onboard.plan import plan_onboard
+from servofd.onboard.script import watch_script
+from tests.onboard.autopilot import Flight, fly
+
+LIMITED = 250.0
+SERVOS: dict[str, dict[str, object]] = {
+    "one pole": {"numerator": [20.0], "denominator": [1.0, 20.0]},
+    "two poles": {"bandwidth_hz": 4.5, "damping": 0.7},
+    "three poles": {"numerator": [122300.0], "denominator": [1.0, 94.88, 6660.7936, 122237.64]},
+}
+
+
+def aircraft(count: int, servo: dict[str, object], *, limited: bool) -> Aircraft:
+    """So many surfaces of one servo, calibrated."""
+    surfaces = {
+        f"surface_{k}": {
+            "servo": "it",
+            "threshold": "interval",
+            "tolerance": {"noise_deg": 0.1},
+            "command": {"channel": f"RCOU.C{k}", "unit": "us", "slope_deg_per_us": 0.09},
+            "measured": {"channel": f"CSRV[{k - 1}].Pos", "unit": "deg"},
+        }
+        for k in range(1, count + 1)
+    }
+    known = {"title": "it", "delay_s": 0.02, "hold": "zoh", "source": "benchmark", **servo}
+    if limited:
+        known["rate_limit_deg_s"] = LIMITED
+    return Aircraft.model_validate({"surfaces": surfaces, "servos": {"it": known}})
+
+
+def flight(plane: Aircraft, period_us: int) -> Flight:
+    """Sticks at their ends; the first servo is jammed, and positions jump away and back now and then."""
+    time_us = 5_000_000 + np.arange(0, 8_000_000, period_us)
+    time_s, rng = time_us / 1e6, np.random.default_rng(1)
+    pulses, positions = {}, {}
+    for k, (name, surface) in enumerate(plane.surfaces.items(), 1):
+        pulses[k] = np.round(1500.0 + 450.0 * np.sign(np.sin(5.0 * time_s)) * (time_s > time_s[0] + 1.0))
+        moved_deg = plane.model(name).simulate(time_s, surface.command.to_deg(pulses[k]), time_s)
+        moved_deg = moved_deg + 0.1 * rng.normal(size=time_s.size) + 60.0 * (rng.random(time_s.size) < 0.01)
+        positions[k] = np.zeros(time_s.size) if k == 1 else moved_deg
+    return Flight(time_us, pulses, positions, armed=True)
+
+
+def main() -> None:
+    print("surfaces  servo        rate limit  calls a period  instructions  foreseen  heap [kB]  script [kB]")
+    with tempfile.TemporaryDirectory() as folder:
+        for count in (1, 6, 12):
+            for name, servo in SERVOS.items():
+                for limited in (False, True):
+                    plane = aircraft(count, servo, limited=limited)
+                    plan = plan_onboard(plane)
+                    script = watch_script(plan)
+                    flown = fly(script, flight(plane, 1000 * plan.period_ms // plan.turns), Path(folder), counted=True)
+                    print(
+                        f"{count:8}  {name:12} {'yes' if limited else 'no':10}  {plan.turns:14}"
+                        f"  {flown.most_instructions:12}  {plan.instructions:8}  {flown.heap_kb:9.1f}"
+                        f"  {len(script) / 1e3:11.1f}"
+                    )
+
+
+if __name__ == "__main__":
+    main()
