@@ -12,12 +12,15 @@ from pyulog import core
 from pyulog.exceptions import ULogException
 
 from logparsers.errors import UnreadableLog
+from logparsers.ulog.sieve import NotPlain
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Iterator
 
     import numpy as np
     from numpy.typing import NDArray
+
+    from logparsers.ulog.sieve import Samples
 
 __all__ = ["Reader", "load"]
 
@@ -47,6 +50,8 @@ class _Formats(dict[str, Any]):
         super().__init__()
         self.left = _MAX_FIELDS
         self.announced: dict[str, None] = {}
+        self.samples: Samples | None = None
+        """Of topics that the file itself does not hold any more."""
 
 
 class _Subscription(core.ULog._MessageAddLogged):  # type: ignore[misc]
@@ -55,6 +60,12 @@ class _Subscription(core.ULog._MessageAddLogged):  # type: ignore[misc]
     def __init__(self, content: bytes, header: object, message_formats: _Formats) -> None:
         super().__init__(content, header, message_formats)
         message_formats.announced[str(self.message_name)] = None
+        if message_formats.samples is not None:
+            buffer = message_formats.samples.of(self.msg_id, self.dtype.itemsize, self.max_data_size)
+            first = self.field_data[0] if self.field_data else None
+            if buffer.size and (first is None or (first.field_name, first.type_str) != ("timestamp", "uint64_t")):
+                raise NotPlain
+            self.buffer = buffer
 
     def _parse_nested_type(self, prefix_str: str, type_name: str, message_formats: _Formats) -> None:
         wanted = sum(max(size, 1) for _, size, _ in message_formats[type_name].fields)
@@ -81,9 +92,21 @@ class Reader(core.ULog):  # type: ignore[misc]
         """Topics that the log says it has, read or not."""
         return self._message_formats.announced
 
-    def load(self, handle: io.BytesIO, wanted: Container[str]) -> None:
-        """Read all at once."""
+    def load(self, handle: io.BytesIO, wanted: Container[str], samples: Samples | None = None) -> None:
+        """Read all at once; samples may have been set aside before."""
+        self._message_formats.samples = samples
         self._load_file(handle, wanted)
+        if samples is not None:
+            self._date(samples)
+
+    def _date(self, samples: Samples) -> None:
+        """Give dropouts and parameters the time of the samples before them."""
+        changed: list[Any] = self.changed_parameters
+        if (len(self.dropouts), len(changed)) != (samples.dropouts_us.size, samples.parameters_us.size):
+            raise NotPlain
+        for dropout, at_us in zip(self.dropouts, samples.dropouts_us.tolist(), strict=True):
+            dropout.timestamp = at_us
+        changed[:] = [(at_us, *entry[1:]) for at_us, entry in zip(samples.parameters_us.tolist(), changed, strict=True)]
 
     def _read_file_definitions(self) -> None:
         super()._read_file_definitions()
@@ -99,7 +122,19 @@ class Reader(core.ULog):  # type: ignore[misc]
         return corrupt
 
 
-def load(data: NDArray[np.uint8], name: str, wanted: Container[str]) -> tuple[Reader, tuple[str, ...], str]:
+class _Whole(io.BytesIO):
+    """Knows whether it was read to its end."""
+
+    was_read = False
+
+    def close(self) -> None:
+        self.was_read = self.tell() == len(self.getbuffer())
+        super().close()
+
+
+def load(
+    data: NDArray[np.uint8], name: str, wanted: Container[str], samples: Samples | None = None
+) -> tuple[Reader, tuple[str, ...], str]:
     """Read the chosen topics of a log.
 
     Parameters
@@ -110,6 +145,8 @@ def load(data: NDArray[np.uint8], name: str, wanted: Container[str]) -> tuple[Re
         What to call it in messages.
     wanted : container of str
         Topics.
+    samples : Samples, optional
+        Those that were set aside before.
 
     Returns
     -------
@@ -124,11 +161,15 @@ def load(data: NDArray[np.uint8], name: str, wanted: Container[str]) -> tuple[Re
     ------
     UnreadableLog
         If it is no PX4 log, or too broken to be read.
+    NotPlain
+        If only pyulog itself can read its samples.
     """
-    reader = Reader()
+    reader, handle = Reader(), _Whole(data.tobytes())
     try:
         with _quiet() as said:
-            reader.load(io.BytesIO(data.tobytes()), wanted)
+            reader.load(handle, wanted, samples)
+        if samples is not None and not handle.was_read:
+            raise NotPlain
     except UnreadableLog as error:
         raise UnreadableLog(f"{name}: {error}; copy the log again") from None
     except _FAILURES as error:

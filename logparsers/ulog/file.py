@@ -5,6 +5,7 @@ What pyulog skips becomes `Damage`, what stops it becomes `LogError`.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from functools import cached_property
 from types import MappingProxyType
@@ -19,15 +20,16 @@ from logparsers.only import Only
 from logparsers.records import Damage, Text
 from logparsers.source import mapped
 from logparsers.ulog.bounded import load
-from logparsers.ulog.sieve import chain, sieve
+from logparsers.ulog.sieve import NotPlain, chain, set_aside, sieve
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Container, Mapping, Sequence
     from datetime import datetime
 
     from numpy.typing import NDArray
 
     from logparsers.source import LogBytes
+    from logparsers.ulog.bounded import Reader
 
     FloatArray = NDArray[np.float64]
 
@@ -74,11 +76,10 @@ class UlogFile:
 
     def __init__(self, data: NDArray[np.uint8], name: str, only: Only) -> None:
         self.name = name
-        sieved = sieve(data, _WithClock(only))
-        self._log, self._said, self._stopped = load(data if sieved is None else sieved, name, _WithClock(only))
+        is_sound, (self._log, self._said, self._stopped) = _loaded(data, name, _WithClock(only))
         if not self._log.data_list and not self._log.announced:
             raise EmptyLog(f"{name}: the log has no topics")
-        self._tail = 0 if sieved is None else int(data.size - chain(data))
+        self._tail = int(data.size - chain(data)) if is_sound else 0
         self._topics: dict[tuple[str, int], list[Any]] = {}
         self._extra: dict[str, list[Any]] = {}
         for found in self._log.data_list:
@@ -223,6 +224,19 @@ class UlogFile:
             known = ", ".join(f"{name}[{number}]" for name, number in self._topics)
             raise MissingChannel(f"{self.name}: no topic {topic}[{instance}] was read; there are {known}")
         return self._topics[topic, instance]
+
+
+def _loaded(
+    data: NDArray[np.uint8], name: str, wanted: Container[str]
+) -> tuple[bool, tuple[Reader, tuple[str, ...], str]]:
+    """Whether every message is sound, and what pyulog makes of it; it need not look at samples that are plain."""
+    aside = set_aside(data, wanted)
+    if aside is not None:
+        rest, samples = aside
+        with contextlib.suppress(NotPlain):
+            return True, load(rest, name, wanted, samples)
+    sieved = sieve(data, wanted)
+    return sieved is not None, load(data if sieved is None else sieved, name, wanted)
 
 
 class _WithClock:

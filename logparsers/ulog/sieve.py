@@ -15,10 +15,11 @@ if TYPE_CHECKING:
 
     Bytes = NDArray[np.uint8]
 
-__all__ = ["chain", "sieve"]
+__all__ = ["NotPlain", "Samples", "chain", "set_aside", "sieve"]
 
 _HEADER = 16
-_ADD, _DATA = ord("A"), ord("D")
+_ADD, _DATA, _DROPOUT, _PARAMETER = ord("A"), ord("D"), ord("O"), ord("P")
+_TEXT, _TAGGED = ord("L"), ord("C")
 _KNOWN = np.zeros(256, dtype=np.bool_)
 _KNOWN[list(b"ABCDFILMOPQRS")] = True
 _APPENDED = 0x01
@@ -93,6 +94,160 @@ def sieve(data: Bytes, wanted: Container[str]) -> Bytes | None:
     if kept:
         _walk(data, topics, dropped, out[_HEADER : _HEADER + kept])
     return out
+
+
+class NotPlain(Exception):  # noqa: N818 - no error of the file: another way has to be taken
+    """Samples are not what their format says, or not announced before they come."""
+
+
+class Samples:
+    """Samples of the wanted topics of a sound log, and how late it was when something else was logged.
+
+    Parameters
+    ----------
+    data : ndarray of uint8, shape (n,)
+        The file.
+    places : ndarray of int64, shape (m,)
+        Where each sample begins.
+    numbers : ndarray of int64, shape (m,)
+        Of their topics.
+    sizes : ndarray of int64, shape (2, 65536)
+        Least and most bytes of a sample of each topic.
+    dropouts_us, parameters_us : ndarray of int64
+        Newest stamp before each dropout, and before each change of a parameter [us].
+    """
+
+    def __init__(
+        self,
+        data: Bytes,
+        places: NDArray[np.int64],
+        numbers: NDArray[np.int64],
+        sizes: NDArray[np.int64],
+        dropouts_us: NDArray[np.int64],
+        parameters_us: NDArray[np.int64],
+    ) -> None:
+        order = np.argsort(numbers.astype(np.uint16), kind="stable")
+        self._data, self._places, self._numbers, self._sizes = data, places[order], numbers[order], sizes
+        self.dropouts_us, self.parameters_us = dropouts_us, parameters_us
+
+    def of(self, number: int, width: int, most: int) -> Bytes:
+        """All samples of a topic behind each other, `width` bytes of each; none has more than `most`."""
+        first, last = np.searchsorted(self._numbers, [number, number + 1]).tolist()
+        if last > first and (self._sizes[0, number] < width or self._sizes[1, number] > most):
+            raise NotPlain
+        out = np.empty((last - first) * width, dtype=np.uint8)
+        _gather(self._data, self._places[first:last], width, out)
+        return out
+
+
+def set_aside(data: Bytes, wanted: Container[str]) -> tuple[Bytes, Samples] | None:
+    """A log without any sample, and the samples of the wanted topics; None if only the whole of it will do."""
+    if data.size < _HEADER + 43 or (data[_HEADER + 2] == ord("B") and data[_HEADER + 11] & _APPENDED):
+        return None
+    nothing, nobody = np.zeros(0, dtype=np.uint8), np.zeros(0, dtype=np.int64)
+    all_, none = np.ones(1 << 16, dtype=np.bool_), np.zeros(1 << 16, dtype=np.bool_)
+    end, found, kept = _walk(data, nobody, all_, nothing)
+    if not _is_cut(data, end):
+        return None
+    topics = np.zeros(found, dtype=np.int64)
+    _walk(data, topics, none, nothing)
+    dropped = _unwanted(data, topics, wanted)
+    sizes = np.zeros((2, 1 << 16), dtype=np.int64)
+    counts = np.zeros(3, dtype=np.int64)
+    if not _collect(data, end, dropped, counts, nobody, nobody, sizes, nobody, nobody):
+        return None
+    places, numbers, dropouts_us, parameters_us = (np.zeros(counts[k], dtype=np.int64) for k in (0, 0, 1, 2))
+    _collect(data, end, dropped, counts, places, numbers, sizes, dropouts_us, parameters_us)
+    out = np.empty(_HEADER + kept + data.size - end, dtype=np.uint8)
+    out[:_HEADER] = data[:_HEADER]
+    out[_HEADER + kept :] = data[end:]
+    if kept:
+        _walk(data, topics, all_, out[_HEADER : _HEADER + kept])
+    return out, Samples(data, places, numbers, sizes, dropouts_us, parameters_us)
+
+
+@compiled
+def _stamp(data: Bytes, at: int) -> int:
+    stamp = np.int64(0)
+    for k in range(8):
+        stamp |= np.int64(data[at + k]) << (8 * k)
+    return int(stamp)
+
+
+@compiled
+def _note(
+    count: int,
+    at: int,
+    number: int,
+    size: int,
+    places: NDArray[np.int64],
+    numbers: NDArray[np.int64],
+    sizes: NDArray[np.int64],
+) -> None:
+    if places.size:
+        places[count], numbers[count] = at, number
+        return
+    sizes[0, number] = size if sizes[1, number] == 0 else min(sizes[0, number], size)
+    sizes[1, number] = max(sizes[1, number], size)
+
+
+@compiled
+def _collect(
+    data: Bytes,
+    end: int,
+    dropped: NDArray[np.bool_],
+    counts: NDArray[np.int64],
+    places: NDArray[np.int64],
+    numbers: NDArray[np.int64],
+    sizes: NDArray[np.int64],
+    dropouts_us: NDArray[np.int64],
+    parameters_us: NDArray[np.int64],
+) -> bool:
+    """Note every wanted sample, and the newest stamp at each dropout and parameter; empty arrays only count.
+
+    False if a topic is announced twice or too late, or a stamp is no time.
+    """
+    added = np.zeros(1 << 16, dtype=np.bool_)
+    at, begun = 16, False
+    counts[:] = 0
+    latest = _stamp(data, 8)
+    while at < end:
+        size = int(data[at]) + 256 * int(data[at + 1])
+        kind = data[at + 2]
+        begun = begun or kind in (_ADD, _TEXT, _TAGGED)
+        if kind == _ADD:
+            number = int(data[at + 4]) + 256 * int(data[at + 5])
+            if added[number]:
+                return False
+            added[number] = True
+        elif kind == _DATA:
+            number = int(data[at + 3]) + 256 * int(data[at + 4])
+            if not added[number]:
+                return False
+            if not dropped[number]:
+                stamp = _stamp(data, at + 5) if size >= 10 else np.int64(-1)
+                if stamp < 0:
+                    return False
+                latest = max(latest, stamp)
+                _note(counts[0], at + 5, number, size - 2, places, numbers, sizes)
+                counts[0] += 1
+        elif kind == _DROPOUT and begun:
+            if dropouts_us.size:
+                dropouts_us[counts[1]] = latest
+            counts[1] += 1
+        elif kind == _PARAMETER and begun:
+            if parameters_us.size:
+                parameters_us[counts[2]] = latest
+            counts[2] += 1
+        at += 3 + size
+    return True
+
+
+@compiled
+def _gather(data: Bytes, places: NDArray[np.int64], width: int, out: Bytes) -> None:
+    for k in range(places.size):
+        for j in range(width):
+            out[k * width + j] = data[places[k] + j]
 
 
 def _is_cut(data: Bytes, end: int) -> bool:

@@ -8,7 +8,7 @@ import struct
 import time
 import tracemalloc
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -18,12 +18,15 @@ import logparsers
 from logparsers.channels import LazyChannels
 from logparsers.errors import EmptyLog, LogError, MissingChannel, MissingLog, UnreadableLog
 from logparsers.ulog import AUDIT_TOPICS, UlogFile
+from logparsers.ulog.bounded import load
 from logparsers.ulog.channels import UlogRecording
 from logparsers.ulog.encode import Topic, encode
+from logparsers.ulog.sieve import set_aside
 from tests.parsers import ulog_writer as writer
 from tests.parsers.external import real_logs
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
 
@@ -59,6 +62,57 @@ def test_a_generated_log_is_read_back() -> None:
     assert log.firmware == "PX4 1.15.1"
     assert [(said.severity, said.text) for said in log.texts] == [(4, "[commander] low battery")]
     assert not any("_padding" in name for name in found)
+
+
+def _everything(log: bytes) -> tuple[Any, ...]:
+    """All that pyulog itself makes of a log, and all that it does where samples were set aside."""
+
+    class Every:
+        def __contains__(self, name: object) -> bool:
+            return True
+
+    data = np.frombuffer(log, np.uint8)
+    aside = set_aside(data, Every())
+    assert aside is not None
+    found = []
+    for reader in (load(data, "log", Every())[0], load(aside[0], "log", Every(), aside[1])[0]):
+        dropouts = [(drop.timestamp, drop.duration) for drop in reader.dropouts]
+        found.append((reader.data_list, dropouts, reader.changed_parameters, reader.file_corruption))
+    return tuple(found)
+
+
+@pytest.mark.parametrize("cut", [0, 1, 7, 100, 1000])
+def test_samples_that_are_set_aside_are_those_that_pyulog_reads(cut: int) -> None:
+    log = writer.flight(200)
+    whole, aside = _everything(log[: len(log) - cut])
+    assert whole == aside
+    assert whole[1]
+    assert whole[2]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda log: log + writer.subscribe(3, "debug_array", 1),
+        lambda log: log + writer.data(99, bytes(40)),
+        lambda log: log + writer.data(4, b"\xff" * 12),
+    ],
+)
+def test_what_is_not_plain_is_left_to_pyulog(change: Callable[[bytes], bytes]) -> None:
+    class Every:
+        def __contains__(self, name: object) -> bool:
+            return True
+
+    log = change(writer.flight(50))
+    assert set_aside(np.frombuffer(log, np.uint8), Every()) is None
+    assert UlogFile.open(log).count("actuator_servos") == 50
+
+
+def test_samples_of_a_wrong_length_are_damage() -> None:
+    log = writer.flight(50) + writer.data(0, bytes(30))
+    file = UlogFile.open(log)
+    assert file.count("actuator_servos") == 50
+    assert [defect.kind for defect in file.damage][-1] == "corrupt"
 
 
 def test_senders_that_share_a_topic_are_told_apart_by_name() -> None:
