@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import tomllib
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from servofd.errors import ConfigError
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
     from pathlib import Path
 
-__all__ = ["read_toml", "toml_inline", "toml_key", "toml_value"]
+__all__ = ["read_toml", "toml_inline", "toml_key", "toml_lines", "toml_value"]
 
 _ACTS = re.compile(r"[\x7f-\x9f\u200b-\u200f\u2028-\u202e\ud800-\udfff]")
 """What JSON leaves as it is, and no reader of TOML should meet."""
@@ -76,6 +77,21 @@ def toml_inline(table: Mapping[str, Any]) -> str:
     '{ unit = "deg", correction = [1.0, 0.5] }'
     """
     return "{ " + ", ".join(f"{toml_key(key)} = {toml_value(value)}" for key, value in table.items()) + " }"
+
+
+def toml_lines(table: Mapping[str, Any], comments: Mapping[str, str] = MappingProxyType({})) -> list[str]:
+    """Entries of a table, one a line, with a comment behind those that have one; None is left out.
+
+    Examples
+    --------
+    >>> toml_lines({"rate_hz": 10.0, "day": None, "own": {"x": 1}}, {"rate_hz": "samples a second"})
+    ['rate_hz = 10.0  # samples a second', 'own = { x = 1 }']
+    """
+    return [
+        f"{toml_key(key)} = {toml_value(value)}" + (f"  # {comments[key]}" if comments.get(key) else "")
+        for key, value in table.items()
+        if value is not None
+    ]
 
 
 def toml_value(value: Any) -> str:  # noqa: ANN401 - anything a TOML file can hold here

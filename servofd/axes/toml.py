@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from servofd.toml_text import toml_value
+from servofd.toml_text import toml_lines, toml_value
 
 if TYPE_CHECKING:
     from servofd.axes.schema import MotionModel
@@ -36,18 +36,15 @@ def motion_to_toml(model: MotionModel) -> str:
         "# What the aircraft's motion tells of its axes: fitted to healthy flights by servofd calibrate.",
         "[motion]",
     ]
-    lines += _lines(document)
-    lines += ["", "[motion.regime] # where the calibration flights were: nothing is judged outside", *_lines(regime)]
+    lines += toml_lines(document, _COMMENTS)
+    lines += [
+        "",
+        "[motion.regime] # where the calibration flights were: nothing is judged outside",
+        *toml_lines(regime, _COMMENTS),
+    ]
     for name, axis in axes.items():
         spreads = axis.pop("spreads")
-        lines += ["", f"[motion.axes.{name}]", *_lines(axis), "spreads = ["]
+        lines += ["", f"[motion.axes.{name}]", *toml_lines(axis, _COMMENTS), "spreads = ["]
         lines += [f"    {toml_value(spread)}," for spread in spreads]
         lines += ["]"]
     return "\n".join(lines) + "\n"
-
-
-def _lines(table: dict[str, Any]) -> list[str]:
-    return [
-        f"{key} = {toml_value(value)}" + (f" # {_COMMENTS[key]}" if key in _COMMENTS else "")
-        for key, value in table.items()
-    ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from servofd.estimate.family import PRIORS
-from servofd.toml_text import toml_inline, toml_key, toml_value
+from servofd.toml_text import toml_key, toml_lines, toml_value
 
 if TYPE_CHECKING:
     from servofd.calibrating.result import CalibratedSurface, Calibration
@@ -25,7 +25,7 @@ def calibration_to_toml(calibration: Calibration) -> str:
         f"name = {toml_value(aircraft.name)}",
     ]
     if aircraft.table is not None:
-        lines += ["", "[table]", *_plain(aircraft.table.model_dump(exclude_defaults=True))]
+        lines += ["", "[table]", *toml_lines(aircraft.table.model_dump(exclude_defaults=True))]
     found = {one.surface: one for one in calibration.surfaces}
     for name in aircraft.surfaces:
         lines += ["", *_surface(calibration, name, found.get(name))]
@@ -34,21 +34,13 @@ def calibration_to_toml(calibration: Calibration) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _plain(table: dict[str, Any]) -> list[str]:
-    return [
-        f"{toml_key(key)} = {toml_inline(value) if isinstance(value, dict) else toml_value(value)}"
-        for key, value in table.items()
-        if value is not None
-    ]
-
-
 def _surface(calibration: Calibration, name: str, one: CalibratedSurface | None) -> list[str]:
     entry = calibration.aircraft.surfaces[name].model_dump(exclude_defaults=True)
     entry = {"servo": calibration.aircraft.surfaces[name].servo, **entry}
     known = entry.pop("calibrated", None)
     lines = [f"[surfaces.{toml_key(name)}]"]
     if one is None:
-        lines += [f"# not calibrated: {calibration.kept.get(name, 'not asked for')}", *_plain(entry)]
+        lines += [f"# not calibrated: {calibration.kept.get(name, 'not asked for')}", *toml_lines(entry)]
     else:
         lines += [f"# {effect}" for effect in one.effects]
         lines += [f"# note: {note}" for note in (*one.notes, one.sharper) if note]
@@ -58,9 +50,7 @@ def _surface(calibration: Calibration, name: str, one: CalibratedSurface | None)
             "tolerance": "of the linear servo alone: for the script on board, and for limits of wear",
         }
         entry.setdefault("threshold_deg", one.threshold_deg)
-        for line in _plain(entry):
-            comment = comments.get(line.split(" = ")[0])
-            lines.append(f"{line}  # {comment}" if comment else line)
+        lines += toml_lines(entry, comments)
     return lines if known is None else [*lines, *_calibrated(name, known, one)]
 
 
@@ -69,20 +59,19 @@ def _calibrated(name: str, known: dict[str, Any], one: CalibratedSurface | None)
     heading = f"surfaces.{toml_key(name)}.calibrated"
     parameters, thresholds = known.pop("parameters"), known.pop("thresholds", {})
     between, noise = known.pop("between"), known.pop("noise")
-    lines = ["", f"[{heading}]", *_plain(known), "between = [  # covariance between good flights, lower triangle"]
+    lines = ["", f"[{heading}]", *toml_lines(known), "between = [  # covariance between good flights, lower triangle"]
     lines += [f"    {toml_value(row)}," for row in between]
     lines += ["]", "", f"[{heading}.parameters]"]
-    for prior in PRIORS:
-        comment = f"  # {prior.unit}" if prior.unit else ""
-        if one is not None:
-            _, low, high = one.estimates[prior.name]
-            comment = f"  # [{low:.4g}, {high:.4g}] {prior.unit}".rstrip()
-        lines.append(f"{prior.name} = {toml_value(parameters[prior.name])}{comment}")
-    lines += ["", f"[{heading}.noise]", *_plain(noise)]
+    comments = {prior.name: prior.unit for prior in PRIORS}
+    if one is not None:
+        found = {name: one.estimates[name] for name in comments}
+        comments = {name: f"[{e[1]:.4g}, {e[2]:.4g}] {comments[name]}".rstrip() for name, e in found.items()}
+    lines += toml_lines({prior.name: parameters[prior.name] for prior in PRIORS}, comments)
+    lines += ["", f"[{heading}.noise]", *toml_lines(noise)]
     if thresholds:
-        lines += ["", f"[{heading}.thresholds]", *_plain(thresholds)]
+        lines += ["", f"[{heading}.thresholds]", *toml_lines(thresholds)]
     return lines
 
 
 def _servo(name: str, servo: Servo) -> list[str]:
-    return [f"[servos.{toml_key(name)}]", *_plain(servo.model_dump(exclude_defaults=True))]
+    return [f"[servos.{toml_key(name)}]", *toml_lines(servo.model_dump(exclude_defaults=True))]

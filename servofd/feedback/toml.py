@@ -5,12 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from servofd.feedback.draft import servo_entry, surface_entry
-from servofd.toml_text import toml_inline, toml_key, toml_value
+from servofd.toml_text import toml_key, toml_lines, toml_value
 
 if TYPE_CHECKING:
     from servofd.feedback.draft import Draft, DraftedSurface
 
 __all__ = ["draft_to_toml"]
+
+_ENTRIES = ("servo", "threshold", "threshold_deg", "tolerance", "suspicions", "model")
 
 
 def draft_to_toml(draft: Draft) -> str:
@@ -33,11 +35,11 @@ def draft_to_toml(draft: Draft) -> str:
 
 
 def _peak(surface: DraftedSurface) -> str:
-    return f"  # largest residual in this log: {surface.drafted.peak_deg:.1f} deg" if surface.drafted else ""
+    return f"largest residual in this log: {surface.drafted.peak_deg:.1f} deg" if surface.drafted else ""
 
 
 def _predicts(surface: DraftedSurface) -> str:
-    return "" if surface.drafted else "  # no servo predicts what this surface did"
+    return "" if surface.drafted else "no servo predicts what this surface did"
 
 
 def _on_board(format_name: str) -> list[str]:
@@ -57,22 +59,23 @@ def _surface_lines(surface: DraftedSurface) -> list[str]:
     scale = (
         ""
         if pair.command == pair.position.command
-        else f"  # output {output.number}: pulses of {output.min_us:g} to {output.max_us:g} us; scale fitted"
+        else f"output {output.number}: pulses of {output.min_us:g} to {output.max_us:g} us; scale fitted"
     )
-    lines = [
-        f"[surfaces.{key}]  # output {output.number}, {function}",
-    ]
     entry = surface_entry(surface)
-    notes = {"threshold_deg": _peak(surface), "model": _predicts(surface)}
-    for name in ("servo", "threshold", "threshold_deg", "tolerance", "suspicions", "model"):
-        if name in entry:
-            value = toml_inline(entry[name]) if isinstance(entry[name], dict) else toml_value(entry[name])
-            lines.append(f"{name} = {value}{notes.get(name, '')}")
+    table = {name: entry[name] for name in _ENTRIES if name in entry}
     if pair.position.alive:
-        lines.append(
-            f"alive = {toml_value(list(pair.position.alive))}  # all still, and the position too: dead telemetry"
-        )
-    lines += [f"command = {toml_inline(surface.command)}{scale}", f"measured = {toml_inline(surface.measured)}", ""]
-    lines.append(f"[servos.{toml_key(f'{pair.surface}-draft')}]")
-    lines += [f"{name} = {toml_value(value)}" for name, value in servo_entry(surface).items()]
-    return lines
+        table["alive"] = list(pair.position.alive)
+    table |= {"command": surface.command, "measured": surface.measured}
+    notes = {
+        "threshold_deg": _peak(surface),
+        "model": _predicts(surface),
+        "alive": "all still, and the position too: dead telemetry",
+        "command": scale,
+    }
+    return [
+        f"[surfaces.{key}]  # output {output.number}, {function}",
+        *toml_lines(table, notes),
+        "",
+        f"[servos.{toml_key(f'{pair.surface}-draft')}]",
+        *toml_lines(servo_entry(surface)),
+    ]

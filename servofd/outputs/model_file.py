@@ -9,7 +9,7 @@ import numpy as np
 from servofd.models.catalogue import CATALOGUE, OWN, Bias, Delay, Gain
 from servofd.models.effect_table import table_of
 from servofd.models.physics import INSIDE
-from servofd.toml_text import toml_inline, toml_key, toml_value
+from servofd.toml_text import toml_key, toml_lines
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -108,21 +108,14 @@ def _merged(known: EffectTable, found: EffectTable) -> EffectTable:
 
 def _toml(document: Mapping[str, Any]) -> list[str]:
     """Lines of the file: plain keys first, then a table for each surface and servo."""
-    lines = [f"{key} = {toml_value(value)}" for key, value in document.items() if not isinstance(value, dict)]
+    lines = toml_lines({key: value for key, value in document.items() if not isinstance(value, dict)})
     if document.get("table"):
-        lines += ["", "[table]", *_entries(document["table"])]
+        lines += ["", "[table]", *toml_lines(document["table"])]
     for group in _GROUPS:
         for name, table in document.get(group, {}).items():
             effects = table.get("effects", {})
             plain = {key: value for key, value in table.items() if key != "effects"}
-            lines += ["", f"[{group}.{toml_key(name)}]", *_entries(plain)]
+            lines += ["", f"[{group}.{toml_key(name)}]", *toml_lines(plain)]
             if effects:
-                lines += ["", f"[{group}.{toml_key(name)}.effects]", *_entries(effects)]
+                lines += ["", f"[{group}.{toml_key(name)}.effects]", *toml_lines(effects)]
     return lines
-
-
-def _entries(table: Mapping[str, Any]) -> list[str]:
-    return [
-        f"{toml_key(key)} = {toml_inline(value) if isinstance(value, dict) else toml_value(value)}"
-        for key, value in table.items()
-    ]

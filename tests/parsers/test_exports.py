@@ -56,6 +56,7 @@ def sample(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_tables_of_one_flight_are_the_log(sample: Path) -> None:
     whole = logparsers.read(sample / "a.bin")
     for path in ("e_*.csv", "f.zip"):
@@ -80,6 +81,7 @@ def test_the_same_flight_in_every_form_has_the_same_verdicts(sample: Path) -> No
     assert all(verdicts == found["a.bin"] for verdicts in found.values())
 
 
+@pytest.mark.slow
 def test_a_folder_joins_the_tables_of_a_flight(sample: Path) -> None:
     names = [Path(log.path).name for log in find_logs([str(sample)]).logs]
     assert names == ["a.bin", "b.mat", "c.mat", "d.bin.gz", "e*.csv", "f.zip"]
@@ -106,6 +108,7 @@ def test_radians_of_old_firmware_are_told_by_its_version(tmp_path: Path) -> None
         assert logparsers.read(tmp_path / "*.csv")["CSRV[1].Pos"].unit == unit
 
 
+@pytest.mark.slow
 def test_a_reboot_within_exported_messages_is_told_and_goes_on() -> None:
     def run(start_us: int, rows: int) -> bytes:
         stamps = start_us + 40_000 * np.arange(rows)
@@ -121,6 +124,7 @@ def test_a_reboot_within_exported_messages_is_told_and_goes_on() -> None:
         assert_same(log, whole)
 
 
+@pytest.mark.slow
 def test_a_table_of_telemetry_is_that_of_the_log() -> None:
     content = tlog_writer.flight(4.0)
     table = export_writer.mavlogdump(
@@ -135,6 +139,7 @@ def test_a_table_of_telemetry_is_that_of_the_log() -> None:
     assert np.all((arrived > -1.0) & (arrived < 60.0))
 
 
+@pytest.mark.slow
 def test_tables_of_ulog2csv_are_the_log(tmp_path: Path) -> None:
     source = SAMPLES / "px4_stuck.ulg"
     command = [sys.executable, "-c", "from pyulog.ulog2csv import main; main()", "-o", str(tmp_path), str(source)]
@@ -213,6 +218,7 @@ def test_a_name_that_nothing_fits(tmp_path: Path) -> None:
         logparsers.read(tmp_path / "**")
 
 
+@pytest.mark.slow
 def test_no_channel_of_that_name(sample: Path) -> None:
     with pytest.raises(MissingChannel, match="no channel FLUX"):
         logparsers.read(sample / "e_CSRV.csv", only=["FLUX"])
