@@ -12,6 +12,7 @@ import numpy as np
 
 from servofd.detection.calibrated import audit_calibrated
 from servofd.detection.cleared import not_judgeable, why_not_cleared
+from servofd.detection.coverage import coverage
 from servofd.detection.detectable import detectable
 from servofd.detection.judge import Judgement, judge
 from servofd.detection.plausible import wiring_problem
@@ -39,7 +40,7 @@ __all__ = ["audit_log", "audit_segment", "judged_by"]
 
 _SECONDS_FOR_ODDS = 10.0
 _SHORTEST_JUDGED_S = 0.25
-_MOST_OF_THE_LOG = 0.9
+_MOST_OF_THE_LOG, _LEAST_OF_THE_LOG = 0.9, 0.5
 _FASTEST_RATE_HZ = 50_000.0
 _WIDENED = 1.4
 """A threshold drafted from the log that is judged grows with the fault that it should show (flights of `strangers`)."""
@@ -202,8 +203,12 @@ def audit_segment(
             margin=_WIDENED if fitted else 1.0,
         )
     status, reason_text = _verdict(residuals, statistics, faults, suspicions, level, problem or shown)
-    reason_text = "; ".join((reason_text, *_too_many(judgement), *notes))
     judged_share = min(judged_s / max(duration_s, 1e-9), 1.0)
+    covered = coverage(segment, residuals)
+    problem = covered.problem or ("judged for too little of the log" if judged_share < _LEAST_OF_THE_LOG else "")
+    if status == "healthy" and problem:
+        status, reason_text = "unknown", f"{problem}; as far as it was judged, {reason_text}"
+    reason_text = "; ".join((reason_text, *covered.notes, *_too_many(judgement), *notes))
     verdict = partial(verdict, judged_share=judged_share, detectable=shown)
     if judged_share < _MOST_OF_THE_LOG:
         reason_text += f"; judged for {judged_share:.0%} of the log"
