@@ -165,7 +165,7 @@ def _on_board(log: FlightLog, aircraft: Aircraft | None) -> tuple[OnBoard, ...]:
 def _judged_by_rate(position_hz: float | None) -> str:
     if position_hz is None:
         return "no: fewer than two positions"
-    if position_hz < SLOWEST_RATE_HZ * (1.0 - 1e-6):
+    if position_hz < SLOWEST_RATE_HZ:
         return f"no: {position_hz:.1f} Hz is too slow, {SLOWEST_RATE_HZ:g} Hz are needed"
     return f"yes, servos of up to {position_hz / _RATE_PER_BANDWIDTH:.1f} Hz bandwidth"
 

@@ -35,6 +35,7 @@ _MEMORY_S = 10.0
 _OSCILLATES_HZ = 3.0
 _LEAST_SPEED = 0.1
 _BISECTIONS = 6
+_ABSORBED = 1.6
 _WIDEST_DEG = 20.0
 _LARGEST = {"bias_deg": 45.0, "loss_share": 1.0, "oscillation_deg": 20.0}
 
@@ -85,6 +86,8 @@ def detectable(
         return NOTHING_DETECTABLE
     level_deg = margin * threshold.level_deg
     judge = _Judge(residuals, level_deg, use)
+    # A servo that is fitted to its own oscillation or lag takes part of it for its own.
+    patient = _Judge(residuals, level_deg * (_ABSORBED if margin > 1.0 else 1.0), use)
     ones = np.where(np.isfinite(residuals.measured_deg), 1.0, np.nan)
     signals = {
         "bias_deg": [generator.filtered(residuals.time_s, ones, residuals.restart)],
@@ -99,7 +102,8 @@ def detectable(
     found: dict[str, float | None] = {}
     for name, ways in signals.items():
         signs = (1.0,) if name == "loss_share" else (1.0, -1.0)
-        size = float(np.percentile(np.concatenate([judge.needed(s * way) for way in ways for s in signs]), _POWER))
+        by = patient if name == "oscillation_deg" else judge
+        size = float(np.percentile(np.concatenate([by.needed(s * way) for way in ways for s in signs]), _POWER))
         if suspicions and name != "oscillation_deg":
             size = min(size, _drift_size(residuals, threshold, ways[0], use))
         found[name] = size if size <= _LARGEST[name] else None
@@ -114,7 +118,7 @@ def detectable(
 
     def shows(moved: Callable[[float], FloatArray], size: float) -> bool:
         error_deg = ones * (moved(size) - residuals.simulated_deg)
-        return judge.shown(generator.filtered(residuals.time_s, error_deg, residuals.restart))
+        return patient.shown(generator.filtered(residuals.time_s, error_deg, residuals.restart))
 
     reach_deg = min(float(np.ptp(residuals.simulated_deg[use])), _WIDEST_DEG)
     found["slow_share"] = _bisected(lambda speed: shows(slowed, speed), _LEAST_SPEED, 1.0)

@@ -135,7 +135,15 @@ def fit_roughly(segment: Segment, *, free_scale: bool) -> RoughFit:
         found = _refined(limited, train)
     everything = partial(judged, rows=moving)
     origin = _origin(found, rehearsal, held_out, block[block % 2 == 1] // 2)
-    return replace(_refined(everything(found), everything), origin=origin)
+    best = replace(_refined(everything(found), everything), origin=origin)
+    return _centred(best, rehearsal) if free_scale else best
+
+
+def _centred(fit: RoughFit, rehearsal: Rehearsal) -> RoughFit:
+    """Same fit with the offset that it has all the time, not in motion alone."""
+    measured, simulated = rehearsal.starts.measured_deg, rehearsal.simulated_deg(fit.model)
+    rows = rehearsal.starts.settled & ~_jammed_rows(rehearsal)
+    return replace(fit, bias_deg=float(np.median((measured - fit.gain * simulated)[rows])))
 
 
 def _origin(fit: RoughFit, rehearsal: Rehearsal, held_out: BoolArray, block: IntArray) -> ModelOrigin:

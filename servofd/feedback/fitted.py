@@ -8,6 +8,7 @@ import numpy as np
 
 from servofd.detection.bank.window import noise_deg
 from servofd.detection.contradiction import contradictions
+from servofd.detection.drafting import excess, width
 from servofd.detection.prepare import prepared
 from servofd.detection.residual import ResidualGenerator
 from servofd.detection.resolution import step_deg
@@ -23,17 +24,9 @@ if TYPE_CHECKING:
     from logparsers.records import FlightLog
     from servofd.aircraft import Aircraft, Surface
     from servofd.segment import Segment
-    from servofd.types import FloatArray
 
 __all__ = ["Drafted", "draft_tolerance", "fitted_aircraft", "fitted_servo"]
 
-_BLOCK_S = 2.0
-_USUAL = 4.0
-"""Blocks whose residual, measured in tolerances, is so many times the median are no part of what a threshold comes
-from."""
-_MARGIN, _UNSURE = 1.25, 2.0
-"""A threshold is so many times the largest residual, and more where few blocks were seen."""
-_NOISE_SIGMAS = 3.0
 _AROUND_S = 2.0
 _SMALLEST_GAIN, _LARGEST_GAIN = 0.3, 1.7
 _SHORTEST_PERIOD_S, _LONGEST_PERIOD_S = 1e-4, 0.2
@@ -143,24 +136,15 @@ def draft_tolerance(fit: RoughFit, segment: Segment) -> Drafted | None:
         return None
     base = Tolerance(noise_deg=max(round(noise_deg(residuals.error_deg[usual]), 4), 0.02))
     level = interval_threshold(generator, segment, residuals, base)
-    size_deg = np.abs(residuals.residual_deg)
-    excess = np.maximum(size_deg - _NOISE_SIGMAS * level.sigma_deg, 0.0) / np.maximum(level.tolerance_deg, 1e-9)
-    scale, blocks = _scale(np.floor(residuals.time_s / _BLOCK_S)[usual], excess[usual])
+    beyond = excess(residuals.residual_deg, level.sigma_deg, level.tolerance_deg)
+    found = width(residuals.time_s[usual], beyond[usual])
     steps_deg = step_deg(segment.command_deg) + step_deg(segment.measured_deg)
-    scale = max(scale, steps_deg / base.bias_deg)
+    scale = max(found.scale, steps_deg / base.bias_deg)
     tolerance = _scaled(base, scale)
-    inside = usual & (excess * (_MARGIN + _UNSURE / np.sqrt(blocks)) <= scale * (1.0 + 1e-9))
+    inside = usual & (beyond <= found.usual)
     drafted = interval_threshold(generator, segment, residuals, tolerance)
-    peak_deg = float(size_deg[inside].max()) if inside.any() else 0.0
+    peak_deg = float(np.abs(residuals.residual_deg[inside]).max()) if inside.any() else 0.0
     return Drafted(tolerance, round(drafted.typical_deg, 3), peak_deg)
-
-
-def _scale(block: FloatArray, excess: FloatArray) -> tuple[float, int]:
-    """How many times as wide tolerances have to be, and from how many blocks that is known."""
-    first = np.flatnonzero(np.diff(block, prepend=-np.inf))
-    peaks = np.maximum.reduceat(excess, first)
-    usual = peaks[peaks <= max(_USUAL * float(np.median(peaks)), 1.0)]
-    return max(1.0, float(usual.max()) * (_MARGIN + _UNSURE / float(np.sqrt(usual.size)))), usual.size
 
 
 def _scaled(base: Tolerance, scale: float) -> Tolerance:
