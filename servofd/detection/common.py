@@ -10,7 +10,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servofd.detection.bank.fault import Fault
+    from servofd.detection.bank.flight import Fault
     from servofd.detection.verdict import SurfaceAudit
 
 __all__ = ["with_common_causes"]

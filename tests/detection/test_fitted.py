@@ -1,0 +1,93 @@
+"""Verdicts on servos that nobody named: aircraft of `strangers`, whose physics no model of servofd has."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from strangers import Failure, Flight, fly, stranger
+
+import servofd
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from servofd.detection.verdict import SurfaceAudit
+
+
+def verdicts(flight: Flight, path: Path) -> dict[str, SurfaceAudit]:
+    (result,) = servofd.audit(flight.write(path))
+    return {surface.surface: surface for surface in result.surfaces}
+
+
+def cut(flight: Flight, until_s: float) -> Flight:
+    commands, positions = flight.command_s < until_s, flight.position_s < until_s
+    return replace(
+        flight,
+        command_s=flight.command_s[commands],
+        command_deg=flight.command_deg[commands],
+        airspeed_m_s=flight.airspeed_m_s[commands],
+        supply_v=flight.supply_v[commands],
+        position_s=flight.position_s[positions],
+        position_deg=flight.position_deg[positions],
+    )
+
+
+@pytest.mark.parametrize("suffix", ["csv", pytest.param("bin", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("until_s", [15.0, pytest.param(60.0, marks=pytest.mark.slow)])
+def test_a_sound_aircraft_has_no_fault_however_short_its_log(until_s: float, suffix: str, tmp_path: Path) -> None:
+    for seed in (1, 3):
+        flight = cut(fly(stranger(seed), 1, "aerobatics", duration_s=60.0), until_s)
+        assert "fault" not in {s.status for s in verdicts(flight, tmp_path / f"flight.{suffix}").values()}
+
+
+@pytest.mark.parametrize("kind", ["stuck", "hardover", "floating"])
+def test_what_contradicts_any_servo_is_a_fault_and_nothing_else_is(kind: str, tmp_path: Path) -> None:
+    failure = Failure(kind, "rudder", 25.0)
+    flown = fly(stranger(5), 1, "aerobatics", duration_s=60.0, failure=failure)
+    found = verdicts(flown, tmp_path / "flight.csv")
+    assert found["rudder"].status == "fault"
+    assert found["rudder"].model.origin == "fitted"
+    assert 24.0 < found["rudder"].faults[0].start_s < 30.0
+    assert {name for name, surface in found.items() if surface.status == "fault"} == {"rudder"}
+
+
+def test_an_offset_is_suspect_only(tmp_path: Path) -> None:
+    flown = fly(stranger(5), 1, "aerobatics", duration_s=60.0, failure=Failure("bias", "elevator", 40.0, 4.0))
+    assert verdicts(flown, tmp_path / "flight.csv")["elevator"].status == "suspect"
+
+
+def test_positions_that_freeze_together_are_one_event_and_no_fault(tmp_path: Path) -> None:
+    flown = fly(stranger(5), 1, "aerobatics", duration_s=60.0)
+    frozen = (flown.position_s > 30.0) & (flown.position_s < 36.0)
+    held_deg = np.where(frozen[:, None], flown.position_deg[np.argmax(frozen)], flown.position_deg)
+    found = verdicts(replace(flown, position_deg=held_deg), tmp_path / "flight.csv")
+    assert {surface.status for surface in found.values()} == {"suspect"}
+    assert len({surface.reason for surface in found.values()}) == 1
+    assert "frozen" in found["rudder"].reason
+
+
+def test_commands_that_stop_leave_nothing_cleared(tmp_path: Path) -> None:
+    flown = fly(stranger(4), 1, "mixed", duration_s=60.0)
+    early = flown.command_s < 25.0
+    stopped = replace(
+        flown,
+        command_s=flown.command_s[early],
+        command_deg=flown.command_deg[early],
+        airspeed_m_s=flown.airspeed_m_s[early],
+        supply_v=flown.supply_v[early],
+    )
+    assert "healthy" not in {surface.status for surface in verdicts(stopped, tmp_path / "flight.csv").values()}
+
+
+def test_a_healthy_surface_tells_what_would_have_been_seen(tmp_path: Path) -> None:
+    found = verdicts(fly(stranger(4), 1, "mixed", duration_s=120.0), tmp_path / "flight.csv")
+    healthy = [surface for surface in found.values() if surface.status == "healthy"]
+    assert healthy
+    for surface in healthy:
+        shown = surface.detectable
+        assert shown.loss_share is not None
+        assert shown.loss_share <= 0.34
+        assert (shown.slow_share is None) == ("speed" in surface.reason and "not judgeable" in surface.reason)
