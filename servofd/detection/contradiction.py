@@ -238,7 +238,9 @@ def _strange(flight: _Flight, rows: slice) -> _Stretch | None:
         if 2.0 * amplitude_deg <= resting_width_deg(flight.noise_deg, flight.step_deg):
             return _Stretch("stuck", *span, {"position_deg": float(np.median(moved))})
         return _Stretch("floating", *span, {"amplitude_deg": amplitude_deg})
-    if moved_deg >= 1.5 * _WRONG_DEG and explained < _FOLLOWS:
+    # An offset that comes at once is no motion of its own.
+    halves_deg = [float(np.std(half)) for half in np.array_split(moved, 2)]
+    if min(moved_deg / 1.5, *halves_deg) >= _WRONG_DEG and explained < _FOLLOWS:
         return _Stretch("floating", *span, {"amplitude_deg": amplitude_deg})
     return None
 

@@ -50,7 +50,7 @@ def test_what_contradicts_any_servo_is_a_fault_and_nothing_else_is(kind: str, tm
     found = verdicts(flown, tmp_path / "flight.csv")
     assert found["rudder"].status == "fault"
     assert found["rudder"].model.origin == "fitted"
-    assert 24.0 < found["rudder"].faults[0].start_s < 30.0
+    assert 24.0 < found["rudder"].faults[0].start_s < 33.0  # when it was first asked to move
     assert {name for name, surface in found.items() if surface.status == "fault"} == {"rudder"}
 
 
