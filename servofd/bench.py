@@ -12,7 +12,7 @@ import numpy as np
 from servofd.aircraft import load_aircraft
 from servofd.errors import ConfigError, NoMeasurement
 from servofd.identification.identify import Method, identify
-from servofd.job import aircraft_for, logs_of
+from servofd.job import logs_of, surfaces_of
 from servofd.segment import Segment, cut
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ def bench_tests(
             found.append(_chirp_script(log))
             continue
         try:
-            found.append(_of_surface(log, aircraft or aircraft_for(log), surface))
+            found.append(_of_surface(log, aircraft or surfaces_of(log), surface))
         except NoMeasurement as error:
             if len(logs) == 1:
                 raise

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from logparsers import FlightLog
 
-__all__ = ["aircraft_for", "flown_aircraft", "known_aircraft", "layout_of", "logs_of", "one_log"]
+__all__ = ["aircraft_for", "flown_aircraft", "known_aircraft", "layout_of", "logs_of", "one_log", "surfaces_of"]
 
 _COMMAND_SUFFIX, _POSITION_SUFFIX = "_cmd_deg", "_pos_deg"
 
@@ -122,6 +122,29 @@ def aircraft_for(log: FlightLog, servo: str | None = None) -> Aircraft:
     NoMeasurement
         If the log has no columns that name a surface.
     """
+    aircraft = surfaces_of(log)
+    if log.format == "faser" or log.is_of_autopilot:
+        return aircraft
+    if servo not in (None, UNKNOWN_SERVO):
+        return aircraft.with_servo(servo)
+    from servofd.feedback.fitted import fitted_aircraft
+
+    return fitted_aircraft(log, aircraft)
+
+
+def surfaces_of(log: FlightLog) -> Aircraft:
+    """Surfaces as the channels of a log name them; nothing is said of the servos of a plain table.
+
+    Raises
+    ------
+    NoMeasurement
+        If the log has no columns that name a surface.
+
+    Examples
+    --------
+    >>> list(surfaces_of(one_log("sample_logs/table_three_faults.csv")).surfaces)
+    ['aileron', 'elevator', 'rudder']
+    """
     if log.format == "faser":
         faser = load_aircraft("faser")
         logged = {name: s for name, s in faser.surfaces.items() if s.command.channel in log.channels}
@@ -146,12 +169,7 @@ def aircraft_for(log: FlightLog, servo: str | None = None) -> Aircraft:
             f"{log.label}: no surface found: a plain table needs columns <surface>_cmd_deg and <surface>_pos_deg; "
             f"for other names write an aircraft file (-c). Its columns: {', '.join(list(log.channels)[:12])}"
         )
-    plain = plain_aircraft(names)
-    if servo not in (None, UNKNOWN_SERVO):
-        return plain.with_servo(servo)
-    from servofd.feedback.fitted import fitted_aircraft
-
-    return fitted_aircraft(log, plain)
+    return plain_aircraft(names)
 
 
 def layout_of(aircraft: Aircraft | None) -> logparsers.TableLayout | None:

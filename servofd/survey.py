@@ -10,7 +10,7 @@ import numpy as np
 from servofd.aircraft import Aircraft
 from servofd.errors import NoMeasurement
 from servofd.feedback.advice import what_to_log
-from servofd.job import aircraft_for, known_aircraft, logs_of
+from servofd.job import known_aircraft, logs_of, surfaces_of
 from servofd.onboard.output import output_of
 from servofd.onboard.seen import seen_on_board
 from servofd.segment import SLOWEST_RATE_HZ, cut
@@ -123,7 +123,7 @@ def survey(path: str | Path, aircraft: str | Path | None = None, *, every_channe
 
 def _survey(log: FlightLog, known: Aircraft | None, every_channel: bool) -> Survey:
     try:
-        aircraft: Aircraft | None = known or aircraft_for(log)
+        aircraft: Aircraft | None = known or surfaces_of(log)
     except NoMeasurement:
         aircraft = None
     surfaces = tuple(_surface(log, aircraft, name) for name in aircraft.surfaces) if aircraft else ()

@@ -112,17 +112,15 @@ def run(options: argparse.Namespace) -> int:
 
 def _drafted(logs: Sequence[str]) -> Aircraft:
     """The aircraft as the first log that tells of servos describes it."""
-    import logparsers
     from servofd.errors import NoMeasurement
-    from servofd.job import aircraft_for
+    from servofd.job import aircraft_for, logs_of
 
     reason = ""
-    for path in logs:
-        for log in logparsers.read_all(path):
-            try:
-                return aircraft_for(log)
-            except NoMeasurement as error:
-                reason = str(error)
+    for log in logs_of(logs):
+        try:
+            return aircraft_for(log)
+        except NoMeasurement as error:
+            reason = str(error)
     raise NoMeasurement(reason)
 
 

@@ -19,11 +19,11 @@ _BY_DAYS = "1 day: 17, 2: 6, 3: 1.5 times as many as after four"
 def has_feedback(paths: list[str]) -> bool:
     """Whether any of the logs tells where a surface was."""
     from servofd.errors import NoMeasurement
-    from servofd.job import aircraft_for, logs_of
+    from servofd.job import logs_of, surfaces_of
 
     for log in logs_of(paths):
         try:
-            aircraft_for(log)
+            surfaces_of(log)
         except NoMeasurement:
             continue
         return True
