@@ -315,8 +315,11 @@ def _verdict(
     best = guesses[0]
     kind, probability = best.kind, float(shares[0])
     alternatives = tuple(g.kind for g, share in zip(guesses[1:], shares[1:], strict=True) if share > 0.02)
-    if kind == "loss_of_effectiveness" and best.parameters["gain"].value < _LOST_GAIN:
-        kind, probability, alternatives = "floating", min(probability, 0.7), ("stuck", *alternatives)
+    parameters = best.parameters
+    floating = next((guess for guess in guesses if guess.kind == "floating"), None)
+    if floating is not None and kind == "loss_of_effectiveness" and best.parameters["gain"].value < _LOST_GAIN:
+        kind, parameters = "floating", floating.parameters
+        probability, alternatives = min(probability, 0.7), ("stuck", *alternatives)
     healthy = next(guess for guess in guesses if guess.kind == "healthy")
     excess = sum(healthy.cost) - window.count
     gained = sum(healthy.cost) - sum(best.cost)
@@ -331,7 +334,7 @@ def _verdict(
         return "healthy" if ratio < 1.5 else "unknown", probability, alternatives[:3], {}
     if probability < _SURE:
         return "unknown", probability, (kind, *alternatives)[:3], {}
-    return kind, probability, alternatives[:3], best.parameters
+    return kind, probability, alternatives[:3], parameters
 
 
 def _likelier(watched: Watched, guess: _Guess, from_s: float, to_s: float) -> tuple[FloatArray, FloatArray]:
