@@ -30,6 +30,8 @@ ALIKE = {
     "hard_stop": ("position_limit",),
 }
 """Names that are right for physics by another law: the same thing to the user."""
+KNOWN_SERVO = "hs225bb-eq31"
+"""What the hidden logs are logs of, which their user knows."""
 _FROM_ONE = ("gain", "bandwidth_scale")
 """Parameters that do nothing at 1: their error is relative to the deviation from there."""
 _SCATTER = ("gain", "slow_dynamics", "damping", "delay")
@@ -95,7 +97,7 @@ class Score:
 
 
 def ask(path: Path, surface: str, *options: str) -> Answer:
-    """Have `servofd explain` explain a log, as a user would.
+    """Have `servofd explain` explain a log, as a user would who knows which servo it is.
 
     Parameters
     ----------
@@ -113,7 +115,8 @@ def ask(path: Path, surface: str, *options: str) -> Answer:
         begin_s = time.process_time()
         with contextlib.redirect_stdout(silence), contextlib.redirect_stderr(errors):
             try:
-                code = main(["explain", str(path), "-s", surface, "--json", str(file), *options])
+                known = () if "--servo" in options else ("--servo", KNOWN_SERVO)
+                code = main(["explain", str(path), "-s", surface, "--json", str(file), *known, *options])
             except SystemExit as left:
                 code = left.code if isinstance(left.code, int) else _COULD_NOT_TELL
         seconds = time.process_time() - begin_s

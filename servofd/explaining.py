@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.aircraft import Aircraft, Surface
+from servofd.aircraft import DEFAULT_SERVO, Aircraft, Surface
 from servofd.bench import bench_aircraft
 from servofd.detection.audit import audit_log
 from servofd.detection.words import describe
@@ -35,10 +35,10 @@ _SAME_FAULT_S = 3.0
 UNKNOWN = "unknown"
 """Name of a servo that nobody knows."""
 _UNKNOWN_SERVO = Servo(
-    title="second order, its poles fitted",
-    bandwidth_hz=5.0,
-    damping=0.8,
-    delay_s=0.0,
+    title="third order, its poles fitted",
+    numerator=(200.0 * 31.4**2,),
+    denominator=(1.0, 200.0 + 1.6 * 31.4, 31.4**2 + 200.0 * 1.6 * 31.4, 200.0 * 31.4**2),
+    delay_s=0.004,
     hold="zoh",
     source="start of the search for the poles: hobby servos have 2 to 20 Hz",
 )
@@ -198,13 +198,21 @@ class _Flown:
 
     def has_unknown_servo(self, surface: str) -> bool:
         """Whether the poles have to be found as well."""
-        return self.servo == UNKNOWN or (self.servo is None and self.described and _is_bench(self.aircraft, surface))
+        if self.servo is None:
+            return self.is_plain if not self.described else _is_bench(self.aircraft, surface)
+        return self.servo == UNKNOWN
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether it is a plain table, which names no servo."""
+        return not self.logs[0].is_of_autopilot and self.logs[0].format != "faser"
 
 
 def _opened(paths: Sequence[str | Path], aircraft: str | Path | Aircraft | None, servo: str | None) -> _Flown:
     known = known_aircraft(aircraft) or bench_aircraft(paths[0])
     logs = tuple(logs_of(paths, known))
-    flown = known or aircraft_for(logs[0])
+    # The servo of a plain table is fitted along with what it may lack.
+    flown = known or aircraft_for(logs[0], DEFAULT_SERVO)
     if servo is not None and servo != UNKNOWN:
         flown = flown.with_servo(servo)
     return _Flown(logs, flown, known is not None, servo, ", ".join(map(str, paths)))

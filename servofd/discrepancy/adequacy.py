@@ -30,6 +30,9 @@ _RIDGE = 1e-3
 _BINS = 48
 """Of the deflection, for what goes with it in no simple way: a worn gear."""
 _MEMORY = 1.6
+_COLOUR, _ALIKE = 3.5, 1.3
+"""Error over the floor that a colour may make: a memory of 0.8 from sample to sample makes it 2.7; and how much it may
+differ between runs."""
 _NOTHING_DEG = 1e-6
 
 
@@ -89,11 +92,12 @@ def adequacy(record: Record, fit: Fit) -> Adequacy:
     )
     ratios = _ratios(record, fit, floor_deg)
     reasons = []
-    ratio = max(ratios, default=1.0)
+    ratio = max(ratios)
     foretold = foretold_share(record, fit.error_deg)
     told = foretold > _FORETOLD
     # Noise with a colour of its own, which no rest shows: nothing foretells it, and it is everywhere the same.
-    coloured = not told and rest_deg == 0.0 and memory > _MEMORY
+    spread = max(ratios) / max(min(ratios), 1e-12)
+    coloured = not told and rest_deg == 0.0 and memory > _MEMORY and ratio < _COLOUR and spread < _ALIKE
     if ratio**2 > _RATIO**2 + chance and not coloured:
         reasons.append(f"{ratio * floor_deg:.3g} deg rms are left on data not fitted, the noise is {floor_deg:.3g} deg")
     if told:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
     from servofd.models.catalogue import MissingEffect
 
-__all__ = ["PLACES", "SMALLEST", "SURPRISE", "Candidate", "candidates", "is_placed", "judgeable"]
+__all__ = ["PLACES", "SMALLEST", "SURPRISE", "Candidate", "candidates", "excluded", "is_placed", "judgeable"]
 
 PLACES: dict[type[MissingEffect], tuple[float, ...]] = {
     catalogue.DeadBand: (BEFORE, INSIDE, AFTER),
@@ -88,7 +88,8 @@ def judgeable(record: Record) -> tuple[list[type[MissingEffect]], list[type[Miss
     own = (record.own.missing_effect(),) if record.own else ()
     able = [effect for effect in (*CATALOGUE, *own) if set(effect.needs) <= held]
     unable = [effect for effect in CATALOGUE if effect not in able]
-    fitted = {catalogue.SlowDynamics, catalogue.Damping} if record.free_poles else set()
+    linear = {catalogue.SlowDynamics, catalogue.Damping, catalogue.SensorLag, catalogue.ClockOffset}
+    fitted = linear if record.free_poles else set()
     # Frames run on between separate runs, so that nobody knows when each of them began.
     fitted |= {catalogue.PwmFrame} if record.runs or record.free_poles else set()
     # A converter whose steps do not show in the readings has none that matter.
@@ -101,12 +102,17 @@ def is_placed(effects: tuple[type[MissingEffect], ...]) -> bool:
     return any(effect in PLACES for effect in effects)
 
 
+def excluded(known: tuple[type[MissingEffect], ...]) -> set[str]:
+    """Names that cannot come on top of known effects: they are there already, in this form or another."""
+    names = {effect.name for effect in known}
+    return names | {other for pair in _EITHER for name in pair if name in names for other in pair}
+
+
 def candidates(
     record: Record, able: list[type[MissingEffect]], known: tuple[type[MissingEffect], ...], place: float
 ) -> list[Candidate]:
     """What may come on top of known effects; a servo has one slow pole, in one place."""
-    names = {effect.name for effect in known}
-    names |= {other for pair in _EITHER for name in pair if name in names for other in pair}
+    names = excluded(known)
     common = [each for each in (BEFORE, INSIDE, AFTER) if all(each in PLACES[e] for e in known if e in PLACES)]
     found = []
     for effect in able:

@@ -41,6 +41,7 @@ _LOG_STEP, _DECADES = 0.2, 50.0
 _STRAIN, _STRAINED = 2.0, 3.0
 """Standard deviations at which one of the servo's own numbers may stand in for something else."""
 _SAME = 1e-9
+_FAR = 50.0
 _SIMULATORS_DIFFER = 2.5e-3
 _NOTHING_DEG = 1e-5
 _USUAL_GAP_DEG = 1.0
@@ -59,7 +60,9 @@ class _Number(NamedTuple):
     prior: bool
 
     def value(self, x: float) -> float:
-        value = self.neutral * np.exp(self.unit * x) if self.is_log else self.neutral + self.unit * x
+        value = (
+            self.neutral * np.exp(min(max(self.unit * x, -_FAR), _FAR)) if self.is_log else self.neutral + self.unit * x
+        )
         return float(min(max(value, self.low), self.high))
 
     def x(self, value: float) -> float:
@@ -77,15 +80,19 @@ _OWN = (
     ("bias_deg", 0.08, False),
 )
 """How far servos of one type differ (standard deviations): poles 3 %, damping 6 %, gain 1 %, 1.5 ms, 0.08 deg."""
-_UNKNOWN = {"pair_scale": 1.5, "damping_scale": 1.5}
+_UNKNOWN = {"slow_scale": 1.5, "pair_scale": 1.5, "damping_scale": 1.5, "delay_s": 5e-3}
 """The same of a servo that nobody knows."""
 _STARTS: tuple[dict[str, float], ...] = (
     {"pair_scale": 0.8},
     {"pair_scale": 2.0},
+    {"pair_scale": 2.2, "damping_scale": 0.65, "slow_scale": 0.125},
     {"pair_scale": 4.0, "damping_scale": 1.5},
     {"pair_scale": 8.0, "damping_scale": 1.2},
 )
-"""Of a servo of 5 Hz: one that is weak, two as small servos are, and one so fast that other effects hide its poles."""
+"""Of a servo of 5 Hz: one that is weak, three as small servos are, and one whose poles other effects hide."""
+_UNKNOWN_LATE_S = 0.01
+_FASTEST_SLOW = 3.0
+"""Times 200 rad/s: what is faster than that no log shows."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -242,6 +249,8 @@ class Fitter:
 
     def smallest(self, parameter: Parameter, size: float) -> float:
         """A size in degrees as this record is to be judged: of a drive that is off by micrometres, micrometres."""
+        if self.record.free_poles and parameter.fields[0] == "delay_s":
+            return _UNKNOWN_LATE_S
         return size * (self._size if _grows_with_gap(parameter) else 1.0)
 
     def starts(self, base: Fit) -> list[Physics]:
@@ -389,7 +398,11 @@ class Fitter:
                 continue
             if record.free_poles:
                 deviation = _UNKNOWN.get(name, deviation)  # noqa: PLW2901
-            low, high = (0.02, 50.0) if is_log else (0.0 if name == "delay_s" else -np.inf, np.inf)
+            low, high = (
+                (0.02, _FASTEST_SLOW if name == "slow_scale" else 50.0)
+                if is_log
+                else (0.0 if name == "delay_s" else -np.inf, np.inf)
+            )
             numbers.append(_Number((name,), getattr(neutral, name), deviation, low, high, is_log, prior=True))
         for effect in effects:
             for p in effect.parameters:

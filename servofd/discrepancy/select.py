@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.discrepancy.adequacy import Adequacy, adequacy
-from servofd.discrepancy.candidates import PLACES, SMALLEST, SURPRISE, candidates, is_placed, judgeable
+from servofd.discrepancy.candidates import PLACES, SMALLEST, SURPRISE, candidates, excluded, is_placed, judgeable
 from servofd.discrepancy.fit import Fit, Fitter
 from servofd.discrepancy.frames import best_frame, frames_like
 from servofd.discrepancy.record import liveliest
@@ -42,10 +42,9 @@ _NAMES, _FITS, _CLOSE, _SHARE = 8, 16, 60.0, 0.3
 """Names and structures that are fitted from one base, and how far behind the best of its name a structure may be: so
 much, or that share of what it improves."""
 _DECLARED, _NEGLIGIBLE = 0.99, 1e-3
-_WORSE, _WORSE_FLOORS = 1.15, 2.0
-"""Times the mean square of a run that an effect must not leave, where that is above so many times the noise."""
+_WORSE = 9.0
+"""Times the mean square of a run, and of the noise, that an effect must not leave."""
 _HYSTERESIS = ("deadband_deg", "insensitive_deg", "friction_deg", "backlash_deg", "stribeck")
-_LATER = 1e-3
 _LATE = (Delay, SensorLag, SlowDynamics)
 
 
@@ -144,7 +143,7 @@ class _Search:
         fits += [
             self._fitted((*base.effects, effect), base.physics, enough)
             for effect in self.able
-            if effect.name not in base.names and self.fitter.strains(effect, base)
+            if effect.name not in excluded(base.effects) and self.fitter.strains(effect, base)
         ]
         fits += self._siblings(base, fits, enough)
         if PwmFrame in self.able and PwmFrame.name not in base.names:
@@ -191,7 +190,9 @@ class _Search:
         for effect in self.able:
             if effect.family != "hysteresis" or effect.name in base.names:
                 continue
-            for place in PLACES.get(effect, (INSIDE,)) if self.fitter.record.plant.has_places else (base.place,):
+            record = self.fitter.record
+            placed = record.plant.has_places and record.side is None
+            for place in PLACES.get(effect, (INSIDE,)) if placed else (base.place,):
                 if any(place not in PLACES[other] for other in base.effects if other in PLACES):
                     continue
                 if SensorLag in base.effects and place > INSIDE:
@@ -259,7 +260,6 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     search.begin(root)
     _widened(search, root)
     best = _chosen(search)
-    # The memory of what the best leaves is that of the noise; all were weighed by that of the first.
     fitter.remember(best)
     search.look_again()
     _reweighed(search)
@@ -294,6 +294,11 @@ def _widened(search: _Search, root: Fit) -> None:
         for base in beam:
             least = min(f.misfit for f in search.visited.values())
             search.grow(base, least + 40.0)
+        # The memory of what the best leaves is that of the noise; what lacks an effect remembers it.
+        search.fitter.remember(min(search.visited.values(), key=lambda fit: fit.misfit))
+        search.look_again()
+        _reweighed(search)
+        best, beam = search.visited[best.key], []
         longer = _best_of_size(search, size + 1)
         for fit in longer[:1]:  # without each of its effects, and with others in their place
             for k in range(len(fit.effects) - 1):
@@ -322,11 +327,11 @@ def _without(search: _Search, fit: Fit, k: int) -> Fit:
     return found if known is None or found.misfit < known.misfit else known
 
 
-def _best_of_size(search: _Search, size: int) -> list[Fit]:
+def _best_of_size(search: _Search, size: int, *, harmless: bool = False) -> list[Fit]:
     """The best fit of each set of names of a size, best first."""
     best: dict[tuple[str, ...], Fit] = {}
     for fit in search.visited.values():
-        if len(fit.effects) == size and search.is_physical(fit) and not _harms(search, fit):
+        if len(fit.effects) == size and search.is_physical(fit) and not (harmless and _harms(search, fit)):
             key = tuple(sorted(fit.names))
             if key not in best or _cost(search, fit) < _cost(search, best[key]):
                 best[key] = fit
@@ -334,22 +339,19 @@ def _best_of_size(search: _Search, size: int) -> list[Fit]:
 
 
 def _harms(search: _Search, fit: Fit) -> bool:
-    """Whether a run is clearly worse with an effect than with fewer."""
+    """Whether a run is clearly worse with effects than without any."""
     if fit.run_deg2.size < 2:
         return False
     floor = search.fitter._least * 25.0
-    shorter = [f for f in search.visited.values() if f.effects == fit.effects[:-1]]
-    return any(
-        bool(np.any((fit.run_deg2 > _WORSE * f.run_deg2) & (fit.run_deg2 > _WORSE_FLOORS * floor))) for f in shorter
-    )
+    without = search.visited[((), INSIDE)].run_deg2
+    return bool(np.any((fit.run_deg2 > _WORSE * without) & (fit.run_deg2 > _WORSE * floor)))
 
 
 def _cost(search: _Search, fit: Fit) -> float:
     """BIC, and how surprising its names are."""
     count = sum(len(effect.parameters) for effect in fit.effects)
     surprise = sum(SURPRISE.get(name, 0.0) for name in fit.names)
-    late = sum(search.able.index(effect) for effect in fit.effects)  # what is equal goes by the catalogue's order
-    return fit.misfit + count * float(np.log(max(search.fitter.effective, 2.0))) + surprise + _LATER * late
+    return fit.misfit + count * float(np.log(max(search.fitter.effective, 2.0))) + surprise
 
 
 def _window(search: _Search, more: Fit) -> float:
@@ -365,7 +367,7 @@ def _chosen(search: _Search) -> Fit:
     """The best structure of as many names as are needed."""
     best = search.visited[((), INSIDE)]
     for size in range(1, _MOST_ON_BENCH + 1):
-        longer = _best_of_size(search, size)
+        longer = _best_of_size(search, size, harmless=True)
         if longer and longer[0].misfit < best.misfit - _window(search, longer[0]) * (size - len(best.effects)):
             best = longer[0]
     return best
@@ -392,13 +394,19 @@ def _shares(search: _Search, best: Fit) -> tuple[list[Fit], float]:
         if len(fit.effects) != size or not search.is_physical(fit) or _harms(search, fit):
             continue
         key = tuple(sorted(fit.names))
-        weight[key] = weight.get(key, 0.0) + float(np.exp(-0.5 * (_cost(search, fit) - least))) / _places(fit)
+        weight[key] = weight.get(key, 0.0) + float(np.exp(-0.5 * (_cost(search, fit) - least))) / _forms(search, fit)
         if key not in first or fit.misfit < first[key].misfit:
             first[key] = fit
     if not weight:
         return [best], 1.0
     total, reached, names = sum(weight.values()), 0.0, []
-    for key in sorted(weight, key=lambda key: -weight[key]):
+    most = max(weight.values())
+
+    def rank(key: tuple[str, ...]) -> tuple[float, int]:  # what is equal goes by the catalogue's order
+        late = sum(search.able.index(effect) for effect in first[key].effects)
+        return -round(float(np.log(max(weight[key] / most, 1e-300))), 1), late
+
+    for key in sorted(weight, key=rank):
         if names and (reached >= _DECLARED * total or weight[key] < _NEGLIGIBLE * total):
             break
         names.append(first[key])
@@ -406,9 +414,14 @@ def _shares(search: _Search, best: Fit) -> tuple[list[Fit], float]:
     return names, max(weight.values()) / total
 
 
-def _places(fit: Fit) -> float:
-    """How many structures the names of a fit may have."""
-    return float(max((len(PLACES.get(effect, (INSIDE,))) for effect in fit.effects), default=1))
+def _forms(search: _Search, fit: Fit) -> float:
+    """How many structures the names of a fit may have, by which their probability is divided."""
+    has_places = search.fitter.record.plant.has_places and search.fitter.record.side is None
+    most = 1
+    for name in fit.names:
+        forms = [effect for effect in search.able if effect.name == name]
+        most = max(most, sum(len(PLACES.get(form, (INSIDE,))) if has_places else 1 for form in forms))
+    return float(most)
 
 
 def _ties(best: Fit, others: list[Fit]) -> tuple[tuple[tuple[str, ...], ...], tuple[tuple[Fit, ...], ...]]:

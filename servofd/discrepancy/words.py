@@ -8,7 +8,7 @@ import numpy as np
 
 from servofd.discrepancy.at_rest import rest_sentence
 from servofd.discrepancy.candidates import PLACES
-from servofd.models.physics import AFTER, BEFORE, scaled_transfer
+from servofd.models.physics import AFTER, BEFORE, scaled_transfer, split
 
 if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
@@ -68,10 +68,16 @@ def linear_sentence(record: Record, selection: Selection) -> str:
     said = []
     for fit in (selection.nominal, selection.final):
         transfer = scaled_transfer(record.plant.transfer, fit.physics)
-        _, twice_damping, stiffness = np.array(transfer.denominator) / transfer.denominator[0]
-        natural = float(np.sqrt(stiffness))
-        said.append(f"{natural / (2.0 * np.pi):.3g} Hz, damping ratio {twice_damping / (2.0 * natural):.2g}")
-    return f"no servo was known: a second order was fitted, by itself {said[0]}; beside the effects {said[1]}"
+        monic = np.array(transfer.denominator) / transfer.denominator[0]
+        words = []
+        if record.plant.has_places:
+            slow, pair = split(monic)
+            monic = np.array([1.0, *pair])
+            words.append(f"a pole at {slow:.3g} rad/s")
+        natural = float(np.sqrt(monic[2]))
+        words.insert(0, f"{natural / (2.0 * np.pi):.3g} Hz, damping ratio {monic[1] / (2.0 * natural):.2g}")
+        said.append(" and ".join(words))
+    return f"no servo was known: one was fitted, by itself {said[0]}; beside the effects {said[1]}"
 
 
 def form_of(effect: type[MissingEffect], place: float) -> str | None:

@@ -15,6 +15,8 @@ from servofd.cli import main
 from tests.recordings.inside import everything
 from tests.recovery.fine_servo import FineServo, Hidden, hide
 
+KNOWN = ("--servo", "hs225bb-eq31")
+
 
 def slow() -> Hidden:
     """A servo that reacts 26 ms later than its model."""
@@ -27,7 +29,7 @@ def healthy() -> Hidden:
 
 def test_the_json_is_what_the_contract_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = slow().write(tmp_path / "log.csv")
-    assert main(["explain", str(path), "-s", "elevator", "--json", "-"]) == 0
+    assert main(["explain", *KNOWN, str(path), "-s", "elevator", "--json", "-"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["schema"] == "servofd.explain/1"
     assert (document["surface"], document["conclusion"]) == ("elevator", "explained")
@@ -43,12 +45,12 @@ def test_the_json_is_what_the_contract_says(tmp_path: Path, capsys: pytest.Captu
 
 def test_the_better_model_makes_the_audit_quieter(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, better = slow().write(tmp_path / "log.csv"), tmp_path / "better.toml"
-    assert main(["explain", str(path), "--save", str(better)]) == 0
+    assert main(["explain", *KNOWN, str(path), "--save", str(better)]) == 0
     text = capsys.readouterr().out
     assert "+ delay" in text
     assert "these data cannot tell delay from clock_offset" in text
     errors = []
-    for options in ([], ["-c", str(better)]):
+    for options in (KNOWN, ("-c", str(better))):
         main(["audit", str(path), "--json", "-", *options])
         surface = json.loads(capsys.readouterr().out)["logs"][0]["surfaces"]["elevator"]
         errors.append(surface["simulation_error_rms_deg"])
@@ -60,7 +62,7 @@ def test_what_is_found_in_the_linkage_is_saved_and_simulated(
 ) -> None:
     path = hide(FineServo(backlash_deg=1.0), duration_s=20.0).write(tmp_path / "log.csv")
     better = tmp_path / "better.toml"
-    assert main(["explain", str(path), "--save", str(better)]) == 0
+    assert main(["explain", *KNOWN, str(path), "--save", str(better)]) == 0
     capsys.readouterr()
     assert load_aircraft(better).surfaces["elevator"].effects["backlash"]["width_deg"] == pytest.approx(1.0, abs=0.03)
     assert main(["audit", str(path), "-c", str(better), "--json", "-"]) == 0
@@ -90,7 +92,7 @@ def test_unfit_logs(
     changed: Callable[[Hidden], Hidden], reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = changed(healthy()).write(tmp_path / "log.csv")
-    assert main(["explain", str(path), "-s", "elevator"]) == 2
+    assert main(["explain", *KNOWN, str(path), "-s", "elevator"]) == 2
     message = capsys.readouterr().err
     assert reason in message
     assert message.count("\n") == 1
@@ -106,13 +108,13 @@ def test_unfit_logs(
 )
 def test_wrong_calls(options: list[str], reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = healthy().write(tmp_path / "log.csv")
-    assert main(["explain", str(path), *options]) == 2
+    assert main(["explain", *KNOWN, str(path), *options]) == 2
     assert reason in capsys.readouterr().err
 
 
 def test_what_has_no_better_model_is_saved_as_it_was(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, saved = healthy().write(tmp_path / "log.csv"), tmp_path / "same.toml"
-    assert main(["explain", str(path), "--save", str(saved)]) == 0
+    assert main(["explain", *KNOWN, str(path), "--save", str(saved)]) == 0
     captured = capsys.readouterr()
     assert "nothing missing" in captured.out
     assert "stays as it was: no effect was found" in captured.err
@@ -122,7 +124,7 @@ def test_what_has_no_better_model_is_saved_as_it_was(tmp_path: Path, capsys: pyt
 def test_the_model_is_judged_on_other_flights(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = slow().write(tmp_path / "log.csv")
     other = hide(FineServo(delay_s=0.03), duration_s=12.0, seed=4).write(tmp_path / "other.csv")
-    assert main(["explain", str(path), "--also", str(other), "--json", "-"]) == 0
+    assert main(["explain", *KNOWN, str(path), "--also", str(other), "--json", "-"]) == 0
     document = json.loads(capsys.readouterr().out)
     (also,) = document["also"]
     assert also["path"].endswith("other.csv")
@@ -142,7 +144,7 @@ def test_several_flights_are_explained_together(tmp_path: Path, capsys: pytest.C
     flights = [
         hide(FineServo(delay_s=0.03), duration_s=10.0, seed=seed).write(tmp_path / f"{seed}.csv") for seed in (1, 2, 3)
     ]
-    assert main(["explain", *map(str, flights), "--json", "-"]) == 0
+    assert main(["explain", *KNOWN, *map(str, flights), "--json", "-"]) == 0
     (step,) = json.loads(capsys.readouterr().out)["steps"]
     assert step["effect"] == "delay"
     assert step["parameters"]["delay_s"]["value"] == pytest.approx(0.03, abs=5e-4)
@@ -161,7 +163,7 @@ def test_a_surface_that_cannot_be_told_does_not_stop_the_others(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path, better = two_surfaces(tmp_path / "log.csv"), tmp_path / "better.toml"
-    assert main(["explain", str(path), "--json", "-", "--save", str(better)]) == 2
+    assert main(["explain", *KNOWN, str(path), "--json", "-", "--save", str(better)]) == 2
     captured = capsys.readouterr()
     assert json.loads(captured.out)["surfaces"]["elevator"]["conclusion"] == "explained"
     assert "rudder: " in captured.err
@@ -176,7 +178,7 @@ def test_the_recording_holds_both_simulations(tmp_path: Path) -> None:
     from rerun.chunk import RrdReader
 
     path, recording = slow().write(tmp_path / "log.csv"), tmp_path / "gap.rrd"
-    assert main(["explain", str(path), "--rrd", str(recording)]) == 0
+    assert main(["explain", *KNOWN, str(path), "--rrd", str(recording)]) == 0
     assert str(tmp_path) not in everything(recording)
     values = {}
     for chunk in RrdReader(recording).stream().filter(has_timeline="time_boot", components="Scalars:scalars"):
@@ -194,9 +196,9 @@ def test_the_example_of_an_effect_of_ones_own(tmp_path: Path, capsys: pytest.Cap
     example = Path(__file__).parent.parent.parent / "docs" / "own_effect.py"
     assert len(example.read_text().splitlines()) < 40
     path = hide(FineServo(cyclic_deg=0.5), duration_s=20.0).write(tmp_path / "log.csv")
-    assert main(["explain", str(path)]) == 1
+    assert main(["explain", *KNOWN, str(path)]) == 1
     capsys.readouterr()
-    assert main(["explain", str(path), "--effect", str(example), "--json", "-"]) == 0
+    assert main(["explain", *KNOWN, str(path), "--effect", str(example), "--json", "-"]) == 0
     document = json.loads(capsys.readouterr().out)
     (step,) = document["steps"]
     assert step["effect"] == "worn_gear"
@@ -204,7 +206,7 @@ def test_the_example_of_an_effect_of_ones_own(tmp_path: Path, capsys: pytest.Cap
     assert step["parameters"]["amplitude_deg"]["value"] == pytest.approx(0.5, abs=0.02)
     assert step["parameters"]["pitch_deg"]["value"] == pytest.approx(4.0, abs=0.03)
     assert document["audit"] is None
-    assert main(["explain", str(path), "--effect", str(example), "--save", str(tmp_path / "better.toml")]) == 0
+    assert main(["explain", *KNOWN, str(path), "--effect", str(example), "--save", str(tmp_path / "better.toml")]) == 0
     assert "worn_gear comes from a file of your own" in capsys.readouterr().err
 
 
@@ -233,7 +235,7 @@ def test_errors_in_an_effect_of_ones_own(
     log, path = healthy().write(tmp_path / "log.csv"), tmp_path / "effect.py"
     if source is not None:
         path.write_text(source)
-    assert main(["explain", str(log), "--effect", str(path)]) == 2
+    assert main(["explain", *KNOWN, str(log), "--effect", str(path)]) == 2
     message = capsys.readouterr().err
     assert reason in message
     assert "effect.py" in message
@@ -254,11 +256,11 @@ def test_other_wrong_calls(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
         (["--rrd", "x", "--json", "x"], "is another output already; choose another file"),
         (["-c", str(tmp_path / "none.toml")], "none.toml"),
     ):
-        assert main(["explain", str(log), *options]) == 2
+        assert main(["explain", *KNOWN, str(log), *options]) == 2
         message = capsys.readouterr().err
         assert reason in message
         assert message.count("\n") == 1
-    assert main(["explain", str(unmeasured)]) == 2
+    assert main(["explain", *KNOWN, str(unmeasured)]) == 2
     assert "elevator_pos_deg" in capsys.readouterr().err
 
 
@@ -267,7 +269,7 @@ def test_another_unit_is_told_as_a_wrong_scale(
     scale: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = replace(healthy(), position_deg=scale * healthy().position_deg).write(tmp_path / "log.csv")
-    assert main(["explain", str(path)]) == 2
+    assert main(["explain", *KNOWN, str(path)]) == 2
     assert "check the scale of the calibration" in capsys.readouterr().err
 
 
@@ -275,7 +277,7 @@ def test_a_log_without_noise_hides_nothing(tmp_path: Path, capsys: pytest.Captur
     path = tmp_path / "log.csv"
     assert main(["simulate", "-o", str(path), "--command", "lively", "--duration", "20", "--noise-deg", "0"]) == 0
     capsys.readouterr()
-    assert main(["explain", str(path), "-s", "elevator", "--json", "-"]) == 0
+    assert main(["explain", *KNOWN, str(path), "-s", "elevator", "--json", "-"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert (document["conclusion"], document["steps"]) == ("nothing_missing", [])
 
@@ -283,19 +285,21 @@ def test_a_log_without_noise_hides_nothing(tmp_path: Path, capsys: pytest.Captur
 @pytest.mark.slow
 def test_a_model_that_does_worse_on_another_flight_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, other = slow().write(tmp_path / "log.csv"), healthy().write(tmp_path / "other.csv")
-    assert main(["explain", str(path), "--also", str(other)]) == 0
+    assert main(["explain", *KNOWN, str(path), "--also", str(other)]) == 0
     assert "other.csv: the model does worse there" in capsys.readouterr().out
-    assert main(["explain", str(path), "--also", str(path)]) == 0
+    assert main(["explain", *KNOWN, str(path), "--also", str(path)]) == 0
     assert "does worse" not in capsys.readouterr().out
 
 
 @pytest.mark.slow
 def test_what_is_missing_in_the_fitted_run_alone_is_not_nothing(tmp_path: Path) -> None:
     path, other = slow().write(tmp_path / "log.csv"), healthy().write(tmp_path / "other.csv")
-    assert main(["explain", str(path), str(other)]) == 1
+    assert main(["explain", *KNOWN, str(path), str(other)]) == 1
 
 
 def test_every_run_must_come_fast_enough(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     thinned = Hidden(*(np.ascontiguousarray(getattr(healthy(), name)[::10]) for name in healthy().__dataclass_fields__))
-    assert main(["explain", str(thinned.write(tmp_path / "a.csv")), str(thinned.write(tmp_path / "b.csv"))]) == 2
+    assert (
+        main(["explain", *KNOWN, str(thinned.write(tmp_path / "a.csv")), str(thinned.write(tmp_path / "b.csv"))]) == 2
+    )
     assert "position comes at 10 Hz" in capsys.readouterr().err
