@@ -37,6 +37,7 @@ _OWN_PAST_S = 15.0
 _AT_ONCE_S = 10.0
 """What began within so many judged seconds is how this flight is, not what happened in it."""
 _LEARNING_S = 20.0
+_LEAST_EXPLAINED = 0.1
 _FAILED_LOSS, _FAILED_US = 0.25, 100.0
 """A single axis that differs by more from the beginning failed before take-off, or is of another aircraft."""
 
@@ -131,20 +132,35 @@ def _draft(axis: AxisModel, motion: Motion, usable: BoolArray, flown: BoolArray,
 
 
 def _late(axis: AxisModel, inputs: Inputs, windows: list[Sliding], span: slice, rate_hz: float) -> Between | None:
-    """Lag in a part of the flight, if it stands out there by more than a loss does."""
+    """Lag in a part of the flight, if it stands out there by more than a loss does, or explains more from there on."""
     if not axis.own_command:
         return None
     late = zip(slowness(axis, inputs, rate_hz), axis.spreads, strict=True)
     lost = zip(distances(axis, inputs, windows, rate_hz), axis.spreads, strict=True)
     slow = max((float(j[span].max()) / s.lag_scale for j, s in late if s.lag_scale is not None), default=0.0)
-    if slow <= max(float(j[span].max()) / s.scale for j, s in lost):
-        return None
     event = replace(inputs, usable=inputs.usable & (np.arange(inputs.usable.size) >= span.start))
+    stands_out = slow > max(float(j[span].max()) / s.scale for j, s in lost)
+    if not stands_out and not _explains_more(event, span.stop - 1):
+        return None
     found = lags(event, event.usable.size, axis.noise_var, enough=0.0)
     lag_s = _between(
         float(found.lag_s[span.stop - 1]), float(found.var_s2[span.stop - 1]) + axis.spreads[-1].lag_var_s2
     )
     return lag_s if lag_s.low > 0.0 else None
+
+
+def _explains_more(event: Inputs, place: int) -> bool:
+    """Whether a lag explains more of the residual up to a sample than a loss does, each beside an offset."""
+    sums = event.sums
+    offsets, offset_e = float(sums.offset_offset[place]), float(sums.offset_e[place])
+
+    def explained(square: FloatArray, cross: FloatArray, answer: FloatArray) -> float:
+        left = float(square[place]) - float(cross[place]) ** 2 / max(offsets, 1e-300)
+        seen = float(answer[place]) - float(cross[place]) * offset_e / max(offsets, 1e-300)
+        return seen**2 / left if left > 0.0 else 0.0
+
+    late = explained(sums.lag_lag, sums.lag_offset, sums.lag_e)
+    return late > explained(sums.loss_loss, sums.loss_offset, sums.loss_e)
 
 
 def _recovered(axis: AxisModel, inputs: Inputs, alarm: int, rate_hz: float) -> int | None:
@@ -193,16 +209,26 @@ def _own_past(axis: AxisModel, inputs: Inputs, alarm: int, begin: int, rate_hz: 
 def _estimate(
     axis: AxisModel, inputs: Inputs, start: int, last: int, rate_hz: float, past: Expected
 ) -> tuple[Between, Between]:
-    """Loss and offset from an onset on, beyond what the flight was like before; healthy flights differ as well."""
+    """Loss and offset from an onset on, beyond what the flight was like before; healthy flights differ as well.
+
+    The autopilot answers gusts, so that its command and what it cannot explain are correlated: a loss seems smaller
+    than it is, the more so the less of the motion the command explains in healthy flights.
+    """
     last = min(last, start + round(_ONSET_S * rate_hz))
     event = replace(inputs, usable=inputs.usable & (np.arange(inputs.usable.size) >= start))
     found = sliding(event, inputs.usable.size, axis.noise_var, enough=0.0)
     spread, place = axis.spreads[-1], last - 1
+    lost = _between(found.loss[place] - past.loss[0], found.loss_var[place] + spread.loss_var + past.loss_var[0])
+    offset = _between(
+        found.offset[place] - past.offset[0], found.offset_var[place] + spread.offset_var_us2 + past.offset_var[0]
+    )
+    explained = min(1.0, max(_LEAST_EXPLAINED, axis.explained)) if axis.own_command else 1.0
+    hidden = max(lost.high, 0.0) * (1.0 / math.sqrt(explained) - 1.0)
+    loss_offset, offset_offset = event.sums.loss_offset[place], event.sums.offset_offset[place]
+    away_us = hidden * abs(loss_offset) / offset_offset if offset_offset > 0.0 else 0.0
     return (
-        _between(found.loss[place] - past.loss[0], found.loss_var[place] + spread.loss_var + past.loss_var[0]),
-        _between(
-            found.offset[place] - past.offset[0], found.offset_var[place] + spread.offset_var_us2 + past.offset_var[0]
-        ),
+        lost._replace(high=float(lost.high + hidden)),
+        offset._replace(low=float(offset.low - away_us), high=float(offset.high + away_us)),
     )
 
 

@@ -21,6 +21,7 @@ OUTPUTS = ".csv (plain table), .mat (FASER), .bin (ArduPilot DataFlash), .tlog (
 
 _LOOP_HZ = 50.0
 _LIVE_S = 600.0
+_AIRFRAME_S, _STORM = 180.0, 10.0
 
 _Made = TypeVar("_Made")
 
@@ -82,12 +83,24 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
         help="servo telemetry of a .bin: volz (ArduPilot 4.7: degrees, with the command; default) or dronecan "
         "(up to 4.6: radians)",
     )
+    parser.add_argument(
+        "--airframe",
+        metavar="MIXER",
+        help="an aeroplane without servo feedback that answers its surfaces, into a .bin: plain, elevon or vtail; "
+        "faults stuck, loss_of_effectiveness, slow and bias, each with value=... (deg, share left, s, deg)",
+    )
+    parser.add_argument(
+        "--turbulence", type=float, metavar="X", help="of an airframe: 1 is gusts of 1.5 m/s (default: 1)"
+    )
+    parser.add_argument("--engine-cut", type=float, metavar="S", help="of an airframe: from when on it glides [s]")
     stream.add_options(parser)
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Simulate, and write or fly."""
+    if options.airframe is not None or options.turbulence is not None or options.engine_cut is not None:
+        return _run_airframe(options)
     from servofd.aircraft import DEFAULT_SERVO, load_aircraft, plain_aircraft
     from servofd.errors import ConfigError
     from servofd.servos import servo_named
@@ -138,6 +151,46 @@ def run(options: argparse.Namespace) -> int:
         return stream.stream(options, flown, aircraft)
     write_flight(options.output, flown, aircraft, generation=options.generation)
     print(f"{options.output}: {duration_s:g} s at {rate_hz:g} Hz, {', '.join(flown.surfaces)}")
+    return 0
+
+
+def _run_airframe(options: argparse.Namespace) -> int:
+    """An aeroplane that answers its surfaces, as the log of its autopilot."""
+    from servofd.errors import ConfigError
+    from servofd.outputs.files import write_whole
+    from servofd.simulation.airframe import AirframeFault, fly_airframe
+    from servofd.simulation.airframe_log import airframe_log
+
+    if options.airframe is None:
+        raise ConfigError("--turbulence and --engine-cut are of an airframe: --airframe plain")
+    if not options.output or Path(options.output).suffix.lower() != ".bin":
+        raise ConfigError(f"{options.output or options.stream}: --airframe writes ArduPlane's log, a .bin")
+    if options.seed < 0:
+        raise ConfigError(f"--seed {options.seed}: give a whole number of zero or more")
+    turbulence = 1.0 if options.turbulence is None else options.turbulence
+    if not 0.0 <= turbulence <= _STORM:
+        raise ConfigError(f"--turbulence {turbulence:g}: from 0 to {_STORM:g}")
+    faults = []
+    for text in options.fault:
+        surface, _, rest = text.partition(":")
+        what, *pairs = rest.split(":")
+        kind, at, start = what.partition("@")
+        values = _numbers(f"--fault {text}", [f"start_s={start}", *pairs]) if at else {}
+        if set(values) != {"start_s", "value"}:
+            raise ConfigError(
+                f"--fault {text}: write SURFACE:KIND@START:value=X, for example elevator:stuck@60:value=-2"
+            )
+        faults.append(AirframeFault(surface, kind, values["start_s"], values["value"]))
+    flight = fly_airframe(
+        options.seed,
+        mixer=options.airframe,
+        duration_s=_AIRFRAME_S if options.duration is None else options.duration,
+        turbulence=turbulence,
+        faults=tuple(faults),
+        engine_cut_s=math.inf if options.engine_cut is None else options.engine_cut,
+    )
+    write_whole(options.output, airframe_log(flight))
+    print(f"{options.output}: {flight.time_s[-1]:.0f} s at 25 Hz, {', '.join(flight.mixer.names)}, no feedback")
     return 0
 
 

@@ -1,0 +1,287 @@
+"""An aeroplane that answers its surfaces: a closed loop in wind and turbulence, for flights without servo feedback.
+
+Its structure is another than that of the axis models: coupled motion in six states of the air (Etkin and Reid, Dynamics
+of Flight, 3rd ed., ch. 4), surfaces that lose effect at large angles, servos with a rate limit and a lag, turbulence as
+first-order Gauss-Markov gusts on both angles and on the roll rate (the Dryden spectra at low order, MIL-F-8785C).
+Derivatives are those of a foam plane of 2 kg and 1.6 m at 18 m/s, by the order of magnitude.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numba import njit
+
+from servofd.errors import ConfigError, UnknownName, suggest
+
+if TYPE_CHECKING:
+    from servofd.types import FloatArray
+
+__all__ = ["MIXERS", "AirframeFault", "AirframeFlight", "fly_airframe"]
+
+_STEP_S: Final = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Mixer:
+    """Outputs of an airframe: SERVOn_FUNCTION, name, and what roll, pitch and yaw ask of it."""
+
+    outputs: Mapping[int, tuple[int, str, tuple[float, float, float]]]
+
+    @property
+    def names(self) -> list[str]:
+        """Of its surfaces, in the order of the outputs."""
+        return [name for _, name, _ in self.outputs.values()]
+
+
+MIXERS: Final[Mapping[str, Mixer]] = {
+    "plain": Mixer(
+        {
+            1: (4, "aileron_left", (1.0, 0.0, 0.0)),
+            2: (19, "elevator", (0.0, 1.0, 0.0)),
+            4: (21, "rudder", (0.0, 0.0, 1.0)),
+            5: (4, "aileron_right", (1.0, 0.0, 0.0)),
+        }
+    ),
+    "elevon": Mixer({1: (77, "elevon_left", (-1.0, 1.0, 0.0)), 2: (78, "elevon_right", (1.0, 1.0, 0.0))}),
+    "vtail": Mixer(
+        {
+            1: (4, "aileron_left", (1.0, 0.0, 0.0)),
+            2: (79, "vtail_left", (0.0, 1.0, -1.0)),
+            4: (80, "vtail_right", (0.0, 1.0, 1.0)),
+            5: (4, "aileron_right", (1.0, 0.0, 0.0)),
+        }
+    ),
+}
+"""By name."""
+THROTTLE: Final = 3
+"""Output of the engine."""
+
+_KINDS: Final = ("stuck", "loss_of_effectiveness", "slow", "bias")
+
+
+@dataclass(frozen=True, slots=True)
+class AirframeFault:
+    """What happens to a surface."""
+
+    surface: str
+    kind: str
+    start_s: float
+    value: float
+    """Where it is stuck or how far it is off [deg], the share of travel that is left, or the lag [s]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AirframeFlight:
+    """What a log holds; shape (n,) unless said."""
+
+    mixer: Mixer
+    time_s: FloatArray
+    pulses_us: FloatArray
+    """Shape (n, surfaces)."""
+    throttle: FloatArray
+    rates_deg_s: FloatArray
+    """Shape (3, n)."""
+    accelerations_m_s2: FloatArray
+    """Shape (3, n)."""
+    roll_deg: FloatArray
+    pitch_deg: FloatArray
+    airspeed_m_s: FloatArray
+    deflections_deg: FloatArray
+    """Shape (n, surfaces): the truth."""
+
+
+def fly_airframe(
+    seed: int,
+    *,
+    mixer: str = "plain",
+    duration_s: float = 180.0,
+    rate_hz: float = 25.0,
+    turbulence: float = 1.0,
+    faults: tuple[AirframeFault, ...] = (),
+    engine_cut_s: float = float("inf"),
+    day: int | None = None,
+) -> AirframeFlight:
+    """Fly once.
+
+    Parameters
+    ----------
+    seed : int
+        Of the pilot, the air and the noise.
+    mixer : str
+        One of `MIXERS`.
+    duration_s, rate_hz : float
+        Of the log; the rate divides 100 Hz.
+    turbulence : float
+        1 is moderate: gusts of 1.5 m/s.
+    faults : tuple of AirframeFault
+        One for each surface at most.
+    engine_cut_s : float
+        From when on the propeller gives nothing, whatever is asked [s].
+    day : int, optional
+        Load, trim and density are those of a day; of the seed if left out.
+
+    Raises
+    ------
+    ConfigError
+        If something is unknown or impossible.
+
+    Examples
+    --------
+    >>> jam = AirframeFault("elevator", "stuck", 20.0, -2.0)
+    >>> flight = fly_airframe(1, duration_s=40.0, faults=(jam,))
+    >>> float(np.ptp(flight.deflections_deg[-100:, 1]))
+    0.0
+    """
+    if mixer not in MIXERS:
+        raise UnknownName(suggest("mixer", mixer, MIXERS))
+    if not 10.0 <= duration_s <= 36_000.0:
+        raise ConfigError(f"{duration_s:g} s: a flight lasts from 10 s to 10 h")
+    wing = MIXERS[mixer]
+    for fault in faults:
+        if fault.surface not in wing.names:
+            raise UnknownName(suggest("surface", fault.surface, wing.names))
+        if fault.kind not in _KINDS:
+            raise UnknownName(suggest("fault of an airframe", fault.kind, _KINDS))
+    rng = np.random.default_rng([seed, 23])
+    of_day = np.random.default_rng([seed if day is None else day, 24])
+    load = 1.0 + 0.03 * of_day.standard_normal(6)
+    trims_us = 6.0 * of_day.standard_normal(3)
+    steps = round(duration_s / _STEP_S)
+    mix = np.array([weights for _, _, weights in wing.outputs.values()])
+    table = np.array([[np.inf, 0.0, 0.0]] * len(wing.names))
+    for fault in faults:
+        table[wing.names.index(fault.surface)] = (fault.start_s, _KINDS.index(fault.kind), fault.value)
+    states = _flown(
+        steps,
+        rng.standard_normal((steps, 3)),
+        _targets(rng, steps),
+        mix,
+        table,
+        load,
+        trims_us,
+        turbulence,
+        engine_cut_s,
+    )
+    every = max(1, round(1.0 / rate_hz / _STEP_S))
+    rows = states[::every]
+    n, s = rows.shape[0], len(wing.names)
+    noise = rng.standard_normal
+    return AirframeFlight(
+        wing,
+        np.arange(n) * every * _STEP_S,
+        np.round(1500.0 + rows[:, 9 : 9 + s]),
+        rows[:, 8],
+        np.degrees(rows[:, 0:3].T) + 0.3 * noise((3, n)),
+        rows[:, 9 + 2 * s :].T + 0.15 * noise((3, n)),
+        np.degrees(rows[:, 3]),
+        np.degrees(rows[:, 4]),
+        rows[:, 5] + 0.3 * noise(n),
+        rows[:, 9 + s : 9 + 2 * s],
+    )
+
+
+def _targets(rng: np.random.Generator, steps: int) -> FloatArray:
+    """Bank, pitch, airspeed and rudder that are wanted, each held for some seconds; shape (steps, 4)."""
+    found = np.zeros((steps, 4))
+    for column, (low, high, shortest_s, longest_s) in enumerate(
+        ((-0.6, 0.6, 3.0, 9.0), (-0.06, 0.12, 3.0, 8.0), (16.0, 21.0, 10.0, 30.0), (-80.0, 80.0, 2.0, 8.0))
+    ):
+        k = 0
+        while k < steps:
+            length = int(rng.uniform(shortest_s, longest_s) / _STEP_S)
+            value = rng.uniform(low, high)
+            found[k : k + length, column] = value if column < 3 or rng.random() < 0.4 else 0.0
+            k += length
+    return found
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _flown(  # noqa: PLR0915 - one step of physics, in the order in which it happens
+    steps: int,
+    shocks: FloatArray,
+    wanted: FloatArray,
+    mix: FloatArray,
+    faults: FloatArray,
+    load: FloatArray,
+    trims_us: FloatArray,
+    turbulence: float,
+    engine_cut_s: float,
+) -> FloatArray:
+    """States of every step: p, q, r, roll, pitch, speed, alpha, beta, throttle, pulses, deflections, forces."""
+    s = mix.shape[0]
+    out = np.zeros((steps, 12 + 2 * s))
+    p = q = r = roll = pitch = 0.0
+    alpha, beta, speed, thrust = 0.05, 0.0, 18.0, 0.5
+    gust_a = gust_b = gust_p = 0.0
+    pulses, angles = np.zeros(s), np.zeros(s)
+    norm = (mix**2).sum(axis=0)
+    for k in range(steps):
+        time_s = k * 0.01
+        v = speed / 18.0
+        # The autopilot: attitude loops around rates, gains by airspeed.
+        ask_roll = (700.0 * (wanted[k, 0] - roll) - 90.0 * p) / v**2
+        climb = wanted[k, 1] - 0.08 * max(15.0 - speed, 0.0)  # the nose goes down before the wing stalls
+        ask_pitch = (900.0 * (climb - pitch) - 160.0 * q) / v**2 + 500.0 * abs(roll) * 0.3
+        ask_yaw = wanted[k, 3] - 60.0 * r + 60.0 * 9.81 / speed * np.sin(roll)
+        ask = np.array([ask_roll, ask_pitch, ask_yaw])
+        throttle = min(1.0, max(0.0, 0.45 + 0.12 * (wanted[k, 2] - speed) + 1.2 * pitch))
+        for i in range(s):
+            pulse = 0.0
+            for axis in range(3):
+                pulse += mix[i, axis] * min(max(ask[axis], -450.0), 450.0)
+            pulses[i] = min(max(pulse, -450.0), 450.0)
+            target, lag = 0.05 * pulses[i], 0.06
+            if time_s >= faults[i, 0]:
+                if faults[i, 1] == 0.0:
+                    angles[i] = faults[i, 2]
+                    continue
+                if faults[i, 1] == 1.0:
+                    target *= faults[i, 2]
+                elif faults[i, 1] == 2.0:
+                    lag = 0.06 + faults[i, 2]
+                else:
+                    target += faults[i, 2]
+            change = (target - angles[i]) * 0.01 / lag
+            angles[i] += min(max(change, -4.0), 4.0)
+        given = np.zeros(3)
+        for axis in range(3):
+            if norm[axis] > 0.0:
+                for i in range(s):
+                    given[axis] += mix[i, axis] * angles[i] / norm[axis]
+            given[axis] += 0.05 * trims_us[axis]
+            given[axis] -= 2e-4 * given[axis] ** 3
+        # Gusts: correlation over 20 m of flight.
+        fade = np.exp(-speed * 0.01 / 20.0)
+        kick = np.sqrt(1.0 - fade * fade) * turbulence
+        gust_a = fade * gust_a + kick * 1.5 / speed * shocks[k, 0]
+        gust_b = fade * gust_b + kick * 1.5 / speed * shocks[k, 1]
+        gust_p = fade * gust_p + kick * 0.25 * shocks[k, 2]
+        a, b = alpha + gust_a, beta + gust_b
+        da, de, dr = given[0], given[1], given[2]
+        lift = load[0] * 27.5 * np.tanh((a + 0.03) / 0.25) * v**2
+        side = -9.0 * b * v**2 + 0.05 * dr * v**2
+        drag = 0.9 * v**2 + 0.012 * lift**2 / max(v, 0.3) ** 2
+        thrust += ((throttle if time_s < engine_cut_s else 0.0) - thrust) * 0.01 / 0.3
+        pull = load[1] * (6.0 * thrust - 0.5 * v)
+        p += 0.01 * (-9.0 * v * (p - gust_p) + 2.0 * v * r - 12.0 * b * v**2 + load[2] * 2.6 * da * v**2)
+        q += 0.01 * (-load[3] * 45.0 * (a - 0.055) * v**2 - 6.0 * v * q + load[4] * 2.2 * de * v**2 + 0.6 * thrust)
+        r += 0.01 * (16.0 * b * v**2 - 2.2 * v * r - 0.4 * v * p + load[5] * 0.9 * dr * v**2 - 0.08 * da * v**2)
+        g_n = 9.81 * np.cos(roll) * np.cos(pitch)
+        alpha += 0.01 * (q + (g_n - lift) / speed)
+        beta += 0.01 * (-r + (9.81 * np.sin(roll) * np.cos(pitch) + side) / speed)
+        roll += 0.01 * (p + np.tan(pitch) * (q * np.sin(roll) + r * np.cos(roll)))
+        pitch += 0.01 * (q * np.cos(roll) - r * np.sin(roll))
+        speed = max(speed + 0.01 * (pull - drag - 9.81 * np.sin(pitch - alpha)), 6.0)
+        out[k, 0], out[k, 1], out[k, 2], out[k, 3], out[k, 4] = p, q, r, roll, pitch
+        out[k, 5], out[k, 6], out[k, 7], out[k, 8] = speed, alpha, beta, throttle
+        for i in range(s):
+            out[k, 9 + i] = pulses[i]
+            out[k, 9 + s + i] = angles[i]
+        out[k, 9 + 2 * s] = pull - drag + lift * alpha
+        out[k, 10 + 2 * s] = side
+        out[k, 11 + 2 * s] = -lift
+    return out

@@ -1,0 +1,57 @@
+"""A simulated aeroplane answers its surfaces, through every mixer, and its log is read as it was flown."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import logparsers
+from servofd.axes.autopilot import motion_of_autopilot
+from servofd.cli import main
+from servofd.simulation.airframe import MIXERS, AirframeFault, fly_airframe
+
+
+@pytest.mark.parametrize("mixer", list(MIXERS))
+def test_every_mixer_flies_the_same_aeroplane(mixer: str, tmp_path: Path) -> None:
+    log = tmp_path / "plane.bin"
+    assert main(["simulate", "-o", str(log), "--airframe", mixer, "--duration", "60", "--seed", "3"]) == 0
+    flight = fly_airframe(3, mixer=mixer, duration_s=60.0)
+    motion = motion_of_autopilot(logparsers.read(log))
+    flown = np.interp(motion.time_s - 5.0, flight.time_s, flight.rates_deg_s[0])
+    assert np.corrcoef(motion.rates_deg_s[0], flown)[0, 1] > 0.98
+    # A rolling moment rolls: the rate follows what was asked of the ailerons.
+    asked, rate = motion.commands_us["roll"], motion.rates_deg_s[0]
+    assert np.corrcoef(asked[:-5], rate[5:])[0, 1] > 0.3
+    assert len(motion.members["roll"]) == 2
+
+
+def test_a_jam_takes_half_of_the_roll_and_an_engine_cut_the_speed() -> None:
+    well = fly_airframe(4, duration_s=60.0, turbulence=0.0)
+    jam = AirframeFault("aileron_left", "stuck", 20.0, 10.0)
+    jammed = fly_airframe(4, duration_s=60.0, turbulence=0.0, faults=(jam,))
+    assert np.array_equal(well.deflections_deg[well.time_s < 20.0], jammed.deflections_deg[jammed.time_s < 20.0])
+    assert np.all(jammed.deflections_deg[jammed.time_s > 20.1, 0] == 10.0)
+    cut = fly_airframe(4, duration_s=60.0, turbulence=0.0, engine_cut_s=20.0)
+    assert cut.airspeed_m_s[-1] < well.airspeed_m_s[-1] - 1.0
+    assert cut.throttle[-1] > 0.5
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--airframe", "plane"], "mixer"),
+        (["--airframe", "plain", "--fault", "flap:stuck@1:value=0"], "surface"),
+        (["--airframe", "plain", "--fault", "rudder:stuck@1"], "value=X"),
+        (["--airframe", "plain", "--turbulence", "-1"], "from 0"),
+        (["--engine-cut", "3"], "--airframe"),
+    ],
+)
+def test_what_cannot_be_flown_is_one_line(
+    words: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["simulate", "-o", str(tmp_path / "a.bin"), *words]) == 2
+    error = capsys.readouterr().err
+    assert says in error
+    assert error.count("\n") == 1
