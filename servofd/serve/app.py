@@ -129,7 +129,9 @@ class _Routes:
             raise HTTPException(400, "Choose two flights to compare.")
         flights = [self._known(one) for one in chosen]
         try:
-            documents = [json.loads((self._flights.results(one.id) / AUDIT).read_text()) for one in flights]
+            documents = [
+                json.loads((self._flights.results(one.id) / AUDIT).read_text(encoding="utf-8")) for one in flights
+            ]
         except OSError:
             raise HTTPException(409, "One of the two is not judged yet.") from None
         rows = _compared([document["logs"][0]["surfaces"] for document in documents])

@@ -45,7 +45,7 @@ class Summary:
     def read(cls, folder: Path) -> Self | None:
         """Summary in the folder of a flight; None if there is none that can be read."""
         try:
-            known = json.loads((folder / SUMMARY).read_text())
+            known = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
             return cls(**known | {"outline": tuple(known["outline"])})
         except (OSError, ValueError, TypeError, KeyError):
             return None
