@@ -54,7 +54,7 @@ __all__ = [
 ]
 
 _NO_LOG = (UnknownFormat, EmptyLog, MissingChannel)
-"""What a note or a picture beside the logs of an archive is told by."""
+"""Errors of a note or a picture beside the logs of an archive."""
 
 
 def read(path: LogFile, layout: TableLayout | None = None, *, only: Sequence[str] | None = None) -> FlightLog:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 __all__ = ["LazyChannels", "Recording", "Series", "Together", "as_float"]
 
 MOST_NOTES = 100
-"""Groups of channels whose rows are out of order and that are told one by one."""
+"""Groups of channels whose rows are out of order and that are listed one by one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,11 +186,11 @@ class LazyChannels(Mapping[str, Channel]):
                 found.append(replace(damage, note=f"{label}: {damage.note}"))
             if time_s.size:
                 ends += [float(time_s[0]), float(time_s[-1])]
-        told, rest = found[:MOST_NOTES], found[MOST_NOTES:]
+        listed, rest = found[:MOST_NOTES], found[MOST_NOTES:]
         if rest:
             total = sum(damage.count for damage in rest)
-            told.append(Damage("out_of_order", f"{total} rows of {len(rest)} more messages", total))
-        return tuple(told), (min(ends), max(ends)) if ends else None
+            listed.append(Damage("out_of_order", f"{total} rows of {len(rest)} more messages", total))
+        return tuple(listed), (min(ends), max(ends)) if ends else None
 
     def _groups(self) -> dict[Any, str]:
         """Groups, and what to call them: the name of a channel up to its last dot."""

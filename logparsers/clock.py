@@ -37,7 +37,7 @@ YEARS = range(2000, 2100)
 """A clock that shows another year was never set."""
 
 MOST_GAPS = 100
-"""A log in tatters is told from its longest gaps; the others are summed up."""
+"""Of a log with many gaps the longest are listed; the others are summed up."""
 
 
 def order(
@@ -205,8 +205,8 @@ def gaps(time_s: FloatArray) -> tuple[Damage, ...]:
     period = float(np.median(intervals))
     found = np.flatnonzero(intervals > max(GAP_PERIODS * period, GAP_S))
     longest = found[np.argsort(-intervals[found], kind="stable")]
-    told, rest = np.sort(longest[: MOST_GAPS - 1]), np.sort(longest[MOST_GAPS - 1 :])
-    damage = [_gap(time_s, int(place), period) for place in told]
+    listed, rest = np.sort(longest[: MOST_GAPS - 1]), np.sort(longest[MOST_GAPS - 1 :])
+    damage = [_gap(time_s, int(place), period) for place in listed]
     if rest.size:
         missing = _samples(float(intervals[rest].sum()), period) - int(rest.size) + 1
         note = f"{rest.size} shorter gaps, together {intervals[rest].sum():.3f} s"

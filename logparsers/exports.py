@@ -1,7 +1,7 @@
 """Messages that other tools took out of an autopilot's log: put together again, by name and column.
 
 mavlogdump and Mission Planner write MATLAB files of all messages; mavlogdump, ulog2csv and rostopic write a CSV file of
-one or some, of which those of one flight, told by the beginnings of their names, become one log.
+one or some, of which those of one flight, recognised by the beginnings of their names, become one log.
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ LogBytes = LogFile | bytes
 """Or the content itself."""
 
 HEAD_BYTES = 4096
-"""Bytes from which the format is told: room for a HDF5 signature behind a MATLAB header, or for two frames."""
+"""Bytes from which the format is recognised: room for a HDF5 signature behind a MATLAB header, or for two frames."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

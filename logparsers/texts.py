@@ -1,4 +1,4 @@
-"""Rows that belong together, told by a text or a number in them."""
+"""Rows that belong together, recognised by a text or a number in them."""
 
 from __future__ import annotations
 

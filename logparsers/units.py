@@ -1,4 +1,4 @@
-"""Units, told from the names of channels."""
+"""Units, from the names of channels."""
 
 from __future__ import annotations
 

@@ -143,7 +143,7 @@ def explain_logs(
     Returns
     -------
     ExplainedLogs
-        What cannot be told of one surface does not keep the others from being explained.
+        What cannot be explained of one surface does not keep the others from being explained.
 
     Raises
     ------

@@ -86,7 +86,7 @@ class Servo(BaseModel):
 
     @property
     def transfer(self) -> TransferFunction:
-        """Transfer function used for simulation: `printed`, scaled to unity dc gain unless told otherwise."""
+        """Transfer function used for simulation: `printed`, scaled to unity dc gain unless `unity_dc` is false."""
         return self.printed.with_unity_dc() if self.unity_dc else self.printed
 
     @property

@@ -29,7 +29,7 @@ LINE: Final = "LineNo"
 MOST_INSTANCES: Final = 255
 MOST_US: Final = 2.0**53
 CSRV_UNITS: Final = {"s#dtk%dvAOO-": "deg", "s#---%dvAOO-": "rad"}
-"""Units of CSRV, by which its two generations are told apart; the definition they belong to is never exported."""
+"""Units of CSRV, by which its two generations are distinguished; the definition they belong to is never exported."""
 DEGREES_SINCE: Final = (4, 7)
 
 

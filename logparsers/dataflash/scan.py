@@ -192,7 +192,7 @@ def walk(
     """
     size, at, n = len(data), state[AT], 0
     room = len(bad) - 8
-    doubt = False  # right behind damage, a record has no sound one before it to vouch for it
+    doubt = False  # right behind damage, no sound record before it confirms a record
     while at + 3 <= size and n < len(offsets) and max(bad[0], odd[0] + 16, steps[0] + 16) < room:
         if not is_header(data, at, size, length):
             start = at

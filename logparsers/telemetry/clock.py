@@ -29,7 +29,7 @@ _BREAKS = {
     "clock_jump": "the vehicle's clock was set forward; times run on by arrival time",
     "arrival_jump": "the receiver's clock was set; the vehicle's own time stamps are not affected",
 }
-_MOST_BREAKS = 100  # told one by one
+_MOST_BREAKS = 100  # listed one by one
 _RELAYED = ("NAMED_VALUE", "DEBUG", "SET_", "HIL_", "VISION", "TIMESYNC")  # often stamped by someone else
 
 

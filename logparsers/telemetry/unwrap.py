@@ -18,7 +18,7 @@ __all__ = ["despike", "lower_line", "unwrap"]
 _ABSURD_S = 3 * 86_400.0  # no message waits longer than three days for the next
 _BINS = 512  # points that a lower line is drawn under
 _DRIFT_LIMIT = 1e-3  # crystals are 10 to 100 times better
-_DRIFT_SPAN_S = 60.0  # below this, drift cannot be told from delay
+_DRIFT_SPAN_S = 60.0  # below this, drift cannot be distinguished from delay
 
 
 def despike(time_s: ArrayLike, tolerance_s: float = 5.0) -> FloatArray:
@@ -52,7 +52,7 @@ def despike(time_s: ArrayLike, tolerance_s: float = 5.0) -> FloatArray:
     middle = np.clip(time[1:-1], np.minimum(before, after), np.maximum(before, after))
     clean = time.copy()
     clean[1:-1] = np.where(np.abs(time[1:-1] - middle) > tolerance_s, middle, time[1:-1])
-    for end, neighbour in ((0, 1), (-1, -2)):  # an end has one neighbour: only the absurd can be told
+    for end, neighbour in ((0, 1), (-1, -2)):  # an end has one neighbour: only the absurd can be recognised
         if abs(clean[end] - clean[neighbour]) > _ABSURD_S:
             clean[end] = clean[neighbour]
     return clean

@@ -48,7 +48,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "logs",
         nargs="+",
         metavar="LOG",
-        help="flight log, told by its content; or many of them: folders, patterns, addresses such as s3://bucket/logs",
+        help="flight log, recognised by its content; or many of them: folders, patterns, addresses such as s3://bucket/logs",
     )
     parser.add_argument("-c", "--config", metavar="AIRCRAFT.toml", help="aircraft file, or the name of a shipped one")
     parser.add_argument(

@@ -11,7 +11,7 @@ __all__ = ["worst"]
 
 
 def worst(codes: Iterable[int]) -> int:
-    """Exit code of several results: a fault anywhere outranks what could not be told.
+    """Exit code of several results: a fault anywhere outranks what could not be judged.
 
     Examples
     --------

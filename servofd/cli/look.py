@@ -1,4 +1,4 @@
-"""``servofd FILE``: told what it was given, it does what is asked for most: judge, write a page, open it."""
+"""``servofd FILE``: by what the file is, it does what is wanted most: judge, write a page, open it."""
 
 from __future__ import annotations
 

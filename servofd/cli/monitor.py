@@ -120,7 +120,7 @@ def _watch(options: argparse.Namespace, aircraft: Mapping[int, Aircraft]) -> Ses
         receiver = Receiver(link)
         open_.callback(receiver.close)
         outputs.receiver = receiver
-        # However it ends, what was found is told.
+        # However it ends, what was found is printed.
         with contextlib.suppress(KeyboardInterrupt):
             watch_link(session, receiver, outputs, options.duration)
         outputs.events(session.finish(receiver.now_s()), receiver.now_s())

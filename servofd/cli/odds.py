@@ -36,7 +36,11 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
         "--false-alarms-per-hour", type=_positive, default=1e-3, metavar="X", help="wanted rate (default: 1e-3)"
     )
     parser.add_argument(
-        "--fault-deg", type=_positive, default=2.0, metavar="X", help="bias whose delay is told [deg] (default: 2)"
+        "--fault-deg",
+        type=_positive,
+        default=2.0,
+        metavar="X",
+        help="bias whose delay is printed [deg] (default: 2)",
     )
     parser.add_argument(
         "--noise-deg", type=_positive, metavar="X", help="noise of the position [deg], without logs (default: 0.1)"
@@ -169,7 +173,7 @@ def _print(options: argparse.Namespace, odds: list[SurfaceOdds], left_out: list[
 
 
 def _exit_code(odds: list[SurfaceOdds], left_out: list[LeftOut], failed: dict[str, str]) -> int:
-    """2 if a file could not be read, or no surface could be told; the reason goes to stderr."""
+    """2 if a file could not be read, or no surface could be judged; the reason goes to stderr."""
     from servofd.cli.tables import one_line
 
     for error in failed.values():

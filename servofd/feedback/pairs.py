@@ -38,7 +38,7 @@ class Position:
     id: int
     """Number in its name."""
     command: str
-    """Channel in which the servo repeats what it was told; empty if there is none."""
+    """Channel in which the servo repeats its command; empty if there is none."""
     alive: tuple[str, ...]
     """Channels that change as long as the telemetry lives."""
 
@@ -50,7 +50,7 @@ class Position:
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """One servo: what it was told, and where it said it was."""
+    """One servo: its command and its position."""
 
     surface: str
     output: LoggedOutput
@@ -150,17 +150,17 @@ def _correlation(command: Channel, position: Channel) -> float:
     if command.time_s.size < 3 or np.count_nonzero(good) < 3:
         return 0.0
     asked = np.interp(position.time_s[good], command.time_s, np.nan_to_num(command.values))
-    told = position.values[good]
-    if np.std(asked) < _MOVES or np.std(told) < _MOVES:
+    reported = position.values[good]
+    if np.std(asked) < _MOVES or np.std(reported) < _MOVES:
         return 0.0
-    return float(abs(np.corrcoef(asked, told)[0, 1]))
+    return float(abs(np.corrcoef(asked, reported)[0, 1]))
 
 
 def _command_channel(log: FlightLog, number: int, position: Position) -> str:
-    """What the servo itself says it was told, if it says so; else the pulse on its output."""
+    """The command as the servo repeats it, if it does; else the pulse on its output."""
     if position.command:
-        told = log[position.command]
-        if np.any(np.isfinite(told.values)) and not told.is_constant:
+        repeated = log[position.command]
+        if np.any(np.isfinite(repeated.values)) and not repeated.is_constant:
             return position.command
     return pulse_channel(log.channels, number)
 

@@ -1,4 +1,4 @@
-"""Which logs there are: files, folders, patterns and addresses, told by their content."""
+"""Which logs there are: files, folders, patterns and addresses, recognised by their content."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class Found:
 def find_logs(inputs: Sequence[str], layout: TableLayout | None = None) -> Found:
     """Find all logs, in the order of the inputs, by name within each; none twice.
 
-    A file that is named is taken whatever it is. Files of folders, patterns and addresses are told by their content;
+    A file that is named is taken whatever it is. Files of folders, patterns and addresses are recognised by content;
     hidden ones, and folders of results, are passed over.
 
     Parameters

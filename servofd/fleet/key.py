@@ -31,7 +31,7 @@ class Job:
     Parameters
     ----------
     aircraft : Aircraft, optional
-        None: each log's own, as far as it can be told.
+        None: each log's own, as far as the log shows it.
     servo : str, optional
         Servo to assume for all surfaces.
     threshold_deg : float, optional

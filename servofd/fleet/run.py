@@ -75,7 +75,7 @@ def audit_logs(
     inputs : sequence of str or Path
         Where to look for logs.
     aircraft : Aircraft, str or Path, optional
-        The aircraft or its file; each log's own, as far as it can be told, if None.
+        The aircraft or its file; each log's own, as far as the log shows it, if None.
     cluster, workers
         As for `audit_fleet`.
 

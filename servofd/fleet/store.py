@@ -156,7 +156,7 @@ def _rows(path: Path, columns: list[str] | None) -> list[dict[str, Any]]:
 
 
 def _read_part(path: Path, columns: list[str] | None = None) -> pa.Table:
-    """One file of a table; damage is told by the check-sums of its pages."""
+    """One file of a table; damage is found by the check-sums of its pages."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 

@@ -1,4 +1,4 @@
-"""Tests that cannot be used, each told in a sentence."""
+"""Tests that cannot be used, and why, a sentence each."""
 
 from __future__ import annotations
 

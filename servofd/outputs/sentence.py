@@ -94,10 +94,10 @@ def axes_sentence(axes: Sequence[AxisAudit]) -> str:
 def _faults(faulty: Sequence[SurfaceAudit]) -> str:
     if len(faulty) > _MOST_NAMED:
         return f"{len(faulty)} SERVOS AT FAULT: {_listed(faulty)}"
-    return "; ".join(f"{spoken(s.surface).upper()} {_what(_told(s.faults))}" for s in faulty)
+    return "; ".join(f"{spoken(s.surface).upper()} {_what(_gravest(s.faults))}" for s in faulty)
 
 
-def _told(faults: Sequence[Fault]) -> Fault:
+def _gravest(faults: Sequence[Fault]) -> Fault:
     """The first fault that lasts to the end of the log; the first of all if every one has passed."""
     return next((fault for fault in faults if fault.end_s is None), faults[0])
 

@@ -60,13 +60,13 @@ def verdict(document: dict[str, Any]) -> str:
     >>> verdict({"surfaces": {}})
     'No limit is exceeded or in sight.'
     """
-    told = [
+    limits = [
         f"{name}: {one['title']} {_when(one)}"
         for name, surface in document["surfaces"].items()
         for one in surface["quantities"].values()
         if one["forecast"]["kind"] != "none"
     ]
-    return "; ".join(told) + "." if told else "No limit is exceeded or in sight."
+    return "; ".join(limits) + "." if limits else "No limit is exceeded or in sight."
 
 
 def quantity_row(one: dict[str, Any]) -> tuple[str, str, str, str, str]:

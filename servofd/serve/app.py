@@ -67,7 +67,7 @@ async def _said(_request: Request, error: Exception) -> Response:
 
 
 async def _failed(_request: Request, _error: Exception) -> Response:
-    """What is wrong with the page itself: told where it runs, and to the browser only that it is."""
+    """What is wrong with the page itself: printed where it runs; the browser learns only that there is something."""
     return HTMLResponse(page("said.html", sentence="This did not work; the terminal says why.", status=500), 500)
 
 

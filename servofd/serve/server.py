@@ -1,4 +1,4 @@
-"""The web server: uvicorn on a socket that is open before anybody is told of it."""
+"""The web server: uvicorn on a socket that is open before its address is printed."""
 
 from __future__ import annotations
 

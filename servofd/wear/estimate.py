@@ -157,7 +157,7 @@ def _of_residual(residuals: Residuals, level_deg: FloatArray) -> dict[str, Estim
 
 
 def _quantile(values: FloatArray, share: float) -> Estimate:
-    """Quantile; its deviation is told by those of ten parts of the flight."""
+    """Quantile; its deviation comes from those of ten parts of the flight."""
     parts = [float(np.quantile(part, share)) for part in np.array_split(values, _BLOCKS)]
     return Estimate.of(float(np.quantile(values, share)), float(np.std(parts, ddof=1)) / np.sqrt(_BLOCKS))
 

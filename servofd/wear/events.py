@@ -58,7 +58,7 @@ def find_events(series: Mapping[str, Piece], telling: Mapping[str, float]) -> tu
     series : mapping of str to Piece
         All flights of one servo, for each quantity.
     telling : mapping of str to float
-        Smallest change of each quantity that is told.
+        Smallest change of each quantity that is reported.
 
     Returns
     -------
@@ -103,18 +103,18 @@ def _end(piece: Piece, number: float) -> tuple[float, float]:
 def _event(group: Sequence[tuple[int, str, Jump]]) -> Event:
     first = int(np.median([cut[0] for cut in group]))
     jumps = {name: jump for _, name, jump in group}
-    told = ", ".join(_told(name, jump) for name, jump in jumps.items())
+    changes = ", ".join(_change(name, jump) for name, jump in jumps.items())
     dead_band = jumps.get("dead_band_deg")
     if len(jumps) >= _NUMBERS_OF_ANOTHER_SERVO or (dead_band and dead_band.after < dead_band.before):
-        return Event("swap", first, jumps, f"another servo or linkage since flight {first}: {told}")
+        return Event("swap", first, jumps, f"another servo or linkage since flight {first}: {changes}")
     if "bias_deg" in jumps:
-        return Event("adjusted", first, jumps, f"trimmed, or the horn moved, before flight {first}: {told}")
+        return Event("adjusted", first, jumps, f"trimmed, or the horn moved, before flight {first}: {changes}")
     return Event(
-        "changed", first, jumps, f"changed at once before flight {first}, by damage or repair, not wear: {told}"
+        "changed", first, jumps, f"changed at once before flight {first}, by damage or repair, not wear: {changes}"
     )
 
 
-def _told(name: str, jump: Jump) -> str:
+def _change(name: str, jump: Jump) -> str:
     what = QUANTITIES[name]
     before, after = (f"{what.scale * value:z.{what.digits}f}" for value in (jump.before, jump.after))
     return f"{what.title} {before} to {after} {what.unit}"

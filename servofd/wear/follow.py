@@ -37,7 +37,7 @@ class Wear:
 
     limits: Mapping[str, float]
     telling: Mapping[str, float]
-    """Smallest change at once that is told, of each quantity."""
+    """Smallest sudden change that is reported, of each quantity."""
     serial: str = ""
     swaps: tuple[tuple[date, str], ...] = ()
     """When servos were replaced, and the serial numbers of those that were taken out."""
@@ -148,11 +148,11 @@ def _spans(bounds: Sequence[int]) -> list[tuple[float, float]]:
 
 
 def _series(name: str, flights: Sequence[tuple[int, FlightEstimate]]) -> Piece | None:
-    told = [(number, flight.values[name]) for number, flight in flights if name in flight.values]
-    told = [(number, estimate) for number, estimate in told if np.all(np.isfinite(estimate))]
-    if not told:
+    known = [(number, flight.values[name]) for number, flight in flights if name in flight.values]
+    known = [(number, estimate) for number, estimate in known if np.all(np.isfinite(estimate))]
+    if not known:
         return None
-    numbers, estimates = zip(*told, strict=True)
+    numbers, estimates = zip(*known, strict=True)
     values, deviations = [e.value for e in estimates], [e.deviation for e in estimates]
     return Piece(np.array(numbers, dtype=float), np.array(values), np.array(deviations))
 

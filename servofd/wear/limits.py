@@ -44,7 +44,7 @@ def limits_of(aircraft: Aircraft, surface: str) -> dict[str, float]:
 
 
 def telling_steps(aircraft: Aircraft, surface: str) -> dict[str, float]:
-    """Smallest change at once that is told, of each quantity."""
+    """Smallest sudden change that is reported, of each quantity."""
     entry, servo = aircraft.surfaces[surface], aircraft.servo(surface)
     tolerance = entry.tolerances
     rate_deg_s = servo.rate_limit_deg_s or np.inf

@@ -80,11 +80,11 @@ def _of_run(log: FlightLog, path: str, aircraft: Aircraft, surfaces: tuple[str, 
             continue
         try:
             segment = cut(log, name, entry)
-            told = estimate_flight(segment, aircraft, _voltage_v(log, segment))
+            estimated = estimate_flight(segment, aircraft, _voltage_v(log, segment))
         except ServofdError as error:
             problems.append(f"{name}: {error}")
             continue
-        flights.append(FlightEstimate(path, log.run, name, log.start_utc, log.duration_s, *told))
+        flights.append(FlightEstimate(path, log.run, name, log.start_utc, log.duration_s, *estimated))
     return FlownLog(path, log.run, log.start_utc, _identity(log), tuple(flights), tuple(problems))
 
 
@@ -118,8 +118,8 @@ def check_one_aircraft(logs: Iterable[FlownLog]) -> None:
         if log.identity:
             first.setdefault(log.identity, log.path)
     if len(first) > 1:
-        told = "; ".join(f"{path}: {identity}" for identity, path in list(first.items())[:3])
-        raise ConfigError(f"these logs come from {len(first)} vehicles, a trend follows one: {told}")
+        vehicles = "; ".join(f"{path}: {identity}" for identity, path in list(first.items())[:3])
+        raise ConfigError(f"these logs come from {len(first)} vehicles, a trend follows one: {vehicles}")
 
 
 def in_order(logs: Sequence[FlownLog]) -> Order:

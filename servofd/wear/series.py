@@ -35,7 +35,7 @@ class Line:
     Parameters
     ----------
     centre : float
-        Flight number about which the line is told.
+        Flight number at which the line has its intercept.
     level, slope : float
         At the centre, and per flight.
     covariance : ndarray, shape (2, 2)

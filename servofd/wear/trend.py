@@ -125,11 +125,11 @@ def trend_of(
         As for `trend_logs`.
     """
     check_one_aircraft(logs)
-    told = [log for log in logs if log.flights]
+    judged = [log for log in logs if log.flights]
     reasons = [*problems, *(f"{log.path}: {problem}" for log in logs for problem in log.problems)]
-    if not told:
+    if not judged:
         raise NoMeasurement(f"no flight tells anything of a servo: {reasons[0]}" if reasons else "no flight")
-    order = in_order(told)
+    order = in_order(judged)
     numbered = list(enumerate(order.logs, start=1))
     surfaces = []
     for name in aircraft.surfaces:

@@ -93,9 +93,9 @@ def test_a_fault(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest
     monkeypatch.setitem(FAULTS, kind.kind, kind)
     path = str(tmp_path / "flight.csv")
     assert main(["simulate", "-o", path, "--fault", "elevator:reversed@20:share=0.8", "--duration", "40"]) == 0
-    assert main(["audit", path]) == 1
+    assert main(["audit", path, "--servo", "hs225bb-eq31"]) == 1
     assert "elevator" in capsys.readouterr().out
-    ((audit),) = servofd.audit(path, surfaces=("elevator",))
+    (audit,) = servofd.audit(path, servo="hs225bb-eq31", surfaces=("elevator",))
     assert audit.surfaces[0].faults[0].alarm_s >= 20.0
 
 

@@ -26,7 +26,7 @@ REPORT = "/report"
 """Entity of the report."""
 
 LINK = "/link"
-"""Entity of what is told of a live link, and of no surface."""
+"""Entity of messages about a live link, and of no surface."""
 
 _LAST_S = 60.0
 """That a layout shows which follows."""

@@ -1,4 +1,4 @@
-"""How the aircraft itself moved, for the scene: attitude, and where it flew if that may be told."""
+"""How the aircraft itself moved, for the scene: attitude, and where it flew if that may be shown."""
 
 from __future__ import annotations
 

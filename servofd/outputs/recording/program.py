@@ -17,7 +17,7 @@ _WITH_ITS_EXIT_CODE = "import sys; from rerun_cli.__main__ import main; sys.exit
 def run_rerun(*words: str) -> subprocess.CompletedProcess[str]:
     """Run it to its end, and keep what it says.
 
-    It reports each of its calls to its makers, except on machines that test software: it is told that this is one.
+    It reports each of its calls to its makers, except on machines that test software: a variable says that this is one.
     """
     command = [*_program(), *words]
     quiet = {**os.environ, "CI": "1", "RUST_BACKTRACE": "0"}

@@ -83,7 +83,7 @@ def colours(names: Sequence[str], opacity: float = 1.0) -> NDArray[np.uint32]:
 
 @dataclass(frozen=True, slots=True)
 class Recorder:
-    """A Rerun stream with the habits of servofd.
+    """A Rerun stream as servofd writes it.
 
     Parameters
     ----------

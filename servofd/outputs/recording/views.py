@@ -1,4 +1,4 @@
-"""Views of the Rerun viewer with the habits of servofd: linked time axes, legends top left, side panels folded."""
+"""Views of the Rerun viewer as servofd lays them out: linked time axes, legends top left, side panels folded."""
 
 from __future__ import annotations
 
