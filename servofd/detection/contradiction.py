@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from servofd.detection.residual import ResidualGenerator, Residuals
-    from servofd.types import FloatArray, IntArray
+    from servofd.types import BoolArray, FloatArray, IntArray
 
 __all__ = ["contradictions", "resting_runs", "resting_width_deg"]
 
@@ -253,17 +253,31 @@ def _left_s(flight: _Flight, rows: slice) -> float:
 
 
 def _best_slope(flight: _Flight, rows: slice) -> tuple[float, float]:
-    """Slope and share of the position's variance explained by the healthy deflection, at the lag that suits it best."""
-    time_s, moved = flight.time_s[rows], flight.measured_deg[rows]
+    """Slope and share of the position's variance explained by the healthy deflection, at the lag that suits it best.
+
+    An offset that comes within the window is left out of account.
+    """
+    time_s = flight.time_s[rows]
+    later = time_s >= _left_s(flight, rows)
+    moved = _about_means(flight.measured_deg[rows], later)
     best = (0.0, 0.0)
     for lag_s in (-0.1, 0.0, 0.1, 0.2, 0.35, 0.5):
-        asked = np.interp(time_s - lag_s, flight.time_s, flight.healthy_deg)
-        spread = np.cov(asked, moved)
+        asked = _about_means(np.interp(time_s - lag_s, flight.time_s, flight.healthy_deg), later)
+        spread = np.array([[asked @ asked, asked @ moved], [asked @ moved, moved @ moved]])
         explained = float(spread[0, 1] ** 2 / max(spread[0, 0] * spread[1, 1], 1e-300))
         slope = float(spread[0, 1] / max(spread[0, 0], 1e-300))
         if explained > best[1]:
             best = (slope, explained)
     return best
+
+
+def _about_means(values: FloatArray, later: BoolArray) -> FloatArray:
+    """Values about their mean before, and about their mean after."""
+    result = values.copy()
+    for part in (later, ~later):
+        if part.any():
+            result[part] -= result[part].mean()
+    return result
 
 
 def _line(time_s: FloatArray, error: FloatArray, asked: FloatArray) -> tuple[float, float] | None:

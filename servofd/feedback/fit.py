@@ -53,6 +53,8 @@ _EXPLAINS = 0.8
 """Share of the motion that a model explains in blocks it was not fitted to, or it is none."""
 _NO_MODEL = ModelOrigin(origin="none")
 _NOTHING_DEG = 1e9
+_REVERSED = 3.0
+"""A fit of the opposite sign has to be so many times better."""
 _SCALES = (0.1, 5.0)
 
 
@@ -266,7 +268,8 @@ def _judged(fit: RoughFit, rehearsal: Rehearsal, moving: BoolArray, *, free_scal
     if free_scale and not _SCALES[0] <= abs(gain) <= _SCALES[1]:
         return replace(fit, gain=gain, bias_deg=bias_deg, error_deg=_NOTHING_DEG)
     cost = float(np.expm1(np.mean(np.log1p((error / ordinary_deg) ** 2))))
-    error_deg = ordinary_deg * float(np.sqrt(cost))
+    # In a closed loop an aircraft that is pushed over is answered by commands the other way.
+    error_deg = ordinary_deg * float(np.sqrt(cost)) * (_REVERSED if gain < 0.0 and free_scale else 1.0)
     return replace(fit, gain=gain, bias_deg=bias_deg, error_deg=error_deg)
 
 
