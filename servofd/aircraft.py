@@ -90,7 +90,9 @@ class Surface(_Entry):
     servo: str = DEFAULT_SERVO
     command: Calibration
     measured: Calibration | None = None
-    """None: this aircraft does not measure the surface, and no verdict is expected for it."""
+    """None: the log tells where the position of `output` is; or, without an output, nothing measures this surface."""
+    output: Annotated[int, Field(ge=1, le=32, strict=True)] | None = None
+    """Output of the autopilot that turns it; logs of autopilots that lack the channels named here are read by it."""
     alive: tuple[str, ...] = ()
     """Channels of the same telemetry that change as long as it lives; rows in which nothing does say nothing."""
     command_saturation_deg: tuple[float, float] | None = None
@@ -161,6 +163,8 @@ class Surface(_Entry):
             effects_installed(Physics(), self.effects)
         except ServofdError as error:
             raise ValueError(str(error)) from None
+        if not self.command.channel and self.output is None:
+            raise ValueError("command.channel: this key is missing, and so is output, which would do instead of it")
         dates = [swap.date for swap in self.swaps]
         if any(later <= earlier for earlier, later in itertools.pairwise(dates)):
             raise ValueError("swaps: the dates must rise, one servo after the other")

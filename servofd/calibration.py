@@ -32,7 +32,8 @@ class _Channel(BaseModel, ABC):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    channel: str
+    channel: str = ""
+    """Empty only for a surface that names its output instead."""
     sign: Literal[1, -1] = 1
     correction: tuple[Finite, Finite] = (1.0, 0.0)
     """Scale and offset [deg], found by calibration, that turn what is said below into degrees of the command."""

@@ -75,6 +75,8 @@ def one_log(path: str | Path, aircraft: Aircraft | None = None) -> FlightLog:
 def flown_aircraft(log: FlightLog, known: Aircraft | None, servo: str | None = None) -> Aircraft:
     """The aircraft that flew a log: as it is known, or as the log shows it, with the servo that was asked for.
 
+    Surfaces whose channels a log lacks are looked for by the outputs of the autopilot that turn them.
+
     Parameters
     ----------
     log : FlightLog
@@ -89,8 +91,10 @@ def flown_aircraft(log: FlightLog, known: Aircraft | None, servo: str | None = N
     NoMeasurement
         If nothing is known, and the log shows no surface.
     """
-    flown = known if known is not None and known.surfaces else _with_surfaces(log, known, servo)
-    if servo == UNKNOWN_SERVO and known is not None:
+    from servofd.feedback.resolve import resolved
+
+    flown = resolved(log, known) if known is not None and known.surfaces else _with_surfaces(log, known, servo)
+    if servo == UNKNOWN_SERVO and known is not None and known.surfaces:
         from servofd.feedback.fitted import fitted_aircraft
 
         return fitted_aircraft(log, flown)

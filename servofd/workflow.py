@@ -235,6 +235,7 @@ def flights_of(
         If no log measured any surface; the message gives a reason for each.
     """
     from servofd.calibrating.flights import Flight, cropped
+    from servofd.feedback.resolve import resolved
 
     flights: dict[str, list[Flight]] = {name: [] for name in surfaces or aircraft.surfaces}
     reasons, seen = [], set()
@@ -242,11 +243,12 @@ def flights_of(
         seen.add(log.run)
         if runs and log.run not in runs:
             continue
+        known = resolved(log, aircraft)
         for name, there in flights.items():
             try:
-                segment = cropped(cut(log, name, aircraft.surfaces[name]), spans)
+                segment = cropped(cut(log, name, known.surfaces[name]), spans)
             except NoMeasurement as error:
-                if aircraft.surfaces[name].measured is not None:
+                if known.surfaces[name].measured is not None:
                     reasons.append(f"{log.label}: {name}: {error}")
                 continue
             there.append(Flight(Path(log.label).name, segment))

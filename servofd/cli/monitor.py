@@ -131,6 +131,7 @@ def _replay(options: argparse.Namespace, aircraft: Mapping[int, Aircraft]) -> Se
     """Replay a log in the same view; nothing is sent but alerts, if they have an address."""
     from logparsers.codec import Codec
     from servofd.cli.monitor_outputs import Outputs
+    from servofd.feedback.resolve import resolved
     from servofd.job import one_log
     from servofd.live.run import Pace, replay_log, replay_telemetry
     from servofd.live.session import Session
@@ -143,6 +144,8 @@ def _replay(options: argparse.Namespace, aircraft: Mapping[int, Aircraft]) -> Se
         signature = signature_of(options.signing_key)
         recorded = signature.of_any_time() if signature else None
         is_stream = log.format == "tlog"
+        if not is_stream:
+            aircraft = {system: resolved(log, craft) for system, craft in aircraft.items()}
         session = Session(
             Codec(0, options.component, signature=recorded),
             aircraft,
@@ -203,6 +206,7 @@ def _verdict(session: Session) -> int:
 def _aircraft(names: list[str]) -> dict[int, Aircraft]:
     from servofd.aircraft import load_aircraft
     from servofd.errors import ConfigError
+    from servofd.feedback.resolve import streamed
 
     known: dict[int, Aircraft] = {}
     for name in names:
@@ -210,7 +214,7 @@ def _aircraft(names: list[str]) -> dict[int, Aircraft]:
         system = int(head) if equals and head.isdigit() and len(head) <= 3 else 0
         if system in known or (len(names) > 1 and not 0 < system < 256):
             raise ConfigError(f"{name}: several vehicles need one file each, as -c 1=FILE -c 2=FILE")
-        known[system] = load_aircraft(path if system else name)
+        known[system] = streamed(load_aircraft(path if system else name))
     return known
 
 

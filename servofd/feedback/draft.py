@@ -86,7 +86,7 @@ def draft_aircraft(log: FlightLog) -> Draft:
 
 def surface_entry(surface: DraftedSurface) -> dict[str, Any]:
     """Entry of a surface in an aircraft file."""
-    entry: dict[str, Any] = {"servo": f"{surface.pair.surface}-draft"}
+    entry: dict[str, Any] = {"servo": f"{surface.pair.surface}-draft", "output": surface.pair.output.number}
     if surface.drafted is not None:
         entry |= {
             "threshold": "interval",

@@ -17,7 +17,7 @@ POSITIONS_FROM_1 = re.compile(r"(?:.*:)?(?:NAMED_VALUE_FLOAT|NVF|NVAL)\[SRVP(\d+
 
 
 def output_of(surface: Surface) -> int | None:
-    """Number of the output that turns a surface, from 1, as its channels tell it; None if they do not.
+    """Number of the output that turns a surface, from 1, as it says or its channels tell; None if they do not.
 
     Examples
     --------
@@ -25,6 +25,8 @@ def output_of(surface: Surface) -> int | None:
     >>> output_of(load_aircraft("simulated").surfaces["rudder"]), output_of(load_aircraft("faser").surfaces["rudder"])
     (4, None)
     """
+    if surface.output is not None:
+        return surface.output
     places = [(_COMMANDS_OF_OUTPUT, surface.command.channel, 0), (COMMANDS_OF_SERVO, surface.command.channel, 1)]
     if surface.measured is not None:
         places += [(POSITIONS_FROM_0, surface.measured.channel, 1), (POSITIONS_FROM_1, surface.measured.channel, 0)]

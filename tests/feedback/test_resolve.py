@@ -1,0 +1,47 @@
+"""One aircraft file for every log of an aircraft."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+import servofd
+from servofd.aircraft import Surface, load_aircraft
+from servofd.cli import main
+from servofd.feedback.resolve import streamed
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@pytest.mark.parametrize("suffix", ["bin", "tlog", "ulg"])
+def test_the_shipped_aircraft_judges_every_log_that_it_flies_alike(suffix: str, tmp_path: Path) -> None:
+    path = str(tmp_path / f"flown.{suffix}")
+    stuck = ["--fault", "elevator:stuck@20"]
+    assert main(["simulate", "-c", "simulated", "-o", path, "--duration", "60", *stuck]) == 0
+    (result,) = servofd.audit(path, "simulated")
+    verdicts = {surface.surface: surface for surface in result.surfaces}
+    assert {name: s.status for name, s in verdicts.items()} == {
+        "aileron": "healthy",
+        "elevator": "fault",
+        "rudder": "healthy",
+    }
+    (fault,) = verdicts["elevator"].faults
+    assert (fault.kind, round(fault.start_s)) == ("stuck", 20)
+
+
+def test_an_output_is_enough(tmp_path: Path) -> None:
+    path = str(tmp_path / "flown.bin")
+    assert main(["simulate", "-c", "simulated", "-o", path, "--duration", "60"]) == 0
+    pulse = {"unit": "us", "trim_us": 1500.0, "slope_deg_per_us": 0.09}
+    rudder = Surface.model_validate({"servo": "hs225bb-eq31", "output": 4, "command": pulse})
+    plane = load_aircraft("simulated").model_copy(update={"surfaces": {"rudder": rudder}})
+    (result,) = servofd.audit(path, plane)
+    assert [surface.status for surface in result.surfaces] == ["healthy"]
+    assert streamed(plane).surfaces["rudder"].command.channel == "SERVO_OUTPUT_RAW.servo4_raw"
+
+
+def test_neither_channel_nor_output_is_refused() -> None:
+    with pytest.raises(ValueError, match="output"):
+        Surface.model_validate({"servo": "s9254", "command": {"unit": "deg"}})
