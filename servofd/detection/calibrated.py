@@ -37,8 +37,10 @@ if TYPE_CHECKING:
 
 __all__ = ["Found", "audit_calibrated", "judge_stretch", "judged", "shown"]
 
-_MOST_FAULTS: Final = 8
+_MOST_FAULTS: Final = 20
 _AGAIN_S: Final = 1.0
+_SAME_S: Final = 5.0
+"""What is raised so soon after the end of a fault belongs to it."""
 _MOST_OF_THE_LOG: Final = 0.9
 _SHORTEST_JUDGED_S: Final = 0.25
 FALSE_ALARMS_PER_HOUR: Final = 0.05
@@ -134,6 +136,8 @@ def judged(flight: Watched) -> Found:
         if not np.isfinite(raised_s):
             break
         fault = named(flight, raised_s, ratio, earliest_s=earliest_s)
+        if faults and fault.kind != "healthy" and raised_s - (faults[-1].end_s or raised_s) < _SAME_S:
+            fault = _joined(faults.pop(), fault)
         (suspicions if fault.kind == "healthy" else faults).append(fault)
         if fault.end_s is None:
             if fault.kind != "healthy":
@@ -145,6 +149,14 @@ def judged(flight: Watched) -> Found:
         if begin >= time_s.size - 2:
             break
     return Found(tuple(faults), tuple(suspicions), np.concatenate(grids), np.concatenate(tables))
+
+
+def _joined(first: Fault, then: Fault) -> Fault:
+    """One fault of two that follow each other at once; named as the longer one is."""
+    end_s, begun_s = first.end_s or first.alarm_s, then.alarm_s
+    lasted_s = (np.inf if then.end_s is None else then.end_s) - begun_s
+    longer = then if lasted_s >= end_s - first.alarm_s else first
+    return replace(longer, start_s=first.start_s, alarm_s=first.alarm_s, end_s=then.end_s)
 
 
 def _alarm(

@@ -1,9 +1,10 @@
 """What a calibrated surface does since an alarm: each fault refitted, the other parameters free as between flights.
 
-A hypothesis is a servo of the family with one thing changed, or no servo at all. Its cost is that of the whitened
-residual that no allowed change of the other parameters explains; the best size is found on a grid and refined by the
-linear estimate around it. Costs are divided by the misfit that even the best hypothesis leaves, because the family is
-not the servo, and every other sample counts. Probabilities follow from these costs and the number of free sizes (BIC).
+A hypothesis is a servo of the family with one thing changed, or no servo at all. Its misfit is what of the whitened
+residual no allowed change of the other parameters explains; the best size is found on a grid and refined by the linear
+estimate around it. The family is not the servo: where even the best hypothesis leaves more than the noise, that is
+taken for noise of unknown size (n ln misfit), and every other sample counts. Probabilities follow from this, from how
+far the other parameters had to go, and from the number of free sizes (BIC).
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from servofd.estimate.family import FITTED, NAMES, new_state, sensitivities, sim
 from servofd.estimate.fit import residual
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterator
 
     from servofd.detection.watch import Watched
     from servofd.types import BoolArray, FloatArray
@@ -40,7 +41,17 @@ _WIDTHS_DEG = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0)
 _FLAT = 1e-8
 _LOST_GAIN = 0.12
 _AT_STOP_DEG = 1.5
-_SURE = 0.5
+_SURE = 0.3
+_HALF: Final = 0.5
+_LOUD: Final = 1.5
+"""A good servo that passes its thresholds by so much is none."""
+_WORTH_TELLING: Final = 0.02
+_TWINS: Final = (("stuck", "floating", 0.1), ("floating", "stuck", 0.3), ("bias", "deadband", 0.25))
+"""Faults that look like others: a geared servo without power stays where it is, air pushes play to one side."""
+_FLYING: Final = 0.1
+_WIDEST_PLAY_DEG: Final = 8.0
+_LOOSE: Final = 0.3
+_LEAST_STILL_DEG: Final = 0.05
 _STRANGE, _UNEXPLAINED = 2.0, 0.55
 """Misfit for each sample, and the share of what a good servo does not do, that no hypothesis may leave."""
 _ENDED = 1.0
@@ -170,21 +181,16 @@ def _ranked(window: _Window) -> list[_Guess]:
     best: dict[str, _Guess] = {}
     for guess in sorted(guesses, key=lambda each: sum(each.cost)):
         best.setdefault(guess.kind, guess)
-    scale = _misfit(window, best.values())
-    return sorted(best.values(), key=lambda guess: _score(window, guess, scale))
+    return sorted(best.values(), key=lambda guess: _score(window, guess))
 
 
-def _misfit(window: _Window, guesses: Iterable[_Guess]) -> float:
-    """Misfit of the best guess for each sample, at least 1."""
-    return max(min(guess.cost[0] for guess in guesses) / max(window.count - 2, 1), 1.0)
-
-
-def _score(window: _Window, guess: _Guess, scale: float) -> float:
+def _score(window: _Window, guess: _Guess) -> float:
     """Minus the logarithm of how likely it is."""
     counted = max(_COUNTED * window.count, 2.0)
     misfit, apart = guess.cost
     doubt = _ALARMED if guess.kind == "healthy" else 0.0
-    return 0.5 * (_COUNTED * misfit / scale + apart) + 0.5 * guess.freedom * float(np.log(counted)) + doubt
+    each = max(misfit / max(window.count - 2, 1), 1.0)
+    return 0.5 * (counted * float(np.log(each)) + apart) + 0.5 * guess.freedom * float(np.log(counted)) + doubt
 
 
 def _guesses(window: _Window) -> Iterator[_Guess]:
@@ -277,64 +283,67 @@ def _oscillating(window: _Window, error_deg: FloatArray, slopes: FloatArray) -> 
 def _immobile(window: _Window) -> Iterator[_Guess]:
     """The command means nothing: at rest, at an end, or moved by the air alone."""
     used = window.used
-    measured = window.measured_deg[used]
-    still = np.maximum(window.known.noise.still_deg, 0.02)
-    value = float(np.median(measured))
-    play = window.known.parameters["play_deg"]
-    loose = np.hypot(still, 0.3 * play)
-    spread = float(np.std(measured))
-    rest = np.clip((measured - value) / loose, -_LOG_CLIP, _LOG_CLIP)
-    new = window.noise.innovation
-    cost = float((rest**2).sum())
-    low, high = window.known.reach_deg
+    measured_deg = window.measured_deg
+    known = window.known
+    value = float(np.median(measured_deg[used]))
+    still = np.hypot(known.noise.still_deg, _LOOSE * known.parameters["play_deg"])
+    ratio = float(np.median(window.sigma_deg[used])) / float(np.hypot(still, _LEAST_STILL_DEG))
+    low, high = known.reach_deg
     at_stop = value > high - _AT_STOP_DEG or value < low + _AT_STOP_DEG
-    kind = "hardover" if at_stop else "stuck"
-    moved = {"position_deg": Estimate.of(value, still / np.sqrt(measured.size) / new)}
-    yield _Guess(kind, (cost, 0.0), 1, moved, added=("constant", np.array([value])))
-    t = window.time_s[used] - window.time_s[used].mean()
-    span = max(float(np.ptp(t)), 1.0)
-    basis = np.stack([np.ones(t.size), t / span, (t / span) ** 2], axis=1)
-    fitted = np.linalg.lstsq(basis, measured, rcond=None)[0]
-    left = max(float(np.std(measured - basis @ fitted)), float(loose))
-    cost = measured.size * (1.0 + 2.0 * float(np.log(left / loose)))
-    amplitude = max(1.4 * spread, still)
-    yield _Guess(
-        "floating", (cost, 0.0), 4, {"amplitude_deg": Estimate.of(amplitude, 0.3 * amplitude)},
-        added=("constant", np.array([value])),
-    )  # fmt: skip
+    rest = window.whitened(measured_deg - value) * min(ratio, 1.0)
+    moved = {"position_deg": Estimate.of(value, float(still) / np.sqrt(window.count) / window.noise.innovation)}
+    constant = ("constant", np.array([value]))
+    yield _Guess("hardover" if at_stop else "stuck", (float(rest @ rest), 0.0), 1, moved, added=constant)
+    span_s = max(float(np.ptp(window.time_s)), 1.0)
+    share = (window.time_s - window.time_s.mean()) / span_s
+    basis = np.stack([np.ones(share.size), share, share**2, share**3, window.record.load[window.rows]], axis=1)
+    best = np.linalg.lstsq(basis[used], measured_deg[used], rcond=None)[0]
+    rest = window.whitened(measured_deg - basis @ best) * min(ratio, 1.0)
+    amplitude = max(1.4 * float(np.std(measured_deg[used])), float(still))
+    size = {"amplitude_deg": Estimate.of(amplitude, 0.3 * amplitude)}
+    yield _Guess("floating", (float(rest @ rest), 0.0), 5, size, added=constant)
 
 
 def _verdict(
     window: _Window, guesses: list[_Guess], ratio: float
 ) -> tuple[str, float, tuple[str, ...], dict[str, Estimate]]:
     """Kind, probability, alternatives and sizes."""
-    scale = _misfit(window, guesses)
-    scores = np.array([_score(window, guess, scale) for guess in guesses])
+    scores = np.array([_score(window, guess) for guess in guesses])
     odds = np.exp(-(scores - scores.min()))
-    shares = odds / odds.sum()
+    shares = {guess.kind: float(share) for guess, share in zip(guesses, odds / odds.sum(), strict=True)}
     best = guesses[0]
-    kind, probability = best.kind, float(shares[0])
-    alternatives = tuple(g.kind for g, share in zip(guesses[1:], shares[1:], strict=True) if share > 0.02)
-    parameters = best.parameters
-    floating = next((guess for guess in guesses if guess.kind == "floating"), None)
-    if floating is not None and kind == "loss_of_effectiveness" and best.parameters["gain"].value < _LOST_GAIN:
-        kind, parameters = "floating", floating.parameters
-        probability, alternatives = min(probability, 0.7), ("stuck", *alternatives)
+    kind = best.kind
+    if kind == "loss_of_effectiveness" and best.parameters["gain"].value < _LOST_GAIN:
+        shares["floating"] += _HALF * shares[kind]
+        shares["stuck"] = shares.get("stuck", 0.0) + (1.0 - _HALF) * shares.pop(kind)
+        kind = "floating"
+    for one, twin, share in _TWINS:
+        if one == kind and (one != "bias" or _may_be_play(window, best)):
+            given = share * shares[one]
+            shares[one] -= given
+            shares[twin] = shares.get(twin, 0.0) + given
     healthy = next(guess for guess in guesses if guess.kind == "healthy")
+    alternatives = tuple(
+        name
+        for name, share in sorted(shares.items(), key=lambda item: -item[1])
+        if share > _WORTH_TELLING and name not in (kind, "healthy")
+    )[:3]
+    probability = shares[kind]
     excess = sum(healthy.cost) - window.count
     gained = sum(healthy.cost) - sum(best.cost)
-    if kind != "healthy" and scale > _STRANGE and gained < (1.0 - _UNEXPLAINED) * excess:
-        return "unknown", max(0.5, 1.0 - probability), tuple(dict.fromkeys((kind, *alternatives)))[:3], {}
-    twins = {"stuck": "floating", "floating": "stuck"}
-    if kind in twins and twins[kind] not in alternatives:
-        alternatives = (twins[kind], *alternatives)
-        probability = min(probability, 0.9)
-    alternatives = tuple(name for name in dict.fromkeys(alternatives) if name not in (kind, "healthy"))
+    if kind != "healthy" and best.cost[0] > _STRANGE * window.count and gained < (1.0 - _UNEXPLAINED) * excess:
+        return "unknown", max(0.5, 1.0 - probability), (kind, *alternatives)[:3], {}
     if kind == "healthy":
-        return "healthy" if ratio < 1.5 else "unknown", probability, alternatives[:3], {}
+        return "healthy" if ratio < _LOUD else "unknown", probability, alternatives, {}
     if probability < _SURE:
         return "unknown", probability, (kind, *alternatives)[:3], {}
-    return kind, probability, alternatives[:3], parameters
+    return kind, probability, alternatives, best.parameters
+
+
+def _may_be_play(window: _Window, guess: _Guess) -> bool:
+    """Whether an offset may be play that the air pushes to one side: while it flies, up to so much."""
+    pushed = float(np.median(window.record.load[window.rows])) > _FLYING
+    return pushed and 2.0 * abs(guess.parameters["bias_deg"].value) < _WIDEST_PLAY_DEG
 
 
 def _likelier(watched: Watched, guess: _Guess, from_s: float, to_s: float) -> tuple[FloatArray, FloatArray]:

@@ -68,7 +68,7 @@ class Prior(NamedTuple):
 
 _PRIORS: Final = (
     Prior("gain", "", 1.0, 0.15, 0.05, 3.0, 0.012, 0.005),
-    Prior("bias_deg", "deg", 0.0, 2.0, -40.0, 40.0, 0.2, 0.05),
+    Prior("bias_deg", "deg", 0.0, 2.0, -40.0, 40.0, 0.25, 0.05),
     Prior("delay_s", "s", 0.03, 0.05, 0.0, 0.4, 0.006, 0.001),
     Prior("ln_bandwidth", "ln rad/s", 3.7, 0.8, 1.0, 5.7, 0.035, 0.02),
     Prior("ln_damping", "", 0.0, 0.35, -1.6, 1.6, 0.08, 0.02),
