@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import bz2
+import gzip
 import io
+import lzma
+import zipfile
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -34,10 +38,10 @@ from servofd.simulation.writers import write_flight
 from servofd.workflow import audit
 from tests.fuzz.harness import SEEDS
 from tests.live.vehicles import plane_file
-from tests.parsers import dataflash_writer, writers
+from tests.parsers import dataflash_writer, export_writer, writers
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
 __all__ = [
     "EFFECTS",
@@ -189,15 +193,37 @@ def _faser() -> Mapping[str, np.ndarray]:
 def logs_of(kind: str) -> list[bytes]:
     """Small files of one format; those in which servos move are judged as well."""
     sound = [SEEDS[name] for name in SEEDS if name in _ALIKE.get(kind, (kind,))]
-    if kind == "dataflash_text":
-        return [dataflash_writer.as_text(dataflash_writer.servo_flight(2.0)), *sound]
-    if kind == "matlab4":
-        return [writers.level4({name: ("f4", values) for name, values in _faser().items()}), *sound]
-    if kind == "matlab5":
-        return [writers.matlab(_faser()), writers.matlab(_faser(), compressed=True), *sound]
-    if kind == "hdf5":
-        return [writers.matlab73(_faser()), *sound]
-    return [_written(_SUFFIXES[kind]), *sound]
+    return [*(_MAKERS[kind]() if kind in _MAKERS else [_written(_SUFFIXES[kind])]), *sound]
+
+
+def _zipped(content: bytes) -> bytes:
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("flight", content)
+        archive.writestr("notes.txt", b"none")
+    return packed.getvalue()
+
+
+def _exported_matlab() -> list[bytes]:
+    log = encode(dataflash_writer.servo_flight(2.0))
+    return [export_writer.mavlogdump_mat(log), export_writer.mission_planner_mat(log)]
+
+
+def _exported_table() -> list[bytes]:
+    log = encode(dataflash_writer.servo_flight(2.0))
+    return [export_writer.mavlogdump(log, "--format", "csv", "--types", name) for name in ("CSRV", "RCOU")]
+
+
+_PACKERS = (gzip.compress, bz2.compress, lzma.compress, _zipped)
+_MAKERS: Mapping[str, Callable[[], list[bytes]]] = {
+    "dataflash_text": lambda: [dataflash_writer.as_text(dataflash_writer.servo_flight(2.0))],
+    "matlab4": lambda: [writers.level4({name: ("f4", values) for name, values in _faser().items()})],
+    "matlab5": lambda: [writers.matlab(_faser()), writers.matlab(_faser(), compressed=True)],
+    "hdf5": lambda: [writers.matlab73(_faser())],
+    "packed": lambda: [pack(_written(suffix)) for pack in _PACKERS for suffix in (".csv", ".bin")],
+    "exported_matlab": _exported_matlab,
+    "exported_table": _exported_table,
+}
 
 
 @cache
