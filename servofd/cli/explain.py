@@ -118,9 +118,11 @@ def _names(options: argparse.Namespace) -> str:
 
 def _save(options: argparse.Namespace, found: ExplainedLogs) -> None:
     from servofd.cli.tables import one_line
+    from servofd.job import logs_of
     from servofd.outputs.files import write_whole
     from servofd.outputs.model_file import model_file, not_better
 
     for surface, reason in not_better(found.explanations).items():
         print(f"servofd: {options.save}: {surface} stays as it was: {one_line(reason)}", file=sys.stderr)
-    write_whole(options.save, model_file(found.explanations, found.aircraft, found.source).encode())
+    logs = list(logs_of(options.logs, found.aircraft))
+    write_whole(options.save, model_file(found.explanations, found.aircraft, found.source, logs).encode())

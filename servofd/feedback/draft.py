@@ -145,7 +145,7 @@ def _draft(log: FlightLog, pair: Pair) -> DraftedSurface:
         command = _rescaled(command, fit)
         fit = replace(fit, gain=1.0, bias_deg=0.0)
         segment = _cut(log, pair, command, measured)
-    return DraftedSurface(pair, fit, command, measured, draft_tolerance(fit, segment))
+    return DraftedSurface(pair, fit, command, measured, draft_tolerance(fit.model, segment))
 
 
 def _cut(log: FlightLog, pair: Pair, command: dict[str, Any], measured: dict[str, Any]) -> Segment:

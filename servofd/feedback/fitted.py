@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -21,11 +21,14 @@ from servofd.servos import Servo
 from servofd.tolerance import Tolerance
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from logparsers.records import FlightLog
     from servofd.aircraft import Aircraft, Surface
+    from servofd.models.servo_model import ServoModel
     from servofd.segment import Segment
 
-__all__ = ["Drafted", "draft_tolerance", "fitted_aircraft", "fitted_servo"]
+__all__ = ["Drafted", "draft_tolerance", "fitted_aircraft", "fitted_servo", "good_levels"]
 
 _AROUND_S = 2.0
 _SMALLEST_GAIN, _LARGEST_GAIN = 0.3, 1.7
@@ -103,14 +106,57 @@ def _fitted(log: FlightLog, name: str, surface: Surface, key: str) -> tuple[Surf
             ends = tuple(fit.gain * end + fit.bias_deg for end in surface.command_saturation_deg)
             change["command_saturation_deg"] = ends
     fitted = plain.model_copy(update=change)
-    drafted = draft_tolerance(fit, cut(log, name, fitted))
+    drafted = draft_tolerance(fit.model, cut(log, name, fitted))
     if drafted is None:
         return plain, unfit
     levels = {"threshold": "interval", "tolerance": drafted.tolerance, "threshold_deg": drafted.level_deg}
     return fitted.model_copy(update=levels), servo
 
 
-def draft_tolerance(fit: RoughFit, segment: Segment) -> Drafted | None:
+def good_levels(aircraft: Aircraft, name: str, logs: Iterable[FlightLog]) -> dict[str, Any]:
+    """Entries of a surface that make good runs healthy: tolerances drafted from them, and where its model comes from.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+        With the model that was fitted to these runs.
+    name : str
+        Of the surface.
+    logs : iterable of FlightLog
+        The runs.
+    """
+    drafts, error_deg, moved_deg = [], [], []
+    model = aircraft.model(name)
+    for log in logs:
+        try:
+            segment = cut(log, name, aircraft.surfaces[name])
+            drafted = draft_tolerance(model, segment, all_of_it=True)
+            residuals = ResidualGenerator.fitting(model, segment).run(segment)
+        except (NoMeasurement, DesignError):
+            continue
+        if drafted is not None:
+            drafts.append(drafted)
+            error_deg.append(residuals.error_deg[residuals.settled])
+            moved_deg.append(residuals.measured_deg[residuals.settled])
+    if not drafts:
+        return {}
+    each = [drafted.tolerance.model_dump() for drafted in drafts]
+    power = float(np.mean(np.concatenate(error_deg) ** 2))
+    explained = 1.0 - power / max(float(np.var(np.concatenate(moved_deg))), 1e-300)
+    return {
+        "threshold": "interval",
+        "threshold_deg": max(drafted.level_deg for drafted in drafts),
+        "tolerance": {key: max(one[key] for one in each) for key in each[0]},
+        "suspicions": False,
+        "model": {
+            "origin": "fitted",
+            "held_out_rms_deg": round(float(np.sqrt(power)), 4),
+            "explained_share": round(min(explained, 1.0), 4),
+        },
+    }
+
+
+def draft_tolerance(model: ServoModel, segment: Segment, *, all_of_it: bool = False) -> Drafted | None:
     """Tolerances drafted from a log; None if nothing of it can be judged.
 
     No threshold that follows from them lies below the largest residual of the blocks that are alike, nor below one step
@@ -118,13 +164,15 @@ def draft_tolerance(fit: RoughFit, segment: Segment) -> Drafted | None:
 
     Parameters
     ----------
-    fit : RoughFit
+    model : ServoModel
         Servo, fitted to this log.
     segment : Segment
         One surface of the log, its command scaled as the fit says.
+    all_of_it : bool
+        Whether the log is known to be good, and blocks that stand out count as well.
     """
     try:
-        generator = ResidualGenerator.fitting(fit.model, segment)
+        generator = ResidualGenerator.fitting(model, segment)
     except DesignError:
         return None
     segment, residuals, _ = prepared(generator, segment)
@@ -137,9 +185,9 @@ def draft_tolerance(fit: RoughFit, segment: Segment) -> Drafted | None:
     base = Tolerance(noise_deg=max(round(noise_deg(residuals.error_deg[usual]), 4), 0.02))
     level = interval_threshold(generator, segment, residuals, base)
     beyond = excess(residuals.residual_deg, level.sigma_deg, level.tolerance_deg)
-    found = width(residuals.time_s[usual], beyond[usual])
+    found = width(residuals.time_s[usual], beyond[usual], float(beyond[usual].max()) if all_of_it else 1.0)
     steps_deg = step_deg(segment.command_deg) + step_deg(segment.measured_deg)
-    scale = max(found.scale, steps_deg / base.bias_deg)
+    scale = max(found.scale, 1.0, steps_deg / base.bias_deg)
     tolerance = _scaled(base, scale)
     inside = usual & (beyond <= found.usual)
     drafted = interval_threshold(generator, segment, residuals, tolerance)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from servofd.feedback.fitted import good_levels
 from servofd.models.catalogue import CATALOGUE, OWN, Bias, Delay, Gain
 from servofd.models.effect_table import table_of
 from servofd.models.physics import INSIDE
@@ -14,6 +15,7 @@ from servofd.toml_text import toml_key, toml_lines
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from logparsers.records import FlightLog
     from servofd.aircraft import Aircraft
     from servofd.discrepancy.explanation import Explanation
     from servofd.models.effect_table import EffectTable
@@ -28,7 +30,7 @@ _SCALES = {"slow_dynamics": "bandwidth_scale", "damping": "damping_scale"}
 _GROUPS = ("surfaces", "servos")
 
 
-def model_file(found: Sequence[Explanation], aircraft: Aircraft, source: str) -> str:
+def model_file(found: Sequence[Explanation], aircraft: Aircraft, source: str, logs: Sequence[FlightLog] = ()) -> str:
     """Text of an aircraft file whose surfaces have what was missing; what has no better model stays as it was.
 
     Parameters
@@ -39,6 +41,8 @@ def model_file(found: Sequence[Explanation], aircraft: Aircraft, source: str) ->
         The aircraft as it was known.
     source : str
         Where the data came from.
+    logs : sequence of FlightLog
+        The runs themselves, which are good: tolerances are drafted from them.
     """
     document = aircraft.model_dump(exclude_none=True, exclude_defaults=True)
     kept = not_better(found)
@@ -52,6 +56,9 @@ def model_file(found: Sequence[Explanation], aircraft: Aircraft, source: str) ->
             f"# Found by servofd explain in {' '.join(source.split())}: {one.surface}: {', '.join(final.names)}.",
             f"# Held-out error of {one.surface}: {before:.4g} deg rms before, {after:.4g} with this model.",
         ]
+    better = type(aircraft).model_validate(document)
+    for one in (each for each in found if each.surface not in kept):
+        document["surfaces"][one.surface] |= good_levels(better, one.surface, logs)
     return "\n".join(lines) + "\n\n" + "\n".join(_toml(document)).lstrip("\n") + "\n"
 
 
