@@ -41,6 +41,9 @@ _DELAYS_S = (0.0, 0.04, 0.08, 0.12, 0.16, 0.2, 0.25, 0.3, 0.4)
 _WINDOW_PER_CORNER = 1.4
 """Windows shorter than so many periods of the filter's corner hold no more than one ripple."""
 _WHITENINGS = (0, 2)
+_WELL_EXPLAINED = 0.5
+"""Share of the command's effect from which on a form is judged by how soon it shows a loss; a worse one measures
+gusts that the autopilot answers."""
 _LEAST_SECONDS = 60.0
 _COLOUR_SAMPLES = 30
 """Sums over so many samples tell what the colour of the residual makes of its variance."""
@@ -89,7 +92,8 @@ def calibrate_motion(flights: Sequence[Motion], *, false_alarms_per_hour: float 
     for name in AXES:
         forms = [form for form in FORMS.values() if form.axis == name and _drives(flights, form)]
         tried = [trial for form in forms for trial in setting.trials(form)]
-        best = min(tried, key=lambda trial: trial.delay_s(trial.tail.level(per_hour)), default=None)
+        well = [trial for trial in tried if trial.model.explained >= _WELL_EXPLAINED] or tried
+        best = min(well, key=lambda trial: trial.delay_s(trial.tail.level(per_hour)), default=None)
         if best is not None and best.model.explained > 0.0:
             axes[name] = setting.learning(best, per_hour)
     if not axes:

@@ -56,6 +56,7 @@ def run_axes(options: argparse.Namespace, text: str = "") -> int:
 
 
 def _print(model: MotionModel, output: str) -> None:
+    from servofd.axes.names import SURFACE_AXES
     from servofd.cli.tables import print_table
 
     rows = [
@@ -90,6 +91,9 @@ def _print(model: MotionModel, output: str) -> None:
     print_table(headings, rows, title)
     low, high = model.regime.airspeed_low_m_s, model.regime.airspeed_high_m_s
     print(f"judged between {low:.0f} and {high:.0f} m/s, with at least {model.regime.throttle_low:.0%} throttle")
+    for name in SURFACE_AXES:
+        if name not in model.axes:
+            print(f"{name}: not judged: its command is not logged, or explains nothing of the motion of other days")
     for name, axis in model.axes.items():
         if not axis.own_command:
             print(f"{name}: its command never moved on its own: fly a wiggle of it alone to have it judged")

@@ -117,8 +117,20 @@ def finish(*all_axes: Axes, legend: str = "beside") -> None:
     for axes in all_axes:
         axes.grid(visible=True, color="0.9")
         axes.spines[["top", "right"]].set_visible(False)
+        for axis in (axes.xaxis, axes.yaxis):
+            if axis.get_scale() == "log":
+                axis.set_major_formatter("{x:g}")  # the usual one writes formulas
         count = len(axes.get_legend_handles_labels()[1])
         if count and legend == "beside":
             axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
         elif count:
-            axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=count, frameon=False, borderaxespad=0.2)
+            axes.legend(
+                loc="lower left",
+                bbox_to_anchor=(0.0, 1.0),
+                ncols=count,
+                frameon=False,
+                borderaxespad=0.2,
+                handlelength=1.5,
+                columnspacing=1.0,
+                fontsize=9,
+            )
