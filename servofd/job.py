@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,9 +11,9 @@ from servofd.aircraft import UNKNOWN_SERVO, Aircraft, load_aircraft, plain_aircr
 from servofd.errors import ConfigError, NoMeasurement
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterator
 
-    from logparsers import FlightLog
+    from logparsers import FlightLog, LogFile
 
 __all__ = ["aircraft_for", "flown_aircraft", "known_aircraft", "layout_of", "logs_of", "one_log", "surfaces_of"]
 
@@ -32,12 +33,12 @@ def known_aircraft(aircraft: Aircraft | str | Path | None) -> Aircraft | None:
     return aircraft
 
 
-def logs_of(paths: str | Path | Iterable[str | Path], aircraft: Aircraft | None = None) -> Iterator[FlightLog]:
+def logs_of(paths: LogFile | Sequence[LogFile], aircraft: Aircraft | None = None) -> Iterator[FlightLog]:
     """Every run of every log of an aircraft, in order.
 
     Parameters
     ----------
-    paths : str, Path or iterable of them
+    paths : str, Path, binary file or sequence of them
         The logs.
     aircraft : Aircraft, optional
         Tells how its tables are to be read.
@@ -52,7 +53,8 @@ def logs_of(paths: str | Path | Iterable[str | Path], aircraft: Aircraft | None 
     >>> [round(log.duration_s) for log in logs_of("sample_logs/faser_healthy_flight.mat")]
     [40]
     """
-    for path in [paths] if isinstance(paths, str | Path) else paths:
+    several = paths if isinstance(paths, Sequence) and not isinstance(paths, str) else [paths]
+    for path in several:
         yield from logparsers.read_all(path, layout_of(aircraft))
 
 

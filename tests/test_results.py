@@ -67,7 +67,7 @@ def test_a_table_is_judged_as_its_file() -> None:
 def test_runs_come_one_after_the_other(tmp_path: Path) -> None:
     table = pd.read_csv(ROOT / "sample_logs" / "table_three_faults.csv")
     twice = pd.concat([table.assign(run="first"), table.assign(run="second")])
-    found = servofd.audit(twice, surfaces=("rudder",))
+    found = servofd.audit(twice, servo="hs225bb-eq31", surfaces=("rudder",))
     assert isinstance(found, servofd.Audits)
     assert found.to_pandas()["run"].tolist() == ["first", "second"]
     assert repr(found).count("OFF BY +2.5 deg") == 2

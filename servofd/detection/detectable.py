@@ -137,7 +137,7 @@ class _Judge:
     def needed(self, signal: FloatArray) -> FloatArray:
         """Size that a fault of each onset needs, if it adds this much for each unit of its size."""
         added = signal[self.use]
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             size = (self.level_deg - np.sign(added) * self.residual_deg) / np.abs(added)
         size = np.where(np.isfinite(size), np.maximum(size, 0.0), 1e9)
         needed: FloatArray = np.minimum.accumulate(size[::-1])[::-1][self.onsets]

@@ -29,7 +29,7 @@ def write(path: Path, command_deg: FloatArray, measured_deg: FloatArray, rate_hz
 
 
 def elevator(path: str, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
-    main(["audit", path, "--json", "-"])
+    main(["audit", path, "--servo", "hs225bb-eq31", "--json", "-"])
     verdict: dict[str, Any] = json.loads(capsys.readouterr().out)["logs"][0]["surfaces"]["elevator"]
     return verdict
 

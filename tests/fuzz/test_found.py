@@ -61,7 +61,7 @@ def test_names_that_no_file_can_have(name: str) -> None:
 def test_a_threshold_that_nothing_reaches(threshold_deg: float, tmp_path: Path) -> None:
     path = tmp_path / "flight.csv"
     path.write_bytes(seeds.logs_of("table")[0])
-    (found,) = audit(path, threshold_deg=threshold_deg)
+    (found,) = audit(path, servo="hs225bb-eq31", threshold_deg=threshold_deg)
     assert not any(surface.faults for surface in found.surfaces)
     assert all(surface.statistics for surface in found.surfaces)
 
@@ -70,7 +70,7 @@ def test_a_threshold_that_nothing_reaches(threshold_deg: float, tmp_path: Path) 
 def test_a_recording_whose_numbers_no_servo_reaches(curve: str, tmp_path: Path) -> None:
     path = tmp_path / "flight.csv"
     path.write_bytes(seeds.logs_of("table")[0])
-    (found,) = audit(path, surfaces=("elevator",))
+    (found,) = audit(path, servo="hs225bb-eq31", surfaces=("elevator",))
     recording = recording_of(found)
     values = getattr(recording.traces["elevator"], curve).copy()
     values[20] = -1e308

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import socket
 import struct
 import threading
@@ -44,7 +45,9 @@ FAULTS = {"elevator": Stuck(10.0), "rudder": Bias(18.0, bias_deg=3.0)}
 def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("plane") / "plane.toml"
     healthy = logparsers.read(io.BytesIO(telemetry_log(flown(rate_hz=40.0, duration_s=SECONDS), PLANE)))
-    path.write_text(draft_to_toml(draft_aircraft(healthy)))
+    drafted = draft_to_toml(draft_aircraft(healthy))
+    # Less is said of a servo that was fitted to the log than of one that was chosen.
+    path.write_text(re.sub(r"^model = .*\n", "", drafted, flags=re.MULTILINE))
     return path
 
 
