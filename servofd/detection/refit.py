@@ -58,6 +58,8 @@ _ENDED = 1.0
 """Seconds of one standard deviation by which the healthy servo must explain better what comes after an end."""
 _AFTER_END_S = 3.0
 _LOG_CLIP = 25.0
+_NO_NEWS = 0.2
+"""By so little a fault may explain a sample better, and yet not have begun."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -367,7 +369,7 @@ def _start_s(watched: Watched, guess: _Guess, alarm_s: float, earliest_s: float)
     time_s, gain = _likelier(watched, guess, max(alarm_s - _BEFORE_S, earliest_s), alarm_s + 1.0)
     if time_s.size == 0:
         return alarm_s
-    since = np.cumsum(gain[::-1])[::-1]
+    since = np.cumsum((gain - _NO_NEWS)[::-1])[::-1]
     if since.max() <= 0.0:
         return alarm_s
     return float(min(time_s[int(np.argmax(since))], alarm_s))
