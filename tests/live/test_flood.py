@@ -34,7 +34,7 @@ def test_an_alarm_comes_through_a_flood(tmp_path: Path) -> None:
     config, lines, port = tmp_path / "plane.toml", tmp_path / "events.jsonl", free_port()
     config.write_text(plane_file())
     words = ["monitor", f"udpin:127.0.0.1:{port}", "-c", str(config), "--plain", "--json-lines", str(lines)]
-    plane = vehicle(lively(DURATION_S=DURATION_S, stuck_s=DURATION_S / 2.0), message_hz=40.0)
+    plane = vehicle(lively(duration_s=DURATION_S, stuck_s=DURATION_S / 2.0), message_hz=40.0)
     codec, other = Codec(1, 1), Codec(1, 158)
     loud = {"time_boot_ms": 1, "name": "NOISE", "value": 1.0}
     datagram = b"".join(other.encode("NAMED_VALUE_FLOAT", loud) for _ in range(FRAMES_A_DATAGRAM))
