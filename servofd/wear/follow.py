@@ -111,7 +111,12 @@ def follow(surface: str, flights: Sequence[tuple[int, FlightEstimate]], wear: We
     bounds = sorted({*bounds, *(event.first for event in events if event.kind == "swap")})
     quantities = {name: _quantity(name, one, bounds, wear.limits.get(name)) for name, one in series.items()}
     last = flights[-1][1]
-    missing = {name: last.missing.get(name, "not in these flights") for name in QUANTITIES if name not in series}
+    of_axis = any(QUANTITIES[name].of_axis for name in series)
+    missing = {
+        name: last.missing.get(name, "not in these flights")
+        for name, what in QUANTITIES.items()
+        if name not in series and what.of_axis == of_axis
+    }
     serials = _serials(bounds, dict(known), wear)
     place: Place = "linkage" if in_linkage else "servo"
     return SurfaceTrend(surface, place, serials, quantities, tuple(events), missing, notes)

@@ -9,7 +9,7 @@ import numpy as np
 if TYPE_CHECKING:
     from servofd.aircraft import Aircraft
 
-__all__ = ["limits_of", "telling_steps"]
+__all__ = ["AXIS_LIMITS", "limits_of", "telling_steps"]
 
 _TOLERANCES = 3.0
 _DELAYS = 5.0
@@ -17,6 +17,8 @@ _DELAYS = 5.0
 _TELLING = 0.5
 """A servo that changed by less than half of what a healthy one may differ by has not changed."""
 _TELLING_WIDTH_DEG = 0.1
+AXIS_LIMITS = {"effect": 0.75, "offset_us": 60.0}
+"""Of an axis: a quarter of its effect is gone, or an eighth of the usual travel goes into its trim."""
 
 
 def limits_of(aircraft: Aircraft, surface: str) -> dict[str, float]:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from logparsers import LogError
-from servofd.errors import ConfigError, ServofdError
+from servofd.detection.bank.explanation import Estimate
+from servofd.errors import ConfigError, NoMeasurement, ServofdError
 from servofd.fleet.fetch import fetched
 from servofd.job import logs_of
 from servofd.segment import cut
@@ -22,11 +23,13 @@ if TYPE_CHECKING:
 
     from logparsers import FlightLog
     from servofd.aircraft import Aircraft
+    from servofd.axes.schema import MotionModel
     from servofd.fleet.find import LogSource
     from servofd.segment import Segment
 
 __all__ = ["FlownLog", "Order", "check_one_aircraft", "estimate_log", "in_order"]
 
+_NORMAL_95 = 1.96
 _VOLTAGES = ("servo_voltage_v", "POWR.Vservo")
 _SYSTEM_IDS = ("MAV_SYSID", "SYSID_THISMAV")
 
@@ -85,7 +88,30 @@ def _of_run(log: FlightLog, path: str, aircraft: Aircraft, surfaces: tuple[str, 
             problems.append(f"{name}: {error}")
             continue
         flights.append(FlightEstimate(path, log.run, name, log.start_utc, log.duration_s, *estimated))
+    if aircraft.motion is not None and not surfaces:
+        try:
+            flights += _axes(log, path, aircraft.motion)
+        except NoMeasurement as error:
+            problems.append(f"axes: {error}")
     return FlownLog(path, log.run, log.start_utc, _identity(log), tuple(flights), tuple(problems))
+
+
+def _axes(log: FlightLog, path: str, motion: MotionModel) -> list[FlightEstimate]:
+    """What the motion of a flight tells of each axis: the effect that was left, and where it stood."""
+    from servofd.axes.judge import judge_motion
+    from servofd.axes.read import motion_of
+
+    found = []
+    for audit in judge_motion(motion, motion_of(log, motion.rate_hz, motion.parameters)):
+        values, missing = {}, {}
+        for name, between in (("effect", audit.lost_share), ("offset_us", audit.offset_us)):
+            if between is None or not audit.is_expected:
+                missing[name] = audit.reason
+                continue
+            sigma = (between.high - between.low) / 2.0 / _NORMAL_95
+            values[name] = Estimate.of(1.0 - between.value if name == "effect" else between.value, sigma)
+        found.append(FlightEstimate(path, log.run, audit.axis, log.start_utc, log.duration_s, values, missing))
+    return found
 
 
 def _voltage_v(log: FlightLog, segment: Segment) -> float | None:

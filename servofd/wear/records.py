@@ -26,6 +26,8 @@ class Quantity:
     scale: float = 1.0
     """From the number to what is shown in `unit`."""
     digits: int = 2
+    of_axis: bool = False
+    """Told by the motion of an aircraft whose servos report nothing."""
 
 
 QUANTITIES: Mapping[str, Quantity] = MappingProxyType(
@@ -41,6 +43,8 @@ QUANTITIES: Mapping[str, Quantity] = MappingProxyType(
             Quantity("noise_deg", "noise of the position", "deg", "up", digits=3),
             Quantity("residual_p95_deg", "residual, 95th percentile", "deg", "up", digits=3),
             Quantity("margin", "threshold margin", "%", "down", 100.0, 0),
+            Quantity("effect", "effect that is left", "%", "down", 100.0, 0, of_axis=True),
+            Quantity("offset_us", "offset", "us", "away", digits=0, of_axis=True),
         )
     }
 )

@@ -15,7 +15,7 @@ from servofd.fleet.find import find_logs
 from servofd.fleet.local import run_local
 from servofd.job import layout_of
 from servofd.wear.follow import SurfaceTrend, Wear, follow
-from servofd.wear.limits import limits_of, telling_steps
+from servofd.wear.limits import AXIS_LIMITS, limits_of, telling_steps
 from servofd.wear.logs import FlownLog, Order, check_one_aircraft, estimate_log, in_order
 
 if TYPE_CHECKING:
@@ -136,6 +136,10 @@ def trend_of(
         flights = [(number, flight) for number, log in numbered for flight in log.flights if flight.surface == name]
         if flights:
             surfaces.append(follow(name, flights, _wear(aircraft, name)))
+    for name in aircraft.motion.axes if aircraft.motion is not None else ():
+        flights = [(number, flight) for number, log in numbered for flight in log.flights if flight.surface == name]
+        if flights:
+            surfaces.append(follow(name, flights, Wear(AXIS_LIMITS, {})))
     untold = (*problems, *(log.path for log in logs if not log.flights))
     return AircraftTrend(aircraft.name, order, tuple(surfaces), tuple(reasons), untold, skipped)
 
