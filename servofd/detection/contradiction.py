@@ -257,17 +257,16 @@ def _best_slope(flight: _Flight, rows: slice) -> tuple[float, float]:
 
     An offset that comes within the window is left out of account.
     """
-    time_s = flight.time_s[rows]
-    later = time_s >= _left_s(flight, rows)
-    moved = _about_means(flight.measured_deg[rows], later)
+    time_s, left_s = flight.time_s[rows], _left_s(flight, rows)
     best = (0.0, 0.0)
-    for lag_s in (-0.1, 0.0, 0.1, 0.2, 0.35, 0.5):
-        asked = _about_means(np.interp(time_s - lag_s, flight.time_s, flight.healthy_deg), later)
-        spread = np.array([[asked @ asked, asked @ moved], [asked @ moved, moved @ moved]])
-        explained = float(spread[0, 1] ** 2 / max(spread[0, 0] * spread[1, 1], 1e-300))
-        slope = float(spread[0, 1] / max(spread[0, 0], 1e-300))
-        if explained > best[1]:
-            best = (slope, explained)
+    for later in (time_s >= left_s, np.ones(time_s.size, dtype=bool)):
+        moved = _about_means(flight.measured_deg[rows], later)
+        for lag_s in (-0.1, 0.0, 0.1, 0.2, 0.35, 0.5):
+            asked = _about_means(np.interp(time_s - lag_s, flight.time_s, flight.healthy_deg), later)
+            common, asked2, moved2 = float(asked @ moved), float(asked @ asked), float(moved @ moved)
+            explained = common**2 / max(asked2 * moved2, 1e-300)
+            if explained > best[1]:
+                best = (common / max(asked2, 1e-300), explained)
     return best
 
 
@@ -354,7 +353,7 @@ def _union_s(stretches: list[_Stretch]) -> float:
 
 def _as_fault(group: list[_Stretch], end_s: float) -> Fault:
     lasted = {kind: _union_s([s for s in group if s.kind == kind]) for kind in _KINDS}
-    kind = max(_KINDS, key=lasted.__getitem__)
+    kind = max((s.kind for s in group), key=lambda kind: (lasted[kind], -_KINDS.index(kind)))
     owner = max((s for s in group if s.kind == kind), key=lambda s: s.end_s - s.start_s)
     others = tuple(k for k in _KINDS if k != kind and lasted[k] > 0.0)
     last_s = max(s.end_s for s in group)
