@@ -50,7 +50,7 @@ Row = dict[str, Any]
 _PAGE: Final = """# Calibrated, on strangers' aircraft
 
 Made by `benchmarks/calibration_campaign.py --table`. Aircraft of odd seed of `benchmarks/strangers.py` (motor-level
-servos, good and cheap; friction, play, supply, frames, sensors and feedback rates drawn; an autopilot in the loop), each
+servos, good and cheap; friction, play, supply, frames, sensors, rates drawn; an autopilot in the loop), each
 calibrated on one mixed flight of four minutes; then ten healthy and 21 faulty flights of two minutes each. The
 constants of servofd were chosen on aircraft of even seed. Intervals are of 95 %. *Found* is an alarm after the onset,
 whatever the flight showed: in cruise and loiter some faults cannot show, and the verdict is then `unknown` or says what
