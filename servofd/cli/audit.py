@@ -59,6 +59,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--threshold", choices=["constant", "interval"], help="kind (default: constant)")
     parser.add_argument("--json", metavar="FILE", help="write the result as JSON; - prints it instead of the table")
     parser.add_argument("--html", metavar="FILE", help="write a page that can be sent by mail")
+    parser.add_argument("--plot", action="store_true", help="draw each residual against its threshold in the terminal")
     parser.add_argument("--rrd", metavar="FILE", help="write a Rerun recording (of one log)")
     parser.add_argument("--include-position", action="store_true", help="tell in the recording where it flew")
     parser.add_argument("--map", action="store_true", help="show it there on a map from openstreetmap.org")
@@ -84,7 +85,37 @@ def run(options: argparse.Namespace) -> int:
         print_json(results)
     else:
         _print(results)
+        if options.plot:
+            _plot(results)
     return exit_code(results)
+
+
+def _plot(results: list[LogAudit | FailedLog]) -> None:
+    """A line for each surface and axis: how near it came to its threshold over the flight."""
+    import numpy as np
+
+    from servofd.cli.tables import one_line
+    from servofd.detection.statistics import outline
+    from servofd.outputs.json_report import FailedLog
+    from servofd.outputs.sparkline import sparkline
+
+    for result in results:
+        if isinstance(result, FailedLog):
+            continue
+        lines = []
+        for one in result.surfaces:
+            if one.residuals is not None and one.threshold is not None:
+                residuals = one.residuals
+                residual_deg = np.where(residuals.settled, residuals.residual_deg, np.nan)
+                lines.append((one.surface, outline(residuals.time_s, residual_deg, one.threshold.level_deg)))
+        for axis in result.axes:
+            distance = np.where(axis.inputs.usable, np.sqrt(np.maximum(axis.score, 0.0)), np.nan)
+            lines.append((axis.axis, outline(axis.time_s, distance, np.ones(distance.size))))
+        width = max((len(one_line(name)) for name, _ in lines), default=0)
+        for name, shares in lines:
+            print(f"{one_line(name):{width}}  {sparkline(shares)}")
+        if lines:
+            print("residual over threshold: ▁▂▃▄ below, ▅▆▇█ above it; a dot where nothing was judged")
 
 
 def check(options: argparse.Namespace) -> None:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from servofd.outputs.recording.axes import axis_tab
 from servofd.outputs.recording.scene import GEO
 from servofd.outputs.recording.stream import surface_place
 from servofd.outputs.recording.surface import deflection_range, residual_range
@@ -37,6 +38,7 @@ def audit_layout(recording: Recording) -> Any:  # noqa: ANN401 - rerun is untype
     shown = {name: trace for name, trace in recording.traces.items() if trace.time_s.size}
     tabs = [_overview([surface.surface for surface in recording.audit.surfaces], list(shown))]
     tabs += [_surface(name, deflection_range(trace), residual_range(trace)) for name, trace in shown.items()]
+    tabs += [axis_tab(axis) for axis in recording.audit.axes]
     if shown:
         tabs.append(_aircraft(recording))
     return blueprint(tabs)

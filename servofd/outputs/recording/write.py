@@ -17,6 +17,7 @@ import numpy as np
 
 from servofd.onboard.seen import seen_of
 from servofd.outputs.palette import SERIES
+from servofd.outputs.recording.axes import send_axis
 from servofd.outputs.recording.clock import Clock
 from servofd.outputs.recording.content import Recording
 from servofd.outputs.recording.layout import ALARM_LINE, REPORT, audit_layout
@@ -107,6 +108,8 @@ def fill(recorder: Recorder, recording: Recording) -> None:
         send_surface(recorder, surface, recording.traces.get(surface.surface), recording.start_s, tint)
         if surface.surface in recording.on_board:
             send_on_board(recorder, surface.surface, recording.on_board[surface.surface])
+    for axis in recording.audit.axes:
+        send_axis(recorder, axis)
     if any(trace.time_s.size for trace in recording.traces.values()):
         recorder.lines(ALARM_LINE, ["threshold"], ["threshold"])
         recorder.scalars(ALARM_LINE, np.array([recording.start_s, recording.end_s]), np.ones(2))
@@ -116,7 +119,9 @@ def fill(recorder: Recorder, recording: Recording) -> None:
 def report(recording: Recording) -> str:
     """Verdicts as Markdown."""
     audit = recording.audit
-    rows = "\n".join(f"| {_cell(s.surface)} | {s.status} | {_cell(s.reason)} |" for s in audit.surfaces)
+    told = [(s.surface, s.status, s.reason) for s in audit.surfaces]
+    told += [(axis.axis, axis.status, axis.reason) for axis in audit.axes]
+    rows = "\n".join(f"| {_cell(name)} | {status} | {_cell(reason)} |" for name, status, reason in told)
     damage = "\n".join(f"- {d.kind}: {d.note}" for d in audit.log.damage_summary) or "none"
     notes = "".join(f"{note}\n\n" for note in recording.notes)
     return (
