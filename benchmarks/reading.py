@@ -20,16 +20,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 os.environ["MAVLINK20"] = "1"
 
 from pymavlink import DFReader, mavutil
 from pyulog import ULog
 
 import logparsers
-from benchmarks.dataflash import make_log
-from benchmarks.tlog import frame, message
+from dataflash import make_log
 from logparsers.mavlink import dialect
+from tlog import frame, message
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -175,12 +174,12 @@ def first_s(path: Path) -> float:
 
     def spent_s(code: str) -> float:
         before = os.times()
-        subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).resolve().parents[1])
+        subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).resolve().parent)
         after = os.times()
         return after.children_user + after.children_system - before.children_user - before.children_system
 
-    reads = f"from benchmarks.reading import ours; from pathlib import Path; ours(Path({str(path)!r}))"
-    return spent_s(reads) - spent_s("import benchmarks.reading")
+    reads = f"from reading import ours; from pathlib import Path; ours(Path({str(path.resolve())!r}))"
+    return spent_s(reads) - spent_s("import reading")
 
 
 def main() -> None:
