@@ -76,6 +76,7 @@ ONLY_IN = {
         "servofd/detection/bank/altered.py",
         "servofd/models/loop_steps.py",
         "servofd/models/position_loop.py",
+        "servofd/simulation/airframe.py",
         "logparsers/compiled.py",
     },
     "pymavlink": {"logparsers/codec.py", "logparsers/mavlink.py"},
