@@ -36,7 +36,7 @@ __all__ = ["SurfaceMonitor"]
 
 _NAMED_S = 2.0
 """A name follows its alarm within so long, or is not told."""
-_LOOKS_S = (0.5, 1.0, 1.75, 6.0)
+_LOOKS_S = (0.25, 0.5, 1.0, 1.75, 6.0)
 """How long after an alarm the bank looks at it; the last one that may name it leaves the bank time to think,"""
 _LOOKS_AGAIN_S = 30.0
 """and how often after that."""

@@ -8,6 +8,10 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from servofd.aircraft import plain_aircraft
+from servofd.detection.monitor import SurfaceMonitor
 from servofd.live.alerts import Alerts
 from servofd.live.channels import ChannelTable
 from servofd.live.remote_log import RemoteLog
@@ -20,7 +24,6 @@ if TYPE_CHECKING:
     from logparsers.codec import Codec, Heard
     from servofd.aircraft import Aircraft
     from servofd.detection.events import Event, Look
-    from servofd.detection.monitor import SurfaceMonitor
     from servofd.detection.stream import Piece
     from servofd.types import FloatArray
 
@@ -44,6 +47,22 @@ def stamped(arrival_s: float, frame: bytes) -> bytes:
     '000000000016e3606672616d65'
     """
     return struct.pack(">Q", min(round(arrival_s * 1e6), _LATEST_US)) + frame
+
+
+def _load_bank() -> None:
+    """Have the bank look at a made-up jam: whatever it loads and compiles is there before the first alarm."""
+    aircraft = plain_aircraft(["any"])
+    model = aircraft.model("any")
+    surface = aircraft.surfaces["any"].model_copy(update={"threshold": "interval"})
+    time_s = np.arange(0.0, 16.0, 0.02)
+    asked_deg = 10.0 * np.sin(2.0 * time_s)
+    moved_deg = np.where(time_s < 12.0, model.simulate(time_s, asked_deg, time_s), 5.0)
+    monitor = SurfaceMonitor("any", surface, model)
+    for piece in np.array_split(np.arange(time_s.size), 80):
+        monitor.feed((time_s[piece], asked_deg[piece]), (time_s[piece], moved_deg[piece]))
+        look = monitor.due()
+        if look is not None:
+            monitor.told(look, look.judge())
 
 
 @dataclass(slots=True)
@@ -107,6 +126,7 @@ class Session:
                 self._adopt(system, vehicle)
         if self.aside:
             self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="servofd bank")
+            self._pool.submit(_load_bank)
 
     def take(self, arrival_s: float, data: bytes) -> list[Event]:
         """Take bytes that arrived [s, the receiver's clock]."""
@@ -165,11 +185,13 @@ class Session:
         autopilot = heard.name == "HEARTBEAT" and heard.component == _AUTOPILOT
         autopilot = autopilot and heard.fields["autopilot"] != _NO_AUTOPILOT
         if 0 not in self.aircraft or heard.system == _GROUND_SYSTEM:
-            return self._stranger(heard) if autopilot else None
+            self._stranger(heard.system, autopilot)
+            return None
         bound = next(iter(self.vehicles.values()), None)
         if bound is not None:
             if bound.has_positions or not self._sends_positions(heard, arrival_s):
-                return self._stranger(heard) if autopilot else None
+                self._stranger(heard.system, autopilot)
+                return None
             self.notes.append(f"vehicle {heard.system} sends the positions: it is watched, not vehicle {bound.system}")
             del self.vehicles[bound.system]
             self.strangers.add(bound.system)
@@ -179,11 +201,12 @@ class Session:
         self._adopt(heard.system, vehicle)
         return vehicle
 
-    def _stranger(self, heard: Heard) -> None:
+    def _stranger(self, system: int, is_vehicle: bool) -> None:  # noqa: FBT001 - told by its heartbeat
         """Name a vehicle that is not watched, once."""
-        if heard.system not in self.strangers and self.vehicles:
-            self.notes.append(f"vehicle {heard.system} is not watched: -c {heard.system}=FILE would")
-        self.strangers.add(heard.system)
+        if is_vehicle and system not in self.strangers:
+            self.strangers.add(system)
+            if self.vehicles:
+                self.notes.append(f"vehicle {system} is not watched: -c {system}=FILE would")
 
     def _sends_positions(self, heard: Heard, arrival_s: float) -> bool:
         """Whether a message holds a measured position of the aircraft that may be any."""
