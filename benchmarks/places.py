@@ -30,6 +30,8 @@ STYLES = ("flight", "aerobatic", "doublets")
 _STEP_S = 2.5e-4
 _SLOW, _SUM, _PRODUCT = 24.84, 70.04, 4921.0
 _RATE_HZ, _DURATION_S = 50.0, 50.0
+_SEEN = 0.4
+"""Times the noise: what changes the motion by less is left out; nobody could see it."""
 EFFECTS: Mapping[str, tuple[float, float]] = {
     "deadband": (0.6, 2.0),
     "friction": (0.3, 1.0),
@@ -100,31 +102,49 @@ def case(seed: int) -> Case:
     supply = 6.0 - 0.8 * time_s / _DURATION_S - 0.3 * (np.sin(0.4 * time_s + rng.uniform(0.0, 6.0)) > 0.3)
     scales = np.exp(rng.normal(0.0, 0.03, 2)).tolist()
     damping = float(np.exp(rng.normal(0.0, 0.06)))
-    slow = truth.get("slow_dynamics", 1.0)
-    numbers = np.array(
-        [
-            PLACES.index(place),
-            _SLOW * scales[0] * slow,
-            _SUM * damping * scales[1] * slow,
-            _PRODUCT * scales[1] ** 2 * slow**2,
-            0.5 * truth.get("deadband", 0.0),
-            truth.get("friction", 0.0),
-            0.3,
-            8.0,
-            truth.get("rate_limit", 1e9),
-            truth.get("voltage_rate", 1e9),
-            0.5 * truth.get("backlash", 0.0),
-        ]
-    )
-    late = truth.get("delay", 0.0) + 0.004 + float(rng.normal(0.0, 1e-3))
-    moved = _moved(numbers, command, supply, max(late, 0.0))
-    moved = moved * truth.get("gain", 1.0) * (1.0 + rng.normal(0.0, 0.005)) + truth.get("bias", 0.0)
+
+    def moved(there: Mapping[str, float]) -> Floats:
+        slow = there.get("slow_dynamics", 1.0)
+        numbers = np.array(_numbers(place, there, scales, damping, slow))
+        late = max(there.get("delay", 0.0) + late_s, 0.0)
+        return _moved(numbers, command, supply, late) * there.get("gain", 1.0) + there.get("bias", 0.0)
+
+    late_s = 0.004 + float(rng.normal(0.0, 1e-3))
+    whole = moved(truth)
+    least = _SEEN * noise_deg
+    unseen = [
+        name
+        for name in truth
+        if np.std(whole - moved({other: size for other, size in truth.items() if other != name})) < least
+        and abs(truth.get("bias", 0.0)) < least
+    ]
+    shown = {name: size for name, size in truth.items() if name not in unseen}
+    moved_deg = moved(shown) * (1.0 + rng.normal(0.0, 0.005))
     white = rng.normal(size=time_s.size)
     noise = white.copy()
     for k in range(1, noise.size):
         noise[k] = colour * noise[k - 1] + np.sqrt(1.0 - colour**2) * white[k]
-    measured = moved + rng.normal(0.0, 0.04) + noise_deg * noise
-    return Case(seed, place, style, colour, truth, noise_deg, time_s, command, measured, supply)
+    measured = moved_deg + rng.normal(0.0, 0.04) + noise_deg * noise
+    return Case(seed, place, style, colour, shown, noise_deg, time_s, command, measured, supply)
+
+
+def _numbers(
+    place: str, truth: Mapping[str, float], scales: list[float], damping: float, slow: float
+) -> tuple[float, ...]:
+    """What the compiled servo takes: place, slow pole, damping and stiffness of the pair, then what is hidden."""
+    return (
+        PLACES.index(place),
+        _SLOW * scales[0] * slow,
+        _SUM * damping * scales[1] * slow,
+        _PRODUCT * scales[1] ** 2 * slow**2,
+        0.5 * truth.get("deadband", 0.0),
+        truth.get("friction", 0.0),
+        0.3,
+        8.0,
+        truth.get("rate_limit", 1e9),
+        truth.get("voltage_rate", 1e9),
+        0.5 * truth.get("backlash", 0.0),
+    )
 
 
 def _command(rng: np.random.Generator, style: str, time_s: Floats) -> Floats:
@@ -132,7 +152,7 @@ def _command(rng: np.random.Generator, style: str, time_s: Floats) -> Floats:
     if style == "doublets":
         out = np.zeros(time_s.size)
         for start_s in np.arange(1.0, time_s[-1], 2.5):
-            size = rng.uniform(2.0, 14.0) * rng.choice([-1.0, 1.0])
+            size = rng.uniform(2.0, 9.0) * rng.choice([-1.0, 1.0])
             length = rng.uniform(0.25, 0.7)
             out[(time_s >= start_s) & (time_s < start_s + length)] = size
             out[(time_s >= start_s + length) & (time_s < start_s + 2.0 * length)] = -size

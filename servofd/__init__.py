@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from servofd.results import Audits as Audits
     from servofd.results import audit as audit
     from servofd.results import calibrate as calibrate
+    from servofd.results import explain as explain
     from servofd.results import identify as identify
     from servofd.results import trend as trend
     from servofd.segment import Segment as Segment
@@ -69,6 +70,7 @@ _HOME = {
     "cut": "segment",
     "design_nullspace_filter": "detection.nullspace",
     "design_pulse_filter": "detection.pulse",
+    "explain": "results",
     "explain_gap": "discrepancy.explanation",
     "explain_log": "explaining",
     "explain_logs": "explaining",
@@ -104,6 +106,7 @@ __all__ = [
     "cut",
     "design_nullspace_filter",
     "design_pulse_filter",
+    "explain",
     "explain_gap",
     "explain_log",
     "explain_logs",

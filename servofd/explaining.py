@@ -15,6 +15,7 @@ from servofd.detection.words import describe
 from servofd.discrepancy.elsewhere import judged_elsewhere
 from servofd.discrepancy.explanation import Explanation, explain_gap
 from servofd.discrepancy.own import OwnEffect, load_own_effect
+from servofd.discrepancy.validity import Undriven, without_torque
 from servofd.discrepancy.varying import varying
 from servofd.errors import ConfigError, DesignError, NoMeasurement, UnknownName, suggest
 from servofd.job import aircraft_for, known_aircraft, logs_of
@@ -251,7 +252,13 @@ def _surface(
     aircraft = _with_unknown_servo(flown.aircraft, name) if free_poles else flown.aircraft
     logs, segments = _segments(flown.logs, name, aircraft)
     model = aircraft.model(name)
-    found = explain_gap(segments, model, on_bench=flown.on_bench, free_poles=free_poles, own=own, progress=progress)
+    off: list[Undriven] = []
+    for k, (log, segment) in enumerate(zip(logs, segments, strict=True)):
+        segments[k], stood = without_torque(log, segment, k)
+        off += stood
+    found = explain_gap(
+        segments, model, on_bench=flown.on_bench, free_poles=free_poles, own=own, off=off, progress=progress
+    )
     if found.record.side is None:
         differing = varying(found.selection, _conditions(logs, aircraft.surfaces[name]))
         found = replace(found, varying=differing, notes=(*found.notes, *(each.sentence for each in differing)))

@@ -12,6 +12,7 @@ from servofd import bench, workflow
 from servofd.calibrating.result import Calibration
 from servofd.detection.verdict import LogAudit, SurfaceAudit
 from servofd.errors import ConfigError, UnknownName, needs, suggest
+from servofd.explaining import ExplainedLog, explain_log
 from servofd.identification.identify import identify as identify_records
 from servofd.identification.result import Identification
 from servofd.outputs.files import write_whole
@@ -382,6 +383,95 @@ def identify(
         return Identified._of(bench.identify_logs(paths, aircraft, surface=surface, method=method, order=order))
     records = [one for one in tests if not isinstance(one, str | Path)]
     return Identified._of(identify_records(records, method=method, order=order))
+
+
+class Explained(ExplainedLog, Shown):
+    """What the model of a servo lacked, and how the gap shrinks."""
+
+    __slots__ = ()
+    __repr__ = Shown.__repr__
+
+    @property
+    def answer(self) -> str:
+        """What is missing, how much, whether that is a fault, and what to do next."""
+        return self.explanation.answer
+
+    @property
+    def sentence(self) -> str:
+        """The same, with the surface."""
+        return f"{spoken(self.explanation.surface)}: {self.answer}"
+
+    @property
+    def status(self) -> str:
+        """Fault if one sets in or nothing tells the gap, suspect if something is left."""
+        if self.explanation.fault_s is not None:
+            return "fault"
+        known = {"partly_explained": "suspect", "unexplained": "fault"}
+        return known.get(self.explanation.conclusion, "healthy")
+
+    @property
+    def steps(self) -> pd.DataFrame:
+        """One row for each effect, the one that helps most first: its size, and the error with it."""
+        return self.to_pandas()
+
+    def plot(self) -> Figure:
+        """Figure of the motion where the models differ most."""
+        needs("matplotlib")
+        from servofd.outputs.explain_figures import explain_figures
+
+        return explain_figures(self.explanation, "explain")[0].figure
+
+    def save(self, path: str | Path) -> Path:
+        """Write the aircraft file with the better model, and give the path."""
+        from servofd.outputs.model_file import model_file
+
+        write_whole(path, model_file([self.explanation], self.aircraft, self.source).encode())
+        return Path(path)
+
+    def to_html(self) -> str:
+        """Text of the page that ``servofd explain --html`` writes."""
+        needs("matplotlib")
+        from servofd.outputs.explain_page import explain_page
+
+        return explain_page([self.explanation], self.source)
+
+    def _rows(self) -> list[dict[str, Any]]:
+        document = self.explanation.document()
+        first = {"effect": "as it was", "form": None, "sizes": "", **document["nominal"]}
+        steps = [
+            {
+                "effect": step["effect"],
+                "form": step["form"],
+                "sizes": ", ".join(f"{name} = {each['value']:.4g}" for name, each in step["parameters"].items()),
+                "train_rms_deg": step["train_rms_deg"],
+                "held_out_rms_deg": step["held_out_rms_deg"],
+            }
+            for step in document["steps"]
+        ]
+        return [first, *steps]
+
+    def _facts(self) -> str:
+        return f"{self.source}, {self.explanation.conclusion.replace('_', ' ')}"
+
+
+def explain(
+    logs: str | Path | Sequence[str | Path],
+    aircraft: str | Path | Aircraft | None = None,
+    *,
+    surface: str | None = None,
+    servo: str | None = None,
+) -> Explained:
+    """Explain where a servo and its model disagree; parameters as of `servofd.explaining.explain_log`.
+
+    Examples
+    --------
+    >>> found = explain("sample_logs/hidden/hidden_11.csv", servo="hs225bb-eq31")
+    >>> found.answer.split(",")[0][:10]
+    'play of 1.'
+    >>> found.steps["effect"].tolist()
+    ['as it was', 'backlash']
+    """
+    return Explained._of(explain_log(logs, aircraft, surface=surface, servo=servo))
 
 
 class Calibrated(Calibration, Shown):

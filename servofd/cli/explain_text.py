@@ -12,6 +12,7 @@ def explanation_text(source: str, document: dict[str, Any]) -> str:
     floor = document["noise_floor_rms_deg"]
     lines = [
         f"{source}: {document['surface']}: {document['conclusion'].replace('_', ' ')}",
+        document["answer"],
         "",
         "where",
         *(f"  {sentence}" for sentence in document["where"]),

@@ -7,15 +7,18 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from servofd.discrepancy.answer import answer_of
 from servofd.discrepancy.at_rest import at_rest
 from servofd.discrepancy.audit_gain import AuditGain, audit_gain
 from servofd.discrepancy.break_point import fault_start_s
 from servofd.discrepancy.checks import check
+from servofd.discrepancy.fit import Fitter
 from servofd.discrepancy.locate import Block, blocks, sentences
 from servofd.discrepancy.record import joined, record_of, simulate
 from servofd.discrepancy.run_by_run import RunErrors, run_errors
 from servofd.discrepancy.select import Selection, select
 from servofd.discrepancy.separate import Separation, separations
+from servofd.discrepancy.validity import driven
 from servofd.discrepancy.words import (
     effect_values,
     form_of,
@@ -23,6 +26,7 @@ from servofd.discrepancy.words import (
     only_rests_sentence,
     unjudged_sentence,
 )
+from servofd.errors import NoMeasurement
 from servofd.models.catalogue import CATALOGUE
 from servofd.models.effects import Extension
 from servofd.segment import Segment
@@ -34,6 +38,7 @@ if TYPE_CHECKING:
     from servofd.discrepancy.fit import Fit
     from servofd.discrepancy.own import OwnEffect
     from servofd.discrepancy.record import Record
+    from servofd.discrepancy.validity import Undriven
     from servofd.discrepancy.varying import Varying
     from servofd.models.physics import Physics
     from servofd.models.servo_model import ServoModel
@@ -76,6 +81,8 @@ class Explanation:
     """How the model does on other flights, to which nothing was fitted."""
     runs: tuple[RunErrors, ...] = ()
     """Each of several runs as the others predict it."""
+    undriven: tuple[Undriven, ...] = ()
+    """Where it was not driven, which was left out."""
     varying: tuple[Varying, ...] = ()
     """Values that go with a condition of the runs."""
 
@@ -91,6 +98,11 @@ class Explanation:
         if self.selection.rungs:
             return "partly_explained" if left else "explained"
         return "unexplained" if left else "nothing_missing"
+
+    @property
+    def answer(self) -> str:
+        """The answer in a sentence or two: what it is, how much, whether that is a fault, and what to do next."""
+        return answer_of(self)
 
     @property
     def physics(self) -> Physics:
@@ -152,6 +164,8 @@ class Explanation:
             "also": [each.document() for each in self.also],
             "notes": list(self.notes),
             "fault_s": self.fault_s,
+            "not_driven": [each.document() for each in self.undriven],
+            "answer": self.answer,
             "runs": [each._asdict() for each in self.runs],
             "varying": [each.document() for each in self.varying],
             "simulations": selection.simulations,
@@ -167,6 +181,7 @@ def explain_gap(
     airspeed_m_s: FloatArray | None = None,
     voltage_v: FloatArray | None = None,
     own: OwnEffect | None = None,
+    off: Sequence[Undriven] = (),
     progress: Callable[[str], None] = lambda _step: None,
 ) -> Explanation:
     """Find where a servo and its model disagree, name what is missing, and show how the gap shrinks.
@@ -186,6 +201,8 @@ def explain_gap(
         need what is not there cannot be judged, and the result says so.
     own : OwnEffect, optional
         An effect of the user's own, tried beside those of the catalogue.
+    off : sequence of Undriven
+        Where the log itself says that the servo was not driven.
     progress : callable
         Called with the name of each effect that was tried.
 
@@ -219,9 +236,17 @@ def explain_gap(
     records = [record_of(each, model, at_rest=on_bench, free_poles=free_poles, own=own) for each in segments]
     record = joined([at_rest(each) for each in records])
     check(record)
+    undriven = list(off)
+    if record.side is None:
+        records, stood = driven(records, Fitter(record).root().physics)
+        undriven += stood
+        record = joined([at_rest(each) for each in records]) if stood else record
+        if record.counts.sum() < _FEWEST_SAMPLES:
+            raise NoMeasurement(stood[0].sentence(several=len(records) > 1))
     selection = select(record, progress)
-    fault_s, notes = None, []
-    if selection.adequacy.reasons and not (record.runs or record.side is not None):
+    notes = [each.sentence(several=len(records) > 1) for each in undriven]
+    fault_s = undriven[0].start_s if len(records) == 1 and undriven and not off else None
+    if fault_s is None and selection.adequacy.reasons and not (record.runs or record.side is not None):
         part = _healthy_part(record, selection, progress)
         if part is not None:
             record, selection, fault_s = part
@@ -237,7 +262,17 @@ def explain_gap(
         notes.append(unjudged_sentence(selection))
     where = sentences(record, selection.nominal.error_deg, selection.sigma_deg)
     errors = run_errors(selection.fitter, selection.final)
-    found = Explanation(segments[0].surface, model, record, selection, tuple(where), tuple(notes), fault_s, runs=errors)
+    found = Explanation(
+        segments[0].surface,
+        model,
+        record,
+        selection,
+        tuple(where),
+        tuple(notes),
+        fault_s,
+        runs=errors,
+        undriven=tuple(undriven),
+    )
     gain = None
     if selection.rungs and found.is_simulated_by_audit and record.side is None:
         gain = audit_gain(segments, model, found.better_model, fault_s or float("inf"))

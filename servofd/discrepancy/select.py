@@ -34,8 +34,9 @@ __all__ = ["Rung", "Selection", "select"]
 _MOST, _MOST_ON_BENCH = 3, 4
 """Effects; one more where whole runs are held out, which no flexible combination survives for long."""
 _BEAM = 3
-_OCCAM, _OF_GAP = 30.0, 1e-4
-"""By how much a further name must improve the misfit, and the share of what was there (as chi-squared) on top."""
+_OCCAM, _OCCAM_OWN, _OF_GAP = 30.0, 16.0, 1e-4
+"""By how much a further name must improve the misfit; the same for one of the servo's own numbers, which the prior has
+held back; and the share of what was there (as chi-squared) on top."""
 _POSSIBLE = 6.0
 """Improvement on the screen below which a candidate is not fitted."""
 _NAMES, _FITS, _CLOSE, _SHARE = 8, 16, 60.0, 0.3
@@ -303,10 +304,10 @@ def _widened(search: _Search, root: Fit) -> None:
         for fit in longer[:1]:  # without each of its effects, and with others in their place
             for k in range(len(fit.effects) - 1):
                 fewer = _without(search, fit, k)
-                if size + 1 > 1 and fit.misfit < best.misfit - _window(search, fit):
+                if size + 1 > 1 and fit.misfit < best.misfit - _window(search, best, fit):
                     search.grow(fewer, min(f.misfit for f in search.visited.values()) + 40.0)
         longer = _best_of_size(search, size + 1)
-        if not longer or longer[0].misfit > best.misfit - _window(search, longer[0]):
+        if not longer or longer[0].misfit > best.misfit - _window(search, best, longer[0]):
             return
         best, beam = longer[0], longer[:_BEAM]
         beam = [fit for fit in beam if fit.misfit < best.misfit + 4.0 * _OCCAM]
@@ -354,8 +355,10 @@ def _cost(search: _Search, fit: Fit) -> float:
     return fit.misfit + count * float(np.log(max(search.fitter.effective, 2.0))) + surprise
 
 
-def _window(search: _Search, more: Fit) -> float:
+def _window(search: _Search, fewer: Fit, more: Fit) -> float:
     """By how much the misfit must fall for a further name."""
+    if all(search.fitter.is_own(effect) for effect in more.effects if effect.name not in fewer.names):
+        return _OCCAM_OWN
     count = search.fitter._count / search.fitter.kappa
     root = search.visited[((), INSIDE)]
     left = more.run_deg2 + search.fitter._least
@@ -368,7 +371,7 @@ def _chosen(search: _Search) -> Fit:
     best = search.visited[((), INSIDE)]
     for size in range(1, _MOST_ON_BENCH + 1):
         longer = _best_of_size(search, size, harmless=True)
-        if longer and longer[0].misfit < best.misfit - _window(search, longer[0]) * (size - len(best.effects)):
+        if longer and longer[0].misfit < best.misfit - _window(search, best, longer[0]) * (size - len(best.effects)):
             best = longer[0]
     return best
 

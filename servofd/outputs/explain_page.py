@@ -50,7 +50,7 @@ def _surface(found: Explanation, anchor: str, thresholds: Sequence[tuple[str, st
         "anchor": anchor,
         "status": _STATUS[found.conclusion],
         "conclusion": found.conclusion.replace("_", " "),
-        "verdict": _verdict(document),
+        "verdict": f"{document['answer']} {_verdict(document)}",
         "where": [f"{sentence[:1].upper()}{sentence[1:]}." for sentence in document["where"]],
         "notes": [f"{note[:1].upper()}{note[1:]}." for note in document["notes"]],
         "ties": document["indistinguishable"],

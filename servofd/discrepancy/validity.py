@@ -1,0 +1,175 @@
+"""Where a servo was not driven: torque off, power lost, held by a hand. No model says what it does there."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from servofd.discrepancy.noise import noise_floor_deg
+from servofd.discrepancy.record import simulate
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from logparsers import FlightLog
+    from servofd.discrepancy.record import Record
+    from servofd.models.physics import Physics
+    from servofd.segment import Segment
+    from servofd.types import BoolArray, FloatArray
+
+__all__ = ["Undriven", "driven", "without_torque"]
+
+_WINDOW_S, _EVERY_S, _SHORTEST_S, _SURE_S = 1.5, 0.1, 0.8, 1.3
+_OBEYS, _IGNORES = 0.6, 0.2
+"""Regression of the position on the model's: from the first on a servo is driven, below the second it is not."""
+_STANDS = 0.4
+"""Swing of a servo that stands, over that of the model."""
+_BEYOND, _MEDIAN, _STAYS_S, _MOSTLY, _FEW = 3.0, 0.6745, 0.2, 0.8, 25
+"""How far from its model, in usual errors, a servo must stay for how long to have left it."""
+_LIKE = 0.7
+"""Share of the position that the model tells elsewhere, or nothing can be said of it here."""
+_MOVES_OF_NOISE, _MOVES_DEG, _MOVES_SHARE = 6.0, 0.5, 0.25
+_TORQUE = re.compile(r"(torque|servo|motor).*(enabled?|_on|power(ed)?)$|^powered$", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True)
+class Undriven:
+    """A stretch of a run in which the servo did not follow its command."""
+
+    run: int
+    start_s: float
+    end_s: float
+    to_end: bool
+    reason: str
+
+    def sentence(self, *, several: bool) -> str:
+        """In words."""
+        until = "to its end" if self.to_end else f"to {self.end_s:.1f} s"
+        where = f"run {self.run + 1}: " if several else ""
+        return f"{where}not driven from {self.start_s:.1f} s {until} ({self.reason}): left out"
+
+    def document(self) -> dict[str, Any]:
+        """Plain dictionary."""
+        return asdict(self)
+
+
+def without_torque(log: FlightLog, segment: Segment, run: int) -> tuple[Segment, list[Undriven]]:
+    """A segment without what was measured while a column says that the torque was off."""
+    names = [name for name in log.channels if _TORQUE.search(name.rsplit(".", 1)[-1])]
+    found: list[Undriven] = []
+    for name in names[:1]:
+        channel = log[name]
+        known = np.isfinite(channel.values)
+        if not known.any():
+            continue
+        time_s, on = channel.time_s[known], channel.values[known] > 0.0
+        index = np.maximum(np.searchsorted(time_s, segment.measured_s, side="right") - 1, 0)
+        off = ~on[index]
+        found = [
+            Undriven(
+                run, float(segment.measured_s[a]), float(segment.measured_s[b - 1]), b == off.size, f"{name} is off"
+            )
+            for a, b in _pieces(off)
+        ]
+        segment = replace(segment, measured_deg=np.where(off, np.nan, segment.measured_deg))
+    return segment, found
+
+
+def driven(records: Sequence[Record], physics: Physics) -> tuple[list[Record], list[Undriven]]:
+    """Runs in which only what was driven counts, and where that was not so.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        The runs.
+    physics : Physics
+        The servo as it is known, or as well as a linear one fits.
+    """
+    moved = [simulate(each, physics) for each in records]
+    # Without evidence that the model tells how this servo moves when it is driven, nothing can be said.
+    shares = [_told(each, sim, each.counts) for each, sim in zip(records, moved, strict=True)]
+    swing = float(np.median([np.std(sim[each.counts]) for each, sim in zip(records, moved, strict=True)]))
+    found, kept = [], []
+    for run, (record, sim) in enumerate(zip(records, moved, strict=True)):
+        least_deg = max(_MOVES_OF_NOISE * noise_floor_deg(record, record.measured_deg - sim), _MOVES_DEG)
+        least_deg = max(least_deg, _MOVES_SHARE * swing)
+        off = _ignored(record, sim, least_deg)
+        others = [share for k, share in enumerate(shares) if k != run]
+        if off.any() and max([*others, _told(record, sim, record.counts & ~off)], default=0.0) > _LIKE:
+            reason = "the position does not follow its command: torque or power lost, jammed or held"
+            found += [
+                Undriven(run, float(record.time_s[a]), float(record.time_s[b - 1]), b == off.size, reason)
+                for a, b in _pieces(off)
+            ]
+            record = replace(record, counts=record.counts & ~off)  # noqa: PLW2901
+        kept.append(record)
+    return kept, found
+
+
+def _pieces(flags: BoolArray) -> list[tuple[int, int]]:
+    """Where flags are set, as (first, last + 1)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
+def _told(record: Record, simulated_deg: FloatArray, where: BoolArray) -> float:
+    """Share of the position that the model tells."""
+    if where.sum() < 20 or float(np.std(simulated_deg[where])) < 1e-9:
+        return 0.0
+    return float(np.corrcoef(simulated_deg[where], record.measured_deg[where])[0, 1] ** 2)
+
+
+def _ignored(record: Record, simulated_deg: FloatArray, least_deg: float) -> BoolArray:
+    """Samples of stretches in which the model moves and the servo does not."""
+    time_s, counts = record.time_s, record.counts
+    off = np.zeros(time_s.size, dtype=bool)
+    if not counts.any() or time_s[-1] - time_s[0] < _SHORTEST_S:
+        return off
+    known = np.where(counts, np.nan_to_num(record.measured_deg), 0.0)
+    sim = np.where(counts, simulated_deg, 0.0)
+    products = (counts, sim, known, sim * sim, sim * known, known * known)
+    sums = [np.concatenate([[0.0], np.cumsum(v)]) for v in products]
+    state, since = "driven", 0
+    marks: list[tuple[int, int]] = []
+    for start_s in np.arange(time_s[0], max(time_s[-1] - _SHORTEST_S, time_s[0] + 1e-9), _EVERY_S):
+        a, b = np.searchsorted(time_s, (start_s, start_s + _WINDOW_S)).tolist()
+        n, s, m, ss, sm, mm = (float(total[b] - total[a]) for total in sums)
+        if n < 10:
+            continue
+        variance = ss / n - (s / n) ** 2
+        if variance < least_deg**2:
+            continue
+        slope = (sm / n - s * m / n**2) / variance
+        stands = mm / n - (m / n) ** 2 < _STANDS**2 * variance  # one that cannot follow moves all the same
+        if state == "driven" and slope < _IGNORES and stands:
+            state, since = "off", a
+        elif state == "off" and slope > _OBEYS:
+            marks.append((since, a))
+            state = "driven"
+    if state == "off":
+        marks.append((since, time_s.size))
+    for first, last in marks:
+        begin = _onset(record, simulated_deg, first)
+        if time_s[last - 1] - time_s[begin] >= _SURE_S:
+            off[begin:last] = True
+    return off
+
+
+def _onset(record: Record, simulated_deg: FloatArray, first: int) -> int:
+    """Sample from which on the servo leaves its model for good, near the first window in which it ignores it."""
+    time_s = record.time_s
+    error = np.abs(np.nan_to_num(record.measured_deg - simulated_deg))
+    before = record.counts[:first]
+    usual = error[:first][before] if before.sum() > _FEW else error[record.counts]
+    far = _BEYOND * max(float(np.median(usual)) / _MEDIAN, noise_floor_deg(record, record.measured_deg))
+    stays = max(round(_STAYS_S / record.period_s), 2)
+    last = min(int(np.searchsorted(time_s, time_s[first] + 2.0 * _WINDOW_S)), time_s.size - stays)
+    for k in range(first, last):
+        if np.mean(error[k : k + stays] > far) > _MOSTLY:
+            while k > 1 and error[k - 2 : k].max() > far / _BEYOND:  # it had begun to leave it before
+                k -= 1  # noqa: PLW2901
+            return k
+    return first
