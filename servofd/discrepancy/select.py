@@ -34,9 +34,9 @@ __all__ = ["Rung", "Selection", "select"]
 _MOST, _MOST_ON_BENCH = 3, 4
 """Effects; one more where whole runs are held out, which no flexible combination survives for long."""
 _BEAM = 3
-_OCCAM, _OCCAM_OWN, _OF_GAP = 30.0, 16.0, 1e-4
+_OCCAM, _OCCAM_OWN, _OF_GAP, _OF_SAMPLES = 30.0, 16.0, 1e-4, 0.02
 """By how much a further name must improve the misfit; the same for one of the servo's own numbers, which the prior has
-held back; and the share of what was there (as chi-squared) on top."""
+held back; and the share of what was there (as chi-squared) on top, at most that share of the samples."""
 _POSSIBLE = 6.0
 """Improvement on the screen below which a candidate is not fitted."""
 _NAMES, _FITS, _CLOSE, _SHARE = 8, 16, 60.0, 0.3
@@ -307,7 +307,7 @@ def _widened(search: _Search, root: Fit) -> None:
                 if size + 1 > 1 and fit.misfit < best.misfit - _window(search, best, fit):
                     search.grow(fewer, min(f.misfit for f in search.visited.values()) + 40.0)
         longer = _best_of_size(search, size + 1)
-        if not longer or longer[0].misfit > best.misfit - _window(search, best, longer[0]):
+        if not _needed(search, best, longer):
             return
         best, beam = longer[0], longer[:_BEAM]
         beam = [fit for fit in beam if fit.misfit < best.misfit + 4.0 * _OCCAM]
@@ -359,11 +359,24 @@ def _window(search: _Search, fewer: Fit, more: Fit) -> float:
     """By how much the misfit must fall for a further name."""
     if all(search.fitter.is_own(effect) for effect in more.effects if effect.name not in fewer.names):
         return _OCCAM_OWN
+    return _OCCAM + _tolerance(search, more)
+
+
+def _tolerance(search: _Search, fit: Fit) -> float:
+    """Misfit that no model of a real servo, and no other simulator, is right to: a share of what was there."""
     count = search.fitter._count / search.fitter.kappa
     root = search.visited[((), INSIDE)]
-    left = more.run_deg2 + search.fitter._least
-    gap = float(count @ np.maximum(root.run_deg2 / left - 1.0, 0.0))
-    return _OCCAM + min(_OF_GAP * gap, 0.02 * float(count.sum()))
+    gap = float(count @ np.maximum(root.run_deg2 / (fit.run_deg2 + search.fitter._least) - 1.0, 0.0))
+    return min(_OF_GAP * gap, _OF_SAMPLES * float(count.sum()))
+
+
+def _needed(search: _Search, best: Fit, longer: list[Fit]) -> bool:
+    """Whether longer structures, or what nearly equals the best of them, beat one with fewer names by the window."""
+    return any(
+        fit.misfit < best.misfit - _window(search, best, fit) * (len(fit.effects) - len(best.effects))
+        for fit in longer
+        if _cost(search, fit) < _cost(search, longer[0]) + _OCCAM
+    )
 
 
 def _chosen(search: _Search) -> Fit:
@@ -371,7 +384,7 @@ def _chosen(search: _Search) -> Fit:
     best = search.visited[((), INSIDE)]
     for size in range(1, _MOST_ON_BENCH + 1):
         longer = _best_of_size(search, size, harmless=True)
-        if longer and longer[0].misfit < best.misfit - _window(search, best, longer[0]) * (size - len(best.effects)):
+        if _needed(search, best, longer):
             best = longer[0]
     return best
 
@@ -393,11 +406,13 @@ def _shares(search: _Search, best: Fit) -> tuple[list[Fit], float]:
     weight: dict[tuple[str, ...], float] = {}
     first: dict[tuple[str, ...], Fit] = {}
     least = _cost(search, best)
+    tempered = 1.0 + _tolerance(search, best) / _OCCAM
     for fit in search.visited.values():
         if len(fit.effects) != size or not search.is_physical(fit) or _harms(search, fit):
             continue
         key = tuple(sorted(fit.names))
-        weight[key] = weight.get(key, 0.0) + float(np.exp(-0.5 * (_cost(search, fit) - least))) / _forms(search, fit)
+        share = float(np.exp(-0.5 * (_cost(search, fit) - least) / tempered))
+        weight[key] = weight.get(key, 0.0) + share / _forms(search, fit)
         if key not in first or fit.misfit < first[key].misfit:
             first[key] = fit
     if not weight:
