@@ -201,7 +201,7 @@ class Session:
         self._adopt(heard.system, vehicle)
         return vehicle
 
-    def _stranger(self, system: int, is_vehicle: bool) -> None:  # noqa: FBT001 - told by its heartbeat
+    def _stranger(self, system: int, is_vehicle: bool) -> None:
         """Name a vehicle that is not watched, once."""
         if is_vehicle and system not in self.strangers:
             self.strangers.add(system)
