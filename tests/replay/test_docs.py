@@ -275,5 +275,5 @@ def test_the_calibration_page_shows_what_its_commands_print(
                 (tmp_path / target).write_text(printed)
                 printed = ""
             assert plain(printed) == plain(output), command
-    assert codes["audit flight.bin -c calibrated.toml"] == 1
-    assert codes["sweep ground.bin -c calibrated.toml"] == 0
+    assert codes["audit flight.bin -c plane.toml"] == 1
+    assert codes["sweep ground.bin -c plane.toml"] == 0
