@@ -30,6 +30,7 @@ _WIDTH_DEG, _WIDTH_SIGMAS, _WIDTH_STEPS, _WIDEST_DEG = 0.4, 6.0, 2.0, 2.0
 """A surface at rest reads within so much: play that the air takes up, noise, steps of the reading."""
 _MISSED_DEG, _ASKED_DEG, _MISSED_S = 2.5, 4.0, 0.5
 """A jammed surface is so far from where it should be, while that moves by so much, for so long beyond its lag."""
+_ONE_SIDED_S = 5.0
 _FAR_DEG, _FAR_SHARE, _FAR_S = 6.0, 0.3, 1.5
 """So far from the command, and by such a share of its travel, nothing rests that is well."""
 _WINDOW_S, _HOP_S = 3.0, 0.5
@@ -46,6 +47,8 @@ _LAG_SHARE, _LAG_S, _LAG_DEG, _LAG_EXPLAINS = 1.0, 0.03, 1.0, 0.5
 _LATE_SHARE, _LATE_S = 0.7, 6.0
 _FEWEST_SAMPLES = 30
 _JOINED_S = 6.0
+_FLOATS_S = 4.0
+"""A motion that is strange for less may be a load."""
 _KINDS = ("stuck", "hardover", "oscillation", "floating", "slow")
 
 
@@ -172,16 +175,19 @@ def _resting(flight: _Flight) -> Iterator[_Stretch]:
             continue
         rows = slice(begin, end)
         at_deg = float(np.median(flight.measured_deg[rows]))
-        off_deg = np.abs(asked_deg[rows] - at_deg)
+        beyond_deg = asked_deg[rows] - at_deg
+        off_deg = np.abs(beyond_deg)
         missed = off_deg > _MISSED_DEG
         missed_s = np.cumsum(step_s[rows] * missed)
         far = off_deg > max(_FAR_DEG, _FAR_SHARE * flight.travel_deg)
         far_s = np.cumsum(step_s[rows] * far)
-        jammed = missed_s[-1] >= late_s and float(np.ptp(asked_deg[rows][missed.argmax() :])) >= _ASKED_DEG
-        jammed = jammed or (missed_s[-1] >= late_s and float(np.ptp(asked_deg[rows])) >= _ASKED_DEG)
-        if not jammed and far_s[-1] < _FAR_S + late_s:
+        # What is held up from one side may be a load, or an obstacle: a jam is on the wrong side of some commands.
+        both = beyond_deg.max() > 1.0 and beyond_deg.min() < -1.0
+        long_s = late_s if both else max(late_s, _ONE_SIDED_S)
+        jammed = missed_s[-1] >= long_s and float(np.ptp(asked_deg[rows])) >= _ASKED_DEG
+        if not jammed and far_s[-1] < _FAR_S + long_s:
             continue
-        seen = int(np.searchsorted(missed_s, late_s) if jammed else np.searchsorted(far_s, _FAR_S + late_s))
+        seen = int(np.searchsorted(missed_s, long_s) if jammed else np.searchsorted(far_s, _FAR_S + long_s))
         seen_s = float(time_s[min(begin + seen, end - 1)])
         yield _Stretch(
             "stuck" if off_deg[0] < _FAR_DEG else "hardover",
@@ -231,6 +237,8 @@ def _strange(flight: _Flight, rows: slice) -> _Stretch | None:
         frequency_hz, amplitude_deg = line
         return _Stretch("oscillation", *span, {"amplitude_deg": amplitude_deg, "frequency_hz": frequency_hz})
     asked, moved = flight.healthy_deg[rows], flight.measured_deg[rows]
+    if float(error.min()) > 1.0 or float(error.max()) < -1.0:
+        return None  # held up from one side, by a load or an obstacle
     asked_deg, moved_deg = float(np.std(asked)), float(np.std(moved))
     slope, explained = _best_slope(flight, rows)
     amplitude_deg = float(np.ptp(moved)) / 2.0
@@ -339,7 +347,8 @@ def _as_faults(found: list[_Stretch], end_s: float) -> tuple[Fault, ...]:
             joined[-1].append(stretch)
         else:
             joined.append([stretch])
-    return tuple(_as_fault(group, end_s) for group in joined)
+    faults = [(_as_fault(group, end_s), _union_s(group)) for group in joined]
+    return tuple(fault for fault, lasted_s in faults if fault.kind != "floating" or lasted_s >= _FLOATS_S)
 
 
 def _union_s(stretches: list[_Stretch]) -> float:
