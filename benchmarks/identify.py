@@ -73,9 +73,8 @@ def realisation() -> ComplexArray:
     segment = record("hs225bb-eq31", 0)
     parameters = control.markov(segment.measured_deg, segment.command_deg, MARKOV_PARAMETERS, dt=0.01)
     system, _ = control.eigensys_realization(parameters, 4, dt=0.01)
-    eigenvalues: ComplexArray = np.linalg.eigvals(system.A).astype(complex)
-    poles: ComplexArray = np.log(eigenvalues) / 0.01
-    return poles
+    eigenvalues = np.asarray(np.linalg.eigvals(system.A), dtype=np.complex128)
+    return np.asarray(np.log(eigenvalues) / 0.01, dtype=np.complex128)
 
 
 def dominant_error(poles: ComplexArray, truth: ComplexArray) -> float:

@@ -90,7 +90,7 @@ def make_tlog(path: Path, size: int) -> None:
         while written < size:
             boot_us = 25_000 * tick
             sent = [name for name, rate in RATES_HZ.items() if tick % (40 // min(rate, 40)) == 0]
-            frames = []
+            frames: list[bytes] = []
             for name in sent:
                 numbers = rng.integers(1, 120, len(layouts[name].fields)).tolist()
                 values: dict[str, Any] = {

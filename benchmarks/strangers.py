@@ -33,7 +33,7 @@ from __future__ import annotations
 
 import io
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numba import njit
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    Floats = NDArray[np.floating[Any]]
+    Floats = NDArray[np.float64]
 
 __all__ = ["SIZES", "STYLES", "SURFACES", "Failure", "Flight", "Servo", "Stranger", "draw_failure", "fly", "stranger"]
 
@@ -682,7 +682,7 @@ def _logged(
     rows = slice(None, None, every)
     return Flight(
         aircraft, number, style, failure,
-        command_s[keep_c], pulses[rows][keep_c], stamped_s[keep_p], measured_deg[keep_p],
+        command_s[keep_c], np.asarray(pulses[rows][keep_c], np.float64), stamped_s[keep_p], measured_deg[keep_p],
         air[rows, 0][keep_c], air[rows, 1][keep_c], phases, true_s=true_s, true_deg=true_deg,
     )  # fmt: skip
 

@@ -55,7 +55,7 @@ class Adequacy:
 def floor_of(record: Record, fit: Fit) -> float:
     """Noise floor as this fit shows it [deg]: a converter's steps at least, no more than its error, but not nothing."""
     noise_deg = max(noise_floor_deg(record, fit.error_deg), _floor_of_steps(record, fit))
-    return max(min(noise_deg, float(np.sqrt(fit.total / max(record.counts.sum(), 1)))), _NOTHING_DEG)
+    return max(min(noise_deg, float(np.sqrt(fit.total / max(float(record.counts.sum()), 1.0)))), _NOTHING_DEG)
 
 
 def _floor_of_steps(record: Record, fit: Fit) -> float:

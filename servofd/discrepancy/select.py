@@ -417,7 +417,8 @@ def _shares(search: _Search, best: Fit) -> tuple[list[Fit], float]:
             first[key] = fit
     if not weight:
         return [best], 1.0
-    total, reached, names = sum(weight.values()), 0.0, []
+    total, reached = sum(weight.values()), 0.0
+    names: list[Fit] = []
     most = max(weight.values())
 
     def rank(key: tuple[str, ...]) -> tuple[float, int]:  # what is equal goes by the catalogue's order
@@ -465,14 +466,15 @@ def _ties(best: Fit, others: list[Fit]) -> tuple[tuple[tuple[str, ...], ...], tu
 def _rungs(search: _Search, best: Fit) -> tuple[Rung, ...]:
     """From the servo as it is known to the best, the effect that helps most first."""
     fitter, rungs = search.fitter, []
-    left, known = list(best.effects), []
+    left = list(best.effects)
+    known: list[type[MissingEffect]] = []
     while left:
         fits = [_prefix(search, best, (*known, effect)) for effect in left]
         k = int(np.argmin([fit.misfit for fit in fits]))
         known.append(left.pop(k))
         fit = fitter.halved(_reordered(fits[k], tuple(known)))
         before = tuple(sorted(effect.name for effect in known[:-1]))
-        rivals = {}
+        rivals: dict[str, Fit] = {}
         for other in sorted(search.visited.values(), key=lambda f: f.misfit):
             rest = [name for name in other.names if name not in before]
             if len(other.effects) == len(known) and len(rest) == 1 and rest[0] != known[-1].name:

@@ -67,7 +67,7 @@ def _table(found: Explanation) -> EffectTable:
     final, known = found.selection.final, found.record.plant.neutral
     poles = next(each for each in OWN if each.fixed["slow_place"] == final.place)
     # Of a servo that nobody knew the poles are written as its own.
-    own = [*([] if found.record.free_poles else [poles]), Gain, Delay, Bias]
+    own: list[type[MissingEffect]] = [*([] if found.record.free_poles else [poles]), Gain, Delay, Bias]
     fields = {name for effect in final.effects for p in effect.parameters for name in p.fields}
     beside = [
         effect
