@@ -203,8 +203,8 @@ def table(rows: Sequence[Row]) -> str:
             some = [r for r in faulty if (r["kind"], r["grade"]) == (kind, grade)]
             seen = [(r, f) for r in some if (f := _first(r)) is not None]
             delay = np.median([f["alarm_s"] - r["start_s"] for r, f in seen]) if seen else np.nan
-            right = sum(_is_right(r, f) for r, f in seen)
-            cells.append(f"{len(seen)} of {len(some)}, {delay:.1f} s, {right} named" if some else "")
+            count = sum(_is_right(r, f) for r, f in seen)
+            cells.append(f"{len(seen)} of {len(some)}, {delay:.1f} s, {count} named" if some else "")
         lines.append(f"| {kind} {SIZES[kind] if kind not in _SIZELESS else ''} | {' | '.join(cells)} |")
     half = [r for r in faulty if (r["kind"], r["grade"]) == ("slow", "medium")]
     for names in (("aerobatics", "turbulence"), ("cruise", "loiter")):

@@ -651,11 +651,11 @@ def _logged(
 ) -> Flight:  # fmt: skip
     """What of it reaches the log."""
     duration_s = pulses.shape[0] * _TICK_S
-    true_s = np.arange(true_deg.shape[0]) * _STEP_S * _KEEP
+    true_s: Floats = np.arange(true_deg.shape[0], dtype=np.float64) * (_STEP_S * _KEEP)
     every = max(1, round(1.0 / aircraft.command_hz / _TICK_S))
-    command_s = np.arange(0, pulses.shape[0], every) * _TICK_S
+    command_s = np.arange(0, pulses.shape[0], every, dtype=np.float64) * _TICK_S
     period_s = 1.0 / aircraft.position_hz
-    position_s = np.arange(rng.uniform(0.0, period_s), duration_s, period_s)
+    position_s: Floats = np.arange(rng.uniform(0.0, period_s), duration_s, period_s)
     jitter_s = 0.08 * period_s * np.abs(rng.normal(size=position_s.size))
     skewed_s = position_s + jitter_s
     measured_deg = np.empty((position_s.size, len(servos)))
@@ -669,7 +669,7 @@ def _logged(
         deg = deg + servo.bias_deg + drift + pink + servo.white_deg * rng.normal(size=deg.size)
         measured_deg[:, i] = np.round(deg / servo.step_deg) * servo.step_deg
     # feedback stamped by another clock
-    stamped_s = skewed_s * (1.0 + 1e-6 * aircraft.ppm)
+    stamped_s: Floats = skewed_s * (1.0 + 1e-6 * aircraft.ppm)
     lost = rng.uniform(size=measured_deg.shape) < aircraft.lost
     measured_deg[lost] = np.nan
     keep_p, keep_c = np.ones(position_s.size, np.bool_), np.ones(command_s.size, np.bool_)
@@ -682,7 +682,7 @@ def _logged(
     rows = slice(None, None, every)
     return Flight(
         aircraft, number, style, failure,
-        command_s[keep_c], np.asarray(pulses[rows][keep_c], np.float64), stamped_s[keep_p], measured_deg[keep_p],
+        command_s[keep_c], pulses[rows][keep_c], stamped_s[keep_p], measured_deg[keep_p],
         air[rows, 0][keep_c], air[rows, 1][keep_c], phases, true_s=true_s, true_deg=true_deg,
     )  # fmt: skip
 

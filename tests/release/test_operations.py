@@ -140,7 +140,8 @@ def posix_only(tree: ast.AST) -> list[tuple[int, str]]:
             names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
         elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
             names = [f"{node.value.id}.{node.attr}"]
-        found += [(getattr(node, "lineno", 0), name) for name in names if name in POSIX_ONLY and id(node) not in guarded]
+        line = getattr(node, "lineno", 0)
+        found += [(line, name) for name in names if name in POSIX_ONLY and id(node) not in guarded]
     return found
 
 
