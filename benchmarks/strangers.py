@@ -651,7 +651,7 @@ def _logged(
 ) -> Flight:  # fmt: skip
     """What of it reaches the log."""
     duration_s = pulses.shape[0] * _TICK_S
-    true_s: Floats = np.arange(true_deg.shape[0], dtype=np.float64) * (_STEP_S * _KEEP)
+    true_s: Floats = np.arange(true_deg.shape[0], dtype=np.float64) * _STEP_S * _KEEP
     every = max(1, round(1.0 / aircraft.command_hz / _TICK_S))
     command_s = np.arange(0, pulses.shape[0], every, dtype=np.float64) * _TICK_S
     period_s = 1.0 / aircraft.position_hz
