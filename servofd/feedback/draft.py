@@ -27,6 +27,10 @@ _SHORTEST_PERIOD_S, _LONGEST_PERIOD_S = 1e-4, 0.2
 _ANGLES = {"deg", "rad"}
 
 
+_MOST_OUTPUTS = 32
+"""Of an ArduPilot; a damaged log may name any other."""
+
+
 @dataclass(frozen=True, slots=True)
 class DraftedSurface:
     """Entries of one surface in an aircraft file, and where they come from."""
@@ -86,7 +90,9 @@ def draft_aircraft(log: FlightLog) -> Draft:
 
 def surface_entry(surface: DraftedSurface) -> dict[str, Any]:
     """Entry of a surface in an aircraft file."""
-    entry: dict[str, Any] = {"servo": f"{surface.pair.surface}-draft", "output": surface.pair.output.number}
+    entry: dict[str, Any] = {"servo": f"{surface.pair.surface}-draft"}
+    if 1 <= surface.pair.output.number <= _MOST_OUTPUTS:
+        entry["output"] = surface.pair.output.number
     if surface.drafted is not None:
         entry |= {
             "threshold": "interval",

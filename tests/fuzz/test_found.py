@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from pyarrow import parquet
 
+import logparsers
 from logparsers.endpoint import parse_endpoint
 from logparsers.errors import LinkError
 from servofd.aircraft import load_aircraft, plain_aircraft
@@ -17,6 +19,7 @@ from servofd.cli import main, manual
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.statistics import Statistics
 from servofd.errors import ConfigError, RecordingError
+from servofd.feedback.draft import draft_aircraft
 from servofd.fleet.key import Job
 from servofd.fleet.store import FleetStore, read_table
 from servofd.live.session import stamped
@@ -327,3 +330,12 @@ def _full(_options: object) -> int:
 def test_the_latest_arrival_that_a_telemetry_log_can_hold() -> None:
     """Its microseconds, as seconds in a float and back, are one more than fit."""
     assert stamped((2**64 - 1) / 1e6, b"frame") == b"\xff" * 8 + b"frame"
+
+
+def test_a_servo_of_an_output_that_no_autopilot_has() -> None:
+    """Of a damaged log; it is judged by its channels."""
+    draft = draft_aircraft(logparsers.read(io.BytesIO(seeds.logs_of("dataflash")[0])))
+    first = draft.surfaces[0]
+    pair = replace(first.pair, output=replace(first.pair.output, number=5_000_001))
+    known = replace(draft, surfaces=(replace(first, pair=pair),)).aircraft()
+    assert [surface.output for surface in known.surfaces.values()] == [None]
