@@ -107,7 +107,8 @@ def case(seed: int) -> Case:
         slow = there.get("slow_dynamics", 1.0)
         numbers = np.array(_numbers(place, there, scales, damping, slow))
         late = max(there.get("delay", 0.0) + late_s, 0.0)
-        return _moved(numbers, command, supply, late) * there.get("gain", 1.0) + there.get("bias", 0.0)
+        swung: Floats = _moved(numbers, command, supply, late)
+        return swung * there.get("gain", 1.0) + there.get("bias", 0.0)
 
     late_s = 0.004 + float(rng.normal(0.0, 1e-3))
     whole = moved(truth)
@@ -152,7 +153,7 @@ def _command(rng: np.random.Generator, style: str, time_s: Floats) -> Floats:
     if style == "doublets":
         out = np.zeros(time_s.size)
         for start_s in np.arange(1.0, time_s[-1], 2.5):
-            size = rng.uniform(2.0, 9.0) * rng.choice([-1.0, 1.0])
+            size = float(rng.uniform(2.0, 9.0) * rng.choice([-1.0, 1.0]))
             length = rng.uniform(0.25, 0.7)
             out[(time_s >= start_s) & (time_s < start_s + length)] = size
             out[(time_s >= start_s + length) & (time_s < start_s + 2.0 * length)] = -size
