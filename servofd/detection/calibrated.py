@@ -39,6 +39,8 @@ __all__ = ["Found", "audit_calibrated", "judge_stretch", "judged", "shown"]
 
 _MOST_FAULTS: Final = 20
 _AGAIN_S: Final = 1.0
+_STILL_FAST: Final = 0.69
+"""Speed goes with the supply, and friction with the temperature: a fifth each, between good flights."""
 _SAME_S: Final = 5.0
 """What is raised so soon after the end of a fault belongs to it."""
 _MOST_OF_THE_LOG: Final = 0.9
@@ -135,7 +137,7 @@ def judged(flight: Watched) -> Found:
         tables.append(statistics[keep])
         if not np.isfinite(raised_s):
             break
-        fault = named(flight, raised_s, ratio, earliest_s=earliest_s)
+        fault = _weighed(named(flight, raised_s, ratio, earliest_s=earliest_s))
         if faults and fault.kind != "healthy" and raised_s - (faults[-1].end_s or raised_s) < _SAME_S:
             fault = _joined(faults.pop(), fault)
         (suspicions if fault.kind == "healthy" else faults).append(fault)
@@ -149,6 +151,14 @@ def judged(flight: Watched) -> Found:
         if begin >= time_s.size - 2:
             break
     return Found(tuple(faults), tuple(suspicions), np.concatenate(grids), np.concatenate(tables))
+
+
+def _weighed(fault: Fault) -> Fault:
+    """The same fault; a servo that is a little slow is still a good one, on a cold day or a low supply."""
+    speed = fault.parameters.get("bandwidth_scale")
+    if fault.kind != "slow" or speed is None or speed.value < _STILL_FAST:
+        return fault
+    return replace(fault, kind="healthy", parameters={}, alternatives=("slow", *fault.alternatives)[:3])
 
 
 def _joined(first: Fault, then: Fault) -> Fault:
