@@ -13,8 +13,8 @@ from servofd.detection.calibrated import judged
 from servofd.detection.changes import STATISTICS
 from servofd.detection.watch import FLOORS, MARGIN, detectable, statistics_of, watched
 from servofd.errors import CalibrationError
-from servofd.estimate.family import NAMES, PRIORS
 from servofd.estimate.fit import fit
+from servofd.estimate.priors import NAMES, PRIORS
 from servofd.estimate.record import Record, usual_supply_v
 from servofd.estimate.schema import CalibratedNoise, CalibratedServo
 from servofd.servos import Servo

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from servofd.estimate.family import PRIORS
+from servofd.estimate.priors import PRIORS
 from servofd.toml_text import toml_key, toml_lines, toml_value
 
 if TYPE_CHECKING:

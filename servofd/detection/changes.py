@@ -21,7 +21,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from numba import njit
 
-from servofd.estimate.family import FITTED, PATTERNS, PRIORS
+from servofd.estimate.family import PATTERNS
+from servofd.estimate.priors import FITTED, PRIORS
 
 if TYPE_CHECKING:
     from servofd.estimate.noise import Noise

@@ -16,8 +16,9 @@ import numpy as np
 
 from servofd.detection.bank.explanation import Estimate
 from servofd.detection.bank.flight import Fault
-from servofd.estimate.family import FITTED, NAMES, new_state, sensitivities, simulated, variants
+from servofd.estimate.family import new_state, sensitivities, simulated, variants
 from servofd.estimate.fit import residual
+from servofd.estimate.priors import FITTED, NAMES
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

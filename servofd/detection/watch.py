@@ -13,8 +13,9 @@ import numpy as np
 
 from servofd.detection.changes import STATISTICS, Memory, Tests, follow
 from servofd.detection.glitches import decide, new_glitch_memory
-from servofd.estimate.family import NAMES, PRIORS, new_state, sensitivities, simulated, variants
+from servofd.estimate.family import new_state, sensitivities, simulated, variants
 from servofd.estimate.fit import peaks, residual
+from servofd.estimate.priors import NAMES, PRIORS
 from servofd.evidence import Detectable
 
 if TYPE_CHECKING:

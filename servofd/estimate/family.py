@@ -16,20 +16,19 @@ The command is averaged over each step, so that the position depends smoothly on
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numba import njit
+
+from servofd.estimate.priors import FITTED, PRIORS
 
 if TYPE_CHECKING:
     from servofd.types import FloatArray
 
 __all__ = [
-    "FITTED",
-    "NAMES",
     "PATTERNS",
     "PRESSURE_PA",
-    "Prior",
     "advance",
     "new_state",
     "patterns_of",
@@ -50,40 +49,6 @@ _LOADED_DEG: Final = 0.1
 _LONGEST_STEP_S: Final = 5.0
 
 
-class Prior(NamedTuple):
-    """What is known of a parameter before any flight."""
-
-    name: str
-    unit: str
-    value: float
-    sigma: float
-    """Between servos."""
-    low: float
-    high: float
-    between: float
-    """Standard deviation between good flights of one servo; measured on simulated aircraft of even seed."""
-    step: float
-    """For differences."""
-
-
-_PRIORS: Final = (
-    Prior("gain", "", 1.0, 0.15, 0.05, 3.0, 0.012, 0.005),
-    Prior("bias_deg", "deg", 0.0, 2.0, -40.0, 40.0, 0.25, 0.05),
-    Prior("delay_s", "s", 0.03, 0.05, 0.0, 0.4, 0.006, 0.001),
-    Prior("ln_bandwidth", "ln rad/s", 3.7, 0.8, 1.0, 5.7, 0.035, 0.02),
-    Prior("ln_damping", "", 0.0, 0.35, -1.6, 1.6, 0.08, 0.02),
-    Prior("ln_rate", "ln deg/s", 5.8, 0.7, 2.0, 8.5, 0.05, 0.02),
-    Prior("deadband_deg", "deg", 0.1, 0.4, 0.0, 8.0, 0.12, 0.1),
-    Prior("friction_deg", "deg", 0.1, 0.4, 0.0, 5.0, 0.12, 0.1),
-    Prior("play_deg", "deg", 0.05, 0.3, 0.0, 8.0, 0.12, 0.1),
-    Prior("hinge", "", 0.02, 0.1, -0.3, 1.0, 0.02, 0.01),
-    Prior("hinge_deg", "deg", 0.0, 0.3, -5.0, 5.0, 0.1, 0.05),
-    Prior("bend2_deg", "deg", 0.0, 0.5, -5.0, 5.0, 0.05, 0.1),
-    Prior("bend3_deg", "deg", 0.0, 0.5, -5.0, 5.0, 0.05, 0.1),
-)
-PRIORS: Final = _PRIORS
-NAMES: Final = tuple(prior.name for prior in _PRIORS)
-FITTED: Final = len(_PRIORS)
 _GAIN, _BIAS, _DELAY, _OMEGA, _ZETA, _RATE, _DEAD, _FRICTION, _PLAY, _HINGE, _HINGE0, _BEND2, _BEND3 = range(FITTED)
 _POWER = FITTED
 _SIMULATED: Final = (_GAIN, _OMEGA, _ZETA, _RATE, _DEAD, _FRICTION, _PLAY, _HINGE, _HINGE0)
@@ -106,7 +71,7 @@ def variants(theta: FloatArray, *, patterns: bool = True) -> FloatArray:
     rows = [base]
     for k in _SIMULATED:
         row = base.copy()
-        row[k] += _PRIORS[k].step
+        row[k] += PRIORS[k].step
         rows.append(row)
     if patterns:
         rows += patterns_of(base)
@@ -257,7 +222,7 @@ def sensitivities(
     added, shapes = bent(base, theta, reach_deg)
     out = np.empty((base.size, FITTED + position_deg.shape[1] - _TRACKS))
     for place, k in enumerate(_SIMULATED):
-        out[:, k] = (position_deg[:, 1 + place] - base) / _PRIORS[k].step
+        out[:, k] = (position_deg[:, 1 + place] - base) / PRIORS[k].step
     out[:, _BIAS] = 1.0
     out[:, _DELAY] = -speed_deg_s[:, 0]
     out[:, _BEND2], out[:, _BEND3] = shapes[:, 0], shapes[:, 1]

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from servofd.estimate.family import FITTED, NAMES, PRIORS, new_state, sensitivities, simulated, variants
+from servofd.estimate.family import new_state, sensitivities, simulated, variants
 from servofd.estimate.noise import Noise
+from servofd.estimate.priors import FITTED, NAMES, PRIORS
 from servofd.models.state import compiled
 
 if TYPE_CHECKING:

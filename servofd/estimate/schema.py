@@ -7,8 +7,8 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from servofd.estimate.family import NAMES, PRIORS
 from servofd.estimate.noise import Noise
+from servofd.estimate.priors import NAMES, PRIORS
 from servofd.types import FloatArray
 
 __all__ = ["CalibratedNoise", "CalibratedServo"]
@@ -60,7 +60,7 @@ class CalibratedServo(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     parameters: dict[str, _Finite]
-    """Of `servofd.estimate.family.PRIORS`, all of them."""
+    """Of `servofd.estimate.priors.PRIORS`, all of them."""
     between: tuple[tuple[_Finite, ...], ...]
     """Covariance between good flights, in the order of the priors: lower triangle, row by row."""
     noise: CalibratedNoise
