@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from servofd.detection.verdict import LogAudit
+    from servofd.detection.verdict import LogAudit, SurfaceAudit
 
 __all__ = ["one_line", "print_table", "print_verdicts", "progress_bar", "progress_with_estimate"]
 
@@ -55,9 +55,9 @@ def print_verdicts(audit: LogAudit) -> None:
     if shown.is_terminal:
         shown.width = min(shown.width, _WIDEST)
     title = f"{log.label}   {log.format}, {log.duration_s:.1f} s"
-    rows = [[s.surface, s.status, s.reason] for s in audit.surfaces]
+    rows = [[s.surface, s.status, s.model.origin, _why(s)] for s in audit.surfaces]
     if rows:
-        _print_table(shown, ["surface", "status", "why"], rows, title)
+        _print_table(shown, ["surface", "status", "model", "why"], rows, title)
     if audit.axes:
         rows = [[axis.axis, axis.status, axis.reason] for axis in audit.axes]
         _print_table(shown, ["axis", "status", "what the motion tells"], rows, "" if audit.surfaces else title)
@@ -68,6 +68,13 @@ def print_verdicts(audit: LogAudit) -> None:
         if next_step(surface):
             step = Text(f"{surface.surface}: {next_step(surface)}")
             shown.print(Padding(step, (0, 0, 0, 2), expand=False))
+
+
+def _why(surface: SurfaceAudit) -> str:
+    """Why this status; of a healthy surface also what the log would have shown."""
+    from servofd.outputs.sentence import seen
+
+    return "; ".join(filter(None, (surface.reason, seen(surface.detectable) if surface.status == "healthy" else "")))
 
 
 def _console() -> Console:

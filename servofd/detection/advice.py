@@ -75,7 +75,7 @@ def next_step(surface: SurfaceAudit) -> str:
             "model lacks"
         )
     if surface.status == "unknown":
-        return "no verdict: log command and position at 50 Hz or more, and move the surface by at least ±3 deg"
+        return "no verdict: before the next flight, move it from stop to stop and watch that it follows"
     if surface.status == "no_data" and surface.expected:
         return "log its measured position; 'servofd info' says what this log holds and what is missing"
     return ""

@@ -43,8 +43,8 @@ def why_not_cleared(residuals: Residuals, shown: Detectable, level_deg: float) -
     unseen = "a jam" if shown.loss_share is None else f"the loss of {shown.loss_share:.0%} of its travel"
     wanted_deg = max(3.0 * _MARGIN * level_deg, _MARGIN * reach_deg)
     return (
-        f"hardly asked to move: even {unseen} might not have shown (moved within ±{reach_deg:.2g} deg, threshold "
-        f"{level_deg:.2g} deg); fly or bench-test movements of ±{wanted_deg:.0f} deg or more, brisk and slow"
+        f"too little motion: even {unseen} might not have shown (threshold {level_deg:.2g} deg); fly or bench-test "
+        f"several movements of ±{wanted_deg:.0f} deg or more, or calibrate on a good flight"
     )
 
 
