@@ -59,7 +59,7 @@ _ENDED = 1.0
 """Seconds of one standard deviation by which the healthy servo must explain better what comes after an end."""
 _AFTER_END_S = 3.0
 _LOG_CLIP = 25.0
-_NO_NEWS = 0.2
+_NO_NEWS = 0.01
 """By so little a fault may explain a sample better, and yet not have begun."""
 
 
