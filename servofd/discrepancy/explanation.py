@@ -25,7 +25,6 @@ from servofd.discrepancy.words import (
     only_rests_sentence,
     unjudged_sentence,
 )
-from servofd.errors import NoMeasurement
 from servofd.models.catalogue import CATALOGUE
 from servofd.models.effects import Extension
 from servofd.segment import Segment
@@ -269,11 +268,11 @@ def explain_gap(
     check(record)
     undriven = list(off)
     if record.side is None:
-        records, stood = driven(records, Fitter(record).root().physics)
-        undriven += stood
-        record = joined([at_rest(each) for each in records]) if stood else record
-        if record.counts.sum() < _FEWEST_SAMPLES:
-            raise NoMeasurement(stood[0].sentence(several=len(records) > 1))
+        kept, stood = driven(records, Fitter(record).root().physics)
+        part = joined([at_rest(each) for each in kept]) if stood else record
+        if stood and int(part.counts.sum()) >= _FEWEST_SAMPLES:
+            records, record = kept, part
+            undriven += stood
     selection = select(record, progress)
     notes = [each.sentence(several=len(records) > 1) for each in undriven]
     fault_s = undriven[0].start_s if len(records) == 1 and undriven and not off else None
@@ -345,7 +344,9 @@ def _healthy_part(
         slowly = bool(quiet.any()) and float(np.mean(error[quiet] ** 2)) > _SLOWLY_WORSE * usual_deg**2
         if explained and not slowly and float(np.mean(error[later] ** 2)) > _MUCH_WORSE * healthy.sigma_deg**2:
             return before, healthy, start_s
-        if rough is None and not explained and _breaks_off(record, error, before.counts, start_s, usual_deg):
+        # Of a servo that nobody knows, what is left is the model's as likely as a fault's.
+        may_break = rough is None and not explained and not record.free_poles
+        if may_break and _breaks_off(record, error, before.counts, start_s, usual_deg):
             rough = before, healthy, start_s
     return rough
 

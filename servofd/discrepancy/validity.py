@@ -22,11 +22,13 @@ if TYPE_CHECKING:
 
 __all__ = ["Undriven", "driven", "without_torque"]
 
-_WINDOW_S, _EVERY_S, _SHORTEST_S, _SURE_S = 1.5, 0.1, 0.8, 1.3
+_WINDOW_S, _EVERY_S, _SHORTEST_S = 1.5, 0.1, 0.8
+_SURE_S, _SURE_ALONE_S = 1.3, 4.0
+"""Length of a stretch that is no chance [s]; without other runs a slow servo may look like it for longer."""
 _OBEYS, _IGNORES = 0.6, 0.2
 """Regression of the position on the model's: from the first on a servo is driven, below the second it is not."""
-_STANDS = 0.4
-"""Swing of a servo that stands, over that of the model."""
+_STANDS, _STILL = 0.08, 4.0
+"""Swing of a servo that stands, over that of the model, and over the noise."""
 _BEYOND, _MEDIAN, _STAYS_S, _MOSTLY, _FEW = 3.0, 0.6745, 0.2, 0.8, 25
 """How far from its model, in usual errors, a servo must stay for how long to have left it."""
 _LIKE = 0.7
@@ -96,7 +98,7 @@ def driven(records: Sequence[Record], physics: Physics) -> tuple[list[Record], l
     for run, (record, sim) in enumerate(zip(records, moved, strict=True)):
         least_deg = max(_MOVES_OF_NOISE * noise_floor_deg(record, record.measured_deg - sim), _MOVES_DEG)
         least_deg = max(least_deg, _MOVES_SHARE * swing)
-        off = _ignored(record, sim, least_deg)
+        off = _ignored(record, sim, least_deg, _SURE_S if len(records) > 1 else _SURE_ALONE_S)
         others = [share for k, share in enumerate(shares) if k != run]
         if off.any() and max([*others, _told(record, sim, record.counts & ~off)], default=0.0) > _LIKE:
             reason = "the position does not follow its command: torque or power lost, jammed or held"
@@ -122,7 +124,7 @@ def _told(record: Record, simulated_deg: FloatArray, where: BoolArray) -> float:
     return float(np.corrcoef(simulated_deg[where], record.measured_deg[where])[0, 1] ** 2)
 
 
-def _ignored(record: Record, simulated_deg: FloatArray, least_deg: float) -> BoolArray:
+def _ignored(record: Record, simulated_deg: FloatArray, least_deg: float, sure_s: float) -> BoolArray:
     """Samples of stretches in which the model moves and the servo does not."""
     time_s, counts = record.time_s, record.counts
     off = np.zeros(time_s.size, dtype=bool)
@@ -132,6 +134,7 @@ def _ignored(record: Record, simulated_deg: FloatArray, least_deg: float) -> Boo
     sim = np.where(counts, simulated_deg, 0.0)
     products = (counts, sim, known, sim * sim, sim * known, known * known)
     sums = [np.concatenate([[0.0], np.cumsum(v)]) for v in products]
+    floor_deg = noise_floor_deg(record, record.measured_deg)
     state, since = "driven", 0
     marks: list[tuple[int, int]] = []
     for start_s in np.arange(time_s[0], max(time_s[-1] - _SHORTEST_S, time_s[0] + 1e-9), _EVERY_S):
@@ -143,7 +146,8 @@ def _ignored(record: Record, simulated_deg: FloatArray, least_deg: float) -> Boo
         if variance < least_deg**2:
             continue
         slope = (sm / n - s * m / n**2) / variance
-        stands = mm / n - (m / n) ** 2 < _STANDS**2 * variance  # one that cannot follow moves all the same
+        # One that cannot follow moves all the same.
+        stands = mm / n - (m / n) ** 2 < max(_STANDS**2 * variance, (_STILL * floor_deg) ** 2)
         if state == "driven" and slope < _IGNORES and stands:
             state, since = "off", a
         elif state == "off" and slope > _OBEYS:
@@ -153,7 +157,7 @@ def _ignored(record: Record, simulated_deg: FloatArray, least_deg: float) -> Boo
         marks.append((since, time_s.size))
     for first, last in marks:
         begin = _onset(record, simulated_deg, first)
-        if time_s[last - 1] - time_s[begin] >= _SURE_S:
+        if time_s[last - 1] - time_s[begin] >= sure_s:
             off[begin:last] = True
     return off
 
@@ -167,7 +171,7 @@ def _onset(record: Record, simulated_deg: FloatArray, first: int) -> int:
     far = _BEYOND * max(float(np.median(usual)) / _MEDIAN, noise_floor_deg(record, record.measured_deg))
     stays = max(round(_STAYS_S / record.period_s), 2)
     last = min(int(np.searchsorted(time_s, time_s[first] + 2.0 * _WINDOW_S)), time_s.size - stays)
-    for k in range(first, last):
+    for k in range(int(np.searchsorted(time_s, time_s[first] - 0.5 * _WINDOW_S)), last):
         if np.mean(error[k : k + stays] > far) > _MOSTLY:
             while k > 1 and error[k - 2 : k].max() > far / _BEYOND:  # it had begun to leave it before
                 k -= 1  # noqa: PLW2901
