@@ -277,9 +277,9 @@ def explain_gap(
     notes = [each.sentence(several=len(records) > 1) for each in undriven]
     fault_s = undriven[0].start_s if len(records) == 1 and undriven and not off else None
     if fault_s is None and selection.adequacy.reasons and not (record.runs or record.side is not None):
-        part = _healthy_part(record, selection, progress)
-        if part is not None:
-            record, selection, fault_s = part
+        healthy = _healthy_part(record, selection, progress)
+        if healthy is not None:
+            record, selection, fault_s = healthy
             notes.append(
                 f"after {fault_s:.1f} s this is a fault, not a missing effect: only what came before is explained"
             )

@@ -131,8 +131,8 @@ def starts(
     >>> t = np.arange(100) / 10.0
     >>> begin_deg, usable = starts(t[(t < 4.0) | (t > 6.0)], t, t)
     >>> begin_deg[np.isfinite(begin_deg)], t[~usable & (t > 2.0)]
-    (array([0. , 6.4]), array([4.4, 4.5, 4.6, 4.7, 4.8, 4.9, 5. , 5.1, 5.2, 5.3, 5.4, 5.5, 5.6,
-           5.7, 5.8, 5.9, 6. , 6.1, 6.2, 6.3, 6.4, 6.5]))
+    (array([0. , 6.4]), array([4.2, 4.3, 4.4, 4.5, 4.6, 4.7, 4.8, 4.9, 5. , 5.1, 5.2, 5.3, 5.4,
+           5.5, 5.6, 5.7, 5.8, 5.9, 6. , 6.1, 6.2, 6.3, 6.4, 6.5]))
     """
     longest_s = gap_s(command_s) if longest_s is None else longest_s
     start_deg = np.full(time_s.size, np.nan)

@@ -62,7 +62,8 @@ def test_what_was_hidden_is_named_with_its_size(name: str, tmp_path: Path, capsy
     effect = name.partition(",")[0]
     path = simulated(tmp_path, f"{effect}:{SIZES[name]}", duration_s=40.0)
     capsys.readouterr()
-    assert main(["explain", str(path), "-s", "elevator", "--json", "-"]) == 0
+    options = ["--servo", "hs225bb-eq31", "--json", "-"]
+    assert main(["explain", str(path), "-s", "elevator", *options]) == 0
     document = json.loads(capsys.readouterr().out)
     assert [step["effect"] for step in document["steps"]] == [effect]
     parameters = document["steps"][0]["parameters"]
