@@ -57,7 +57,7 @@ def model_file(found: Sequence[Explanation], aircraft: Aircraft, source: str, lo
             f"# Held-out error of {one.surface}: {before:.4g} deg rms before, {after:.4g} with this model.",
         ]
     better = type(aircraft).model_validate(document)
-    for one in (each for each in found if each.surface not in kept):
+    for one in (each for each in found if each.surface not in kept or _is_own_fit(each)):
         document["surfaces"][one.surface] |= good_levels(better, one.surface, logs)
     return "\n".join(lines) + "\n\n" + "\n".join(_toml(document)).lstrip("\n") + "\n"
 
@@ -99,9 +99,15 @@ def _why_not(found: Explanation) -> str:
     if own:
         return f"{', '.join(own)} comes from a file of your own, which an audit does not run"
     before, after = (found.rms_deg(fit)["held_out_rms_deg"] for fit in (found.selection.nominal, final))
-    if after > _WORTH_SAVING * before:
+    # Where the servo itself was fitted to the log, it has taken up most of what the effects would explain.
+    if after > (1.0 if _is_own_fit(found) else _WORTH_SAVING) * before:
         return f"{after:.3g} of {before:.3g} deg rms would stay"
     return ""
+
+
+def _is_own_fit(found: Explanation) -> bool:
+    """Whether the servo was fitted to the log, and nothing in it contradicts the fit."""
+    return found.record.free_poles and found.conclusion != "unexplained"
 
 
 def _merged(known: EffectTable, found: EffectTable) -> EffectTable:
