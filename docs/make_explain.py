@@ -29,7 +29,7 @@ fault smaller than what its model got wrong before. Every command and picture he
 `hidden_11.csv` is one of the [sample logs](../sample_logs/hidden/README.md): an elevator on the bench, swept at three
 amplitudes. What is hidden in it is sealed.
 
-@ audit hidden_11.csv -o before
+@ audit hidden_11.csv --servo hs225bb-eq31 -o before
 
 ![The residual stays below its threshold, but jumps with every reversal](explain/before.png)
 
@@ -38,7 +38,7 @@ below that is lost in it.
 
 ## What is missing
 
-@ explain hidden_11.csv --save better.toml --rrd gap.rrd
+@ explain hidden_11.csv --servo hs225bb-eq31 --save better.toml --rrd gap.rrd
 
 Backlash, about a degree of it, and nothing else: on samples to which nothing was fitted, the error falls to the noise floor.
 The last lines say what that is worth. With the old model a quiet threshold lies above what the play leaves; with the new
@@ -60,7 +60,7 @@ A model that was fitted to one flight proves itself on others. Two more, simulat
 
 @ simulate -o second.csv --effect elevator:backlash:width_deg=1 --noise-deg 0.05 --command lively --seed 1
 @ simulate -o third.csv --effect elevator:backlash:width_deg=1 --noise-deg 0.05 --command lively --seed 2
-@ explain hidden_11.csv --also second.csv third.csv --json why.json
+@ explain hidden_11.csv --servo hs225bb-eq31 --also second.csv third.csv --json why.json
 
 `--also` fits nothing to them. `servofd explain one.csv two.csv` fits both together, and holds every other one out whole.
 Good flights also tell how small thresholds may be:
@@ -72,7 +72,7 @@ Good flights also tell how small thresholds may be:
 Now the elevator's linkage slips by 0.6 deg in mid-flight, which is less than its play.
 
 @ simulate -o ill.csv --effect elevator:backlash:width_deg=1 --noise-deg 0.05 --seed 3 --fault elevator:bias@30:bias_deg=0.6
-@ audit ill.csv -s elevator -o missed
+@ audit ill.csv -s elevator --servo hs225bb-eq31 -o missed
 @ audit ill.csv -c calibrated.toml -o found
 
 ![Without the play in the model: the slip drowns in the residual](explain/missed.png)
@@ -110,7 +110,7 @@ def shown(command: str) -> str:
         output = io.StringIO()
         with contextlib.redirect_stdout(output):
             code = servofd(shlex.split(command))
-        if code not in (0, 1):
+        if code not in (0, 1, 2):
             raise RuntimeError(f"servofd {command}: exit code {code}")
         printed = "\n".join(line.rstrip() for line in output.getvalue().splitlines()).strip("\n")
     return "\n".join(filter(None, ["```console", prompt, printed, "```"]))
