@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.discrepancy.noise import floor_uncertainty, long_run_factor, noise_floor_deg
-from servofd.discrepancy.steps import COARSE_STEP_DEG, noise_below_deg, stepped_noise_deg
+from servofd.discrepancy.steps import COARSE_STEP_DEG, noise_below_deg, noise_within_deg, stepped_noise_deg
 from servofd.models.catalogue import Quantization
 
 if TYPE_CHECKING:
@@ -63,11 +63,15 @@ def _floor_of_steps(record: Record, fit: Fit) -> float:
     step_deg = record.step_deg or 0.0
     if step_deg < COARSE_STEP_DEG:
         return step_deg / float(np.sqrt(12.0))
-    read_deg = np.where(record.counts, record.measured_deg, np.nan)
-    below_deg = noise_below_deg(read_deg, record.measured_deg - fit.unstepped_deg, step_deg)
+    below_deg = _below_deg(record, fit, step_deg)
     if Quantization in fit.effects:
         return stepped_noise_deg(below_deg, step_deg)
     return float(np.hypot(below_deg, step_deg / np.sqrt(12.0)))
+
+
+def _below_deg(record: Record, fit: Fit, step_deg: float) -> float:
+    read_deg = np.where(record.counts, record.measured_deg, np.nan)
+    return noise_below_deg(read_deg, record.measured_deg - fit.unstepped_deg, step_deg)
 
 
 def adequacy(record: Record, fit: Fit) -> Adequacy:
@@ -81,11 +85,17 @@ def adequacy(record: Record, fit: Fit) -> Adequacy:
         The servo, with its held-out errors.
     """
     counts = record.counts
-    error = fit.error_deg[counts]
-    quiet = _quiet(record)[counts]
     white_deg = floor_of(record, fit)
-    rest_deg, rest_memory = _at_rest(record, fit.error_deg, quiet)
-    floor_deg = max(white_deg, min(rest_deg, float(np.sqrt(np.mean(error**2)))))
+    error_deg, usual_deg = fit.error_deg, 0.0
+    simulated_deg = record.measured_deg - fit.unstepped_deg
+    if Quantization in fit.effects and record.step_deg:
+        # Rounding is regular, and in some seconds no edge is near: what is judged is the noise that was rounded.
+        usual_deg = _below_deg(record, fit, record.step_deg)
+        error_deg = noise_within_deg(record.measured_deg, simulated_deg, record.step_deg, usual_deg)
+    error = error_deg[counts]
+    quiet = _quiet(record)[counts]
+    rest_deg, rest_memory = _at_rest(record, error_deg, quiet)
+    floor_deg = white_deg if usual_deg else max(white_deg, min(rest_deg, float(np.sqrt(np.mean(error**2)))))
     memory = long_run_factor(error - error.mean())
     chance = _SIGMAS * float(
         np.hypot(floor_uncertainty(record), np.sqrt(2.0 * memory / max(int(record.held_out.sum()), 1)))
@@ -93,7 +103,7 @@ def adequacy(record: Record, fit: Fit) -> Adequacy:
     ratios = _ratios(record, fit, floor_deg)
     reasons = []
     ratio = max(ratios)
-    foretold = foretold_share(record, fit.error_deg)
+    foretold = foretold_share(record, error_deg, simulated_deg)
     told = foretold > _FORETOLD
     # Noise with a colour of its own, which no rest shows: nothing foretells it, and it is everywhere the same.
     spread = max(ratios) / max(min(ratios), 1e-12)
@@ -104,7 +114,8 @@ def adequacy(record: Record, fit: Fit) -> Adequacy:
         reasons.append(f"command and motion still foretell {foretold:.0%} of what is left")
     if rest_memory > 0.0 and memory > _MEMORY * rest_memory + 1.0:
         reasons.append("what is left has a longer memory than the noise at rest")
-    start_s, worst_deg, sigmas = _worst_block(record, fit.error_deg, floor_deg if not coloured else 0.0, memory)
+    block_floor_deg = 0.0 if coloured else usual_deg or floor_deg
+    start_s, worst_deg, sigmas = _worst_block(record, error_deg, block_floor_deg, memory)
     if sigmas > _BLOCK_SIGMAS:
         reasons.append(f"from {start_s:.1f} to {start_s + _BLOCK_S:.1f} s {worst_deg:.3g} deg rms are left")
     return Adequacy(floor_deg, ratio, foretold, (start_s, worst_deg), tuple(reasons))
@@ -146,13 +157,14 @@ def _at_rest(record: Record, error_deg: FloatArray, quiet: BoolArray) -> tuple[f
     return float(np.sqrt(np.mean(centred**2))), long_run_factor(centred)
 
 
-def foretold_share(record: Record, error_deg: FloatArray) -> float:
+def foretold_share(record: Record, error_deg: FloatArray, moved_deg: FloatArray | None = None) -> float:
     """Share of an error that a regression on command and motion foretells in blocks that it was not made on."""
+    moved_deg = record.measured_deg - error_deg if moved_deg is None else moved_deg
     counts = record.counts
     error = error_deg[counts]
     if error.size < 10 * (len(_LAGS_S) + 12 + _BINS):
         return 0.0
-    features = _features(record, error_deg)[counts]
+    features = _features(record, np.nan_to_num(moved_deg))[counts]
     spread = features.std(axis=0)
     features = (features[:, spread > 0.0] - features[:, spread > 0.0].mean(axis=0)) / spread[spread > 0.0]
     block = (record.time_s[counts] / _BLOCK_S).astype(np.int64) % 2 == 0
@@ -170,13 +182,12 @@ def foretold_share(record: Record, error_deg: FloatArray) -> float:
     return max(1.0 - left / there, 0.0) if there > 0.0 else 0.0
 
 
-def _features(record: Record, error_deg: FloatArray) -> FloatArray:
+def _features(record: Record, moved_deg: FloatArray) -> FloatArray:
     rows = []
-    known = np.nan_to_num(error_deg)
     first = 0
     for run in record.runs or (record,):
         last = first + run.time_s.size
-        moved = np.nan_to_num(run.measured_deg - known[first:last])
+        moved = moved_deg[first:last]
         first = last
         sent_s, deg = run.commands.effective_s, run.commands.command_deg
         lagged = [deg[np.maximum(np.searchsorted(sent_s, run.time_s - lag, side="right") - 1, 0)] for lag in _LAGS_S]

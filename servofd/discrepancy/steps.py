@@ -9,7 +9,7 @@ import numpy as np
 if TYPE_CHECKING:
     from servofd.types import FloatArray
 
-__all__ = ["COARSE_STEP_DEG", "comb_step_deg", "noise_below_deg", "stepped_noise_deg"]
+__all__ = ["COARSE_STEP_DEG", "comb_step_deg", "noise_below_deg", "noise_within_deg", "stepped_noise_deg"]
 
 COARSE_STEP_DEG = 0.12
 """10 bits for 120 deg; what is finer is a usual potentiometer's or encoder's converter, and missing in no model."""
@@ -66,6 +66,34 @@ def noise_below_deg(measured_deg: FloatArray, simulated_deg: FloatArray, step_de
     if more(low) >= 0.0:
         return low * step_deg
     return step_deg if more(high) <= 0.0 else step_deg * float(brentq(more, low, high, xtol=1e-3))
+
+
+def noise_within_deg(measured_deg: FloatArray, simulated_deg: FloatArray, step_deg: float, sigma_deg: float) -> FloatArray:
+    """What the noise before a converter may have been [deg]: of the normal distribution, if the simulation is right.
+
+    A reading tells between which edges a position lay; where between them is drawn, always in the same way. Unlike the
+    difference of two readings it does not depend on how far the position is from an edge.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> moved = 6.0 * np.sin(np.linspace(0.0, 60.0, 6000))
+    >>> read = 0.8 * np.round((moved + 0.1 * rng.standard_normal(6000)) / 0.8)
+    >>> round(float(np.std(noise_within_deg(read, moved, 0.8, 0.1))), 2)
+    0.1
+    """
+    from scipy.special import log_ndtr, ndtri_exp
+
+    low = (measured_deg - 0.5 * step_deg - simulated_deg) / sigma_deg
+    high = low + step_deg / sigma_deg
+    # Beyond the middle the other tail is the accurate one.
+    mirrored = low + high > 0.0
+    low, high = np.where(mirrored, -high, low), np.where(mirrored, -low, high)
+    lower, upper = np.exp(log_ndtr(low) - log_ndtr(high)), 1.0
+    drawn = np.random.default_rng(0).uniform(size=low.size)
+    share = np.log(lower + drawn * (upper - lower)) + log_ndtr(high)
+    noise_deg: FloatArray = sigma_deg * ndtri_exp(share)
+    return np.where(mirrored, -noise_deg, noise_deg)
 
 
 def stepped_noise_deg(sigma_deg: float, step_deg: float) -> float:
