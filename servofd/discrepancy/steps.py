@@ -68,7 +68,9 @@ def noise_below_deg(measured_deg: FloatArray, simulated_deg: FloatArray, step_de
     return step_deg if more(high) <= 0.0 else step_deg * float(brentq(more, low, high, xtol=1e-3))
 
 
-def noise_within_deg(measured_deg: FloatArray, simulated_deg: FloatArray, step_deg: float, sigma_deg: float) -> FloatArray:
+def noise_within_deg(
+    measured_deg: FloatArray, simulated_deg: FloatArray, step_deg: float, sigma_deg: float
+) -> FloatArray:
     """What the noise before a converter may have been [deg]: of the normal distribution, if the simulation is right.
 
     A reading tells between which edges a position lay; where between them is drawn, always in the same way. Unlike the

@@ -45,6 +45,7 @@ _INFINITE = float("inf")
 _UNFOLLOWED = {"follow_up_deg_s": _INFINITE, "follow_down_deg_s": _INFINITE}
 _WIDTHS_DEG = (0.1, 0.2, 0.4, 0.8, 1.4, 2.2, 3.5, 6.0)
 _RATES_DEG_S = (20.0, 30.0, 45.0, 60.0, 80.0, 105.0, 140.0, 180.0, 240.0, 320.0, 420.0, 600.0)
+_RATES_DEG_S_PER_V = (1.4, 2.5, 4.0, 7.0, 11.0, 16.0, 22.0, 30.0, 45.0, 70.0)
 
 
 _STEPS_DEG = (360.0 / 4096.0, *(round(0.1 + 0.05 * k, 2) for k in range(39)), 0.18, 360.0 / 1024.0, 2.5, 3.0)
@@ -134,8 +135,8 @@ class AsymmetricRate(MissingEffect):
 
     name, place, form, fixed = "rate_limit", Place.SERVO, "motor, asymmetric", _UNFOLLOWED
     parameters = (
-        Parameter("rate_up_deg_s", ("rate_up_deg_s",), 2.0, 3e3, 3e3, 60.0, (40.0, 90.0, 180.0, 350.0)),
-        Parameter("rate_down_deg_s", ("rate_down_deg_s",), 2.0, 3e3, 3e3, 60.0, (40.0, 90.0, 180.0, 350.0)),
+        Parameter("rate_up_deg_s", ("rate_up_deg_s",), 2.0, 3e3, 3e3, 60.0, (20.0, 40.0, 90.0, 180.0, 350.0)),
+        Parameter("rate_down_deg_s", ("rate_down_deg_s",), 2.0, 3e3, 3e3, 60.0, (20.0, 40.0, 90.0, 180.0, 350.0)),
     )
 
 
@@ -150,11 +151,7 @@ class VoltageRate(MissingEffect):
     """Largest speed of the motor in proportion to its supply."""
 
     name, place, fixed, needs = "voltage_rate", Place.SERVO, _UNFOLLOWED, ("servo_voltage_v",)
-    parameters = (
-        Parameter(
-            "deg_s_per_v", ("deg_s_per_v",), 0.5, 600.0, 600.0, 12.0, (4.0, 7.0, 11.0, 16.0, 22.0, 30.0, 45.0, 70.0)
-        ),
-    )
+    parameters = (Parameter("deg_s_per_v", ("deg_s_per_v",), 0.5, 600.0, 600.0, 12.0, _RATES_DEG_S_PER_V),)
 
 
 class ShaftSpeedBySupply(MissingEffect):
@@ -170,7 +167,7 @@ class ShaftSpeedBySupply(MissingEffect):
             600.0,
             600.0,
             12.0,
-            (4.0, 7.0, 11.0, 16.0, 22.0, 30.0, 45.0, 70.0),
+            _RATES_DEG_S_PER_V,
         ),
     )
 
