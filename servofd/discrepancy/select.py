@@ -265,9 +265,9 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     search.look_again()
     _reweighed(search)
     best = _chosen(search)
-    names, sets = _shares(search, best)
-    best = names[0]
     nominal = fitter.nominal()
+    names, sets = _shares(search, best, nominal)
+    best = names[0]
     rungs = _rungs(search, best)
     final = rungs[-1].fit if rungs else fitter.halved(best)
     found = adequacy(record, final)
@@ -362,10 +362,10 @@ def _window(search: _Search, fewer: Fit, more: Fit) -> float:
     return _OCCAM + _tolerance(search, more)
 
 
-def _tolerance(search: _Search, fit: Fit) -> float:
-    """Misfit that no model of a real servo, and no other simulator, is right to: a share of what was there."""
+def _tolerance(search: _Search, fit: Fit, before: Fit | None = None) -> float:
+    """Misfit that no model of a real servo, and no other simulator, is right to: a share of what was there before."""
     count = search.fitter._count / search.fitter.kappa
-    root = search.visited[((), INSIDE)]
+    root = search.visited[((), INSIDE)] if before is None else before
     gap = float(count @ np.maximum(root.run_deg2 / (fit.run_deg2 + search.fitter._least) - 1.0, 0.0))
     return min(_OF_GAP * gap, _OF_SAMPLES * float(count.sum()))
 
@@ -400,13 +400,14 @@ def _reweighed(search: _Search) -> None:
         search.visited[key] = replace(fit, misfit=misfit)
 
 
-def _shares(search: _Search, best: Fit) -> tuple[list[Fit], float]:
+def _shares(search: _Search, best: Fit, nominal: Fit) -> tuple[list[Fit], float]:
     """Fits of each set of names that belongs to those that share 99 % of the probability, likeliest first."""
     size = len(best.effects)
     weight: dict[tuple[str, ...], float] = {}
     first: dict[tuple[str, ...], Fit] = {}
     least = _cost(search, best)
-    tempered = 1.0 + _tolerance(search, best) / _OCCAM
+    # Of the servo as it is known: a gain that is refitted stands in for much of a load, against its prior.
+    tempered = 1.0 + max(_tolerance(search, best), _tolerance(search, best, nominal)) / _OCCAM
     for fit in search.visited.values():
         if len(fit.effects) != size or not search.is_physical(fit) or _harms(search, fit):
             continue
