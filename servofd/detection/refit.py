@@ -304,7 +304,10 @@ def _immobile(window: _Window) -> Iterator[_Guess]:
     rest = window.whitened(measured_deg - basis @ best) * min(ratio, 1.0)
     amplitude = max(1.4 * float(np.std(measured_deg[used])), float(still))
     size = {"amplitude_deg": Estimate.of(amplitude, 0.3 * amplitude)}
-    yield _Guess("floating", (float(rest @ rest), 0.0), 5, size, added=constant)
+    if at_stop and amplitude < _AT_STOP_DEG:  # the air does not hold a surface at its stop
+        yield _Guess("hardover", (float(rest @ rest), 0.0), 5, moved, added=constant)
+    else:
+        yield _Guess("floating", (float(rest @ rest), 0.0), 5, size, added=constant)
 
 
 def _verdict(
@@ -316,7 +319,7 @@ def _verdict(
     shares = {guess.kind: float(share) for guess, share in zip(guesses, odds / odds.sum(), strict=True)}
     best = guesses[0]
     kind = best.kind
-    if kind == "loss_of_effectiveness" and best.parameters["gain"].value < _LOST_GAIN:
+    if kind == "loss_of_effectiveness" and "floating" in shares and best.parameters["gain"].value < _LOST_GAIN:
         shares["floating"] += _HALF * shares[kind]
         shares["stuck"] = shares.get("stuck", 0.0) + (1.0 - _HALF) * shares.pop(kind)
         kind = "floating"
@@ -340,7 +343,8 @@ def _verdict(
         return "healthy" if ratio < _LOUD else "unknown", probability, alternatives, {}
     if probability < _SURE:
         return "unknown", probability, (kind, *alternatives)[:3], {}
-    return kind, probability, alternatives, best.parameters
+    sizes = next(guess.parameters for guess in guesses if guess.kind == kind)
+    return kind, probability, alternatives, sizes
 
 
 def _may_be_play(window: _Window, guess: _Guess) -> bool:
