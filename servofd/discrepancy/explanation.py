@@ -17,7 +17,7 @@ from servofd.discrepancy.record import joined, record_of, simulate
 from servofd.discrepancy.run_by_run import RunErrors, run_errors
 from servofd.discrepancy.select import Selection, select
 from servofd.discrepancy.separate import Separation, separations
-from servofd.discrepancy.validity import driven
+from servofd.discrepancy.validity import clear_of, driven
 from servofd.discrepancy.words import (
     effect_values,
     form_of,
@@ -269,6 +269,11 @@ def explain_gap(
     undriven = list(off)
     if record.side is None:
         kept, stood = driven(records, Fitter(record).root().physics)
+        if stood:  # the servo had been fitted to what no servo does
+            clear = joined([at_rest(each) for each in clear_of(records, stood)])
+            if int(clear.counts.sum()) >= _FEWEST_SAMPLES:
+                again = driven(records, Fitter(clear).root().physics)
+                kept, stood = again if len(again[1]) >= len(stood) else (kept, stood)
         part = joined([at_rest(each) for each in kept]) if stood else record
         if stood and int(part.counts.sum()) >= _FEWEST_SAMPLES:
             records, record = kept, part

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from servofd.segment import Segment
     from servofd.types import BoolArray, FloatArray
 
-__all__ = ["Undriven", "driven", "without_torque"]
+__all__ = ["Undriven", "clear_of", "driven", "without_torque"]
 
 _WINDOW_S, _EVERY_S, _SHORTEST_S = 1.5, 0.1, 0.8
 _SURE_S, _SURE_ALONE_S = 1.3, 4.0
@@ -31,6 +31,7 @@ _STANDS, _STILL = 0.08, 4.0
 """Swing of a servo that stands, over that of the model, and over the noise."""
 _BEYOND, _MEDIAN, _STAYS_S, _MOSTLY, _FEW = 3.0, 0.6745, 0.2, 0.8, 25
 """How far from its model, in usual errors, a servo must stay for how long to have left it."""
+_LOOK_BACK_S, _BEFORE_IT_SHOWS_S = 4.0, 0.3
 _LIKE = 0.7
 """Share of the position that the model tells elsewhere, or nothing can be said of it here."""
 _MOVES_OF_NOISE, _MOVES_DEG, _MOVES_SHARE = 6.0, 0.5, 0.25
@@ -106,9 +107,23 @@ def driven(records: Sequence[Record], physics: Physics) -> tuple[list[Record], l
                 Undriven(run, float(record.time_s[a]), float(record.time_s[b - 1]), b == off.size, reason)
                 for a, b in _pieces(off)
             ]
+            for a, _ in _pieces(off):  # it may have begun before it shows
+                off |= (record.time_s >= record.time_s[a] - _BEFORE_IT_SHOWS_S) & (record.time_s <= record.time_s[a])
             record = replace(record, counts=record.counts & ~off)  # noqa: PLW2901
         kept.append(record)
     return kept, found
+
+
+def clear_of(records: Sequence[Record], undriven: Sequence[Undriven]) -> list[Record]:
+    """Runs without stretches that were not driven, nor what came shortly before: their beginning is rough at first."""
+    clear = []
+    for run, record in enumerate(records):
+        counts = record.counts.copy()
+        for each in undriven:
+            if each.run == run:
+                counts &= (record.time_s < each.start_s - _LOOK_BACK_S) | (record.time_s > each.end_s)
+        clear.append(replace(record, counts=counts))
+    return clear
 
 
 def _pieces(flags: BoolArray) -> list[tuple[int, int]]:
@@ -135,8 +150,8 @@ def _ignored(record: Record, simulated_deg: FloatArray, least_deg: float, sure_s
     products = (counts, sim, known, sim * sim, sim * known, known * known)
     sums = [np.concatenate([[0.0], np.cumsum(v)]) for v in products]
     floor_deg = noise_floor_deg(record, record.measured_deg)
-    state, since = "driven", 0
-    marks: list[tuple[int, int]] = []
+    state, since, obeyed = "driven", 0, 0
+    marks: list[tuple[int, int, int]] = []
     for start_s in np.arange(time_s[0], max(time_s[-1] - _SHORTEST_S, time_s[0] + 1e-9), _EVERY_S):
         a, b = np.searchsorted(time_s, (start_s, start_s + _WINDOW_S)).tolist()
         n, s, m, ss, sm, mm = (float(total[b] - total[a]) for total in sums)
@@ -151,19 +166,24 @@ def _ignored(record: Record, simulated_deg: FloatArray, least_deg: float, sure_s
         if state == "driven" and slope < _IGNORES and stands:
             state, since = "off", a
         elif state == "off" and slope > _OBEYS:
-            marks.append((since, a))
+            marks.append((obeyed, since, a))
             state = "driven"
+        if state == "driven" and slope > _OBEYS:
+            obeyed = a
     if state == "off":
-        marks.append((since, time_s.size))
-    for first, last in marks:
-        begin = _onset(record, simulated_deg, first)
+        marks.append((obeyed, since, time_s.size))
+    for sure, first, last in marks:
+        begin = _onset(record, simulated_deg, sure, first)
         if time_s[last - 1] - time_s[begin] >= sure_s:
             off[begin:last] = True
     return off
 
 
-def _onset(record: Record, simulated_deg: FloatArray, first: int) -> int:
-    """Sample from which on the servo leaves its model for good, near the first window in which it ignores it."""
+def _onset(record: Record, simulated_deg: FloatArray, sure: int, first: int) -> int:
+    """Sample from which on the servo leaves its model for good, near the first window in which it ignores it.
+
+    Where little is asked, that window may begin long after the last one in which it surely obeyed.
+    """
     time_s = record.time_s
     error = np.abs(np.nan_to_num(record.measured_deg - simulated_deg))
     before = record.counts[:first]
@@ -171,7 +191,8 @@ def _onset(record: Record, simulated_deg: FloatArray, first: int) -> int:
     far = _BEYOND * max(float(np.median(usual)) / _MEDIAN, noise_floor_deg(record, record.measured_deg))
     stays = max(round(_STAYS_S / record.period_s), 2)
     last = min(int(np.searchsorted(time_s, time_s[first] + 2.0 * _WINDOW_S)), time_s.size - stays)
-    for k in range(int(np.searchsorted(time_s, time_s[first] - 0.5 * _WINDOW_S)), last):
+    earliest_s = min(max(time_s[sure], time_s[first] - _LOOK_BACK_S), time_s[first] - 0.5 * _WINDOW_S)
+    for k in range(int(np.searchsorted(time_s, earliest_s)), last):
         if np.mean(error[k : k + stays] > far) > _MOSTLY:
             while k > 1 and error[k - 2 : k].max() > far / _BEYOND:  # it had begun to leave it before
                 k -= 1  # noqa: PLW2901

@@ -129,8 +129,10 @@ def test_a_fault_in_the_middle_is_no_missing_effect() -> None:
     stuck[log.time_s > 18.0] += 0.1 * np.random.default_rng(0).standard_normal(int((log.time_s > 18.0).sum()))
     found = explained(replace(log, position_deg=stuck))
     assert found.conclusion == "nothing_missing"
-    assert found.fault_s == pytest.approx(18.0, abs=2.0)
-    assert "a fault, not a missing effect" in found.notes[0]
+    assert found.fault_s == pytest.approx(18.0, abs=0.5)
+    assert found.selection.final.names == ()
+    assert found.answer.startswith("FAULT from")
+    assert "the position does not follow its command" in found.notes[0]
 
 
 @pytest.mark.slow

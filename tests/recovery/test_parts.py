@@ -63,8 +63,10 @@ def test_a_jam_in_a_short_flight_is_no_missing_effect() -> None:
         Segment("x", record.commands.effective_s, record.commands.command_deg, time_s, jammed_deg), KNOWN
     )
     assert found.conclusion == "nothing_missing"
-    assert found.fault_s == pytest.approx(13.0, abs=2.0)
-    assert "a fault, not a missing effect" in found.notes[0]
+    assert found.fault_s == pytest.approx(13.0, abs=0.5)
+    assert found.selection.final.names == ()
+    assert found.answer.startswith("FAULT from")
+    assert "the position does not follow its command" in found.notes[0]
 
 
 def test_each_condition_has_the_error_that_was_made_under_it() -> None:
