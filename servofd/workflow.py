@@ -208,7 +208,7 @@ def calibrate(
     Examples
     --------
     >>> found = calibrate(["sample_logs/faser_healthy_flight.mat"], "faser", surfaces=("elevator",))
-    >>> found.surfaces[0].levels.interval_deg < 1.0
+    >>> found.surfaces[0].held_out_rms_deg < 0.2
     True
     """
     from servofd.calibrating.calibrate import calibrate_aircraft

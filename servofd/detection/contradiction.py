@@ -31,6 +31,8 @@ _WIDTH_DEG, _WIDTH_SIGMAS, _WIDTH_STEPS, _WIDEST_DEG = 0.4, 6.0, 2.0, 2.0
 _MISSED_DEG, _ASKED_DEG, _MISSED_S = 2.5, 4.0, 0.5
 """A jammed surface is so far from where it should be, while that moves by so much, for so long beyond its lag."""
 _ONE_SIDED_S = 5.0
+_BEFORE_S, _LEAST_SIGMA_DEG, _ALIKE = 2.0, 0.05, 4.0
+"""Healthy time before a jam that tells its offset, least noise, and squared deviations that tell instants apart."""
 _FAR_DEG, _FAR_SHARE, _FAR_S = 6.0, 0.3, 1.5
 """So far from the command, and by such a share of its travel, nothing rests that is well."""
 _WINDOW_S, _HOP_S = 3.0, 0.5
@@ -189,9 +191,11 @@ def _resting(flight: _Flight) -> Iterator[_Stretch]:
             continue
         seen = int(np.searchsorted(missed_s, long_s) if jammed else np.searchsorted(far_s, _FAR_S + long_s))
         seen_s = float(time_s[min(begin + seen, end - 1)])
+        hard = off_deg[0] >= _FAR_DEG
+        latest = begin + int(missed.argmax())
         yield _Stretch(
-            "stuck" if off_deg[0] < _FAR_DEG else "hardover",
-            _onset_s(flight, begin, begin + int(missed.argmax())),
+            "hardover" if hard else "stuck",
+            _onset_s(flight, begin, latest) if hard else _stopped_s(flight, begin, latest, at_deg, width_deg),
             seen_s,
             float(time_s[end - 1]),
             {"position_deg": at_deg},
@@ -203,6 +207,28 @@ def _onset_s(flight: _Flight, earliest: int, latest: int) -> float:
     near_deg = max(4.0 * flight.noise_deg, 2.0 * flight.step_deg, 0.6)
     near = np.flatnonzero(np.abs(flight.error_deg[: latest + 1]) <= near_deg)
     return float(flight.time_s[max(int(near[-1]), earliest - 1, 0)] if near.size else flight.time_s[earliest])
+
+
+def _stopped_s(flight: _Flight, begin: int, latest: int, at_deg: float, width_deg: float) -> float:
+    """When the surface stopped [s]: before, it is where the servo is but for an offset; after, where it rests.
+
+    Of the instants that suit nearly as well as the best, the last: nobody sees a jam while nothing is asked.
+    """
+    measured_deg, error_deg = flight.measured_deg, flight.error_deg
+    elsewhere = np.flatnonzero(np.abs(measured_deg[:begin] - at_deg) > width_deg)
+    earliest = int(elsewhere[-1]) + 1 if elsewhere.size else 0
+    if latest <= earliest:
+        return float(flight.time_s[earliest])
+    before = int(np.searchsorted(flight.time_s, flight.time_s[earliest] - _BEFORE_S))
+    moves = error_deg[before : latest + 1] - error_deg[before]
+    rests = (measured_deg[before : latest + 1] - at_deg) ** 2
+    count = np.arange(moves.size)
+    total, power = (np.concatenate([[0.0], np.cumsum(x)[:-1]]) for x in (moves, moves**2))
+    cost = power - total**2 / np.maximum(count, 1) + np.cumsum(rests[::-1])[::-1]
+    cost = cost[earliest - before :]
+    sigma_deg = max(flight.noise_deg, flight.step_deg, _LEAST_SIGMA_DEG)
+    alike = np.flatnonzero(cost <= cost.min() + _ALIKE * sigma_deg**2)
+    return float(flight.time_s[earliest + int(alike[-1])])
 
 
 def _moving(flight: _Flight) -> Iterator[_Stretch]:
