@@ -38,6 +38,10 @@ _USUAL_GAINS: Final = (0.8, 1.25)
 _POOR: Final = 0.6
 _FEWEST: Final = 60
 _LONGEST_LEAD_S: Final = 0.5
+_IN_COMMON: Final = 0.9
+"""Correlation from which the slope of the position over the command means something."""
+_ALIKE: Final = 0.15
+"""Correlation of the two rates from which one is taken to lead the other."""
 _LEAST_REACH: Final = 0.5
 _STRANGE: Final = 6.0
 """A flight that differs from the others by so many standard deviations between flights is of another aircraft."""
@@ -172,7 +176,11 @@ def _check(name: str, fitted: Fit, records: Sequence[Record], flights: Sequence[
             f"{name}: the position moves {1e3 * ahead_s:.0f} ms before the command in {logs}: swapped columns, or "
             "clocks that disagree"
         )
-    if fitted.explained_share < _POOR:
+    crude = float(np.median([_crude_gain(record) for record in records]))
+    if crude > 0.0 and not _FAR_GAINS[0] <= crude <= _FAR_GAINS[1]:
+        # So far from one that the fit did not get there.
+        gain = crude * fit([Record.of(flight.with_scale(crude, 0.0).segment) for flight in flights]).theta[0]
+    elif fitted.explained_share < _POOR:
         raise CalibrationError(
             f"{name}: not a good flight: no servo explains more than {max(fitted.explained_share, 0.0):.0%} of how the "
             f"position moves in {logs}: it does not follow its command; {_ADVICE}"
@@ -186,7 +194,7 @@ def _check(name: str, fitted: Fit, records: Sequence[Record], flights: Sequence[
         )
     if not _FAR_GAINS[0] <= gain <= _FAR_GAINS[1]:
         raise CalibrationError(
-            f"{name}: the position moves by {gain:.2f} times its command in {logs}: check scale and unit in the "
+            f"{name}: the position moves by {gain:.3g} times its command in {logs}: check scale and unit in the "
             "aircraft file, or a servo that has lost its travel"
         )
 
@@ -203,7 +211,24 @@ def _ahead_s(record: Record) -> float:
     middle = seen[most:-most]
     power = np.array([float(middle @ asked[most + lag : asked.size - most + lag]) for lag in range(-most, most + 1)])
     lead = int(np.argmax(power)) - most
+    # Noise is ahead of anything by chance.
+    size = float(np.sqrt((middle @ middle) * (asked @ asked)))
+    if float(power.max()) < _ALIKE * size:
+        return 0.0
     return lead * step_s if lead > 1 else 0.0
+
+
+def _crude_gain(record: Record) -> float:
+    """Slope of the position over the command, at the lag that suits it best; 0 if they have little in common."""
+    best = (_IN_COMMON, 0.0)
+    seen = record.measured_deg - record.measured_deg.mean()
+    for lag_s in np.arange(0.0, _LONGEST_LEAD_S, 0.02):
+        asked = np.interp(record.time_s - lag_s, record.command_s, record.command_deg)
+        asked -= asked.mean()
+        common, asked2 = float(asked @ seen), float(asked @ asked)
+        share = common / max(float(np.sqrt(asked2 * (seen @ seen))), 1e-300)
+        best = max(best, (share, common / max(asked2, 1e-300)))
+    return best[1]
 
 
 def _known(fitted: Fit, records: Sequence[Record], supply_v: float, flights: int) -> CalibratedServo:

@@ -226,7 +226,8 @@ def _stopped_s(flight: _Flight, begin: int, latest: int, at_deg: float, width_de
     total, power = (np.concatenate([[0.0], np.cumsum(x)[:-1]]) for x in (moves, moves**2))
     cost = power - total**2 / np.maximum(count, 1) + np.cumsum(rests[::-1])[::-1]
     cost = cost[earliest - before :]
-    sigma_deg = max(flight.noise_deg, flight.step_deg, _LEAST_SIGMA_DEG)
+    usual_deg = 1.5 * float(np.median(np.abs(error_deg)))  # what the fitted servo lacks
+    sigma_deg = max(flight.noise_deg, flight.step_deg, usual_deg, _LEAST_SIGMA_DEG)
     alike = np.flatnonzero(cost <= cost.min() + _ALIKE * sigma_deg**2)
     return float(flight.time_s[earliest + int(alike[-1])])
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -75,7 +76,13 @@ def test_faulty_flights_are_refused_and_their_good_part_is_not(
     target = tmp_path / "calibrated.toml"
     assert main(["calibrate", jammed, "-c", config, "-o", str(target)]) == 2
     error = capsys.readouterr().err
-    assert "rudder: not a good flight: jammed.csv: st" in error
+    # Named for certain or not: the jam is among what it may be, and its time is told.
+    told = re.search(
+        r"rudder: not a good flight: jammed.csv: (.*) since ([0-9.]+) s (.*?);.* leave that part out", error
+    )
+    assert told is not None
+    assert "stuck" in told[0]
+    assert 15.0 < float(told[2]) <= 20.5
     assert error.count("\n") == 1
     assert not target.exists()
     assert main(["calibrate", jammed, "-c", config, "-o", str(target), "--between", "0:18"]) == 0
@@ -91,7 +98,7 @@ def test_bad_input_is_told_in_a_sentence(tmp_path: Path, config: str, capsys: py
         "noise.csv": ((time_s, command_deg, rng.standard_normal(time_s.size)), "does not follow its command"),
         "swapped.csv": ((time_s, measured_deg, command_deg), "before the command"),
         "clipped.csv": ((time_s, command_deg, np.clip(measured_deg, -2.0, 2.0)), "of travel, the position shows"),
-        "units.csv": ((time_s, command_deg, 10.0 * measured_deg), "10.00 times its command"),
+        "units.csv": ((time_s, command_deg, 10.0 * measured_deg), "by 10 times its command"),
     }
     for name, (columns, words) in cases.items():
         target = tmp_path / "calibrated.toml"

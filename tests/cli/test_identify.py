@@ -68,7 +68,9 @@ def test_every_output_and_the_servo_file_in_an_audit(tmp_path: Path, capsys: pyt
     assert name == "mine"
     assert servo.rate_limit_deg_s == pytest.approx(370.0, rel=0.005)
     assert servo.transfer.bandwidth_rad_s == pytest.approx(28.49, rel=0.02)
-    assert main(["audit", str(chirp), "--servo", str(saved)]) == 0
+    flight = tmp_path / "flight.csv"
+    assert main(["simulate", "-o", str(flight), "--servo", "hs225bb-eq31"]) == 0
+    assert main(["audit", str(flight), "--servo", str(saved)]) == 0
     assert "healthy" in capsys.readouterr().out
 
     names = {"coherence", "motion", "normalised_error", "response", "step", "validation"}

@@ -148,13 +148,14 @@ def test_the_same_bytes_twice_in_one_run_count_once(
 def test_another_threshold_is_another_job_and_the_first_comes_back(
     logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], judged: list[str]
 ) -> None:
-    run(capsys, "audit", logs / "may", "-o", tmp_path / "r")
-    _, out, err = run(capsys, "audit", logs / "may", "-o", tmp_path / "r", "--threshold-deg", "3")
+    words = ["audit", logs / "may", "--servo", "hs225bb-eq31", "-o", tmp_path / "r"]
+    run(capsys, *words)
+    _, out, err = run(capsys, *words, "--threshold-deg", "3")
     assert "2 logs were judged with another aircraft file, other options or another version" in err
     assert "2 logs" in out
     assert len(judged) == 4
     assert set(pd.read_parquet(tmp_path / "r" / "surfaces").threshold_deg) == {3.0}
-    run(capsys, "audit", logs / "may", "-o", tmp_path / "r")
+    run(capsys, *words)
     assert len(judged) == 4
     assert set(pd.read_parquet(tmp_path / "r" / "surfaces").threshold_deg) == {1.5}
 
