@@ -20,6 +20,7 @@ import numpy as np
 
 from servofd.discrepancy.noise import long_run_factor, noise_floor_deg
 from servofd.discrepancy.record import Record, simulate, thinned
+from servofd.discrepancy.steps import COARSE_STEP_DEG, mean_reading_deg, noise_below_deg
 from servofd.models.catalogue import Quantization, installed
 from servofd.models.physics import Physics
 from servofd.types import FloatArray, IntArray
@@ -164,6 +165,7 @@ class Fitter:
     _count: FloatArray = field(init=False)
     _least: float = field(init=False)
     _size: float = field(default=1.0, init=False)
+    _below_deg: float = field(default=0.0, init=False)
 
     def __post_init__(self) -> None:
         self._look_at(thinned(self.record))
@@ -429,7 +431,18 @@ class Fitter:
 
     def _error_deg(self, physics: Physics) -> FloatArray:
         self.simulations += 1
-        return self.part.measured_deg - simulate(self.part, physics)
+        return self.part.measured_deg - self._simulated_deg(physics)
+
+    def _simulated_deg(self, physics: Physics) -> FloatArray:
+        """Of the fitted part; through a converter with coarse steps what it reads on average, or nothing has slopes."""
+        step_deg = physics.output_step_deg
+        if step_deg < COARSE_STEP_DEG or step_deg != self.part.step_deg:
+            return simulate(self.part, physics)
+        moved_deg = simulate(self.part, physics._replace(output_step_deg=0.0))
+        if self._below_deg == 0.0:
+            read_deg = np.where(self.part.counts, self.part.measured_deg, np.nan)
+            self._below_deg = noise_below_deg(read_deg, moved_deg, step_deg)
+        return mean_reading_deg(moved_deg, step_deg, self._below_deg)
 
     def _squares(self, error: FloatArray) -> FloatArray:
         """Mean square of each run."""

@@ -9,7 +9,14 @@ import numpy as np
 if TYPE_CHECKING:
     from servofd.types import FloatArray
 
-__all__ = ["COARSE_STEP_DEG", "comb_step_deg", "noise_below_deg", "noise_within_deg", "stepped_noise_deg"]
+__all__ = [
+    "COARSE_STEP_DEG",
+    "comb_step_deg",
+    "mean_reading_deg",
+    "noise_below_deg",
+    "noise_within_deg",
+    "stepped_noise_deg",
+]
 
 COARSE_STEP_DEG = 0.12
 """10 bits for 120 deg; what is finer is a usual potentiometer's or encoder's converter, and missing in no model."""
@@ -19,6 +26,7 @@ _EDGES = np.arange(-3.5, 4.0)
 _FINEST_SHARE = 0.02
 """Nothing finer is seen through steps: it is what a simulation may be wrong by, too."""
 _NODES = 24
+_TEETH = 4
 _OFF_COMB, _FEWEST_VALUES = 0.1, 3
 _NO_CHANCE = 20.0
 
@@ -96,6 +104,25 @@ def noise_within_deg(
     share = np.log(lower + drawn * (upper - lower)) + log_ndtr(high)
     noise_deg: FloatArray = sigma_deg * ndtri_exp(share)
     return np.where(mirrored, -noise_deg, noise_deg)
+
+
+def mean_reading_deg(moved_deg: FloatArray, step_deg: float, sigma_deg: float) -> FloatArray:
+    """What a converter with coarse steps reads on average where noise precedes it [deg]: smooth, as no reading is.
+
+    Examples
+    --------
+    >>> [round(float(x), 2) for x in mean_reading_deg(np.array([0.0, 0.3, 0.5, 1.0]), 1.0, 0.1)]
+    [0.0, 0.02, 0.5, 1.0]
+    """
+    from scipy.special import ndtr
+
+    whole = np.round(moved_deg / step_deg)
+    rest = moved_deg / step_deg - whole
+    share = sigma_deg / step_deg
+    mean: FloatArray = whole + sum(
+        ndtr((rest - k - 0.5) / share) - ndtr(-(rest + k + 0.5) / share) for k in range(_TEETH)
+    )
+    return step_deg * mean
 
 
 def stepped_noise_deg(sigma_deg: float, step_deg: float) -> float:
