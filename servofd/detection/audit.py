@@ -191,7 +191,8 @@ def audit_segment(
         threshold_deg=level.typical_deg,
         outline=outline(residuals.time_s, np.where(residuals.settled, residuals.residual_deg, np.nan), level.level_deg),
     )
-    problem = wiring_problem(residuals) if faults or suspicions else ""
+    # Tolerances that were drafted from a log hide a reversed sign.
+    problem = wiring_problem(residuals) if faults or suspicions or surface.model.origin == "fitted" else ""
     if problem:
         faults = suspicions = ()
     shown = NOTHING_DETECTABLE

@@ -91,3 +91,17 @@ def test_a_healthy_surface_tells_what_would_have_been_seen(tmp_path: Path) -> No
         assert shown.loss_share is not None
         assert shown.loss_share <= 0.34
         assert (shown.slow_share is None) == ("speed" in surface.reason and "not judgeable" in surface.reason)
+
+
+def test_a_reversed_sign_is_told_and_not_hidden_by_wide_tolerances(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    time_s = np.arange(600) / 10.0
+    command_deg = 15.0 * np.sin(1.3 * time_s) + 5.0 * np.sin(3.1 * time_s)
+    position_deg = -np.interp(time_s - 0.15, time_s, command_deg) + 0.1 * rng.standard_normal(600)
+    path = tmp_path / "reversed.csv"
+    table = np.column_stack([time_s, command_deg, position_deg])
+    np.savetxt(path, table, delimiter=",", header="time_s,a_cmd_deg,a_pos_deg", comments="")
+    (result,) = servofd.audit(path)
+    (surface,) = result.surfaces
+    assert surface.status == "unknown"
+    assert "check the sign" in surface.reason
