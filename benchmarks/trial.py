@@ -10,7 +10,6 @@ import numpy as np
 from bound import log_likelihood_ratio
 from fleet import FleetFlight, flight
 from servofd.aircraft import plain_aircraft
-from servofd.detection.alarm import crossings
 from servofd.detection.bank.window import Window
 from servofd.detection.judge import Judgement, judge
 from servofd.detection.residual import ResidualGenerator, Residuals, commands_at_servo
@@ -189,7 +188,10 @@ def _found(fault: Fault) -> Found:
 
 
 def _over(log: Judged) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    return crossings(log.residuals.residual_deg, log.judgement.threshold.level_deg, _SURFACE.persistence)
+    residual_deg = log.residuals.residual_deg
+    side = np.sign(residual_deg) * (np.abs(residual_deg) >= log.judgement.threshold.level_deg)
+    together = np.convolve(side, np.ones(_SURFACE.persistence))[: side.size]
+    return np.abs(together) >= _SURFACE.persistence - 0.5
 
 
 def _first(time_s: FloatArray, flags: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> float:

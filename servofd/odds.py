@@ -11,17 +11,17 @@ import numpy as np
 from servofd.detection.odds import SurfaceOdds, Wish, surface_odds
 from servofd.detection.probability import Noise, fit_tail
 from servofd.detection.pulse import PulseFilter, design_pulse_filter, fastest_pole_rad_s
-from servofd.errors import ConfigError, DesignError, NoMeasurement
+from servofd.errors import ConfigError, NoMeasurement
 from servofd.segment import SLOWEST_RATE_HZ
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from servofd.aircraft import Aircraft
-    from servofd.detection.verdict import LogAudit, SurfaceAudit
+    from servofd.detection.verdict import LogAudit
     from servofd.types import FloatArray
 
-__all__ = ["LeftOut", "Part", "odds_from_design", "odds_from_logs", "odds_of_surface", "parts_of"]
+__all__ = ["LeftOut", "Part", "odds_from_design", "odds_from_logs", "parts_of"]
 
 _FASTEST_RATE_HZ = 10_000.0
 _LARGEST_NOISE_DEG = 10.0
@@ -102,45 +102,6 @@ def odds_from_logs(parts: Iterable[Part | LeftOut], wish: Wish) -> list[SurfaceO
     for part in parts:
         by_surface[part.surface].append(part)
     return [_pooled(surface, members, wish) for surface, members in by_surface.items()]
-
-
-def odds_of_surface(aircraft: Aircraft, surface: SurfaceAudit, wish: Wish) -> SurfaceOdds | LeftOut:
-    """Odds of one audited surface, from its residual before the first fault.
-
-    Parameters
-    ----------
-    aircraft : Aircraft
-        It was audited with.
-    surface : SurfaceAudit
-        Healthy or not.
-    wish : Wish
-        Wanted rate of false alarms, and the fault to be seen.
-
-    Examples
-    --------
-    >>> import servofd
-    >>> (audit,) = servofd.audit("sample_logs/faser_stuck_flight.mat")
-    >>> rudder = odds_of_surface(audit.aircraft, audit.surfaces[1], Wish())
-    >>> isinstance(rudder, SurfaceOdds) and 0.1 < rudder.gaussian_threshold_deg < 0.5
-    True
-    """
-    if surface.residuals is None or surface.segment is None:
-        return LeftOut(surface.surface, "", surface.reason)
-    residuals = surface.residuals
-    onset_s = min((fault.start_s for fault in (*surface.faults, *surface.suspicions)), default=np.inf)
-    healthy = residuals.settled & (residuals.time_s < onset_s)
-    try:
-        part = Part(
-            surface.surface,
-            surface.servo,
-            "",
-            surface.threshold_deg,
-            _design(aircraft, surface.surface, surface.segment.period_s),
-            np.where(healthy, residuals.residual_deg, np.nan),
-        )
-        return _pooled(surface.surface, [part], wish)
-    except DesignError as error:
-        return LeftOut(surface.surface, "", str(error))
 
 
 def odds_from_design(

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 from logparsers.channels import LazyChannels
 from logparsers.records import FlightLog
 from logparsers.ulog.channels import UlogRecording
-from logparsers.ulog.file import AUDIT_TOPICS, UlogFile
+from logparsers.ulog.file import UlogFile
 
 if TYPE_CHECKING:
     from logparsers.only import Only
     from logparsers.source import Source
 
-__all__ = ["AUDIT_TOPICS", "UlogFile", "read_ulog"]
+__all__ = ["UlogFile", "read_ulog"]
 
 
 def read_ulog(source: Source, only: Only) -> FlightLog:

@@ -33,22 +33,8 @@ if TYPE_CHECKING:
 
     FloatArray = NDArray[np.float64]
 
-__all__ = ["AUDIT_TOPICS", "UlogFile"]
+__all__ = ["UlogFile"]
 
-AUDIT_TOPICS = (
-    "actuator_*",
-    "airspeed*",
-    "adc_report",
-    "battery_status",
-    "control_allocator_status",
-    "debug_*",
-    "failure_detector_status",
-    "servo_*",
-    "system_power",
-    "vehicle_status",
-    "vehicle_torque_setpoint",
-)
-"""Commands, what may carry measured positions, and what loads or feeds a servo."""
 
 _CLOCK_TOPICS = ("vehicle_gps_position", "sensor_gps", "vehicle_global_position")
 """Small topics that know the date; always read, shown only if they are asked for."""

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from logparsers.records import Channel, FlightLog
     from servofd.types import FloatArray
 
-__all__ = ["is_motion_table", "motion_of_table"]
+__all__ = ["motion_of_table"]
 
 _COMMANDS = {
     "roll": ("ail_cmd_us", "aileron_cmd_us", "roll_cmd_us"),
@@ -30,14 +30,6 @@ _MEMBERS = {
 _RATES = ("p", "q", "r")
 _FORCES = ("ax_m_s2", "ay_m_s2", "az_m_s2")
 _AIRSPEEDS = (("airspeed_m_s", "sensor"), ("airspeed_est_m_s", "GPS and wind"), ("airspeed_pitot_m_s", "sensor"))
-
-
-def is_motion_table(log: FlightLog) -> bool:
-    """Whether a table has commands in microseconds and body rates."""
-    names = set(log.channels)
-    return any(name in names for known in _COMMANDS.values() for name in known) and bool(
-        {"p_rad_s", "p_deg_s", "q_rad_s", "q_deg_s"} & names
-    )
 
 
 def motion_of_table(log: FlightLog, rate_hz: float | None = None) -> Motion:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from servofd.detection.threshold import Threshold
     from servofd.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["Episode", "Level", "crossings", "find_episodes"]
+__all__ = ["Episode", "Level", "find_episodes"]
 
 Level = Literal["suspect", "fault"]
 
@@ -158,21 +158,6 @@ def _with_suspicion(fault: Episode, suspected: list[Episode]) -> Episode:
     """A fault with the suspicion that announced it."""
     before = [s.alarm_s for s in suspected if _announces(s, fault)]
     return replace(fault, suspected_s=before[-1]) if before else fault
-
-
-def crossings(residual_deg: FloatArray, level_deg: FloatArray, persistence: int = 1) -> BoolArray:
-    """Samples at which |residual| has been at or over its level for some samples in a row, on one side.
-
-    Examples
-    --------
-    >>> crossings(np.array([2.0, 2.0, -2.0, -2.0, -3.0]), np.full(5, 1.5), 3)
-    array([False, False, False, False,  True])
-    """
-    side = np.sign(residual_deg) * (np.abs(residual_deg) >= level_deg)
-    if persistence == 1 or side.size < persistence:
-        return np.asarray(side != 0.0) if persistence == 1 else np.zeros(side.size, dtype=bool)
-    runs = np.abs(np.lib.stride_tricks.sliding_window_view(side, persistence).sum(axis=1)) == persistence
-    return np.concatenate([np.zeros(persistence - 1, dtype=bool), runs])
 
 
 def _onset(time_s: FloatArray, size_deg: FloatArray, tolerance_deg: FloatArray, earliest: int, alarm: int) -> int:

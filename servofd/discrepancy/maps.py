@@ -12,13 +12,12 @@ if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
     from servofd.types import FloatArray, IntArray
 
-__all__ = ["EVEN", "LINEAR", "ODD", "Map", "is_told", "maps", "since_reversal_s", "speed_deg_s"]
+__all__ = ["EVEN", "LINEAR", "ODD", "Map", "maps", "since_reversal_s", "speed_deg_s"]
 
 LINEAR, ODD, EVEN = "linear filter of the command", "odd distortion of the command", "even distortion of the command"
 """The second is the same up and down (a limit, friction, dead band), the third is not (a curved linkage)."""
 _BINS, _FEWEST_PER_BIN = 12, 30
 _TOP = 0.8
-_MOST = 2.0 / 3.0
 _LAGS, _MEMORY_S = 25, 0.25
 _FEWER_LAGS = 12
 """Of each of two distorted commands."""
@@ -76,11 +75,6 @@ def maps(record: Record, error_deg: FloatArray, sigma_deg: float) -> tuple[Map, 
         for name, unit, saved, above, concentration in found
     ]
     return tuple(sorted(result, key=lambda m: -m.share))
-
-
-def is_told(record: Record, error_deg: FloatArray, sigma_deg: float) -> bool:
-    """Whether command or motion tell most of what is more than noise."""
-    return any(found.share > _MOST for found in maps(record, error_deg, sigma_deg))
 
 
 def speed_deg_s(record: Record, error_deg: FloatArray) -> FloatArray:

@@ -45,7 +45,6 @@ much, or that share of what it improves."""
 _DECLARED, _NEGLIGIBLE = 0.99, 1e-3
 _WORSE = 9.0
 """Times the mean square of a run, and of the noise, that an effect must not leave."""
-_HYSTERESIS = ("deadband_deg", "insensitive_deg", "friction_deg", "backlash_deg", "stribeck")
 _LATE = (Delay, SensorLag, SlowDynamics)
 
 

@@ -42,11 +42,6 @@ PRESSURE_PA: Final = 300.0
 REACH_DEG: Final = 25.0
 """Deflection that bends of the reading refer to."""
 _STEP_S: Final = 0.002
-_PUSH_PER_S: Final = 25.0
-"""How fast the air moves a surface through its play at `PRESSURE_PA`; measured between 8 and 60."""
-_LOADED_DEG: Final = 0.1
-"""Load at which the play lies surely on one side."""
-_LONGEST_STEP_S: Final = 5.0
 
 
 _GAIN, _BIAS, _DELAY, _OMEGA, _ZETA, _RATE, _DEAD, _FRICTION, _PLAY, _HINGE, _HINGE0, _BEND2, _BEND3 = range(FITTED)

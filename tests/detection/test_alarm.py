@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 
-from servofd.detection.alarm import Episode, crossings, find_episodes
+from servofd.detection.alarm import Episode, find_episodes
 from servofd.detection.latch import latch, new_latch_memory
 from servofd.detection.probability import Noise, design_cusum
 from servofd.detection.residual import ResidualGenerator, Residuals
@@ -22,8 +19,6 @@ from tests.detection.tolerated import MODEL, deviating
 TIME_S = np.arange(6000) / 100.0
 GENERATOR = ResidualGenerator(MODEL, 50.0)
 STEADY_DEG = 6.0 * np.sin(3.0 * TIME_S)
-
-residuals_deg = arrays(float, st.integers(1, 60), elements=st.floats(-4.0, 4.0))
 
 
 def found(
@@ -39,33 +34,6 @@ def found(
 
 
 class TestPersistence:
-    @given(residuals_deg)
-    def test_one_is_the_thesis_own_rule(self, residual_deg: FloatArray) -> None:
-        level_deg = np.full(residual_deg.size, 1.5)
-        np.testing.assert_array_equal(crossings(residual_deg, level_deg), np.abs(residual_deg) >= 1.5)
-
-    @given(residuals_deg, st.integers(1, 8))
-    def test_an_alarm_is_so_many_crossings_on_one_side_and_nothing_else(
-        self, residual_deg: FloatArray, persistence: int
-    ) -> None:
-        level_deg = np.full(residual_deg.size, 1.5)
-        expected = [
-            k + 1 >= persistence
-            and (
-                all(r >= 1.5 for r in residual_deg[k + 1 - persistence : k + 1])
-                or all(r <= -1.5 for r in residual_deg[k + 1 - persistence : k + 1])
-            )
-            for k in range(residual_deg.size)
-        ]
-        assert crossings(residual_deg, level_deg, persistence).tolist() == expected
-
-    @given(residuals_deg, st.integers(1, 8))
-    def test_asking_for_more_never_raises_more(self, residual_deg: FloatArray, persistence: int) -> None:
-        level_deg = np.full(residual_deg.size, 1.5)
-        more = crossings(residual_deg, level_deg, persistence + 1)
-        assert not np.any(more & ~crossings(residual_deg, level_deg, persistence))
-        np.testing.assert_array_equal(more, crossings(-residual_deg, level_deg, persistence + 1))
-
     def test_it_delays_the_alarm_of_a_lasting_fault_by_so_many_samples(self) -> None:
         measured_deg = deviating(TIME_S, STEADY_DEG) + 4.0 * (TIME_S >= 20.0)
         alarms = [found(STEADY_DEG, measured_deg, persistence=count)[0].alarm_s for count in (1, 4)]

@@ -12,7 +12,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from servofd.aircraft import Surface, plain_aircraft
-from servofd.detection.alarm import crossings
 from servofd.detection.bank.flight import Fault
 from servofd.detection.events import Event, Look
 from servofd.detection.glitches import glitches
@@ -309,7 +308,8 @@ class TestSteps:
         rng = np.random.default_rng(3)
         residual_deg, level_deg = rng.standard_normal(500), np.full(500, 1.5)
         found = latch(new_latch_memory(), residual_deg, level_deg, np.zeros(500), 2, 1.5)
-        first = int(np.flatnonzero(crossings(residual_deg, level_deg, 2))[0])
+        side = np.sign(residual_deg) * (np.abs(residual_deg) >= level_deg)
+        first = 1 + int(np.flatnonzero(np.abs(side[1:] + side[:-1]) == 2.0)[0])
         assert np.flatnonzero(found.alarm).tolist() == [first]
 
     def test_a_step_is_no_glitch_and_what_comes_back_is(self) -> None:

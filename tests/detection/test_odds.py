@@ -15,7 +15,6 @@ from servofd.detection.probability import (
     Noise,
     TailFit,
     bias_response,
-    chance_within_hour,
     cusum,
     design_cusum,
     detect,
@@ -327,7 +326,7 @@ def test_logs_are_pooled_and_what_is_left_out_is_said() -> None:
     assert odds.wished.threshold_deg == odds.tail_threshold_deg.value
     assert odds.wished.tail_per_hour is not None
     assert odds.wished.tail_per_hour.value == pytest.approx(1e-3)
-    assert chance_within_hour(odds.in_force.gaussian_per_hour) < 1e-100
+    assert odds.in_force.gaussian_per_hour < 1e-100
 
 
 def test_a_fault_or_too_little_contributes_nothing() -> None:

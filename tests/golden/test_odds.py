@@ -12,7 +12,6 @@ from servofd.detection.probability import (
     CusumDesign,
     Noise,
     bias_response,
-    chance_within_hour,
     design_cusum,
     detect,
     false_alarms_per_hour,
@@ -29,12 +28,16 @@ TENTH = Noise.designed(DESIGN, 0.1)
 LAST_DIGIT = 1.1  # in units of the last digit printed
 
 
+def within_an_hour(rate_per_hour: float) -> float:
+    return float(-np.expm1(-rate_per_hour))
+
+
 @pytest.mark.parametrize(
     ("z", "chance"),
     [(4.25, 0.99942), (4.5, 0.90828), (4.75, 0.51312), (5.0, 0.18440), (5.25, 0.05283), (5.5, 0.01350)],
 )
 def test_chance_of_a_false_alarm_within_an_hour(z: float, chance: float) -> None:
-    assert chance_within_hour(false_alarms_per_hour(z, 1.0, UNIT.correlation, T)) == pytest.approx(chance, abs=1e-5)
+    assert within_an_hour(false_alarms_per_hour(z, 1.0, UNIT.correlation, T)) == pytest.approx(chance, abs=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -42,7 +45,7 @@ def test_chance_of_a_false_alarm_within_an_hour(z: float, chance: float) -> None
 )
 def test_chance_of_a_false_alarm_in_4000_simulated_hours(z: float, chance: float) -> None:
     standard_error = np.sqrt(chance * (1.0 - chance) / 4000.0)
-    predicted = chance_within_hour(false_alarms_per_hour(z, 1.0, UNIT.correlation, T))
+    predicted = within_an_hour(false_alarms_per_hour(z, 1.0, UNIT.correlation, T))
     assert abs(predicted - chance) < 2.5 * standard_error
 
 
@@ -69,7 +72,7 @@ def test_threshold_for_a_chance_per_hour(chance: float, z: float) -> None:
 def test_persistence(z: float, chances: tuple[float, ...]) -> None:
     """Against simulation, whose standard error is about 0.01 in the middle and 5 % of small numbers."""
     for samples, chance in enumerate(chances, start=1):
-        ours = chance_within_hour(persistent_false_alarms_per_hour(z, UNIT, samples))
+        ours = within_an_hour(persistent_false_alarms_per_hour(z, UNIT, samples))
         assert ours == pytest.approx(chance, rel=0.05, abs=0.011 if chance > 0.01 else 6e-4)
 
 

@@ -17,7 +17,6 @@ from servofd.identification.rate import rate_limits
 from servofd.identification.records import prepared
 from servofd.identification.result import Identification
 from servofd.identification.shape import LinearServo
-from servofd.identification.static import calibration_line, static_line
 from servofd.models.play import play
 from servofd.models.servo_model import ServoModel
 from servofd.segment import Segment
@@ -218,12 +217,5 @@ def test_a_dead_band_from_a_slow_triangle() -> None:
     measured_deg = ServoModel.of(HS225).simulate(time_s, seen_deg, time_s)
     measured_deg += 0.05 * np.random.default_rng(0).standard_normal(time_s.size)
     segment = Segment("x", time_s, command_deg, time_s, measured_deg)
-    assert static_line([prepared(segment)]).dead_band_deg == pytest.approx(1.5, abs=0.1)
     result = identify(segment)
     assert result.servo.dead_band_deg == pytest.approx(1.5, abs=0.05)
-
-
-def test_a_calibration_line_tells_how_straight_the_sensor_is() -> None:
-    line = calibration_line(np.array([500.0, 1500.0, 2500.0]), np.array([-45.0, 3.0, 45.0]))
-    assert line.slope_deg == pytest.approx(0.045)
-    assert line.largest_error_deg == pytest.approx(2.0)

@@ -9,7 +9,7 @@ from servofd.detection.probability.persistence import (
     persistent_threshold_deg,
 )
 from servofd.detection.probability.tail import Quoted, TailFit, fit_tail
-from servofd.detection.probability.upcrossing import chance_within_hour, false_alarms_per_hour, threshold_for_rate_deg
+from servofd.detection.probability.upcrossing import false_alarms_per_hour, threshold_for_rate_deg
 
 __all__ = [
     "CusumDesign",
@@ -18,7 +18,6 @@ __all__ = [
     "Quoted",
     "TailFit",
     "bias_response",
-    "chance_within_hour",
     "cusum",
     "design_cusum",
     "detect",

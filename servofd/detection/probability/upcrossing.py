@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from servofd.types import FloatArray
 
-__all__ = ["chance_within_hour", "false_alarms_per_hour", "root_of_rate", "threshold_for_rate_deg"]
+__all__ = ["false_alarms_per_hour", "root_of_rate", "threshold_for_rate_deg"]
 
 _NODES = 120
 _REACH = 10.0
@@ -80,17 +80,6 @@ def _gauss_legendre(count: int) -> tuple[FloatArray, FloatArray]:
     """Nodes and weights; working them out takes a hundred times as long as using them."""
     nodes, weights = np.polynomial.legendre.leggauss(count)
     return np.asarray(nodes, dtype=float), np.asarray(weights, dtype=float)
-
-
-def chance_within_hour(rate_per_hour: float) -> float:
-    r"""Probability of at least one alarm in a flight hour, :math:`1 - e^{-\lambda}`.
-
-    Examples
-    --------
-    >>> round(chance_within_hour(0.10536), 4)
-    0.1
-    """
-    return float(-np.expm1(-rate_per_hour))
 
 
 def threshold_for_rate_deg(rate_per_hour: float, sigma_deg: float, correlation: float, sample_time_s: float) -> float:
