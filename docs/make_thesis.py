@@ -13,7 +13,8 @@ from servofd.detection.pulse import design_pulse_filter
 from servofd.detection.residual import ResidualGenerator
 from servofd.identification.identify import identify
 from servofd.models.effects import Delay, LinearDynamics
-from servofd.models.faults import DeadBand, Fault, Stuck
+from servofd.models.failing import Fault
+from servofd.models.faults import DeadBand, Stuck
 from servofd.models.servo_model import ServoModel
 from servofd.models.transfer import TransferFunction
 from servofd.outputs.figure import save_figure

@@ -65,11 +65,6 @@ def members(file: BinaryIO, path: Path) -> list[tuple[str, Opener]]:
         The archive, open for as long as its members are read.
     path : Path
         Its name, for messages.
-
-    Raises
-    ------
-    UnreadableLog
-        If it is broken, or holds more than any collection of logs.
     """
     file.seek(0)
     head = file.read(8)
@@ -90,22 +85,7 @@ def members(file: BinaryIO, path: Path) -> list[tuple[str, Opener]]:
 
 
 def beginning(unpack: Opener, path: Path, size: int) -> bytes:
-    """First bytes of a packed file.
-
-    Parameters
-    ----------
-    unpack : callable
-        Opens it.
-    path : Path
-        What to call it in messages.
-    size : int
-        How many bytes.
-
-    Raises
-    ------
-    UnreadableLog
-        If the archive is broken or encrypted.
-    """
+    """First bytes of a packed file."""
     try:
         with unpack() as packed:
             return packed.read(size)
@@ -115,20 +95,7 @@ def beginning(unpack: Opener, path: Path, size: int) -> bytes:
 
 @contextmanager
 def inflated(unpack: Opener, path: Path) -> Iterator[tuple[BinaryIO, tuple[Damage, ...]]]:
-    """Inflate to a temporary file, up to the limit; of a download that stopped, what is there.
-
-    Parameters
-    ----------
-    unpack : callable
-        Opens what is to be inflated.
-    path : Path
-        What to call it in messages.
-
-    Raises
-    ------
-    UnreadableLog
-        If the archive is broken or encrypted, its content larger than the limit, or the disk is full.
-    """
+    """Inflate to a temporary file, up to the limit; of a download that stopped, what is there."""
     with tempfile.TemporaryFile(prefix="servofd-") as target:
         size = 0
         damage: tuple[Damage, ...] = ()
@@ -161,11 +128,6 @@ def check_size(path: Path, size: int, most_mb: int = MOST_UNPACKED_MB) -> None:
         So far, or as its header promises [bytes].
     most_mb : int
         Limit, unless the environment has another.
-
-    Raises
-    ------
-    UnreadableLog
-        If it is larger.
     """
     text = os.environ.get(LIMIT_VARIABLE, "")
     limit_mb = int(text) if text.isdecimal() else most_mb

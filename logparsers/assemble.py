@@ -71,13 +71,6 @@ def assemble(
     run : str
         Which experiment.
 
-    Raises
-    ------
-    EmptyLog
-        If no row has a time stamp.
-    ClockError
-        If the time stamps cannot be put in order.
-
     Examples
     --------
     >>> from pathlib import Path

@@ -50,18 +50,6 @@ class Cells:
 def convert(grid: Grid, texts: Collection[str] = ()) -> dict[str, Cells]:
     r"""Convert every column that has a name.
 
-    Parameters
-    ----------
-    grid : Grid
-        Well-formed rows.
-    texts : collection of str
-        Columns whose texts are wanted, too.
-
-    Returns
-    -------
-    dict of str to Cells
-        By name, in the order of the header.
-
     Examples
     --------
     >>> from pathlib import Path

@@ -75,13 +75,7 @@ def as_float(values: NDArray[Any]) -> FloatArray:
 
 
 class Together(Mapping[str, Channel]):
-    """Channels of several records under one roof, each made by its own when it is looked up.
-
-    Parameters
-    ----------
-    homes : Mapping[str, Mapping[str, Channel]]
-        Where the channel of a name is.
-    """
+    """Channels of several records under one roof, each made by its own when it is looked up."""
 
     def __init__(self, homes: Mapping[str, Mapping[str, Channel]]) -> None:
         self._homes = homes
@@ -125,13 +119,6 @@ class LazyChannels(Mapping[str, Channel]):
             The file, for messages.
         others : iterable of str
             Messages of the file that are not among these channels, because nobody asked for them.
-
-        Raises
-        ------
-        EmptyLog
-            If the log has no channel at all.
-        MissingChannel
-            If none is wanted.
         """
         if not self._series and (wanted.patterns is None or not others):
             raise EmptyLog(f"{path}: no message with numbers and a time stamp in it; was the log copied completely?")
@@ -144,13 +131,7 @@ class LazyChannels(Mapping[str, Channel]):
         return LazyChannels(self._recording, {name: self._series[name] for name in names})
 
     def __getitem__(self, name: str) -> Channel:
-        """Decode a channel.
-
-        Raises
-        ------
-        KeyError
-            If there is none of that name.
-        """
+        """Decode a channel."""
         series = self._series[name]
         time_s, rows, _ = self._clock(series.group)
         values = self._recording.values(series)

@@ -63,11 +63,6 @@ def order(
     damage : tuple of Damage
         Rows without a stamp and rows out of order.
 
-    Raises
-    ------
-    ClockError
-        If more than a few rows are out of order.
-
     Examples
     --------
     >>> kept, time_s, damage = order(np.array([0.0, 1.0, np.nan, 2.0, 1.5, 3.0]), "flight.csv")

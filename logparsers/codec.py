@@ -21,17 +21,7 @@ _KEY_SIZE: Final = 32
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """A message that came in.
-
-    Parameters
-    ----------
-    name : str
-        As MAVLink calls it.
-    system, component : int
-        Who sent it.
-    fields : Mapping[str, object]
-        Numbers, lists of numbers, and texts.
-    """
+    """A message that came in."""
 
     name: str
     system: int

@@ -208,11 +208,6 @@ def detect(head: bytes, label: str) -> Reader:
     label : str
         Its name, for the message.
 
-    Raises
-    ------
-    UnknownFormat
-        If nothing here reads it; the message says what it is, as far as that is known.
-
     Examples
     --------
     >>> detect(b"time_s,elevator_cmd_deg\n", "flight.csv").__name__

@@ -75,11 +75,6 @@ def parse_endpoint(text: str) -> Endpoint:
         ``udpin:``, ``udpout:``, ``tcp:`` or ``tcpin:`` with ``HOST:PORT``, or with ``PORT`` alone for this machine;
         or a serial device, ``DEVICE`` or ``DEVICE,BAUD``.
 
-    Raises
-    ------
-    LinkError
-        If it is anything else.
-
     Examples
     --------
     >>> str(parse_endpoint("udpin:14550")), str(parse_endpoint("tcp:10.0.0.2:5760"))

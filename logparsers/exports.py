@@ -127,11 +127,6 @@ def read_part(source: Source, beginning: str = "") -> Part:
         The file.
     beginning : str
         Of the names of its flight, if that is known.
-
-    Raises
-    ------
-    LogError
-        If it is no table.
     """
     grid = read_grid(source.path, source.content())
     with decoding(source, "table of messages"):
@@ -164,11 +159,6 @@ def flights(parts: Iterable[Part], path: Path, only: Only) -> tuple[FlightLog, .
         Where they come from.
     only : Only
         Which channels.
-
-    Raises
-    ------
-    LogError
-        If one has no numbers and time stamps, or no wanted channel.
     """
     together: dict[tuple[str, str], list[Part]] = {}
     for part in parts:
@@ -345,11 +335,6 @@ def dataflash_log(messages: Mapping[str, Mapping[str, NDArray[Any]]], path: Path
         Where they come from.
     only : Only
         Which channels.
-
-    Raises
-    ------
-    LogError
-        If none has numbers and a time stamp.
     """
     from logparsers.dataflash import DataFlashFile, flight_log
     from logparsers.dataflash.exported import ExportedStore

@@ -30,20 +30,10 @@ BEST_COMPRESSION = 1100
 def arrays(source: Source) -> dict[str, NDArray[Any]]:
     """Read all numeric vectors and matrices.
 
-    Parameters
-    ----------
-    source : Source
-        The file.
-
     Returns
     -------
     dict of str to ndarray
         By path, ``"/Control/cmdElev_rad"``, in the type and shape of the file.
-
-    Raises
-    ------
-    UnreadableLog
-        If the HDF5 library gives up, or it unpacks to more than allowed.
 
     Examples
     --------

@@ -41,11 +41,6 @@ class Link(Protocol):
 def open_link(endpoint: Endpoint) -> Link:
     """Open an endpoint.
 
-    Raises
-    ------
-    LinkError
-        If it cannot be opened: the port is taken, the host unknown, the device missing or forbidden.
-
     Examples
     --------
     >>> from logparsers.endpoint import Socket

@@ -90,24 +90,10 @@ def header4(head: bytes) -> Header4 | None:
 def level4(path: Path, content: memoryview) -> dict[str, Any]:
     r"""Decode every real array of a level-4 file.
 
-    Parameters
-    ----------
-    path : Path
-        The file, for messages.
-    content : memoryview
-        All of it.
-
     Returns
     -------
     dict of str to ndarray, shape (rows, columns)
         By name, in the order of the file, in the type of the file.
-
-    Raises
-    ------
-    TruncatedLog
-        If the file ends inside a variable.
-    UnreadableLog
-        If a header makes no sense.
 
     Examples
     --------
@@ -140,27 +126,11 @@ def level4(path: Path, content: memoryview) -> dict[str, Any]:
 def level5(path: Path, content: memoryview) -> dict[str, Any]:
     """Decode every real array of a level-5 file, its texts, and the cells and structures that hold them.
 
-    Parameters
-    ----------
-    path : Path
-        The file, for messages.
-    content : memoryview
-        All of it.
-
     Returns
     -------
     dict of str to ndarray, list or dict
         By name, in the order of the file: numbers in the type of the file, texts as str, a cell as a list (column after
         column), a structure by the names of its fields.
-
-    Raises
-    ------
-    TruncatedLog
-        If the file ends inside a variable.
-    UnreadableLog
-        If it unpacks to more than allowed.
-    struct.error, ValueError, zlib.error
-        If the bytes make no sense.
 
     Examples
     --------

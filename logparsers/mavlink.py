@@ -220,11 +220,6 @@ def dialect(name: str = DEFAULT_DIALECT) -> Dialect:
     Dialect
         Shared between callers; read only.
 
-    Raises
-    ------
-    LogError
-        If pymavlink has no such dialect.
-
     Examples
     --------
     >>> servo = dialect("common").layouts["SERVO_OUTPUT_RAW"]
@@ -335,11 +330,6 @@ def pack(name: str, values: Mapping[str, Any], *, dialect_name: str = DEFAULT_DI
         Numbers, sequences of numbers, or text for character arrays; a field left out is zero.
     dialect_name : str
         One of `dialect_names`.
-
-    Returns
-    -------
-    bytes
-        All fields, extensions included.
 
     Examples
     --------

@@ -29,11 +29,6 @@ def replayed(source: LogBytes) -> Iterator[tuple[float, bytes]]:
     source : str, PathLike, bytes or BinaryIO
         A ``.tlog``.
 
-    Raises
-    ------
-    LogError
-        If there is no such file, or no good message in it.
-
     Examples
     --------
     >>> frame = bytes.fromhex("fe 09 00 01 01 00 00 00 00 00 01 0c 00 00 03 30 11")

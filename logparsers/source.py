@@ -77,13 +77,7 @@ class Source:
     damage: tuple[Damage, ...] = ()
 
     def content(self) -> bytes:
-        """Every byte of the file.
-
-        Raises
-        ------
-        UnreadableLog
-            If the disk fails or the file does not fit into memory.
-        """
+        """Every byte of the file."""
         try:
             self.file.seek(0)
             return self.file.read()
@@ -102,11 +96,6 @@ class Source:
         """Every byte of the file, mapped into memory rather than read where the system can; read only.
 
         The file may be closed afterwards: the map lives as long as the last array that shows it.
-
-        Raises
-        ------
-        UnreadableLog
-            As for `content`.
         """
         try:
             return np.frombuffer(mmap.mmap(self.file.fileno(), 0, access=mmap.ACCESS_READ), np.uint8)
@@ -117,22 +106,12 @@ class Source:
 def mapped(file: LogBytes) -> tuple[NDArray[np.uint8], str]:
     """All bytes of a log, and what to call it.
 
-    Parameters
-    ----------
-    file : str, PathLike, BinaryIO or bytes
-        A path, a binary file that can seek, or the content itself.
-
     Returns
     -------
     content : ndarray of uint8, shape (n,), n > 0
         Read only.
     label : str
         For messages.
-
-    Raises
-    ------
-    LogError
-        If there is no such file, it cannot be read, or it is empty.
 
     Examples
     --------
@@ -151,22 +130,6 @@ def mapped(file: LogBytes) -> tuple[NDArray[np.uint8], str]:
 @contextmanager
 def opened(file: LogFile) -> Iterator[Source]:
     """Open a log, packed or not; one that was open already is read from its beginning and stays open.
-
-    Parameters
-    ----------
-    file : str, PathLike or BinaryIO
-        A path, or a binary file that can seek.
-
-    Raises
-    ------
-    MissingLog
-        If there is no such file, or no right to read it.
-    EmptyLog
-        If it holds no byte.
-    SeveralRuns
-        If it is an archive of several files.
-    TypeError
-        If the file object is not binary.
 
     Examples
     --------
@@ -194,11 +157,6 @@ def sources(file: LogFile) -> Generator[Source]:
     ------
     Source
         At least one; those of an archive of several have the archive's name before theirs.
-
-    Raises
-    ------
-    LogError
-        As for `opened`; an empty file of an archive is passed over.
     """
     with _raw(file) as source:
         if not is_packed(source.head):
@@ -223,11 +181,6 @@ def sources(file: LogFile) -> Generator[Source]:
 def files_of(path: Path) -> list[Path]:
     """Files that a path stands for: itself, or all that fit a name with ``*`` in it.
 
-    Parameters
-    ----------
-    path : Path
-        Of a log, or of the tables of one flight.
-
     Examples
     --------
     >>> [file.name for file in files_of(Path("sample_logs/px4_*.ulg"))]
@@ -240,18 +193,6 @@ def files_of(path: Path) -> list[Path]:
 
 def heads(file: LogFile, size: int) -> list[bytes]:
     """First bytes of a log, or of each file of an archive, of which no more is unpacked.
-
-    Parameters
-    ----------
-    file : str, PathLike or BinaryIO
-        A path, or a binary file that can seek.
-    size : int
-        How many bytes.
-
-    Raises
-    ------
-    LogError
-        As for `opened`.
 
     Examples
     --------
@@ -306,20 +247,7 @@ def _source(path: Path, file: BinaryIO) -> Source:
 
 @contextmanager
 def decoding(source: Source, what: str) -> Iterator[None]:
-    """Run a decoder made by others: whatever it throws at damaged bytes becomes one line; its warnings are muted.
-
-    Parameters
-    ----------
-    source : Source
-        What is decoded.
-    what : str
-        Name of the format, for the message.
-
-    Raises
-    ------
-    UnreadableLog
-        In place of any other error.
-    """
+    """Run a decoder made by others: whatever it throws at damaged bytes becomes one line; its warnings are muted."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

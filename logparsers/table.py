@@ -94,15 +94,6 @@ def read_table(source: Source, layout: TableLayout | None = None) -> tuple[Fligh
     layout : TableLayout, optional
         How to read it; without one the header has ``time_s`` and perhaps ``run``, or the names of a FASER log.
 
-    Raises
-    ------
-    UnreadableLog
-        If a cell that matters is not a number.
-    MissingChannel
-        If there is no time column, or a column named by the layout.
-    EmptyLog
-        If no row is left.
-
     Examples
     --------
     >>> import io

@@ -61,24 +61,6 @@ class Grid:
 def read_grid(path: Path, content: bytes, columns: tuple[str, ...] = ()) -> Grid:
     r"""Find the header, the delimiter and the rows.
 
-    Parameters
-    ----------
-    path : Path
-        The file, for messages.
-    content : bytes
-        All of it.
-    columns : tuple of str
-        Names of the columns of a file without a header.
-
-    Raises
-    ------
-    EmptyLog
-        If there is no header or no row.
-    MissingChannel
-        If numbers stand where the header should be.
-    UnreadableLog
-        If the file is not text, a name stands twice in the header, or a line has too many cells.
-
     Examples
     --------
     >>> from pathlib import Path
@@ -105,11 +87,6 @@ def read_grid(path: Path, content: bytes, columns: tuple[str, ...] = ()) -> Grid
 
 def header_cells(head: bytes) -> tuple[str, ...]:
     r"""Names in the first line that is neither blank nor a comment; none if there is no such line.
-
-    Parameters
-    ----------
-    head : bytes
-        The beginning of a table.
 
     Examples
     --------

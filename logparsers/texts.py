@@ -61,11 +61,6 @@ def split_rows(values: Sequence[Any], codes: NDArray[Any]) -> dict[Any, NDArray[
     codes : ndarray of int, shape (n,)
         Which value each row has; every value has a row.
 
-    Returns
-    -------
-    dict of value to ndarray of int
-        Rising rows.
-
     Examples
     --------
     >>> {name: rows.tolist() for name, rows in split_rows(["a", "b"], np.array([1, 0, 1])).items()}

@@ -77,11 +77,6 @@ def from_variables(path: Path, variables: Mapping[str, Any], layout: TableLayout
     layout : TableLayout, optional
         Name and unit of the clock, or a rate without one.
 
-    Raises
-    ------
-    MissingChannel
-        If there is no clock, or nothing as long as one.
-
     Examples
     --------
     >>> from pathlib import Path

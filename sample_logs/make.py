@@ -7,17 +7,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from servofd.aircraft import Aircraft, load_aircraft, plain_aircraft
-from servofd.models.faults import (
-    Bias,
-    DeadBand,
-    Fault,
-    Floating,
-    HardOver,
-    LossOfEffectiveness,
-    Oscillation,
-    Slow,
-    Stuck,
-)
+from servofd.models.faults import Bias, DeadBand, Floating, HardOver, LossOfEffectiveness, Oscillation, Slow, Stuck
+from servofd.models.failing import Fault
 from servofd.simulation.flight import SimulatedFlight, simulate_flight
 from servofd.simulation.pulses import outputs_of
 from servofd.simulation.writers import write_flight

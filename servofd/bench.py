@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from servofd.identification.result import Identification
     from servofd.types import FloatArray
 
-__all__ = ["BenchTest", "bench_aircraft", "bench_tests", "identify_logs"]
-
 _CHIRP_COMMAND, _CHIRP_POSITION = "SCRP.PWM", "SCRP.Pos"
 """Written by ArduPilot's applet ``actuator_chirp.lua``: pulse [us] and position of the servo's telemetry [deg]."""
 _NO_POSITION = -1.0
@@ -55,15 +53,6 @@ def bench_tests(
         What the channels are; left out, it is found as for an audit.
     surface : str, optional
         Which servo; may be left out if only one was measured.
-
-    Raises
-    ------
-    LogError
-        If the log is of no use.
-    NoMeasurement
-        If no position was measured, or several were and none is chosen.
-    UnknownName
-        If there is no such surface.
     """
     logs = tuple(logs_of(path, aircraft))
     found: list[BenchTest] = []
@@ -104,11 +93,6 @@ def identify_logs(
         Which servo of the logs.
     method, order, progress
         As in `servofd.identification.identify.identify`.
-
-    Raises
-    ------
-    LogError, ServofdError
-        If a log is of no use, or does not show what the servo is like.
 
     Examples
     --------

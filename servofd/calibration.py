@@ -11,16 +11,6 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from servofd.errors import ConfigError
 from servofd.types import FloatArray
 
-__all__ = [
-    "Calibration",
-    "CountCalibration",
-    "DegreeCalibration",
-    "NormCalibration",
-    "PulseCalibration",
-    "RadianCalibration",
-    "RadianOrCountCalibration",
-]
-
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 Cubic = tuple[Finite, Finite, Finite, Finite]
 

@@ -24,21 +24,6 @@ from collections.abc import Iterable
 from importlib.util import find_spec
 from types import MappingProxyType
 
-__all__ = [
-    "EXTRAS",
-    "CalibrationError",
-    "ConfigError",
-    "DesignError",
-    "IdentificationError",
-    "NoMeasurement",
-    "RecordingError",
-    "ServofdError",
-    "UnknownName",
-    "needs",
-    "suggest",
-    "without",
-]
-
 
 class ServofdError(Exception):
     """Base of everything servofd raises on purpose."""
@@ -102,11 +87,6 @@ def needs(*packages: str) -> None:
     ----------
     *packages : str
         Some of `EXTRAS`.
-
-    Raises
-    ------
-    ConfigError
-        If one of them is not there.
 
     Examples
     --------

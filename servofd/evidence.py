@@ -7,8 +7,6 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field
 
-__all__ = ["NAMED", "NOTHING_DETECTABLE", "Detectable", "ModelOrigin", "Origin"]
-
 Origin = Literal["calibrated", "named", "fitted", "none"]
 
 _SizeDeg = Annotated[float, Field(ge=0.0)]

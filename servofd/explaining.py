@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from servofd.segment import Segment
     from servofd.types import FloatArray
 
-__all__ = ["UNKNOWN", "ExplainedLog", "ExplainedLogs", "explain_log", "explain_logs"]
-
 _SAME_FAULT_S = 3.0
 UNKNOWN = "unknown"
 """Name of a servo that nobody knows."""

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
     from servofd.types import BoolArray, FloatArray
 
-__all__ = ["frozen_rows", "republished_rows"]
-
 _SHORTEST_S = 0.5
 _REPUBLISHED_S = 0.1
 _COMMAND_MOVES_DEG = 1.0

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from logparsers import FlightLog, LogFile
 
-__all__ = ["aircraft_for", "flown_aircraft", "known_aircraft", "layout_of", "logs_of", "one_log", "surfaces_of"]
-
 _COMMAND_SUFFIX, _POSITION_SUFFIX = "_cmd_deg", "_pos_deg"
 
 
@@ -43,11 +41,6 @@ def logs_of(paths: LogFile | Sequence[LogFile], aircraft: Aircraft | None = None
     aircraft : Aircraft, optional
         Tells how its tables are to be read.
 
-    Raises
-    ------
-    LogError
-        If a log is of no use.
-
     Examples
     --------
     >>> [round(log.duration_s) for log in logs_of("sample_logs/faser_healthy_flight.mat")]
@@ -60,11 +53,6 @@ def logs_of(paths: LogFile | Sequence[LogFile], aircraft: Aircraft | None = None
 
 def one_log(path: str | Path, aircraft: Aircraft | None = None) -> FlightLog:
     """The only run of a log.
-
-    Raises
-    ------
-    LogError
-        If the log is of no use, or holds several runs.
 
     Examples
     --------
@@ -87,11 +75,6 @@ def flown_aircraft(log: FlightLog, known: Aircraft | None, servo: str | None = N
         What is known of the aircraft.
     servo : str, optional
         Servo of all surfaces: a name of the library, or a servo file; ``unknown`` fits each servo to the log.
-
-    Raises
-    ------
-    NoMeasurement
-        If nothing is known, and the log shows no surface.
     """
     from servofd.feedback.resolve import resolved
 
@@ -122,11 +105,6 @@ def aircraft_for(log: FlightLog, servo: str | None = None) -> Aircraft:
         What is to be judged.
     servo : str, optional
         Servo of a plain table's surfaces, of the library or a servo file; each is fitted to the log if left out.
-
-    Raises
-    ------
-    NoMeasurement
-        If the log has no columns that name a surface.
     """
     aircraft = surfaces_of(log)
     if log.format == "faser" or log.is_of_autopilot:
@@ -140,11 +118,6 @@ def aircraft_for(log: FlightLog, servo: str | None = None) -> Aircraft:
 
 def surfaces_of(log: FlightLog) -> Aircraft:
     """Surfaces as the channels of a log name them; nothing is said of the servos of a plain table.
-
-    Raises
-    ------
-    NoMeasurement
-        If the log has no columns that name a surface.
 
     Examples
     --------

@@ -6,8 +6,6 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-__all__ = ["Limits"]
-
 _Positive = Annotated[float, Field(gt=0.0, lt=1e5, strict=True)]
 _Share = Annotated[float, Field(ge=0.0, lt=1.0, strict=True)]
 

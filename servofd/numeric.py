@@ -8,28 +8,12 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["least", "root"]
-
 _GOLDEN = (3.0 - sqrt(5.0)) / 2.0
 _MOST_STEPS = 200
 
 
 def root(function: Callable[[float], float], low: float, high: float, tolerance: float = 1e-12) -> float:
     """Where a function crosses zero, by Chandrupatla's method: bisection, or an inverse parabola where that is safe.
-
-    Parameters
-    ----------
-    function : callable
-        Continuous, of different sign at both ends.
-    low, high : float
-        The ends.
-    tolerance : float
-        Of the answer.
-
-    Raises
-    ------
-    ValueError
-        If both ends have the same sign.
 
     Notes
     -----
@@ -69,17 +53,6 @@ def least(
     function: Callable[[float], float], low: float, high: float, tolerance: float = 1e-5, steps: int = _MOST_STEPS
 ) -> float:
     """Where a function of one minimum is smallest, by Brent's method: golden section, or a parabola where that is safe.
-
-    Parameters
-    ----------
-    function : callable
-        Continuous.
-    low, high : float
-        The ends.
-    tolerance : float
-        Of the answer.
-    steps : int
-        After so many evaluations the best is taken.
 
     Notes
     -----

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from servofd.detection.verdict import LogAudit
     from servofd.types import FloatArray
 
-__all__ = ["LeftOut", "Part", "odds_from_design", "odds_from_logs", "parts_of"]
-
 _FASTEST_RATE_HZ = 10_000.0
 _LARGEST_NOISE_DEG = 10.0
 """A position that scatters more is none: surfaces move by some 25 deg."""
@@ -121,11 +119,6 @@ def odds_from_design(
         Sample rate of the measured deflection [Hz].
     surfaces : tuple of str
         Which; all that are measured if empty.
-
-    Raises
-    ------
-    ConfigError
-        If noise or rate are none that a position can have.
 
     Examples
     --------

@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from servofd.detection.threshold import ThresholdKind
     from servofd.identification.identify import Method
 
-__all__ = ["Audit", "Audits", "Calibrated", "Identified", "Shown", "Trend", "audit", "calibrate", "identify", "trend"]
-
 
 class Shown(ABC):
     """A result that a notebook shows, and that becomes a table or a page."""
@@ -72,13 +70,7 @@ class Shown(ABC):
         return pd.DataFrame(self._rows())
 
     def save_html(self, path: str | Path) -> Path:
-        """Write its page, and give the path.
-
-        Raises
-        ------
-        ConfigError
-            If it cannot be written.
-        """
+        """Write its page, and give the path."""
         write_whole(path, self.to_html().encode())
         return Path(path)
 

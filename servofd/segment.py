@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from servofd.aircraft import Surface
     from servofd.types import FloatArray
 
-__all__ = ["SLOWEST_RATE_HZ", "SURROUNDINGS", "WARM_UP_S", "WARM_UP_STEPS", "Segment", "cut", "pace_steps", "too_far"]
-
 _LARGEST_DEG = 1e6
 """No servo turns so far; a motor drive in millimetres may."""
 

@@ -15,8 +15,6 @@ from servofd.errors import ConfigError, DesignError, UnknownName, suggest
 from servofd.models.transfer import BANDWIDTH_DROP_DB, TransferFunction
 from servofd.toml_text import read_toml
 
-__all__ = ["Servo", "find_servo", "library", "second_order", "servo_named"]
-
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False, strict=True)]
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False, strict=True)]
 Bandwidth = Annotated[float, Field(ge=0.01, le=10_000.0, strict=True)]
@@ -153,13 +151,6 @@ def find_servo(name: str) -> tuple[str, Servo]:
     name : str
         Name in the library, or path of a TOML file with one entry ``[servos.NAME]``, such as ``servofd identify
         --save`` writes.
-
-    Raises
-    ------
-    UnknownName
-        If the library has none of that name.
-    ConfigError
-        If the file does not describe one servo.
 
     Examples
     --------

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
     from logparsers import Channel, FlightLog
 
-__all__ = ["ChannelSurvey", "OnBoard", "SurfaceSurvey", "Survey", "survey"]
-
 _GAP_PERIODS = 5.0
 _RATE_PER_BANDWIDTH = 10.0
 """Samples that a period of the fastest motion needs, so that a residual filter can follow it."""

@@ -6,8 +6,6 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-__all__ = ["Tolerance"]
-
 _NonNegative = Annotated[float, Field(ge=0.0, lt=1e3, strict=True)]
 _Share = Annotated[float, Field(ge=0.0, lt=1.0, strict=True)]
 _WIDEST = {"gain": 0.9, "bandwidth": 0.9, "rate": 0.9, "delay_s": 999.0, "bias_deg": 999.0, "noise_deg": 999.0}

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
     from pathlib import Path
 
-__all__ = ["read_toml", "toml_inline", "toml_key", "toml_lines", "toml_value"]
-
 _ACTS = re.compile(r"[\x7f-\x9f\u200b-\u200f\u2028-\u202e\ud800-\udfff]")
 """What JSON leaves as it is, and no reader of TOML should meet."""
 _NO_CHARACTER = "\ufffd"
@@ -24,18 +22,6 @@ _NO_CHARACTER = "\ufffd"
 
 def read_toml(source: Path | Traversable, name: str, what: str) -> dict[str, Any]:
     """Content of a TOML file.
-
-    Parameters
-    ----------
-    source : Path or Traversable
-        The file.
-    name, what : str
-        What the user called it, and what it is, for messages.
-
-    Raises
-    ------
-    ConfigError
-        If it cannot be read, or is not TOML.
 
     Examples
     --------

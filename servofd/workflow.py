@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from servofd.detection.threshold import ThresholdKind
     from servofd.detection.verdict import LogAudit
 
-__all__ = ["audit", "calibrate", "calibrate_axes", "flights_of"]
-
 _SAME_RATE = 1.01
 
 
@@ -139,13 +137,6 @@ def calibrate_axes(
     -------
     MotionModel
         `servofd.axes.toml.motion_to_toml` makes a part of an aircraft file of it.
-
-    Raises
-    ------
-    LogError
-        If a log is of no use.
-    ServofdError
-        If the flights are too short, or no axis answers its command.
     """
     from servofd.axes.calibrate import calibrate_motion
     from servofd.axes.read import motion_of
@@ -227,13 +218,7 @@ def flights_of(
     spans: tuple[Span, ...] = (),
     runs: tuple[str, ...] = (),
 ) -> dict[str, list[Flight]]:
-    """Each surface in each log that measured it.
-
-    Raises
-    ------
-    NoMeasurement
-        If no log measured any surface; the message gives a reason for each.
-    """
+    """Each surface in each log that measured it."""
     from servofd.calibrating.flights import Flight, cropped
     from servofd.feedback.resolve import resolved
 

@@ -21,20 +21,7 @@ __all__ = ["DataFlashFile", "Field", "Layout", "ParameterChange", "Step", "Stret
 
 
 def read_dataflash(source: Source, only: Only) -> FlightLog:
-    """Read a DataFlash log; channels are decoded when they are looked up.
-
-    Parameters
-    ----------
-    source : Source
-        The file.
-    only : Only
-        Which channels.
-
-    Raises
-    ------
-    LogError
-        If it defines no message, or has none of the channels.
-    """
+    """Read a DataFlash log; channels are decoded when they are looked up."""
     return flight_log(DataFlashFile.of(source.mapped(), str(source.path)), source.path, only)
 
 
@@ -49,11 +36,6 @@ def flight_log(file: DataFlashFile, path: Path, only: Only) -> FlightLog:
         Where they come from.
     only : Only
         Which channels.
-
-    Raises
-    ------
-    LogError
-        If it has none of the channels.
     """
     channels = LazyChannels(DataFlashRecording(file)).only(only, path)
     disorder, span_s = channels.survey()

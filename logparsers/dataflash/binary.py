@@ -63,11 +63,6 @@ class BinaryStore:
     def count(self, name: str) -> int:
         """Count the rows of a message.
 
-        Parameters
-        ----------
-        name : str
-            Of the message.
-
         Returns
         -------
         int
@@ -77,11 +72,6 @@ class BinaryStore:
 
     def offsets(self, name: str) -> NDArray[Any]:
         """Where the rows of a message begin.
-
-        Parameters
-        ----------
-        name : str
-            Of the message.
 
         Returns
         -------
@@ -131,11 +121,6 @@ class BinaryStore:
 
     def suspect(self, name: str) -> NDArray[np.bool_]:
         """Rows whose time stamp contradicts the records around them: damaged inside.
-
-        Parameters
-        ----------
-        name : str
-            Of the message.
 
         Returns
         -------

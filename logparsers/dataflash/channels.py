@@ -22,11 +22,6 @@ DICTIONARY: Final = ("FMT", "FMTU", "MULT", "PARM", "UNIT")  # what the log says
 class DataFlashRecording:
     r"""The numeric columns of a log that carry a time stamp.
 
-    Parameters
-    ----------
-    file : DataFlashFile
-        The log.
-
     Examples
     --------
     >>> from logparsers.channels import LazyChannels

@@ -86,13 +86,6 @@ class DataFlashFile:
     The file is mapped, not loaded; only its records are located when it is opened. Every array that is
     handed out is a copy that outlives the file.
 
-    Parameters
-    ----------
-    source : str
-        For messages.
-    store : Store
-        The index.
-
     Attributes
     ----------
     stretches : sequence of Stretch
@@ -113,23 +106,7 @@ class DataFlashFile:
 
     @classmethod
     def open(cls, source: LogBytes) -> Self:
-        """Open a log and locate its records.
-
-        Parameters
-        ----------
-        source : str, PathLike, BinaryIO or bytes
-            A path, an open file, or the content itself.
-
-        Returns
-        -------
-        DataFlashFile
-            Nothing is decoded yet.
-
-        Raises
-        ------
-        LogError
-            If the file cannot be read, is empty, or no message is defined in it.
-        """
+        """Open a log and locate its records."""
         return cls.of(*mapped(source))
 
     @classmethod
@@ -142,11 +119,6 @@ class DataFlashFile:
             The file; kept, not copied.
         label : str
             For messages.
-
-        Raises
-        ------
-        UnreadableLog
-            If no message is defined in it.
         """
         data = content.data
         form: Callable[[memoryview], Store] = TextStore if _is_text(bytes(data[:HEAD_SIZE])) else BinaryStore
@@ -173,11 +145,6 @@ class DataFlashFile:
     def count(self, name: str) -> int:
         """Count the rows of a message.
 
-        Parameters
-        ----------
-        name : str
-            Of the message.
-
         Returns
         -------
         int
@@ -187,11 +154,6 @@ class DataFlashFile:
 
     def instances(self, name: str) -> tuple[Any, ...]:
         """Which sensors, servos or names a message speaks of.
-
-        Parameters
-        ----------
-        name : str
-            Of the message.
 
         Returns
         -------
@@ -214,11 +176,6 @@ class DataFlashFile:
         -------
         ndarray, shape (n,)
             Scaled to the unit in `formats`. Bytes of ``a`` columns have shape (n, 32).
-
-        Raises
-        ------
-        MissingChannel
-            If the log has no such message, column or instance.
         """
         return self.table(name, (field,), instance)[field]
 
@@ -240,11 +197,6 @@ class DataFlashFile:
         -------
         dict of str to ndarray, shape (n,) each
             In the order asked for.
-
-        Raises
-        ------
-        MissingChannel
-            If the log has no such message, column or instance.
         """
         known = self._layout(name).fields
         wanted = tuple(known) if fields is None else tuple(fields)
@@ -266,11 +218,6 @@ class DataFlashFile:
         -------
         ndarray of int64, shape (n,)
             Microseconds since boot.
-
-        Raises
-        ------
-        MissingChannel
-            If the message carries no time.
         """
         clock = self._layout(name).clock
         if clock is None:

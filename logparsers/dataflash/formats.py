@@ -204,11 +204,6 @@ def define(*, type: int, name: str, length: int, format: str, columns: str) -> L
     ----------
     type, name, length, format, columns : int, str, int, str, str
         The columns of a FMT record; `columns` separated by commas.
-
-    Returns
-    -------
-    Layout
-        With a field for every column inside the record.
     """
     names = tuple(columns.split(",")) if columns else ()
     fields: dict[str, Field] = {}

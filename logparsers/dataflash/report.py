@@ -37,13 +37,6 @@ WORDS: Final = {
 def describe(store: Store, boots: Boots) -> tuple[Damage, ...]:
     """List everything that is wrong with a log.
 
-    Parameters
-    ----------
-    store : Store
-        Its index.
-    boots : Boots
-        Where the vehicle was booted again.
-
     Returns
     -------
     tuple of Damage
@@ -62,11 +55,6 @@ def describe(store: Store, boots: Boots) -> tuple[Damage, ...]:
 @dataclass(frozen=True)
 class Boots:
     """How a log goes on where its clock begins again: one second after the last record before.
-
-    Parameters
-    ----------
-    steps : sequence of Step
-        Gaps and jumps of the clock.
 
     Examples
     --------

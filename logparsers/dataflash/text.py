@@ -32,11 +32,6 @@ COMMA, NEWLINE = ord(","), ord("\n")
 class TextStore:
     r"""Index of a text DataFlash log: which lines belong to which message.
 
-    Parameters
-    ----------
-    data : memoryview
-        The log.
-
     Examples
     --------
     >>> log = TextStore(memoryview(b"FMT, 9, 11, ABC, Q, TimeUS\nABC, 1000\nABC, 20\n"))
@@ -60,27 +55,11 @@ class TextStore:
         self._follow_clock()
 
     def count(self, name: str) -> int:
-        """Count the rows of a message.
-
-        Parameters
-        ----------
-        name : str
-            Of the message.
-
-        Returns
-        -------
-        int
-            Lines with all their columns.
-        """
+        """Count the rows of a message."""
         return len(self._lines.get(name, ()))
 
     def offsets(self, name: str) -> NDArray[Any]:
         """Where the lines of a message begin.
-
-        Parameters
-        ----------
-        name : str
-            Of the message.
 
         Returns
         -------
@@ -121,11 +100,6 @@ class TextStore:
 
     def suspect(self, name: str) -> NDArray[np.bool_]:
         """Rows whose time stamp contradicts the lines around them.
-
-        Parameters
-        ----------
-        name : str
-            Of the message.
 
         Returns
         -------

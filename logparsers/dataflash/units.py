@@ -21,15 +21,7 @@ __all__ = ["apply_units"]
 
 
 def apply_units(layouts: dict[str, Layout], read: Read) -> None:
-    """Replace layouts by the same with units, where the log tells them.
-
-    Parameters
-    ----------
-    layouts : dict of str to Layout
-        By name; changed.
-    read : callable
-        Decodes columns of a message.
-    """
+    """Replace layouts by the same with units, where the log tells them."""
     types = defaultdict(list)
     for name, layout in layouts.items():
         types[layout.type].append(name)

@@ -22,20 +22,7 @@ _AUTOPILOTS = {"ardupilotmega": "ArduPilot", "px4": "PX4"}
 
 
 def read_telemetry(source: Source, only: Only) -> FlightLog:
-    """Read a telemetry log; channels are decoded when they are looked up.
-
-    Parameters
-    ----------
-    source : Source
-        The file.
-    only : Only
-        Which channels.
-
-    Raises
-    ------
-    LogError
-        If it holds no good message, or none of the channels.
-    """
+    """Read a telemetry log; channels are decoded when they are looked up."""
     file = TelemetryFile(source.mapped(), str(source.path))
     recording: Recording = TelemetryRecording(file)
     logs = remote_logs(file) if BLOCKS in file.messages else RemoteLogs((), ())

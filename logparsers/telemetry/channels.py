@@ -32,11 +32,6 @@ class Stream(NamedTuple):
 class TelemetryRecording:
     """Every numeric series of a telemetry log.
 
-    Parameters
-    ----------
-    file : TelemetryFile
-        An open log.
-
     Notes
     -----
     A name is ``MESSAGE.field``; the elements of an array ``MESSAGE.field[0]`` and on. A message that comes in

@@ -97,11 +97,6 @@ class TelemetryFile(MessageTable):
     unknown : int
         Frames of messages the dialect does not know: kept in step, never decoded.
 
-    Raises
-    ------
-    UnreadableLog
-        If there is no good message.
-
     Examples
     --------
     A heartbeat of a PX4 aeroplane, as MAVLink 1, after its arrival time:
@@ -138,16 +133,6 @@ class TelemetryFile(MessageTable):
             A path, the content itself, or an open binary file.
         dialect : str, optional
             One of `logparsers.mavlink.dialect_names`.
-
-        Returns
-        -------
-        TelemetryFile
-            Nothing decoded yet.
-
-        Raises
-        ------
-        LogError
-            If there is no such file, nothing can be read from it, or the dialect does not exist.
         """
         return cls(*mapped(source), dialect)
 
@@ -172,11 +157,6 @@ class TelemetryFile(MessageTable):
             Seconds since the vehicle's first boot [s], in the order of the file (not always rising: messages
             overtake each other). From the message's own clock, overflows added; from its arrival time,
             mapped onto the vehicle's clock, if it has none. Without a vehicle clock: since the first message.
-
-        Raises
-        ------
-        MissingChannel
-            If the file has no such message or instance.
         """
         self.layout(message)
         time = self._clock.time_s(message, source)

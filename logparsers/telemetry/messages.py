@@ -64,13 +64,7 @@ class MessageTable:
         return tuple(self._positions)
 
     def layout(self, message: str) -> Layout:
-        """Fields of a message of this file.
-
-        Raises
-        ------
-        MissingChannel
-            If the file has none of it.
-        """
+        """Fields of a message of this file."""
         if message not in self._positions:
             near = difflib.get_close_matches(message, self._positions, n=3, cutoff=0.4) or list(self._positions)[:12]
             raise MissingChannel(f"{self.name}: no message {message!r}; it has {', '.join(near)}")
@@ -116,11 +110,6 @@ class MessageTable:
         ndarray, shape (n,) or (n, length)
             Of the field's own type, in the unit of the protocol; texts as ``str``, cut at the first NUL.
             Extension fields that were not sent are zero.
-
-        Raises
-        ------
-        MissingChannel
-            If the file has no such message, or the message no such field.
         """
         layout = self.layout(message)
         if field not in layout.fields:

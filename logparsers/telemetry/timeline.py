@@ -58,11 +58,6 @@ def find_breaks(stamp_s: FloatArray, arrival_s: FloatArray) -> list[Break]:
     ----------
     stamp_s, arrival_s : ndarray, shape (n,)
         Unwrapped device time and despiked arrival time, in the order of the file [s].
-
-    Returns
-    -------
-    list of Break
-        In the order of the file.
     """
     if stamp_s.size < 2:
         return []
@@ -150,13 +145,6 @@ def build_timeline(stamp_s: ArrayLike, arrival_s: ArrayLike, positions: ArrayLik
         Despiked arrival time [s].
     positions : array_like, shape (n,)
         File positions, rising [bytes].
-
-    Returns
-    -------
-    Timeline
-        Without samples: arrival time itself.
-    list of Break
-        What had to be bridged.
 
     Examples
     --------

@@ -17,20 +17,7 @@ __all__ = ["UlogFile", "read_ulog"]
 
 
 def read_ulog(source: Source, only: Only) -> FlightLog:
-    """Read the topics of a PX4 log that have wanted channels; the others never reach memory.
-
-    Parameters
-    ----------
-    source : Source
-        The file.
-    only : Only
-        Which channels.
-
-    Raises
-    ------
-    LogError
-        If it is too broken to be read, or has none of the channels.
-    """
+    """Read the topics of a PX4 log that have wanted channels; the others never reach memory."""
     file = UlogFile(source.mapped(), str(source.path), only.topics)
     channels = LazyChannels(UlogRecording(file)).only(only, source.path, file.announced)
     disorder, span_s = channels.survey()

@@ -156,13 +156,6 @@ def load(
         The first lines pyulog would have printed.
     stopped : str
         Why reading was given up early; empty if it was not.
-
-    Raises
-    ------
-    UnreadableLog
-        If it is no PX4 log, or too broken to be read.
-    NotPlain
-        If only pyulog itself can read its samples.
     """
     reader, handle = Reader(), _Whole(data.tobytes())
     try:

@@ -61,11 +61,6 @@ def unit_of(field: str) -> str:
 class UlogRecording:
     """Every numeric series of a PX4 log.
 
-    Parameters
-    ----------
-    file : UlogFile
-        An open log.
-
     Notes
     -----
     A name is ``topic[instance].field``, as in ``actuator_servos[0].control[3]``. Where a topic carries named

@@ -51,13 +51,6 @@ class UlogFile:
         What to call it in messages.
     only : Only
         Topics to read.
-
-    Raises
-    ------
-    UnreadableLog
-        If it is no PX4 log, or too broken to be read.
-    EmptyLog
-        If it holds no topic at all.
     """
 
     def __init__(self, data: NDArray[np.uint8], name: str, only: Only) -> None:
@@ -86,16 +79,6 @@ class UlogFile:
             A path, the content itself, or an open binary file.
         only : sequence of str, optional
             Topics to read, with ``*`` and ``?`` as in file names; all if None.
-
-        Returns
-        -------
-        UlogFile
-            With the topics that the log has of these.
-
-        Raises
-        ------
-        LogError
-            If there is no such file, or nothing can be read from it.
         """
         return cls(*mapped(source), Only.of(only))
 
@@ -122,23 +105,11 @@ class UlogFile:
         return sum(len(part.data["timestamp"]) for part in self._topics.get((topic, instance), ()))
 
     def fields(self, topic: str, instance: int = 0) -> Mapping[str, str]:
-        """Type of each field of a topic; arrays and nested messages are spread out.
-
-        Raises
-        ------
-        MissingChannel
-            If the topic was not read.
-        """
+        """Type of each field of a topic; arrays and nested messages are spread out."""
         return {field.field_name: field.type_str for field in self._parts(topic, instance)[0].field_data}
 
     def column(self, topic: str, field: str, *, instance: int = 0) -> NDArray[Any]:
-        """Values of one field in the order of the file, shape (n,), in the type that pyulog gives them.
-
-        Raises
-        ------
-        MissingChannel
-            If the topic was not read, or has no such field.
-        """
+        """Values of one field in the order of the file, shape (n,), in the type that pyulog gives them."""
         parts = self._parts(topic, instance)
         if any(field not in part.data for part in parts):
             raise MissingChannel(f"{topic} has no field {field!r}; it has {', '.join(parts[0].data)}")

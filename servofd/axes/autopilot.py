@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from servofd.feedback.outputs import LoggedOutput
     from servofd.types import BoolArray, FloatArray
 
-__all__ = ["motion_of_autopilot"]
-
 _FASTEST_HZ = 25.0
 _OF_AN_OUTPUT = re.compile(r"SERVO\d+_(FUNCTION|TRIM|MIN|MAX|REVERSED)")
 _IDLE_SHARE = 0.05
@@ -56,16 +54,6 @@ def motion_of_autopilot(
         Of the grid; None: that of the outputs, 25 Hz at most.
     parameters : mapping of str to float, optional
         SERVOn_... to assume where the log has none.
-
-    Returns
-    -------
-    Motion
-        The whole log. Where motors lift (VTOL), nothing is present.
-
-    Raises
-    ------
-    NoMeasurement
-        If something is missing, or the aircraft has no control surfaces; the message says which.
     """
     settings = {name: value for name, value in log.parameters.items() if _OF_AN_OUTPUT.fullmatch(name)}
     if not any(name.endswith("_FUNCTION") for name in settings):

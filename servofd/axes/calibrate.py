@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from servofd.axes.motion import Motion
     from servofd.types import BoolArray, FloatArray
 
-__all__ = ["calibrate_motion"]
-
 _WINDOWS_S = (1.0, 2.0, 5.0, 10.0, 20.0, 30.0)
 _CORNERS_HZ = (0.4, 1.0, 2.5)
 _CORNER_PER_RATE = 0.11
@@ -60,16 +58,6 @@ def calibrate_motion(flights: Sequence[Motion], *, false_alarms_per_hour: float 
         Healthy, of one aircraft and one rate of samples; the more days, the better.
     false_alarms_per_hour : float
         Wanted of all axes together, as far as the calibrated hours tell.
-
-    Returns
-    -------
-    MotionModel
-        With every axis that the flights explain.
-
-    Raises
-    ------
-    CalibrationError
-        If the flights are too short, or no axis answers its command.
     """
     flights = [flight for flight in flights if flight.time_s.size > 2]
     if not flights:

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from servofd.detection.bank.flight import Fault
     from servofd.detection.verdict import SurfaceAudit
 
-__all__ = ["compared"]
-
 _STILL = ("stuck", "hardover", "floating")
 _MOTIONS = {"roll": "rolls", "pitch": "pitches", "side": "yaws"}
 
@@ -26,13 +24,6 @@ def compared(surfaces: Sequence[SurfaceAudit], axes: Sequence[AxisAudit]) -> tup
 
     A servo that stands still takes its share of the axis' effect away; a sensor that does not takes nothing. Where the
     motion of that time could tell neither, nothing is added.
-
-    Parameters
-    ----------
-    surfaces : sequence of SurfaceAudit
-        Judged by their feedback.
-    axes : sequence of AxisAudit
-        Judged by the motion of the same flight.
     """
     return tuple(_with_motion(surface, axes) for surface in surfaces)
 

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from servofd.axes.motion import Motion
     from servofd.types import FloatArray
 
-__all__ = ["FORMS", "Filtered", "Form", "Regression"]
-
 _DAMPING = 0.8
 
 

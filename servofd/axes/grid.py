@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from logparsers.records import Channel, FlightLog
     from servofd.types import BoolArray, FloatArray
 
-__all__ = ["LARGEST_GAP_S", "Series", "cell_means", "check_rate", "day_of", "present_on"]
-
 LARGEST_GAP_S = 1.0
 """Channels of an autopilot come every 0.25 s at the slowest; nothing is guessed across more than four of them."""
 
@@ -26,13 +24,7 @@ _SLOWER = 1.5
 
 
 def check_rate(label: str, native_hz: float, rate_hz: float | None) -> None:
-    """Refuse commands and motion that come much more seldom than those of the calibration: they are late and coarse.
-
-    Raises
-    ------
-    NoMeasurement
-        Saying at which rate they come.
-    """
+    """Refuse commands and motion that come much more seldom than those of the calibration: they are late and coarse."""
     if rate_hz is not None and rate_hz > _SLOWER * native_hz:
         raise NoMeasurement(
             f"{label}: commands and motion come at {native_hz:.3g} Hz, those of the calibration at {rate_hz:.3g} Hz; "

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from servofd.axes.windows import Inputs, Sliding
     from servofd.types import BoolArray, FloatArray
 
-__all__ = ["judge_motion", "lost_between"]
-
 _NORMAL_95 = 1.96
 _KNOWN_WITHIN = 0.3
 """Half width of the 95 % interval of lambda beyond which an axis is never called healthy."""
@@ -46,13 +44,6 @@ def judge_motion(model: MotionModel, motion: Motion) -> tuple[AxisAudit, ...]:
     """Judge the axes of one flight.
 
     Everything is causal: the statistic at a sample uses no later one, so that a monitor sees the same alarms.
-
-    Parameters
-    ----------
-    model : MotionModel
-        From calibration.
-    motion : Motion
-        The flight, at the model's rate of samples.
 
     Returns
     -------
@@ -275,15 +266,7 @@ def _whole(axis: AxisModel, inputs: Inputs, flown: BoolArray) -> tuple[Between, 
 
 
 def lost_between(audit: AxisAudit, start_s: float, end_s: float) -> Between | None:
-    """Lost share of an axis in a part of the flight, beyond what it was before; None if it cannot be told.
-
-    Parameters
-    ----------
-    audit : AxisAudit
-        The axis.
-    start_s, end_s : float
-        The part [s].
-    """
+    """Lost share of an axis in a part of the flight, beyond what it was before; None if it cannot be told."""
     axis, inputs = audit.model, audit.inputs
     start, end = np.searchsorted(audit.time_s, (start_s, end_s))
     if not axis.own_command or end <= start:

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
 
     from servofd.feedback.outputs import LoggedOutput
 
-__all__ = ["Airframe", "Share", "airframe_of"]
-
 _SHARES: Mapping[int, tuple[tuple[str, float], ...]] = {
     4: (("roll", 1.0),),
     19: (("pitch", 1.0),),

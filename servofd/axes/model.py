@@ -16,20 +16,6 @@ if TYPE_CHECKING:
     from servofd.axes.schema import AxisModel, Regime
     from servofd.types import BoolArray, FloatArray
 
-__all__ = [
-    "Flown",
-    "covered",
-    "distances",
-    "flown_of",
-    "inputs_of",
-    "residual_of",
-    "settled",
-    "slowness",
-    "statistic",
-    "whitened",
-    "windows_of",
-]
-
 _PERSISTENCE_S = 0.5
 """As long the statistic stays above its threshold before it is an alarm: a gust's edge does not."""
 _SETTLING = 1.0

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
 
     from servofd.types import BoolArray, FloatArray
 
-__all__ = ["Motion"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-__all__ = ["AXES", "FORM_NAMES", "MOST_OF_THE_FLIGHT", "SURFACE_AXES"]
-
 AXES = ("roll", "pitch", "side", "thrust")
 """In which order they are shown; ``thrust`` is the engine, whose loss must not be blamed on a surface."""
 

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from logparsers.records import FlightLog
     from servofd.axes.motion import Motion
 
-__all__ = ["motion_of"]
-
 
 def motion_of(log: FlightLog, rate_hz: float | None = None, parameters: Mapping[str, float] | None = None) -> Motion:
     """Commands and motion of a log on one grid of time.
@@ -27,11 +25,6 @@ def motion_of(log: FlightLog, rate_hz: float | None = None, parameters: Mapping[
         Of the grid; None: what the log has.
     parameters : mapping of str to float, optional
         SERVOn_... of an autopilot, to assume where the log has none.
-
-    Raises
-    ------
-    NoMeasurement
-        If something is missing; the message says what.
     """
     if log.is_of_autopilot:
         return motion_of_autopilot(log, rate_hz, parameters)

@@ -10,8 +10,6 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from servofd.axes.names import AXES, FORM_NAMES
 from servofd.types import FloatArray
 
-__all__ = ["AxisModel", "MotionModel", "Regime", "Spread"]
-
 
 class _Entry(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from logparsers.records import Channel, FlightLog
     from servofd.types import FloatArray
 
-__all__ = ["motion_of_table"]
-
 _COMMANDS = {
     "roll": ("ail_cmd_us", "aileron_cmd_us", "roll_cmd_us"),
     "pitch": ("ele_cmd_us", "elevator_cmd_us", "pitch_cmd_us"),
@@ -39,11 +37,6 @@ def motion_of_table(log: FlightLog, rate_hz: float | None = None) -> Motion:
     ``_deg_s``), specific forces ``ax_m_s2`` ..., attitude ``phi_rad``, ``theta_rad`` (or ``roll_deg``, ``pitch_deg``)
     and an airspeed (``airspeed_m_s``, ``airspeed_est_m_s`` or ``airspeed_pitot_m_s``). What a servo received
     (``*_out_us``) is never read: a fault freezes it.
-
-    Raises
-    ------
-    NoMeasurement
-        If a column is missing; the message says which.
     """
     commands = {axis: _first(log, names) for axis, names in _COMMANDS.items()}
     given = {axis: channel for axis, channel in commands.items() if channel is not None}

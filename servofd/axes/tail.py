@@ -11,8 +11,6 @@ import numpy as np
 if TYPE_CHECKING:
     from servofd.types import FloatArray
 
-__all__ = ["Tail", "tail_of"]
-
 _PRIOR_INDEX, _PRIOR_WEIGHT = 2.5, 4.0
 _FAULT_PER_HOUR = 0.01
 """Once in a hundred hours is called a fault wrongly."""

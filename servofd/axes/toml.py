@@ -9,8 +9,6 @@ from servofd.toml_text import toml_lines, toml_value
 if TYPE_CHECKING:
     from servofd.axes.schema import MotionModel
 
-__all__ = ["motion_to_toml"]
-
 _COMMENTS = {
     "rate_hz": "samples a second at which it is judged",
     "reference_m_s": "airspeed at which the gains below hold",
@@ -23,13 +21,7 @@ _COMMENTS = {
 
 
 def motion_to_toml(model: MotionModel) -> str:
-    """Text of the table, to stand at the end of an aircraft file.
-
-    Parameters
-    ----------
-    model : MotionModel
-        What was calibrated.
-    """
+    """Text of the table, to stand at the end of an aircraft file."""
     document = model.model_dump(exclude_none=True)
     axes, regime = document.pop("axes"), document.pop("regime")
     lines = [

@@ -10,8 +10,6 @@ if TYPE_CHECKING:
     from servofd.axes.windows import Inputs
     from servofd.types import FloatArray
 
-__all__ = ["AxisAudit", "AxisEvent", "AxisStatus", "Between"]
-
 AxisStatus = Literal["healthy", "suspect", "fault", "unknown"]
 
 

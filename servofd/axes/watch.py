@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from servofd.axes.schema import MotionModel
     from servofd.axes.verdict import AxisAudit, AxisEvent
 
-__all__ = ["STREAMED", "AxisWatch"]
-
 STREAMED = {
     "SERVO_OUTPUT_RAW": tuple(f"servo{number}_raw" for number in range(1, 17)),
     "RAW_IMU": ("xgyro", "ygyro", "zgyro", "xacc", "yacc", "zacc"),

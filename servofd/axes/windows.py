@@ -32,19 +32,6 @@ if TYPE_CHECKING:
 
     from servofd.types import BoolArray, FloatArray, IntArray
 
-__all__ = [
-    "Expected",
-    "Inputs",
-    "Lags",
-    "Sliding",
-    "distance",
-    "expected",
-    "lags",
-    "nothing_known",
-    "sliding",
-    "spread_between",
-]
-
 _ENOUGH = 0.9
 """Share of a window that must be usable."""
 
@@ -154,17 +141,6 @@ def nothing_known(flight: FloatArray) -> Expected:
 def sliding(inputs: Inputs, length: int, noise_var: float, *, enough: float = _ENOUGH) -> Sliding:
     """Least squares in every window of a length.
 
-    Parameters
-    ----------
-    inputs : Inputs
-        Of one flight.
-    length : int
-        Samples in a window.
-    noise_var : float
-        Variance of the residual's noise, with its colour.
-    enough : float
-        Share of a window that must be usable.
-
     Returns
     -------
     Sliding
@@ -207,17 +183,6 @@ class Lags(NamedTuple):
 
 def lags(inputs: Inputs, length: int, noise_var: float, *, enough: float = _ENOUGH) -> Lags:
     """Lag beside any loss and offset, by least squares in every window of a length.
-
-    Parameters
-    ----------
-    inputs : Inputs
-        Of one flight.
-    length : int
-        Samples in a window.
-    noise_var : float
-        Variance of the residual's noise, with its colour.
-    enough : float
-        Share of a window that must be usable.
 
     Examples
     --------

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from servofd.axes.schema import AxisModel, MotionModel
     from servofd.axes.verdict import AxisEvent, AxisStatus, Between
 
-__all__ = ["named", "reason_of"]
-
 _SURFACES = {"roll": "ailerons", "pitch": "elevator", "side": "rudder", "thrust": "engine"}
 _OUTSIDE = {
     "airspeed": "outside the calibrated airspeed ({low:.0f} to {high:.0f} m/s)",

@@ -42,16 +42,6 @@ def calibrate_aircraft(
     progress : callable
         Called with the name of each surface that is done.
 
-    Returns
-    -------
-    Calibration
-        The aircraft, and how sure everything is.
-
-    Raises
-    ------
-    CalibrationError
-        If no surface moved enough, or one behaves as no healthy servo does.
-
     Examples
     --------
     >>> import numpy as np

@@ -68,11 +68,6 @@ def descended(
     evaluations : int
         Of the errors, at most.
 
-    Returns
-    -------
-    FloatArray
-        Shape (k,).
-
     Examples
     --------
     >>> x, y = np.arange(10.0), 2.0 * np.arange(10.0) + 1.0
@@ -113,11 +108,6 @@ def deviations(jacobian: FloatArray, error_deg: FloatArray, memory: float) -> Fl
         Errors [deg], shape (n,).
     memory : float
         How many neighbouring errors tell as much as one.
-
-    Returns
-    -------
-    FloatArray
-        Shape (k,).
 
     Examples
     --------

@@ -110,11 +110,6 @@ def calibrate_surface(flights: Sequence[Flight], aircraft: Aircraft) -> Calibrat
         Of one surface; long enough and with motion (`hardly_moved` says nothing).
     aircraft : Aircraft
         What is known of it.
-
-    Raises
-    ------
-    CalibrationError
-        If the flights cannot all be good.
     """
     name = flights[0].segment.surface
     surface = aircraft.surfaces[name]

@@ -16,18 +16,6 @@ if TYPE_CHECKING:
     from servofd.detection.verdict import LogAudit
     from servofd.outputs.json_report import FailedLog
 
-__all__ = [
-    "add_options",
-    "add_parser",
-    "check",
-    "exit_code",
-    "judged",
-    "positive",
-    "print_json",
-    "run",
-    "write",
-]
-
 
 def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
     """Declare the verb."""

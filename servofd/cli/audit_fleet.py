@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from servofd.fleet.overview import Overview
     from servofd.fleet.store import FleetStore
 
-__all__ = ["add_options", "is_fleet", "print_overview", "run_fleet", "write_page"]
-
 _A_FEW = 16
 _SHOWN = 3
 PAGE = "fleet.html"

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from servofd.aircraft import Aircraft
     from servofd.calibrating.result import CalibratedSurface, Calibration
 
-__all__ = ["add_parser", "run"]
-
 _MILLI = 1e3
 _PER_HOUR = 1e-3
 

@@ -10,8 +10,6 @@ if TYPE_CHECKING:
 
     from servofd.axes.schema import MotionModel
 
-__all__ = ["has_feedback", "run_axes"]
-
 _PER_HOUR = 1.0
 _BY_DAYS = "1 day: 17, 2: 6, 3: 1.5 times as many as after four"
 

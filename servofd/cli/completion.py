@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-__all__ = ["SHELLS", "PrintCompletion"]
-
 SHELLS = ("bash", "zsh", "tcsh")
 _FILE = re.compile(r"LOG|FILE|RECORDING|\.(?:toml|rrd|py|png)\b")
 """Words of the help that stand for a file."""

@@ -10,8 +10,6 @@ if TYPE_CHECKING:
     from servofd.detection.pulse import PulseFilter
     from servofd.servos import Servo
 
-__all__ = ["add_parser", "run"]
-
 
 def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
     """Declare the verb."""

@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-__all__ = ["worst"]
-
 
 def worst(codes: Iterable[int]) -> int:
     """Exit code of several results: a fault anywhere outranks what could not be judged.

@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from servofd.explaining import ExplainedLogs
 
-__all__ = ["add_parser", "run"]
-
 _STEPS = 30
 """Effects in the catalogue, for the progress bar."""
 

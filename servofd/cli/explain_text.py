@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-__all__ = ["audit_rows", "explanation_text"]
-
 
 def explanation_text(source: str, document: dict[str, Any]) -> str:
     """Everything that was found, a line each."""

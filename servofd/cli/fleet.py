@@ -10,8 +10,6 @@ from servofd.cli.audit_fleet import PAGE, print_overview, write_page
 if TYPE_CHECKING:
     import argparse
 
-__all__ = ["add_parser", "run"]
-
 
 def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
     """Declare the verb."""

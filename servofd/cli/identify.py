@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from servofd.identification.result import Identification
 
-__all__ = ["add_parser", "run"]
-
 _STEPS = 3
 """That `identify_logs` tells of."""
 

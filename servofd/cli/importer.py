@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from servofd.detection.verdict import LogAudit
 
-__all__ = ["NOT_MINE", "main"]
-
 NOT_MINE = 66
 """Rerun's ``EXTERNAL_IMPORTER_INCOMPATIBLE_EXIT_CODE``."""
 

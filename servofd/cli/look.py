@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from servofd.detection.verdict import LogAudit
     from servofd.outputs.json_report import FailedLog
 
-__all__ = ["look_parser", "verb_for"]
-
 _RECORDING = b"RRF"
 _PACKED = (".gz", ".zip", ".bz2", ".xz")
 _HEAD_BYTES = 2000
@@ -28,13 +26,6 @@ _WORST_FIRST = ("fault", "suspect", "unknown", "no_data", "healthy")
 
 def verb_for(words: Sequence[str], verbs: Collection[str]) -> str:
     """What the words ask for: a verb, ``look`` at logs, or nothing where they name neither.
-
-    Parameters
-    ----------
-    words : sequence of str
-        The command line, without the program's name.
-    verbs : collection of str
-        Those that there are.
 
     Examples
     --------

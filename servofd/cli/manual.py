@@ -9,8 +9,6 @@ from typing import Any
 
 from servofd.errors import UnknownName, suggest
 
-__all__ = ["add_parser", "run"]
-
 
 def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
     """Declare the verb; it tells of all those that are declared by the time it runs."""

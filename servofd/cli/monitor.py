@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from servofd.live.session import Session
     from servofd.live.speaker import Speaker
 
-__all__ = ["add_parser", "run"]
-
 _VIEWER_PORT = 9876
 
 

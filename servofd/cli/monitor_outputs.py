@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from servofd.outputs.live_recording import LiveRecording
     from servofd.types import FloatArray
 
-__all__ = ["Outputs"]
-
 _DRAW_S, _LINES_S = 0.1, 5.0
 
 

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from servofd.detection.odds import SurfaceOdds, Wish
     from servofd.odds import LeftOut, Part
 
-__all__ = ["add_parser", "run"]
-
 _PLAIN_SURFACE = "surface"
 
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import argparse
 from typing import Any, NoReturn
 
-__all__ = ["COULD_NOT_TELL", "OneLineParser"]
-
 COULD_NOT_TELL = 2
 
 

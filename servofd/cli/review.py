@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from servofd.outputs.recording.content import Recording
     from servofd.review.compare import Change
 
-__all__ = ["add_parser", "run"]
-
 
 def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
     """Declare the verb."""

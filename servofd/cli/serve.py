@@ -8,8 +8,6 @@ import sys
 from pathlib import Path
 from typing import Any
 
-__all__ = ["add_parser", "run"]
-
 _PORT, _MOST_MB = 8787, 4096
 _LOOPBACK = ("127.0.0.1", "localhost", "::1")
 

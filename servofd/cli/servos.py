@@ -11,8 +11,6 @@ if TYPE_CHECKING:
     from servofd.servos import Servo
     from servofd.types import ComplexArray
 
-__all__ = ["add_parser", "run"]
-
 
 def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
     """Declare the verb."""

@@ -9,16 +9,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from logparsers.codec import Signature
 
-__all__ = ["signature_of"]
-
 
 def signature_of(name: str | None) -> Signature | None:
     """Signature with the key in a file, from now on; none without a file.
-
-    Raises
-    ------
-    ConfigError
-        If the file cannot be read or is empty.
 
     Examples
     --------

@@ -13,9 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from servofd.models.effects import Effect
-    from servofd.models.faults import Fault
-
-__all__ = ["add_parser", "run"]
+    from servofd.models.failing import Fault
 
 OUTPUTS = ".csv (plain table), .mat (FASER), .bin (ArduPilot DataFlash), .tlog (MAVLink) or .ulg (PX4)"
 

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from servofd.simulation.flight import SimulatedFlight
     from servofd.simulation.vehicle.troubles import Trouble
 
-__all__ = ["add_options", "refuse_options", "stream"]
-
 _MOST_CLOCK_S = 1e7
 
 
@@ -62,13 +60,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def refuse_options(options: argparse.Namespace) -> None:
-    """Options of a live link make no sense for a file.
-
-    Raises
-    ------
-    ConfigError
-        If one of them is given.
-    """
+    """Options of a live link make no sense for a file."""
     from servofd.errors import ConfigError
 
     for name in (
@@ -88,15 +80,7 @@ def refuse_options(options: argparse.Namespace) -> None:
 
 
 def stream(options: argparse.Namespace, flight: SimulatedFlight, aircraft: Aircraft) -> int:
-    """Fly live, and tell about it.
-
-    Raises
-    ------
-    LogError
-        If the endpoint cannot be opened.
-    ConfigError
-        If an option makes no sense.
-    """
+    """Fly live, and tell about it."""
     from logparsers.codec import Codec
     from logparsers.endpoint import parse_endpoint
     from logparsers.link import open_link

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from servofd.detection.verdict import LogAudit, SurfaceAudit
 
-__all__ = ["one_line", "print_table", "print_verdicts", "progress_bar", "progress_with_estimate"]
-
 _WIDEST = 100
 """Columns of a terminal that a table of sentences uses: longer lines are hard to read."""
 _NARROWEST = 64

@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-__all__ = ["check_targets"]
-
 
 def check_targets(
     outputs: Iterable[str | None], inputs: Mapping[str, Iterable[str | None]], *, folder: str | None = None
@@ -25,11 +23,6 @@ def check_targets(
         What each kind of input is called (``"a log"``), and the files of that kind.
     folder : str, optional
         Folder that will be made if it is not there.
-
-    Raises
-    ------
-    ConfigError
-        In one line, which output and why.
 
     Examples
     --------

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-__all__ = ["console", "plain_streams"]
-
 
 class _Plain:
     """A text stream to which everything is written plainly."""

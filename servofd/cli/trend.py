@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
     from servofd.wear.trend import AircraftTrend
 
-__all__ = ["add_parser", "run"]
-
 _SHOWN = 5
 
 

@@ -10,8 +10,6 @@ if TYPE_CHECKING:
     from servofd.detection.bank.flight import Fault
     from servofd.detection.verdict import SurfaceAudit
 
-__all__ = ["headline", "meaning", "next_step"]
-
 _MEANING = {
     "stuck": "The surface stayed where it was, whatever was asked: a jammed linkage, a stripped gear, a servo without "
     "power or signal, or a position sensor that froze.",

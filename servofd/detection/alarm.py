@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from servofd.detection.threshold import Threshold
     from servofd.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["Episode", "Level", "find_episodes"]
-
 Level = Literal["suspect", "fault"]
 
 _QUIET_SHARE = 0.5
@@ -79,11 +77,6 @@ def find_episodes(
         How many judged samples in a row, all on one side, make an alarm.
     suspicion : ndarray of bool, shape (n,), optional
         Where something too small for the threshold has lasted too long.
-
-    Returns
-    -------
-    tuple of Episode
-        In order of time.
     """
     noticeable = np.abs(residuals.residual_deg) >= _QUIET_SHARE * threshold.level_deg
     if not np.any(residuals.settled & (noticeable if suspicion is None else noticeable | suspicion)):

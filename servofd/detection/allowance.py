@@ -10,8 +10,6 @@ from servofd.aircraft import DEFAULT_SIGMAS
 from servofd.models.state import compiled, inlined
 from servofd.types import BoolArray, ComplexArray, FloatArray
 
-__all__ = ["CURVATURE_TO_SIGMA", "Bounds", "Signals", "follow", "new_work"]
-
 _PEAK_HOLD_S = 0.15
 """Time constant with which the peaks fade: about as long as the filter remembers."""
 _NOISE_SAMPLES = 200

@@ -37,8 +37,6 @@ if TYPE_CHECKING:
     from servofd.evidence import Detectable
     from servofd.models.servo_model import ServoModel
 
-__all__ = ["audit_log", "audit_segment", "judged_by"]
-
 _SECONDS_FOR_ODDS = 10.0
 _SHORTEST_JUDGED_S = 0.25
 _MOST_OF_THE_LOG, _LEAST_OF_THE_LOG = 0.9, 0.5
@@ -143,11 +141,6 @@ def audit_segment(
         Kind of threshold; the aircraft has one.
     expected : bool
         Whether a verdict on this surface is expected.
-
-    Returns
-    -------
-    SurfaceAudit
-        The verdict.
 
     Examples
     --------

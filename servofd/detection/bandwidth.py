@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["too_slow"]
-
 _SAMPLES_PER_PERIOD = 4.0
 """Of the servo's bandwidth; twice what the sampling theorem asks for."""
 

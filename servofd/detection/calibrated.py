@@ -53,19 +53,7 @@ FALSE_ALARMS_PER_HOUR: Final = 0.23
 def audit_calibrated(
     segment: Segment, surface: Surface, verdict: partial[SurfaceAudit], duration_s: float
 ) -> SurfaceAudit:
-    """Judge one surface by what its good flights were like.
-
-    Parameters
-    ----------
-    segment : Segment
-        What was asked of it and what it did.
-    surface : Surface
-        Holds the calibrated servo.
-    verdict : partial of SurfaceAudit
-        Knows which surface it is about.
-    duration_s : float
-        Length of the whole log [s].
-    """
+    """Judge one surface by what its good flights were like."""
     known = surface.calibrated
     if known is None:
         raise ValueError(f"{segment.surface}: not calibrated")

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from servofd.estimate.noise import Noise
     from servofd.types import FloatArray
 
-__all__ = ["GRID_S", "STATISTICS", "WINDOWS_S", "Memory", "Tests", "follow"]
-
 GRID_S: Final = 0.25
 WINDOWS_S: Final = (2.0, 5.0, 10.0, 30.0, 60.0)
 _ENERGY_S: Final = (0.5, 1.0, 2.0, 5.0)

@@ -10,8 +10,6 @@ if TYPE_CHECKING:
     from servofd.detection.residual import Residuals
     from servofd.evidence import Detectable
 
-__all__ = ["MOST_LOST", "not_judgeable", "why_not_cleared"]
-
 MOST_LOST = 0.34
 """A surface that could have lost more than a third of its travel unseen is not called healthy."""
 _MARGIN = 1.2
@@ -25,17 +23,7 @@ _NAMES = {
 
 
 def why_not_cleared(residuals: Residuals, shown: Detectable, level_deg: float) -> str:
-    """Why a log without an alarm does not clear a surface, and what to fly; empty if it does.
-
-    Parameters
-    ----------
-    residuals : Residuals
-        Of the surface.
-    shown : Detectable
-        The smallest faults that the log would have shown.
-    level_deg : float
-        Typical threshold [deg].
-    """
+    """Why a log without an alarm does not clear a surface, and what to fly; empty if it does."""
     if shown.loss_share is not None and shown.loss_share <= MOST_LOST:
         return ""
     moved = residuals.simulated_deg[residuals.settled]

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from servofd.detection.bank.flight import Fault
     from servofd.detection.verdict import SurfaceAudit
 
-__all__ = ["with_common_causes"]
-
 _TOGETHER_S = 0.5
 _FEWEST, _MOST_SHARE = 3, 0.6
 """So many surfaces, and such a share of those that were judged, do not fail in one instant."""

@@ -9,8 +9,6 @@ import numpy as np
 if TYPE_CHECKING:
     from servofd.types import FloatArray
 
-__all__ = ["Width", "excess", "width"]
-
 _BLOCK_S = 2.0
 _USUAL, _QUIETEST = 4.0, 25.0
 """Blocks whose residual is so many times that of the quietest quarter, and beyond what tolerances explain anyway, are

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from servofd.detection.threshold import Threshold
     from servofd.types import BoolArray
 
-__all__ = ["Alarm", "Event", "EventKind", "Look", "Reading"]
-
 EventKind = Literal["alarm", "clear", "named", "no_data", "link_lost", "link_restored"]
 
 

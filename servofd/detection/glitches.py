@@ -17,8 +17,6 @@ from servofd.models.state import compiled
 if TYPE_CHECKING:
     from servofd.types import BoolArray, FloatArray
 
-__all__ = ["GlitchMemory", "decide", "glitches", "new_glitch_memory"]
-
 _AWAY_SIGMAS, _AGREEMENT_SIGMAS = 10.0, 8.0
 _MOST_GLITCHES, _FEW_GLITCHES = 0.02, 2
 """Where more than this share of the positions so far jump, jumping is what this position does."""

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from servofd.detection.threshold import ThresholdKind
     from servofd.types import BoolArray, FloatArray
 
-__all__ = ["CommandBuffer", "History"]
-
 _DROPPED = 4
 """One part in so many is dropped when the room is full."""
 

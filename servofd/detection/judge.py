@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from servofd.segment import Segment
     from servofd.types import BoolArray
 
-__all__ = ["Judgement", "judge", "judge_evaluated"]
-
 _MOST_EPISODES = 50
 """Of one surface that are named, which takes some 50 ms each: a threshold within the noise is crossed thousands of
 times, and what matters is in the largest, and in what goes on."""
@@ -61,11 +59,6 @@ def judge(
         Its threshold, persistence and tolerances.
     acquit : bool
         Whether an alarm that the tolerances of a working servo explain is only a suspicion.
-
-    Returns
-    -------
-    Judgement
-        Faults and suspicions in order of time.
     """
     threshold = interval_threshold(generator, segment, residuals, surface.tolerances, surface.threshold_sigmas)
     if surface.threshold == "constant":

@@ -13,8 +13,6 @@ from servofd.models.state import compiled
 if TYPE_CHECKING:
     from servofd.types import BoolArray, FloatArray
 
-__all__ = ["LatchMemory", "Latched", "latch", "new_latch_memory"]
-
 _QUIET_SHARE = 0.5
 _TRAVEL_TO_CLEAR = 20.0
 

@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from servofd.models.servo_model import ServoModel
     from servofd.types import FloatArray
 
-__all__ = ["SurfaceMonitor"]
-
 _NAMED_S = 2.0
 """A name follows its alarm within so long, or is not told."""
 _LOOKS_S = (0.25, 0.5, 1.0, 1.75, 6.0)
@@ -57,15 +55,6 @@ _LONGEST_WAIT = 6_000
 @dataclass(slots=True)
 class SurfaceMonitor:
     """One surface, from its first sample on.
-
-    Parameters
-    ----------
-    name : str
-        Of the surface.
-    surface : Surface
-        Its channels, calibration, threshold and tolerances.
-    model : ServoModel
-        Its healthy servo.
 
     Examples
     --------

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
     from servofd.types import ComplexArray, FloatArray
 
-__all__ = ["FilterRow", "NullspaceFilter", "checked_pole_rad_s", "common_denominator", "design_nullspace_filter"]
-
 _SAME_ROOT = 1e-6
 _ON_AXIS = 1e-9
 _SLOWEST_RAD_S, _FASTEST_RAD_S = 1e-5, 1e6
@@ -78,11 +76,6 @@ class NullspaceFilter:
 
     def leakage(self, frequencies_rad_s: FloatArray) -> float:
         """Largest gain from any command to any residual of a healthy plant: the proof of the design.
-
-        Parameters
-        ----------
-        frequencies_rad_s : ndarray
-            Where to look [rad/s].
 
         Returns
         -------
@@ -152,11 +145,6 @@ def design_nullspace_filter(
 
 def checked_pole_rad_s(pole_rad_s: float) -> float:
     """Size of a filter's pole [rad/s].
-
-    Raises
-    ------
-    DesignError
-        If no flight is long enough for it, or no clock fast enough.
 
     Examples
     --------

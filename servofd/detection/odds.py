@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from servofd.detection.pulse import PulseFilter
     from servofd.types import FloatArray
 
-__all__ = ["IN_A_ROW", "KAPPA_SIGMA", "WITHIN_S", "Operating", "SurfaceOdds", "Wish", "settled_bias", "surface_odds"]
-
 IN_A_ROW = (2, 3, 5)
 """Persistences that are shown beside the single sample."""
 KAPPA_SIGMA = 0.5
@@ -118,11 +116,6 @@ def surface_odds(
         Healthy data behind noise and tail [h].
     notes : tuple of str
         What the reader of these numbers must know.
-
-    Raises
-    ------
-    DesignError
-        If no threshold gives the wanted rate.
 
     Examples
     --------

@@ -10,8 +10,6 @@ if TYPE_CHECKING:
     from servofd.detection.residual import Residuals
     from servofd.types import IntArray
 
-__all__ = ["wiring_problem"]
-
 _FIT = 0.9
 """Share of the position's variance that a line through the healthy deflection has to explain."""
 _SAME_SLOPE = 0.15

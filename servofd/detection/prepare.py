@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from servofd.detection.residual import ResidualGenerator, Residuals
     from servofd.segment import Segment
 
-__all__ = ["Prepared", "prepared"]
-
 _THIN_PERIOD_S = 0.039
 """Logs at up to 25 Hz may hold fewer commands than the servo received; autopilots command at 50 Hz and more."""
 _REAL_PERIOD_S = 0.02

@@ -26,14 +26,6 @@ if TYPE_CHECKING:
 
     from servofd.types import ComplexArray, FloatArray
 
-__all__ = [
-    "PREFERRED_POLES_RAD_S",
-    "PulseFilter",
-    "design_pulse_filter",
-    "fastest_pole_rad_s",
-    "pulse_polynomials",
-]
-
 PREFERRED_POLES_RAD_S = (120.0, 80.0, 50.0, 30.0, 20.0, 15.0, 10.0, 5.0)
 """Poles to choose from, fastest first; 50 rad/s is that of thesis Eq. 4.10."""
 
@@ -66,13 +58,7 @@ class PulseFilter:
         return float(np.linalg.norm(self.impulse_response()))
 
     def impulse_response(self) -> FloatArray:
-        """Residual after a measurement error of 1 deg in a single sample, shape (k,), until it has died out.
-
-        Raises
-        ------
-        DesignError
-            If that takes more samples than memory has room for.
-        """
+        """Residual after a measurement error of 1 deg in a single sample, shape (k,), until it has died out."""
         multiplicity = self.md.size - 1
         decay = np.exp(-self.pole_rad_s * self.sample_time_s)
         samples = 2.0 + np.ceil((40.0 + 10.0 * multiplicity) / (self.pole_rad_s * self.sample_time_s))
@@ -131,15 +117,6 @@ def pulse_polynomials(
     transfer: TransferFunction, delay_s: float, sample_time_s: float
 ) -> tuple[FloatArray, FloatArray]:
     """Exact sampled response of a servo to a held and delayed command (modified z-transform).
-
-    Parameters
-    ----------
-    transfer : TransferFunction
-        Strictly proper and stable.
-    delay_s : float
-        Any delay, of a fraction of a sample or of many [s].
-    sample_time_s : float
-        Sample time [s].
 
     Returns
     -------
@@ -223,11 +200,6 @@ def design_pulse_filter(
 
 def fastest_pole_rad_s(transfer: TransferFunction, sample_time_s: float) -> float:
     """Fastest of the preferred poles whose noise gain stays at or below 0.5 [rad/s].
-
-    Raises
-    ------
-    DesignError
-        If even the slowest amplifies noise five times: the model asks for more derivatives than data can give.
 
     Examples
     --------

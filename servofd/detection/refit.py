@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from servofd.detection.watch import Watched
     from servofd.types import BoolArray, FloatArray
 
-__all__ = ["named"]
-
 _WINDOW_S: Final = 20.0
 _SETTLING_S: Final = 0.5
 _LEAD_S: Final = 1.0

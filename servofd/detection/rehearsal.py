@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from servofd.segment import Segment
     from servofd.types import FloatArray
 
-__all__ = ["Rehearsal"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rehearsal:
@@ -59,7 +57,8 @@ class Rehearsal:
 
     def simulated_deg(self, model: ServoModel) -> FloatArray:
         """Deflection of a servo [deg], shape (n,), as its residual generator would have it."""
-        from servofd.models.kernel import RESTART_ALL, FilterParameters, new_memory, observe
+        from servofd.models.kernel import RESTART_ALL, observe
+        from servofd.models.state import FilterParameters, new_memory
 
         time_s, (measured_deg, restart, _) = self.segment.measured_s, self.starts
         commands = replace(self.commands, effective_s=self.commands.effective_s + model.plan.delay_s)

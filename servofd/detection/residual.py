@@ -27,23 +27,10 @@ from servofd.segment import pace_steps
 if TYPE_CHECKING:
     from servofd.detection.starts import Starts
     from servofd.models.extended import ExtendedMotion, ExtendedServo
-    from servofd.models.kernel import FilterParameters
     from servofd.models.servo_model import ServoModel
+    from servofd.models.state import FilterParameters
     from servofd.segment import Segment
     from servofd.types import BoolArray, FloatArray, IntArray
-
-__all__ = [
-    "Commands",
-    "ResidualGenerator",
-    "Residuals",
-    "Rhythm",
-    "commands_at_servo",
-    "followed",
-    "go_on",
-    "lost_commands",
-    "rhythm",
-    "thinned_rhythm",
-]
 
 _GAP_TIME_CONSTANTS = 5.0
 _GAP_PERIODS = 3.0
@@ -179,7 +166,7 @@ class ResidualGenerator:
 
     def filter_parameters(self) -> FilterParameters:
         """The filter as the kernel sees it."""
-        from servofd.models.kernel import FilterParameters
+        from servofd.models.state import FilterParameters
 
         decay = self.model.transfer.modes().decay_rad_s
         pairs = decay[decay.imag != 0.0].conj()
@@ -210,7 +197,8 @@ class ResidualGenerator:
 
     def _observed(self, segment: Segment, commands: Commands, starts: Starts) -> tuple[FloatArray, FloatArray]:
         """Simulated deflection and residual [deg], each of shape (n,)."""
-        from servofd.models.kernel import new_memory, observe
+        from servofd.models.kernel import observe
+        from servofd.models.state import new_memory
 
         time_s, extended = segment.measured_s, self.model.extended(segment.context)
         if extended is not None:
@@ -248,7 +236,8 @@ class ResidualGenerator:
 
     def filtered(self, time_s: FloatArray, error_deg: FloatArray, restart: NDArray[np.int8]) -> FloatArray:
         """Residual of a simulation error [deg], shape (n,), that starts anew where `restart` is not zero."""
-        from servofd.models.kernel import evaluate, new_memory
+        from servofd.models.kernel import evaluate
+        from servofd.models.state import new_memory
 
         servo, residual_filter = self.model.parameters(), self.filter_parameters()
         filtered_deg = np.empty(time_s.size)

@@ -9,8 +9,6 @@ import numpy as np
 if TYPE_CHECKING:
     from servofd.types import FloatArray
 
-__all__ = ["step_deg"]
-
 _DECIMALS = 6
 _FEW_VALUES = 0.5
 """Values that come again and again, fewer than this share of all, are steps; others are as fine as they can be."""

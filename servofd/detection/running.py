@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from servofd.models.state import compiled
 
-__all__ = ["RunningMedian", "new_running_median", "with_value"]
-
 _PER_OCTAVE, _LOWEST_OCTAVE, _BINS = 16, -20, 640
 """From 1e-6 to 1e6, within 2.2 %."""
 

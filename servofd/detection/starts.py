@@ -14,8 +14,6 @@ from servofd.types import BoolArray, FloatArray
 if TYPE_CHECKING:
     from servofd.segment import Segment
 
-__all__ = ["Starts", "StartsMemory", "find_starts", "mark_starts", "new_starts_memory"]
-
 
 class StartsMemory(NamedTuple):
     """What one piece of a stream leaves to the next."""

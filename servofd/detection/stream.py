@@ -31,7 +31,8 @@ from servofd.detection.threshold import (
     unseen_deg,
 )
 from servofd.models.extended import ExtendedMotion
-from servofd.models.kernel import evaluate_rows, new_memory, observe
+from servofd.models.kernel import evaluate_rows, observe
+from servofd.models.state import new_memory
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -40,8 +41,6 @@ if TYPE_CHECKING:
     from servofd.detection.residual import ResidualGenerator, Rhythm
     from servofd.models.context import Context
     from servofd.types import BoolArray, FloatArray
-
-__all__ = ["MEMORY_S", "Piece", "Stream"]
 
 MEMORY_S = 600.0
 """How much of a flight a monitor remembers."""
@@ -65,19 +64,7 @@ class Piece(NamedTuple):
 
 
 class Stream:
-    """One surface.
-
-    Parameters
-    ----------
-    generator : ResidualGenerator
-        Healthy model and filter.
-    surface : Surface
-        Its threshold, persistence and tolerances.
-    period_s : float
-        Usual time between positions [s].
-    beat : Rhythm
-        Of the commands.
-    """
+    """One surface."""
 
     def __init__(self, generator: ResidualGenerator, surface: Surface, period_s: float, beat: Rhythm) -> None:
         self._generator, self._surface, self._beat = generator, surface, beat

@@ -14,8 +14,6 @@ from servofd.segment import SURROUNDINGS
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-__all__ = ["Surroundings"]
-
 _PERIOD_S = 0.1
 """Airspeed and supply change slowly; more than that is not kept."""
 

@@ -37,22 +37,6 @@ if TYPE_CHECKING:
     from servofd.tolerance import Tolerance
     from servofd.types import BoolArray, FloatArray
 
-__all__ = [
-    "PEAK_OF_LAGS",
-    "RECENT_COMMANDS",
-    "Evaluation",
-    "Threshold",
-    "ThresholdKind",
-    "constant_threshold",
-    "habits",
-    "interval_threshold",
-    "loose_deg",
-    "new_loose_memory",
-    "slower_generator",
-    "suspicion",
-    "unseen_deg",
-]
-
 ThresholdKind = Literal["constant", "interval"]
 
 _TAKEN_UP = 2.0

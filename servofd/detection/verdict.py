@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from servofd.detection.threshold import Threshold, ThresholdKind
     from servofd.segment import Segment
 
-__all__ = ["LogAudit", "Status", "SurfaceAudit"]
-
 Status = Literal["healthy", "suspect", "fault", "no_data", "unknown"]
 
 

@@ -26,16 +26,6 @@ if TYPE_CHECKING:
     from servofd.estimate.schema import CalibratedServo
     from servofd.types import BoolArray, FloatArray
 
-__all__ = [
-    "FLOORS",
-    "MARGIN",
-    "Watched",
-    "detectable",
-    "statistics_of",
-    "thresholds_of",
-    "watched",
-]
-
 MARGIN: Final = 1.25
 FLOORS: Final = dict(
     zip(

@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from servofd.detection.bank.flight import Fault
 
-__all__ = ["describe"]
-
 _NAMES = {
     "stuck": "stuck at {position_deg:.1f} deg",
     "bias": "off by {bias_deg:+.1f} deg",

@@ -75,15 +75,7 @@ def _below_deg(record: Record, fit: Fit, step_deg: float) -> float:
 
 
 def adequacy(record: Record, fit: Fit) -> Adequacy:
-    """Judge what a servo leaves.
-
-    Parameters
-    ----------
-    record : Record
-        What was asked and what happened.
-    fit : Fit
-        The servo, with its held-out errors.
-    """
+    """Judge what a servo leaves."""
     counts = record.counts
     white_deg = floor_of(record, fit)
     error_deg, usual_deg = fit.error_deg, 0.0

@@ -19,7 +19,7 @@ from servofd.models.catalogue import Backlash, Bias, DeadBand, Friction, Gain, I
 
 if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
-    from servofd.models.catalogue import MissingEffect
+    from servofd.models.missing_effect import MissingEffect
     from servofd.types import BoolArray, FloatArray
 
 __all__ = ["AT_REST", "at_rest", "rest_sentence"]
@@ -43,13 +43,7 @@ _DIGITS = 3
 
 
 def at_rest(record: Record) -> Record:
-    """A single run, of which only rests count, if it is too slow for anything else.
-
-    Parameters
-    ----------
-    record : Record
-        What was asked and what happened.
-    """
+    """A single run, of which only rests count, if it is too slow for anything else."""
     if 1.0 / record.period_s >= SLOWEST_RATE_HZ:
         return record
     held_deg, held_s = _held(record)

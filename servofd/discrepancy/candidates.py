@@ -12,7 +12,7 @@ from servofd.models.physics import AFTER, BEFORE, INSIDE
 
 if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
-    from servofd.models.catalogue import MissingEffect
+    from servofd.models.missing_effect import MissingEffect
 
 __all__ = ["PLACES", "SMALLEST", "SURPRISE", "Candidate", "candidates", "excluded", "is_placed", "judgeable"]
 

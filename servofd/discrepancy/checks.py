@@ -26,13 +26,7 @@ _SWAPPED = 0.5
 
 
 def check(record: Record) -> None:
-    """Refuse what cannot show an effect.
-
-    Raises
-    ------
-    NoMeasurement
-        If there is too little, it comes too slowly, nothing was asked, or the channels do not belong together.
-    """
+    """Refuse what cannot show an effect."""
     rate_hz = min(1.0 / each.period_s for each in record.runs or (record,))
     if rate_hz < SLOWEST_RATE_HZ and not (record.side is not None and record.side.any()):
         rested = f" ({rest_sentence(record)})" if record.counts.any() else ""

@@ -27,7 +27,7 @@ from servofd.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from servofd.discrepancy.candidates import Candidate
-    from servofd.models.catalogue import MissingEffect, Parameter
+    from servofd.models.missing_effect import MissingEffect, Parameter
 
 __all__ = ["Fit", "Fitter"]
 

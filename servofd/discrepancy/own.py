@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from servofd.errors import ConfigError
-from servofd.models.catalogue import CATALOGUE, MissingEffect, Parameter
+from servofd.models.catalogue import CATALOGUE
 from servofd.models.effects import Place
+from servofd.models.missing_effect import MissingEffect, Parameter
 from servofd.types import FloatArray
 
 if TYPE_CHECKING:
@@ -118,13 +119,7 @@ class OwnEffect:
 
 
 def load_own_effect(path: str | Path) -> OwnEffect:
-    """Run a Python file and take the one effect that it makes.
-
-    Raises
-    ------
-    ConfigError
-        If the file cannot be read or run, makes no effect or several, or its function does not work.
-    """
+    """Run a Python file and take the one effect that it makes."""
     try:
         source = Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from servofd.discrepancy.record import Record
-    from servofd.models.catalogue import MissingEffect
+    from servofd.models.missing_effect import MissingEffect
     from servofd.models.physics import Physics
     from servofd.types import FloatArray
 

@@ -13,7 +13,7 @@ from servofd.models.physics import AFTER, BEFORE, scaled_transfer, split
 if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
     from servofd.discrepancy.select import Selection
-    from servofd.models.catalogue import MissingEffect
+    from servofd.models.missing_effect import MissingEffect
 
 __all__ = ["effect_values", "form_of", "linear_sentence", "only_rests_sentence", "unjudged_sentence"]
 

@@ -71,16 +71,6 @@ def draft_aircraft(log: FlightLog) -> Draft:
 
     Outputs are paired with positions through the autopilot's parameters; pulses become degrees by the firmware's
     formula, or by a straight line fitted to the position where the servo itself does not repeat its command.
-
-    Parameters
-    ----------
-    log : FlightLog
-        Log of an autopilot.
-
-    Raises
-    ------
-    NoMeasurement
-        If the log holds no position of a servo; the message says what would have to be logged.
     """
     surfaces = [_draft(log, pair) for pair in find_pairs(log)]
     if not surfaces:

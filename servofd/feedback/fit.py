@@ -100,11 +100,6 @@ def fit_roughly(segment: Segment, *, free_scale: bool) -> RoughFit:
     free_scale : bool
         Whether gain and bias between command and position are fitted as well.
 
-    Returns
-    -------
-    RoughFit
-        The best found.
-
     Examples
     --------
     >>> from servofd.simulation.commands import doublets

@@ -114,17 +114,7 @@ def _fitted(log: FlightLog, name: str, surface: Surface, key: str) -> tuple[Surf
 
 
 def good_levels(aircraft: Aircraft, name: str, logs: Iterable[FlightLog]) -> dict[str, Any]:
-    """Entries of a surface that make good runs healthy: tolerances drafted from them, and where its model comes from.
-
-    Parameters
-    ----------
-    aircraft : Aircraft
-        With the model that was fitted to these runs.
-    name : str
-        Of the surface.
-    logs : iterable of FlightLog
-        The runs.
-    """
+    """Entries of a surface that make good runs healthy: tolerances drafted from them, and the origin of its model."""
     drafts, error_deg, moved_deg = [], [], []
     model = aircraft.model(name)
     for log in logs:

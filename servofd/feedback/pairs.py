@@ -79,11 +79,6 @@ def find_pairs(log: FlightLog) -> tuple[Pair, ...]:
     Ids start at 0 or at 1, depending on the servo's bus. Parameters tell which (the bit masks of the drivers);
     without them the base is the one under which positions go with the commands.
 
-    Parameters
-    ----------
-    log : FlightLog
-        Log of an autopilot.
-
     Returns
     -------
     tuple of Pair

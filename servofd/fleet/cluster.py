@@ -13,8 +13,6 @@ from servofd.version import __version__
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-__all__ = ["LostCluster", "run_on_cluster"]
-
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 _PATIENCE_S = 10.0
@@ -42,18 +40,6 @@ def run_on_cluster(
         A function of a module that the workers have, too, or a partial of one.
     items : sequence
         What to do it for.
-
-    Yields
-    ------
-    item, result
-        An exception in place of the result of an item that raised it.
-
-    Raises
-    ------
-    ConfigError
-        If no scheduler answers, it has no workers, or they have no servofd of this version.
-    LostCluster
-        If the scheduler goes away.
     """
     with _client(address) as client:
         executor = client.get_executor(pure=False)

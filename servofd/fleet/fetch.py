@@ -14,17 +14,10 @@ from servofd.fleet.find import is_address
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["fetched"]
-
 
 @contextmanager
 def fetched(path: str) -> Iterator[str]:
     """Give a local file: the log itself, or a copy of the same name that is gone afterwards.
-
-    Raises
-    ------
-    ConfigError
-        If it cannot be fetched.
 
     Examples
     --------

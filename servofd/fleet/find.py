@@ -23,18 +23,6 @@ if TYPE_CHECKING:
 
     from logparsers import TableLayout
 
-__all__ = [
-    "META_FILE",
-    "Found",
-    "LogSource",
-    "Skipped",
-    "find_logs",
-    "flights_joined",
-    "is_address",
-    "is_folder",
-    "is_pattern",
-]
-
 META_FILE = "fleet.json"
 """Marks a folder of results, in which no logs are looked for."""
 
@@ -82,11 +70,6 @@ def find_logs(inputs: Sequence[str], layout: TableLayout | None = None) -> Found
         Files, folders, patterns such as ``"2026/**/*.bin"``, addresses such as ``"s3://bucket/logs"``.
     layout : TableLayout, optional
         How text tables are read.
-
-    Raises
-    ------
-    ConfigError
-        If no input gave any log.
 
     Examples
     --------
@@ -150,11 +133,6 @@ def is_folder(text: str) -> bool:
 
 def flights_joined(paths: Iterable[str]) -> list[str]:
     """The same logs, but for the tables of messages of one flight a pattern, as in ``"log_7_*.csv"``.
-
-    Parameters
-    ----------
-    paths : iterable of str
-        Files.
 
     Examples
     --------

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from servofd.fleet.find import LogSource
     from servofd.fleet.key import Job
 
-__all__ = ["JudgedLog", "RunVerdict", "failed", "judge_log"]
-
 
 @dataclass(frozen=True, slots=True)
 class RunVerdict:

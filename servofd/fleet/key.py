@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from servofd.aircraft import Aircraft
     from servofd.detection.threshold import ThresholdKind
 
-__all__ = ["Job", "content_key", "page_name"]
-
 _DIGEST_BYTES = 16
 _OF_DIGEST = 8
 
@@ -84,11 +82,6 @@ def page_name(path: str, content: str) -> str:
 
 def content_key(path: str) -> str:
     """Digest of a log's bytes; of a remote one what its store tells of them (an ETag or time stamp), unread.
-
-    Raises
-    ------
-    OSError
-        If it cannot be read.
 
     Examples
     --------

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from concurrent.futures import Future
 
-__all__ = ["WorkerDied", "cores", "interrupts_wait", "processes", "run_local"]
-
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 _THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
@@ -53,11 +51,6 @@ def run_local(
         What to do it for.
     workers : int, optional
         Number of processes; one per core if None; 0: no process but this one, which then nothing protects.
-
-    Yields
-    ------
-    item, result
-        An exception in place of the result of an item that raised it.
 
     Examples
     --------

@@ -11,8 +11,6 @@ from servofd.errors import ConfigError
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["locked"]
-
 _NAME = ".lock"
 _TAKEN = (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)
 
@@ -21,13 +19,6 @@ def locked(folder: Path) -> BinaryIO:
     """Take the lock of a folder; closing the file gives it back, and so does the end of the process.
 
     The file stays: to remove it would let two others have locks on two files of one name.
-
-    Raises
-    ------
-    ConfigError
-        If somebody else has it.
-    OSError
-        If the folder cannot be written to.
 
     Examples
     --------

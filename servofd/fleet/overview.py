@@ -11,8 +11,6 @@ from servofd.fleet.key import page_name
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["Overview", "SurfaceCount", "overview"]
-
 _WORST_FIRST = ("fault", "suspect", "healthy", "unknown", "no_data")
 _RANK = ("fault", "suspect", "untold", "unknown", "no_data", "healthy")
 

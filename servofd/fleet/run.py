@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from servofd.fleet.find import LogSource
     from servofd.fleet.judge import JudgedLog
 
-__all__ = ["audit_fleet", "audit_logs"]
-
 
 def audit_fleet(
     logs: Sequence[LogSource], job: Job, *, cluster: str | None = None, workers: int | None = None

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from servofd.fleet.find import LogSource
     from servofd.fleet.judge import JudgedLog
 
-__all__ = ["FleetStore", "read_logs", "read_table"]
-
 _SCHEMA = "servofd.fleet/1"
 _EARLIER = "earlier"
 _KEY = re.compile(r"\w+")  # it names a folder
@@ -47,11 +45,6 @@ class FleetStore:
         Made if it does not exist.
     key : str
         Of the `servofd.fleet.key.Job`.
-
-    Raises
-    ------
-    ConfigError
-        If the folder cannot be used, holds something else, or another process writes to it.
     """
 
     def __init__(self, folder: Path, key: str) -> None:
@@ -137,13 +130,7 @@ class FleetStore:
 
 
 def read_table(folder: Path, name: str, columns: list[str] | None = None) -> list[dict[str, Any]]:
-    """Rows of one table of a folder of results.
-
-    Raises
-    ------
-    ConfigError
-        If a file is damaged.
-    """
+    """Rows of one table of a folder of results."""
     return [row for path in sorted((folder / name).glob("*.parquet")) for row in _rows(path, columns)]
 
 
@@ -172,13 +159,7 @@ def _damaged(path: Path, error: Exception) -> ConfigError:
 
 
 def read_logs(folder: Path) -> list[dict[str, Any]]:
-    """All logs of a folder of results, by path and run: ``document`` as in servofd.audit/1, and ``untold``.
-
-    Raises
-    ------
-    ConfigError
-        If the folder holds no results, or those of another form.
-    """
+    """All logs of a folder of results, by path and run: ``document`` as in servofd.audit/1, and ``untold``."""
     meta = folder / META_FILE
     if not meta.is_file():
         raise ConfigError(f"{folder}: no results of many logs; make them with servofd audit LOGS/ -o {folder}")

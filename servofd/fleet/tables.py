@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from servofd.fleet.judge import JudgedLog
 
-__all__ = ["TABLES", "rows", "to_arrow"]
-
 _LOG = {"content": "string", "path": "string", "run": "string", "start_utc": "time"}
 TABLES: Mapping[str, Mapping[str, str]] = MappingProxyType(
     {

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from servofd.segment import Segment
     from servofd.types import FloatArray
 
-__all__ = ["check_clipping", "check_drift", "check_order_of_columns", "check_saturation", "check_segment"]
-
 _SLOWEST_HZ, _FASTEST_HZ = 8.0, 20_000.0
 _FEWEST_SAMPLES = 30
 _CLIPPED_SAMPLES, _CLIPPED_COMMAND = 0.05, 0.15
@@ -27,13 +25,7 @@ _DRIFT_SHARE, _DRIFT_OF_ERROR = 0.2, 0.9
 
 
 def check_segment(segment: Segment, label: str) -> None:
-    """Refuse a record that is too short, sampled wrongly, or without excitation.
-
-    Raises
-    ------
-    IdentificationError
-        One sentence: what is wrong, and what would have worked.
-    """
+    """Refuse a record that is too short, sampled wrongly, or without excitation."""
     known = np.isfinite(segment.measured_deg)
     count = int(np.count_nonzero(known))
     if count < _FEWEST_SAMPLES:
@@ -57,13 +49,7 @@ def check_segment(segment: Segment, label: str) -> None:
 
 
 def check_clipping(run: Run, label: str) -> None:
-    """Refuse a position that stays at its extreme while the command moves on.
-
-    Raises
-    ------
-    IdentificationError
-        If at least 5 % of the samples are cut off.
-    """
+    """Refuse a position that stays at its extreme while the command moves on."""
     at = np.searchsorted(run.command_s, run.measured_s, side="right") - 1
     command_deg = run.command_deg[at]
     for extreme in (run.measured_deg.max(), run.measured_deg.min()):
@@ -79,13 +65,7 @@ def check_clipping(run: Run, label: str) -> None:
 
 
 def check_drift(run: Run, error_deg: FloatArray, label: str) -> None:
-    """Refuse a position that wanders off while the command does not: it would pass for rate limits.
-
-    Raises
-    ------
-    IdentificationError
-        If a straight line explains most of the error of the best linear servo, and is no small one.
-    """
+    """Refuse a position that wanders off while the command does not: it would pass for rate limits."""
     since = (run.measured_s - run.measured_s.mean()) / np.ptp(run.measured_s)
     drift_deg = float(since @ error_deg / (since @ since))
     explained = drift_deg**2 * float(since @ since) / max(float(error_deg @ error_deg), 1e-300)
@@ -97,13 +77,7 @@ def check_drift(run: Run, error_deg: FloatArray, label: str) -> None:
 
 
 def check_saturation(run: Run, servo: ServoCandidate, label: str) -> None:
-    """Refuse a servo that runs at its rate limit all the time: a triangle shows no dynamics.
-
-    Raises
-    ------
-    IdentificationError
-        If the rate limit governs more than 80 % of the time.
-    """
+    """Refuse a servo that runs at its rate limit all the time: a triangle shows no dynamics."""
     if servo.rate_up_deg_s is None:
         return
     slowest_deg_s = min(servo.rate_up_deg_s, servo.rate_down_deg_s or servo.rate_up_deg_s)
@@ -118,13 +92,7 @@ def check_saturation(run: Run, servo: ServoCandidate, label: str) -> None:
 
 
 def check_order_of_columns(uniform: Uniform, label: str) -> None:
-    """Refuse a position that moves before its command.
-
-    Raises
-    ------
-    IdentificationError
-        If the position leads.
-    """
+    """Refuse a position that moves before its command."""
     from scipy.signal import correlate, correlation_lags
 
     command_deg, measured_deg, sample_time_s = uniform.command_deg, uniform.measured_deg, uniform.sample_time_s

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from servofd.identification.frequency_response import FrequencyResponse
     from servofd.identification.records import Run
 
-__all__ = ["Choice", "choose_linear", "choose_nonlinear", "with_unity_gain"]
-
 _WORTH = 0.98
 """An effect must take so much off the root mean square error, beside winning by BIC."""
 _EQUAL_RMS = 1.001
@@ -57,11 +55,6 @@ def choose_linear(runs: Sequence[Run], response: FrequencyResponse | None, order
         Their response within the band; None if they have none, then starts come from a grid.
     order : int or None
         Number of poles; None to let the data choose.
-
-    Raises
-    ------
-    IdentificationError
-        If no start leads anywhere.
     """
     orders = range(1, HIGHEST_ORDER + 1) if order is None else (order,)
     fits: dict[int, MotionFit] = {}

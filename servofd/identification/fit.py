@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from servofd.identification.frequency_response import FrequencyResponse
     from servofd.types import ComplexArray, FloatArray
 
-__all__ = ["fit_response", "start_value"]
-
 _DELAY_STEP_S, _LONGEST_DELAY_S = 1e-3, 0.08
 _ITERATIONS = 8
 _LARGEST_WEIGHT = 10.0
@@ -67,11 +65,6 @@ def fit_response(response: FrequencyResponse, order: int) -> LinearServo:
         Within the band to fit.
     order : int
         Number of poles, 1 to 3.
-
-    Returns
-    -------
-    LinearServo
-        The best of several starts.
 
     Examples
     --------

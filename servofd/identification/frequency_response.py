@@ -12,8 +12,6 @@ if TYPE_CHECKING:
 
     from servofd.types import BoolArray, ComplexArray, FloatArray
 
-__all__ = ["LAGS_S", "FrequencyResponse", "Spread", "average", "estimate", "raw_response"]
-
 LAGS_S = 4.0
 """Reach of the lag window: 400 lags at 100 Hz. With 100 (thesis Appendix A) poles come out four times as wrong,
 because a narrow window smears the resonance; with more the estimate is no longer smooth (measured)."""
@@ -116,11 +114,6 @@ def estimate(
     lags : int, optional
         Reach of the window; 4 s, at most a quarter of the data, if left out.
 
-    Returns
-    -------
-    FrequencyResponse
-        Up to the Nyquist frequency.
-
     Examples
     --------
     A gain of one half, one sample late:
@@ -166,13 +159,6 @@ def average(responses: Sequence[FrequencyResponse]) -> tuple[FrequencyResponse, 
     ----------
     responses : sequence of FrequencyResponse
         At least one; the others are interpolated to the frequencies of the first.
-
-    Returns
-    -------
-    FrequencyResponse
-        Nominal response.
-    Spread
-        Standard deviations of the servos about it; zero for a single one.
 
     Examples
     --------

@@ -22,8 +22,6 @@ from servofd.identification.summary import intervals_of, notes_on_servo, notes_o
 if TYPE_CHECKING:
     from servofd.segment import Segment
 
-__all__ = ["Method", "identify"]
-
 Method = Literal["response", "magnitude"]
 _T = TypeVar("_T")
 

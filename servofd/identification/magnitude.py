@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from servofd.identification.frequency_response import FrequencyResponse
     from servofd.types import FloatArray
 
-__all__ = ["fit_magnitude"]
-
 _LARGEST_RIPPLE = 3.0
 """Of the logarithm of the magnitude: a factor of 20 is no fit."""
 _BISECTIONS = 30
@@ -42,11 +40,6 @@ def fit_magnitude(response: FrequencyResponse, order: int) -> LinearServo:
     -------
     LinearServo
         Minimum phase and a delay; the delay is not held to zero or above.
-
-    Raises
-    ------
-    IdentificationError
-        If no stable servo of that order has this magnitude.
 
     Examples
     --------

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from servofd.identification.records import Run
     from servofd.types import FloatArray
 
-__all__ = ["lowest_delay_s"]
-
 _NOT_REJECTED = 3.84
 """Quantile of chi squared with one degree of freedom: twice the logarithm of the likelihood may fall by so much."""
 _NEAREST, _FARTHEST, _POLES = 1.5, 300.0, 24
@@ -30,13 +28,6 @@ def lowest_delay_s(runs: Sequence[Run], fit: MotionFit) -> float:
 
     For each of many positions of that pole the other numbers are corrected by one Gauss-Newton step; those that raise
     the squared error by more than chance would are rejected.
-
-    Parameters
-    ----------
-    runs : sequence of Run
-        Tests the fit rests on.
-    fit : MotionFit
-        A servo of less than the highest order.
 
     Returns
     -------

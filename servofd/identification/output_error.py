@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from servofd.identification.records import Run
     from servofd.types import FloatArray
 
-__all__ = ["Interval", "MotionFit", "ServoCandidate", "evaluated", "fit_motion"]
-
 _SURE = 1.959963984540054
 """Standard deviations of a 95 % interval."""
 _OUT_OF_REACH_DEG = 1e4
@@ -193,11 +191,6 @@ def fit_motion(runs: Sequence[Run], start: ServoCandidate, *, evaluations: int =
         Where to begin; what is None in it is not fitted.
     evaluations : int
         Most simulations for the descent, those of derivatives not counted.
-
-    Returns
-    -------
-    MotionFit
-        The nearest minimum.
 
     Examples
     --------

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from servofd.identification.shape import LinearServo
     from servofd.types import FloatArray
 
-__all__ = ["RateLimits", "StepSlope", "rate_limits", "step_slopes"]
-
 _FROM, _TO = 0.2, 0.8
 """Part of the travel that is straight. The largest slope of any 40 ms would be noise: 384 instead of 370 deg/s."""
 _STEP_SHARE = 0.2
@@ -54,16 +52,6 @@ class RateLimits:
 def step_slopes(runs: Sequence[Run]) -> tuple[StepSlope, ...]:
     """Slope of every step that the position has followed to its end.
 
-    Parameters
-    ----------
-    runs : sequence of Run
-        Tests.
-
-    Returns
-    -------
-    tuple of StepSlope
-        In the order of the runs; other motion is passed over.
-
     Examples
     --------
     >>> from servofd.identification.records import prepared
@@ -89,18 +77,6 @@ def rate_limits(runs: Sequence[Run], linear: LinearServo) -> RateLimits:
 
     Each step is compared with the same step of the servo without a limit, over the same part of the way: one that
     is hardly slower does not show the limit, and is left out.
-
-    Parameters
-    ----------
-    runs : sequence of Run
-        Tests.
-    linear : LinearServo
-        The servo without a limit.
-
-    Returns
-    -------
-    RateLimits
-        Averages of the remaining steps, weighted by their precision.
     """
     slopes = step_slopes(runs)
     if not slopes:

@@ -11,8 +11,6 @@ if TYPE_CHECKING:
     from servofd.segment import Segment
     from servofd.types import FloatArray
 
-__all__ = ["Run", "Uniform", "longest_uniform", "prepared"]
-
 _FAR_AWAY_S = 60.0
 """The servo rests for so long before a run that nothing is left of how it came there."""
 _STEP_SHARE = 0.1

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from servofd.identification.records import Run
     from servofd.types import ComplexArray, FloatArray
 
-__all__ = ["Identification"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Identification:

@@ -12,8 +12,6 @@ from servofd.models.transfer import TransferFunction
 if TYPE_CHECKING:
     from servofd.types import ComplexArray, FloatArray
 
-__all__ = ["HIGHEST_ORDER", "LARGEST_LOG_GAIN", "LONGEST_DELAY_S", "LinearServo", "shape_bounds"]
-
 HIGHEST_ORDER = 3
 """Of thesis Fig. 3.10."""
 LARGEST_LOG_GAIN = 14.0

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from servofd.identification.rate import RateLimits
     from servofd.identification.records import Run
 
-__all__ = ["intervals_of", "notes_on_servo", "notes_on_spread"]
-
 _UNIDENTIFIABLE = 1.0
 """Standard deviation of the logarithm of a pole: a factor of e either way is no knowledge."""
 _OTHER_BANDWIDTH, _OTHER_LAG_S = 1.4, 0.02
@@ -174,11 +172,6 @@ def notes_on_spread(responses: Sequence[FrequencyResponse], order: int, names: S
         Number of poles.
     names : sequence of str
         What to call them.
-
-    Raises
-    ------
-    IdentificationError
-        If they differ by more than servos of one kind do.
     """
     if len(responses) < 2:
         return ()

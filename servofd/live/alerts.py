@@ -71,11 +71,6 @@ def health(monitor: SurfaceMonitor) -> float:
 class Alerts:
     """Messages to send about one vehicle.
 
-    Parameters
-    ----------
-    surfaces : Iterable of str
-        All that are watched.
-
     Examples
     --------
     >>> from servofd.detection.events import Event

@@ -27,13 +27,7 @@ Message = tuple[str, dict[str, Any]]
 
 
 class RemoteLog:
-    """The log of one vehicle: acknowledges blocks, asks for those that are missing, and gives samples of channels.
-
-    Parameters
-    ----------
-    system : int
-        The vehicle.
-    """
+    """The log of one vehicle: acknowledges blocks, asks for those that are missing, and gives samples of channels."""
 
     def __init__(self, system: int) -> None:
         self._system = system

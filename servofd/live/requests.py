@@ -41,17 +41,6 @@ class _Wish:
 class Requests:
     """One vehicle's message intervals, asked for one after the other.
 
-    Parameters
-    ----------
-    system : int
-        The vehicle.
-    messages : set of str
-        What its surfaces need.
-    seldom : set of str
-        What tells of airspeed and supply.
-    component : int
-        Who asks.
-
     Examples
     --------
     >>> from logparsers.codec import Heard

@@ -93,15 +93,6 @@ class Receiver:
 class Worker:
     """Writes or sends in a thread of its own; gives up, and says why, when that fails.
 
-    Parameters
-    ----------
-    write : callable
-        Takes bytes.
-    close : callable
-        Ends it.
-    room : int
-        Entries that may wait.
-
     Examples
     --------
     >>> written: list[bytes] = []

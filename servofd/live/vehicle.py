@@ -132,20 +132,7 @@ class Disorder:
 
 @dataclass(slots=True)
 class Vehicle:
-    """A vehicle, and what is known of it.
-
-    Parameters
-    ----------
-    system : int
-        Its MAVLink address.
-    aircraft : Aircraft
-        Its surfaces.
-
-    Raises
-    ------
-    ConfigError
-        If the aircraft file names no channel that a telemetry stream could have.
-    """
+    """A vehicle, and what is known of it."""
 
     system: int
     aircraft: Aircraft

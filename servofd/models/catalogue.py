@@ -10,15 +10,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from servofd.models.effects import Place
-from servofd.models.missing_effect import Context, MissingEffect, Parameter
+from servofd.models.missing_effect import MissingEffect, Parameter
 from servofd.models.physics import AFTER, BEFORE, INSIDE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from servofd.models.physics import Physics
-
-__all__ = ["CATALOGUE", "OWN", "Context", "MissingEffect", "Parameter", "effects_named", "installed"]
 
 
 def installed(physics: Physics, effects: Sequence[type[MissingEffect]], values: Sequence[float]) -> Physics:

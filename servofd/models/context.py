@@ -9,8 +9,6 @@ import numpy as np
 from logparsers.records import own
 from servofd.types import FloatArray
 
-__all__ = ["NO_CONTEXT", "Context"]
-
 _AIR_KG_M3 = 1.225
 """Density of the standard atmosphere at sea level."""
 

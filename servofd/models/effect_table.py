@@ -8,16 +8,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from servofd.errors import ConfigError, UnknownName, suggest
-from servofd.models.catalogue import CATALOGUE, MissingEffect, Parameter, effects_named, installed
+from servofd.models.catalogue import CATALOGUE, effects_named, installed
 from servofd.models.effects import Extension, Place, Plan, neutral_of
+from servofd.models.missing_effect import MissingEffect, Parameter
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from servofd.models.physics import Physics
     from servofd.types import FloatArray
-
-__all__ = ["EffectTable", "TabledEffect", "effects_installed", "table_of"]
 
 EffectTable = dict[str, dict[str, float | str]]
 """Effect name to its parameters, and its ``form`` where several machines go by one name."""
@@ -28,13 +27,6 @@ _OPTIONAL = ("phase",)
 
 def effects_installed(physics: Physics, table: Mapping[str, Mapping[str, float | str]]) -> Physics:
     """Servo with the effects of a table.
-
-    Raises
-    ------
-    ConfigError
-        If a value is missing, no number, or beyond what is physical; the message names it and what would do.
-    UnknownName
-        If there is no such effect, form or parameter.
 
     Examples
     --------

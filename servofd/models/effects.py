@@ -14,18 +14,6 @@ from servofd.errors import ConfigError
 from servofd.models.physics import Physics, scaled_transfer
 from servofd.models.transfer import TransferFunction
 
-__all__ = [
-    "Delay",
-    "Effect",
-    "Extension",
-    "LinearDynamics",
-    "Place",
-    "Plan",
-    "PositionLimit",
-    "RateLimit",
-    "neutral_of",
-]
-
 
 class Place(IntEnum):
     """Where along the way from autopilot to surface an effect acts."""

@@ -19,8 +19,6 @@ from servofd.models.state import ServoParameters
 if TYPE_CHECKING:
     from servofd.types import FloatArray
 
-__all__ = ["AnyServo", "ExtendedMotion", "ExtendedServo"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExtendedServo:

@@ -27,22 +27,13 @@ if TYPE_CHECKING:
     from servofd.models.servo_model import ServoModel
     from servofd.types import FloatArray
 
-__all__ = ["Fault", "failing_deflection", "in_order"]
-
 _LARGEST = 1e9
 """In degrees, Hz or seconds: beyond what any servo does, and far from where products of such numbers overflow."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """A way a servo can fail from `start_s` on, until `end_s` if it passes; itself, nothing fails.
-
-    Raises
-    ------
-    ConfigError
-        If a parameter is not finite or larger than anything on an aircraft, one that must be positive is not, or the
-        fault ends before it starts.
-    """
+    """A way a servo can fail from `start_s` on, until `end_s` if it passes; itself, nothing fails."""
 
     kind: ClassVar[str]
     positive: ClassVar[tuple[str, ...]] = ()
@@ -86,13 +77,7 @@ class Fault:
 
 
 def in_order(faults: Iterable[Fault]) -> tuple[Fault, ...]:
-    """Faults of one surface by their start.
-
-    Raises
-    ------
-    ConfigError
-        If one starts before the one before it has ended.
-    """
+    """Faults of one surface by their start."""
     ordered = tuple(sorted(faults, key=lambda fault: fault.start_s))
     for one, two in pairwise(ordered):
         if two.start_s < one.end_s:
@@ -130,11 +115,6 @@ def failing_deflection(
     -------
     ndarray, shape (m,)
         Deflection [deg], starting from rest at the first command.
-
-    Raises
-    ------
-    ConfigError
-        If faults overlap.
 
     Examples
     --------

@@ -23,19 +23,6 @@ if TYPE_CHECKING:
     from servofd.models.extended import AnyServo
     from servofd.types import FloatArray
 
-__all__ = [
-    "FAULTS",
-    "Bias",
-    "DeadBand",
-    "Fault",
-    "Floating",
-    "HardOver",
-    "LossOfEffectiveness",
-    "Oscillation",
-    "Slow",
-    "Stuck",
-]
-
 _STOP_DEG = 25.0
 """Where a servo that runs away comes to rest if nothing says where its stop is: the FASER surfaces' full travel."""
 _UNLOADED_RATE_DEG_S = 400.0

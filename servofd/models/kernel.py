@@ -26,17 +26,6 @@ from servofd.types import FloatArray
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = [
-    "FilterParameters",
-    "Memory",
-    "ServoParameters",
-    "evaluate",
-    "evaluate_rows",
-    "lag_weights",
-    "new_memory",
-    "observe",
-]
-
 _SAME_STEP_S = 1e-7
 """Steps this close share an exponential, corrected by a three-term series (error below 1e-15)."""
 

@@ -13,8 +13,6 @@ from servofd.models.loop_steps import compiled, inlined
 from servofd.models.physics import Physics
 from servofd.types import FloatArray
 
-__all__ = ["LINKAGE", "begin_linkage", "carried", "deflected", "rest_linkage"]
-
 _KEPT, _FADE = 8, 5
 """Lengths of step of which is kept what fades within them, and how many numbers that are."""
 _SAME_STEP_S = 1e-9

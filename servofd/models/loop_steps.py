@@ -10,8 +10,6 @@ from numba import njit
 
 from servofd.types import FloatArray
 
-__all__ = ["ROW", "build", "coasted", "column", "compiled", "inlined", "row", "sine", "step_matrices"]
-
 ROW = 8
 """Of a matrix: seven states and inputs, and one for the torque of a servo that sticks."""
 _TERMS = 5

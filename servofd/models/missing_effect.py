@@ -11,8 +11,6 @@ from servofd.models.effects import Place
 if TYPE_CHECKING:
     from servofd.models.physics import Physics
 
-__all__ = ["Context", "MissingEffect", "Parameter"]
-
 Context = Literal["airspeed_m_s", "servo_voltage_v", "servo_current_a"]
 
 _AT_BOUND, _NEAR = 1e-3, 0.1

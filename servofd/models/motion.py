@@ -7,14 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.models.kernel import RESTART_ALL, FilterParameters, new_memory, observe
-from servofd.models.state import ServoParameters
+from servofd.models.kernel import RESTART_ALL, observe
+from servofd.models.state import FilterParameters, ServoParameters, new_memory
 
 if TYPE_CHECKING:
     from servofd.models.extended import AnyServo
     from servofd.types import FloatArray
-
-__all__ = ["Motion"]
 
 
 class Motion:

@@ -20,20 +20,6 @@ if TYPE_CHECKING:
     from servofd.models.transfer import TransferFunction
     from servofd.types import FloatArray
 
-__all__ = [
-    "AFTER",
-    "BEFORE",
-    "INSIDE",
-    "LOOSE_FIELDS",
-    "RATE_FIELDS",
-    "Loop",
-    "Physics",
-    "Plant",
-    "longest_step_s",
-    "scaled_transfer",
-    "split",
-]
-
 _TORQUE_SHARE = 0.8
 """Share of the damping that acts on the torque (q); the split changes neither the linear servo nor any steady state."""
 _FINEST_S, _LONGEST_S = 2.5e-4, 1e-2

@@ -7,8 +7,6 @@ from numba import njit
 
 from servofd.types import FloatArray
 
-__all__ = ["play"]
-
 
 @njit(cache=True, nogil=True)
 def _play(values: FloatArray, half_width: float, start: float, result: FloatArray) -> None:

@@ -21,8 +21,6 @@ from servofd.models.loop_steps import ROW, build, coasted, column, compiled, row
 from servofd.models.physics import Loop, Physics
 from servofd.types import FloatArray
 
-__all__ = ["framed", "heard", "new_memory", "run"]
-
 _NO_STEP_S = 1e-10
 _SAME_STEP_S = 1e-9
 """Steps that differ by less share their matrices: less than 1e-6 deg at 1000 deg/s."""

@@ -16,13 +16,11 @@ from servofd.models.physics import RATE_FIELDS, Physics, Plant
 if TYPE_CHECKING:
     from servofd.models.context import Context
     from servofd.models.extended import ExtendedMotion, ExtendedServo
-    from servofd.models.kernel import ServoParameters
     from servofd.models.motion import Motion
+    from servofd.models.state import ServoParameters
     from servofd.models.transfer import TransferFunction
     from servofd.servos import Servo
     from servofd.types import FloatArray
-
-__all__ = ["ServoModel", "plant_of"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +122,7 @@ class ServoModel:
 
     def parameters(self) -> ServoParameters:
         """The model as the kernel sees it."""
-        from servofd.models.kernel import ServoParameters
+        from servofd.models.state import ServoParameters
 
         plan, modes = self.plan, self.transfer.modes()
         return ServoParameters(
@@ -182,11 +180,6 @@ class ServoModel:
 
 def plant_of(model: ServoModel) -> Plant:
     """Position loop with the poles, the delay and the limits of a servo model.
-
-    Raises
-    ------
-    DesignError
-        If the servo has zeros or more than three poles.
 
     Examples
     --------

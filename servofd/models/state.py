@@ -13,8 +13,6 @@ from servofd.types import ComplexArray, FloatArray
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["FilterParameters", "Memory", "ServoParameters", "compiled", "fixed", "inlined", "new_memory"]
-
 Kind = TypeVar("Kind", np.float64, np.int8)
 
 SLOTS = 4

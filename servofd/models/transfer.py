@@ -12,8 +12,6 @@ from servofd.errors import DesignError
 if TYPE_CHECKING:
     from servofd.types import ComplexArray
 
-__all__ = ["Modes", "TransferFunction"]
-
 BANDWIDTH_DROP_DB = 3.0
 """Below dc. Exactly 3.00 dB reproduces the bandwidth column of thesis Fig. 3.10; 3.0103 dB does not."""
 

@@ -157,13 +157,6 @@ def plan_onboard(
     instructions : int
         Of Lua's virtual machine, that the autopilot gives a call (``SCR_VM_I_COUNT``).
 
-    Raises
-    ------
-    UnknownName
-        If the aircraft has no such surface.
-    ConfigError
-        If no surface can be watched on board, or more than a call has time for; the message says how many would do.
-
     Examples
     --------
     >>> from servofd.aircraft import load_aircraft
@@ -204,13 +197,6 @@ def plan_onboard(
 
 def outputs_of(aircraft: Aircraft, surfaces: Sequence[str] = ()) -> list[int]:
     """Outputs of the surfaces that have a position, rising; of all surfaces if none is named.
-
-    Raises
-    ------
-    UnknownName
-        If the aircraft has no such surface.
-    ConfigError
-        If the channels of a surface tell no output.
 
     Examples
     --------

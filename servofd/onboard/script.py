@@ -43,11 +43,6 @@ def watch_script(plan: OnboardPlan, file_name: str = "servofd.lua") -> str:
 def stream_script(outputs: Sequence[int], file_name: str = "servofd.lua", rate_hz: float = _STREAM_HZ) -> str:
     """Text of the script that only sends the measured positions of some outputs (from 1) to the ground.
 
-    Raises
-    ------
-    ConfigError
-        If there are none.
-
     Examples
     --------
     >>> "ipairs({ 1, 4 })" in stream_script([4, 1])

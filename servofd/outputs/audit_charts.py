@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from servofd.segment import Segment
     from servofd.types import FloatArray
 
-__all__ = ["MOST_FAULTS", "fault_charts", "flight_chart"]
-
 MOST_FAULTS = 4
 """Faults that are shown from near; the table lists all."""
 _MARGIN_S, _MARGIN = 2.0, 0.35
@@ -27,13 +25,7 @@ _SLACK = 0.06
 
 
 def flight_chart(surface: SurfaceAudit) -> Chart:
-    """The whole flight of one surface.
-
-    Raises
-    ------
-    ValueError
-        If the surface has no residuals: there is nothing to draw.
-    """
+    """The whole flight of one surface."""
     segment, residuals, threshold = _drawn(surface)
     largest = "" if surface.statistics is None else f", at most {surface.statistics.max_abs_deg:.2f} deg"
     text = (
@@ -45,13 +37,7 @@ def flight_chart(surface: SurfaceAudit) -> Chart:
 
 
 def fault_charts(surface: SurfaceAudit) -> list[Chart]:
-    """The first faults and suspicions of a surface from near.
-
-    Raises
-    ------
-    ValueError
-        If the surface has no residuals: there is nothing to draw.
-    """
+    """The first faults and suspicions of a surface from near."""
     data = _drawn(surface)
     return [_near(surface, fault, data) for fault in (*surface.faults, *surface.suspicions)[:MOST_FAULTS]]
 

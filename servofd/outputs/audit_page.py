@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from servofd.detection.verdict import LogAudit, SurfaceAudit
     from servofd.evidence import ModelOrigin
 
-__all__ = ["audit_page", "quantity"]
-
 _UNITS = {"deg_s": "deg/s", "deg": "deg", "hz": "Hz", "s": "s"}
 _MISSING = "none"
 _ORIGINS = {

@@ -12,21 +12,13 @@ from servofd.outputs.chart import Chart, Curve, Mark, Panel, Span
 if TYPE_CHECKING:
     from servofd.axes.verdict import AxisAudit
 
-__all__ = ["axis_chart"]
-
 _MOST_OF_IT = 0.998
 _HEADROOM = 1.1
 _HIGHEST = 20.0
 
 
 def axis_chart(axis: AxisAudit) -> Chart:
-    """The whole flight of one axis.
-
-    Parameters
-    ----------
-    axis : AxisAudit
-        Judged.
-    """
+    """The whole flight of one axis."""
     time_s, usable = axis.time_s, axis.inputs.usable
     asked, shown = (np.where(usable, values, np.nan) for values in (axis.asked, axis.shown))
     both = np.concatenate([asked[usable], shown[usable], [0.0]])

@@ -18,8 +18,6 @@ from servofd.outputs.sentence import clock
 if TYPE_CHECKING:
     from servofd.types import FloatArray
 
-__all__ = ["HEIGHT", "WIDTH", "Chart", "Curve", "Mark", "Panel", "Span", "nice_ticks", "thinned"]
-
 WIDTH, HEIGHT = 4000, 1000
 """Units of the drawing: four to a column of pixels of a wide screen, four to a row of a tall panel."""
 _TIME_STEPS_S = (0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 14400, 43200, 86400)

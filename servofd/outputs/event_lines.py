@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from servofd.detection.events import Event
 
-__all__ = ["event_document", "event_json"]
-
 
 def event_document(event: Event, vehicle: int | None = None) -> dict[str, Any]:
     """The event as other tools read it; what is not known is null.

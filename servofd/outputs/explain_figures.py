@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from servofd.discrepancy.varying import Varying
     from servofd.types import FloatArray
 
-__all__ = ["explain_figures"]
-
 _EXCERPT_S = 6.0
 _BEFORE, _AFTER, _FLOOR = COLOURS["fault"], COLOURS["simulated"], COLOURS["command"]
 _LAG_S = 1.0

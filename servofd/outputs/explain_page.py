@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from servofd.discrepancy.explanation import Explanation
 
-__all__ = ["explain_page"]
-
 _MOST_RIVALS = 5
 _STATUS = {"nothing_missing": "healthy", "explained": "healthy", "partly_explained": "suspect", "unexplained": "fault"}
 

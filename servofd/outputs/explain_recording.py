@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from servofd.discrepancy.explanation import Explanation
     from servofd.outputs.recording.stream import Recorder
 
-__all__ = ["save_explanation"]
-
 _LANES = ("before", "after")
 _AGREES, _DIFFERS = "noise only", "disagrees"
 _STATES = {_AGREES: "ok", _DIFFERS: "fault"}
@@ -40,11 +38,6 @@ def save_explanation(found: Explanation, path: str | Path, source: str) -> None:
         File to write.
     source : str
         Names of the logs, without their folders: the recording tells them.
-
-    Raises
-    ------
-    ConfigError
-        If the file cannot be written.
     """
     place = surface_place(found.surface)
     with recording_file(path, application_name("explain", found.surface, source), _layout(place)) as recorder:

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from servofd.segment import Segment
     from servofd.types import BoolArray, FloatArray
 
-__all__ = ["audit_figure", "save_figure"]
-
 _DRAWN = ("time_s", "simulated_deg", "measured_deg", "residual_deg", "settled")
 _TITLE_COLUMNS = 130
 _WIDEST = 4000
@@ -32,22 +30,7 @@ _WIDEST = 4000
 
 
 def save_figure(audit: SurfaceAudit, path: Path, title: str) -> None:
-    """Draw one surface into a PNG file.
-
-    Parameters
-    ----------
-    audit : SurfaceAudit
-        A surface with residuals.
-    path : Path
-        File to write.
-    title : str
-        First line of the heading, for example the name of the log.
-
-    Raises
-    ------
-    ValueError
-        If the surface has no residuals: there is nothing to draw.
-    """
+    """Draw one surface into a PNG file."""
     figure = audit_figure(audit)
     reason = textwrap.fill(audit.reason, _TITLE_COLUMNS)
     figure.axes[0].set_title(f"{title}   {audit.surface}: {audit.status}\n{reason}", loc="left", fontsize=10)
@@ -69,11 +52,6 @@ def audit_figure(
         Points drawn per curve, at most; the extremes of each column survive.
     legend : {"beside", "above"}
         Where the names of the curves stand.
-
-    Raises
-    ------
-    ValueError
-        If the surface has no residuals: there is nothing to draw.
     """
     if audit.segment is None or audit.residuals is None or audit.threshold is None:
         raise ValueError(f"{audit.surface}: nothing to draw, {audit.reason}")

@@ -14,8 +14,6 @@ from servofd.errors import ConfigError
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-__all__ = ["distinct_file_names", "make_folder", "whole_file", "write_whole"]
-
 _LONGEST_NAME = 80
 
 
@@ -37,13 +35,7 @@ def distinct_file_names(names: Sequence[str]) -> list[str]:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder for results, if it is not there.
-
-    Raises
-    ------
-    ConfigError
-        If it cannot be made.
-    """
+    """Make a folder for results, if it is not there."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -55,11 +47,6 @@ def whole_file(path: str | Path) -> Iterator[Path]:
     """Give a temporary file to write, and put it in place when the block ends well.
 
     A second run, an interruption or an error never leaves half a file under the final name.
-
-    Raises
-    ------
-    ConfigError
-        If the folder does not exist or cannot be written to.
     """
     target = Path(path).resolve()
     if target.exists() and not target.is_file():

@@ -11,8 +11,6 @@ from servofd.outputs.sentence import clock, spoken
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["fleet_page", "fleet_sentence", "flight_name", "thumbnail"]
-
 _MOST_ROWS = 200
 _MOST_FLIGHTS = 2000
 _TALLEST, _AT_THRESHOLD = 24, 12

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from servofd.identification.result import Identification
     from servofd.types import FloatArray
 
-__all__ = ["identify_figures"]
-
 _EXCERPT_S = 4.0
 _STEP_S = 0.6
 _RAW_POINTS = 3000
@@ -28,18 +26,7 @@ _SERVOS = ("#0072b2", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442")
 
 
 def identify_figures(found: Identification) -> tuple[Picture, ...]:
-    """All figures that the tests allow: response, coherence, normalised error, steps, motion.
-
-    Parameters
-    ----------
-    found : Identification
-        The servo and its evidence.
-
-    Returns
-    -------
-    tuple of Picture
-        In the order of the thesis.
-    """
+    """All figures that the tests allow: response, coherence, normalised error, steps, motion."""
     pictures = []
     if step_slopes(found.runs):
         pictures.append(_steps(found))

@@ -11,8 +11,6 @@ from servofd.outputs.page import page
 if TYPE_CHECKING:
     from servofd.identification.result import Identification
 
-__all__ = ["identified", "identify_page", "sentence_of"]
-
 
 def identify_page(found: Identification, source: str) -> str:
     """Text of the page.

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from servofd.outputs.recording.stream import Recorder
     from servofd.types import FloatArray
 
-__all__ = ["save_identification"]
-
 
 def save_identification(found: Identification, path: str | Path, source: str) -> None:
     """Write all tests, the servo that was found and its error into one .rrd file, with its layout inside.
@@ -39,11 +37,6 @@ def save_identification(found: Identification, path: str | Path, source: str) ->
         File to write.
     source : str
         Names of the logs, without their folders: the recording tells them.
-
-    Raises
-    ------
-    ConfigError
-        If the file cannot be written.
     """
     names = [found.surface, *(f"{found.surface} {k}" for k in range(2, len(found.runs) + 1))]
     tabs = [*map(_tab, names), document("Report", REPORT)]

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from servofd.detection.bank.flight import Fault
     from servofd.detection.verdict import LogAudit, SurfaceAudit
 
-__all__ = ["FailedLog", "audit_document", "to_json"]
-
 
 @dataclass(frozen=True, slots=True)
 class FailedLog:

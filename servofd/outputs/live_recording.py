@@ -68,11 +68,6 @@ class LiveRecording:
         Port of the loopback interface on which viewers may connect.
     properties : Mapping, optional
         What ``servofd review`` needs to judge it afterwards; see `servofd.outputs.recording.verdicts.live_verdicts`.
-
-    Raises
-    ------
-    ConfigError
-        If the file cannot be written, or the port is taken.
     """
 
     def __init__(

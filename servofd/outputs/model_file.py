@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from servofd.models.missing_effect import MissingEffect
     from servofd.models.physics import Physics
 
-__all__ = ["model_file", "not_better"]
-
 _WORTH_SAVING = 0.9
 """A model that leaves more of the error than this is no better."""
 _SCALES = {"slow_dynamics": "bandwidth_scale", "damping": "damping_scale"}

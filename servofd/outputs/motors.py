@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from logparsers.records import FlightLog
 
-__all__ = ["motors_of"]
-
 _NO_SURFACES = frozenset(
     {
         *("multirotor", "quadrotor", "hexarotor", "octorotor", "tricopter", "decarotor", "dodecarotor", "coaxial"),
@@ -33,11 +31,6 @@ _RUNS_SHARE = 0.05
 
 def motors_of(log: FlightLog) -> dict[str, Any] | None:
     """Commands and saturation of the motors, for a page; None if the aircraft is none without surfaces.
-
-    Parameters
-    ----------
-    log : FlightLog
-        Of an autopilot.
 
     Examples
     --------

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from servofd.detection.odds import SurfaceOdds
     from servofd.types import FloatArray
 
-__all__ = ["save_odds_figure"]
-
 _COLOURS = ("#0072b2", "#009e73", "#e69f00", "#d55e00", "#cc79a7")
 """Okabe and Ito's palette."""
 _FAULT_SIGMAS = (3.0, 4.0, 5.0, 6.0, 8.0)
@@ -37,13 +35,6 @@ def save_odds_figure(odds: SurfaceOdds, path: Path) -> None:
     Left, the receiver operating characteristic: probability of detection within 0.2 s against false alarms per hour,
     one curve for each size of a bias fault; dashed against the false alarms of the measured tail, if there is one.
     Right, the expected delay against the size of the fault, for three alarm rules with the wanted rate of false alarms.
-
-    Parameters
-    ----------
-    odds : SurfaceOdds
-        What to draw.
-    path : Path
-        File to write.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

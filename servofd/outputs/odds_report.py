@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from servofd.detection.odds import Operating
     from servofd.detection.probability import Quoted
 
-__all__ = ["odds_document", "odds_rows"]
-
 _SHORTEST_S, _LONGEST_S = 1e-4, 3600.0
 
 

@@ -13,8 +13,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["BANNER_COLOURS", "COLOURS", "SERIES", "STATUS_COLOURS", "rgba"]
-
 COLOURS: Mapping[str, str] = MappingProxyType(
     {
         "command": "#8c8c8c",

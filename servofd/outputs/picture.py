@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Picture", "finish", "new_figure", "saved"]
-
 _PATH = re.compile(r'(?<= d=")[^"]+(?=")')
 _NUMBER = re.compile(r"(-?\d+\.\d)\d+")
 

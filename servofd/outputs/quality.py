@@ -10,8 +10,6 @@ if TYPE_CHECKING:
     from servofd.detection.verdict import SurfaceAudit
     from servofd.types import FloatArray
 
-__all__ = ["quality_rows"]
-
 _JITTER_QUANTILE = 0.95
 
 

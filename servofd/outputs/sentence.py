@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from servofd.detection.verdict import LogAudit, Status, SurfaceAudit
     from servofd.evidence import Detectable
 
-__all__ = ["axes_sentence", "clock", "plain_rate", "seen", "sentence", "spoken", "whole_sentence", "worst"]
-
 _WORST_FIRST: tuple[Status, ...] = ("fault", "suspect", "healthy", "unknown", "no_data")
 _WHAT = {
     "stuck": "JAMMED at {since} ({position_deg:+z.1f} deg)",

@@ -10,8 +10,6 @@ from servofd.toml_text import toml_key, toml_lines
 if TYPE_CHECKING:
     from servofd.identification.result import Identification
 
-__all__ = ["servo_file"]
-
 
 def servo_file(found: Identification, name: str, source: str) -> str:
     """Text of a servo file that ``servofd audit --servo`` and an aircraft file's ``[servos]`` take as it is.

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from servofd.sweep.check import SurfaceSweep
     from servofd.sweep.numbers import SweepNumbers
 
-__all__ = ["sweep_document"]
-
 
 def sweep_document(log: FlightLog, surfaces: Sequence[SurfaceSweep]) -> dict[str, Any]:
     """All numbers of one sweep.

@@ -14,8 +14,6 @@ from servofd.outputs.picture import Picture, finish, new_figure
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["quantity_row", "trend_page", "verdict"]
-
 _SIGMA_95 = 1.96
 _EVENT_STYLES = {"swap": "-", "adjusted": "--", "changed": ":"}
 _WORST_FIRST = ("fault", "suspect", "healthy")

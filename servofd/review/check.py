@@ -11,8 +11,6 @@ from servofd.detection.statistics import Statistics
 if TYPE_CHECKING:
     from servofd.outputs.recording.content import Recording, Trace
 
-__all__ = ["contradictions", "statistics_of"]
-
 
 def statistics_of(trace: Trace) -> Statistics | None:
     """Size of the residual while it was judged, from the recorded curves; None if it never was.

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from servofd.detection.verdict import SurfaceAudit
     from servofd.outputs.recording.content import Recording, Trace
 
-__all__ = ["Change", "compared"]
-
 _CURVES = (("simulated", "simulated_deg"), ("residual", "residual_deg"), ("threshold", "threshold_deg"))
 _SAME_FAULT_S = 1.0
 
@@ -45,11 +43,6 @@ def compared(before: Recording, after: Recording) -> list[Change]:
     ----------
     before, after : Recording
         Two audits of one log: by other thresholds, models, or versions of servofd.
-
-    Raises
-    ------
-    RecordingError
-        If the surfaces did not move alike: those are not recordings of the same log.
 
     Examples
     --------

@@ -16,25 +16,11 @@ if TYPE_CHECKING:
     from servofd.outputs.recording.content import Recording
     from servofd.types import FloatArray
 
-__all__ = ["between"]
-
 
 def between(recording: Recording, from_s: float, to_s: float) -> Recording:
     """Keep what happened from one time to another.
 
     Verdicts are those of the whole flight: a fault is kept if any of it lies in between, with its name and onset.
-
-    Parameters
-    ----------
-    recording : Recording
-        The flight.
-    from_s, to_s : float
-        From when to when [s], on the clock of the log.
-
-    Raises
-    ------
-    RecordingError
-        If nothing was recorded in between.
 
     Examples
     --------

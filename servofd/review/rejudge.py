@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from servofd.detection.threshold import ThresholdKind
     from servofd.detection.verdict import SurfaceAudit
 
-__all__ = ["rejudged"]
-
 
 def rejudged(
     recording: Recording, *, threshold_deg: float | None = None, threshold: ThresholdKind | None = None

@@ -70,11 +70,6 @@ class Flights:
         Largest log that is taken.
     workers : int, optional
         Number of processes; one per core if None.
-
-    Raises
-    ------
-    ConfigError
-        If the folder cannot be used.
     """
 
     def __init__(self, folder: Path, job: Job, *, most_bytes: int, workers: int | None = None) -> None:
@@ -119,13 +114,7 @@ class Flights:
         return self.folder / RESULTS / flight_id
 
     def upload(self, name: str, expected_bytes: int) -> Upload:
-        """Somewhere to put the bytes of a log that comes.
-
-        Raises
-        ------
-        TooLarge
-            If it is larger than what is taken, or than what the disk holds.
-        """
+        """Somewhere to put the bytes of a log that comes."""
         if expected_bytes > self.most_bytes:
             raise TooLarge(f"{name}: larger than {self.most_bytes / 1e6:.0f} MB, which this page takes")
         if expected_bytes > shutil.disk_usage(self.folder).free - _KEPT_FREE_BYTES:
@@ -186,15 +175,7 @@ class Flights:
 
 
 class Upload:
-    """The bytes of a log as they come; nothing of it is left if they do not all come.
-
-    Parameters
-    ----------
-    flights : Flights
-        Where it belongs.
-    name : str
-        What the sender calls it.
-    """
+    """The bytes of a log as they come; nothing of it is left if they do not all come."""
 
     def __init__(self, flights: Flights, name: str) -> None:
         self._flights = flights
@@ -205,13 +186,7 @@ class Upload:
         self._size = 0
 
     def write(self, some: bytes) -> None:
-        """Take some bytes.
-
-        Raises
-        ------
-        TooLarge
-            If they are too many.
-        """
+        """Take some bytes."""
         self._size += len(some)
         if self._size > self._flights.most_bytes:
             raise TooLarge(f"{self._name}: larger than {self._flights.most_bytes / 1e6:.0f} MB, which this page takes")

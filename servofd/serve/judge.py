@@ -62,11 +62,6 @@ def judge(log: str, folder: str, job: Job) -> Summary:
         Where its results go; made if it is not there. None of them tells where the log lies.
     job : Job
         What to judge it with.
-
-    Returns
-    -------
-    Summary
-        Also written into the folder.
     """
     target = Path(folder)
     make_folder(target)

@@ -18,13 +18,7 @@ __all__ = ["listening", "serve"]
 
 
 def listening(host: str, port: int) -> socket.socket:
-    """A socket that listens.
-
-    Raises
-    ------
-    OSError
-        If the address is none of this machine's, or the port is taken.
-    """
+    """A socket that listens."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     return socket.create_server((host, port), family=family)
 

@@ -37,11 +37,6 @@ def viewer_files(folder: Path) -> Path | None:
     The program would serve them itself, but to everybody and without end: it runs on this machine's own address for the
     seconds that this takes.
 
-    Parameters
-    ----------
-    folder : Path
-        Where they are kept.
-
     Returns
     -------
     Path or None

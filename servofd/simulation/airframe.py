@@ -20,8 +20,6 @@ from servofd.errors import ConfigError, UnknownName, suggest
 if TYPE_CHECKING:
     from servofd.types import FloatArray
 
-__all__ = ["MIXERS", "AirframeFault", "AirframeFlight", "fly_airframe"]
-
 _STEP_S: Final = 0.01
 
 
@@ -123,11 +121,6 @@ def fly_airframe(
         From when on the propeller gives nothing, whatever is asked [s].
     day : int, optional
         Load, trim and density are those of a day; of the seed if left out.
-
-    Raises
-    ------
-    ConfigError
-        If something is unknown or impossible.
 
     Examples
     --------

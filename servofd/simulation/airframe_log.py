@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from servofd.simulation.airframe import AirframeFlight
 
-__all__ = ["airframe_log", "airframe_parameters"]
-
 _OUTPUTS: Final = 14
 _VERSION: Final = "4.6.0"
 

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from servofd.aircraft import Aircraft
     from servofd.simulation.flight import SimulatedFlight
 
-__all__ = ["banner", "outputs_needed", "parameters", "rate_hz"]
-
 
 def banner(version: str) -> str:
     """First thing the firmware says.
@@ -27,13 +25,7 @@ def banner(version: str) -> str:
 
 
 def outputs_needed(flight: SimulatedFlight) -> None:
-    """Refuse a flight without pulses.
-
-    Raises
-    ------
-    ConfigError
-        If it was simulated without outputs.
-    """
+    """Refuse a flight without pulses."""
     if not flight.outputs:
         raise ConfigError("this flight has no pulses to log: simulate it with outputs=outputs_of(aircraft)")
 
@@ -54,11 +46,6 @@ def parameters(flight: SimulatedFlight, aircraft: Aircraft, feedback: str) -> di
         Tells which servos report their positions.
     feedback : str
         How: ``"volz"``, ``"dronecan"`` or ``"script"``.
-
-    Returns
-    -------
-    dict of str to float
-        By name.
     """
     loop_hz = float(max(50, math.ceil(rate_hz(flight) / 0.8 - 1e-6)))  # a message is sent at 0.8 of it at most
     known = {

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from servofd.types import FloatArray
 
-__all__ = ["COMMANDS", "calm", "chirp", "cruise", "doublets", "flight", "hand_flown", "lively", "steps"]
-
 _FIRST_TURN_S = 8.0
 _LEG_S = 12.0
 _TURN_S = 7.0

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from servofd.aircraft import Aircraft
     from servofd.simulation.flight import SimulatedFlight
 
-__all__ = ["DRONECAN", "GENERATIONS", "VOLZ", "Generation", "dataflash_log", "dataflash_messages"]
-
 _CONTEXT_HZ: Final = 10.0
 _GPS_HZ: Final = 5.0
 _GPS_EPOCH_US: Final = 315_964_800_000_000 - 18_000_000  # 6 January 1980, less the leap seconds since
@@ -53,13 +51,7 @@ _VOLZ_STEP_DEG: Final = 200.0 / 3840.0
 
 
 def dataflash_log(flight: SimulatedFlight, aircraft: Aircraft, generation: Generation = VOLZ) -> bytes:
-    """Content of a ``.bin`` file.
-
-    Raises
-    ------
-    ConfigError
-        If the flight was simulated without outputs.
-    """
+    """Content of a ``.bin`` file."""
     return encode(dataflash_messages(flight, aircraft, generation))
 
 
@@ -87,11 +79,6 @@ def dataflash_messages(
     -------
     list of Message
         RCOU and one CSRV row per reporting servo at the rate of the flight; ARSP, ATT, POWR and GPS more seldom.
-
-    Raises
-    ------
-    ConfigError
-        If the flight was simulated without outputs.
     """
     outputs_needed(flight)
     known = parameters(flight, aircraft, generation.name) if settings is None else settings

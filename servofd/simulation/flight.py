@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from servofd.simulation.pulses import Output
     from servofd.types import FloatArray, IntArray
 
-__all__ = ["SimulatedFlight", "simulate_flight"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedFlight:

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from servofd.calibration import Calibration
     from servofd.types import FloatArray, IntArray
 
-__all__ = ["FULL_TRAVEL_DEG", "MOST_OUTPUTS", "THROTTLE", "THROTTLE_FUNCTION", "THROTTLE_US", "Output", "outputs_of"]
-
 FULL_TRAVEL_DEG: Final = 45.0
 """Deflection at SERVOn_MIN and SERVOn_MAX [deg]: neither firmware nor log knows it, so it is assumed."""
 MOST_OUTPUTS: Final = 14
@@ -146,11 +144,6 @@ def outputs_of(aircraft: Aircraft) -> tuple[Output, ...]:
     tuple of Output
         In the order of the surfaces. The function follows from the surface's name (``aileron``, ``elevator``,
         ``rudder``, ``flap``, ``elevon``, ``vtail``, ...); a name that says nothing gets one of the scripts'.
-
-    Raises
-    ------
-    ConfigError
-        If there are too many surfaces, or two that claim one output.
 
     Examples
     --------

@@ -12,18 +12,6 @@ from servofd.models.context import Context
 if TYPE_CHECKING:
     from servofd.types import FloatArray, IntArray
 
-__all__ = [
-    "EPOCH_US",
-    "ServoState",
-    "Surroundings",
-    "acting",
-    "current_a",
-    "microseconds",
-    "servo_state",
-    "sparse",
-    "surroundings",
-]
-
 EPOCH_US: Final = 1_700_000_000_000_000
 """When every simulated vehicle was booted [us since 1970]: the same flight gives the same file."""
 

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     Sent = tuple[str, IntArray, dict[str, ArrayLike]]
     """Name of a message, when it was made [us], and its fields."""
 
-__all__ = ["FEEDBACK", "VERSION", "air_rows", "beats", "servo_rows", "telemetry_log", "telemetry_messages"]
-
 VERSION: Final = "4.7.0-dev"
 FEEDBACK: Final = ("named", "port", "array")
 """Messages that tell positions: see `servo_rows`."""
@@ -39,13 +37,7 @@ _ARRAY_SIZE: Final = 58
 
 
 def telemetry_log(flight: SimulatedFlight, aircraft: Aircraft) -> bytes:
-    """Content of a ``.tlog`` file.
-
-    Raises
-    ------
-    ConfigError
-        If the flight was simulated without outputs.
-    """
+    """Content of a ``.tlog`` file."""
     return encode(telemetry_messages(flight, aircraft))
 
 
@@ -66,11 +58,6 @@ def telemetry_messages(flight: SimulatedFlight, aircraft: Aircraft) -> list[Mess
         ``SERVO_OUTPUT_RAW``, and ``NAMED_VALUE_FLOAT`` named ``SRVP<n>`` for the arm of the servo on output n [deg],
         at the rate of the flight; HEARTBEAT, SYSTEM_TIME, ATTITUDE and VFR_HUD more seldom; parameters and words
         at the beginning.
-
-    Raises
-    ------
-    ConfigError
-        If the flight was simulated without outputs.
     """
     outputs_needed(flight)
     beat, time = beats(flight)

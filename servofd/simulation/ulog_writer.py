@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     Columns = dict[str, NDArray[Any]]
 
-__all__ = ["MOST_SERVOS", "ulog_log", "ulog_parameters", "ulog_topics"]
-
 MOST_SERVOS: Final = 8
 """Controls of the topic ``actuator_servos``."""
 
@@ -40,13 +38,7 @@ _ON_THE_LEFT: Final = {15: 1}
 
 
 def ulog_log(flight: SimulatedFlight, aircraft: Aircraft) -> bytes:
-    """Content of a ``.ulg`` file.
-
-    Raises
-    ------
-    ConfigError
-        If the flight was simulated without outputs, or has more surfaces than PX4 has servos.
-    """
+    """Content of a ``.ulg`` file."""
     said = Text(float(flight.time_s[0]), "[servofd] simulated flight", 6)
     information: dict[str, int | str] = {"sys_name": "PX4", "ver_hw": "SIMULATED", "ver_sw_release": _RELEASE}
     topics = ulog_topics(flight, aircraft)
@@ -70,11 +62,6 @@ def ulog_topics(flight: SimulatedFlight, aircraft: Aircraft) -> list[Topic]:
         ``debug_array`` named SRVP (``data[k]``: arm of the same servo [deg]; NaN: it reports nothing) at the rate of
         the flight; ``actuator_outputs`` (pulses [us] by output), ``airspeed``, ``system_power`` and
         ``vehicle_gps_position`` more seldom.
-
-    Raises
-    ------
-    ConfigError
-        If the flight was simulated without outputs, or has more surfaces than PX4 has servos.
     """
     outputs_needed(flight)
     if len(flight.outputs) > MOST_SERVOS:

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from servofd.simulation.flight import SimulatedFlight
     from servofd.types import FloatArray
 
-__all__ = ["WRITERS", "Writer", "write_flight", "writer_for"]
-
 _BIG_ENDIAN_SINGLE = 1010
 _CSV_DECIMALS = 9
 
@@ -54,11 +52,6 @@ def writer_for(path: str | Path, generation: str | None = None) -> Writer:
         (ArduPilot DataFlash), ``.tlog`` (MAVLink telemetry) or ``.ulg`` (PX4).
     generation : str, optional
         One of `servofd.simulation.dataflash_writer.GENERATIONS`, for ``.bin`` alone; the newest if None.
-
-    Raises
-    ------
-    ConfigError
-        If no writer has that suffix, there is no such generation, or the format has none.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in WRITERS:
@@ -88,11 +81,6 @@ def write_flight(
         Its calibration turns degrees into what a FASER log holds; its measured channels tell which servos report.
     generation : str, optional
         As in `writer_for`.
-
-    Raises
-    ------
-    ConfigError
-        If no writer has that suffix, the flight lacks what it writes, or the file cannot be written.
     """
     writer = writer_for(path, generation)
     if flight.context.logged and not writer.context:

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from servofd.segment import Segment
     from servofd.sweep.numbers import SweepNumbers
 
-__all__ = ["SurfaceSweep", "check_segment", "check_sweep"]
-
 SweepStatus = Literal["go", "no_go", "unknown"]
 
 _THRESHOLDS = 2.0
@@ -83,15 +81,6 @@ def check_sweep(log: FlightLog, aircraft: Aircraft, surfaces: tuple[str, ...] = 
 
 def check_segment(segment: Segment, surface: Surface, model: ServoModel) -> SurfaceSweep:
     """Judge one surface: what a live check calls with the last seconds of its stream.
-
-    Parameters
-    ----------
-    segment : Segment
-        Commands and measurements.
-    surface : Surface
-        Its threshold and tolerances.
-    model : ServoModel
-        Healthy servo.
 
     Returns
     -------

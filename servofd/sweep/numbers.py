@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from servofd.tolerance import Tolerance
     from servofd.types import FloatArray
 
-__all__ = ["SweepNumbers", "measure"]
-
 _WIDE = np.array([1.0, 0.1, 1.0, 30.0, 30.0])
 """Prior standard deviations of gain, delay [s], bandwidth, bias [deg] and play [deg]: wide, a sweep is all motion."""
 _PLAY_NOISES, _SMALLEST_PLAY_DEG = 6.0, 0.5
@@ -54,19 +52,6 @@ def measure(
     generator: ResidualGenerator, segment: Segment, residuals: Residuals, threshold: Threshold, tolerance: Tolerance
 ) -> SweepNumbers:
     """Fit gain, delay, bandwidth, bias and play to a sweep.
-
-    Parameters
-    ----------
-    generator : ResidualGenerator
-        Healthy model and filter.
-    segment : Segment
-        Commands and measurements.
-    residuals : Residuals
-        Of the segment, some of them settled.
-    threshold : Threshold
-        Alarm level.
-    tolerance : Tolerance
-        Passed on to the window of the bank.
 
     Notes
     -----

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from servofd.wear.series import Piece
     from servofd.wear.trend import AircraftTrend
 
-__all__ = ["trend_document"]
-
 _FEWEST_FOR_LINE = 3
 
 

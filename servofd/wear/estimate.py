@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from servofd.segment import Segment
     from servofd.types import FloatArray
 
-__all__ = ["Told", "estimate_flight"]
-
 _MOST_SAMPLES = 12_000
 """Two minutes at 100 Hz tell the width to 0.01 deg, which is less than it varies from flight to flight."""
 _LEAST_SAMPLES = 300
@@ -94,13 +92,6 @@ def estimate_flight(segment: Segment, aircraft: Aircraft, voltage_v: float | Non
     -------
     Told
         What the flight shows, and why it does not show the rest.
-
-    Raises
-    ------
-    NoMeasurement
-        If the flight is too short or too calm to tell anything.
-    DesignError
-        If the model of the aircraft file has no residual filter.
 
     Examples
     --------

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from servofd.wear.series import Piece
 
-__all__ = ["Event", "Jump", "find_events"]
-
 EventKind = Literal["swap", "adjusted", "changed"]
 
 _SIGMAS = 4.0

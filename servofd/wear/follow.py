@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from servofd.wear.events import Event
     from servofd.wear.records import FlightEstimate
 
-__all__ = ["Place", "QuantityTrend", "SurfaceTrend", "Wear", "follow"]
-
 Place = Literal["servo", "linkage"]
 
 _FEWEST_FOR_LINE = 3

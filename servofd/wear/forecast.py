@@ -11,8 +11,6 @@ from servofd.wear.series import CHANCE
 if TYPE_CHECKING:
     from servofd.wear.series import Line, Piece
 
-__all__ = ["FEWEST_FLIGHTS", "HORIZON", "Forecast", "forecast"]
-
 FEWEST_FLIGHTS = 8
 """Six degrees of freedom: a 95 % interval of 2.4 deviations."""
 HORIZON = 4.0

@@ -9,8 +9,6 @@ import numpy as np
 if TYPE_CHECKING:
     from servofd.aircraft import Aircraft
 
-__all__ = ["AXIS_LIMITS", "limits_of", "telling_steps"]
-
 _TOLERANCES = 3.0
 _DELAYS = 5.0
 """A frame of a 50 Hz autopilot is 20 ms, seven times the usual tolerance of 3 ms."""

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from servofd.fleet.find import LogSource
     from servofd.segment import Segment
 
-__all__ = ["FlownLog", "Order", "check_one_aircraft", "estimate_log", "in_order"]
-
 _NORMAL_95 = 1.96
 _VOLTAGES = ("servo_voltage_v", "POWR.Vservo")
 _SYSTEM_IDS = ("MAV_SYSID", "SYSID_THISMAV")
@@ -132,13 +130,7 @@ def _identity(log: FlightLog) -> str:
 
 
 def check_one_aircraft(logs: Iterable[FlownLog]) -> None:
-    """Refuse logs that say they come from different vehicles.
-
-    Raises
-    ------
-    ConfigError
-        Naming one log of each.
-    """
+    """Refuse logs that say they come from different vehicles."""
     first: dict[str, str] = {}
     for log in logs:
         if log.identity:

@@ -10,8 +10,6 @@ from typing import Literal
 
 from servofd.detection.bank.explanation import Estimate
 
-__all__ = ["QUANTITIES", "FlightEstimate", "Quantity"]
-
 
 @dataclass(frozen=True, slots=True)
 class Quantity:

@@ -13,8 +13,6 @@ from servofd.detection.bank.explanation import Estimate
 if TYPE_CHECKING:
     from servofd.types import FloatArray
 
-__all__ = ["CHANCE", "Line", "Piece", "fit_line", "pieces"]
-
 CHANCE = 1e-6
 """Of a change where there is none: six surfaces with nine numbers, in a hundred fleets, are 5400 chances for one."""
 _CLIPPED = 3.0

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
     from servofd.fleet.find import Skipped
 
-__all__ = ["AircraftTrend", "trend_logs", "trend_of"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AircraftTrend:
@@ -77,16 +75,6 @@ def trend_logs(
     progress : callable
         Called with the number of logs; gives a context with the function to call after each of them.
 
-    Returns
-    -------
-    AircraftTrend
-        What changes, and when it will be too much.
-
-    Raises
-    ------
-    ServofdError
-        If there are no logs, they come from several vehicles, or none of them tells anything of any surface.
-
     Examples
     --------
     >>> seen = trend_logs(["sample_logs/faser_healthy_flight.mat"], "faser", surfaces=("rudder",), workers=0)
@@ -117,13 +105,7 @@ def trend_of(
     problems: Sequence[str] = (),
     skipped: tuple[Skipped, ...] = (),
 ) -> AircraftTrend:
-    """Follow the servos of one aircraft over flights that are estimated already.
-
-    Raises
-    ------
-    ServofdError
-        As for `trend_logs`.
-    """
+    """Follow the servos of one aircraft over flights that are estimated already."""
     check_one_aircraft(logs)
     judged = [log for log in logs if log.flights]
     reasons = [*problems, *(f"{log.path}: {problem}" for log in logs for problem in log.problems)]

@@ -20,17 +20,8 @@ from servofd.detection.bank.signature import narendra
 from servofd.detection.bank.window import Explanation, Window
 from servofd.detection.plausible import wiring_problem
 from servofd.models.effects import RateLimit
-from servofd.models.faults import (
-    Bias,
-    DeadBand,
-    Fault,
-    Floating,
-    HardOver,
-    LossOfEffectiveness,
-    Oscillation,
-    Slow,
-    Stuck,
-)
+from servofd.models.failing import Fault
+from servofd.models.faults import Bias, DeadBand, Floating, HardOver, LossOfEffectiveness, Oscillation, Slow, Stuck
 from servofd.models.play import play
 from servofd.simulation.commands import COMMANDS
 from servofd.types import FloatArray

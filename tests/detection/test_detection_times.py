@@ -8,7 +8,8 @@ import pytest
 from servofd.detection.alarm import Episode, find_episodes
 from servofd.detection.residual import ResidualGenerator, Residuals
 from servofd.detection.threshold import constant_threshold, interval_threshold
-from servofd.models.faults import DeadBand, Fault, Stuck
+from servofd.models.failing import Fault
+from servofd.models.faults import DeadBand, Stuck
 from servofd.models.servo_model import ServoModel
 from servofd.segment import Segment
 from servofd.servos import servo_named

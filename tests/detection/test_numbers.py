@@ -24,7 +24,8 @@ from servofd.detection.prepare import prepared
 from servofd.detection.probability.noise import Noise
 from servofd.detection.probability.tail import fit_tail
 from servofd.detection.pulse import design_pulse_filter
-from servofd.models.faults import Bias, DeadBand, Fault, Floating, LossOfEffectiveness, Oscillation, Slow, Stuck
+from servofd.models.failing import Fault
+from servofd.models.faults import Bias, DeadBand, Floating, LossOfEffectiveness, Oscillation, Slow, Stuck
 from servofd.servos import servo_named
 from servofd.types import FloatArray
 from tests.detection.windows import NOISE_DEG, troubled, window

@@ -9,7 +9,7 @@ from servofd.detection.bank.window import Window
 from servofd.detection.judge import Judgement, judge
 from servofd.detection.residual import ResidualGenerator, Residuals, commands_at_servo
 from servofd.detection.threshold import ThresholdKind
-from servofd.models.faults import Fault
+from servofd.models.failing import Fault
 from servofd.models.servo_model import ServoModel
 from servofd.segment import Segment
 from servofd.servos import servo_named

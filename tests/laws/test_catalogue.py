@@ -7,7 +7,8 @@ from itertools import pairwise
 
 import pytest
 
-from servofd.models.catalogue import CATALOGUE, MissingEffect, installed
+from servofd.models.catalogue import CATALOGUE, installed
+from servofd.models.missing_effect import MissingEffect
 from servofd.models.physics import Physics
 
 every_effect = pytest.mark.parametrize("effect", CATALOGUE, ids=lambda effect: effect.key())

@@ -12,12 +12,11 @@ from hypothesis import strategies as st
 
 from servofd.errors import ConfigError
 from servofd.models.effects import Delay, LinearDynamics, PositionLimit, RateLimit
-from servofd.models.failing import failing_deflection, in_order
+from servofd.models.failing import Fault, failing_deflection, in_order
 from servofd.models.faults import (
     FAULTS,
     Bias,
     DeadBand,
-    Fault,
     Floating,
     HardOver,
     LossOfEffectiveness,

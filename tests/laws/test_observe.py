@@ -10,17 +10,9 @@ from scipy.linalg import expm
 from scipy.signal import tf2ss
 
 from servofd.models.effects import LinearDynamics, PositionLimit
-from servofd.models.kernel import (
-    RESTART_ALL,
-    RESTART_FILTER,
-    RESTART_NONE,
-    FilterParameters,
-    evaluate,
-    lag_weights,
-    new_memory,
-    observe,
-)
+from servofd.models.kernel import RESTART_ALL, RESTART_FILTER, RESTART_NONE, evaluate, lag_weights, observe
 from servofd.models.servo_model import ServoModel
+from servofd.models.state import FilterParameters, new_memory
 from servofd.models.transfer import TransferFunction
 from servofd.servos import servo_named
 from servofd.types import FloatArray

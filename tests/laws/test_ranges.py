@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from servofd.errors import ConfigError
-from servofd.models.catalogue import CATALOGUE, MissingEffect
+from servofd.models.catalogue import CATALOGUE
 from servofd.models.effect_table import effects_installed, table_of
-from servofd.models.missing_effect import Parameter
+from servofd.models.missing_effect import MissingEffect, Parameter
 from servofd.models.physics import Physics
 
 NUMBERS = [(effect, parameter) for effect in CATALOGUE for parameter in effect.parameters]

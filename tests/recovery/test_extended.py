@@ -25,7 +25,8 @@ from servofd.models.context import Context
 from servofd.models.effect_table import effects_installed, table_of
 from servofd.models.effects import Extension
 from servofd.models.extended import ExtendedMotion, ExtendedServo
-from servofd.models.faults import Bias, Fault, HardOver, LossOfEffectiveness, Slow, Stuck
+from servofd.models.failing import Fault
+from servofd.models.faults import Bias, HardOver, LossOfEffectiveness, Slow, Stuck
 from servofd.models.physics import Physics, longest_step_s, scaled_transfer
 from servofd.models.servo_model import ServoModel, plant_of
 from servofd.models.transfer import TransferFunction

@@ -14,13 +14,8 @@ from servofd.discrepancy.noise import noise_floor_deg
 from servofd.discrepancy.record import Record, record_of, simulate
 from servofd.discrepancy.select import select
 from servofd.discrepancy.steps import comb_step_deg
-from servofd.models.catalogue import (
-    Backlash,
-    CurrentLimit,
-    Delay,
-    MissingEffect,
-    installed,
-)
+from servofd.models.catalogue import Backlash, CurrentLimit, Delay, installed
+from servofd.models.missing_effect import MissingEffect
 from servofd.models.physics import AFTER, BEFORE, Physics
 from servofd.models.servo_model import ServoModel
 from servofd.segment import Segment

@@ -13,12 +13,8 @@ from hidden_logs import SURFACE, write
 from hidden_physics import Effects, draw, hidden
 from hidden_score import ask, score
 from servofd.discrepancy.record import Record, record_of, simulate
-from servofd.models.catalogue import (
-    CurrentLimit,
-    MissingEffect,
-    RateLimit,
-    installed,
-)
+from servofd.models.catalogue import CurrentLimit, RateLimit, installed
+from servofd.models.missing_effect import MissingEffect
 from servofd.models.servo_model import ServoModel
 from servofd.segment import Segment
 from servofd.servos import servo_named

@@ -10,7 +10,8 @@ from servofd.discrepancy.fit import Fit, Fitter
 from servofd.discrepancy.record import Record, record_of
 from servofd.discrepancy.select import Rung, Selection
 from servofd.discrepancy.separate import MANOEUVRES, separations
-from servofd.models.catalogue import MissingEffect, effects_named
+from servofd.models.catalogue import effects_named
+from servofd.models.missing_effect import MissingEffect
 from servofd.models.servo_model import ServoModel
 from servofd.segment import Segment
 from servofd.servos import servo_named

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from servofd.detection.bank.window import Window
 
-__all__ = ["DeadBand", "Slow", "heard_less"]
-
 _NARROWEST_DEG = 0.3
 _WIDE_DEG = 6.0
 _GRID = 14

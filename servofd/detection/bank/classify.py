@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from servofd.detection.bank.window import Hypothesis, Window
 
-__all__ = ["BANK", "Naming", "name_fault", "scores"]
-
 BANK: tuple[Hypothesis, ...] = (
     Healthy(),
     Bias(),

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from servofd.detection.alarm import Episode
     from servofd.detection.bank.flight import Fault, Flight
 
-__all__ = ["SURE", "confirmed", "joined"]
-
 SURE = 0.95
 """Probability from which a name counts as certain."""
 

@@ -10,8 +10,6 @@ import numpy as np
 if TYPE_CHECKING:
     from servofd.types import FloatArray
 
-__all__ = ["COLOUR", "Estimate", "Regression", "Ridge"]
-
 COLOUR = 4.0
 """Misfits of neighbouring samples are alike: so many samples tell as much as one."""
 _Z_95 = 1.96

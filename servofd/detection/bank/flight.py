@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from servofd.detection.residual import Commands, ResidualGenerator, Residuals
     from servofd.tolerance import Tolerance
 
-__all__ = ["Fault", "Flight"]
-
 _FEWEST_SAMPLES = 12
 
 

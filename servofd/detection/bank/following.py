@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from servofd.detection.bank.window import Window
     from servofd.types import FloatArray
 
-__all__ = ["Bias", "Healthy", "LossOfEffectiveness"]
-
 _GAIN, _BIAS = 0, 3
 """Columns of `Window.nuisances`."""
 _LARGEST_BIAS_DEG = 30.0

@@ -17,8 +17,6 @@ from servofd.detection.bank.window import Onset, Window
 if TYPE_CHECKING:
     from servofd.detection.alarm import Episode
 
-__all__ = ["isolate"]
-
 _SETTLING_S = 0.25
 """Left out after the onset: faults that set in abruptly still move the surface as a healthy servo would."""
 _AT_REST = ("stuck", "hardover")

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from servofd.detection.bank.window import Window
     from servofd.types import FloatArray
 
-__all__ = ["Floating", "Hardover", "Stuck", "Wandering"]
-
 _OUT_OF_REACH_DEG = 2.0
 _UNCOMMANDED_RUN_DEG = 3.0
 _STOP_SHARE = 0.9

@@ -10,8 +10,6 @@ if TYPE_CHECKING:
     from servofd.detection.bank.flight import Flight
     from servofd.detection.bank.window import Explanation, Window
 
-__all__ = ["BEFORE_S", "refine_onset_s"]
-
 BEFORE_S = 4.0
 _HEALTHY_BEFORE_S = 0.3
 _FEWEST_HEALTHY = 30

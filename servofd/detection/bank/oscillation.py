@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from servofd.detection.bank.window import Window
     from servofd.types import FloatArray
 
-__all__ = ["Oscillation"]
-
 _SLOWEST_HZ = 0.4
 _FASTEST_SHARE_OF_RATE = 0.4
 _FEWEST_CYCLES = 2.0

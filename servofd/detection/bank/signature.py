@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from servofd.detection.residual import ResidualGenerator
     from servofd.types import FloatArray
 
-__all__ = ["first_signs", "narendra"]
-
 _ALPHA, _BETA, _GAMMA = 0.0, 1.0, 0.9
 """Defaults of Varga's FaultDetectionTools."""
 _FORGOTTEN = 350

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from servofd.tolerance import Tolerance
     from servofd.types import FloatArray
 
-__all__ = ["Explanation", "Hypothesis", "Onset", "Window", "limited", "noise_deg", "simulate", "slower"]
-
 _LEAD_S = 1.5
 """Simulations start this long before the window, so that how they start is forgotten (lags are below 0.15 s)."""
 _SMALL_CHANGE = 0.02
@@ -206,7 +204,8 @@ def simulate(servo: AnyServo, commands: Commands, at_s: FloatArray) -> FloatArra
         motion = ExtendedMotion(servo)
         motion.hear(commands.effective_s, commands.command_deg, commands.slope_deg_s)
         return motion.at(np.concatenate([commands.effective_s[:1], at_s]))[1:]
-    from servofd.models.kernel import RESTART_ALL, FilterParameters, new_memory, observe
+    from servofd.models.kernel import RESTART_ALL, observe
+    from servofd.models.state import FilterParameters, new_memory
 
     unused = FilterParameters(1.0, servo.decay_rad_s, 1.0)
     instants_s = np.concatenate([commands.effective_s[:1], at_s])

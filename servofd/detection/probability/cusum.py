@@ -14,8 +14,6 @@ from servofd.types import BoolArray, FloatArray
 if TYPE_CHECKING:
     from servofd.detection.probability.noise import Noise
 
-__all__ = ["CusumDesign", "cusum", "design_cusum"]
-
 _OVERSHOOT = 1.166
 """Mean overshoot of a Gaussian random walk, twice 0.583 (D. Siegmund, Sequential Analysis, 1985)."""
 
@@ -77,15 +75,6 @@ class CusumDesign:
 
 def design_cusum(kappa: float, rate_per_hour: float, noise: Noise) -> CusumDesign:
     r"""Alarm limit for a wanted rate of false alarms.
-
-    Parameters
-    ----------
-    kappa : float
-        Reference value [sigma], above zero.
-    rate_per_hour : float
-        Wanted false alarms per flight hour.
-    noise : Noise
-        Of the healthy residual.
 
     Returns
     -------

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from servofd.detection.pulse import PulseFilter
     from servofd.types import FloatArray
 
-__all__ = ["Detection", "bias_response", "detect", "smallest_bias_deg"]
-
 _MOST_DRAWS, _FEWEST_DRAWS, _NUMBERS = 4096, 256, 4_000_000
 _ROUND_OFF = 1e-12
 _RARE = 0.99
@@ -63,11 +61,6 @@ def detect(response_deg: FloatArray, threshold_deg: float, noise: Noise) -> Dete
         Alarm level, on both sides [deg].
     noise : Noise
         Of the healthy residual, taken to be Gaussian. Its mean is added to the response.
-
-    Returns
-    -------
-    Detection
-        Bounds, and the probability between them.
 
     Notes
     -----

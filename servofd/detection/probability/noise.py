@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from servofd.detection.pulse import PulseFilter
     from servofd.types import FloatArray
 
-__all__ = ["Noise"]
-
 _FEWEST_SAMPLES = 100
 _FEWEST_LAGS = 5
 _AR_ORDER = 30
@@ -76,11 +74,6 @@ class Noise:
             Sample time [s].
         lags : int
             Most lags after lag 0 to look at; at least the time in which the filter forgets.
-
-        Raises
-        ------
-        NoMeasurement
-            If there are fewer than 100 samples, or the residual never changes.
         """
         from scipy.signal import correlate
 

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from servofd.detection.probability.noise import Noise
     from servofd.types import FloatArray
 
-__all__ = ["persistent_delay_s", "persistent_false_alarms_per_hour", "persistent_threshold_deg"]
-
 _POINTS_LOG2 = 13
 _SHARE_SEEN = 0.95
 _WHITE_SHARE = 1e-12
@@ -34,11 +32,6 @@ def persistent_false_alarms_per_hour(threshold_deg: float, noise: Noise, samples
     samples : int
         Samples in a row, at least 1 and at most the number of lags that are known; 1 is `false_alarms_per_hour`.
 
-    Returns
-    -------
-    float
-        Alarms per flight hour, to about one part in a thousand.
-
     Notes
     -----
     One alarm for each run of at least :math:`n` samples, counted where it has lasted :math:`n`:
@@ -46,7 +39,7 @@ def persistent_false_alarms_per_hour(threshold_deg: float, noise: Noise, samples
     .. math:: \nu_n = \frac{2}{T}\,
               \left[P(r_1 > \tau, \dots, r_n > \tau) - P(r_1 > \tau, \dots, r_{n+1} > \tau)\right]
 
-    (a run begun is a run ended, so "not before" may be read as "not after"). The orthant probabilities are integrals
+    (a run begun is a run ended, so "not before" may be read as "not after"). They are integrals, to 1e-3,
     over the Cholesky factor of the correlation, each variable drawn from its tail given those before it (A. Genz,
     1992), on a fixed low-discrepancy net: accurate relative to their own size, and smooth in the threshold.
 
@@ -68,13 +61,7 @@ def persistent_false_alarms_per_hour(threshold_deg: float, noise: Noise, samples
 
 
 def persistent_threshold_deg(rate_per_hour: float, noise: Noise, samples: int) -> float:
-    """Threshold at which this many samples in a row give the wanted rate of false alarms [deg].
-
-    Raises
-    ------
-    DesignError
-        If no threshold between 1 and 37 standard deviations has this rate.
-    """
+    """Threshold at which this many samples in a row give the wanted rate of false alarms [deg]."""
     if samples == 1:
         z = root_of_rate(
             lambda level: false_alarms_per_hour(level, 1.0, noise.correlation, noise.sample_time_s), rate_per_hour

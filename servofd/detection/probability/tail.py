@@ -12,8 +12,6 @@ from servofd.errors import NoMeasurement
 if TYPE_CHECKING:
     from servofd.types import FloatArray
 
-__all__ = ["HOURS_FOR_TAIL", "Quoted", "TailFit", "fit_tail", "peaks"]
-
 HOURS_FOR_TAIL = 2.0
 """With less healthy data the fitted tail says less than the assumption of a Gaussian one."""
 _LEVEL_QUANTILE = 0.999
@@ -153,11 +151,6 @@ def fit_tail(residual_deg: FloatArray, sample_time_s: float, apart_samples: int 
     TailFit
         Maximum-likelihood fit. The level is the 99.9 % quantile of the residual's size; lower if that leaves fewer
         than 200 exceedances, but never below 95 %.
-
-    Raises
-    ------
-    NoMeasurement
-        If there are less than 2 h of healthy data, or the residual never changes.
 
     Notes
     -----

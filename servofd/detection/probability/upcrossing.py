@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from servofd.types import FloatArray
 
-__all__ = ["false_alarms_per_hour", "root_of_rate", "threshold_for_rate_deg"]
-
 _NODES = 120
 _REACH = 10.0
 _LOWEST_Z = 1.0
@@ -100,11 +98,6 @@ def threshold_for_rate_deg(rate_per_hour: float, sigma_deg: float, correlation: 
     -------
     float
         Threshold [deg]; `false_alarms_per_hour` there is the wanted rate to ten digits.
-
-    Raises
-    ------
-    DesignError
-        If no threshold between 1 and 37 standard deviations has this rate.
 
     Examples
     --------

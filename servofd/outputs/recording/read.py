@@ -46,11 +46,6 @@ def read_recording(path: str | Path) -> Recording:
     -------
     Recording
         Every value as it was audited; times to the microsecond.
-
-    Raises
-    ------
-    RecordingError
-        If it is no recording, or one of another program, or of an older servofd, or cut in the middle.
     """
     stored = _Stored.of(Path(path))
     name = Path(path).name
@@ -132,11 +127,6 @@ def _check_is_readable(path: Path) -> None:
     """Let another process read it first: at some damage Rerun's library ends the process that it is in.
 
     It tells the names of all columns as well, since the library does the same at a NUL in one of them.
-
-    Raises
-    ------
-    RecordingError
-        If that happens, or would.
     """
     met = run_rerun("rrd", "print", "-vv", str(path.resolve()))
     if met.returncode < 0 or met.returncode in _PANICS or "\0" in met.stdout:
@@ -153,13 +143,7 @@ def _reader(path: Path) -> Any:  # noqa: ANN401 - rerun is untyped here
 
 
 def is_recording(path: Path) -> bool:
-    """Whether a file begins as Rerun's recordings do.
-
-    Raises
-    ------
-    RecordingError
-        If it cannot be read.
-    """
+    """Whether a file begins as Rerun's recordings do."""
     try:
         with path.open("rb") as file:
             return file.read(4).startswith(_MAGIC)

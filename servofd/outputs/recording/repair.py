@@ -13,15 +13,7 @@ __all__ = ["repair_recording"]
 
 
 def repair_recording(path: str | Path, target: str | Path) -> None:
-    """Copy all whole chunks of a recording into a new one, with the index that a finished one has.
-
-    Raises
-    ------
-    RecordingError
-        If the file is no recording, or nothing of it can be saved.
-    ConfigError
-        If the new file cannot be written.
-    """
+    """Copy all whole chunks of a recording into a new one, with the index that a finished one has."""
     source = Path(path)
     check_is_recording(source)
     with whole_file(target) as temporary:

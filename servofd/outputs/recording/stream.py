@@ -154,19 +154,7 @@ class Recorder:
         self.columns(place, time_s, rr.Scalars.columns(scalars=heights))
 
     def shade(self, place: str, spans: Sequence[tuple[float, float]], middle: float, half: float, tint: str) -> None:
-        """Translucent band from the bottom to the top of a plot during each span (from, to) [s].
-
-        Parameters
-        ----------
-        place : str
-            Entity; put it into the contents of the plot.
-        spans : sequence of (float, float)
-            From when to when [s].
-        middle, half : float
-            Centre of the plot and half its height, in the unit of the plot.
-        tint : str
-            Name in the palette.
-        """
+        """Translucent band from the bottom to the top of a plot during each span (from, to) [s]."""
         import rerun as rr
 
         style = rr.Measurements.from_fields(colors=colours([tint], 0.65), names=tint, widths=0.0)

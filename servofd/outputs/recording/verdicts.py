@@ -80,17 +80,7 @@ def verdicts_of(recording: Recording) -> dict[str, Any]:
 
 
 def live_verdicts(aircraft: Aircraft, surfaces: Sequence[str], name: str) -> dict[str, Any]:
-    """Properties of a recording that is still being made: the models, and no verdict yet.
-
-    Parameters
-    ----------
-    aircraft : Aircraft
-        What is flying.
-    surfaces : sequence of str
-        Which of its surfaces are watched.
-    name : str
-        What to call the recording.
-    """
+    """Properties of a recording that is still being made: the models, and no verdict yet."""
     from servofd.outputs.recording.content import Recording
 
     watched = tuple(
@@ -119,11 +109,6 @@ def audit_of(properties: Mapping[str, Any], name: str) -> Verdicts:
         As `verdicts_of` made them.
     name : str
         Name of the recording, for messages.
-
-    Raises
-    ------
-    RecordingError
-        If they are not what this version of servofd writes.
     """
     schema = properties.get("schema")
     if isinstance(schema, str) and schema in _WITHOUT_VERDICTS:

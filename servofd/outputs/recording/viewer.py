@@ -18,25 +18,13 @@ _OTHER_WAYS = "'servofd audit LOG --rrd FILE' keeps the recording for another ma
 
 
 def check_display() -> None:
-    """Refuse to open a window where there is none.
-
-    Raises
-    ------
-    RecordingError
-        If no display is known.
-    """
+    """Refuse to open a window where there is none."""
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise RecordingError(f"no display to open the viewer on (DISPLAY is not set): {_OTHER_WAYS}")
 
 
 def open_viewer(path: Path) -> None:
-    """Show a recording until its window is closed.
-
-    Raises
-    ------
-    RecordingError
-        If the viewer cannot run here.
-    """
+    """Show a recording until its window is closed."""
     # It listens for more recordings, by itself to the whole network.
     done = run_rerun("--bind", "127.0.0.1", str(path.resolve()))
     lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]

@@ -50,11 +50,6 @@ def save_recording(
         Whether to tell where the aircraft flew, in metres from its first fix.
     online_map : bool
         Whether to put latitude and longitude into it, and a map that the viewer loads from openstreetmap.org.
-
-    Raises
-    ------
-    ConfigError
-        If the file cannot be written.
     """
     write_recording(recording_of(audit, include_position=include_position, online_map=online_map), path)
 

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from servofd.simulation.flight import SimulatedFlight
     from servofd.simulation.vehicle.messages import Send
 
-__all__ = ["Flown", "Leg", "fly", "legs"]
-
 _BEAT_S: Final = 0.5
 _TICK_S: Final = 0.02
 _MOST_AT_ONCE: Final = 256
@@ -56,11 +54,6 @@ def legs(flight: SimulatedFlight, aircraft: Aircraft, settings: Settings) -> tup
         What flies.
     settings : Settings
         How it speaks; its troubles are counted from the beginning of the flight.
-
-    Raises
-    ------
-    ConfigError
-        If a trouble begins after the flight.
 
     Examples
     --------
@@ -117,11 +110,6 @@ def fly(
         Begin when somebody has said something.
     air : Air, optional
         What is between it and the link.
-
-    Returns
-    -------
-    Flown
-        Counts, also of a flight that was ended.
     """
     flown = vehicle if isinstance(vehicle, tuple) else (Leg(0.0, vehicle),)
     session = _Session(flown, link, codec, air or Air())

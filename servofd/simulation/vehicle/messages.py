@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from servofd.simulation.flight import SimulatedFlight
     from servofd.types import IntArray
 
-__all__ = ["Send", "Telemetry"]
-
 
 class Send(NamedTuple):
     """A message that shall leave."""

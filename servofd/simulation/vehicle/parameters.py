@@ -9,8 +9,6 @@ from servofd.simulation.vehicle.messages import Send
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["Parameters"]
-
 _PER_TURN: Final = 5
 _NO_PLACE: Final = 65_535
 _INT8, _INT16, _INT32, _REAL32 = 2, 4, 6, 9  # MAV_PARAM_TYPE
@@ -23,11 +21,6 @@ _WHOLE: Final = (
 
 class Parameters:
     """Answers what a ground station asks about parameters; it can change none.
-
-    Parameters
-    ----------
-    known : Mapping[str, float]
-        Values by name.
 
     Examples
     --------

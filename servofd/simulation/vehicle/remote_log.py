@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from logparsers.dataflash.encode import Rows
 
-__all__ = ["START", "STOP", "RemoteLog"]
-
 START: Final = 2_147_483_646
 STOP: Final = 2_147_483_645
 """MAV_REMOTE_LOG_DATA_BLOCK_COMMANDS: what a client acknowledges to begin and to end."""

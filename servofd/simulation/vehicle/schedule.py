@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["OFF", "Schedule", "TooFastError"]
-
 OFF: Final = 0
 """Interval of a message that is not sent [ms]."""
 
@@ -51,20 +49,7 @@ class Schedule:
         self._any_rate = any_rate
 
     def ask(self, name: str, interval_us: int) -> None:
-        """Ask for another interval: in whole milliseconds up to a minute; 0 for the usual one, -1 for none.
-
-        Parameters
-        ----------
-        name : str
-            Message.
-        interval_us : int
-            As SET_MESSAGE_INTERVAL has it [us].
-
-        Raises
-        ------
-        TooFastError
-            If the loop would have to turn faster: messages get 0.8 of its rate at most.
-        """
+        """Ask for another interval: in whole milliseconds up to a minute; 0 for the usual one, -1 for none."""
         if interval_us <= 0:
             self._interval_ms[name] = self._usual_ms[name] if interval_us == 0 else OFF
             return

@@ -21,21 +21,6 @@ if TYPE_CHECKING:
     from servofd.simulation.flight import SimulatedFlight
     from servofd.types import BoolArray
 
-__all__ = [
-    "TROUBLES",
-    "Air",
-    "Edit",
-    "Freeze",
-    "Jump",
-    "Late",
-    "Pause",
-    "Reboot",
-    "Silence",
-    "Stall",
-    "Trouble",
-    "troubled_flight",
-]
-
 _LONGEST_S = 3600.0
 
 
@@ -199,11 +184,6 @@ def troubled_flight(flight: SimulatedFlight, aircraft: Aircraft, troubles: Seque
         Its servos.
     troubles : sequence of Trouble
         `Edit` changes pulses and motion, `Freeze` the readings.
-
-    Raises
-    ------
-    ConfigError
-        If one of them begins after the flight.
     """
     begun_s, end_s = float(flight.time_s[0]), float(flight.time_s[-1])
     for trouble in troubles:

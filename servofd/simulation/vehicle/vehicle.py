@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from servofd.simulation.flight import SimulatedFlight
     from servofd.types import IntArray
 
-__all__ = ["Settings", "Vehicle"]
-
 _AUTOPILOT: Final = 1  # MAV_COMP_ID_AUTOPILOT1
 _ACCEPTED, _DENIED, _UNSUPPORTED = 0, 2, 3  # MAV_RESULT
 _INFO: Final = 6  # MAV_SEVERITY
@@ -65,11 +63,6 @@ class Settings:
         How much faster than real time it flies.
     troubles : tuple of Trouble
         What goes wrong on board: `servofd.simulation.vehicle.fly.legs` makes the flight that belongs to it.
-
-    Raises
-    ------
-    ConfigError
-        If one of them makes no sense.
     """
 
     system: int = 1
@@ -101,11 +94,6 @@ class Vehicle:
         A surface without a measured channel has a servo that reports nothing.
     settings : Settings
         How it speaks.
-
-    Raises
-    ------
-    ConfigError
-        If the flight was simulated without outputs.
 
     Examples
     --------
@@ -164,18 +152,7 @@ class Vehicle:
         return self._log.dropped
 
     def turn(self, index: int) -> list[Send]:
-        """One turn of the main loop.
-
-        Parameters
-        ----------
-        index : int
-            Sample of the flight; they must come in order.
-
-        Returns
-        -------
-        list of Send
-            What leaves now.
-        """
+        """One turn of the main loop."""
         now_us = int(self.time_us[index])
         sent = [Send("STATUSTEXT", {"severity": _INFO, "text": banner(VERSION)})] if index == 0 else []
         for name in self._schedule.due(now_us):
@@ -193,13 +170,6 @@ class Vehicle:
         """Answer a message; what is meant for other vehicles, or what it does not know, is passed over.
 
         The component that is meant does not matter: ArduPilot itself takes what it cannot forward to another link.
-
-        Parameters
-        ----------
-        heard : Heard
-            The message.
-        now_us : int
-            Time of the vehicle's clock [us].
         """
         answer = self._answers.get(heard.name)
         is_own = heard.system == self.system and heard.component == _AUTOPILOT
