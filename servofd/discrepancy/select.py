@@ -18,7 +18,7 @@ from servofd.discrepancy.candidates import PLACES, SMALLEST, SURPRISE, candidate
 from servofd.discrepancy.fit import Fit, Fitter
 from servofd.discrepancy.frames import best_frame, frames_like
 from servofd.discrepancy.record import liveliest
-from servofd.models.catalogue import Delay, PwmFrame, SensorLag, SlowDynamics
+from servofd.models.catalogue import ClockOffset, Delay, PwmFrame, SensorLag, SlowDynamics
 from servofd.models.physics import INSIDE
 
 if TYPE_CHECKING:
@@ -146,6 +146,7 @@ class _Search:
             if effect.name not in excluded(base.effects) and self.fitter.strains(effect, base)
         ]
         fits += self._siblings(base, fits, enough)
+        fits += self._twins(base, fits, enough)
         if PwmFrame in self.able and PwmFrame.name not in base.names:
             fits += self._framed(base, fits)
         return fits
@@ -205,6 +206,25 @@ class _Search:
                 extra = {q.fields[0]: q.grid[0] for q in effect.parameters[1:]}
                 start = start._replace(**{p.fields[0]: size}, **extra)
                 found.append(self._fitted((*base.effects, effect), start, enough))
+        return found
+
+    def _twins(self, base: Fit, fits: list[Fit], enough: float) -> list[Fit]:
+        """What moves nearly alike, started from what the other came to: late commands and late readings."""
+        best = {
+            twin: min((fit for fit in fits if fit.effects[-1] is twin), key=lambda fit: fit.misfit, default=None)
+            for twin in (Delay, ClockOffset)
+        }
+        found, neutral = [], self.fitter.record.plant.neutral
+        for twin, other in ((Delay, best[ClockOffset]), (ClockOffset, best[Delay])):
+            if twin not in self.able or other is None or ((own := best[twin]) and own.misfit < other.misfit):
+                continue
+            at = other.physics
+            late_s = at.delay_s + at.offset_s - neutral.delay_s
+            if twin is Delay:
+                start = at._replace(delay_s=max(neutral.delay_s + late_s, 0.0), offset_s=neutral.offset_s)
+            else:
+                start = at._replace(delay_s=neutral.delay_s, offset_s=late_s)
+            found.append(self._fitted((*base.effects, twin), start, enough))
         return found
 
     def _framed(self, base: Fit, fits: list[Fit]) -> list[Fit]:
@@ -413,7 +433,7 @@ def _shares(search: _Search, best: Fit, nominal: Fit) -> tuple[list[Fit], float]
         key = tuple(sorted(fit.names))
         share = float(np.exp(-0.5 * (_cost(search, fit) - least) / tempered))
         weight[key] = weight.get(key, 0.0) + share / _forms(search, fit)
-        if key not in first or fit.misfit < first[key].misfit:
+        if key not in first or _cost(search, fit) < _cost(search, first[key]):
             first[key] = fit
     if not weight:
         return [best], 1.0
