@@ -167,7 +167,7 @@ class CalibratedStream:
             if begun.size:
                 self._begun_s = float(time_s[begun[0]])
         count = ready.shape[1]
-        kept = int(np.searchsorted(time_s, time_s[-1] - _BACK_S))
+        kept = max(int(np.searchsorted(time_s, time_s[-1] - _BACK_S)) - 1, 0)  # and the one before, for pauses
         self._seen = self._seen[:, kept:]
         return start_deg[-count:], usable[-count:]
 

@@ -180,6 +180,14 @@ class SurfaceMonitor:
         return f"judged for {share:.0%} of the time" if share < _MOST else ""
 
     @property
+    def needs(self) -> frozenset[str]:
+        """What acts on its servo beside the command, by the names of `servofd.segment.SURROUNDINGS`."""
+        known = self.surface.calibrated
+        if known is None or not self.surface.is_calibrated:
+            return self.model.needs
+        return self.model.needs | {"airspeed_m_s"} | ({"servo_voltage_v"} if known.supply_v > 0.0 else frozenset())
+
+    @property
     def rate_hz(self) -> float:
         """Of the positions, lately [Hz]; NaN if that is not known."""
         if len(self._recent) < 2:

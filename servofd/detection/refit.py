@@ -30,6 +30,7 @@ _WINDOW_S: Final = 20.0
 _SETTLING_S: Final = 0.5
 _LEAD_S: Final = 1.0
 _BEFORE_S: Final = 62.0
+_LATELY_S: Final = 1.5
 _FEWEST: Final = 12
 _COUNTED: Final = 0.5
 _ALARMED: Final = 3.0
@@ -37,6 +38,7 @@ _ALARMED: Final = 3.0
 _SCALES = (0.05, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.93)
 _SPEEDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 _WIDTHS_DEG = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0)
+_LEAST_LOSS: Final = 0.97
 _FLAT = 1e-8
 _LOST_GAIN = 0.12
 _AT_STOP_DEG = 1.5
@@ -49,6 +51,8 @@ _TWINS: Final = (("stuck", "floating", 0.1), ("floating", "stuck", 0.3), ("bias"
 """Faults that look like others: a geared servo without power stays where it is, air pushes play to one side."""
 _FLYING: Final = 0.1
 _WIDEST_PLAY_DEG: Final = 8.0
+_USUAL_WIDTH_DEG: Final = 2.0
+"""Wider play is rarer, by e for each of these: a surface that never moved is stuck, not loose by all that was asked."""
 _LOOSE: Final = 0.3
 _LEAST_STILL_DEG: Final = 0.05
 _STRANGE, _UNEXPLAINED = 2.0, 0.55
@@ -159,7 +163,7 @@ def named(watched: Watched, alarm_s: float, ratio: float, *, earliest_s: float) 
     """
     window = _Window(watched, alarm_s + _SETTLING_S, alarm_s + _WINDOW_S)
     if window.count < max(_FEWEST, 1.5 / watched.record.period_s):
-        window = _Window(watched, max(alarm_s - 1.5, earliest_s), alarm_s + _WINDOW_S)
+        window = _since_onset(watched, alarm_s, earliest_s)
     if window.count < _FEWEST:
         return Fault("unknown", alarm_s, alarm_s, None, {}, 0.5, ())
     guesses = _ranked(window)
@@ -177,6 +181,18 @@ def named(watched: Watched, alarm_s: float, ratio: float, *, earliest_s: float) 
     )  # fmt: skip
 
 
+def _since_onset(watched: Watched, alarm_s: float, earliest_s: float) -> _Window:
+    """What an alarm of a moment ago leaves to judge: since the healthy servo was last right, if that is enough."""
+    first, last = np.searchsorted(watched.record.time_s, (max(alarm_s - _LATELY_S, earliest_s), alarm_s))
+    lately = slice(int(first), int(last))
+    right = np.flatnonzero(np.abs(watched.error_deg[lately]) < watched.sigma_deg[lately])
+    if right.size:
+        since = _Window(watched, float(watched.record.time_s[lately][right[-1]]) + 1e-9, alarm_s + _WINDOW_S)
+        if since.count >= _FEWEST:
+            return since
+    return _Window(watched, max(alarm_s - _LATELY_S, earliest_s), alarm_s + _WINDOW_S)
+
+
 def _ranked(window: _Window) -> list[_Guess]:
     guesses = list(_guesses(window))
     best: dict[str, _Guess] = {}
@@ -190,6 +206,8 @@ def _score(window: _Window, guess: _Guess) -> float:
     counted = max(_COUNTED * window.count, 2.0)
     misfit, apart = guess.cost
     doubt = _ALARMED if guess.kind == "healthy" else 0.0
+    if guess.kind == "deadband":
+        doubt = guess.parameters["width_deg"].value / _USUAL_WIDTH_DEG
     each = max(misfit / max(window.count - 2, 1), 1.0)
     return 0.5 * (counted * float(np.log(each)) + apart) + 0.5 * guess.freedom * float(np.log(counted)) + doubt
 
@@ -245,6 +263,9 @@ def _sized(
     moved = theta.copy()
     allowed = 0.35 * abs(theta[place]) + 0.3 * (kind == "deadband")
     moved[place] += float(np.clip(best[FITTED], -allowed, allowed))
+    if kind == "loss_of_effectiveness" and moved[place] > _LEAST_LOSS * window.theta[place]:
+        moved = theta
+        cost, *_ = window.reduced(error_deg, slopes)
     deviation = float(np.sqrt(covariance[FITTED, FITTED]))
     if kind == "deadband":
         value = moved[place] - window.theta[place]

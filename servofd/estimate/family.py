@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from servofd.types import FloatArray
 
 __all__ = [
+    "LONGEST_PAUSE_S",
     "PATTERNS",
     "PRESSURE_PA",
     "advance",
@@ -42,6 +43,8 @@ PRESSURE_PA: Final = 300.0
 REACH_DEG: Final = 25.0
 """Deflection that bends of the reading refer to."""
 _STEP_S: Final = 0.002
+LONGEST_PAUSE_S: Final = 5.0
+"""Between positions; after it the simulation begins anew from the position."""
 
 
 _GAIN, _BIAS, _DELAY, _OMEGA, _ZETA, _RATE, _DEAD, _FRICTION, _PLAY, _HINGE, _HINGE0, _BEND2, _BEND3 = range(FITTED)
@@ -123,7 +126,7 @@ def advance(  # noqa: C901, PLR0912, PLR0915 - one loop over time
     last = command_s.shape[0] - 1
     for i in range(time_s.shape[0]):
         begin = start_deg[i]
-        if not np.isnan(begin) or np.isnan(now) or time_s[i] - now > 5.0:
+        if not np.isnan(begin) or np.isnan(now) or time_s[i] - now > LONGEST_PAUSE_S:
             if np.isnan(begin):
                 begin = 0.0
             for j in range(count):

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.estimate.family import PRESSURE_PA
+from servofd.estimate.family import LONGEST_PAUSE_S, PRESSURE_PA
+from servofd.models.context import AIR_KG_M3
 
 if TYPE_CHECKING:
     from servofd.models.context import Context
@@ -17,7 +18,8 @@ if TYPE_CHECKING:
 __all__ = ["SETTLING_S", "Record", "gap_s", "loads", "powers", "starts", "straightened", "usual_supply_v"]
 
 SETTLING_S = 0.45
-"""After a gap in the commands; a servo that rested anywhere in its friction band is where it is asked to be by then."""
+"""After a gap in commands or positions; a servo that rested anywhere in its friction band is where it is asked to be by
+then."""
 _START_S = 0.3
 """After a gap: the simulation begins anew from the position."""
 _FIRST_S = 1.0
@@ -150,6 +152,9 @@ def starts(
         good = here + np.flatnonzero(np.isfinite(measured_deg[here : here + 10]))
         if good.size:
             start_deg[good[0]] = measured_deg[good[0]]
+    for after in 1 + np.flatnonzero(np.diff(time_s) > LONGEST_PAUSE_S):
+        start_deg[after] = measured_deg[after]
+        usable[after : np.searchsorted(time_s, time_s[after] + SETTLING_S)] = False
     first = np.flatnonzero(usable)
     if not np.isfinite(begun_s) and first.size:
         begun_s = float(time_s[first[0]])
@@ -160,8 +165,11 @@ def starts(
 
 
 def loads(context: Context, time_s: FloatArray) -> FloatArray:
-    """Dynamic pressure over 300 Pa, shape (m,)."""
-    return np.clip(context.pressure_pa(time_s) / PRESSURE_PA, 0.0, 20.0)
+    """Dynamic pressure over 300 Pa, shape (m,); each airspeed holds until the next, as in flight."""
+    if not context.airspeed_s.size:
+        return np.zeros(time_s.size)
+    airspeed_m_s = _held(time_s, context.airspeed_s, context.airspeed_m_s)
+    return np.clip(0.5 * AIR_KG_M3 * airspeed_m_s**2 / PRESSURE_PA, 0.0, 20.0)
 
 
 def usual_supply_v(context: Context) -> float:
@@ -176,4 +184,9 @@ def powers(context: Context, time_s: FloatArray, supply_v: float) -> FloatArray:
     """Supply over the usual one, shape (m,); 1 where either is not known."""
     if not supply_v or not context.voltage_s.size:
         return np.ones(time_s.size)
-    return np.clip(context.supply_v(time_s) / supply_v, *_POWERS)
+    return np.clip(_held(time_s, context.voltage_s, context.voltage_v) / supply_v, *_POWERS)
+
+
+def _held(time_s: FloatArray, known_s: FloatArray, values: FloatArray) -> FloatArray:
+    """The last value that was known at each time; the first one before it."""
+    return values[np.maximum(np.searchsorted(known_s, time_s, side="right") - 1, 0)]

@@ -189,7 +189,7 @@ class Vehicle:
             raise ConfigError("the aircraft file names no measured channel: nothing can be watched")
         self.settings = Settings.of(self.aircraft.surfaces, self.monitors)
         self.messages = ChannelTable(self._routes).messages
-        self._around = Surroundings(sorted({need for m in self.monitors.values() for need in m.model.needs}))
+        self._around = Surroundings(sorted({need for m in self.monitors.values() for need in m.needs}))
         beside = ChannelTable(self._around.channels)
         self.seldom = beside.messages - self.messages
         if self.axes is not None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 
 from logparsers.records import own
 from servofd.types import FloatArray
 
-_AIR_KG_M3 = 1.225
+AIR_KG_M3: Final = 1.225
 """Density of the standard atmosphere at sea level."""
 
 
@@ -58,7 +59,7 @@ class Context:
         """Dynamic pressure [Pa], shape (n,): held before the first and after the last sample; 0 if never logged."""
         if not self.airspeed_s.size:
             return np.zeros(at_s.size)
-        pressure_pa: FloatArray = 0.5 * _AIR_KG_M3 * np.interp(at_s, self.airspeed_s, self.airspeed_m_s) ** 2
+        pressure_pa: FloatArray = 0.5 * AIR_KG_M3 * np.interp(at_s, self.airspeed_s, self.airspeed_m_s) ** 2
         return pressure_pa
 
     def supply_v(self, at_s: FloatArray) -> FloatArray:

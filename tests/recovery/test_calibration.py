@@ -18,6 +18,7 @@ from servofd.calibrating.calibrate import calibrate_aircraft
 from servofd.calibrating.flights import Flight
 from servofd.calibrating.result import Calibration
 from servofd.detection.audit import audit_segment
+from servofd.detection.bank.flight import Fault
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.stream import Piece
 from servofd.detection.verdict import SurfaceAudit
@@ -53,6 +54,25 @@ def judged(aircraft: Aircraft, segment: Segment) -> SurfaceAudit:
     assert surface.measured is not None
     read = replace(segment, surface="x", measured_deg=surface.measured.to_deg(segment.measured_deg))
     return audit_segment(read, aircraft, duration_s=segment.duration_s)
+
+
+def followed(aircraft: Aircraft, segment: Segment) -> tuple[tuple[Fault, ...], FloatArray]:
+    """What a monitor finds sample by sample: faults, and residuals [deg]."""
+    monitor = SurfaceMonitor("x", aircraft.surfaces["x"], aircraft.model("x"))
+    assert "airspeed_m_s" in monitor.needs
+    monitor.surroundings(segment.context)
+    pieces: list[Piece] = []
+    monitor.listener = lambda _name, piece, _asked: pieces.append(piece)
+    rows = [(t, 0, v) for t, v in zip(segment.command_s, segment.command_deg, strict=True)]
+    rows += [(t, 1, v) for t, v in zip(segment.measured_s, segment.measured_deg, strict=True)]
+    nothing: tuple[FloatArray, FloatArray] = (np.zeros(0), np.zeros(0))
+    for time_s, which, value in sorted(rows):
+        one = (np.array([time_s]), np.array([value]))
+        monitor.feed(nothing if which else one, one if which else nothing)
+        if look := monitor.due():
+            monitor.told(look, look.judge())
+    monitor.finish()
+    return monitor.faults, np.concatenate([piece.residuals.residual_deg for piece in pieces])
 
 
 def of_stranger(aircraft: Stranger, number: int, style: str, surface: str, failure: Failure | None = None) -> Segment:
@@ -99,6 +119,19 @@ def test_a_flight_that_turns_bad_is_refused() -> None:
         calibrated(replace(healthy, measured_deg=healthy.measured_deg + wobble_deg))
 
 
+def test_positions_that_pause_are_no_change_of_the_servo() -> None:
+    healthy = flown(FleetServo(noise_deg=0.05, bias_deg=4.0), 0, "lively")
+    t = healthy.measured_s
+    heard = (t < 40.0) | (t > 47.3)
+    paused = replace(healthy, measured_s=t[heard], measured_deg=healthy.measured_deg[heard])
+    aircraft = calibrated(paused).aircraft
+    verdict = judged(aircraft, paused)
+    assert verdict.status == "healthy"
+    assert verdict.residuals is not None
+    assert float(np.nanmax(np.abs(verdict.residuals.residual_deg))) < 0.5
+    assert followed(aircraft, paused)[1] == pytest.approx(verdict.residuals.residual_deg, abs=1e-9, nan_ok=True)
+
+
 def test_flights_of_two_servos_are_refused() -> None:
     one, other = (flown(FleetServo(noise_deg=0.1, gain=gain), 0, "lively") for gain in (1.0, 0.6))
     with pytest.raises(CalibrationError, match="not the same aircraft"):
@@ -142,21 +175,7 @@ def test_a_stream_finds_what_an_audit_finds() -> None:
     known = calibrated(of_stranger(aircraft, 1, "mixed", "rudder")).aircraft
     segment = of_stranger(aircraft, 4, "turbulence", "rudder", Failure("bias", "rudder", 60.0, 2.0))
     verdict = judged(known, segment)
-    surface = known.surfaces["x"]
-    monitor = SurfaceMonitor("x", surface, known.model("x"))
-    monitor.surroundings(segment.context)
-    pieces: list[Piece] = []
-    monitor.listener = lambda _name, piece, _asked: pieces.append(piece)
-    rows = [(t, 0, v) for t, v in zip(segment.command_s, segment.command_deg, strict=True)]
-    rows += [(t, 1, v) for t, v in zip(segment.measured_s, segment.measured_deg, strict=True)]
-    nothing: tuple[FloatArray, FloatArray] = (np.zeros(0), np.zeros(0))
-    for time_s, which, value in sorted(rows):
-        one = (np.array([time_s]), np.array([value]))
-        monitor.feed(nothing if which else one, one if which else nothing)
-        if look := monitor.due():
-            monitor.told(look, look.judge())
-    monitor.finish()
+    faults, streamed = followed(known, segment)
     assert verdict.residuals is not None
-    streamed = np.concatenate([piece.residuals.residual_deg for piece in pieces])
     np.testing.assert_allclose(streamed, verdict.residuals.residual_deg, rtol=0.0, atol=1e-9)
-    assert monitor.faults == verdict.faults
+    assert faults == verdict.faults
