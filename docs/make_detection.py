@@ -25,9 +25,7 @@ from servofd.detection.bank import (
     following,
     isolate,
     lost,
-    onset,
     oscillation,
-    signature,
     window,
 )
 from servofd.tolerance import Tolerance
@@ -201,7 +199,7 @@ the first may have held the transition, and if another hypothesis is sure of the
 **First signs.** What a fault could have been for all that was known within its first second: the hypotheses that are silent,
 each by a residual of its own, r_i = Qy (y - y_i), evaluated by Narendra's filter with Varga's defaults,
 
-    x(k+1) = {signature._GAMMA:g} x(k) + |r_i(k)|,     {1.0 - signature._GAMMA:.2g} x <= {signature._QUIET:g} sqrt(2/pi) sigma_r.                              (D11)
+    x(k+1) = {isolate._GAMMA:g} x(k) + |r_i(k)|,     {1.0 - isolate._GAMMA:.2g} x <= {isolate._QUIET:g} sqrt(2/pi) sigma_r.                              (D11)
 
 **Faults that change.** The end of an episode is judged once more, in blocks of {isolate._BLOCK_S:g} s (up to {isolate._LONGEST_BLOCK_S:g} s until there is motion). If
 another hypothesis is sure of it, and of the block before, the instant of the change is found by bisection.
@@ -216,8 +214,8 @@ First estimate: the first sample with |r| beyond the tolerance T and {alarm._ONS
 
     k* = argmin sum_(j<k) min(e_j², 16 sigma²) + sum_(j>=k) min((y_j - f_j)², 16 sigma²),                (D12)
 
-from {onset.BEFORE_S:g} s before that estimate ({isolate._SUSPICION_LASTS_S:g} s for a suspicion) to the end of the window, e being the simulation
-error less the servo's habits (N theta, fitted to what was surely healthy). Splits within {onset._UNDECIDED:g} sigma² of the best are
+from {isolate.BEFORE_S:g} s before that estimate ({isolate._SUSPICION_LASTS_S:g} s for a suspicion) to the end of the window, e being the simulation
+error less the servo's habits (N theta, fitted to what was surely healthy). Splits within {isolate._UNDECIDED:g} sigma² of the best are
 equally good, for instance because the surface did not move; the last of them is taken, which is the first motion that the fault spoils. The onset of a jam can be no earlier than
 that: it is when the fault began to *show*.
 """

@@ -100,8 +100,7 @@ def audit(
 
 def _with_axes(result: LogAudit, motion: MotionModel) -> LogAudit:
     """The same audit, with what motion tells of axes and of faulty surfaces; a log without motion stays as it is."""
-    from servofd.axes.compare import compared
-    from servofd.axes.judge import judge_motion
+    from servofd.axes.judge import compared, judge_motion
     from servofd.axes.read import motion_of
 
     try:

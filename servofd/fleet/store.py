@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import re
+import sys
 import uuid
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, BinaryIO, Self
 
 from servofd.errors import ConfigError
 from servofd.fleet.find import META_FILE
 from servofd.fleet.key import content_key
-from servofd.fleet.lock import locked
 from servofd.fleet.tables import TABLES, rows, to_arrow
 from servofd.outputs.files import whole_file, write_whole
 from servofd.version import __version__
 
 if TYPE_CHECKING:
     from types import TracebackType
-    from typing import BinaryIO
 
     import pyarrow as pa
 
@@ -234,3 +234,45 @@ def _remove_orphans(folder: Path) -> None:
         for path in (folder / name).glob("*.parquet"):
             if path.name not in whole:
                 path.unlink()
+
+
+_NAME = ".lock"
+_TAKEN = (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)
+
+
+def locked(folder: Path) -> BinaryIO:
+    """Take the lock of a folder; closing the file gives it back, and so does the end of the process.
+
+    The file stays: to remove it would let two others have locks on two files of one name.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> with tempfile.TemporaryDirectory() as name, locked(Path(name)):
+    ...     locked(Path(name))  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    servofd.errors.ConfigError: ...: another audit writes its results here; wait for it, or choose another folder
+    """
+    file = (folder / _NAME).open("ab")
+    try:
+        _lock(file)
+    except OSError as error:
+        if error.errno in _TAKEN:
+            file.close()
+            raise ConfigError(
+                f"{folder}: another audit writes its results here; wait for it, or choose another folder"
+            ) from None
+        # A file system that knows no locks: nobody can be kept out.
+    return file
+
+
+def _lock(file: BinaryIO) -> None:
+    if sys.platform == "win32":
+        import msvcrt
+
+        msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+    else:
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -5,15 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from servofd.axes.forms import FORMS
 from servofd.axes.words import named
 from servofd.detection.advice import meaning, next_step
 from servofd.detection.words import describe
 from servofd.outputs.audit_charts import MOST_FAULTS, fault_charts, flight_chart
-from servofd.outputs.axis_chart import axis_chart
+from servofd.outputs.chart import Chart, Curve, Mark, Panel, Span
 from servofd.outputs.json_report import FailedLog
 from servofd.outputs.motors import motors_of
 from servofd.outputs.page import page
-from servofd.outputs.quality import quality_rows
 from servofd.outputs.sentence import plain_rate, seen, spoken, whole_sentence, worst
 
 if TYPE_CHECKING:
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     from servofd.detection.bank.flight import Fault
     from servofd.detection.verdict import LogAudit, SurfaceAudit
     from servofd.evidence import ModelOrigin
+    from servofd.types import FloatArray
 
 _UNITS = {"deg_s": "deg/s", "deg": "deg", "hz": "Hz", "s": "s"}
 _MISSING = "none"
@@ -251,3 +254,106 @@ def _span(start_s: float | None, end_s: float | None) -> str:
     if start_s is None:
         return "-"
     return f"{start_s:.2f}" if end_s is None else f"{start_s:.2f} to {end_s:.2f}"
+
+
+_MOST_OF_IT = 0.998
+_HEADROOM = 1.1
+_HIGHEST = 20.0
+
+
+def axis_chart(axis: AxisAudit) -> Chart:
+    """The whole flight of one axis."""
+    time_s, usable = axis.time_s, axis.inputs.usable
+    asked, shown = (np.where(usable, values, np.nan) for values in (axis.asked, axis.shown))
+    both = np.concatenate([asked[usable], shown[usable], [0.0]])
+    low, high = (float(x) for x in np.quantile(both, (1.0 - _MOST_OF_IT, _MOST_OF_IT)))
+    margin = 0.1 * (high - low) + 1e-9
+    unit = FORMS[axis.model.form].unit
+    effect = Panel(
+        "effect of the command",
+        unit,
+        (Curve("expected", "simulated", time_s, asked), Curve("as the motion shows", "measured", time_s, shown)),
+        low - margin,
+        high + margin,
+    )
+    score = np.sqrt(np.clip(axis.score, 0.0, _HIGHEST**2))
+    top = _HEADROOM * max(1.2, float(score.max()))
+    distance = Panel(
+        "distance from healthy over its threshold",
+        "1",
+        (
+            Curve("distance", "residual", time_s, np.where(usable, score, np.nan)),
+            Curve("threshold", "threshold", time_s[[0, -1]], np.ones(2)),
+        ),
+        0.0,
+        top,
+    )
+    text = (
+        "Above, the part of the motion that the command should cause, and the part that nothing else explains; a lost "
+        "surface keeps the second from following the first. Below, how far lost share and offset are from those of "
+        "healthy flights. Where nothing is drawn, nothing was judged."
+    )
+    last_s = float(time_s[-1])
+    spans = tuple(Span("fault", e.start_s, e.end_s or last_s, "lost") for e in axis.events if not e.cause)
+    marks = tuple(Mark("alarm", e.alarm_s, "alarm") for e in axis.events if not e.cause)
+    return Chart("Whole flight", text, float(time_s[0]), last_s, (effect, distance), spans, marks)
+
+
+_JITTER_QUANTILE = 0.95
+
+
+def quality_rows(surface: SurfaceAudit) -> list[tuple[str, str]]:
+    """Rows of a table: quantity with unit, and its value.
+
+    Parameters
+    ----------
+    surface : SurfaceAudit
+        Judged or not; without a segment there is nothing to tell.
+
+    Examples
+    --------
+    >>> from servofd.detection.verdict import SurfaceAudit
+    >>> from servofd.segment import Segment
+    >>> t = np.arange(0.0, 10.0, 0.02)
+    >>> segment = Segment("rudder", t, 0.0 * t, t, np.where(t < 5.0, 0.0, np.nan))
+    >>> rows = dict(quality_rows(SurfaceAudit("rudder", "unknown", "", "x", "constant", 1.5, True, segment=segment)))
+    >>> rows["position rate [Hz]"], rows["positions missing [%]"]
+    ('50 (95 % of steps within 1.00 times the median)', '50')
+    """
+    segment = surface.segment
+    if segment is None:
+        return []
+    measured = np.isfinite(segment.measured_deg)
+    rows = [
+        ("command rate [Hz]", _rate(segment.command_s)),
+        ("longest time without a command [s]", _gap(segment.command_s)),
+        ("position rate [Hz]", _rate(segment.measured_s[measured])),
+        ("longest time without a position [s]", _gap(segment.measured_s[measured])),
+        ("positions missing [%]", f"{100.0 * (1.0 - measured.mean()):.2g}" if measured.size else "100"),
+    ]
+    if segment.command_period_s is not None:
+        rows.append(("commands thinned by the log", f"one every {1e3 * segment.command_period_s:.3g} ms was sent"))
+    if segment.frozen_s > 0.0:
+        rows.append(("frozen telemetry [s]", f"{segment.frozen_s:.1f}"))
+    if surface.residuals is not None:
+        settled = surface.residuals.settled
+        rows.append(("positions judged [%]", f"{100.0 * settled.mean():.3g}"))
+        rows.append(("starts of the filter", str(int(np.count_nonzero(surface.residuals.restart)))))
+    return rows
+
+
+def _rate(time_s: FloatArray) -> str:
+    step_s = np.diff(time_s)
+    if not step_s.size:
+        return "none"
+    median_s = float(np.median(step_s))
+    jitter = float(np.quantile(step_s, _JITTER_QUANTILE)) / median_s
+    return f"{1.0 / median_s:.4g} (95 % of steps within {jitter:.2f} times the median)"
+
+
+def _gap(time_s: FloatArray) -> str:
+    step_s = np.diff(time_s)
+    if not step_s.size:
+        return "-"
+    longest = int(np.argmax(step_s))
+    return f"{step_s[longest]:.3g} (at {time_s[longest]:.2f} s)"

@@ -12,14 +12,13 @@ from scipy import stats
 
 import logparsers
 from servofd.aircraft import load_aircraft
-from servofd.axes.calibrate import calibrate_motion
+from servofd.axes.calibrate import calibrate_motion, tail_of
 from servofd.axes.grid import cell_means
 from servofd.axes.judge import judge_motion
 from servofd.axes.mixers import airframe_of
 from servofd.axes.motion import Motion
+from servofd.axes.read import motion_of_table
 from servofd.axes.schema import MotionModel
-from servofd.axes.table import motion_of_table
-from servofd.axes.tail import tail_of
 from servofd.axes.toml import motion_to_toml
 from servofd.axes.windows import Inputs, distance, nothing_known, sliding, spread_between
 from servofd.cli import main

@@ -15,8 +15,7 @@ from servofd.detection.bank.confirm import confirmed, joined
 from servofd.detection.bank.explanation import Ridge
 from servofd.detection.bank.flight import Fault as Found
 from servofd.detection.bank.flight import Flight
-from servofd.detection.bank.onset import refine_onset_s
-from servofd.detection.bank.signature import narendra
+from servofd.detection.bank.isolate import narendra, refine_onset_s
 from servofd.detection.bank.window import Explanation, Window
 from servofd.detection.plausible import wiring_problem
 from servofd.models.effects import RateLimit

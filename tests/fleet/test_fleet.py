@@ -16,9 +16,8 @@ from servofd.cli import main
 from servofd.errors import ConfigError
 from servofd.fleet.find import find_logs
 from servofd.fleet.key import Job
-from servofd.fleet.lock import locked
 from servofd.fleet.overview import overview
-from servofd.fleet.store import FleetStore, read_logs
+from servofd.fleet.store import FleetStore, locked, read_logs
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -309,7 +308,7 @@ def test_only_one_audit_writes_to_a_folder(logs: Path, tmp_path: Path, capsys: p
 def test_the_lock_of_a_killed_audit_is_free(tmp_path: Path) -> None:
     program = f"""
 import pathlib, time
-from servofd.fleet.lock import locked
+from servofd.fleet.store import locked
 file = locked(pathlib.Path({str(tmp_path)!r}))
 print("mine", flush=True)
 time.sleep(600)

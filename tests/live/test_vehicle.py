@@ -20,8 +20,7 @@ from servofd.models.faults import Stuck
 from servofd.simulation.dataflash_writer import dataflash_log
 from servofd.simulation.telemetry_writer import telemetry_log
 from servofd.simulation.vehicle.remote_log import START, STOP
-from servofd.simulation.vehicle.schedule import Schedule, TooFastError
-from servofd.simulation.vehicle.vehicle import Settings
+from servofd.simulation.vehicle.vehicle import Schedule, Settings, TooFastError
 from tests.live.vehicles import PLANE, ask, command, everything, fields, flown, said, vehicle
 
 if TYPE_CHECKING:

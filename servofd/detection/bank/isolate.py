@@ -10,12 +10,13 @@ import numpy as np
 from servofd.detection.bank.classify import BANK, Naming, name_fault
 from servofd.detection.bank.confirm import SURE
 from servofd.detection.bank.flight import Fault, Flight
-from servofd.detection.bank.onset import BEFORE_S, refine_onset_s
-from servofd.detection.bank.signature import first_signs
 from servofd.detection.bank.window import Onset, Window
 
 if TYPE_CHECKING:
     from servofd.detection.alarm import Episode
+    from servofd.detection.bank.window import Explanation
+    from servofd.detection.residual import ResidualGenerator
+    from servofd.types import FloatArray
 
 _SETTLING_S = 0.25
 """Left out after the onset: faults that set in abruptly still move the surface as a healthy servo would."""
@@ -29,7 +30,7 @@ _BLOCK_S = 3.0
 _LONGEST_BLOCK_S = 12.0
 _FIRST_S = 1.0 - _SETTLING_S
 _SUSPICION_LASTS_S = 15.0
-"""The cumulative sum and the habits look back about ten seconds."""
+"""The cumulative sum and the usual residual look back about ten seconds."""
 _ONSET_BEFORE_RECORD_S = 0.5
 
 
@@ -197,3 +198,99 @@ def _block(flight: Flight, begin_s: float, earliest_s: float, latest_s: float) -
             return _Block(first_s, name_fault(window))
         length_s *= 2.0
     return None
+
+
+BEFORE_S = 4.0
+_HEALTHY_BEFORE_S = 0.3
+_FEWEST_HEALTHY = 30
+_UNDECIDED = 4.0
+"""Splits whose log-likelihood is this close to the best, in units of 1/2, are equally good."""
+
+
+def refine_onset_s(
+    flight: Flight, fault: Explanation, rough_s: float, window: Window, before_s: float = BEFORE_S
+) -> float:
+    """Move the onset to where the fault begins to explain the data better than health does [s].
+
+    Where several instants do alike, because the surface did not move, the last of them is taken: it is the first
+    motion that the fault spoils.
+    """
+    if fault.predict is None:
+        return rough_s
+    wide = flight.window(rough_s - before_s, float(window.time_s[-1]), window.onset)
+    if wide is None:
+        return rough_s
+    surely_healthy = wide.time_s < wide.time_s[0] + 0.5 * before_s - _HEALTHY_BEFORE_S
+    error_deg = wide.error_deg
+    if np.count_nonzero(surely_healthy) >= _FEWEST_HEALTHY:
+        known = type(wide.ridge)(wide.nuisances[surely_healthy], wide.spread, wide.noise_deg)
+        habits = known.fit(error_deg[surely_healthy]).coefficients
+        error_deg = error_deg - wide.nuisances @ habits
+    healthy = error_deg**2
+    faulty = (wide.measured_deg - fault.predict(wide)) ** 2
+    # Misfits beyond four sigma all count alike: the transition itself is neither healthy nor explained.
+    most = 16.0 * wide.noise_deg**2
+    gain = np.minimum(healthy, most) - np.minimum(faulty, most)
+    cost = np.concatenate([[0.0], np.cumsum(gain)])
+    near = np.flatnonzero(cost <= cost.min() + _UNDECIDED * wide.noise_deg**2)
+    split = int(near[-1])
+    return float(wide.time_s[min(split, wide.time_s.size - 1)])
+
+
+_ALPHA, _BETA, _GAMMA = 0.0, 1.0, 0.9
+"""Defaults of Varga's FaultDetectionTools."""
+_FORGOTTEN = 350
+"""Samples after which less than 1e-16 of one is left."""
+_QUIET = 1.5
+"""Levels this much above that of noise alone are still quiet: the mean of ten or so coloured samples scatters."""
+_MEAN_OF_ABSOLUTE = float(np.sqrt(2.0 / np.pi))
+
+
+def narendra(residual_deg: FloatArray) -> FloatArray:
+    r"""Evaluate a residual by Narendra's filter [deg]; both of shape (n,).
+
+    As in Varga's model detection, each hypothesis has a residual of its own, :math:`r_i = Q_y (y - \hat y_i)`, and is
+    possible while its :math:`\theta` stays within the noise:
+
+    .. math:: \theta_k = \frac{\alpha |r_k| + \beta x_k}{\alpha + \beta/(1-\gamma)}, \qquad x_{k+1} = \gamma x_k + |r_k|
+
+    Examples
+    --------
+    >>> float(narendra(np.full(200, -0.5))[-1].round(6))
+    0.5
+    """
+    size_deg = np.abs(residual_deg)
+    # The sum of what came before, forgotten by the power of its age; scipy.signal takes longer to load than all else.
+    remembered_deg = np.convolve(np.append(0.0, size_deg[:-1]), _GAMMA ** np.arange(_FORGOTTEN))[: size_deg.size]
+    level_deg: FloatArray = (_ALPHA * size_deg + _BETA * remembered_deg) / (_ALPHA + _BETA / (1.0 - _GAMMA))
+    return level_deg
+
+
+def first_signs(window: Window, generator: ResidualGenerator, sigma_deg: float) -> tuple[str, ...]:
+    """Kinds of faults that a short window admits, the likeliest first.
+
+    Parameters
+    ----------
+    window : Window
+        A second or less, from shortly after the onset on.
+    generator : ResidualGenerator
+        Its filter evaluates the misfits.
+    sigma_deg : float
+        Standard deviation of the healthy residual [deg].
+
+    Returns
+    -------
+    tuple of str
+        Empty if nothing explains the window.
+    """
+    restart = np.zeros(window.time_s.size, dtype=np.int8)
+    restart[0] = 1
+    limit_deg = _QUIET * _MEAN_OF_ABSOLUTE * sigma_deg
+    quiet = {}
+    for hypothesis in BANK:
+        explanation = hypothesis.explain(window)
+        if explanation is not None and hypothesis.kind != "healthy":
+            misfit_deg = window.measured_deg - explanation.predicted_deg
+            if narendra(generator.filtered(window.time_s, misfit_deg, restart))[-1] <= limit_deg:
+                quiet[hypothesis.kind] = window.score(explanation)
+    return tuple(sorted(quiet, key=quiet.__getitem__))

@@ -16,9 +16,7 @@ from servofd.simulation.dataflash_writer import VOLZ, dataflash_messages
 from servofd.simulation.surroundings import microseconds
 from servofd.simulation.telemetry_writer import FEEDBACK, VERSION
 from servofd.simulation.vehicle.messages import Send, Telemetry
-from servofd.simulation.vehicle.parameters import Parameters
 from servofd.simulation.vehicle.remote_log import RemoteLog
-from servofd.simulation.vehicle.schedule import Schedule, TooFastError
 from servofd.simulation.vehicle.troubles import Edit, Stall, Trouble
 
 if TYPE_CHECKING:
@@ -275,3 +273,135 @@ def _chunks(words: str) -> list[Send]:
         Send("STATUSTEXT", {"severity": _INFO, "text": piece, "id": 1, "chunk_seq": n})
         for n, piece in enumerate(pieces)
     ]
+
+
+_PER_TURN: Final = 5
+_NO_PLACE: Final = 65_535
+_INT8, _INT16, _INT32, _REAL32 = 2, 4, 6, 9  # MAV_PARAM_TYPE
+_WHOLE: Final = (
+    (("_REVERSED", "_DISARMED", "_REPLAY", "_TYPE", "_ENABLE", "_TRIM_AUTO", "_PROTOCOL", "_DRIVER"), _INT8),
+    (("_FUNCTION", "_MIN", "_MAX", "_TRIM", "_RATE", "_RANGE", "_THISMAV"), _INT16),
+    (("_MASK", "_BITMASK", "_BM"), _INT32),
+)
+
+
+class Parameters:
+    """Answers what a ground station asks about parameters; it can change none.
+
+    Examples
+    --------
+    >>> answered = Parameters({"SERVO2_MIN": 1000.0}).read("SERVO2_MIN", -1)[0].fields
+    >>> answered["param_value"], answered["param_type"], answered["param_count"], answered["param_index"]
+    (1000.0, 4, 1, 0)
+    """
+
+    def __init__(self, known: Mapping[str, float]) -> None:
+        self._known = dict(known)
+        self._names = list(known)
+        self._listed = len(known)
+
+    def list_all(self) -> None:
+        """Begin to send them all, from the first."""
+        self._listed = 0
+
+    def due(self) -> list[Send]:
+        """Next few of a list that was asked for."""
+        found = [self._value(n) for n in range(self._listed, min(self._listed + _PER_TURN, len(self._names)))]
+        self._listed += len(found)
+        return found
+
+    def read(self, name: str, index: int) -> list[Send]:
+        """One of them, by its index, or by its name if the index is -1; nothing if there is none."""
+        if index < 0:
+            index = self._names.index(name) if name in self._known else -1
+        return [self._value(index)] if 0 <= index < len(self._names) else []
+
+    def set(self, name: str, value: float) -> list[Send]:
+        """Set one, as somebody with other means did; every ground station is told, without its place in the list."""
+        if name not in self._known:
+            return []
+        self._known[name] = value
+        told = self._value(self._names.index(name))
+        return [Send(told.name, {**told.fields, "param_index": _NO_PLACE})]
+
+    def _value(self, index: int) -> Send:
+        name = self._names[index]
+        kind = next((kind for endings, kind in _WHOLE if name.endswith(endings)), _REAL32)
+        count = len(self._names)
+        fields: dict[str, Any] = {"param_id": name, "param_value": self._known[name], "param_type": kind}
+        return Send("PARAM_VALUE", {**fields, "param_count": count, "param_index": index})
+
+
+OFF: Final = 0
+"""Interval of a message that is not sent [ms]."""
+
+_LONGEST_MS: Final = 60_000
+_NOW: Final = -1
+
+
+class TooFastError(Exception):
+    """The main loop does not turn often enough."""
+
+
+class Schedule:
+    """Intervals of messages, and when each is due.
+
+    A message leaves at a turn of the main loop, so that 40 Hz of a 50 Hz loop are gaps of 20 and 40 ms, as in real
+    logs.
+
+    Parameters
+    ----------
+    usual_ms : Mapping[str, int]
+        Interval of each message before anybody asks for another [ms]; 0 for one that is not sent.
+    loop_us : int
+        Period of the main loop [us].
+    any_rate : bool
+        Grant whatever is asked for, up to the rate of the loop.
+
+    Examples
+    --------
+    >>> schedule = Schedule({"SERVO_OUTPUT_RAW": 1000}, loop_us=20_000)
+    >>> schedule.ask("SERVO_OUTPUT_RAW", 25_000)
+    >>> [at_ms for at_ms in range(0, 200, 20) if schedule.due(1000 * at_ms)]
+    [0, 40, 60, 80, 100, 140, 160, 180]
+    """
+
+    def __init__(self, usual_ms: Mapping[str, int], *, loop_us: int, any_rate: bool = False) -> None:
+        self._usual_ms = dict(usual_ms)
+        self._interval_ms = dict(usual_ms)
+        self._next_us = dict.fromkeys(usual_ms, _NOW)
+        self._loop_us = loop_us
+        self._any_rate = any_rate
+
+    def ask(self, name: str, interval_us: int) -> None:
+        """Ask for another interval: in whole milliseconds up to a minute; 0 for the usual one, -1 for none."""
+        if interval_us <= 0:
+            self._interval_ms[name] = self._usual_ms[name] if interval_us == 0 else OFF
+            return
+        interval_ms = min(max(interval_us // 1000, 1), _LONGEST_MS)
+        if not self._any_rate and interval_ms * 800 < self._loop_us:
+            raise TooFastError
+        self._interval_ms[name] = interval_ms
+        self._next_us[name] = _NOW
+
+    def ask_rate(self, name: str, rate_hz: int) -> None:
+        """Ask for a rate, as REQUEST_DATA_STREAM does [Hz]: the fastest if it is too fast, 0 for none."""
+        fastest_ms = -(-self._loop_us // 800)
+        self.ask(name, 1000 * max(1000 // rate_hz, fastest_ms) if rate_hz else -1)
+
+    def interval_us(self, name: str) -> int:
+        """Interval as MESSAGE_INTERVAL tells it [us]: -1 for a message that is not sent, 0 for one that is unknown."""
+        interval_ms = self._interval_ms.get(name)
+        if interval_ms is None:
+            return 0
+        return -1 if interval_ms == OFF else 1000 * interval_ms
+
+    def due(self, now_us: int) -> list[str]:
+        """Messages that leave at this turn of the loop."""
+        found = []
+        for name, interval_ms in self._interval_ms.items():
+            if interval_ms != OFF and now_us >= self._next_us[name]:
+                found.append(name)
+                behind = self._next_us[name] == _NOW or now_us - self._next_us[name] >= 1000 * interval_ms
+                self._next_us[name] = 1000 * interval_ms + (now_us if behind else self._next_us[name])
+        return found
