@@ -112,6 +112,11 @@ class CalibratedStream:
         self._memory, self.latched = Memory(self._tests), False
         self._before = np.zeros(len(STATISTICS) - 1)
 
+    @property
+    def is_waiting(self) -> bool:
+        """Whether any position waits for a command."""
+        return bool(self._positions)
+
     def evaluate(self, *, final: bool = False) -> Piece | None:
         """Evaluate what can be decided by now; everything if nothing more will come. None if that is nothing."""
         self._simulate(self._ready(final=final))

@@ -71,6 +71,8 @@ _STEADY_S = 2.0
 _SAME_PACE = 1.5
 _CALIBRATED_RAD_S = 10.0
 """A filter that nothing is judged by."""
+_QUIET, _TOGETHER, _FAST_S = 0.3, 2, 0.025
+"""Positions that come as fast as this [s] go two at a time while the residual is a small share of its threshold."""
 _LONGEST_WAIT = 6_000
 """Samples that are kept while a position that has never changed may still turn out to be one."""
 
@@ -244,6 +246,19 @@ class SurfaceMonitor:
         """Tell that nothing is known of this surface from now on [s], and why; empty: it is watched again."""
         told, self.suspended = self.suspended, why
         return [Event(now_s, self.name, "no_data", text=why)] if why and not told else []
+
+    def may_wait(self, commands: int, positions: int) -> bool:
+        """Whether so many commands and positions that have come need not be evaluated yet.
+
+        One position may wait for the next while the residual is far below its threshold, and commands while no
+        position waits for them: evaluating two together costs what one does.
+        """
+        reading = self.reading
+        if self._stream is None or reading is None or commands > 2 * _TOGETHER or positions >= _TOGETHER:
+            return False
+        quiet = self._period_s <= _FAST_S and reading.settled and not self.standing
+        quiet = quiet and abs(reading.residual_deg) < _QUIET * reading.threshold_deg
+        return quiet if positions else (quiet and commands < _TOGETHER) or not self._stream.is_waiting
 
     def silence(self, now_s: float) -> list[Event]:
         """Tell, once in each outage, that commands or positions have stopped, by the vehicle's newest message [s]."""

@@ -120,6 +120,11 @@ class Stream:
             self.latest_s = time_s
             self._positions.append((time_s, measured_deg))
 
+    @property
+    def is_waiting(self) -> bool:
+        """Whether any position waits for a command."""
+        return bool(self._positions)
+
     def evaluate(self, *, final: bool = False) -> Piece | None:
         """Evaluate what can be decided by now; everything if nothing more will come. None if that is nothing."""
         ready = self._ready(final=final)

@@ -152,7 +152,7 @@ class Session:
         for vehicle in tuple(self.vehicles.values()):
             for monitor in vehicle.monitors.values():
                 monitor.listener = self.listener
-            mine = vehicle.evaluate()
+            mine = vehicle.evaluate(final=False)
             mine += vehicle.silence(arrival_now_s)
             mine += self._look(vehicle)
             self._speak(vehicle, mine, arrival_now_s)

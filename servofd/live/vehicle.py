@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from servofd.axes.watch import STREAMED, AxisWatch
 from servofd.detection.events import Event, Look
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.surroundings import Surroundings
@@ -24,6 +23,7 @@ if TYPE_CHECKING:
 
     from logparsers.codec import Heard
     from servofd.aircraft import Aircraft
+    from servofd.axes.watch import AxisWatch
     from servofd.types import FloatArray
 
 __all__ = ["Disorder", "Losses", "Vehicle"]
@@ -45,6 +45,8 @@ _DISORDER_S, _LONGEST_WAIT_S = 30.0, 0.5
 _REMEMBERED = 128
 """Samples of a channel, to tell copies: 2.5 s at 50 Hz."""
 _COUNT_S = 5.0
+_CHECK_S = 0.1
+"""How often it is looked whether something has fallen silent."""
 
 
 @dataclass(slots=True)
@@ -168,6 +170,7 @@ class Vehicle:
     _around: Surroundings = field(init=False)
     _is_news: bool = False
     _counted_s: float = float("-inf")
+    _checked_s: float = float("-inf")
     _routes: dict[str, list[tuple[str, int]]] = field(default_factory=dict)
     _early: list[tuple[Heard, float]] = field(default_factory=list)
     _samples: dict[str, tuple[Samples, Samples]] = field(default_factory=dict)
@@ -183,8 +186,11 @@ class Vehicle:
                 self.monitors[name].patience_s = LOG_SILENCE_S
             self._routes.setdefault(surface.command.channel, []).append((name, 0))
             self._routes.setdefault(surface.measured.channel, []).append((name, 1))
+        streamed: set[str] = set()
         if self.aircraft.motion is not None:
-            self.axes = AxisWatch(self.aircraft.motion)
+            from servofd.axes.watch import STREAMED, AxisWatch
+
+            self.axes, streamed = AxisWatch(self.aircraft.motion), set(STREAMED)
         if not self.monitors and self.axes is None:
             raise ConfigError("the aircraft file names no measured channel: nothing can be watched")
         self.settings = Settings.of(self.aircraft.surfaces, self.monitors)
@@ -192,9 +198,8 @@ class Vehicle:
         self._around = Surroundings(sorted({need for m in self.monitors.values() for need in m.needs}))
         beside = ChannelTable(self._around.channels)
         self.seldom = beside.messages - self.messages
-        if self.axes is not None:
-            self.messages |= set(STREAMED) - {"VFR_HUD"}
-            self.seldom |= {"VFR_HUD"}
+        self.messages |= streamed - {"VFR_HUD"}
+        self.seldom |= streamed & {"VFR_HUD"}
         self._table = ChannelTable([*self._routes, *(n for n in self._around.channels if n not in beside.unknown)])
         if self._table.unknown and self.is_stream:
             raise ConfigError(
@@ -289,8 +294,8 @@ class Vehicle:
             if self.axes is not None:
                 self.axes.add(channel, time_s, value)
 
-    def evaluate(self) -> list[Event]:
-        """Evaluate all that was heard since."""
+    def evaluate(self, *, final: bool = True) -> list[Event]:
+        """Evaluate what was heard since; all of it, or what cannot wait for the next position."""
         samples, self._samples = self._samples, {}
         known_s, events = self._disorder.known_s(), []
         if self._is_news:
@@ -298,15 +303,19 @@ class Vehicle:
             for monitor in self.monitors.values():
                 monitor.surroundings(context)
         for name, (commands, positions) in samples.items():
+            if not final and self.monitors[name].may_wait(len(commands[0]), len(positions[0])):
+                self._samples[name] = commands, positions
+                continue
             now, later = zip(*(_in_order(each, known_s) for each in (commands, positions)), strict=True)
             events += self.monitors[name].feed(*now)
             if any(times for times, _ in later):
                 self._samples[name] = later
-        if np.isfinite(self.now_s):
+        if self.now_s - self._checked_s >= _CHECK_S:
+            self._checked_s = self.now_s
             for monitor in self.monitors.values():
                 events += monitor.silence(self.now_s)
-            if self.axes is not None:
-                events += self.axes.due(self.now_s)
+        if self.axes is not None and math.isfinite(self.now_s):
+            events += self.axes.due(self.now_s)
         return events
 
     def silence(self, arrival_now_s: float) -> list[Event]:
