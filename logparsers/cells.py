@@ -62,7 +62,8 @@ def convert(grid: Grid, texts: Collection[str] = ()) -> dict[str, Cells]:
     top = grid.body.partition(b"\n")[0].split(delimiter)
     plain = [p for name, p in named.items() if name not in texts and _number(top[p], grid.decimal) is not None]
     table = _numbers(grid, delimiter, plain)
-    rest = list(named.values()) if table is None else [place for place in named.values() if place not in plain]
+    done = set() if table is None else set(plain)
+    rest = [place for place in named.values() if place not in done]
     found = {} if table is None else {place: _of_numbers(table[:, k]) for k, place in enumerate(plain)}
     found |= _cell_by_cell(grid, delimiter, rest, {named[name] for name in texts if name in named}) if rest else {}
     return {name: found[place] for name, place in named.items()}

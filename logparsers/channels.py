@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from logparsers import clock
-from logparsers.errors import EmptyLog, MissingChannel
+from logparsers.errors import EmptyLog, MissingChannel, UnreadableLog
 from logparsers.records import Channel, Damage, own
 
 if TYPE_CHECKING:
@@ -20,8 +21,10 @@ if TYPE_CHECKING:
     from logparsers.only import Only
     from logparsers.records import FloatArray
 
-__all__ = ["LazyChannels", "Recording", "Series", "Together", "as_float"]
+__all__ = ["MOST_CHANNELS", "LazyChannels", "Recording", "Series", "Together", "as_float", "check_names"]
 
+MOST_CHANNELS = 50_000
+"""Of one log: the richest have some ten thousand, forged ones a new name in every message."""
 MOST_NOTES = 100
 """Groups of channels whose rows are out of order and that are listed one by one."""
 
@@ -60,6 +63,23 @@ class Recording(Protocol):
 
     def values(self, series: Series) -> NDArray[Any]:
         """Numbers of a series in the order of the file, shape (n,)."""
+
+
+def check_names(path: Path, count: int) -> None:
+    """Refuse a file of more names than a log has.
+
+    Raises
+    ------
+    UnreadableLog
+        If there are more than `MOST_CHANNELS`.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> check_names(Path("a.csv"), 12)
+    """
+    if count > MOST_CHANNELS:
+        raise UnreadableLog(f"{path}: {count} columns, and a log has at most {MOST_CHANNELS}; export fewer")
 
 
 def as_float(values: NDArray[Any]) -> FloatArray:
@@ -105,7 +125,9 @@ class LazyChannels(Mapping[str, Channel]):
 
     def __init__(self, recording: Recording, names: Mapping[str, Series] | None = None) -> None:
         self._recording = recording
-        self._series = recording.series() if names is None else names
+        self._series, self._is_whole = (recording.series(), True) if names is None else (names, True)
+        if len(self._series) > MOST_CHANNELS:
+            self._series, self._is_whole = dict(islice(self._series.items(), MOST_CHANNELS)), False
         self._clocks: dict[Hashable, tuple[FloatArray, NDArray[np.intp] | None, Damage | None]] = {}
 
     def only(self, wanted: Only, path: Path, others: Iterable[str] = ()) -> LazyChannels:
@@ -128,7 +150,9 @@ class LazyChannels(Mapping[str, Channel]):
             more = f" and {len(known) - 12} more" if len(known) > 12 else ""
             asked, some = ", ".join(wanted.patterns), ", ".join(known[:12])
             raise MissingChannel(f"{path}: no channel {asked}; the log has {some}{more}")
-        return LazyChannels(self._recording, {name: self._series[name] for name in names})
+        chosen = LazyChannels(self._recording, {name: self._series[name] for name in names})
+        chosen._is_whole = self._is_whole
+        return chosen
 
     def __getitem__(self, name: str) -> Channel:
         """Decode a channel."""
@@ -171,6 +195,8 @@ class LazyChannels(Mapping[str, Channel]):
         if rest:
             total = sum(damage.count for damage in rest)
             listed.append(Damage("out_of_order", f"{total} rows of {len(rest)} more messages", total))
+        if not self._is_whole:
+            listed.append(Damage("bad_format", f"more than {MOST_CHANNELS} channels; the rest is left out"))
         return tuple(listed), (min(ends), max(ends)) if ends else None
 
     def _groups(self) -> dict[Any, str]:

@@ -16,11 +16,12 @@ import numpy as np
 
 from logparsers.assemble import Column, assemble
 from logparsers.cells import convert
-from logparsers.channels import LazyChannels, Series, Together
+from logparsers.channels import MOST_CHANNELS, LazyChannels, Series, Together
 from logparsers.errors import MissingChannel, UnreadableLog
 from logparsers.records import Damage, FlightLog
 from logparsers.source import decoding
 from logparsers.text import header_cells, read_grid
+from logparsers.texts import split_rows
 from logparsers.units import suffix_unit
 
 if TYPE_CHECKING:
@@ -259,8 +260,13 @@ class _Tables:
         self, label: str, origin: str, time_s: NDArray[np.float64], columns: Mapping[str, NDArray[Any]], clock: str
     ) -> None:
         by_name = next((columns[k] for k in NAMED if k in columns and columns[k].dtype.kind == "U"), None)
-        for name in [""] if by_name is None else sorted(set(by_name.tolist())):
-            rows = slice(None) if by_name is None else by_name == name
+        rows_of: dict[str, Any] = {"": slice(None)}
+        if by_name is not None:
+            names, codes = np.unique(by_name, return_inverse=True)
+            rows_of = split_rows(names.tolist(), codes)
+        for name, rows in rows_of.items():
+            if len(self._series) > MOST_CHANNELS:
+                return
             group = f"{label}[{name}]" if name else label
             numbers = {k: v[rows] for k, v in columns.items() if v.dtype.kind == "f" and k != clock}
             self._clocks[group], self._columns[group] = time_s[rows], numbers

@@ -9,12 +9,14 @@ from __future__ import annotations
 import csv
 import io
 import re
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from logparsers.channels import check_names
 from logparsers.errors import EmptyLog, LogError, MissingChannel, UnreadableLog
 from logparsers.records import Damage
 
@@ -136,7 +138,8 @@ def _names(path: Path, header: str, delimiter: str, line: int) -> tuple[str, ...
     names = tuple(cell.strip() for cell in cells)
     if all(map(_is_number, names)):
         raise MissingChannel(f"{path}: line {line} is data, no header; name its columns in a table layout")
-    twice = next((name for place, name in enumerate(names) if name and name in names[:place]), None)
+    check_names(path, len(names))
+    twice = next((name for name, times in Counter(names).items() if name and times > 1), None)
     if twice is not None:
         raise UnreadableLog(f"{path}: line {line}: the header has two columns {twice!r}; give each a name of its own")
     return names

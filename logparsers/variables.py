@@ -6,12 +6,13 @@ positions may be raw counts. Messages that mavlogdump or Mission Planner took ou
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from logparsers.assemble import Column, assemble
-from logparsers.channels import Together
+from logparsers.channels import Together, check_names
 from logparsers.dataflash.exported import is_exported
 from logparsers.errors import MissingChannel
 from logparsers.exports import dataflash_log, labelled_messages
@@ -21,7 +22,7 @@ from logparsers.source import decoding
 from logparsers.units import SECONDS, faser_unit, is_faser, suffix_unit
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -85,12 +86,16 @@ def from_variables(path: Path, variables: Mapping[str, Any], layout: TableLayout
     <FlightLog a.mat: faser, 2.0 s, 3 channels, no damage>
     """
     vectors = dict(_vectors(variables, ""))
+    check_names(path, len(vectors))
     clocks = _clocks(path, vectors, layout)
     main = next(iter(clocks))
+    at_home: dict[str, list[str]] = {}
+    for clock in clocks:
+        at_home.setdefault(_home(clock).strip("/"), []).append(clock)
     clock_of, odd = {}, {}
     for key in sorted(vectors, key=lambda key: _rank(key, _home(main))):
         size = vectors[key].size
-        near = next((clock for clock in _nearest(key, clocks, main) if clocks[clock].size == size), None)
+        near = next((clock for clock in _nearest(key, at_home, main) if clocks[clock].size == size), None)
         if near is None and size > 1 and not key.endswith("]"):  # single numbers are settings, matrices anything
             odd[key] = size
         elif near is not None and key not in clocks:
@@ -102,8 +107,10 @@ def from_variables(path: Path, variables: Mapping[str, Any], layout: TableLayout
     kind, unit = ("faser", faser_unit) if is_of_faser else ("table", suffix_unit)
     damage = _odd(odd, clocks[main].size)
     logs = {}
-    for clock in dict.fromkeys(clock_of.values()):
-        keys = [key for key, near in clock_of.items() if near == clock]
+    keys_of: dict[str, list[str]] = {}
+    for key, near in clock_of.items():
+        keys_of.setdefault(near, []).append(key)
+    for clock, keys in keys_of.items():
         columns = [Column(names[key], vectors[key], unit(_leaf(key)), key) for key in keys]
         logs[clock] = assemble(path, kind=kind, time_s=clocks[clock], columns=columns, damage=damage)
         damage = ()
@@ -143,20 +150,21 @@ def _clocks(path: Path, vectors: Mapping[str, NDArray[Any]], layout: TableLayout
         raise MissingChannel(
             f"{path}: no variable {wanted}; it has {_some(vectors)}; name its clock or its rate in a table layout"
         )
-    homes = [_home(key) for key in vectors if is_faser(_leaf(key))] or [_home(key) for key in vectors]
+    homes = Counter([_home(key) for key in vectors if is_faser(_leaf(key))] or map(_home, vectors))
     order = list(CLOCKS)
 
     def claim(key: str) -> tuple[object, ...]:
         rank = order.index(_leaf(key)) if _leaf(key) in order else 0
-        return homes.count(_home(key)), "/Sensors/Fmu/" in key, -rank, clocks[key].size
+        return homes[_home(key)], "/Sensors/Fmu/" in key, -rank, clocks[key].size
 
     return {key: clocks[key] for key in sorted(clocks, key=claim, reverse=True)}
 
 
-def _nearest(key: str, clocks: Mapping[str, Any], main: str) -> list[str]:
+def _nearest(key: str, at_home: Mapping[str, Sequence[str]], main: str) -> list[str]:
     """Clocks that a vector may belong to: of its own structure, of those around it, the main one."""
-    around = [clock for clock in clocks if f"/{key}".startswith(f"/{_home(clock)}".rstrip("/") + "/")]
-    return [*sorted(around, key=lambda clock: -len(_home(clock))), main]
+    path = key.strip("/")
+    homes = [path[:at] for at in range(len(path), 0, -1) if path[at : at + 1] == "/"]
+    return [*(clock for home in (*homes, "") for clock in at_home.get(home, ())), main]
 
 
 def _leaf(path: str) -> str:
@@ -174,11 +182,13 @@ def _rank(path: str, home: str) -> int:
 
 
 def _names(paths: Iterable[str]) -> dict[str, str]:
-    taken: dict[str, str] = {}
+    names: dict[str, str] = {}
+    taken: set[str] = set()
     for path in paths:
         name = _leaf(path)
-        taken[path] = name if name not in taken.values() else path.strip("/")
-    return taken
+        names[path] = name if name not in taken else path.strip("/")
+        taken.add(names[path])
+    return names
 
 
 def _nothing(path: Path, vectors: Mapping[str, NDArray[Any]], odd: Mapping[str, int]) -> MissingChannel:

@@ -181,6 +181,8 @@ class BinaryStore:
     def _redefine(self, at: int) -> None:
         """Take over the FMT record at `at`, unless it contradicts itself."""
         self._walk.state[scan.DONE_FMT] = at
+        if len(self.layouts) >= LAYOUT_LIMIT:
+            return
         layout = parse_fmt(bytes(self._data[at : at + FMT.length]))
         if layout is not None and layout.type == FMT.type:  # firmwares define the definition as they like
             return
@@ -190,8 +192,10 @@ class BinaryStore:
         known = self.layouts.get(self._names.get(layout.type, ""))
         if known is not None and not is_consistent(layout):
             self._note(f"byte {at}: contradictory second definition of type {layout.type}; ignored")
-        elif len(self.layouts) < LAYOUT_LIMIT:
-            self._define(layout, at)
+            return
+        self._define(layout, at)
+        if len(self.layouts) == LAYOUT_LIMIT:
+            self._note(f"byte {at}: {LAYOUT_LIMIT} message definitions; further ones are ignored")
 
     def _define(self, layout: Layout, at: int) -> None:
         if not is_consistent(layout):

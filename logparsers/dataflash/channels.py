@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from logparsers.channels import Series
+from logparsers.channels import MOST_CHANNELS, Series
 
 if TYPE_CHECKING:
     import numpy as np
@@ -43,6 +43,8 @@ class DataFlashRecording:
             fields = [f for f in layout.fields.values() if f.is_number and f.name not in (clock, layout.instance)]
             instances = self._file.instances(message) if layout.instance is not None else (None,)
             for instance in instances:
+                if len(found) > MOST_CHANNELS:
+                    return found
                 which = "" if instance is None else f"[{instance}]"
                 for field in fields:
                     origin = f"{message}.{field.name}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from logparsers.channels import Series
+from logparsers.channels import MOST_CHANNELS, Series
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -62,6 +62,8 @@ class TelemetryRecording:
             senders: tuple[Sender | None, ...] = self._file.sources(message)
             alone = self._of_one_sender(message)
             for sender in senders if len(senders) > 1 else (None,):
+                if len(found) > MOST_CHANNELS:
+                    return found
                 prefix = f"{sender.system}/{sender.component}:" if sender else ""
                 found.update(self._of(message, sender, prefix, alone))
         return found
@@ -94,6 +96,8 @@ class TelemetryRecording:
         fields = [f for f in layout.fields.values() if not f.is_text and f.name not in (clock, layout.instance)]
         found: dict[str, Series] = {}
         for instance in self._file.instances(message, source) or (None,):
+            if len(found) > MOST_CHANNELS:
+                break
             bracket = "" if instance is None or instance == 0 else f"[{instance}]"
             stream = Stream(message, source, instance)
             for field in fields:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["Reader", "load"]
 
 _MAX_FIELDS = 200_000  # over all topics of a file; the richest logs have some ten thousand
+_MAX_FORMATS = 10_000
 _MAX_MESSAGE = 65_535  # fields: a message has at most as many bytes
 _MAX_DEPTH = 16  # messages within messages; PX4 nests two
 _MAX_SKIPS = 20_000  # times that pyulog may look for the next message byte by byte
@@ -52,6 +53,11 @@ class _Formats(dict[str, Any]):
         self.announced: dict[str, None] = {}
         self.samples: Samples | None = None
         """Of topics that the file itself does not hold any more."""
+
+    def __setitem__(self, name: str, definition: object) -> None:
+        if len(self) >= _MAX_FORMATS:
+            raise UnreadableLog(f"more than {_MAX_FORMATS} message formats; PX4 has some hundred")
+        super().__setitem__(name, definition)
 
 
 class _Subscription(core.ULog._MessageAddLogged):  # type: ignore[misc]
