@@ -9,8 +9,8 @@ The fleet of `fleet.py` flies every style with every kind and size of fault, N s
 - A fault that was not detected stays in every denominator, but for that of the column "right of detected".
 - Delays of faults that show only in motion (stuck, dead band, slow, loss of effectiveness) are also counted from the
   first motion. A missed fault has an infinite delay, and takes part in medians.
-- The bank acquits some crossings of the threshold by what it sees after them, up to 16 s. The delay of a fault is
-  that of its alarm all the same: what is late then is the acquittal of others.
+- The bank dismisses some crossings of the threshold by what it sees after them, up to 16 s. The delay of a fault is
+  that of its alarm all the same: what is late then is the dismissal of others.
 """
 
 from __future__ import annotations

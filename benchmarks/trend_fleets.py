@@ -25,7 +25,7 @@ from servofd.wear.records import FlightEstimate
 from servofd.wear.trend import trend_of
 
 if TYPE_CHECKING:
-    from servofd.wear.estimate import Told
+    from servofd.wear.estimate import ServoEstimate
     from servofd.wear.trend import AircraftTrend
 
 __all__ = ["crossing_at", "drawn_servo", "followed", "widths_trend"]
@@ -69,8 +69,10 @@ def segment(surface: str, servo: FleetServo, rng: np.random.Generator, width_deg
 
 
 @functools.cache
-def _told(surface: str, servo: FleetServo, seed: tuple[int, int, int], width_deg: float, duration_s: float) -> Told:
-    """What one flight tells; a trend cut short shares its flights with the whole one."""
+def _told(
+    surface: str, servo: FleetServo, seed: tuple[int, int, int], width_deg: float, duration_s: float
+) -> ServoEstimate:
+    """What one flight shows; a trend cut short shares its flights with the whole one."""
     flown = segment(surface, servo, np.random.default_rng(seed), width_deg, duration_s)
     return estimate_flight(flown, plain_aircraft([surface]))
 

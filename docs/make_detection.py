@@ -78,7 +78,7 @@ says so.
     |r(t)| >= tau,    tau = {CONSTANT_DEG:g} deg by default.                                                     (D1)
 
 While a servo runs at its rate limit, what an error of that limit would leave (r_sat below) is added. A threshold that is named in
-the call (`--threshold-deg`) acquits nobody: what reaches it is a fault, whatever explains it.
+the call (`--threshold-deg`) dismisses nothing: what reaches it is a fault, whatever explains it.
 
 What it must tolerate is what healthy servos of one type differ by, and that grows with the command. To first order, a servo
 whose gain, delay and bandwidth are off by dk, dt, dw leaves
@@ -123,12 +123,12 @@ on either side, so that oscillations add up, less one standard deviation, so tha
     z(k) = max(|r| - T - sigma_r, 0) / sigma_r,     S(k) = max(0, S(k-1) + z(k) - {threshold._KAPPA:g}),                         (D5)
 
 It is beyond its limit when it has gathered what noise without tolerance would {threshold._SUSPICIONS_PER_HOUR:g} times an hour (Siegmund's run
-length, multiplied by the long-run factor of the residual's colour). And the servo's habits of the last {allowance._MEMORY_S:g} s are fitted
+length, multiplied by the long-run factor of the residual's colour). And the servo's deviations of the last {allowance._MEMORY_S:g} s are fitted
 to the residual by the terms x = [r0, dr0/dt, sum_i ..., 1] of D2, once with what tolerances allow and once freely:
 
     H = min_tight - min_free,  min = min over theta of sum (r - x theta)² / (S sigma_r²) + sum theta_j² / s_j²,   (D6)
 
-S being the long-run factor, and sigma_r no less than {allowance._TRIFLE:g} of the tolerated bias; what is beyond all tolerance, or rests on lost commands, teaches no habits.
+S being the long-run factor, and sigma_r no less than {allowance._TRIFLE:g} of the tolerated bias; what is beyond all tolerance, or rests on lost commands, teaches no deviations.
 H >= {threshold._SUSPICIOUS_DRIFT:g} means that gain, delay, bandwidth or bias is not that of a healthy servo. Both raise a *suspicion*, which ends when
 none was raised for {alarm._SUSPICION_LASTS_S:g} s. It goes through the bank like an alarm; under an interval threshold it becomes a fault if the
 bank is sure of its name (P >= {confirm.SURE:g}), and its alarm is raised when the name is; else the surface is *suspect*. Rough models (drafts with a
@@ -177,7 +177,7 @@ J is the sum of squared misfits that remains, and the second sum goes into the d
 | unknown | whatever removes all but {classify._UNEXPLAINED_SHARE:.0%} of the simulation error, at the price of {classify._UNKNOWN_FREEDOM:g} parameters; or ŷ with a smooth error, by the same cosines as floating |
 
 **Score.** With n samples, of which {explanation.COLOUR:g} in a row tell as much as one, p free parameters and a doubt D (twice the negative
-logarithm of how plausible the parameters are in themselves: a servo's habits are within its tolerances, wide dead bands
+logarithm of how plausible the parameters are in themselves: a servo's deviations are within its tolerances, wide dead bands
 are rare, smooth wind is what the priors of its cosines expect),
 
     B = n/{explanation.COLOUR:g} ln(max(J/n, {window._FLOOR:g} sigma²)) + {window._PENALTY:g} p ln(n/{explanation.COLOUR:g}) + D                                        (D9)
@@ -190,7 +190,7 @@ after Schwarz; smaller is better. The probability of hypothesis i, all being equ
 P >= {confirm.SURE:g} *and* the healthy deflection covers {isolate._ENOUGH_MOTION_DEG:g} deg decides. **Not enough motion**: a jam and a dead band, a bias and a jam,
 differ only in motion. If no window has enough of it the longest decides, with the probability that it gives, and names the
 alternatives of {classify._WORTH_MENTIONING:.0%} and more; below {isolate._LIKELY:g} the name is `unknown` and all that can be said is "at fault, with too little
-motion to tell which". If the winner is *healthy*, the tolerances of a working servo explain the alarm: it is acquitted
+motion to tell which". If the winner is *healthy*, the tolerances of a working servo explain the alarm: it is dismissed
 and listed as a suspicion.
 
 **Floating and unknown** explain anything. Before they are believed, a window that begins {2.0 * isolate._SETTLING_S:g} s after the alarm is named as well:
@@ -215,7 +215,7 @@ First estimate: the first sample with |r| beyond the tolerance T and {alarm._ONS
     k* = argmin sum_(j<k) min(e_j², 16 sigma²) + sum_(j>=k) min((y_j - f_j)², 16 sigma²),                (D12)
 
 from {isolate.BEFORE_S:g} s before that estimate ({isolate._SUSPICION_LASTS_S:g} s for a suspicion) to the end of the window, e being the simulation
-error less the servo's habits (N theta, fitted to what was surely healthy). Splits within {isolate._UNDECIDED:g} sigma² of the best are
+error less the servo's deviations (N theta, fitted to what was surely healthy). Splits within {isolate._UNDECIDED:g} sigma² of the best are
 equally good, for instance because the surface did not move; the last of them is taken, which is the first motion that the fault spoils. The onset of a jam can be no earlier than
 that: it is when the fault began to *show*.
 """

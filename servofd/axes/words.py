@@ -91,7 +91,7 @@ def reason_of(
         shown = f"lost share {lost.value:+.2f} [{lost.low:+.2f}, {lost.high:+.2f}]"
         text = f"{shown}, known in {identifiable:.0%} of the flight"
     else:
-        text = _untold(name, model, members, identifiable, outside, lost)
+        text = _not_judged(name, model, members, identifiable, outside, lost)
     if model.days >= _ENOUGH_DAYS:
         return text
     days = "one day" if model.days == 1 else f"{model.days} days"
@@ -118,7 +118,7 @@ def _moved(name: str, event: AxisEvent) -> str:
     return f"not judged from {event.start_s:.1f} s on: what happened to {event.cause} moves this axis too"
 
 
-def _untold(
+def _not_judged(
     name: str,
     model: MotionModel,
     members: Sequence[str],

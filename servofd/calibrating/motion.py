@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.detection.bank.window import noise_deg
-from servofd.detection.rehearsal import Rehearsal
 from servofd.detection.residual import ResidualGenerator
+from servofd.detection.simulator import Simulator
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -36,7 +36,7 @@ _NEVER = 0.999
 class Motion:
     """Flights of one surface, ready to be compared with a simulation."""
 
-    rehearsals: tuple[Rehearsal, ...]
+    simulators: tuple[Simulator, ...]
     used: tuple[BoolArray, ...]
     """Rows of each flight with a position that a simulation can be held against."""
     usual_gain: float = 1.0
@@ -46,17 +46,17 @@ class Motion:
     def of(cls, flights: Sequence[Flight], servo: FlownServo) -> Motion:
         """Find the rows; they do not depend on the numbers of the servo."""
         generator = ResidualGenerator(servo.model, _POLE_RAD_S)
-        rehearsals = tuple(Rehearsal.of(generator, flight.segment) for flight in flights)
-        return cls(rehearsals, tuple(_usable(each) for each in rehearsals))
+        simulators = tuple(Simulator.of(generator, flight.segment) for flight in flights)
+        return cls(simulators, tuple(_usable(each) for each in simulators))
 
     @property
     def measured_deg(self) -> FloatArray:
         """Position in all used rows [deg], shape (n,)."""
         return np.concatenate([each.segment.measured_deg[rows] for each, rows in self._pairs()])
 
-    def hearing(self, changed: Callable[[FloatArray], FloatArray]) -> Motion:
+    def with_commands(self, changed: Callable[[FloatArray], FloatArray]) -> Motion:
         """The same flights with commands [deg] that a function has changed."""
-        return replace(self, rehearsals=tuple(r.hearing(changed(r.segment.command_deg)) for r in self.rehearsals))
+        return replace(self, simulators=tuple(r.with_commands(changed(r.segment.command_deg)) for r in self.simulators))
 
     def simulated_deg(self, servo: FlownServo) -> FloatArray:
         """Deflection of a servo in all used rows [deg], shape (n,)."""
@@ -80,27 +80,27 @@ class Motion:
     @property
     def period_s(self) -> float:
         """Median sample time of the first flight [s]."""
-        return self.rehearsals[0].segment.period_s
+        return self.simulators[0].segment.period_s
 
     def memory(self, error_deg: FloatArray) -> float:
         """Long-run variance of an error over its variance, at least 1."""
         return memory(self.split(error_deg), max(1, round(_MEMORY_S / self.period_s)))
 
-    def _pairs(self) -> Iterable[tuple[Rehearsal, BoolArray]]:
+    def _pairs(self) -> Iterable[tuple[Simulator, BoolArray]]:
         """Each flight with its rows."""
-        return zip(self.rehearsals, self.used, strict=True)
+        return zip(self.simulators, self.used, strict=True)
 
 
-def _usable(rehearsal: Rehearsal) -> BoolArray:
+def _usable(simulator: Simulator) -> BoolArray:
     from servofd.models.kernel import RESTART_ALL
 
-    time_s, starts = rehearsal.segment.measured_s, rehearsal.starts
+    time_s, starts = simulator.segment.measured_s, simulator.starts
     begins = np.flatnonzero(starts.restart == RESTART_ALL)
     if begins.size == 0:
         return np.zeros(time_s.size, dtype=bool)
     last = np.searchsorted(begins, np.arange(time_s.size), side="right") - 1
     since_s = time_s - time_s[begins[np.maximum(last, 0)]]
-    forgotten_s = min(_FORGOTTEN_S, _FORGOTTEN_SHARE * rehearsal.segment.duration_s)
+    forgotten_s = min(_FORGOTTEN_S, _FORGOTTEN_SHARE * simulator.segment.duration_s)
     usable: BoolArray = starts.settled & (last >= 0) & (since_s >= forgotten_s)
     return usable
 

@@ -180,8 +180,8 @@ def _exit_codes(results: list[LogAudit | FailedLog]) -> list[int]:
             codes.append(2)
         elif result.has_fault:
             codes.append(1)
-        elif result.untold:
-            print(f"servofd: {one_line(result.log.label)}: {one_line(result.untold)}", file=sys.stderr)
+        elif result.not_judged:
+            print(f"servofd: {one_line(result.log.label)}: {one_line(result.not_judged)}", file=sys.stderr)
             codes.append(2)
         else:
             codes.append(0)

@@ -76,7 +76,7 @@ def run_fleet(options: argparse.Namespace) -> int:
         _print_closing(seen, Path(options.pages, PAGE))
     else:
         print_overview(seen)
-    for problem in (*found.problems, *(one["reason"] for one in seen.untold)):
+    for problem in (*found.problems, *(one["reason"] for one in seen.not_judged)):
         print(f"servofd: {one_line(problem)}", file=sys.stderr)
     return worst([seen.exit_code, *(2 for _ in found.problems)])
 
@@ -136,7 +136,7 @@ def _to_do(logs: tuple[LogSource, ...], store: FleetStore | None) -> list[LogSou
             f"another version; they are in {store.folder / 'earlier'} now, and judged again",
             file=sys.stderr,
         )
-    store.forget_untold()
+    store.forget_not_judged()
     to_do = [log for log in logs if not store.done(log)]
     if len(to_do) < len(logs):
         print(f"servofd: {len(logs) - len(to_do)} of {len(logs)} logs are done already", file=sys.stderr)
@@ -168,14 +168,16 @@ def _line(judged: JudgedLog) -> str:
             for surface, entry in document["surfaces"].items()
             if entry["status"] != "healthy"
         ]
-        status = log_status({"document": document, "untold": run.untold})
+        status = log_status({"document": document, "not_judged": run.not_judged})
         lines.append(f"{status:<9}{one_line(name)}{': ' + '; '.join(bad) if bad else ''}")
     return "\n".join(lines)
 
 
 def _in_memory(judged: list[JudgedLog]) -> list[dict[str, Any]]:
     every = [
-        {"document": run.document, "untold": run.untold, "content": one.content} for one in judged for run in one.runs
+        {"document": run.document, "not_judged": run.not_judged, "content": one.content}
+        for one in judged
+        for run in one.runs
     ]
     return sorted(every, key=lambda log: (log["document"]["path"], log["document"].get("run") or ""))
 

@@ -45,7 +45,7 @@ def run(options: argparse.Namespace) -> int:
     print_overview(seen)
     for fault in seen.faults:
         print(f"{fault['path']}: {fault['surface']}: {fault['kind']} from {fault['start_s']:.1f} s")
-    for one in seen.untold:
+    for one in seen.not_judged:
         print(f"{one['path']}: {one['reason'].removeprefix(one['path'] + ': ')}")
     print(f"wrote {target}")
     return seen.exit_code

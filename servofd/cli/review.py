@@ -119,7 +119,7 @@ def _read(path: Path, options: argparse.Namespace) -> Recording:
 def _exit_code(recording: Recording) -> int:
     if recording.audit.has_fault:
         return 1
-    return 2 if recording.audit.untold else 0
+    return 2 if recording.audit.not_judged else 0
 
 
 def _show(options: argparse.Namespace, found: list[tuple[Path, Recording]], failed: list[tuple[Path, str]]) -> None:
@@ -131,8 +131,8 @@ def _show(options: argparse.Namespace, found: list[tuple[Path, Recording]], fail
     for path, recording in found:
         for sentence in contradictions(recording):
             print(f"servofd: {path}: {one_line(sentence)}", file=sys.stderr)
-        if recording.audit.untold:
-            print(f"servofd: {path}: {one_line(recording.audit.untold)}", file=sys.stderr)
+        if recording.audit.not_judged:
+            print(f"servofd: {path}: {one_line(recording.audit.not_judged)}", file=sys.stderr)
     for _, error in failed:
         print(f"servofd: {one_line(error)}", file=sys.stderr)
     text = to_json(_document(found, failed)) if options.json else ""

@@ -59,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
         print(f"servofd: {one_line(problem)}", file=sys.stderr)
     if len(seen.problems) > _SHOWN:
         print(f"servofd: and {len(seen.problems) - _SHOWN} more like these", file=sys.stderr)
-    return worst([int(seen.has_alarm), 2 if seen.untold else 0])
+    return worst([int(seen.has_alarm), 2 if seen.not_judged else 0])
 
 
 def _followed(options: argparse.Namespace) -> AircraftTrend:

@@ -21,7 +21,7 @@ _ONSET_SIGMAS = 4.5
 _QUIET_BEFORE_ONSET_S = 0.5
 _SAMPLES_FOR_NOISE = 100
 _SUSPICION_LASTS_S = 10.0
-"""The cumulative sum and the habits look back about that far."""
+"""The cumulative sum and the deviations look back about that far."""
 _MAD_TO_SIGMA = 1.4826
 _MEMORY_S = 60.0
 """How far back an onset is looked for."""

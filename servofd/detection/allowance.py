@@ -21,11 +21,11 @@ _GLITCH = 5.0
 CURVATURE_TO_SIGMA = float(np.sqrt(np.pi / 2.0 / 6.0))
 """Mean absolute second difference of white noise to its standard deviation. The median would fail on coarse steps."""
 _MEMORY_S, _EVERY_S = 10.0, 0.5
-"""How far back a servo's habits are remembered, and how often they are looked at."""
+"""How far back a servo's deviations are remembered, and how often they are looked at."""
 _SMALLEST_NOISE_DEG = 1e-3
 _RESOLUTION_TO_SIGMA = float(1.0 / np.sqrt(12.0))
 _TRIFLE = 0.1
-"""Strange habits that leave less than this share of the tolerated bias are of no interest, however sure they are."""
+"""Unusual deviations that leave less than this share of the tolerated bias are of no interest, however sure."""
 _ANYTHING = np.array([1.0, 0.1, 1.0, 10.0])
 """Deviations of gain, delay [s], bandwidth and bias [deg] that no fault exceeds by much."""
 
@@ -49,7 +49,7 @@ class Signals(NamedTuple):
 class Bounds(NamedTuple):
     """Tolerances and noise."""
 
-    habits: FloatArray
+    tolerated: FloatArray
     """Of gain, delay [s], bandwidth and bias [deg], of shape (4,)."""
     noise_deg: float
     noise_gain: float
@@ -68,9 +68,9 @@ class Work(NamedTuple):
     gram: FloatArray
     moment: FloatArray
     healthy: FloatArray
-    """Prior weights of healthy habits, per power of the noise."""
+    """Prior weights of healthy deviations, per power of the noise."""
     anything: FloatArray
-    """Those of any habits."""
+    """Those of any deviations."""
     factor: FloatArray
     solved: FloatArray
     state: FloatArray
@@ -86,8 +86,8 @@ def new_work(bounds: Bounds, modes: int) -> Work:
         peak=np.array([0.0, 0.0, 0.0, 1.0]),
         gram=np.zeros((4, 4)),
         moment=np.zeros(4),
-        # Uniform within its bounds, a habit has a third of their square as variance.
-        healthy=3.0 / np.maximum(bounds.habits, 1e-9) ** 2,
+        # Uniform within its bounds, a deviation has a third of their square as variance.
+        healthy=3.0 / np.maximum(bounds.tolerated, 1e-9) ** 2,
         anything=1.0 / _ANYTHING**2,
         factor=np.zeros((4, 4)),
         solved=np.zeros(4),
@@ -108,7 +108,7 @@ def follow(
 ) -> None:
     """Fill the last four arrays, each of shape (n,).
 
-    They are the tolerance, the rate limit's part of it, the noise of the residual, and the evidence of strange habits.
+    They are the tolerance, the rate limit's part of it, the noise of the residual, and evidence of unusual deviations.
     Call again with more samples to go on. The smallest believable noise is that of the position's resolution, which is
     the smallest change of the position so far.
     """
@@ -130,7 +130,7 @@ def follow(
             fade = 1.0 / (1.0 + step_s / _PEAK_HOLD_S)
             peak[0] = max(abs(value), fade * peak[0])
             # A difference over a step lags by half of it, and an early servo is ahead by its advance.
-            ahead = 0.5 * (1.0 + bounds.habits[1] / step_s) if step_s > 0.0 else 0.0
+            ahead = 0.5 * (1.0 + bounds.tolerated[1] / step_s) if step_s > 0.0 else 0.0
             peak[1] = max(abs(x[1]) + ahead * abs(x[1] - last_speed), fade * peak[1])
             peak[2] = max(abs(x[2]) + ahead * abs(x[2] - last_quick), fade * peak[2])
             unseen *= fade
@@ -148,16 +148,16 @@ def follow(
             before_that, before = before, signals.error_deg[k]
             last_s, last_deg = signals.time_s[k], value
             residual = signals.judged_deg[k]
-            # Neither made-up commands nor a saturated servo tell of habits, and what is beyond all tolerance is none.
-            allowed = _total(bounds.habits, peak) + peak_rate + DEFAULT_SIGMAS * bounds.noise_gain * believed
+            # Neither made-up commands nor a saturated servo show deviations; what is beyond all tolerance is none.
+            allowed = _total(bounds.tolerated, peak) + peak_rate + DEFAULT_SIGMAS * bounds.noise_gain * believed
             if abs(residual) <= allowed and unseen + peak_rate < bounds.noise_gain * believed:
                 _learn(work.gram, work.moment, x, residual, 1.0 / (1.0 + step_s / _MEMORY_S))
                 if last_s >= next_s:
-                    power = bounds.colour * max(bounds.noise_gain * believed, _TRIFLE * bounds.habits[3]) ** 2
+                    power = bounds.colour * max(bounds.noise_gain * believed, _TRIFLE * bounds.tolerated[3]) ** 2
                     odds = _explained(work, work.anything, power) - _explained(work, work.healthy, power)
                     next_s = last_s + _EVERY_S
         drift[k] = odds
-        tolerated_deg[k] = _total(bounds.habits, peak) + peak_rate + unseen
+        tolerated_deg[k] = _total(bounds.tolerated, peak) + peak_rate + unseen
         saturated_deg[k] = peak_rate + unseen
         usual = noise if seen >= _NOISE_SAMPLES else max(noise, bounds.noise_deg)
         sigma_deg[k] = bounds.noise_gain * max(usual, _RESOLUTION_TO_SIGMA * resolution if resolution < np.inf else 0.0)
@@ -194,7 +194,7 @@ def _nearer(noise: float, curvature: float, seen: float) -> float:
 
 @inlined
 def _learn(gram: FloatArray, moment: FloatArray, x: FloatArray, residual: float, keep: float) -> None:
-    """Normal equations of the residual on what habits would add, the past fading away."""
+    """Normal equations of the residual on what deviations would add, the past fading away."""
     for i in range(4):
         moment[i] = keep * moment[i] + x[i] * residual
         for j in range(i + 1):
@@ -211,7 +211,7 @@ def _total(bounds: FloatArray, peak: FloatArray) -> float:
 
 @compiled
 def _explained(work: Work, weight: FloatArray, power: float) -> float:
-    """How much of the residual habits explain, m' (G + p W)^-1 m / p of the normal equations, by Cholesky's factors."""
+    """How much of the residual they explain, m' (G + p W)^-1 m / p of the normal equations, by Cholesky's factors."""
     gram, factor, solved = work.gram, work.factor, work.solved
     total = 0.0
     for i in range(4):

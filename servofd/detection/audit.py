@@ -173,7 +173,7 @@ def audit_segment(
     if not np.isfinite(statistics.max_abs_deg):
         return verdict(status="unknown", reason="the residual is not a number: check model and units", segment=segment)
     # Whoever names a level wants to know what reaches it.
-    judgement = judge(generator, segment, residuals, surface, acquit=threshold_deg is None)
+    judgement = judge(generator, segment, residuals, surface, dismiss=threshold_deg is None)
     level, faults, suspicions = judgement.threshold, judgement.faults, judgement.suspicions
     verdict = partial(
         verdict,

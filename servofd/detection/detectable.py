@@ -151,7 +151,7 @@ class _Judge:
 
 
 def _drift_size(residuals: Residuals, threshold: Threshold, signal: FloatArray, use: BoolArray) -> float:
-    """Size from which on strange habits over ten seconds are suspicious."""
+    """Size from which on unusual deviations over ten seconds are suspicious."""
     time_s, power = residuals.time_s[use], np.nan_to_num(signal[use]) ** 2
     step_s = float(np.median(np.diff(time_s)))
     samples = max(int(_MEMORY_S / max(step_s, 1e-6)), 1)

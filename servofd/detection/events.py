@@ -74,7 +74,7 @@ class Alarm:
 
     kind: str = "unknown"
     stands: bool = True
-    acquitted: bool = False
+    dismissed: bool = False
     belongs: bool = False
     """To the alarm before it, which only seemed to be over."""
     fault: Fault | None = None

@@ -43,7 +43,7 @@ class Judgement(NamedTuple):
 
 
 def judge(
-    generator: ResidualGenerator, segment: Segment, residuals: Residuals, surface: Surface, *, acquit: bool = True
+    generator: ResidualGenerator, segment: Segment, residuals: Residuals, surface: Surface, *, dismiss: bool = True
 ) -> Judgement:
     """Compare the residual with its threshold, and name each alarm.
 
@@ -57,14 +57,14 @@ def judge(
         What the generator makes of the segment.
     surface : Surface
         Its threshold, persistence and tolerances.
-    acquit : bool
+    dismiss : bool
         Whether an alarm that the tolerances of a working servo explain is only a suspicion.
     """
     threshold = interval_threshold(generator, segment, residuals, surface.tolerances, surface.threshold_sigmas)
     if surface.threshold == "constant":
         threshold = constant_threshold(threshold, surface.threshold_deg)
     commands = commands_at_servo(segment, generator.model.plan.delay_s, generator.longest_gap_s(segment))
-    return judge_evaluated(generator, surface, residuals, threshold, None, commands, acquit=acquit)
+    return judge_evaluated(generator, surface, residuals, threshold, None, commands, dismiss=dismiss)
 
 
 def judge_evaluated(
@@ -75,7 +75,7 @@ def judge_evaluated(
     suspicious: BoolArray | None,
     commands: Commands,
     *,
-    acquit: bool = True,
+    dismiss: bool = True,
 ) -> Judgement:
     """Name each alarm of a flight whose threshold is known, and whose suspicious samples may be.
 
@@ -96,7 +96,7 @@ def judge_evaluated(
     sigma_deg = float(np.median(threshold.sigma_deg))
     flight = Flight(generator, surface.tolerances, noise, sigma_deg, residuals, commands)
     named = joined(flight, (fault for episode in episodes for fault in _named(flight, episode, threshold)))
-    if not acquit:
+    if not dismiss:
         named = tuple(_held(fault) for fault in named)
     faults = tuple(fault for fault in named if fault.level == "fault" and fault.kind != "healthy")
     return Judgement(threshold, faults, tuple(fault for fault in named if fault not in faults), unnamed)
@@ -148,5 +148,5 @@ def _named(flight: Flight, episode: Episode, threshold: Threshold) -> tuple[Faul
 
 def _held(fault: Fault) -> Fault:
     """An alarm remains an alarm, even if a healthy servo could have raised it; what it is, is not known then."""
-    acquitted = fault.level == "fault" and fault.kind == "healthy"
-    return replace(fault, kind="unknown", probability=1.0 - fault.probability) if acquitted else fault
+    dismissed = fault.level == "fault" and fault.kind == "healthy"
+    return replace(fault, kind="unknown", probability=1.0 - fault.probability) if dismissed else fault

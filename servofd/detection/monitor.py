@@ -228,13 +228,13 @@ class SurfaceMonitor:
     def faults(self) -> tuple[Fault, ...]:
         """What was found so far, in order of time; each as the last look at it told."""
         known = {**self._earlier}
-        known.update({at_s: a.fault for at_s, a in self._alarms.items() if a.fault is not None and not a.acquitted})
+        known.update({at_s: a.fault for at_s, a in self._alarms.items() if a.fault is not None and not a.dismissed})
         return tuple(known[at_s] for at_s in sorted(known))
 
     @property
     def has_fault(self) -> bool:
         """Whether any alarm was raised that the tolerances of a working servo do not explain."""
-        return any(not alarm.acquitted for alarm in self._alarms.values())
+        return any(not alarm.dismissed for alarm in self._alarms.values())
 
     def excuse(self, gap_s: float, until_s: float) -> None:
         """Nothing of the vehicle was heard for so long, until then [s]: that is no silence of this surface alone."""
@@ -297,7 +297,7 @@ class SurfaceMonitor:
         events = []
         for fault in faults:
             alarm = self._alarms.get(fault.alarm_s)
-            if alarm is None or alarm.acquitted:
+            if alarm is None or alarm.dismissed:
                 alarm = self._alarms[fault.alarm_s] = Alarm(fault.kind, stands=fault.end_s is None)
                 events.append(self._event(look, look.at_s, "alarm", fault.kind, fault))
             elif alarm.stands and look.at_s - fault.alarm_s <= _NAMED_S and fault.kind != alarm.kind:
@@ -308,13 +308,13 @@ class SurfaceMonitor:
             if alarm.stands and fault.end_s is not None:
                 alarm.stands = False
                 events.append(self._event(look, look.at_s, "clear", fault.kind, fault))
-        cleared = self._acquitted(look, sorted((*faults, *suspicions), key=lambda fault: fault.alarm_s))
+        cleared = self._dismissed(look, sorted((*faults, *suspicions), key=lambda fault: fault.alarm_s))
         if problem:
             cleared = [at_s for at_s in self._alarms if at_s >= look.residuals.time_s[0]]
         for at_s in cleared:
             alarm = self._alarms.get(at_s)
-            if alarm is not None and not alarm.acquitted:
-                stood, alarm.acquitted, alarm.stands, alarm.fault = alarm.stands, True, False, None
+            if alarm is not None and not alarm.dismissed:
+                stood, alarm.dismissed, alarm.stands, alarm.fault = alarm.stands, True, False, None
                 alarm.kind = "unknown" if problem else "healthy"
                 text = problem or "the tolerances of a working servo explain it"
                 if stood:
@@ -324,7 +324,7 @@ class SurfaceMonitor:
             self._stream.again()
         return events
 
-    def _acquitted(self, look: Look, found: list[Fault]) -> list[float]:
+    def _dismissed(self, look: Look, found: list[Fault]) -> list[float]:
         """Alarms that a working servo explains; those that belong to an earlier one are no faults of their own."""
         healthy = []
         for at_s, alarm in self._alarms.items():

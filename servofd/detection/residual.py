@@ -287,7 +287,7 @@ def go_on(
     for begin, end in zip(begins, np.append(begins[1:], at_s.size), strict=False):
         last = max(int(np.searchsorted(commands.effective_s, at_s[end - 1], side="right")), int(cursor[0]))
         span = slice(int(cursor[0]), last)
-        motion.hear(commands.effective_s[span], commands.command_deg[span], commands.slope_deg_s[span])
+        motion.receive(commands.effective_s[span], commands.command_deg[span], commands.slope_deg_s[span])
         cursor[0] = last
         if restart[begin] == RESTART_ALL:
             motion.rest(float(at_s[begin]), float(measured_deg[begin]))

@@ -91,7 +91,7 @@ class Evaluation(NamedTuple):
 
         pulse = design_pulse_filter(generator.model.transfer, 0.0, period_s, generator.pole_rad_s)
         cusum = design_cusum(_KAPPA, _SUSPICIONS_PER_HOUR, Noise.designed(pulse, 1.0))
-        return cls(Bounds(habits(tolerance), tolerance.noise_deg, pulse.noise_gain, cusum.factor), cusum)
+        return cls(Bounds(tolerated_parameters(tolerance), tolerance.noise_deg, pulse.noise_gain, cusum.factor), cusum)
 
 
 def constant_threshold(interval: Threshold, level_deg: float) -> Threshold:
@@ -168,7 +168,7 @@ def interval_threshold(
 def suspicion(residuals: Residuals, threshold: Threshold, memory: FloatArray | None = None) -> BoolArray:
     """Samples, of shape (n,), at which something too small for the threshold has lasted too long for chance.
 
-    Either the cumulative sum of what exceeds the tolerance is beyond its limit, or the servo's habits of the last ten
+    Either the cumulative sum of what exceeds the tolerance is beyond its limit, or its deviations of the last ten
     seconds are not those of a healthy one. The memory is that of `cusum`, for piece after piece.
     """
     from servofd.detection.probability import cusum
@@ -227,7 +227,7 @@ def loose_deg(
     return loose / abs(generator.model.transfer.dc_gain)
 
 
-def habits(tolerance: Tolerance) -> FloatArray:
+def tolerated_parameters(tolerance: Tolerance) -> FloatArray:
     """Largest relative changes of gain, delay [s], lags and bias [deg] that the tolerances allow, of shape (4,).
 
     A bandwidth lower by a share lengthens all lags by more than that share.
@@ -235,7 +235,7 @@ def habits(tolerance: Tolerance) -> FloatArray:
     Examples
     --------
     >>> from servofd.tolerance import Tolerance
-    >>> habits(Tolerance(bandwidth=0.5)).tolist()
+    >>> tolerated_parameters(Tolerance(bandwidth=0.5)).tolist()
     [0.03, 0.003, 1.0, 0.3]
     """
     lags = tolerance.bandwidth / (1.0 - tolerance.bandwidth)

@@ -77,7 +77,7 @@ class LogAudit:
         return tuple(s for s in self.surfaces if s.expected and not s.is_judged)
 
     @property
-    def untold(self) -> str:
+    def not_judged(self) -> str:
         """Why there is no verdict on the log as a whole, in one line; empty if there is one.
 
         Axes that could not be judged matter where no surface was: feedback tells more than motion.

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from servofd.detection.contradiction import resting_runs, resting_width_deg
-from servofd.detection.rehearsal import Rehearsal
 from servofd.detection.residual import ResidualGenerator
 from servofd.detection.resolution import step_deg
+from servofd.detection.simulator import Simulator
 from servofd.evidence import ModelOrigin
 from servofd.models.effects import Delay, LinearDynamics, RateLimit
 from servofd.models.servo_model import ServoModel
@@ -112,8 +112,8 @@ def fit_roughly(segment: Segment, *, free_scale: bool) -> RoughFit:
     (True, True, 0.8)
     """
     part = _busy_blocks(segment)
-    rehearsal = _rehearsal(part)
-    moving = _moving_rows(rehearsal) & ~_jammed_rows(rehearsal)
+    simulator = _simulator(part)
+    moving = _moving_rows(simulator) & ~_jammed_rows(simulator)
     rows = np.flatnonzero(moving)
     if rows.size < _FEWEST_ROWS:
         return RoughFit()
@@ -122,7 +122,7 @@ def fit_roughly(segment: Segment, *, free_scale: bool) -> RoughFit:
     held_out[rows[block % 2 == 1]] = True
 
     def judged(fit: RoughFit, rows: BoolArray) -> RoughFit:
-        return _judged(fit, rehearsal, rows, free_scale=free_scale)
+        return _judged(fit, simulator, rows, free_scale=free_scale)
 
     train = partial(judged, rows=moving & ~held_out)
     coarse = [train(RoughFit(*shape)) for shape in itertools.product(_BANDWIDTHS_HZ, _DAMPINGS, _DELAYS_S)]
@@ -131,24 +131,24 @@ def fit_roughly(segment: Segment, *, free_scale: bool) -> RoughFit:
     if limited.error_deg < _WORTH_A_LIMIT * found.error_deg:
         found = _refined(limited, train)
     everything = partial(judged, rows=moving)
-    origin = _origin(found, rehearsal, held_out, block[block % 2 == 1] // 2)
+    origin = _origin(found, simulator, held_out, block[block % 2 == 1] // 2)
     best = replace(_refined(everything(found), everything), origin=origin)
-    return _centred(best, rehearsal) if free_scale else best
+    return _centred(best, simulator) if free_scale else best
 
 
-def _centred(fit: RoughFit, rehearsal: Rehearsal) -> RoughFit:
+def _centred(fit: RoughFit, simulator: Simulator) -> RoughFit:
     """Same fit with the offset that it has all the time, not in motion alone."""
-    measured, simulated = rehearsal.starts.measured_deg, rehearsal.simulated_deg(fit.model)
-    rows = rehearsal.starts.settled & ~_jammed_rows(rehearsal)
+    measured, simulated = simulator.starts.measured_deg, simulator.simulated_deg(fit.model)
+    rows = simulator.starts.settled & ~_jammed_rows(simulator)
     return replace(fit, bias_deg=float(np.median((measured - fit.gain * simulated)[rows])))
 
 
-def _origin(fit: RoughFit, rehearsal: Rehearsal, held_out: BoolArray, block: IntArray) -> ModelOrigin:
+def _origin(fit: RoughFit, simulator: Simulator, held_out: BoolArray, block: IntArray) -> ModelOrigin:
     """How well a model predicts rows that it was not fitted to, in the blocks that it predicts at all."""
     if not np.isfinite(fit.error_deg):
         return _NO_MODEL
-    measured = rehearsal.starts.measured_deg[held_out]
-    error = measured - fit.gain * rehearsal.simulated_deg(fit.model)[held_out] - fit.bias_deg
+    measured = simulator.starts.measured_deg[held_out]
+    error = measured - fit.gain * simulator.simulated_deg(fit.model)[held_out] - fit.bias_deg
     rms_deg = np.sqrt(np.bincount(block, error**2) / np.bincount(block))
     predicted = (rms_deg <= max(_PREDICTED * float(np.percentile(rms_deg, 25.0)), fit.error_deg))[block]
     power = float(np.mean(error[predicted] ** 2))
@@ -219,15 +219,15 @@ def _busy_blocks(segment: Segment) -> Segment:
     )
 
 
-def _jammed_rows(rehearsal: Rehearsal) -> BoolArray:
+def _jammed_rows(simulator: Simulator) -> BoolArray:
     """Rows at which the surface rests although any servo would have moved."""
-    measured_deg = rehearsal.starts.measured_deg
+    measured_deg = simulator.starts.measured_deg
     rows = np.flatnonzero(np.isfinite(measured_deg))
     jammed = np.zeros(measured_deg.size, dtype=bool)
     if rows.size == 0:
         return jammed
-    position_deg, time_s = measured_deg[rows], rehearsal.segment.measured_s[rows]
-    asked_deg = rehearsal.simulated_deg(_ORDINARY.model)[rows]
+    position_deg, time_s = measured_deg[rows], simulator.segment.measured_s[rows]
+    asked_deg = simulator.simulated_deg(_ORDINARY.model)[rows]
     # At rest second differences are noise.
     quiet = np.abs(np.diff(position_deg, 2))
     noise = float(np.percentile(quiet, _QUIET_SHARE)) if quiet.size else 0.0
@@ -240,21 +240,21 @@ def _jammed_rows(rehearsal: Rehearsal) -> BoolArray:
     return jammed
 
 
-def _rehearsal(segment: Segment) -> Rehearsal:
-    return Rehearsal.of(ResidualGenerator(_ORDINARY.model, _POLE_RAD_S), segment)
+def _simulator(segment: Segment) -> Simulator:
+    return Simulator.of(ResidualGenerator(_ORDINARY.model, _POLE_RAD_S), segment)
 
 
-def _moving_rows(rehearsal: Rehearsal) -> BoolArray:
+def _moving_rows(simulator: Simulator) -> BoolArray:
     """Rows with a position during which any ordinary servo would be moving."""
-    ordinary_deg = rehearsal.simulated_deg(_ORDINARY.model)
-    rate_deg_s = np.abs(np.gradient(ordinary_deg, rehearsal.segment.measured_s))
-    moving: BoolArray = rehearsal.starts.settled & (rate_deg_s > _SLOWEST_SHARE * np.percentile(rate_deg_s, 99.0))
+    ordinary_deg = simulator.simulated_deg(_ORDINARY.model)
+    rate_deg_s = np.abs(np.gradient(ordinary_deg, simulator.segment.measured_s))
+    moving: BoolArray = simulator.starts.settled & (rate_deg_s > _SLOWEST_SHARE * np.percentile(rate_deg_s, 99.0))
     return moving
 
 
-def _judged(fit: RoughFit, rehearsal: Rehearsal, moving: BoolArray, *, free_scale: bool) -> RoughFit:
+def _judged(fit: RoughFit, simulator: Simulator, moving: BoolArray, *, free_scale: bool) -> RoughFit:
     """Same fit with its scale, if that is free, and its error."""
-    simulated, measured = rehearsal.simulated_deg(fit.model)[moving], rehearsal.starts.measured_deg[moving]
+    simulated, measured = simulator.simulated_deg(fit.model)[moving], simulator.starts.measured_deg[moving]
     gain, bias_deg = _line(simulated, measured) if free_scale else (1.0, 0.0)
     error = measured - gain * simulated - bias_deg
     # Cauchy's cost: quadratic for errors of a working servo, nearly flat for those of a jammed one.

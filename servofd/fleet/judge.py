@@ -26,7 +26,7 @@ class RunVerdict:
     """One run of a log, as JSON shows it (an entry of ``logs`` in servofd.audit/1)."""
 
     document: dict[str, Any]
-    untold: str
+    not_judged: str
     """Why there is no verdict on it as a whole; empty if there is one."""
 
     @property
@@ -54,7 +54,7 @@ def judge_log(source: LogSource, job: Job) -> JudgedLog:
     --------
     >>> from servofd.fleet.find import LogSource
     >>> from servofd.fleet.key import Job
-    >>> judge_log(LogSource("no_such.csv", 0), Job()).runs[0].untold[:24]
+    >>> judge_log(LogSource("no_such.csv", 0), Job()).runs[0].not_judged[:24]
     'no_such.csv: no such fil'
     """
     try:
@@ -72,10 +72,10 @@ def judge_log(source: LogSource, job: Job) -> JudgedLog:
 
 def failed(source: LogSource, reason: str, content: str = "") -> JudgedLog:
     """Result of a log that could not be judged at all."""
-    return JudgedLog(source, content, (_untold(source.path, reason),))
+    return JudgedLog(source, content, (_not_judged(source.path, reason),))
 
 
-def _untold(path: str, reason: str, log: FlightLog | None = None) -> RunVerdict:
+def _not_judged(path: str, reason: str, log: FlightLog | None = None) -> RunVerdict:
     return RunVerdict(audit_document([FailedLog(path, reason, log)])["logs"][0], reason)
 
 
@@ -100,13 +100,13 @@ def _verdicts(local: str, path: str, job: Job, seen: list[LogAudit]) -> Iterator
                 seen.append(result)
             yield _verdict(result, local, path)
     except (LogError, ServofdError) as error:
-        yield _untold(path, str(error).replace(local, path), getattr(error, "log", None))
+        yield _not_judged(path, str(error).replace(local, path), getattr(error, "log", None))
     except MemoryError:
-        yield _untold(path, f"{path}: does not fit into the memory of the process that read it")
+        yield _not_judged(path, f"{path}: does not fit into the memory of the process that read it")
 
 
 def _verdict(result: LogAudit, local: str, path: str) -> RunVerdict:
     document = audit_document([result])["logs"][0]
     document["path"] = path
-    untold = result.untold
-    return RunVerdict(document, f"{result.log.label.replace(local, path)}: {untold}" if untold else "")
+    not_judged = result.not_judged
+    return RunVerdict(document, f"{result.log.label.replace(local, path)}: {not_judged}" if not_judged else "")

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 _WORST_FIRST = ("fault", "suspect", "healthy", "unknown", "no_data")
-_RANK = ("fault", "suspect", "untold", "unknown", "no_data", "healthy")
+_RANK = ("fault", "suspect", "not_judged", "unknown", "no_data", "healthy")
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,11 +42,11 @@ class Overview:
     logs: int
     hours: float
     statuses: dict[str, int]
-    """Worst status of a log to number of logs; ``untold`` where there is no verdict on the log as a whole."""
+    """Worst status of a log to number of logs; ``not_judged`` where there is no verdict on the log as a whole."""
     surfaces: tuple[SurfaceCount, ...]
     faults: tuple[dict[str, Any], ...]
     """One for each fault: path, run, surface, and what servofd.audit/1 says of it."""
-    untold: tuple[dict[str, Any], ...]
+    not_judged: tuple[dict[str, Any], ...]
     """Path, run and reason of each log without a verdict."""
     flights: tuple[dict[str, Any], ...]
     """One for each log, the worst first: path, run, start, duration, status, sentence, page, and the outline of the
@@ -59,7 +59,7 @@ class Overview:
         """1 if there is any fault, else 2 if any log was not cleared, else 0."""
         if self.statuses.get("fault"):
             return 1
-        return 2 if self.untold or not self.logs else 0
+        return 2 if self.not_judged or not self.logs else 0
 
     def document(self) -> dict[str, Any]:
         """As plain dictionaries and lists, schema servofd.fleet/1."""
@@ -72,7 +72,7 @@ def overview(logs: Sequence[dict[str, Any]]) -> Overview:
     Parameters
     ----------
     logs : sequence of dict
-        Rows of the table ``logs`` with their ``document`` as an entry of servofd.audit/1, and ``untold``.
+        Rows of the table ``logs`` with their ``document`` as an entry of servofd.audit/1, and ``not_judged``.
     """
     ordered = sorted(logs, key=_place)
     every = [(log, name, entry) for log in ordered for name, entry in log["document"]["surfaces"].items()]
@@ -84,7 +84,7 @@ def overview(logs: Sequence[dict[str, Any]]) -> Overview:
         faults=tuple(
             _where(log) | {"surface": name} | fault for log, name, entry in every for fault in entry["faults"]
         ),
-        untold=tuple(_where(log) | {"reason": log["untold"]} for log in ordered if log["untold"]),
+        not_judged=tuple(_where(log) | {"reason": log["not_judged"]} for log in ordered if log["not_judged"]),
         flights=tuple(sorted(map(_flight, ordered), key=lambda flight: _RANK.index(flight["status"]))),
         residuals=tuple(
             _where(log) | {"surface": name, "status": entry["status"], "share": _share(entry)}
@@ -94,11 +94,11 @@ def overview(logs: Sequence[dict[str, Any]]) -> Overview:
 
 
 def log_status(log: dict[str, Any]) -> str:
-    """Worst status of a log's surfaces; ``untold`` where there is no verdict on it as a whole."""
+    """Worst status of a log's surfaces; ``not_judged`` where there is no verdict on it as a whole."""
     statuses = {entry["status"] for entry in log["document"]["surfaces"].values()}
-    if log["untold"] and "suspect" not in statuses:
-        return "untold"
-    return next((status for status in _WORST_FIRST if status in statuses), "untold")
+    if log["not_judged"] and "suspect" not in statuses:
+        return "not_judged"
+    return next((status for status in _WORST_FIRST if status in statuses), "not_judged")
 
 
 def _place(log: dict[str, Any]) -> tuple[str, str, str]:

@@ -61,7 +61,7 @@ class FleetStore:
     def _read_what_is_done(self) -> None:
         self._waiting: dict[str, list[dict[str, Any]]] = {name: [] for name in TABLES}
         self._sizes: dict[int, set[str]] = {}
-        for row in read_table(self.folder, "logs", ["content", "size_bytes", "untold"]):
+        for row in read_table(self.folder, "logs", ["content", "size_bytes", "not_judged"]):
             if row["content"]:
                 self._sizes.setdefault(row["size_bytes"], set()).add(row["content"])
 
@@ -116,7 +116,7 @@ class FleetStore:
                 pq.write_table(to_arrow(name, content), temporary, write_page_checksum=True)
         self._waiting = {name: [] for name in TABLES}
 
-    def forget_untold(self) -> None:
+    def forget_not_judged(self) -> None:
         """Take out the rows of logs that are tried again."""
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -159,14 +159,18 @@ def _damaged(path: Path, error: Exception) -> ConfigError:
 
 
 def read_logs(folder: Path) -> list[dict[str, Any]]:
-    """All logs of a folder of results, by path and run: ``document`` as in servofd.audit/1, and ``untold``."""
+    """All logs of a folder of results, by path and run: ``document`` as in servofd.audit/1, and ``not_judged``."""
     meta = folder / META_FILE
     if not meta.is_file():
         raise ConfigError(f"{folder}: no results of many logs; make them with servofd audit LOGS/ -o {folder}")
     _read_meta(meta)
     logs = [
-        {"document": json.loads(row["document"]), "untold": row["untold"] or "", "content": row["content"] or ""}
-        for row in read_table(folder, "logs", ["document", "untold", "content"])
+        {
+            "document": json.loads(row["document"]),
+            "not_judged": row["not_judged"] or "",
+            "content": row["content"] or "",
+        }
+        for row in read_table(folder, "logs", ["document", "not_judged", "content"])
     ]
     return sorted(logs, key=lambda log: (log["document"]["path"], log["document"].get("run") or ""))
 

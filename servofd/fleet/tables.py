@@ -51,7 +51,7 @@ TABLES: Mapping[str, Mapping[str, str]] = MappingProxyType(
             "size_bytes": "int64",
             "format": "string",
             "duration_s": "double",
-            "untold": "string",
+            "not_judged": "string",
             "damage": "int64",
             "document": "string",
         },
@@ -67,7 +67,7 @@ def rows(judged: JudgedLog) -> dict[str, list[dict[str, Any]]]:
     --------
     >>> from servofd.fleet.find import LogSource
     >>> from servofd.fleet.judge import failed
-    >>> rows(failed(LogSource("a.csv", 0), "a.csv: no such file"))["logs"][0]["untold"]
+    >>> rows(failed(LogSource("a.csv", 0), "a.csv: no such file"))["logs"][0]["not_judged"]
     'a.csv: no such file'
     """
     tables: dict[str, list[dict[str, Any]]] = {name: [] for name in TABLES}
@@ -86,7 +86,7 @@ def rows(judged: JudgedLog) -> dict[str, list[dict[str, Any]]]:
                 "size_bytes": judged.source.size_bytes,
                 "format": document["format"],
                 "duration_s": document["duration_s"],
-                "untold": run.untold or None,
+                "not_judged": run.not_judged or None,
                 "damage": len(document["damage"]),
                 "document": json.dumps(document),
             }

@@ -104,11 +104,11 @@ class ExtendedMotion:
     >>> servo = ExtendedServo(plant, Physics(backlash_deg=1.0))
     >>> t = np.arange(0.0, 1.0, 0.01)
     >>> whole, pieces = ExtendedMotion(servo, 0.0), ExtendedMotion(servo, 0.0)
-    >>> whole.hear(t, 5.0 * t, 0.0 * t)
+    >>> whole.receive(t, 5.0 * t, 0.0 * t)
     >>> at_once = whole.at(t)
     >>> by_sample = []
     >>> for k in range(t.size):
-    ...     pieces.hear(t[k : k + 1], 5.0 * t[k : k + 1], np.zeros(1))
+    ...     pieces.receive(t[k : k + 1], 5.0 * t[k : k + 1], np.zeros(1))
     ...     by_sample += pieces.at(t[k : k + 1]).tolist()
     >>> bool(np.abs(at_once - by_sample).max() < 1e-12)
     True
@@ -124,7 +124,7 @@ class ExtendedMotion:
         self._in_force = np.zeros((3, 0))
         self._next_frame: int | None = None
 
-    def hear(self, effective_s: FloatArray, command_deg: FloatArray, slope_deg_s: FloatArray) -> None:
+    def receive(self, effective_s: FloatArray, command_deg: FloatArray, slope_deg_s: FloatArray) -> None:
         """Commands to come, shape (n,): when they reach the servo [s], what they ask for, and their slope."""
         step_deg = self.servo.physics.command_step_deg
         if step_deg > 0.0:
@@ -133,7 +133,7 @@ class ExtendedMotion:
 
     def at(self, at_s: FloatArray) -> FloatArray:
         """Measured position at the next instants [deg], shape (m,); rising, and not before the last of them."""
-        from servofd.models.position_loop import heard, new_memory, run
+        from servofd.models.position_loop import new_memory, received, run
 
         servo, physics = self.servo, self.servo.physics
         if at_s.size == 0:
@@ -160,7 +160,7 @@ class ExtendedMotion:
         if physics.deg_per_a != 0.0:
             position_deg = position_deg + physics.deg_per_a * self.context.drawn_a(at_s)
         if physics.frame_s <= 0.0:
-            done = heard(self._memory)
+            done = received(self._memory)
             self._in_force = self._waiting[:, :done][:, -1:] if done else self._in_force
             self._waiting = self._waiting[:, done:]
         return position_deg
@@ -184,8 +184,8 @@ class ExtendedMotion:
             return self._start_deg
         if self._waiting.shape[1] == 0:
             return 0.0
-        heard = int(np.searchsorted(self._waiting[0], now_s, side="right"))
-        wanted_deg = float(self._waiting[1, max(heard - 1, 0)])
+        received = int(np.searchsorted(self._waiting[0], now_s, side="right"))
+        wanted_deg = float(self._waiting[1, max(received - 1, 0)])
         physics = self.servo.physics
         return physics.gain * self.servo.plant.dc_gain * wanted_deg + physics.bias_deg
 

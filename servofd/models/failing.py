@@ -1,6 +1,6 @@
 """A servo in which things fail for a while: what a fault may change, and how the servo moves from fault to fault.
 
-A fault acts on a servo in at most three places, and each has one small method: what the servo **hears** of its
+A fault acts on a servo in at most three places, and each has one small method: what the servo **receives** of its
 command (dead band, offset), what the servo **has become** (slower), and how the surface **moves** in place of what
 the servo does (jammed, blown by the wind). One simulation runs through the whole flight, so that position and
 motion pass from interval to interval; where a surface was moved by something else than its servo, the servo goes on
@@ -57,7 +57,7 @@ class Fault:
                 f"{self.kind}: end_s must be later than its start at {self.start_s:g} s, not {self.end_s}"
             )
 
-    def heard(self, command_deg: FloatArray, before_deg: float) -> FloatArray:  # noqa: ARG002 - other faults use it
+    def received(self, command_deg: FloatArray, before_deg: float) -> FloatArray:  # noqa: ARG002 - other faults use it
         """What the servo makes of the commands given during the fault [deg], shape (k,), after `before_deg`."""
         return command_deg
 
@@ -133,7 +133,7 @@ def failing_deflection(
     faults = in_order(faults)
     command_s, command_deg, at_s = (np.asarray(values, dtype=float) for values in (command_s, command_deg, at_s))
     for fault in faults:
-        command_s, command_deg = _heard(fault, command_s, command_deg)
+        command_s, command_deg = _received(fault, command_s, command_deg)
     motion = model.motion(command_s, command_deg, context)
     deflection_deg = np.empty(at_s.size)
     done = 0
@@ -162,14 +162,14 @@ def _during(fault: Fault, motion: Motion | ExtendedMotion, at_s: FloatArray, *, 
     return moved_deg[1 : at_s.size + 1]
 
 
-def _heard(fault: Fault, command_s: FloatArray, command_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Commands as the servo hears them; the one in force when the fault comes or goes is heard anew."""
+def _received(fault: Fault, command_s: FloatArray, command_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Commands as the servo receives them; the one in force when the fault comes or goes is received anew."""
     for cut_s in (fault.start_s, fault.end_s):
         k = int(np.searchsorted(command_s, cut_s))
         if k > 0 and math.isfinite(cut_s) and cut_s not in command_s[k : k + 1]:
             command_s = np.insert(command_s, k, cut_s)
             command_deg = np.insert(command_deg, k, command_deg[k - 1])
     first, last = np.searchsorted(command_s, (fault.start_s, fault.end_s))
-    heard_deg = command_deg.copy()
-    heard_deg[first:last] = fault.heard(command_deg[first:last], float(command_deg[max(first - 1, 0)]))
-    return command_s, heard_deg
+    received_deg = command_deg.copy()
+    received_deg[first:last] = fault.received(command_deg[first:last], float(command_deg[max(first - 1, 0)]))
+    return command_s, received_deg

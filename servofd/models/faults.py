@@ -48,7 +48,7 @@ class Stuck(Fault):
     kind: ClassVar[str] = "stuck"
     position_deg: float | None = None
 
-    def heard(self, command_deg: FloatArray, before_deg: float) -> FloatArray:  # noqa: ARG002
+    def received(self, command_deg: FloatArray, before_deg: float) -> FloatArray:  # noqa: ARG002
         """The position it goes to, if one is given."""
         return command_deg if self.position_deg is None else np.full(command_deg.size, self.position_deg)
 
@@ -63,14 +63,14 @@ class Bias(Fault):
 
     Examples
     --------
-    >>> Bias(1.0, bias_deg=-2.0).heard(np.array([0.0, 5.0]), 0.0)
+    >>> Bias(1.0, bias_deg=-2.0).received(np.array([0.0, 5.0]), 0.0)
     array([-2.,  3.])
     """
 
     kind: ClassVar[str] = "bias"
     bias_deg: float = 2.0
 
-    def heard(self, command_deg: FloatArray, before_deg: float) -> FloatArray:  # noqa: ARG002
+    def received(self, command_deg: FloatArray, before_deg: float) -> FloatArray:  # noqa: ARG002
         """The command and the offset."""
         return command_deg + self.bias_deg
 
@@ -181,7 +181,7 @@ class DeadBand(Fault):
 
     Examples
     --------
-    >>> DeadBand(0.0, width_deg=2.0).heard(np.array([0.5, 3.0, 2.5]), 0.0)
+    >>> DeadBand(0.0, width_deg=2.0).received(np.array([0.5, 3.0, 2.5]), 0.0)
     array([0., 2., 2.])
     """
 
@@ -189,7 +189,7 @@ class DeadBand(Fault):
     positive: ClassVar[tuple[str, ...]] = ("width_deg",)
     width_deg: float = 3.0
 
-    def heard(self, command_deg: FloatArray, before_deg: float) -> FloatArray:
+    def received(self, command_deg: FloatArray, before_deg: float) -> FloatArray:
         """The command through a dead zone."""
         return play(command_deg, self.width_deg, before_deg)
 
@@ -241,7 +241,7 @@ class LossOfEffectiveness(Fault):
 
     Examples
     --------
-    >>> LossOfEffectiveness(0.0, gain=0.5).heard(np.array([4.0, -2.0]), 0.0)
+    >>> LossOfEffectiveness(0.0, gain=0.5).received(np.array([4.0, -2.0]), 0.0)
     array([ 2., -1.])
     """
 
@@ -253,7 +253,7 @@ class LossOfEffectiveness(Fault):
         if not 0.0 <= self.gain < 1.0:
             raise ConfigError(f"loss_of_effectiveness: gain must be at least 0 and below 1, not {self.gain}")
 
-    def heard(self, command_deg: FloatArray, before_deg: float) -> FloatArray:  # noqa: ARG002
+    def received(self, command_deg: FloatArray, before_deg: float) -> FloatArray:  # noqa: ARG002
         """A part of the command."""
         return self.gain * command_deg
 

@@ -61,7 +61,7 @@ def new_memory(start_deg: float) -> FloatArray:
     return memory
 
 
-def heard(memory: FloatArray) -> int:
+def received(memory: FloatArray) -> int:
     """How many of the commands of the last run have taken effect."""
     return int(memory[_CURSOR])
 

@@ -94,7 +94,7 @@ class ServoModel:
         physics = self.plan.physics
         if physics is None:
             return None
-        # Frames begin when they begin, and are heard a delay later.
+        # Frames begin when they begin, and are received a delay later.
         phase = physics.frame_phase + (physics.delay_s / physics.frame_s if physics.frame_s > 0.0 else 0.0)
         return ExtendedServo(Plant(self.transfer, Physics()), physics._replace(delay_s=0.0, frame_phase=phase), context)
 
@@ -172,7 +172,7 @@ class ServoModel:
             motion = Motion(self.parameters(), effective_s, command_deg)
         else:
             motion = ExtendedMotion(extended)
-            motion.hear(effective_s, command_deg, np.zeros(command_s.size))
+            motion.receive(effective_s, command_deg, np.zeros(command_s.size))
         if command_s.size:
             motion.rest(float(command_s[0]))
         return motion

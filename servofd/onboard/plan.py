@@ -260,7 +260,7 @@ def _planned(aircraft: Aircraft, name: str, short: str, period_s: float) -> Onbo
     weak = (1.0 - surface.tolerances.rate) * min(limit)
     scale, offset_deg = _straight(surface)
     width_deg = sum(share * getattr(physics, field) for field, share in _WIDTHS.items())
-    habits = [float(value) for value in evaluation.bounds.habits]
+    tolerated = [float(value) for value in evaluation.bounds.tolerated]
     return OnboardSurface(
         name=short,
         surface=name,
@@ -278,7 +278,7 @@ def _planned(aircraft: Aircraft, name: str, short: str, period_s: float) -> Onbo
         filter_pole_rad_s=generator.pole_rad_s,
         longest_gap_s=generator.longest_gap_s_at(period_s),
         threshold_deg=surface.threshold_deg + width_deg if surface.threshold == "constant" else None,
-        tolerances=(habits[0], habits[1], habits[2], habits[3] + width_deg),
+        tolerances=(tolerated[0], tolerated[1], tolerated[2], tolerated[3] + width_deg),
         noise_deg=max(surface.tolerances.noise_deg, 1e-3),
         noise_gain=float(evaluation.bounds.noise_gain),
         sigmas=surface.threshold_sigmas,

@@ -129,7 +129,7 @@ def _surface(aircraft: Aircraft, surface: SurfaceAudit, anchor: str) -> dict[str
         "anchor": anchor,
         "status": surface.status,
         "found": surface.status in _RANK,
-        "untold": not surface.is_judged,
+        "not_judged": not surface.is_judged,
         "reason": f"{surface.reason[:1].upper()}{surface.reason[1:]}.",
         "line": _line(surface),
         "next": next_step(surface),

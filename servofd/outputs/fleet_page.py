@@ -16,7 +16,7 @@ _MOST_FLIGHTS = 2000
 _TALLEST, _AT_THRESHOLD = 24, 12
 """Of a thumbnail: units of its height, and how high the threshold stands; what is twice as large is cut."""
 _STATUSES = ("healthy", "suspect", "fault")
-_OF_PAGE = {"untold": "unknown"}
+_OF_PAGE = {"not_judged": "unknown"}
 
 
 def fleet_page(document: dict[str, Any], pages: frozenset[str] = frozenset()) -> str:
@@ -37,7 +37,7 @@ def fleet_page(document: dict[str, Any], pages: frozenset[str] = frozenset()) ->
     >>> "No log was judged." in fleet_page(overview([]).document())
     True
     """
-    faults, untold, flights = document["faults"], document["untold"], document["flights"]
+    faults, not_judged, flights = document["faults"], document["not_judged"], document["flights"]
     known = {flight["status"] for flight in flights}
     return page(
         "fleet.html",
@@ -49,24 +49,24 @@ def fleet_page(document: dict[str, Any], pages: frozenset[str] = frozenset()) ->
         surfaces=[_surface(surface) for surface in document["surfaces"]],
         faults=[_fault(fault) for fault in faults[:_MOST_ROWS]],
         more_faults=max(0, len(faults) - _MOST_ROWS),
-        untold=[
-            (flight_name(one), one["reason"].replace(one["path"], flight_name(one))) for one in untold[:_MOST_ROWS]
+        not_judged=[
+            (flight_name(one), one["reason"].replace(one["path"], flight_name(one))) for one in not_judged[:_MOST_ROWS]
         ],
-        more_untold=max(0, len(untold) - _MOST_ROWS),
+        more_not_judged=max(0, len(not_judged) - _MOST_ROWS),
     )
 
 
 def fleet_sentence(document: dict[str, Any]) -> str:
     """What many logs come to."""
     statuses = document["statuses"]
-    told = document["logs"] - statuses.get("untold", 0)
+    told = document["logs"] - statuses.get("not_judged", 0)
     if not told:
         return "No log was judged."
     parts = [f"{statuses.get('fault', 0) or 'None'} of {told} judged logs show{'s' * (told == 1)} a fault"]
     if statuses.get("suspect"):
         parts.append(f"{statuses['suspect']} are suspect")
-    if statuses.get("untold"):
-        parts.append(f"{statuses['untold']} more could not be judged")
+    if statuses.get("not_judged"):
+        parts.append(f"{statuses['not_judged']} more could not be judged")
     return ", ".join(parts) + "."
 
 

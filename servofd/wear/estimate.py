@@ -63,7 +63,7 @@ class _Fit:
     """Errors beyond it count by their size."""
 
 
-class Told(NamedTuple):
+class ServoEstimate(NamedTuple):
     """What a flight tells of a servo, with 95 % intervals."""
 
     values: dict[str, Estimate]
@@ -76,7 +76,7 @@ class Told(NamedTuple):
     """Logarithm of how much better backlash explains the flight."""
 
 
-def estimate_flight(segment: Segment, aircraft: Aircraft, voltage_v: float | None = None) -> Told:
+def estimate_flight(segment: Segment, aircraft: Aircraft, voltage_v: float | None = None) -> ServoEstimate:
     """Estimate what `servofd.wear.records.QUANTITIES` lists, as far as the flight shows it.
 
     Parameters
@@ -90,7 +90,7 @@ def estimate_flight(segment: Segment, aircraft: Aircraft, voltage_v: float | Non
 
     Returns
     -------
-    Told
+    ServoEstimate
         What the flight shows, and why it does not show the rest.
 
     Examples
@@ -121,7 +121,7 @@ def estimate_flight(segment: Segment, aircraft: Aircraft, voltage_v: float | Non
     motion = Motion.of(busiest(Flight("", segment), _MOST_SAMPLES), prior)
     problem = _too_calm(motion)
     if problem:
-        return Told(values, {name: problem for name in QUANTITIES if name not in values}, {}, 0.0)
+        return ServoEstimate(values, {name: problem for name in QUANTITIES if name not in values}, {}, 0.0)
     dead_band = _fitted(motion, prior)
     backlash = _descended(motion, prior, dead_band.names, dead_band.vector, dead_band.scale_deg, behind=True)
     values |= _of_fit(dead_band, motion, voltage_v)
@@ -130,7 +130,7 @@ def estimate_flight(segment: Segment, aircraft: Aircraft, voltage_v: float | Non
         missing["rate_limit_deg_s"] = "never moved fast enough to show it"
     if "rate_per_volt_deg_s_v" not in values:
         missing["rate_per_volt_deg_s_v"] = missing.get("rate_limit_deg_s", "no supply voltage in the log")
-    return Told(values, missing, _of_fit(backlash, motion, voltage_v), _evidence(motion, dead_band, backlash))
+    return ServoEstimate(values, missing, _of_fit(backlash, motion, voltage_v), _evidence(motion, dead_band, backlash))
 
 
 def _evidence(motion: Motion, dead_band: _Fit, backlash: _Fit) -> float:
@@ -210,7 +210,7 @@ def _simulated(motion: Motion, servo: FlownServo, width_deg: float, *, behind: b
     """Deflection of a servo with a zone of rest, in all used rows [deg], shape (n,)."""
     if behind:
         return np.concatenate([_rested(part, width_deg) for part in motion.split(motion.simulated_deg(servo))])
-    return motion.hearing(lambda command_deg: _rested(command_deg, width_deg)).simulated_deg(servo)
+    return motion.with_commands(lambda command_deg: _rested(command_deg, width_deg)).simulated_deg(servo)
 
 
 def _rested(values_deg: FloatArray, width_deg: float) -> FloatArray:

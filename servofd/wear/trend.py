@@ -35,7 +35,7 @@ class AircraftTrend:
     surfaces: tuple[SurfaceTrend, ...]
     problems: tuple[str, ...]
     """What could not be used, and why, a line each."""
-    untold: tuple[str, ...]
+    not_judged: tuple[str, ...]
     """Logs that tell nothing at all."""
     skipped: tuple[Skipped, ...] = ()
     """Files that are no logs."""
@@ -123,8 +123,8 @@ def trend_of(
         flights = [(number, flight) for number, log in numbered for flight in log.flights if flight.surface == name]
         if flights:
             surfaces.append(follow(name, flights, Wear(AXIS_LIMITS, {})))
-    untold = (*problems, *(log.path for log in logs if not log.flights))
-    return AircraftTrend(aircraft.name, order, tuple(surfaces), tuple(reasons), untold, skipped)
+    not_judged = (*problems, *(log.path for log in logs if not log.flights))
+    return AircraftTrend(aircraft.name, order, tuple(surfaces), tuple(reasons), not_judged, skipped)
 
 
 def _wear(aircraft: Aircraft, name: str) -> Wear:

@@ -188,7 +188,7 @@ class TestToleranceByHand:
     def followed(
         immobile_deg: list[float],
         step_s: float,
-        habits: tuple[float, float, float, float],
+        parameters: tuple[float, float, float, float],
         decay_rad_s: complex = 10.0,
         **others: list[float],
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -204,7 +204,7 @@ class TestToleranceByHand:
             given.get("rate_error_deg", nothing),
             given.get("unseen_deg", nothing),
         )
-        bounds = Bounds(np.array(habits), 0.1, 2.0, 3.0)
+        bounds = Bounds(np.array(parameters), 0.1, 2.0, 3.0)
         tolerated, saturated, sigma, drift = (np.zeros(size) for _ in range(4))
         poles = np.array([decay_rad_s], dtype=complex)
         follow(signals, bounds, new_work(bounds, 1), poles, tolerated, saturated, sigma, drift)
@@ -246,7 +246,7 @@ class TestToleranceByHand:
         *_, sigma, _ = self.followed([0.0] * 4, 0.01, (0.0, 0.0, 0.0, 0.3), measured_deg=[0.0, 0.9, 0.9, 1.5])
         np.testing.assert_allclose(sigma, [0.2, 2.0 * 0.9 / 12**0.5, 2.0 * 0.9 / 12**0.5, 2.0 * 0.6 / 12**0.5])
 
-    def test_a_strange_habit_is_as_likely_as_bayes_says(self) -> None:
+    def test_an_unusual_deviation_is_as_likely_as_bayes_says(self) -> None:
         """At rest a residual of 0.35 deg can only be a bias: uniform within 0.3, or anything about 10 deg."""
         count = 52
         *_, drift = self.followed([0.0] * count, 0.01, (0.0, 0.0, 0.0, 0.3), judged_deg=[0.35] * count)

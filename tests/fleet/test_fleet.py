@@ -101,7 +101,7 @@ def test_tables_are_read_by_pandas_and_duckdb(results: Path) -> None:
     assert (fault["surface"], fault["kind"], fault["level"]) == ("rudder", "stuck", "fault")
     assert fault["start_s"] == pytest.approx(6.0, abs=0.3)
     logs_table = pd.read_parquet(results / "logs")
-    assert logs_table.untold.notna().sum() == 1
+    assert logs_table.not_judged.notna().sum() == 1
     duckdb = pytest.importorskip("duckdb")
     table = duckdb.read_parquet(f"{results}/surfaces/*.parquet")
     assert table.filter("status = 'fault'").project("surface").fetchall() == [("rudder",)]
@@ -253,7 +253,7 @@ def test_a_damaged_part_is_named(results: Path, tmp_path: Path, capsys: pytest.C
 
 def test_the_overview_counts_what_the_logs_say(results: Path, capsys: pytest.CaptureFixture[str]) -> None:
     seen = overview(read_logs(results))
-    assert (seen.logs, seen.statuses, seen.exit_code) == (6, {"untold": 1, "healthy": 4, "fault": 1}, 1)
+    assert (seen.logs, seen.statuses, seen.exit_code) == (6, {"not_judged": 1, "healthy": 4, "fault": 1}, 1)
     assert {count.surface: count.kinds for count in seen.surfaces} == {"elevator": {}, "rudder": {"stuck": 1}}
     code, out, _ = run(capsys, "fleet", results, "--json", "-")
     document = json.loads(out)

@@ -183,7 +183,7 @@ def _results(content: bytes, folder: Path) -> str:
     if zlib.crc32(content) % _SHOWN == 1:  # that of nothing is 0
         fleet_page(seen)
     with FleetStore(damaged, Job().key) as store:
-        store.forget_untold()
+        store.forget_not_judged()
         return "done" if store.done(find_logs([str(folder / "flight.csv")]).logs[0]) else "to do"
 
 

@@ -215,7 +215,7 @@ def test_a_table_without_a_row(tmp_path: Path) -> None:
     (part,) = (tmp_path / "results" / "logs").iterdir()
     parquet.write_table(parquet.read_table(part).slice(0, 0), part)
     with FleetStore(tmp_path / "results", Job().key) as store:
-        store.forget_untold()
+        store.forget_not_judged()
     assert read_table(tmp_path / "results", "logs") == []
 
 

@@ -198,8 +198,8 @@ def test_frames_in_pieces_are_frames_in_one_go() -> None:
     at_s = 5.0 + np.arange(60) / 100.0
     commands = (np.arange(5.0, 5.6, 0.04), np.random.default_rng(1).uniform(-9.0, 9.0, 15), np.zeros(15))
     whole, pieces = ExtendedMotion(servo, 1.0), ExtendedMotion(servo, 1.0)
-    whole.hear(*commands)
-    pieces.hear(*commands)
+    whole.receive(*commands)
+    pieces.receive(*commands)
     expected_deg = whole.at(at_s)
     found_deg = np.concatenate([pieces.at(at_s[k : k + 7]) for k in range(0, 60, 7)])
     assert np.ptp(expected_deg) > 5.0
@@ -214,8 +214,8 @@ def test_a_command_in_steps_is_the_nearest_of_them_and_positions_may_be_stamped_
         (Physics(offset_s=0.03), 0.03, (1.1, 4.7)),
     ):
         motion, plain = (ExtendedMotion(ExtendedServo(plant_of(KNOWN), one), 1.0) for one in (physics, Physics()))
-        motion.hear(*commands)
-        plain.hear(commands[0], np.array(deg), commands[2])
+        motion.receive(*commands)
+        plain.receive(commands[0], np.array(deg), commands[2])
         found.append(np.abs(motion.at(at_s) - plain.at(at_s - late_s)).max())
     assert found == pytest.approx([0.0, 0.0], abs=1e-12)
 
@@ -227,5 +227,5 @@ def test_the_wind_of_a_seed_is_the_same_in_every_version() -> None:
 
 def test_a_servo_with_effects_begins_where_the_latest_of_its_commands_wants_it() -> None:
     motion = ExtendedMotion(ExtendedServo(plant_of(KNOWN), Physics(backlash_deg=0.1)))
-    motion.hear(np.array([0.0, 0.5, 2.0]), np.array([6.0, 9.0, -3.0]), np.zeros(3))
+    motion.receive(np.array([0.0, 0.5, 2.0]), np.array([6.0, 9.0, -3.0]), np.zeros(3))
     assert motion.at(np.array([1.0]))[0] == pytest.approx(9.0)

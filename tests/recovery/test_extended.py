@@ -97,16 +97,16 @@ def test_a_run_in_pieces_is_the_run_in_one_go(name: str, size: dict[str, float |
     assert servo is not None
     heard_s = TIME_S + model.plan.delay_s
     whole, pieces, samples = (ExtendedMotion(servo, 1.0) for _ in range(3))
-    whole.hear(heard_s, COMMAND_DEG, np.zeros(TIME_S.size))
+    whole.receive(heard_s, COMMAND_DEG, np.zeros(TIME_S.size))
     expected = whole.at(TIME_S)
     assert np.ptp(expected) > 3.0
     cuts = [0, 1, 7, 300, 301, 555, TIME_S.size]
     by_piece, by_sample = [], []
     for first, last in pairwise(cuts):
-        pieces.hear(heard_s[first:last], COMMAND_DEG[first:last], np.zeros(last - first))
+        pieces.receive(heard_s[first:last], COMMAND_DEG[first:last], np.zeros(last - first))
         by_piece.append(pieces.at(TIME_S[first:last]))
     for k in range(TIME_S.size):
-        samples.hear(heard_s[k : k + 1], COMMAND_DEG[k : k + 1], np.zeros(1))
+        samples.receive(heard_s[k : k + 1], COMMAND_DEG[k : k + 1], np.zeros(1))
         by_sample.append(samples.at(TIME_S[k : k + 1]))
     assert np.abs(np.concatenate(by_piece) - expected).max() < 1e-12
     assert np.abs(np.concatenate(by_sample) - expected).max() < 1e-12
@@ -154,14 +154,14 @@ class TestNumbersOfAServoWithEffects:
         calm = ExtendedServo(plant_of(KNOWN), Physics(gain=0.5, bias_deg=1.0))
         for start_deg, expected_deg in ((np.nan, 0.5 * 6.0 + 1.0), (-2.0, -2.0)):
             motion = ExtendedMotion(calm, start_deg)
-            motion.hear(np.array([0.0, 0.5]), np.array([6.0, 9.0]), np.zeros(2))
+            motion.receive(np.array([0.0, 0.5]), np.array([6.0, 9.0]), np.zeros(2))
             np.testing.assert_allclose(motion.at(np.array([0.0]))[0], expected_deg, atol=1e-9)
         assert ExtendedMotion(calm).at(np.zeros(1))[0] == 0.0
 
     def test_an_output_follows_no_faster_than_its_two_rates(self) -> None:
         physics = Physics(follow_up_deg_s=100.0, follow_down_deg_s=50.0)
         motion = ExtendedMotion(ExtendedServo(plant_of(KNOWN), physics), 0.0)
-        motion.hear(np.array([0.0, 1.0]), np.array([20.0, 0.0]), np.zeros(2))
+        motion.receive(np.array([0.0, 1.0]), np.array([20.0, 0.0]), np.zeros(2))
         position_deg = motion.at(np.arange(251) / 100.0)
         rates_deg_s = np.diff(position_deg) * 100.0
         assert (rates_deg_s.max(), rates_deg_s.min()) == pytest.approx((100.0, -50.0), rel=1e-6)
@@ -170,9 +170,9 @@ class TestNumbersOfAServoWithEffects:
     def test_frames_carry_the_command_in_force_when_they_begin(self) -> None:
         """Frames at 0.1, 0.3, 0.5 s: a ramp of 10 deg/s is heard as 1, 3 and 5 deg."""
         framed = ExtendedMotion(ExtendedServo(plant_of(KNOWN), Physics(frame_s=0.2, frame_phase=0.5)), 0.0)
-        framed.hear(np.zeros(1), np.zeros(1), np.full(1, 10.0))
+        framed.receive(np.zeros(1), np.zeros(1), np.full(1, 10.0))
         held = ExtendedMotion(ExtendedServo(plant_of(KNOWN), Physics()), 0.0)
-        held.hear(np.array([0.1, 0.3, 0.5]), np.array([1.0, 3.0, 5.0]), np.zeros(3))
+        held.receive(np.array([0.1, 0.3, 0.5]), np.array([1.0, 3.0, 5.0]), np.zeros(3))
         at_s = np.arange(0.0, 0.7, 0.01)
         np.testing.assert_allclose(framed.at(at_s), held.at(at_s), atol=1e-9)
 
@@ -223,7 +223,7 @@ def test_the_audit_simulates_what_was_fitted(name: str, size: dict[str, float | 
     fitted = simulate(record, effects_installed(record.plant.neutral, {name: size}))
     model = extended(name, size)
     motion = ExtendedMotion(model.extended(CONTEXT), 1.0)  # type: ignore[arg-type]
-    motion.hear(record.commands.effective_s + model.plan.delay_s, record.commands.command_deg, np.zeros(TIME_S.size))
+    motion.receive(record.commands.effective_s + model.plan.delay_s, record.commands.command_deg, np.zeros(TIME_S.size))
     # Poles that are scaled are another transfer function here, and scaled matrices there.
     assert np.abs(motion.at(TIME_S) - fitted).max() < 1e-6
 

@@ -36,7 +36,7 @@ def moved(physics: Physics, airspeed_m_s: Any, supply_v: Any) -> Any:
     constant = np.ones(TIME_S.size)
     context = Context(TIME_S, airspeed_m_s * constant, TIME_S, supply_v * constant)
     motion = ExtendedMotion(ExtendedServo(plant_of(KNOWN), physics, context), 0.0)
-    motion.hear(TIME_S + physics.delay_s, COMMAND_DEG, np.zeros(TIME_S.size))
+    motion.receive(TIME_S + physics.delay_s, COMMAND_DEG, np.zeros(TIME_S.size))
     return motion.at(TIME_S)
 
 
@@ -150,7 +150,7 @@ def test_a_gain_of_the_servo_scales_its_motion_and_what_is_told_in_its_degrees(d
             friction_deg=0.5 * gain, deadband_deg=0.4, rate_up_deg_s=40.0 * gain, stop_upper_deg=5.0 * gain
         )
         motion = ExtendedMotion(ExtendedServo(plant, physics), 2.0 * gain)
-        motion.hear(TIME_S, COMMAND_DEG, np.zeros(TIME_S.size))
+        motion.receive(TIME_S, COMMAND_DEG, np.zeros(TIME_S.size))
         found_deg.append(motion.at(TIME_S) / gain)
     assert found_deg[0][0] == pytest.approx(2.0)
     assert np.ptp(found_deg[0]) > 4.0

@@ -66,7 +66,7 @@ class Slow:
         return min(found, key=window.score)
 
 
-def heard_less(window: Window) -> Explanation | None:
+def reduced_command(window: Window) -> Explanation | None:
     """Less than what was asked reaches a servo with effects, whose play and friction do not shrink along with it."""
     if not isinstance(window.servo, ExtendedServo):
         return None
@@ -133,8 +133,8 @@ def _with_interval(best: Explanation, tried: dict[float, Explanation], window: W
     distance, rise = curved[0] if curved else (value, variance)
     random = distance * float(np.sqrt(COLOUR * variance / rise))
     # A gain that the servo may have had all along widens the zone as well.
-    habit = value * float(window.spread[0]) if name == "width_deg" else 0.0
-    deviation = float(np.hypot(random, habit))
+    own = value * float(window.spread[0]) if name == "width_deg" else 0.0
+    deviation = float(np.hypot(random, own))
     interval = {name: Estimate.of(value, deviation)}
     return replace(best, parameters=interval)
 

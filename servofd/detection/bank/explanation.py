@@ -92,11 +92,11 @@ class Ridge:
         return Regression(coefficients, predicted_deg, float(misfit @ misfit), doubt)
 
     def estimate(
-        self, fit: Regression, target_deg: FloatArray, index: int, offset: float = 0.0, habit: float = 0.0
+        self, fit: Regression, target_deg: FloatArray, index: int, offset: float = 0.0, own: float = 0.0
     ) -> Estimate:
-        """One coefficient with its interval; `habit` is the deviation that the servo may have had all along."""
+        """One coefficient with its interval; `own` is the deviation that the servo may have had all along."""
         doubt = _misfit_deviation(target_deg - fit.predicted_deg, self.noise_deg)
-        deviation = float(np.hypot(doubt * np.sqrt(self.inverse[index, index]), habit))
+        deviation = float(np.hypot(doubt * np.sqrt(self.inverse[index, index]), own))
         return Estimate.of(offset + float(fit.coefficients[index]), deviation)
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from servofd.detection.bank.altered import heard_less
+from servofd.detection.bank.altered import reduced_command
 from servofd.detection.bank.explanation import Ridge
 from servofd.detection.bank.window import Explanation
 
@@ -59,7 +59,7 @@ class Bias:
 
         ridge = Ridge(columns(window), spread, window.noise_deg)
         fit = ridge.fit(window.error_deg)
-        bias = ridge.estimate(fit, window.error_deg, _BIAS, habit=window.spread[_BIAS])
+        bias = ridge.estimate(fit, window.error_deg, _BIAS, own=window.spread[_BIAS])
         if abs(bias.value) <= window.tolerance.bias_deg:
             return None
         return Explanation(
@@ -85,7 +85,7 @@ class LossOfEffectiveness:
         for spread, freedom in (({_GAIN: 1.0}, 1.0), ({_GAIN: 1.0, _BIAS: _LARGEST_TRIM_DEG}, 2.0)):
             ridge = _widened(window, spread)
             fit = ridge.fit(window.error_deg)
-            gain = ridge.estimate(fit, window.error_deg, _GAIN, offset=1.0, habit=window.spread[_GAIN])
+            gain = ridge.estimate(fit, window.error_deg, _GAIN, offset=1.0, own=window.spread[_GAIN])
             if _STUCK_GAIN < gain.value < 1.0 - window.tolerance.gain:
                 predicted_deg = window.healthy_deg + fit.predicted_deg
                 fits.append(
@@ -99,7 +99,7 @@ class LossOfEffectiveness:
                         partial(_with, fit.coefficients),
                     )
                 )
-        heard = heard_less(window)
+        heard = reduced_command(window)
         if heard is not None and heard.parameters["gain"].value < 1.0 - window.tolerance.gain:
             fits.append(heard)
         return min(fits, key=window.score, default=None)

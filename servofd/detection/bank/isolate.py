@@ -224,8 +224,8 @@ def refine_onset_s(
     error_deg = wide.error_deg
     if np.count_nonzero(surely_healthy) >= _FEWEST_HEALTHY:
         known = type(wide.ridge)(wide.nuisances[surely_healthy], wide.spread, wide.noise_deg)
-        habits = known.fit(error_deg[surely_healthy]).coefficients
-        error_deg = error_deg - wide.nuisances @ habits
+        deviations = known.fit(error_deg[surely_healthy]).coefficients
+        error_deg = error_deg - wide.nuisances @ deviations
     healthy = error_deg**2
     faulty = (wide.measured_deg - fault.predict(wide)) ** 2
     # Misfits beyond four sigma all count alike: the transition itself is neither healthy nor explained.

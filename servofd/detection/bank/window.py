@@ -202,7 +202,7 @@ def simulate(servo: AnyServo, commands: Commands, at_s: FloatArray) -> FloatArra
     """Deflection at given times, from rest at the first command [deg]."""
     if isinstance(servo, ExtendedServo):
         motion = ExtendedMotion(servo)
-        motion.hear(commands.effective_s, commands.command_deg, commands.slope_deg_s)
+        motion.receive(commands.effective_s, commands.command_deg, commands.slope_deg_s)
         return motion.at(np.concatenate([commands.effective_s[:1], at_s]))[1:]
     from servofd.models.kernel import RESTART_ALL, observe
     from servofd.models.state import FilterParameters, new_memory

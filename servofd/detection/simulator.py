@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rehearsal:
+class Simulator:
     """Commands and starts of a segment, which do not depend on the servo; the residual, most of the cost, is left out.
 
     Examples
@@ -29,8 +29,8 @@ class Rehearsal:
     >>> time_s = np.arange(1000) / 100.0
     >>> segment = Segment("elevator", time_s, np.sin(time_s), time_s, np.zeros(1000))
     >>> generator = ResidualGenerator(model, 30.0)
-    >>> rehearsal = Rehearsal.of(generator, segment)
-    >>> bool(np.array_equal(rehearsal.simulated_deg(model), generator.run(segment).simulated_deg))
+    >>> simulator = Simulator.of(generator, segment)
+    >>> bool(np.array_equal(simulator.simulated_deg(model), generator.run(segment).simulated_deg))
     True
     """
 
@@ -42,7 +42,7 @@ class Rehearsal:
     """Longest interval between samples that is bridged."""
 
     @classmethod
-    def of(cls, generator: ResidualGenerator, segment: Segment) -> Rehearsal:
+    def of(cls, generator: ResidualGenerator, segment: Segment) -> Simulator:
         """Make ready what the generator's filter would take: gaps and starts are found for its pole."""
         from servofd.detection.starts import find_starts
 
@@ -50,7 +50,7 @@ class Rehearsal:
         starts = find_starts(segment, gap_s, generator.blanking_s, rhythm(segment.command_s).longest_s)
         return cls(segment, commands_at_servo(segment, 0.0, gap_s), starts, gap_s)
 
-    def hearing(self, command_deg: FloatArray) -> Rehearsal:
+    def with_commands(self, command_deg: FloatArray) -> Simulator:
         """The same part of the flight with other commands, shape (n,), at the instants of those that it has."""
         segment = replace(self.segment, command_deg=command_deg)
         return replace(self, segment=segment, commands=commands_at_servo(segment, 0.0, self.longest_gap_s))
