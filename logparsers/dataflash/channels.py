@@ -36,7 +36,7 @@ class DataFlashRecording:
 
     def series(self) -> dict[str, Series]:
         """Every series by the name of its channel."""
-        found = {}
+        found: dict[str, Series] = {}
         for message in self._timed():
             layout = self._file.formats[message]
             clock = layout.clock and layout.clock[0]
