@@ -53,6 +53,8 @@ _UNCERTAINTIES: Final = 4.0
 _KNOWN_FLIGHTS: Final = 4.0
 """A stated prior counts as so many differences between flights."""
 _LEAST_SHARE: Final = 0.25
+_WARMTH: Final = 0.2
+"""Share by which grease on a cold day and wear change friction and play."""
 _ADVICE: Final = "leave that part out (--until, --between), or the surface (-s)"
 _FAST_M_S: Final = 25.0
 
@@ -204,7 +206,7 @@ def _ahead_s(record: Record) -> float:
     seen = np.diff(np.interp(grid_s, record.time_s, record.measured_deg))
     most = max(round(_LONGEST_LEAD_S / step_s), 2)
     middle = seen[most:-most]
-    power = np.array([float(middle @ asked[most + lag : asked.size - most + lag]) for lag in range(-most, most + 1)])
+    power = np.correlate(asked, middle, mode="valid")
     lead = int(np.argmax(power)) - most
     # Noise is ahead of anything by chance.
     size = float(np.sqrt((middle @ middle) * (asked @ asked)))
@@ -229,6 +231,8 @@ def _crude_gain(record: Record) -> float:
 def _known(fitted: Fit, records: Sequence[Record], supply_v: float, flights: int) -> CalibratedServo:
     """What goes into the file, with the usual thresholds."""
     spread = np.array([prior.between for prior in PRIORS]) ** 2
+    resting = [NAMES.index(name) for name in ("deadband_deg", "friction_deg", "play_deg")]
+    spread[resting] += (_WARMTH * fitted.theta[resting]) ** 2
     if len(records) > 1:
         changes = _changes(fitted, records)
         spread = (_KNOWN_FLIGHTS * spread + (changes**2).sum(axis=0)) / (_KNOWN_FLIGHTS + len(records) - 1.0)

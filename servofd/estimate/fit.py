@@ -24,6 +24,7 @@ _HUBER: Final = 2.5
 _DELAYS_S: Final = (0.01, 0.03, 0.06, 0.1)
 _FIRST_STEPS, _STEPS = 4, 12
 _CLOSE: Final = 1e-3
+_LOOSER_DEG: Final = 0.6
 _FOLD_S: Final = 20.0
 _MAD: Final = 1.4826
 _LAG_FLOOR_S: Final = 0.003
@@ -32,6 +33,9 @@ _QUIET_DEG_S: Final = 5.0
 _FAST_DEG_S: Final = 20.0
 _LEAST_DEG: Final = 0.01
 _SELDOM: Final = 0.001
+
+_RATE: Final = NAMES.index("ln_rate")
+_FASTER: Final = float(np.log(2.0))
 
 _VALUES = np.array([prior.value for prior in PRIORS])
 _SIGMAS = np.array([prior.sigma for prior in PRIORS])
@@ -119,7 +123,11 @@ def fit(
     tried = [_descended(records, theta, held, reach_deg, _FIRST_STEPS) for theta in begins]
     theta = min(tried, key=lambda each: each[1])[0] if len(tried) > 1 else tried[0][0]
     theta, _ = _descended(records, theta, held, reach_deg, steps)
-    return _finished(records, theta, held, reach_deg)
+    errors, _, speeds = _evaluated(records, theta, reach_deg)
+    sigma = _noise(errors, speeds, records).sigma_deg(np.concatenate(speeds))
+    again = [theta] if start is not None else [theta, *_alike(theta, held)]
+    tried = [_descended(records, each, held, reach_deg, steps, sigma) for each in again]
+    return _finished(records, min(tried, key=lambda each: each[1])[0], held, reach_deg)
 
 
 def residual(
@@ -138,6 +146,22 @@ def residual(
     error = np.minimum(measured_deg - lower, 0.0) + np.maximum(measured_deg - upper, 0.0)
     inside: BoolArray = (lower == upper) | (error == measured_deg - reading_deg)
     return error, inside
+
+
+def _alike(theta: FloatArray, held: BoolArray) -> list[FloatArray]:
+    """Servos that move much like this one: dead band, friction and play in place of each other."""
+    dead, friction, play = (NAMES.index(name) for name in ("deadband_deg", "friction_deg", "play_deg"))
+    out = []
+    for width, rub, loose in (
+        (0.0, theta[friction] + 0.5 * theta[dead], theta[play]),
+        (theta[dead] + 2.0 * theta[friction], 0.0, theta[play]),
+        (theta[dead], theta[friction], theta[play] + _LOOSER_DEG),
+        (0.0, 0.0, theta[play] + theta[dead] + 2.0 * theta[friction]),
+    ):
+        other = theta.copy()
+        other[[dead, friction, play]] = width, rub, loose
+        out.append(np.where(held, 0.0, other))
+    return out
 
 
 def _with_delay(delay_s: float) -> FloatArray:
@@ -165,25 +189,28 @@ def _evaluated(
 
 
 def _descended(
-    records: Sequence[Record], theta: FloatArray, held: BoolArray, reach_deg: tuple[float, float], steps: int
-) -> tuple[FloatArray, float]:
-    """Levenberg-Marquardt on Huber's loss with a ridge to the prior; parameters and their cost."""
+    records: Sequence[Record], theta: FloatArray, held: BoolArray, reach_deg: tuple[float, float], steps: int,
+    sigma: FloatArray | None = None,
+) -> tuple[FloatArray, float]:  # fmt: skip
+    """Levenberg-Marquardt on Huber's loss with a ridge to the prior; parameters and their cost.
+
+    Without `sigma` (of each usable sample) the errors of the first parameters tell it.
+    """
     damping, best, known = 1e-2, np.inf, theta
     normal: tuple[FloatArray, FloatArray] | None = None
     for _ in range(steps + 1):
         errors, slopes, speeds = _evaluated(records, theta, reach_deg)
         error, slope, speed = np.concatenate(errors), np.concatenate(slopes), np.concatenate(speeds)
-        if normal is None:
+        if sigma is None:
             spread = max(_spread_deg(error), 0.03)
             sigma = np.sqrt(spread**2 + (0.01 * speed) ** 2)
         ratio = np.abs(error) / sigma
-        loss = np.where(ratio < _HUBER, 0.5 * ratio**2, _HUBER * (ratio - 0.5 * _HUBER))
         apart = (theta - _VALUES) / _SIGMAS
-        cost = float(loss.sum()) + 0.5 * float((apart[~held] ** 2).sum())
+        cost = float(_huber(ratio).sum()) + 0.5 * float((apart[~held] ** 2).sum())
         if cost < best:
             gained = best - cost
             best, known = cost, theta
-            weight = np.minimum(1.0, _HUBER / np.maximum(ratio, 1e-12)) / sigma**2
+            weight = _weight(error, sigma)
             curvature = (slope * weight[:, None]).T @ slope + np.diag(_SIGMAS**-2.0)
             pull = slope.T @ (weight * error) - apart / _SIGMAS
             normal = curvature, pull
@@ -220,34 +247,58 @@ def _finished(records: Sequence[Record], theta: FloatArray, held: BoolArray, rea
     error, slope, speed = np.concatenate(errors), np.concatenate(slopes), np.concatenate(speeds)
     noise = _noise(errors, speeds, records)
     sigma = noise.sigma_deg(speed)
-    ratio = np.abs(error) / sigma
-    weight = np.minimum(1.0, _HUBER / np.maximum(ratio, 1e-12)) / sigma**2
-    lengthened = _colour_length(noise)
     free = ~held
-    weighted = slope[:, free] * weight[:, None] / lengthened
+    lengthened = _colour_length(noise)
+    weight = _weight(error, sigma) / lengthened
     fold = np.concatenate([(np.floor(r.time_s[r.usable] / _FOLD_S).astype(int) + k) % 2 for k, r in enumerate(records)])
     ridge = np.diag(_SIGMAS[free] ** -2.0)
     left = np.zeros(error.size)
     folds = [np.flatnonzero(fold == k) for k in (0, 1)]
     for mine, other in (folds, folds[::-1]):
-        block = weighted[other].T @ slope[np.ix_(other, free)] + ridge
-        change = np.linalg.solve(block, weighted[other].T @ error[other])
+        weighted = slope[np.ix_(other, free)] * weight[other, None]
+        change = np.linalg.solve(weighted.T @ slope[np.ix_(other, free)] + ridge, weighted.T @ error[other])
         left[mine] = error[mine] - slope[np.ix_(mine, free)] @ change
+    weighted = slope[:, free] * weight[:, None]
     covariance = np.zeros((FITTED, FITTED))
     covariance[np.ix_(free, free)] = np.linalg.inv(weighted.T @ slope[:, free] + ridge)
-    measured = np.concatenate([r.measured_deg[r.usable] for r in records])
-    rms = float(np.sqrt(np.mean(np.clip(left, -6.0 * sigma, 6.0 * sigma) ** 2)))
-    power = float(np.var(measured))
+    if not held[_RATE]:
+        unseen = lengthened * _unseen_speed(records, theta, reach_deg, error, sigma)
+        covariance[_RATE, _RATE] = max(covariance[_RATE, _RATE], min(unseen, float(_SIGMAS[_RATE]) ** 2))
+    cuts = np.cumsum([e.size for e in errors])[:-1]
+    power = float(np.var(np.concatenate([r.measured_deg[r.usable] for r in records])))
     share = 1.0 - float(np.mean(left**2)) / power if power > 0.0 else 0.0
-    parts = np.split(left, np.cumsum([e.size for e in errors])[:-1])
     whole = []
-    for part, record in zip(parts, records, strict=True):
+    for part, record in zip(np.split(left, cuts), records, strict=True):
         full = np.full(record.time_s.size, np.nan)
         full[record.usable] = part
         whole.append(full)
+    rms = float(np.sqrt(np.mean(np.clip(left, -6.0 * sigma, 6.0 * sigma) ** 2)))
     return Fit(
         theta, covariance, noise, reach_deg, tuple(whole), tuple(errors), rms, share, tuple(r.usable for r in records)
     )
+
+
+def _weight(error: FloatArray, sigma: FloatArray) -> FloatArray:
+    """Of each error, less of those that are out of the ordinary."""
+    return np.minimum(1.0, _HUBER * sigma / np.maximum(np.abs(error), 1e-12)) / sigma**2
+
+
+def _unseen_speed(
+    records: Sequence[Record], theta: FloatArray, reach_deg: tuple[float, float], error: FloatArray, sigma: FloatArray
+) -> float:
+    """Variance of the logarithm of the largest speed, by how much worse a faster servo explains the flights.
+
+    Where they hardly reach that speed, its slope tells of a few moments only, and nothing of a servo that never does.
+    """
+    faster = theta.copy()
+    faster[_RATE] += _FASTER
+    errors, _, _ = _evaluated(records, faster, reach_deg)
+    worse = float((_huber(np.abs(np.concatenate(errors)) / sigma) - _huber(np.abs(error) / sigma)).sum())
+    return 0.5 * _FASTER**2 / max(worse, 1e-9)
+
+
+def _huber(ratio: FloatArray) -> FloatArray:
+    return np.where(ratio < _HUBER, 0.5 * ratio**2, _HUBER * (ratio - 0.5 * _HUBER))
 
 
 def _colour_length(noise: Noise) -> float:
