@@ -135,7 +135,7 @@ def calibrate_axes(
     Returns
     -------
     MotionModel
-        `servofd.axes.toml.motion_to_toml` makes a part of an aircraft file of it.
+        `servofd.axes.schema.motion_to_toml` makes a part of an aircraft file of it.
     """
     from servofd.axes.calibrate import calibrate_motion
     from servofd.axes.read import motion_of

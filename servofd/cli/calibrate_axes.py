@@ -38,7 +38,7 @@ def run_axes(options: argparse.Namespace, text: str = "") -> int:
     text : str
         Aircraft file so far.
     """
-    from servofd.axes.toml import motion_to_toml
+    from servofd.axes.schema import motion_to_toml
     from servofd.outputs.files import write_whole
     from servofd.workflow import calibrate_axes
 

@@ -12,7 +12,7 @@ from servofd.cli.exit_codes import worst
 
 if TYPE_CHECKING:
     from servofd.outputs.recording.content import Recording
-    from servofd.review.compare import Change
+    from servofd.review import Change
 
 
 def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
@@ -100,17 +100,17 @@ def _read(path: Path, options: argparse.Namespace) -> Recording:
     from servofd.outputs.recording.verdicts import LIVE
 
     if options.repair:
-        from servofd.outputs.recording.repair import repair_recording
+        from servofd.outputs.recording.read import repair_recording
 
         repair_recording(path, options.output)
         path = Path(options.output)
     recording = read_recording(path)
     if options.threshold_deg is not None or options.threshold or LIVE in recording.notes:
-        from servofd.review.rejudge import rejudged
+        from servofd.review import rejudged
 
         recording = rejudged(recording, threshold_deg=options.threshold_deg, threshold=options.threshold)
     if options.between:
-        from servofd.review.incident import between
+        from servofd.review import between
 
         recording = between(recording, *options.between)
     return recording
@@ -126,7 +126,7 @@ def _show(options: argparse.Namespace, found: list[tuple[Path, Recording]], fail
     from servofd.cli.tables import one_line
     from servofd.outputs.files import write_whole
     from servofd.outputs.json_report import to_json
-    from servofd.review.check import contradictions
+    from servofd.review import contradictions
 
     for path, recording in found:
         for sentence in contradictions(recording):
@@ -216,7 +216,7 @@ def _compare(options: argparse.Namespace, path: Path) -> int:
     from servofd.outputs.files import write_whole
     from servofd.outputs.json_report import to_json
     from servofd.outputs.recording.read import read_recording
-    from servofd.review.compare import compared
+    from servofd.review import compared
 
     before, after = _read(path, options), read_recording(options.compare)
     changes = compared(before, after)

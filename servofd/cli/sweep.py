@@ -10,8 +10,7 @@ if TYPE_CHECKING:
 
     from logparsers.records import FlightLog
     from servofd.detection.bank.explanation import Estimate
-    from servofd.sweep.check import SurfaceSweep
-    from servofd.sweep.numbers import SweepNumbers
+    from servofd.sweep import SurfaceSweep, SweepNumbers
 
 
 def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
@@ -35,7 +34,7 @@ def run(options: argparse.Namespace) -> int:
     from servofd.job import aircraft_for, known_aircraft, one_log
     from servofd.outputs.files import write_whole
     from servofd.outputs.json_report import to_json
-    from servofd.sweep.check import check_sweep
+    from servofd.sweep import check_sweep
 
     known = known_aircraft(options.config)
     log = one_log(options.log, known)
@@ -89,7 +88,7 @@ def sweep_document(log: FlightLog, surfaces: Sequence[SurfaceSweep]) -> dict[str
     --------
     >>> import logparsers
     >>> from servofd.aircraft import load_aircraft
-    >>> from servofd.sweep.check import check_sweep
+    >>> from servofd.sweep import check_sweep
     >>> log = logparsers.read("sample_logs/faser_healthy_chirp.mat")
     >>> document = sweep_document(log, check_sweep(log, load_aircraft("faser"), ("aileron_right",)))
     >>> document["schema"], document["surfaces"]["aileron_right"]["status"]

@@ -17,9 +17,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from servofd.calibrating.flights import Flight, busiest
-from servofd.calibrating.motion import Motion, line, noise_of
-from servofd.calibrating.robust import descended, deviations, mean_loss, ordinary_deg
-from servofd.calibrating.servo import FlownServo
 from servofd.detection.bank.explanation import Estimate
 from servofd.detection.bank.window import noise_deg
 from servofd.detection.prepare import prepared
@@ -27,7 +24,9 @@ from servofd.detection.residual import ResidualGenerator
 from servofd.detection.threshold import constant_threshold, interval_threshold
 from servofd.errors import NoMeasurement
 from servofd.models.play import play
+from servofd.wear.motion import Motion, descended, deviations, line, mean_loss, noise_of, ordinary_deg
 from servofd.wear.records import QUANTITIES
+from servofd.wear.servo import FlownServo
 
 if TYPE_CHECKING:
     from servofd.aircraft import Aircraft

@@ -18,8 +18,7 @@ from servofd.axes.judge import judge_motion
 from servofd.axes.mixers import airframe_of
 from servofd.axes.motion import Motion
 from servofd.axes.read import motion_of_table
-from servofd.axes.schema import MotionModel
-from servofd.axes.toml import motion_to_toml
+from servofd.axes.schema import MotionModel, motion_to_toml
 from servofd.axes.windows import Inputs, distance, nothing_known, sliding, spread_between
 from servofd.cli import main
 from servofd.errors import CalibrationError, ConfigError, NoMeasurement

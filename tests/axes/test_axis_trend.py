@@ -8,7 +8,7 @@ import pytest
 
 from servofd.aircraft import load_aircraft
 from servofd.axes.calibrate import calibrate_motion
-from servofd.axes.toml import motion_to_toml
+from servofd.axes.schema import motion_to_toml
 from servofd.wear.trend import trend_logs
 from tests.axes.flights import flown
 from tests.axes.test_axes import as_table

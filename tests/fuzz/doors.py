@@ -32,8 +32,7 @@ from servofd.live.session import Session
 from servofd.outputs.fleet_page import fleet_page
 from servofd.outputs.json_report import audit_document, to_json
 from servofd.outputs.recording.read import read_recording
-from servofd.review.check import contradictions
-from servofd.review.rejudge import rejudged
+from servofd.review import contradictions, rejudged
 from servofd.servos import find_servo
 from servofd.workflow import audit
 from tests.fuzz import mutate, seeds

@@ -29,8 +29,7 @@ from servofd.outputs.recording.program import run_rerun
 from servofd.outputs.recording.stream import recording_file
 from servofd.outputs.recording.verdicts import audit_of
 from servofd.outputs.recording.write import recording_of
-from servofd.review.check import statistics_of
-from servofd.review.rejudge import rejudged
+from servofd.review import rejudged, statistics_of
 from servofd.segment import pace_steps
 from servofd.servos import find_servo
 from servofd.workflow import audit

@@ -22,9 +22,7 @@ from servofd.outputs.recording.content import Recording, Trace
 from servofd.outputs.recording.read import read_recording
 from servofd.outputs.recording.states import breaks_s
 from servofd.outputs.recording.write import write_recording
-from servofd.review.check import statistics_of
-from servofd.review.compare import compared
-from servofd.review.incident import between
+from servofd.review import between, compared, statistics_of
 from servofd.types import FloatArray
 from tests.recordings.inside import everything
 

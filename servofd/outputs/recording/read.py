@@ -12,6 +12,7 @@ import numpy as np
 
 from servofd.errors import RecordingError
 from servofd.models.context import Context
+from servofd.outputs.files import whole_file
 from servofd.outputs.recording.clock import TIME_BOOT, seconds
 from servofd.outputs.recording.content import Recording, Trace
 from servofd.outputs.recording.program import run_rerun
@@ -234,3 +235,22 @@ def _exact(stored: _Stored, time_s: FloatArray, place: str) -> FloatArray:
         return time_s
     exact_s = found[1][:, 0]
     return exact_s if np.all(np.abs(exact_s - time_s) < 1e-6) else time_s
+
+
+__all__ = ["repair_recording"]
+
+
+def repair_recording(path: str | Path, target: str | Path) -> None:
+    """Copy all whole chunks of a recording into a new one, with the index that a finished one has."""
+    source = Path(path)
+    check_is_recording(source)
+    with whole_file(target) as temporary:
+        # Only the viewer's own program may go on after an error; its Python interface stops at it.
+        done = run_rerun("rrd", "optimize", "--continue-on-error", str(source.resolve()), "-o", str(temporary))
+        if done.returncode != 0:
+            raise RecordingError(f"{path}: nothing of it can be saved: {_last_line(done.stderr)}")
+
+
+def _last_line(text: str) -> str:
+    lines = [line for line in text.splitlines() if line.strip()]
+    return lines[-1].strip()[:160] if lines else "the rerun program failed"

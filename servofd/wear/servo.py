@@ -127,35 +127,3 @@ class FlownServo:
             for name, value in zip(names, x.tolist(), strict=True)
         }
         return replace(self, **changed)
-
-    def described(self, source: str) -> Servo:
-        """Entry of this servo in an aircraft file."""
-        prior, scale = self.prior, self.bandwidth_scale
-        shape: dict[str, object] = {"bandwidth_hz": _rounded(self.bandwidth_hz), "damping": _rounded(self.damping)}
-        if prior.numerator is not None and prior.denominator is not None:
-            shape = {
-                "numerator": _scaled(prior.numerator, scale, len(prior.denominator)),
-                "denominator": _scaled(prior.denominator, scale, len(prior.denominator)),
-            }
-        return Servo.model_validate(
-            {
-                "title": prior.title,
-                **shape,
-                "delay_s": round(self.delay_s, 6),
-                "hold": "zoh",
-                "rate_limit_deg_s": _rounded(self.rate_limit_deg_s),
-                "free_play_deg": prior.free_play_deg,
-                "unity_dc": prior.unity_dc,
-                "source": source,
-            }
-        )
-
-
-def _scaled(coefficients: tuple[float, ...], scale: float, order: int) -> tuple[float, ...]:
-    """Coefficients of P(s / scale) scale^(order - 1), highest power first."""
-    first = order - len(coefficients)
-    return tuple(float(f"{c * scale ** (first + k):.10g}") for k, c in enumerate(coefficients))
-
-
-def _rounded(value: float | None) -> float | None:
-    return None if value is None else float(f"{value:.6g}")

@@ -1,1 +1,0 @@
-"""Recordings without their logs: checked, judged anew, cut, compared."""

@@ -1,1 +1,0 @@
-"""Pre-flight check: judges a short commanded sweep on the ground."""
