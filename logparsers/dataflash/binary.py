@@ -181,8 +181,6 @@ class BinaryStore:
     def _redefine(self, at: int) -> None:
         """Take over the FMT record at `at`, unless it contradicts itself."""
         self._walk.state[scan.DONE_FMT] = at
-        if len(self.layouts) >= LAYOUT_LIMIT:
-            return
         layout = parse_fmt(bytes(self._data[at : at + FMT.length]))
         if layout is not None and layout.type == FMT.type:  # firmwares define the definition as they like
             return
@@ -195,6 +193,7 @@ class BinaryStore:
             return
         self._define(layout, at)
         if len(self.layouts) == LAYOUT_LIMIT:
+            self._walk.state[scan.SETTLED] = 1
             self._note(f"byte {at}: {LAYOUT_LIMIT} message definitions; further ones are ignored")
 
     def _define(self, layout: Layout, at: int) -> None:

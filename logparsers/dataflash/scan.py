@@ -47,7 +47,7 @@ __all__ = [
 COMPILE_FROM: Final = 1 << 21  # bytes; below, the plain walk beats the import of numba (about 0.5 s)
 
 # state
-AT, DONE_FMT, CLOCK, PENDING, WAITING_US, WAITING_AT = 0, 1, 2, 3, 4, 8
+AT, DONE_FMT, CLOCK, PENDING, SETTLED, WAITING_US, WAITING_AT = 0, 1, 2, 3, 4, 5, 9  # SETTLED: no more definitions
 CONFIRM: Final = 4  # records that must agree before a jump of the clock is believed
 STATE_SIZE: Final = WAITING_AT + CONFIRM
 
@@ -214,7 +214,7 @@ def walk(
                 at = stop
                 continue
         doubt = False
-        if kind == 128 and at != state[DONE_FMT]:
+        if kind == 128 and at != state[DONE_FMT] and not state[SETTLED]:
             before = defined[data[at + 3]]
             if before < 0 or not same(data, before, at, 89):
                 state[AT] = at

@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import signal
 
 if TYPE_CHECKING:
     from servofd.axes.motion import Motion
@@ -30,6 +29,8 @@ class Filtered:
     """Channels of a flight, all through one second-order low-pass filter."""
 
     def __init__(self, motion: Motion, *, corner_hz: float, reference_m_s: float) -> None:
+        from scipy import signal  # takes longer to load than a flight to judge
+
         self.rate_hz = motion.rate_hz
         self.commands_us = motion.commands_us
         corner = 2.0 * np.pi * corner_hz
@@ -52,6 +53,8 @@ class Filtered:
 
 
 def _run(coefficients: tuple[FloatArray, FloatArray], values: FloatArray) -> FloatArray:
+    from scipy import signal
+
     top, bottom = coefficients
     out: FloatArray = signal.lfilter(top, bottom, values, zi=signal.lfilter_zi(top, bottom) * values[0])[0]
     return out

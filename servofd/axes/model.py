@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import ndimage, signal
 
 from servofd.axes.forms import FORMS, Filtered, Regression
 from servofd.axes.windows import Inputs, Sliding, distance, expected, lags, sliding
@@ -35,6 +34,8 @@ class Flown:
 
 def flown_of(motion: Motion, reference_m_s: float) -> Flown:
     """Under which conditions an aircraft flew."""
+    from scipy import signal  # takes longer to load than a flight to judge
+
     smooth = signal.butter(2, min(_REGIME_HZ, 0.4 * motion.rate_hz), fs=motion.rate_hz)
 
     def low(values: FloatArray) -> FloatArray:
@@ -78,6 +79,8 @@ def whitened(inputs: Inputs, coefficients: tuple[float, ...]) -> Inputs:
     """Take what the past predicts of the residual out of everything."""
     if not coefficients:
         return inputs
+    from scipy import signal
+
     taps = np.concatenate(([1.0], -np.asarray(coefficients)))
     channels = (inputs.residual, inputs.loss, inputs.offset, inputs.lag)
     residual, loss, offset, lag = (signal.lfilter(taps, [1.0], x) for x in channels)
@@ -138,6 +141,8 @@ def slowness(axis: AxisModel, inputs: Inputs, rate_hz: float) -> list[FloatArray
 
 def statistic(axis: AxisModel, inputs: Inputs, windows: list[Sliding], rate_hz: float) -> FloatArray:
     """Largest J of all windows at each sample, as a multiple of the calibration's largest, after persistence."""
+    from scipy import ndimage
+
     found = distances(axis, inputs, windows, rate_hz)
     shares = [j / spread.scale for j, spread in zip(found, axis.spreads, strict=True)]
     if axis.own_command:

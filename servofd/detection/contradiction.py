@@ -8,6 +8,7 @@ than its own lag in part of a flight.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -62,7 +63,7 @@ class _Stretch(NamedTuple):
     parameters: dict[str, float]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class _Flight:
     """Judged samples of a surface, all arrays of shape (n,)."""
 
@@ -75,11 +76,11 @@ class _Flight:
     """Of the servo without its delay."""
     delay_s: float
 
-    @property
+    @cached_property
     def error_deg(self) -> FloatArray:
         return self.measured_deg - self.healthy_deg
 
-    @property
+    @cached_property
     def travel_deg(self) -> float:
         low, high = np.percentile(self.measured_deg, [2.0, 98.0])
         return float(high - low)
