@@ -57,30 +57,15 @@ class Simulator:
 
     def simulated_deg(self, model: ServoModel) -> FloatArray:
         """Deflection of a servo [deg], shape (n,), as its residual generator would have it."""
-        from servofd.models.kernel import RESTART_ALL, observe
-        from servofd.models.state import FilterParameters, new_memory
+        from servofd.models.kernel import RESTART_ALL
+        from servofd.models.motion import deflection
 
         time_s, (measured_deg, restart, _) = self.segment.measured_s, self.starts
         commands = replace(self.commands, effective_s=self.commands.effective_s + model.plan.delay_s)
         extended = model.extended(self.segment.context)
         if extended is not None:
             return followed(extended, commands, time_s, measured_deg, restart)
-        servo = model.parameters()
-        no_filter = FilterParameters(1.0, servo.decay_rad_s, 1.0)
         # Where the servo does not start anew, the kernel wants the position only for the residual.
         resting_deg = np.where(restart == RESTART_ALL, measured_deg, np.nan)
-        simulated_deg, residual_deg = np.empty(time_s.size), np.empty(time_s.size)
-        observe(
-            servo,
-            no_filter,
-            new_memory(servo, no_filter),
-            commands.effective_s,
-            commands.command_deg,
-            commands.slope_deg_s,
-            time_s,
-            resting_deg,
-            restart,
-            simulated_deg,
-            residual_deg,
-        )
-        return simulated_deg
+        asked = (commands.effective_s, commands.command_deg, commands.slope_deg_s)
+        return deflection(model.parameters(), asked, time_s, resting_deg, restart)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.models.kernel import RESTART_ALL, observe
-from servofd.models.state import FilterParameters, ServoParameters, new_memory
+from servofd.models.state import FilterParameters, Memory, ServoParameters, new_memory
 
 if TYPE_CHECKING:
     from servofd.models.extended import AnyServo
@@ -41,8 +41,7 @@ class Motion:
         self.servo = servo
         self._effective_s = effective_s
         self._command_deg = command_deg
-        self._no_filter = FilterParameters(1.0, servo.decay_rad_s, 1.0)
-        self._memory = new_memory(servo, self._no_filter)
+        self._memory = new_memory(servo, _no_filter(servo))
 
     def at(self, at_s: FloatArray) -> FloatArray:
         """Deflection at the next instants [deg], shape (m,); `at_s` [s], shape (m,), not before the last of them."""
@@ -65,18 +64,42 @@ class Motion:
     def _observe(
         self, at_s: FloatArray, measured_deg: FloatArray, restart: np.ndarray[tuple[int], np.dtype[np.int8]]
     ) -> FloatArray:
-        simulated_deg, residual_deg = np.empty(at_s.size), np.empty(at_s.size)
-        observe(
-            self.servo,
-            self._no_filter,
-            self._memory,
-            self._effective_s,
-            self._command_deg,
-            np.zeros(self._command_deg.size),
-            at_s,
-            measured_deg,
-            restart,
-            simulated_deg,
-            residual_deg,
-        )
-        return simulated_deg
+        slope_deg_s = np.zeros(self._command_deg.size)
+        commands = (self._effective_s, self._command_deg, slope_deg_s)
+        return deflection(self.servo, commands, at_s, measured_deg, restart, self._memory)
+
+
+def deflection(
+    servo: ServoParameters,
+    commands: tuple[FloatArray, FloatArray, FloatArray],
+    at_s: FloatArray,
+    measured_deg: FloatArray,
+    restart: np.ndarray[tuple[int], np.dtype[np.int8]],
+    memory: Memory | None = None,
+) -> FloatArray:
+    """Where a servo without effects is at some instants [deg], shape (m,).
+
+    Parameters
+    ----------
+    servo : ServoParameters
+        The servo.
+    commands : tuple of ndarray, shape (n,)
+        When each reaches the servo [s], what it asks for [deg] and its slope [deg/s].
+    at_s, measured_deg : ndarray, shape (m,)
+        The instants [s], and where the surface was measured [deg].
+    restart : ndarray, shape (m,)
+        2 where the servo starts anew, at what was measured; where that is NaN, at what the command in force asks for.
+    memory : Memory, optional
+        Of the servo on its way; it starts at rest if left out.
+    """
+    unused = _no_filter(servo)
+    simulated_deg, residual_deg = np.empty(at_s.size), np.empty(at_s.size)
+    if memory is None:
+        memory = new_memory(servo, unused)
+    observe(servo, unused, memory, *commands, at_s, measured_deg, restart, simulated_deg, residual_deg)
+    return simulated_deg
+
+
+def _no_filter(servo: ServoParameters) -> FilterParameters:
+    """Of a kernel that is asked for the position alone."""
+    return FilterParameters(1.0, servo.decay_rad_s, 1.0)

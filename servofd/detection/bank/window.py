@@ -204,28 +204,14 @@ def simulate(servo: AnyServo, commands: Commands, at_s: FloatArray) -> FloatArra
         motion = ExtendedMotion(servo)
         motion.receive(commands.effective_s, commands.command_deg, commands.slope_deg_s)
         return motion.at(np.concatenate([commands.effective_s[:1], at_s]))[1:]
-    from servofd.models.kernel import RESTART_ALL, observe
-    from servofd.models.state import FilterParameters, new_memory
+    from servofd.models.kernel import RESTART_ALL
+    from servofd.models.motion import deflection
 
-    unused = FilterParameters(1.0, servo.decay_rad_s, 1.0)
     instants_s = np.concatenate([commands.effective_s[:1], at_s])
     restart = np.zeros(instants_s.size, dtype=np.int8)
     restart[0] = RESTART_ALL
-    simulated, residual = np.empty(instants_s.size), np.empty(instants_s.size)
-    observe(
-        servo,
-        unused,
-        new_memory(servo, unused),
-        commands.effective_s,
-        commands.command_deg,
-        commands.slope_deg_s,
-        instants_s,
-        np.full(instants_s.size, np.nan),
-        restart,
-        simulated,
-        residual,
-    )
-    return simulated[1:]
+    asked = (commands.effective_s, commands.command_deg, commands.slope_deg_s)
+    return deflection(servo, asked, instants_s, np.full(instants_s.size, np.nan), restart)[1:]
 
 
 def _spread(tolerance: Tolerance) -> FloatArray:
