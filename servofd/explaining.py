@@ -254,11 +254,19 @@ def _surface(
     for k, (log, segment) in enumerate(zip(logs, segments, strict=True)):
         segments[k], stood = without_torque(log, segment, k)
         off += stood
+    conditions = _conditions(logs, aircraft.surfaces[name])
     found = explain_gap(
-        segments, model, on_bench=flown.on_bench, free_poles=free_poles, own=own, off=off, progress=progress
+        segments,
+        model,
+        on_bench=flown.on_bench,
+        free_poles=free_poles,
+        own=own,
+        off=off,
+        conditions=conditions,
+        progress=progress,
     )
     if found.record.side is None:
-        differing = varying(found.selection, _conditions(logs, aircraft.surfaces[name]))
+        differing = varying(found.selection, conditions)
         found = replace(found, varying=differing, notes=(*found.notes, *(each.sentence for each in differing)))
     if found.fault_s is not None and len(flown.logs) == 1:
         found = _with_kind(found, found.fault_s, flown.logs[0], aircraft)

@@ -8,15 +8,16 @@ from servofd.discrepancy.at_rest import AT_REST
 from servofd.discrepancy.steps import COARSE_STEP_DEG
 from servofd.models import catalogue
 from servofd.models.catalogue import CATALOGUE
+from servofd.models.laws import plain
 from servofd.models.physics import AFTER, BEFORE, INSIDE
 
 if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
     from servofd.models.missing_effect import MissingEffect
 
-__all__ = ["PLACES", "SMALLEST", "SURPRISE", "Candidate", "candidates", "excluded", "is_placed", "judgeable"]
+__all__ = ["SMALLEST", "SURPRISE", "Candidate", "candidates", "excluded", "is_placed", "judgeable", "places_of"]
 
-PLACES: dict[type[MissingEffect], tuple[float, ...]] = {
+_PLACES: dict[type[MissingEffect], tuple[float, ...]] = {
     catalogue.DeadBand: (BEFORE, INSIDE, AFTER),
     catalogue.InsensitiveBand: (BEFORE, INSIDE),
     catalogue.Friction: (BEFORE, INSIDE, AFTER),
@@ -33,6 +34,13 @@ PLACES: dict[type[MissingEffect], tuple[float, ...]] = {
     catalogue.Backlash: (INSIDE, AFTER),
 }
 """Effects that act within the loop, or before what may follow it, and so differ with the place of the slow pole."""
+
+
+def places_of(effect: type[MissingEffect]) -> tuple[float, ...]:
+    """Where the slow pole may lie with this effect; empty if it does not matter."""
+    return _PLACES.get(plain(effect), ())
+
+
 SMALLEST = {
     "gain": 0.02,
     "bandwidth_scale": 0.08,
@@ -61,8 +69,13 @@ SURPRISE = {
 """Minus twice the logarithm of how much rarer than the others an effect is, or how much more it can pass for."""
 
 
-_EITHER = (("rate_limit", "voltage_rate"), ("delay", "clock_offset"), ("friction", "load_friction"))
-"""Two forms of one thing."""
+_EITHER = (
+    ("rate_limit", "voltage_rate"),
+    ("delay", "clock_offset"),
+    ("friction", "load_friction"),
+    ("gravity_load", "linkage_nonlinearity"),
+)
+"""Two forms of one thing, or one that bends the position much as the other does."""
 
 
 class Candidate(NamedTuple):
@@ -99,7 +112,7 @@ def judgeable(record: Record) -> tuple[list[type[MissingEffect]], list[type[Miss
 
 def is_placed(effects: tuple[type[MissingEffect], ...]) -> bool:
     """Whether any effect fixes where the slow pole lies."""
-    return any(effect in PLACES for effect in effects)
+    return any(places_of(effect) for effect in effects)
 
 
 def excluded(known: tuple[type[MissingEffect], ...]) -> set[str]:
@@ -113,14 +126,14 @@ def candidates(
 ) -> list[Candidate]:
     """What may come on top of known effects; a servo has one slow pole, in one place."""
     names = excluded(known)
-    common = [each for each in (BEFORE, INSIDE, AFTER) if all(each in PLACES[e] for e in known if e in PLACES)]
+    common = [each for each in (BEFORE, INSIDE, AFTER) if all(each in places_of(e) for e in known if places_of(e))]
     found = []
     for effect in able:
         if effect.name in names or effect is catalogue.PwmFrame:
             continue
         where: tuple[float, ...] = (place,)
-        if effect in PLACES and record.plant.has_places and record.side is None:
-            where = tuple(each for each in PLACES[effect] if each in common)
+        if places_of(effect) and record.plant.has_places and record.side is None:
+            where = tuple(each for each in places_of(effect) if each in common)
         found += [Candidate(effect, each) for each in where if not (effect is catalogue.SensorLag and each == AFTER)]
     if catalogue.SensorLag in known:
         found = [each for each in found if each.place != AFTER]

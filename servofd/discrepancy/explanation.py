@@ -27,10 +27,11 @@ from servofd.discrepancy.words import (
 )
 from servofd.models.catalogue import CATALOGUE
 from servofd.models.effects import Extension
+from servofd.models.laws import plain, told_apart
 from servofd.segment import Segment
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from servofd.discrepancy.elsewhere import Elsewhere
     from servofd.discrepancy.fit import Fit
@@ -142,7 +143,7 @@ class Explanation:
     @property
     def is_simulated_by_audit(self) -> bool:
         """Whether an audit can run the servo as it was found: not if an effect of the user's own is part of it."""
-        return all(effect in CATALOGUE for effect in self.selection.final.effects)
+        return all(plain(effect) in CATALOGUE for effect in self.selection.final.effects)
 
     @property
     def better_model(self) -> ServoModel:
@@ -212,6 +213,7 @@ def explain_gap(
     voltage_v: FloatArray | None = None,
     own: OwnEffect | None = None,
     off: Sequence[Undriven] = (),
+    conditions: Mapping[str, FloatArray] | None = None,
     progress: Callable[[str], None] = lambda _step: None,
 ) -> Explanation:
     """Find where a servo and its model disagree, name what is missing, and show how the gap shrinks.
@@ -233,6 +235,8 @@ def explain_gap(
         An effect of the user's own, tried beside those of the catalogue.
     off : sequence of Undriven
         Where the log itself says that the servo was not driven.
+    conditions : mapping of str to ndarray, shape (r,), optional
+        Of each run: a load, a supply, a temperature, with which the size of an effect may go.
     progress : callable
         Called with the name of each effect that was tried.
 
@@ -264,15 +268,20 @@ def explain_gap(
     if airspeed_m_s is not None or voltage_v is not None:
         segments = [_with_context(each, airspeed_m_s, voltage_v) for each in segments]
     records = [record_of(each, model, at_rest=on_bench, free_poles=free_poles, own=own) for each in segments]
+    known = told_apart(conditions or {})
+    records = [
+        replace(each, conditions=tuple(float(of[k]) for of in known.values()), condition_names=tuple(known))
+        for k, each in enumerate(records)
+    ]
     record = joined([at_rest(each) for each in records])
     check(record)
     undriven = list(off)
     if record.side is None:
-        kept, stood = driven(records, Fitter(record).root().physics)
+        kept, stood = driven(records, Fitter(record).linear().physics)
         if stood:  # the servo had been fitted to what no servo does
             clear = joined([at_rest(each) for each in clear_of(records, stood)])
             if int(clear.counts.sum()) >= _FEWEST_SAMPLES:
-                again = driven(records, Fitter(clear).root().physics)
+                again = driven(records, Fitter(clear).linear().physics)
                 kept, stood = again if len(again[1]) >= len(stood) else (kept, stood)
         part = joined([at_rest(each) for each in kept]) if stood else record
         if stood and int(part.counts.sum()) >= _FEWEST_SAMPLES:

@@ -29,12 +29,14 @@ if TYPE_CHECKING:
     from servofd.discrepancy.candidates import Candidate
     from servofd.models.missing_effect import MissingEffect, Parameter
 
-__all__ = ["Fit", "Fitter"]
+__all__ = ["LONG", "OWN_FIELDS", "Fit", "Fitter"]
 
 _ITERATIONS, _GAIN_OVER = 8, 0.3
 """A descent ends where a step improves the misfit by less."""
-_SHORTER = (1.0, 0.35, 0.1)
-_DAMPING = 1e-3
+_AGAIN = 8
+"""Iterations of a fit to a part of what was fitted already."""
+_DAMPING, _MOST_DAMPED, _BOLDER, _TIMIDER, _TRIES = 1e-3, 1e4, 6.0, 12.0, 3
+"""Levenberg and Marquardt: share of each curvature, by how much it changes after a step, and how many are tried."""
 _STEP = 0.1
 """In units of what is common, or of a prior: what sticks answers to less with jumps."""
 _LOG_STEP, _DECADES = 0.2, 50.0
@@ -81,8 +83,16 @@ _OWN = (
     ("bias_deg", 0.08, False),
 )
 """How far servos of one type differ (standard deviations): poles 3 %, damping 6 %, gain 1 %, 1.5 ms, 0.08 deg."""
+OWN_FIELDS = tuple(name for name, _, _ in _OWN)
 _UNKNOWN = {"slow_scale": 1.5, "pair_scale": 1.5, "damping_scale": 1.5, "delay_s": 5e-3}
 """The same of a servo that nobody knows."""
+_COARSE = tuple(
+    {"pair_scale": pair, "damping_scale": damping, "slow_scale": slow}
+    for pair, damping, slow in product((0.25, 0.5, 1.0, 2.0, 4.0, 8.0), (0.3, 0.7, 1.4), (0.05, 0.2, 1.0))
+)
+"""Grid on which the search for such a servo begins: of 1 to 40 Hz, loosely and well damped, its slow pole anywhere."""
+_ROOTS, LONG = 6, 30
+"""Points of it that are fitted, and iterations that this may take."""
 _STARTS: tuple[dict[str, float], ...] = (
     {"pair_scale": 0.8},
     {"pair_scale": 2.0},
@@ -92,8 +102,8 @@ _STARTS: tuple[dict[str, float], ...] = (
 )
 """Of a servo of 5 Hz: one that is weak, three as small servos are, and one whose poles other effects hide."""
 _UNKNOWN_LATE_S = 0.01
-_FASTEST_SLOW = 3.0
-"""Times 200 rad/s: what is faster than that no log shows."""
+_FASTEST_SLOW, _SLOW_RAD_S, _SAMPLES = 3.0, 200.0, 3.0
+"""Times 200 rad/s, or a third of a sample: what is faster than that no log shows."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,6 +126,8 @@ class Fit:
     misfit: float = np.inf
     run_deg2: FloatArray = field(default_factory=lambda: np.zeros(0))
     """Mean square that is left of each run."""
+    idle: tuple[int, ...] = ()
+    """Which of the effects change nothing: a limit that is never reached."""
 
     @property
     def total(self) -> float:
@@ -165,7 +177,9 @@ class Fitter:
     _count: FloatArray = field(init=False)
     _least: float = field(init=False)
     _size: float = field(default=1.0, init=False)
+    _period_s: float = field(init=False)
     _below_deg: float = field(default=0.0, init=False)
+    _root: Fit | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         self._look_at(thinned(self.record))
@@ -175,6 +189,7 @@ class Fitter:
         self.part = part
         self._where = np.flatnonzero(part.counts)
         self._run = part.run[self._where]
+        self._period_s = self.record.period_s
         self._count = np.maximum(np.bincount(self._run, minlength=max(len(part.runs), 1)).astype(float), 1.0)
         floor_deg = noise_floor_deg(part, part.measured_deg)
         self._least = max(0.2 * floor_deg, 0.29 * (part.step_deg or 0.0), _NOTHING_DEG) ** 2
@@ -197,20 +212,33 @@ class Fitter:
     def nominal(self) -> Fit:
         """The servo as it is known; one that nobody knows as well as a linear one fits."""
         if self.record.free_poles:
-            root = self.root()
-            return self.judged((), root.physics)
+            return self.judged((), self.root().physics)
         return self.judged((), self.record.plant.neutral)
 
-    def root(self) -> Fit:
-        """The linear servo with its own numbers refitted."""
+    def linear(self) -> Fit:
+        """The linear servo with its own numbers refitted as if its errors had no memory, whatever that takes."""
+        return self._linear()[0]
+
+    def _linear(self) -> list[Fit]:
         neutral = self.record.plant.neutral
-        if not self.record.free_poles:
-            return self.descended((), neutral)
-        starts = [self.descended((), neutral._replace(**start)) for start in ({}, *_STARTS)]
-        best = min(starts, key=lambda fit: fit.misfit)
-        rms = float(np.sqrt(best.run_deg2.max()))
-        self._size = min(1.0, rms / _USUAL_GAP_DEG)
-        return best
+        starts = [neutral]
+        if self.record.free_poles:
+            coarse = [neutral._replace(**point) for point in _COARSE]
+            coarse.sort(key=lambda physics: self._misfit(self._error_deg(physics)[self._where], [], np.zeros(0)))
+            starts += [*coarse[:_ROOTS], *(neutral._replace(**start) for start in _STARTS)]
+        return sorted((self.descended((), start, LONG) for start in starts), key=lambda fit: fit.misfit)
+
+    def root(self) -> Fit:
+        """The linear servo with its own numbers refitted, and the memory of what it leaves taken for the noise's."""
+        if self._root is None:
+            fits = self._linear()
+            self.remember(fits[0])
+            again = [self.descended((), fit.physics, LONG) for fit in fits[:_ROOTS]]
+            self._root = min(again, key=lambda fit: fit.misfit)
+            if self.record.free_poles:
+                rms = float(np.sqrt(self._root.run_deg2.max()))
+                self._size = min(1.0, rms / _USUAL_GAP_DEG)
+        return self._root
 
     def judged(self, effects: tuple[type[MissingEffect], ...], physics: Physics) -> Fit:
         """A servo with given numbers on the whole record."""
@@ -321,45 +349,58 @@ class Fitter:
         slopes = np.zeros((error.size, 0))
         is_old, damping = False, _DAMPING
         for k in range(iterations):
-            if not is_old or slopes.shape[1] == 0:
+            if not is_old:
                 slopes = self._slopes(numbers, x, physics, error)
-                is_old = False
             else:  # those of the servo's own numbers hardly change
                 slopes[:, own:] = self._slopes(numbers[own:], x[own:], physics, error)
             before = best
-            step = self._step(slopes, error, numbers, x, damping)
-            for share in _SHORTER:
-                trial = x + share * step
+            for _ in range(_TRIES):
+                trial = x + self._step(slopes, error, numbers, x, damping)
                 trial = np.array([n.x(n.value(v)) for n, v in zip(numbers, trial, strict=True)])
                 candidate = self._servo(numbers, trial, start)
                 error_there = self._error_deg(candidate)[self._where]
                 there = self._misfit(error_there, numbers, trial)
                 if there < best:
                     x, physics, error, best = trial, candidate, error_there, there
+                    damping = max(damping / _BOLDER, _DAMPING)
                     break
+                damping = min(damping * _TIMIDER, _MOST_DAMPED)
             if before - best < _GAIN_OVER:
                 if not is_old or before - best > 0.0:
                     break
-                slopes = np.zeros((error.size, 0))
+                is_old = False
                 continue
             if k >= 1 and best - 3.0 * (before - best) > enough:
                 break
             is_old = own > 0
         fit = Fit(effects, self._values(effects, physics), physics, np.zeros(0), 0.0, 0.0, np.zeros(0))
-        return replace(fit, misfit=best, run_deg2=self._squares(error))
+        idle = _idle(effects, slopes[:, own:])
+        return replace(fit, misfit=best, run_deg2=self._squares(error), idle=idle)
 
     def halved(self, fit: Fit) -> Fit:
         """A fit whose errors are those of a servo fitted to the training blocks alone; its numbers stay."""
-        if self.record.side is None and (fit.effects or fit.physics != self.record.plant.neutral):
-            half = Fitter(replace(self.record, counts=self.record.trained))
-            half.kappa, half._size = self.kappa, self._size
-            trained = half.descended(fit.effects, fit.physics, 4)
-            self.simulations += half.simulations
-            judged = self.judged(fit.effects, trained.physics)
-        else:
-            judged = self.judged(fit.effects, fit.physics)
-        whole = self.judged(fit.effects, fit.physics)
+        judged, whole = self._foreseen(fit), self.judged(fit.effects, fit.physics)
         return replace(whole, train=judged.train, held_out=judged.held_out, misfit=fit.misfit)
+
+    def foreseen(self, fit: Fit) -> float:
+        """Misfit that a servo fitted to the training blocks alone leaves on those held out, its prior left out."""
+        error, held = self._foreseen(fit).error_deg, self.record.held_out
+        runs = self.record.run[held]
+        count = np.bincount(runs, minlength=self._count.size)
+        squares = np.bincount(runs, weights=error[held] ** 2, minlength=count.size) / np.maximum(count, 1)
+        share = int(count.sum()) / max(int(self.record.counts.sum()), 1)
+        weight = np.where(count > 0, share * self._count.sum() * count / max(int(count.sum()), 1), 0.0) / self.kappa
+        return float(weight @ np.log(squares + self._least))
+
+    def _foreseen(self, fit: Fit) -> Fit:
+        """A servo fitted to the training blocks alone, on the whole record."""
+        if self.record.side is not None or not (fit.effects or fit.physics != self.record.plant.neutral):
+            return self.judged(fit.effects, fit.physics)
+        half = Fitter(replace(self.record, counts=self.record.trained))
+        half.kappa, half._size = self.kappa, self._size
+        trained = half.descended(fit.effects, fit.physics, _AGAIN)
+        self.simulations += half.simulations
+        return self.judged(fit.effects, trained.physics)
 
     def covariance(self, fit: Fit) -> FloatArray:
         """Of the values of a fit, shape (p, p); infinite where nothing shows."""
@@ -393,15 +434,16 @@ class Fitter:
         neutral, record = self.record.plant.neutral, self.record
         taken = {name for effect in effects for p in effect.parameters for name in p.fields}
         numbers = []
+        fastest = max(_FASTEST_SLOW, _SAMPLES / (_SLOW_RAD_S * self._period_s))
         for name, deviation, is_log in _OWN:
             if name in taken or (name == "slow_scale" and not record.plant.has_places):
                 continue
             if record.side is not None and name not in ("gain", "bias_deg"):
                 continue
             if record.free_poles:
-                deviation = _UNKNOWN.get(name, deviation)  # noqa: PLW2901
+                deviation = _UNKNOWN.get(name, deviation) * (self._size if name == "bias_deg" else 1.0)  # noqa: PLW2901
             low, high = (
-                (0.02, _FASTEST_SLOW if name == "slow_scale" else 50.0)
+                (0.02, fastest if name == "slow_scale" else 50.0)
                 if is_log
                 else (0.0 if name == "delay_s" else -np.inf, np.inf)
             )
@@ -471,12 +513,21 @@ class Fitter:
     def _step(
         self, slopes: FloatArray, error: FloatArray, numbers: list[_Number], x: FloatArray, damping: float
     ) -> FloatArray:
-        weight = self._weights(error)
-        weighted = slopes * weight[:, None]
+        weighted = slopes * self._weights(error)[:, None]
         prior = np.array([float(n.prior) for n in numbers])
         curvature = slopes.T @ weighted + np.diag(prior)
         curvature += np.diag(damping * np.diag(curvature) + 1e-12)
-        step: FloatArray = -np.linalg.solve(curvature, weighted.T @ error + prior * x)
+        down = -(weighted.T @ error + prior * x)
+        low, high = (np.array([n.x(each) for n, each in zip(numbers, ends, strict=True)]) for ends in _ends(numbers))
+        free = np.ones(x.size, dtype=np.bool_)
+        step: FloatArray = np.zeros(x.size)
+        for _ in range(x.size):  # what stands at its bound and is driven against it stays there
+            step = np.zeros(x.size)
+            step[free] = np.linalg.solve(curvature[np.ix_(free, free)], down[free])
+            stopped = free & (((x <= low + _SAME) & (step < 0.0)) | ((x >= high - _SAME) & (step > 0.0)))
+            if not stopped.any():
+                break
+            free &= ~stopped
         return step
 
     def _given_way(self, error: FloatArray, slopes: FloatArray) -> float:
@@ -495,6 +546,24 @@ class Fitter:
     def _sized(self, parameter: Parameter, grid: tuple[float, ...]) -> list[float]:
         scale = self._size if _grows_with_gap(parameter) else 1.0
         return [scale * value for value in grid]
+
+
+def _ends(numbers: list[_Number]) -> tuple[list[float], list[float]]:
+    """Bounds of the values."""
+    return [n.low for n in numbers], [n.high for n in numbers]
+
+
+def _idle(effects: tuple[type[MissingEffect], ...], slopes: FloatArray) -> tuple[int, ...]:
+    """Which effects have no slope at all."""
+    if not slopes.shape[1]:
+        return ()
+    first, found = 0, []
+    for k, effect in enumerate(effects):
+        last = first + len(effect.parameters)
+        if effect is not Quantization and not slopes[:, first:last].any():  # the comb tells its step
+            found.append(k)
+        first = last
+    return tuple(found)
 
 
 def _grows_with_gap(parameter: Parameter) -> bool:

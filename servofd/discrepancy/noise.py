@@ -20,7 +20,7 @@ _GOLDEN = 0.6180339887498949
 """Multiples of it fill the unit interval evenly (Weyl)."""
 _MEDIAN_OF_THIRD = 3.02
 """Relative standard deviation of the squared floor, times the root of the number of differences (2000 simulations)."""
-_LAGS = 25
+_LAGS, _PER_LAG = 25, 4
 _SMALLEST_DEG = 1e-6
 
 
@@ -71,9 +71,10 @@ def long_run_factor(error_deg: FloatArray) -> float:
     True
     """
     power = float(error_deg @ error_deg)
-    if power <= 0.0 or error_deg.size <= 2 * _LAGS:
+    lags = min(_LAGS, error_deg.size // _PER_LAG)
+    if power <= 0.0:
         return 1.0
     total = 1.0
-    for lag in range(1, _LAGS + 1):
-        total += 2.0 * (1.0 - lag / (_LAGS + 1)) * float(error_deg[lag:] @ error_deg[:-lag]) / power
+    for lag in range(1, lags + 1):
+        total += 2.0 * (1.0 - lag / (lags + 1)) * float(error_deg[lag:] @ error_deg[:-lag]) / power
     return max(1.0, total)

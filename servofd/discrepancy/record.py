@@ -10,6 +10,7 @@ import numpy as np
 from servofd.detection.residual import Commands, commands_at_servo
 from servofd.discrepancy.lost import after_lost_commands
 from servofd.discrepancy.steps import comb_step_deg
+from servofd.models.laws import at_run
 from servofd.models.physics import LOOSE_FIELDS, Physics, Plant, longest_step_s
 from servofd.models.servo_model import plant_of
 
@@ -95,6 +96,9 @@ class Record:
     side: FloatArray | None = None
     """On which side of its play the surface rests: 1 or -1, 0 where it has none. Only of a record that is too slow to
     show more than where it rests."""
+    conditions: tuple[float, ...] = ()
+    """Of this run, each from -1 to 1 over all runs."""
+    condition_names: tuple[str, ...] = ()
 
     @property
     def is_zeroed(self) -> bool:
@@ -241,6 +245,7 @@ def joined(records: Sequence[Record]) -> Record:
         records[0].free_poles,
         records[0].own,
         _context([each.side for each in runs]),
+        condition_names=records[0].condition_names,
     )
 
 
@@ -323,9 +328,13 @@ def simulate(record: Record, physics: Physics, finer: float = 1.0) -> FloatArray
     >>> bool(np.abs(moved).max() < 1e-6)
     True
     """
-    loose_deg = sum(getattr(physics, name) * share for name, share in LOOSE_FIELDS.items())
+    if not record.runs:
+        physics = at_run(physics, record.conditions)
+    loose_deg = _loose_deg(physics)
     if record.runs and loose_deg > 0.0 and record.side is None and record.is_zeroed:
-        return np.concatenate([_from_where_it_lay(each, physics, loose_deg, finer) for each in record.runs])
+        return np.concatenate(
+            [_from_where_it_lay(each, at_run(physics, each.conditions), finer) for each in record.runs]
+        )
     if record.runs:
         return np.concatenate([simulate(each, physics, finer) for each in record.runs])
     if record.side is not None:
@@ -335,6 +344,11 @@ def simulate(record: Record, physics: Physics, finer: float = 1.0) -> FloatArray
         return lying_deg
     moved_deg: FloatArray = _moved_from(record, physics, finer, [_first_deg(record)])[0]
     return moved_deg
+
+
+def _loose_deg(physics: Physics) -> float:
+    """How far a surface may rest from where it is asked to be [deg]."""
+    return float(sum(getattr(physics, name) * share for name, share in LOOSE_FIELDS.items()))
 
 
 def _first_deg(record: Record) -> float:
@@ -381,12 +395,12 @@ def _moved_from(record: Record, physics: Physics, finer: float, starts_deg: Sequ
     return bounded
 
 
-def _from_where_it_lay(run: Record, physics: Physics, loose_deg: float, finer: float) -> FloatArray:
+def _from_where_it_lay(run: Record, physics: Physics, finer: float) -> FloatArray:
     """Reading of a run that is counted from where the servo lay within its dead band when the run began [deg].
 
     Where that was, nobody wrote down; of a few places the one that agrees best with the run is taken.
     """
-    places_deg = loose_deg * _PLACES
+    places_deg = _loose_deg(physics) * _PLACES
     readings = _moved_from(run, physics, finer, (_first_deg(run) + places_deg).tolist()) - places_deg[:, None]
     errors = (run.measured_deg - readings)[:, run.counts]
     best_deg: FloatArray = readings[int(np.argmin(np.sum(errors * errors, axis=1)))]

@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.discrepancy.adequacy import Adequacy, adequacy
-from servofd.discrepancy.candidates import PLACES, SMALLEST, SURPRISE, candidates, excluded, is_placed, judgeable
-from servofd.discrepancy.fit import Fit, Fitter
+from servofd.discrepancy.adequacy import Adequacy, adequacy, floor_of
+from servofd.discrepancy.candidates import SMALLEST, SURPRISE, candidates, excluded, is_placed, judgeable, places_of
+from servofd.discrepancy.fit import LONG, OWN_FIELDS, Fit, Fitter
 from servofd.discrepancy.frames import best_frame, frames_like
 from servofd.discrepancy.record import liveliest
 from servofd.models.catalogue import ClockOffset, Delay, PwmFrame, SensorLag, SlowDynamics
+from servofd.models.laws import VARIED, by_condition, is_law, plain
 from servofd.models.physics import INSIDE
 
 if TYPE_CHECKING:
@@ -42,6 +43,16 @@ _POSSIBLE = 6.0
 _NAMES, _FITS, _CLOSE, _SHARE = 8, 16, 60.0, 0.3
 """Names and structures that are fitted from one base, and how far behind the best of its name a structure may be: so
 much, or that share of what it improves."""
+_POLISHED, _VARIED, _LAW = 6, 2, 16.0
+"""Structures that are fitted to the end, and those that are tried with a size that goes with a condition of the runs;
+minus twice the logarithm of how rarely it does."""
+_FORESEEN, _SIBLING, _SAME = 4.0, 0.3, 1e-9
+_SAME = 1e-9
+"""By how much an effect must improve the misfit of what was not fitted; and the share of what is left beyond the noise
+that a second way to stick, to be dead or loose must take away."""
+_MODEL_RATIO, _MODEL_SHARE = 1.5, 0.02
+"""Where a servo leaves more than so many times the noise, its misfit is not right to that share for each effective
+sample: errors that differ by 5 % tell no names apart."""
 _DECLARED, _NEGLIGIBLE = 0.99, 1e-3
 _WORSE = 9.0
 """Times the mean square of a run, and of the noise, that an effect must not leave."""
@@ -111,7 +122,12 @@ class _Search:
             self.part.kappa = np.full(self.part.kappa.size, float(np.median(self.fitter.kappa)))
 
     def keep(self, fit: Fit) -> bool:
-        """Remember a fit if it is the best of its structure; whether it is a servo at all."""
+        """Remember a fit if it is the best of its structure; whether it is a servo at all.
+
+        What changes nothing is no part of it: the rest has been fitted from another start.
+        """
+        if fit.idle:
+            fit = without_idle(fit, self.fitter.record.plant.neutral)
         if fit.key not in self.visited or fit.misfit < self.visited[fit.key].misfit:
             self.visited[fit.key] = fit
         return self.is_physical(fit)
@@ -154,7 +170,7 @@ class _Search:
     def _screened(self, start: Fit, shares: int) -> list[tuple[type[MissingEffect], Physics]]:
         """What is worth fitting on top of a start, one of so many."""
         slopes = self.part.slopes(start)
-        before = self.part.given_way(start.physics, slopes)
+        before = self.part.given_way(start.physics, slopes[:, :0])
         screened: list[tuple[float, type[MissingEffect], Physics]] = []
         for candidate in candidates(self.fitter.record, self.able, start.effects, start.place):
             if self.fitter.is_own(candidate.effect):
@@ -193,8 +209,8 @@ class _Search:
                 continue
             record = self.fitter.record
             placed = record.plant.has_places and record.side is None
-            for place in PLACES.get(effect, (INSIDE,)) if placed else (base.place,):
-                if any(place not in PLACES[other] for other in base.effects if other in PLACES):
+            for place in (places_of(effect) or (INSIDE,)) if placed else (base.place,):
+                if any(place not in places_of(other) for other in base.effects if places_of(other)):
                     continue
                 if SensorLag in base.effects and place > INSIDE:
                     continue
@@ -245,6 +261,17 @@ class _Search:
         return [self._fitted((*base.effects, PwmFrame), start)]
 
 
+def without_idle(fit: Fit, neutral: Physics) -> Fit:
+    """A fit without the effects that change nothing."""
+    effects = tuple(effect for k, effect in enumerate(fit.effects) if k not in fit.idle)
+    values = [getattr(fit.physics, p.fields[0]) for effect in effects for p in effect.parameters]
+    gone = {name: getattr(neutral, name) for k in fit.idle for p in fit.effects[k].parameters for name in p.fields}
+    physics = fit.physics._replace(**gone)
+    if not is_placed(effects):
+        physics = physics._replace(slow_place=INSIDE)
+    return replace(fit, effects=effects, values=np.array(values), physics=physics, idle=())
+
+
 def _kept(base: Fit) -> tuple[str, ...]:
     """Fields of the family that the base itself has fitted."""
     fields = {name for effect in base.effects for p in effect.parameters for name in p.fields}
@@ -274,8 +301,6 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     fitter = Fitter(record)
     able, unable = judgeable(record)
     root = fitter.root()
-    fitter.remember(root)
-    root = fitter.descended((), root.physics)
     search = _Search(fitter, able, progress)
     search.begin(root)
     _widened(search, root)
@@ -283,7 +308,7 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     fitter.remember(best)
     search.look_again()
     _reweighed(search)
-    best = _chosen(search)
+    best = _foreseeing(search, _chosen(search))
     nominal = fitter.nominal()
     names, sets = _shares(search, best, nominal)
     best = names[0]
@@ -319,6 +344,8 @@ def _widened(search: _Search, root: Fit) -> None:
         search.look_again()
         _reweighed(search)
         best, beam = search.visited[best.key], []
+        _polished(search, size + 1)
+        _by_condition(search, size + 1)
         longer = _best_of_size(search, size + 1)
         for fit in longer[:1]:  # without each of its effects, and with others in their place
             for k in range(len(fit.effects) - 1):
@@ -330,6 +357,41 @@ def _widened(search: _Search, root: Fit) -> None:
             return
         best, beam = longer[0], longer[:_BEAM]
         beam = [fit for fit in beam if fit.misfit < best.misfit + 4.0 * _OCCAM]
+
+
+def _polished(search: _Search, size: int) -> None:
+    """Fit the likeliest structures of a size to the end, from where they are and with the best one's own numbers."""
+    likely = _best_of_size(search, size)[:_POLISHED]
+    for fit in likely:
+        starts = [fit.physics]
+        if fit is not likely[0]:
+            own = {name: getattr(likely[0].physics, name) for name in OWN_FIELDS}
+            taken = {name for effect in fit.effects for p in effect.parameters for name in p.fields}
+            starts.append(fit.physics._replace(**{k: v for k, v in own.items() if k not in taken}))
+        for start in starts:
+            search.keep(search.fitter.descended(fit.effects, start, LONG))
+
+
+def _by_condition(search: _Search, size: int) -> None:
+    """The likeliest structures of a size with one of their effects going with a condition of the runs."""
+    fitter = search.fitter
+    for fit in _best_of_size(search, size)[:_VARIED]:
+        if any(is_law(effect) for effect in fit.effects):
+            continue
+        for k, effect in enumerate(fit.effects):
+            if effect not in VARIED:
+                continue
+            value = float(fit.values[sum(len(e.parameters) for e in fit.effects[:k])])
+            for number, name in enumerate(fitter.record.condition_names):
+                search.progress(f"{effect.key()} by {name}")
+                law = by_condition(effect, number, name)
+                effects = (*fit.effects[:k], law, *fit.effects[k + 1 :])
+                scale = 1.0 if effect.parameters[0].low < 0.0 else abs(value)
+                tried = [
+                    fit.physics._replace(**law.fixed, run_slope=share * scale) for share in law.parameters[-1].grid
+                ]
+                errors = [fitter.given_way(physics, np.zeros((0, 0))) for physics in tried]
+                search.keep(fitter.descended(effects, tried[int(np.argmin(errors))], LONG))
 
 
 def _without(search: _Search, fit: Fit, k: int) -> Fit:
@@ -371,7 +433,8 @@ def _cost(search: _Search, fit: Fit) -> float:
     """BIC, and how surprising its names are."""
     count = sum(len(effect.parameters) for effect in fit.effects)
     surprise = sum(SURPRISE.get(name, 0.0) for name in fit.names)
-    return fit.misfit + count * float(np.log(max(search.fitter.effective, 2.0))) + surprise
+    laws = _LAW * sum(is_law(effect) for effect in fit.effects)
+    return fit.misfit + count * float(np.log(max(search.fitter.effective, 2.0))) + surprise + laws
 
 
 def _window(search: _Search, fewer: Fit, more: Fit) -> float:
@@ -408,6 +471,40 @@ def _chosen(search: _Search) -> Fit:
     return best
 
 
+def _foreseeing(search: _Search, best: Fit) -> Fit:
+    """The structure without what does not help to foresee what was not fitted."""
+    if search.fitter.record.side is not None:
+        return best
+    while best.effects:
+        score = search.fitter.foreseen(best)
+        fewer = [_prefix(search, best, tuple(e for e in best.effects if e is not effect)) for effect in best.effects]
+        worse = [search.fitter.foreseen(fit) - score for fit in fewer]
+        # Without its name, one of the servo's own numbers has moved as far as its prior lets it.
+        worse = [
+            max(each, _FORESEEN + _SAME) if search.fitter.is_own(effect) and each > -_FORESEEN else each
+            for each, effect in zip(worse, best.effects, strict=True)
+        ]
+        for k, effect in enumerate(best.effects):
+            like = [e for e in best.effects if e is not effect and e.family and e.family == effect.family]
+            if like and _share_of_excess(search, fewer[k], best) < _SIBLING:
+                worse[k] = -np.inf
+        k = int(np.argmin(worse))
+        if worse[k] > _FORESEEN:
+            break
+        best = fewer[k]
+    return best
+
+
+def _share_of_excess(search: _Search, fewer: Fit, best: Fit) -> float:
+    """Of what a servo without an effect leaves beyond the noise, how much the effect takes away."""
+    fitter = search.fitter
+    before, after = (
+        fitter.halved(fit).held_out / max(float(fitter.record.held_out.sum()), 1.0) for fit in (fewer, best)
+    )
+    excess = before - floor_of(fitter.record, fitter.judged(best.effects, best.physics)) ** 2
+    return (before - after) / excess if excess > 0.0 else 0.0
+
+
 def _reweighed(search: _Search) -> None:
     """Misfits of all that comes into question, counted by another memory."""
     fitter = search.fitter
@@ -427,8 +524,11 @@ def _shares(search: _Search, best: Fit, nominal: Fit) -> tuple[list[Fit], float]
     least = _cost(search, best)
     # Of the servo as it is known: a gain that is refitted stands in for much of a load, against its prior.
     tempered = 1.0 + max(_tolerance(search, best), _tolerance(search, best, nominal)) / _OCCAM
+    tempered += _MODEL_SHARE * _beyond_noise(search, best) * search.fitter.effective
     for fit in search.visited.values():
         if len(fit.effects) != size or not search.is_physical(fit) or _harms(search, fit):
+            continue
+        if _siblings_in(fit) > _siblings_in(best):
             continue
         key = tuple(sorted(fit.names))
         share = float(np.exp(-0.5 * (_cost(search, fit) - least) / tempered))
@@ -442,7 +542,7 @@ def _shares(search: _Search, best: Fit, nominal: Fit) -> tuple[list[Fit], float]
     most = max(weight.values())
 
     def rank(key: tuple[str, ...]) -> tuple[float, int]:  # what is equal goes by the catalogue's order
-        late = sum(search.able.index(effect) for effect in first[key].effects)
+        late = sum(search.able.index(plain(effect)) for effect in first[key].effects)
         return -round(float(np.log(max(weight[key] / most, 1e-300))), 1), late
 
     for key in sorted(weight, key=rank):
@@ -453,13 +553,27 @@ def _shares(search: _Search, best: Fit, nominal: Fit) -> tuple[list[Fit], float]
     return names, max(weight.values()) / total
 
 
+def _beyond_noise(search: _Search, best: Fit) -> float:
+    """Share of what the best leaves that is no noise but its own error."""
+    record = search.fitter.record
+    whole = search.fitter.judged(best.effects, best.physics)
+    left = whole.total / max(float(record.counts.sum()), 1.0)
+    return max(0.0, 1.0 - (_MODEL_RATIO * floor_of(record, whole)) ** 2 / max(left, 1e-30))
+
+
+def _siblings_in(fit: Fit) -> int:
+    """How many effects are another way of what a further one is."""
+    families = [effect.family for effect in fit.effects if effect.family]
+    return len(families) - len(set(families))
+
+
 def _forms(search: _Search, fit: Fit) -> float:
     """How many structures the names of a fit may have, by which their probability is divided."""
     has_places = search.fitter.record.plant.has_places and search.fitter.record.side is None
     most = 1
     for name in fit.names:
         forms = [effect for effect in search.able if effect.name == name]
-        most = max(most, sum(len(PLACES.get(form, (INSIDE,))) if has_places else 1 for form in forms))
+        most = max(most, sum(max(len(places_of(form)), 1) if has_places else 1 for form in forms))
     return float(most)
 
 

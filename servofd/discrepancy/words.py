@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.discrepancy.at_rest import rest_sentence
-from servofd.discrepancy.candidates import PLACES
+from servofd.discrepancy.candidates import places_of
 from servofd.models.physics import AFTER, BEFORE, scaled_transfer, split
 
 if TYPE_CHECKING:
@@ -82,5 +82,5 @@ def linear_sentence(record: Record, selection: Selection) -> str:
 
 def form_of(effect: type[MissingEffect], place: float) -> str | None:
     """Which machine an effect is, and on which side of the servo's slow pole it acts, where that matters."""
-    where = {BEFORE: "behind the slow pole", AFTER: "ahead of the slow pole"}.get(place) if effect in PLACES else None
+    where = {BEFORE: "behind the slow pole", AFTER: "ahead of the slow pole"}.get(place) if places_of(effect) else None
     return "; ".join(filter(None, (effect.form, where))) or None

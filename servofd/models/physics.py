@@ -119,6 +119,13 @@ class Physics(NamedTuple):
     """By which share friction is larger at rest than at speed."""
     stribeck_deg_s: float = 10.0
     """Speed at which most of that is gone."""
+    run_slope: float = 0.0
+    """By how much a size is larger in the run with the largest value of a condition than in the mean one; the kernel
+    knows nothing of it, nor of the next two (`servofd.models.laws`)."""
+    run_field: float = 0.0
+    """Which size."""
+    run_condition: float = 0.0
+    """Which condition."""
     own_1: float = math.nan
     """Parameters of an effect of the user's own; the kernel knows nothing of them."""
     own_2: float = math.nan

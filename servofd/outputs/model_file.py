@@ -9,6 +9,7 @@ import numpy as np
 from servofd.feedback.fitted import good_levels
 from servofd.models.catalogue import CATALOGUE, OWN, Bias, Delay, Gain
 from servofd.models.effect_table import table_of
+from servofd.models.laws import plain
 from servofd.models.physics import INSIDE
 from servofd.toml_text import toml_key, toml_lines
 
@@ -93,7 +94,7 @@ def _why_not(found: Explanation) -> str:
         return "the log shows only where it rests, not how it moves"
     if not final.effects:
         return "no effect was found, so there is no better model"
-    own = [effect.name for effect in final.effects if effect not in CATALOGUE]
+    own = [effect.name for effect in final.effects if plain(effect) not in CATALOGUE]
     if own:
         return f"{', '.join(own)} comes from a file of your own, which an audit does not run"
     before, after = (found.rms_deg(fit)["held_out_rms_deg"] for fit in (found.selection.nominal, final))
