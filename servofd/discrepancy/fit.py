@@ -383,14 +383,20 @@ class Fitter:
         return replace(whole, train=judged.train, held_out=judged.held_out, misfit=fit.misfit)
 
     def foreseen(self, fit: Fit) -> float:
-        """Misfit that a servo fitted to the training blocks alone leaves on those held out, its prior left out."""
-        error, held = self._foreseen(fit).error_deg, self.record.held_out
+        """Misfit that a servo fitted to the training blocks alone leaves on those held out, with what its prior costs."""
+        judged, held = self._foreseen(fit), self.record.held_out
+        error = judged.error_deg
         runs = self.record.run[held]
         count = np.bincount(runs, minlength=self._count.size)
         squares = np.bincount(runs, weights=error[held] ** 2, minlength=count.size) / np.maximum(count, 1)
         share = int(count.sum()) / max(int(self.record.counts.sum()), 1)
         weight = np.where(count > 0, share * self._count.sum() * count / max(int(count.sum()), 1), 0.0) / self.kappa
-        return float(weight @ np.log(squares + self._least))
+        return float(weight @ np.log(squares + self._least)) + self.prior(judged)
+
+    def prior(self, fit: Fit) -> float:
+        """What it costs that the servo's own numbers are not those of its type."""
+        numbers = [n for n in self._numbers(fit.effects, fit.physics) if n.prior]
+        return float(np.sum(self._x(numbers, fit.physics) ** 2))
 
     def _foreseen(self, fit: Fit) -> Fit:
         """A servo fitted to the training blocks alone, on the whole record."""

@@ -46,7 +46,7 @@ much, or that share of what it improves."""
 _POLISHED, _VARIED, _LAW = 6, 2, 16.0
 """Structures that are fitted to the end, and those that are tried with a size that goes with a condition of the runs;
 minus twice the logarithm of how rarely it does."""
-_FORESEEN, _SIBLING, _SAME = 4.0, 0.3, 1e-9
+_FORESEEN, _SIBLING = 4.0, 0.3
 _SAME = 1e-9
 """By how much an effect must improve the misfit of what was not fitted; and the share of what is left beyond the noise
 that a second way to stick, to be dead or loose must take away."""
@@ -479,11 +479,6 @@ def _foreseeing(search: _Search, best: Fit) -> Fit:
         score = search.fitter.foreseen(best)
         fewer = [_prefix(search, best, tuple(e for e in best.effects if e is not effect)) for effect in best.effects]
         worse = [search.fitter.foreseen(fit) - score for fit in fewer]
-        # Without its name, one of the servo's own numbers has moved as far as its prior lets it.
-        worse = [
-            max(each, _FORESEEN + _SAME) if search.fitter.is_own(effect) and each > -_FORESEEN else each
-            for each, effect in zip(worse, best.effects, strict=True)
-        ]
         for k, effect in enumerate(best.effects):
             like = [e for e in best.effects if e is not effect and e.family and e.family == effect.family]
             if like and _share_of_excess(search, fewer[k], best) < _SIBLING:
@@ -509,10 +504,7 @@ def _reweighed(search: _Search) -> None:
     """Misfits of all that comes into question, counted by another memory."""
     fitter = search.fitter
     for key, fit in list(search.visited.items()):
-        numbers = fitter._numbers(fit.effects, fit.physics)
-        x = fitter._x(numbers, fit.physics)
-        prior = sum(float(v) ** 2 for n, v in zip(numbers, x, strict=True) if n.prior)
-        misfit = float((fitter._count / fitter.kappa) @ np.log(fit.run_deg2 + fitter._least)) + prior
+        misfit = float((fitter._count / fitter.kappa) @ np.log(fit.run_deg2 + fitter._least)) + fitter.prior(fit)
         search.visited[key] = replace(fit, misfit=misfit)
 
 

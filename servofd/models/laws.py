@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.models import catalogue
-from servofd.models.catalogue import MissingEffect, Parameter
+from servofd.models.missing_effect import MissingEffect, Parameter
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
