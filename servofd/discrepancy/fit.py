@@ -382,16 +382,15 @@ class Fitter:
         judged, whole = self._foreseen(fit), self.judged(fit.effects, fit.physics)
         return replace(whole, train=judged.train, held_out=judged.held_out, misfit=fit.misfit)
 
-    def foreseen(self, fit: Fit) -> float:
-        """Misfit that a servo fitted to the training blocks alone leaves on those held out, with what its prior costs."""
+    def foreseen(self, fit: Fit) -> tuple[float, float]:
+        """Misfit that a servo fitted to the training blocks leaves on those held out, and what its prior costs."""
         judged, held = self._foreseen(fit), self.record.held_out
         error = judged.error_deg
         runs = self.record.run[held]
         count = np.bincount(runs, minlength=self._count.size)
         squares = np.bincount(runs, weights=error[held] ** 2, minlength=count.size) / np.maximum(count, 1)
-        share = int(count.sum()) / max(int(self.record.counts.sum()), 1)
-        weight = np.where(count > 0, share * self._count.sum() * count / max(int(count.sum()), 1), 0.0) / self.kappa
-        return float(weight @ np.log(squares + self._least)) + self.prior(judged)
+        weight = self._count.sum() * count / max(int(self.record.counts.sum()), 1) / self.kappa
+        return float(weight @ np.log(squares + self._least)), self.prior(judged)
 
     def prior(self, fit: Fit) -> float:
         """What it costs that the servo's own numbers are not those of its type."""

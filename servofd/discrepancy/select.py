@@ -476,9 +476,14 @@ def _foreseeing(search: _Search, best: Fit) -> Fit:
     if search.fitter.record.side is not None:
         return best
     while best.effects:
-        score = search.fitter.foreseen(best)
+        left, price = search.fitter.foreseen(best)
         fewer = [_prefix(search, best, tuple(e for e in best.effects if e is not effect)) for effect in best.effects]
-        worse = [search.fitter.foreseen(fit) - score for fit in fewer]
+        worse = []
+        for fit, effect in zip(fewer, best.effects, strict=True):
+            left_there, price_there = search.fitter.foreseen(fit)
+            # Of a servo that nobody knows, its prior says little against numbers that stand in for an effect.
+            counts = search.fitter.is_own(effect) or not search.fitter.record.free_poles
+            worse.append(left_there - left + (price_there - price if counts else 0.0))
         for k, effect in enumerate(best.effects):
             like = [e for e in best.effects if e is not effect and e.family and e.family == effect.family]
             if like and _share_of_excess(search, fewer[k], best) < _SIBLING:
