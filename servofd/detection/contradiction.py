@@ -323,7 +323,11 @@ def _line(time_s: FloatArray, error: FloatArray, asked: FloatArray) -> tuple[flo
     if frequencies.size == 0:
         return None
     taper = np.hanning(time_s.size)
-    waves = np.exp(-2j * np.pi * frequencies[:, None] * (time_s - time_s[0])[None, :])
+    since_s = time_s - time_s[0]
+    turns = np.empty((frequencies.size, time_s.size), dtype=np.complex128)
+    turns[0] = np.exp(-2j * np.pi * frequencies[0] * since_s)
+    turns[1:] = np.exp(-0.5j * np.pi / _WINDOW_S * since_s)  # from each frequency to the next
+    waves = np.multiply.accumulate(turns)
     scale = 2.0 / taper.sum()
     amplitude = np.abs(waves @ (taper * (error - error.mean()))) * scale
     best = int(np.argmax(amplitude))

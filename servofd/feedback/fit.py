@@ -34,6 +34,7 @@ _DELAYS_S = (0.0, 0.015, 0.03, 0.05, 0.08, 0.12)
 _RATES_DEG_S = (600.0, 400.0, 250.0, 150.0, 100.0, 60.0)
 _WORTH_A_LIMIT = 0.95
 _MOST_EVALUATIONS = 100
+_NEAR, _NEAR_DEG = 1e-3, 1e-5
 _STARTS = 3
 _REWEIGHTINGS = 5
 _BANDWIDTH_RANGE_HZ, _DAMPING_RANGE = (0.2, 100.0), (0.2, 10.0)
@@ -163,7 +164,6 @@ def _origin(fit: RoughFit, simulator: Simulator, held_out: BoolArray, block: Int
 
 def _refined(start: RoughFit, judged: Callable[[RoughFit], RoughFit]) -> RoughFit:
     """Downhill from a point of the grid, in logarithms of what must stay positive."""
-    from scipy.optimize import minimize
 
     def at(x: FloatArray) -> RoughFit:
         shape: dict[str, Any] = {
@@ -179,13 +179,44 @@ def _refined(start: RoughFit, judged: Callable[[RoughFit], RoughFit]) -> RoughFi
     if np.isfinite(start.rate_limit_deg_s):
         begin = np.append(begin, np.log(start.rate_limit_deg_s))
     simplex = begin + np.vstack([np.zeros(begin.size), np.diag([0.3, 0.4, 0.01, 0.3])[: begin.size, : begin.size]])
-    options: Any = {"initial_simplex": simplex, "maxfev": _MOST_EVALUATIONS, "xatol": 1e-3, "fatol": 1e-5}
 
     def error_deg(x: FloatArray) -> float:
         return judged(at(x)).error_deg
 
-    found: Any = minimize(error_deg, begin, method="Nelder-Mead", options=options)
-    return min(start, judged(at(found.x)), key=_error)
+    found = _lowest(error_deg, simplex)
+    return min(start, judged(at(found)), key=_error)
+
+
+def _lowest(cost: Callable[[FloatArray], float], simplex: FloatArray) -> FloatArray:
+    """Where a cost is lowest, from a simplex downhill (Nelder and Mead, 1965; Lagarias et al., 1998).
+
+    The same steps as those of scipy, whose package of optimisers takes half a second to load.
+    """
+    size = simplex.shape[1]
+    costs = np.array([cost(x) for x in simplex])
+    spent = size + 1
+    while spent < _MOST_EVALUATIONS:
+        order = np.argsort(costs)
+        simplex, costs = simplex[order], costs[order]
+        if np.abs(simplex[1:] - simplex[0]).max() <= _NEAR and np.abs(costs[1:] - costs[0]).max() <= _NEAR_DEG:
+            break
+        centre = simplex[:-1].mean(axis=0)
+        away = centre - simplex[-1]
+        tried = centre + away
+        found, spent = cost(tried), spent + 1
+        if found >= costs[-2] or found < costs[0]:  # further, or back, and how far
+            is_best, is_bad = found < costs[0], found >= costs[-1]
+            other = centre + (2.0 if is_best else -0.5 if is_bad else 0.5) * away
+            there, spent = cost(other), spent + 1
+            if there < found if is_best else there < costs[-1] if is_bad else there <= found:
+                tried, found = other, there
+            elif not is_best:
+                simplex[1:] = simplex[0] + 0.5 * (simplex[1:] - simplex[0])
+                costs[1:] = [cost(x) for x in simplex[1:]]
+                spent += size
+                continue
+        simplex[-1], costs[-1] = tried, found
+    return simplex[costs.argmin()]
 
 
 def _error(fit: RoughFit) -> float:
