@@ -43,6 +43,7 @@ def test_a_sound_aircraft_has_no_fault_however_short_its_log(until_s: float, suf
         assert "fault" not in {s.status for s in verdicts(flight, tmp_path / f"flight.{suffix}").values()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["stuck", "hardover", "floating"])
 def test_what_contradicts_any_servo_is_a_fault_and_nothing_else_is(kind: str, tmp_path: Path) -> None:
     failure = Failure(kind, "rudder", 25.0)
@@ -54,11 +55,13 @@ def test_what_contradicts_any_servo_is_a_fault_and_nothing_else_is(kind: str, tm
     assert {name for name, surface in found.items() if surface.status == "fault"} == {"rudder"}
 
 
+@pytest.mark.slow
 def test_an_offset_is_suspect_only(tmp_path: Path) -> None:
     flown = fly(stranger(5), 1, "aerobatics", duration_s=60.0, failure=Failure("bias", "elevator", 40.0, 4.0))
     assert verdicts(flown, tmp_path / "flight.csv")["elevator"].status == "suspect"
 
 
+@pytest.mark.slow
 def test_positions_that_freeze_together_are_one_event_and_no_fault(tmp_path: Path) -> None:
     flown = fly(stranger(5), 1, "aerobatics", duration_s=60.0)
     frozen = (flown.position_s > 30.0) & (flown.position_s < 36.0)
@@ -69,6 +72,7 @@ def test_positions_that_freeze_together_are_one_event_and_no_fault(tmp_path: Pat
     assert "frozen" in found["rudder"].reason
 
 
+@pytest.mark.slow
 def test_commands_that_stop_leave_nothing_cleared(tmp_path: Path) -> None:
     flown = fly(stranger(4), 1, "mixed", duration_s=60.0)
     early = flown.command_s < 25.0
@@ -82,6 +86,7 @@ def test_commands_that_stop_leave_nothing_cleared(tmp_path: Path) -> None:
     assert "healthy" not in {surface.status for surface in verdicts(stopped, tmp_path / "flight.csv").values()}
 
 
+@pytest.mark.slow
 def test_a_healthy_surface_tells_what_would_have_been_seen(tmp_path: Path) -> None:
     found = verdicts(fly(stranger(4), 1, "mixed", duration_s=120.0), tmp_path / "flight.csv")
     healthy = [surface for surface in found.values() if surface.status == "healthy"]

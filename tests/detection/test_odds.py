@@ -340,7 +340,7 @@ def test_a_fault_or_too_little_contributes_nothing() -> None:
     assert "never changes" in silent.reason
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_simulated_flight_hours_see_the_predicted_false_alarms(capsys: pytest.CaptureFixture[str]) -> None:
     """A hundred alarms expected in 250 hours, the tail fitted to 25 others; a thousand hours are in docs/odds.md."""
     main = runpy.run_path(str(ROOT / "benchmarks" / "false_alarms.py"))["main"]

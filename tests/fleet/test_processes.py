@@ -64,6 +64,7 @@ def cluster() -> Iterator[Any]:
         yield started
 
 
+@pytest.mark.nightly
 @pytest.mark.filterwarnings("ignore")  # distributed's own
 def test_a_cluster_gives_the_same_tables_and_survives_the_death_of_a_worker(
     logs: Path, expected: dict[str, list[str]], cluster: Any

@@ -44,7 +44,7 @@ def test_a_current_limit_is_named_and_measured() -> None:
     assert fitter.final.values[0] == pytest.approx(3.0, rel=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_runs_held_out_whole_are_predicted_by_the_others() -> None:
     found = explained({"gravity_load": {"droop_deg": 15.0}, "delay": {"delay_s": 0.02}})
     assert set(found.selection.final.names) == {"gravity_load", "delay"}

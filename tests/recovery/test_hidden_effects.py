@@ -59,7 +59,7 @@ def test_answers_come_through_the_command_line(monkeypatch: pytest.MonkeyPatch, 
     assert asked[-2:] == ["--servo", "s9254"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_tables_say_what_was_answered(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     said: dict[str, Any] = {
         "conclusion": "explained",

@@ -34,7 +34,7 @@ def test_a_healthy_flight_has_no_fault_and_no_delay() -> None:
     assert 0.1 < one.interval_peak < 1.0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_95_of_100_medium_and_large_faults_get_their_name() -> None:
     cases = [
         Case(seed, style, kind, size)

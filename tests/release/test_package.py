@@ -101,7 +101,7 @@ def test_the_source_archive_holds_what_its_tests_need(archives: tuple[Path, Path
     assert not any(name.startswith((".ci", "out/", ".venv")) or name.endswith(".pyc") for name in names)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_wheel_starts_in_an_empty_environment(archives: tuple[Path, Path], tmp_path: Path) -> None:
     """No dependency is there: importing, help and version need none."""
     venv.create(tmp_path / "venv", with_pip=True)
@@ -119,7 +119,7 @@ def test_the_wheel_starts_in_an_empty_environment(archives: tuple[Path, Path], t
     assert shutil.which("rerun-importer-servofd", path=programs)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_wheel_audits_with_all_it_depends_on(archives: tuple[Path, Path], tmp_path: Path) -> None:
     """Away from the checkout, with the shipped aircraft files and templates of the wheel itself."""
     with zipfile.ZipFile(archives[1]) as wheel:

@@ -94,7 +94,7 @@ def test_the_odds_of_the_documentation_are_printed(
     assert capsys.readouterr().out == "0.292 deg, 3 in a row 0.234 deg\n"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_pictures_of_the_odds_are_what_their_script_draws(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -111,7 +111,7 @@ def test_the_page_on_detection_tells_the_constants_of_the_code() -> None:
     assert re.findall(r"\((D\d+)\)$", text, re.MULTILINE) == [f"D{n}" for n in range(1, 13)]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_pictures_of_detection_are_what_their_script_draws(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
