@@ -13,15 +13,17 @@ from servofd.detection.calibrated import judged
 from servofd.detection.changes import STATISTICS
 from servofd.detection.watch import FLOORS, MARGIN, detectable, statistics_of, watched
 from servofd.errors import CalibrationError
+from servofd.estimate.family import PRESSURE_PA
 from servofd.estimate.fit import fit
 from servofd.estimate.priors import NAMES, PRIORS
 from servofd.estimate.record import Record, usual_supply_v
 from servofd.estimate.schema import CalibratedNoise, CalibratedServo
+from servofd.models.context import AIR_KG_M3
 from servofd.servos import Servo
 from servofd.tolerance import Tolerance
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from servofd.aircraft import Aircraft
     from servofd.calibrating.flights import Flight
@@ -71,13 +73,12 @@ _SPOKEN: Final = dict(
     )
 )  # fmt: skip
 
-_EFFECTS: Final = {
-    "friction_deg": "friction {:.2g} deg",
-    "deadband_deg": "dead band {:.2g} deg",
-    "play_deg": "play {:.2g} deg",
-    "hinge": "gives way {:.2g} deg",
-    "bend2_deg": "reading bent by {:.2g} deg",
-}
+_RESTING: Final = {"friction_deg": "friction", "deadband_deg": "dead band", "play_deg": "play"}
+_WIDTHS: Final = {"friction_deg": 0.5, "deadband_deg": 1.0, "play_deg": 1.0}
+"""Friction holds the surface on both sides."""
+_NOTHING: Final = 1e-3
+_FLYING: Final = 0.1
+_LEAST_SHOWN_DEG: Final = 0.02
 
 
 def hardly_moved(flights: Sequence[Flight]) -> str:
@@ -134,11 +135,12 @@ def calibrate_surface(flights: Sequence[Flight], aircraft: Aircraft) -> Calibrat
     known = known.model_copy(update={"thresholds": _thresholds(known, fitted, records)})
     flown = [watched(known, record) for record in records]
     servo = _linear(fitted.theta, flights)
+    estimates = {key: _estimate(fitted, first, place) for place, key in enumerate(NAMES)}
     return CalibratedSurface(
         name,
         known,
-        {key: _estimate(fitted, place) for place, key in enumerate(NAMES)},
-        _effects(fitted, records),
+        estimates,
+        _effects(fitted, records, estimates),
         measured,
         servo,
         _tolerance(known),
@@ -311,31 +313,45 @@ def _thresholds(known: CalibratedServo, fitted: Fit, records: Sequence[Record]) 
     }
 
 
-def _estimate(fitted: Fit, place: int) -> Estimate:
-    return Estimate.of(fitted.theta[place], float(np.sqrt(max(fitted.covariance[place, place], 0.0))))
+def _estimate(fitted: Fit, first: Fit, place: int) -> Estimate:
+    """What the flights say of a parameter; the first fit knows what other servos would have done as well."""
+    value, deviation = fitted.estimates[place].tolist()
+    return Estimate.of(value, max(deviation, float(first.estimates[place, 1])))
 
 
-def _effects(fitted: Fit, records: Sequence[Record]) -> tuple[str, ...]:
+def _effects(fitted: Fit, records: Sequence[Record], estimates: Mapping[str, Estimate]) -> tuple[str, ...]:
     """Effects without which what was left out is predicted worse."""
-    found = []
-    for key, words in _EFFECTS.items():
-        place = NAMES.index(key)
-        together = {"hinge": ("hinge", "hinge_deg"), "bend2_deg": ("bend2_deg", "bend3_deg")}.get(key, (key,))
-        value = max(abs(float(fitted.theta[NAMES.index(each)])) for each in together)
-        if value < 1e-3:
-            continue
+    flown = float(np.median(np.concatenate([record.load for record in records]))) > _FLYING
+
+    def gained(together: tuple[str, ...]) -> float:
+        if max(abs(float(fitted.theta[NAMES.index(each)])) for each in together) < _NOTHING:
+            return 0.0
         without = fit(records, fixed=together, start=fitted.theta, steps=2)
-        ratio = without.held_out_rms_deg / fitted.held_out_rms_deg
-        if ratio < _PAYS:
-            continue
-        if key == "hinge":
-            pressure = 0.5 * 1.225 * _FAST_M_S**2 / 300.0
-            reach = max(abs(fitted.reach_deg[0]), abs(fitted.reach_deg[1]))
-            value = pressure * (abs(float(fitted.theta[place])) * reach + abs(float(fitted.theta[place + 1])))
-            found.append((ratio, words.format(value) + f" at {reach:.0f} deg and {_FAST_M_S:g} m/s"))
-        else:
-            found.append((ratio, words.format(value)))
-    return tuple(text for _, text in sorted(found, reverse=True))
+        return without.held_out_rms_deg / fitted.held_out_rms_deg
+
+    def resting(key: str) -> str:
+        return f"{_RESTING[key]} {_shown(estimates[key], least=flown and key == 'play_deg')}"
+
+    found = {resting(key): gained((key,)) for key in _RESTING}
+    if max(found.values()) < _PAYS:  # they may stand for each other
+        widest = max(_RESTING, key=lambda key: estimates[key].value / _WIDTHS[key])
+        others = " or ".join(name for key, name in _RESTING.items() if key != widest)
+        found = {f"{resting(widest)}, which may be {others}": gained(tuple(_RESTING))}
+    reach = max(abs(fitted.reach_deg[0]), abs(fitted.reach_deg[1]))
+    pressure = 0.5 * AIR_KG_M3 * _FAST_M_S**2 / PRESSURE_PA
+    gives = pressure * (abs(estimates["hinge"].value) * reach + abs(estimates["hinge_deg"].value))
+    found[f"gives way {gives:.2g} deg at {reach:.0f} deg and {_FAST_M_S:g} m/s"] = gained(("hinge", "hinge_deg"))
+    bend = max(abs(estimates[each].value) for each in ("bend2_deg", "bend3_deg"))
+    found[f"reading bent by {bend:.2g} deg"] = gained(("bend2_deg", "bend3_deg"))
+    return tuple(text for text, ratio in sorted(found.items(), key=lambda each: -each[1]) if ratio >= _PAYS)
+
+
+def _shown(estimate: Estimate, *, least: bool) -> str:
+    """Size with its interval; play that the air pushes to one side may be wider than it shows."""
+    value, low, high = (max(each, 0.0) for each in estimate)
+    if least:
+        return f"of at least {low:.2g} deg" if low >= _LEAST_SHOWN_DEG else f"of {value:.2g} deg or more"
+    return f"{value:.2g} deg [{low:.2g}, {high:.2g}]"
 
 
 def _linear(theta: FloatArray, flights: Sequence[Flight]) -> Servo:

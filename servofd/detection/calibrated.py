@@ -14,7 +14,7 @@ import numpy as np
 from servofd.detection.changes import STATISTICS, Memory, follow
 from servofd.detection.cleared import not_judgeable, why_not_cleared
 from servofd.detection.probability.cusum import CusumDesign
-from servofd.detection.refit import named
+from servofd.detection.refit import LOUD, named
 from servofd.detection.residual import Residuals
 from servofd.detection.statistics import Statistics, outline
 from servofd.detection.threshold import Threshold
@@ -41,6 +41,9 @@ _MOST_FAULTS: Final = 20
 _AGAIN_S: Final = 1.0
 _STILL_FAST: Final = 0.69
 """Speed goes with the supply, and friction with the temperature: a fifth each, between good flights."""
+_STILL_ALL: Final = 0.93
+_LASTING: Final = ("slow", "loss_of_effectiveness", "bias", "deadband")
+_SHORTEST_WEAR_S: Final = 2.0
 _SAME_S: Final = 5.0
 """What is raised so soon after the end of a fault belongs to it."""
 _MOST_OF_THE_LOG: Final = 0.9
@@ -126,7 +129,7 @@ def judged(flight: Watched) -> Found:
         tables.append(statistics[keep])
         if not np.isfinite(raised_s):
             break
-        fault = _weighed(named(flight, raised_s, ratio, earliest_s=earliest_s))
+        fault = _weighed(named(flight, raised_s, ratio, earliest_s=earliest_s), ratio)
         if faults and fault.kind != "healthy" and raised_s - (faults[-1].end_s or raised_s) < _SAME_S:
             fault = _joined(faults.pop(), fault)
         (suspicions if fault.kind == "healthy" else faults).append(fault)
@@ -142,12 +145,20 @@ def judged(flight: Watched) -> Found:
     return Found(tuple(faults), tuple(suspicions), np.concatenate(grids), np.concatenate(tables))
 
 
-def _weighed(fault: Fault) -> Fault:
-    """The same fault; a servo that is a little slow is still a good one, on a cold day or a low supply."""
-    speed = fault.parameters.get("bandwidth_scale")
-    if fault.kind != "slow" or speed is None or speed.value < _STILL_FAST:
-        return fault
-    return replace(fault, kind="healthy", parameters={}, alternatives=("slow", *fault.alternatives)[:3])
+def _weighed(fault: Fault, ratio: float) -> Fault:
+    """The same fault, or none: what barely passes its threshold has to be one that servos have.
+
+    A servo that is a little slow is still a good one, on a cold day or a low supply; and none is worn, weak or bent for
+    a moment only.
+    """
+    speed, gain = fault.parameters.get("bandwidth_scale"), fault.parameters.get("gain")
+    still_fast = fault.kind == "slow" and speed is not None and speed.value >= _STILL_FAST
+    short = fault.kind in _LASTING and fault.end_s is not None and fault.end_s - fault.start_s < _SHORTEST_WEAR_S
+    little = fault.kind == "loss_of_effectiveness" and gain is not None and gain.value >= _STILL_ALL
+    if still_fast or (ratio < LOUD and (short or little or fault.kind == "unknown")):
+        own = () if fault.kind == "unknown" else (fault.kind,)
+        return replace(fault, kind="healthy", parameters={}, alternatives=(*own, *fault.alternatives)[:3])
+    return fault
 
 
 def _joined(first: Fault, then: Fault) -> Fault:

@@ -38,13 +38,13 @@ _ALARMED: Final = 3.0
 _SCALES = (0.05, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.93)
 _SPEEDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 _WIDTHS_DEG = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0)
-_LEAST_LOSS: Final = 0.97
+_LEAST_LOSS: Final = 0.95
 _FLAT = 1e-8
 _LOST_GAIN = 0.12
 _AT_STOP_DEG = 1.5
 _SURE = 0.3
 _HALF: Final = 0.5
-_LOUD: Final = 1.5
+LOUD: Final = 1.5
 """A good servo that passes its thresholds by so much is none."""
 _WORTH_TELLING: Final = 0.02
 _TWINS: Final = (("stuck", "floating", 0.1), ("floating", "stuck", 0.3), ("bias", "deadband", 0.25))
@@ -53,6 +53,9 @@ _FLYING: Final = 0.1
 _WIDEST_PLAY_DEG: Final = 8.0
 _USUAL_WIDTH_DEG: Final = 2.0
 """Wider play is rarer, by e for each of these: a surface that never moved is stuck, not loose by all that was asked."""
+_USUAL_BIAS_DEG: Final = 3.0
+_MOVING, _MOVING_DEG = 3.0, 0.3
+"""A surface that moves by so many sigma of the reading, and so much, is not stuck."""
 _LOOSE: Final = 0.3
 _LEAST_STILL_DEG: Final = 0.05
 _STRANGE, _UNEXPLAINED = 2.0, 0.55
@@ -208,6 +211,8 @@ def _score(window: _Window, guess: _Guess) -> float:
     doubt = _ALARMED if guess.kind == "healthy" else 0.0
     if guess.kind == "deadband":
         doubt = guess.parameters["width_deg"].value / _USUAL_WIDTH_DEG
+    if guess.kind == "bias":
+        doubt = abs(guess.parameters["bias_deg"].value) / _USUAL_BIAS_DEG
     each = max(misfit / max(window.count - 2, 1), 1.0)
     return 0.5 * (counted * float(np.log(each)) + apart) + 0.5 * guess.freedom * float(np.log(counted)) + doubt
 
@@ -262,7 +267,10 @@ def _sized(
     cost, best, covariance = window.reduced(error_deg, slopes, slopes[:, [place]])
     moved = theta.copy()
     allowed = 0.35 * abs(theta[place]) + 0.3 * (kind == "deadband")
-    moved[place] += float(np.clip(best[FITTED], -allowed, allowed))
+    change = float(np.clip(best[FITTED], -allowed, allowed))
+    moved[place] += change
+    if change != best[FITTED]:
+        cost, *_ = window.reduced(error_deg - change * slopes[:, place], slopes)
     if kind == "loss_of_effectiveness" and moved[place] > _LEAST_LOSS * window.theta[place]:
         moved = theta
         cost, *_ = window.reduced(error_deg, slopes)
@@ -274,32 +282,34 @@ def _sized(
 
 
 def _oscillating(window: _Window, error_deg: FloatArray, slopes: FloatArray) -> Iterator[_Guess]:
-    """The healthy servo and a sine, at the two strongest frequencies."""
+    """A sine at the strongest frequency, on the healthy servo, and on one that it keeps from sticking."""
     used = window.used
     t = window.time_s - window.time_s[0]
-    highest = min(12.0, 0.4 / window.record.period_s)
-    hz = np.arange(0.5, highest, 0.05)
-    whole = window.total_deg[used]
-    scaled = (error_deg[used] - np.median(error_deg[used])) / whole
-    power = np.abs(np.exp(-2j * np.pi * np.outer(hz, t[used])) @ scaled)
-    tried = hz[np.argsort(power)[-1:]]
-    for middle in tried.tolist():
-        best: _Guess | None = None
-        for frequency in middle + np.linspace(-0.05, 0.05, 5):
-            angle = 2.0 * np.pi * frequency * t
-            waves = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-            cost, found, covariance = window.reduced(error_deg, slopes, waves)
-            size = float(np.hypot(*found[FITTED:]))
-            deviation = float(np.sqrt(np.trace(covariance[FITTED:, FITTED:]) / 2.0))
-            parameters = {
-                "amplitude_deg": Estimate.of(size, deviation),
-                "frequency_hz": Estimate.of(frequency, 0.02),
-            }
-            guess = _Guess("oscillation", cost, 3, parameters, window.theta)
-            if size > 0.0 and (best is None or sum(cost) < sum(best.cost)):
-                best = guess
-        if best is not None:
-            yield best
+    span_s = max(float(np.ptp(window.time_s)), 1.0)
+    free = window.theta.copy()
+    free[[NAMES.index("deadband_deg"), NAMES.index("friction_deg")]] = 0.0
+    reading_deg, free_slopes = window.reading(free)
+    kinds = ((error_deg, slopes), (residual(window.measured_deg, reading_deg, window.known.reach_deg)[0], free_slopes))
+    best: _Guess | None = None
+    for left_deg, columns in kinds:
+        scaled = (left_deg[used] - np.median(left_deg[used])) / window.total_deg[used]
+        hz = np.arange(0.5, min(12.0, 0.4 / window.record.period_s), 0.2 / span_s)
+        for _ in range(2):
+            power = np.abs(np.exp(-2j * np.pi * np.outer(hz, t[used])) @ scaled)
+            middle = float(hz[np.argmax(power)])
+            hz = middle + np.linspace(-0.2, 0.2, 17) / span_s
+        waves = np.stack([np.cos(2.0 * np.pi * middle * t), np.sin(2.0 * np.pi * middle * t)], axis=1)
+        cost, found, covariance = window.reduced(left_deg, columns, waves)
+        size = float(np.hypot(*found[FITTED:]))
+        deviation = float(np.sqrt(np.trace(covariance[FITTED:, FITTED:]) / 2.0))
+        parameters = {
+            "amplitude_deg": Estimate.of(size, deviation),
+            "frequency_hz": Estimate.of(middle, 0.1 / span_s),
+        }
+        if size > 0.0 and (best is None or sum(cost) < sum(best.cost)):
+            best = _Guess("oscillation", cost, 3, parameters, window.theta)
+    if best is not None:
+        yield best
 
 
 def _immobile(window: _Window) -> Iterator[_Guess]:
@@ -315,7 +325,8 @@ def _immobile(window: _Window) -> Iterator[_Guess]:
     rest = window.whitened(measured_deg - value) * min(ratio, 1.0)
     moved = {"position_deg": Estimate.of(value, float(still) / np.sqrt(window.count) / window.noise.innovation)}
     constant = ("constant", np.array([value]))
-    yield _Guess("hardover" if at_stop else "stuck", (float(rest @ rest), 0.0), 1, moved, added=constant)
+    if at_stop or float(np.std(measured_deg[used])) < _MOVING * float(still) + _MOVING_DEG:
+        yield _Guess("hardover" if at_stop else "stuck", (float(rest @ rest), 0.0), 1, moved, added=constant)
     span_s = max(float(np.ptp(window.time_s)), 1.0)
     share = (window.time_s - window.time_s.mean()) / span_s
     basis = np.stack([np.ones(share.size), share, share**2, share**3, window.record.load[window.rows]], axis=1)
@@ -357,9 +368,11 @@ def _verdict(
     excess = sum(healthy.cost) - window.count
     gained = sum(healthy.cost) - sum(best.cost)
     if kind != "healthy" and best.cost[0] > _STRANGE * window.count and gained < (1.0 - _UNEXPLAINED) * excess:
-        return "unknown", max(0.5, 1.0 - probability), (kind, *alternatives)[:3], {}
+        if ratio < LOUD:
+            return "unknown", max(0.5, 1.0 - probability), (kind, *alternatives)[:3], {}
+        probability = min(probability, 0.5)
     if kind == "healthy":
-        return "healthy" if ratio < _LOUD else "unknown", probability, alternatives, {}
+        return "healthy" if ratio < LOUD else "unknown", probability, alternatives, {}
     if probability < _SURE:
         return "unknown", probability, (kind, *alternatives)[:3], {}
     sizes = next(guess.parameters for guess in guesses if guess.kind == kind)

@@ -25,6 +25,9 @@ _DELAYS_S: Final = (0.01, 0.03, 0.06, 0.1)
 _FIRST_STEPS, _STEPS = 4, 12
 _CLOSE: Final = 1e-3
 _LOOSER_DEG: Final = 0.6
+_NEAR: Final = 2.0
+"""A descent whose cost is larger by no more, in terms of samples that are not alike, may be the right one as well."""
+_MOST_PRIOR: Final = 0.9
 _FOLD_S: Final = 20.0
 _MAD: Final = 1.4826
 _LAG_FLOOR_S: Final = 0.003
@@ -95,6 +98,8 @@ class Fit:
     held_out_rms_deg: float
     explained_share: float
     usable: tuple[BoolArray, ...]
+    estimates: FloatArray
+    """What the flights alone say of each parameter, and how sure that is; shape (13, 2)."""
 
 
 def fit(
@@ -127,7 +132,7 @@ def fit(
     sigma = _noise(errors, speeds, records).sigma_deg(np.concatenate(speeds))
     again = [theta] if start is not None else [theta, *_alike(theta, held)]
     tried = [_descended(records, each, held, reach_deg, steps, sigma) for each in again]
-    return _finished(records, min(tried, key=lambda each: each[1])[0], held, reach_deg)
+    return _finished(records, tried, held, reach_deg)
 
 
 def residual(
@@ -241,8 +246,14 @@ def _stepped(theta: FloatArray, curvature: FloatArray, pull: FloatArray, held: B
     return np.where(held, theta, np.clip(theta + step, _LOWS, _HIGHS))
 
 
-def _finished(records: Sequence[Record], theta: FloatArray, held: BoolArray, reach_deg: tuple[float, float]) -> Fit:
-    """Noise, covariance, and what the folds left out say."""
+def _finished(
+    records: Sequence[Record],
+    tried: Sequence[tuple[FloatArray, float]],
+    held: BoolArray,
+    reach_deg: tuple[float, float],
+) -> Fit:
+    """Noise and covariance of the best of some descents, and what the folds left out say."""
+    theta, cost = min(tried, key=lambda each: each[1])
     errors, slopes, speeds = _evaluated(records, theta, reach_deg)
     error, slope, speed = np.concatenate(errors), np.concatenate(slopes), np.concatenate(speeds)
     noise = _noise(errors, speeds, records)
@@ -252,18 +263,22 @@ def _finished(records: Sequence[Record], theta: FloatArray, held: BoolArray, rea
     weight = _weight(error, sigma) / lengthened
     fold = np.concatenate([(np.floor(r.time_s[r.usable] / _FOLD_S).astype(int) + k) % 2 for k, r in enumerate(records)])
     ridge = np.diag(_SIGMAS[free] ** -2.0)
-    left = np.zeros(error.size)
+    left, halves = np.zeros(error.size), []
     folds = [np.flatnonzero(fold == k) for k in (0, 1)]
     for mine, other in (folds, folds[::-1]):
         weighted = slope[np.ix_(other, free)] * weight[other, None]
         change = np.linalg.solve(weighted.T @ slope[np.ix_(other, free)] + ridge, weighted.T @ error[other])
         left[mine] = error[mine] - slope[np.ix_(mine, free)] @ change
+        halves.append(change)
     weighted = slope[:, free] * weight[:, None]
     covariance = np.zeros((FITTED, FITTED))
     covariance[np.ix_(free, free)] = np.linalg.inv(weighted.T @ slope[:, free] + ridge)
     if not held[_RATE]:
         unseen = lengthened * _unseen_speed(records, theta, reach_deg, error, sigma)
         covariance[_RATE, _RATE] = max(covariance[_RATE, _RATE], min(unseen, float(_SIGMAS[_RATE]) ** 2))
+    near = np.array([each for each, its in tried if its - cost < _NEAR * lengthened])
+    apart: FloatArray = 0.5 * (near.max(axis=0) - near.min(axis=0))
+    apart[free] = np.hypot(apart[free], 0.5 * (halves[0] - halves[1]))
     cuts = np.cumsum([e.size for e in errors])[:-1]
     power = float(np.var(np.concatenate([r.measured_deg[r.usable] for r in records])))
     share = 1.0 - float(np.mean(left**2)) / power if power > 0.0 else 0.0
@@ -274,8 +289,16 @@ def _finished(records: Sequence[Record], theta: FloatArray, held: BoolArray, rea
         whole.append(full)
     rms = float(np.sqrt(np.mean(np.clip(left, -6.0 * sigma, 6.0 * sigma) ** 2)))
     return Fit(
-        theta, covariance, noise, reach_deg, tuple(whole), tuple(errors), rms, share, tuple(r.usable for r in records)
-    )
+        theta, covariance, noise, reach_deg, tuple(whole), tuple(errors), rms, share,
+        tuple(r.usable for r in records), _unshrunk(theta, np.diag(covariance), apart),
+    )  # fmt: skip
+
+
+def _unshrunk(theta: FloatArray, variance: FloatArray, apart: FloatArray) -> FloatArray:
+    """Values and standard deviations without what was known before; `apart` is what like fits and halves differ by."""
+    share = np.minimum(variance / _SIGMAS**2, _MOST_PRIOR)
+    value = np.clip(theta + (theta - _VALUES) * share / (1.0 - share), _LOWS, _HIGHS)
+    return np.stack([value, np.hypot(np.sqrt(variance / (1.0 - share)), apart)], axis=1)
 
 
 def _weight(error: FloatArray, sigma: FloatArray) -> FloatArray:

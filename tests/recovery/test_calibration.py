@@ -24,8 +24,10 @@ from servofd.detection.stream import Piece
 from servofd.detection.verdict import SurfaceAudit
 from servofd.errors import CalibrationError
 from servofd.models.context import Context
+from servofd.models.effect_table import TabledEffect
 from servofd.segment import Segment
 from servofd.simulation.commands import COMMANDS
+from servofd.simulation.flight import simulate_flight
 from servofd.types import FloatArray
 
 STYLES = ("lively", "calm", "hand_flown", "cruise")
@@ -95,6 +97,32 @@ def test_hidden_numbers_are_found() -> None:
     )
     assert one.known.noise.still_deg == pytest.approx(0.1, rel=0.15)
     assert one.held_out_rms_deg == pytest.approx(0.1, rel=0.15)
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize(
+    ("effect", "width_deg", "key"),
+    [
+        (TabledEffect("backlash", {"width_deg": 0.3}), 0.3, "play_deg"),
+        (TabledEffect("backlash", {"width_deg": 1.0}), 1.0, "play_deg"),
+        (TabledEffect("deadband", {"width_deg": 0.4}), 0.4, "deadband_deg"),
+        (TabledEffect("deadband", {"width_deg": 1.0}), 1.0, "deadband_deg"),
+        (TabledEffect("friction", {"friction_deg": 0.8}), 1.6, "friction_deg"),
+    ],
+)
+def test_play_dead_band_and_friction_are_told_with_what_they_may_be(
+    effect: TabledEffect, width_deg: float, key: str, seed: int
+) -> None:
+    plane = plain_aircraft(["x"], "s9254")
+    log = simulate_flight(plane, duration_s=120.0, seed=seed, noise_deg=0.05, effects={"x": [effect]})
+    segment = Segment("x", log.time_s, log.command_deg[:, 0], log.time_s, log.measured_deg[:, 0])
+    (one,) = calibrated(segment).surfaces
+    dead, rub, loose = (one.estimates[name] for name in ("deadband_deg", "friction_deg", "play_deg"))
+    assert dead.value + 2.0 * rub.value + loose.value == pytest.approx(width_deg, rel=0.1)
+    name = {"play_deg": "play", "deadband_deg": "dead band", "friction_deg": "friction"}[key]
+    assert one.effects[0].startswith(name)
+    if key != "friction_deg":
+        assert one.estimates[key].low <= width_deg <= one.estimates[key].high
 
 
 def test_small_faults_are_found_and_named() -> None:
