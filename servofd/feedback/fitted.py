@@ -175,7 +175,8 @@ def draft_tolerance(model: ServoModel, segment: Segment, *, all_of_it: bool = Fa
     base = Tolerance(noise_deg=max(round(noise_deg(residuals.error_deg[usual]), 4), 0.02))
     level = interval_threshold(generator, segment, residuals, base)
     beyond = excess(residuals.residual_deg, level.sigma_deg, level.tolerance_deg)
-    found = width(residuals.time_s[usual], beyond[usual], float(beyond[usual].max()) if all_of_it else 1.0)
+    least = float(beyond[usual].max()) if all_of_it else 1.0
+    found = width(residuals.time_s[usual], beyond[usual], level.tolerance_deg[usual], least)
     steps_deg = step_deg(segment.command_deg) + step_deg(segment.measured_deg)
     scale = max(found.scale, 1.0, steps_deg / base.bias_deg)
     tolerance = _scaled(base, scale)
