@@ -122,7 +122,7 @@ def fit(
     seen = np.concatenate([r.measured_deg[r.usable] for r in records])
     reach_deg = (float(np.quantile(seen, _SELDOM)), float(np.quantile(seen, 1.0 - _SELDOM)))
     if start is not None:
-        begins = [np.where(held, 0.0, start)]
+        begins = [np.where(held, 0.0, np.clip(start, _LOWS, _HIGHS))]
     else:
         begins = [np.where(held, 0.0, _with_delay(delay_s)) for delay_s in _DELAYS_S]
     tried = [_descended(records, theta, held, reach_deg, _FIRST_STEPS) for theta in begins]
