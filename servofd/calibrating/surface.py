@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from servofd.calibrating.flights import asked_deg
 from servofd.calibrating.result import CalibratedSurface, FlightRecord
 from servofd.detection.bank.explanation import Estimate
+from servofd.detection.bank.window import noise_deg
 from servofd.detection.calibrated import judged
 from servofd.detection.changes import STATISTICS
 from servofd.detection.watch import FLOORS, MARGIN, detectable, statistics_of, watched
@@ -45,6 +47,11 @@ _IN_COMMON: Final = 0.9
 _ALIKE: Final = 0.15
 """Correlation of the two rates from which one is taken to lead the other."""
 _LEAST_REACH: Final = 0.5
+_STILL_S: Final = 2.0
+_STILL_NOISES, _STILL_DEG = 5.0, 0.1
+"""A position that stays within so many sigma of its noise, and so much, stands still;"""
+_ASKED: Final = 10.0
+"""it jams where the command moves by so many times that."""
 _STRANGE: Final = 6.0
 """A flight that differs from the others by so many standard deviations between flights is of another aircraft."""
 _OWN_MARGIN: Final = 1.3
@@ -180,6 +187,10 @@ def _check(name: str, fitted: Fit, records: Sequence[Record], flights: Sequence[
         # So far from one that the fit did not get there.
         gain = crude * fit([Record.of(flight.with_scale(crude, 0.0).segment) for flight in flights]).theta[0]
     elif fitted.explained_share < _POOR:
+        for record, flight in zip(records, flights, strict=True):
+            jam = _jam(record)
+            if jam:
+                raise CalibrationError(f"{name}: not a good flight: {flight.label}: {jam}; {_ADVICE}")
         raise CalibrationError(
             f"{name}: not a good flight: no servo explains more than {max(fitted.explained_share, 0.0):.0%} of how the "
             f"position moves in {logs}: it does not follow its command; {_ADVICE}"
@@ -215,6 +226,36 @@ def _ahead_s(record: Record) -> float:
     if float(power.max()) < _ALIKE * size:
         return 0.0
     return lead * step_s if lead > 1 else 0.0
+
+
+def _jam(record: Record) -> str:
+    """Where the position stays longest while the command moves, in words; nothing if it never does."""
+    time_s, seen_deg = record.time_s, record.measured_deg
+    asked_deg = np.interp(time_s, record.command_s, record.command_deg)
+    still_deg = max(_STILL_NOISES * noise_deg(seen_deg), _STILL_DEG)
+    block = np.floor((time_s - time_s[0]) / _STILL_S).astype(int)
+    edges = np.searchsorted(block, np.arange(block[-1] + 2))
+    longest = (_STILL_S, 0.0, 0.0, 0.0, 0.0)
+    for first, last in itertools.pairwise(edges.tolist()):
+        if last - first < 2:
+            continue
+        at_deg = float(np.median(seen_deg[first:last]))
+        away = np.flatnonzero(np.abs(seen_deg - at_deg) > still_deg)
+        place = int(np.searchsorted(away, first))
+        begin = int(away[place - 1]) + 1 if place else 0
+        end = int(away[place]) if place < away.size else time_s.size
+        if end <= begin or not begin <= first:
+            continue
+        moved_deg = float(np.ptp(asked_deg[begin:end]))
+        lasted_s = float(time_s[end - 1] - time_s[begin])
+        if moved_deg > _ASKED * still_deg:
+            longest = max(longest, (lasted_s, float(time_s[begin]), float(time_s[end - 1]), at_deg, moved_deg))
+    lasted_s, from_s, to_s, at_deg, moved_deg = longest
+    if lasted_s <= _STILL_S:
+        return ""
+    until = "since" if to_s >= time_s[-1] - _STILL_S else "from"
+    span = f"{until} {from_s:.1f} s" + ("" if until == "since" else f" to {to_s:.1f} s")
+    return f"stays at {at_deg:.1f} deg {span} while the command moves by {moved_deg:.0f} deg"
 
 
 def _crude_gain(record: Record) -> float:

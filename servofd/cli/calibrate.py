@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 _MILLI = 1e3
 _PER_HOUR = 1e-3
+_NOT_REACHED = 0.5
+"""Deviation of the logarithm of the largest speed from which on flights do not tell it."""
 
 
 def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
@@ -159,7 +161,7 @@ def _row(one: CalibratedSurface) -> list[str]:
         one.surface,
         _interval(delay, 0, _MILLI),
         _interval((exp(x) for x in bandwidth), 0),
-        _interval((exp(x) for x in rate), 0),
+        _interval((exp(x) for x in rate), 0) if rate.deviation < _NOT_REACHED else "not reached",
         f"{one.known.noise.still_deg:.2g}",
         f"{one.held_out_rms_deg:.2g}",
     ]

@@ -6,6 +6,7 @@ servofd's kernels.
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -25,6 +26,7 @@ from servofd.detection.verdict import SurfaceAudit
 from servofd.errors import CalibrationError
 from servofd.models.context import Context
 from servofd.models.effect_table import TabledEffect
+from servofd.models.faults import Stuck
 from servofd.segment import Segment
 from servofd.simulation.commands import COMMANDS
 from servofd.simulation.flight import simulate_flight
@@ -158,6 +160,18 @@ def test_positions_that_pause_are_no_change_of_the_servo() -> None:
     assert verdict.residuals is not None
     assert float(np.nanmax(np.abs(verdict.residuals.residual_deg))) < 0.5
     assert followed(aircraft, paused)[1] == pytest.approx(verdict.residuals.residual_deg, abs=1e-9, nan_ok=True)
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_a_jam_of_most_of_the_flight_is_refused_with_its_time(seed: int) -> None:
+    plane = plain_aircraft(["x"], "s9254")
+    log = simulate_flight(plane, seed=seed, faults={"x": Stuck(20.0)})
+    segment = Segment("x", log.time_s, log.command_deg[:, 0], log.time_s, log.measured_deg[:, 0])
+    with pytest.raises(CalibrationError, match="not a good flight") as refused:
+        calibrated(segment)
+    found = re.search(r"since ([\d.]+) s", str(refused.value))
+    assert found is not None
+    assert float(found[1]) == pytest.approx(20.0, abs=0.5)
 
 
 def test_flights_of_two_servos_are_refused() -> None:
