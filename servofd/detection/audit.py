@@ -196,6 +196,7 @@ def audit_segment(
             level,
             suspicions=surface.tells_small_faults,
             margin=_WIDENED if surface.model.origin == "fitted" else 1.0,
+            persistence=surface.persistence,
         )
     status, reason_text = _verdict(residuals, statistics, faults, suspicions, level, problem or shown)
     judged_share = min(judged_s / max(duration_s, 1e-9), 1.0)
@@ -320,10 +321,12 @@ def _verdict(
     if problem:
         return "unknown", problem
     stayed = f"{threshold.typical_deg:.3g} deg" if threshold.kind == "constant" else "its interval threshold"
+    above = np.abs(residuals.residual_deg[residuals.settled]) > threshold.level_deg[residuals.settled]
+    briefly = " but for single readings" if above.any() else ""
     limits = not_judgeable(shown)
     return (
         "healthy",
-        f"|residual| stayed below {stayed} (largest {statistics.max_abs_deg:.2f} deg)"
+        f"|residual| stayed below {stayed}{briefly} (largest {statistics.max_abs_deg:.2f} deg)"
         + (f"; {limits}" if limits else ""),
     )
 

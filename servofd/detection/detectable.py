@@ -47,6 +47,7 @@ def detectable(
     *,
     suspicions: bool = False,
     margin: float = 1.0,
+    persistence: int = 1,
 ) -> Detectable:
     """Smallest faults that this log would have shown, 19 times in 20.
 
@@ -62,6 +63,8 @@ def detectable(
         Whether what stays below the threshold may be suspect, if it lasts.
     margin : float
         How many times the threshold a residual has to reach, where the fault itself would have widened the threshold.
+    persistence : int
+        How many judged samples in a row, all on one side, make an alarm.
 
     Examples
     --------
@@ -85,9 +88,9 @@ def detectable(
     if np.count_nonzero(use) < 2:
         return NOTHING_DETECTABLE
     level_deg = margin * threshold.level_deg
-    judge = _Judge(residuals, level_deg, use)
+    judge = _Judge(residuals, level_deg, use, persistence)
     # A servo that is fitted to its own oscillation or lag takes part of it for its own.
-    patient = _Judge(residuals, level_deg * (_ABSORBED if margin > 1.0 else 1.0), use)
+    patient = _Judge(residuals, level_deg * (_ABSORBED if margin > 1.0 else 1.0), use, persistence)
     ones = np.where(np.isfinite(residuals.measured_deg), 1.0, np.nan)
     signals = {
         "bias_deg": [generator.filtered(residuals.time_s, ones, residuals.restart)],
@@ -129,25 +132,38 @@ def detectable(
 class _Judge:
     """Whether an addition to the residual raises an alarm, whenever it sets in."""
 
-    def __init__(self, residuals: Residuals, level_deg: FloatArray, use: BoolArray) -> None:
+    def __init__(self, residuals: Residuals, level_deg: FloatArray, use: BoolArray, persistence: int) -> None:
         self.residual_deg, self.level_deg, self.use = residuals.residual_deg[use], level_deg[use], use
+        self.persistence = persistence
         time_s = residuals.time_s[use]
         self.onsets = time_s <= time_s[0] + _LATEST_ONSET * (time_s[-1] - time_s[0])
 
     def needed(self, signal: FloatArray) -> FloatArray:
         """Size that a fault of each onset needs, if it adds this much for each unit of its size."""
         added = signal[self.use]
-        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-            size = (self.level_deg - np.sign(added) * self.residual_deg) / np.abs(added)
-        size = np.where(np.isfinite(size), np.maximum(size, 0.0), 1e9)
+        sides = []
+        for side in (1.0, -1.0):
+            with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+                size = (self.level_deg - side * self.residual_deg) / (side * added)
+            reached = np.isfinite(size) & (side * added > 0.0)
+            sides.append(self._in_a_row(np.where(reached, np.maximum(size, 0.0), 1e9)))
+        size = np.minimum(*sides)
         needed: FloatArray = np.minimum.accumulate(size[::-1])[::-1][self.onsets]
         return needed
 
     def shown(self, added: FloatArray) -> bool:
         """Whether 19 of 20 onsets of this very addition raise an alarm."""
-        beyond = np.abs(self.residual_deg + np.nan_to_num(added[self.use])) > self.level_deg
+        residual_deg = self.residual_deg + np.nan_to_num(added[self.use])
+        missing = (np.where(side * residual_deg > self.level_deg, 0.0, 1.0) for side in (1.0, -1.0))
+        beyond = np.minimum(*(self._in_a_row(missed) for missed in missing)) == 0.0
         after = np.logical_or.accumulate(beyond[::-1])[::-1][self.onsets]
         return bool(np.mean(after) >= _POWER / 100.0)
+
+    def _in_a_row(self, size: FloatArray) -> FloatArray:
+        """Largest of the sizes that the samples of an alarm need, at the first of them."""
+        padded = np.append(size, np.full(self.persistence - 1, 1e9))
+        largest: FloatArray = np.lib.stride_tricks.sliding_window_view(padded, self.persistence).max(axis=1)
+        return largest
 
 
 def _drift_size(residuals: Residuals, threshold: Threshold, signal: FloatArray, use: BoolArray) -> float:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from servofd.aircraft import Aircraft
+from servofd.detection.drafting import PERSISTENCE
 from servofd.errors import NoMeasurement
 from servofd.feedback.advice import what_to_log
 from servofd.feedback.fit import RoughFit, fit_roughly
@@ -88,6 +89,7 @@ def surface_entry(surface: DraftedSurface) -> dict[str, Any]:
             "threshold": "interval",
             "threshold_deg": surface.drafted.level_deg,
             "tolerance": surface.drafted.tolerance.model_dump(),
+            "persistence": PERSISTENCE,
             "suspicions": False,
         }
     entry["model"] = {key: _short(value) for key, value in surface.origin.model_dump(exclude_none=True).items()}

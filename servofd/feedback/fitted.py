@@ -8,7 +8,7 @@ import numpy as np
 
 from servofd.detection.bank.window import noise_deg
 from servofd.detection.contradiction import contradictions
-from servofd.detection.drafting import excess, width
+from servofd.detection.drafting import PERSISTENCE, excess, width
 from servofd.detection.prepare import prepared
 from servofd.detection.residual import ResidualGenerator
 from servofd.detection.resolution import step_deg
@@ -109,7 +109,12 @@ def _fitted(log: FlightLog, name: str, surface: Surface, key: str) -> tuple[Surf
     drafted = draft_tolerance(fit.model, cut(log, name, fitted))
     if drafted is None:
         return plain, unfit
-    levels = {"threshold": "interval", "tolerance": drafted.tolerance, "threshold_deg": drafted.level_deg}
+    levels = {
+        "threshold": "interval",
+        "tolerance": drafted.tolerance,
+        "threshold_deg": drafted.level_deg,
+        "persistence": PERSISTENCE,
+    }
     return fitted.model_copy(update=levels), servo
 
 
@@ -137,6 +142,7 @@ def good_levels(aircraft: Aircraft, name: str, logs: Iterable[FlightLog]) -> dic
         "threshold": "interval",
         "threshold_deg": max(drafted.level_deg for drafted in drafts),
         "tolerance": {key: max(one[key] for one in each) for key in each[0]},
+        "persistence": PERSISTENCE,
         "suspicions": False,
         "model": {
             "origin": "fitted",
@@ -176,7 +182,7 @@ def draft_tolerance(model: ServoModel, segment: Segment, *, all_of_it: bool = Fa
     level = interval_threshold(generator, segment, residuals, base)
     beyond = excess(residuals.residual_deg, level.sigma_deg, level.tolerance_deg)
     least = float(beyond[usual].max()) if all_of_it else 1.0
-    found = width(residuals.time_s[usual], beyond[usual], level.tolerance_deg[usual], least)
+    found = width(residuals.time_s[usual], beyond[usual], residuals.simulated_deg[usual], least)
     steps_deg = step_deg(segment.command_deg) + step_deg(segment.measured_deg)
     scale = max(found.scale, 1.0, steps_deg / base.bias_deg)
     tolerance = _scaled(base, scale)

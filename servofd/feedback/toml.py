@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 __all__ = ["draft_to_toml"]
 
-_ENTRIES = ("servo", "output", "threshold", "threshold_deg", "tolerance", "suspicions", "model")
+_ENTRIES = ("servo", "output", "threshold", "threshold_deg", "tolerance", "persistence", "suspicions", "model")
 
 
 def draft_to_toml(draft: Draft) -> str:

@@ -23,21 +23,16 @@ pytestmark = pytest.mark.skipif(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("suffix", "aileron", "elevator", "healthy"),
-    [
-        ("bin", "aileron_1", "elevator_10", ["elevator_2", "aileron_9", "rudder_12"]),
-        ("tlog", "servo_1", "servo_10", ["servo_2", "servo_9"]),
-    ],
+    ("suffix", "aileron", "elevator"), [("bin", "aileron_1", "elevator_10"), ("tlog", "servo_1", "servo_10")]
 )
-def test_both_jams_are_found_and_nothing_else(suffix: str, aileron: str, elevator: str, healthy: list[str]) -> None:
+def test_both_jams_are_found_and_nothing_else(suffix: str, aileron: str, elevator: str) -> None:
     (result,) = servofd.audit(LOGS / f"ardupilot_sitl_feedback.{suffix}")
     verdicts = {verdict.surface: verdict for verdict in result.surfaces}
     assert len(verdicts) == 6
     assert {name for name, verdict in verdicts.items() if verdict.status == "fault"} == {aileron, elevator}
     sound = [verdict for name, verdict in verdicts.items() if name not in (aileron, elevator)]
-    # Both rudders move least: the loss of up to 40 % of their travel might not have shown in one of the logs.
-    assert [v.surface for v in sound if v.status == "healthy"] == healthy
-    assert all(v.status == "healthy" or "the loss of" in v.reason for v in sound)
+    # Readings that are a sample or two late at steps of the command, as in both logs, contradict no servo.
+    assert all(v.status == "healthy" for v in sound)
     # A servo fitted to the log accuses of what no servo would do: one brisk command after the jam at 93.5 s shows it.
     assert verdicts[aileron].faults[0].start_s == pytest.approx(93.5, abs=0.3)
     assert verdicts[aileron].faults[0].alarm_s == pytest.approx(94.5, abs=1.5)
