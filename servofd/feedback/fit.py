@@ -216,7 +216,8 @@ def _lowest(cost: Callable[[FloatArray], float], simplex: FloatArray) -> FloatAr
                 spent += size
                 continue
         simplex[-1], costs[-1] = tried, found
-    return simplex[costs.argmin()]
+    best: FloatArray = simplex[costs.argmin()]
+    return best
 
 
 def _error(fit: RoughFit) -> float:
