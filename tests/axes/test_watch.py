@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pytest
 
 from servofd.axes.calibrate import calibrate_motion
 from servofd.axes.motion import Motion
@@ -39,6 +40,7 @@ def sent(watch: AxisWatch, flight: Motion) -> list[Event]:
     return events
 
 
+@pytest.mark.slow
 def test_a_lost_aileron_is_told_in_flight_and_a_healthy_one_is_not() -> None:
     known = model()
     watch = AxisWatch(known)
@@ -53,6 +55,7 @@ def test_a_lost_aileron_is_told_in_flight_and_a_healthy_one_is_not() -> None:
     assert watch.has_suspect
 
 
+@pytest.mark.slow
 def test_a_link_without_motion_says_what_is_missing() -> None:
     watch = AxisWatch(model())
     assert "nothing was heard" in watch.waiting()

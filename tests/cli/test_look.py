@@ -63,6 +63,7 @@ def test_a_page_goes_where_it_is_wanted(flight: Path, tmp_path: Path, capsys: py
     assert not flight.with_suffix(".html").exists()
 
 
+@pytest.mark.slow
 def test_a_folder_is_many_flights_with_a_page_each(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shutil.copy(SAMPLES / "table_three_faults.csv", flight.parent)
     code, lines, _ = looked(capsys, flight.parent, "--workers", "1")

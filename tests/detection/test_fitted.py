@@ -35,8 +35,9 @@ def cut(flight: Flight, until_s: float) -> Flight:
     )
 
 
-@pytest.mark.parametrize("suffix", ["csv", pytest.param("bin", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("until_s", [15.0, pytest.param(60.0, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("suffix", ["csv", "bin"])
+@pytest.mark.parametrize("until_s", [15.0, 60.0])
 def test_a_sound_aircraft_has_no_fault_however_short_its_log(until_s: float, suffix: str, tmp_path: Path) -> None:
     for seed in (1, 3):
         flight = cut(fly(stranger(seed), 1, "aerobatics", duration_s=60.0), until_s)

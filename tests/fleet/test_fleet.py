@@ -75,6 +75,7 @@ def test_logs_at_an_address_are_fetched_and_named_by_it(
     assert judged == ["memory:///flights/may.csv"]
 
 
+@pytest.mark.slow
 def test_what_could_not_be_judged_is_said_and_the_rest_is_done(
     logs: Path, capsys: pytest.CaptureFixture[str], judged: list[str]
 ) -> None:
@@ -133,6 +134,7 @@ def test_finished_logs_are_not_done_again(
     assert run(capsys, "fleet", tmp_path / "r")[0] == 1
 
 
+@pytest.mark.slow
 def test_the_same_bytes_twice_in_one_run_count_once(
     logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -169,6 +171,7 @@ def test_another_version_judges_again(
     assert len(judged) == 4
 
 
+@pytest.mark.slow
 def test_an_interrupt_keeps_what_was_done(
     logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, judged: list[str]
 ) -> None:
