@@ -71,6 +71,7 @@ EXTRAS = MappingProxyType(
         "rerun": "view",
         "rerun_cli": "view",
         "pyarrow": "view",
+        "pandas": "view",
         "starlette": "serve",
         "uvicorn": "serve",
         "control": "control",

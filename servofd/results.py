@@ -65,6 +65,7 @@ class Shown(ABC):
 
     def to_pandas(self) -> pd.DataFrame:
         """One row for each surface or quantity."""
+        needs("pandas")
         import pandas as pd
 
         return pd.DataFrame(self._rows())
@@ -144,6 +145,7 @@ class Audit(LogAudit, Shown):
 
     def series(self, surface: str) -> pd.DataFrame:
         """Measured and simulated deflection, residual and threshold of one surface, over time; all in degrees."""
+        needs("pandas")
         import pandas as pd
 
         one = self[surface]
@@ -217,6 +219,7 @@ class Audits(tuple[Audit, ...]):
 
     def to_pandas(self) -> pd.DataFrame:
         """One row for each run and surface."""
+        needs("pandas")
         import pandas as pd
 
         return pd.DataFrame([{"run": one.log.run} | row for one in self for row in one._rows()])

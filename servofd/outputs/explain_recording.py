@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from servofd.discrepancy.explanation import Explanation
     from servofd.outputs.recording.stream import Recorder
 
+_AROUND_S = 10.0
+"""That a layout shows before and after the worst second."""
 _LANES = ("before", "after")
 _AGREES, _DIFFERS = "noise only", "disagrees"
 _STATES = {_AGREES: "ok", _DIFFERS: "fault"}
@@ -40,7 +42,7 @@ def save_explanation(found: Explanation, path: str | Path, source: str) -> None:
         Names of the logs, without their folders: the recording tells them.
     """
     place = surface_place(found.surface)
-    with recording_file(path, application_name("explain", found.surface, source), _layout(place)) as recorder:
+    with recording_file(path, application_name("explain", found.surface, source), _layout(place, found)) as recorder:
         whole = {"schema": "servofd.explain/1", "surface": shown(found.surface), "conclusion": found.conclusion}
         recorder.properties(source, whole)
         recorder.document(REPORT, _report(found, source))
@@ -84,10 +86,21 @@ def _report(found: Explanation, source: str) -> str:
     )
 
 
-def _layout(place: str) -> Any:  # noqa: ANN401 - rerun is untyped
+def _worst(found: Explanation) -> tuple[float, float] | None:
+    """Stretch around the second that the servo as it was disagrees with most [s]; None for the whole of a short log."""
+    time_s, rows = found.record.time_s, found.record.counts
+    if time_s[-1] - time_s[0] <= 2.0 * _AROUND_S or not rows.any():
+        return None
+    second = np.floor(time_s[rows] - time_s[0]).astype(np.int64)
+    power = np.bincount(second, found.selection.nominal.error_deg[rows] ** 2)
+    middle_s = float(time_s[0]) + int(power.argmax()) + 0.5
+    return max(middle_s - _AROUND_S, float(time_s[0])), min(middle_s + _AROUND_S, float(time_s[-1]))
+
+
+def _layout(place: str, found: Explanation) -> Any:  # noqa: ANN401 - rerun is untyped
     views = [
         curves("Deflection [deg]", [f"{place}/deflection"], origin=place),
         curves("Measured minus simulated [deg]", [f"{place}/error"], origin=place),
         lanes("Seconds that disagree by more than noise", [f"{place}/{lane}" for lane in _LANES], origin=place),
     ]
-    return blueprint([stacked("Curves", views, [4, 3, 1.6]), document("Report", REPORT)])
+    return blueprint([stacked("Curves", views, [4, 3, 1.6]), document("Report", REPORT)], around_s=_worst(found))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import io
 import struct
 from dataclasses import dataclass, replace
@@ -92,8 +93,6 @@ def write_flight(
 
 
 def _csv(flight: SimulatedFlight, aircraft: Aircraft) -> bytes:  # noqa: ARG001 - all writers share a form
-    import pandas as pd
-
     columns = {"time_s": flight.time_s}
     for i, name in enumerate(flight.surfaces):
         columns[f"{name}_cmd_deg"] = np.round(flight.command_deg[:, i], _CSV_DECIMALS)
@@ -108,7 +107,14 @@ def _csv(flight: SimulatedFlight, aircraft: Aircraft) -> bytes:  # noqa: ARG001 
         )
         if values.size
     }
-    return pd.DataFrame(columns).to_csv(index=False).encode()
+    rows = zip(
+        *(["" if np.isnan(cell) else cell for cell in values.tolist()] for values in columns.values()), strict=True
+    )
+    text = io.StringIO(newline="")
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(columns)
+    table.writerows(rows)
+    return text.getvalue().encode()
 
 
 def _mat(flight: SimulatedFlight, aircraft: Aircraft) -> bytes:

@@ -29,6 +29,8 @@ REPORT = "/report"
 LINK = "/link"
 """Entity of messages about a live link, and of no surface."""
 
+_AROUND_S, _BEFORE_S = 60.0, 15.0
+"""How much an audit's layout shows around the first fault, and how much of that before it."""
 _LAST_S = 60.0
 """That a layout shows which follows."""
 
@@ -41,7 +43,17 @@ def audit_layout(recording: Recording) -> Any:  # noqa: ANN401 - rerun is untype
     tabs += [axis_tab(axis) for axis in recording.audit.axes]
     if shown:
         tabs.append(_aircraft(recording))
-    return blueprint(tabs)
+    return blueprint(tabs, around_s=_first_alarm(recording))
+
+
+def _first_alarm(recording: Recording) -> tuple[float, float] | None:
+    """Begin and end of what is shown on opening [s]: the first fault and what led to it; None for the whole flight."""
+    faults = [fault for surface in recording.audit.surfaces for fault in surface.faults]
+    if not faults or recording.end_s - recording.start_s <= _AROUND_S:
+        return None
+    first = min(faults, key=lambda fault: fault.alarm_s)
+    begin_s = max(first.start_s - _BEFORE_S, recording.start_s)
+    return begin_s, min(max(first.alarm_s + _BEFORE_S, begin_s + _AROUND_S), recording.end_s)
 
 
 def live_layout(surfaces: Sequence[str], *, following: bool = False) -> Any:  # noqa: ANN401

@@ -17,7 +17,7 @@ _ALL_AXES = "view/5c0dca6a-e63f-9cf7-f657-2602590474cc/TimeAxis"
 picture test."""
 
 
-def blueprint(tabs: Sequence[Any], last_s: float | None = None) -> Any:  # noqa: ANN401 - rerun is untyped
+def blueprint(tabs: Sequence[Any], last_s: float | None = None, around_s: tuple[float, float] | None = None) -> Any:  # noqa: ANN401 - rerun is untyped
     """Tabs with linked time axes, side panels folded.
 
     Parameters
@@ -26,6 +26,8 @@ def blueprint(tabs: Sequence[Any], last_s: float | None = None) -> Any:  # noqa:
         In order.
     last_s : float, optional
         Follow what comes live, and show so much of it [s]; the whole flight if left out.
+    around_s : tuple of float, optional
+        Where the time axes begin and end on opening [s]; a double click shows the whole.
     """
     import rerun as rr
     import rerun.blueprint as rrb
@@ -34,6 +36,8 @@ def blueprint(tabs: Sequence[Any], last_s: float | None = None) -> Any:  # noqa:
     begin, end = edge.infinite(), edge.infinite()
     if last_s is not None:
         begin, end = edge.cursor_relative(seconds=-last_s), edge.cursor_relative(seconds=0.0)
+    elif around_s is not None:
+        begin, end = (edge.absolute(seconds=time_s) for time_s in around_s)
 
     class _Linked(rrb.Blueprint):  # type: ignore[misc]
         """Linked axes ignore the range of their own view, and would open on a minute around the cursor."""
