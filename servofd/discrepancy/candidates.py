@@ -29,6 +29,7 @@ _PLACES: dict[type[MissingEffect], tuple[float, ...]] = {
     catalogue.ShaftSpeedBySupply: (BEFORE, AFTER, INSIDE),
     catalogue.AirLoad: (BEFORE, INSIDE),
     catalogue.GravityLoad: (BEFORE, INSIDE),
+    catalogue.TiltedLoad: (BEFORE, INSIDE),
     catalogue.LoadFriction: (BEFORE, INSIDE),
     catalogue.CurrentLimit: (BEFORE, INSIDE),
     catalogue.Backlash: (INSIDE, AFTER),
@@ -101,8 +102,15 @@ def judgeable(record: Record) -> tuple[list[type[MissingEffect]], list[type[Miss
     own = (record.own.missing_effect(),) if record.own else ()
     able = [effect for effect in (*CATALOGUE, *own) if set(effect.needs) <= held]
     unable = [effect for effect in CATALOGUE if effect not in able]
-    linear = {catalogue.SlowDynamics, catalogue.Damping, catalogue.SensorLag, catalogue.ClockOffset}
-    fitted = linear if record.free_poles else set()
+    linear: set[type[MissingEffect]] = {
+        catalogue.SlowDynamics,
+        catalogue.Damping,
+        catalogue.SensorLag,
+        catalogue.ClockOffset,
+    }
+    fitted: set[type[MissingEffect]] = linear if record.free_poles else set()
+    # A surface's weight is balanced about its hinge, and a bench's horn hangs at zero; an arm's joint hangs anywhere.
+    fitted |= {catalogue.TiltedLoad} if record.runs or not record.free_poles else set()
     # Frames run on between separate runs, so that nobody knows when each of them began.
     fitted |= {catalogue.PwmFrame} if record.runs or record.free_poles else set()
     # A converter whose steps do not show in the readings has none that matter.

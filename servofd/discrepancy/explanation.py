@@ -125,7 +125,8 @@ class Explanation:
     @property
     def conclusion(self) -> Conclusion:
         """In a word."""
-        left = self.selection.adequacy.reasons or self.record.side is not None  # how it moves is not judged
+        # How what only rests moves is not judged, and a fault is no effect.
+        left = bool(self.selection.adequacy.reasons) or self.record.side is not None or self.fault_s is not None
         if self.selection.rungs:
             return "partly_explained" if left else "explained"
         return "unexplained" if left else "nothing_missing"
@@ -386,7 +387,7 @@ def _answer(found: Explanation) -> str:
     elif found.undriven:
         parts.append("not driven in part (see below), which was left out")
     if not found.selection.rungs:
-        if found.conclusion == "nothing_missing":
+        if not found.selection.adequacy.reasons:
             told = "before that, nothing is missing" if found.fault_s is not None else "nothing is missing"
             parts.append(f"{told}: what is left is noise of {found.selection.sigma_deg:.3g} deg")
         else:
@@ -417,7 +418,13 @@ def _named(found: Explanation, index: int) -> str:
     if effect.name in _SOUND:
         limit = _SOUND[effect.name][0]
         beyond = abs(value["value"]) > limit
-        sound = f" - a sound hobby servo has up to {limit:g}: {'FAULT' if beyond else 'acceptable'}"
+        # What a servo that nobody knows has may be how it was made.
+        word = (
+            ("more: compare it with another of its kind" if found.record.free_poles else "FAULT")
+            if beyond
+            else "acceptable"
+        )
+        sound = f" - a sound hobby servo has up to {limit:g}: {word}"
     return f"{_NAMES.get(effect.name, effect.name)} of {size}{instead}{sound}"
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from servofd.discrepancy.noise import long_run_factor, noise_floor_deg
 from servofd.discrepancy.record import Record, simulate, thinned
 from servofd.discrepancy.steps import COARSE_STEP_DEG, mean_reading_deg, noise_below_deg
-from servofd.models.catalogue import Quantization, installed
+from servofd.models.catalogue import Bias, Gain, Quantization, installed
 from servofd.models.physics import Physics
 from servofd.types import FloatArray, IntArray
 
@@ -211,9 +211,7 @@ class Fitter:
 
     def nominal(self) -> Fit:
         """The servo as it is known; one that nobody knows as well as a linear one fits."""
-        if self.record.free_poles:
-            return self.judged((), self.root().physics)
-        return self.judged((), self.record.plant.neutral)
+        return self.halved(self.root()) if self.record.free_poles else self.judged((), self.record.plant.neutral)
 
     def linear(self) -> Fit:
         """The linear servo with its own numbers refitted as if its errors had no memory, whatever that takes."""
@@ -273,6 +271,10 @@ class Fitter:
         """Whether it is, and a base has moved it so far that to free it may be better."""
         if not self.is_own(effect):
             return False
+        if (
+            self.record.free_poles and not self.record.runs and effect in (Bias, Gain)
+        ):  # what memory the errors have may hide them
+            return True
         names = {name for p in effect.parameters for name in p.fields}
         numbers = [n for n in self._numbers(base.effects, base.physics) if n.prior and n.fields[0] in names]
         return any(abs(x) > _STRAIN for x in self._x(numbers, base.physics))

@@ -18,7 +18,7 @@ from servofd.discrepancy.candidates import SMALLEST, SURPRISE, candidates, exclu
 from servofd.discrepancy.fit import LONG, OWN_FIELDS, Fit, Fitter
 from servofd.discrepancy.frames import best_frame, frames_like
 from servofd.discrepancy.record import liveliest
-from servofd.models.catalogue import ClockOffset, Delay, PwmFrame, SensorLag, SlowDynamics
+from servofd.models.catalogue import Bias, ClockOffset, Delay, Gain, PwmFrame, SensorLag, SlowDynamics
 from servofd.models.laws import VARIED, by_condition, is_law, plain
 from servofd.models.physics import INSIDE
 
@@ -50,6 +50,8 @@ _FORESEEN, _SIBLING = 4.0, 0.3
 _SAME = 1e-9
 """By how much an effect must improve the misfit of what was not fitted; and the share of what is left beyond the noise
 that a second way to stick, to be dead or loose must take away."""
+_NO_WORSE = 0.95
+"""Of the held-out mean square of what was found, that of a linear servo which is better."""
 _MODEL_RATIO, _MODEL_SHARE = 1.5, 0.02
 """Where a servo leaves more than so many times the noise, its misfit is not right to that share for each effective
 sample: errors that differ by 5 % tell no names apart."""
@@ -311,6 +313,9 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     best = _foreseeing(search, _chosen(search))
     nominal = fitter.nominal()
     names, sets = _shares(search, best, nominal)
+    linear = _better_linear(search, names[0])
+    if linear is not None:
+        names, sets = [linear], 1.0
     best = names[0]
     rungs = _rungs(search, best)
     final = rungs[-1].fit if rungs else fitter.halved(best)
@@ -353,10 +358,13 @@ def _widened(search: _Search, root: Fit) -> None:
                 if size + 1 > 1 and fit.misfit < best.misfit - _window(search, best, fit):
                     search.grow(fewer, min(f.misfit for f in search.visited.values()) + 40.0)
         longer = _best_of_size(search, size + 1)
-        if not _needed(search, best, longer):
+        if _needed(search, best, longer):
+            best = longer[0]
+        elif not longer or record.runs or not record.free_poles or _beyond_noise(search, longer[0]) == 0.0:
             return
-        best, beam = longer[0], longer[:_BEAM]
-        beam = [fit for fit in beam if fit.misfit < best.misfit + 4.0 * _OCCAM]
+        # What lacks an effect remembers it, and few samples count of it: in a single run of a servo that nobody knows,
+        # where more than noise is left, go on.
+        beam = [fit for fit in longer[:_BEAM] if fit.misfit < longer[0].misfit + 4.0 * _OCCAM]
 
 
 def _polished(search: _Search, size: int) -> None:
@@ -493,6 +501,22 @@ def _foreseeing(search: _Search, best: Fit) -> Fit:
             break
         best = fewer[k]
     return best
+
+
+def _better_linear(search: _Search, best: Fit) -> Fit | None:
+    """Of a servo that nobody knows, the linear one with any gain and zero, if it foresees more than what was found."""
+    fitter = search.fitter
+    if not fitter.record.free_poles or fitter.record.side is not None:
+        return None
+    start = fitter.linear().physics
+    fits = [fitter.descended(effects, start, LONG) for effects in ((Bias, Gain), (Bias,), (Gain,))]
+    held_out = {fit.key: fitter.halved(fit).held_out for fit in fits}
+    found = [fit for fit in fits if search.is_physical(fit) and not _harms(search, fit)]
+    linear = min(found, key=lambda fit: held_out[fit.key], default=None)
+    if linear is None or held_out[linear.key] >= _NO_WORSE * fitter.halved(best).held_out:
+        return None
+    search.keep(linear)
+    return linear
 
 
 def _share_of_excess(search: _Search, fewer: Fit, best: Fit) -> float:

@@ -255,6 +255,17 @@ class GravityLoad(MissingEffect):
     )
 
 
+class TiltedLoad(MissingEffect):
+    """Weight on the horn of a servo whose angles are counted from elsewhere: the joint of an arm."""
+
+    name, place, form = "gravity_load", Place.SERVO, "hanging elsewhere"
+    parameters = (
+        Parameter("droop_deg", ("droop_deg",), -180.0, 180.0, 0.0, 2.0, (1.0, 3.0, 8.0, 20.0)),
+        Parameter("hangs_deg", ("hangs_deg",), -360.0, 360.0, 0.0, 30.0, (-90.0, 90.0, -30.0, 30.0, 150.0, -150.0)),
+        _SPLIT,
+    )
+
+
 class PositionLimit(MissingEffect):
     """Stops of the linkage: the surface waits there while the servo goes on."""
 
@@ -370,6 +381,7 @@ CATALOGUE: tuple[type[MissingEffect], ...] = (
     SupplyCoupling,
     Damping,
     GravityLoad,
+    TiltedLoad,
     LoadFriction,
     CurrentLimit,
     AsymmetricRate,

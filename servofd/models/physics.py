@@ -119,6 +119,8 @@ class Physics(NamedTuple):
     """By which share friction is larger at rest than at speed."""
     stribeck_deg_s: float = 10.0
     """Speed at which most of that is gone."""
+    hangs_deg: float = 0.0
+    """Where a weight on the horn hangs at rest: its load is droop times the sine of the angle from there."""
     run_slope: float = 0.0
     """By how much a size is larger in the run with the largest value of a condition than in the mean one; the kernel
     knows nothing of it, nor of the next two (`servofd.models.laws`)."""

@@ -288,7 +288,7 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
                 if loaded:
                     load = physics.airload_per_pa * pressure_pa[n] * middle
                     if weighs:
-                        load += physics.droop_deg * sine(middle * _PER_DEG)
+                        load += physics.droop_deg * sine((middle - physics.hangs_deg) * _PER_DEG)
                     load *= -per_error
                 x = (y, v, torque, u, s, pushed, load)
                 limit, sticks, wound = friction, False, 0.0

@@ -91,6 +91,13 @@ def _verdict(document: dict[str, Any]) -> str:
     floor = document["noise_floor_rms_deg"]
     names = " and ".join(_name(step) for step in document["steps"])
     shrinks = f"the error shrinks from {before:.3g} to {after:.3g} deg rms on samples that were not fitted"
+    if document["fault_s"] is not None:
+        told = (
+            f"with {names} what came before shrinks from {before:.3g} to {after:.3g} deg rms"
+            if names
+            else (f"{before:.3g} deg rms are left of what came before")
+        )
+        return f"a fault sets in at {document['fault_s']:.1f} s; {told}, the noise floor is {floor:.3g} deg."
     return {
         "nothing_missing": f"nothing is missing: {before:.3g} deg rms are left, the noise floor is {floor:.3g} deg.",
         "explained": f"{names} explains the gap: {shrinks}; the noise floor is {floor:.3g} deg.",

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from servofd import explain_log
+from servofd import explain_log, explain_logs
 from servofd.discrepancy.explanation import Explanation
 from servofd.errors import NoMeasurement
+from servofd.models.catalogue import Bias, Gain
 from tests.external.test_bench_tables import DATA
 
 pytestmark = [
@@ -110,6 +111,28 @@ def test_digital_servo_whose_rate_limit_falls_with_its_load() -> None:
     assert (empty_deg_s, loaded_deg_s) == pytest.approx((388.0, 303.0), rel=0.06)
     assert first.line_rms_deg < 0.5 * first.common_rms_deg
     assert found.notes[-1] == first.sentence
+
+
+@pytest.mark.parametrize("name", ["teleop_arm_1", "teleop_arm_2", "geared_joint_multisine", "geared_joint_plc"])
+def test_healthy_joints(name: str) -> None:
+    """No fault is claimed, nothing is left out, and a linear servo with any gain and zero never foresees more.
+
+    Both arms bear their weight at the shoulder and the elbow, from angles that are counted from anywhere.
+    """
+    explained = explain_logs([DATA / "bench" / f"{name}.csv"])
+    assert not explained.failures
+    for found in explained.explanations:
+        assert "FAULT" not in found.answer
+        assert found.fault_s is None
+        assert not found.undriven
+        fitter = found.selection.fitter
+        linear = fitter.halved(fitter.descended((Bias, Gain), fitter.linear().physics, 30))
+        if not linear.ran_away:
+            assert final_deg(found) <= 1.03 * found.rms_deg(linear)["held_out_rms_deg"]
+        assert final_deg(found) <= 1.03 * nominal_deg(found)
+        if found.surface in ("shoulder_lift", "elbow_flex"):
+            assert "gravity_load" in told(found)
+            assert final_deg(found) < 0.4 * nominal_deg(found)
 
 
 def test_linear_drive() -> None:

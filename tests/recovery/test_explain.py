@@ -128,7 +128,7 @@ def test_a_fault_in_the_middle_is_no_missing_effect() -> None:
     stuck = np.where(log.time_s > 18.0, log.position_deg[1800], log.position_deg)
     stuck[log.time_s > 18.0] += 0.1 * np.random.default_rng(0).standard_normal(int((log.time_s > 18.0).sum()))
     found = explained(replace(log, position_deg=stuck))
-    assert found.conclusion == "nothing_missing"
+    assert found.conclusion == "unexplained"
     assert found.fault_s == pytest.approx(18.0, abs=0.5)
     assert found.selection.final.names == ()
     assert found.answer.startswith("FAULT from")
@@ -248,7 +248,7 @@ def test_coarse_steps_are_told_by_the_readings_alone(command: str, noise_deg: fl
 @pytest.mark.slow
 def test_a_jam_that_passes_is_no_missing_effect() -> None:
     found = explained(jammed(hide(FineServo(), "lively", seed=3), 12.0, 18.0))
-    assert found.conclusion == "nothing_missing"
+    assert found.conclusion == "unexplained"
     assert found.fault_s == pytest.approx(12.0, abs=1.0)
 
 

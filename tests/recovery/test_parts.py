@@ -62,7 +62,7 @@ def test_a_jam_in_a_short_flight_is_no_missing_effect() -> None:
     found = explain_gap(
         Segment("x", record.commands.effective_s, record.commands.command_deg, time_s, jammed_deg), KNOWN
     )
-    assert found.conclusion == "nothing_missing"
+    assert found.conclusion == "unexplained"
     assert found.fault_s == pytest.approx(13.0, abs=0.5)
     assert found.selection.final.names == ()
     assert found.answer.startswith("FAULT from")
