@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from servofd.detection.events import EventKind
     from servofd.detection.stream import Piece
     from servofd.models.servo_model import ServoModel
-    from servofd.types import FloatArray
+    from servofd.types import BoolArray, FloatArray
 
 _SAMPLES_PER_PERIOD = 4.0
 """Of the servo's bandwidth; twice what the sampling theorem asks for."""
@@ -61,6 +61,14 @@ _LOOKS_S = (0.25, 0.5, 1.0, 1.75, 6.0)
 """How long after an alarm the bank looks at it; the last one that may name it leaves the bank time to think,"""
 _LOOKS_AGAIN_S = 30.0
 """and how often after that."""
+_QUIET_SHARE = 0.5
+"""Of its threshold, below which the residual of a surface in alarm is quiet,"""
+_RECOVERED_S = 0.5
+"""for so long while the surface is farther from where it was stuck than its threshold: it obeys again."""
+_QUIET_LOOKS_S = (0.75, 1.25, 1.75, 3.0, 6.0, 12.0)
+"""After so long in quiet the bank looks whether an alarm is over,"""
+_PAUSE_S, _LONGEST_PAUSE_S = 0.4, 1.5
+"""no more often than after pauses that grow with each look in vain."""
 _WINDOWS_S = (2.25, 4.25, 8.25, 16.25)
 """The bank's own windows, which begin a quarter of a second after what raised a suspicion."""
 _NEWS_S = 10.0
@@ -75,6 +83,52 @@ _QUIET, _TOGETHER, _FAST_S = 0.3, 2, 0.025
 """Positions that come as fast as this [s] go two at a time while the residual is a small share of its threshold."""
 _LONGEST_WAIT = 6_000
 """Samples that are kept while a position that has never changed may still turn out to be one."""
+
+
+@dataclass(slots=True)
+class Quiet:
+    """How long the residual of a surface in alarm has been quiet.
+
+    Examples
+    --------
+    >>> quiet = Quiet(quiet_s=10.0)
+    >>> [quiet.is_due(at_s) for at_s in (10.5, 10.8, 10.9, 11.3)]
+    [False, True, False, True]
+    """
+
+    quiet_s: float = float("inf")
+    """Since when it is quiet [s]; infinite if it is not."""
+    away_s: float = float("inf")
+    """Since when it is, elsewhere than where it was stuck [s]."""
+    _asked_s: float = float("-inf")
+    _asked: int = 0
+
+    def follow(self, piece: Piece, stuck_deg: float) -> None:
+        """Take the next samples, and where the surface is said to be stuck [deg]; NaN if nowhere."""
+        residuals, level_deg = piece.residuals, piece.threshold.level_deg
+        judged = residuals.settled
+        loud = judged & ~(np.abs(residuals.residual_deg) < _QUIET_SHARE * level_deg)
+        there = loud | (judged & ~(np.abs(residuals.measured_deg - stuck_deg) > level_deg))
+        self.quiet_s = self._since_s(self.quiet_s, residuals.time_s, judged, loud)
+        self.away_s = self._since_s(self.away_s, residuals.time_s, judged, there)
+
+    def is_due(self, now_s: float) -> bool:
+        """Whether the bank should look now [s]."""
+        pause_s = min(_PAUSE_S * (1 + self._asked), _LONGEST_PAUSE_S)
+        if now_s - self._asked_s < pause_s:
+            return False
+        if not any(self._asked_s < self.quiet_s + after_s <= now_s for after_s in _QUIET_LOOKS_S):
+            return False
+        self._asked_s, self._asked = now_s, self._asked + 1
+        return True
+
+    @staticmethod
+    def _since_s(since_s: float, time_s: FloatArray, judged: BoolArray, ends: BoolArray) -> float:
+        last = np.flatnonzero(ends)
+        if last.size:
+            since_s, time_s, judged = np.inf, time_s[last[-1] + 1 :], judged[last[-1] + 1 :]
+        begun = np.flatnonzero(judged)
+        return min(since_s, float(time_s[begun[0]])) if begun.size else since_s
 
 
 @dataclass(slots=True)
@@ -120,6 +174,7 @@ class SurfaceMonitor:
     _generator: ResidualGenerator | None = None
     _waiting: tuple[list[tuple[float, float]], list[tuple[float, float]]] = field(default_factory=lambda: ([], []))
     _alarms: dict[float, Alarm] = field(default_factory=dict)
+    _quiet: Quiet = field(default_factory=Quiet)
     _looks_s: list[float] = field(default_factory=list)
     _suspected_s: float = -np.inf
     _recent: deque[float] = field(default_factory=lambda: deque(maxlen=WARM_UP_STEPS + 1))
@@ -178,6 +233,11 @@ class SurfaceMonitor:
             return events + self._warm_up(asked, seen)
         self._hand_over(asked, seen)
         return events + self._evaluated(self._stream.evaluate())
+
+    @property
+    def _now_s(self) -> float:
+        """Time of the newest sample that was evaluated [s]."""
+        return self.reading.time_s if self.reading is not None else -np.inf
 
     @property
     def is_watched(self) -> bool:
@@ -300,7 +360,7 @@ class SurfaceMonitor:
             if alarm is None or alarm.dismissed:
                 alarm = self._alarms[fault.alarm_s] = Alarm(fault.kind, stands=fault.end_s is None)
                 events.append(self._event(look, look.at_s, "alarm", fault.kind, fault))
-            elif alarm.stands and look.at_s - fault.alarm_s <= _NAMED_S and fault.kind != alarm.kind:
+            elif alarm.stands and self._now_s - fault.alarm_s <= _NAMED_S and fault.kind != alarm.kind:
                 events.append(self._event(look, look.at_s, "named", fault.kind, fault))
             alarm.kind, alarm.fault = fault.kind, fault
             if fault.kind != "unknown" and fault.probability >= SURE:
@@ -472,9 +532,10 @@ class SurfaceMonitor:
                     alarm.stands = False
                 self._looks_s = [time_s]
             else:
-                self._alarms[time_s] = Alarm()
+                self._alarms[time_s], self._quiet = Alarm(), Quiet()
                 events.append(Event(time_s, self.name, "alarm", "unknown", *numbers))
                 self._looks_s = sorted([*self._looks_s, *(time_s + after_s for after_s in _LOOKS_S)])
+        events += self._recovered(piece)
         self._suspect(piece)
         self._judged_s += self._mean_s * float(np.count_nonzero(residuals.settled))
         last = int(residuals.time_s.size) - 1
@@ -492,6 +553,29 @@ class SurfaceMonitor:
             bool(residuals.settled[last]),
         )
         return events
+
+    def _recovered(self, piece: Piece) -> list[Event]:
+        """Tell that a surface in alarm obeys again, or have the bank look whether it does.
+
+        What is stuck stays where it is: a surface that follows its command elsewhere is not. What else an alarm stands
+        for, the bank tells.
+        """
+        alarm = next((alarm for alarm in reversed(self._alarms.values()) if alarm.stands), None)
+        if alarm is None or self._stream is None:
+            return []
+        stuck = alarm.fault.parameters.get("position_deg") if alarm.fault is not None else None
+        self._quiet.follow(piece, np.nan if stuck is None else stuck.value)
+        now_s = float(piece.residuals.time_s[-1])
+        if now_s - self._quiet.away_s >= _RECOVERED_S:
+            for each in self._alarms.values():
+                each.stands = False
+            self._looks_s = [now_s]
+            self._stream.again()
+            numbers = float(piece.residuals.residual_deg[-1]), float(piece.threshold.level_deg[-1])
+            return [Event(now_s, self.name, "clear", alarm.kind, *numbers)]
+        if self._quiet.is_due(now_s):
+            self._looks_s = sorted([*self._looks_s, now_s])
+        return []
 
     def _suspect(self, piece: Piece) -> None:
         """Have the bank look at a new suspicion, which is an alarm if it can be named for sure."""

@@ -63,6 +63,8 @@ _STRANGE, _UNEXPLAINED = 2.0, 0.55
 _ENDED = 1.0
 """Seconds of one standard deviation by which the healthy servo must explain better what comes after an end."""
 _AFTER_END_S = 3.0
+_SURELY_ENDED, _SOON_S = 5.0, 0.5
+"""So much better it need do for no longer than this."""
 _LOG_CLIP = 25.0
 _NO_NEWS = 0.01
 """By so little a fault may explain a sample better, and yet not have begun."""
@@ -422,6 +424,7 @@ def _end_s(watched: Watched, guess: _Guess, alarm_s: float) -> float | None:
     top = int(np.argmax(so_far))
     per_second = 1.0 / watched.record.period_s
     fell = (so_far[top] - so_far[-1]) / per_second
-    if fell > _ENDED and time_s[-1] - time_s[top] > _AFTER_END_S:
+    after_s = time_s[-1] - time_s[top]
+    if (fell > _ENDED and after_s > _AFTER_END_S) or (fell > _SURELY_ENDED and after_s > _SOON_S):
         return float(time_s[top])
     return None

@@ -125,6 +125,10 @@ class Stream:
         """Whether any position waits for a command."""
         return bool(self._positions)
 
+    def again(self) -> None:
+        """The alarm that stood is over."""
+        self._latch.state[3:5] = 0.0
+
     def evaluate(self, *, final: bool = False) -> Piece | None:
         """Evaluate what can be decided by now; everything if nothing more will come. None if that is nothing."""
         ready = self._ready(final=final)
