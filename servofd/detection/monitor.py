@@ -235,11 +235,6 @@ class SurfaceMonitor:
         return events + self._evaluated(self._stream.evaluate())
 
     @property
-    def _now_s(self) -> float:
-        """Time of the newest sample that was evaluated [s]."""
-        return self.reading.time_s if self.reading is not None else -np.inf
-
-    @property
     def is_watched(self) -> bool:
         """Whether residuals are being judged."""
         return self._stream is not None and not (self.problem or self.outage or self.suspended)
@@ -354,13 +349,14 @@ class SurfaceMonitor:
         after the alarm, or after its end, would be taken for another fault's: it is kept for the report.
         """
         faults, suspicions, problem = verdict
+        now_s = look.at_s if self.reading is None else max(look.at_s, self.reading.time_s)
         events = []
         for fault in faults:
             alarm = self._alarms.get(fault.alarm_s)
             if alarm is None or alarm.dismissed:
                 alarm = self._alarms[fault.alarm_s] = Alarm(fault.kind, stands=fault.end_s is None)
                 events.append(self._event(look, look.at_s, "alarm", fault.kind, fault))
-            elif alarm.stands and self._now_s - fault.alarm_s <= _NAMED_S and fault.kind != alarm.kind:
+            elif alarm.stands and now_s - fault.alarm_s <= _NAMED_S and fault.kind != alarm.kind:
                 events.append(self._event(look, look.at_s, "named", fault.kind, fault))
             alarm.kind, alarm.fault = fault.kind, fault
             if fault.kind != "unknown" and fault.probability >= SURE:
