@@ -39,7 +39,7 @@ _SHORTEST_S: Final = 2.5
 """A bench test that is all motion; a flight says more."""
 _FAR_GAINS: Final = (0.5, 2.0)
 _USUAL_GAINS: Final = (0.8, 1.25)
-_POOR: Final = 0.6
+_POOR, _DOUBTFUL = 0.6, 0.9
 _FEWEST: Final = 60
 _LONGEST_LEAD_S: Final = 0.5
 _IN_COMMON: Final = 0.9
@@ -50,8 +50,8 @@ _LEAST_REACH: Final = 0.5
 _STILL_S: Final = 2.0
 _STILL_NOISES, _STILL_DEG = 5.0, 0.1
 """A position that stays within so many sigma of its noise, and so much, stands still;"""
-_ASKED: Final = 10.0
-"""it jams where the command moves by so many times that."""
+_ASKED, _ASKED_SHARE, _JAMMED_S = 10.0, 0.3, 5.0
+"""it is stuck where the command moves meanwhile by so many times that, by such a share of all it does, and so long."""
 _STRANGE: Final = 6.0
 """A flight that differs from the others by so many standard deviations between flights is of another aircraft."""
 _OWN_MARGIN: Final = 1.3
@@ -182,15 +182,15 @@ def _check(name: str, fitted: Fit, records: Sequence[Record], flights: Sequence[
             f"{name}: the position moves {1e3 * ahead_s:.0f} ms before the command in {logs}: swapped columns, or "
             "clocks that disagree"
         )
+    for record, flight in zip(records, flights, strict=True):
+        jam = _jam(record) if fitted.explained_share < _DOUBTFUL else ""
+        if jam:
+            raise CalibrationError(f"{name}: not a good flight: {flight.label}: {jam}; {_ADVICE}")
     crude = float(np.median([_crude_gain(record) for record in records]))
     if crude > 0.0 and not _FAR_GAINS[0] <= crude <= _FAR_GAINS[1]:
         # So far from one that the fit did not get there.
         gain = crude * fit([Record.of(flight.with_scale(crude, 0.0).segment) for flight in flights]).theta[0]
     elif fitted.explained_share < _POOR:
-        for record, flight in zip(records, flights, strict=True):
-            jam = _jam(record)
-            if jam:
-                raise CalibrationError(f"{name}: not a good flight: {flight.label}: {jam}; {_ADVICE}")
         raise CalibrationError(
             f"{name}: not a good flight: no servo explains more than {max(fitted.explained_share, 0.0):.0%} of how the "
             f"position moves in {logs}: it does not follow its command; {_ADVICE}"
@@ -235,7 +235,8 @@ def _jam(record: Record) -> str:
     still_deg = max(_STILL_NOISES * noise_deg(seen_deg), _STILL_DEG)
     block = np.floor((time_s - time_s[0]) / _STILL_S).astype(int)
     edges = np.searchsorted(block, np.arange(block[-1] + 2))
-    longest = (_STILL_S, 0.0, 0.0, 0.0, 0.0)
+    longest = (_JAMMED_S, 0.0, 0.0, 0.0, 0.0)
+    asked_by_deg = max(_ASKED * still_deg, _ASKED_SHARE * float(np.ptp(asked_deg)))
     for first, last in itertools.pairwise(edges.tolist()):
         if last - first < 2:
             continue
@@ -248,14 +249,14 @@ def _jam(record: Record) -> str:
             continue
         moved_deg = float(np.ptp(asked_deg[begin:end]))
         lasted_s = float(time_s[end - 1] - time_s[begin])
-        if moved_deg > _ASKED * still_deg:
+        if moved_deg > asked_by_deg:
             longest = max(longest, (lasted_s, float(time_s[begin]), float(time_s[end - 1]), at_deg, moved_deg))
     lasted_s, from_s, to_s, at_deg, moved_deg = longest
-    if lasted_s <= _STILL_S:
+    if lasted_s <= _JAMMED_S:
         return ""
     until = "since" if to_s >= time_s[-1] - _STILL_S else "from"
     span = f"{until} {from_s:.1f} s" + ("" if until == "since" else f" to {to_s:.1f} s")
-    return f"stays at {at_deg:.1f} deg {span} while the command moves by {moved_deg:.0f} deg"
+    return f"stuck at {at_deg:.1f} deg {span} while the command moves by {moved_deg:.0f} deg"
 
 
 def _crude_gain(record: Record) -> float:
