@@ -50,8 +50,10 @@ _LEAST_REACH: Final = 0.5
 _STILL_S: Final = 2.0
 _STILL_NOISES, _STILL_DEG = 5.0, 0.1
 """A position that stays within so many sigma of its noise, and so much, stands still;"""
-_ASKED, _ASKED_SHARE, _JAMMED_S = 10.0, 0.3, 5.0
+_ASKED, _ASKED_SHARE, _JAMMED_S = 4.0, 0.2, 5.0
 """it is stuck where the command moves meanwhile by so many times that, by such a share of all it does, and so long."""
+_ALWAYS: Final = 0.95
+"""What never moved may be no position at all."""
 _STRANGE: Final = 6.0
 """A flight that differs from the others by so many standard deviations between flights is of another aircraft."""
 _OWN_MARGIN: Final = 1.3
@@ -252,7 +254,7 @@ def _jam(record: Record) -> str:
         if moved_deg > asked_by_deg:
             longest = max(longest, (lasted_s, float(time_s[begin]), float(time_s[end - 1]), at_deg, moved_deg))
     lasted_s, from_s, to_s, at_deg, moved_deg = longest
-    if lasted_s <= _JAMMED_S:
+    if lasted_s <= _JAMMED_S or lasted_s > _ALWAYS * float(np.ptp(time_s)):
         return ""
     until = "since" if to_s >= time_s[-1] - _STILL_S else "from"
     span = f"{until} {from_s:.1f} s" + ("" if until == "since" else f" to {to_s:.1f} s")
