@@ -12,7 +12,7 @@ from servofd.types import FloatArray
 
 BEGINS_S, ENDS_S, LAST_S = 20.0, 32.0, 44.0
 WITHIN_S = 2.0
-KINDS = ("stuck", "hardover")
+KINDS = ("stuck", "hardover", "floating", "bias", "loss", "slow", "deadband")
 
 
 def faulty(kind: str, seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
