@@ -132,8 +132,8 @@ class ExportedStore:
         for ids in self._columns.get("FMTU", {}).get("UnitIds", ()):
             if str(ids) in CSRV_UNITS:
                 return CSRV_UNITS[str(ids)]
-        commands = self._columns["CSRV"].get("PosCmd", np.zeros(0)).astype(np.float64)
-        if np.any(np.isfinite(commands) & (commands != 0.0)):
+        commands = self._columns["CSRV"].get("PosCmd", np.zeros(0))
+        if commands.dtype.kind in "iuf" and np.any(np.isfinite(commands) & (commands != 0.0)):
             return "deg"  # DroneCAN's servos, which tell radians, tell no command
         version = next(zip(*(self._columns.get("VER", {}).get(k, ()) for k in ("Maj", "Min")), strict=False), None)
         if version is None:

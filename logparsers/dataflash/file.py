@@ -311,7 +311,7 @@ class DataFlashFile:
         """Kind of aircraft, for example ``"fixed wing"``; empty if the log does not say."""
         name = self.firmware.partition(" ")[0]
         if name in ("ArduCopter", "APM:Copter"):
-            return FRAMES.get(int(self.parameters.get("FRAME_CLASS", 0.0)), "multirotor")
+            return FRAMES.get(int(np.nan_to_num(self.parameters.get("FRAME_CLASS", 0.0))), "multirotor")
         return VEHICLES.get(name, name)
 
     @cached_property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -98,7 +99,7 @@ def outputs_of(parameters: Mapping[str, float]) -> dict[int, LoggedOutput]:
     outputs = {}
     for number in range(1, 33):
         function = parameters.get(f"SERVO{number}_FUNCTION")
-        if function is not None and function != 0.0:
+        if function is not None and function != 0.0 and math.isfinite(function):
             outputs[number] = LoggedOutput(
                 number,
                 int(function),

@@ -118,7 +118,7 @@ def _first_output(log: FlightLog, members: list[Position]) -> int:
         return 0
     if 0 in ids:
         return 1
-    volz = int(log.parameters.get("SERVO_VOLZ_MASK", 0.0))
+    volz = int(np.nan_to_num(log.parameters.get("SERVO_VOLZ_MASK", 0.0)))
     if members[0].group == "CSRV" and volz and all(volz >> i & 1 for i in ids):
         return 1
     dronecan = 0

@@ -20,6 +20,7 @@ from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.statistics import Statistics
 from servofd.errors import ConfigError, RecordingError
 from servofd.feedback.draft import draft_aircraft
+from servofd.feedback.outputs import outputs_of
 from servofd.fleet.key import Job
 from servofd.fleet.store import FleetStore, read_table
 from servofd.live.session import stamped
@@ -338,3 +339,15 @@ def test_a_servo_of_an_output_that_no_autopilot_has() -> None:
     pair = replace(first.pair, output=replace(first.pair.output, number=5_000_001))
     known = replace(draft, surfaces=(replace(first, pair=pair),)).aircraft()
     assert [surface.output for surface in known.surfaces.values()] == [None]
+
+
+def test_a_function_of_an_output_that_is_no_number() -> None:
+    assert outputs_of(
+        {"SERVO1_FUNCTION": float("nan"), "SERVO2_FUNCTION": float("inf"), "SERVO3_FUNCTION": 21.0}
+    ).keys() == {3}
+
+
+def test_commands_of_an_exported_table_that_are_words() -> None:
+    rows = "".join(f"1.0,{20000 * k},1,{k},[[[\n" for k in range(1, 50))
+    log = logparsers.read(io.BytesIO(f"timestamp,TimeUS,Id,Pos,PosCmd\n{rows}".encode()))
+    np.testing.assert_array_equal(log["CSRV[1].Pos"].values, np.arange(1.0, 50.0))
