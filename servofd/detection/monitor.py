@@ -92,7 +92,7 @@ class Quiet:
     Examples
     --------
     >>> quiet = Quiet(quiet_s=10.0)
-    >>> [quiet.is_due(at_s) for at_s in (10.5, 10.8, 10.9, 11.3)]
+    >>> [quiet.is_due(at_s) for at_s in (10.5, 10.8, 10.9, 11.8)]
     [False, True, False, True]
     """
 
