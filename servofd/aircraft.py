@@ -151,6 +151,11 @@ class Surface(_Entry):
         known = self.tolerance is not None or self.threshold_deg <= DEFAULT_THRESHOLD_DEG
         return known and self.suspicions
 
+    @property
+    def names_servo(self) -> bool:
+        """Whether its file says which servo it is, or brings a calibration, or what its linear model lacks."""
+        return bool(self.model_fields_set & {"servo", "calibrated", "effects"})
+
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         for key in ("command_saturation_deg", "position_limit_deg"):

@@ -65,7 +65,8 @@ def one_log(path: str | Path, aircraft: Aircraft | None = None) -> FlightLog:
 def flown_aircraft(log: FlightLog, known: Aircraft | None, servo: str | None = None) -> Aircraft:
     """The aircraft that flew a log: as it is known, or as the log shows it, with the servo that was asked for.
 
-    Surfaces whose channels a log lacks are looked for by the outputs of the autopilot that turn them.
+    Surfaces whose channels a log lacks are looked for by the outputs of the autopilot that turn them. Servos that the
+    aircraft's file does not name are fitted to the log.
 
     Parameters
     ----------
@@ -79,10 +80,11 @@ def flown_aircraft(log: FlightLog, known: Aircraft | None, servo: str | None = N
     from servofd.feedback.resolve import resolved
 
     flown = resolved(log, known) if known is not None and known.surfaces else _with_surfaces(log, known, servo)
-    if servo == UNKNOWN_SERVO and known is not None and known.surfaces:
+    unnamed = [name for name, surface in flown.surfaces.items() if servo == UNKNOWN_SERVO or not surface.names_servo]
+    if servo in (None, UNKNOWN_SERVO) and known is not None and known.surfaces and unnamed:
         from servofd.feedback.fitted import fitted_aircraft
 
-        return fitted_aircraft(log, flown)
+        return fitted_aircraft(log, flown, unnamed)
     return flown if servo in (None, UNKNOWN_SERVO) else flown.with_servo(servo)
 
 

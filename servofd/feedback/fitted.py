@@ -45,8 +45,8 @@ class Drafted(NamedTuple):
     """Largest residual of the blocks from which it was drafted [deg]."""
 
 
-def fitted_aircraft(log: FlightLog, aircraft: Aircraft) -> Aircraft:
-    """Return the same aircraft with every servo fitted to a log.
+def fitted_aircraft(log: FlightLog, aircraft: Aircraft, only: Iterable[str] | None = None) -> Aircraft:
+    """Return the same aircraft with servos fitted to a log.
 
     Parameters
     ----------
@@ -54,6 +54,8 @@ def fitted_aircraft(log: FlightLog, aircraft: Aircraft) -> Aircraft:
         What is to be judged.
     aircraft : Aircraft
         Its surfaces; which servo turns them is left out of account.
+    only : iterable of str, optional
+        Surfaces whose servo is fitted; all if left out.
 
     Examples
     --------
@@ -64,10 +66,10 @@ def fitted_aircraft(log: FlightLog, aircraft: Aircraft) -> Aircraft:
     >>> model.origin, model.explained_share > 0.99
     ('fitted', True)
     """
-    surfaces, servos = {}, {}
-    for name, surface in aircraft.surfaces.items():
+    surfaces, servos = dict(aircraft.surfaces), {}
+    for name in aircraft.surfaces if only is None else only:
         key = f"{name}-fitted"
-        surfaces[name], servos[key] = _fitted(log, name, surface, key)
+        surfaces[name], servos[key] = _fitted(log, name, aircraft.surfaces[name], key)
     return aircraft.model_copy(update={"surfaces": surfaces, "servos": {**aircraft.servos, **servos}})
 
 

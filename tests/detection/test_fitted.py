@@ -111,3 +111,21 @@ def test_a_reversed_sign_is_told_and_not_hidden_by_wide_tolerances(tmp_path: Pat
     (surface,) = result.surfaces
     assert surface.status == "unknown"
     assert "check the sign" in surface.reason
+
+
+def test_a_file_that_names_no_servo_has_it_fitted(tmp_path: Path) -> None:
+    """And of one file, surfaces whose servo is named keep theirs."""
+    entry = """[surfaces.{name}]
+{servo}
+command = {{ channel = "{name}_cmd_deg", unit = "deg" }}
+measured = {{ channel = "{name}_pos_deg", unit = "deg" }}
+"""
+    config = tmp_path / "plane.toml"
+    config.write_text(
+        entry.format(name="aileron", servo="") + entry.format(name="elevator", servo='servo = "hs225bb-eq31"')
+    )
+    (result,) = servofd.audit("sample_logs/table_three_faults.csv", config)
+    assert [(verdict.servo, verdict.model.origin) for verdict in result.surfaces] == [
+        ("aileron-fitted", "fitted"),
+        ("hs225bb-eq31", "named"),
+    ]
