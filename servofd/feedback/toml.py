@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from servofd.feedback.draft import servo_entry, surface_entry
 from servofd.toml_text import toml_key, toml_lines, toml_value
 
 if TYPE_CHECKING:
+    from logparsers.records import FlightLog
+    from servofd.aircraft import Aircraft
     from servofd.feedback.draft import Draft, DraftedSurface
 
-__all__ = ["draft_to_toml"]
+__all__ = ["draft_to_toml", "fitted_to_toml"]
 
 _ENTRIES = ("servo", "output", "threshold", "threshold_deg", "tolerance", "persistence", "suspicions", "model")
 
@@ -32,6 +34,42 @@ def draft_to_toml(draft: Draft) -> str:
     for surface in draft.surfaces:
         lines += ["", *_surface_lines(surface)]
     return "\n".join(lines) + "\n"
+
+
+def fitted_to_toml(log: FlightLog, aircraft: Aircraft) -> str:
+    """Text of an aircraft file with the servos that were fitted to a table.
+
+    Examples
+    --------
+    >>> from servofd.job import flown_aircraft, one_log
+    >>> log = one_log("sample_logs/table_three_faults.csv")
+    >>> fitted_to_toml(log, flown_aircraft(log, None)).splitlines()[6]
+    '[surfaces.aileron]'
+    """
+    lines = [
+        f"# Drafted from {log.source.name}: each servo is fitted to this one log, a starting point and no calibration.",
+        "# If a servo was faulty in it, its numbers are wrong: calibrate on flights that you know to be good.",
+        "# Tolerances are so wide that this log raises no alarm, but where it contradicts any servo.",
+        "",
+        f"name = {toml_value(aircraft.name or log.source.stem)}",
+    ]
+    for name, surface in aircraft.surfaces.items():
+        servo = aircraft.servos[surface.servo].model_copy(update={"source": f"fitted to {log.source.name}"})
+        entry = _short(surface.model_dump(exclude_defaults=True, exclude_none=True, mode="json"))
+        order = {key: entry[key] for key in _ENTRIES if key in entry} | entry
+        lines += ["", f"[surfaces.{toml_key(name)}]", *toml_lines(order)]
+        servo_table = servo.model_dump(exclude_defaults=True, exclude_none=True, mode="json")
+        lines += ["", f"[servos.{toml_key(surface.servo)}]", *toml_lines(servo_table)]
+    return "\n".join(lines) + "\n"
+
+
+def _short(value: Any) -> Any:  # noqa: ANN401 - whatever a TOML file holds
+    """Numbers with six digits."""
+    if isinstance(value, dict):
+        return {key: _short(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return [_short(each) for each in value]
+    return float(f"{value:.6g}") if isinstance(value, float) else value
 
 
 def _peak(surface: DraftedSurface) -> str:

@@ -1,0 +1,32 @@
+"""`servofd config` on a plain table: a file under which the table is judged as without one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import servofd
+from servofd.cli import main
+
+TABLE = Path("sample_logs/table_three_faults.csv")
+
+
+def test_the_drafted_file_gives_the_verdicts_of_the_fit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["config", str(TABLE)]) == 0
+    config = tmp_path / "plane.toml"
+    config.write_text(capsys.readouterr().out)
+    (drafted,), (fitted,) = servofd.audit(TABLE, config), servofd.audit(TABLE)
+    assert {v.status for v in fitted.surfaces} >= {"healthy", "fault"}
+    for own, without in zip(drafted.surfaces, fitted.surfaces, strict=True):
+        assert (own.surface, own.status) == (without.surface, without.status)
+        assert own.model.origin == without.model.origin == "fitted"
+        assert [fault.kind for fault in own.faults] == [fault.kind for fault in without.faults]
+        assert [f.start_s for f in own.faults] == pytest.approx([f.start_s for f in without.faults], abs=0.01)
+
+
+def test_a_table_without_pairs_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table = tmp_path / "alone.csv"
+    table.write_text("time_s,rudder_cmd_deg\n" + "".join(f"{0.02 * k:.2f},{k % 7}\n" for k in range(200)))
+    assert main(["config", str(table)]) == 2
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1
