@@ -212,7 +212,14 @@ def _aircraft(names: list[str]) -> dict[int, Aircraft]:
         system = int(head) if equals and head.isdigit() and len(head) <= 3 else 0
         if system in known or (len(names) > 1 and not 0 < system < 256):
             raise ConfigError(f"{name}: several vehicles need one file each, as -c 1=FILE -c 2=FILE")
-        known[system] = streamed(load_aircraft(path if system else name))
+        aircraft = load_aircraft(path if system else name)
+        unnamed = [key for key, surface in aircraft.surfaces.items() if not surface.names_servo]
+        if unnamed:  # an audit fits them to its log; in flight there is none yet
+            raise ConfigError(
+                f"{path if system else name}: {', '.join(unnamed)}: no servo is named; name one (servo = ...), or let "
+                "'servofd calibrate' make the file from a good flight"
+            )
+        known[system] = streamed(aircraft)
     return known
 
 

@@ -30,3 +30,14 @@ def test_a_table_without_pairs_is_refused_in_one_line(tmp_path: Path, capsys: py
     table.write_text("time_s,rudder_cmd_deg\n" + "".join(f"{0.02 * k:.2f},{k % 7}\n" for k in range(200)))
     assert main(["config", str(table)]) == 2
     assert len(capsys.readouterr().err.strip().splitlines()) == 1
+
+
+def test_a_monitor_assumes_no_servo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config = tmp_path / "plane.toml"
+    config.write_text(
+        '[surfaces.rudder]\ncommand = { channel = "rudder_cmd_deg", unit = "deg" }\n'
+        'measured = { channel = "rudder_pos_deg", unit = "deg" }\n'
+    )
+    assert main(["monitor", str(TABLE), "-c", str(config), "--plain"]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert "rudder: no servo is named" in line
