@@ -87,7 +87,7 @@ def audited(
     for name in order:
         column = flight.surfaces.index(name)
         table += [command.logged(flight.command_deg[part, column]), measured.logged(flight.measured_deg[part, column])]
-        toml += [f"[surfaces.{name}]", 'threshold = "interval"']
+        toml += [f"[surfaces.{name}]", 'servo = "hs225bb-eq31"', 'threshold = "interval"']
         toml.append(f'command = {{ channel = "{name}_asked", {command.toml} }}')
         toml.append(f'measured = {{ channel = "{name}_done", {measured.toml} }}')
     header = ",".join(["t", *(f"{name}_{what}" for name in order for what in ("asked", "done"))])
