@@ -46,8 +46,9 @@ much, or that share of what it improves."""
 _POLISHED, _VARIED, _LAW = 6, 2, 16.0
 """Structures that are fitted to the end, and those that are tried with a size that goes with a condition of the runs;
 minus twice the logarithm of how rarely it does."""
-_NO_GAIN = 40.0
-"""The same of a gain in place of a load: a servo that controls its position comes to where it is sent."""
+_NO_GAIN, _GAIN_SHARE = 40.0, 0.03
+"""The same of a gain in place of a load, at most: a servo that controls its position comes to where it is sent, within
+some percent of its horn and sensor (standard deviation)."""
 _FORESEEN, _SIBLING = 4.0, 0.3
 _SAME = 1e-9
 """By how much an effect must improve the misfit of what was not fitted; and the share of what is left beyond the noise
@@ -444,7 +445,7 @@ def _cost(search: _Search, fit: Fit) -> float:
     count = sum(len(effect.parameters) for effect in fit.effects)
     surprise = sum(SURPRISE.get(name, 0.0) for name in fit.names)
     if search.fitter.record.free_poles and Gain in fit.effects:
-        surprise += _NO_GAIN
+        surprise += min(((fit.physics.gain - 1.0) / _GAIN_SHARE) ** 2, _NO_GAIN)
     laws = _LAW * sum(is_law(effect) for effect in fit.effects)
     return fit.misfit + count * float(np.log(max(search.fitter.effective, 2.0))) + surprise + laws
 

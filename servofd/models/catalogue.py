@@ -261,7 +261,7 @@ class TiltedLoad(MissingEffect):
     name, place, form = "gravity_load", Place.SERVO, "hanging elsewhere"
     parameters = (
         Parameter("droop_deg", ("droop_deg",), -180.0, 180.0, 0.0, 2.0, (1.0, 3.0, 8.0, 20.0)),
-        Parameter("hangs_deg", ("hangs_deg",), -360.0, 360.0, 0.0, 30.0, (-90.0, 90.0, -30.0, 30.0, 150.0, -150.0)),
+        Parameter("hangs_deg", ("hangs_deg",), -360.0, 360.0, 0.0, 30.0, (-150.0, -90.0, -30.0, 30.0, 90.0, 150.0)),
         _SPLIT,
     )
 
