@@ -164,7 +164,8 @@ def _command(rng: np.random.Generator, style: str, time_s: Floats) -> Floats:
     total = np.sum([np.sin(2.0 * np.pi * f * time_s + rng.uniform(0.0, 6.28)) for f in tones], axis=0)
     swing = 0.5 + 0.5 * np.sin(2.0 * np.pi * time_s / rng.uniform(15.0, 30.0)) ** 2
     out = size * total / np.std(total) * swing
-    return np.round(np.clip(out, -25.0, 25.0), 3)
+    rounded: Floats = np.round(np.clip(out, -25.0, 25.0), 3)
+    return rounded
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]

@@ -73,7 +73,9 @@ class Tests(NamedTuple):
         turn = np.exp(-2j * np.pi * hz * period_s)
         spectrum = (noise.innovation / np.abs(1.0 - first * turn - second * turn**2)) ** 2
         numbers = np.array([noise.still_deg, noise.lag_s, first, second, noise.innovation])
-        return cls(numbers, np.linalg.cholesky(scaled), np.linalg.inv(scaled), spectrum, period_s)
+        root = np.asarray(np.linalg.cholesky(scaled), dtype=np.float64)
+        inverse = np.asarray(np.linalg.inv(scaled), dtype=np.float64)
+        return cls(numbers, root, inverse, spectrum, period_s)
 
 
 class Memory:

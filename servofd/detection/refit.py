@@ -140,7 +140,7 @@ class _Window:
         block = w.T @ w
         block[:FITTED, :FITTED] += self.precision
         block[np.diag_indices(columns.shape[1])] += np.where(np.arange(columns.shape[1]) < FITTED, 0.0, precision)
-        covariance = np.linalg.inv(block)
+        covariance: FloatArray = np.asarray(np.linalg.inv(block), dtype=np.float64)
         best = covariance @ (w.T @ e)
         apart = best[:FITTED]
         left = e - w @ best

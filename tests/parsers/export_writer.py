@@ -9,7 +9,7 @@ import sys
 import tempfile
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from pymavlink import DFReader
@@ -66,7 +66,7 @@ def mission_planner_mat(content: bytes) -> bytes:
     file["MSG1"] = _cell(said).T
     file["PARM"] = np.hstack([_cell(sorted(parameters)), _cell([parameters[name] for name in sorted(parameters)])])
     out = io.BytesIO()
-    savemat(out, file)
+    savemat(cast("Any", out), file)
     return out.getvalue()
 
 

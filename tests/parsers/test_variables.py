@@ -5,7 +5,7 @@ import io
 import struct
 import tracemalloc
 import zlib
-from typing import Any
+from typing import Any, cast
 
 import h5py
 import numpy as np
@@ -28,7 +28,7 @@ def test_level_4_agrees_with_scipy_in_every_type_of_the_flight_computer() -> Non
     content = writers.level4(
         {"time": ("f8", TIME_S), "de": ("f4", COMMAND / 3), "da_l_pos": ("i4", counts), "mode": ("i2", counts)}
     )
-    theirs: dict[str, Any] = loadmat(io.BytesIO(content))
+    theirs: dict[str, Any] = loadmat(cast("Any", io.BytesIO(content)))
     log = read(content)
     for name in ("de", "da_l_pos", "mode"):
         np.testing.assert_array_equal(log[name].values, theirs[name].ravel())
@@ -43,7 +43,7 @@ def test_level_5_agrees_with_scipy_where_matlab_stored_doubles_as_bytes() -> Non
     content[start + 8 :] = b""
     matrix = content.rindex(struct.pack("<I", 14), 0, start)
     content[matrix + 4 : matrix + 8] = struct.pack("<I", len(content) - matrix - 8)
-    theirs: dict[str, Any] = loadmat(io.BytesIO(bytes(content)))
+    theirs: dict[str, Any] = loadmat(cast("Any", io.BytesIO(bytes(content))))
     np.testing.assert_array_equal(read(bytes(content))["de"].values, theirs["de"].ravel())
 
 
