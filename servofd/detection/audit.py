@@ -13,6 +13,7 @@ import numpy as np
 
 from servofd.detection.calibrated import audit_calibrated
 from servofd.detection.cleared import not_judgeable, why_not_cleared
+from servofd.detection.contradiction import unanswered
 from servofd.detection.coverage import coverage
 from servofd.detection.detectable import detectable
 from servofd.detection.judge import Judgement, judge
@@ -154,7 +155,7 @@ def audit_segment(
     name = segment.surface
     surface = judged_by(aircraft.surfaces[name], threshold_deg, threshold)
     verdict = _verdict_on(name, surface, expected=expected)
-    problem = _too_little(segment) or _unpredicted(surface, segment)
+    problem = _too_little(segment)
     if problem:
         return verdict(status="unknown", reason=problem, segment=segment)
     if surface.is_calibrated:
@@ -163,15 +164,15 @@ def audit_segment(
         generator = ResidualGenerator.fitting(aircraft.model(name), segment, surface.filter_pole_rad_s)
     except DesignError as error:
         return verdict(status="unknown", reason=str(error), segment=segment)
+    if surface.model.origin == "none":
+        return _without_model(generator, segment, surface, verdict)
     segment, residuals, notes = prepared(generator, segment)
     notes = (*notes, *_left_out(generator.model, segment))
     judged_s = _judged_s(residuals, generator.longest_gap_s(segment))
-    if judged_s < _SHORTEST_JUDGED_S:
-        reason_text = f"only {judged_s:.1f} s of command and position together; {_SHORTEST_JUDGED_S:g} s are needed"
-        return verdict(status="unknown", reason=reason_text, segment=segment, residuals=residuals)
+    problem = _not_judged(judged_s, residuals)
+    if problem:
+        return verdict(status="unknown", reason=problem, segment=segment, residuals=residuals)
     statistics = Statistics.of(residuals.residual_deg[residuals.settled], residuals.error_deg[residuals.settled])
-    if not np.isfinite(statistics.max_abs_deg):
-        return verdict(status="unknown", reason="the residual is not a number: check model and units", segment=segment)
     # Whoever names a level wants to know what reaches it.
     judgement = judge(generator, segment, residuals, surface, dismiss=threshold_deg is None)
     level, faults, suspicions = judgement.threshold, judgement.faults, judgement.suspicions
@@ -284,10 +285,35 @@ def _too_little(segment: Segment) -> str:
     return too_far(segment)
 
 
+def _not_judged(judged_s: float, residuals: Residuals) -> str:
+    """Why residuals are no ground for a verdict, or nothing."""
+    if judged_s < _SHORTEST_JUDGED_S:
+        return f"only {judged_s:.1f} s of command and position together; {_SHORTEST_JUDGED_S:g} s are needed"
+    is_number = np.isfinite(residuals.residual_deg[residuals.settled]).all()
+    return "" if is_number else "the residual is not a number: check model and units"
+
+
+def _without_model(
+    generator: ResidualGenerator, segment: Segment, surface: Surface, verdict: partial[SurfaceAudit]
+) -> SurfaceAudit:
+    """Verdict where no servo could be fitted: a surface that did not answer its command is at fault all the same."""
+    reason = _unpredicted(surface, segment)
+    segment, residuals, _ = prepared(generator, segment)
+    faults = unanswered(generator, residuals)
+    if not faults:
+        return verdict(status="unknown", reason=reason, segment=segment)
+    found = "; then ".join(describe(fault) for fault in faults)
+    return verdict(
+        status="fault",
+        reason=f"servo or its feedback: {found}; no servo could be fitted, so nothing smaller is judged",
+        segment=segment,
+        residuals=residuals,
+        faults=faults,
+    )
+
+
 def _unpredicted(surface: Surface, segment: Segment) -> str:
-    """Why no servo could be fitted to this log, and what to record; or nothing."""
-    if surface.model.origin != "none":
-        return ""
+    """Why no servo could be fitted to this log, and what to record."""
     asked_deg = float(np.ptp(segment.command_deg)) if segment.command_deg.size else 0.0
     record = "record a minute of full and free control movements with this surface, brisk and slow"
     share = surface.model.explained_share

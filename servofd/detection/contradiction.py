@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from servofd.detection.residual import ResidualGenerator, Residuals
     from servofd.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["contradictions", "resting_runs", "resting_width_deg"]
+__all__ = ["contradictions", "resting_runs", "resting_width_deg", "unanswered"]
 
 _WIDTH_DEG, _WIDTH_SIGMAS, _WIDTH_STEPS, _WIDEST_DEG = 0.4, 6.0, 2.0, 2.0
 """A surface at rest reads within so much: play that the air takes up, noise, steps of the reading."""
@@ -52,6 +52,9 @@ _FEWEST_SAMPLES = 30
 _JOINED_S = 6.0
 _FLOATS_S = 4.0
 """A motion that is strange for less may be a load."""
+_FOLLOWED_S, _AROUND_S, _MOSTLY, _NEAR_DEG, _ALONG = 10.0, 1.0, 95.0, 1.25, 0.4
+"""For so long, but around where it rests, and for so many of 100 samples, a surface is where it is asked, half of
+`_MISSED_DEG`, and moves as it is asked (correlation), or nobody knows that command and position belong together."""
 _KINDS = ("stuck", "hardover", "oscillation", "floating", "slow")
 
 
@@ -110,23 +113,56 @@ def contradictions(generator: ResidualGenerator, residuals: Residuals) -> tuple[
     >>> found.kind, round(found.start_s), found.end_s
     ('stuck', 20, None)
     """
+    flight = _flight(generator, residuals)
+    if flight is None:
+        return ()
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = [*_resting(flight), *_moving(flight)]
+    return _as_faults(found, float(residuals.time_s[-1]))
+
+
+def unanswered(generator: ResidualGenerator, residuals: Residuals) -> tuple[Fault, ...]:
+    """Find where a surface did not answer its command at all, which needs no model: elsewhere it is where it is asked.
+
+    Parameters
+    ----------
+    generator : ResidualGenerator
+        With any ordinary servo.
+    residuals : Residuals
+        What it makes of the log.
+    """
+    flight = _flight(generator, residuals)
+    if flight is None:
+        return ()
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = list(_resting(flight))
+    elsewhere = np.ones(flight.time_s.size, dtype=bool)
+    for stretch in found:
+        elsewhere &= (flight.time_s < stretch.start_s - _AROUND_S) | (flight.time_s > stretch.end_s + _AROUND_S)
+    usual_s = float(np.median(np.diff(flight.time_s)))
+    if not found or np.count_nonzero(elsewhere) * usual_s < _FOLLOWED_S:
+        return ()
+    error_deg, asked, moved = (x[elsewhere] for x in (flight.error_deg, flight.healthy_deg, flight.measured_deg))
+    near = float(np.percentile(np.abs(error_deg), _MOSTLY)) <= _NEAR_DEG
+    common = float(np.cov(asked, moved)[0, 1])
+    follows = common >= _ALONG * max(float(np.std(asked) * np.std(moved)), 1e-12)
+    return _as_faults(found, float(residuals.time_s[-1])) if near and follows else ()
+
+
+def _flight(generator: ResidualGenerator, residuals: Residuals) -> _Flight | None:
+    """Judged samples, if there are enough."""
     use = residuals.settled & np.isfinite(residuals.measured_deg) & np.isfinite(residuals.simulated_deg)
     if np.count_nonzero(use) < _FEWEST_SAMPLES:
-        return ()
-    plan = generator.model.plan
-    lag_s = float(np.sum(1.0 / generator.filter_parameters().decay_rad_s).real)
-    flight = _Flight(
+        return None
+    return _Flight(
         residuals.time_s[use],
         residuals.simulated_deg[use],
         residuals.measured_deg[use],
         noise_deg(residuals.error_deg[use]),
         step_deg(residuals.measured_deg[use]),
-        lag_s,
-        plan.delay_s,
+        float(np.sum(1.0 / generator.filter_parameters().decay_rad_s).real),
+        generator.model.plan.delay_s,
     )
-    with np.errstate(over="ignore", invalid="ignore"):
-        found = [*_resting(flight), *_moving(flight)]
-    return _as_faults(found, float(residuals.time_s[-1]))
 
 
 def resting_width_deg(noise: float, step: float) -> float:
@@ -169,16 +205,20 @@ def _resting(flight: _Flight) -> Iterator[_Stretch]:
     time_s, step_s = flight.time_s, np.diff(flight.time_s, append=flight.time_s[-1])
     usual_s = float(np.median(step_s))
     step_s = np.minimum(step_s, 3.0 * usual_s)
-    # Beyond the stops nobody expects it.
     low_deg, high_deg = float(flight.measured_deg.min()), float(flight.measured_deg.max())
-    asked_deg = np.clip(flight.healthy_deg, low_deg, high_deg)
     late_s = _MISSED_S + 2.0 * (flight.lag_s + flight.delay_s)
     for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
         if time_s[end - 1] - time_s[begin] < late_s:
             continue
         rows = slice(begin, end)
         at_deg = float(np.median(flight.measured_deg[rows]))
-        beyond_deg = asked_deg[rows] - at_deg
+        # Beyond a stop nobody expects it; what rests elsewhere is not held by one.
+        asked_deg = np.clip(
+            flight.healthy_deg[rows],
+            low_deg if at_deg <= low_deg + width_deg else -np.inf,
+            high_deg if at_deg >= high_deg - width_deg else np.inf,
+        )
+        beyond_deg = asked_deg - at_deg
         off_deg = np.abs(beyond_deg)
         missed = off_deg > _MISSED_DEG
         missed_s = np.cumsum(step_s[rows] * missed)
@@ -187,7 +227,7 @@ def _resting(flight: _Flight) -> Iterator[_Stretch]:
         # What is held up from one side may be a load, or an obstacle: a jam is on the wrong side of some commands.
         both = beyond_deg.max() > 1.0 and beyond_deg.min() < -1.0
         long_s = late_s if both else max(late_s, _ONE_SIDED_S)
-        jammed = missed_s[-1] >= long_s and float(np.ptp(asked_deg[rows])) >= _ASKED_DEG
+        jammed = missed_s[-1] >= long_s and float(np.ptp(asked_deg)) >= _ASKED_DEG
         if not jammed and far_s[-1] < _FAR_S + long_s:
             continue
         seen = int(np.searchsorted(missed_s, long_s) if jammed else np.searchsorted(far_s, _FAR_S + long_s))

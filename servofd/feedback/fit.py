@@ -114,7 +114,7 @@ def fit_roughly(segment: Segment, *, free_scale: bool) -> RoughFit:
     """
     part = _busy_blocks(segment)
     simulator = _simulator(part)
-    moving = _moving_rows(simulator) & ~_jammed_rows(simulator)
+    moving = _moving_rows(simulator)
     rows = np.flatnonzero(moving)
     if rows.size < _FEWEST_ROWS:
         return RoughFit()
@@ -277,10 +277,13 @@ def _simulator(segment: Segment) -> Simulator:
 
 
 def _moving_rows(simulator: Simulator) -> BoolArray:
-    """Rows with a position during which any ordinary servo would be moving."""
+    """Rows with a position during which any ordinary servo would be moving, and this one is not jammed."""
+    usable = simulator.starts.settled & ~_jammed_rows(simulator)
+    if not usable.any():
+        return usable
     ordinary_deg = simulator.simulated_deg(_ORDINARY.model)
     rate_deg_s = np.abs(np.gradient(ordinary_deg, simulator.segment.measured_s))
-    moving: BoolArray = simulator.starts.settled & (rate_deg_s > _SLOWEST_SHARE * np.percentile(rate_deg_s, 99.0))
+    moving: BoolArray = usable & (rate_deg_s > _SLOWEST_SHARE * np.percentile(rate_deg_s[usable], 99.0))
     return moving
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from strangers import Failure, Flight, fly, stranger
+from strangers import Failure, Flight, draw_failure, fly, stranger
 
 import servofd
 
@@ -54,6 +54,24 @@ def test_what_contradicts_any_servo_is_a_fault_and_nothing_else_is(kind: str, tm
     assert found["rudder"].model.origin == "fitted"
     assert 24.0 < found["rudder"].faults[0].start_s < 33.0  # when it was first asked to move
     assert {name for name, surface in found.items() if surface.status == "fault"} == {"rudder"}
+
+
+@pytest.mark.slow
+def test_a_surface_that_does_not_answer_is_at_fault_even_where_no_servo_can_be_fitted(tmp_path: Path) -> None:
+    failure = draw_failure(18, 120.0, "hardover", "large")
+    flown = fly(stranger(18), 1, "loiter", duration_s=120.0, failure=failure)
+    found = verdicts(flown, tmp_path / "flight.csv")
+    assert found["rudder"].model.origin == "none"
+    assert found["rudder"].status == "fault"
+    assert abs(found["rudder"].faults[0].start_s - failure.start_s) < 1.0
+    assert {surface.status for name, surface in found.items() if name != "rudder"} == {"unknown"}
+
+
+@pytest.mark.slow
+def test_what_rests_in_the_middle_of_its_travel_is_held_by_no_stop(tmp_path: Path) -> None:
+    flown = fly(stranger(136), 1, "cruise", duration_s=80.0, failure=Failure("stuck", "elevator", 44.0))
+    found = verdicts(flown, tmp_path / "flight.csv")["elevator"]
+    assert [(fault.kind, abs(fault.start_s - 44.0) < 3.0) for fault in found.faults] == [("stuck", True)]
 
 
 @pytest.mark.slow
