@@ -4,22 +4,25 @@ from __future__ import annotations
 
 import hashlib
 import importlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from pymavlink.dialects.v20 import all as version_2
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator
 
 __all__ = ["Codec", "Heard", "Signature", "signing_key"]
 
 _SIGNING_EPOCH_S: Final = 1_420_070_400  # 1 January 2015
 _SIGNING_TICKS_PER_S: Final = 100_000
 _KEY_SIZE: Final = 32
+_MARKER_1, _MARKER_2 = 0xFE, 0xFD
+_SIGNED, _SIGNATURE, _SHORTEST = 1, 13, 12
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Heard:
     """A message that came in."""
 
@@ -71,6 +74,62 @@ def signing_key(content: bytes) -> bytes:
     return key if len(key) == _KEY_SIZE else hashlib.sha256(text).digest()
 
 
+class _Kind:
+    """How to read one type of message, from pymavlink's own description of it."""
+
+    __slots__ = ("_fields", "_size", "_unpacker", "name", "seed")
+
+    def __init__(self, message: Any) -> None:  # noqa: ANN401 - a generated class
+        self.name: str = message.msgname
+        self.seed = bytes([message.crc_extra])
+        self._unpacker = message.unpacker
+        self._size: int = message.unpacker.size
+        types = dict(zip(message.fieldnames, message.fieldtypes, strict=True))
+        self._fields: list[tuple[str, int, int, bool]] = []
+        """Name, place of its first number, how many there are, and whether it is a text."""
+        at = 0
+        for name, length in zip(message.ordered_fieldnames, message.array_lengths, strict=True):
+            is_text = types[name] == "char"
+            count = 1 if is_text else max(length, 1)
+            self._fields.append((name, at, count, is_text))
+            at += count
+        self._fields.sort(key=lambda field: message.fieldnames.index(field[0]))
+
+    def read(self, payload: bytes) -> dict[str, Any]:
+        """Values by name; zeros at the end of a payload are not sent."""
+        row = self._unpacker.unpack(payload[: self._size].ljust(self._size, b"\0"))
+        return {
+            name: row[at].split(b"\0", 1)[0].decode("ascii", errors="replace")
+            if is_text
+            else (row[at] if count == 1 else list(row[at : at + count]))
+            for name, at, count, is_text in self._fields
+        }
+
+
+class _Fields(Mapping[str, Any]):
+    """Values of a message, read when the first of them is asked for: most messages of a stream are nobody's."""
+
+    __slots__ = ("_kind", "_payload", "_values")
+
+    def __init__(self, kind: _Kind, payload: bytes) -> None:
+        self._kind, self._payload = kind, payload
+        self._values: dict[str, Any] | None = None
+
+    def _all(self) -> dict[str, Any]:
+        if self._values is None:
+            self._values = self._kind.read(self._payload)
+        return self._values
+
+    def __getitem__(self, name: str) -> Any:  # noqa: ANN401 - numbers, lists and texts
+        return self._all()[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._all())
+
+    def __len__(self) -> int:
+        return len(self._all())
+
+
 class Codec:
     """One end of a link, with the counter of its frames.
 
@@ -98,6 +157,8 @@ class Codec:
         self._mav.robust_parsing = True
         self._dialect: Any = importlib.import_module("pymavlink.dialects.v10.all") if version == 1 else version_2
         self._kinds: dict[str, tuple[Any, dict[str, Any]]] = {}
+        self._read: dict[int, _Kind] = {}
+        self._is_open = signature is None
         if signature is not None:
             self._mav.signing.secret_key = signature.key
             self._mav.signing.sign_outgoing = True
@@ -127,7 +188,10 @@ class Codec:
         None for damaged bytes, messages that nobody knows, and frames that are not signed as they should be.
         """
         found: list[tuple[bytes, Heard | None]] = []
-        for m in self._mav.parse_buffer(data) or ():
+        at = self._whole(data, found) if self._is_open and self._mav.buf_len() == 0 else 0
+        if at == len(data):
+            return found
+        for m in self._mav.parse_buffer(data[at:]) or ():
             name = m.get_type()
             if name == "BAD_DATA" or name.startswith("UNKNOWN"):
                 found.append((bytes(m.data) if name == "BAD_DATA" else bytes(m.get_msgbuf()), None))
@@ -135,6 +199,38 @@ class Codec:
                 heard = Heard(name, m.get_srcSystem(), m.get_srcComponent(), _fields(m), m.get_seq())
                 found.append((bytes(m.get_msgbuf()), heard))
         return found
+
+    def _whole(self, data: bytes, found: list[tuple[bytes, Heard | None]]) -> int:
+        """Add the whole, undamaged frames at the beginning of the bytes; pymavlink goes on where they end."""
+        at, size = 0, len(data)
+        while size - at >= _SHORTEST:
+            marker, flags = data[at], 0
+            if marker == _MARKER_2:
+                _, length, flags, _, sequence, system, component = data[at : at + 7]
+                begin, number = at + 10, int.from_bytes(data[at + 7 : at + 10], "little")
+            elif marker == _MARKER_1:
+                _, length, sequence, system, component, number = data[at : at + 6]
+                begin = at + 6
+            else:
+                break
+            end = begin + length + 2
+            after = end + _SIGNATURE if flags == _SIGNED else end
+            kind = self._read.get(number) or self._known(number)
+            if kind is None or flags & ~_SIGNED or after > size:
+                break
+            check = version_2.x25crc(data[at + 1 : end - 2] + kind.seed).crc
+            if check != data[end - 2] | data[end - 1] << 8:
+                break
+            fields = _Fields(kind, data[begin : end - 2])
+            found.append((data[at:after], Heard(kind.name, system, component, fields, sequence)))
+            at = after
+        return at
+
+    def _known(self, number: int) -> _Kind | None:
+        message = version_2.mavlink_map.get(number)
+        if message is not None:
+            self._read[number] = _Kind(message)
+        return self._read.get(number)
 
     def _kind(self, name: str) -> tuple[Any, dict[str, Any]]:
         """Class of a message, or None, and its fields when they are zero."""

@@ -308,12 +308,18 @@ class SurfaceMonitor:
         One position may wait for the next while the residual is far below its threshold, and commands while no
         position waits for them: evaluating two together costs what one does.
         """
-        reading = self.reading
-        if self._stream is None or reading is None or commands > 2 * _TOGETHER or positions >= _TOGETHER:
+        if self._stream is None or self.reading is None or commands > 2 * _TOGETHER or positions >= _TOGETHER:
             return False
-        quiet = self._period_s <= _FAST_S and reading.settled and not self.standing
-        quiet = quiet and abs(reading.residual_deg) < _QUIET * reading.threshold_deg
+        quiet = self._period_s <= _FAST_S and self.at_ease
         return quiet if positions else (quiet and commands < _TOGETHER) or not self._stream.is_waiting
+
+    @property
+    def at_ease(self) -> bool:
+        """Whether no alarm is near: it is not judged, or stands in alarm, or is far below its threshold."""
+        reading = self.reading
+        if reading is None or not self.is_watched or self.standing:
+            return True
+        return reading.settled and abs(reading.residual_deg) < _QUIET * reading.threshold_deg
 
     def silence(self, now_s: float) -> list[Event]:
         """Tell, once in each outage, that commands or positions have stopped, by the vehicle's newest message [s]."""

@@ -25,6 +25,8 @@ _STEP_S = 0.02
 """Of a replay: data is evaluated in steps of this length."""
 _TOGETHER_S = 0.003
 """Of a live link: what arrives within so long is evaluated together, as an autopilot sends it together."""
+_AT_EASE_S = 0.04
+"""The same while no residual is anywhere near its threshold: each waking costs more than ten messages do."""
 
 
 class Watcher(Protocol):
@@ -61,14 +63,14 @@ def watch_link(session: Session, receiver: Receiver, watcher: Watcher, duration_
     end_s = time.monotonic() + duration_s
     while time.monotonic() < end_s:
         events: list[Event] = []
-        chunks = receiver.chunks.take(min(0.05, max(end_s - time.monotonic(), 0.0)))
+        chunks, at_ease = receiver.chunks.take(min(0.05, max(end_s - time.monotonic(), 0.0))), session.at_ease
         if chunks:
-            time.sleep(_TOGETHER_S)
+            time.sleep(_AT_EASE_S if at_ease else _TOGETHER_S)
             chunks += receiver.chunks.take(0.0)
         for arrival_s, data in chunks:
             events += session.take(arrival_s, data)
         now_s = receiver.now_s()
-        events += session.step(now_s)
+        events += session.step(now_s, final=at_ease)
         watcher.events(events, now_s)
         watcher.tick(now_s)
 

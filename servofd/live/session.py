@@ -146,13 +146,13 @@ class Session:
                 self._answered(vehicle, heard, arrival_s)
         return events
 
-    def step(self, arrival_now_s: float) -> list[Event]:
-        """Evaluate what was taken, and do what is due."""
+    def step(self, arrival_now_s: float, *, final: bool = False) -> list[Event]:
+        """Evaluate what was taken, or of it what cannot wait for the next step, and do what is due."""
         events: list[Event] = []
         for vehicle in tuple(self.vehicles.values()):
             for monitor in vehicle.monitors.values():
                 monitor.listener = self.listener
-            mine = vehicle.evaluate(final=False)
+            mine = vehicle.evaluate(final=final)
             mine += vehicle.silence(arrival_now_s)
             mine += self._look(vehicle)
             self._speak(vehicle, mine, arrival_now_s)
@@ -160,6 +160,11 @@ class Session:
             self._compare(vehicle)
             events += mine
         return events
+
+    @property
+    def at_ease(self) -> bool:
+        """Whether no surface of any vehicle is anywhere near an alarm."""
+        return all(monitor.at_ease for vehicle in self.vehicles.values() for monitor in vehicle.monitors.values())
 
     def finish(self, arrival_now_s: float) -> list[Event]:
         """End of the stream."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -386,8 +387,10 @@ def _in_order(samples: Samples, known_s: float) -> tuple[tuple[FloatArray, Float
     if not time_s:
         return (_NONE, _NONE), ([], [])
     times, taken = np.array(time_s), np.array(values)
-    if times.size > 1 and (np.diff(times) < 0.0).any():
+    if any(later_s < earlier_s for earlier_s, later_s in pairwise(time_s)):
         order = np.argsort(times, kind="stable")
         times, taken = times[order], taken[order]
+    if times[-1] <= known_s:
+        return (times, taken), ([], [])
     count = int(np.searchsorted(times, known_s, side="right"))
     return (times[:count], taken[:count]), (times[count:].tolist(), taken[count:].tolist())
