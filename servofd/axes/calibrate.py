@@ -35,6 +35,10 @@ _WINDOWS_S = (1.0, 2.0, 5.0, 10.0, 20.0, 30.0)
 _CORNERS_HZ = (0.4, 1.0, 2.5)
 _CORNER_PER_RATE = 0.11
 """Corners above this share of the sampling rate are not tried."""
+_FAST_HZ = (6.0,)
+_FAST_PER_RATE = 0.25
+"""Of the corner that is tried where the autopilot answers gusts, so that slow motion tells less of its command."""
+_MOSTLY_EXPLAINED = 0.75
 _DELAYS_S = (0.0, 0.04, 0.08, 0.12, 0.16, 0.2, 0.25, 0.3, 0.4)
 _WINDOW_PER_CORNER = 1.4
 """Windows shorter than so many periods of the filter's corner hold no more than one ripple."""
@@ -79,10 +83,13 @@ def calibrate_motion(flights: Sequence[Motion], *, false_alarms_per_hour: float 
     axes = {}
     for name in AXES:
         forms = [form for form in FORMS.values() if form.axis == name and _drives(flights, form)]
-        tried = [trial for form in forms for trial in setting.trials(form)]
-        well = [trial for trial in tried if trial.model.explained >= _WELL_EXPLAINED] or tried
+        tried = [trial for form in forms for trial in setting.trials(form, _CORNERS_HZ, _CORNER_PER_RATE)]
+        if max((trial.model.explained for trial in tried), default=0.0) < _MOSTLY_EXPLAINED:
+            tried += [trial for form in forms for trial in setting.trials(form, _FAST_HZ, _FAST_PER_RATE)]
+        tells = [trial for trial in tried if trial.model.explained > 0.0]
+        well = [trial for trial in tells if trial.model.explained >= _WELL_EXPLAINED] or tells
         best = min(well, key=lambda trial: trial.delay_s(trial.tail.level(per_hour)), default=None)
-        if best is not None and best.model.explained > 0.0:
+        if best is not None:
             axes[name] = setting.learning(best, per_hour)
     if not axes:
         raise CalibrationError("no axis answers its command: are these flights of a fixed wing, with commands logged?")
@@ -181,11 +188,11 @@ class _Setting:
     groups: Sequence[str]
     reference_m_s: float
 
-    def trials(self, form: Form) -> list[_Trial]:
-        """All settings of a form that make sense at this rate."""
+    def trials(self, form: Form, corners_hz: Sequence[float], per_rate: float) -> list[_Trial]:
+        """All settings of a form, with the corners that are below a share of the rate."""
         rate_hz = self.flights[0].rate_hz
         found = []
-        for corner_hz in (c for c in _CORNERS_HZ if c <= _CORNER_PER_RATE * rate_hz):
+        for corner_hz in (c for c in corners_hz if c <= per_rate * rate_hz):
             columns = [
                 form.regression(Filtered(flight, corner_hz=corner_hz, reference_m_s=self.reference_m_s))
                 for flight in self.flights

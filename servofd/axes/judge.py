@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.axes.model import covered, distances, flown_of, inputs_of, slowness, statistic, windows_of
+from servofd.axes.model import covered, distances, flown_of, inputs_of, statistic, windows_of
 from servofd.axes.names import MOST_OF_THE_FLIGHT, SURFACE_AXES
 from servofd.axes.verdict import AxisAudit, AxisEvent, AxisStatus, Between
 from servofd.axes.windows import Expected, lags, nothing_known, sliding
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from servofd.axes.motion import Motion
     from servofd.axes.schema import AxisModel, MotionModel
-    from servofd.axes.windows import Inputs, Sliding
+    from servofd.axes.windows import Inputs
     from servofd.detection.bank.flight import Fault
     from servofd.detection.verdict import SurfaceAudit
     from servofd.types import BoolArray, FloatArray
@@ -31,6 +31,9 @@ _NAMING_S = 1.0
 """As long after an alarm another axis may still show that it is the cause: a nose that drops late follows a rudder."""
 _KIND_S = 20.0
 """As long after an alarm it is seen whether the axis acts late or too little."""
+_LAGS_S = np.concatenate(([0.0], np.geomspace(0.02, 2.0, 47)))
+"""Time constants that are tried, a tenth apart [s]."""
+_UNKNOWNS = 3
 _CLEAR_S = 5.0
 _CLEAR_SHARE = 0.25
 _ONSET_S = 60.0
@@ -110,7 +113,7 @@ def _draft(axis: AxisModel, motion: Motion, usable: BoolArray, flown: BoolArray,
                 score=float(score[alarm:last].max()),
                 lost_share=lost,
                 offset_us=offset,
-                lag_s=_late(axis, rest, windows, slice(alarm, min(last, alarm + naming)), rate_hz),
+                lag_s=_late(axis, rest, slice(alarm, min(last, alarm + naming)), rate_hz),
                 from_start=from_start,
             )
         )
@@ -126,36 +129,68 @@ def _draft(axis: AxisModel, motion: Motion, usable: BoolArray, flown: BoolArray,
     return _Draft(inputs, score, tuple(events), _known(axis, inputs, rate_hz), _whole(axis, inputs, flown))
 
 
-def _late(axis: AxisModel, inputs: Inputs, windows: list[Sliding], span: slice, rate_hz: float) -> Between | None:
-    """Lag in a part of the flight, if it stands out there by more than a loss does, or explains more from there on."""
+def _late(axis: AxisModel, inputs: Inputs, span: slice, rate_hz: float) -> Between | None:
+    """Lag in a part of the flight, if a first-order lag of the command explains it better than a lost share does.
+
+    The lag is simulated, because to first order it holds only while the filter passes nothing as fast as the lag.
+    """
     if not axis.own_command:
         return None
-    late = zip(slowness(axis, inputs, rate_hz), axis.spreads, strict=True)
-    lost = zip(distances(axis, inputs, windows, rate_hz), axis.spreads, strict=True)
-    slow = max((float(j[span].max()) / s.lag_scale for j, s in late if s.lag_scale is not None), default=0.0)
-    event = replace(inputs, usable=inputs.usable & (np.arange(inputs.usable.size) >= span.start))
-    stands_out = slow > max(float(j[span].max()) / s.scale for j, s in lost)
-    if not stands_out and not _explains_more(event, span.stop - 1):
+    used = inputs.usable.copy()
+    used[: span.start] = used[span.stop :] = False
+    if used.sum() <= _UNKNOWNS:
         return None
-    found = lags(event, event.usable.size, axis.noise_var, enough=0.0)
-    lag_s = _between(
-        float(found.lag_s[span.stop - 1]), float(found.var_s2[span.stop - 1]) + axis.spreads[-1].lag_var_s2
+    away = inputs.offset[used]
+    away = away / math.sqrt(float(away @ away))
+
+    def beside_offset(values: FloatArray) -> FloatArray:
+        seen = values[used]
+        return np.asarray(seen - away * float(away @ seen))
+
+    left, lost = beside_offset(inputs.residual), beside_offset(inputs.loss)
+    squares = np.array(
+        [np.sum((left - beside_offset(lagged(inputs.loss, lag_s, rate_hz))) ** 2) for lag_s in _LAGS_S]
     )
-    return lag_s if lag_s.low > 0.0 else None
+    share = max(float(lost @ left) / max(float(lost @ lost), 1e-300), 0.0)
+    best = int(np.argmin(squares))
+    if best == 0 or squares[best] >= np.sum((left - share * lost) ** 2):
+        return None
+    noise_var = axis.noise_var * max(1.0, float(squares[best]) / (left.size * axis.noise_var))
+    believed = _LAGS_S[squares <= squares[best] + _NORMAL_95**2 * noise_var]
+    healthy_s = _NORMAL_95 * math.sqrt(axis.spreads[-1].lag_var_s2)
+    value = float(_LAGS_S[best])
+    low = value - math.hypot(value - float(believed[0]), healthy_s)
+    high = value + math.hypot(float(believed[-1]) - value, healthy_s)
+    return Between(value, low, high) if low > 0.0 else None
 
 
-def _explains_more(event: Inputs, place: int) -> bool:
-    """Whether a lag explains more of the residual up to a sample than a loss does, each beside an offset."""
-    sums = event.sums
-    offsets, offset_e = float(sums.offset_offset[place]), float(sums.offset_e[place])
+def lagged(loss: FloatArray, lag_s: float, rate_hz: float) -> FloatArray:
+    """What a surface that follows its command through a first-order lag leaves in the residual, shape (n,).
 
-    def explained(square: FloatArray, cross: FloatArray, answer: FloatArray) -> float:
-        left = float(square[place]) - float(cross[place]) ** 2 / max(offsets, 1e-300)
-        seen = float(answer[place]) - float(cross[place]) * offset_e / max(offsets, 1e-300)
-        return seen**2 / left if left > 0.0 else 0.0
+    Parameters
+    ----------
+    loss : ndarray, shape (n,)
+        What the loss of the whole command would leave.
+    lag_s : float
+        Time constant [s].
+    rate_hz : float
+        Of the samples.
 
-    late = explained(sums.lag_lag, sums.lag_offset, sums.lag_e)
-    return late > explained(sums.loss_loss, sums.loss_offset, sums.loss_e)
+    Examples
+    --------
+    Slow motion is late by the time constant:
+
+    >>> slow = np.sin(0.5 * np.arange(0.0, 60.0, 0.04))
+    >>> round(float(np.ptp(lagged(slow, 0.1, 25.0)[250:]) / np.ptp(slow)), 2)
+    0.05
+    """
+    if lag_s <= 0.0:
+        return np.zeros_like(loss)
+    from scipy import signal  # takes longer to load than a flight to judge
+
+    keep = math.exp(-1.0 / (rate_hz * lag_s))
+    followed = signal.lfilter([1.0 - keep], [1.0, -keep], loss, zi=[keep * loss[0]])[0]
+    return np.asarray(loss - followed)
 
 
 def _recovered(axis: AxisModel, inputs: Inputs, alarm: int, rate_hz: float) -> int | None:

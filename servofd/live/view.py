@@ -7,8 +7,12 @@ from collections import deque
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
+    from collections.abc import Iterator
 
+    from rich.console import RenderableType
+    from rich.text import Text
+
+    from servofd.axes.verdict import AxisAudit
     from servofd.detection.events import Event
     from servofd.detection.monitor import SurfaceMonitor
     from servofd.live.session import Session
@@ -18,7 +22,14 @@ __all__ = ["View", "event_line", "status_of"]
 
 _BAR = 20
 _EVENTS = 8
-_STYLES = {"watched": "green", "ALARM": "bold red", "no data": "yellow", "waiting": "dim", "settling": "cyan"}
+_STYLES = {
+    "watched": "green",
+    "ALARM": "bold red",
+    "no data": "yellow",
+    "waiting": "dim",
+    "settling": "cyan",
+    "not judged": "dim",
+}
 
 
 def event_line(event: Event) -> str:
@@ -89,11 +100,14 @@ class View:
             table.add_column(heading, justify="left" if heading in ("surface", "status", "") else "right")
         for vehicle, monitor in self._session.watched:
             self._row(table, vehicle, monitor)
+        tables: list[RenderableType] = [table] if self._session.watched else []
+        if any(True for _ in self._axes()):
+            tables.append(self._axis_table())
         lines = [Text(self._link(arrival_now_s), style="dim")]
         waiting = self._session.waiting()
         if waiting:
             lines.append(Text(waiting, style="yellow"))
-        return Group(Text(f"servofd monitor  {self._title}", style="bold"), table, *lines, *map(Text, self._events))
+        return Group(Text(f"servofd monitor  {self._title}", style="bold"), *tables, *lines, *map(Text, self._events))
 
     def plain(self, arrival_now_s: float) -> list[str]:
         """The same in plain lines, one per surface."""
@@ -109,8 +123,39 @@ class View:
                     f"{reading.command_deg:+.1f} deg, measured {reading.measured_deg:+.1f} deg, residual "
                     f"{reading.residual_deg:+.2f} of {reading.threshold_deg:.2f} deg, {monitor.rate_hz:.0f} Hz"
                 )
+        for vehicle, audit in self._axes():
+            lines.append(
+                f"{vehicle.now_s:7.2f} s  {self._axis_name(vehicle, audit)}: {_axis_status(vehicle, audit)}, "
+                f"lost share {_lost(audit)}, {_level(audit):.0%} of its threshold"
+            )
         waiting = self._session.waiting()
         return [*lines, self._link(arrival_now_s), *([waiting] if waiting else [])]
+
+    def _axes(self) -> Iterator[tuple[Vehicle, AxisAudit]]:
+        """Axes of all vehicles by the latest judgement of their motion."""
+        for vehicle in self._session.vehicles.values():
+            for audit in vehicle.axes.audits if vehicle.axes is not None else ():
+                if audit.axis != "thrust" and audit.score.size:
+                    yield vehicle, audit
+
+    def _axis_table(self) -> RenderableType:
+        from rich.table import Table
+        from rich.text import Text
+
+        table = Table(box=None, pad_edge=False, expand=False)
+        for heading in ("axis", "status", "lost share", "of its threshold"):
+            table.add_column(heading)
+        for vehicle, audit in self._axes():
+            word, level = _axis_status(vehicle, audit), _level(audit)
+            status = Text(word, style=_STYLES[word])
+            table.add_row(self._axis_name(vehicle, audit), status, _lost(audit), _bar(level))
+        return table
+
+    def _axis_name(self, vehicle: Vehicle, audit: AxisAudit) -> str:
+        from servofd.axes.words import named
+
+        where = "" if len(self._session.vehicles) == 1 else f"{vehicle.system}/"
+        return f"{where}{audit.axis} ({named(audit.members, audit.axis)})"
 
     def _row(self, table: object, vehicle: Vehicle, monitor: SurfaceMonitor) -> None:
         from rich.text import Text
@@ -122,10 +167,8 @@ class View:
             cells = [name, status, "", "", "", "", "", "", ""]
         else:
             share = abs(reading.residual_deg) / reading.threshold_deg if reading.threshold_deg > 0.0 else math.nan
-            full = min(round(share * _BAR), _BAR) if math.isfinite(share) else 0
-            bar = Text("█" * full + "·" * (_BAR - full), style="red" if share >= 1.0 else "green")
             cells = [name, status, f"{reading.command_deg:+.1f}", f"{reading.measured_deg:+.1f}"]
-            cells += [f"{reading.residual_deg:+.2f}", bar, f"{reading.threshold_deg:.2f} deg"]
+            cells += [f"{reading.residual_deg:+.2f}", _bar(share), f"{reading.threshold_deg:.2f} deg"]
             cells += [f"{monitor.rate_hz:.0f} Hz", f"{max(vehicle.now_s - reading.time_s, 0.0):.1f} s"]
         table.add_row(*cells)  # type: ignore[attr-defined]
 
@@ -153,3 +196,28 @@ class View:
 def _status(monitor: SurfaceMonitor) -> str:
     word = status_of(monitor)
     return f"ALARM {monitor.standing}" if word == "ALARM" else word
+
+
+def _bar(share: float) -> Text:
+    """How much of a threshold is reached."""
+    from rich.text import Text
+
+    full = min(round(share * _BAR), _BAR) if math.isfinite(share) else 0
+    return Text("█" * full + "·" * (_BAR - full), style="red" if share >= 1.0 else "green")
+
+
+def _axis_status(vehicle: Vehicle, audit: AxisAudit) -> str:
+    if vehicle.axes is not None and vehicle.axes.stands(audit.axis):
+        return "ALARM"
+    return "watched" if audit.inputs.usable[-1] and audit.model.own_command else "not judged"
+
+
+def _level(audit: AxisAudit) -> float:
+    return float(audit.score[-1]) / audit.model.suspect
+
+
+def _lost(audit: AxisAudit) -> str:
+    if audit.lost_share is None:
+        return "unknown"
+    value, low, high = audit.lost_share
+    return f"{value:+.2f} [{low:+.2f}, {high:+.2f}]"

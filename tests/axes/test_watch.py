@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import io
 import math
 
 import numpy as np
 import pytest
+from rich.console import Console
 
+from logparsers.codec import Codec
+from servofd.aircraft import Aircraft
 from servofd.axes.calibrate import calibrate_motion
 from servofd.axes.motion import Motion
 from servofd.axes.schema import MotionModel
 from servofd.axes.watch import AxisWatch
 from servofd.detection.events import Event
+from servofd.live.session import Session
+from servofd.live.vehicle import Vehicle
+from servofd.live.view import View
 from tests.axes.flights import flown
 
 MIXER = {"SERVO1_FUNCTION": 4.0, "SERVO1_TRIM": 1500.0, "SERVO3_FUNCTION": 70.0, "SERVO3_MIN": 1000.0}
@@ -40,6 +47,24 @@ def sent(watch: AxisWatch, flight: Motion) -> list[Event]:
     return events
 
 
+def view_of(watch: AxisWatch) -> View:
+    """A screen that shows one vehicle, which has axes and no surface with feedback."""
+    session = Session(Codec(0, 191), {})
+    session.vehicles[1] = Vehicle(1, Aircraft(motion=watch.model))
+    session.vehicles[1].axes = watch
+    return View(session, "loopback")
+
+
+def shown(watch: AxisWatch) -> list[str]:
+    return view_of(watch).plain(0.0)
+
+
+def lines_of_screen(watch: AxisWatch) -> list[str]:
+    console = Console(width=120, record=True, file=io.StringIO())
+    console.print(view_of(watch).drawn(0.0))
+    return console.export_text().splitlines()
+
+
 @pytest.mark.slow
 def test_a_lost_aileron_is_told_in_flight_and_a_healthy_one_is_not() -> None:
     known = model()
@@ -53,6 +78,9 @@ def test_a_lost_aileron_is_told_in_flight_and_a_healthy_one_is_not() -> None:
     assert 30.0 < events[0].time_s < 45.0
     assert events[1].kind == "loss_of_effectiveness"
     assert watch.has_suspect
+    lines = shown(watch)
+    assert any("roll (" in line and "ALARM" in line and "of its threshold" in line for line in lines)
+    assert any("ALARM" in line for line in lines_of_screen(watch))
 
 
 @pytest.mark.slow
