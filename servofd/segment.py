@@ -32,7 +32,7 @@ SURROUNDINGS: Final[Mapping[str, Mapping[str, float]]] = {
 """Channels that tell about the surroundings of servos, the best first, and what turns each into m/s, V, A or °C."""
 WARM_UP_S, WARM_UP_STEPS = 10.0, 100
 """A monitor in flight learns the pace of a stream from so many intervals, or from as many as there are by then [s]."""
-_SAME_PACE = 1.5
+_SAME_PACE, _STEPS_FOR_PACE = 1.5, 10_000
 
 SLOWEST_RATE_HZ = 8.0
 """Feedback of nominally 10 Hz, whose pace jitters, is judged; below, samples are further apart than a servo takes for
@@ -112,7 +112,7 @@ def pace_steps(time_s: FloatArray) -> FloatArray:
         return steps_s
     last = int(np.searchsorted(time_s, time_s[0] + WARM_UP_S, side="right")) - 1
     first_s = steps_s[: max(1, min(WARM_UP_STEPS, last))]
-    early_s, usual_s = float(np.median(first_s)), float(np.median(steps_s))
+    early_s, usual_s = float(np.median(first_s)), float(np.median(steps_s[:: 1 + steps_s.size // _STEPS_FOR_PACE]))
     same = early_s <= _SAME_PACE * usual_s and usual_s <= _SAME_PACE * early_s
     return first_s if same else steps_s
 

@@ -25,10 +25,9 @@ from servofd.models.context import NO_CONTEXT, Context
 from servofd.segment import pace_steps
 
 if TYPE_CHECKING:
-    from servofd.detection.starts import Starts
-    from servofd.models.extended import ExtendedMotion, ExtendedServo
+    from servofd.detection.lags import FilterParameters
+    from servofd.models.motion import AnyServo, ExtendedMotion, PlainMotion
     from servofd.models.servo_model import ServoModel
-    from servofd.models.state import FilterParameters
     from servofd.segment import Segment
     from servofd.types import BoolArray, FloatArray, IntArray
 
@@ -144,7 +143,7 @@ class ResidualGenerator:
         DesignError
             If so many digits cancel that it does not: the model's order is too high for this step.
         """
-        from servofd.models.kernel import lag_weights
+        from servofd.detection.lags import lag_weights
 
         parameters = self.filter_parameters()
         total = float(np.sum(lag_weights(parameters, step_s))) * parameters.dc_gain
@@ -166,7 +165,7 @@ class ResidualGenerator:
 
     def filter_parameters(self) -> FilterParameters:
         """The filter as the kernel sees it."""
-        from servofd.models.state import FilterParameters
+        from servofd.detection.lags import FilterParameters
 
         decay = self.model.transfer.modes().decay_rad_s
         pairs = decay[decay.imag != 0.0].conj()
@@ -179,9 +178,12 @@ class ResidualGenerator:
         longest_gap_s = self.longest_gap_s(segment)
         starts = find_starts(segment, longest_gap_s, self.blanking_s, rhythm(segment.command_s).longest_s)
         commands = commands_at_servo(segment, self.model.plan.delay_s, longest_gap_s)
-        simulated, residual = self._observed(segment, commands, starts)
-        usable = np.isfinite(starts.measured_deg)
-        immobile_deg = self.filtered(segment.measured_s, np.where(usable, -simulated, np.nan), starts.restart)
+        simulated = followed(
+            self.model.servo(segment.context), commands, segment.measured_s, starts.measured_deg, starts.restart
+        )
+        residual = self.filtered(segment.measured_s, starts.measured_deg - simulated, starts.restart)
+        immobile = np.where(np.isfinite(starts.measured_deg), -simulated, np.nan)
+        immobile_deg = self.filtered(segment.measured_s, immobile, starts.restart)
         for array in (simulated, residual, starts.measured_deg, immobile_deg):
             array.setflags(write=False)
         return Residuals(
@@ -195,69 +197,40 @@ class ResidualGenerator:
             segment.context,
         )
 
-    def _observed(self, segment: Segment, commands: Commands, starts: Starts) -> tuple[FloatArray, FloatArray]:
-        """Simulated deflection and residual [deg], each of shape (n,)."""
-        from servofd.models.kernel import observe
-        from servofd.models.state import new_memory
-
-        time_s, extended = segment.measured_s, self.model.extended(segment.context)
-        if extended is not None:
-            simulated = followed(extended, commands, time_s, starts.measured_deg, starts.restart)
-            return simulated, self.filtered(time_s, starts.measured_deg - simulated, starts.restart)
-        servo, residual_filter = self.model.parameters(), self.filter_parameters()
-        simulated, residual = np.empty(time_s.size), np.empty(time_s.size)
-        observe(
-            servo,
-            residual_filter,
-            new_memory(servo, residual_filter),
-            commands.effective_s,
-            commands.command_deg,
-            commands.slope_deg_s,
-            time_s,
-            starts.measured_deg,
-            starts.restart,
-            simulated,
-            residual,
-        )
-        return simulated, residual
-
     def without(self, residuals: Residuals, left_out: BoolArray) -> Residuals:
         """The same residuals as if some positions, marked in an array of shape (n,), had not come."""
         measured_deg = np.where(left_out, np.nan, residuals.measured_deg)
-        error_deg = measured_deg - residuals.simulated_deg
-        immobile_deg = np.where(np.isfinite(measured_deg), -residuals.simulated_deg, np.nan)
+        rows = np.array([measured_deg - residuals.simulated_deg, -residuals.simulated_deg])
+        residual_deg, immobile_deg = self.filtered(residuals.time_s, rows, residuals.restart)
         return replace(
             residuals,
             measured_deg=measured_deg,
-            residual_deg=self.filtered(residuals.time_s, error_deg, residuals.restart),
+            residual_deg=residual_deg,
             settled=residuals.settled & ~left_out,
-            immobile_deg=self.filtered(residuals.time_s, immobile_deg, residuals.restart),
+            immobile_deg=immobile_deg,
         )
 
     def filtered(self, time_s: FloatArray, error_deg: FloatArray, restart: NDArray[np.int8]) -> FloatArray:
-        """Residual of a simulation error [deg], shape (n,), that starts anew where `restart` is not zero."""
-        from servofd.models.kernel import evaluate
-        from servofd.models.state import new_memory
+        """Residual of one or several simulation errors [deg], shape (n,) or (r, n); anew where `restart` is not 0."""
+        from servofd.detection.lags import FilterMemory, filtered_rows
 
-        servo, residual_filter = self.model.parameters(), self.filter_parameters()
-        filtered_deg = np.empty(time_s.size)
-        memory = new_memory(servo, residual_filter)
-        evaluate(residual_filter, memory, time_s, error_deg, restart, filtered_deg)
-        return filtered_deg
+        residual_filter = self.filter_parameters()
+        memory = FilterMemory.of(residual_filter, 1 if error_deg.ndim == 1 else len(error_deg))
+        return filtered_rows(residual_filter, memory, time_s, error_deg, restart)
 
 
 def followed(
-    servo: ExtendedServo,
+    servo: AnyServo,
     commands: Commands,
     at_s: FloatArray,
     measured_deg: FloatArray,
     restart: NDArray[np.int8],
 ) -> FloatArray:
-    """Deflection of a servo with effects [deg], shape (n,), that starts anew where the surface was measured.
+    """Deflection of a servo [deg], shape (n,), that starts anew where the surface was measured.
 
     Parameters
     ----------
-    servo : ExtendedServo
+    servo : ServoParameters or ExtendedServo
         The servo.
     commands : Commands
         As they reach it.
@@ -266,13 +239,13 @@ def followed(
     restart : ndarray, shape (n,)
         2 where the servo has to start anew, as `servofd.detection.starts` marks it.
     """
-    from servofd.models.extended import ExtendedMotion
+    from servofd.models.motion import on_its_way
 
-    return go_on(ExtendedMotion(servo), commands, np.zeros(1, dtype=np.int64), at_s, measured_deg, restart)
+    return go_on(on_its_way(servo), commands, np.zeros(1, dtype=np.int64), at_s, measured_deg, restart)
 
 
 def go_on(
-    motion: ExtendedMotion,
+    motion: PlainMotion | ExtendedMotion,
     commands: Commands,
     cursor: IntArray,
     at_s: FloatArray,
@@ -280,19 +253,20 @@ def go_on(
     restart: NDArray[np.int8],
 ) -> FloatArray:
     """The same for the next positions of a flight, shape (n,); `cursor[0]` counts the commands that were heard."""
-    from servofd.models.kernel import RESTART_ALL
+    from servofd.detection.starts import RESTART_ALL
 
-    simulated_deg = np.empty(at_s.size)
-    begins = np.union1d(np.flatnonzero(restart == RESTART_ALL), [0]) if at_s.size else np.zeros(0, dtype=np.int64)
-    for begin, end in zip(begins, np.append(begins[1:], at_s.size), strict=False):
+    if not at_s.size:
+        return np.zeros(0)
+    begins, pieces = np.union1d(np.flatnonzero(restart == RESTART_ALL), [0]), []
+    for begin, end in zip(begins, np.append(begins[1:], at_s.size), strict=True):
         last = max(int(np.searchsorted(commands.effective_s, at_s[end - 1], side="right")), int(cursor[0]))
         span = slice(int(cursor[0]), last)
         motion.receive(commands.effective_s[span], commands.command_deg[span], commands.slope_deg_s[span])
         cursor[0] = last
         if restart[begin] == RESTART_ALL:
             motion.rest(float(at_s[begin]), float(measured_deg[begin]))
-        simulated_deg[begin:end] = motion.at(at_s[begin:end])
-    return simulated_deg
+        pieces.append(motion.at(at_s[begin:end]))
+    return pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
 
 
 def commands_at_servo(segment: Segment, delay_s: float, longest_gap_s: float) -> Commands:

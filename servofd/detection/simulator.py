@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from servofd.detection.residual import Commands, ResidualGenerator, commands_at_servo, followed, rhythm
 
 if TYPE_CHECKING:
@@ -22,6 +20,7 @@ class Simulator:
 
     Examples
     --------
+    >>> import numpy as np
     >>> from servofd.models.servo_model import ServoModel
     >>> from servofd.segment import Segment
     >>> from servofd.servos import servo_named
@@ -57,15 +56,6 @@ class Simulator:
 
     def simulated_deg(self, model: ServoModel) -> FloatArray:
         """Deflection of a servo [deg], shape (n,), as its residual generator would have it."""
-        from servofd.models.kernel import RESTART_ALL
-        from servofd.models.motion import deflection
-
-        time_s, (measured_deg, restart, _) = self.segment.measured_s, self.starts
+        measured_deg, restart, _ = self.starts
         commands = replace(self.commands, effective_s=self.commands.effective_s + model.plan.delay_s)
-        extended = model.extended(self.segment.context)
-        if extended is not None:
-            return followed(extended, commands, time_s, measured_deg, restart)
-        # Where the servo does not start anew, the kernel wants the position only for the residual.
-        resting_deg = np.where(restart == RESTART_ALL, measured_deg, np.nan)
-        asked = (commands.effective_s, commands.command_deg, commands.slope_deg_s)
-        return deflection(model.parameters(), asked, time_s, resting_deg, restart)
+        return followed(model.servo(self.segment.context), commands, self.segment.measured_s, measured_deg, restart)

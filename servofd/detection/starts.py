@@ -8,11 +8,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from servofd.models.kernel import RESTART_ALL, RESTART_FILTER, RESTART_NONE
 from servofd.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from servofd.segment import Segment
+
+RESTART_NONE, RESTART_FILTER, RESTART_ALL = 0, 1, 2
 
 
 class StartsMemory(NamedTuple):

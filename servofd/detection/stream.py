@@ -15,6 +15,7 @@ import numpy as np
 from servofd.detection.allowance import Signals, follow, new_work
 from servofd.detection.glitches import decide, new_glitch_memory
 from servofd.detection.history import CommandBuffer, History
+from servofd.detection.lags import FilterMemory, filtered_rows
 from servofd.detection.latch import latch, new_latch_memory
 from servofd.detection.residual import Residuals, go_on
 from servofd.detection.starts import mark_starts, new_starts_memory
@@ -30,13 +31,9 @@ from servofd.detection.threshold import (
     suspicion,
     unseen_deg,
 )
-from servofd.models.extended import ExtendedMotion
-from servofd.models.kernel import evaluate_rows, observe
-from servofd.models.state import new_memory
+from servofd.models.motion import on_its_way
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from servofd.aircraft import Surface
     from servofd.detection.residual import ResidualGenerator, Rhythm
     from servofd.models.context import Context
@@ -70,11 +67,11 @@ class Stream:
         self._generator, self._surface, self._beat = generator, surface, beat
         self.longest_gap_s = generator.longest_gap_s_at(period_s)
         self.evaluation = Evaluation.of(generator, surface.tolerances, period_s)
-        self._servo, self._filter = generator.model.parameters(), generator.filter_parameters()
+        self._filter, self._decay_rad_s = generator.filter_parameters(), generator.model.parameters().decay_rad_s
         self._delay_s = generator.model.plan.delay_s
         slower = slower_generator(generator, surface.tolerances.rate)
-        self._slower = slower.model.parameters() if slower else None
-        self._motions = [_motion(generator), _motion(slower)]
+        self._motions = [on_its_way(each.model.servo()) for each in (generator, slower) if each is not None]
+        self._cursors = [np.zeros(1, dtype=np.int64) for _ in self._motions]
         self._loose = new_loose_memory()
         self._passed = PEAK_OF_LAGS * generator.pole_rad_s * period_s
         seconds = int(MEMORY_S / max(period_s, 1e-3))
@@ -83,11 +80,9 @@ class Stream:
         room = int(MEMORY_S / max(period_s, _FASTEST_COMMANDS_S))
         self.logged, self.effective = CommandBuffer(4096), CommandBuffer(room)
         self._starts, self._glitch, self._latch = new_starts_memory(), new_glitch_memory(), new_latch_memory()
-        self._work = new_work(self.evaluation.bounds, self._servo.decay_rad_s.size)
+        self._work = new_work(self.evaluation.bounds, self._decay_rad_s.size)
         self._cusum = np.zeros(2)
-        self._memories = [new_memory(self._servo, self._filter) for _ in range(2)]
-        self._filtered = new_memory(self._servo, self._filter)
-        self._lags = np.zeros((3, self._filtered.lags.size))
+        self._lags = FilterMemory.of(self._filter, 3)
         self._positions: list[tuple[float, float]] = []
         self._pending = np.zeros((_PENDING_ROWS, 0))
         self._unseen: list[tuple[float, float]] = []
@@ -97,8 +92,7 @@ class Stream:
     def surroundings(self, context: Context) -> None:
         """Airspeed and supply, as far as they are known by now; effects of the servo may depend on them."""
         for motion in self._motions:
-            if motion is not None:
-                motion.context = context
+            motion.context = context
 
     def command(self, time_s: float, command_deg: float) -> None:
         """Add a command [deg]; one that is no later than the one before is left out."""
@@ -148,8 +142,8 @@ class Stream:
 
     def _add(self, effective_s: float, command_deg: float, slope_deg_s: float) -> None:
         dropped = self.effective.append(effective_s, command_deg, slope_deg_s)
-        for memory in self._memories:
-            memory.cursor[0] = max(memory.cursor[0] - dropped, 0)
+        for cursor in self._cursors:
+            cursor[0] = max(cursor[0] - dropped, 0)
 
     def _straight(self, time_s: float, command_deg: float, shift_s: float) -> None:
         """Thinned commands run straight to the next one; no position is evaluated until that is known."""
@@ -198,10 +192,12 @@ class Stream:
             self._beat.longest_s,
             self._generator.blanking_s,
         )
-        simulated_deg = self._run(0, time_s, starts.measured_deg, starts.restart)
-        slower_deg = simulated_deg
-        if self._slower is not None:
-            slower_deg = self._run(1, time_s, starts.measured_deg, starts.restart)
+        commands = self.effective.commands()
+        moved = [
+            go_on(motion, commands, cursor, time_s, starts.measured_deg, starts.restart)
+            for motion, cursor in zip(self._motions, self._cursors, strict=True)
+        ]
+        simulated_deg, slower_deg = moved[0], moved[-1]
         added_deg = np.zeros(time_s.size)
         while self._unseen and self._unseen[0][0] <= time_s[-1]:
             at_s, size_deg = self._unseen.pop(0)
@@ -214,37 +210,15 @@ class Stream:
             pending[place, waiting:] = row
         self._pending = pending
 
-    def _run(self, which: int, time_s: FloatArray, measured_deg: FloatArray, restart: NDArray[np.int8]) -> FloatArray:
-        """Deflection of the healthy servo (0), or of the slowest one tolerated (1) [deg]."""
-        motion, memory, commands = self._motions[which], self._memories[which], self.effective.commands()
-        if motion is not None:
-            return go_on(motion, commands, memory.cursor, time_s, measured_deg, restart)
-        simulated_deg, unused_deg = np.empty(time_s.size), np.empty(time_s.size)
-        observe(
-            self._slower if which and self._slower else self._servo,
-            self._filter,
-            memory,
-            commands.effective_s,
-            commands.command_deg,
-            commands.slope_deg_s,
-            time_s,
-            measured_deg,
-            restart,
-            simulated_deg,
-            unused_deg,
-        )
-        return simulated_deg
-
     def _judged(self, rows: FloatArray, glitch: BoolArray) -> Piece:
         """Residual, threshold and alarms of what was decided."""
         time_s, simulated_deg, measured_deg = rows[0].copy(), rows[1].copy(), np.where(glitch, np.nan, rows[2])
-        restart, usable = rows[4].astype(np.int8), np.isfinite(measured_deg)
+        restart = rows[4].astype(np.int8)
         inputs = np.empty((3, time_s.size))
         inputs[0] = measured_deg - simulated_deg
-        inputs[1] = np.where(usable, -simulated_deg, np.nan)
-        inputs[2] = np.where(usable, rows[5] - simulated_deg, np.nan)
-        outputs = np.empty_like(inputs)
-        evaluate_rows(self._filter, self._filtered, self._lags, time_s, inputs, restart, outputs)
+        inputs[1] = -simulated_deg
+        inputs[2] = rows[5] - simulated_deg
+        outputs = filtered_rows(self._filter, self._lags, time_s, inputs, restart)
         settled = (rows[3] != 0.0) & ~glitch
         residuals = Residuals(time_s, simulated_deg, measured_deg, outputs[0], settled, outputs[1], restart)
         threshold = self._threshold(residuals, outputs[2], rows[6].copy())
@@ -262,11 +236,10 @@ class Stream:
             residuals.measured_deg,
             np.where(residuals.settled, residuals.residual_deg, np.nan),
             residuals.restart != 0,
-            rate_error_deg if self._slower is not None else np.zeros(0),
+            rate_error_deg if len(self._motions) > 1 else np.zeros(0),
             added_deg,
         )
-        decay_rad_s = self._servo.decay_rad_s
-        follow(signals, self.evaluation.bounds, self._work, decay_rad_s, tolerated, saturated, sigma, drift)
+        follow(signals, self.evaluation.bounds, self._work, self._decay_rad_s, tolerated, saturated, sigma, drift)
         tolerated += loose_deg(self._generator, residuals.simulated_deg, residuals.restart, self._loose)
         level_deg = tolerated + self._surface.threshold_sigmas * sigma
         threshold = Threshold("interval", level_deg, tolerated, saturated, sigma, self.evaluation.cusum, drift)
@@ -287,9 +260,3 @@ class Stream:
         alarm, clear = np.zeros(judged.size, dtype=bool), np.zeros(judged.size, dtype=bool)
         alarm[judged], clear[judged] = found.alarm, found.clear
         return alarm, clear
-
-
-def _motion(generator: ResidualGenerator | None) -> ExtendedMotion | None:
-    """The servo on its way, if it has effects."""
-    servo = generator.model.extended() if generator else None
-    return ExtendedMotion(servo) if servo else None

@@ -26,7 +26,7 @@ import numpy as np
 
 from servofd.aircraft import DEFAULT_SIGMAS
 from servofd.detection.allowance import Bounds, Signals, follow, new_work
-from servofd.models.kernel import RESTART_ALL
+from servofd.detection.starts import RESTART_ALL
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -22,8 +22,7 @@ from servofd.models.context import NO_CONTEXT, Context
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from servofd.models.extended import AnyServo, ExtendedMotion
-    from servofd.models.motion import Motion
+    from servofd.models.motion import AnyServo, ExtendedMotion, PlainMotion
     from servofd.models.servo_model import ServoModel
     from servofd.types import FloatArray
 
@@ -147,7 +146,7 @@ def failing_deflection(
     return deflection_deg
 
 
-def _during(fault: Fault, motion: Motion | ExtendedMotion, at_s: FloatArray, *, passes: bool) -> FloatArray:
+def _during(fault: Fault, motion: PlainMotion | ExtendedMotion, at_s: FloatArray, *, passes: bool) -> FloatArray:
     """Deflection while a fault lasts; afterwards the servo is as before, wherever the fault has left it."""
     healthy = motion.servo
     motion.at(np.array([fault.start_s]))

@@ -13,14 +13,13 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from servofd.errors import ConfigError
-from servofd.models.extended import ExtendedServo
 from servofd.models.failing import Fault
 from servofd.models.play import play
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from servofd.models.extended import AnyServo
+    from servofd.models.motion import AnyServo
     from servofd.types import FloatArray
 
 _STOP_DEG = 25.0
@@ -207,7 +206,7 @@ class Slow(Fault):
     >>> from servofd.models.servo_model import ServoModel
     >>> from servofd.servos import servo_named
     >>> servo = ServoModel.of(servo_named("s3151")).parameters()
-    >>> Slow(0.0, rate_scale=0.1).become(servo).rate_up_deg_s
+    >>> round(Slow(0.0, rate_scale=0.1).become(servo).rate_up_deg_s, 6)
     26.5
     """
 
@@ -226,13 +225,7 @@ class Slow(Fault):
 
     def become(self, servo: AnyServo) -> AnyServo:
         """The same servo, slower."""
-        if isinstance(servo, ExtendedServo):
-            return servo.slower(self.bandwidth_scale or 1.0).weaker(1.0 - self.rate_scale)
-        return servo._replace(
-            decay_rad_s=servo.decay_rad_s * (self.bandwidth_scale or 1.0),
-            rate_down_deg_s=servo.rate_down_deg_s * self.rate_scale,
-            rate_up_deg_s=servo.rate_up_deg_s * self.rate_scale,
-        )
+        return servo.slower(self.bandwidth_scale or 1.0).weaker(1.0 - self.rate_scale)
 
 
 @dataclass(frozen=True, slots=True)

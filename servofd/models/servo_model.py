@@ -15,8 +15,7 @@ from servofd.models.physics import RATE_FIELDS, Physics, Plant
 
 if TYPE_CHECKING:
     from servofd.models.context import Context
-    from servofd.models.extended import ExtendedMotion, ExtendedServo
-    from servofd.models.motion import Motion
+    from servofd.models.motion import AnyServo, ExtendedMotion, ExtendedServo, PlainMotion
     from servofd.models.state import ServoParameters
     from servofd.models.transfer import TransferFunction
     from servofd.servos import Servo
@@ -89,7 +88,7 @@ class ServoModel:
         >>> model.extended() is None, (model + Extension(Physics(backlash_deg=0.5))).extended().play_deg
         (True, 0.25)
         """
-        from servofd.models.extended import ExtendedServo
+        from servofd.models.motion import ExtendedServo
 
         physics = self.plan.physics
         if physics is None:
@@ -134,6 +133,10 @@ class ServoModel:
             upper_deg=plan.upper_deg,
         )
 
+    def servo(self, context: Context = NO_CONTEXT) -> AnyServo:
+        """What is simulated, for commands that are delayed already."""
+        return self.extended(context) or self.parameters()
+
     def simulate(self, command_s: FloatArray, command_deg: FloatArray, at_s: FloatArray) -> FloatArray:
         """Deflection at given times under a held command, exactly, whatever the spacing of the samples.
 
@@ -160,19 +163,13 @@ class ServoModel:
 
     def motion(
         self, command_s: FloatArray, command_deg: FloatArray, context: Context = NO_CONTEXT
-    ) -> Motion | ExtendedMotion:
+    ) -> PlainMotion | ExtendedMotion:
         """The servo at rest at the first of its commands, to be simulated piece by piece."""
-        from servofd.models.extended import ExtendedMotion
-        from servofd.models.motion import Motion
+        from servofd.models.motion import on_its_way
 
         command_s, command_deg = np.asarray(command_s, dtype=float), np.asarray(command_deg, dtype=float)
-        effective_s, extended = command_s + self.plan.delay_s, self.extended(context)
-        motion: Motion | ExtendedMotion
-        if extended is None:
-            motion = Motion(self.parameters(), effective_s, command_deg)
-        else:
-            motion = ExtendedMotion(extended)
-            motion.receive(effective_s, command_deg, np.zeros(command_s.size))
+        motion = on_its_way(self.servo(context))
+        motion.receive(command_s + self.plan.delay_s, command_deg, np.zeros(command_s.size))
         if command_s.size:
             motion.rest(float(command_s[0]))
         return motion

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 Kind = TypeVar("Kind", np.float64, np.int8)
 
+SAME_STEP_S = 1e-7
+"""Steps this close share an exponential, corrected by a three-term series (error below 1e-15)."""
 SLOTS = 4
 """Step lengths whose exponentials are kept. A uniform log with a fractional delay alternates between two."""
 
@@ -26,7 +28,7 @@ inlined = partial(
 
 
 class ServoParameters(NamedTuple):
-    """A servo as the kernel sees it; an effect that is absent has its neutral value."""
+    """A servo without effects, as the kernel sees it; a limit that is absent is infinite."""
 
     decay_rad_s: ComplexArray
     weight: ComplexArray
@@ -35,14 +37,19 @@ class ServoParameters(NamedTuple):
     lower_deg: float
     upper_deg: float
 
+    def slower(self, bandwidth_scale: float) -> ServoParameters:
+        """The servo with every pole scaled: its modes keep their weights."""
+        return self._replace(decay_rad_s=self.decay_rad_s * bandwidth_scale)
 
-class FilterParameters(NamedTuple):
-    """The measured branch ``Qy`` of a nullspace filter."""
+    def limited(self, rate_deg_s: float) -> ServoParameters:
+        """The servo that turns no faster than this [deg/s]."""
+        up, down = min(rate_deg_s, self.rate_up_deg_s), min(rate_deg_s, self.rate_down_deg_s)
+        return self._replace(rate_up_deg_s=up, rate_down_deg_s=down)
 
-    pole_rad_s: float
-    decay_rad_s: ComplexArray
-    """All poles of the servo, negated, both members of each pair, of shape (n,)."""
-    dc_gain: float
+    def weaker(self, share: float) -> ServoParameters:
+        """The servo with every rate limit lower by a share."""
+        up, down = (1.0 - share) * self.rate_up_deg_s, (1.0 - share) * self.rate_down_deg_s
+        return self._replace(rate_up_deg_s=up, rate_down_deg_s=down)
 
 
 class Memory(NamedTuple):
@@ -52,17 +59,9 @@ class Memory(NamedTuple):
     """Of shape (m,): position each mode would reach [deg]."""
     motion: FloatArray
     """Of shape (6,): time [s], held command [deg], its slope [deg/s], position [deg], rate-limited (-1, 0, 1), and
-    the fastest that the linear motion can become under this command [deg/s]."""
-    lags: FloatArray
-    """Of shape (n + 1,): successive lags of the simulation error [deg]."""
-    lag_weights: FloatArray
-    """Of shape (n + 1,): shares of the lags in the residual for the step length below."""
-    lag_step: FloatArray
-    """Of shape (3,): step length [s] of the weights, its lag factor, time of the last filtered sample [s]."""
-    polynomial: ComplexArray
-    """Of shape (n + 1,): room for the calculation of the weights."""
+    the fastest that the linear motion can become under this command [deg/s], NaN if that is not known yet."""
     cursor: np.ndarray[tuple[int], np.dtype[np.int64]]
-    """Of shape (2,): next command to take effect, next exponential slot to overwrite."""
+    """Of shape (1,): next exponential slot to overwrite."""
     slot_step_s: FloatArray
     """Of shape (slots,)."""
     slot_factor: ComplexArray
@@ -82,17 +81,13 @@ def fixed(values: NDArray[Kind]) -> NDArray[Kind]:
     return view
 
 
-def new_memory(servo: ServoParameters, residual_filter: FilterParameters) -> Memory:
+def new_memory(servo: ServoParameters) -> Memory:
     """Memory before the first sample."""
-    modes, order = servo.decay_rad_s.size, residual_filter.decay_rad_s.size
+    modes = servo.decay_rad_s.size
     return Memory(
         modes=np.zeros(modes, dtype=np.complex128),
         motion=np.zeros(6),
-        lags=np.zeros(order + 1),
-        lag_weights=np.zeros(order + 1),
-        lag_step=np.array([-1.0, 0.0, 0.0]),
-        polynomial=np.zeros(order + 1, dtype=np.complex128),
-        cursor=np.zeros(2, dtype=np.int64),
+        cursor=np.zeros(1, dtype=np.int64),
         slot_step_s=np.full(SLOTS, -1.0),
         slot_factor=np.zeros((SLOTS, modes), dtype=np.complex128),
     )

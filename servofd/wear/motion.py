@@ -90,7 +90,7 @@ class Motion:
 
 
 def _usable(simulator: Simulator) -> BoolArray:
-    from servofd.models.kernel import RESTART_ALL
+    from servofd.detection.starts import RESTART_ALL
 
     time_s, starts = simulator.segment.measured_s, simulator.starts
     begins = np.flatnonzero(starts.restart == RESTART_ALL)

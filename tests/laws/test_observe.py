@@ -6,13 +6,15 @@ import math
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.signal import tf2ss
 
+from servofd.detection.lags import FilterMemory, FilterParameters, filtered_rows, lag_weights
+from servofd.detection.residual import Commands, followed
+from servofd.detection.starts import RESTART_ALL, RESTART_FILTER, RESTART_NONE
 from servofd.models.effects import LinearDynamics, PositionLimit
-from servofd.models.kernel import RESTART_ALL, RESTART_FILTER, RESTART_NONE, evaluate, lag_weights, observe
 from servofd.models.servo_model import ServoModel
-from servofd.models.state import FilterParameters, new_memory
 from servofd.models.transfer import TransferFunction
 from servofd.servos import servo_named
 from servofd.types import FloatArray
@@ -36,14 +38,17 @@ def observed(
     transfer: TransferFunction, commands: FloatArray, at_s: FloatArray, measured_deg: FloatArray, restart: list[int]
 ) -> tuple[FloatArray, FloatArray]:
     """Simulated position and residual."""
-    servo, residual_filter = ServoModel((LinearDynamics(transfer),)).parameters(), filter_of(transfer)
-    simulated_deg, residual_deg = np.empty(at_s.size), np.empty(at_s.size)
+    servo = ServoModel((LinearDynamics(transfer),)).servo()
     restarts = np.array(restart + [RESTART_NONE] * (at_s.size - len(restart)), dtype=np.int8)
-    memory = new_memory(servo, residual_filter)
-    effective_s, command_deg, slope_deg_s = commands
-    asked, seen = (effective_s, command_deg, slope_deg_s), (at_s, measured_deg, restarts)
-    observe(servo, residual_filter, memory, *asked, *seen, simulated_deg, residual_deg)
-    return simulated_deg, residual_deg
+    simulated_deg = followed(servo, Commands(*commands), at_s, measured_deg, restarts)
+    return simulated_deg, filtered(filter_of(transfer), at_s, measured_deg - simulated_deg, restarts)
+
+
+def filtered(
+    residual_filter: FilterParameters, at_s: FloatArray, error_deg: FloatArray, restarts: NDArray[np.int8]
+) -> FloatArray:
+    memory = FilterMemory.of(residual_filter, 1)
+    return filtered_rows(residual_filter, memory, at_s, error_deg, restarts)
 
 
 def exact(transfer: TransferFunction, start_deg: float, commands: FloatArray, at_s: FloatArray) -> FloatArray:
@@ -117,11 +122,10 @@ def test_a_steady_error_passes_by_the_inverse_gain_from_the_first_sample_on(gain
     measured_deg[0] -= 0.8
     found_deg, residual_deg = observed(transfer, RAMPS, AT_S, measured_deg, [RESTART_ALL, RESTART_FILTER])
     assert residual_deg[1:] == pytest.approx(0.8 / gain, abs=1e-9)
-    error_deg, alone_deg = measured_deg - found_deg, np.empty(AT_S.size)
+    error_deg = measured_deg - found_deg
     restarts = np.array([RESTART_ALL, RESTART_FILTER, *[RESTART_NONE] * (AT_S.size - 2)], dtype=np.int8)
     error_deg[30] = math.nan
-    servo = ServoModel((LinearDynamics(transfer),)).parameters()
-    evaluate(filter_of(transfer), new_memory(servo, filter_of(transfer)), AT_S, error_deg, restarts, alone_deg)
+    alone_deg = filtered(filter_of(transfer), AT_S, error_deg, restarts)
     assert np.isnan(alone_deg[30])
     assert np.delete(alone_deg, 30) == pytest.approx(np.delete(residual_deg, 30), abs=1e-9)
 
@@ -164,10 +168,9 @@ def test_a_stop_is_where_the_position_ends() -> None:
 
 def test_a_step_of_one_second_is_a_step_like_any_other() -> None:
     at_s, ramp = np.arange(0.0, 5.0), np.array([[0.0], [1.0], [2.0]])
-    slow, residual_deg = TransferFunction((0.5,), (1.0, 0.5)), np.empty(5)
-    memory, once = new_memory(ServoModel((LinearDynamics(slow),)).parameters(), filter_of(slow, 1.0)), [RESTART_FILTER]
-    restarts = np.array(once + [RESTART_NONE] * 4, dtype=np.int8)
-    evaluate(filter_of(slow, 1.0), memory, at_s, np.full(5, 0.5), restarts, residual_deg)
+    slow = TransferFunction((0.5,), (1.0, 0.5))
+    restarts = np.array([RESTART_FILTER] + [RESTART_NONE] * 4, dtype=np.int8)
+    residual_deg = filtered(filter_of(slow, 1.0), at_s, np.full(5, 0.5), restarts)
     assert residual_deg == pytest.approx(0.5, abs=1e-9)
     found_deg, _ = observed(slow, ramp, at_s, np.full(5, 1.0), [RESTART_ALL])
     np.testing.assert_allclose(found_deg, exact(slow, 1.0, ramp, at_s), atol=1e-9)

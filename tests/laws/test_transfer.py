@@ -9,9 +9,9 @@ import pytest
 
 from servofd.errors import DesignError
 from servofd.models.effects import LinearDynamics, Place
-from servofd.models.extended import ExtendedMotion, ExtendedServo
 from servofd.models.faults import Floating
 from servofd.models.loop_steps import ROW
+from servofd.models.motion import ExtendedMotion, ExtendedServo
 from servofd.models.physics import Physics, Plant, longest_step_s, scaled_transfer
 from servofd.models.servo_model import ServoModel, plant_of
 from servofd.models.transfer import TransferFunction

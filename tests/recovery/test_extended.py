@@ -24,9 +24,9 @@ from servofd.models.catalogue import CATALOGUE, installed
 from servofd.models.context import Context
 from servofd.models.effect_table import effects_installed, table_of
 from servofd.models.effects import Extension
-from servofd.models.extended import ExtendedMotion, ExtendedServo
 from servofd.models.failing import Fault
 from servofd.models.faults import Bias, HardOver, LossOfEffectiveness, Slow, Stuck
+from servofd.models.motion import ExtendedMotion, ExtendedServo
 from servofd.models.physics import Physics, longest_step_s, scaled_transfer
 from servofd.models.servo_model import ServoModel, plant_of
 from servofd.models.transfer import TransferFunction

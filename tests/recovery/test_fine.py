@@ -12,7 +12,7 @@ from hidden_physics import Air, deflection
 from servofd.models.context import Context
 from servofd.models.effect_table import effects_installed
 from servofd.models.effects import RateLimit
-from servofd.models.extended import ExtendedMotion, ExtendedServo
+from servofd.models.motion import ExtendedMotion, ExtendedServo
 from servofd.models.physics import Physics, Plant
 from servofd.models.servo_model import ServoModel, plant_of
 from servofd.models.transfer import TransferFunction

@@ -9,8 +9,8 @@ import numpy as np
 from numba import njit
 
 from servofd.detection.bank.explanation import COLOUR, Estimate
-from servofd.detection.bank.window import Explanation, limited, slower
-from servofd.models.extended import ExtendedServo
+from servofd.detection.bank.window import Explanation
+from servofd.models.motion import ExtendedServo
 from servofd.models.play import play
 from servofd.types import FloatArray
 
@@ -178,11 +178,11 @@ def _heard(window: Window, gain: float) -> FloatArray:
 
 
 def _slower(window: Window, bandwidth_scale: float) -> FloatArray:
-    return window.simulate(slower(window.servo, bandwidth_scale))
+    return window.simulate(window.servo.slower(bandwidth_scale))
 
 
 def _limited(window: Window, rate_deg_s: float) -> FloatArray:
-    return window.simulate(limited(window.servo, rate_deg_s))
+    return window.simulate(window.servo.limited(rate_deg_s))
 
 
 @njit(cache=True, nogil=True)

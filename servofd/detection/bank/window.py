@@ -9,7 +9,7 @@ import numpy as np
 
 from servofd.detection.allowance import CURVATURE_TO_SIGMA
 from servofd.detection.bank.explanation import COLOUR, Ridge
-from servofd.models.extended import AnyServo, ExtendedMotion, ExtendedServo
+from servofd.models.motion import AnyServo, on_its_way
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -116,10 +116,8 @@ class Window:
         last = int(np.searchsorted(commands.effective_s, time_s[-1], side="right"))
         cut = slice(max(first, 0), max(last, 1))  # one at least, even if it takes effect after the window
         near = type(commands)(commands.effective_s[cut], commands.command_deg[cut], commands.slope_deg_s[cut])
-        servo = model.extended(residuals.context) or model.parameters()
-        quick, slow = (
-            simulate(slower(servo, 1.0 + change), near, time_s) for change in (_SMALL_CHANGE, -_SMALL_CHANGE)
-        )
+        servo = model.servo(residuals.context)
+        quick, slow = (simulate(servo.slower(1.0 + change), near, time_s) for change in (_SMALL_CHANGE, -_SMALL_CHANGE))
         rate_deg_s = np.gradient(healthy_deg, time_s)
         quickness_deg = (quick - slow) / (2.0 * _SMALL_CHANGE)
         nuisances = np.column_stack([healthy_deg, -rate_deg_s, quickness_deg, np.ones(time_s.size)])
@@ -182,36 +180,11 @@ class Window:
         return simulate(servo, commands, self.time_s)
 
 
-def slower(servo: AnyServo, bandwidth_scale: float) -> AnyServo:
-    """Servo with every pole scaled: its modes keep their weights."""
-    if isinstance(servo, ExtendedServo):
-        return servo.slower(bandwidth_scale)
-    return servo._replace(decay_rad_s=servo.decay_rad_s * bandwidth_scale)
-
-
-def limited(servo: AnyServo, rate_deg_s: float) -> AnyServo:
-    """Servo that turns no faster than this [deg/s]."""
-    if isinstance(servo, ExtendedServo):
-        return servo.limited(rate_deg_s)
-    return servo._replace(
-        rate_up_deg_s=min(rate_deg_s, servo.rate_up_deg_s), rate_down_deg_s=min(rate_deg_s, servo.rate_down_deg_s)
-    )
-
-
 def simulate(servo: AnyServo, commands: Commands, at_s: FloatArray) -> FloatArray:
     """Deflection at given times, from rest at the first command [deg]."""
-    if isinstance(servo, ExtendedServo):
-        motion = ExtendedMotion(servo)
-        motion.receive(commands.effective_s, commands.command_deg, commands.slope_deg_s)
-        return motion.at(np.concatenate([commands.effective_s[:1], at_s]))[1:]
-    from servofd.models.kernel import RESTART_ALL
-    from servofd.models.motion import deflection
-
-    instants_s = np.concatenate([commands.effective_s[:1], at_s])
-    restart = np.zeros(instants_s.size, dtype=np.int8)
-    restart[0] = RESTART_ALL
-    asked = (commands.effective_s, commands.command_deg, commands.slope_deg_s)
-    return deflection(servo, asked, instants_s, np.full(instants_s.size, np.nan), restart)[1:]
+    motion = on_its_way(servo)
+    motion.receive(commands.effective_s, commands.command_deg, commands.slope_deg_s)
+    return motion.at(np.concatenate([commands.effective_s[:1], at_s]))[1:]
 
 
 def _spread(tolerance: Tolerance) -> FloatArray:

@@ -1,0 +1,128 @@
+"""The residual's filter: ``Qy`` of the nullspace filter, as a weighted sum of lags (`servofd.detection.residual`)."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from servofd.models.state import SAME_STEP_S, compiled, fixed
+from servofd.types import ComplexArray, FloatArray
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+class FilterParameters(NamedTuple):
+    """The measured branch ``Qy`` of a nullspace filter."""
+
+    pole_rad_s: float
+    decay_rad_s: ComplexArray
+    """All poles of the servo, negated, both members of each pair, of shape (n,)."""
+    dc_gain: float
+
+
+class FilterMemory(NamedTuple):
+    """What changes from sample to sample while several signals of the same instants are filtered."""
+
+    lags: FloatArray
+    """Of shape (r, n + 1): successive lags of each signal [deg]."""
+    weights: FloatArray
+    """Of shape (n + 1,): shares of the lags in the residual for the step length below."""
+    step: FloatArray
+    """Of shape (3,): step length [s] of the weights, its lag factor, time of the last filtered sample [s]."""
+    polynomial: ComplexArray
+    """Of shape (n + 1,): room for the calculation of the weights."""
+
+    @classmethod
+    def of(cls, residual_filter: FilterParameters, signals: int) -> FilterMemory:
+        """Memory before the first sample."""
+        lags = residual_filter.decay_rad_s.size + 1
+        return cls(
+            np.zeros((signals, lags)), np.zeros(lags), np.array([-1.0, 0.0, 0.0]), np.zeros(lags, dtype=np.complex128)
+        )
+
+
+@compiled
+def _weigh_lags(residual_filter: FilterParameters, memory: FilterMemory, step_s: float) -> None:
+    """Shares of the lags for this step length: the servo's characteristic polynomial written in the lag."""
+    lag = math.exp(-residual_filter.pole_rad_s * step_s)
+    order = residual_filter.decay_rad_s.size
+    polynomial = memory.polynomial
+    polynomial[:] = 0.0
+    polynomial[0] = 1.0
+    free = 1.0 + 0.0j
+    for i in range(order):
+        factor = np.exp(-residual_filter.decay_rad_s[i] * step_s)
+        ratio = np.exp((residual_filter.pole_rad_s - residual_filter.decay_rad_s[i]) * step_s)
+        for j in range(i + 1, 0, -1):
+            polynomial[j] = (1.0 - ratio) * polynomial[j] + ratio * polynomial[j - 1]
+        polynomial[0] *= 1.0 - ratio
+        free *= 1.0 - factor
+    scale = 1.0 / (residual_filter.dc_gain * free.real)
+    for j in range(order + 1):
+        # Entry j multiplies the lag of order n + 1 - j; the lags are stored by rising order.
+        memory.weights[order - j] = polynomial[j].real * scale
+        scale *= 1.0 - lag
+    memory.step[0] = step_s
+    memory.step[1] = lag
+
+
+def lag_weights(residual_filter: FilterParameters, step_s: float) -> FloatArray:
+    """Shares of the lags in the residual for one step length, of shape (n + 1,)."""
+    memory = FilterMemory.of(residual_filter, 1)
+    _weigh_lags(residual_filter, memory, step_s)
+    return memory.weights
+
+
+def filtered_rows(
+    residual_filter: FilterParameters,
+    memory: FilterMemory,
+    time_s: FloatArray,
+    rows_deg: FloatArray,
+    restart: NDArray[np.int8],
+) -> FloatArray:
+    """Residuals of one or several signals of the same instants [deg], shape (n,) or (r, n); the memory moves on.
+
+    A sample that is NaN in the first row is left out in all of them; the filter starts anew where `restart` is not 0.
+    """
+    result, shape = np.empty(rows_deg.shape), (memory.lags.shape[0], time_s.size)
+    rows = fixed(rows_deg.reshape(shape))
+    _filter(residual_filter, memory, fixed(time_s), rows, fixed(restart), result.reshape(shape))
+    return result
+
+
+@compiled
+def _filter(
+    residual_filter: FilterParameters,
+    memory: FilterMemory,
+    time_s: FloatArray,
+    rows_deg: FloatArray,
+    restart: NDArray[np.int8],
+    filtered_deg: FloatArray,
+) -> None:
+    lags = memory.lags
+    for k in range(time_s.size):
+        now = time_s[k]
+        if math.isnan(rows_deg[0, k]):
+            filtered_deg[:, k] = math.nan
+            continue
+        if restart[k] != 0:
+            memory.step[2] = now
+            for r in range(lags.shape[0]):
+                lags[r, :] = rows_deg[r, k]
+                filtered_deg[r, k] = rows_deg[r, k] / residual_filter.dc_gain
+            continue
+        step_s = now - memory.step[2]
+        memory.step[2] = now
+        if abs(step_s - memory.step[0]) > SAME_STEP_S:
+            _weigh_lags(residual_filter, memory, step_s)
+        lag = memory.step[1]
+        for r in range(lags.shape[0]):
+            value, residual = rows_deg[r, k], 0.0
+            for j in range(lags.shape[1]):
+                value = lag * lags[r, j] + (1.0 - lag) * value
+                lags[r, j] = value
+                residual += memory.weights[j] * value
+            filtered_deg[r, k] = residual
