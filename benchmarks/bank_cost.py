@@ -61,7 +61,7 @@ class Cost(NamedTuple):
 
 def measure(duration_s: float = _DURATION_S) -> Cost:
     """Time residual, judgement and classification."""
-    aircraft = plain_aircraft(["x"])
+    aircraft = plain_aircraft(["x"], "hs225bb-eq31")
     surface, model = aircraft.surfaces["x"].model_copy(update={"threshold": "interval"}), aircraft.model("x")
     time_s = np.arange(round(duration_s * _RATE_HZ)) / _RATE_HZ
     segments = []

@@ -56,7 +56,7 @@ def open_files() -> int:
 
 def telemetry(hours: float, rate_hz: float) -> bytes:
     """A day on the link of an autopilot that was booted so long ago that its milliseconds overflow at half time."""
-    plane = plain_aircraft(["elevator"])
+    plane = plain_aircraft(["elevator"], "hs225bb-eq31")
     flown = simulate_flight(
         plane, duration_s=3600.0 * hours, rate_hz=rate_hz, seed=7, noise_deg=NOISE_DEG, outputs=outputs_of(plane)
     )
@@ -157,7 +157,7 @@ def main() -> None:
         return
     hours, audit_hz, monitor_hz = (*map(float, sys.argv[1:]), *(24.0, 50.0, 10.0)[len(sys.argv) - 1 :])
     with tempfile.TemporaryDirectory() as folder:
-        plane = plain_aircraft(["elevator", "rudder"])
+        plane = plain_aircraft(["elevator", "rudder"], "hs225bb-eq31")
         flown = simulate_flight(plane, duration_s=3600.0 * hours, rate_hz=audit_hz, seed=7, noise_deg=NOISE_DEG)
         write_flight(Path(folder) / "day.csv", flown, plane)
         del flown

@@ -50,7 +50,7 @@ def main() -> None:
         folder = options.folder or Path(temporary)
         _write(folder, options)
         logs = find_logs([str(folder)]).logs[: options.logs]
-        job = Job(plain_aircraft(_SURFACES)) if options.format == "csv" else Job()
+        job = Job(plain_aircraft(_SURFACES, "hs225bb-eq31")) if options.format == "csv" else Job()
         judge_log(logs[0], job)  # compiled code is loaded once
         serial = _timed(lambda: (judge_log(log, job) for log in logs))
         parallel = _timed(lambda: audit_fleet(logs, job))
@@ -65,7 +65,7 @@ def main() -> None:
 
 
 def _write(folder: Path, options: argparse.Namespace) -> None:
-    plane = plain_aircraft(_SURFACES)
+    plane = plain_aircraft(_SURFACES, "hs225bb-eq31")
     folder.mkdir(parents=True, exist_ok=True)
     for seed in range(options.logs):
         target = folder / f"flight{seed:04d}.{options.format}"

@@ -50,7 +50,7 @@ def craft(surfaces: int) -> tuple[Aircraft, Aircraft]:
 
     A simulated autopilot has outputs for 13 surfaces; any more watch the first ones once again.
     """
-    plain = plain_aircraft([f"surface_{k + 1}" for k in range(min(surfaces, MOST_OUTPUTS - 1))])
+    plain = plain_aircraft([f"surface_{k + 1}" for k in range(min(surfaces, MOST_OUTPUTS - 1))], "hs225bb-eq31")
     entries = {}
     for output in outputs_of(plain):
         command = PulseCalibration(

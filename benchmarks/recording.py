@@ -49,7 +49,7 @@ def audited(duration_s: float) -> LogAudit:
         for name, values in ((f"s{number}_cmd_deg", command), (f"s{number}_pos_deg", measured)):
             channels[name] = Channel(name, time_s, values, "deg", "")
     log = FlightLog(Path("hour.csv"), "table", channels)
-    return audit_log(log, plain_aircraft([f"s{number}" for number in range(SURFACES)]))
+    return audit_log(log, plain_aircraft([f"s{number}" for number in range(SURFACES)], "hs225bb-eq31"))
 
 
 def cost_s(work: Callable[[], object], times: int = 3) -> float:

@@ -74,12 +74,12 @@ def _told(
 ) -> ServoEstimate:
     """What one flight shows; a trend cut short shares its flights with the whole one."""
     flown = segment(surface, servo, np.random.default_rng(seed), width_deg, duration_s)
-    return estimate_flight(flown, plain_aircraft([surface]))
+    return estimate_flight(flown, plain_aircraft([surface], "hs225bb-eq31"))
 
 
 def followed(fleet: dict[str, list[tuple[FleetServo, float]]], seed: int, duration_s: float) -> AircraftTrend:
     """Trend of an aircraft: for each surface a servo and a width per flight."""
-    plane = plain_aircraft(fleet)
+    plane = plain_aircraft(fleet, "hs225bb-eq31")
     logs = []
     for number, row in enumerate(zip(*fleet.values(), strict=True), start=1):
         name, flights = f"flight{number}.csv", []

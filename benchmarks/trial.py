@@ -29,7 +29,7 @@ _ENOUGH_S, _ENOUGH_DEG = 2.0, 4.0
 """Enough motion after the onset: so long faster than `MOVING_DEG_S`, over so wide a range."""
 _SEEN_ONLY_IN_MOTION = ("stuck", "deadband", "slow", "loss_of_effectiveness")
 _ROC_WINDOW_S = 1.0
-_AIRCRAFT = plain_aircraft(["x"])
+_AIRCRAFT = plain_aircraft(["x"], "hs225bb-eq31")
 _SURFACE = _AIRCRAFT.surfaces["x"].model_copy(update={"threshold": "interval"})
 
 

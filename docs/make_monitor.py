@@ -24,7 +24,7 @@ _SHOWN_S = 24.0
 
 def main(folder: Path) -> None:
     """Write ``monitor.svg``."""
-    plane = plain_aircraft(["aileron", "elevator", "rudder"])
+    plane = plain_aircraft(["aileron", "elevator", "rudder"], "hs225bb-eq31")
     flight = simulate_flight(
         plane, rate_hz=40.0, duration_s=_SHOWN_S, seed=3, faults={"elevator": Stuck(20.0)}, outputs=outputs_of(plane)
     )

@@ -21,7 +21,9 @@ SERVO, RATE_HZ, POLE_RAD_S, NOISE_DEG, HOURS, DEGREES_OF_FREEDOM = "hs225bb-eq31
 def main(folder: Path) -> None:
     wish = Wish(false_alarms_per_hour=0.1)
     pictures = {
-        "design.png": odds_from_design(plain_aircraft(["elevator"]), wish, noise_deg=NOISE_DEG, rate_hz=RATE_HZ)[0],
+        "design.png": odds_from_design(
+            plain_aircraft(["elevator"], "hs225bb-eq31"), wish, noise_deg=NOISE_DEG, rate_hz=RATE_HZ
+        )[0],
         "heavy.png": heavy_tailed(wish),
     }
     (folder / "odds").mkdir(exist_ok=True)

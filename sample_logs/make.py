@@ -7,8 +7,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from servofd.aircraft import Aircraft, load_aircraft, plain_aircraft
-from servofd.models.faults import Bias, DeadBand, Floating, HardOver, LossOfEffectiveness, Oscillation, Slow, Stuck
 from servofd.models.failing import Fault
+from servofd.models.faults import Bias, DeadBand, Floating, HardOver, LossOfEffectiveness, Oscillation, Slow, Stuck
 from servofd.simulation.flight import SimulatedFlight, simulate_flight
 from servofd.simulation.pulses import outputs_of
 from servofd.simulation.writers import write_flight
@@ -65,7 +65,7 @@ def with_only(aircraft: Aircraft, surfaces: Iterable[str]) -> Aircraft:
 def flown_by_autopilot(name: str) -> tuple[Aircraft, SimulatedFlight]:
     """Aircraft and flight of one of `AUTOPILOTS`: the truth behind its log."""
     _, rate_hz, faults = AUTOPILOTS[name]
-    aircraft = plain_aircraft(SURFACES)
+    aircraft = plain_aircraft(SURFACES, "hs225bb-eq31")
     flight = simulate_flight(
         aircraft,
         duration_s=FLIGHT_S,
@@ -101,7 +101,7 @@ def make(folder: Path) -> list[Path]:
             write_flight(path, flight, flown)
             written.append(path)
     for name, (rate_hz, several) in TABLES.items():
-        plain = plain_aircraft(SURFACES)
+        plain = plain_aircraft(SURFACES, "hs225bb-eq31")
         flight = simulate_flight(
             plain,
             command="hand_flown",

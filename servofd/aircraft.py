@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
 __all__ = [
-    "DEFAULT_SERVO",
     "DEFAULT_SIGMAS",
     "DEFAULT_THRESHOLD_DEG",
     "UNKNOWN_SERVO",
@@ -44,9 +43,8 @@ __all__ = [
     "plain_aircraft",
 ]
 
-DEFAULT_SERVO = "hs225bb-eq31"
 UNKNOWN_SERVO = "unknown"
-"""Asks for servos fitted to the log."""
+"""Nobody says which servo it is: it is fitted to the log."""
 DEFAULT_THRESHOLD_DEG = 1.5
 """Thesis 4.2: the residuals of healthy HS-225BB servos on FASER commands stay within +-1.5 deg."""
 
@@ -87,7 +85,7 @@ class Swap(_Entry):
 class Surface(_Entry):
     """One control surface and the servo that turns it."""
 
-    servo: str = DEFAULT_SERVO
+    servo: str = UNKNOWN_SERVO
     command: Calibration
     measured: Calibration | None = None
     """None: the log tells where the position of `output` is; or, without an output, nothing measures this surface."""
@@ -153,8 +151,8 @@ class Surface(_Entry):
 
     @property
     def names_servo(self) -> bool:
-        """Whether its file says which servo it is, or brings a calibration, or what its linear model lacks."""
-        return bool(self.model_fields_set & {"servo", "calibrated", "effects"})
+        """Whether its file says which servo it is."""
+        return self.servo != UNKNOWN_SERVO
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -192,6 +190,13 @@ class Aircraft(_Entry):
             raise ValueError("surfaces: at least one entry is needed, for example [surfaces.elevator]")
         known = {**library(), **self.servos}
         for name, surface in self.surfaces.items():
+            if surface.servo == UNKNOWN_SERVO:
+                if surface.effects or surface.calibrated is not None:
+                    raise ValueError(
+                        f"surfaces.{name}.servo: this key is missing: effects and calibrations belong to a servo (in "
+                        'files that name none it was "hs225bb-eq31")'
+                    )
+                continue
             if surface.servo not in known:
                 raise ValueError(f"surfaces.{name}.servo: {suggest('servo', surface.servo, known)}")
             try:
@@ -201,8 +206,16 @@ class Aircraft(_Entry):
         return self
 
     def servo(self, surface: str) -> Servo:
-        """Servo of a surface; the aircraft's own definitions come before the library's."""
+        """Servo of a surface; the aircraft's own definitions come before the library's.
+
+        Raises
+        ------
+        ConfigError
+            If nobody says which it is.
+        """
         name = self.surfaces[surface].servo
+        if name == UNKNOWN_SERVO:
+            raise ConfigError(f"{surface}: no servo is named; 'servofd servos' lists those that are known")
         return self.servos[name] if name in self.servos else library()[name]
 
     def check_names(self, surfaces: Iterable[str], where: str = "") -> None:
@@ -247,7 +260,7 @@ class Aircraft(_Entry):
 
         Examples
         --------
-        >>> plain_aircraft(["elevator"]).model("elevator").plan.delay_s
+        >>> plain_aircraft(["elevator"], "hs225bb-eq31").model("elevator").plan.delay_s
         0.004
         """
         model = ServoModel.of(self.servo(surface))
@@ -259,8 +272,8 @@ class Aircraft(_Entry):
         return model + Extension(effects_installed(plant_of(model).neutral, entry.effects))
 
 
-def plain_aircraft(surfaces: Iterable[str], servo: str = DEFAULT_SERVO) -> Aircraft:
-    """Aircraft of a plain table: columns ``<surface>_cmd_deg`` and ``<surface>_pos_deg``, one servo for all.
+def plain_aircraft(surfaces: Iterable[str], servo: str = UNKNOWN_SERVO) -> Aircraft:
+    """Aircraft of a plain table: columns ``<surface>_cmd_deg`` and ``<surface>_pos_deg``, one servo for all, if any.
 
     Examples
     --------

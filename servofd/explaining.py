@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.aircraft import DEFAULT_SERVO, Aircraft, Surface
+from servofd.aircraft import Aircraft, Surface
 from servofd.bench import bench_aircraft
 from servofd.detection.audit import audit_log
 from servofd.detection.words import describe
@@ -18,7 +18,7 @@ from servofd.discrepancy.own import OwnEffect, load_own_effect
 from servofd.discrepancy.validity import Undriven, without_torque
 from servofd.discrepancy.varying import varying
 from servofd.errors import ConfigError, DesignError, NoMeasurement, UnknownName, suggest
-from servofd.job import aircraft_for, known_aircraft, logs_of
+from servofd.job import known_aircraft, logs_of, surfaces_of
 from servofd.models.physics import scaled_transfer
 from servofd.segment import cut
 from servofd.servos import Servo
@@ -198,20 +198,15 @@ class _Flown:
     def has_unknown_servo(self, surface: str) -> bool:
         """Whether the poles have to be found as well."""
         if self.servo is None:
-            return self.is_plain if not self.described else _is_bench(self.aircraft, surface)
+            return not self.aircraft.surfaces[surface].names_servo
         return self.servo == UNKNOWN
-
-    @property
-    def is_plain(self) -> bool:
-        """Whether it is a plain table, which names no servo."""
-        return not self.logs[0].is_of_autopilot and self.logs[0].format != "faser"
 
 
 def _opened(paths: Sequence[str | Path], aircraft: str | Path | Aircraft | None, servo: str | None) -> _Flown:
     known = known_aircraft(aircraft) or bench_aircraft(paths[0])
     logs = tuple(logs_of(paths, known))
     # The servo of a plain table is fitted along with what it may lack.
-    flown = known or aircraft_for(logs[0], DEFAULT_SERVO)
+    flown = known or surfaces_of(logs[0])
     if servo is not None and servo != UNKNOWN:
         flown = flown.with_servo(servo)
     return _Flown(logs, flown, known is not None, servo, ", ".join(map(str, paths)))
@@ -294,12 +289,6 @@ def _with_kind(found: Explanation, fault_s: float, log: FlightLog, aircraft: Air
     if not named or named[0].kind == "unknown":
         return found
     return replace(found, notes=(*found.notes, f"the audit can name that fault: {describe(named[0])}"))
-
-
-def _is_bench(aircraft: Aircraft, surface: str) -> bool:
-    """Whether an aircraft file describes a table of experiments, and no servo."""
-    entry = aircraft.surfaces[surface]
-    return aircraft.table is not None and bool(aircraft.table.run) and "servo" not in entry.model_fields_set
 
 
 def _segments(logs: Sequence[FlightLog], surface: str, aircraft: Aircraft) -> tuple[list[FlightLog], list[Segment]]:

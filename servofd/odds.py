@@ -123,7 +123,8 @@ def odds_from_design(
     Examples
     --------
     >>> from servofd.aircraft import plain_aircraft
-    >>> (odds,) = odds_from_design(plain_aircraft(["elevator"]), Wish(1e-6), noise_deg=0.1, rate_hz=100.0)
+    >>> plane = plain_aircraft(["elevator"], "hs225bb-eq31")
+    >>> (odds,) = odds_from_design(plane, Wish(1e-6), noise_deg=0.1, rate_hz=100.0)
     >>> round(odds.gaussian_threshold_deg, 3)
     0.292
     """

@@ -40,7 +40,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("-c", "--config", metavar="AIRCRAFT.toml", help="aircraft file, or the name of a shipped one")
     parser.add_argument(
-        "--servo", metavar="NAME", help="servo to assume for all surfaces: of the library, or FILE.toml"
+        "--servo",
+        metavar="NAME",
+        help="servo of all surfaces: of the library, FILE.toml, or unknown (fitted)",
     )
     parser.add_argument("-s", "--surface", action="append", default=[], metavar="NAME", help="judge only this surface")
     parser.add_argument("--threshold-deg", type=positive, metavar="X", help="alarm level [deg] (default: 1.5)")

@@ -29,7 +29,7 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
         "-s", "--surface", action="append", default=[], metavar="SURFACE", help="only this surface (default: all)"
     )
     parser.add_argument("-c", "--config", metavar="AIRCRAFT.toml", help="aircraft file, or the name of a shipped one")
-    parser.add_argument("--servo", metavar="NAME", help="servo to assume: of the library, FILE.toml, or unknown")
+    parser.add_argument("--servo", metavar="NAME", help="servo: of the library, FILE.toml, or unknown (fitted)")
     parser.add_argument("--effect", metavar="FILE.py", help="try an effect of your own as well (docs/explain.md)")
     parser.add_argument(
         "--also", nargs="+", default=[], metavar="FILE", help="judge the model on these flights, too, fitting nothing"

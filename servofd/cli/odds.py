@@ -28,7 +28,7 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
     )
     parser.add_argument("-c", "--config", metavar="AIRCRAFT.toml", help="aircraft file, or the name of a shipped one")
     parser.add_argument("--log", nargs="+", action="extend", default=[], metavar="LOG", help="healthy flights")
-    parser.add_argument("--servo", metavar="NAME", help="library servo to assume for all surfaces")
+    parser.add_argument("--servo", metavar="NAME", help="library servo of all surfaces; unknown: fitted to the flights")
     parser.add_argument("-s", "--surface", action="append", default=[], metavar="NAME", help="only this surface")
     parser.add_argument(
         "--false-alarms-per-hour", type=_positive, default=1e-3, metavar="X", help="wanted rate (default: 1e-3)"
@@ -74,13 +74,13 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _from_design(options: argparse.Namespace, wish: Wish) -> list[SurfaceOdds]:
-    from servofd.aircraft import plain_aircraft
+    from servofd.aircraft import UNKNOWN_SERVO, plain_aircraft
     from servofd.errors import ConfigError
     from servofd.odds import odds_from_design
 
     aircraft = _aircraft(options)
     if aircraft is None:
-        if options.servo is None:
+        if options.servo in (None, UNKNOWN_SERVO):
             raise ConfigError(
                 "odds of what? give an aircraft (-c faser), a servo (--servo NAME) or flights (--log LOG)"
             )
@@ -120,13 +120,14 @@ def _from_logs(options: argparse.Namespace, wish: Wish) -> tuple[list[SurfaceOdd
 
 
 def _aircraft(options: argparse.Namespace, *, with_servo: bool = True) -> Aircraft | None:
-    from servofd.aircraft import load_aircraft
+    from servofd.aircraft import UNKNOWN_SERVO, load_aircraft
     from servofd.servos import servo_named
 
-    if options.servo:
-        servo_named(options.servo)
     aircraft = load_aircraft(options.config) if options.config else None
-    return aircraft.with_servo(options.servo) if aircraft and options.servo and with_servo else aircraft
+    if options.servo in (None, UNKNOWN_SERVO):
+        return aircraft
+    servo_named(options.servo)
+    return aircraft.with_servo(options.servo) if aircraft and with_servo else aircraft
 
 
 def _check_surfaces(options: argparse.Namespace, aircraft: Aircraft) -> None:

@@ -24,7 +24,9 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument("--folder", default="flights", metavar="DIR", help="folder of logs (default: flights)")
     parser.add_argument("-c", "--config", metavar="AIRCRAFT.toml", help="aircraft file, or the name of a shipped one")
     parser.add_argument(
-        "--servo", metavar="NAME", help="servo to assume for all surfaces: of the library, or FILE.toml"
+        "--servo",
+        metavar="NAME",
+        help="servo of all surfaces: of the library, FILE.toml, or unknown (fitted)",
     )
     parser.add_argument("--port", type=_port, default=_PORT, metavar="PORT", help=f"(default: {_PORT}; 0: a free one)")
     parser.add_argument(

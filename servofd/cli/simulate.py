@@ -42,7 +42,11 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
         "there, in real time",
     )
     parser.add_argument("-c", "--config", metavar="AIRCRAFT.toml", help="aircraft file, or the name of a shipped one")
-    parser.add_argument("--servo", metavar="NAME", help="library servo for all surfaces")
+    parser.add_argument(
+        "--servo",
+        metavar="NAME",
+        help="library servo of all surfaces; default: as in the shipped simulated",
+    )
     parser.add_argument("--duration", type=float, metavar="S", help="length [s] (default: 60; of a stream 600)")
     parser.add_argument(
         "--rate-hz",
@@ -99,7 +103,7 @@ def run(options: argparse.Namespace) -> int:
     """Simulate, and write or fly."""
     if options.airframe is not None or options.turbulence is not None or options.engine_cut is not None:
         return _run_airframe(options)
-    from servofd.aircraft import DEFAULT_SERVO, load_aircraft, plain_aircraft
+    from servofd.aircraft import UNKNOWN_SERVO, load_aircraft, plain_aircraft
     from servofd.errors import ConfigError
     from servofd.servos import servo_named
     from servofd.simulation.flight import simulate_flight
@@ -116,16 +120,17 @@ def run(options: argparse.Namespace) -> int:
     usual_hz, usual_s = (writer.rate_hz, 60.0) if writer else (_LOOP_HZ, _LIVE_S)
     rate_hz = usual_hz if options.rate_hz is None else options.rate_hz
     duration_s = usual_s if options.duration is None else options.duration
-    if options.servo:
-        servo_named(options.servo)
+    servo = None if options.servo == UNKNOWN_SERVO else options.servo
+    if servo is not None:
+        servo_named(servo)
     if options.seed < 0:
         raise ConfigError(f"--seed {options.seed}: give a whole number of zero or more")
     shipped = "faser" if writer and Path(options.output).suffix.lower() == ".mat" else None
     config = options.config or shipped
     surfaces = ("elevator", "aileron", "rudder")
-    aircraft = load_aircraft(config) if config else plain_aircraft(surfaces, options.servo or DEFAULT_SERVO)
-    if config and options.servo:
-        aircraft = aircraft.with_servo(options.servo)
+    aircraft = load_aircraft(config) if config else plain_aircraft(surfaces, _simulated_servo())
+    if servo is not None:
+        aircraft = aircraft.with_servo(servo)
     effects: dict[str, list[Effect]] = {}
     for text in options.effect:
         surface, effect = _effect(text)
@@ -150,6 +155,13 @@ def run(options: argparse.Namespace) -> int:
     write_flight(options.output, flown, aircraft, generation=options.generation)
     print(f"{options.output}: {duration_s:g} s at {rate_hz:g} Hz, {', '.join(flown.surfaces)}")
     return 0
+
+
+def _simulated_servo() -> str:
+    """Servo of the aircraft that comes with servofd to be simulated."""
+    from servofd.aircraft import load_aircraft
+
+    return next(iter(load_aircraft("simulated").surfaces.values())).servo
 
 
 def _run_airframe(options: argparse.Namespace) -> int:

@@ -31,14 +31,14 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Check, then write or print."""
-    from servofd.job import aircraft_for, known_aircraft, one_log
+    from servofd.job import flown_aircraft, known_aircraft, one_log
     from servofd.outputs.files import write_whole
     from servofd.outputs.json_report import to_json
     from servofd.sweep import check_sweep
 
     known = known_aircraft(options.config)
     log = one_log(options.log, known)
-    aircraft = known or aircraft_for(log)
+    aircraft = flown_aircraft(log, known)
     aircraft.check_names(options.surface, log.label)
     found = check_sweep(log, aircraft, tuple(options.surface))
     document = to_json(sweep_document(log, found))

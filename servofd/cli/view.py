@@ -19,7 +19,9 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument("file", metavar="LOG|RECORDING", help="a log that audit reads, or an .rrd file")
     parser.add_argument("-c", "--config", metavar="AIRCRAFT.toml", help="aircraft file, or the name of a shipped one")
     parser.add_argument(
-        "--servo", metavar="NAME", help="servo to assume for all surfaces: of the library, or FILE.toml"
+        "--servo",
+        metavar="NAME",
+        help="servo of all surfaces: of the library, FILE.toml, or unknown (fitted)",
     )
     parser.add_argument("--include-position", action="store_true", help="show where the aircraft flew")
     parser.add_argument(

@@ -138,7 +138,7 @@ class SurfaceMonitor:
     Examples
     --------
     >>> from servofd.aircraft import plain_aircraft
-    >>> aircraft = plain_aircraft(["rudder"])
+    >>> aircraft = plain_aircraft(["rudder"], "hs225bb-eq31")
     >>> model = aircraft.model("rudder")
     >>> monitor = SurfaceMonitor("rudder", aircraft.surfaces["rudder"], model)
     >>> time_s = np.arange(0.0, 20.0, 0.02)

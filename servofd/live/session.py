@@ -51,7 +51,7 @@ def stamped(arrival_s: float, frame: bytes) -> bytes:
 
 def _load_bank() -> None:
     """Have the bank look at a made-up jam: whatever it loads and compiles is there before the first alarm."""
-    aircraft = plain_aircraft(["any"])
+    aircraft = plain_aircraft(["any"], "s9254")
     model = aircraft.model("any")
     surface = aircraft.surfaces["any"].model_copy(update={"threshold": "interval"})
     time_s = np.arange(0.0, 16.0, 0.02)

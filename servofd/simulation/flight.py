@@ -91,7 +91,7 @@ def simulate_flight(
     --------
     >>> from servofd.aircraft import plain_aircraft
     >>> from servofd.models.faults import Stuck
-    >>> flown = simulate_flight(plain_aircraft(["rudder"]), duration_s=20.0, noise_deg=0.0,
+    >>> flown = simulate_flight(plain_aircraft(["rudder"], "hs225bb-eq31"), duration_s=20.0, noise_deg=0.0,
     ...                         faults={"rudder": Stuck(10.0)})
     >>> bool(np.ptp(flown.measured_deg[1001:, 0]) == 0.0)
     True

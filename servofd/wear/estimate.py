@@ -98,7 +98,7 @@ def estimate_flight(segment: Segment, aircraft: Aircraft, voltage_v: float | Non
     >>> from servofd.models.faults import DeadBand
     >>> from servofd.segment import Segment
     >>> from servofd.simulation.flight import simulate_flight
-    >>> plane = plain_aircraft(["rudder"])
+    >>> plane = plain_aircraft(["rudder"], "hs225bb-eq31")
     >>> flown = simulate_flight(plane, seed=1, faults={"rudder": DeadBand(0.0, width_deg=0.8)})
     >>> segment = Segment("rudder", flown.time_s, flown.command_deg[:, 0], flown.time_s, flown.measured_deg[:, 0])
     >>> values = estimate_flight(segment, plane).values

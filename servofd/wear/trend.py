@@ -149,7 +149,7 @@ def limits_of(aircraft: Aircraft, surface: str) -> dict[str, float]:
     Examples
     --------
     >>> from servofd.aircraft import plain_aircraft
-    >>> limits = limits_of(plain_aircraft(["rudder"]), "rudder")
+    >>> limits = limits_of(plain_aircraft(["rudder"], "hs225bb-eq31"), "rudder")
     >>> limits["dead_band_deg"], round(limits["delay_s"], 4), round(limits["bandwidth_hz"], 2)
     (2.0, 0.019, 3.17)
     """

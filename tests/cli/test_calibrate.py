@@ -31,7 +31,7 @@ def written(folder: Path, name: str, time_s: FloatArray, command_deg: FloatArray
 
 
 def flown(seed: int = 1, **options: object) -> SimulatedFlight:
-    return simulate_flight(plain_aircraft(["rudder"]), seed=seed, **({"duration_s": 30.0} | options))  # type: ignore[arg-type]
+    return simulate_flight(plain_aircraft(["rudder"], "hs225bb-eq31"), seed=seed, **({"duration_s": 30.0} | options))  # type: ignore[arg-type]
 
 
 def logged(folder: Path, name: str, flight: SimulatedFlight) -> str:
@@ -158,7 +158,7 @@ def test_a_surface_that_was_not_moved_cannot_be_judged(
 ) -> None:
     time_s = np.arange(0.0, 10.0, 0.01)
     command_deg = 1.0 * np.sin(time_s)
-    measured_deg = plain_aircraft(["rudder"]).model("rudder").simulate(time_s, command_deg, time_s)
+    measured_deg = plain_aircraft(["rudder"], "hs225bb-eq31").model("rudder").simulate(time_s, command_deg, time_s)
     log = written(tmp_path, "still.csv", time_s, command_deg, measured_deg + 0.02 * np.sin(50.0 * time_s))
     assert main(["sweep", log, "-c", config]) == 2
     assert "move it at least ±3 deg" in capsys.readouterr().out
@@ -167,7 +167,7 @@ def test_a_surface_that_was_not_moved_cannot_be_judged(
 def test_a_sweep_measures_what_is_wrong(tmp_path: Path, config: str, capsys: pytest.CaptureFixture[str]) -> None:
     time_s = np.arange(0.0, 20.0, 0.01)
     command_deg = 15.0 * np.sin(3.0 * time_s) * np.sign(np.sin(0.7 * time_s))
-    healthy_deg = plain_aircraft(["rudder"]).model("rudder").simulate(time_s, command_deg, time_s)
+    healthy_deg = plain_aircraft(["rudder"], "hs225bb-eq31").model("rudder").simulate(time_s, command_deg, time_s)
     noise_deg = 0.05 * np.random.default_rng(0).standard_normal(time_s.size)
     log = written(tmp_path, "weak.csv", time_s, command_deg, 0.94 * healthy_deg + noise_deg)
     code = main(["sweep", log, "-c", config, "--json", "-"])

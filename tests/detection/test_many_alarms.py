@@ -26,9 +26,9 @@ TIME_S = np.arange(6000) / 50.0
 def audited(level_deg: float, *, stuck: bool = False) -> SurfaceAudit:
     fault = Stuck(60.0, end_s=80.0) if stuck else None
     segment = Segment("x", TIME_S, command(2, TIME_S), TIME_S, flown(2, fault, TIME_S))
-    surface = plain_aircraft(["x"]).surfaces["x"].model_copy(update={"threshold_deg": level_deg})
+    surface = plain_aircraft(["x"], "hs225bb-eq31").surfaces["x"].model_copy(update={"threshold_deg": level_deg})
     return audit_segment(
-        segment, plain_aircraft(["x"]).model_copy(update={"surfaces": {"x": surface}}), duration_s=120.0
+        segment, plain_aircraft(["x"], "hs225bb-eq31").model_copy(update={"surfaces": {"x": surface}}), duration_s=120.0
     )
 
 

@@ -22,7 +22,7 @@ def faulty(kind: str, seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     waves = ((6.0, 1.3), (4.0, 3.3), (3.0, 6.9))
     command_deg = np.sum([a * np.sin(w * time_s + rng.uniform(0.0, 6.0)) for a, w in waves], axis=0)
     command_deg = command_deg + 5.0 * np.sign(np.sin(0.7 * time_s + rng.uniform(0.0, 6.0)))
-    healthy_deg = plain_aircraft(["x"]).model("x").simulate(time_s, command_deg, time_s)
+    healthy_deg = plain_aircraft(["x"], "hs225bb-eq31").model("x").simulate(time_s, command_deg, time_s)
     measured_deg, on = healthy_deg.copy(), (time_s >= BEGINS_S) & (time_s < ENDS_S)
     first, behind = np.flatnonzero(on)[[0, -1]] + (0, 1)
     here_s, here_deg = time_s[on], healthy_deg[on]
@@ -50,7 +50,7 @@ def faulty(kind: str, seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def told(kind: str, seed: int) -> list[Event]:
-    aircraft = plain_aircraft(["x"])
+    aircraft = plain_aircraft(["x"], "hs225bb-eq31")
     entry = aircraft.surfaces["x"].model_copy(update={"threshold": "interval"})
     monitor, events = SurfaceMonitor("x", entry, aircraft.model("x")), []
     time_s, command_deg, measured_deg = faulty(kind, seed)

@@ -72,5 +72,5 @@ def judged(
     """Faults of a surface; a constant threshold is at 1.5 deg."""
     segment = Segment("x", time_s, command_deg, time_s, measured_deg)
     generator = ResidualGenerator.fitting(MODEL, segment, None)
-    surface = plain_aircraft(["x"]).surfaces["x"].model_copy(update={"threshold": threshold})
+    surface = plain_aircraft(["x"], "hs225bb-eq31").surfaces["x"].model_copy(update={"threshold": threshold})
     return judge(generator, segment, generator.run(segment), surface)

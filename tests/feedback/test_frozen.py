@@ -35,6 +35,7 @@ def audited(dead: BoolArray, jammed: BoolArray) -> SurfaceAudit:
         {
             "surfaces": {
                 "elevator": {
+                    "servo": "hs225bb-eq31",
                     "command": {"channel": "cmd", "unit": "deg"},
                     "measured": {"channel": "pos", "unit": "deg"},
                     "alive": ["volts"],

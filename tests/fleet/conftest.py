@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four healthy flights of 12 s, one whose rudder jams at 6 s, prose, noise, nothing, and a broken table."""
     folder = tmp_path_factory.mktemp("logs")
-    plane = plain_aircraft(["elevator", "rudder"])
+    plane = plain_aircraft(["elevator", "rudder"], "hs225bb-eq31")
     (folder / "may").mkdir()
     for seed in range(5):
         faults = {"rudder": Stuck(6.0)} if seed == 4 else {}

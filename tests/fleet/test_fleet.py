@@ -282,7 +282,7 @@ def test_a_key_depends_on_all_that_decides_a_verdict() -> None:
 
     jobs = [
         Job(),
-        Job(plain_aircraft(["rudder"])),
+        Job(plain_aircraft(["rudder"], "hs225bb-eq31")),
         Job(servo="s9254"),
         Job(threshold_deg=1.0),
         Job(threshold="interval"),

@@ -58,9 +58,9 @@ __all__ = [
 ]
 
 ROOT = Path(__file__).resolve().parents[2]
-PLANE = plain_aircraft(["elevator", "rudder"])
+PLANE = plain_aircraft(["elevator", "rudder"], "hs225bb-eq31")
 SECONDS = 5.0
-ONE = plain_aircraft(["elevator"])
+ONE = plain_aircraft(["elevator"], "hs225bb-eq31")
 ONE_SURFACE = plane_file(["elevator"])
 """Aircraft file for what is judged at every input: a second surface takes its time, and reaches no other line."""
 

@@ -124,7 +124,7 @@ def test_results_name_no_folder_outside(results: Path) -> None:
 
 
 def test_messages_that_come_again_change_nothing() -> None:
-    plane, flown = plain_aircraft(["elevator"]), seeds.flight()
+    plane, flown = plain_aircraft(["elevator"], "hs225bb-eq31"), seeds.flight()
     asked, seen = flown.command_deg[:, 0], flown.measured_deg[:, 0]
 
     def last_reading(again: int) -> object:
@@ -139,7 +139,7 @@ def test_messages_that_come_again_change_nothing() -> None:
 
 
 def test_a_stream_of_one_instant_is_not_judged() -> None:
-    plane = plain_aircraft(["elevator"])
+    plane = plain_aircraft(["elevator"], "hs225bb-eq31")
     monitor = SurfaceMonitor("elevator", plane.surfaces["elevator"], plane.model("elevator"))
     stamps, values = np.full(300, 7.0), np.arange(300.0) % 9.0
     assert monitor.feed((stamps, values), (stamps, values)) == []

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from logparsers.link import Link
     from servofd.simulation.vehicle.messages import Send
 
-PLANE = plain_aircraft(["elevator", "aileron", "rudder"])
+PLANE = plain_aircraft(["elevator", "aileron", "rudder"], "hs225bb-eq31")
 DEADLINE_S = 20.0
 GROUND = (255, 190)
 

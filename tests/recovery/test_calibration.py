@@ -50,7 +50,9 @@ def flown(servo: FleetServo, seed: int, style: str, duration_s: float = 120.0) -
 
 
 def calibrated(*segments: Segment) -> Calibration:
-    return calibrate_aircraft(plain_aircraft(["x"]), {"x": [Flight(f"{k}.csv", s) for k, s in enumerate(segments)]})
+    return calibrate_aircraft(
+        plain_aircraft(["x"], "hs225bb-eq31"), {"x": [Flight(f"{k}.csv", s) for k, s in enumerate(segments)]}
+    )
 
 
 def judged(aircraft: Aircraft, segment: Segment) -> SurfaceAudit:
@@ -94,9 +96,9 @@ def test_hidden_numbers_are_found() -> None:
     scale, shift_deg = one.measured.correction
     assert 1.0 / scale == pytest.approx(0.97, abs=0.01)
     assert shift_deg == pytest.approx(0.25 / 0.97, abs=0.03)
-    assert one.servo.transfer.bandwidth_rad_s / plain_aircraft(["x"]).servo("x").transfer.bandwidth_rad_s == (
-        pytest.approx(1.1, rel=0.1)
-    )
+    assert one.servo.transfer.bandwidth_rad_s / plain_aircraft(["x"], "hs225bb-eq31").servo(
+        "x"
+    ).transfer.bandwidth_rad_s == (pytest.approx(1.1, rel=0.1))
     assert one.known.noise.still_deg == pytest.approx(0.1, rel=0.15)
     assert one.held_out_rms_deg == pytest.approx(0.1, rel=0.15)
 

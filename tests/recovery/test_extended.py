@@ -231,6 +231,7 @@ def test_the_audit_simulates_what_was_fitted(name: str, size: dict[str, float | 
 def audited(log: Hidden, effects: dict[str, dict[str, float]], folder: Path, **changes: object) -> SurfaceAudit:
     path = log.write(folder / "log.csv")
     surface: dict[str, object] = {
+        "servo": "hs225bb-eq31",
         "command": {"channel": "elevator_cmd_deg", "unit": "deg"},
         "measured": {"channel": "elevator_pos_deg", "unit": "deg"},
         "effects": effects,
@@ -283,6 +284,7 @@ def broken(log: Hidden, position_deg: FloatArray) -> Hidden:
 )
 def test_simulated_faults_of_a_servo_with_effects_are_named(fault: Fault, kind: str) -> None:
     entry = {
+        "servo": "hs225bb-eq31",
         "command": {"channel": "c", "unit": "deg"},
         "measured": {"channel": "p", "unit": "deg"},
         "threshold": "interval",
@@ -323,7 +325,7 @@ def test_an_effect_without_its_signal_is_left_out_and_said(tmp_path: Path) -> No
     rows = [",".join(line.split(",")[:3]) for line in path.read_text().splitlines()]
     path.write_text("\n".join(rows) + "\n")
     (tmp_path / "a.toml").write_text(
-        '[surfaces.elevator]\ncommand = { channel = "elevator_cmd_deg", unit = "deg" }\n'
+        '[surfaces.elevator]\nservo = "hs225bb-eq31"\ncommand = { channel = "elevator_cmd_deg", unit = "deg" }\n'
         'measured = { channel = "elevator_pos_deg", unit = "deg" }\n'
         "[surfaces.elevator.effects]\nairload = { deg_per_deg_pa = 6e-4 }\nvoltage_rate = { deg_s_per_v = 60.0 }\n"
     )
@@ -349,7 +351,8 @@ def test_an_effect_without_its_signal_is_left_out_and_said(tmp_path: Path) -> No
 def test_wrong_effects_are_refused_at_the_door(effects: str, reason: str, tmp_path: Path) -> None:
     path = tmp_path / "a.toml"
     path.write_text(
-        '[surfaces.elevator]\ncommand = { channel = "c", unit = "deg" }\n[surfaces.elevator.effects]\n' + effects
+        '[surfaces.elevator]\nservo = "s9254"\ncommand = { channel = "c", unit = "deg" }\n'
+        f"[surfaces.elevator.effects]\n{effects}"
     )
     with pytest.raises(ConfigError, match="elevator") as error:
         load_aircraft(path)
@@ -364,9 +367,8 @@ def test_wrong_effects_are_refused_at_the_door(effects: str, reason: str, tmp_pa
 )
 def test_a_monitor_in_flight_sees_what_the_audit_sees(effects: dict[str, dict[str, float]]) -> None:
     log = hide(FineServo(backlash_deg=0.8), duration_s=12.0)
-    surface = Aircraft.model_validate(
-        {"surfaces": {"x": {"command": {"channel": "c", "unit": "deg"}, "threshold": "interval", "effects": effects}}}
-    )
+    entry = {"servo": "hs225bb-eq31", "command": {"channel": "c", "unit": "deg"}, "threshold": "interval"}
+    surface = Aircraft.model_validate({"surfaces": {"x": {**entry, "effects": effects}}})
     segment = Segment("x", log.time_s, log.command_deg, log.time_s, log.position_deg)
     generator = ResidualGenerator.fitting(surface.model("x"), segment)
     stream = Stream(generator, surface.surfaces["x"], segment.period_s, rhythm(log.time_s))

@@ -45,7 +45,9 @@ def example(title: str) -> dict[str, Any]:
 def bench_log(jammed_s: float | None) -> bytes:
     """A flight as the recorder of the example writes it."""
     faults = {} if jammed_s is None else {"elevator": Stuck(jammed_s)}
-    flight = simulate_flight(plain_aircraft(["elevator"]), duration_s=30.0, faults=faults, command="lively")
+    flight = simulate_flight(
+        plain_aircraft(["elevator"], "hs225bb-eq31"), duration_s=30.0, faults=faults, command="lively"
+    )
     record = np.zeros(flight.time_s.size, dtype=[("time_ms", ">u4"), ("angle", ">i2", (2,))])
     record["time_ms"] = np.round(flight.time_s * 1e3)
     angles_deg = np.hstack([flight.command_deg, flight.measured_deg])

@@ -237,7 +237,7 @@ def test_px4_holds_the_truth(aircraft: Aircraft, flight: SimulatedFlight, tmp_pa
 
 def test_clocks_overflow_and_the_reader_counts_on(tmp_path: Path) -> None:
     """`time_usec` has 32 bits: 71.6 minutes."""
-    aircraft = plain_aircraft(["rudder"])
+    aircraft = plain_aircraft(["rudder"], "hs225bb-eq31")
     flown = fly_long(aircraft)
     path = tmp_path / "long.tlog"
     write_flight(path, flown, aircraft)
@@ -284,7 +284,10 @@ def test_the_command_line_chooses_rate_and_generation(tmp_path: Path, capsys: py
 
 
 def test_what_cannot_be_logged_is_refused(tmp_path: Path) -> None:
-    three, nine = plain_aircraft(["elevator"]), plain_aircraft([f"surface{k}" for k in range(9)])
+    three, nine = (
+        plain_aircraft(["elevator"], "hs225bb-eq31"),
+        plain_aircraft([f"surface{k}" for k in range(9)], "hs225bb-eq31"),
+    )
     bare = simulate_flight(three, duration_s=2.0)
     for suffix in (".bin", ".tlog", ".ulg"):
         with pytest.raises(ConfigError, match="outputs_of"):

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from servofd.types import FloatArray
 
-PLANE = plain_aircraft(["rudder"])
+PLANE = plain_aircraft(["rudder"], "hs225bb-eq31")
 START = datetime.datetime(2026, 5, 1, 9, 0, tzinfo=datetime.UTC)
 
 

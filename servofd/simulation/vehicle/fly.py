@@ -62,7 +62,7 @@ def legs(flight: SimulatedFlight, aircraft: Aircraft, settings: Settings) -> tup
     >>> from servofd.simulation.pulses import outputs_of
     >>> from servofd.simulation.vehicle.troubles import Reboot
     >>> from servofd.simulation.vehicle.vehicle import Settings
-    >>> plane = plain_aircraft(["elevator"])
+    >>> plane = plain_aircraft(["elevator"], "hs225bb-eq31")
     >>> flown = simulate_flight(plane, duration_s=9.0, rate_hz=50.0, outputs=outputs_of(plane))
     >>> [(leg.begun_s, leg.vehicle.time_us.size) for leg in legs(flown, plane, Settings(troubles=(Reboot(3.0, 2.0),)))]
     [(0.0, 150), (5.0, 200)]

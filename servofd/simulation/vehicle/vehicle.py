@@ -98,7 +98,7 @@ class Vehicle:
     >>> from servofd.aircraft import plain_aircraft
     >>> from servofd.simulation.flight import simulate_flight
     >>> from servofd.simulation.pulses import outputs_of
-    >>> plane = plain_aircraft(["elevator"])
+    >>> plane = plain_aircraft(["elevator"], "hs225bb-eq31")
     >>> flown = simulate_flight(plane, duration_s=2.0, rate_hz=50.0, outputs=outputs_of(plane))
     >>> vehicle = Vehicle(flown, plane)
     >>> [message.name for message in vehicle.turn(0)]
