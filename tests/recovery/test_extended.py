@@ -367,8 +367,8 @@ def test_wrong_effects_are_refused_at_the_door(effects: str, reason: str, tmp_pa
 )
 def test_a_monitor_in_flight_sees_what_the_audit_sees(effects: dict[str, dict[str, float]]) -> None:
     log = hide(FineServo(backlash_deg=0.8), duration_s=12.0)
-    entry = {"servo": "hs225bb-eq31", "command": {"channel": "c", "unit": "deg"}, "threshold": "interval"}
-    surface = Aircraft.model_validate({"surfaces": {"x": {**entry, "effects": effects}}})
+    known = {"servo": "hs225bb-eq31", "command": {"channel": "c", "unit": "deg"}, "threshold": "interval"}
+    surface = Aircraft.model_validate({"surfaces": {"x": {**known, "effects": effects}}})
     segment = Segment("x", log.time_s, log.command_deg, log.time_s, log.position_deg)
     generator = ResidualGenerator.fitting(surface.model("x"), segment)
     stream = Stream(generator, surface.surfaces["x"], segment.period_s, rhythm(log.time_s))
