@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from logparsers.channels import MOST_CHANNELS, Series
+from logparsers.dataflash.formats import DICTIONARY
 
 if TYPE_CHECKING:
     import numpy as np
@@ -15,8 +16,6 @@ if TYPE_CHECKING:
     Group = tuple[str, Any]
 
 __all__ = ["DataFlashRecording"]
-
-DICTIONARY: Final = ("FMT", "FMTU", "MULT", "PARM", "UNIT")  # what the log says about itself
 
 
 class DataFlashRecording:

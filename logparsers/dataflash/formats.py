@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 __all__ = [
+    "DICTIONARY",
     "FMT",
     "HEADER_SIZE",
     "NUMBER",
@@ -62,6 +63,7 @@ CHARACTERS: Final[Mapping[str, tuple[str, float | None]]] = {
     "Q": ("<u8", None),
 }
 TEXT: Final = "nNZ"
+DICTIONARY: Final = ("FMT", "FMTU", "MULT", "PARM", "UNIT")  # what the log says about itself
 NUMBER, WORDS = True, False  # what a column holds
 COLUMN_NAME: Final = re.compile(r"[!-\-/-Z\\^-~]+")  # printable, and free of the . [ ] of channel names
 PREFIXES: Final[Mapping[float, str]] = {

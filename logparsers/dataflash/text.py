@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from logparsers.dataflash.formats import FMT, Layout, define
+from logparsers.dataflash.formats import DICTIONARY, FMT, Layout, define
 from logparsers.dataflash.scan import NO_TIME, clock_steps
 from logparsers.dataflash.store import Step, Stretch
 from logparsers.dataflash.units import apply_units
@@ -26,6 +26,13 @@ BYTES_AT_ONCE: Final = 1 << 24
 LISTED: Final = 1000
 BAD: Final = -1
 MOST_US: Final = 2**48  # more than eight years
+LOOP_US: Final = 100_000
+"""ArduPilot of 2012 to 2014 logged attitude from its loop of 10 Hz unless it was told otherwise."""
+GPS_CLOCKS: Final = ("T", "TimeMS", "Time")
+"""Columns of GPS that count milliseconds, since boot or since the week began."""
+SPIKE_MS: Final = 60_000.0
+"""One stamp of GPS that is so far from the middle of itself and its neighbours is damage."""
+STAMP: Final = "TimeUS"
 COMMA, NEWLINE = ord(","), ord("\n")
 
 
@@ -51,6 +58,9 @@ class TextStore:
         starts, commas, names = _lines(np.frombuffer(data, np.uint8))
         self._starts = starts
         self._index(commas, names)
+        self._spread_us: NDArray[np.int64] | None = None
+        self._spread: frozenset[str] = frozenset()
+        self._give_stamps()
         apply_units(self.layouts, self.read)
         self._follow_clock()
 
@@ -90,13 +100,18 @@ class TextStore:
         layout = self.layouts[name]
         lines = self._lines.get(name, np.zeros(0, np.int64))
         lines = lines if rows is None else lines[rows]
-        wanted = [layout.fields[f] for f in fields]
+        found: dict[str, NDArray[Any]] = {}
+        given = name in self._spread  # a stamp that is not written stands before the cells that are
+        if given and self._spread_us is not None and STAMP in fields:
+            found[STAMP] = self._spread_us[lines]
+        wanted = [layout.fields[f] for f in fields if f not in found]
         cells: list[list[bytes]] = [[] for _ in wanted]
-        for line in lines.tolist():
+        for line in lines.tolist() if wanted else ():
             parts = self._line(line).split(b",", len(layout.columns))
             for column, into in zip(wanted, cells, strict=True):
-                into.append(parts[column.position + 1].strip())
-        return {c.name: _parse(c, column) for c, column in zip(wanted, cells, strict=True)}
+                into.append(parts[column.position + 1 - given].strip())
+        found |= {c.name: _parse(c, column) for c, column in zip(wanted, cells, strict=True)}
+        return {field: found[field] for field in fields}
 
     def suspect(self, name: str) -> NDArray[np.bool_]:
         """Rows whose time stamp contradicts the lines around them.
@@ -156,6 +171,55 @@ class TextStore:
             self.stretches.append(Stretch(offset, length, "bad_line"))
         else:
             self.more_stretches = (self.more_stretches[0] + 1, self.more_stretches[1] + length)
+
+    def _give_stamps(self) -> None:
+        """Spread the lines of a log without stamps: between the times of GPS, or at the rate of the loop."""
+        named = [name for name in self._lines if name != "FMT" and self.count(name)]
+        if any(_is_timed(self.layouts[name]) for name in named):
+            return
+        bare = [name for name in named if self.layouts[name].clock is None and name not in DICTIONARY]
+        if not bare:
+            return
+        known, time_us = self._anchors()
+        how = "between those of GPS"
+        if known.size < 2:
+            paced = max(bare, key=self.count)
+            known, how = self._lines[paced], f"as if {paced} came at {1_000_000 // LOOP_US} Hz"
+            time_us = LOOP_US * np.arange(1, known.size + 1)
+        if known.size > 1:
+            pace_us = (time_us[-1] - time_us[0]) / (known[-1] - known[0])
+            lines = np.arange(self._starts.size)
+            beyond = np.where(lines < known[0], lines - known[0], np.maximum(lines - known[-1], 0))
+            spread = np.interp(lines, known, time_us) + pace_us * beyond
+            self._spread_us = np.maximum(spread, 0.0).astype(np.int64)
+        else:
+            self._spread_us = np.full(self._starts.size, LOOP_US)
+        self._spread = frozenset(bare)
+        for name in bare:
+            old = self.layouts[name]
+            columns = ",".join((STAMP, *old.columns))
+            new = define(type=old.type, name=name, length=old.length, format="Q" + old.format, columns=columns)
+            self.layouts[name] = dataclasses.replace(new, fields={
+                n: dataclasses.replace(f, character=old.fields[n].character) if n in old.fields else f
+                for n, f in new.fields.items()
+            })  # fmt: skip
+        rows = sum(map(self.count, bare))
+        self.notes.append(f"no time stamps in {rows} rows: spread {how}; times, rates and the duration are estimates")
+
+    def _anchors(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Lines of GPS and their times as long as those rise [us]; from 0 unless they count from boot."""
+        layout = self.layouts.get("GPS")
+        clock = next((name for name in GPS_CLOCKS if layout and name in layout.fields), "")
+        if not clock or layout is None or not layout.fields[clock].is_number or not self.count("GPS"):
+            return np.zeros(0, np.int64), np.zeros(0, np.int64)
+        ms = self.read("GPS", [clock])[clock].astype(np.float64)
+        rows = np.flatnonzero((ms > 0.0) & (ms < MOST_US / 1000))
+        middle = np.median([ms[rows], *(np.roll(ms[rows], step) for step in (1, -1))], axis=0)
+        rows = rows[np.abs(ms[rows] - middle) < SPIKE_MS] if rows.size > 2 else rows
+        rows = rows[np.flatnonzero(np.diff(np.maximum.accumulate(ms[rows]), prepend=0.0) > 0.0)]
+        time_us = (1000.0 * ms[rows]).astype(np.int64)
+        lines: NDArray[np.int64] = self._lines["GPS"][rows]
+        return lines, time_us if clock == "T" or not rows.size else time_us - time_us[0]
 
     def _follow_clock(self) -> None:
         """Find gaps and jumps of the clock, and lines whose time stamp is wrong."""

@@ -47,6 +47,10 @@ if TYPE_CHECKING:
 __all__ = ["DOORS", "Door", "entered"]
 
 Refusal = (LogError, ServofdError)
+_PLANES = {kind: kind for kind in ("dataflash", "dataflash_text", "tlog", "ulog")} | dict.fromkeys(
+    ("packed", "mavlogdump_matlab", "mission_planner_matlab", "exported_table"), "dataflash"
+)
+"""Logs that have an aircraft file beside them, and the kind of log that it is drafted from."""
 _JUDGED, _DRAFTED, _SHOWN, _USED = 50, 2500, 1000, 5
 """One in so many sound logs is judged, and one with an aircraft drafted from it, which takes a second, as does the page
 of a fleet; and one in so many sound aircraft files is used."""
@@ -105,8 +109,9 @@ def _log(content: bytes, folder: Path) -> str:
 def _log_seeds(kind: str, folder: Path) -> list[bytes]:
     """Files of a kind; beside them the aircraft of those that would have to be fitted to each of them."""
     found = seeds.logs_of(kind)
-    if kind in ("dataflash", "dataflash_text", "tlog", "ulog"):
-        (folder / "plane.toml").write_bytes(seeds.drafted(found[0]))
+    plane = _PLANES.get(kind)
+    if plane:
+        (folder / "plane.toml").write_bytes(seeds.drafted(found[0] if plane == kind else seeds.logs_of(plane)[0]))
     return found
 
 
@@ -304,8 +309,12 @@ DOORS: Mapping[str, Door] = MappingProxyType(
         "dataflash_text": _logs("dataflash_text", mutate.LINES),
         "tlog": _logs("tlog", mutate.TELEMETRY),
         "packed": _logs("packed", mutate.BYTES),
-        "exported_matlab": _logs("exported_matlab", mutate.BYTES),
+        "mavlogdump_matlab": _logs("mavlogdump_matlab", mutate.BYTES),
+        "mission_planner_matlab": _logs("mission_planner_matlab", mutate.BYTES),
         "exported_table": _logs("exported_table", mutate.LINES),
+        "ros_table": _logs("ros_table", mutate.LINES),
+        "old_text": _logs("old_text", mutate.LINES),
+        "one_frame": _logs("one_frame", mutate.TELEMETRY),
         "ulog": _logs("ulog", mutate.ULOG),
         "aircraft": Door(_aircraft_seeds, _aircraft, mutate.LINES),
         "servo": Door(_servo_seeds, _servo, mutate.LINES),

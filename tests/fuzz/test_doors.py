@@ -14,7 +14,19 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 FEW, MANY = 20, 200
-CHEAP = ("matlab4", "matlab5", "hdf5", "table", "packed", "exported_table", "results", "live")
+CHEAP = (
+    "matlab4",
+    "matlab5",
+    "hdf5",
+    "table",
+    "packed",
+    "exported_table",
+    "ros_table",
+    "old_text",
+    "one_frame",
+    "results",
+    "live",
+)
 """Doors whose sound inputs are made in no time."""
 
 

@@ -92,3 +92,20 @@ def as_text(messages: list[Message]) -> bytes:
             cells = (v[i].tobytes().hex() if v.ndim > 1 else str(v[i]) for v in table.values())
             rows.append((at, f"{name}, {', '.join(cells)}"))
     return "\n".join([*lines, *(row for _, row in sorted(rows, key=lambda r: r[0])), ""]).encode()
+
+
+def before_stamps(rows: int = 100, *, gps: str = "TimeMS") -> bytes:
+    """A text log of 2013: attitude at 10 Hz and throttle behind it, GPS once a second, and no stamp but that of GPS."""
+    head = [
+        "FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns",
+        "FMT, 129, 23, PARM, Nf, Name,Value",
+        "FMT, 1, 17, ATT, cccc, RollIn,Roll,PitchIn,Pitch",
+        "FMT, 4, 17, CTUN, hch, ThrIn,SonAlt,ThrOut",
+        f"FMT, 3, 31, GPS, BIHBe, Status,{gps},Week,NSats,Alt",
+        "PARM, SYSID_SW_TYPE, 0.000000",
+    ]
+    for k in range(rows):
+        if k % 10 == 0:
+            head.append(f"GPS, 3, {123_400_000 + 100 * k}, 1750, 9, {100 + k / 100:.2f}")
+        head += [f"ATT, 0.00, {k % 90}.25, -0.50, {k % 7}.00", f"CTUN, {k}, 1.50, {k + 3}"]
+    return "\n".join([*head, ""]).encode()

@@ -60,6 +60,20 @@ def dataflash(content: bytes) -> Series:
         return _dataflash(DFReader.DFReader_binary(path))
 
 
+def without_stamps(content: bytes) -> Mapping[str, Floats]:
+    """Values of a text log in which no message has a time, by pymavlink."""
+    found: dict[str, list[float]] = defaultdict(list)
+    with stored(content, ".log") as path:
+        reader: Any = DFReader.DFReader_text(path)
+        while (row := reader.recv_msg()) is not None:
+            if row.get_type() not in ("FMT", "PARM"):
+                for field in row.get_fieldnames():
+                    found[f"{row.get_type()}.{field}"].append(getattr(row, field))
+        reader.filehandle.close()
+        reader.close()
+    return {name: np.array(values, np.float64) for name, values in found.items()}
+
+
 def dataflash_text(content: bytes) -> Series:
     """By pymavlink."""
     with stored(content, ".log") as path:

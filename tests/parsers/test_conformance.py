@@ -253,6 +253,34 @@ class TestDataFlashText(TestDataFlash):
         return reference.dataflash_text(content)
 
 
+class TestTextWithoutStamps(Conformance):
+    """Of 2013: values are those of the lines; times are spread, which is on record."""
+
+    kind = "dataflash"
+    content = dataflash_writer.before_stamps(100)
+    expected = reference.without_stamps(content)
+    prefixes_are_logs = True
+
+    def check(self, log: FlightLog) -> None:
+        assert log.format == self.kind
+        assert set(log.channels) == set(self.expected)
+        for name, values in self.expected.items():
+            times_s = log[name].time_s
+            np.testing.assert_array_equal(log[name].values, values)
+            np.testing.assert_allclose(times_s - times_s[0], np.arange(values.size) * 10.0 / values.size, atol=0.06)
+        assert ["no time stamps" in damage.note for damage in log.damage] == [True]
+
+    def test_truncated(self) -> None:  # type: ignore[override]
+        for share in (0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.97):
+            log = self.outcome(self.content[: int(len(self.content) * share)])
+            if isinstance(log, LogError):
+                assert share < 0.1
+                continue
+            for name in set(self.expected) & set(log.channels):
+                found = log[name].values[:-1]
+                np.testing.assert_array_equal(found, self.expected[name][: found.size])
+
+
 class Exported(TestDataFlash):
     """Of the same log by another tool: a file of MATLAB is whole, or refused."""
 

@@ -25,7 +25,7 @@ from logparsers.dataflash.channels import DataFlashRecording
 from logparsers.dataflash.encode import Message, encode
 from logparsers.errors import EmptyLog, LogError, MissingChannel, MissingLog, UnreadableLog
 from tests.fuzz.mutate import mutated
-from tests.parsers.dataflash_writer import SEED, as_text, servo_flight
+from tests.parsers.dataflash_writer import SEED, as_text, before_stamps, servo_flight
 from tests.parsers.external import real_logs
 
 if TYPE_CHECKING:
@@ -232,6 +232,41 @@ def test_a_log_of_an_old_firmware_counts_milliseconds() -> None:
     log = DataFlashFile.open(encode([old]))
     assert log.times_us("RCOU").tolist() == [1_000_000, 1_020_000, 1_040_000, 1_060_000, 1_080_000]
     assert log.times_s("RCOU")[1] == 1.02
+
+
+@pytest.mark.parametrize(("gps", "how"), [("Time", "between those of GPS"), ("Hour", "as if ATT came at 10 Hz")])
+def test_rows_of_a_log_without_stamps_are_spread_and_that_is_told(gps: str, how: str) -> None:
+    log = logparsers.read(io.BytesIO(before_stamps(100, gps=gps)))
+    assert {"ATT.Roll", "CTUN.ThrIn", "GPS.NSats"} <= set(log.channels)
+    roll, throttle = log["ATT.Roll"], log["CTUN.ThrIn"]
+    np.testing.assert_array_equal(roll.values, np.arange(100) % 90 + 0.25)
+    np.testing.assert_array_equal(throttle.values, np.arange(100))
+    np.testing.assert_allclose(roll.time_s - roll.time_s[0], 0.1 * np.arange(100), atol=0.06)
+    assert np.all((throttle.time_s - roll.time_s > 0.03) & (throttle.time_s - roll.time_s < 0.06))
+    assert 9.8 < log.duration_s < 10.1
+    (damage,) = log.damage
+    assert how in damage.note
+
+
+def test_a_wild_stamp_of_gps_moves_no_other_row() -> None:
+    content = before_stamps(100)
+    sound = logparsers.read(io.BytesIO(content))["ATT.Roll"].time_s
+    for wild in (b"4123403000", b"3000"):
+        log = logparsers.read(io.BytesIO(content.replace(b"123403000", wild)))
+        np.testing.assert_allclose(log["ATT.Roll"].time_s, sound, atol=0.02)
+
+
+def test_a_log_without_stamps_in_which_gps_counts_from_boot() -> None:
+    lines = before_stamps(100).splitlines()
+    lines = [line.replace(b"NSats,Alt", b"NSats,Alt,T").replace(b"BIHBe", b"BIHBeI") for line in lines]
+    first, stamped = 0, []
+    for line in lines:
+        is_gps = line.startswith(b"GPS, ")
+        stamped.append(line + b", %d" % (7000 + first) if is_gps else line)
+        first += 1000 * is_gps
+    log = logparsers.read(io.BytesIO(b"\n".join(stamped)))
+    assert log["GPS.NSats"].time_s.tolist() == [7.0 + k for k in range(10)]
+    np.testing.assert_allclose(log["ATT.Roll"].time_s, 7.0 + 0.1 * np.arange(100), atol=0.06)
 
 
 def test_a_silence_is_reported_as_a_gap() -> None:
