@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from servofd.detection.bank.explanation import Estimate, Ridge
+from servofd.detection.bank.explanation import Ridge
 from servofd.detection.bank.window import Window, noise_deg
 from servofd.detection.judge import judge
 from servofd.detection.plausible import wiring_problem
 from servofd.detection.residual import ResidualGenerator, commands_at_servo
 from servofd.detection.words import describe
 from servofd.errors import DesignError, NoMeasurement
+from servofd.estimate.statistics import Estimate
 from servofd.models.play import play
 from servofd.segment import SLOWEST_RATE_HZ, cut
 

@@ -10,9 +10,10 @@ import numpy as np
 
 from servofd.axes.model import covered, distances, flown_of, inputs_of, statistic, windows_of
 from servofd.axes.names import MOST_OF_THE_FLIGHT, SURFACE_AXES
-from servofd.axes.verdict import AxisAudit, AxisEvent, AxisStatus, Between
+from servofd.axes.verdict import AxisAudit, AxisEvent, AxisStatus
 from servofd.axes.windows import Expected, lags, nothing_known, sliding
 from servofd.axes.words import reason_of
+from servofd.estimate.statistics import Z_95, Estimate
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from servofd.detection.verdict import SurfaceAudit
     from servofd.types import BoolArray, FloatArray
 
-_NORMAL_95 = 1.96
 _KNOWN_WITHIN = 0.3
 """Half width of the 95 % interval of lambda beyond which an axis is never called healthy."""
 _NAMING_S = 1.0
@@ -76,7 +76,7 @@ class _Draft:
     events: tuple[AxisEvent, ...]
     known: BoolArray
     """Where lambda is known to less than +-0.3."""
-    whole: tuple[Between, Between] | None
+    whole: tuple[Estimate, Estimate] | None
 
 
 def _draft(axis: AxisModel, motion: Motion, usable: BoolArray, flown: BoolArray, reference_m_s: float) -> _Draft:
@@ -129,7 +129,7 @@ def _draft(axis: AxisModel, motion: Motion, usable: BoolArray, flown: BoolArray,
     return _Draft(inputs, score, tuple(events), _known(axis, inputs, rate_hz), _whole(axis, inputs, flown))
 
 
-def _late(axis: AxisModel, inputs: Inputs, span: slice, rate_hz: float) -> Between | None:
+def _late(axis: AxisModel, inputs: Inputs, span: slice, rate_hz: float) -> Estimate | None:
     """Lag in a part of the flight, if a first-order lag of the command explains it better than a lost share does.
 
     The lag is simulated, because to first order it holds only while the filter passes nothing as fast as the lag.
@@ -148,20 +148,18 @@ def _late(axis: AxisModel, inputs: Inputs, span: slice, rate_hz: float) -> Betwe
         return np.asarray(seen - away * float(away @ seen))
 
     left, lost = beside_offset(inputs.residual), beside_offset(inputs.loss)
-    squares = np.array(
-        [np.sum((left - beside_offset(lagged(inputs.loss, lag_s, rate_hz))) ** 2) for lag_s in _LAGS_S]
-    )
+    squares = np.array([np.sum((left - beside_offset(lagged(inputs.loss, lag_s, rate_hz))) ** 2) for lag_s in _LAGS_S])
     share = max(float(lost @ left) / max(float(lost @ lost), 1e-300), 0.0)
     best = int(np.argmin(squares))
     if best == 0 or squares[best] >= np.sum((left - share * lost) ** 2):
         return None
     noise_var = axis.noise_var * max(1.0, float(squares[best]) / (left.size * axis.noise_var))
-    believed = _LAGS_S[squares <= squares[best] + _NORMAL_95**2 * noise_var]
-    healthy_s = _NORMAL_95 * math.sqrt(axis.spreads[-1].lag_var_s2)
+    believed = _LAGS_S[squares <= squares[best] + Z_95**2 * noise_var]
+    healthy_s = Z_95 * math.sqrt(axis.spreads[-1].lag_var_s2)
     value = float(_LAGS_S[best])
     low = value - math.hypot(value - float(believed[0]), healthy_s)
     high = value + math.hypot(float(believed[-1]) - value, healthy_s)
-    return Between(value, low, high) if low > 0.0 else None
+    return Estimate(value, low, high) if low > 0.0 else None
 
 
 def lagged(loss: FloatArray, lag_s: float, rate_hz: float) -> FloatArray:
@@ -202,7 +200,7 @@ def _recovered(axis: AxisModel, inputs: Inputs, alarm: int, rate_hz: float) -> i
     j = distances(only, inputs, windows, rate_hz)[0] / spread.scale
     well = windows[0].known & (j < _CLEAR_SHARE * axis.suspect)
     if axis.own_command:
-        well &= np.sqrt(np.nan_to_num(windows[0].loss_var, nan=np.inf) + spread.loss_var) < _KNOWN_WITHIN / _NORMAL_95
+        well &= np.sqrt(np.nan_to_num(windows[0].loss_var, nan=np.inf) + spread.loss_var) < _KNOWN_WITHIN / Z_95
     well[: alarm + clear] = False
     runs = np.convolve(well, np.ones(clear), mode="full")[: well.size]
     found = np.flatnonzero(runs >= clear)
@@ -238,7 +236,7 @@ def _own_past(axis: AxisModel, inputs: Inputs, alarm: int, begin: int, rate_hz: 
 
 def _estimate(
     axis: AxisModel, inputs: Inputs, start: int, last: int, rate_hz: float, past: Expected
-) -> tuple[Between, Between]:
+) -> tuple[Estimate, Estimate]:
     """Loss and offset from an onset on, beyond what the flight was like before; healthy flights differ as well.
 
     The autopilot answers gusts, so that its command and what it cannot explain are correlated: a loss seems smaller
@@ -268,12 +266,12 @@ def _failed(event: AxisEvent) -> bool:
     return event.from_start and (event.lost_share.low > _FAILED_LOSS or away_us > _FAILED_US)
 
 
-def _between(value: float, variance: float) -> Between:
-    half = _NORMAL_95 * math.sqrt(variance) if variance >= 0.0 else math.nan
-    return Between(float(value), float(value - half), float(value + half))
+def _between(value: float, variance: float) -> Estimate:
+    half = Z_95 * math.sqrt(variance) if variance >= 0.0 else math.nan
+    return Estimate(float(value), float(value - half), float(value + half))
 
 
-def _is_known(whole: tuple[Between, Between] | None) -> bool:
+def _is_known(whole: tuple[Estimate, Estimate] | None) -> bool:
     return whole is not None and whole[0].high - whole[0].low <= 2.0 * _KNOWN_WITHIN
 
 
@@ -283,11 +281,11 @@ def _known(axis: AxisModel, inputs: Inputs, rate_hz: float) -> BoolArray:
     for spread in axis.spreads if axis.own_command else ():
         found = sliding(inputs, spread.samples(rate_hz), axis.noise_var)
         variance = np.nan_to_num(found.loss_var, nan=np.inf) + spread.loss_var
-        known |= _NORMAL_95 * np.sqrt(variance) < _KNOWN_WITHIN
+        known |= Z_95 * np.sqrt(variance) < _KNOWN_WITHIN
     return known
 
 
-def _whole(axis: AxisModel, inputs: Inputs, flown: BoolArray) -> tuple[Between, Between] | None:
+def _whole(axis: AxisModel, inputs: Inputs, flown: BoolArray) -> tuple[Estimate, Estimate] | None:
     """Loss and offset of the whole flight, in which windows average out and the flight's own difference does not."""
     if not (inputs.usable & flown).any():
         return None
@@ -304,7 +302,7 @@ def _whole(axis: AxisModel, inputs: Inputs, flown: BoolArray) -> tuple[Between, 
     )
 
 
-def lost_between(audit: AxisAudit, start_s: float, end_s: float) -> Between | None:
+def lost_between(audit: AxisAudit, start_s: float, end_s: float) -> Estimate | None:
     """Lost share of an axis in a part of the flight, beyond what it was before; None if it cannot be told."""
     axis, inputs = audit.model, audit.inputs
     start, end = np.searchsorted(audit.time_s, (start_s, end_s))
@@ -429,5 +427,5 @@ def _sentence(fault: Fault, axis: AxisAudit) -> str:
     return ""
 
 
-def _holds(lost: Between, value: float) -> bool:
+def _holds(lost: Estimate, value: float) -> bool:
     return lost.low <= value <= lost.high

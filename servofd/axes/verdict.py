@@ -3,22 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
     from servofd.axes.schema import AxisModel
     from servofd.axes.windows import Inputs
+    from servofd.estimate.statistics import Estimate
     from servofd.types import FloatArray
 
 AxisStatus = Literal["healthy", "suspect", "fault", "unknown"]
-
-
-class Between(NamedTuple):
-    """An estimate and its 95 % interval."""
-
-    value: float
-    low: float
-    high: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,13 +26,13 @@ class AxisEvent:
         When the axis answered again [s]; None if it never did.
     score : float
         Largest statistic, as a multiple of the calibration flights' largest.
-    lost_share : Between
+    lost_share : Estimate
         lambda.
-    offset_us : Between
+    offset_us : Estimate
         beta [us].
     cause : str
         Another axis whose event explains this one; empty if this is the cause.
-    lag_s : Between or None
+    lag_s : Estimate or None
         tau [s], if the axis answers late rather than too little.
     from_start : bool
         Whether the flight differed from its first judged seconds on: another trim, payload or aircraft, or a failure
@@ -50,10 +43,10 @@ class AxisEvent:
     alarm_s: float
     end_s: float | None
     score: float
-    lost_share: Between
-    offset_us: Between
+    lost_share: Estimate
+    offset_us: Estimate
     cause: str = ""
-    lag_s: Between | None = None
+    lag_s: Estimate | None = None
     from_start: bool = False
 
     @property
@@ -76,7 +69,7 @@ class AxisAudit:
         One sentence.
     members : tuple of str
         Surfaces that serve it; which of them failed cannot be told.
-    lost_share, offset_us : Between or None
+    lost_share, offset_us : Estimate or None
         Of the worst event; of the whole flight without one; None if nothing could be estimated.
     events : tuple of AxisEvent
         In order of time.
@@ -98,8 +91,8 @@ class AxisAudit:
     status: AxisStatus
     reason: str
     members: tuple[str, ...]
-    lost_share: Between | None
-    offset_us: Between | None
+    lost_share: Estimate | None
+    offset_us: Estimate | None
     events: tuple[AxisEvent, ...]
     identifiable: float
     judged_share: float

@@ -10,7 +10,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from servofd.axes.schema import AxisModel, MotionModel
-    from servofd.axes.verdict import AxisEvent, AxisStatus, Between
+    from servofd.axes.verdict import AxisEvent, AxisStatus
+    from servofd.estimate.statistics import Estimate
 
 _SURFACES = {"roll": "ailerons", "pitch": "elevator", "side": "rudder", "thrust": "engine"}
 _OUTSIDE = {
@@ -50,7 +51,7 @@ def reason_of(
     events: Sequence[AxisEvent],
     identifiable: float,
     outside: Mapping[str, float],
-    lost: Between | None,
+    lost: Estimate | None,
     *,
     status: AxisStatus,
     worst: AxisEvent | None,
@@ -71,7 +72,7 @@ def reason_of(
         Share of the flight in which the lost share was known.
     outside : mapping of str to float
         Share of the flight outside the calibrated regime, by reason; empty if the aircraft never flew.
-    lost : Between or None
+    lost : Estimate or None
         Lost share of the whole flight.
     status : AxisStatus
         The verdict.
@@ -124,7 +125,7 @@ def _not_judged(
     members: Sequence[str],
     identifiable: float,
     outside: Mapping[str, float],
-    lost: Between | None,
+    lost: Estimate | None,
 ) -> str:
     if not outside:
         return "the aircraft never flew"

@@ -12,8 +12,8 @@ if TYPE_CHECKING:
 
     from servofd.aircraft import Aircraft
     from servofd.calibration import Calibration as Scale
-    from servofd.detection.bank.explanation import Estimate
     from servofd.estimate.schema import CalibratedServo
+    from servofd.estimate.statistics import Estimate
     from servofd.servos import Servo
     from servofd.tolerance import Tolerance
 

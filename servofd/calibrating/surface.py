@@ -9,7 +9,6 @@ import numpy as np
 
 from servofd.calibrating.flights import asked_deg
 from servofd.calibrating.result import CalibratedSurface, FlightRecord
-from servofd.detection.bank.explanation import Estimate
 from servofd.detection.bank.window import noise_deg
 from servofd.detection.calibrated import judged
 from servofd.detection.changes import STATISTICS
@@ -20,6 +19,7 @@ from servofd.estimate.fit import fit
 from servofd.estimate.priors import NAMES, PRIORS
 from servofd.estimate.record import Record, usual_supply_v
 from servofd.estimate.schema import CalibratedNoise, CalibratedServo
+from servofd.estimate.statistics import Estimate
 from servofd.models.context import AIR_KG_M3
 from servofd.servos import Servo
 from servofd.tolerance import Tolerance

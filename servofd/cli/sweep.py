@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from logparsers.records import FlightLog
-    from servofd.detection.bank.explanation import Estimate
+    from servofd.estimate.statistics import Estimate
     from servofd.sweep import SurfaceSweep, SweepNumbers
 
 

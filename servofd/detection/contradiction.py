@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from servofd.detection.bank.explanation import Estimate
 from servofd.detection.bank.flight import Fault
 from servofd.detection.bank.window import noise_deg
 from servofd.detection.resolution import step_deg
+from servofd.estimate.statistics import Estimate
 from servofd.models.state import compiled
 
 if TYPE_CHECKING:

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from servofd.detection.bank.explanation import Estimate
 from servofd.detection.bank.flight import Fault
 from servofd.estimate.family import new_state, sensitivities, simulated, variants
 from servofd.estimate.fit import residual
 from servofd.estimate.priors import FITTED, NAMES
+from servofd.estimate.statistics import Estimate
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

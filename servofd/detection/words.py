@@ -30,7 +30,7 @@ def describe(fault: Fault) -> str:
 
     Examples
     --------
-    >>> from servofd.detection.bank.explanation import Estimate
+    >>> from servofd.estimate.statistics import Estimate
     >>> from servofd.detection.bank.flight import Fault
     >>> describe(Fault("stuck", 10.0, 10.4, None, {"position_deg": Estimate(3.1, 3.0, 3.2)}, 0.8, ("deadband",)))
     'stuck at 3.1 deg since 10.00 s (alarm 10.40 s; or deadband)'

@@ -13,6 +13,7 @@ from servofd.detection.contradiction import resting_runs, resting_width_deg
 from servofd.detection.residual import ResidualGenerator
 from servofd.detection.resolution import step_deg
 from servofd.detection.simulator import Simulator
+from servofd.estimate.statistics import line
 from servofd.evidence import ModelOrigin
 from servofd.models.effects import Delay, LinearDynamics, RateLimit
 from servofd.models.servo_model import ServoModel
@@ -36,7 +37,7 @@ _WORTH_A_LIMIT = 0.95
 _MOST_EVALUATIONS = 100
 _NEAR, _NEAR_DEG = 1e-3, 1e-5
 _STARTS = 3
-_REWEIGHTINGS = 5
+_REWEIGHTINGS, _NEAR_LINE = 5, (1e-3, 0.5)
 _BANDWIDTH_RANGE_HZ, _DAMPING_RANGE = (0.2, 100.0), (0.2, 10.0)
 _FEWEST_ROWS = 30
 _SLOWEST_SHARE = 0.1
@@ -290,7 +291,7 @@ def _moving_rows(simulator: Simulator) -> BoolArray:
 def _judged(fit: RoughFit, simulator: Simulator, moving: BoolArray, *, free_scale: bool) -> RoughFit:
     """Same fit with its scale, if that is free, and its error."""
     simulated, measured = simulator.simulated_deg(fit.model)[moving], simulator.starts.measured_deg[moving]
-    gain, bias_deg = _line(simulated, measured) if free_scale else (1.0, 0.0)
+    gain, bias_deg = line(simulated, measured, near=_NEAR_LINE, rounds=_REWEIGHTINGS)[:2] if free_scale else (1.0, 0.0)
     error = measured - gain * simulated - bias_deg
     # Cauchy's cost: quadratic for errors of a working servo, nearly flat for those of a jammed one.
     low_deg, high_deg = np.percentile(measured, [2.0, 98.0])
@@ -301,18 +302,3 @@ def _judged(fit: RoughFit, simulator: Simulator, moving: BoolArray, *, free_scal
     # In a closed loop an aircraft that is pushed over is answered by commands the other way.
     error_deg = ordinary_deg * float(np.sqrt(cost)) * (_REVERSED if gain < 0.0 and free_scale else 1.0)
     return replace(fit, gain=gain, bias_deg=bias_deg, error_deg=error_deg)
-
-
-def _line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
-    """Straight line with small absolute deviations: reweighted least squares, which outliers do not pull."""
-    weight = np.full(x.size, 1.0 / x.size)
-    slope, offset = 1.0, 0.0
-    for _ in range(_REWEIGHTINGS):
-        centre_x, centre_y = float(weight @ x), float(weight @ y)
-        weighted = weight * (x - centre_x)
-        slope = float(weighted @ (y - centre_y)) / max(float(weighted @ (x - centre_x)), 1e-12)
-        offset = centre_y - slope * centre_x
-        deviation = np.abs(y - slope * x - offset)
-        weight = 1.0 / (deviation + 1e-3 + 0.5 * float(deviation.mean()))
-        weight /= weight.sum()
-    return slope, offset

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Literal, TypeVar
 import numpy as np
 
 from servofd.errors import IdentificationError
+from servofd.estimate.statistics import Estimate
 from servofd.identification import checks
 from servofd.identification.choice import Choice, choose_linear, choose_nonlinear, with_unity_gain
 from servofd.identification.frequency_response import LAGS_S, FrequencyResponse, average, estimate
 from servofd.identification.magnitude import fit_magnitude
-from servofd.identification.output_error import Interval, MotionFit, ServoCandidate, evaluated, fit_motion
+from servofd.identification.output_error import MotionFit, ServoCandidate, evaluated, fit_motion
 from servofd.identification.rate import RateLimits, rate_limits
 from servofd.identification.records import Run, Uniform, longest_uniform, prepared
 from servofd.identification.result import Identification
@@ -341,6 +342,6 @@ def _by_magnitude(tests: _Tests, order: int, surface: str) -> Identification:
     )
 
 
-def _rate_intervals(limits: RateLimits) -> dict[str, Interval]:
+def _rate_intervals(limits: RateLimits) -> dict[str, Estimate]:
     pairs = (("rate_up_deg_s", limits.up), ("rate_down_deg_s", limits.down))
     return {name: interval for name, interval in pairs if interval is not None}

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.errors import DesignError
+from servofd.estimate.statistics import Estimate, descended, memory
 from servofd.identification.shape import LARGEST_LOG_GAIN, LONGEST_DELAY_S, LinearServo, shape_bounds
 from servofd.models.effects import Delay, Effect, LinearDynamics, RateLimit
 from servofd.models.play import play
@@ -18,8 +19,6 @@ if TYPE_CHECKING:
     from servofd.identification.records import Run
     from servofd.types import FloatArray
 
-_SURE = 1.959963984540054
-"""Standard deviations of a 95 % interval."""
 _OUT_OF_REACH_DEG = 1e4
 _DEVIATION_LAGS = 20
 _SMALLEST_SHARE, _SMALLEST = 1e-12, 1e-100
@@ -35,25 +34,6 @@ _SLOWEST_DEG_S, _FASTEST_DEG_S = 1.0, 5000.0
 """Rate limits of servos; the fastest of the library, an S9256, has 1263 deg/s."""
 _SMOOTH_STEP, _KINKED_STEP = 1e-6, 2e-3
 """Of derivatives, in the units of `ServoCandidate.vector`; rate limits and dead bands leave kinks in the motion."""
-
-
-@dataclass(frozen=True, slots=True)
-class Interval:
-    """A value, and where it lies with a probability of 95 %.
-
-    Examples
-    --------
-    >>> Interval(4.0, 3.9, 4.1).covers(4.05)
-    True
-    """
-
-    value: float
-    low: float
-    high: float
-
-    def covers(self, truth: float) -> bool:
-        """True if a number lies within."""
-        return self.low <= truth <= self.high
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +132,7 @@ class MotionFit:
         """True if what the model leaves is as good as noise."""
         return self.whiteness > _WHITE
 
-    def interval(self, quantity: Callable[[ServoCandidate], float]) -> Interval:
+    def interval(self, quantity: Callable[[ServoCandidate], float]) -> Estimate:
         """95 % interval of anything that follows from the servo, from the linear part of its dependence.
 
         Examples
@@ -173,8 +153,7 @@ class MotionFit:
                 2.0 * step[k]
             )
         variance = float(gradient @ self.covariance @ gradient)
-        deviation = float(np.sqrt(max(variance, 0.0)))
-        return Interval(value, value - _SURE * deviation, value + _SURE * deviation)
+        return Estimate.of(value, float(np.sqrt(max(variance, 0.0))))
 
 
 def fit_motion(runs: Sequence[Run], start: ServoCandidate, *, evaluations: int = 30) -> MotionFit:
@@ -204,8 +183,6 @@ def fit_motion(runs: Sequence[Run], start: ServoCandidate, *, evaluations: int =
     >>> round(1e3 * fit.servo.linear.delay_s, 4)
     4.0
     """
-    from scipy.optimize import least_squares
-
     lower, upper = _bounds(runs, start)
     kinked = start.dead_band_deg is not None or start.rate_up_deg_s is not None
     step = _KINKED_STEP if kinked else _SMOOTH_STEP
@@ -220,20 +197,10 @@ def fit_motion(runs: Sequence[Run], start: ServoCandidate, *, evaluations: int =
         here = joined(x)
         return np.column_stack([(joined(x + step * unit) - here) / step for unit in np.eye(x.size)])
 
-    found = least_squares(
-        joined,
-        np.clip(start.vector(), lower + 1e-3, upper - 1e-3),
-        jac=slopes,
-        bounds=(lower, upper),
-        x_scale="jac",
-        max_nfev=evaluations,
-        xtol=1e-6,
-        ftol=1e-7,
-    )
-    parts, offsets_deg = errors(found.x)
-    return MotionFit(
-        start.with_vector(found.x), offsets_deg, parts, _covariance(np.asarray(found.jac, dtype=float), parts)
-    )
+    begin = np.clip(start.vector(), lower + 1e-3, upper - 1e-3)
+    found, jacobian = descended(joined, slopes, begin, (lower, upper), evaluations=evaluations)
+    parts, offsets_deg = errors(found)
+    return MotionFit(start.with_vector(found), offsets_deg, parts, _covariance(jacobian, parts))
 
 
 def _bounds(runs: Sequence[Run], start: ServoCandidate) -> tuple[FloatArray, FloatArray]:
@@ -278,7 +245,7 @@ def _covariance(jacobian: FloatArray, errors: Sequence[FloatArray]) -> FloatArra
     _, sizes, right = np.linalg.svd(jacobian, full_matrices=False)
     sizes = np.maximum(sizes, max(_SMALLEST_SHARE * sizes[0], _SMALLEST))
     inverse = (right.T / sizes) @ (right / sizes[:, np.newaxis])
-    covariance: FloatArray = inverse * variance * _memory(errors)
+    covariance: FloatArray = inverse * variance * memory(errors, _DEVIATION_LAGS)
     if _von_neumann(errors) > _WHITE:
         return covariance
     pulls = np.array([part.sum(axis=0) for part in np.array_split(jacobian * every[:, np.newaxis], _PARTS)])
@@ -289,13 +256,3 @@ def _covariance(jacobian: FloatArray, errors: Sequence[FloatArray]) -> FloatArra
 def _von_neumann(errors: Sequence[FloatArray]) -> float:
     long = [error for error in errors if error.size > 2]
     return float(sum(np.sum(np.diff(e) ** 2) for e in long) / max(sum(np.sum(e**2) for e in long), 1e-300))
-
-
-def _memory(errors: Sequence[FloatArray]) -> float:
-    """Long-run variance of the errors over their variance, at least 1."""
-    total = sum(float(e @ e) for e in errors)
-    if total == 0.0:
-        return 1.0
-    lags = range(1, _DEVIATION_LAGS + 1)
-    products = [sum(float(e[k:] @ e[:-k]) for e in errors if e.size > k) / total for k in lags]
-    return max(1.0, 1.0 + 2.0 * sum((1.0 - k / (_DEVIATION_LAGS + 1)) * p for k, p in zip(lags, products, strict=True)))

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.identification.output_error import Interval, ServoCandidate
+from servofd.estimate.statistics import Estimate
+from servofd.identification.output_error import ServoCandidate
 from servofd.identification.records import Run
 
 if TYPE_CHECKING:
@@ -43,8 +44,8 @@ class StepSlope:
 class RateLimits:
     """Rate limits in both directions; None where no step shows one."""
 
-    up: Interval | None
-    down: Interval | None
+    up: Estimate | None
+    down: Estimate | None
     reason: str
     """Why there is none, or what the limits rest on."""
 
@@ -135,7 +136,7 @@ def _linear_slope(runs: Sequence[Run], step: StepSlope, linear: LinearServo) -> 
     return abs(slope[1]) if slope is not None else float("inf")
 
 
-def _average(slopes: Sequence[StepSlope]) -> Interval | None:
+def _average(slopes: Sequence[StepSlope]) -> Estimate | None:
     if not slopes:
         return None
     rates = np.array([abs(s.slope_deg_s) for s in slopes])
@@ -144,4 +145,4 @@ def _average(slopes: Sequence[StepSlope]) -> Interval | None:
     # The scatter of the steps counts where it is larger than each slope's own deviation.
     scatter = float(np.std(rates, ddof=1) / np.sqrt(rates.size)) if rates.size > 1 else 0.0
     deviation = max(float(1.0 / np.sqrt(weights.sum())), scatter)
-    return Interval(value, value - 1.96 * deviation, value + 1.96 * deviation)
+    return Estimate.of(value, deviation)

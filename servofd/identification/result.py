@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
+    from servofd.estimate.statistics import Estimate
     from servofd.identification.frequency_response import FrequencyResponse, Spread
-    from servofd.identification.output_error import Interval, ServoCandidate
+    from servofd.identification.output_error import ServoCandidate
     from servofd.identification.records import Run
     from servofd.types import ComplexArray, FloatArray
 
@@ -26,7 +27,7 @@ class Identification:
     method: str
     """``"response"`` (frequency response, then motion), ``"motion"`` (no sweep: motion alone) or ``"magnitude"``."""
     servo: ServoCandidate
-    intervals: Mapping[str, Interval]
+    intervals: Mapping[str, Estimate]
     """95 % intervals by name: ``delay_s``, ``dc_gain``, ``bandwidth_rad_s``, ``lag_s``, ``pole_0_real_rad_s`` ..."""
     notes: tuple[str, ...]
     runs: tuple[Run, ...]

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from servofd.errors import IdentificationError
+from servofd.estimate.statistics import Estimate
 from servofd.identification.fit import fit_response
-from servofd.identification.output_error import Interval, MotionFit, ServoCandidate, evaluated, fit_motion
+from servofd.identification.output_error import MotionFit, ServoCandidate, evaluated, fit_motion
 from servofd.identification.shape import HIGHEST_ORDER, LONGEST_DELAY_S, LinearServo
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ _COMMON = ("delay_s", "dc_gain", "bandwidth_rad_s", "lag_s", "pole_0_real_rad_s"
 """What servos of any order have."""
 
 
-def intervals_of(runs: Sequence[Run], choice: Choice, servo: ServoCandidate, limits: RateLimits) -> dict[str, Interval]:
+def intervals_of(runs: Sequence[Run], choice: Choice, servo: ServoCandidate, limits: RateLimits) -> dict[str, Estimate]:
     """95 % intervals of everything that is reported, about the values of `servo`.
 
     Where one more pole fits as well, nobody knows which model is true: the intervals embrace both.
@@ -72,13 +73,13 @@ def intervals_of(runs: Sequence[Run], choice: Choice, servo: ServoCandidate, lim
         interval = fit.interval(quantity)
         if choice.further is not None and name in _COMMON:
             other = choice.further.interval(quantity)
-            interval = Interval(interval.value, min(interval.low, other.low), max(interval.high, other.high))
+            interval = Estimate(interval.value, min(interval.low, other.low), max(interval.high, other.high))
         if choice.further is not None and name == "delay_s":
             # As much below the smallest delay that a far pole leaves possible.
             lowest = lowest_delay_s(runs, fit) - (interval.value - interval.low)
-            interval = Interval(interval.value, min(interval.low, lowest), interval.high)
+            interval = Estimate(interval.value, min(interval.low, lowest), interval.high)
         if name == "delay_s":
-            interval = replace(interval, high=min(interval.high, LONGEST_DELAY_S))
+            interval = interval._replace(high=min(interval.high, LONGEST_DELAY_S))
         found[name] = _bounded(interval, quantity(servo), positive="pole" not in name and name != "dc_gain")
     for name, limit in (("rate_up_deg_s", limits.up), ("rate_down_deg_s", limits.down)):
         if limit is not None and name not in found:
@@ -90,14 +91,14 @@ def _pole_part(servo: ServoCandidate, index: int, part: Literal["real", "imag"])
     return float(getattr(servo.linear.poles_rad_s[index], part))
 
 
-def _bounded(interval: Interval, value: float, *, positive: bool) -> Interval:
+def _bounded(interval: Estimate, value: float, *, positive: bool) -> Estimate:
     """The same interval about the value that is reported; what cannot be negative ends at zero."""
     low, high = min(interval.low, value), max(interval.high, value)
-    return Interval(value, max(0.0, low) if positive else low, high)
+    return Estimate(value, max(0.0, low) if positive else low, high)
 
 
 def notes_on_servo(
-    choice: Choice, runs: Sequence[Run], intervals: dict[str, Interval], highest_rad_s: float | None
+    choice: Choice, runs: Sequence[Run], intervals: dict[str, Estimate], highest_rad_s: float | None
 ) -> list[str]:
     """What must be said about the numbers.
 
@@ -107,7 +108,7 @@ def notes_on_servo(
         The fit, and whether one more pole would do as well.
     runs : sequence of Run
         Tests the choice rests on.
-    intervals : dict of str to Interval
+    intervals : dict of str to Estimate
         What is reported.
     highest_rad_s : float or None
         Highest frequency with coherence [rad/s].
@@ -196,8 +197,7 @@ def notes_on_spread(responses: Sequence[FrequencyResponse], order: int, names: S
 
 def _log_deviation(fit: MotionFit, index: int) -> float:
     """Standard deviation of the logarithm of a real pole."""
-    interval = fit.interval(lambda servo: float(np.log(abs(servo.linear.poles_rad_s[index].real))))
-    return (interval.high - interval.low) / (2.0 * 1.96)
+    return fit.interval(lambda servo: float(np.log(abs(servo.linear.poles_rad_s[index].real)))).deviation
 
 
 _NOT_REJECTED = 3.84

@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from servofd.aircraft import Aircraft
-    from servofd.axes.verdict import AxisAudit, Between
-    from servofd.detection.bank.explanation import Estimate
+    from servofd.axes.verdict import AxisAudit
     from servofd.detection.bank.flight import Fault
     from servofd.detection.verdict import LogAudit, SurfaceAudit
+    from servofd.estimate.statistics import Estimate
     from servofd.evidence import ModelOrigin
     from servofd.types import FloatArray
 
@@ -172,7 +172,7 @@ def _axis(axis: AxisAudit, anchor: str) -> dict[str, Any]:
     }
 
 
-def _estimated(estimate: Between | None, digits: int) -> str:
+def _estimated(estimate: Estimate | None, digits: int) -> str:
     if estimate is None:
         return "not known"
     return f"{estimate.value:+.{digits}f} ({estimate.low:+.{digits}f} to {estimate.high:+.{digits}f})"

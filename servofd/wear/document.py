@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from servofd.wear.records import QUANTITIES
 
 if TYPE_CHECKING:
-    from servofd.detection.bank.explanation import Estimate
+    from servofd.estimate.statistics import Estimate
     from servofd.wear.follow import QuantityTrend, SurfaceTrend
     from servofd.wear.series import Piece
     from servofd.wear.trend import AircraftTrend

@@ -17,14 +17,14 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from servofd.calibrating.flights import Flight, busiest
-from servofd.detection.bank.explanation import Estimate
 from servofd.detection.bank.window import noise_deg
 from servofd.detection.prepare import prepared
 from servofd.detection.residual import ResidualGenerator
 from servofd.detection.threshold import constant_threshold, interval_threshold
 from servofd.errors import NoMeasurement
+from servofd.estimate.statistics import Estimate, descended, deviations, line, mean_loss, ordinary_deg
 from servofd.models.play import play
-from servofd.wear.motion import Motion, descended, deviations, line, mean_loss, noise_of, ordinary_deg
+from servofd.wear.motion import Motion, noise_of
 from servofd.wear.records import QUANTITIES
 from servofd.wear.servo import FlownServo
 
@@ -198,8 +198,10 @@ def _descended(
         all_slopes: FloatArray = np.column_stack([*columns, -here, -np.ones(measured_deg.size)])
         return all_slopes
 
-    delay_at = 1 + names.index("delay_s") if "delay_s" in names else None
-    found = descended(error, slopes, begin, scale_deg, delay_at=delay_at, evaluations=_EVALUATIONS)
+    # A delay cannot be negative, but a start at zero must lie within.
+    least = np.array([-np.inf, *(-1e-9 if name == "delay_s" else -np.inf for name in names), -np.inf, -np.inf])
+    bounds = (least, np.full(begin.size, np.inf))
+    found, _ = descended(error, slopes, begin, bounds, evaluations=_EVALUATIONS, scale_deg=scale_deg)
     left_deg = error(found)
     deviation = deviations(slopes(found), left_deg, motion.memory(left_deg))
     return _Fit(prior.with_vector(names, found[1:-2]), names, found, deviation, left_deg, scale_deg)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from datetime import date
 
-    from servofd.detection.bank.explanation import Estimate
+    from servofd.estimate.statistics import Estimate
     from servofd.wear.events import Event
     from servofd.wear.records import FlightEstimate
 
@@ -176,7 +176,7 @@ def _quantity(name: str, whole: Piece, bounds: Sequence[int], limit: float | Non
 
 
 def _last_estimate(piece: Piece) -> Estimate:
-    from servofd.detection.bank.explanation import Estimate
+    from servofd.estimate.statistics import Estimate
 
     return Estimate.of(float(piece.value[-1]), float(piece.deviation[-1]))
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from logparsers import LogError
-from servofd.detection.bank.explanation import Estimate
 from servofd.errors import ConfigError, NoMeasurement, ServofdError
+from servofd.estimate.statistics import Estimate
 from servofd.fleet.fetch import fetched
 from servofd.job import logs_of
 from servofd.segment import cut
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from servofd.fleet.find import LogSource
     from servofd.segment import Segment
 
-_NORMAL_95 = 1.96
 _VOLTAGES = ("servo_voltage_v", "POWR.Vservo")
 _SYSTEM_IDS = ("MAV_SYSID", "SYSID_THISMAV")
 
@@ -106,7 +105,7 @@ def _axes(log: FlightLog, path: str, motion: MotionModel) -> list[FlightEstimate
             if between is None or not audit.is_expected:
                 missing[name] = audit.reason
                 continue
-            sigma = (between.high - between.low) / 2.0 / _NORMAL_95
+            sigma = between.deviation
             values[name] = Estimate.of(1.0 - between.value if name == "effect" else between.value, sigma)
         found.append(FlightEstimate(path, log.run, audit.axis, log.start_utc, log.duration_s, values, missing))
     return found

@@ -8,7 +8,7 @@ from datetime import datetime
 from types import MappingProxyType
 from typing import Literal
 
-from servofd.detection.bank.explanation import Estimate
+from servofd.estimate.statistics import Estimate
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.detection.bank.explanation import Estimate
+from servofd.estimate.statistics import MAD_TO_SIGMA, Estimate
 
 if TYPE_CHECKING:
     from servofd.types import FloatArray
@@ -22,7 +22,6 @@ _FEWEST = 3
 """Flights on either side of a break: two that went wrong in a row are no other servo."""
 _LINE = 2
 """Parameters of a line."""
-_MAD_TO_SIGMA = 1.4826
 _SMALLEST = 1e-12
 
 
@@ -205,14 +204,14 @@ def _without_outliers(value: FloatArray, deviation: FloatArray) -> FloatArray:
 
     middle: FloatArray = median_filter(value, size=5, mode="nearest")
     away = value - middle
-    sigma = np.sqrt(deviation**2 + (_MAD_TO_SIGMA * float(np.median(np.abs(away)))) ** 2)
+    sigma = np.sqrt(deviation**2 + (MAD_TO_SIGMA * float(np.median(np.abs(away)))) ** 2)
     clipped: FloatArray = middle + np.clip(away, -_CLIPPED * sigma, _CLIPPED * sigma)
     return clipped
 
 
 def _local_scatter(value: FloatArray, deviation: FloatArray) -> float:
     """Scatter from flight to flight, from second differences: neither a trend nor a jump enters."""
-    total = _MAD_TO_SIGMA * float(np.median(np.abs(np.diff(value, 2)))) / np.sqrt(6.0)
+    total = MAD_TO_SIGMA * float(np.median(np.abs(np.diff(value, 2)))) / np.sqrt(6.0)
     return float(np.sqrt(max(total**2 - float(np.median(deviation)) ** 2, 0.0)))
 
 

@@ -14,7 +14,7 @@ from servofd.detection.alarm import Level
 from servofd.detection.audit import _odds
 from servofd.detection.bank.altered import _with_interval
 from servofd.detection.bank.classify import BANK
-from servofd.detection.bank.explanation import COLOUR, Estimate
+from servofd.detection.bank.explanation import COLOUR
 from servofd.detection.bank.flight import Fault
 from servofd.detection.bank.oscillation import _cycle
 from servofd.detection.bank.window import Explanation
@@ -26,6 +26,7 @@ from servofd.detection.probability.noise import Noise
 from servofd.detection.probability.persistence import persistent_delay_s, persistent_threshold_deg
 from servofd.detection.probability.upcrossing import false_alarms_per_hour
 from servofd.detection.pulse import design_pulse_filter
+from servofd.estimate.statistics import Estimate
 from servofd.models.faults import Oscillation
 from servofd.models.transfer import TransferFunction
 from servofd.segment import WARM_UP_STEPS

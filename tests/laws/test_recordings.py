@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 
 from logparsers.records import Damage, FlightLog
 from servofd.aircraft import plain_aircraft
-from servofd.detection.bank.explanation import Estimate
 from servofd.detection.bank.flight import Fault
 from servofd.detection.verdict import LogAudit, Status, SurfaceAudit
+from servofd.estimate.statistics import Estimate
 from servofd.outputs.recording.clock import microseconds, seconds
 from servofd.outputs.recording.content import Recording, Trace
 from servofd.outputs.recording.read import read_recording

@@ -6,9 +6,9 @@ import itertools
 
 import pytest
 
-from servofd.detection.bank.explanation import Estimate
 from servofd.detection.bank.flight import Fault
 from servofd.detection.events import Event
+from servofd.estimate.statistics import Estimate
 from servofd.live.alerts import Alerts
 from servofd.live.names import short_names
 

@@ -11,8 +11,8 @@ import pytest
 
 from servofd.aircraft import Aircraft, load_aircraft, plain_aircraft
 from servofd.cli import main
-from servofd.detection.bank.explanation import Estimate
 from servofd.errors import ConfigError, NoMeasurement
+from servofd.estimate.statistics import Estimate
 from servofd.models.faults import DeadBand
 from servofd.models.play import play
 from servofd.segment import Segment

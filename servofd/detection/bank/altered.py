@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numba import njit
 
-from servofd.detection.bank.explanation import COLOUR, Estimate
+from servofd.detection.bank.explanation import COLOUR
 from servofd.detection.bank.window import Explanation
+from servofd.estimate.statistics import Estimate
 from servofd.models.motion import ExtendedServo
 from servofd.models.play import play
 from servofd.types import FloatArray

@@ -7,30 +7,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from servofd.estimate.statistics import Estimate
+
 if TYPE_CHECKING:
     from servofd.types import FloatArray
 
 COLOUR = 4.0
 """Misfits of neighbouring samples are alike: so many samples tell as much as one."""
-_Z_95 = 1.96
-
-
-class Estimate(NamedTuple):
-    """A parameter with its 95 % interval."""
-
-    value: float
-    low: float
-    high: float
-
-    @classmethod
-    def of(cls, value: float, deviation: float) -> Estimate:
-        """Estimate with a standard deviation."""
-        return cls(float(value), float(value - _Z_95 * deviation), float(value + _Z_95 * deviation))
-
-    @property
-    def deviation(self) -> float:
-        """Standard deviation."""
-        return (self.high - self.low) / (2.0 * _Z_95)
 
 
 class Regression(NamedTuple):

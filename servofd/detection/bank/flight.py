@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from servofd.detection.alarm import Level
-    from servofd.detection.bank.explanation import Estimate
     from servofd.detection.residual import Commands, ResidualGenerator, Residuals
+    from servofd.estimate.statistics import Estimate
     from servofd.tolerance import Tolerance
 
 _FEWEST_SAMPLES = 12

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from servofd.detection.bank.explanation import COLOUR, Estimate, Ridge
+from servofd.detection.bank.explanation import COLOUR, Ridge
 from servofd.detection.bank.window import Explanation
+from servofd.estimate.statistics import Estimate
 
 if TYPE_CHECKING:
     from servofd.detection.bank.window import Window

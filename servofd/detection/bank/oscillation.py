@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 
-from servofd.detection.bank.explanation import Estimate, Regression, Ridge
+from servofd.detection.bank.explanation import Regression, Ridge
 from servofd.detection.bank.window import Explanation
+from servofd.estimate.statistics import Estimate
 from servofd.numeric import least
 
 if TYPE_CHECKING:

@@ -14,8 +14,8 @@ from servofd.models.motion import AnyServo, on_its_way
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from servofd.detection.bank.explanation import Estimate
     from servofd.detection.residual import Commands, Residuals
+    from servofd.estimate.statistics import Estimate
     from servofd.models.servo_model import ServoModel
     from servofd.tolerance import Tolerance
     from servofd.types import FloatArray
