@@ -47,8 +47,14 @@ _HALF: Final = 0.5
 LOUD: Final = 1.5
 """A good servo that passes its thresholds by so much is none."""
 _WORTH_TELLING: Final = 0.02
-_TWINS: Final = (("stuck", "floating", 0.1), ("floating", "stuck", 0.3), ("bias", "deadband", 0.25))
-"""Faults that look like others: a geared servo without power stays where it is, air pushes play to one side."""
+_TWINS: Final = (
+    ("stuck", "floating", 0.1),
+    ("floating", "stuck", 0.3),
+    ("bias", "deadband", 0.25),
+    ("loss_of_effectiveness", "deadband", 0.1),
+)
+"""Faults that look like others: a geared servo without power stays where it is, air pushes play to one side, or back by
+more the further the surface is out."""
 _FLYING: Final = 0.1
 _WIDEST_PLAY_DEG: Final = 8.0
 _USUAL_WIDTH_DEG: Final = 2.0
@@ -356,7 +362,7 @@ def _verdict(
         shares["stuck"] = shares.get("stuck", 0.0) + (1.0 - _HALF) * shares.pop(kind)
         kind = "floating"
     for one, twin, share in _TWINS:
-        if one == kind and (one != "bias" or _may_be_play(window, best)):
+        if one == kind and (twin != "deadband" or _may_be_play(window, best)):
             given = share * shares[one]
             shares[one] -= given
             shares[twin] = shares.get(twin, 0.0) + given
@@ -382,9 +388,15 @@ def _verdict(
 
 
 def _may_be_play(window: _Window, guess: _Guess) -> bool:
-    """Whether an offset may be play that the air pushes to one side: while it flies, up to so much."""
+    """Whether an offset, or what is lost of the travel, may be play that the air pushes: in flight, up to so much."""
     pushed = float(np.median(window.record.load[window.rows])) > _FLYING
-    return pushed and 2.0 * abs(guess.parameters["bias_deg"].value) < _WIDEST_PLAY_DEG
+    if guess.kind == "bias":
+        away_deg = abs(guess.parameters["bias_deg"].value)
+    else:
+        travel_deg = 0.5 * float(np.ptp(np.quantile(window.measured_deg[window.used], (0.02, 0.98))))
+        gain = guess.parameters["gain"].value
+        away_deg = travel_deg * (1.0 / max(gain, _LOST_GAIN) - 1.0)
+    return pushed and 2.0 * away_deg < _WIDEST_PLAY_DEG
 
 
 def _likelier(watched: Watched, guess: _Guess, from_s: float, to_s: float) -> tuple[FloatArray, FloatArray]:
