@@ -48,6 +48,8 @@ _SAME_S: Final = 5.0
 """What is raised so soon after the end of a fault belongs to it."""
 _MOST_OF_THE_LOG: Final = 0.9
 _SHORTEST_JUDGED_S: Final = 0.25
+_LITTLE_KNOWN: Final = 5.0
+"""Times its usual deviation a residual may reach where a servo moves as it never did in its good flights."""
 FALSE_ALARMS_PER_HOUR: Final = 0.05
 """Of one surface: 2 alarms in 10 h of four surfaces each, on simulated aircraft of odd seed that chose no constant
 (`benchmarks/calibration_campaign.py`)."""
@@ -222,5 +224,13 @@ def _verdict(
     problem = why_not_cleared(residuals, sizes, threshold.typical_deg)
     if problem:
         return "unknown", problem
-    reason = f"as in its good flights (largest residual {largest_deg:.2f} deg)"
+    reason = f"as in its good flights (largest residual {largest_deg:.2f} deg{_untold(flight)})"
     return "healthy", "; ".join(filter(None, (reason, not_judgeable(sizes))))
+
+
+def _untold(flight: Watched) -> str:
+    """That the largest residual stands where calibration knew little, or nothing."""
+    rows = np.flatnonzero(flight.judged)
+    peak = rows[np.argmax(np.abs(flight.error_deg[rows]))]
+    known_deg = float(np.median(flight.sigma_deg[rows]))
+    return ", in motion faster than theirs" if flight.sigma_deg[peak] > _LITTLE_KNOWN * known_deg else ""
