@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from logparsers.assemble import Column, assemble
-from logparsers.cells import convert
+from logparsers.cells import convert, texts_of
 from logparsers.channels import MOST_CHANNELS, LazyChannels, Series, Together
 from logparsers.errors import MissingChannel, UnreadableLog
 from logparsers.records import Damage, FlightLog
@@ -132,18 +132,19 @@ def read_part(source: Source, beginning: str = "") -> Part:
     grid = read_grid(source.path, source.content())
     with decoding(source, "table of messages"):
         cells = convert(grid)
-        words = {name for name, column in cells.items() if 2 * column.strange.size > np.isfinite(column.values).sum()}
-        texts = {name: np.array(column.texts) for name, column in (convert(grid, words).items() if words else ())}
+        words = {name for name, column in cells.items() if 2 * column.strange > np.isfinite(column.values).sum()}
+        texts = texts_of(grid, words)
     columns, damage = {}, []
     for name, column in cells.items():
         columns[name] = texts[name] if name in words else column.values
-        if not column.strange.size:
+        if not column.strange:
             continue
-        where = f"line {grid.line[column.strange[0]]}, column {name!r}: {column.first_strange[:40]!r} is not a number"
+        row, text = column.first_strange
+        where = f"line {grid.line(row)}, column {name!r}: {text[:40]!r} is not a number"
         if name in CLOCKS:
             raise UnreadableLog(f"{source.path}: {where}")
         if name not in words:
-            damage.append(Damage("not_numeric", f"{where}; {column.strange.size} such cells", column.strange.size))
+            damage.append(Damage("not_numeric", f"{where}; {column.strange} such cells", column.strange))
     kind = _kind(grid.names)
     flight = beginning if beginning and source.path.stem.startswith(beginning) else flight_of(source.path, kind)
     return Part(kind, source.path, columns, (*source.damage, *grid.damage, *damage), flight)
@@ -203,7 +204,7 @@ def _telemetry(parts: Sequence[Part], path: Path, only: Only) -> FlightLog:
             if match := MESSAGE_FIELD.fullmatch(name):
                 fields.setdefault(match[1], {})[match[2]] = values
         for message, columns in fields.items():
-            rows = ~np.logical_and.reduce([v == "" if v.dtype.kind == "U" else np.isnan(v) for v in columns.values()])
+            rows = ~np.logical_and.reduce([v == "" if v.dtype.kind in "UO" else np.isnan(v) for v in columns.values()])
             clock = next((k for k in ("time_boot_ms", "time_usec") if k in columns), "")
             mine = {name: values[rows] for name, values in columns.items()}
             found.append((message, part.columns["timestamp"][rows], mine, clock))
@@ -259,11 +260,11 @@ class _Tables:
     def add(
         self, label: str, origin: str, time_s: NDArray[np.float64], columns: Mapping[str, NDArray[Any]], clock: str
     ) -> None:
-        by_name = next((columns[k] for k in NAMED if k in columns and columns[k].dtype.kind == "U"), None)
+        by_name = next((columns[k] for k in NAMED if k in columns and columns[k].dtype.kind in "UO"), None)
         rows_of: dict[str, Any] = {"": slice(None)}
         if by_name is not None:
             names, codes = np.unique(by_name, return_inverse=True)
-            rows_of = split_rows(names.tolist(), codes)
+            rows_of = split_rows(names[: MOST_CHANNELS + 1].tolist(), codes)
         for name, rows in rows_of.items():
             if len(self._series) > MOST_CHANNELS:
                 return

@@ -14,6 +14,7 @@ from logparsers.errors import EmptyLog, MissingChannel, UnreadableLog
 from logparsers.records import Damage
 from logparsers.source import decoding
 from logparsers.text import read_grid
+from logparsers.texts import split_rows
 from logparsers.units import COMMANDS, SECONDS, faser_unit, is_faser, suffix_unit
 
 if TYPE_CHECKING:
@@ -163,14 +164,14 @@ class _Reading:
 
     def _is_channel(self, name: str, cells: Cells, damage: list[Damage]) -> bool:
         """Judge a column by its text; the clock is one whose text is fatal, but no channel."""
-        if cells.strange.size:
-            line = self.grid.line[cells.strange[0]]
-            where = f"line {line}, column {name!r}: {cells.first_strange[:40]!r} is not a number"
+        if cells.strange:
+            row, text = cells.first_strange
+            where = f"line {self.grid.line(row)}, column {name!r}: {text[:40]!r} is not a number"
             if self._must_be_numeric(name):
                 raise UnreadableLog(f"{self.path}: {where}; missing cells are empty or nan")
             if cells.has_number and name not in (*self.layout.where, self.layout.run):
-                note = f"column left out, {cells.strange.size} cells are text, first in {where}"
-                damage.append(Damage("not_numeric", note, int(cells.strange.size)))
+                note = f"column left out, {cells.strange} cells are text, first in {where}"
+                damage.append(Damage("not_numeric", note, cells.strange))
             return False
         return name not in (self.layout.time, self.layout.run)
 
@@ -182,33 +183,38 @@ class _Reading:
         known = faser_unit(name) if self.kind == "faser" else suffix_unit(name)
         return self.layout.units.get(name, known)
 
-    def _runs(self) -> dict[str, NDArray[np.intp]]:
-        """Rows of every run, in the order of the file."""
-        kept = np.ones(self.grid.row.size, dtype=np.bool_)
+    def _runs(self) -> dict[str, NDArray[np.intp] | None]:
+        """Rows of every run, in the order of the file; None: all there are."""
+        if not self.layout.run and not self.layout.where:
+            return {"": None}
+        kept = np.ones(self.grid.size, dtype=np.bool_)
         for name, text in self.layout.where.items():
-            kept &= np.array([cell == text for cell in self.cells[name].texts])
+            kept &= self.cells[name].texts == text
             if not kept.any():
                 known = ", ".join(dict.fromkeys(self.cells[name].texts[:100_000]))[:120]
                 raise EmptyLog(f"{self.path}: no row where {name} is {text!r}; that column holds {known}")
         rows = np.flatnonzero(kept)
         if not self.layout.run:
             return {"": rows}
-        texts = self.cells[self.layout.run].texts
-        runs: dict[str, list[int]] = {}
-        for row in rows.tolist():
-            runs.setdefault(texts[row], []).append(row)
-        if len(runs) > MOST_RUNS:
-            raise UnreadableLog(f"{self.path}: column {self.layout.run!r} has {len(runs)} different texts: not runs")
-        return {run: np.array(members, dtype=np.intp) for run, members in runs.items()}
+        texts = self.cells[self.layout.run].texts[rows]
+        places: dict[str, int] = {}
+        codes = np.fromiter((places.setdefault(text, len(places)) for text in texts), np.int32, texts.size)
+        if len(places) > MOST_RUNS:
+            raise UnreadableLog(f"{self.path}: column {self.layout.run!r} has {len(places)} different texts: not runs")
+        return {text: rows[members] for text, members in split_rows(list(places), codes).items()}
 
-    def _log(self, run: str, rows: NDArray[np.intp], columns: list[Column], damage: tuple[Damage, ...]) -> FlightLog:
-        mine = [replace(column, values=column.values[rows]) for column in columns]
+    def _log(
+        self, run: str, rows: NDArray[np.intp] | None, columns: list[Column], damage: tuple[Damage, ...]
+    ) -> FlightLog:
+        mine = columns if rows is None else [replace(column, values=column.values[rows]) for column in columns]
         time_s = self._time_s(rows)
         return assemble(self.path, kind=self.kind, time_s=time_s, columns=mine, damage=damage, run=run)
 
-    def _time_s(self, rows: NDArray[np.intp]) -> FloatArray:
+    def _time_s(self, rows: NDArray[np.intp] | None) -> FloatArray:
         if self.layout.time in self.cells:
-            return self.cells[self.layout.time].values[rows] * SECONDS[self.layout.time_unit]
+            time = self.cells[self.layout.time].values
+            return (time if rows is None else time[rows]) * SECONDS[self.layout.time_unit]
         rate = self.layout.sample_rate_hz or np.nan
-        stamps: FloatArray = (self.grid.row[rows] - self.grid.row[rows[0]]) / rate  # a lost row leaves its place
+        row = self.grid.row if rows is None else self.grid.row[rows]
+        stamps: FloatArray = (row - row[0]) / rate  # a lost row leaves its place
         return stamps

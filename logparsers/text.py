@@ -11,6 +11,7 @@ import io
 import re
 from collections import Counter
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,17 +22,24 @@ from logparsers.errors import EmptyLog, LogError, MissingChannel, UnreadableLog
 from logparsers.records import Damage
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
     from numpy.typing import NDArray
 
 __all__ = ["Grid", "header_cells", "read_grid"]
 
 CONTROL = bytes(c for c in range(32) if c not in b"\t\n\f\r") + b"\x7f"
 NO_CONTROL = bytes(c for c in range(256) if c not in CONTROL)
+NEWLINE, MARK = b"\n", b"\xef\xbb\xbf"
+BLOCK_BYTES = 1 << 20
+"""As much text is taken apart at a time."""
+MOST_QUOTED = 1 << 22
+"""Of a header with quotes, in which delimiters tell nothing [bytes]."""
 SAMPLE_BYTES = 1 << 16
 """As much of a table is looked at to tell decimal commas from decimal points."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Grid:
     """A table of text.
 
@@ -39,25 +47,42 @@ class Grid:
     ----------
     names : tuple of str
         Names of the columns.
-    body : bytes
-        Rows, one per line, without quotes.
+    blocks : tuple of bytes or memoryview
+        Rows, one per line, without quotes: about `BLOCK_BYTES` in each.
     delimiter, decimal : str
         What separates cells, and what separates the fraction.
-    row : ndarray of int, shape (n,)
-        Number of every row, from 0, counting those that were dropped.
-    line : ndarray of int, shape (n,)
-        Line of every row in the file, from 1.
+    size : int
+        How many rows.
+    first_line : int
+        Line of the file in which the rows begin, from 1.
+    solid : ndarray of int32, shape (m,), or None
+        Lines that are not blank, counted from there; None: the first `size`, and all are whole.
+    whole : ndarray of bool, shape (m,), or None
+        Which of them have all their cells.
     damage : tuple of Damage
         Rows that were cut.
     """
 
     names: tuple[str, ...]
-    body: bytes
+    blocks: tuple[bytes | memoryview, ...]
     delimiter: str
     decimal: str
-    row: NDArray[np.intp]
-    line: NDArray[np.intp]
+    size: int
+    first_line: int
+    solid: NDArray[np.int32] | None
+    whole: NDArray[np.bool_] | None
     damage: tuple[Damage, ...]
+
+    @property
+    def row(self) -> NDArray[np.intp]:
+        """Number of every row, from 0, counting those that were dropped; shape (size,)."""
+        return np.arange(self.size) if self.whole is None else np.flatnonzero(self.whole)
+
+    def line(self, row: int) -> int:
+        """Line in the file of a row that was kept."""
+        if self.solid is None or self.whole is None:
+            return self.first_line + row
+        return self.first_line + int(self.solid[self.whole][row])
 
 
 def read_grid(path: Path, content: bytes, columns: tuple[str, ...] = ()) -> Grid:
@@ -67,24 +92,23 @@ def read_grid(path: Path, content: bytes, columns: tuple[str, ...] = ()) -> Grid
     --------
     >>> from pathlib import Path
     >>> grid = read_grid(Path("a.csv"), b"# bench\ntime_s;x\n0,00;1\n0,02;2\n")
-    >>> grid.names, grid.delimiter, grid.decimal, grid.line.tolist()
-    (('time_s', 'x'), ';', ',', [3, 4])
+    >>> grid.names, grid.delimiter, grid.decimal, grid.line(0)
+    (('time_s', 'x'), ';', ',', 3)
     """
-    text = _lines(path, content)
-    start, skipped = _preamble(path, text)
-    end = text.find(b"\n", start)
-    first = text[start:] if end < 0 else text[start:end]
+    _check_text(path, content)
+    blocks = _blocks(content)
+    start, skipped, first, block = _header(path, blocks)
     delimiter = _delimiter(first)
-    names = columns or _names(path, first.decode("utf-8", "replace"), delimiter, skipped + 1)
-    rest = text[start:] if columns else text[start + len(first) + 1 :]
+    names = columns or _names(path, first, delimiter, skipped + 1)
+    rest: Iterator[bytes | memoryview] = chain(
+        [memoryview(block)[start if columns else start + len(first) + 1 :]], blocks
+    )
     skipped += not columns
     if delimiter == " ":  # any number of blanks separates
-        rest, delimiter = re.sub(rb"[ \t]+", b"\t", re.sub(rb"(?m)^[ \t]+|[ \t]+$", b"", rest)), "\t"
-    sample = rest[:SAMPLE_BYTES]
-    comma = delimiter != "," and re.search(rb"\d,\d", sample) and not re.search(rb"\d\.\d", sample)
-    if b'"' in rest:
+        rest, delimiter = map(_tabbed, rest), "\t"
+    if b'"' in content:
         rest = _unquoted(path, rest, delimiter, skipped)
-    return _rows(path, names, rest, delimiter, "," if comma else ".", skipped)
+    return _rows(path, names, rest, delimiter, skipped)
 
 
 def header_cells(head: bytes) -> tuple[str, ...]:
@@ -97,10 +121,10 @@ def header_cells(head: bytes) -> tuple[str, ...]:
     """
     path = Path("<head>")
     try:
-        text = _lines(path, head.rpartition(b"\n")[0] or head)
-        start, _ = _preamble(path, text)
-        first = text[start:].partition(b"\n")[0]
-        return _names(path, first.decode("utf-8", "replace"), _delimiter(first), 1)
+        text = head.rpartition(b"\n")[0] or head
+        _check_text(path, text)
+        _, _, first, _ = _header(path, _blocks(text))
+        return _names(path, first, _delimiter(first), 1)
     except LogError:
         return ()
 
@@ -109,30 +133,58 @@ def _delimiter(first: bytes) -> str:
     return next((d for d in ("\t", ";", ",") if d.encode() in first), " ")
 
 
-def _lines(path: Path, content: bytes) -> bytes:
-    """Check that this is text; every line ends with one newline, whatever the machine that wrote it."""
-    text = content.removeprefix(b"\xef\xbb\xbf")
-    if strange := text.translate(None, NO_CONTROL):
-        at = text.index(strange[:1])
-        line = text.count(b"\n", 0, at) + 1
+def _check_text(path: Path, content: bytes) -> None:
+    """Refuse what holds a character that no text has."""
+    if strange := content.translate(None, NO_CONTROL):
+        at = content.index(strange[:1])
+        before = content[:at].replace(b"\r\n", b"\n").replace(b"\r", b"\n")
         raise UnreadableLog(
-            f"{path}: line {line} holds the byte 0x{strange[0]:02X}, which no text table has; export it again"
+            f"{path}: line {before.count(NEWLINE) + 1} holds the byte 0x{strange[0]:02X}, "
+            "which no text table has; export it again"
         )
-    return text.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in text else text
 
 
-def _preamble(path: Path, text: bytes) -> tuple[int, int]:
-    """Where the first line that is neither blank nor a comment starts, and how many lines stand before it."""
-    found = re.match(rb"(?:[ \t\f]*(?:#[^\n]*)?(?:\n|\Z))*+", text)
-    start = found.end() if found else 0
-    if start >= len(text):
-        raise EmptyLog(f"{path}: no header and no row; a table needs a header line with time_s, and rows below it")
-    return start, text.count(b"\n", 0, start)
+def _blocks(content: bytes) -> Iterator[bytes | memoryview]:
+    """Whole lines, each of which ends with one newline whatever the machine that wrote it; not copied if it may be."""
+    at = len(MARK) if content.startswith(MARK) else 0
+    if b"\r" in content and NEWLINE not in content:
+        content = content.replace(b"\r", NEWLINE)
+    view, returns = memoryview(content), b"\r" in content
+    while at < len(content):
+        end = content.find(NEWLINE, at + BLOCK_BYTES) + 1 or len(content)
+        block = view[at:end]
+        yield bytes(block).replace(b"\r\n", NEWLINE).replace(b"\r", NEWLINE) if returns else block
+        at = end
 
 
-def _names(path: Path, header: str, delimiter: str, line: int) -> tuple[str, ...]:
+def _header(path: Path, blocks: Iterator[bytes | memoryview]) -> tuple[int, int, bytes, bytes | memoryview]:
+    """Find the first line that is neither blank nor a comment.
+
+    Returns
+    -------
+    start, skipped : int
+        Where in its block it begins, and how many lines stand before it.
+    first : bytes
+        The line.
+    block : bytes or memoryview
+        With all that follows in it.
+    """
+    skipped = 0
+    for block in blocks:
+        found = re.match(rb"(?:[ \t\f]*(?:#[^\n]*)?(?:\n|\Z))*+", block)
+        start = found.end() if found else 0
+        skipped += bytes(block[:start]).count(NEWLINE)
+        if start < len(block):
+            return start, skipped, bytes(block[start:]).partition(NEWLINE)[0], block
+    raise EmptyLog(f"{path}: no header and no row; a table needs a header line with time_s, and rows below it")
+
+
+def _names(path: Path, header: bytes, delimiter: str, line: int) -> tuple[str, ...]:
+    if b'"' not in header or len(header) > MOST_QUOTED:  # before so many words are made of it
+        check_names(path, len(header.split()) if delimiter == " " else header.count(delimiter.encode()) + 1)
     try:
-        cells = next(csv.reader([header.strip(" ")], delimiter=delimiter, skipinitialspace=True))
+        text = header.decode("utf-8", "replace").strip(" ")
+        cells = next(csv.reader([text], delimiter=delimiter, skipinitialspace=True))
     except csv.Error as error:
         raise UnreadableLog(f"{path}: line {line}, the header, cannot be read: {error}") from error
     names = tuple(cell.strip() for cell in cells)
@@ -153,49 +205,92 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def _unquoted(path: Path, rest: bytes, delimiter: str, skipped: int) -> bytes:
+def _tabbed(block: bytes | memoryview) -> bytes:
+    return re.sub(rb"[ \t]+", b"\t", re.sub(rb"(?m)^[ \t]+|[ \t]+$", b"", block))
+
+
+def _unquoted(
+    path: Path, blocks: Iterable[bytes | memoryview], delimiter: str, skipped: int
+) -> Iterator[bytes | memoryview]:
     """Take quotes off; what they protected becomes a blank. Lines stay lines."""
-    reader = csv.reader(io.StringIO(rest.decode("utf-8", "replace"), newline=""), delimiter=delimiter, strict=True)
-    rows = []
-    line = 0
+    texts = (bytes(block).decode("utf-8", "replace") for block in blocks)
+    lines = (line for text in texts for line in io.StringIO(text, newline=""))
+    reader = csv.reader(lines, delimiter=delimiter, strict=True)
+    protected = re.compile(rf"[{delimiter}\n]")
+    rows: list[str] = []
+    line = size = 0
     try:
         for cells in reader:
-            rows.append(delimiter.join(re.sub(rf"[{delimiter}\n]", " ", cell) for cell in cells))
+            rows.append(delimiter.join(protected.sub(" ", cell) for cell in cells))
+            size += len(rows[-1]) + 1
             rows.extend([""] * (reader.line_num - line - 1))
             line = reader.line_num
+            if size > BLOCK_BYTES:
+                yield ("\n".join(rows) + "\n").encode()
+                rows, size = [], 0
     except csv.Error as error:
         raise UnreadableLog(f"{path}: line {skipped + line + 1}: {error}; close every quote that is opened") from error
-    return "\n".join(rows).encode()
+    yield "\n".join(rows).encode()
 
 
-def _rows(path: Path, names: tuple[str, ...], body: bytes, delimiter: str, decimal: str, skipped: int) -> Grid:
-    starts, ends, cells = _measure(body, delimiter)
-    solid = np.flatnonzero(ends > starts)
-    names, cells = _even(names, body, ends[solid], cells[solid], delimiter)
-    line = solid + skipped + 1
-    if np.any(cells > len(names)):
-        worst = int(np.argmax(cells > len(names)))
-        raise UnreadableLog(
-            f"{path}: line {line[worst]} has {cells[worst]} cells, but the table has {len(names)} columns "
-            f"({_shown(names)}); was a line lost, or two joined?"
-        )
-    needed = len(names) - (names[-1] == "" and len(names) > 1)  # a delimiter that ends the header may end rows or not
-    whole = cells >= needed
-    if not whole.any():
-        what = "no row below the header" if not solid.size else f"no row with {needed} cells"
+def _rows(
+    path: Path, names: tuple[str, ...], blocks: Iterable[bytes | memoryview], delimiter: str, skipped: int
+) -> Grid:
+    """Keep the rows that have all their cells, and know which lines they are."""
+    kept: list[bytes | memoryview] = []
+    solids: list[NDArray[np.int32]] = []
+    wholes: list[NDArray[np.bool_]] = []
+    decimal, size, lines, solid_lines = "", 0, 0, 0
+    needed = len(names)
+    for block in blocks:
+        if not len(block):
+            continue
+        starts, ends, cells = _measure(block, delimiter)
+        solid = np.flatnonzero(ends > starts)
+        if solid.size and not solid_lines:
+            names = _even(names, block, ends[solid], cells[solid], delimiter)
+            needed = len(names) - (names[-1] == "" and len(names) > 1)  # what ends the header may end rows or not
+            decimal = _decimal(bytes(block[:SAMPLE_BYTES]), delimiter)
+        cells = cells[solid]
+        if np.any(cells > len(names)):
+            worst = int(np.argmax(cells > len(names)))
+            raise UnreadableLog(
+                f"{path}: line {lines + solid[worst] + skipped + 1} has {cells[worst]} cells, but the table has "
+                f"{len(names)} columns ({_shown(names)}); was a line lost, or two joined?"
+            )
+        whole = cells >= needed
+        is_even = whole.all() and (cells == len(names)).all() and solid.size == starts.size
+        if is_even:
+            kept.append(block)
+        elif whole.any():
+            spans = starts[solid[whole]], ends[solid[whole]]
+            kept.append(_joined(block, *spans, len(names) - cells[whole], delimiter))
+        if solids or not whole.all() or solid.size < starts.size:
+            if not solids:  # all were sound so far
+                solids, wholes = [np.arange(lines, dtype=np.int32)], [np.ones(lines, np.bool_)]
+            solids.append((solid + lines).astype(np.int32))
+            wholes.append(whole)
+        size, lines, solid_lines = size + int(whole.sum()), lines + starts.size, solid_lines + solid.size
+    if not size:
+        what = "no row below the header" if not solid_lines else f"no row with {needed} cells"
         raise EmptyLog(f"{path}: {what} ({_shown(names)}); a log needs at least one sample")
-    if not (whole.all() and (cells == len(names)).all() and solid.size == starts.size):
-        body = _joined(body, starts[solid[whole]], ends[solid[whole]], len(names) - cells[whole], delimiter)
-    cut = line[~whole]
-    return Grid(names, body, delimiter, decimal, np.flatnonzero(whole), line[whole], _cut(cut, needed))
+    line, is_whole = (np.concatenate(solids), np.concatenate(wholes)) if solids else (None, None)
+    cut = line[~is_whole] + skipped + 1 if line is not None and is_whole is not None else np.zeros(0, np.int32)
+    damage = _cut(cut, needed)
+    return Grid(names, tuple(kept), delimiter, decimal, size, skipped + 1, line, is_whole, damage)
 
 
-def _measure(body: bytes, delimiter: str) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+def _decimal(sample: bytes, delimiter: str) -> str:
+    """What separates the fraction, by the first rows."""
+    return "," if delimiter != "," and re.search(rb"\d,\d", sample) and not re.search(rb"\d\.\d", sample) else "."
+
+
+def _measure(body: bytes | memoryview, delimiter: str) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
     """Where every line starts and ends, and how many cells it has."""
     codes = np.frombuffer(body, np.uint8)
     ends = np.flatnonzero(codes == ord("\n"))
-    if not body.endswith(b"\n"):
-        ends = np.append(ends, len(body))
+    if codes[-1] != ord("\n"):
+        ends = np.append(ends, codes.size)
     starts = np.concatenate([[0], ends[:-1] + 1]).astype(np.intp)
     marks = np.flatnonzero(codes == ord(delimiter))
     cells = np.searchsorted(marks, ends) - np.searchsorted(marks, starts) + 1
@@ -203,25 +298,27 @@ def _measure(body: bytes, delimiter: str) -> tuple[NDArray[np.intp], NDArray[np.
 
 
 def _even(
-    names: tuple[str, ...], body: bytes, ends: NDArray[np.intp], cells: NDArray[np.intp], delimiter: str
-) -> tuple[tuple[str, ...], NDArray[np.intp]]:
+    names: tuple[str, ...], body: bytes | memoryview, ends: NDArray[np.intp], cells: NDArray[np.intp], delimiter: str
+) -> tuple[str, ...]:
     """Some loggers end every row, but not the header, with a delimiter: that is one more column without a name."""
-    if ends.size and np.all(cells == len(names) + 1):
-        last = np.frombuffer(body, np.uint8)[ends - 1]
-        if np.all(last == ord(delimiter)):
-            return (*names, ""), cells
-    return names, cells
+    if np.all(cells == len(names) + 1) and np.all(np.frombuffer(body, np.uint8)[ends - 1] == ord(delimiter)):
+        return (*names, "")
+    return names
 
 
 def _joined(
-    body: bytes, starts: NDArray[np.intp], ends: NDArray[np.intp], lacking: NDArray[np.intp], delimiter: str
+    body: bytes | memoryview,
+    starts: NDArray[np.intp],
+    ends: NDArray[np.intp],
+    lacking: NDArray[np.intp],
+    delimiter: str,
 ) -> bytes:
-    mark = delimiter.encode()
+    mark, body = delimiter.encode(), bytes(body)
     spans = zip(starts.tolist(), ends.tolist(), lacking.tolist(), strict=True)
-    return b"\n".join(body[start:end] + mark * more for start, end, more in spans)
+    return b"".join(body[start:end] + mark * more + NEWLINE for start, end, more in spans)
 
 
-def _cut(lines: NDArray[np.intp], needed: int) -> tuple[Damage, ...]:
+def _cut(lines: NDArray[np.int32], needed: int) -> tuple[Damage, ...]:
     if not lines.size:
         return ()
     return (

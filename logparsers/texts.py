@@ -14,13 +14,15 @@ if TYPE_CHECKING:
 __all__ = ["distinct_texts", "split_rows"]
 
 
-def distinct_texts(raw: NDArray[np.uint8]) -> tuple[list[str], NDArray[np.int64]]:
+def distinct_texts(raw: NDArray[np.uint8], most: int | None = None) -> tuple[list[str], NDArray[np.int64]]:
     r"""Find the distinct texts among rows of characters. By sorting: no choice of texts can make it slow.
 
     Parameters
     ----------
     raw : ndarray of uint8, shape (n, width)
         ASCII, ended by a NUL or by the last column.
+    most : int, optional
+        Of more texts than that, only so many; rows of the others have the code behind them.
 
     Returns
     -------
@@ -37,18 +39,26 @@ def distinct_texts(raw: NDArray[np.uint8]) -> tuple[list[str], NDArray[np.int64]
     (['POS', 'PWM'], [0, 1, 0])
     """
     count, width = raw.shape
-    ended = np.logical_or.accumulate(raw == 0, axis=1)
     words = np.zeros((count, -(-width // 8)), dtype=np.uint64)
-    words.view(np.uint8)[:, :width] = np.where(ended, 0, raw)
+    letters = words.view(np.uint8)[:, :width]
+    letters[:] = raw
+    for place in range(1, width):
+        letters[:, place] *= letters[:, place - 1] != 0
     order = np.lexsort(words.T)
-    fresh = np.ones(count, dtype=bool)
-    fresh[1:] = (words[order[1:]] != words[order[:-1]]).any(axis=1)
+    fresh = np.zeros(count, dtype=bool)
+    fresh[:1] = True
+    for column in words.T:
+        ordered = column[order]
+        fresh[1:] |= ordered[1:] != ordered[:-1]
     group = np.empty(count, dtype=np.int64)
     group[order] = np.cumsum(fresh) - 1
-    found = [words[i].tobytes().rstrip(b"\0").decode("ascii", errors="replace") for i in order[fresh]]
+    found = [words[i].tobytes().rstrip(b"\0").decode("ascii", errors="replace") for i in order[fresh][:most]]
     texts = sorted(set(found))  # different damage can decode to the same replacement
-    place = {text: k for k, text in enumerate(texts)}
-    return texts, np.array([place[text] for text in found], dtype=np.int64)[group]
+    place_of = {text: k for k, text in enumerate(texts)}
+    places = np.array([place_of[text] for text in found], dtype=np.int64)
+    if most is None or group.size == 0 or places.size > group.max():
+        return texts, places[group]
+    return texts, np.append(places, len(texts))[np.minimum(group, places.size)]
 
 
 def split_rows(values: Sequence[Any], codes: NDArray[Any]) -> dict[Any, NDArray[np.intp]]:
@@ -57,7 +67,7 @@ def split_rows(values: Sequence[Any], codes: NDArray[Any]) -> dict[Any, NDArray[
     Parameters
     ----------
     values : sequence of k
-        What the codes stand for.
+        What the codes stand for; more codes than values are left out.
     codes : ndarray of int, shape (n,)
         Which value each row has; every value has a row.
 
@@ -66,5 +76,8 @@ def split_rows(values: Sequence[Any], codes: NDArray[Any]) -> dict[Any, NDArray[
     >>> {name: rows.tolist() for name, rows in split_rows(["a", "b"], np.array([1, 0, 1])).items()}
     {'a': [1], 'b': [0, 2]}
     """
-    starts = np.cumsum(np.bincount(codes, minlength=len(values)))[:-1]
-    return dict(zip(values, np.split(np.argsort(codes, kind="stable"), starts), strict=True))
+    ends = np.cumsum(np.bincount(codes, minlength=len(values)))[: len(values)]
+    order = np.argsort(codes, kind="stable")
+    if ends.size and ends[-1] < order.size:
+        order = order[: ends[-1]].copy()
+    return dict(zip(values, np.split(order, ends[:-1]), strict=True))

@@ -148,7 +148,7 @@ class ExportedStore:
 
 
 def _layout(kind: int, name: str, columns: Mapping[str, NDArray[Any]]) -> Layout:
-    format_ = "".join(CLOCKS.get(k, "Z" if v.dtype.kind == "U" else "d") for k, v in columns.items())
+    format_ = "".join(CLOCKS.get(k, "Z" if v.dtype.kind in "UO" else "d") for k, v in columns.items())
     layout = define(type=kind, name=name, length=1 << 30, format=format_, columns=",".join(columns))
     return dataclasses.replace(layout, instance=layout.instance or _instance(layout, columns))
 

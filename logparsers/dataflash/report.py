@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["Boots", "describe"]
 
 REBOOT_US: Final = 1_000_000  # set between two runs of the clock in one file; the true pause is unknown
+JUMP_US: Final = 86_400_000_000  # no log pauses for a day: such a stamp is damaged
 PAGE: Final = 528  # boards that log to flash pages leave up to this many bytes unused at the end
 WORDS: Final = {
     "zeros": "zeros",
@@ -54,7 +55,7 @@ def describe(store: Store, boots: Boots) -> tuple[Damage, ...]:
 
 @dataclass(frozen=True)
 class Boots:
-    """How a log goes on where its clock begins again: one second after the last record before.
+    """How a log goes on where its clock begins again, or jumps ahead: one second after the last record before.
 
     Examples
     --------
@@ -68,7 +69,7 @@ class Boots:
     @cached_property
     def _runs(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Where a clock begins again [bytes]; what to add to it before the first such place, from it on, ... [us]."""
-        again = [step for step in self.steps if step.after_us < step.before_us - BACK_US]
+        again = [step for step in self.steps if not -BACK_US <= step.after_us - step.before_us <= JUMP_US]
         shifts = [0, *(step.before_us + REBOOT_US - step.after_us for step in again)]
         return np.array([step.offset for step in again], np.int64), np.cumsum(np.array(shifts, np.int64))
 
@@ -101,4 +102,7 @@ def _step(step: Step, boots: Boots) -> Damage:
     if step.after_us < step.before_us - BACK_US:
         note = f"the clock went back from {before:.3f} s to {after:.3f} s: reboot, or two logs in one file"
         return Damage("reboot", note, 1, *ends)
+    if step.after_us > step.before_us + JUMP_US:
+        note = f"the clock jumps from {before:.3f} s to {after:.3f} s; times run on one second after"
+        return Damage("clock_jump", note, 1, *ends)
     return Damage("gap", f"nothing logged for {after - before:.3f} s", 1, *ends)

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 __all__ = ["TextStore"]
 
 NAME_SIZE: Final = 4
-BYTES_AT_ONCE: Final = 1 << 24
+BYTES_AT_ONCE: Final = 1 << 20
+LINES_AT_ONCE: Final = 1 << 13
 LISTED: Final = 1000
 BAD: Final = -1
 MOST_US: Final = 2**48  # more than eight years
@@ -250,9 +251,9 @@ def _lines(raw: NDArray[np.uint8]) -> tuple[NDArray[np.int64], NDArray[Any], NDA
     starts = starts[starts < len(raw)]
     commas = np.zeros(len(starts), np.int64)
     names = np.full(len(starts), BAD, np.int64)
-    for begin in range(0, len(starts), 1 << 16):
-        here = starts[begin : begin + (1 << 16)]
-        stop = int(starts[begin + (1 << 16)]) if begin + (1 << 16) < len(starts) else len(raw)
+    for begin in range(0, len(starts), LINES_AT_ONCE):
+        here = starts[begin : begin + (LINES_AT_ONCE)]
+        stop = int(starts[begin + (LINES_AT_ONCE)]) if begin + (LINES_AT_ONCE) < len(starts) else len(raw)
         block = raw[here[0] : stop]
         commas[begin : begin + len(here)] = np.add.reduceat(block == COMMA, here - here[0], dtype=np.int64)
         heads = raw[np.minimum(here[:, None] + np.arange(NAME_SIZE + 1), len(raw) - 1)]

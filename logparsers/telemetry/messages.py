@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from logparsers.channels import MOST_CHANNELS
 from logparsers.errors import MissingChannel
 from logparsers.telemetry import frames
 from logparsers.texts import distinct_texts, split_rows
@@ -166,7 +167,7 @@ class MessageTable:
             known = layout.fields[layout.instance]
             raw = frames.gather(self._data, self.stream(message, source), known.offset, known.width)
             if known.is_text:
-                values, codes = distinct_texts(raw)
+                values, codes = distinct_texts(raw, MOST_CHANNELS + 1)
             else:
                 numbers, codes = np.unique(raw.view(known.dtype).reshape(-1), return_inverse=True)
                 values = numbers.tolist()

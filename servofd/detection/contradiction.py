@@ -276,7 +276,10 @@ def _stopped_s(flight: _Flight, begin: int, latest: int, at_deg: float, width_de
 def _moving(flight: _Flight) -> Iterator[_Stretch]:
     """Windows in which it moves as nobody asked it to, or far too late."""
     time_s, error_deg = flight.time_s, flight.error_deg
-    starts = np.arange(time_s[0], time_s[-1] - _WINDOW_S + 1e-9, _HOP_S)
+    hops = np.unique(np.floor((time_s - time_s[0]) / _HOP_S))  # a damaged clock leaves more silence than can be counted
+    hops = np.unique(hops[:, None] - np.arange(round(_WINDOW_S / _HOP_S)))
+    starts = time_s[0] + _HOP_S * hops[hops >= 0.0]
+    starts = starts[starts <= time_s[-1] - _WINDOW_S]
     firsts = np.searchsorted(time_s, starts)
     lasts = np.searchsorted(time_s, starts + _WINDOW_S)
     total, power = (np.concatenate([[0.0], np.cumsum(x)]) for x in (error_deg, error_deg**2))

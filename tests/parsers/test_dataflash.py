@@ -552,3 +552,12 @@ def test_after_reboots_every_time_is_on_the_base_of_the_log() -> None:
     (hurt,) = (damage for damage in log.damage if damage.kind == "corrupt")
     assert hurt.start_s is not None
     assert hurt.start_s > boot_s
+
+
+def test_a_clock_that_jumps_by_more_than_a_day_goes_on() -> None:
+    stamps = [20_000 * k + 9 * 10**12 * (k >= 100) for k in range(200)]
+    rows = [f"RCOU, {time_us}, {k}" for k, time_us in enumerate(stamps)]
+    log = logparsers.read(io.BytesIO("\n".join(["FMT, 7, 13, RCOU, QH, TimeUS,C1", *rows]).encode()))
+    assert log["RCOU.C1"].values.size == 200
+    assert log.duration_s < 6.0
+    assert [damage.kind for damage in log.damage] == ["clock_jump"]
