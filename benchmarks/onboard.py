@@ -1,8 +1,9 @@
 """What the script on board costs: instructions of Lua's machine in its longest call, and memory.
 
-``python benchmarks/onboard.py``: real Lua 5.3 runs scripts of one to twelve surfaces through eight seconds of sticks at
-their ends, one servo jammed, in which glitches are sorted out. ArduPilot gives a call 10 000 instructions, and a script
-what is left of SCR_HEAP_SIZE; numbers of 32 bits take less room there than the 64 bits measured here.
+``python benchmarks/onboard.py [LUA]``: real Lua 5.3 runs scripts of one to twelve surfaces through eight seconds of
+sticks at their ends, one servo jammed, in which glitches are sorted out. ArduPilot gives a call 10 000 instructions and
+a script what is left of SCR_HEAP_SIZE. Its Lua has numbers and pointers of 32 bits: LUA is an interpreter built so
+(``gcc -m32 -DLUA_32BITS`` of the sources of Lua 5.3), by which the heap is measured; lupa's, without one, has 64 bits.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from servofd.aircraft import Aircraft
 from servofd.onboard.plan import plan_onboard
 from servofd.onboard.script import watch_script
-from tests.onboard.autopilot import Flight, fly
+from tests.onboard.autopilot import Flight, fly, heap_kb
 
 LIMITED = 250.0
 SERVOS: dict[str, dict[str, object]] = {
@@ -46,7 +47,7 @@ def aircraft(count: int, servo: dict[str, object], *, limited: bool) -> Aircraft
     return Aircraft.model_validate({"surfaces": surfaces, "servos": {"it": known}})
 
 
-def flight(plane: Aircraft, period_us: int) -> Flight:
+def flight_of(plane: Aircraft, period_us: int) -> Flight:
     """Sticks at their ends; the first servo is jammed, and positions jump away and back now and then."""
     time_us = 5_000_000 + np.arange(0, 8_000_000, period_us)
     time_s, rng = time_us / 1e6, np.random.default_rng(1)
@@ -60,6 +61,8 @@ def flight(plane: Aircraft, period_us: int) -> Flight:
 
 
 def main() -> None:
+    lua = Path(sys.argv[1]) if len(sys.argv) > 1 else None
+    print(f"heap with {'32' if lua else '64'} bits")
     print("surfaces  servo        rate limit  calls a period  instructions  foreseen  heap [kB]  script [kB]")
     with tempfile.TemporaryDirectory() as folder:
         for count in (1, 6, 12):
@@ -68,10 +71,12 @@ def main() -> None:
                     plane = aircraft(count, servo, limited=limited)
                     plan = plan_onboard(plane)
                     script = watch_script(plan)
-                    flown = fly(script, flight(plane, 1000 * plan.period_ms // plan.turns), Path(folder), counted=True)
+                    flight = flight_of(plane, 1000 * plan.period_ms // plan.turns)
+                    flown = fly(script, flight, Path(folder), counted=True)
+                    heap = heap_kb(lua, script, flight, Path(folder)) if lua else flown.heap_kb
                     print(
                         f"{count:8}  {name:12} {'yes' if limited else 'no':10}  {plan.turns:14}"
-                        f"  {flown.most_instructions:12}  {plan.instructions:8}  {flown.heap_kb:9.1f}"
+                        f"  {flown.most_instructions:12}  {plan.instructions:8}  {heap:9.1f}"
                         f"  {len(script) / 1e3:11.1f}"
                     )
 

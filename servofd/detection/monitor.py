@@ -77,6 +77,8 @@ _MOST = 0.5
 """Share of the time that must be judged for a verdict."""
 _STEADY_S = 2.0
 _SAME_PACE = 1.5
+_LEAST_SHARE, _OUTAGE_S = 0.75, 1.0
+"""Of the slowest rate that is judged, as the mean of what a link leaves of it between pauses longer than this [s]."""
 _CALIBRATED_RAD_S = 10.0
 """A filter that nothing is judged by."""
 _QUIET, _TOGETHER, _FAST_S = 0.3, 2, 0.025
@@ -193,6 +195,7 @@ class SurfaceMonitor:
     _latest_seen: float = float("nan")
     _moved: bool = False
     """Whether positions have changed while the stream had not begun."""
+    _told_still: bool = False
     _told_slow: bool = False
     _slow: str = ""
     _excused: tuple[float, float] = (-np.inf, 0.0)
@@ -433,6 +436,9 @@ class SurfaceMonitor:
         if self._off_pace < WARM_UP_STEPS:
             return []
         self._off_pace = 0
+        if self._thin:
+            self.problem, self._told_slow = self._thin, True
+            return [*self.restart(), Event(self._recent[-1], self.name, "no_data", text=self.problem)]
         mean_s = (self._recent[-1] - self._recent[0]) / WARM_UP_STEPS
         now = float(np.median(np.diff(np.array(self._recent)))) / self._period_s
         same = any(1.0 / _SAME_PACE <= pace <= _SAME_PACE for pace in (now, mean_s / self._mean_s))
@@ -441,6 +447,15 @@ class SurfaceMonitor:
         text = f"positions now come at {self.rate_hz:.3g} Hz, not {1.0 / self._period_s:.3g} Hz; begins anew"
         time_s = self._recent[-1]
         return [*self.restart(), Event(time_s, self.name, "no_data", text=text)]
+
+    @property
+    def _thin(self) -> str:
+        """That too many positions are lost to judge a servo by the rest, in words; empty if they are not."""
+        steps_s = np.diff(np.array(self._recent))
+        steps_s = steps_s[steps_s <= _OUTAGE_S]
+        if steps_s.size < 2 or 1.0 / float(np.mean(steps_s)) >= _LEAST_SHARE * SLOWEST_RATE_HZ:
+            return ""
+        return f"{1.0 / float(np.mean(steps_s)):.2g} positions a second arrive; a servo cannot be judged by so few"
 
     def _warm_up(self, asked: list[tuple[float, float]], seen: list[tuple[float, float]]) -> list[Event]:
         """Wait for the pace, and for a position that is not always the same."""
@@ -462,9 +477,9 @@ class SurfaceMonitor:
                 return []
         if not self._moved:
             del commands[:-_LONGEST_WAIT], positions[:-_LONGEST_WAIT]
-            if self._told_slow or now_s - positions[0][0] < WARM_UP_S:
+            if self._told_still or now_s - positions[0][0] < WARM_UP_S:
                 return []
-            self._told_slow = True
+            self._told_still = True
             return [Event(now_s, self.name, "no_data", text="the position never changes: not a measurement")]
         return self._begin()
 
@@ -476,11 +491,11 @@ class SurfaceMonitor:
         if not commands or steps_s.size < 2 or np.ptp([value for _, value in positions if np.isfinite(value)]) == 0.0:
             return []
         self._period_s, self._mean_s = float(np.median(steps_s)), float(np.mean(steps_s))
-        problem = ""
+        problem = self._thin
         if 1.0 / self._period_s < SLOWEST_RATE_HZ:
             problem = f"position comes at {1.0 / self._period_s:.2g} Hz; a servo cannot be judged below "
             problem += f"{SLOWEST_RATE_HZ:g} Hz"
-        else:
+        elif not problem:
             try:
                 self._generator = (
                     ResidualGenerator(self.model, _CALIBRATED_RAD_S)

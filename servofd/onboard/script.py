@@ -114,8 +114,7 @@ def _entry(surface: OnboardSurface) -> str:
     if surface.stops_deg is not None:
         settings["stops"] = list(surface.stops_deg)
     if surface.rates_deg_s is not None:
-        settings |= {"up": surface.rates_deg_s[0], "down": surface.rates_deg_s[1]}
-        settings["weak"] = surface.weak_rate_deg_s
+        settings["rates"] = [*surface.rates_deg_s, surface.weak_rate_deg_s]
     lines = [""]
     for key, value in settings.items():
         item = f"{key} = {_lua(value)},"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,9 +16,10 @@ if TYPE_CHECKING:
 
     from servofd.types import FloatArray, IntArray
 
-__all__ = ["Flight", "Flown", "fly"]
+__all__ = ["Flight", "Flown", "fly", "heap_kb"]
 
-_STUBS = Path(__file__).with_name("autopilot.lua").read_text()
+_STUBS_FILE = Path(__file__).with_name("autopilot.lua")
+_STUBS = _STUBS_FILE.read_text()
 _LOGGED = [
     ("time_us", "<i4"),
     ("output", "<u2"),
@@ -73,20 +75,7 @@ def fly(
     """Run a script through a flight; `counted` counts its instructions, `old` is an autopilot without telemetry."""
     from lupa.lua53 import LuaRuntime
 
-    outputs = list(flight.pulse_us)
-    fields = [("time_us", "<i4"), ("armed", "<i4")]
-    for output in outputs:
-        fields += [(f"pulse_{output}", "<f4"), (f"deg_{output}", "<f4"), (f"ms_{output}", "<i4")]
-    rows = np.zeros(flight.time_us.size, dtype=fields)
-    rows["time_us"] = (flight.time_us & 0xFFFFFFFF).astype(np.uint32).view(np.int32)
-    rows["armed"] = flight.armed
-    for output in outputs:
-        deg = flight.position_deg[output].astype(np.float32)
-        came = np.maximum.accumulate(np.where(np.isfinite(deg), np.arange(deg.size), -1))
-        rows[f"pulse_{output}"] = flight.pulse_us[output]
-        rows[f"deg_{output}"] = np.where(came >= 0, deg[came], np.nan)
-        rows[f"ms_{output}"] = np.where(came >= 0, (flight.time_us[came] // 1000) & 0x7FFFFFFF, -1)
-    rows.tofile(folder / "rows.bin")
+    outputs = rows_of(flight, folder)
     lua = LuaRuntime(unpack_returned_tuples=True)
     world = lua.globals()
     world.SCRIPT = script if counted else in_32_bits(script)
@@ -104,3 +93,39 @@ def fly(
         named=result.named,
         ended=bool(result.ended),
     )
+
+
+def rows_of(flight: Flight, folder: Path) -> list[int]:
+    """Write the rows that the stubs read; the outputs that are in them."""
+    outputs = list(flight.pulse_us)
+    fields = [("time_us", "<i4"), ("armed", "<i4")]
+    for output in outputs:
+        fields += [(f"pulse_{output}", "<f4"), (f"deg_{output}", "<f4"), (f"ms_{output}", "<i4")]
+    rows = np.zeros(flight.time_us.size, dtype=fields)
+    rows["time_us"] = (flight.time_us & 0xFFFFFFFF).astype(np.uint32).view(np.int32)
+    rows["armed"] = flight.armed
+    for output in outputs:
+        deg = flight.position_deg[output].astype(np.float32)
+        came = np.maximum.accumulate(np.where(np.isfinite(deg), np.arange(deg.size), -1))
+        rows[f"pulse_{output}"] = flight.pulse_us[output]
+        rows[f"deg_{output}"] = np.where(came >= 0, deg[came], np.nan)
+        rows[f"ms_{output}"] = np.where(came >= 0, (flight.time_us[came] // 1000) & 0x7FFFFFFF, -1)
+    rows.tofile(folder / "rows.bin")
+    return outputs
+
+
+def heap_kb(interpreter: Path, script: str, flight: Flight, folder: Path) -> float:
+    """What a script holds at the end of a flight [kB], by another Lua 5.3: one of 32 bits, as autopilots have it."""
+    outputs = rows_of(flight, folder)
+    (folder / "script.lua").write_text(script)
+    (folder / "run.lua").write_text(
+        f"""local file = assert(io.open("{folder}/script.lua"))
+SCRIPT = file:read("a")
+file:close()
+INPUT, OUTPUT, OUTPUTS = "{folder}/rows.bin", "{folder}/log.bin", {{ {", ".join(map(str, outputs))} }}
+PARAMETERS, COUNTED, OLD = {{}}, false, false
+print(dofile("{_STUBS_FILE}").most_heap_kb)
+"""
+    )
+    done = subprocess.run([interpreter, folder / "run.lua"], capture_output=True, text=True, check=True)
+    return float(done.stdout)

@@ -117,17 +117,15 @@ def test_more_surfaces_than_a_call_has_time_for_are_refused_with_how_many_fit() 
         (("gain = 0.09", 'gain = "much"'), "servofd: AILERON: gain is no number"),
         (('name = "RUDDER"', 'name = "A NAME THAT IS FAR TOO LONG FOR A TEXT"'), "servofd: name of surface 3: 1 to 22"),
         (("modes = { {", "modes = { { 1.0 }, {"), "servofd: AILERON: a mode is wrong"),
-        (("up = 370.0", "up = nil"), "servofd stopped"),
+        (("rates = { 370.0,", "rates = { nil,"), "servofd: AILERON: rates are no three numbers"),
+        (("rates = {", "rats = {"), ""),  # without a limit it is another servo, and one that works
     ],
 )
 def test_an_edited_script_says_what_is_wrong(tmp_path: Path, edit: tuple[str, str], told: str) -> None:
     script = watch_script(plan_onboard(SIMULATED))
     assert edit[0] in script
     flown = fly(script.replace(*edit, 1), wiggled(SIMULATED), tmp_path)
-    if edit[1] == "up = nil":  # without a limit it is another servo, and one that works
-        assert not flown.ended
-        return
-    assert flown.ended
+    assert flown.ended == bool(told)
     assert flown.texts[-1][1].startswith(told)
 
 

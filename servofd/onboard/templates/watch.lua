@@ -13,8 +13,8 @@
    servo leaves at zero whatever the command; more than the threshold is an alarm. `servofd audit` does the same.
 --]]
 
--- Angles in degrees, rates in degrees per second, times in microseconds. Each mode of a servo is
--- { decay [1/s], turn [rad/s], weight, weight of the turning part }.
+-- Angles in degrees, rates in degrees per second (up, down, and of the slowest motor tolerated), times in microseconds.
+-- Each mode of a servo is { decay [1/s], turn [rad/s], weight, weight of the turning part }.
 local SURFACES = {
 {%- for surface in plan.surfaces %}
    { {{ surface | lua_entry }} },
@@ -98,8 +98,8 @@ local function move(s, until_us)
       return
    end
    s.at_us = until_us
-   local modes, held, pieces = s.modes, s.held, 1
-   local limited = s.up and (s.direction ~= 0 or s.weak_direction ~= 0 or s.fastest > s.weak)
+   local modes, held, rates, pieces = s.modes, s.held, s.rates, 1
+   local limited = rates and (s.direction ~= 0 or s.weak_direction ~= 0 or s.fastest > rates[3])
    if limited then
       pieces = min(step // PIECE_S + 1.0, MOST_PIECES)
       step = step / pieces
@@ -130,8 +130,8 @@ local function move(s, until_us)
          end
       end
       if limited then
-         position, direction = follow(position, direction, s.up, s.down, p0, v0, p1, v1, step)
-         weak, weak_direction = follow(weak, weak_direction, s.weak, s.weak, p0, v0, p1, v1, step)
+         position, direction = follow(position, direction, rates[1], rates[2], p0, v0, p1, v1, step)
+         weak, weak_direction = follow(weak, weak_direction, rates[3], rates[3], p0, v0, p1, v1, step)
          p0, v0 = p1, v1
       else
          position, weak = p1, p1
@@ -388,7 +388,7 @@ local function judge(s, now_us, measured, simulated, weak)
       local lag = exp(-s.pole * step)
       weigh(s, step, lag)
       residual, still = filter(lags, 0, count, lag, off), filter(lags, count, count, lag, -simulated)
-      slower = s.up and filter(lags, 2 * count, count, lag, weak - simulated) or 0.0
+      slower = s.rates and filter(lags, 2 * count, count, lag, weak - simulated) or 0.0
    end
    s.filter_us = now_us
    listen(s, measured, off)
@@ -633,9 +633,12 @@ local function mistake()
             return s.name .. ": " .. key .. " is no number"
          end
       end
-      for _, key in ipairs({ "threshold", "up", "down", "weak" }) do
-         if s[key] and type(s[key]) ~= "number" or (s.up and not s[key] and key ~= "threshold") then
-            return s.name .. ": " .. key .. " is no number"
+      if s.threshold and type(s.threshold) ~= "number" then
+         return s.name .. ": threshold is no number"
+      end
+      for k = 1, s.rates and 3 or 0 do
+         if type(s.rates) ~= "table" or type(s.rates[k]) ~= "number" then
+            return s.name .. ": rates are no three numbers"
          end
       end
       if type(s.modes) ~= "table" or #s.modes < 1 or #s.modes > 8 then
@@ -671,6 +674,7 @@ local function prepare(s, now_us)
                           "peak_speed", "peak_quick", "peak_weak", "travel", "typical", "row" }) do
       s[key] = 0
    end
+   s.alarm, s.silent, s.draining = false, false, false -- a table that grows in flight would have to be copied
    s.seen_us, s.last_measured, s.seen_noise, s.lowest, s.highest = now_us, NAN, s.noise, 1e9, -1e9
    s.stream = "SRVP" .. s.output
    s.reach_low, s.reach_high = -1e9, 1e9
