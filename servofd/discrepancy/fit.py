@@ -387,7 +387,7 @@ class Fitter:
     def foreseen(self, fit: Fit) -> tuple[float, float]:
         """Misfit that a servo fitted to the training blocks leaves on those held out, and what its prior costs."""
         judged, held = self._foreseen(fit), self.record.held_out
-        error = judged.error_deg
+        error = self._beside_mean_reading(judged)
         runs = self.record.run[held]
         count = np.bincount(runs, minlength=self._count.size)
         squares = np.bincount(runs, weights=error[held] ** 2, minlength=count.size) / np.maximum(count, 1)
@@ -492,6 +492,14 @@ class Fitter:
             read_deg = np.where(self.part.counts, self.part.measured_deg, np.nan)
             self._below_deg = noise_below_deg(read_deg, moved_deg, step_deg)
         return mean_reading_deg(moved_deg, step_deg, self._below_deg)
+
+    def _beside_mean_reading(self, judged: Fit) -> FloatArray:
+        """Error of a judged servo; behind a converter with coarse steps beside what that reads on average, as fitted."""
+        step_deg = judged.physics.output_step_deg
+        if step_deg < COARSE_STEP_DEG or step_deg != self.part.step_deg or self._below_deg == 0.0:
+            return judged.error_deg
+        measured_deg = self.record.measured_deg
+        return measured_deg - mean_reading_deg(measured_deg - judged.unstepped_deg, step_deg, self._below_deg)
 
     def _squares(self, error: FloatArray) -> FloatArray:
         """Mean square of each run."""

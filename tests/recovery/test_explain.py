@@ -230,7 +230,7 @@ def jammed(log: Hidden, from_s: float, until_s: float) -> Hidden:
 @pytest.mark.parametrize(
     "command", ["lively", *(pytest.param(each, marks=pytest.mark.nightly) for each in ("doublets", "chirp"))]
 )
-@pytest.mark.parametrize(("noise_deg", "step_deg"), [(0.02, 0.3), (0.05, 0.8), (0.2, 2.0)])
+@pytest.mark.parametrize(("noise_deg", "step_deg"), [(0.02, 0.3), (0.05, 0.3), (0.05, 0.8), (0.2, 2.0)])
 def test_coarse_steps_are_told_by_the_readings_alone(command: str, noise_deg: float, step_deg: float) -> None:
     """At rest for most of the time, fast, fine or swamped by noise: the comb of the readings is the proof."""
     time_s = np.arange(0.0, 60.0, 0.01)
