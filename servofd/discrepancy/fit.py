@@ -494,7 +494,7 @@ class Fitter:
         return mean_reading_deg(moved_deg, step_deg, self._below_deg)
 
     def _beside_mean_reading(self, judged: Fit) -> FloatArray:
-        """Error of a judged servo; behind a converter with coarse steps beside what that reads on average, as fitted."""
+        """Error of a judged servo; of coarse steps beside what they read on average, as it was fitted."""
         step_deg = judged.physics.output_step_deg
         if step_deg < COARSE_STEP_DEG or step_deg != self.part.step_deg or self._below_deg == 0.0:
             return judged.error_deg
