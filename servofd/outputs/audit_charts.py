@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.outputs.chart import Chart, Curve, Mark, Panel, Span, thinned
+from servofd.outputs.chart import Chart, Curve, Mark, Panel, Span, bridged, thinned
 from servofd.outputs.sentence import clock, spoken
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ def _chart(
     curves = (
         Curve("asked", "command", segment.command_s, segment.command_deg, holds=True),
         Curve("healthy servo", "simulated", time_s, residuals.simulated_deg),
-        Curve("measured", "measured", time_s, residuals.measured_deg),
+        Curve("measured", "measured", *bridged(time_s, residuals.measured_deg)),
     )
     shown = [segment.command_deg[asked], residuals.simulated_deg[inside], residuals.measured_deg[inside]]
     deflection = Panel("deflection", "deg", curves, *_range(np.concatenate(shown)))
@@ -91,7 +91,7 @@ def _chart(
     residual = Panel(
         "residual",
         "deg",
-        (Curve("residual", "residual", time_s, judged), *_levels(residuals, threshold)),
+        (Curve("residual", "residual", *bridged(time_s, judged)), *_levels(residuals, threshold)),
         -limit,
         limit,
     )

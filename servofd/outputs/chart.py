@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 WIDTH, HEIGHT = 4000, 1000
 """Units of the drawing: four to a column of pixels of a wide screen, four to a row of a tall panel."""
 _TIME_STEPS_S = (0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 14400, 43200, 86400)
+_BRIDGED_PERIODS, _BRIDGED_S = 5.0, 0.1
+"""A line is broken where samples are missing for longer than both, as gaps of a log are told."""
 _MOST_TIME_TICKS, _MOST_VALUE_TICKS = 6, 4
 
 
@@ -188,6 +190,34 @@ def thinned(time_s: FloatArray, values: FloatArray, points: int) -> tuple[FloatA
     empty = low > high
     both = np.column_stack([np.where(empty, np.nan, low), np.where(empty, np.nan, high)]).ravel()
     return np.repeat(time_s[edges], 2), both
+
+
+def bridged(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Leave out missing samples between others that are near, so that a line goes on there; longer silence breaks it.
+
+    Readings that a logger wrote twice are missing the second time: every other sample then stands alone.
+
+    Parameters
+    ----------
+    time_s, values : ndarray, shape (n,)
+        A curve; not finite where there is no value.
+
+    Examples
+    --------
+    >>> time_s = np.array([0.0, 0.02, 0.04, 0.06, 0.08, 2.0, 4.0])
+    >>> values = np.array([1.0, np.nan, 1.5, np.nan, 2.0, np.nan, 3.0])
+    >>> bridged(time_s, values)[1]
+    array([1. , 1.5, 2. , nan, 3. ])
+    """
+    known = np.flatnonzero(np.isfinite(values))
+    if known.size < 2 or known.size == values.size:
+        return time_s, values
+    apart_s = np.diff(time_s[known])
+    near = apart_s <= max(_BRIDGED_PERIODS * float(np.median(apart_s)), _BRIDGED_S)
+    kept = np.isfinite(values)
+    before = np.searchsorted(known, np.arange(values.size), side="right") - 1
+    kept |= (before < 0) | (before >= near.size) | ~np.append(near, False)[before]
+    return time_s[kept], values[kept]
 
 
 def nice_ticks(low: float, high: float, most: int) -> list[float]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from servofd.outputs.chart import bridged, thinned
 from servofd.outputs.files import write_whole
 from servofd.outputs.palette import COLOURS
 from servofd.outputs.picture import finish, new_figure, saved
@@ -85,20 +86,20 @@ def _cut(
 
 
 def _draw_deflection(axes: Axes, segment: Segment, residuals: Residuals, points: int) -> None:
-    time_s, command_deg = _thin(segment.command_s, segment.command_deg, points)
+    time_s, command_deg = thinned(segment.command_s, segment.command_deg, points)
     axes.plot(time_s, command_deg, color=COLOURS["command"], lw=0.9, drawstyle="steps-post", label="command")
-    time_s, simulated_deg = _thin(residuals.time_s, residuals.simulated_deg, points)
+    time_s, simulated_deg = thinned(residuals.time_s, residuals.simulated_deg, points)
     axes.plot(time_s, simulated_deg, color=COLOURS["simulated"], lw=2.0, label="simulated")
-    time_s, measured_deg = _thin(residuals.time_s, residuals.measured_deg, points)
+    time_s, measured_deg = thinned(*bridged(residuals.time_s, residuals.measured_deg), points)
     axes.plot(time_s, measured_deg, color=COLOURS["measured"], lw=0.9, label="measured")
     axes.set_ylabel("deflection [deg]")
 
 
 def _draw_residual(axes: Axes, residuals: Residuals, threshold: Threshold, points: int) -> None:
     judged = np.where(residuals.settled, residuals.residual_deg, np.nan)
-    time_s, residual_deg = _thin(residuals.time_s, judged, points)
+    time_s, residual_deg = thinned(*bridged(residuals.time_s, judged), points)
     axes.plot(time_s, residual_deg, color="black", lw=0.8, label="residual")
-    level_s, level_deg = _thin(residuals.time_s, threshold.level_deg, points)
+    level_s, level_deg = thinned(residuals.time_s, threshold.level_deg, points)
     for sign in (1.0, -1.0):
         about = "about " if threshold.kind == "interval" else ""
         label = f"threshold {about}±{threshold.typical_deg:.3g} deg" if sign > 0 else None
@@ -135,23 +136,10 @@ def _shade(axes: Axes, audit: SurfaceAudit, *, named: bool) -> None:
                 axes.text(fault.start_s, 1.0, f" {name}", transform=place, **style)
 
 
-def _thin(time_s: FloatArray, values: FloatArray, points: int = _WIDEST) -> tuple[FloatArray, FloatArray]:
-    """Keep the smallest and the largest sample of each pixel column, so that no spike is lost."""
-    if time_s.size <= points:
-        return time_s, values
-    edges = np.linspace(0, time_s.size, points // 2 + 1).astype(int)[:-1]
-    missing = ~np.isfinite(values)
-    low = np.minimum.reduceat(np.where(missing, np.inf, values), edges)
-    high = np.maximum.reduceat(np.where(missing, -np.inf, values), edges)
-    empty = low > high
-    both = np.column_stack([np.where(empty, np.nan, low), np.where(empty, np.nan, high)]).ravel()
-    return np.repeat(time_s[edges], 2), both
-
-
 def _thin_flags(
     time_s: FloatArray, flags: FloatArray, bottom: float, top: float, points: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Outline of a bar that is there while a flag is set."""
-    thin_s, thin = _thin(time_s, flags, points)
+    thin_s, thin = thinned(time_s, flags, points)
     raised: BoolArray = thin > 0.0
     return thin_s, np.full(thin_s.size, bottom), np.where(raised, top, bottom)

@@ -12,6 +12,7 @@ import pytest
 
 import servofd
 from servofd.detection.verdict import LogAudit
+from servofd.outputs.chart import Chart, Curve, Panel, bridged, thinned
 from servofd.outputs.figure import save_figure
 from servofd.outputs.recording import save_recording
 from tests.recordings.inside import everything
@@ -54,13 +55,23 @@ def test_the_figure_shows_curves_threshold_and_fault(stuck: LogAudit, tmp_path: 
 
 
 def test_no_spike_is_lost_in_a_long_figure() -> None:
-    from servofd.outputs.figure import _thin
-
     values = np.zeros(1_000_000)
     values[123_456], values[654_321] = 7.0, -5.0
-    time_s, thin = _thin(np.arange(1_000_000.0), values)
+    time_s, thin = thinned(np.arange(1_000_000.0), values, 4000)
     assert (thin.max(), thin.min()) == (7.0, -5.0)
     assert abs(time_s[np.argmax(thin)] - 123_456) < 600
+
+
+def test_a_reading_that_came_twice_does_not_break_the_line_and_silence_does() -> None:
+    time_s = 0.02 * np.arange(400)
+    values = np.where(np.arange(400) % 2, np.nan, np.sin(time_s))  # the second of each pair is not judged
+    whole = Curve("measured", "measured", *bridged(time_s, values))
+    values[100:200] = np.nan
+    silent = Curve("measured", "measured", *bridged(time_s, values))
+    for curve, pieces in ((whole, 1), (silent, 2)):
+        panel = Panel("deflection", "deg", (curve,), -1.0, 1.0)
+        ((_, path),) = Chart("", "", 0.0, 8.0, (panel,)).paths(panel)
+        assert path.count("M") == pieces
 
 
 def test_a_surface_without_residual_is_not_drawn(stuck: LogAudit, tmp_path: Path) -> None:
