@@ -19,8 +19,8 @@ _SAME_STEP_S = 1e-9
 _SHORT_LAG_S, _FAST_RAD_S = 2e-3, 550.0
 """Below and above, half a step of the grid is too much for six terms of a series (1e-8)."""
 _TOUCHING = 1.0 - 1e-9
-_PARTS = 4
-"""Of a step of an output that cannot follow: they are of the shaft's shortest."""
+_MOST_TURNS, _BISECTIONS = 4, 50
+"""Of an output that cannot follow in a step: how often it meets the shaft again, and how an instant is located."""
 (
     _FOLLOWED,
     _FLEXED,
@@ -152,8 +152,52 @@ def _bends(h_inverse: float, by: float, slopes: tuple[float, float]) -> tuple[fl
     return first, h_inverse * (4.0 * slopes[1] + 2.0 * slopes[0] - 6.0 * mean), jerk
 
 
+@inlined
+def _too_fast(slower: float, bent: float, turned: float) -> float:
+    """When a speed that is so much below a limit first passes it, growing by `bent` t + `turned` t^2; 2 if never."""
+    if slower < 0.0:
+        return 0.0
+    root = bent * bent + 4.0 * turned * slower
+    if root < 0.0 or bent + math.sqrt(root) <= 0.0:
+        return 2.0
+    return min(2.0 * slower / (bent + math.sqrt(root)), 2.0)
+
+
 @compiled
-def carried(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would take most of its time
+def _limited(followed: float, shaft: tuple[float, float, float, float], up: float, down: float) -> float:
+    """Where an output is after a step of the shaft that it may be unable to follow, from the instant on that it is.
+
+    In shares of the step, in which the shaft is a cubic and the output no faster than `up` and `down`.
+    """
+    x0, x1, x2, x3 = shaft
+    end, now, way = x0 + x1 + x2 + x3, 0.0, 0.0
+    if followed != x0:
+        way = 1.0 if x0 > followed else -1.0
+    for _ in range(_MOST_TURNS):
+        if way == 0.0:
+            speed, bent = x1 + now * (2.0 * x2 + 3.0 * now * x3), 2.0 * x2 + 6.0 * now * x3
+            rises, falls = _too_fast(up - speed, bent, 3.0 * x3), _too_fast(down + speed, -bent, -3.0 * x3)
+            now += min(rises, falls)
+            if now >= 1.0:
+                return end
+            way, followed = 1.0 if rises < falls else -1.0, x0 + now * (x1 + now * (x2 + now * x3))
+        rate = up if way > 0.0 else -down
+        reached = followed + rate * (1.0 - now)
+        if way * (reached - end) < 0.0:
+            return reached
+        low, high = now, 1.0
+        for _ in range(_BISECTIONS):
+            middle = 0.5 * (low + high)
+            if way * (followed + rate * (middle - now) - (x0 + middle * (x1 + middle * (x2 + middle * x3)))) < 0.0:
+                low = middle
+            else:
+                high = middle
+        now, way = high, 0.0
+    return end
+
+
+@compiled
+def carried(  # noqa: PLR0915 - one function, because calls would take most of its time
     link: FloatArray, notes: FloatArray, noted: int, result: FloatArray, n: int, last: int
 ) -> None:
     """Move on along steps of the shaft, shape (noted, 5): length, and position and speed at both ends.
@@ -185,17 +229,10 @@ def carried(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
             at = _faded(link, h)
         if follows and (followed != from_deg or max(from_deg_s, to_deg_s) > up or min(from_deg_s, to_deg_s) < -down):
             by = to_deg - from_deg
-            square = 3.0 * by - h * (2.0 * from_deg_s + to_deg_s)
-            cube = h * (from_deg_s + to_deg_s) - 2.0 * by
-            from_deg = followed
-            for part in range(1, _PARTS + 1):
-                s = part / _PARTS
-                there = to_deg - by + s * (h * notes[k, 2] + s * (square + s * cube))
-                if part == _PARTS:
-                    there = to_deg
-                followed = max(min(there, followed + up * h / _PARTS), followed - down * h / _PARTS)
-            from_deg_s = (followed - from_deg) / h
-            to_deg, to_deg_s = followed, from_deg_s
+            square, cube = 3.0 * by - h * (2.0 * from_deg_s + to_deg_s), h * (from_deg_s + to_deg_s) - 2.0 * by
+            reached = _limited(followed, (from_deg, h * from_deg_s, square, cube), h * up, h * down)
+            from_deg, to_deg = followed, reached
+            from_deg_s = to_deg_s = (to_deg - from_deg) / h
         followed = to_deg
         rate, before = from_deg_s, flexed
         if flexes:

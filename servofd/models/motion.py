@@ -283,6 +283,16 @@ class ExtendedMotion(Motion[ExtendedServo]):
         self._next_frame = None
         self.at(np.array([now_s]))
 
+    def become(self, servo: AnyServo) -> None:
+        """Go on as another servo with effects; a slower one, as if time had been stretched."""
+        from servofd.models.position_loop import stretch
+
+        before = self.servo.physics.bandwidth_scale
+        super().become(servo)
+        physics = self.servo.physics
+        if self._memory is not None and physics.bandwidth_scale != before:
+            stretch(self._memory, self.servo.plant.loop(physics), physics.bandwidth_scale / before)
+
     def _first_deg(self, now_s: float) -> float:
         """Where the surface is at first [deg]."""
         if math.isfinite(self._start_deg):

@@ -28,6 +28,9 @@ _STILL_DEG = 1e-5
 _SLOTS = 8
 """Matrices of that many lengths of step are kept."""
 _PER_DEG = math.pi / 180.0
+_NEAR_LIMIT = 0.8
+"""Share of its largest speed from which on an output that follows is told of steps of the matrices' grid: between them
+the shaft is a cubic to 1e-8 deg."""
 _NOTES, _MOST_STEPS = 512, 128
 """Steps of the shaft that are noted for the linkage, and the most that are taken at once."""
 _STATES = 12
@@ -59,6 +62,13 @@ def new_memory(start_deg: float) -> FloatArray:
     memory[_STATES : _STATES + _SLOTS] = -1.0
     memory[_Y] = start_deg
     return memory
+
+
+def stretch(memory: FloatArray, loop: Loop, scale: float) -> None:
+    """Go on from the same position with all poles scaled, as if time had been stretched."""
+    memory[_V] *= scale
+    if not loop.filters:  # else the third state is a command
+        memory[_TORQUE] *= scale * scale
 
 
 def received(memory: FloatArray) -> int:
@@ -212,7 +222,13 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
         whole_s = min((5.0 if insensitive > 0.0 else 2.0) * short_s, whole_s)
     if not (bends or saturates or rubs or blocked or races):
         short_s = math.inf  # nothing ever switches
-    most_s = _MOST_STEPS * min(short_s, whole_s)
+    # An output that follows no faster than it can is told all of a shaft's motion that may be too fast for it.
+    near_up, near_down = (
+        _NEAR_LIMIT * physics.follow_up_deg_s / dc_gain,
+        -_NEAR_LIMIT * physics.follow_down_deg_s / dc_gain,
+    )
+    fine_s = grid_s if near_up < math.inf or near_down > -math.inf else math.inf
+    most_s = _MOST_STEPS * min(short_s, whole_s, fine_s)
     y, v, torque, u = memory[_Y], memory[_V], memory[_TORQUE], memory[_U]
     s, wanted, clock = memory[_S], memory[_WANTED], memory[_CLOCK]
     c = int(memory[_CURSOR]) if first > 0 else 0
@@ -249,7 +265,7 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
             if left > _NO_STEP_S:
                 count = 1 if left <= whole_s else math.ceil(left / whole_s - 1e-9)
                 h = left / count
-            wary, slot, is_new = h > short_s, older, True
+            wary, slot, is_new = h > min(short_s, fine_s), older, True
             while count > 0:
                 if is_new:
                     is_new, slot = False, older
@@ -351,17 +367,23 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
                 if wary:
                     begin, end = come - y, gone - y1
                     low, high = min(begin, end, error), max(begin, end, error)
-                    if (
-                        (bends and (low <= edge < high or low < -edge <= high))
-                        or (saturates and (low <= top < high or low < bottom <= high))
-                        or (rubs and not sticks and (rested or v * v1 <= 0.0) and abs(y1 - y) >= _STILL_DEG)
-                        or (blocked and (max(y, y1) >= stop_upper or min(y, y1) <= stop_lower))
-                        or raced
-                        or (races and (v in (fast_up, fast_down)) and v1 != v)
+                    part_s, mean = short_s, (y1 - y) / h
+                    if h > fine_s and (max(v, v1, mean) > near_up or min(v, v1, mean) < near_down):
+                        part_s = fine_s
+                    if part_s == fine_s or (
+                        h > short_s
+                        and (
+                            (bends and (low <= edge < high or low < -edge <= high))
+                            or (saturates and (low <= top < high or low < bottom <= high))
+                            or (rubs and not sticks and (rested or v * v1 <= 0.0) and abs(y1 - y) >= _STILL_DEG)
+                            or (blocked and (max(y, y1) >= stop_upper or min(y, y1) <= stop_lower))
+                            or raced
+                            or (races and (v in (fast_up, fast_down)) and v1 != v)
+                        )
                     ):
                         clock -= (count - 1) * h
                         pauses = True
-                        count = math.ceil(h / short_s - 1e-9)
+                        count = math.ceil(h / part_s - 1e-9)
                         h, wary, is_new = h / count, False, True
                         continue
                 count -= 1
@@ -374,8 +396,11 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
                 if linked:
                     notes[noted, 0], notes[noted, 1], notes[noted, 3] = h, dc_gain * y, dc_gain * y1
                     notes[noted, 2], notes[noted, 4] = dc_gain * v, dc_gain * v1
-                    if order == 1:
+                    if order == 1 and fine_s == math.inf:
                         notes[noted, 2] = notes[noted, 4] = dc_gain * (y1 - y) / h
+                    elif order == 1:
+                        notes[noted, 2] = dc_gain * (stiffness * (pushed if held else pushed + come - y) + load)
+                        notes[noted, 4] = dc_gain * (stiffness * (pushed if held else pushed + gone - y1) + load)
                     noted += 1
                 y, v, torque = y1, v1, torque1
             if pauses:

@@ -48,7 +48,7 @@ SIZES: list[tuple[dict[str, float], tuple[float, float, float]]] = [
     ({"airload_per_pa": 1e-3}, (0.2, 9e-3, 1.5e-2)),
     ({"droop_deg": 6.0}, (0.1, 5e-3, 6e-3)),
     ({"airload_per_pa": 1e-3, "droop_deg": 6.0, "friction_deg": 0.5, "load_friction": 0.1}, (0.25, 3e-2, 3e-2)),
-    ({"follow_up_deg_s": 70.0, "follow_down_deg_s": 120.0}, (0.2, 6e-3, 8e-3)),
+    ({"follow_up_deg_s": 70.0, "follow_down_deg_s": 120.0}, (7e-3, 3e-4, 3e-5)),
     (
         {"resonance_hz": 14.0, "resonance_damping": 0.2, "backlash_deg": 1.0, "gain": 0.8, "bias_deg": 0.7},
         (6e-2, 4e-3, 4e-3),
