@@ -276,8 +276,10 @@ def _stopped_s(flight: _Flight, begin: int, latest: int, at_deg: float, width_de
 def _moving(flight: _Flight) -> Iterator[_Stretch]:
     """Windows in which it moves as nobody asked it to, or far too late."""
     time_s, error_deg = flight.time_s, flight.error_deg
-    hops = np.unique(np.floor((time_s - time_s[0]) / _HOP_S))  # a damaged clock leaves more silence than can be counted
-    hops = np.unique(hops[:, None] - np.arange(round(_WINDOW_S / _HOP_S)))
+    hops = np.floor((time_s - time_s[0]) / _HOP_S)
+    hops = hops[np.diff(hops, prepend=-1.0) > 0.0]  # a damaged clock leaves more silence than can be counted
+    if hops[-1] >= hops.size:
+        hops = np.unique(hops[:, None] - np.arange(round(_WINDOW_S / _HOP_S)))
     starts = time_s[0] + _HOP_S * hops[hops >= 0.0]
     starts = starts[starts <= time_s[-1] - _WINDOW_S]
     firsts = np.searchsorted(time_s, starts)
