@@ -21,7 +21,7 @@ from servofd.models.effect_table import EffectTable, effects_installed
 from servofd.models.effects import Extension, PositionLimit
 from servofd.models.physics import Physics
 from servofd.models.servo_model import ServoModel, plant_of
-from servofd.servos import Positive, Servo, find_servo, library
+from servofd.servos import Positive, Servo, find_servo, levels_in, library
 from servofd.tolerance import Tolerance
 from servofd.toml_text import read_toml
 
@@ -246,7 +246,7 @@ class Aircraft(_Entry):
         's9254'
         """
         key, servo = find_servo(name)
-        change = {"servo": key, "model": ModelOrigin()}
+        change = {"servo": key, "model": ModelOrigin(), **levels_in(name)}
         changed = {surface: entry.model_copy(update=change) for surface, entry in self.surfaces.items()}
         return self.model_copy(update={"surfaces": changed, "servos": {} if key == name else {key: servo}})
 

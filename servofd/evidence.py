@@ -30,6 +30,8 @@ class ModelOrigin(BaseModel):
     """Error of the prediction on what the model was not fitted to [deg]; None if that is not known."""
     explained_share: _Share | None = None
     """Share of the motion's power there that the model explains: 1 all of it, below 0 worse than no model."""
+    good_runs: Annotated[int, Field(ge=1)] | None = None
+    """How many runs, known to be good, model and threshold come from; None: nobody knows them to be good."""
 
 
 NAMED = ModelOrigin()

@@ -56,6 +56,7 @@ class ExplainedLog:
     explanation: Explanation
     aircraft: Aircraft
     source: str
+    logs: tuple[FlightLog, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,6 +68,8 @@ class ExplainedLogs:
     """Why other surfaces could not be explained, a sentence each."""
     aircraft: Aircraft
     source: str
+    logs: tuple[FlightLog, ...]
+    """What was explained; `also` is not among them."""
 
 
 def explain_log(
@@ -107,7 +110,7 @@ def explain_log(
     found = _explained(flown, (surface,) if surface else flown.surfaces, (), None, progress)
     if found.failures:
         raise NoMeasurement(found.failures[0])
-    return ExplainedLog(found.explanations[0], found.aircraft, found.source)
+    return ExplainedLog(found.explanations[0], found.aircraft, found.source, found.logs)
 
 
 def explain_logs(
@@ -231,7 +234,7 @@ def _explained(
         found.append(one)
         if flown.has_unknown_servo(name) and one.record.side is None:
             aircraft = _with_fitted_poles(aircraft, name, one)
-    return ExplainedLogs(tuple(found), tuple(failures), aircraft, flown.source)
+    return ExplainedLogs(tuple(found), tuple(failures), aircraft, flown.source, flown.logs)
 
 
 def _surface(

@@ -420,7 +420,8 @@ class Explained(ExplainedLog, Shown):
         """Write the aircraft file with the better model, and give the path."""
         from servofd.outputs.model_file import model_file
 
-        write_whole(path, model_file([self.explanation], self.aircraft, self.source).encode())
+        text, _ = model_file([self.explanation], self.aircraft, self.source, self.logs)
+        write_whole(path, text.encode())
         return Path(path)
 
     def to_html(self) -> str:

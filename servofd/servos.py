@@ -6,13 +6,15 @@ import tomllib
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from servofd.errors import ConfigError, DesignError, UnknownName, suggest
+from servofd.evidence import ModelOrigin
 from servofd.models.transfer import BANDWIDTH_DROP_DB, TransferFunction
+from servofd.tolerance import Tolerance
 from servofd.toml_text import read_toml
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False, strict=True)]
@@ -159,14 +161,48 @@ def find_servo(name: str) -> tuple[str, Servo]:
     """
     if not name.endswith(".toml"):
         return name, servo_named(name)
-    content = read_toml(Path(name), name, "servo file")
-    entries = content.get("servos", {})
+    entries = read_toml(Path(name), name, "servo file").get("servos", {})
     if not isinstance(entries, dict) or len(entries) != 1:
         raise ConfigError(f"{name}: a servo file has one entry [servos.NAME]; 'servofd identify --save' writes one")
     ((key, entry),) = entries.items()
+    return key, _checked(Servo, entry, name, ("servos", key))
+
+
+def levels_in(name: str) -> dict[str, Any]:
+    """How surfaces are judged that a servo turns, as its file says; empty if it says nothing, or is in the library.
+
+    Examples
+    --------
+    >>> levels_in("s3151")
+    {}
+    """
+    if not name.endswith(".toml"):
+        return {}
+    entry = read_toml(Path(name), name, "servo file").get("surface", {})
+    levels = _checked(_Levels, entry, name, ("surface",))
+    return {key: getattr(levels, key) for key in levels.model_fields_set}
+
+
+class _Levels(BaseModel):
+    """Entries of a surface that belong to the model of its servo."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    threshold: Literal["constant", "interval"] = "constant"
+    threshold_deg: Positive | None = None
+    tolerance: Tolerance | None = None
+    persistence: Annotated[int, Field(ge=1, le=100, strict=True)] = 1
+    suspicions: bool = True
+    model: ModelOrigin = ModelOrigin()
+
+
+_Model = TypeVar("_Model", bound=BaseModel)
+
+
+def _checked(kind: type[_Model], entry: object, name: str, place: tuple[str, ...]) -> _Model:
     try:
-        return key, Servo.model_validate(entry)
+        return kind.model_validate(entry)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        where = ".".join(str(part) for part in ("servos", key, *first["loc"]))
+        where = ".".join(str(part) for part in (*place, *first["loc"]))
         raise ConfigError(f"{name}: {where}: {first['msg'].removeprefix('Value error, ')}") from None

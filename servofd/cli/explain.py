@@ -114,14 +114,13 @@ def _names(options: argparse.Namespace) -> str:
 
 def _save(options: argparse.Namespace, found: ExplainedLogs) -> None:
     from servofd.cli.tables import one_line
-    from servofd.job import logs_of
     from servofd.outputs.files import write_whole
-    from servofd.outputs.model_file import model_file, not_better
+    from servofd.outputs.model_file import model_file
 
-    for surface, reason in not_better(found.explanations).items():
+    text, kept = model_file(found.explanations, found.aircraft, found.source, found.logs)
+    for surface, reason in kept.items():
         print(f"servofd: {options.save}: {surface} stays as it was: {one_line(reason)}", file=sys.stderr)
-    logs = list(logs_of(options.logs, found.aircraft))
-    write_whole(options.save, model_file(found.explanations, found.aircraft, found.source, logs).encode())
+    write_whole(options.save, text.encode())
 
 
 def explanation_text(source: str, document: dict[str, Any]) -> str:

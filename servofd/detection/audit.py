@@ -196,7 +196,7 @@ def audit_segment(
             residuals,
             level,
             suspicions=surface.tells_small_faults,
-            margin=_WIDENED if surface.model.origin == "fitted" else 1.0,
+            margin=_WIDENED if surface.model.origin == "fitted" and not surface.model.good_runs else 1.0,
             persistence=surface.persistence,
         )
     status, reason_text = _verdict(residuals, statistics, faults, suspicions, level, problem or shown)

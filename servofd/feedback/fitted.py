@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -13,7 +14,8 @@ from servofd.detection.prepare import prepared
 from servofd.detection.residual import ResidualGenerator
 from servofd.detection.resolution import step_deg
 from servofd.detection.threshold import interval_threshold
-from servofd.errors import DesignError, NoMeasurement
+from servofd.detection.words import describe
+from servofd.errors import CalibrationError, DesignError, NoMeasurement
 from servofd.evidence import ModelOrigin
 from servofd.feedback.fit import RoughFit, fit_roughly
 from servofd.segment import cut
@@ -28,7 +30,7 @@ if TYPE_CHECKING:
     from servofd.models.servo_model import ServoModel
     from servofd.segment import Segment
 
-__all__ = ["Drafted", "draft_tolerance", "fitted_aircraft", "fitted_servo", "good_levels"]
+__all__ = ["Drafted", "draft_tolerance", "fitted_aircraft", "fitted_servo", "good_levels", "levels_of"]
 
 _AROUND_S = 2.0
 _SMALLEST_GAIN, _LARGEST_GAIN = 0.3, 1.7
@@ -122,15 +124,31 @@ def _fitted(log: FlightLog, name: str, surface: Surface, key: str) -> tuple[Surf
 
 def good_levels(aircraft: Aircraft, name: str, logs: Iterable[FlightLog]) -> dict[str, Any]:
     """Entries of a surface that make good runs healthy: tolerances drafted from them, and the origin of its model."""
-    drafts, error_deg, moved_deg = [], [], []
-    model = aircraft.model(name)
+    segments = []
     for log in logs:
+        with suppress(NoMeasurement):
+            segments.append(cut(log, name, aircraft.surfaces[name]))
+    return levels_of(aircraft.model(name), segments)
+
+
+def levels_of(model: ServoModel, segments: Iterable[Segment]) -> dict[str, Any]:
+    """Entries of a surface that this servo turns, under which good runs are healthy; empty if none can be judged.
+
+    Raises
+    ------
+    CalibrationError
+        If a run contradicts every threshold: then the model does not explain it, or the run is not good.
+    """
+    drafts, error_deg, moved_deg = [], [], []
+    for segment in segments:
         try:
-            segment = cut(log, name, aircraft.surfaces[name])
             drafted = draft_tolerance(model, segment, all_of_it=True)
-            residuals = ResidualGenerator.fitting(model, segment).run(segment)
-        except (NoMeasurement, DesignError):
+            generator = ResidualGenerator.fitting(model, segment)
+        except DesignError:
             continue
+        _, residuals, _ = prepared(generator, segment)
+        for fault in contradictions(generator, residuals):
+            raise CalibrationError(f"{segment.surface}: this model does not explain its own run: {describe(fault)}")
         if drafted is not None:
             drafts.append(drafted)
             error_deg.append(residuals.error_deg[residuals.settled])
@@ -150,6 +168,7 @@ def good_levels(aircraft: Aircraft, name: str, logs: Iterable[FlightLog]) -> dic
             "origin": "fitted",
             "held_out_rms_deg": round(float(np.sqrt(power)), 4),
             "explained_share": round(min(explained, 1.0), 4),
+            "good_runs": len(drafts),
         },
     }
 

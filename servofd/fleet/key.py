@@ -9,9 +9,10 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from logparsers.source import files_of
+from servofd.aircraft import UNKNOWN_SERVO
 from servofd.fleet.find import is_address
 from servofd.outputs.files import distinct_file_names
-from servofd.servos import find_servo
+from servofd.servos import find_servo, levels_in
 from servofd.version import __version__
 
 if TYPE_CHECKING:
@@ -60,12 +61,17 @@ class Job:
         described: dict[str, Any] = {
             "version": __version__,
             "aircraft": self.aircraft.model_dump(mode="json") if self.aircraft else None,
-            "servo": find_servo(self.servo)[1].model_dump(mode="json") if self.servo else None,
+            "servo": self.servo if self.servo in (None, UNKNOWN_SERVO) else _described(self.servo),
             "threshold_deg": self.threshold_deg,
             "threshold": self.threshold,
             "surfaces": self.surfaces,
         }
         return _digest(json.dumps(described, sort_keys=True).encode())
+
+
+def _described(servo: str) -> list[str]:
+    """All that a servo file says, whatever its name."""
+    return [find_servo(servo)[1].model_dump_json(), str(levels_in(servo))]
 
 
 def page_name(path: str, content: str) -> str:

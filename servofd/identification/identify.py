@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, TypeVar
@@ -95,7 +96,7 @@ def identify(
     tests = _Tests.of(sets, names, _MAGNITUDE_LAGS_S if method == "magnitude" else LAGS_S)
     spread_notes = notes_on_spread(tests.responses, order or _MAGNITUDE_ORDER, tests.swept)
     if method == "magnitude":
-        return _by_magnitude(tests, order or _MAGNITUDE_ORDER, sets[0][0].surface)
+        return _by_magnitude(tests, order or _MAGNITUDE_ORDER, sets)
     choice = choose_linear(tests.small or tests.runs, tests.nominal_in_band, order)
     free, notes = choice.fit, list(tests.notes)
     progress("linear servo")
@@ -127,6 +128,7 @@ def identify(
         responses=tests.responses,
         spread=average(tests.responses)[1] if tests.responses else None,
         band_rad_s=tests.band_rad_s,
+        segments=tuple(itertools.chain(*sets)),
     )
     _check_explained(result, tests)
     if not any(_is_stepwise(run) for run in tests.runs):
@@ -313,7 +315,7 @@ def _with_rates(fit: MotionFit, limits: RateLimits, notes: list[str]) -> ServoCa
     return replace(servo, rate_up_deg_s=up.value, rate_down_deg_s=down.value)
 
 
-def _by_magnitude(tests: _Tests, order: int, surface: str) -> Identification:
+def _by_magnitude(tests: _Tests, order: int, sets: Sequence[Sequence[Segment]]) -> Identification:
     """The thesis' fit; no intervals, for the method gives none."""
     response, notes = tests.nominal_in_band, list(tests.notes)
     if response is None:
@@ -327,7 +329,7 @@ def _by_magnitude(tests: _Tests, order: int, surface: str) -> Identification:
     servo = _with_rates(fit, limits, notes)
     errors, offsets = evaluated(tests.runs, servo)
     return Identification(
-        surface=surface,
+        surface=sets[0][0].surface,
         method="magnitude",
         servo=servo,
         intervals=_rate_intervals(limits),
@@ -339,6 +341,7 @@ def _by_magnitude(tests: _Tests, order: int, surface: str) -> Identification:
         responses=tests.responses,
         spread=average(tests.responses)[1],
         band_rad_s=tests.band_rad_s,
+        segments=tuple(itertools.chain(*sets)),
     )
 
 

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from servofd.identification.frequency_response import FrequencyResponse, Spread
     from servofd.identification.output_error import ServoCandidate
     from servofd.identification.records import Run
+    from servofd.segment import Segment
     from servofd.types import ComplexArray, FloatArray
 
 
@@ -42,6 +43,8 @@ class Identification:
     spread: Spread | None = None
     band_rad_s: tuple[float, float] | None = None
     """Where the position follows the command with a coherence above 0.8 [rad/s]."""
+    segments: tuple[Segment, ...] = ()
+    """The tests as an audit cuts them: what thresholds are drafted from."""
 
     @property
     def poles_rad_s(self) -> ComplexArray:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from servofd.errors import CalibrationError
 from servofd.feedback.fitted import good_levels
 from servofd.models.catalogue import CATALOGUE, OWN, Bias, Delay, Gain
 from servofd.models.effect_table import table_of
@@ -29,8 +30,16 @@ _SCALES = {"slow_dynamics": "bandwidth_scale", "damping": "damping_scale"}
 _GROUPS = ("surfaces", "servos")
 
 
-def model_file(found: Sequence[Explanation], aircraft: Aircraft, source: str, logs: Sequence[FlightLog] = ()) -> str:
-    """Text of an aircraft file whose surfaces have what was missing; what has no better model stays as it was.
+class ModelFile(NamedTuple):
+    """An aircraft file, and what it leaves as it was."""
+
+    text: str
+    kept: dict[str, str]
+    """Surfaces that have no better model, and why."""
+
+
+def model_file(found: Sequence[Explanation], aircraft: Aircraft, source: str, logs: Sequence[FlightLog]) -> ModelFile:
+    """Aircraft file whose surfaces have what was missing; what has no better model stays as it was.
 
     Parameters
     ----------
@@ -41,24 +50,38 @@ def model_file(found: Sequence[Explanation], aircraft: Aircraft, source: str, lo
     source : str
         Where the data came from.
     logs : sequence of FlightLog
-        The runs themselves, which are good: tolerances are drafted from them.
+        The runs themselves, which are good: thresholds are drafted from them.
     """
     document = aircraft.model_dump(exclude_none=True, exclude_defaults=True)
-    kept = not_better(found)
-    lines = [f"# {surface}: as it was: {reason}." for surface, reason in kept.items()]
-    for one in (each for each in found if each.surface not in kept):
-        final = one.selection.final
-        entry = document["surfaces"][one.surface]
-        entry["effects"] = _merged(entry.get("effects", {}), _table(one))
-        before, after = (one.rms_deg(fit)["held_out_rms_deg"] for fit in (one.selection.nominal, final))
-        lines += [
-            f"# Found by servofd explain in {' '.join(source.split())}: {one.surface}: {', '.join(final.names)}.",
-            f"# Held-out error of {one.surface}: {before:.4g} deg rms before, {after:.4g} with this model.",
-        ]
-    better = type(aircraft).model_validate(document)
-    for one in (each for each in found if each.surface not in kept or _is_own_fit(each)):
-        document["surfaces"][one.surface] |= good_levels(better, one.surface, logs)
-    return "\n".join(lines) + "\n\n" + "\n".join(_toml(document)).lstrip("\n") + "\n"
+    kept = {one.surface: reason for one in found if (reason := _why_not(one))}
+    lines = []
+    for one in found:
+        entry = dict(document["surfaces"][one.surface])
+        if one.surface not in kept:
+            entry["effects"] = _merged(entry.get("effects", {}), _table(one))
+        elif not _is_own_fit(one):
+            continue
+        changed = {**document, "surfaces": {**document["surfaces"], one.surface: entry}}
+        try:
+            entry |= good_levels(type(aircraft).model_validate(changed), one.surface, logs)
+        except CalibrationError as error:
+            kept[one.surface] = str(error)
+            continue
+        document["surfaces"][one.surface] = entry
+        if one.surface not in kept:
+            lines += _found(one, source)
+    lines = [*(f"# {surface}: as it was: {reason}." for surface, reason in kept.items()), *lines]
+    return ModelFile("\n".join(lines) + "\n\n" + "\n".join(_toml(document)).lstrip("\n") + "\n", kept)
+
+
+def _found(one: Explanation, source: str) -> list[str]:
+    """What is missing, and what it is worth, as comments."""
+    final = one.selection.final
+    before, after = (one.rms_deg(fit)["held_out_rms_deg"] for fit in (one.selection.nominal, final))
+    return [
+        f"# Found by servofd explain in {' '.join(source.split())}: {one.surface}: {', '.join(final.names)}.",
+        f"# Held-out error of {one.surface}: {before:.4g} deg rms before, {after:.4g} with this model.",
+    ]
 
 
 def _table(found: Explanation) -> EffectTable:
@@ -80,11 +103,6 @@ def _table(found: Explanation) -> EffectTable:
 
 def _moved(effect: type[MissingEffect], physics: Physics, known: Physics) -> bool:
     return any(getattr(physics, p.fields[0]) != getattr(known, p.fields[0]) for p in effect.parameters)
-
-
-def not_better(found: Sequence[Explanation]) -> dict[str, str]:
-    """Surfaces that stay as they were, and why."""
-    return {one.surface: reason for one in found if (reason := _why_not(one))}
 
 
 def _why_not(found: Explanation) -> str:

@@ -5,10 +5,18 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from servofd.feedback.fitted import levels_of
+from servofd.models.servo_model import ServoModel
+from servofd.servos import Servo
 from servofd.toml_text import toml_key, toml_lines
 
 if TYPE_CHECKING:
     from servofd.identification.result import Identification
+
+_LEVELS = (
+    "# How a surface is judged that this servo turns: its tests are healthy by it. --servo takes it along; in an",
+    "# aircraft file these keys belong to the surface.",
+)
 
 
 def servo_file(found: Identification, name: str, source: str) -> str:
@@ -59,6 +67,10 @@ def servo_file(found: Identification, name: str, source: str) -> str:
         f"[servos.{toml_key(name)}]",
         *toml_lines(table, comments),
     ]
+    servo_entry = Servo.model_validate({key: value for key, value in table.items() if value is not None})
+    levels = levels_of(ServoModel.of(servo_entry), found.segments)
+    if levels:
+        lines += ["", *_LEVELS, "[surface]", *toml_lines(levels)]
     return "\n".join(lines) + "\n"
 
 

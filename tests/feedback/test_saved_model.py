@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
 import servofd
 from servofd.aircraft import load_aircraft
 from servofd.cli import main
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 @pytest.mark.slow
@@ -25,3 +22,39 @@ def test_a_saved_explanation_finds_its_own_run_healthy(tmp_path: Path) -> None:
     assert elevator.tolerance is not None
     (result,) = servofd.audit(run, saved, surfaces=("elevator",))
     assert result.surfaces[0].status == "healthy"
+
+
+HIDDEN = sorted((Path(__file__).parents[2] / "sample_logs" / "hidden").glob("hidden_*.csv"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("log", HIDDEN, ids=lambda path: path.stem)
+def test_an_identified_servo_accuses_none_of_its_own_tests(log: Path, tmp_path: Path) -> None:
+    saved = tmp_path / "mine.toml"
+    if main(["identify", str(log), "--save", str(saved)]) != 0:
+        assert not saved.exists()
+        return
+    (result,) = servofd.audit(log, servo=str(saved))
+    (verdict,) = result.surfaces
+    assert verdict.model.origin == "fitted"
+    assert verdict.model.good_runs == 1
+    assert verdict.status == "healthy" or verdict.reason.startswith("too little motion")
+
+
+def test_a_servo_that_does_not_explain_its_own_test_is_not_saved(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    saved = tmp_path / "mine.toml"
+    assert main(["identify", "sample_logs/faser_deadband_chirp.mat", "--save", str(saved)]) == 2
+    assert "this model does not explain its own run: floating" in capsys.readouterr().err
+    assert not saved.exists()
+
+
+def test_levels_of_a_servo_file_are_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    saved = tmp_path / "mine.toml"
+    saved.write_text(
+        '[servos.mine]\ntitle = "m"\nbandwidth_hz = 5.0\ndamping = 0.7\ndelay_s = 0.01\nhold = "zoh"\nsource = "x"\n'
+        "[surface]\npersistence = 0\n"
+    )
+    assert main(["audit", "sample_logs/table_three_faults.csv", "--servo", str(saved)]) == 2
+    assert "surface.persistence" in capsys.readouterr().err
