@@ -27,6 +27,10 @@ _MOST_EPISODES = 50
 """Of one surface that are named, which takes some 50 ms each: a threshold within the noise is crossed thousands of
 times, and what matters is in the largest, and in what goes on."""
 
+_SELDOM_S = 0.15
+"""Commands further apart than this, where an autopilot gives 50 a second, are a link's choice of them."""
+_AT_REST = ("stuck", "hardover")
+
 _ECHO_S = 3.0
 """Alarms so close to a contradiction are part of it."""
 
@@ -64,7 +68,8 @@ def judge(
     if surface.threshold == "constant":
         threshold = constant_threshold(threshold, surface.threshold_deg)
     commands = commands_at_servo(segment, generator.model.plan.delay_s, generator.longest_gap_s(segment))
-    return judge_evaluated(generator, surface, residuals, threshold, None, commands, dismiss=dismiss)
+    judgement = judge_evaluated(generator, surface, residuals, threshold, None, commands, dismiss=dismiss)
+    return _as_commanded(judgement, segment) if surface.model.origin == "fitted" else judgement
 
 
 def judge_evaluated(
@@ -120,6 +125,20 @@ def _by_fitted(
     flight = Flight(generator, surface.tolerances, noise, sigma_deg, residuals, commands)
     named = joined(flight, (replace(f, level="suspect") for e in episodes for f in isolate(flight, e)))
     return Judgement(threshold, faults, tuple(fault for fault in named if fault.kind != "healthy"), unnamed)
+
+
+def _as_commanded(judgement: Judgement, segment: Segment) -> Judgement:
+    """Accuse of no motion where commands came so seldom that nobody knows what was asked between them."""
+
+    def unknown(fault: Fault) -> bool:
+        command_s = segment.command_s
+        count = int(np.count_nonzero((command_s >= fault.start_s) & (command_s <= fault.alarm_s)))
+        return fault.kind not in _AT_REST and fault.alarm_s - fault.start_s > _SELDOM_S * max(count, 1)
+
+    asked = tuple(fault for fault in judgement.faults if not unknown(fault))
+    not_asked = tuple(replace(fault, level="suspect") for fault in judgement.faults if unknown(fault))
+    suspicions = tuple(sorted((*judgement.suspicions, *not_asked), key=lambda fault: fault.start_s))
+    return judgement._replace(faults=asked, suspicions=suspicions)
 
 
 def _belongs(episode: Episode, fault: Fault) -> bool:
