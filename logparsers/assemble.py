@@ -88,11 +88,12 @@ def assemble(
         raise EmptyLog(f"{label}: none of its {time_s.size} rows has a time stamp; a log needs at least one sample")
     found = [*damage, *disorder, *repeated, *clock.gaps(stamps)]
     series = {column.name: column for column in columns}
+    chosen = slice(None) if kept.all() else kept
     for column in series.values():
-        blank = ~np.isfinite(column.values) & kept
+        values = column.values[chosen]
+        blank = ~np.isfinite(values)
         if blank.any() and column.name not in apart:
-            rows = np.flatnonzero(blank[kept])
-            found.append(_non_finite(column.name, stamps, column.values[kept], rows))
+            found.append(_non_finite(column.name, stamps, values, blank))
     ends = float(stamps[0]), float(stamps[-1])
     return FlightLog(path, kind, Columns(stamps, None if kept.all() else kept, series), tuple(found), run, span_s=ends)
 
@@ -132,7 +133,7 @@ def join_rows(
     ([0.0, 0.1], [[1.0, 2.0], [0.9, nan]], ())
     """
     row_of = np.arange(time_s.size)
-    if np.all(np.diff(time_s) > 0.0):
+    if np.all(time_s[1:] > time_s[:-1]):
         return time_s, columns, row_of, ()
     if all(np.all(np.diff(time_s[np.isfinite(column.values) & np.isfinite(time_s)]) >= 0.0) for column in columns):
         row_of = np.argsort(time_s, kind="stable")  # rows without a stamp come last
@@ -208,7 +209,8 @@ class Columns(Mapping[str, Channel]):
         return len(self._columns)
 
 
-def _non_finite(name: str, stamps: FloatArray, values: FloatArray, rows: np.ndarray) -> Damage:
-    infinite = int(np.isinf(values[rows]).sum())
-    note = f"{name}: {rows.size} of {values.size} values are missing" + (f", {infinite} infinite" if infinite else "")
-    return Damage("non_finite", note, int(rows.size), float(stamps[rows[0]]), float(stamps[rows[-1]]))
+def _non_finite(name: str, stamps: FloatArray, values: FloatArray, blank: NDArray[np.bool_]) -> Damage:
+    count, infinite = int(blank.sum()), int(np.isinf(values).sum())
+    note = f"{name}: {count} of {values.size} values are missing" + (f", {infinite} infinite" if infinite else "")
+    first, last = int(blank.argmax()), blank.size - 1 - int(blank[::-1].argmax())
+    return Damage("non_finite", note, count, float(stamps[first]), float(stamps[last]))

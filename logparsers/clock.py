@@ -76,6 +76,8 @@ def order(
         missing = np.flatnonzero(~kept)
         note = f"{missing.size} of {kept.size} rows without a time stamp left out, first row {places[missing[0]] + 1}"
         damage.append(Damage("non_finite", note, int(missing.size)))
+    elif np.all(time_s[1:] > time_s[:-1]):
+        return kept, time_s, ()
     rows = np.flatnonzero(kept)
     stamps = time_s[rows]
     if np.any(np.diff(stamps) <= 0.0):
