@@ -29,6 +29,9 @@ FloatArray = NDArray[np.float64]
 _MOST_CELLS = 100_000_000
 """A larger table (0.8 GB) is a mistake: hundreds of channels that share no time stamps."""
 
+_SHORTEST_FLIGHT_S = 3.0
+"""What a vehicle logs between two boots in less is no flight."""
+
 
 def own(values: ArrayLike) -> FloatArray:
     """Copy to a read-only float64 array, so that no record can change behind its owner's back.
@@ -293,6 +296,40 @@ class FlightLog:
     def boots_s(self) -> tuple[float, ...]:
         """When the vehicle was booted again, on the time base of the log [s]: what is before is another flight."""
         return tuple(d.end_s for d in self.damage if d.kind == "reboot" and d.end_s is not None)
+
+    def by_boots(self) -> tuple[FlightLog, ...]:
+        """The flights of the log, on its time base: a vehicle that is booted again begins another one.
+
+        Examples
+        --------
+        >>> channel = Channel("RCOU.C1", np.arange(20.0), np.arange(20.0), "us", "")
+        >>> reboot = Damage("reboot", "the clock starts again", 1, 9.0, 12.0)
+        >>> log = FlightLog(Path("a.bin"), "dataflash", {"RCOU.C1": channel}, (reboot,))
+        >>> [(one.run, one["RCOU.C1"].time_s.size, one.duration_s) for one in log.by_boots()]
+        [('boot 1', 12, 9.0), ('boot 2', 8, 7.0)]
+        """
+        reboots = sorted((d.end_s, d.start_s) for d in self.damage if d.kind == "reboot" and d.end_s is not None)
+        if not reboots:
+            return (self,)
+        spans = [(float(c.time_s[0]), float(c.time_s[-1])) for c in self.channels.values() if c.time_s.size]
+        first_s, last_s = self.span_s or (min(s[0] for s in spans), max(s[1] for s in spans))
+        begins_s = [first_s, *(end_s for end_s, _ in reboots)]
+        ends_s = [*(end_s if start_s is None else start_s for end_s, start_s in reboots), last_s]
+        edges_s = [-np.inf, *begins_s[1:], np.inf]
+        parts = []
+        for k, (begin_s, end_s) in enumerate(zip(begins_s, ends_s, strict=True)):
+            if end_s - begin_s < _SHORTEST_FLIGHT_S:
+                continue
+            channels = {
+                name: replace(channel, time_s=channel.time_s[rows], values=channel.values[rows])
+                for name, channel in self.channels.items()
+                for rows in [slice(*np.searchsorted(channel.time_s, edges_s[k : k + 2]).tolist())]
+                if rows.start < rows.stop
+            }
+            damage = tuple(d for d in self.damage if d.start_s is None or edges_s[k] <= d.start_s < edges_s[k + 1])
+            run = f"{self.run} boot {k + 1}".strip()
+            parts.append(replace(self, channels=channels, damage=damage, run=run, span_s=(begin_s, end_s)))
+        return tuple(parts) or (self,)
 
     def to_pandas(self, names: str | Sequence[str] | None = None) -> pd.DataFrame:
         """Put channels into one table, one row per time stamp.

@@ -32,7 +32,7 @@ def known_aircraft(aircraft: Aircraft | str | Path | None) -> Aircraft | None:
 
 
 def logs_of(paths: LogFile | Sequence[LogFile], aircraft: Aircraft | None = None) -> Iterator[FlightLog]:
-    """Every run of every log of an aircraft, in order.
+    """Every run of every log of an aircraft, in order; what follows a reboot is another flight.
 
     Parameters
     ----------
@@ -48,7 +48,8 @@ def logs_of(paths: LogFile | Sequence[LogFile], aircraft: Aircraft | None = None
     """
     several = paths if isinstance(paths, Sequence) and not isinstance(paths, str) else [paths]
     for path in several:
-        yield from logparsers.read_all(path, layout_of(aircraft))
+        for log in logparsers.read_all(path, layout_of(aircraft)):
+            yield from log.by_boots()
 
 
 def one_log(path: str | Path, aircraft: Aircraft | None = None) -> FlightLog:

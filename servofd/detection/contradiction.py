@@ -41,7 +41,8 @@ _WRONG_DEG = 1.4
 """Windows whose motion is off by less than this (rms) are not looked at again [deg]."""
 _LINE_DEG, _LINE_SHARE, _NOT_ASKED = 2.0, 0.6, 0.5
 """Amplitude of an oscillation, its share of the error's power, and of the command's amplitude there to its own."""
-_SLOWEST_HZ = 0.7
+_SLOWEST_HZ = 1.2
+"""Fewer periods in a window are no oscillation: positions that came late to the log look like that as well."""
 _FOLLOWS = 0.3
 """Slope of the position over the healthy deflection below which it does not follow."""
 _BRISK_DEG = 1.4
