@@ -192,16 +192,17 @@ def _exit_codes(results: list[LogAudit | FailedLog]) -> list[int]:
 
 def write(options: argparse.Namespace, results: list[LogAudit | FailedLog]) -> None:
     """Write the files that were asked for."""
+    from servofd.cli.targets import give_json
     from servofd.errors import ConfigError
     from servofd.outputs.files import write_whole
-    from servofd.outputs.json_report import FailedLog, audit_document, to_json
+    from servofd.outputs.json_report import FailedLog, audit_document
 
     audits = [result for result in results if not isinstance(result, FailedLog)]
     if options.rrd and len(audits) > 1:
         raise ConfigError(f"{options.rrd}: --rrd takes one log at a time; -o DIR writes a recording for each")
-    document = to_json(audit_document(results))
-    if options.json and options.json != "-":
-        write_whole(options.json, document.encode())
+    document = audit_document(results) if options.json or options.output else {}
+    if options.json != "-":
+        give_json(options.json, document)
     if options.html:
         from servofd.outputs.audit_page import audit_page
 
@@ -214,14 +215,15 @@ def write(options: argparse.Namespace, results: list[LogAudit | FailedLog]) -> N
         _write_folder(Path(options.output), audits, document, where=options.include_position, on_map=options.map)
 
 
-def _write_folder(folder: Path, audits: list[LogAudit], document: str, *, where: bool, on_map: bool) -> None:
+def _write_folder(folder: Path, audits: list[LogAudit], document: dict[str, Any], *, where: bool, on_map: bool) -> None:
+    from servofd.cli.targets import give_json
     from servofd.errors import ConfigError, needs
     from servofd.outputs.figure import save_figure
-    from servofd.outputs.files import distinct_file_names, make_folder, write_whole
+    from servofd.outputs.files import distinct_file_names, make_folder
     from servofd.outputs.recording import save_recording
 
     make_folder(folder)
-    write_whole(folder / "audit.json", document.encode())
+    give_json(str(folder / "audit.json"), document)
     try:
         needs("matplotlib", "rerun")
     except ConfigError as error:
@@ -241,9 +243,10 @@ def _stem(audit: LogAudit) -> str:
 
 def print_json(results: list[LogAudit | FailedLog]) -> None:
     """Print the result as JSON."""
-    from servofd.outputs.json_report import audit_document, to_json
+    from servofd.cli.targets import give_json
+    from servofd.outputs.json_report import audit_document
 
-    print(to_json(audit_document(results)), end="")
+    give_json("-", audit_document(results))
 
 
 def _print(results: list[LogAudit | FailedLog]) -> None:

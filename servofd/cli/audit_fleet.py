@@ -41,12 +41,12 @@ def is_fleet(options: argparse.Namespace) -> bool:
 def run_fleet(options: argparse.Namespace) -> int:
     """Judge all logs, each printed as it is done; then the overview, and what was asked for."""
     from servofd.cli.tables import one_line
+    from servofd.cli.targets import give_json
     from servofd.errors import ConfigError
     from servofd.fleet.find import find_logs
     from servofd.fleet.key import Job
     from servofd.fleet.store import FleetStore
     from servofd.job import known_aircraft, layout_of
-    from servofd.outputs.json_report import to_json
 
     if options.rrd:
         raise ConfigError(f"{options.rrd}: --rrd takes one log; judge the one you want to see by itself")
@@ -66,15 +66,12 @@ def run_fleet(options: argparse.Namespace) -> int:
         judged = _judged(found, job, store, options)
     logs = _stored(Path(options.output)) if options.output else _in_memory(judged)
     seen = _overview(logs)
-    if options.json and options.json != "-":
-        _write_json(options.json, logs)
     for page in filter(None, (options.html, str(Path(folder, PAGE)) if folder else None)):
         write_page(seen, page)
-    if options.json == "-":
-        print(to_json({"schema": "servofd.audit/1", "logs": [log["document"] for log in logs]}), end="")
-    elif options.pages:
+    printed = give_json(options.json, {"schema": "servofd.audit/1", "logs": [log["document"] for log in logs]})
+    if options.pages and not printed:
         _print_closing(seen, Path(options.pages, PAGE))
-    else:
+    elif not printed:
         print_overview(seen)
     for problem in (*found.problems, *(one["reason"] for one in seen.not_judged)):
         print(f"servofd: {one_line(problem)}", file=sys.stderr)
@@ -192,13 +189,6 @@ def _overview(logs: list[dict[str, Any]]) -> Overview:
     from servofd.fleet.overview import overview
 
     return overview(logs)
-
-
-def _write_json(target: str, logs: list[dict[str, Any]]) -> None:
-    from servofd.outputs.files import write_whole
-    from servofd.outputs.json_report import to_json
-
-    write_whole(target, to_json({"schema": "servofd.audit/1", "logs": [log["document"] for log in logs]}).encode())
 
 
 def write_page(seen: Overview, target: str) -> None:

@@ -77,26 +77,22 @@ def run(options: argparse.Namespace) -> int:
 
 def _write(options: argparse.Namespace, found: ExplainedLogs) -> None:
     """Results to the files that were asked for, and to stdout."""
+    from servofd.cli.targets import give_json
     from servofd.errors import ConfigError
-    from servofd.outputs.files import write_whole
-    from servofd.outputs.json_report import to_json
 
     documents = {one.surface: one.document() for one in found.explanations}
     single = len(found.explanations) == 1 and not found.failures
     whole = {"schema": "servofd.explain/1", "surfaces": documents}
-    document = to_json(documents[found.explanations[0].surface] if single else whole)
     if options.rrd and len(found.explanations) > 1:
         raise ConfigError(f"{options.rrd}: --rrd takes one surface at a time: choose it with -s")
-    if options.json and options.json != "-":
-        write_whole(options.json, document.encode())
     if options.rrd:
         from servofd.outputs.explain_recording import save_explanation
 
         save_explanation(found.explanations[0], options.rrd, _names(options))
     if options.html:
         _write_page(options, found)
-    texts = [explanation_text(found.source, each) for each in documents.values()]
-    print(document if options.json == "-" else "\n".join(texts), end="")
+    if not give_json(options.json, documents[found.explanations[0].surface] if single else whole):
+        print("\n".join(explanation_text(found.source, each) for each in documents.values()), end="")
 
 
 def _write_page(options: argparse.Namespace, found: ExplainedLogs) -> None:

@@ -28,19 +28,14 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Read, write the page, print."""
+    from servofd.cli.targets import give_json
     from servofd.fleet.overview import overview
     from servofd.fleet.store import read_logs
-    from servofd.outputs.files import write_whole
-    from servofd.outputs.json_report import to_json
 
     seen = overview(read_logs(Path(options.folder)))
-    document = to_json(seen.document())
-    if options.json and options.json != "-":
-        write_whole(options.json, document.encode())
     target = options.html or str(Path(options.folder, PAGE))
     write_page(seen, target)
-    if options.json == "-":
-        print(document, end="")
+    if give_json(options.json, seen.document()):
         return seen.exit_code
     print_overview(seen)
     for fault in seen.faults:

@@ -47,9 +47,8 @@ def run(options: argparse.Namespace) -> int:
     """Identify, then write all outputs, then print."""
     from servofd.bench import identify_logs
     from servofd.cli.tables import progress_bar
-    from servofd.cli.targets import check_targets
+    from servofd.cli.targets import check_targets, give_json
     from servofd.job import known_aircraft
-    from servofd.outputs.json_report import to_json
 
     outputs = (options.json, options.save, options.html, options.rrd)
     check_targets(outputs, {"a log": options.logs, "the aircraft file": [options.config]}, folder=options.output)
@@ -59,18 +58,15 @@ def run(options: argparse.Namespace) -> int:
             options.logs, aircraft, surface=options.surface, method=options.method, order=options.order, progress=step
         )
     _write(options, found)
-    print(to_json(found.document()) if options.json == "-" else _text(found), end="")
+    if not give_json(options.json, found.document()):
+        print(_text(found), end="")
     return 0
 
 
 def _write(options: argparse.Namespace, found: Identification) -> None:
     from servofd.outputs.files import write_whole
-    from servofd.outputs.json_report import to_json
 
     source = ", ".join(Path(log).name for log in options.logs)
-    document = to_json(found.document()).encode()
-    if options.json and options.json != "-":
-        write_whole(options.json, document)
     if options.save:
         from servofd.outputs.servo_file import servo_file
 
@@ -84,21 +80,18 @@ def _write(options: argparse.Namespace, found: Identification) -> None:
 
         save_identification(found, options.rrd, source)
     if options.output:
-        _write_folder(Path(options.output), found, document)
+        _write_folder(Path(options.output), found)
 
 
-def _write_folder(folder: Path, found: Identification, document: bytes) -> None:
-    from servofd.errors import ConfigError
-    from servofd.outputs.files import write_whole
+def _write_folder(folder: Path, found: Identification) -> None:
+    from servofd.cli.targets import give_json
+    from servofd.outputs.files import make_folder, write_whole
     from servofd.outputs.identify_figures import identify_figures
 
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"{folder}: cannot make this folder: {error.strerror}") from None
+    make_folder(folder)
     for picture in identify_figures(found):
         write_whole(folder / f"{picture.name}.png", picture.png())
-    write_whole(folder / "identify.json", document)
+    give_json(str(folder / "identify.json"), found.document())
 
 
 def _text(found: Identification) -> str:

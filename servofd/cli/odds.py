@@ -53,10 +53,9 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Work out the odds, write what was asked for, and print."""
+    from servofd.cli.targets import give_json
     from servofd.detection.odds import Wish
     from servofd.errors import ConfigError
-    from servofd.outputs.files import write_whole
-    from servofd.outputs.json_report import to_json
     from servofd.outputs.odds_report import odds_document
 
     wish = Wish(options.false_alarms_per_hour, options.fault_deg)
@@ -64,12 +63,11 @@ def run(options: argparse.Namespace) -> int:
         raise ConfigError("--noise-deg and --rate-hz describe a design; with --log both are measured: leave them out")
     odds, left_out, failed = _from_logs(options, wish) if options.log else (_from_design(options, wish), [], {})
     missing = failed | {part.surface: part.reason for part in left_out}
-    document = to_json(odds_document(odds, missing))
-    if odds and options.json and options.json != "-":
-        write_whole(options.json, document.encode())
+    document = odds_document(odds, missing)
     if odds and options.output:
         _write_folder(Path(options.output), odds, document)
-    _print(options, odds, left_out, document)
+    if not ((odds or options.json == "-") and give_json(options.json, document)):
+        _print(odds, left_out)
     return _exit_code(odds, left_out, failed)
 
 
@@ -138,30 +136,24 @@ def _check_surfaces(options: argparse.Namespace, aircraft: Aircraft) -> None:
         raise NoMeasurement(f"{options.config}: names no measured channel for any surface")
 
 
-def _write_folder(folder: Path, odds: list[SurfaceOdds], document: str) -> None:
+def _write_folder(folder: Path, odds: list[SurfaceOdds], document: dict[str, Any]) -> None:
     from servofd.cli.tables import progress_bar
-    from servofd.errors import ConfigError
-    from servofd.outputs.files import distinct_file_names, write_whole
+    from servofd.cli.targets import give_json
+    from servofd.outputs.files import distinct_file_names, make_folder
     from servofd.outputs.odds_figure import save_odds_figure
 
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"{folder}: cannot make this folder: {error.strerror}") from None
+    make_folder(folder)
     with progress_bar("figures", len(odds)) as step:
         for surface, name in zip(odds, distinct_file_names([o.surface for o in odds]), strict=True):
             save_odds_figure(surface, folder / f"odds-{name}.png")
             step(surface.surface)
-    write_whole(folder / "odds.json", document.encode())
+    give_json(str(folder / "odds.json"), document)
 
 
-def _print(options: argparse.Namespace, odds: list[SurfaceOdds], left_out: list[LeftOut], document: str) -> None:
+def _print(odds: list[SurfaceOdds], left_out: list[LeftOut]) -> None:
     from servofd.cli.tables import one_line, print_table
     from servofd.outputs.odds_report import odds_rows
 
-    if options.json == "-":
-        print(document, end="")
-        return
     if odds:
         print_table(["", *(o.surface for o in odds)], odds_rows(odds))
     for surface in odds:

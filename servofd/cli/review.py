@@ -124,8 +124,7 @@ def _exit_code(recording: Recording) -> int:
 
 def _show(options: argparse.Namespace, found: list[tuple[Path, Recording]], failed: list[tuple[Path, str]]) -> None:
     from servofd.cli.tables import one_line
-    from servofd.outputs.files import write_whole
-    from servofd.outputs.json_report import to_json
+    from servofd.cli.targets import give_json
     from servofd.review import contradictions
 
     for path, recording in found:
@@ -135,12 +134,9 @@ def _show(options: argparse.Namespace, found: list[tuple[Path, Recording]], fail
             print(f"servofd: {path}: {one_line(recording.audit.not_judged)}", file=sys.stderr)
     for _, error in failed:
         print(f"servofd: {one_line(error)}", file=sys.stderr)
-    text = to_json(_document(found, failed)) if options.json else ""
-    if options.json and options.json != "-":
-        write_whole(options.json, text.encode())
-    if options.json == "-":
-        print(text, end="")
-    elif len(found) == 1 and not failed:
+    if options.json and give_json(options.json, _document(found, failed)):
+        return
+    if len(found) == 1 and not failed:
         _print_one(*found[0])
     elif found:
         _print_fleet(found)
@@ -213,8 +209,7 @@ def _print_fleet(found: list[tuple[Path, Recording]]) -> None:
 def _compare(options: argparse.Namespace, path: Path) -> int:
     """Print what differs between two recordings; a fault in either of them is one."""
     from servofd.cli.tables import print_table
-    from servofd.outputs.files import write_whole
-    from servofd.outputs.json_report import to_json
+    from servofd.cli.targets import give_json
     from servofd.outputs.recording.read import read_recording
     from servofd.review import compared
 
@@ -225,14 +220,11 @@ def _compare(options: argparse.Namespace, path: Path) -> int:
         "recordings": [str(path), options.compare],
         "changes": [change.as_dict() for change in changes],
     }
-    if options.json and options.json != "-":
-        write_whole(options.json, to_json(document).encode())
-    if options.json == "-":
-        print(to_json(document), end="")
-    elif changes:
+    printed = give_json(options.json, document)
+    if changes and not printed:
         rows = [[c.surface, c.what, c.before, c.after, _where(c)] for c in changes]
         print_table(["surface", "what", str(path), options.compare, "where"], rows)
-    else:
+    elif not printed:
         print("no difference: the same verdicts, and every curve the same to the last bit")
     return 1 if before.audit.has_fault or after.audit.has_fault else 0
 

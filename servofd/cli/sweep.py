@@ -31,9 +31,8 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Check, then write or print."""
+    from servofd.cli.targets import give_json
     from servofd.job import flown_aircraft, known_aircraft, one_log
-    from servofd.outputs.files import write_whole
-    from servofd.outputs.json_report import to_json
     from servofd.sweep import check_sweep
 
     known = known_aircraft(options.config)
@@ -41,12 +40,7 @@ def run(options: argparse.Namespace) -> int:
     aircraft = flown_aircraft(log, known)
     aircraft.check_names(options.surface, log.label)
     found = check_sweep(log, aircraft, tuple(options.surface))
-    document = to_json(sweep_document(log, found))
-    if options.json and options.json != "-":
-        write_whole(options.json, document.encode())
-    if options.json == "-":
-        print(document, end="")
-    else:
+    if not give_json(options.json, sweep_document(log, found)):
         _print(found, f"{log.label}   {log.format}, {log.duration_s:.1f} s")
     return _exit_code(found)
 

@@ -1,13 +1,31 @@
-"""Refuses outputs that cannot be written, before the work starts."""
+"""Where results go: refuses outputs that cannot be written, before the work starts, and gives documents as JSON."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
+
+
+def give_json(target: str | None, document: dict[str, Any]) -> bool:
+    """Write a document to the file that ``--json`` names; or print it, where that is ``-``, and tell so.
+
+    Examples
+    --------
+    >>> give_json(None, {"schema": "servofd.audit/1"})
+    False
+    """
+    from servofd.outputs.files import write_whole
+    from servofd.outputs.json_report import to_json
+
+    if target and target != "-":
+        write_whole(target, to_json(document).encode())
+    elif target:
+        print(to_json(document), end="")
+    return target == "-"
 
 
 def check_targets(

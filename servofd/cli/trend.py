@@ -40,21 +40,19 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
 def run(options: argparse.Namespace) -> int:
     """Follow, write what was asked for, print."""
     from servofd.cli.tables import one_line
-    from servofd.cli.targets import check_targets
+    from servofd.cli.targets import check_targets, give_json
     from servofd.outputs.files import write_whole
-    from servofd.outputs.json_report import to_json
     from servofd.wear.document import trend_document
 
     check_targets((options.json, options.html), {"a log": options.logs, "the aircraft file": [options.config]})
     seen = _followed(options)
     document = trend_document(seen)
-    if options.json and options.json != "-":
-        write_whole(options.json, to_json(document).encode())
     if options.html:
         from servofd.outputs.trend_page import trend_page
 
         write_whole(options.html, trend_page(document).encode())
-    print(to_json(document), end="") if options.json == "-" else _print(document)
+    if not give_json(options.json, document):
+        _print(document)
     for problem in seen.problems[:_SHOWN]:
         print(f"servofd: {one_line(problem)}", file=sys.stderr)
     if len(seen.problems) > _SHOWN:
