@@ -111,11 +111,12 @@ def _ladder(found: Explanation, name: str) -> Picture:
     axes.set_xlabel("error [deg rms]")
     finish(axes, legend="above")
     last = errors[-1]["held_out_rms_deg"]
+    falls = f"falls from {errors[0]['held_out_rms_deg']:.3g} to" if selection.rungs else "is"
     text = (
-        f"On samples that were not fitted the error falls from {errors[0]['held_out_rms_deg']:.3g} to {last:.3g} deg "
-        f"rms; the noise floor is {selection.sigma_deg:.3g} deg."
+        f"On samples that were not fitted the error {falls} {last:.3g} deg rms; the noise floor is "
+        f"{selection.sigma_deg:.3g} deg."
     )
-    return Picture(name, "How the gap shrinks", text, figure)
+    return Picture(name, "How the gap shrinks" if selection.rungs else "What is left", text, figure)
 
 
 def _maps(found: Explanation, name: str) -> Picture:
@@ -204,7 +205,9 @@ def _memory(found: Explanation, name: str) -> Picture:
     left.axhline(floor, color=_FLOOR, lw=1.0, label="noise floor")
     bound = _SURE / np.sqrt(max(int(record.counts.sum()), 1))
     right.axhspan(-bound, bound, color=_FLOOR, alpha=0.35, lw=0, label="white noise")
-    left.xaxis.set_minor_formatter("")
+    for axis in (left.xaxis, left.yaxis):
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter("")
     left.set_xlabel("frequency [Hz]")
     left.set_ylabel("error [deg/√Hz]")
     right.set_xlabel("lag [s]")

@@ -48,7 +48,8 @@ def _surface(found: Explanation, anchor: str, thresholds: Sequence[tuple[str, st
         "anchor": anchor,
         "status": _STATUS[found.conclusion],
         "conclusion": found.conclusion.replace("_", " "),
-        "verdict": f"{document['answer']} {_verdict(document)}",
+        "verdict": document["answer"],
+        "numbers": _numbers(document),
         "where": [f"{sentence[:1].upper()}{sentence[1:]}." for sentence in document["where"]],
         "notes": [f"{note[:1].upper()}{note[1:]}." for note in document["notes"]],
         "ties": document["indistinguishable"],
@@ -86,7 +87,7 @@ def _surface(found: Explanation, anchor: str, thresholds: Sequence[tuple[str, st
     }
 
 
-def _verdict(document: dict[str, Any]) -> str:
+def _numbers(document: dict[str, Any]) -> str:
     before, after = (document[key]["held_out_rms_deg"] for key in ("nominal", "final"))
     floor = document["noise_floor_rms_deg"]
     names = " and ".join(_name(step) for step in document["steps"])
@@ -99,7 +100,7 @@ def _verdict(document: dict[str, Any]) -> str:
         )
         return f"a fault sets in at {document['fault_s']:.1f} s; {told}, the noise floor is {floor:.3g} deg."
     return {
-        "nothing_missing": f"nothing is missing: {before:.3g} deg rms are left, the noise floor is {floor:.3g} deg.",
+        "nothing_missing": f"{before:.3g} deg rms are left; the noise floor is {floor:.3g} deg.",
         "explained": f"{names} explains the gap: {shrinks}; the noise floor is {floor:.3g} deg.",
         "partly_explained": f"{names} explains a part: {shrinks}; something stays above the noise floor of "
         f"{floor:.3g} deg.",
