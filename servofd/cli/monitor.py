@@ -191,6 +191,13 @@ def _verdict(session: Session) -> int:
         why = suspect[0].reason if suspect else "an axis did not answer its command"
         print(f"servofd: not cleared: {why}", file=sys.stderr)
         return 2
+    doubtful = [monitor for _, monitor in session.watched if monitor.suspicions]
+    if doubtful:
+        from servofd.detection.words import describe
+
+        found = "; ".join(f"{monitor.name}: {describe(monitor.suspicions[0])}" for monitor in doubtful)
+        print(f"servofd: not cleared: no alarm stands, but look at it: {found}", file=sys.stderr)
+        return 2
     by_motion = not session.watched and any(not one.problem for one in axes)
     unjudged = "" if by_motion else session.unjudged()
     if not unjudged:

@@ -79,6 +79,8 @@ class _Flight:
     lag_s: float
     """Of the servo without its delay."""
     delay_s: float
+    reached_deg: FloatArray
+    """Where it was seen, before these samples too."""
 
     @cached_property
     def error_deg(self) -> FloatArray:
@@ -86,11 +88,13 @@ class _Flight:
 
     @cached_property
     def travel_deg(self) -> float:
-        low, high = np.percentile(self.measured_deg, [2.0, 98.0])
+        low, high = np.percentile(self.reached_deg, [2.0, 98.0])
         return float(high - low)
 
 
-def contradictions(generator: ResidualGenerator, residuals: Residuals) -> tuple[Fault, ...]:
+def contradictions(
+    generator: ResidualGenerator, residuals: Residuals, earlier_deg: FloatArray | None = None
+) -> tuple[Fault, ...]:
     """Find what no servo does, whatever its numbers, in order of time.
 
     Parameters
@@ -99,6 +103,8 @@ def contradictions(generator: ResidualGenerator, residuals: Residuals) -> tuple[
         With the servo that was fitted to this log, or to another of the same aircraft.
     residuals : Residuals
         What it makes of the log.
+    earlier_deg : ndarray, optional
+        Positions before those of the residuals, which tell how far the surface can go [deg].
 
     Examples
     --------
@@ -114,7 +120,7 @@ def contradictions(generator: ResidualGenerator, residuals: Residuals) -> tuple[
     >>> found.kind, round(found.start_s), found.end_s
     ('stuck', 20, None)
     """
-    flight = _flight(generator, residuals)
+    flight = _flight(generator, residuals, earlier_deg)
     if flight is None:
         return ()
     with np.errstate(over="ignore", invalid="ignore"):
@@ -150,7 +156,9 @@ def unanswered(generator: ResidualGenerator, residuals: Residuals) -> tuple[Faul
     return _as_faults(found, float(residuals.time_s[-1])) if near and follows else ()
 
 
-def _flight(generator: ResidualGenerator, residuals: Residuals) -> _Flight | None:
+def _flight(
+    generator: ResidualGenerator, residuals: Residuals, earlier_deg: FloatArray | None = None
+) -> _Flight | None:
     """Judged samples, if there are enough."""
     use = residuals.settled & np.isfinite(residuals.measured_deg) & np.isfinite(residuals.simulated_deg)
     if np.count_nonzero(use) < _FEWEST_SAMPLES:
@@ -163,6 +171,9 @@ def _flight(generator: ResidualGenerator, residuals: Residuals) -> _Flight | Non
         step_deg(residuals.measured_deg[use]),
         float(np.sum(1.0 / generator.filter_parameters().decay_rad_s).real),
         generator.model.plan.delay_s,
+        residuals.measured_deg[use]
+        if earlier_deg is None
+        else np.concatenate([earlier_deg[np.isfinite(earlier_deg)], residuals.measured_deg[use]]),
     )
 
 
@@ -206,7 +217,7 @@ def _resting(flight: _Flight) -> Iterator[_Stretch]:
     time_s, step_s = flight.time_s, np.diff(flight.time_s, append=flight.time_s[-1])
     usual_s = float(np.median(step_s))
     step_s = np.minimum(step_s, 3.0 * usual_s)
-    low_deg, high_deg = float(flight.measured_deg.min()), float(flight.measured_deg.max())
+    low_deg, high_deg = float(flight.reached_deg.min()), float(flight.reached_deg.max())
     late_s = _MISSED_S + 2.0 * (flight.lag_s + flight.delay_s)
     for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
         if time_s[end - 1] - time_s[begin] < late_s:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from servofd.detection.calibrated import judge_stretch
+from servofd.detection.contradiction import contradictions
 from servofd.detection.judge import judge_evaluated
 from servofd.detection.plausible import wiring_problem
 
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     from servofd.detection.bank.flight import Fault
     from servofd.detection.residual import Commands, ResidualGenerator, Residuals
     from servofd.detection.threshold import Threshold
-    from servofd.types import BoolArray
+    from servofd.types import BoolArray, FloatArray
 
 EventKind = Literal["alarm", "clear", "named", "no_data", "link_lost", "link_restored"]
 
@@ -56,13 +57,19 @@ class Look(NamedTuple):
     threshold: Threshold
     suspicious: BoolArray
     commands: Commands
+    earlier_deg: FloatArray | None = None
+    """Positions before, of a model that was fitted, of which only faults are wanted: suspicions wait for the end."""
 
     def judge(self) -> tuple[tuple[Fault, ...], tuple[Fault, ...], str]:
         """Faults and suspicions, and why nothing should be concluded from them; depends on nothing else."""
-        _, _, _, residuals, threshold, suspicious, commands = self
+        _, _, _, residuals, threshold, suspicious, commands, _ = self
         if self.surface.calibrated is not None and self.surface.is_calibrated:
             calibrated = judge_stretch(self.surface.calibrated, residuals, commands)
             return calibrated.faults, calibrated.suspicions, ""
+        if self.earlier_deg is not None:
+            faults = contradictions(self.generator, residuals, self.earlier_deg)
+            problem = wiring_problem(residuals) if faults else ""
+            return (() if problem else faults), (), problem
         found = judge_evaluated(self.generator, self.surface, residuals, threshold, suspicious, commands)
         problem = wiring_problem(residuals) if found.faults or found.suspicions else ""
         return (() if problem else found.faults), (() if problem else found.suspicions), problem

@@ -82,9 +82,16 @@ class History:
             packed[place] = row
         return packed
 
-    def snapshot(self, kind: ThresholdKind, cusum: CusumDesign) -> tuple[Residuals, Threshold, BoolArray]:
-        """Residuals, threshold and suspicious samples, copied."""
-        rows = self._rows[:, : self.size].copy()
+    def before(self, since_s: float, each: int) -> FloatArray:
+        """One in `each` of the positions before an instant [s], of shape (n,) [deg]."""
+        return self._rows[2, : np.searchsorted(self._rows[0, : self.size], since_s) : each].copy()
+
+    def snapshot(
+        self, kind: ThresholdKind, cusum: CusumDesign, since_s: float = -np.inf
+    ) -> tuple[Residuals, Threshold, BoolArray]:
+        """Residuals, threshold and suspicious samples since an instant [s], copied."""
+        first = int(np.searchsorted(self._rows[0, : self.size], since_s))
+        rows = self._rows[:, first : self.size].copy()
         time_s, simulated_deg, measured_deg, residual_deg, settled, immobile_deg, restart = rows[:7]
         level_deg, tolerance_deg, saturated_deg, sigma_deg, drift, suspicious = rows[7:]
         residuals = Residuals(

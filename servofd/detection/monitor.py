@@ -73,6 +73,13 @@ _WINDOWS_S = (2.25, 4.25, 8.25, 16.25)
 """The bank's own windows, which begin a quarter of a second after what raised a suspicion."""
 _NEWS_S = 10.0
 """Suspicions this close together are one."""
+_WRONG_DEG, _AGAIN_S, _STANDING_S, _AFTER_S = 1.0, 1.0, 2.5, 6.0
+"""A model that was fitted accuses of what contradicts any servo, which is never nearer to the model than this [deg]:
+there the bank looks so often [s], less often while an alarm stands, and for so long after."""
+_LOOKED_AT_S, _EACH = 40.0, 20
+"""What it looks at [s], and of what was before one position in so many."""
+_ECHO_S = 3.0
+"""What a later look finds so close to an alarm is the same fault."""
 _MOST = 0.5
 """Share of the time that must be judged for a verdict."""
 _STEADY_S = 2.0
@@ -85,6 +92,13 @@ _QUIET, _TOGETHER, _FAST_S = 0.3, 2, 0.025
 """Positions that come as fast as this [s] go two at a time while the residual is a small share of its threshold."""
 _LONGEST_WAIT = 6_000
 """Samples that are kept while a position that has never changed may still turn out to be one."""
+
+
+_EXPLAINED = {
+    "": "the tolerances of a working servo explain it",
+    "fitted": "what followed contradicts no servo",
+}
+"""Why an alarm is taken back; by the origin of its model."""
 
 
 @dataclass(slots=True)
@@ -197,6 +211,10 @@ class SurfaceMonitor:
     """Whether positions have changed while the stream had not begun."""
     _told_still: bool = False
     _told_slow: bool = False
+    suspicions: tuple[Fault, ...] = ()
+    """What the last look found that is no fault."""
+    _wrong_s: float = -np.inf
+    """When the model was last far from the position [s]."""
     _slow: str = ""
     _excused: tuple[float, float] = (-np.inf, 0.0)
     """Until when nothing at all was heard of the vehicle, and for how long [s]."""
@@ -347,7 +365,9 @@ class SurfaceMonitor:
             return None
         while self._looks_s and self._looks_s[0] <= latest_s:
             last_s = self._looks_s.pop(0)
-        if not self._looks_s and self.standing:
+        if not self._looks_s and self._is_fitted and last_s - self._wrong_s <= _AFTER_S:
+            self._looks_s.append(last_s + (_STANDING_S if self.standing else _AGAIN_S))
+        elif not self._looks_s and self.standing:
             self._looks_s.append(last_s + _LOOKS_AGAIN_S)
         return self._look()
 
@@ -357,7 +377,8 @@ class SurfaceMonitor:
         A fault that only the bank finds is one event, an alarm with its name. A name that comes later than `_NAMED_S`
         after the alarm, or after its end, would be taken for another fault's: it is kept for the report.
         """
-        faults, suspicions, problem = verdict
+        faults, self.suspicions, problem = verdict
+        faults = self._moved_alarms(faults, float(look.residuals.time_s[0]))
         now_s = look.at_s if self.reading is None else max(look.at_s, self.reading.time_s)
         events = []
         for fault in faults:
@@ -373,21 +394,51 @@ class SurfaceMonitor:
             if alarm.stands and fault.end_s is not None:
                 alarm.stands = False
                 events.append(self._event(look, look.at_s, "clear", fault.kind, fault))
-        cleared = self._dismissed(look, sorted((*faults, *suspicions), key=lambda fault: fault.alarm_s))
-        if problem:
-            cleared = [at_s for at_s in self._alarms if at_s >= look.residuals.time_s[0]]
-        for at_s in cleared:
-            alarm = self._alarms.get(at_s)
-            if alarm is not None and not alarm.dismissed:
-                stood, alarm.dismissed, alarm.stands, alarm.fault = alarm.stands, True, False, None
-                alarm.kind = "unknown" if problem else "healthy"
-                text = problem or "the tolerances of a working servo explain it"
-                if stood:
-                    events.append(Event(look.at_s, self.name, "clear", alarm.kind, text=text))
+        cleared = self._dismissed(look, sorted((*faults, *self.suspicions), key=lambda fault: fault.alarm_s))
+        if problem or self._is_fitted:
+            known = set() if problem else {fault.alarm_s for fault in faults}
+            cleared = [at_s for at_s in self._alarms if at_s not in known and at_s >= look.residuals.time_s[0]]
+        events += self._taken_back(cleared, look.at_s, problem)
         self.problem = problem
         if isinstance(self._stream, CalibratedStream) and self._stream.latched and not self.standing:
             self._stream.again()
         return events
+
+    @property
+    def _is_fitted(self) -> bool:
+        """Whether its model was fitted to a log, and may accuse only of what contradicts any servo."""
+        return self.surface.model.origin == "fitted" and not self.surface.is_calibrated
+
+    def _taken_back(self, cleared: list[float], now_s: float, problem: str) -> list[Event]:
+        """Take back alarms, by when they were raised [s]."""
+        events = []
+        for alarm in (self._alarms[at_s] for at_s in cleared if not self._alarms[at_s].dismissed):
+            stood, alarm.dismissed, alarm.stands, alarm.fault = alarm.stands, True, False, None
+            alarm.kind = "unknown" if problem else "healthy"
+            if stood:
+                text = problem or _EXPLAINED["fitted" if self._is_fitted else ""]
+                events.append(Event(now_s, self.name, "clear", alarm.kind, text=text))
+        return events
+
+    def _moved_alarms(self, faults: tuple[Fault, ...], since_s: float) -> tuple[Fault, ...]:
+        """Let alarms stand at the instants at which their faults are seen now that more of them is known.
+
+        What stood before the first sample of the look goes on from where it began.
+        """
+        if not self._is_fitted:
+            return faults
+        found = []
+        for fault in faults:
+            until_s = np.inf if fault.end_s is None else fault.end_s + _ECHO_S
+            same = [at_s for at_s in self._alarms if fault.start_s - _ECHO_S <= at_s <= until_s]
+            old = [at_s for at_s, alarm in self._alarms.items() if at_s < since_s and alarm.stands and alarm.fault]
+            if not same and old and fault.start_s <= since_s + _ECHO_S:
+                known = self._alarms[old[-1]].fault or fault
+                fault = replace(known, end_s=fault.end_s)  # noqa: PLW2901 - the same one, as it began
+            elif same and fault.alarm_s not in same:
+                self._alarms[fault.alarm_s] = self._alarms.pop(same[0])
+            found.append(fault)
+        return tuple(found)
 
     def _dismissed(self, look: Look, found: list[Fault]) -> list[float]:
         """Alarms that a working servo explains; those that belong to an earlier one are no faults of their own."""
@@ -538,7 +589,11 @@ class SurfaceMonitor:
             return []
         residuals, level_deg = piece.residuals, piece.threshold.level_deg
         events = []
-        for k in np.flatnonzero(piece.alarm | piece.clear).tolist():
+        raised = np.flatnonzero(piece.alarm | piece.clear)
+        if self._is_fitted:
+            self._follow_fitted(piece)
+            raised = raised[:0]
+        for k in raised.tolist():
             time_s = float(residuals.time_s[k])
             numbers = float(residuals.residual_deg[k]), float(level_deg[k])
             if piece.clear[k]:
@@ -571,6 +626,18 @@ class SurfaceMonitor:
         )
         return events
 
+    def _follow_fitted(self, piece: Piece) -> None:
+        """Have the bank look again and again while the fitted model is far from the position."""
+        residuals = piece.residuals
+        wrong = np.flatnonzero(residuals.settled & (np.abs(residuals.error_deg) > _WRONG_DEG))
+        if piece.alarm.any():
+            self._suspected_s = float(residuals.time_s[piece.alarm][-1])
+            if self._stream is not None:
+                self._stream.again()
+        if wrong.size:
+            self._wrong_s = float(residuals.time_s[wrong[-1]])
+            self._looks_s = self._looks_s or [float(residuals.time_s[wrong[0]]) + _AGAIN_S]
+
     def _recovered(self, piece: Piece) -> list[Event]:
         """Tell that a surface in alarm obeys again, or have the bank look whether it does.
 
@@ -596,25 +663,30 @@ class SurfaceMonitor:
 
     def _suspect(self, piece: Piece) -> None:
         """Have the bank look at a new suspicion, which is an alarm if it can be named for sure."""
-        if self.surface.threshold == "constant" or not self.surface.tells_small_faults or self.standing:
+        tells = self.surface.tells_small_faults and self.surface.threshold != "constant" and not self._is_fitted
+        if not tells or self.standing:
             return
         for time_s in piece.residuals.time_s[piece.suspicious & piece.residuals.settled].tolist():
             if time_s - self._suspected_s > _NEWS_S:
                 self._looks_s = sorted([*self._looks_s, *(time_s + after_s for after_s in _WINDOWS_S)])
             self._suspected_s = time_s
 
-    def _look(self) -> Look | None:
+    def _look(self, *, whole: bool = False) -> Look | None:
         if self._stream is None or self._generator is None or self._stream.history.size == 0:
             return None
         kind = self.surface.threshold
-        residuals, threshold, suspicious = self._stream.history.snapshot(kind, self._stream.evaluation.cusum)
+        history, in_flight = self._stream.history, self._is_fitted and not whole
+        since_s = history.last_s - _LOOKED_AT_S if in_flight else -np.inf
+        residuals, threshold, suspicious = history.snapshot(kind, self._stream.evaluation.cusum, since_s)
         copied = self._stream.effective.copied()
         residuals = replace(residuals, context=self._context)
         at_s = float(residuals.time_s[-1])
-        return Look(at_s, self._generator, self.surface, residuals, threshold, suspicious, copied)
+        earlier_deg = history.before(since_s, _EACH) if in_flight else None
+        return Look(at_s, self._generator, self.surface, residuals, threshold, suspicious, copied, earlier_deg)
 
     def _last_look(self) -> list[Event]:
-        look = self._look() if self._alarms or np.isfinite(self._suspected_s) else None
+        wanted = self._alarms or np.isfinite(self._suspected_s) or np.isfinite(self._wrong_s)
+        look = self._look(whole=True) if wanted else None
         return self.told(look, look.judge()) if look is not None else []
 
     def _event(self, look: Look, time_s: float, event: EventKind, kind: str, fault: Fault) -> Event:
