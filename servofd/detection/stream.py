@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from servofd.detection.allowance import Signals, follow, new_work
 from servofd.detection.glitches import decide, new_glitch_memory
 from servofd.detection.history import CommandBuffer, History
 from servofd.detection.lags import FilterMemory, filtered_rows
@@ -25,8 +24,6 @@ from servofd.detection.threshold import (
     Evaluation,
     Threshold,
     constant_threshold,
-    loose_deg,
-    new_loose_memory,
     slower_generator,
     suspicion,
     unseen_deg,
@@ -66,13 +63,12 @@ class Stream:
     def __init__(self, generator: ResidualGenerator, surface: Surface, period_s: float, beat: Rhythm) -> None:
         self._generator, self._surface, self._beat = generator, surface, beat
         self.longest_gap_s = generator.longest_gap_s_at(period_s)
-        self.evaluation = Evaluation.of(generator, surface.tolerances, period_s)
-        self._filter, self._decay_rad_s = generator.filter_parameters(), generator.model.parameters().decay_rad_s
+        self.evaluation = Evaluation(generator, surface.tolerances, period_s)
+        self._filter = generator.filter_parameters()
         self._delay_s = generator.model.plan.delay_s
         slower = slower_generator(generator, surface.tolerances.rate)
         self._motions = [on_its_way(each.model.servo()) for each in (generator, slower) if each is not None]
         self._cursors = [np.zeros(1, dtype=np.int64) for _ in self._motions]
-        self._loose = new_loose_memory()
         self._passed = PEAK_OF_LAGS * generator.pole_rad_s * period_s
         seconds = int(MEMORY_S / max(period_s, 1e-3))
         self.history = History(seconds)
@@ -80,7 +76,6 @@ class Stream:
         room = int(MEMORY_S / max(period_s, _FASTEST_COMMANDS_S))
         self.logged, self.effective = CommandBuffer(4096), CommandBuffer(room)
         self._starts, self._glitch, self._latch = new_starts_memory(), new_glitch_memory(), new_latch_memory()
-        self._work = new_work(self.evaluation.bounds, self._decay_rad_s.size)
         self._cusum = np.zeros(2)
         self._lags = FilterMemory.of(self._filter, 3)
         self._positions: list[tuple[float, float]] = []
@@ -221,31 +216,15 @@ class Stream:
         outputs = filtered_rows(self._filter, self._lags, time_s, inputs, restart)
         settled = (rows[3] != 0.0) & ~glitch
         residuals = Residuals(time_s, simulated_deg, measured_deg, outputs[0], settled, outputs[1], restart)
-        threshold = self._threshold(residuals, outputs[2], rows[6].copy())
+        rate_error_deg = outputs[2] if len(self._motions) > 1 else np.zeros(0)
+        sigmas = self._surface.threshold_sigmas
+        threshold = self.evaluation.threshold(residuals, rate_error_deg, rows[6].copy(), sigmas)
+        if self._surface.threshold == "constant":
+            threshold = constant_threshold(threshold, self._surface.threshold_deg)
         suspicious = suspicion(residuals, threshold, self._cusum)
         alarm, clear = self._latched(residuals, threshold)
         self.history.append(History.packed(residuals, threshold, suspicious))
         return Piece(residuals, threshold, suspicious, alarm, clear)
-
-    def _threshold(self, residuals: Residuals, rate_error_deg: FloatArray, added_deg: FloatArray) -> Threshold:
-        tolerated, saturated, sigma, drift = (np.zeros(residuals.time_s.size) for _ in range(4))
-        signals = Signals(
-            residuals.time_s,
-            residuals.immobile_deg,
-            residuals.error_deg,
-            residuals.measured_deg,
-            np.where(residuals.settled, residuals.residual_deg, np.nan),
-            residuals.restart != 0,
-            rate_error_deg if len(self._motions) > 1 else np.zeros(0),
-            added_deg,
-        )
-        follow(signals, self.evaluation.bounds, self._work, self._decay_rad_s, tolerated, saturated, sigma, drift)
-        tolerated += loose_deg(self._generator, residuals.simulated_deg, residuals.restart, self._loose)
-        level_deg = tolerated + self._surface.threshold_sigmas * sigma
-        threshold = Threshold("interval", level_deg, tolerated, saturated, sigma, self.evaluation.cusum, drift)
-        if self._surface.threshold == "constant":
-            threshold = constant_threshold(threshold, self._surface.threshold_deg)
-        return threshold
 
     def _latched(self, residuals: Residuals, threshold: Threshold) -> tuple[BoolArray, BoolArray]:
         judged = residuals.settled

@@ -20,7 +20,7 @@ it passes the filter's four or so lags (the peak of :math:`p\,(pt)^3 e^{-pt}/6`)
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -77,21 +77,48 @@ class Threshold:
         return float(np.median(self.level_deg)) if self.level_deg.size else float("nan")
 
 
-class Evaluation(NamedTuple):
-    """What the interval threshold works with, at the pace of the positions."""
+class Evaluation:
+    """The interval threshold of one surface, at the pace of its positions: for piece after piece of a flight."""
 
-    bounds: Bounds
-    cusum: CusumDesign
-
-    @classmethod
-    def of(cls, generator: ResidualGenerator, tolerance: Tolerance, period_s: float) -> Evaluation:
-        """For positions that come every so many seconds."""
+    def __init__(self, generator: ResidualGenerator, tolerance: Tolerance, period_s: float) -> None:
         from servofd.detection.probability import Noise, design_cusum
         from servofd.detection.pulse import design_pulse_filter
 
         pulse = design_pulse_filter(generator.model.transfer, 0.0, period_s, generator.pole_rad_s)
-        cusum = design_cusum(_KAPPA, _SUSPICIONS_PER_HOUR, Noise.designed(pulse, 1.0))
-        return cls(Bounds(tolerated_parameters(tolerance), tolerance.noise_deg, pulse.noise_gain, cusum.factor), cusum)
+        self.cusum = design_cusum(_KAPPA, _SUSPICIONS_PER_HOUR, Noise.designed(pulse, 1.0))
+        self._generator, self._decay_rad_s = generator, generator.model.parameters().decay_rad_s
+        self.bounds = Bounds(tolerated_parameters(tolerance), tolerance.noise_deg, pulse.noise_gain, self.cusum.factor)
+        self._work, self._loose = new_work(self.bounds, self._decay_rad_s.size), new_loose_memory()
+
+    def threshold(
+        self, residuals: Residuals, rate_error_deg: FloatArray, added_deg: FloatArray, sigmas: float
+    ) -> Threshold:
+        """Threshold of the next samples, of shape (n,).
+
+        Parameters
+        ----------
+        residuals : Residuals
+            Of these samples.
+        rate_error_deg, added_deg : ndarray, shape (n,)
+            What a rate limit that is lower by its tolerance would leave, and what lost commands may add [deg]; empty
+            where there is nothing of it.
+        sigmas : float
+            Standard deviations of noise in the threshold.
+        """
+        tolerated, saturated, sigma, drift = (np.zeros(residuals.time_s.size) for _ in range(4))
+        signals = Signals(
+            residuals.time_s,
+            residuals.immobile_deg,
+            residuals.error_deg,
+            residuals.measured_deg,
+            np.where(residuals.settled, residuals.residual_deg, np.nan),
+            residuals.restart != 0,
+            rate_error_deg,
+            added_deg,
+        )
+        follow(signals, self.bounds, self._work, self._decay_rad_s, tolerated, saturated, sigma, drift)
+        tolerated += loose_deg(self._generator, residuals.simulated_deg, residuals.restart, self._loose)
+        return Threshold("interval", tolerated + sigmas * sigma, tolerated, saturated, sigma, self.cusum, drift)
 
 
 def constant_threshold(interval: Threshold, level_deg: float) -> Threshold:
@@ -145,24 +172,9 @@ def interval_threshold(
     >>> bool(0.4 < level_deg[900] < 0.7 < level_deg[1010])
     True
     """
-    size = residuals.time_s.size
-    tolerated, saturated, sigma, drift = (np.zeros(size) for _ in range(4))
-    evaluation = Evaluation.of(generator, tolerance, segment.period_s)
-    bounds, cusum = evaluation.bounds, evaluation.cusum
-    signals = Signals(
-        residuals.time_s,
-        residuals.immobile_deg,
-        residuals.error_deg,
-        residuals.measured_deg,
-        np.where(residuals.settled, residuals.residual_deg, np.nan),
-        residuals.restart != 0,
-        _rate_error(generator, segment, residuals, tolerance.rate),
-        _unseen(segment, generator, residuals.time_s),
-    )
-    decay_rad_s = generator.model.parameters().decay_rad_s
-    follow(signals, bounds, new_work(bounds, decay_rad_s.size), decay_rad_s, tolerated, saturated, sigma, drift)
-    tolerated += loose_deg(generator, residuals.simulated_deg, residuals.restart, new_loose_memory())
-    return Threshold("interval", tolerated + sigmas * sigma, tolerated, saturated, sigma, cusum, drift)
+    rate_error_deg = _rate_error(generator, segment, residuals, tolerance.rate)
+    added_deg = _unseen(segment, generator, residuals.time_s)
+    return Evaluation(generator, tolerance, segment.period_s).threshold(residuals, rate_error_deg, added_deg, sigmas)
 
 
 def suspicion(residuals: Residuals, threshold: Threshold, memory: FloatArray | None = None) -> BoolArray:

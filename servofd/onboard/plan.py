@@ -251,7 +251,7 @@ def _planned(aircraft: Aircraft, name: str, short: str, period_s: float) -> Onbo
     if strange:
         raise ConfigError(f"its servo has {', '.join(strange)}, which the script cannot simulate")
     generator = ResidualGenerator.fitting_pace(model, period_s, surface.filter_pole_rad_s)
-    evaluation = Evaluation.of(generator, surface.tolerances, period_s)
+    evaluation = Evaluation(generator, surface.tolerances, period_s)
     gain = physics.gain
     modes = _modes(model, gain)
     if _cancellation(modes, generator, period_s) > _MOST_CANCELLATION:
