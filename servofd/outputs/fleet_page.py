@@ -43,7 +43,7 @@ def fleet_page(document: dict[str, Any], pages: frozenset[str] = frozenset()) ->
         "fleet.html",
         status=next((s for s in ("fault", "suspect", "healthy") if s in known), "unknown"),
         sentence=fleet_sentence(document),
-        facts=f"{document['logs']} logs, {document['hours']:.1f} h of flight",
+        facts=f"{document['logs']} logs, {_flown(document['hours'])} of flight",
         flights=[_flight(rank, flight, pages) for rank, flight in enumerate(flights[:_MOST_FLIGHTS])],
         more_flights=max(0, len(flights) - _MOST_FLIGHTS),
         surfaces=[_surface(surface) for surface in document["surfaces"]],
@@ -53,6 +53,12 @@ def fleet_page(document: dict[str, Any], pages: frozenset[str] = frozenset()) ->
             (flight_name(one), one["reason"].replace(one["path"], flight_name(one))) for one in not_judged[:_MOST_ROWS]
         ],
         more_not_judged=max(0, len(not_judged) - _MOST_ROWS),
+    )
+
+
+def _flown(hours: float) -> str:
+    return (
+        f"{hours:.1f} h" if hours >= 1.0 else f"{60.0 * hours:.0f} min" if hours >= 0.1 else f"{60.0 * hours:.1f} min"
     )
 
 

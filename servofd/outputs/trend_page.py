@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any
 
@@ -88,6 +89,10 @@ def _when(one: dict[str, Any]) -> str:
 
 
 def _interval(estimate: dict[str, float], scale: float, digits: int) -> str:
+    """As many decimals as are known: two of the width of the interval, at most."""
+    width = scale * (estimate["high"] - estimate["low"])
+    if math.isfinite(width) and width > 0.0:
+        digits = min(digits, max(1 - math.floor(math.log10(width)), 0))
     value, low, high = (f"{scale * estimate[key]:z.{digits}f}" for key in ("value", "low", "high"))
     return f"{value} [{low}, {high}]"
 
@@ -114,6 +119,8 @@ def _surface(name: str, surface: dict[str, Any]) -> dict[str, Any]:
 
 def _picture(name: str, surface: dict[str, Any]) -> Picture:
     """All quantities over the flights, one below the other."""
+    from matplotlib.ticker import MaxNLocator
+
     quantities = surface["quantities"]
     figure, all_axes = new_figure(len(quantities), height=0.6 + 1.55 * len(quantities))
     for one, axes in zip(quantities.values(), all_axes, strict=True):
@@ -122,6 +129,7 @@ def _picture(name: str, surface: dict[str, Any]) -> Picture:
             axes.axvline(event["flight"] - 0.5, color="0.3", linestyle=_EVENT_STYLES[event["kind"]], linewidth=1.0)
         axes.set_ylabel(f"{one['title'].replace(', ', chr(10))}\n[{one['shown']['unit']}]", fontsize=8)
     all_axes[-1].set_xlabel("flight")
+    all_axes[-1].xaxis.set_major_locator(MaxNLocator(integer=True))
     finish(*all_axes)
     return Picture(
         f"trend-{name}",
