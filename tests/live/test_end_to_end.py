@@ -132,9 +132,7 @@ def test_of_two_signing_vehicles_behind_a_bad_link_the_right_one_is_told(tmp_pat
     first, second, alerts, out = (free_port() for _ in range(4))
     links = [f"--master=udpin:127.0.0.1:{port}" for port in (first, second, alerts)]
     with (
-        mavproxy(
-            tmp_path, *masters, f"--out=udpout:127.0.0.1:{out}", "--streamrate=-1", "--target-system=1"
-        ) as console,
+        mavproxy(tmp_path, *links, f"--out=udpout:127.0.0.1:{out}", "--streamrate=-1", "--target-system=1") as console,
         relayed(first, BadLink(loss=0.3, seed=1)) as one,
         relayed(second, BadLink(loss=0.3, seed=2)) as other,
         monitor(
