@@ -82,41 +82,7 @@ _HOME = {
     "trend": "results",
 }
 
-__all__ = [
-    "Aircraft",
-    "Audit",
-    "Audits",
-    "Explanation",
-    "Identification",
-    "LogAudit",
-    "OwnEffect",
-    "OwnParameter",
-    "ResidualGenerator",
-    "Segment",
-    "Servo",
-    "ServoModel",
-    "ServofdError",
-    "Surface",
-    "SurfaceAudit",
-    "TransferFunction",
-    "audit",
-    "audit_log",
-    "audit_logs",
-    "calibrate",
-    "cut",
-    "design_nullspace_filter",
-    "design_pulse_filter",
-    "explain",
-    "explain_gap",
-    "explain_log",
-    "explain_logs",
-    "identify",
-    "library",
-    "load_aircraft",
-    "servo_named",
-    "simulate_flight",
-    "trend",
-]
+__all__ = list(_HOME)
 
 
 def __getattr__(name: str) -> object:
