@@ -10,11 +10,15 @@ from typing import TYPE_CHECKING, Any
 from servofd.cli.audit_fleet import add_options as add_options_of_many
 from servofd.cli.audit_fleet import is_fleet, run_fleet
 from servofd.cli.exit_codes import worst
+from servofd.cli.parser import LARGEST, SMALLEST, number
 
 if TYPE_CHECKING:
     from servofd.aircraft import Aircraft
     from servofd.detection.verdict import LogAudit
     from servofd.outputs.json_report import FailedLog
+
+
+DEGREES = number("a positive number of degrees", SMALLEST, LARGEST)
 
 
 def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
@@ -45,7 +49,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="servo of all surfaces: of the library, FILE.toml, or unknown (fitted)",
     )
     parser.add_argument("-s", "--surface", action="append", default=[], metavar="NAME", help="judge only this surface")
-    parser.add_argument("--threshold-deg", type=positive, metavar="X", help="alarm level [deg] (default: 1.5)")
+    parser.add_argument("--threshold-deg", type=DEGREES, metavar="X", help="alarm level [deg] (default: 1.5)")
     parser.add_argument("--threshold", choices=["constant", "interval"], help="kind (default: constant)")
     parser.add_argument("--json", metavar="FILE", help="write the result as JSON; - prints it instead of the table")
     parser.add_argument("--html", metavar="FILE", help="write a page that can be sent by mail")
@@ -256,14 +260,3 @@ def _print(results: list[LogAudit | FailedLog]) -> None:
     for result in results:
         if not isinstance(result, FailedLog):
             print_verdicts(result)
-
-
-def positive(text: str) -> float:
-    """Number of degrees above zero, for argparse."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not 0.0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"must be a positive number of degrees, not {text}")
-    return value

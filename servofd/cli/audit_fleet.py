@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from servofd.cli.exit_codes import worst
+from servofd.cli.parser import whole
 
 if TYPE_CHECKING:
     import argparse
@@ -22,11 +23,12 @@ if TYPE_CHECKING:
 _A_FEW = 16
 _SHOWN = 3
 PAGE = "fleet.html"
+_WORKERS = whole("a number of processes from 1 to 1024", 1, 1024)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Declare how many logs are worked on."""
-    parser.add_argument("--workers", type=_count, metavar="N", help="processes for many logs (default: one per core)")
+    parser.add_argument("--workers", type=_WORKERS, metavar="N", help="processes for many logs (default: one per core)")
     parser.add_argument("--cluster", metavar="tcp://HOST:8786", help="judge many logs on this Dask cluster")
 
 
@@ -217,11 +219,3 @@ def print_overview(seen: Overview) -> None:
     ]
     headings = ["surface", "healthy", "suspect", "fault", "not judged", "faults", "largest residual / threshold"]
     print_table(headings, rows, f"{seen.logs} logs, {seen.hours:.1f} h: {counts}")
-
-
-def _count(text: str) -> int:
-    import argparse
-
-    if not (text.isdecimal() and 1 <= int(text) <= 1024):
-        raise argparse.ArgumentTypeError(f"must be a number of processes from 1 to 1024, not {text}")
-    return int(text)

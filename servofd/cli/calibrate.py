@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from servofd.cli.parser import number
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
@@ -16,6 +18,10 @@ _MILLI = 1e3
 _PER_HOUR = 1e-3
 _NOT_REACHED = 0.5
 """Deviation of the logarithm of the largest speed from which on flights do not tell it."""
+
+
+_RATE = number("a number of false alarms per hour between 1e-12 and 1000", 1e-12, 1e3)
+_SECONDS = number("a time in seconds", -1e12, 1e12)
 
 
 def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
@@ -45,12 +51,12 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument("-o", "--output", required=True, metavar="CALIBRATED.toml", help="aircraft file to write")
     parser.add_argument(
         "--false-alarms-per-hour",
-        type=_rate,
+        type=_RATE,
         metavar="X",
         help="of the whole aircraft (default: 0.001; of motion alone: 1)",
     )
     parser.add_argument("-s", "--surface", action="append", default=[], metavar="NAME", help="calibrate only this one")
-    parser.add_argument("--until", type=_seconds, metavar="S", help="use each log up to this time [s] only")
+    parser.add_argument("--until", type=_SECONDS, metavar="S", help="use each log up to this time [s] only")
     parser.add_argument(
         "--between",
         type=_span,
@@ -188,29 +194,11 @@ def _detectable_row(one: CalibratedSurface) -> list[str]:
     ]
 
 
-def _rate(text: str) -> float:
-    return _between(text, 1e-12, 1e3, "a number of false alarms per hour between 1e-12 and 1000")
-
-
-def _seconds(text: str) -> float:
-    return _between(text, -1e12, 1e12, "a time in seconds")
-
-
 def _span(text: str) -> tuple[float, float]:
     first, colon, last = text.partition(":")
     if not colon:
         raise argparse.ArgumentTypeError(f"must be two times in seconds such as 10:93.5, not {text}")
-    from_s, to_s = _seconds(first), _seconds(last)
+    from_s, to_s = _SECONDS(first), _SECONDS(last)
     if not from_s < to_s:
         raise argparse.ArgumentTypeError(f"must be an earlier and a later time such as 10:93.5, not {text}")
     return from_s, to_s
-
-
-def _between(text: str, low: float, high: float, what: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not low <= value <= high:
-        raise argparse.ArgumentTypeError(f"must be {what}, not {text}")
-    return value

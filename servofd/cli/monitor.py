@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from servofd.cli.parser import LARGEST, SMALLEST, number, whole
 from servofd.cli.signing import signature_of
 
 if TYPE_CHECKING:
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from servofd.live.speaker import Speaker
 
 _VIEWER_PORT = 9876
+_ADDRESS, _PORT = whole("an id from 1 to 255", 1, 255), whole("a port from 1 to 65535", 1, 65_535)
+_LASTING, _SPEED = number("a positive number of seconds", SMALLEST), number("a positive number, or 0", 0.0, LARGEST)
 
 
 def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
@@ -43,18 +46,18 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
         metavar="[ID=]AIRCRAFT.toml",
         help="aircraft file; of several vehicles one for each system id",
     )
-    parser.add_argument("--duration", type=_positive, default=float("inf"), metavar="S", help="end after so long [s]")
-    parser.add_argument("--speed", type=_speed, metavar="X", help="of a replay; 0: as fast as it goes (default: 1)")
+    parser.add_argument("--duration", type=_LASTING, default=float("inf"), metavar="S", help="end after so long [s]")
+    parser.add_argument("--speed", type=_SPEED, metavar="X", help="of a replay; 0: as fast as it goes (default: 1)")
     parser.add_argument("--rrd", metavar="FILE", help="write a Rerun recording")
     parser.add_argument("--serve", action="store_true", help="let Rerun viewers on this machine connect")
-    parser.add_argument("--viewer-port", type=_port, default=_VIEWER_PORT, metavar="PORT", help="(default: 9876)")
+    parser.add_argument("--viewer-port", type=_PORT, default=_VIEWER_PORT, metavar="PORT", help="(default: 9876)")
     parser.add_argument("--tlog", metavar="FILE", help="write all that is received as a telemetry log")
     parser.add_argument("--alert-to", metavar="ENDPOINT", help="send alerts there (default: back to the stream)")
     parser.add_argument("--no-alert", action="store_true", help="send no alerts")
     parser.add_argument("--no-request", action="store_true", help="send nothing at all to the stream")
     parser.add_argument("--dataflash", action="store_true", help="ask for the autopilot's own log (CSRV, RCOU) as well")
-    parser.add_argument("--system", type=_address, metavar="ID", help="system id to speak as (default: the vehicle's)")
-    parser.add_argument("--component", type=_address, default=191, metavar="ID", help="component id (default: 191)")
+    parser.add_argument("--system", type=_ADDRESS, metavar="ID", help="system id to speak as (default: the vehicle's)")
+    parser.add_argument("--component", type=_ADDRESS, default=191, metavar="ID", help="component id (default: 191)")
     parser.add_argument("--signing-key", metavar="FILE", help="file with the key that frames are signed with")
     parser.add_argument("--json-lines", metavar="FILE", help="write each event as a line of JSON; - prints them")
     parser.add_argument("--plain", action="store_true", help="print lines instead of a changing picture")
@@ -228,38 +231,3 @@ def _aircraft(names: list[str]) -> dict[int, Aircraft]:
             )
         known[system] = streamed(aircraft)
     return known
-
-
-def _address(text: str) -> int:
-    return _whole(text, 255, "an id from 1 to 255")
-
-
-def _port(text: str) -> int:
-    return _whole(text, 65_535, "a port from 1 to 65535")
-
-
-def _whole(text: str, most: int, what: str) -> int:
-    if not (text.isascii() and text.isdigit() and 0 < int(text[:9]) <= most):
-        raise argparse.ArgumentTypeError(f"must be {what}, not {text}")
-    return int(text)
-
-
-def _positive(text: str) -> float:
-    value = _number(text)
-    if not value > 0.0:
-        raise argparse.ArgumentTypeError(f"must be a positive number of seconds, not {text}")
-    return value
-
-
-def _speed(text: str) -> float:
-    value = _number(text)
-    if not 0.0 <= value < float("inf"):
-        raise argparse.ArgumentTypeError(f"must be a positive number, or 0, not {text}")
-    return value
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return float("nan")

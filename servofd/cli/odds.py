@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from servofd.cli.parser import LARGEST, SMALLEST, number
 
 if TYPE_CHECKING:
     from servofd.aircraft import Aircraft
@@ -14,6 +15,9 @@ if TYPE_CHECKING:
     from servofd.odds import LeftOut, Part
 
 _PLAIN_SURFACE = "surface"
+
+
+_POSITIVE = number("a positive number", SMALLEST, LARGEST)
 
 
 def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
@@ -31,20 +35,20 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument("--servo", metavar="NAME", help="library servo of all surfaces; unknown: fitted to the flights")
     parser.add_argument("-s", "--surface", action="append", default=[], metavar="NAME", help="only this surface")
     parser.add_argument(
-        "--false-alarms-per-hour", type=_positive, default=1e-3, metavar="X", help="wanted rate (default: 1e-3)"
+        "--false-alarms-per-hour", type=_POSITIVE, default=1e-3, metavar="X", help="wanted rate (default: 1e-3)"
     )
     parser.add_argument(
         "--fault-deg",
-        type=_positive,
+        type=_POSITIVE,
         default=2.0,
         metavar="X",
         help="bias whose delay is printed [deg] (default: 2)",
     )
     parser.add_argument(
-        "--noise-deg", type=_positive, metavar="X", help="noise of the position [deg], without logs (default: 0.1)"
+        "--noise-deg", type=_POSITIVE, metavar="X", help="noise of the position [deg], without logs (default: 0.1)"
     )
     parser.add_argument(
-        "--rate-hz", type=_positive, metavar="HZ", help="sample rate of the position, without logs (default: 100)"
+        "--rate-hz", type=_POSITIVE, metavar="HZ", help="sample rate of the position, without logs (default: 100)"
     )
     parser.add_argument("--json", metavar="FILE", help="write the result as JSON; - prints it instead of the table")
     parser.add_argument("-o", "--output", metavar="DIR", help="write a figure per surface and odds.json to a folder")
@@ -173,13 +177,3 @@ def _exit_code(odds: list[SurfaceOdds], left_out: list[LeftOut], failed: dict[st
         why = "; ".join(f"{part.surface}: {part.reason}" for part in left_out) or "no surface is measured"
         print(f"servofd: no healthy surface to learn the odds from: {one_line(why)}", file=sys.stderr)
     return 2 if failed or not odds else 0
-
-
-def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"must be a positive number, not {text}")
-    return value

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from servofd.cli.audit import positive
+from servofd.cli.audit import DEGREES
 from servofd.cli.exit_codes import worst
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
     )
     parser.add_argument("recordings", nargs="+", metavar="RECORDING", help="an .rrd file, or a folder of them")
     parser.add_argument("--json", metavar="FILE", help="write the result as JSON; - prints it instead of the text")
-    parser.add_argument("--threshold-deg", type=positive, metavar="X", help="judge again, with this alarm level [deg]")
+    parser.add_argument("--threshold-deg", type=DEGREES, metavar="X", help="judge again, with this alarm level [deg]")
     parser.add_argument("--threshold", choices=["constant", "interval"], help="judge again, with this kind")
     parser.add_argument("--between", nargs=2, type=float, metavar=("A", "B"), help="only from A to B [s]")
     parser.add_argument("--compare", metavar="OTHER.rrd", help="tell what is different in a recording of the same log")

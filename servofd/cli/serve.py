@@ -8,7 +8,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from servofd.cli.parser import whole
+
 _PORT, _MOST_MB = 8787, 4096
+_FREE_PORT, _SIZE = whole("a port from 0 to 65535", 0, 65_535), whole("a number from 1 to 1000000", 1, 1_000_000)
 _LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
 
@@ -28,7 +31,9 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
         metavar="NAME",
         help="servo of all surfaces: of the library, FILE.toml, or unknown (fitted)",
     )
-    parser.add_argument("--port", type=_port, default=_PORT, metavar="PORT", help=f"(default: {_PORT}; 0: a free one)")
+    parser.add_argument(
+        "--port", type=_FREE_PORT, default=_PORT, metavar="PORT", help=f"(default: {_PORT}; 0: a free one)"
+    )
     parser.add_argument(
         "--host",
         default=_LOOPBACK[0],
@@ -36,9 +41,9 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
         help="address to listen on (default: this computer only); for any other a link with a token is printed",
     )
     parser.add_argument(
-        "--most-mb", type=_size, default=_MOST_MB, metavar="MB", help=f"largest log that is taken (default: {_MOST_MB})"
+        "--most-mb", type=_SIZE, default=_MOST_MB, metavar="MB", help=f"largest log that is taken (default: {_MOST_MB})"
     )
-    parser.add_argument("--workers", type=_size, metavar="N", help="processes (default: one per core)")
+    parser.add_argument("--workers", type=_SIZE, metavar="N", help="processes (default: one per core)")
     parser.add_argument("--no-open", action="store_true", help="do not open the page")
     parser.set_defaults(run=run)
 
@@ -75,15 +80,3 @@ def run(options: argparse.Namespace) -> int:
             print("Whoever has this link sees all flights of the folder.", file=sys.stderr)
         serve(application(flights, token), sockets, "" if options.no_open else link)
     return 0
-
-
-def _port(text: str) -> int:
-    if not (text.isdecimal() and int(text) <= 65_535):
-        raise argparse.ArgumentTypeError(f"must be a port from 0 to 65535, not {text}")
-    return int(text)
-
-
-def _size(text: str) -> int:
-    if not (text.isdecimal() and 1 <= int(text) <= 1_000_000):
-        raise argparse.ArgumentTypeError(f"must be a number from 1 to 1000000, not {text}")
-    return int(text)
