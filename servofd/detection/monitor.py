@@ -487,16 +487,17 @@ class SurfaceMonitor:
         if self._off_pace < WARM_UP_STEPS:
             return []
         self._off_pace = 0
-        if self._thin:
-            self.problem, self._told_slow = self._thin, True
-            return [*self.restart(), Event(self._recent[-1], self.name, "no_data", text=self.problem)]
+        thin, time_s = self._thin, self._recent[-1]
+        if thin:
+            events = self.restart()
+            self.problem, self._told_slow = thin, True
+            return [*events, Event(time_s, self.name, "no_data", text=thin)]
         mean_s = (self._recent[-1] - self._recent[0]) / WARM_UP_STEPS
         now = float(np.median(np.diff(np.array(self._recent)))) / self._period_s
         same = any(1.0 / _SAME_PACE <= pace <= _SAME_PACE for pace in (now, mean_s / self._mean_s))
         if same or mean_s / self._period_s > 10.0 * now:
             return []
         text = f"positions now come at {self.rate_hz:.3g} Hz, not {1.0 / self._period_s:.3g} Hz; begins anew"
-        time_s = self._recent[-1]
         return [*self.restart(), Event(time_s, self.name, "no_data", text=text)]
 
     @property

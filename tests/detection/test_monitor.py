@@ -320,6 +320,19 @@ class TestSteps:
 
 
 @pytest.mark.slow
+def test_a_link_that_becomes_too_thin_is_told_once_and_raises_no_alarm() -> None:
+    """From 20 s on one position in twelve arrives, at random."""
+    entry, model = surface()
+    rng, time_s = np.random.default_rng(2), np.arange(0.0, 80.0, 0.02)
+    command_deg = 10.0 * np.sin(1.3 * time_s)
+    measured_deg = model.simulate(time_s, command_deg, time_s) + 0.05 * rng.standard_normal(time_s.size)
+    kept = (time_s < 20.0) | (rng.random(time_s.size) < 1.0 / 12.0)
+    monitor, events = watched(entry, model, Segment("x", time_s, command_deg, time_s[kept], measured_deg[kept]))
+    assert [event.event for event in events] == ["no_data"]
+    assert "positions a second arrive" in events[0].text
+    assert not monitor.is_watched
+
+
 def test_memory_is_bounded() -> None:
     """Arrays that were made at the start are all there is, however long the flight."""
     entry, model = surface()
