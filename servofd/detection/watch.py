@@ -48,6 +48,8 @@ FLOORS: Final = dict(
 travel a third higher (small motion on the ground, real ArduPlane flights), those of slow servos a tenth lower. None of
 those flights passes `MARGIN` times them."""
 _OFTEN: Final = 0.9
+_BETWEEN_LINES: Final = 1.4
+"""An oscillation between two lines of the spectrum shows less in each (11 of 12 found on aircraft of even seed)."""
 _BENT: Final = 2.5
 """A motor of half its torque has 0.17 to 0.8 of the score that its sensitivity promises (12 flights of even seed)."""
 _POWER: Final = 1.64
@@ -151,14 +153,15 @@ def detectable(flights: Sequence[Watched]) -> Detectable:
             count, weight = np.median(table[:, 71 + 2 * place : 73 + 2 * place], axis=0)
             needed = (limits[39 + place] + _POWER) * np.sqrt(count * np.median(flight.tests.spectrum))
             if weight > 0.0:
-                sizes["band"] = min(sizes["band"], max(2.0 * needed / weight, _LEAST_WAVE_DEG))
+                wave_deg = _BETWEEN_LINES * max(2.0 * needed / weight, _LEAST_WAVE_DEG)
+                sizes["band"] = min(sizes["band"], wave_deg)
     units = dict(zip(NAMES, (prior.between for prior in PRIORS), strict=True))
     loss, share = units["gain"] * sizes["loss"], 0.5 ** sizes["weak"]
     return Detectable(
         bias_deg=_within(units["bias_deg"] * sizes["bias"], 10.0),
         slow_share=_rounded(share) if share > _SLOWEST else None,
         loss_share=_within(loss, 0.5),
-        deadband_deg=_within(min(2.0 * sizes["play"], 1.5 * sizes["dead"]), 8.0),
+        deadband_deg=_within(max(2.0 * sizes["play"], 1.5 * sizes["dead"]), 8.0),
         oscillation_deg=_within(sizes["band"], 8.0),
     )
 
