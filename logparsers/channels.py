@@ -90,6 +90,8 @@ def as_float(values: NDArray[Any]) -> FloatArray:
     >>> as_float(np.array([1, 2], dtype=np.uint16))
     array([1., 2.])
     """
+    if values.dtype.kind != "f":
+        return values.astype(np.float64)
     with np.errstate(invalid="ignore"):
         return values.astype(np.float64)
 
