@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from servofd.detection.residual import Residuals
     from servofd.segment import Segment
     from servofd.types import BoolArray, FloatArray
@@ -70,13 +72,14 @@ def coverage(segment: Segment, residuals: Residuals) -> Coverage:
         return Coverage(1.0, 0.0, "")
     first_s = float(min(segment.command_s[0], segment.measured_s[0]))
     last_s = float(max(segment.command_s[-1], segment.measured_s[-1]))
-    bins = max(int((last_s - first_s) / _BIN_S) + 1, 1)
     position_s = segment.measured_s[measured]
-    asked = _spans(segment.command_s, segment.command_deg, first_s, bins)
-    moved = _spans(position_s, segment.measured_deg[measured], first_s, bins)
-    judged = np.bincount(_bins(residuals.time_s[residuals.settled], first_s), minlength=bins)[:bins]
-    is_judged = judged >= _JUDGED * _BIN_S / max(segment.period_s, 1e-9)
-    commanded = np.bincount(_bins(segment.command_s, first_s), minlength=bins)[:bins] > 0
+    streams = segment.command_s, position_s, residuals.time_s[residuals.settled]
+    seconds, places = np.unique(np.concatenate([_bins(each, first_s) for each in streams]), return_inverse=True)
+    command, position, settled = np.split(places, np.cumsum([each.size for each in streams])[:-1])
+    asked = _spans(command, segment.command_deg, seconds.size)
+    moved = _spans(position, segment.measured_deg[measured], seconds.size)
+    is_judged = np.bincount(settled, minlength=seconds.size) >= _JUDGED * _BIN_S / max(segment.period_s, 1e-9)
+    commanded = np.bincount(command, minlength=seconds.size) > 0
     moving: BoolArray = (asked >= _MOVES_DEG) | (moved >= _CLEARLY_MOVES_DEG)
     total = int(np.count_nonzero(moving))
     share = float(np.count_nonzero(moving & is_judged)) / total if total * _BIN_S >= _FEWEST_S else 1.0
@@ -98,10 +101,9 @@ def _bins(time_s: FloatArray, first_s: float) -> np.ndarray[tuple[int], np.dtype
     return ((time_s - first_s) / _BIN_S).astype(np.int64)
 
 
-def _spans(time_s: FloatArray, values_deg: FloatArray, first_s: float, bins: int) -> FloatArray:
+def _spans(where: NDArray[np.intp], values_deg: FloatArray, bins: int) -> FloatArray:
     """How far a stream moves in each second [deg]; what happens from one to the next belongs to the later."""
     low, high = np.full(bins, np.inf), np.full(bins, -np.inf)
-    where = np.minimum(_bins(time_s, first_s), bins - 1)
     for edge, values in ((where, values_deg), (where[1:], values_deg[:-1])):
         np.minimum.at(low, edge, values)
         np.maximum.at(high, edge, values)
