@@ -351,3 +351,15 @@ def test_commands_of_an_exported_table_that_are_words() -> None:
     rows = "".join(f"1.0,{20000 * k},1,{k},[[[\n" for k in range(1, 50))
     log = logparsers.read(io.BytesIO(f"timestamp,TimeUS,Id,Pos,PosCmd\n{rows}".encode()))
     np.testing.assert_array_equal(log["CSRV[1].Pos"].values, np.arange(1.0, 50.0))
+
+
+def test_stamps_of_damaged_records_that_lie_centuries_apart(tmp_path: Path) -> None:
+    """Counted are the seconds in which there is something, not those between."""
+    time_s = 0.02 * np.arange(3000.0)
+    time_s[2990:] += 1e10
+    motion_deg = 5.0 * np.sin(time_s)
+    rows = "".join(f"{t:.2f},{deg:.3f},{deg:.3f}\n" for t, deg in zip(time_s, motion_deg, strict=True))
+    path = tmp_path / "flight.csv"
+    path.write_text("time_s,elevator_cmd_deg,elevator_pos_deg\n" + rows)
+    (result,) = audit(path, threads=1)
+    assert [surface.surface for surface in result.surfaces] == ["elevator"]
