@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from servofd.discrepancy.answer import Found, answer
 from servofd.discrepancy.at_rest import at_rest
 from servofd.discrepancy.audit_gain import AuditGain, audit_gain
 from servofd.discrepancy.break_point import fault_start_s
 from servofd.discrepancy.checks import check
 from servofd.discrepancy.fit import Fitter
 from servofd.discrepancy.locate import Block, blocks, sentences
+from servofd.discrepancy.one_size import STEPS_OF_TWO_SIZES, step_size_deg
 from servofd.discrepancy.record import joined, record_of, simulate
 from servofd.discrepancy.run_by_run import RunErrors, run_errors
 from servofd.discrepancy.select import Selection, select
@@ -57,38 +59,6 @@ is no fault."""
 _MARGINS_S = (0.0, 1.0, 2.5, 5.0)
 """How long before a change of the error's size a fault may have begun without much to do."""
 _FEWEST_SAMPLES = 100
-_NAMES = {
-    "delay": "a longer delay",
-    "clock_offset": "positions stamped late",
-    "slow_dynamics": "slower dynamics",
-    "rate_limit": "a rate limit",
-    "voltage_rate": "a rate limit that falls with the supply",
-    "position_limit": "a stop",
-    "deadband": "a dead band",
-    "backlash": "play",
-    "friction": "friction",
-    "load_friction": "friction under load",
-    "gain": "another gain",
-    "bias": "an offset",
-    "airload": "a surface that yields to the airload",
-    "gravity_load": "a load that hangs on it",
-    "pwm_frame": "commands that wait for pulse frames",
-    "sensor_lag": "a sensor that lags",
-    "quantization": "coarse steps",
-    "current_limit": "a supply that limits its current",
-    "resonance": "a flexible linkage",
-    "damping": "another damping",
-    "supply_coupling": "a reading that moves with the current",
-    "linkage_nonlinearity": "a crooked linkage",
-}
-_UNITS = (("deg_s_per_v", " deg/s per V"), ("deg_s", " deg/s"), ("_deg", " deg"), ("_s", " s"), ("_hz", " Hz"))
-_SOUND = {
-    "backlash": (0.3, "check horn, rod and gear for play"),
-    "deadband": (0.4, "check the servo's electronics and its dead band setting"),
-    "friction": (0.3, "check for binding, and the gear"),
-    "bias": (1.0, "trim it, and check whether the horn slipped"),
-}
-"""Width or size that a sound hobby servo may have [deg], and what to do beyond: HS-225BB has 0.3 deg of free play."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,7 +104,21 @@ class Explanation:
     @property
     def answer(self) -> str:
         """The answer in a sentence or two: what it is, how much, whether that is a fault, and what to do next."""
-        return _answer(self)
+        before, after = (
+            self.rms_deg(fit)["held_out_rms_deg"] for fit in (self.selection.nominal, self.selection.final)
+        )
+        return answer(
+            Found(
+                self.record,
+                self.selection,
+                before,
+                after,
+                self.fault_s,
+                bool(self.undriven),
+                self.separating,
+                self.is_simulated_by_audit,
+            )
+        )
 
     @property
     def physics(self) -> Physics:
@@ -298,13 +282,7 @@ def explain_gap(
             notes.append(
                 f"after {fault_s:.1f} s this is a fault, not a missing effect: only what came before is explained"
             )
-    if record.side is not None:
-        notes.append(only_rests_sentence(record))
-    elif free_poles:
-        notes.append(linear_sentence(record, selection))
-    notes += [f"left over: {reason}" for reason in selection.adequacy.reasons]
-    if selection.unjudged:
-        notes.append(unjudged_sentence(selection))
+    notes += _notes(record, selection)
     where = sentences(record, selection.nominal.error_deg, selection.sigma_deg)
     errors = run_errors(selection.fitter, selection.final)
     found = Explanation(
@@ -323,6 +301,20 @@ def explain_gap(
         gain = audit_gain(segments, model, found.better_model, fault_s or float("inf"))
     # Manoeuvres are simulated, and how the servo moves must be known for that.
     return replace(found, separating=() if record.side is not None else separations(selection), gain=gain)
+
+
+def _notes(record: Record, selection: Selection) -> list[str]:
+    """What else has to be known of an explanation."""
+    notes = []
+    if record.side is not None:
+        notes.append(only_rests_sentence(record))
+    elif record.free_poles:
+        notes.append(linear_sentence(record, selection))
+        if step_size_deg(record) is not None:
+            alike = "all steps are of one size: a slow servo and one whose speed is limited look alike in them"
+            notes.append(f"{alike}; {STEPS_OF_TWO_SIZES}, would tell")
+    notes += [f"left over: {reason}" for reason in selection.adequacy.reasons]
+    return [*notes, unjudged_sentence(selection)] if selection.unjudged else notes
 
 
 def _with_context(segment: Segment, airspeed_m_s: FloatArray | None, voltage_v: FloatArray | None) -> Segment:
@@ -346,8 +338,10 @@ def _healthy_part(
         before = replace(record, counts=record.counts & (record.time_s < change_s - margin_s))
         if int(before.held_out.sum()) < _FEWEST_SAMPLES:
             break
-        healthy = select(before, progress)
         later = record.counts & ~before.counts
+        if record.free_poles and not _stands_out(before, later, selection.final):
+            continue
+        healthy = select(before, progress)
         error = healthy.final.error_deg
         explained = not healthy.adequacy.reasons
         usual_deg = healthy.sigma_deg if explained else float(np.sqrt(np.mean(error[before.counts] ** 2)))
@@ -366,6 +360,16 @@ def _healthy_part(
     return rough
 
 
+def _stands_out(before: Record, later: BoolArray, final: Fit) -> bool:
+    """Whether a servo fitted to one part of a record is far worse on the other, or a search there is in vain."""
+    fitter = Fitter(before)
+    for fit in (fitter.descended(final.effects, final.physics), fitter.linear()):
+        error_deg = fitter.judged(fit.effects, fit.physics).error_deg
+        if np.mean(error_deg[later] ** 2) > _MUCH_WORSE * np.mean(error_deg[before.counts] ** 2):
+            return True
+    return False
+
+
 def _breaks_off(record: Record, error_deg: FloatArray, before: BoolArray, start_s: float, usual_deg: float) -> bool:
     """Whether an error becomes far larger, and not because more is asked of the servo."""
     asked_deg = simulate(record, record.plant.neutral)
@@ -376,62 +380,3 @@ def _breaks_off(record: Record, error_deg: FloatArray, before: BoolArray, start_
         if energy > _FAR_WORSE * usual_deg**2 and (asked < most or energy > _MOST_OF_IT * asked):
             return True
     return False
-
-
-def _answer(found: Explanation) -> str:
-    """A few sentences, the most important first."""
-    before, after = (found.rms_deg(fit)["held_out_rms_deg"] for fit in (found.selection.nominal, found.selection.final))
-    parts = []
-    if found.fault_s is not None:
-        parts.append(f"FAULT from {found.fault_s:.1f} s on: the servo no longer does what its command asks")
-    elif found.undriven:
-        parts.append("not driven in part (see below), which was left out")
-    if not found.selection.rungs:
-        if not found.selection.adequacy.reasons:
-            told = "before that, nothing is missing" if found.fault_s is not None else "nothing is missing"
-            parts.append(f"{told}: what is left is noise of {found.selection.sigma_deg:.3g} deg")
-        else:
-            parts.append(f"unexplained: {after:.3g} deg are left and no known effect tells them")
-    else:
-        parts += [_named(found, k) for k in range(len(found.selection.rungs))]
-        parts.append(f"gap {before:.3g} -> {after:.3g} deg on data not fitted")
-        if found.conclusion == "partly_explained" and found.selection.adequacy.reasons:
-            parts.append(f"something is left: {found.selection.adequacy.reasons[0]}")
-    advice = [_SOUND[name][1] for name in _beyond_sound(found)]
-    if found.separating and found.separating[0].manoeuvre:
-        advice.append(f"fly {found.separating[0].manoeuvre} to tell {' from '.join(found.separating[0].effects)}")
-    if found.selection.rungs and found.is_simulated_by_audit and found.record.side is None and found.fault_s is None:
-        advice.append("keep the model with --save")
-    return "; ".join(parts) + (f". Next: {'; '.join(advice)}." if advice else ".")
-
-
-def _named(found: Explanation, index: int) -> str:
-    """One effect with its size, what it may be instead, and whether a sound servo may have it."""
-    effect = found.selection.final.effects[index]
-    values = effect_values(found.selection, index)
-    name, value = next(iter(values.items()))
-    unit = next((words for end, words in _UNITS if name.endswith(end)), "")
-    size = f"{value['value']:.3g}{unit} ({value['low']:.3g} to {value['high']:.3g})"
-    ties = next((tie[1:] for tie in found.selection.ties if tie[0] == effect.name), ())
-    instead = f", or {' or '.join(_NAMES.get(n, n) for n in ties)}: cannot tell which" if ties else ""
-    sound = ""
-    if effect.name in _SOUND:
-        limit = _SOUND[effect.name][0]
-        beyond = abs(value["value"]) > limit
-        # What a servo that nobody knows has may be how it was made.
-        word = (
-            ("more: compare it with another of its kind" if found.record.free_poles else "FAULT")
-            if beyond
-            else "acceptable"
-        )
-        sound = f" - a sound hobby servo has up to {limit:g}: {word}"
-    return f"{_NAMES.get(effect.name, effect.name)} of {size}{instead}{sound}"
-
-
-def _beyond_sound(found: Explanation) -> list[str]:
-    names = []
-    for k, effect in enumerate(found.selection.final.effects):
-        value = next(iter(effect_values(found.selection, k).values()))["value"]
-        if effect.name in _SOUND and abs(value) > _SOUND[effect.name][0]:
-            names.append(effect.name)
-    return names

@@ -58,6 +58,8 @@ _PART_S, _SETTLED_S, _FEW_PARTS = 18.0, 0.3, 8
 """Enough for a dozen manoeuvres, and runs enough, to tell which effects come into question."""
 _ENOUGH, _FASTEST_HZ = 6000, 100.0
 """Samples that are fitted, and the rate below which none is left out."""
+_FEW_NEW = 0.25
+"""Share of new commands from which on it takes no less time to leave the others out."""
 _FARTHEST_DEG = 1e6
 """As wrong as a servo can be: squares of more could not be summed up."""
 
@@ -250,14 +252,30 @@ def joined(records: Sequence[Record]) -> Record:
 
 
 def thinned(record: Record) -> Record:
-    """The record with no more samples than tell its servo: of those that come very fast, every so manieth."""
+    """The record with no more samples than tell its servo: of those that come very fast, every so manieth.
+
+    Where most commands repeat the one before, those are left out: a servo holds what it was told.
+    """
     first, kept, total = 0, [], record.time_s.size
+    record = replace(
+        record,
+        commands=_without_repeats(record.commands),
+        runs=tuple(replace(run, commands=_without_repeats(run.commands)) for run in record.runs),
+    )
     for run in record.runs or (record,):
         stride = min(-(-total // _ENOUGH), max(round(1.0 / (run.period_s * _FASTEST_HZ)), 1))
         kept.append(np.arange(first, first + run.time_s.size, stride))
         first += run.time_s.size
     where = np.concatenate(kept)
     return record if where.size == total else _only(record, where)
+
+
+def _without_repeats(commands: Commands) -> Commands:
+    """The commands that change something; the last stays, for pulse frames run on to it."""
+    deg, slope = commands.command_deg, commands.slope_deg_s
+    new = np.ones(deg.size, dtype=np.bool_)
+    new[1:-1] = (deg[1:-1] != deg[:-2]) | (slope[1:-1] != 0.0) | (slope[:-2] != 0.0)
+    return commands if new.mean() > _FEW_NEW else Commands(commands.effective_s[new], deg[new], slope[new])
 
 
 def liveliest(record: Record, error_deg: FloatArray) -> Record:

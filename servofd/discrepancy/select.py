@@ -17,8 +17,9 @@ from servofd.discrepancy.adequacy import Adequacy, adequacy, floor_of
 from servofd.discrepancy.candidates import SMALLEST, SURPRISE, candidates, excluded, is_placed, judgeable, places_of
 from servofd.discrepancy.fit import LONG, OWN_FIELDS, Fit, Fitter
 from servofd.discrepancy.frames import best_frame, frames_like
+from servofd.discrepancy.one_size import step_size_deg
 from servofd.discrepancy.record import liveliest
-from servofd.models.catalogue import Bias, ClockOffset, Delay, Gain, PwmFrame, SensorLag, SlowDynamics
+from servofd.models.catalogue import Bias, ClockOffset, Delay, Gain, PwmFrame, RateLimit, SensorLag, SlowDynamics
 from servofd.models.laws import VARIED, by_condition, is_law, plain
 from servofd.models.physics import INSIDE
 
@@ -53,11 +54,15 @@ _FORESEEN, _SIBLING = 4.0, 0.3
 _SAME = 1e-9
 """By how much an effect must improve the misfit of what was not fitted; and the share of what is left beyond the noise
 that a second way to stick, to be dead or loose must take away."""
-_NO_WORSE = 0.95
-"""Of the held-out mean square of what was found, that of a linear servo which is better."""
+_NO_WORSE, _MOST_LEFT = 0.95, 0.5
+"""Of the held-out mean square of what was found, that of a linear servo which is better; and the share of what that one
+leaves beyond the noise that effects may leave and still be an answer."""
 _MODEL_RATIO, _MODEL_SHARE = 1.5, 0.02
 """Where a servo leaves more than so many times the noise, its misfit is not right to that share for each effective
 sample: errors that differ by 5 % tell no names apart."""
+_LIMITS, _FAR_WORSE, _OF_STEP = ("rate_limit", "voltage_rate"), 0.75, 0.02
+"""Limits of the speed; and the share of what a slow servo leaves beyond the noise that tells one from it by shape, if
+it is that share of a step too: real servos differ from a linear one by as much."""
 _DECLARED, _NEGLIGIBLE = 0.99, 1e-3
 _WORSE = 9.0
 """Times the mean square of a run, and of the noise, that an effect must not leave."""
@@ -324,6 +329,9 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     final = rungs[-1].fit if rungs else fitter.halved(best)
     found = adequacy(record, final)
     ties, tied = _ties(best, names[1:])
+    step_deg = step_size_deg(record)
+    if step_deg is not None:
+        ties, tied = _or_slow(search, best, ties, tied, step_deg)
     return Selection(
         nominal,
         rungs,
@@ -509,16 +517,28 @@ def _foreseeing(search: _Search, best: Fit) -> Fit:
 
 
 def _better_linear(search: _Search, best: Fit) -> Fit | None:
-    """Of a servo that nobody knows, the linear one with any gain and zero, if it foresees more than what was found."""
-    fitter = search.fitter
+    """Of a servo that nobody knows, the linear one with any gain and zero, if it foresees more than what was found.
+
+    So too where that one leaves no more than noise, and where what was found leaves most of what it leaves: names are
+    no answer then.
+    """
+    fitter, record = search.fitter, search.fitter.record
     if not fitter.record.free_poles or fitter.record.side is not None:
         return None
+    root = search.visited[((), INSIDE)]
+    if not adequacy(record, fitter.halved(root)).reasons:
+        return root
     start = fitter.linear().physics
-    fits = [fitter.descended(effects, start, LONG) for effects in ((Bias, Gain), (Bias,), (Gain,))]
-    held_out = {fit.key: fitter.halved(fit).held_out for fit in fits}
-    found = [fit for fit in fits if search.is_physical(fit) and not _harms(search, fit)]
-    linear = min(found, key=lambda fit: held_out[fit.key], default=None)
-    if linear is None or held_out[linear.key] >= _NO_WORSE * fitter.halved(best).held_out:
+    fits = [fitter.descended(effects, start, LONG) for effects in ((Bias,), (Gain,), (Bias, Gain))]
+    found = [root, *(fit for fit in fits if search.is_physical(fit) and not _harms(search, fit))]
+    halves = [fitter.halved(fit) for fit in found]
+    least = min(half.held_out for half in halves)
+    k = next(k for k, half in enumerate(halves) if _NO_WORSE * half.held_out <= least)
+    linear, halved = found[k], fitter.halved(best)
+    worse = halves[k].held_out < _NO_WORSE * halved.held_out
+    if best.effects and not worse and adequacy(record, halved).reasons:
+        worse = _share_of_excess(search, linear, best) < 1.0 - _MOST_LEFT
+    if not worse:
         return None
     search.keep(linear)
     return linear
@@ -621,6 +641,43 @@ def _ties(best: Fit, others: list[Fit]) -> tuple[tuple[tuple[str, ...], ...], tu
         tuple((name, *rivals[name]) for name in named),
         tuple(tuple(rivals[name].values()) for name in named),
     )
+
+
+def _or_slow(
+    search: _Search,
+    best: Fit,
+    ties: tuple[tuple[str, ...], ...],
+    tied: tuple[tuple[Fit, ...], ...],
+    step_deg: float,
+) -> tuple[tuple[tuple[str, ...], ...], tuple[tuple[Fit, ...], ...]]:
+    """The ties of steps of one size: a slow servo and one whose speed is limited, unless one is far worse."""
+    slow = SlowDynamics.name
+    mine = next((effect for effect in best.effects if effect.name in (*_LIMITS, slow)), None)
+    if mine is None or any(mine.name == tie[0] and {slow, *_LIMITS} & set(tie[1:]) for tie in ties):
+        return ties, tied
+    rest = tuple(effect for effect in best.effects if effect is not mine)
+    if mine.name == slow:
+        theirs, effects = RateLimit.name, (*rest, RateLimit)
+        visited = [fit for fit in search.visited.values() if set(fit.effects) == set(effects)]
+        rival = min(visited, key=lambda fit: fit.misfit, default=None)
+    else:
+        theirs = slow
+        effects = rest if search.fitter.record.free_poles else (*rest, SlowDynamics)
+        neutral = search.fitter.record.plant.neutral
+        start = best.physics._replace(**{n: getattr(neutral, n) for p in mine.parameters for n in p.fields})
+        starts = (start, search.visited[((), INSIDE)].physics)
+        rival = min((search.fitter.descended(effects, s, LONG) for s in starts), key=lambda fit: fit.misfit)
+    if rival is None:
+        return ties, tied
+    halves = (search.fitter.halved(fit).held_out for fit in (rival, best))
+    there, here = (half / max(float(search.fitter.record.held_out.sum()), 1.0) for half in halves)
+    by_shape_deg = float(np.sqrt(max(there - here, 0.0)))
+    if by_shape_deg > _OF_STEP * step_deg and _share_of_excess(search, rival, best) > _FAR_WORSE:
+        return ties, tied
+    old = dict(zip((tie[0] for tie in ties), zip(ties, tied, strict=True), strict=True))
+    names, fits = old.get(mine.name, ((mine.name,), ()))
+    old[mine.name] = (*names, theirs), (*fits, rival)
+    return tuple(names for names, _ in old.values()), tuple(fits for _, fits in old.values())
 
 
 def _rungs(search: _Search, best: Fit) -> tuple[Rung, ...]:

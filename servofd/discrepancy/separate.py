@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from servofd.detection.residual import Commands
+from servofd.discrepancy.one_size import STEPS_OF_TWO_SIZES
 from servofd.discrepancy.record import simulate
 
 if TYPE_CHECKING:
@@ -43,6 +44,11 @@ class Manoeuvre(NamedTuple):
 
 def _step(size_deg: float) -> Callable[[FloatArray], FloatArray]:
     return lambda t: size_deg * ((t // 2.0) % 2.0)
+
+
+def _two_steps(t: FloatArray) -> FloatArray:
+    both: FloatArray = np.array([0.0, 5.0, 0.0, 20.0])[(t // 2.0).astype(int) % 4]
+    return both
 
 
 def _doublets(size_deg: float) -> Callable[[FloatArray], FloatArray]:
@@ -94,6 +100,9 @@ MANOEUVRES: tuple[Manoeuvre, ...] = (
     Manoeuvre("steps of 20 deg while the supply sags from 6 to 4.8 V", _step(20.0), supply_sags=True),
 )
 """Simple before complicated."""
+_LIMITS = {"rate_limit", "voltage_rate"}
+_BY_SIZE = (Manoeuvre(STEPS_OF_TWO_SIZES, _two_steps),)
+"""What tells a limit of the speed from slow poles: the one takes longer for larger steps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +148,8 @@ def separations(selection: Selection) -> tuple[Separation, ...]:
 def _separation(fitter: Fitter, names: tuple[str, str], best: Fit, rival: Fit, sigma_deg: float) -> Separation:
     one, two = best.physics, rival.physics
     rms, most = [], []
-    for manoeuvre in MANOEUVRES:
+    library = _BY_SIZE if set(names) & _LIMITS and "slow_dynamics" in names else MANOEUVRES
+    for manoeuvre in library:
         flown = _flown(fitter.record, manoeuvre)
         apart = (simulate(flown, one) - simulate(flown, two))[flown.counts]
         rms.append(float(np.sqrt(np.mean(apart**2))))
@@ -148,7 +158,7 @@ def _separation(fitter: Fitter, names: tuple[str, str], best: Fit, rival: Fit, s
         return Separation(names, None, max(most), max(most) / sigma_deg)
     told = (np.array(rms) >= _AS_GOOD * max(rms)) & (np.array(most) >= _TELLING_SIGMAS * sigma_deg)
     first = int(np.argmax(told)) if told.any() else int(np.argmax(most))
-    return Separation(names, MANOEUVRES[first].name, most[first], most[first] / sigma_deg)
+    return Separation(names, library[first].name, most[first], most[first] / sigma_deg)
 
 
 def _flown(record: Record, manoeuvre: Manoeuvre) -> Record:

@@ -210,8 +210,8 @@ class Plant:
     def machine(self, physics: Physics) -> tuple[Physics, Loop]:
         """What the kernel runs: a slow pole after the loop is a lag of what is read."""
         if physics.slow_place == AFTER and self.has_places:
-            slow, _ = split(_scaled(self.transfer.denominator, physics))
-            physics = physics._replace(lag_s=1.0 / slow)
+            scales = physics.bandwidth_scale, physics.slow_scale, physics.pair_scale, physics.damping_scale
+            physics = physics._replace(lag_s=1.0 / _slow_rad_s(self.transfer.denominator, scales))
         return physics, self.loop(physics)
 
 
@@ -238,6 +238,12 @@ def _scaled(denominator: tuple[float, ...], physics: Physics) -> FloatArray:
     return _polynomial(
         denominator, (physics.bandwidth_scale, physics.slow_scale, physics.pair_scale, physics.damping_scale)
     )
+
+
+@lru_cache(maxsize=64)  # of many runs each asks for the same
+def _slow_rad_s(denominator: tuple[float, ...], scales: tuple[float, float, float, float]) -> float:
+    """Slow pole of three, with the poles scaled."""
+    return split(_polynomial(denominator, scales))[0]
 
 
 def _polynomial(denominator: tuple[float, ...], scales: tuple[float, float, float, float]) -> FloatArray:

@@ -1,0 +1,155 @@
+"""The answer first: what it is, how much, fault or acceptable, and what to do next, in plain sentences."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from servofd.discrepancy.words import effect_values
+
+if TYPE_CHECKING:
+    from servofd.discrepancy.record import Record
+    from servofd.discrepancy.select import Selection
+    from servofd.discrepancy.separate import Separation
+
+__all__ = ["Found", "answer"]
+
+_NAMES = {
+    "delay": "a longer delay",
+    "clock_offset": "positions stamped late",
+    "slow_dynamics": "slower dynamics",
+    "rate_limit": "a rate limit",
+    "voltage_rate": "a rate limit that falls with the supply",
+    "position_limit": "a stop",
+    "deadband": "a dead band",
+    "backlash": "play",
+    "friction": "friction",
+    "load_friction": "friction under load",
+    "gain": "another gain",
+    "bias": "an offset",
+    "airload": "a surface that yields to the airload",
+    "gravity_load": "a load that hangs on it",
+    "pwm_frame": "commands that wait for pulse frames",
+    "sensor_lag": "a sensor that lags",
+    "quantization": "coarse steps",
+    "current_limit": "a supply that limits its current",
+    "resonance": "a flexible linkage",
+    "damping": "another damping",
+    "supply_coupling": "a reading that moves with the current",
+    "linkage_nonlinearity": "a crooked linkage",
+}
+_UNITS = (("deg_s_per_v", " deg/s per V"), ("deg_s", " deg/s"), ("_deg", " deg"), ("_s", " s"), ("_hz", " Hz"))
+_SOUND = {
+    "backlash": (0.3, "check horn, rod and gear for play"),
+    "deadband": (0.4, "check the servo's electronics and its dead band setting"),
+    "friction": (0.3, "check for binding, and the gear"),
+    "bias": (1.0, "trim it, and check whether the horn slipped"),
+}
+"""Width or size that a sound hobby servo may have [deg], and what to do beyond: HS-225BB has 0.3 deg of free play."""
+_MOSTLY = 0.5
+"""Share of the mean square that, left over, is most of it."""
+_ANOTHER = "compare it with a second servo of its kind"
+_TELLING = "record steps of two sizes, a slow triangle and a sine of 3 Hz"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """What an answer is made of."""
+
+    record: Record
+    selection: Selection
+    before_deg: float
+    after_deg: float
+    """Error on data that were not fitted, of the servo as it was known and with everything that was found."""
+    fault_s: float | None
+    left_out: bool
+    """Whether the servo was not driven for part of the record."""
+    separating: tuple[Separation, ...]
+    is_kept: bool
+    """Whether an audit can use the model."""
+
+
+def answer(found: Found) -> str:
+    """A few sentences, the most important first."""
+    before, after = found.before_deg, found.after_deg
+    reasons, rungs = found.selection.adequacy.reasons, found.selection.rungs
+    parts = []
+    if found.fault_s is not None:
+        parts.append(f"FAULT from {found.fault_s:.1f} s on: the servo no longer does what its command asks")
+    elif found.left_out:
+        parts.append("The servo was not driven for part of the record (times below); that part was left out")
+    if not rungs and not reasons:
+        told = "Before that, nothing is missing" if found.fault_s is not None else "Nothing is missing"
+        parts.append(f"{told}: what is left is noise of {found.selection.sigma_deg:.3g} deg")
+    elif not rungs:
+        parts.append(f"Unexplained: the model is wrong by {after:.3g} deg, and no effect that is known accounts for it")
+        if found.fault_s is None:
+            parts.append("That alone is no sign of a fault")
+    else:
+        mostly = _is_mostly_left(found)
+        if mostly:
+            parts.append(f"Mostly unexplained: {after:.3g} of {before:.3g} deg remain on data not fitted")
+        named = [_named(found, k, judged=not mostly) for k in range(len(rungs))]
+        parts += [f"A part of it looks like {' and '.join(named)}"] if mostly else [_capital(each) for each in named]
+        if not mostly:
+            parts.append(f"With this the error falls from {before:.3g} to {after:.3g} deg on data not fitted")
+        if reasons and not mostly:
+            parts.append(f"Not all is explained: {reasons[0]}")
+    advice = _advice(found)
+    return ". ".join(parts) + (f". Next: {'; '.join(advice)}." if advice else ".")
+
+
+def _capital(words: str) -> str:
+    return words[:1].upper() + words[1:]
+
+
+def _is_mostly_left(found: Found) -> bool:
+    """Whether the names account for less than half of what was wrong."""
+    return bool(found.selection.adequacy.reasons) and found.after_deg**2 > _MOSTLY * found.before_deg**2
+
+
+def _advice(found: Found) -> list[str]:
+    """What to do next."""
+    rungs, is_unknown = found.selection.rungs, found.record.free_poles
+    beyond = [] if _is_mostly_left(found) else _beyond_sound(found)
+    advice = [_SOUND[name][1] for name in beyond]
+    if is_unknown and (beyond or (not rungs and found.selection.adequacy.reasons)):
+        advice.append(_ANOTHER)
+    if found.fault_s is None and found.selection.adequacy.reasons and (not rungs or _is_mostly_left(found)):
+        advice.append(_TELLING)
+    if found.separating and (manoeuvre := found.separating[0].manoeuvre):
+        advice.append(f"record {manoeuvre}, which tells {' from '.join(found.separating[0].effects)}")
+    if rungs and found.is_kept and found.record.side is None and found.fault_s is None:
+        advice.append("keep the model with --save")
+    return advice
+
+
+def _named(found: Found, index: int, *, judged: bool) -> str:
+    """One effect with its size, what it may be instead, and, if judged, whether a sound servo may have it."""
+    effect = found.selection.final.effects[index]
+    values = effect_values(found.selection, index)
+    name, value = next(iter(values.items()))
+    unit = next((words for end, words in _UNITS if name.endswith(end)), "")
+    size = f"{value['value']:.3g}{unit} ({value['low']:.3g} to {value['high']:.3g})"
+    ties = next((tie[1:] for tie in found.selection.ties if tie[0] == effect.name), ())
+    instead = f", or else {' or '.join(_NAMES.get(n, n) for n in ties)} (the data cannot tell which)" if ties else ""
+    sound = ""
+    if judged and effect.name in _SOUND:
+        limit = _SOUND[effect.name][0]
+        if abs(value["value"]) <= limit:
+            sound = f": acceptable, a sound hobby servo has up to {limit:g} deg"
+        elif found.record.free_poles:  # what a servo that nobody knows has may be how it was made
+            sound = f": more than the {limit:g} deg of a sound hobby servo, which may be how this one is made"
+        else:
+            sound = f": FAULT, a sound hobby servo has at most {limit:g} deg"
+    return f"{_NAMES.get(effect.name, effect.name)} of {size}{instead}{sound}"
+
+
+def _beyond_sound(found: Found) -> list[str]:
+    """Effects that are larger than a sound servo has them."""
+    names = []
+    for k, effect in enumerate(found.selection.final.effects):
+        value = next(iter(effect_values(found.selection, k).values()))["value"]
+        if effect.name in _SOUND and abs(value) > _SOUND[effect.name][0]:
+            names.append(effect.name)
+    return names
