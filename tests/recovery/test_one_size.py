@@ -13,8 +13,8 @@ from servofd.types import FloatArray
 
 _STEP_S, _NATURAL_RAD_S, _DAMPING = 1e-3, 40.0, 0.8
 _TIME_S = np.arange(0.0, 30.0, 0.02)
-_ONE: FloatArray = 10.0 * (_TIME_S % 2.0 < 1.0)
-_TWO: FloatArray = _ONE + 10.0 * ((_TIME_S % 4.0 < 2.0) & (_TIME_S % 2.0 < 1.0))
+_ONE: FloatArray = np.array(10.0 * (_TIME_S % 2.0 < 1.0), dtype=np.float64)
+_TWO: FloatArray = np.array(_ONE * (1.0 + (_TIME_S % 4.0 < 2.0)), dtype=np.float64)
 
 
 def moved(command_deg: FloatArray, fastest_deg_s: float) -> FloatArray:
