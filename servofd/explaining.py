@@ -14,6 +14,7 @@ from servofd.detection.audit import audit_log
 from servofd.detection.words import describe
 from servofd.discrepancy.elsewhere import judged_elsewhere
 from servofd.discrepancy.explanation import Explanation, explain_gap
+from servofd.discrepancy.held import without_held
 from servofd.discrepancy.own import OwnEffect, load_own_effect
 from servofd.discrepancy.validity import Undriven, without_torque
 from servofd.discrepancy.varying import varying
@@ -43,6 +44,8 @@ _UNKNOWN_SERVO = Servo(
 )
 
 
+_MOST_SAID = 4
+"""Sentences about the readings; a log of many runs has one each."""
 _STEADY = 0.5
 """Of the spread between runs, that within one: more, and a mean says little about the run."""
 _WORSE = 1.05
@@ -249,9 +252,12 @@ def _surface(
     logs, segments = _segments(flown.logs, name, aircraft)
     model = aircraft.model(name)
     off: list[Undriven] = []
+    said: dict[str, None] = {}
     for k, (log, segment) in enumerate(zip(logs, segments, strict=True)):
-        segments[k], stood = without_torque(log, segment, k)
+        each, held = without_held(segment)
+        segments[k], stood = without_torque(log, each, k)
         off += stood
+        said |= dict.fromkeys([held] if held else []) | dict.fromkeys(damage.note for damage in log.damage)
     conditions = _conditions(logs, aircraft.surfaces[name])
     found = explain_gap(
         segments,
@@ -263,6 +269,7 @@ def _surface(
         conditions=conditions,
         progress=progress,
     )
+    found = replace(found, notes=(*found.notes, *list(said)[:_MOST_SAID]))
     if found.record.side is None:
         differing = varying(found.selection, conditions)
         found = replace(found, varying=differing, notes=(*found.notes, *(each.sentence for each in differing)))

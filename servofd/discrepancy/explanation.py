@@ -19,7 +19,7 @@ from servofd.discrepancy.record import joined, record_of, simulate
 from servofd.discrepancy.run_by_run import RunErrors, run_errors
 from servofd.discrepancy.select import Selection, select
 from servofd.discrepancy.separate import Separation, separations
-from servofd.discrepancy.validity import clear_of, driven
+from servofd.discrepancy.validity import clear_of, driven, share_followed
 from servofd.discrepancy.words import (
     effect_values,
     form_of,
@@ -56,6 +56,8 @@ _AT_ONCE_S, _SOON_S, _FAR_WORSE, _NOT_BUSIER, _MOST_OF_IT = 5.0, 15.0, 25.0, 2.0
 """Where the healthy part is not explained to the noise either, a fault must stand out from what stays of it: at once,
 though no more is asked, or soon and nearly as large as the motion (variances). A gap that drifts, or grows with motion,
 is no fault."""
+_FOLLOWS = 0.2
+"""Share of the position that the command tells, beyond which a servo that nobody knows still follows it."""
 _MARGINS_S = (0.0, 1.0, 2.5, 5.0)
 """How long before a change of the error's size a fault may have begun without much to do."""
 _FEWEST_SAMPLES = 100
@@ -352,12 +354,21 @@ def _healthy_part(
         quiet = later & (record.time_s < start_s)
         slowly = bool(quiet.any()) and float(np.mean(error[quiet] ** 2)) > _SLOWLY_WORSE * usual_deg**2
         if explained and not slowly and float(np.mean(error[later] ** 2)) > _MUCH_WORSE * healthy.sigma_deg**2:
+            # What is fitted to a part of a servo that nobody knows may be wrong elsewhere, and no fault for that.
+            if record.free_poles and _follows(record, start_s):
+                continue
             return before, healthy, start_s
         # Of a servo that nobody knows, what is left is the model's as likely as a fault's.
         may_break = rough is None and not explained and not record.free_poles
         if may_break and _breaks_off(record, error, before.counts, start_s, usual_deg):
             rough = before, healthy, start_s
     return rough
+
+
+def _follows(record: Record, start_s: float) -> bool:
+    """Whether a servo still moves with its command after a time."""
+    there = record.counts & (record.time_s >= start_s) & (record.time_s < start_s + _SOON_S)
+    return share_followed(record, simulate(record, record.plant.neutral), there) > _FOLLOWS
 
 
 def _stands_out(before: Record, later: BoolArray, final: Fit) -> bool:

@@ -257,11 +257,12 @@ def thinned(record: Record) -> Record:
     Where most commands repeat the one before, those are left out: a servo holds what it was told.
     """
     first, kept, total = 0, [], record.time_s.size
-    record = replace(
-        record,
-        commands=_without_repeats(record.commands),
-        runs=tuple(replace(run, commands=_without_repeats(run.commands)) for run in record.runs),
-    )
+    if np.mean(_is_new(record.commands)) < _FEW_NEW:
+        record = replace(
+            record,
+            commands=_without_repeats(record.commands),
+            runs=tuple(replace(run, commands=_without_repeats(run.commands)) for run in record.runs),
+        )
     for run in record.runs or (record,):
         stride = min(-(-total // _ENOUGH), max(round(1.0 / (run.period_s * _FASTEST_HZ)), 1))
         kept.append(np.arange(first, first + run.time_s.size, stride))
@@ -270,12 +271,17 @@ def thinned(record: Record) -> Record:
     return record if where.size == total else _only(record, where)
 
 
-def _without_repeats(commands: Commands) -> Commands:
-    """The commands that change something; the last stays, for pulse frames run on to it."""
+def _is_new(commands: Commands) -> BoolArray:
+    """Which commands change something; the last counts as one, for pulse frames run on to it."""
     deg, slope = commands.command_deg, commands.slope_deg_s
     new = np.ones(deg.size, dtype=np.bool_)
     new[1:-1] = (deg[1:-1] != deg[:-2]) | (slope[1:-1] != 0.0) | (slope[:-2] != 0.0)
-    return commands if new.mean() > _FEW_NEW else Commands(commands.effective_s[new], deg[new], slope[new])
+    return new
+
+
+def _without_repeats(commands: Commands) -> Commands:
+    new = _is_new(commands)
+    return Commands(commands.effective_s[new], commands.command_deg[new], commands.slope_deg_s[new])
 
 
 def liveliest(record: Record, error_deg: FloatArray) -> Record:

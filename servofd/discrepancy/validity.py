@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from servofd.segment import Segment
     from servofd.types import BoolArray, FloatArray
 
-__all__ = ["Undriven", "clear_of", "driven", "without_torque"]
+__all__ = ["Undriven", "clear_of", "driven", "share_followed", "without_torque"]
 
 _WINDOW_S, _EVERY_S, _SHORTEST_S = 1.5, 0.1, 0.8
 _SURE_S, _SURE_ALONE_S = 1.3, 4.0
@@ -93,7 +93,7 @@ def driven(records: Sequence[Record], physics: Physics) -> tuple[list[Record], l
     """
     moved = [simulate(each, physics) for each in records]
     # Without evidence that the model tells how this servo moves when it is driven, nothing can be said.
-    shares = [_told(each, sim, each.counts) for each, sim in zip(records, moved, strict=True)]
+    shares = [share_followed(each, sim, each.counts) for each, sim in zip(records, moved, strict=True)]
     swing = float(np.median([np.std(sim[each.counts]) for each, sim in zip(records, moved, strict=True)]))
     found, kept = [], []
     for run, (record, sim) in enumerate(zip(records, moved, strict=True)):
@@ -101,7 +101,7 @@ def driven(records: Sequence[Record], physics: Physics) -> tuple[list[Record], l
         least_deg = max(least_deg, _MOVES_SHARE * swing)
         off = _ignored(record, sim, least_deg, _SURE_S if len(records) > 1 else _SURE_ALONE_S)
         others = [share for k, share in enumerate(shares) if k != run]
-        if off.any() and max([*others, _told(record, sim, record.counts & ~off)], default=0.0) > _LIKE:
+        if off.any() and max([*others, share_followed(record, sim, record.counts & ~off)], default=0.0) > _LIKE:
             reason = "the position does not follow its command: torque or power lost, jammed or held"
             found += [
                 Undriven(run, float(record.time_s[a]), float(record.time_s[b - 1]), b == off.size, reason)
@@ -132,7 +132,7 @@ def _pieces(flags: BoolArray) -> list[tuple[int, int]]:
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
-def _told(record: Record, simulated_deg: FloatArray, where: BoolArray) -> float:
+def share_followed(record: Record, simulated_deg: FloatArray, where: BoolArray) -> float:
     """Share of the position that the model tells."""
     if where.sum() < 20 or float(np.std(simulated_deg[where])) < 1e-9:
         return 0.0
