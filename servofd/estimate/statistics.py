@@ -19,8 +19,8 @@ MAD_TO_SIGMA: Final = 1.4826
 """From the median size of normal errors to their standard deviation."""
 _ORDINARY = 3.0
 """Errors beyond so many typical ones count by their size: a glitch bends nothing."""
-_CLOSE = 1e-6
-"""Relative change of numbers and cost at which a descent ends."""
+_CLOSE, _LEVEL = 1e-6, 1e-7
+"""Relative changes of numbers and of the cost at which a descent ends."""
 
 
 class Estimate(NamedTuple):
@@ -173,7 +173,7 @@ def descended(
         f_scale=scale_deg or 1.0,
         max_nfev=evaluations,
         xtol=_CLOSE,
-        ftol=_CLOSE,
+        ftol=_LEVEL,
     )
     return found.x, np.asarray(found.jac, dtype=float)
 
