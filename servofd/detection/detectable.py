@@ -9,10 +9,12 @@ leaves, an oscillation a filtered wave; less speed adds a lag, and play what pla
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.detection.threshold import suspicion
 from servofd.evidence import NOTHING_DETECTABLE, Detectable
 from servofd.models.play import play
 from servofd.models.state import compiled
@@ -30,11 +32,16 @@ _POWER = 95.0
 _LATEST_ONSET = 0.5
 """Faults set in during this share of the log, and last to its end."""
 _SUSPICIOUS_DRIFT = 40.0
+_LEFT = 0.25
+"""Share of an offset's power that gain, delay and bandwidth within their tolerances leave (even seeds of
+`benchmarks/detectable.py`)."""
+_SURE = 1.645
+"""Standard deviations by which a normal deviate falls short of its mean once in 20 times."""
 _MEMORY_S = 10.0
 """As in `servofd.detection.threshold.suspicion`."""
 _OSCILLATES_HZ = 3.0
 _LEAST_SPEED = 0.1
-_BISECTIONS = 6
+_BISECTIONS = 9
 _ABSORBED = 1.6
 _WIDEST_DEG = 20.0
 _LARGEST = {"bias_deg": 45.0, "loss_share": 1.0, "oscillation_deg": 20.0}
@@ -82,7 +89,7 @@ def detectable(
     >>> interval = interval_threshold(generator, segment, residuals, Tolerance())
     >>> shown = detectable(generator, residuals, constant_threshold(interval, 1.5))
     >>> round(shown.bias_deg, 1), round(shown.loss_share, 2), shown.slow_share
-    (1.5, 0.15, 0.24)
+    (1.5, 0.15, 0.25)
     """
     use = residuals.settled & np.isfinite(residuals.residual_deg)
     if np.count_nonzero(use) < 2:
@@ -91,6 +98,8 @@ def detectable(
     judge = _Judge(residuals, level_deg, use, persistence)
     # A servo that is fitted to its own oscillation or lag takes part of it for its own.
     patient = _Judge(residuals, level_deg * (_ABSORBED if margin > 1.0 else 1.0), use, persistence)
+    if suspicions:
+        patient.suspicious = threshold
     ones = np.where(np.isfinite(residuals.measured_deg), 1.0, np.nan)
     signals = {
         "bias_deg": [generator.filtered(residuals.time_s, ones, residuals.restart)],
@@ -132,9 +141,13 @@ def detectable(
 class _Judge:
     """Whether an addition to the residual raises an alarm, whenever it sets in."""
 
+    suspicious: Threshold | None
+    """If what stays below the threshold but lasts counts as well."""
+
     def __init__(self, residuals: Residuals, level_deg: FloatArray, use: BoolArray, persistence: int) -> None:
         self.residual_deg, self.level_deg, self.use = residuals.residual_deg[use], level_deg[use], use
         self.persistence = persistence
+        self.residuals, self.suspicious = residuals, None
         time_s = residuals.time_s[use]
         self.onsets = time_s <= time_s[0] + _LATEST_ONSET * (time_s[-1] - time_s[0])
 
@@ -156,6 +169,9 @@ class _Judge:
         residual_deg = self.residual_deg + np.nan_to_num(added[self.use])
         missing = (np.where(side * residual_deg > self.level_deg, 0.0, 1.0) for side in (1.0, -1.0))
         beyond = np.minimum(*(self._in_a_row(missed) for missed in missing)) == 0.0
+        if self.suspicious is not None:
+            lasting = replace(self.residuals, residual_deg=self.residuals.residual_deg + np.nan_to_num(added))
+            beyond |= suspicion(lasting, self.suspicious)[self.use]
         after = np.logical_or.accumulate(beyond[::-1])[::-1][self.onsets]
         return bool(np.mean(after) >= _POWER / 100.0)
 
@@ -175,8 +191,10 @@ def _drift_size(residuals: Residuals, threshold: Threshold, signal: FloatArray, 
     seen = total - np.concatenate([np.zeros(min(samples, total.size)), total[: max(total.size - samples, 0)]])
     noise = threshold.cusum.factor * float(np.median(threshold.sigma_deg)) ** 2
     best = float(np.percentile(np.maximum.accumulate(seen[::-1]), 100.0 - _POWER))
-    tolerated = float(np.median(threshold.tolerance_deg[use])) / max(float(np.sqrt(np.mean(power))), 1e-9)
-    return tolerated + float(np.sqrt(_SUSPICIOUS_DRIFT * noise / max(best, 1e-12)))
+    offset_deg = abs(float(np.mean(residuals.residual_deg[use])))  # which the fault may take away
+    tolerated_deg = float(np.median(threshold.tolerance_deg[use])) + offset_deg
+    tolerated = tolerated_deg / max(float(np.sqrt(np.mean(power))), 1e-9)
+    return tolerated + (float(np.sqrt(_SUSPICIOUS_DRIFT)) + _SURE) * float(np.sqrt(noise / max(_LEFT * best, 1e-12)))
 
 
 def _bisected(shows: Callable[[float], bool], large: float, none: float) -> float | None:
