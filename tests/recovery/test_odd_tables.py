@@ -11,7 +11,7 @@ from servofd import explain_log
 from servofd.errors import NoMeasurement
 from servofd.types import FloatArray
 
-_TIME_S: FloatArray = np.arange(6000) * 0.005
+_TIME_S: FloatArray = np.array(np.arange(6000) * 0.005, dtype=np.float64)
 
 
 def written(path: Path, size: float = 8.0, held: int = 1, words: str = "", more: str = "") -> Path:
