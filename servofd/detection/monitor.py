@@ -55,6 +55,15 @@ def too_slow(bandwidth_rad_s: float, position_period_s: float, command_period_s:
     return f"{' and '.join(slow)}: slow for a servo of {bandwidth_hz:.2g} Hz, which needs {enough_hz:.2g} Hz"
 
 
+def _is_scattered(time_s: FloatArray) -> bool:
+    """Whether stamps [s] are what is left of a steady stream of which more than half is lost at random."""
+    steps_s = np.diff(time_s)
+    steps_s = steps_s[steps_s <= _OUTAGE_S]
+    return steps_s.size >= _FEWEST_STEPS and float(np.percentile(steps_s, 10.0)) < _STEADY * float(np.mean(steps_s))
+
+
+_FEWEST_STEPS, _STEADY = 20, 0.4
+"""With 60 % lost the shortest steps are 0.4 of the mean."""
 _NAMED_S = 2.0
 """A name follows its alarm within so long, or is not told."""
 _LOOKS_S = (0.25, 0.5, 1.0, 1.75, 6.0)
@@ -547,6 +556,8 @@ class SurfaceMonitor:
         if 1.0 / self._period_s < SLOWEST_RATE_HZ:
             problem = f"position comes at {1.0 / self._period_s:.2g} Hz; a servo cannot be judged below "
             problem += f"{SLOWEST_RATE_HZ:g} Hz"
+        elif self.is_periodic and _is_scattered(valued_s) and _is_scattered(np.array([at_s for at_s, _ in commands])):
+            problem = "more than half of all commands and positions are lost; a servo cannot be judged by the rest"
         elif not problem:
             try:
                 self._generator = (
