@@ -186,7 +186,7 @@ def audit_segment(
         outline=outline(residuals.time_s, np.where(residuals.settled, residuals.residual_deg, np.nan), level.level_deg),
     )
     # Tolerances that were drafted from a log hide a reversed sign.
-    problem = wiring_problem(residuals) if faults or suspicions or surface.model.origin == "fitted" else ""
+    problem = _miswired(residuals, faults, surface) if faults or suspicions or surface.model.origin == "fitted" else ""
     if problem:
         faults = suspicions = ()
     shown = NOTHING_DETECTABLE
@@ -283,6 +283,21 @@ def _too_little(segment: Segment) -> str:
     if rate_hz > _FASTEST_RATE_HZ:
         return f"position comes at {rate_hz:.2g} Hz: check the unit of the time stamps"
     return too_far(segment)
+
+
+_FOLLOWED_BEFORE = 0.2
+"""Share of a log before its first fault that tells whether position and command belong together."""
+
+
+def _miswired(residuals: Residuals, faults: tuple[Fault, ...], surface: Surface) -> str:
+    """Why nothing that a log shows can be believed; what ran to a stop may well be on the other side of its command."""
+    problem = wiring_problem(residuals)
+    if not problem or not faults or surface.model.origin != "fitted":
+        return problem
+    before = residuals.settled & (residuals.time_s < faults[0].start_s)
+    if np.count_nonzero(before) < _FOLLOWED_BEFORE * np.count_nonzero(residuals.settled):
+        return problem
+    return wiring_problem(replace(residuals, settled=before))
 
 
 def _not_judged(judged_s: float, residuals: Residuals) -> str:
