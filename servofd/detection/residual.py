@@ -258,8 +258,9 @@ def go_on(
     if not at_s.size:
         return np.zeros(0)
     begins, pieces = np.union1d(np.flatnonzero(restart == RESTART_ALL), [0]), []
-    for begin, end in zip(begins, np.append(begins[1:], at_s.size), strict=True):
-        last = max(int(np.searchsorted(commands.effective_s, at_s[end - 1], side="right")), int(cursor[0]))
+    ends = np.append(begins[1:], at_s.size)
+    heard = np.maximum(np.searchsorted(commands.effective_s, at_s[ends - 1], side="right"), cursor[0])
+    for begin, end, last in zip(begins.tolist(), ends.tolist(), heard.tolist(), strict=True):
         span = slice(int(cursor[0]), last)
         motion.receive(commands.effective_s[span], commands.command_deg[span], commands.slope_deg_s[span])
         cursor[0] = last

@@ -87,7 +87,7 @@ AnyServo = ServoParameters | ExtendedServo
 """A servo without effects, or with."""
 _Commands = tuple[FloatArray, FloatArray, FloatArray]
 """When each reaches the servo [s], what it asks for [deg], and its slope [deg/s]; of shape (n,)."""
-_NOTHING: _Commands = (np.zeros(0), np.zeros(0), np.zeros(0))
+_NOTHING: _Commands = (fixed(np.zeros(0)), fixed(np.zeros(0)), fixed(np.zeros(0)))
 
 
 def _joined(some: _Commands, more: _Commands) -> _Commands:
@@ -161,6 +161,13 @@ class PlainMotion(Motion[ServoParameters]):
     _memory: Memory | None = None
     _commanded = False
 
+    def receive(self, effective_s: FloatArray, command_deg: FloatArray, slope_deg_s: FloatArray) -> None:
+        """Commands to come, shape (n,), copied once for all the pieces in which they are used."""
+        effective_s, command_deg, slope_deg_s = (np.array(each) for each in (effective_s, command_deg, slope_deg_s))
+        super().receive(effective_s, command_deg, slope_deg_s)
+        for each in self._waiting:
+            each.setflags(write=False)  # as `fixed` makes it
+
     def at(self, at_s: FloatArray) -> FloatArray:
         """Measured position at the next instants [deg], shape (m,)."""
         from servofd.models.kernel import run
@@ -170,10 +177,9 @@ class PlainMotion(Motion[ServoParameters]):
         if self._memory is None:
             self.rest(float(at_s[0]), self._start_deg)
         position_deg = np.empty(at_s.size)
-        commands = [fixed(each) for each in self._waiting]
-        done = run(self.servo, self._memory, *commands, fixed(at_s), position_deg)
+        done = run(self.servo, self._memory, *self._waiting, fixed(at_s), position_deg)
         self._commanded |= done > 0
-        self._waiting = _cut(self._waiting, done)
+        self._drop(done)
         return position_deg
 
     def rest(self, now_s: float, deflection_deg: float = math.nan) -> None:
@@ -186,16 +192,20 @@ class PlainMotion(Motion[ServoParameters]):
             motion[:3] = [each[done - 1] for each in self._waiting]
         elif not self._commanded and self._waiting[0].size:
             motion[:3] = now_s, self._waiting[1][0], 0.0
-        effective_s, command_deg, slope_deg_s = self._waiting
-        self._waiting = effective_s[done:], command_deg[done:], slope_deg_s[done:]
+        self._drop(done)
         self._commanded |= done > 0
-        gain = float(np.sum(self.servo.weight.real))
+        gain = float(self.servo.weight.real.sum())
         motion[1] += motion[2] * (now_s - motion[0])
         rest_deg = motion[1] if math.isnan(deflection_deg) else deflection_deg / gain
         if not self._commanded:
             motion[1] = rest_deg
         self._memory.modes[:] = rest_deg
         motion[0], motion[3:] = now_s, (gain * rest_deg, 0.0, math.nan)
+
+    def _drop(self, done: int) -> None:
+        """Forget the first commands."""
+        effective_s, command_deg, slope_deg_s = self._waiting
+        self._waiting = effective_s[done:], command_deg[done:], slope_deg_s[done:]
 
     def become(self, servo: AnyServo) -> None:
         """Go on as another servo with as many modes; each mode starts where it is, so the position does not jump."""
