@@ -463,7 +463,7 @@ def explain(
     --------
     >>> found = explain("sample_logs/hidden/hidden_11.csv", servo="hs225bb-eq31")
     >>> found.answer.split(",")[0][:10]
-    'play of 1.'
+    'Play of 1.'
     >>> found.steps["effect"].tolist()
     ['as it was', 'backlash']
     """

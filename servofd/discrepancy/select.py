@@ -50,6 +50,8 @@ minus twice the logarithm of how rarely it does."""
 _NO_GAIN, _GAIN_SHARE = 40.0, 0.03
 """The same of a gain in place of a load, at most: a servo that controls its position comes to where it is sent, within
 some percent of its horn and sensor (standard deviation)."""
+_USUAL_GAINS = 3.0
+"""So many of these deviations a servo may be off before its gain stands for something that is missing."""
 _FORESEEN, _SIBLING = 4.0, 0.3
 _SAME = 1e-9
 """By how much an effect must improve the misfit of what was not fitted; and the share of what is left beyond the noise
@@ -519,14 +521,15 @@ def _foreseeing(search: _Search, best: Fit) -> Fit:
 def _better_linear(search: _Search, best: Fit) -> Fit | None:
     """Of a servo that nobody knows, the linear one with any gain and zero, if it foresees more than what was found.
 
-    So too where that one leaves no more than noise, and where what was found leaves most of what it leaves: names are
-    no answer then.
+    So too where that one leaves no more than noise with a gain that servos have, and where what was found leaves most
+    of what it leaves: names are no answer then.
     """
     fitter, record = search.fitter, search.fitter.record
     if not fitter.record.free_poles or fitter.record.side is not None:
         return None
     root = search.visited[((), INSIDE)]
-    if not adequacy(record, fitter.halved(root)).reasons:
+    is_usual = abs(root.physics.gain - 1.0) <= _USUAL_GAINS * _GAIN_SHARE
+    if is_usual and not adequacy(record, fitter.halved(root)).reasons:
         return root
     start = fitter.linear().physics
     fits = [fitter.descended(effects, start, LONG) for effects in ((Bias,), (Gain,), (Bias, Gain))]

@@ -124,7 +124,7 @@ def test_an_explanation_shows_the_gap_before_and_after(explained: str) -> None:
 @pytest.mark.slow
 def test_an_explanation_without_a_gap_has_a_page_too() -> None:
     page = Page(explain_page([slow_servo(None)], "flight.csv"))
-    assert "nothing is missing" in page.text
+    assert "Nothing is missing" in page.text
     assert "Rivals" not in page.text
 
 
