@@ -15,6 +15,7 @@ from servofd.axes.model import (
     flown_of,
     residual_of,
     settled,
+    shares_of,
     slowness,
     statistic,
     whitened,
@@ -423,9 +424,7 @@ def _lost_half(model: AxisModel, inputs: Inputs, windows: Sequence[Sliding], rat
         replace(found, loss=found.loss + 0.5) if model.own_command else replace(found, offset=found.offset + _AWAY_US)
         for found in windows
     ]
-    found_j = distances(model, inputs, shifted, rate_hz)
-    shares = np.array([j / spread.scale for j, spread in zip(found_j, model.spreads, strict=True)])
-    return np.asarray(shares[:, inputs.usable])
+    return np.asarray(shares_of(model, inputs, shifted, rate_hz)[:, inputs.usable])
 
 
 _PRIOR_INDEX, _PRIOR_WEIGHT = 2.5, 4.0

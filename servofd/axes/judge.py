@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.axes.model import covered, distances, flown_of, inputs_of, statistic, windows_of
+from servofd.axes.model import covered, distances, flown_of, inputs_of, shares_of, statistic, windows_of
 from servofd.axes.names import MOST_OF_THE_FLIGHT, SURFACE_AXES
 from servofd.axes.verdict import AxisAudit, AxisEvent, AxisStatus
 from servofd.axes.windows import Expected, lags, nothing_known, sliding
@@ -60,7 +60,10 @@ def judge_motion(model: MotionModel, motion: Motion) -> tuple[AxisAudit, ...]:
     inside = covered(model.regime, flown_of(motion, model.reference_m_s))
     usable = motion.present & np.logical_and.reduce(list(inside.values()))
     flown = motion.present & (motion.airspeed_m_s > 0.5 * model.reference_m_s)
-    drafts = {name: _draft(axis, motion, usable, flown, model.reference_m_s) for name, axis in model.axes.items()}
+    drafts = {
+        name: _draft(axis, motion, usable, flown, model.reference_m_s, len(_members(name, axis, motion)))
+        for name, axis in model.axes.items()
+    }
     events = _with_causes(drafts, {name: axis.suspect for name, axis in model.axes.items()}, motion.time_s)
     differing = [name for name, found in events.items() if any(event.from_start for event in found)]
     return tuple(
@@ -75,11 +78,18 @@ class _Draft:
     score: FloatArray
     events: tuple[AxisEvent, ...]
     known: BoolArray
-    """Where lambda is known to less than +-0.3."""
+    """Where a member that stood still would be told, and lambda is known to less than +-0.3."""
     whole: tuple[Estimate, Estimate] | None
 
 
-def _draft(axis: AxisModel, motion: Motion, usable: BoolArray, flown: BoolArray, reference_m_s: float) -> _Draft:
+def _members(name: str, axis: AxisModel, motion: Motion) -> tuple[str, ...]:
+    """Surfaces of an axis, in this flight or as calibrated."""
+    return motion.members.get(name) or axis.members
+
+
+def _draft(
+    axis: AxisModel, motion: Motion, usable: BoolArray, flown: BoolArray, reference_m_s: float, members: int
+) -> _Draft:
     inputs = inputs_of(axis, motion, usable, reference_m_s)
     rate_hz, time_s = motion.rate_hz, motion.time_s
     score, events = np.zeros(time_s.size), []
@@ -126,7 +136,9 @@ def _draft(axis: AxisModel, motion: Motion, usable: BoolArray, flown: BoolArray,
             of_flight = replace(inputs, residual=as_is)
             score[: end + 1] = 0.0
         begin = end
-    return _Draft(inputs, score, tuple(events), _known(axis, inputs, rate_hz), _whole(axis, inputs, flown))
+    return _Draft(
+        inputs, score, tuple(events), _known(axis, inputs, rate_hz, max(members, 1)), _whole(axis, inputs, flown)
+    )
 
 
 def _late(axis: AxisModel, inputs: Inputs, span: slice, rate_hz: float) -> Estimate | None:
@@ -275,14 +287,20 @@ def _is_known(whole: tuple[Estimate, Estimate] | None) -> bool:
     return whole is not None and whole[0].high - whole[0].low <= 2.0 * _KNOWN_WITHIN
 
 
-def _known(axis: AxisModel, inputs: Inputs, rate_hz: float) -> BoolArray:
-    """Where lambda is known to less than +-0.3 in some window."""
-    known = np.zeros(inputs.usable.size, dtype=bool)
-    for spread in axis.spreads if axis.own_command else ():
-        found = sliding(inputs, spread.samples(rate_hz), axis.noise_var)
+def _known(axis: AxisModel, inputs: Inputs, rate_hz: float, members: int) -> BoolArray:
+    """Where lambda is known to less than +-0.3, in windows in which a member that stood still would be told."""
+    if not axis.own_command:
+        return np.zeros(inputs.usable.size, dtype=bool)
+    windows = windows_of(axis, inputs, rate_hz)
+    lost = [replace(found, loss=found.loss + 1.0 / members) for found in windows]
+    shares = shares_of(axis, inputs, lost, rate_hz)
+    known, told = np.zeros((2, inputs.usable.size), dtype=bool)
+    for found, spread, share in zip(windows, axis.spreads, shares, strict=True):
         variance = np.nan_to_num(found.loss_var, nan=np.inf) + spread.loss_var
         known |= Z_95 * np.sqrt(variance) < _KNOWN_WITHIN
-    return known
+        length = spread.samples(rate_hz)
+        told |= np.convolve(share > axis.suspect, np.ones(length))[length - 1 :] > 0.5  # all of a window that tells
+    return known & told
 
 
 def _whole(axis: AxisModel, inputs: Inputs, flown: BoolArray) -> tuple[Estimate, Estimate] | None:
@@ -371,7 +389,7 @@ def _verdict(
     elif not events and min(identifiable, judged) >= MOST_OF_THE_FLIGHT and _is_known(draft.whole):
         status = "healthy"
     lost, offset = (worst.lost_share, worst.offset_us) if worst is not None else draft.whole or (None, None)
-    members = motion.members.get(name) or axis.members
+    members = _members(name, axis, motion)
     outside = {reason: float((~good & flown).sum()) / seconds for reason, good in inside.items() if flown.any()}
     return AxisAudit(
         axis=name,

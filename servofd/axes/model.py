@@ -116,6 +116,12 @@ def distances(axis: AxisModel, inputs: Inputs, windows: list[Sliding], rate_hz: 
     return found
 
 
+def shares_of(axis: AxisModel, inputs: Inputs, windows: list[Sliding], rate_hz: float) -> FloatArray:
+    """J in the windows of each length, as multiples of the calibration's largest; shape (k, n)."""
+    found = distances(axis, inputs, windows, rate_hz)
+    return np.array([j / spread.scale for j, spread in zip(found, axis.spreads, strict=True)])
+
+
 def slowness(axis: AxisModel, inputs: Inputs, rate_hz: float) -> list[FloatArray]:
     """Square of the lag over its healthy deviation in the windows of each length; earlier than expected is not slow.
 
@@ -143,8 +149,7 @@ def statistic(axis: AxisModel, inputs: Inputs, windows: list[Sliding], rate_hz: 
     """Largest J of all windows at each sample, as a multiple of the calibration's largest, after persistence."""
     from scipy import ndimage
 
-    found = distances(axis, inputs, windows, rate_hz)
-    shares = [j / spread.scale for j, spread in zip(found, axis.spreads, strict=True)]
+    shares = [*shares_of(axis, inputs, windows, rate_hz)]
     if axis.own_command:
         slow = zip(slowness(axis, inputs, rate_hz), axis.spreads, strict=True)
         shares += [j / spread.lag_scale for j, spread in slow if spread.lag_scale is not None]
