@@ -162,6 +162,7 @@ def calibrate(
     surfaces: tuple[str, ...] = (),
     spans: tuple[Span, ...] = (),
     runs: tuple[str, ...] = (),
+    force: bool = False,
     progress: Callable[[str], None] = lambda _surface: None,
 ) -> Calibration:
     """Calibrate an aircraft on flights that are known to be good.
@@ -180,6 +181,8 @@ def calibrate(
         Which parts of each log are good [s]; all of it if empty.
     runs : tuple of str
         Which runs of a file that holds several; all if empty.
+    force : bool
+        Calibrate also where the loss of a third of travel and of two thirds of speed would not show.
     progress : callable
         Called with the name of each surface that is done.
 
@@ -206,7 +209,9 @@ def calibrate(
     known = load_aircraft(aircraft) if isinstance(aircraft, str | Path) else aircraft
     known.check_names(surfaces)
     flights = flights_of(paths, known, surfaces=surfaces, spans=spans, runs=runs)
-    return calibrate_aircraft(known, flights, false_alarms_per_hour=false_alarms_per_hour, progress=progress)
+    return calibrate_aircraft(
+        known, flights, false_alarms_per_hour=false_alarms_per_hour, force=force, progress=progress
+    )
 
 
 def flights_of(

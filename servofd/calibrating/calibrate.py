@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from servofd.aircraft import Aircraft
 from servofd.calibrating.result import Calibration
 from servofd.calibrating.surface import calibrate_surface, hardly_moved
+from servofd.detection.cleared import is_blind
 from servofd.errors import CalibrationError
 from servofd.evidence import ModelOrigin
 
@@ -27,6 +28,7 @@ def calibrate_aircraft(
     flights: Mapping[str, Sequence[Flight]],
     *,
     false_alarms_per_hour: float = 1e-3,
+    force: bool = False,
     progress: Callable[[str], None] = lambda _surface: None,
 ) -> Calibration:
     """Fit every surface of an aircraft to flights that are known to be good.
@@ -39,6 +41,8 @@ def calibrate_aircraft(
         Surfaces without any stay as they are.
     false_alarms_per_hour : float
         Wanted rate of the whole aircraft; each surface that is calibrated gets its share.
+    force : bool
+        Calibrate also where the loss of a third of travel and of two thirds of speed would not show.
     progress : callable
         Called with the name of each surface that is done.
 
@@ -81,7 +85,22 @@ def calibrate_aircraft(
     if wrong:
         raise CalibrationError("; ".join(wrong))
     found = [result for result in results if not isinstance(result, CalibrationError)]
+    blind = {one.surface: _blind(one) for one in found if not force and is_blind(one.detectable)}
+    kept |= blind
+    found = [one for one in found if one.surface not in blind]
+    if not found:
+        raise CalibrationError("; ".join(f"{name}: {reason}" for name, reason in kept.items()))
     return Calibration(_with(aircraft, found), tuple(found), kept, false_alarms_per_hour)
+
+
+def _blind(one: CalibratedSurface) -> str:
+    lost = one.detectable.loss_share
+    least = "no loss of travel" if lost is None else f"no less than the loss of {lost:.0%} of its travel"
+    return (
+        f"would show {least}, and no servo at a third of its speed (threshold {one.threshold_deg:.2g} deg): move it "
+        f"several times by ±{3.0 * one.threshold_deg:.0f} deg or more, fast, or mend its play or friction; --force "
+        "calibrates it all the same"
+    )
 
 
 def _with(aircraft: Aircraft, found: Sequence[CalibratedSurface]) -> Aircraft:

@@ -195,7 +195,7 @@ def _check(name: str, fitted: Fit, records: Sequence[Record], flights: Sequence[
     elif fitted.explained_share < _POOR:
         raise CalibrationError(
             f"{name}: not a good flight: no servo explains more than {max(fitted.explained_share, 0.0):.0%} of how the "
-            f"position moves in {logs}: it does not follow its command; {_ADVICE}"
+            f"position moves in {logs}: it does not follow its command, or moves too little for its noise; {_ADVICE}"
         )
     wanted_deg = max(float(np.ptp(asked_deg(flight.segment))) for flight in flights) * abs(gain)
     given_deg = fitted.reach_deg[1] - fitted.reach_deg[0]

@@ -73,6 +73,11 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
         metavar="NAME",
         help="of a table of several runs, use only this",
     )
+    parser.add_argument(
+        "--force",
+        action="store_true",
+        help="calibrate also where the loss of a third of travel and of two thirds of speed would not show",
+    )
     parser.set_defaults(run=run)
 
 
@@ -106,6 +111,7 @@ def run(options: argparse.Namespace) -> int:
             surfaces=tuple(options.surface),
             spans=spans,
             runs=tuple(options.runs),
+            force=options.force,
             progress=step,
         )
     text = calibration_to_toml(calibration)

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
 MOST_LOST = 0.34
 """A surface that could have lost more than a third of its travel unseen is not called healthy."""
+_LEAST_SPEED = 1.0 / 3.0
 _MARGIN = 1.2
 _NAMES = {
     "bias_deg": "offset",
@@ -34,6 +35,20 @@ def why_not_cleared(residuals: Residuals, shown: Detectable, level_deg: float) -
         f"too little motion: even {unseen} might not have shown (threshold {level_deg:.2g} deg); fly or bench-test "
         f"several movements of ±{wanted_deg:.0f} deg or more, or calibrate on a good flight"
     )
+
+
+def is_blind(shown: Detectable) -> bool:
+    """Whether neither the loss of a third of the travel nor a servo at a third of its speed would show.
+
+    Examples
+    --------
+    >>> from servofd.evidence import Detectable
+    >>> is_blind(Detectable(loss_share=0.5)), is_blind(Detectable(loss_share=0.5, slow_share=0.4))
+    (True, False)
+    """
+    loss_shows = shown.loss_share is not None and shown.loss_share <= MOST_LOST
+    speed_shows = shown.slow_share is not None and shown.slow_share >= _LEAST_SPEED
+    return not (loss_shows or speed_shows)
 
 
 def not_judgeable(shown: Detectable) -> str:

@@ -137,6 +137,22 @@ def test_wrong_options_are_told(words: list[str], config: str) -> None:
     assert stop.value.code == 2
 
 
+def test_a_file_that_would_miss_a_lost_third_is_written_by_force_only(
+    tmp_path: Path, config: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    good = logged(tmp_path, "good.csv", flown(noise_deg=1.0, duration_s=60.0, command="calm"))
+    target = tmp_path / "calibrated.toml"
+    asked = ["calibrate", good, "-c", config, "-o", str(target)]
+    assert main(asked) == 2
+    assert not target.exists()
+    shown = capsys.readouterr().err
+    assert shown.count("\n") == 1
+    assert "third of its speed" in shown
+    assert "--force" in shown
+    assert main([*asked, "--force"]) == 0
+    assert target.exists()
+
+
 def test_a_log_is_not_overwritten(tmp_path: Path, config: str) -> None:
     good = logged(tmp_path, "good.csv", flown())
     assert main(["calibrate", good, "-c", config, "-o", good]) == 2
