@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from logparsers.errors import MissingChannel
+from logparsers.mavlink import dialect
 from logparsers.records import own
 from servofd.errors import NoMeasurement
 from servofd.frozen import frozen_rows, republished_rows
@@ -30,6 +31,10 @@ SURROUNDINGS: Final[Mapping[str, Mapping[str, float]]] = {
     "servo_temperature_c": {"servo_temperature_c": 1.0, "temp_c": 1.0},
 }
 """Channels that tell about the surroundings of servos, the best first, and what turns each into m/s, V, A or °C."""
+_OUTAGE_S = 1.0
+"""Longer steps are pauses of a link."""
+_FEWEST_STEPS, _SHORTEST, _WHOLE = 20, 10.0, 1.5
+"""Where more than half is lost, the shortest steps (this percentile) are whole, and most of them are longer."""
 WARM_UP_S, WARM_UP_STEPS = 10.0, 100
 """A monitor in flight learns the pace of a stream from so many intervals, or from as many as there are by then [s]."""
 _SAME_PACE, _STEPS_FOR_PACE = 1.5, 10_000
@@ -37,6 +42,9 @@ _SAME_PACE, _STEPS_FOR_PACE = 1.5, 10_000
 SLOWEST_RATE_HZ = 8.0
 """Feedback of nominally 10 Hz, whose pace jitters, is judged; below, samples are further apart than a servo takes for
 5 deg (0.1 s at the slowest of the library), and a jam looks like a delay."""
+SLOWEST_LEFT_HZ = 4.0
+"""The same of a calibrated servo, whose delay is known, where only a link loses what would be more."""
+TOO_MANY_LOST = "more than half of all commands and positions are lost; a servo that is not calibrated cannot be judged"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,6 +81,8 @@ class Segment:
     """True if it never came back."""
     context: Context = NO_CONTEXT
     """Airspeed, supply and current, as far as they were logged."""
+    sent_period_s: float | None = None
+    """If given, commands were sent at this period [s], and most of them were lost on the way."""
 
     def __post_init__(self) -> None:
         for name in ("command_s", "command_deg", "measured_s", "measured_deg"):
@@ -115,6 +125,25 @@ def pace_steps(time_s: FloatArray) -> FloatArray:
     early_s, usual_s = float(np.median(first_s)), float(np.median(steps_s[:: 1 + steps_s.size // _STEPS_FOR_PACE]))
     same = early_s <= _SAME_PACE * usual_s and usual_s <= _SAME_PACE * early_s
     return first_s if same else steps_s
+
+
+def sent_period_s(time_s: FloatArray) -> float | None:
+    """Period of a steady stream of which more than half is lost [s], from stamps of what arrived [s]; None if less is.
+
+    Examples
+    --------
+    >>> sent_s = np.arange(400) * 0.02
+    >>> sent_period_s(sent_s[np.random.default_rng(1).random(400) < 0.25]).__round__(3)
+    0.02
+    >>> sent_period_s(sent_s)
+    """
+    steps_s = np.diff(time_s)
+    steps_s = steps_s[steps_s <= _OUTAGE_S]
+    if steps_s.size < _FEWEST_STEPS:
+        return None
+    shortest_s = float(np.percentile(steps_s, _SHORTEST))
+    halves = np.array_split(steps_s, 2)  # a stream whose rate has changed loses nothing
+    return shortest_s if all(np.median(half) > _WHOLE * shortest_s for half in halves) else None
 
 
 def too_far(segment: Segment) -> str:
@@ -181,8 +210,14 @@ def cut(log: FlightLog, name: str, surface: Surface) -> Segment:
         measured_deg,
         surface.command_period_s,
         context=Context(*(column for sources in SURROUNDINGS.values() for column in _signal(log, sources))),
+        sent_period_s=sent_period_s(command.time_s[given][: WARM_UP_STEPS + 1]) if _is_streamed(log, command) else None,
     )
     return _without_dead_telemetry(segment, measured, log, surface) if surface.alive else segment
+
+
+def _is_streamed(log: FlightLog, channel: Channel) -> bool:
+    """Whether a channel came in messages of its own over a link."""
+    return log.format == "tlog" and channel.name.rpartition(":")[2].partition(".")[0] in dialect().layouts
 
 
 def _signal(log: FlightLog, sources: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:

@@ -26,7 +26,16 @@ from servofd.detection.verdict import LogAudit, Status, SurfaceAudit
 from servofd.detection.words import describe
 from servofd.errors import DesignError, NoMeasurement
 from servofd.evidence import NOTHING_DETECTABLE
-from servofd.segment import SLOWEST_RATE_HZ, Segment, cut, too_far
+from servofd.segment import (
+    SLOWEST_LEFT_HZ,
+    SLOWEST_RATE_HZ,
+    TOO_MANY_LOST,
+    WARM_UP_STEPS,
+    Segment,
+    cut,
+    sent_period_s,
+    too_far,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -155,7 +164,7 @@ def audit_segment(
     name = segment.surface
     surface = judged_by(aircraft.surfaces[name], threshold_deg, threshold)
     verdict = _verdict_on(name, surface, expected=expected)
-    problem = _too_little(segment)
+    problem = _too_little(segment, is_calibrated=surface.is_calibrated)
     if problem:
         return verdict(status="unknown", reason=problem, segment=segment)
     if surface.is_calibrated:
@@ -273,13 +282,17 @@ def _is_expected(log: FlightLog, aircraft: Aircraft, name: str) -> bool:
     return any(difflib.get_close_matches(channel, unclaimed, n=1, cutoff=0.8) for channel in wanted)
 
 
-def _too_little(segment: Segment) -> str:
+def _too_little(segment: Segment, *, is_calibrated: bool) -> str:
     """Why this segment cannot be judged, or nothing."""
     if not segment.period_s > 0.0:
         return "fewer than two position samples"
     rate_hz = 1.0 / segment.period_s
-    if rate_hz < SLOWEST_RATE_HZ:
-        return f"position comes at {rate_hz:.2g} Hz; a servo cannot be judged below {SLOWEST_RATE_HZ:g} Hz"
+    is_lossy = segment.sent_period_s is not None
+    least_hz = SLOWEST_LEFT_HZ if is_lossy and is_calibrated else SLOWEST_RATE_HZ
+    if rate_hz < least_hz:
+        return f"position comes at {rate_hz:.2g} Hz; a servo cannot be judged below {least_hz:g} Hz"
+    if is_lossy and not is_calibrated and sent_period_s(segment.measured_s[: WARM_UP_STEPS + 1]) is not None:
+        return TOO_MANY_LOST
     if rate_hz > _FASTEST_RATE_HZ:
         return f"position comes at {rate_hz:.2g} Hz: check the unit of the time stamps"
     return too_far(segment)

@@ -122,7 +122,7 @@ def judged(flight: Watched) -> Found:
         part = slice(begin, None)
         memory = Memory(flight.tests)
         _, triple, grid_s, statistics = follow(
-            flight.tests, memory, time_s[part], error_deg[part], flight.slopes[part], flight.speed_deg_s[part]
+            flight.tests, memory, time_s[part], error_deg[part], flight.slopes[part], flight.noise_deg[part]
         )
         raised_s, ratio = _alarm(limits, time_s[part], triple, grid_s, statistics[:, : len(STATISTICS)])
         keep = grid_s <= raised_s
@@ -188,10 +188,12 @@ def _alarm(
     return at_s, float(max((statistics[soon] / limits).max(initial=1.0), 1.0))
 
 
-def judge_stretch(known: CalibratedServo, residuals: Residuals, commands: Commands) -> Found:
+def judge_stretch(
+    known: CalibratedServo, residuals: Residuals, commands: Commands, sent_period_s: float | None
+) -> Found:
     """Judge what a stream remembers of a surface."""
     segment = Segment("", commands.effective_s, commands.command_deg, residuals.time_s, residuals.measured_deg)
-    segment = replace(segment, context=residuals.context)
+    segment = replace(segment, sent_period_s=sent_period_s, context=residuals.context)
     return judged(watched(known, Record.of(segment, known.supply_v)))
 
 

@@ -20,6 +20,7 @@ from servofd.detection.threshold import Threshold
 from servofd.detection.watch import thresholds_of
 from servofd.estimate.family import new_state, sensitivities, simulated, variants
 from servofd.estimate.fit import peaks, residual
+from servofd.estimate.lost import LONGEST_S, new_memory, put_back, unknown_deg
 from servofd.estimate.record import gap_s, loads, powers, starts
 from servofd.models.context import NO_CONTEXT
 
@@ -56,14 +57,25 @@ class CalibratedStream:
         Usual time between positions [s].
     command_s : ndarray, shape (n,)
         Times of the first commands, for their rhythm [s].
+    sent_period_s : float, optional
+        Between commands as they were sent [s], where most of them get lost.
     """
 
-    def __init__(self, known: CalibratedServo, surface: Surface, period_s: float, command_s: FloatArray) -> None:
+    def __init__(
+        self,
+        known: CalibratedServo,
+        surface: Surface,
+        period_s: float,
+        command_s: FloatArray,
+        sent_period_s: float | None = None,
+    ) -> None:
         self._known, self._surface = known, surface
-        self._gap_s = gap_s(command_s)
+        self._gap_s = gap_s(command_s) if sent_period_s is None else LONGEST_S
         self.longest_gap_s = self._gap_s
         self._limits = thresholds_of(known)
-        self._tests = Tests.of(known.noise.noise, known.covariance, period_s)
+        self.sent_period_s = sent_period_s
+        self._noise = known.noise.noise.at(period_s)
+        self._tests = Tests.of(known.noise.noise, known.covariance, period_s, is_lossy=sent_period_s is not None)
         self._memory = Memory(self._tests)
         self._table = variants(known.theta)
         self._state = new_state(self._table.shape[0])
@@ -75,6 +87,8 @@ class CalibratedStream:
         fastest_s = _FINE_S if surface.command_period_s is not None else _FASTEST_COMMANDS_S
         self.logged = CommandBuffer(int(MEMORY_S / fastest_s))
         self.effective = self.logged
+        self._filled = self.logged if sent_period_s is None else CommandBuffer(int(MEMORY_S / fastest_s))
+        self._unknown = new_memory()
         self._positions: list[tuple[float, float]] = []
         self._seen = np.zeros((2, 0))
         self._begun_s = np.nan
@@ -93,7 +107,9 @@ class CalibratedStream:
         before_s, before_deg = self._newest
         if not time_s > before_s:
             return
-        if self._surface.command_period_s is not None and time_s - before_s < 1.0:
+        if self.sent_period_s is not None:
+            self._fill(time_s, command_deg)
+        elif self._surface.command_period_s is not None and time_s - before_s < 1.0:
             pieces = max(round((time_s - before_s) / _FINE_S), 1)
             for place in range(1, pieces):
                 share = place / pieces
@@ -132,7 +148,20 @@ class CalibratedStream:
 
     def _add(self, time_s: float, command_deg: float) -> None:
         dropped = self.logged.append(time_s, command_deg, 0.0)
-        self._state[0, 1] = max(self._state[0, 1] - dropped, 0.0)
+        if self._filled is self.logged:
+            self._state[0, 1] = max(self._state[0, 1] - dropped, 0.0)
+        else:
+            self._unknown[0] = max(self._unknown[0] - dropped, 0.0)
+
+    def _fill(self, time_s: float, command_deg: float) -> None:
+        """Commands that were lost before this one, and it."""
+        before_s, before_deg = self._newest
+        known = slice(int(np.isfinite(before_s)), None)
+        ends = np.array([before_s, time_s][1 - known.start :]), np.array([before_deg, command_deg][1 - known.start :])
+        filled = put_back(*ends, self.sent_period_s or np.inf)
+        for at_s, asked_deg in zip(*(column[known] for column in filled), strict=True):
+            dropped = self._filled.append(at_s, asked_deg, 0.0)
+            self._state[0, 1] = max(self._state[0, 1] - dropped, 0.0)
 
     def _ready(self, *, final: bool) -> FloatArray:
         known_s = self._newest[0]
@@ -150,13 +179,18 @@ class CalibratedStream:
         time_s, measured_deg = ready
         load = loads(self._context, time_s)
         power = powers(self._context, time_s, self._known.supply_v)
-        commands = self.logged.commands()
+        commands = self._filled.commands()
         position_deg, speed_deg_s = simulated(
             self._table, self._state, (commands.effective_s, commands.command_deg), time_s, load, power, start_deg
         )
         reading_deg, slopes = sensitivities(position_deg, speed_deg_s, self._known.theta, self._known.reach_deg)
-        speed = peaks(speed_deg_s, time_s, self._peak)
-        rows = [time_s, reading_deg, measured_deg, usable, np.isfinite(start_deg), speed]
+        noise_deg = self._noise.sigma_deg(peaks(speed_deg_s, time_s, self._peak))
+        if self.sent_period_s is not None:
+            arrived = self.logged.commands()
+            asked = arrived.effective_s, arrived.command_deg
+            lost = unknown_deg(asked, self.sent_period_s, self._known.theta, time_s, self._unknown)
+            noise_deg = np.hypot(noise_deg, lost)
+        rows = [time_s, reading_deg, measured_deg, usable, np.isfinite(start_deg), noise_deg]
         self._pending.append(np.concatenate([np.stack(rows), slopes.T]))
 
     def _starts(self, ready: FloatArray) -> tuple[FloatArray, BoolArray]:

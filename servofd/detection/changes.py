@@ -47,14 +47,16 @@ _MATRIX: Final = _WIDTH * _WIDTH
 _FIRST_HZ, _SPACING_HZ, _LAST_HZ = 1.0, 0.1, 12.0
 _BLOCKS: Final = 256
 _COLUMNS: Final = len(STATISTICS) + 6 * len(WINDOWS_S) + 2 * len(_BAND_S)
+_LARGEST, _LARGEST_LOSSY = 6.0, 4.0
+"""Times its sigma that a residual counts for. A command that went and came back unseen is in several positions."""
 _UNITS = np.array([*(prior.between for prior in PRIORS), 1.0, 1.0, 1.0, 1.0])
 
 
 class Tests(NamedTuple):
     """What the tests of one surface need to know."""
 
-    noise: FloatArray
-    """Still sigma [deg], lag [s], two coefficients of colour, innovation."""
+    colour: FloatArray
+    """Two coefficients of the noise's colour, its innovation, and the largest ratio to sigma that counts."""
     root: FloatArray
     """Cholesky factor of the covariance between flights, in units of `PRIORS.between`."""
     precision: FloatArray
@@ -64,18 +66,18 @@ class Tests(NamedTuple):
     period_s: float
 
     @classmethod
-    def of(cls, noise: Noise, between: FloatArray, period_s: float) -> Tests:
-        """From a calibration: its noise and its covariance between flights (13, 13)."""
+    def of(cls, noise: Noise, between: FloatArray, period_s: float, *, is_lossy: bool = False) -> Tests:
+        """From a calibration: its noise and its covariance between flights (13, 13); lossy: most commands are lost."""
         noise = noise.at(period_s)
         scaled = between / np.outer(_UNITS[:FITTED], _UNITS[:FITTED])
         first, second = noise.colour
         hz = np.arange(_FIRST_HZ, min(_LAST_HZ, 1.0 / period_s / 3.0) + 1e-9, _SPACING_HZ)
         turn = np.exp(-2j * np.pi * hz * period_s)
         spectrum = (noise.innovation / np.abs(1.0 - first * turn - second * turn**2)) ** 2
-        numbers = np.array([noise.still_deg, noise.lag_s, first, second, noise.innovation])
+        colour = np.array([first, second, noise.innovation, _LARGEST_LOSSY if is_lossy else _LARGEST])
         root = np.asarray(np.linalg.cholesky(scaled), dtype=np.float64)
         inverse = np.asarray(np.linalg.inv(scaled), dtype=np.float64)
-        return cls(numbers, root, inverse, spectrum, period_s)
+        return cls(colour, root, inverse, spectrum, period_s)
 
 
 class Memory:
@@ -90,7 +92,7 @@ class Memory:
 
 
 def follow(
-    tests: Tests, memory: Memory, time_s: FloatArray, error_deg: FloatArray, slopes: FloatArray, speed: FloatArray
+    tests: Tests, memory: Memory, time_s: FloatArray, error_deg: FloatArray, slopes: FloatArray, noise_deg: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Take the next samples.
 
@@ -100,8 +102,8 @@ def follow(
         Of this surface.
     memory : Memory
         Of this surface; is carried on.
-    time_s, error_deg, speed : ndarray, shape (m,)
-        Times [s], residuals [deg], NaN where none is to be judged, and largest speeds of the model [deg/s].
+    time_s, error_deg, noise_deg : ndarray, shape (m,)
+        Times [s], residuals [deg], NaN where none is to be judged, and sigma of their noise [deg].
     slopes : ndarray, shape (m, 17)
         Sensitivities and patterns.
 
@@ -124,16 +126,16 @@ def follow(
     sigma_deg, triple = np.empty(m), np.empty(m)
     count = _follow(
         *tests[:4], memory.before, memory.runs, memory.sums, memory.ring, _UNITS, tests.period_s,
-        time_s, error_deg, slopes, speed, sigma_deg, triple, grid_s, statistics,
+        time_s, error_deg, slopes, noise_deg, sigma_deg, triple, grid_s, statistics,
     )  # fmt: skip
     return sigma_deg, triple, grid_s[:count], statistics[:count]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _follow(  # noqa: C901, PLR0912, PLR0915 - one loop over time
-    noise: FloatArray, root: FloatArray, precision: FloatArray, spectrum: FloatArray, before: FloatArray,
+    colour: FloatArray, root: FloatArray, precision: FloatArray, spectrum: FloatArray, before: FloatArray,
     runs: FloatArray, sums: FloatArray, ring: FloatArray, units: FloatArray, period_s: float, time_s: FloatArray,
-    error_deg: FloatArray, slopes: FloatArray, speed: FloatArray, sigma_deg: FloatArray, triple: FloatArray,
+    error_deg: FloatArray, slopes: FloatArray, noise_deg: FloatArray, sigma_deg: FloatArray, triple: FloatArray,
     grid_s: FloatArray, statistics: FloatArray,
 ) -> int:  # fmt: skip
     """Take all samples, and tell how many blocks were complete.
@@ -164,19 +166,18 @@ def _follow(  # noqa: C901, PLR0912, PLR0915 - one loop over time
             grid_s[count] = t
             count += 1
         runs[0] = t
-        sigma2 = noise[0] ** 2 + (noise[1] * speed[i]) ** 2
         inner = 0.0
         for j in range(fitted):
             part = 0.0
             for k in range(j, fitted):
                 part += root[k, j] * slopes[i, k] * units[k]
             inner += part * part
-        total = np.sqrt(sigma2 + inner)
+        total = np.sqrt(noise_deg[i] ** 2 + inner)
         sigma_deg[i] = total
         triple[i] = 0.0
         if np.isnan(error_deg[i]):
             continue
-        sigma = np.sqrt(sigma2)
+        sigma = noise_deg[i]
         for k in range(width):
             z[k] = slopes[i, k] * units[k] / sigma
         z[width] = error_deg[i] / sigma
@@ -191,15 +192,15 @@ def _follow(  # noqa: C901, PLR0912, PLR0915 - one loop over time
         runs[4] = u
         if runs[2] >= 2.0:
             for k in range(width + 1):
-                w[k] = (z[k] - noise[2] * before[0, k] - noise[3] * before[1, k]) / noise[4]
-            w[width] = min(6.0, max(-6.0, w[width]))
+                w[k] = (z[k] - colour[0] * before[0, k] - colour[1] * before[1, k]) / colour[2]
+            w[width] = min(colour[3], max(-colour[3], w[width]))
             for j in range(width):
                 for k in range(j + 1):
                     sums[j * width + k] += w[j] * w[k]
                 sums[after_a + j] += w[j] * w[width]
             sums[after_b] += w[width] ** 2
             sums[after_b + 1] += 1.0
-        u = min(6.0, max(-6.0, u))
+        u = min(colour[3], max(-colour[3], u))
         sums[after_b + 2] += u * u
         sums[after_b + 3] += 1.0 / total
         turn = np.exp(-2j * np.pi * 0.1 * t)

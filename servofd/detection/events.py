@@ -57,14 +57,16 @@ class Look(NamedTuple):
     threshold: Threshold
     suspicious: BoolArray
     commands: Commands
+    sent_period_s: float | None = None
+    """Between commands as they were sent [s], where most of them get lost."""
     earlier_deg: FloatArray | None = None
     """Positions before, of a model that was fitted, of which only faults are wanted: suspicions wait for the end."""
 
     def judge(self) -> tuple[tuple[Fault, ...], tuple[Fault, ...], str]:
         """Faults and suspicions, and why nothing should be concluded from them; depends on nothing else."""
-        _, _, _, residuals, threshold, suspicious, commands, _ = self
+        _, _, _, residuals, threshold, suspicious, commands, sent_period_s, _ = self
         if self.surface.calibrated is not None and self.surface.is_calibrated:
-            calibrated = judge_stretch(self.surface.calibrated, residuals, commands)
+            calibrated = judge_stretch(self.surface.calibrated, residuals, commands, sent_period_s)
             return calibrated.faults, calibrated.suspicions, ""
         if self.earlier_deg is not None:
             faults = contradictions(self.generator, residuals, self.earlier_deg)

@@ -20,7 +20,15 @@ from servofd.detection.residual import ResidualGenerator, rhythm, thinned_rhythm
 from servofd.detection.stream import Stream
 from servofd.errors import DesignError
 from servofd.models.context import NO_CONTEXT, Context
-from servofd.segment import SLOWEST_RATE_HZ, WARM_UP_S, WARM_UP_STEPS, pace_steps
+from servofd.segment import (
+    SLOWEST_LEFT_HZ,
+    SLOWEST_RATE_HZ,
+    TOO_MANY_LOST,
+    WARM_UP_S,
+    WARM_UP_STEPS,
+    pace_steps,
+    sent_period_s,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -55,15 +63,6 @@ def too_slow(bandwidth_rad_s: float, position_period_s: float, command_period_s:
     return f"{' and '.join(slow)}: slow for a servo of {bandwidth_hz:.2g} Hz, which needs {enough_hz:.2g} Hz"
 
 
-def _is_scattered(time_s: FloatArray) -> bool:
-    """Whether stamps [s] are what is left of a steady stream of which more than half is lost at random."""
-    steps_s = np.diff(time_s)
-    steps_s = steps_s[steps_s <= _OUTAGE_S]
-    return steps_s.size >= _FEWEST_STEPS and float(np.percentile(steps_s, 10.0)) < _STEADY * float(np.mean(steps_s))
-
-
-_FEWEST_STEPS, _STEADY = 20, 0.4
-"""With 60 % lost the shortest steps are 0.4 of the mean."""
 _NAMED_S = 2.0
 """A name follows its alarm within so long, or is not told."""
 _LOOKS_S = (0.25, 0.5, 1.0, 1.75, 6.0)
@@ -92,7 +91,8 @@ _ECHO_S = 3.0
 _MOST = 0.5
 """Share of the time that must be judged for a verdict."""
 _STEADY_S = 2.0
-_SAME_PACE = 1.5
+_SAME_PACE, _SAME_LEFT = 1.5, 2.0
+"""Times, a pace is the same; what a link leaves of one scatters more."""
 _LEAST_SHARE, _OUTAGE_S = 0.75, 1.0
 """Of the slowest rate that is judged, as the mean of what a link leaves of it between pauses longer than this [s]."""
 _CALIBRATED_RAD_S = 10.0
@@ -205,6 +205,7 @@ class SurfaceMonitor:
     _recent: deque[float] = field(default_factory=lambda: deque(maxlen=WARM_UP_STEPS + 1))
     _period_s: float = float("nan")
     _mean_s: float = float("nan")
+    _least_hz: float = SLOWEST_RATE_HZ
     _begun_s: float = float("inf")
     _judged_s: float = 0.0
     """Since when positions were evaluated, and how long they were judged [s]."""
@@ -503,7 +504,8 @@ class SurfaceMonitor:
             return [*events, Event(time_s, self.name, "no_data", text=thin)]
         mean_s = (self._recent[-1] - self._recent[0]) / WARM_UP_STEPS
         now = float(np.median(np.diff(np.array(self._recent)))) / self._period_s
-        same = any(1.0 / _SAME_PACE <= pace <= _SAME_PACE for pace in (now, mean_s / self._mean_s))
+        most = _SAME_PACE if self._least_hz == SLOWEST_RATE_HZ else _SAME_LEFT
+        same = any(1.0 / most <= pace <= most for pace in (now, mean_s / self._mean_s))
         if same or mean_s / self._period_s > 10.0 * now:
             return []
         text = f"positions now come at {self.rate_hz:.3g} Hz, not {1.0 / self._period_s:.3g} Hz; begins anew"
@@ -514,7 +516,7 @@ class SurfaceMonitor:
         """That too many positions are lost to judge a servo by the rest, in words; empty if they are not."""
         steps_s = np.diff(np.array(self._recent))
         steps_s = steps_s[steps_s <= _OUTAGE_S]
-        if steps_s.size < 2 or 1.0 / float(np.mean(steps_s)) >= _LEAST_SHARE * SLOWEST_RATE_HZ:
+        if steps_s.size < 2 or 1.0 / float(np.mean(steps_s)) >= _LEAST_SHARE * self._least_hz:
             return ""
         return f"{1.0 / float(np.mean(steps_s)):.2g} positions a second arrive; a servo cannot be judged by so few"
 
@@ -552,12 +554,15 @@ class SurfaceMonitor:
         if not commands or steps_s.size < 2 or np.ptp([value for _, value in positions if np.isfinite(value)]) == 0.0:
             return []
         self._period_s, self._mean_s = float(np.median(steps_s)), float(np.mean(steps_s))
+        logged_s = np.array([time_s for time_s, _ in commands[: WARM_UP_STEPS + 1]])
+        lost_s = sent_period_s(logged_s) if self.is_periodic else None
+        self._least_hz = SLOWEST_LEFT_HZ if lost_s is not None and self.surface.is_calibrated else SLOWEST_RATE_HZ
         problem = self._thin
-        if 1.0 / self._period_s < SLOWEST_RATE_HZ:
+        if 1.0 / self._period_s < self._least_hz:
             problem = f"position comes at {1.0 / self._period_s:.2g} Hz; a servo cannot be judged below "
-            problem += f"{SLOWEST_RATE_HZ:g} Hz"
-        elif self.is_periodic and _is_scattered(valued_s) and _is_scattered(np.array([at_s for at_s, _ in commands])):
-            problem = "more than half of all commands and positions are lost; a servo cannot be judged by the rest"
+            problem += f"{self._least_hz:g} Hz"
+        elif lost_s is not None and sent_period_s(valued_s) is not None and not self.surface.is_calibrated:
+            problem = TOO_MANY_LOST
         elif not problem:
             try:
                 self._generator = (
@@ -572,14 +577,13 @@ class SurfaceMonitor:
             self._waiting = ([], positions[-WARM_UP_STEPS // 2 :])
             return [] if told else [Event(positions[-1][0], self.name, "no_data", text=problem)]
         self.problem = ""
-        logged_s = np.array([time_s for time_s, _ in commands[: WARM_UP_STEPS + 1]])
         beat = rhythm(logged_s)
         if self.is_periodic and not np.isfinite(beat.period_s):
             beat = thinned_rhythm(logged_s)
         self._command_period_s = beat.period_s
         self._slow = too_slow(self.model.transfer.bandwidth_rad_s, self._period_s, beat.period_s)
         if self.surface.calibrated is not None and self.surface.is_calibrated:
-            self._stream = CalibratedStream(self.surface.calibrated, self.surface, self._period_s, logged_s)
+            self._stream = CalibratedStream(self.surface.calibrated, self.surface, self._period_s, logged_s, lost_s)
         else:
             self._stream = Stream(self._generator, self.surface, self._period_s, beat)
         self._begun_s = min(self._begun_s, float(valued_s[0]))
@@ -694,7 +698,8 @@ class SurfaceMonitor:
         residuals = replace(residuals, context=self._context)
         at_s = float(residuals.time_s[-1])
         earlier_deg = history.before(since_s, _EACH) if in_flight else None
-        return Look(at_s, self._generator, self.surface, residuals, threshold, suspicious, copied, earlier_deg)
+        sent_s = self._stream.sent_period_s if isinstance(self._stream, CalibratedStream) else None
+        return Look(at_s, self._generator, self.surface, residuals, threshold, suspicious, copied, sent_s, earlier_deg)
 
     def _last_look(self) -> list[Event]:
         wanted = self._alarms or np.isfinite(self._suspected_s) or np.isfinite(self._wrong_s)

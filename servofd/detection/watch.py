@@ -70,9 +70,9 @@ class Watched:
     """Of the healthy servo."""
     slopes: FloatArray
     """Sensitivities and patterns, shape (m, 17)."""
-    speed_deg_s: FloatArray
     judged: BoolArray
     noise_deg: FloatArray
+    """Of the reading, and of the commands that were lost."""
     sigma_deg: FloatArray
     """Total."""
     tests: Tests
@@ -102,17 +102,17 @@ def watched(known: CalibratedServo, record: Record) -> Watched:
     glitch = np.zeros(error_deg.size, dtype=bool)
     decide(new_glitch_memory(), error_deg, np.isfinite(record.start_deg).astype(np.int8), glitch, True)
     usable = record.usable & ~glitch
-    speed = peaks(speed_deg_s, record.time_s)
-    tests = Tests.of(known.noise.noise, known.covariance, record.period_s)
     noise = known.noise.noise.at(record.period_s)
-    sigma_deg, *_ = follow(tests, Memory(tests), record.time_s, np.where(usable, error_deg, np.nan), slopes, speed)
-    return Watched(known, noise, record, reading_deg, slopes, speed, usable, noise.sigma_deg(speed), sigma_deg, tests)
+    noise_deg = np.hypot(noise.sigma_deg(peaks(speed_deg_s, record.time_s)), record.unknown_deg(theta))
+    tests = Tests.of(known.noise.noise, known.covariance, record.period_s, is_lossy=record.sent is not None)
+    sigma_deg, *_ = follow(tests, Memory(tests), record.time_s, np.where(usable, error_deg, np.nan), slopes, noise_deg)
+    return Watched(known, noise, record, reading_deg, slopes, usable, noise_deg, sigma_deg, tests)
 
 
 def statistics_of(flight: Watched, error_deg: FloatArray) -> FloatArray:
     """Largest value of each statistic for other residuals (m,) of a flight, as far as two in a row reach it."""
     _, _, _, table = follow(
-        flight.tests, Memory(flight.tests), flight.record.time_s, error_deg, flight.slopes, flight.speed_deg_s
+        flight.tests, Memory(flight.tests), flight.record.time_s, error_deg, flight.slopes, flight.noise_deg
     )
     statistics = table[:, : len(STATISTICS)]
     if len(statistics) < 2:
@@ -134,7 +134,7 @@ def detectable(flights: Sequence[Watched]) -> Detectable:
         limits = thresholds_of(flight.known)
         _, _, _, table = follow(
             flight.tests, Memory(flight.tests), flight.record.time_s, flight.error_deg, flight.slopes,
-            flight.speed_deg_s,
+            flight.noise_deg,
         )  # fmt: skip
         if not len(table):
             continue

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.estimate.family import LONGEST_PAUSE_S, PRESSURE_PA
+from servofd.estimate.lost import LONGEST_S, new_memory, put_back, unknown_deg
 from servofd.models.context import AIR_KG_M3
 
 if TYPE_CHECKING:
@@ -51,6 +52,8 @@ class Record:
     """Where the simulation begins anew; NaN where it goes on."""
     usable: BoolArray
     period_s: float
+    sent: tuple[FloatArray, FloatArray, float] | None = None
+    """Where most commands were lost: those that arrived, and the period of what was sent [s]."""
 
     @classmethod
     def of(cls, segment: Segment, supply_v: float | None = None) -> Record:
@@ -63,10 +66,15 @@ class Record:
         supply_v : float, optional
             Usual supply; that of this segment if None.
         """
-        commands = straightened(segment.command_s, segment.command_deg, segment.command_period_s)
+        commands = segment.command_s, segment.command_deg
+        sent = None if segment.sent_period_s is None else (*commands, segment.sent_period_s)
+        if sent is not None and segment.command_s.size:
+            commands = put_back(*sent)
+        else:
+            commands = straightened(*commands, segment.command_period_s)
         known = np.isfinite(segment.measured_deg)
         time_s, measured_deg = segment.measured_s[known], segment.measured_deg[known]
-        start_deg, usable = starts(segment.command_s, time_s, measured_deg)
+        start_deg, usable = starts(segment.command_s, time_s, measured_deg, LONGEST_S if sent is not None else None)
         context = segment.context
         if supply_v is None:
             supply_v = usual_supply_v(context)
@@ -79,7 +87,16 @@ class Record:
             start_deg,
             usable,
             segment.period_s,
+            sent,
         )
+
+    def unknown_deg(self, theta: FloatArray) -> FloatArray | float:
+        """Standard deviation of where a servo stands, for the commands that were lost, shape (m,) [deg]."""
+        if self.sent is None:
+            return 0.0
+        command_s, command_deg, period_s = self.sent
+        commands = command_s, command_deg
+        return unknown_deg(commands, period_s, theta, self.time_s, new_memory())
 
     @property
     def commands(self) -> tuple[FloatArray, FloatArray]:

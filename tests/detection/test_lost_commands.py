@@ -1,0 +1,131 @@
+"""Commands of which a link loses three in four: what is not known of the servo, and verdicts by what is."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from servofd.aircraft import plain_aircraft
+from servofd.detection.calibrated import judged
+from servofd.detection.calibrated_stream import CalibratedStream
+from servofd.detection.watch import watched
+from servofd.estimate.family import new_state, simulated, variants
+from servofd.estimate.lost import LONGEST_S, new_memory, put_back, unknown_deg
+from servofd.estimate.priors import PRIORS
+from servofd.estimate.record import Record
+from servofd.estimate.schema import CalibratedServo
+from servofd.segment import Segment, sent_period_s
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from servofd.types import FloatArray
+
+PERIOD_S = 0.02
+KNOWN = CalibratedServo.model_validate(
+    {
+        "parameters": {prior.name: prior.value for prior in PRIORS},
+        "between": [[0.01 * prior.between**2 * (i == k) for k in range(i + 1)] for i, prior in enumerate(PRIORS)],
+        "noise": {"still_deg": 0.1, "lag_s": 0.003, "colour": (0.4, 0.2), "innovation": 0.8, "period_s": PERIOD_S},
+        "reach_deg": (-40.0, 40.0),
+    }
+)
+
+
+def moved(sent_s: FloatArray, asked_deg: FloatArray, time_s: FloatArray) -> FloatArray:
+    """Where the calibrated servo goes, by commands each of which holds until the next."""
+    table, still = variants(KNOWN.theta, patterns=False)[:1], np.zeros(time_s.size)
+    start_deg = np.where(np.arange(time_s.size) == 0, asked_deg[0], np.nan)
+    position_deg, _ = simulated(table, new_state(1), (sent_s, asked_deg), time_s, still, still + 1.0, start_deg)
+    return position_deg[:, 0]
+
+
+def walk(sent_s: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """An autopilot in turbulence, and a stick that is moved now and then."""
+    gusts = np.convolve(rng.normal(size=sent_s.size), np.exp(-0.1 * np.arange(60.0)), "same")
+    return 1.5 * gusts + 12.0 * np.repeat(rng.normal(size=sent_s.size // 100 + 1), 100)[: sent_s.size]
+
+
+def steps(sent_s: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Nothing but steps, one a second."""
+    return np.repeat(10.0 * rng.normal(size=sent_s.size // 50 + 1), 50)[: sent_s.size]
+
+
+def flown(seed: int, *, jam_s: float = np.inf, duration_s: float = 120.0) -> Segment:
+    """A flight of which one command and one position in four arrive."""
+    rng = np.random.default_rng(seed)
+    sent_s = np.arange(0.0, duration_s, PERIOD_S)
+    asked_deg = walk(sent_s, rng)
+    measured_deg = moved(sent_s, asked_deg, sent_s)
+    measured_deg = np.where(sent_s < jam_s, measured_deg, measured_deg[np.searchsorted(sent_s, min(jam_s, 1e3)) - 1])
+    measured_deg = measured_deg + 0.1 * rng.normal(size=sent_s.size)
+    came, seen = (rng.random(sent_s.size) < 0.25 for _ in range(2))
+    period_s = sent_period_s(sent_s[came][:101])
+    return Segment("x", sent_s[came], asked_deg[came], sent_s[seen], measured_deg[seen], sent_period_s=period_s)
+
+
+@pytest.mark.parametrize("asked", [walk, steps])
+@pytest.mark.parametrize("seed", range(4))
+def test_what_is_not_known_covers_what_the_servo_did(
+    asked: Callable[[FloatArray, np.random.Generator], FloatArray], seed: int
+) -> None:
+    """A standard deviation: larger than the error, of all and of the tenth with most of it, but not by much."""
+    rng = np.random.default_rng(seed)
+    sent_s = np.arange(0.0, 300.0, PERIOD_S)
+    asked_deg = asked(sent_s, rng)
+    came = rng.random(sent_s.size) < 0.25
+    arrived = sent_s[came], asked_deg[came]
+    time_s = arrived[0][10:-10]
+    time_s = time_s[np.searchsorted(arrived[0], time_s) > 0]
+    error_deg = moved(*put_back(*arrived, PERIOD_S), time_s) - moved(sent_s, asked_deg, time_s)
+    unknown = unknown_deg(arrived, PERIOD_S, KNOWN.theta, time_s, new_memory())
+    gaps_s = np.diff(arrived[0])[np.searchsorted(arrived[0], time_s) - 1]
+    short = np.convolve(gaps_s > LONGEST_S, np.ones(15), "same") == 0.0
+    most = short & (unknown > np.quantile(unknown[short], 0.9))
+    for rows in (short, most):
+        ratio = np.sqrt(np.mean(error_deg[rows] ** 2) / np.mean(unknown[rows] ** 2))
+        assert 0.2 < ratio < 1.0
+
+
+def test_nothing_is_unknown_where_every_command_arrived() -> None:
+    sent_s = np.arange(0.0, 20.0, PERIOD_S)
+    asked = sent_s, steps(sent_s, np.random.default_rng(1))
+    assert not unknown_deg(asked, PERIOD_S, KNOWN.theta, sent_s, new_memory()).any()
+    assert np.array_equal(put_back(*asked, PERIOD_S)[1], asked[1])
+    assert sent_period_s(sent_s[:101]) is None
+
+
+def test_a_stream_that_becomes_slower_has_lost_nothing() -> None:
+    assert sent_period_s(np.concatenate([np.arange(50) * 0.25, 12.5 + np.arange(51) * PERIOD_S])) is None
+
+
+def test_good_flights_have_no_alarm_and_jams_are_found() -> None:
+    for seed in range(20):
+        assert judged(watched(KNOWN, Record.of(flown(seed)))).faults == ()
+    for seed in range(10):
+        (fault, *_) = judged(watched(KNOWN, Record.of(flown(seed, jam_s=60.0)))).faults
+        assert fault.kind in ("stuck", "floating")
+        assert 60.0 < fault.alarm_s < 66.0
+
+
+def test_a_stream_has_the_residuals_and_thresholds_of_the_whole_log() -> None:
+    segment = flown(3, duration_s=40.0)
+    whole = watched(KNOWN, Record.of(segment))
+    surface = plain_aircraft(["x"], "s9254").surfaces["x"]
+    stream = CalibratedStream(KNOWN, surface, segment.period_s, segment.command_s[:101], segment.sent_period_s)
+    pieces = []
+    events = [(t, 0, v) for t, v in zip(segment.command_s, segment.command_deg, strict=True)]
+    events += [(t, 1, v) for t, v in zip(segment.measured_s, segment.measured_deg, strict=True)]
+    for at_s, which, value in sorted(events):
+        (stream.position if which else stream.command)(float(at_s), float(value))
+        piece = stream.evaluate()
+        pieces += [piece] if piece is not None else []
+    last = stream.evaluate(final=True)
+    pieces += [last] if last is not None else []
+    residual_deg = np.concatenate([piece.residuals.residual_deg for piece in pieces])
+    sigma_deg = np.concatenate([piece.threshold.sigma_deg for piece in pieces])
+    known = segment.measured_s <= segment.command_s[-1]
+    assert np.array_equal(residual_deg[known], whole.error_deg[known], equal_nan=True)
+    assert np.array_equal(sigma_deg[known], whole.sigma_deg[known])
