@@ -14,9 +14,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numba import njit
 
 from servofd.estimate.priors import NAMES
+from servofd.models.state import compiled
 
 if TYPE_CHECKING:
     from servofd.types import FloatArray
@@ -86,7 +86,7 @@ def unknown_deg(
     >>> theta = np.array([prior.value for prior in PRIORS])
     >>> asked = np.array([0.0, 0.02, 0.22, 0.24, 0.26]), np.array([0.0, 0.0, 9.0, 9.0, 9.0])
     >>> unknown_deg(asked, 0.02, theta, np.array([0.02, 0.22, 0.26]), new_memory()).round(1)
-    array([0. , 2.9, 2.6])
+    array([0. , 3.4, 2.8])
     """
     lag_s = 2.0 * np.exp(theta[_LN_DAMPING] - theta[_LN_BANDWIDTH])
     out = np.zeros(time_s.size)
@@ -95,7 +95,7 @@ def unknown_deg(
     return out
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@compiled  # type: ignore[untyped-decorator]
 def _unknown(
     command_s: FloatArray, command_deg: FloatArray, shortest_s: float, delay_s: float, lag_s: float,
     time_s: FloatArray, memory: FloatArray, out: FloatArray,
