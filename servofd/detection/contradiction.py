@@ -398,21 +398,47 @@ def _line(time_s: FloatArray, error: FloatArray, asked: FloatArray) -> tuple[flo
 
 def _behind(flight: _Flight, rows: slice) -> _Stretch | None:
     """A window brisk enough to tell whether it lags behind more than it does as a rule; its scale is 1 where not."""
-    time_s, healthy = flight.time_s[rows], flight.healthy_deg[rows]
-    rate_deg_s = np.gradient(healthy, time_s)
-    error = flight.error_deg[rows]
-    error = error - error.mean()
-    centred = rate_deg_s - rate_deg_s.mean()
-    power = float(centred @ centred)
+    power, common, error_power = _spread_of_rate(
+        flight.time_s, flight.healthy_deg, flight.error_deg, rows.start, rows.stop
+    )
     enough_s = max(_LAG_SHARE * flight.lag_s, _LAG_S)
-    brisk = enough_s * float(np.sqrt(power / error.size)) >= _LAG_DEG
+    brisk = enough_s * np.sqrt(power) >= _LAG_DEG
     if not brisk:
         return None
-    lag_s = -float(centred @ error) / power
-    explained = lag_s**2 * power / max(float(error @ error), 1e-12)
+    lag_s = -common / power
+    explained = lag_s**2 * power / max(error_power, 1e-12)
     late = lag_s >= enough_s and explained >= _LAG_EXPLAINS
     scale = flight.lag_s / (flight.lag_s + lag_s) if late else 1.0
-    return _Stretch("slow", float(time_s[0]), float(time_s[-1]), float(time_s[-1]), {"bandwidth_scale": scale})
+    first_s, last_s = float(flight.time_s[rows.start]), float(flight.time_s[rows.stop - 1])
+    return _Stretch("slow", first_s, last_s, last_s, {"bandwidth_scale": scale})
+
+
+@compiled
+def _spread_of_rate(
+    time_s: FloatArray, values: FloatArray, error: FloatArray, first: int, end: int
+) -> tuple[float, float, float]:
+    """Variance of the rate of some values, its covariance with an error, and the error's variance."""
+    count, last = end - first, end - 1
+    mean_rate = mean_error = power = common = error_power = 0.0
+    if count < 2:
+        return power, common, error_power
+    for turn in range(2):
+        for k in range(first, end):
+            if k in (first, last):
+                a = min(k, last - 1)
+                rate = (values[a + 1] - values[a]) / (time_s[a + 1] - time_s[a])
+            else:  # the parabola through three points
+                before_s, after_s = time_s[k] - time_s[k - 1], time_s[k + 1] - time_s[k]
+                left, right = (values[k] - values[k - 1]) / before_s, (values[k + 1] - values[k]) / after_s
+                rate = (after_s * left + before_s * right) / (before_s + after_s)
+            if turn == 0:
+                mean_rate += rate / count
+                mean_error += error[k] / count
+            else:
+                power += (rate - mean_rate) ** 2 / count
+                common += (rate - mean_rate) * (error[k] - mean_error) / count
+                error_power += (error[k] - mean_error) ** 2 / count
+    return power, common, error_power
 
 
 def _lasting(brisk: list[_Stretch]) -> Iterator[_Stretch]:

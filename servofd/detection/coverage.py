@@ -74,8 +74,9 @@ def coverage(segment: Segment, residuals: Residuals) -> Coverage:
     last_s = float(max(segment.command_s[-1], segment.measured_s[-1]))
     position_s = segment.measured_s[measured]
     streams = segment.command_s, position_s, residuals.time_s[residuals.settled]
-    seconds, places = np.unique(np.concatenate([_bins(each, first_s) for each in streams]), return_inverse=True)
-    command, position, settled = np.split(places, np.cumsum([each.size for each in streams])[:-1])
+    bins = [_bins(each, first_s) for each in streams]
+    seconds = np.unique(np.concatenate([each[np.diff(each, prepend=-1) > 0] for each in bins]))
+    command, position, settled = (np.searchsorted(seconds, each) for each in bins)
     asked = _spans(command, segment.command_deg, seconds.size)
     moved = _spans(position, segment.measured_deg[measured], seconds.size)
     is_judged = np.bincount(settled, minlength=seconds.size) >= _JUDGED * _BIN_S / max(segment.period_s, 1e-9)

@@ -10,7 +10,7 @@ leaves, an oscillation a filtered wave; less speed adds a lag, and play what pla
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,6 +21,8 @@ from servofd.models.state import compiled
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from numpy.typing import NDArray
 
     from servofd.detection.residual import ResidualGenerator, Residuals
     from servofd.detection.threshold import Threshold
@@ -159,27 +161,31 @@ class _Judge:
             with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
                 size = (self.level_deg - side * self.residual_deg) / (side * added)
             reached = np.isfinite(size) & (side * added > 0.0)
-            sides.append(self._in_a_row(np.where(reached, np.maximum(size, 0.0), 1e9)))
-        size = np.minimum(*sides)
+            sides.append(np.where(reached, np.maximum(size, 0.0), 1e9))
+        size = np.minimum(*(_in_a_row(side, self.persistence, np.maximum, 1e9) for side in sides))
         needed: FloatArray = np.minimum.accumulate(size[::-1])[::-1][self.onsets]
         return needed
 
     def shown(self, added: FloatArray) -> bool:
         """Whether 19 of 20 onsets of this very addition raise an alarm."""
         residual_deg = self.residual_deg + np.nan_to_num(added[self.use])
-        missing = (np.where(side * residual_deg > self.level_deg, 0.0, 1.0) for side in (1.0, -1.0))
-        beyond = np.minimum(*(self._in_a_row(missed) for missed in missing)) == 0.0
+        sides = (residual_deg > self.level_deg, residual_deg < -self.level_deg)
+        beyond = np.logical_or(*(_in_a_row(side, self.persistence, np.logical_and, 0) for side in sides))
         if self.suspicious is not None:
             lasting = replace(self.residuals, residual_deg=self.residuals.residual_deg + np.nan_to_num(added))
             beyond |= suspicion(lasting, self.suspicious)[self.use]
         after = np.logical_or.accumulate(beyond[::-1])[::-1][self.onsets]
         return bool(np.mean(after) >= _POWER / 100.0)
 
-    def _in_a_row(self, size: FloatArray) -> FloatArray:
-        """Largest of the sizes that the samples of an alarm need, at the first of them."""
-        padded = np.append(size, np.full(self.persistence - 1, 1e9))
-        largest: FloatArray = np.lib.stride_tricks.sliding_window_view(padded, self.persistence).max(axis=1)
-        return largest
+
+def _in_a_row(values: NDArray[Any], many: int, join: np.ufunc, beyond: float) -> NDArray[Any]:
+    """So many values from each on joined (the largest, or whether all hold); `beyond` the end there are others."""
+    joined, width = np.append(values, np.full(many - 1, beyond, values.dtype)), 1
+    while width < many:
+        step = min(width, many - width)
+        joined = join(joined[:-step], joined[step:])
+        width += step
+    return joined
 
 
 def _drift_size(residuals: Residuals, threshold: Threshold, signal: FloatArray, use: BoolArray) -> float:

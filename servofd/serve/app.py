@@ -18,7 +18,7 @@ from servofd.outputs.page import page
 from servofd.outputs.sentence import clock, spoken
 from servofd.serve.flights import RESULTS, TooLarge
 from servofd.serve.guard import Guard
-from servofd.serve.judge import AUDIT, PAGE, RECORDING
+from servofd.serve.judge import AUDIT, PAGE, RECORDING, progress_in
 from servofd.serve.viewer import FILES, viewer_files
 
 if TYPE_CHECKING:
@@ -76,11 +76,11 @@ class _Routes:
         self._flights = flights
 
     async def index(self, _request: Request) -> Response:
-        rows = [_row(flight) for flight in self._flights.all()]
+        rows = self._rows()
         return HTMLResponse(page("serve.html", flights=rows, most_bytes=self._flights.most_bytes))
 
     async def listed(self, _request: Request) -> Response:
-        return JSONResponse([_row(flight) for flight in self._flights.all()])
+        return JSONResponse(self._rows())
 
     async def take(self, request: Request) -> Response:
         """The bytes of one log, as they come: no more of them is in memory than one piece."""
@@ -103,14 +103,14 @@ class _Routes:
         except BaseException:
             upload.abandon()
             raise
-        return JSONResponse(_row(flight), 201)
+        return JSONResponse(self._row(flight), 201)
 
     async def flight(self, request: Request) -> Response:
         flight = self._known(request.path_params["id"])
         folder = self._flights.results(flight.id)
         recording = (folder / RECORDING).is_file()
         return HTMLResponse(
-            page("flight.html", flight=_row(flight), recording=recording, viewer=_viewer_address(flight))
+            page("flight.html", flight=self._row(flight), recording=recording, viewer=_viewer_address(flight))
         )
 
     async def result(self, request: Request) -> Response:
@@ -135,7 +135,7 @@ class _Routes:
         except OSError:
             raise HTTPException(409, "One of the two is not judged yet.") from None
         rows = _compared([document["logs"][0]["surfaces"] for document in documents])
-        return HTMLResponse(page("compare.html", flights=[_row(one) for one in flights], rows=rows))
+        return HTMLResponse(page("compare.html", flights=[self._row(one) for one in flights], rows=rows))
 
     async def viewer(self, request: Request) -> Response:
         name = request.path_params["file"] or "index.html"
@@ -143,6 +143,16 @@ class _Routes:
         if folder is None or name not in FILES:
             raise HTTPException(404, 'The viewer is not here; pip install "servofd[view]" brings it.')
         return FileResponse(folder / name, media_type=FILES[name], headers={"Cache-Control": "private, max-age=86400"})
+
+    def _rows(self) -> list[dict[str, Any]]:
+        return [self._row(flight) for flight in self._flights.all()]
+
+    def _row(self, flight: Flight) -> dict[str, Any]:
+        """A flight in the list; what is at work says how far it is."""
+        row = _row(flight)
+        if flight.state == "at work":
+            row["sentence"] = progress_in(self._flights.results(flight.id))
+        return row
 
     def _known(self, flight_id: str) -> Flight:
         flight = self._flights.get(flight_id)
@@ -173,6 +183,7 @@ def _row(flight: Flight) -> dict[str, Any]:
         "begun": (summary.start_utc or "")[:16].replace("T", " ") if summary else "",
         "duration": clock(summary.duration_s) if summary and summary.duration_s else "",
         "surface": spoken(summary.surface) if summary else "",
+        "too_long": summary.too_long if summary else False,
         "thumbnail": thumbnail(summary.outline if summary else ()),
     }
 

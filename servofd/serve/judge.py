@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -13,17 +14,22 @@ from servofd.errors import ServofdError
 from servofd.outputs.audit_page import audit_page
 from servofd.outputs.files import make_folder, write_whole
 from servofd.outputs.json_report import FailedLog, audit_document, to_json
-from servofd.outputs.sentence import whole_sentence, worst
+from servofd.outputs.sentence import spoken, whole_sentence, worst
 from servofd.workflow import audit
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from servofd.detection.verdict import LogAudit
     from servofd.fleet.key import Job
 
-__all__ = ["AUDIT", "PAGE", "RECORDING", "SUMMARY", "Summary", "judge"]
+__all__ = ["AUDIT", "PAGE", "RECORDING", "SUMMARY", "Summary", "judge", "progress_in"]
 
 AUDIT, PAGE, RECORDING, SUMMARY = "audit.json", "page.html", "recording.rrd", "summary.json"
 """What the folder of a flight holds; the summary is written last."""
+_PROGRESS = "progress.txt"
+_MOST_RECORDED = 3_000_000
+"""Positions of a recording that a browser shows: 90 bytes each, and its memory ends at 2 GB (Rerun keeps copies)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +46,8 @@ class Summary:
     """When the first alarm would have been raised [s]."""
     key: str = ""
     """Of the `servofd.fleet.key.Job` that judged it."""
+    too_long: bool = False
+    """For a recording that a browser can show."""
 
     @classmethod
     def read(cls, folder: Path) -> Self | None:
@@ -65,25 +73,51 @@ def judge(log: str, folder: str, job: Job) -> Summary:
     """
     target = Path(folder)
     make_folder(target)
-    results = _judged(log, job)
+    tell = partial(_tell, target / _PROGRESS, [])
+    tell("")
+    results = _judged(log, job, tell)
     document = json.loads(
         to_json(audit_document(results)).replace(json.dumps(log)[1:-1], json.dumps(Path(log).name)[1:-1])
     )
     write_whole(target / AUDIT, (json.dumps(document, indent=2) + "\n").encode())
     write_whole(target / PAGE, audit_page(results).encode())
     audits = [result for result in results if not isinstance(result, FailedLog)]
-    if audits and find_spec("rerun") is not None:
+    too_long = bool(audits) and _positions(audits[0]) > _MOST_RECORDED
+    if audits and not too_long and find_spec("rerun") is not None:
         from servofd.outputs.recording import save_recording
 
         save_recording(audits[0], target / RECORDING)
-    summary = _summary(results, document["logs"], job)
+    summary = replace(_summary(results, document["logs"], job), too_long=too_long)
     write_whole(target / SUMMARY, json.dumps(asdict(summary)).encode())
+    (target / _PROGRESS).unlink(missing_ok=True)
     return summary
 
 
-def _judged(log: str, job: Job) -> list[LogAudit | FailedLog]:
+def progress_in(folder: Path) -> str:
+    """How far the judging of a flight is, in words; empty if nobody knows."""
+    try:
+        return (folder / _PROGRESS).read_text(encoding="utf-8")
+    except OSError:
+        return ""
+
+
+def _tell(path: Path, done: list[str], surface: str) -> None:
+    """Leave word of the surfaces that are judged."""
+    done += [spoken(surface)] if surface else []
+    write_whole(path, (f"Judged so far: {', '.join(done)}." if done else "Being read.").encode())
+
+
+def _positions(audit: LogAudit) -> int:
+    return sum(surface.segment.measured_s.size for surface in audit.surfaces if surface.segment is not None)
+
+
+def _judged(log: str, job: Job, tell: Callable[[str], None]) -> list[LogAudit | FailedLog]:
     results: list[LogAudit | FailedLog] = []
-    options: dict[str, Any] = {"servo": job.servo, "threads": 1}  # flights are judged side by side already
+    options: dict[str, Any] = {
+        "servo": job.servo,
+        "threads": 1,
+        "progress": tell,
+    }  # flights are judged side by side already
     try:
         results.extend(audit(log, job.aircraft, **options))
     except (LogError, ServofdError) as error:

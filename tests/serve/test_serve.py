@@ -20,12 +20,13 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from logparsers import EmptyLog
 from servofd.fleet.key import Job
 from servofd.serve.flights import RESULTS, Flight, Flights, TooLarge
 from servofd.serve.judge import Summary, judge
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
@@ -113,6 +114,7 @@ def test_a_dropped_log_gets_its_verdict_page_json_and_recording(tmp_path: Path) 
         assert done(flights, taken["id"]).summary is not None
         (row,) = client.get("/flights").json()
         assert (row["status"], row["sentence"]) == ("fault", "ELEVATOR JAMMED at 0:05 (-0.2 deg). Do not fly.")
+        assert not (tmp_path / "club" / "servofd" / taken["id"] / "progress.txt").exists()
         place = f"/flights/{taken['id']}"
         page = client.get(f"{place}/page.html")
         assert "ELEVATOR JAMMED" in page.text
@@ -230,6 +232,37 @@ def test_colleagues_need_the_token(tmp_path: Path) -> None:
         assert "HttpOnly" in cookie
         assert "SameSite=strict" in cookie
         assert client.get("/", Host="club.example", Cookie=cookie.partition(";")[0]).status == 200
+
+
+def test_what_is_at_work_says_how_far_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    flights = Flights(tmp_path, Job(), most_bytes=LARGEST, workers=1)  # whose processes were not begun
+    upload = flights.upload("long.csv", 0)
+    upload.write(b"time_s\n")
+    flight = upload.finish()
+    told: list[str] = []
+
+    def audit(*_: object, progress: Callable[[str], None], **__: object) -> list[Any]:
+        with client_of(flights) as client:
+            for surface in ("", "aileron_left", "rudder"):
+                if surface:
+                    progress(surface)
+                told.append(client.get("/flights").json()[0]["sentence"])
+                assert told[-1] in client.get(f"/flights/{flight.id}").text
+        raise EmptyLog("no rows")
+
+    flights._set(flight.id, "at work", None)
+    monkeypatch.setattr("servofd.serve.judge.audit", audit)
+    judge(str(flight.log), str(flights.results(flight.id)), flights.job)
+    assert told == ["Being read.", "Judged so far: aileron left.", "Judged so far: aileron left, rudder."]
+
+
+def test_a_flight_that_no_browser_could_show_gets_no_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("servofd.serve.judge._MOST_RECORDED", 1000)
+    folder = tmp_path / "servofd" / ("0" * 32)
+    summary = judge(str(SAMPLES / "table_three_faults.csv"), str(folder), Job())
+    assert summary.too_long
+    assert not (folder / "recording.rrd").exists()
+    assert Summary.read(folder) == summary
 
 
 @pytest.mark.slow

@@ -206,7 +206,7 @@ def _rising(time_s: FloatArray) -> BoolArray:
 
 def _span_s(log: FlightLog) -> tuple[float, float]:
     """First and last time of a log [s]; only its length if it has no channel."""
+    if log.span_s is not None:
+        return log.span_s
     spans = [(float(c.time_s[0]), float(c.time_s[-1])) for c in log.channels.values() if c.time_s.size]
-    if log.span_s is not None or not spans:
-        return log.span_s or (0.0, 0.0)
-    return min(s[0] for s in spans), max(s[1] for s in spans)
+    return (min(s[0] for s in spans), max(s[1] for s in spans)) if spans else (0.0, 0.0)

@@ -45,7 +45,10 @@ const make = (tag, values = {}, ...inside) => {
 };
 const show = flight => {
   const old = document.getElementById("f-" + flight.id);
-  if (old && old.dataset.state === flight.state) return;
+  if (old && old.dataset.state === flight.state) {
+    if (old.cells[5].textContent !== flight.sentence) old.cells[5].textContent = flight.sentence;
+    return;
+  }
   const badge = flight.status ? make("span", { className: "badge " + flight.status }, flight.status.replace("_", " ")) : flight.state;
   const name = make("th", { scope: "row" }, make("a", { href: "/flights/" + flight.id }, flight.name));
   const box = old?.querySelector("input") ?? make("input", { type: "checkbox", name: "flight", value: flight.id, ariaLabel: "Compare " + flight.name });
