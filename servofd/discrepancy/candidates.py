@@ -110,7 +110,8 @@ def judgeable(record: Record) -> tuple[list[type[MissingEffect]], list[type[Miss
     }
     fitted: set[type[MissingEffect]] = linear if record.free_poles else set()
     # A surface's weight is balanced about its hinge, and a bench's horn hangs at zero; an arm's joint hangs anywhere.
-    fitted |= {catalogue.TiltedLoad} if record.runs or not record.free_poles else set()
+    is_arm = record.free_poles and not record.runs and record.pressure_pa is None
+    fitted |= set() if is_arm else {catalogue.TiltedLoad}
     # Frames run on between separate runs, so that nobody knows when each of them began.
     fitted |= {catalogue.PwmFrame} if record.runs or record.free_poles else set()
     # A converter whose steps do not show in the readings has none that matter.

@@ -19,7 +19,18 @@ from servofd.discrepancy.fit import LONG, OWN_FIELDS, Fit, Fitter
 from servofd.discrepancy.frames import best_frame, frames_like
 from servofd.discrepancy.one_size import step_size_deg
 from servofd.discrepancy.record import liveliest
-from servofd.models.catalogue import Bias, ClockOffset, Delay, Gain, PwmFrame, RateLimit, SensorLag, SlowDynamics
+from servofd.models.catalogue import (
+    AirLoad,
+    Bias,
+    ClockOffset,
+    Delay,
+    Gain,
+    GravityLoad,
+    PwmFrame,
+    RateLimit,
+    SensorLag,
+    SlowDynamics,
+)
 from servofd.models.laws import VARIED, by_condition, is_law, plain
 from servofd.models.physics import INSIDE
 
@@ -454,10 +465,25 @@ def _cost(search: _Search, fit: Fit) -> float:
     """BIC, and how surprising its names are."""
     count = sum(len(effect.parameters) for effect in fit.effects)
     surprise = sum(SURPRISE.get(name, 0.0) for name in fit.names)
-    if search.fitter.record.free_poles and Gain in fit.effects:
-        surprise += min(((fit.physics.gain - 1.0) / _GAIN_SHARE) ** 2, _NO_GAIN)
+    if search.fitter.record.free_poles:
+        surprise += min((_static_loss(search.fitter.record, fit) / _GAIN_SHARE) ** 2, _NO_GAIN)
     laws = _LAW * sum(is_law(effect) for effect in fit.effects)
     return fit.misfit + count * float(np.log(max(search.fitter.effective, 2.0))) + surprise + laws
+
+
+def _static_loss(record: Record, fit: Fit) -> float:
+    """By what share a servo at rest misses what it was sent to: by its gain, or in flight by what loads it.
+
+    A surface gives way to the air by some percent as well (hinge moments of 0.02 deg per deg at 300 Pa), and its
+    weight is balanced; the horn of a bench carries any load.
+    """
+    loss = fit.physics.gain - 1.0 if Gain in fit.effects else 0.0
+    if record.pressure_pa is not None:
+        if AirLoad in fit.effects:
+            loss += fit.physics.airload_per_pa * float(np.median(record.pressure_pa))
+        if GravityLoad in fit.effects:
+            loss += float(np.radians(fit.physics.droop_deg))
+    return loss
 
 
 def _window(search: _Search, fewer: Fit, more: Fit) -> float:
