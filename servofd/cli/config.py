@@ -25,7 +25,8 @@ def run(options: argparse.Namespace) -> int:
     from servofd.feedback.toml import draft_to_toml, fitted_to_toml
     from servofd.job import flown_aircraft, one_log
 
-    log = one_log(options.log)
+    # Of what was booted more than once, the longest flight tells most.
+    log = max(one_log(options.log).by_boots(), key=lambda flight: flight.duration_s)
     if log.is_of_autopilot:
         print(draft_to_toml(draft_aircraft(log)), end="")
     elif log.format == "faser":

@@ -36,16 +36,19 @@ def run(options: argparse.Namespace) -> int:
     from servofd.sweep import check_sweep
 
     known = known_aircraft(options.config)
-    log = one_log(options.log, known)
-    aircraft = flown_aircraft(log, known)
-    aircraft.check_names(options.surface, log.label)
-    found = check_sweep(log, aircraft, tuple(options.surface))
-    if not give_json(options.json, sweep_document(log, found)):
-        _print(found, f"{log.label}   {log.format}, {log.duration_s:.1f} s")
-    return _exit_code(found)
+    sweeps = []
+    for log in one_log(options.log, known).by_boots():
+        aircraft = flown_aircraft(log, known)
+        aircraft.check_names(options.surface, log.label)
+        sweeps.append((log, check_sweep(log, aircraft, tuple(options.surface))))
+    *earlier, last = (sweep_document(log, found) for log, found in sweeps)
+    if not give_json(options.json, last | {"earlier_boots": earlier} if earlier else last):
+        for log, found in sweeps:
+            _print(found, f"{log.label}   {log.format}, {log.duration_s:.1f} s")
+    return _exit_code([one for _, found in sweeps for one in found])
 
 
-def _exit_code(found: tuple[SurfaceSweep, ...]) -> int:
+def _exit_code(found: Sequence[SurfaceSweep]) -> int:
     statuses = {one.status for one in found if one.expected}
     if "no_go" in statuses:
         return 1

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import tomllib
 from typing import TYPE_CHECKING
+
+import pytest
 
 import servofd
 from servofd.cli import main
@@ -29,3 +33,43 @@ def test_no_fault_spans_a_reboot_and_each_boot_is_judged_on_its_own(tmp_path: Pa
     assert [s.surface for s in first.surfaces if s.status == "fault"] == ["rudder"]
     assert not second.has_fault
     assert main(["audit", str(both)]) == 1
+
+
+def _two_boots(folder: Path, *, first: list[str], second: list[str]) -> Path:
+    both = folder / "both.bin"
+    parts = []
+    for name, options in (("first", first), ("second", second)):
+        assert main(["simulate", "-o", str(folder / f"{name}.bin"), *options]) == 0
+        parts.append((folder / f"{name}.bin").read_bytes())
+    both.write_bytes(b"".join(parts))
+    return both
+
+
+def test_an_aircraft_is_drafted_from_the_longest_flight_of_a_log(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    both = _two_boots(tmp_path, first=["--duration", "20", "--seed", "3"], second=["--duration", "40"])
+    drafts = []
+    for path in (both, tmp_path / "second.bin"):
+        capsys.readouterr()
+        assert main(["config", str(path)]) == 0
+        drafts.append(tomllib.loads(capsys.readouterr().out))
+    of_both, of_second = drafts
+    for name, servo in of_second["servos"].items():
+        assert of_both["servos"][name]["bandwidth_hz"] == pytest.approx(servo["bandwidth_hz"], rel=0.02)
+        assert of_both["servos"][name]["delay_s"] == pytest.approx(servo["delay_s"], abs=0.002)
+
+
+def test_each_boot_is_a_sweep_of_its_own_and_one_that_is_no_go_counts(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sweep = ["--duration", "20", "--command", "chirp"]
+    both = _two_boots(tmp_path, first=[*sweep, "--fault", "rudder:stuck@5"], second=sweep)
+    capsys.readouterr()
+    assert main(["sweep", str(both), "-c", "simulated", "--json", "-"]) == 1
+    last = json.loads(capsys.readouterr().out)
+    (first,) = last["earlier_boots"]
+    assert {name for name, one in first["surfaces"].items() if one["status"] == "no_go"} == {"rudder"}
+    assert {one["status"] for one in last["surfaces"].values()} == {"go"}
+    assert first["duration_s"] < 21.0
+    assert last["duration_s"] < 21.0
