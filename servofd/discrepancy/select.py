@@ -30,6 +30,7 @@ from servofd.models.catalogue import (
     RateLimit,
     SensorLag,
     SlowDynamics,
+    TiltedLoad,
 )
 from servofd.models.laws import VARIED, by_condition, is_law, plain
 from servofd.models.physics import INSIDE
@@ -61,6 +62,8 @@ minus twice the logarithm of how rarely it does."""
 _NO_GAIN, _GAIN_SHARE = 40.0, 0.03
 """The same of a gain in place of a load, at most: a servo that controls its position comes to where it is sent, within
 some percent of its horn and sensor (standard deviation)."""
+_STEEP = 0.9
+"""A load that pulls back more steeply where the servo works is a lost gain and an offset."""
 _USUAL_GAINS = 3.0
 """So many of these deviations a servo may be off before its gain stands for something that is missing."""
 _FORESEEN, _SIBLING = 4.0, 0.3
@@ -157,7 +160,7 @@ class _Search:
 
     def is_physical(self, fit: Fit) -> bool:
         """Whether no number is at its bound, and none so small that it is none."""
-        if fit.ran_away:
+        if fit.ran_away or (TiltedLoad in fit.effects and _hanging(self.fitter.record, fit) > _STEEP):
             return False
         neutral, first = self.fitter.record.plant.neutral, 0
         for effect in fit.effects:
@@ -472,18 +475,24 @@ def _cost(search: _Search, fit: Fit) -> float:
 
 
 def _static_loss(record: Record, fit: Fit) -> float:
-    """By what share a servo at rest misses what it was sent to: by its gain, or in flight by what loads it.
+    """By what share a servo at rest misses what it was sent to: by its gain, or by what loads it.
 
-    A surface gives way to the air by some percent as well (hinge moments of 0.02 deg per deg at 300 Pa), and its
-    weight is balanced; the horn of a bench carries any load.
+    A surface gives way to the air by some percent (hinge moments of 0.02 deg per deg at 300 Pa), and its weight is
+    balanced; the horn of a bench, with its runs, carries any load.
     """
     loss = fit.physics.gain - 1.0 if Gain in fit.effects else 0.0
-    if record.pressure_pa is not None:
-        if AirLoad in fit.effects:
-            loss += fit.physics.airload_per_pa * float(np.median(record.pressure_pa))
-        if GravityLoad in fit.effects:
-            loss += float(np.radians(fit.physics.droop_deg))
+    if record.runs:
+        return loss
+    if record.pressure_pa is not None and AirLoad in fit.effects:
+        loss += fit.physics.airload_per_pa * float(np.median(record.pressure_pa))
+    if GravityLoad in fit.effects or TiltedLoad in fit.effects:
+        loss += float(np.radians(fit.physics.droop_deg)) * _hanging(record, fit)
     return loss
+
+
+def _hanging(record: Record, fit: Fit) -> float:
+    """Cosine of how far from where its load hangs a servo works: how steeply the load changes there."""
+    return float(np.cos(np.radians(np.nanmean(record.measured_deg) - fit.physics.hangs_deg)))
 
 
 def _window(search: _Search, fewer: Fit, more: Fit) -> float:
