@@ -61,10 +61,12 @@ class Look(NamedTuple):
     """Between commands as they were sent [s], where most of them get lost."""
     earlier_deg: FloatArray | None = None
     """Positions before, of a model that was fitted, of which only faults are wanted: suspicions wait for the end."""
+    is_last: bool = False
+    """Whether it is for the report, with all that a report holds."""
 
     def judge(self) -> tuple[tuple[Fault, ...], tuple[Fault, ...], str]:
         """Faults and suspicions, and why nothing should be concluded from them; depends on nothing else."""
-        _, _, _, residuals, threshold, suspicious, commands, sent_period_s, _ = self
+        _, _, _, residuals, threshold, suspicious, commands, sent_period_s, _, is_last = self
         if self.surface.calibrated is not None and self.surface.is_calibrated:
             calibrated = judge_stretch(self.surface.calibrated, residuals, commands, sent_period_s)
             return calibrated.faults, calibrated.suspicions, ""
@@ -72,7 +74,9 @@ class Look(NamedTuple):
             faults = contradictions(self.generator, residuals, self.earlier_deg)
             problem = wiring_problem(residuals) if faults else ""
             return (() if problem else faults), (), problem
-        found = judge_evaluated(self.generator, self.surface, residuals, threshold, suspicious, commands)
+        found = judge_evaluated(
+            self.generator, self.surface, residuals, threshold, suspicious, commands, is_report=is_last
+        )
         problem = wiring_problem(residuals) if found.faults or found.suspicions else ""
         return (() if problem else found.faults), (() if problem else found.suspicions), problem
 

@@ -81,10 +81,12 @@ def judge_evaluated(
     commands: Commands,
     *,
     dismiss: bool = True,
+    is_report: bool = True,
 ) -> Judgement:
     """Name each alarm of a flight whose threshold is known, and whose suspicious samples may be.
 
-    A model that was fitted to a log accuses only of what contradicts any servo; the rest is suspicious.
+    A model that was fitted to a log accuses only of what contradicts any servo; the rest is suspicious. What only
+    reports tell may be left out.
     """
     if surface.model.origin == "fitted":
         return _by_fitted(generator, surface, residuals, threshold, commands)
@@ -99,7 +101,7 @@ def judge_evaluated(
         episodes = _largest(episodes, residuals, threshold)
     noise = noise_deg(residuals.error_deg[residuals.settled])
     sigma_deg = float(np.median(threshold.sigma_deg))
-    flight = Flight(generator, surface.tolerances, noise, sigma_deg, residuals, commands)
+    flight = Flight(generator, surface.tolerances, noise, sigma_deg, residuals, commands, is_report)
     named = joined(flight, (fault for episode in episodes for fault in _named(flight, episode, threshold)))
     if not dismiss:
         named = tuple(_held(fault) for fault in named)

@@ -69,6 +69,8 @@ _LOOKS_S = (0.25, 0.5, 1.0, 1.75, 6.0)
 """How long after an alarm the bank looks at it; the last one that may name it leaves the bank time to think,"""
 _LOOKS_AGAIN_S = 30.0
 """and how often after that."""
+_LIKELY = 0.5
+"""A name of this probability keeps until then."""
 _QUIET_SHARE = 0.5
 """Of its threshold, below which the residual of a surface in alarm is quiet,"""
 _RECOVERED_S = 0.5
@@ -399,8 +401,7 @@ class SurfaceMonitor:
             elif alarm.stands and now_s - fault.alarm_s <= _NAMED_S and fault.kind != alarm.kind:
                 events.append(self._event(look, look.at_s, "named", fault.kind, fault))
             alarm.kind, alarm.fault = fault.kind, fault
-            if fault.kind != "unknown" and fault.probability >= SURE:
-                self._looks_s = [at_s for at_s in self._looks_s if not at_s < fault.alarm_s + _NAMED_S]
+            self._look_later(look, fault)
             if alarm.stands and fault.end_s is not None:
                 alarm.stands = False
                 events.append(self._event(look, look.at_s, "clear", fault.kind, fault))
@@ -413,6 +414,16 @@ class SurfaceMonitor:
         if isinstance(self._stream, CalibratedStream) and self._stream.latched and not self.standing:
             self._stream.again()
         return events
+
+    def _look_later(self, look: Look, fault: Fault) -> None:
+        """What has a name is not looked at so soon: not in its first seconds if that is sure, then not for a while."""
+        if fault.kind == "unknown" or not fault.probability >= _LIKELY:
+            return
+        named_s = fault.alarm_s + _NAMED_S
+        if fault.probability >= SURE:
+            self._looks_s = [at_s for at_s in self._looks_s if not at_s < named_s]
+        if look.at_s >= fault.alarm_s + _LOOKS_S[-2] and self._looks_s == [fault.alarm_s + _LOOKS_S[-1]]:
+            self._looks_s = [fault.alarm_s + _LOOKS_AGAIN_S]
 
     @property
     def _is_fitted(self) -> bool:
@@ -699,7 +710,9 @@ class SurfaceMonitor:
         at_s = float(residuals.time_s[-1])
         earlier_deg = history.before(since_s, _EACH) if in_flight else None
         sent_s = self._stream.sent_period_s if isinstance(self._stream, CalibratedStream) else None
-        return Look(at_s, self._generator, self.surface, residuals, threshold, suspicious, copied, sent_s, earlier_deg)
+        return Look(
+            at_s, self._generator, self.surface, residuals, threshold, suspicious, copied, sent_s, earlier_deg, whole
+        )
 
     def _last_look(self) -> list[Event]:
         wanted = self._alarms or np.isfinite(self._suspected_s) or np.isfinite(self._wrong_s)

@@ -155,6 +155,31 @@ class Motion(ABC, Generic[Kind]):
         self.servo = servo
 
 
+def swung(servo: AnyServo, commands: _Commands, at_s: FloatArray) -> FloatArray:
+    """Deflection at some instants after the first command [deg], from rest at that.
+
+    Examples
+    --------
+    >>> from servofd.models.servo_model import ServoModel
+    >>> from servofd.servos import servo_named
+    >>> servo = ServoModel.of(servo_named("s9254")).parameters()
+    >>> swung(servo, (np.array([0.0, 0.1]), np.array([0.0, 5.0]), np.zeros(2)), np.array([0.1, 0.5])).round(3)
+    array([0., 5.])
+    """
+    if isinstance(servo, ExtendedServo):
+        motion = on_its_way(servo)
+        motion.receive(*commands)
+        return motion.at(np.concatenate([commands[0][:1], at_s]))[1:]
+    from servofd.models.kernel import run
+
+    memory, position_deg = new_memory(servo), np.empty(at_s.size)
+    gain = float(servo.weight.real.sum())
+    memory.modes[:] = commands[1][0]
+    memory.motion[:] = commands[0][0], commands[1][0], commands[2][0], gain * commands[1][0], 0.0, math.nan
+    run(servo, memory, *(fixed(each[1:]) for each in commands), fixed(at_s), position_deg)
+    return position_deg
+
+
 class PlainMotion(Motion[ServoParameters]):
     """Of a servo without effects."""
 

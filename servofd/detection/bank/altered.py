@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -23,7 +24,9 @@ if TYPE_CHECKING:
 _NARROWEST_DEG = 0.3
 _WIDE_DEG = 6.0
 _GRID = 14
-_REFINEMENTS = 10
+_REFINEMENTS = 5
+_HOPELESS = 2.0
+"""Times the cost of another search on its grid, that no refinement makes up for."""
 _SLOWEST = 0.12
 _LEAST_GAIN = 0.1
 _SLOWEST_RATE = 0.1
@@ -45,8 +48,9 @@ class DeadBand:
             return None
         grid = np.geomspace(_NARROWEST_DEG, widest_deg, _GRID)
         ways = [_before, _sticking, _behind] + ([_before_since_onset] if window.onset else [])
-        found = [_search(self.kind, window, way, grid, "width_deg") for way in ways]
-        return min(found, key=window.score)
+        searches = [_Search(self.kind, window, way, grid, "width_deg") for way in ways]
+        most_deg2 = _HOPELESS * min(search.best.cost_deg2 for search in searches)
+        return min((s.refined() for s in searches if s.best.cost_deg2 <= most_deg2), key=window.score)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,13 +62,13 @@ class Slow:
     def explain(self, window: Window) -> Explanation | None:
         """Fit the share of the bandwidth that is left, or a new rate limit."""
         scales = np.geomspace(_SLOWEST, 1.0 - window.tolerance.bandwidth, _GRID)
-        found = [_search(self.kind, window, _slower, scales, "bandwidth_scale")]
+        slower = _Search(self.kind, window, _slower, scales, "bandwidth_scale").refined()
         fastest_deg_s = float(np.max(np.abs(window.rate_deg_s)))
-        explained = found[0].cost_deg2 <= _WELL_EXPLAINED * window.time_s.size * window.noise_deg**2
-        if fastest_deg_s > 0.0 and not explained:
-            rates = fastest_deg_s * np.geomspace(_SLOWEST_RATE, 1.0 - window.tolerance.rate, _GRID // 2)
-            found.append(_search(self.kind, window, _limited, rates, "rate_limit_deg_s"))
-        return min(found, key=window.score)
+        explained = slower.cost_deg2 <= _WELL_EXPLAINED * window.time_s.size * window.noise_deg**2
+        if not fastest_deg_s > 0.0 or explained:
+            return slower
+        rates = fastest_deg_s * np.geomspace(_SLOWEST_RATE, 1.0 - window.tolerance.rate, _GRID // 2)
+        return min(slower, _Search(self.kind, window, _limited, rates, "rate_limit_deg_s").refined(), key=window.score)
 
 
 def reduced_command(window: Window) -> Explanation | None:
@@ -72,34 +76,50 @@ def reduced_command(window: Window) -> Explanation | None:
     if not isinstance(window.servo, ExtendedServo):
         return None
     gains = np.linspace(_LEAST_GAIN, 1.0 - window.tolerance.gain, _GRID)
-    return _search("loss_of_effectiveness", window, _heard, gains, "gain")
+    return _Search("loss_of_effectiveness", window, _heard, gains, "gain").refined()
 
 
-def _search(
-    kind: str,
-    window: Window,
-    predict: Callable[[Window, float], FloatArray],
-    grid: FloatArray,
-    name: str,
-) -> Explanation:
-    """Best value on a grid, refined by golden section between its neighbours."""
-    tried: dict[float, Explanation] = {}
+class _Search:
+    """Values of one parameter: a grid, refined by golden section around its best."""
 
-    def objective(fit: Explanation) -> float:
-        return fit.cost_deg2 + window.noise_deg**2 * fit.doubt
+    def __init__(
+        self,
+        kind: str,
+        window: Window,
+        predict: Callable[[Window, float], FloatArray],
+        grid: FloatArray,
+        name: str,
+    ) -> None:
+        self._window, self._name, self._grid = window, name, grid
+        self._fit = partial(_fit, kind, window, predict, name)
+        self._tried = {value: self._fit(value) for value in grid.tolist()}
 
-    def cost(value: float) -> float:
-        if value not in tried:
-            tried[value] = _fit(kind, window, predict, name, value)
-        return objective(tried[value])
+    @property
+    def best(self) -> Explanation:
+        """Of all that was tried."""
+        return min(self._tried.values(), key=self._cost)
 
-    costs = [cost(float(value)) for value in grid]
-    best = int(np.argmin(costs))
-    low, high = float(grid[max(best - 1, 0)]), float(grid[min(best + 1, grid.size - 1)])
-    for _ in range(_REFINEMENTS // 2):
+    def refined(self) -> Explanation:
+        """The best between the neighbours of the grid's best, with its interval."""
+        place = int(np.argmin([self._cost(self._tried[value]) for value in self._grid.tolist()]))
+        low, high = float(self._grid[max(place - 1, 0)]), float(self._grid[min(place + 1, self._grid.size - 1)])
         left, right = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
-        low, high = (low, right) if cost(left) <= cost(right) else (left, high)
-    return _with_interval(min(tried.values(), key=objective), tried, window, name)
+        for _ in range(_REFINEMENTS):
+            if self._of(left) <= self._of(right):
+                high, right = right, left
+                left = high - _GOLDEN * (high - low)
+            else:
+                low, left = left, right
+                right = low + _GOLDEN * (high - low)
+        return _with_interval(self.best, self._tried, self._window, self._name)
+
+    def _of(self, value: float) -> float:
+        if value not in self._tried:
+            self._tried[value] = self._fit(value)
+        return self._cost(self._tried[value])
+
+    def _cost(self, fit: Explanation) -> float:
+        return fit.cost_deg2 + self._window.noise_deg**2 * fit.doubt
 
 
 def _fit(

@@ -55,6 +55,8 @@ class Flight:
     """Of the healthy residual."""
     residuals: Residuals
     commands: Commands
+    is_report: bool = True
+    """Whether what only reports tell is wanted: the first signs of each fault."""
 
     def window(self, from_s: float, to_s: float, onset: Onset | None) -> Window | None:
         """Cut out a stretch; None if it holds too few samples."""

@@ -97,6 +97,8 @@ def _onset(flight: Flight, start_s: float) -> Onset | None:
 
 
 def _first_signs(flight: Flight, episode: Episode, until_s: float, onset: Onset | None) -> tuple[str, ...]:
+    if not flight.is_report:
+        return ()
     begin_s = episode.start_s + _SETTLING_S
     window = flight.window(begin_s, min(begin_s + _FIRST_S, until_s), onset)
     return first_signs(window, flight.generator, flight.sigma_deg) if window is not None else ()

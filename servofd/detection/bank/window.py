@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from statistics import median
 from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
 from servofd.detection.allowance import CURVATURE_TO_SIGMA
 from servofd.detection.bank.explanation import COLOUR, Ridge
-from servofd.models.motion import AnyServo, on_its_way
+from servofd.models.motion import AnyServo, swung
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -161,7 +162,7 @@ class Window:
     @property
     def start_deg(self) -> float:
         """Where the surface was at the start [deg]."""
-        return float(np.median(self.measured_deg[:_START_SAMPLES]))
+        return float(median(self.measured_deg[:_START_SAMPLES].tolist()))
 
     @property
     def motion_deg(self) -> float:
@@ -182,9 +183,7 @@ class Window:
 
 def simulate(servo: AnyServo, commands: Commands, at_s: FloatArray) -> FloatArray:
     """Deflection at given times, from rest at the first command [deg]."""
-    motion = on_its_way(servo)
-    motion.receive(commands.effective_s, commands.command_deg, commands.slope_deg_s)
-    return motion.at(np.concatenate([commands.effective_s[:1], at_s]))[1:]
+    return swung(servo, (commands.effective_s, commands.command_deg, commands.slope_deg_s), at_s)
 
 
 def _spread(tolerance: Tolerance) -> FloatArray:
