@@ -219,9 +219,9 @@ def _resting(flight: _Flight) -> Iterator[_Stretch]:
     step_s = np.minimum(step_s, 3.0 * usual_s)
     low_deg, high_deg = float(flight.reached_deg.min()), float(flight.reached_deg.max())
     late_s = _MISSED_S + 2.0 * (flight.lag_s + flight.delay_s)
-    for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
-        if time_s[end - 1] - time_s[begin] < late_s:
-            continue
+    largest_deg = np.maximum.reduceat(np.abs(flight.error_deg), begins)
+    may_be = (time_s[ends - 1] - time_s[begins] >= late_s) & ~(largest_deg <= _MISSED_DEG - width_deg)
+    for begin, end in zip(begins[may_be].tolist(), ends[may_be].tolist(), strict=True):
         rows = slice(begin, end)
         at_deg = float(np.median(flight.measured_deg[rows]))
         # Beyond a stop nobody expects it; what rests elsewhere is not held by one.

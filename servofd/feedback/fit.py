@@ -153,7 +153,7 @@ def _of_its_own(beginning: Segment, whole: RoughFit, *, free_scale: bool) -> Rou
     if np.count_nonzero(moving) < _FEWEST_ROWS:
         return None
     least_deg = _off_deg(whole, simulator, moving) / _CHANGED
-    coarse = min((_judged(start, simulator, moving, free_scale=free_scale) for start in _GRID), key=_error)
+    coarse = min(map(_judging(simulator, moving, free_scale=free_scale), _GRID), key=_error)
     if _off_deg(coarse, simulator, moving) > _COARSELY * least_deg:
         return None
     early = _fitted(beginning, free_scale=free_scale)
@@ -178,16 +178,13 @@ def _fitted(segment: Segment, *, free_scale: bool) -> RoughFit:
     held_out = np.zeros(moving.size, dtype=bool)
     held_out[rows[block % 2 == 1]] = True
 
-    def judged(fit: RoughFit, rows: BoolArray) -> RoughFit:
-        return _judged(fit, simulator, rows, free_scale=free_scale)
-
-    train = partial(judged, rows=moving & ~held_out)
+    train = _judging(simulator, moving & ~held_out, free_scale=free_scale)
     coarse = [train(start) for start in _GRID]
     found = min((_refined(start, train) for start in sorted(coarse, key=_error)[:_STARTS]), key=_error)
     limited = min((train(replace(found, rate_limit_deg_s=rate)) for rate in _RATES_DEG_S), key=_error)
     if limited.error_deg < _WORTH_A_LIMIT * found.error_deg:
         found = _refined(limited, train)
-    everything = partial(judged, rows=moving)
+    everything = _judging(simulator, moving, free_scale=free_scale)
     origin = _origin(found, simulator, held_out, block[block % 2 == 1] // 2)
     best = replace(_refined(everything(found), everything), origin=origin)
     return _centred(best, simulator) if free_scale else best
@@ -343,14 +340,21 @@ def _moving_rows(simulator: Simulator) -> BoolArray:
     return moving
 
 
-def _judged(fit: RoughFit, simulator: Simulator, moving: BoolArray, *, free_scale: bool) -> RoughFit:
-    """Same fit with its scale, if that is free, and its error."""
+def _judging(simulator: Simulator, rows: BoolArray, *, free_scale: bool) -> Callable[[RoughFit], RoughFit]:
+    """How well fits suit some rows."""
+    low_deg, high_deg = np.percentile(simulator.starts.measured_deg[rows], [2.0, 98.0])
+    ordinary_deg = max(_ORDINARY_SHARE * float(high_deg - low_deg), 1e-9)
+    return partial(_judged, simulator=simulator, moving=rows, ordinary_deg=ordinary_deg, free_scale=free_scale)
+
+
+def _judged(
+    fit: RoughFit, simulator: Simulator, moving: BoolArray, ordinary_deg: float, *, free_scale: bool
+) -> RoughFit:
+    """Same fit with its scale, if that is free, and its error, beside what is ordinary."""
     simulated, measured = simulator.simulated_deg(fit.model)[moving], simulator.starts.measured_deg[moving]
     gain, bias_deg = line(simulated, measured, near=_NEAR_LINE, rounds=_REWEIGHTINGS)[:2] if free_scale else (1.0, 0.0)
     error = measured - gain * simulated - bias_deg
     # Cauchy's cost: quadratic for errors of a working servo, nearly flat for those of a jammed one.
-    low_deg, high_deg = np.percentile(measured, [2.0, 98.0])
-    ordinary_deg = max(_ORDINARY_SHARE * float(high_deg - low_deg), 1e-9)
     if free_scale and not _SCALES[0] <= abs(gain) <= _SCALES[1]:
         return replace(fit, gain=gain, bias_deg=bias_deg, error_deg=_NOTHING_DEG)
     cost = float(np.expm1(np.mean(np.log1p((error / ordinary_deg) ** 2))))

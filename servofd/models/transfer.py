@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -100,6 +101,8 @@ class TransferFunction:
     @property
     def poles_rad_s(self) -> ComplexArray:
         """Roots of the denominator [rad/s], shape (n,), real ones first, then by size."""
+        if len(self.denominator) == 3:
+            return _pair(*self.denominator)
         roots = np.roots(self.denominator).astype(complex)
         order = np.lexsort((roots.imag, np.abs(roots), roots.imag != 0.0))
         poles: ComplexArray = roots[order]
@@ -189,6 +192,16 @@ class TransferFunction:
         return Modes(-upper, doubled * np.array(residues) / -upper)
 
 
+def _pair(square: float, linear: float, constant: float) -> ComplexArray:
+    """Roots of a quadratic, real ones by size."""
+    half, product = -0.5 * linear / square, constant / square
+    spread = half * half - product
+    if spread < 0.0:
+        return np.array([complex(half, -math.sqrt(-spread)), complex(half, math.sqrt(-spread))])
+    large = half + math.copysign(math.sqrt(spread), half)  # the other would lose digits
+    return np.array([product / large if large else 0.0, large], dtype=complex)
+
+
 def _squared_magnitude(coefficients: tuple[float, ...]) -> ComplexArray:
     """Polynomial in w² whose value is |P(jw)|²."""
     flipped = [c * (-1) ** i for i, c in enumerate(reversed(coefficients))][::-1]
@@ -199,9 +212,11 @@ def _squared_magnitude(coefficients: tuple[float, ...]) -> ComplexArray:
 
 def _separated(poles: ComplexArray) -> ComplexArray:
     """Move clusters of equal poles onto small circles, keeping conjugate pairs conjugate."""
-    result = poles.copy()
     scatter = 20.0 * _ROUND_OFF ** (1.0 / max(poles.size, 1))  # of the computed roots of an exact multiple pole
-    remaining = list(range(poles.size))
+    size, apart = np.abs(poles), np.abs(poles[:, None] - poles)
+    if np.count_nonzero(apart <= scatter * size) == poles.size:  # each is near to itself
+        return poles
+    result, remaining = poles.copy(), list(range(poles.size))
     while remaining:
         seed = remaining[0]
         near = np.abs(poles[remaining] - poles[seed]) <= scatter * abs(poles[seed])
