@@ -535,6 +535,7 @@ def calibrate(
     surfaces: tuple[str, ...] = (),
     spans: tuple[Span, ...] = (),
     runs: tuple[str, ...] = (),
+    force: bool = False,
 ) -> Calibrated:
     """Calibrate an aircraft on flights that are known to be good; parameters as of `servofd.workflow.calibrate`.
 
@@ -546,7 +547,13 @@ def calibrate(
     """
     paths = [logs] if isinstance(logs, str | Path) else logs
     found = workflow.calibrate(
-        paths, aircraft, false_alarms_per_hour=false_alarms_per_hour, surfaces=surfaces, spans=spans, runs=runs
+        paths,
+        aircraft,
+        false_alarms_per_hour=false_alarms_per_hour,
+        surfaces=surfaces,
+        spans=spans,
+        runs=runs,
+        force=force,
     )
     return Calibrated._of(found)
 
