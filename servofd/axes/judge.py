@@ -389,6 +389,8 @@ def _verdict(
     elif not events and min(identifiable, judged) >= MOST_OF_THE_FLIGHT and _is_known(draft.whole):
         status = "healthy"
     lost, offset = (worst.lost_share, worst.offset_us) if worst is not None else draft.whole or (None, None)
+    if not axis.own_command:  # which tells nothing of the effect of a microsecond
+        lost, offset = None, None
     members = _members(name, axis, motion)
     outside = {reason: float((~good & flown).sum()) / seconds for reason, good in inside.items() if flown.any()}
     return AxisAudit(

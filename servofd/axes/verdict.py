@@ -70,7 +70,8 @@ class AxisAudit:
     members : tuple of str
         Surfaces that serve it; which of them failed cannot be told.
     lost_share, offset_us : Estimate or None
-        Of the worst event; of the whole flight without one; None if nothing could be estimated.
+        Of the worst event; of the whole flight without one; None if nothing could be estimated, or where the command
+        never moved on its own, which tells nothing of its effect.
     events : tuple of AxisEvent
         In order of time.
     identifiable : float

@@ -87,7 +87,7 @@ def reason_of(
     elif caused is not None:
         text = _moved(name, caused)
     elif at_once is not None:
-        text = _differs(name, members, at_once)
+        text = _differs(name, axis, members, at_once)
     elif status == "healthy" and lost is not None:
         shown = f"lost share {lost.value:+.2f} [{lost.low:+.2f}, {lost.high:+.2f}]"
         text = f"{shown}, known in {identifiable:.0%} of the flight"
@@ -105,11 +105,12 @@ def _failed(name: str, axis: AxisModel, members: Sequence[str], worst: AxisEvent
     return f"{_loss(name, axis, members, worst)}, {since}{ended}"
 
 
-def _differs(name: str, members: Sequence[str], event: AxisEvent) -> str:
+def _differs(name: str, axis: AxisModel, members: Sequence[str], event: AxisEvent) -> str:
+    sizes = f" (lost share {event.lost_share.value:+.2f}, offset {event.offset_us.value:+.0f} us)"
     return (
-        f"{named(members, name)} differed from calibration from the first judged second on (lost share "
-        f"{event.lost_share.value:+.2f}, offset {event.offset_us.value:+.0f} us): another trim, payload or aircraft, "
-        "or a failure before take-off; what came later was judged beyond that"
+        f"{named(members, name)} differed from calibration from the first judged second on"
+        f"{sizes if axis.own_command else ''}: another trim, payload or aircraft, or a failure before take-off; what "
+        "came later was judged beyond that"
     )
 
 
@@ -148,7 +149,7 @@ def _loss(name: str, axis: AxisModel, members: Sequence[str], event: AxisEvent) 
         return f"thrust is missing ({lost.value:.0%} [{lost.low:.0%}, {lost.high:.0%}])"
     share = f"lost {lost.value:.0%} [{lost.low:.0%}, {lost.high:.0%}] of its effect"
     if not axis.own_command:
-        return f"{surfaces} stands {event.offset_us.value:+.0f} us from where it was asked, or does not move"
+        return f"{surfaces} is not where it was asked, or does not move"
     if event.lag_s is not None:
         late = event.lag_s
         text = f"slow: answers {late.value:.2f} s [{late.low:.2f}, {late.high:.2f}] later than calibrated"

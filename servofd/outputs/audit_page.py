@@ -155,8 +155,8 @@ def _axis(axis: AxisAudit, anchor: str) -> dict[str, Any]:
                 f"{event.start_s:.1f}",
                 f"{event.alarm_s:.1f}",
                 "lasts" if event.end_s is None else f"{event.end_s:.1f}",
-                f"{event.lost_share.value:.2f} ({event.lost_share.low:.2f} to {event.lost_share.high:.2f})",
-                f"{event.offset_us.value:+.0f} ({event.offset_us.low:+.0f} to {event.offset_us.high:+.0f})",
+                _estimated(event.lost_share if axis.model.own_command else None, 2),
+                _estimated(event.offset_us if axis.model.own_command else None, 0),
                 event.cause or "its own",
             )
             for event in axis.events
