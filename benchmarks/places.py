@@ -117,7 +117,7 @@ def case(seed: int) -> Case:
         name
         for name in truth
         if np.std(whole - moved({other: size for other, size in truth.items() if other != name})) < least
-        and abs(truth.get("bias", 0.0)) < least
+        and (name != "bias" or abs(truth["bias"]) < least)
     ]
     shown = {name: size for name, size in truth.items() if name not in unseen}
     moved_deg = moved(shown) * (1.0 + rng.normal(0.0, 0.005))

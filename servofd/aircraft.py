@@ -93,6 +93,8 @@ class Surface(_Entry):
     """Output of the autopilot that turns it; logs of autopilots that lack the channels named here are read by it."""
     alive: tuple[str, ...] = ()
     """Channels of the same telemetry that change as long as it lives; rows in which nothing does say nothing."""
+    load: str = ""
+    """Channel of a force, torque or current that pushes the shaft from outside; left out, one that is named so."""
     command_saturation_deg: tuple[float, float] | None = None
     """Limits applied to the command after it is logged and before the servo sees it."""
     position_limit_deg: tuple[float, float] | None = None

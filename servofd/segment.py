@@ -29,8 +29,14 @@ SURROUNDINGS: Final[Mapping[str, Mapping[str, float]]] = {
     "servo_voltage_v": {"servo_voltage_v": 1.0, "volts": 1.0, "POWR.Vservo": 1.0, "POWER_STATUS.Vservo": 1e-3},
     "servo_current_a": {"servo_current_a": 1.0, "amps": 1.0},
     "servo_temperature_c": {"servo_temperature_c": 1.0, "temp_c": 1.0},
+    "servo_load": dict.fromkeys(
+        ("servo_load", "load_torque_nm", "load_nm", "load_force_n", "load_n", "load_current_a", "disturbance"), 1.0
+    ),
 }
-"""Channels that tell about the surroundings of servos, the best first, and what turns each into m/s, V, A or °C."""
+"""Channels that tell about the surroundings of servos, the best first, and what turns each into m/s, V, A or °C.
+
+A load is what pushes the shaft from outside, in any unit; what a servo says of its own effort is none.
+"""
 _OUTAGE_S = 1.0
 """Longer steps are pauses of a link."""
 _FEWEST_STEPS, _SHORTEST, _WHOLE = 20, 10.0, 1.5
@@ -209,7 +215,13 @@ def cut(log: FlightLog, name: str, surface: Surface) -> Segment:
         measured.time_s,
         measured_deg,
         surface.command_period_s,
-        context=Context(*(column for sources in SURROUNDINGS.values() for column in _signal(log, sources))),
+        context=Context(
+            *(
+                column
+                for kind, sources in SURROUNDINGS.items()
+                for column in _signal(log, _sources(kind, sources, name, surface))
+            )
+        ),
         sent_period_s=sent_period_s(command.time_s[given][: WARM_UP_STEPS + 1]) if _is_streamed(log, command) else None,
     )
     return _without_dead_telemetry(segment, measured, log, surface) if surface.alive else segment
@@ -218,6 +230,13 @@ def cut(log: FlightLog, name: str, surface: Surface) -> Segment:
 def _is_streamed(log: FlightLog, channel: Channel) -> bool:
     """Whether a channel came in messages of its own over a link."""
     return log.format == "tlog" and channel.name.rpartition(":")[2].partition(".")[0] in dialect().layouts
+
+
+def _sources(kind: str, sources: Mapping[str, float], name: str, surface: Surface) -> Mapping[str, float]:
+    """Channels of one surface: a load is its own, and may have its name before it, or be named by its aircraft file."""
+    if kind != "servo_load":
+        return sources
+    return {surface.load: 1.0} if surface.load else {f"{name}_{each}": 1.0 for each in sources} | dict(sources)
 
 
 def _signal(log: FlightLog, sources: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:

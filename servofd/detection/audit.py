@@ -256,6 +256,7 @@ def _verdict_on(name: str, surface: Surface, *, expected: bool) -> partial[Surfa
 _LACKING = {
     "airspeed_m_s": "the log holds no airspeed: the load of the air is left out of the model",
     "servo_voltage_v": "the log holds no supply voltage: the rate that it limits is left out of the model",
+    "servo_load": "the log holds no load: the model takes nothing to push the servo from outside",
     "servo_current_a": "the log holds no servo current: the reading is taken not to move with it",
 }
 

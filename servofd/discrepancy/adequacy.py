@@ -14,7 +14,7 @@ from servofd.models.catalogue import Quantization
 if TYPE_CHECKING:
     from servofd.discrepancy.fit import Fit
     from servofd.discrepancy.record import Record
-    from servofd.types import BoolArray, FloatArray
+    from servofd.types import BoolArray, FloatArray, IntArray
 
 __all__ = ["Adequacy", "adequacy", "floor_of", "foretold_share"]
 
@@ -86,7 +86,7 @@ def adequacy(record: Record, fit: Fit) -> Adequacy:
         error_deg = noise_within_deg(record.measured_deg, simulated_deg, record.step_deg, usual_deg)
     error = error_deg[counts]
     quiet = _quiet(record)[counts]
-    rest_deg, rest_memory = _at_rest(record, error_deg, quiet)
+    rest_deg, rest_memory, memory_like_it = _at_rest(record, error_deg, quiet)
     floor_deg = white_deg if usual_deg else max(white_deg, min(rest_deg, float(np.sqrt(np.mean(error**2)))))
     memory = long_run_factor(error - error.mean())
     chance = _SIGMAS * float(
@@ -104,7 +104,7 @@ def adequacy(record: Record, fit: Fit) -> Adequacy:
         reasons.append(f"{ratio * floor_deg:.3g} deg rms are left on data not fitted, the noise is {floor_deg:.3g} deg")
     if told:
         reasons.append(f"command and motion still foretell {foretold:.0%} of what is left")
-    if rest_memory > 0.0 and memory > _MEMORY * rest_memory + 1.0:
+    if rest_memory > 0.0 and memory_like_it > _MEMORY * rest_memory + 1.0:
         reasons.append("what is left has a longer memory than the noise at rest")
     block_floor_deg = 0.0 if coloured else usual_deg or floor_deg
     start_s, worst_deg, sigmas = _worst_block(record, error_deg, block_floor_deg, memory)
@@ -134,19 +134,30 @@ def _quiet(record: Record) -> BoolArray:
     return quieter
 
 
-def _at_rest(record: Record, error_deg: FloatArray, quiet: BoolArray) -> tuple[float, float]:
-    """Standard deviation of the noise where the servo rests [deg], and its memory; zeros if it hardly does."""
-    errors, second = error_deg[record.counts], (record.time_s[record.counts] // _BLOCK_S).astype(np.int64)
-    number = second[quiet] - second.min(initial=0)
+def _at_rest(record: Record, error_deg: FloatArray, quiet: BoolArray) -> tuple[float, float, float]:
+    """Standard deviation of the noise where the servo rests [deg], its memory, and that of all errors seen as shortly.
+
+    Zeros if it hardly rests. Pieces of a second or two, each about its mean, show less memory than there is.
+    """
+    errors, block = error_deg[record.counts], (record.time_s[record.counts] // _BLOCK_S).astype(np.int64)
+    block -= block.min(initial=0)
+    number = block[quiet]
     if number.size * record.period_s < _QUIET_S:
-        return 0.0, 0.0
-    count = np.bincount(number)
-    mean = np.bincount(number, weights=errors[quiet]) / np.maximum(count, 1)
-    enough = count[number] * record.period_s > 0.5 * _BLOCK_S
-    centred = (errors[quiet] - mean[number])[enough]
-    if centred.size * record.period_s < _QUIET_S:
-        return 0.0, 0.0
-    return float(np.sqrt(np.mean(centred**2))), long_run_factor(centred)
+        return 0.0, 0.0, 0.0
+    rest, length = _centred(errors[quiet], number, 0.5 * _BLOCK_S / record.period_s)
+    if rest.size * record.period_s < _QUIET_S:
+        return 0.0, 0.0, 0.0
+    whole, _ = _centred(errors, np.arange(errors.size) // length, 0.5 * length)
+    return float(np.sqrt(np.mean(rest**2))), long_run_factor(rest), long_run_factor(whole)
+
+
+def _centred(errors_deg: FloatArray, piece: IntArray, least: float) -> tuple[FloatArray, int]:
+    """Errors about the mean of their piece, in pieces of more samples than that, and how many those have."""
+    count = np.bincount(piece)
+    mean = np.bincount(piece, weights=errors_deg) / np.maximum(count, 1)
+    enough = count > least
+    usual = int(np.median(count[enough])) if enough.any() else 1
+    return (errors_deg - mean[piece])[enough[piece]], usual
 
 
 def foretold_share(record: Record, error_deg: FloatArray, moved_deg: FloatArray | None = None) -> float:

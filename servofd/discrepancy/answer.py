@@ -29,6 +29,7 @@ _NAMES = {
     "bias": "an offset",
     "airload": "a surface that yields to the airload",
     "gravity_load": "a load that hangs on it",
+    "external_load": "the load that was logged",
     "pwm_frame": "commands that wait for pulse frames",
     "sensor_lag": "a sensor that lags",
     "quantization": "coarse steps",

@@ -15,7 +15,16 @@ if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
     from servofd.models.missing_effect import MissingEffect
 
-__all__ = ["SMALLEST", "SURPRISE", "Candidate", "candidates", "excluded", "is_placed", "judgeable", "places_of"]
+__all__ = [
+    "SMALLEST",
+    "SURPRISE",
+    "Candidate",
+    "candidates",
+    "common_places",
+    "excluded",
+    "judgeable",
+    "places_of",
+]
 
 _PLACES: dict[type[MissingEffect], tuple[float, ...]] = {
     catalogue.DeadBand: (BEFORE, INSIDE, AFTER),
@@ -30,16 +39,39 @@ _PLACES: dict[type[MissingEffect], tuple[float, ...]] = {
     catalogue.AirLoad: (BEFORE, INSIDE),
     catalogue.GravityLoad: (BEFORE, INSIDE),
     catalogue.TiltedLoad: (BEFORE, INSIDE),
+    catalogue.ExternalLoad: (BEFORE, INSIDE),
     catalogue.LoadFriction: (BEFORE, INSIDE),
     catalogue.CurrentLimit: (BEFORE, INSIDE),
-    catalogue.Backlash: (INSIDE, AFTER),
+    catalogue.Backlash: (INSIDE, BEFORE, AFTER),
 }
 """Effects that act within the loop, or before what may follow it, and so differ with the place of the slow pole."""
+_BEYOND_LOOP = (catalogue.Backlash,)
+"""Of these, what acts on what the loop moves: a slow pole before the loop is then one inside it, unless something
+within the loop tells them apart."""
 
 
 def places_of(effect: type[MissingEffect]) -> tuple[float, ...]:
     """Where the slow pole may lie with this effect; empty if it does not matter."""
     return _PLACES.get(plain(effect), ())
+
+
+def common_places(effects: tuple[type[MissingEffect], ...]) -> tuple[float, ...]:
+    """Where the slow pole may lie with all of some effects; empty if it does not matter to any.
+
+    Examples
+    --------
+    >>> common_places((catalogue.Backlash,)), common_places((catalogue.Backlash, catalogue.VoltageRate))
+    ((0.0, 1.0), (0.0, -1.0, 1.0))
+    """
+    placed = [effect for effect in effects if places_of(effect)]
+    if not placed:
+        return ()
+    same = {BEFORE} if all(plain(effect) in _BEYOND_LOOP for effect in placed) else set()
+    if catalogue.SensorLag in effects:  # that and a slow pole after the loop are one thing
+        same.add(AFTER)
+    return tuple(
+        each for each in places_of(placed[0]) if each not in same and all(each in places_of(other) for other in placed)
+    )
 
 
 SMALLEST = {
@@ -94,6 +126,7 @@ def judgeable(record: Record) -> tuple[list[type[MissingEffect]], list[type[Miss
             ("airspeed_m_s", record.pressure_pa),
             ("servo_voltage_v", record.voltage_v),
             ("servo_current_a", record.current_a),
+            ("servo_load", record.pushed),
         )
         if values is not None
     }
@@ -101,7 +134,7 @@ def judgeable(record: Record) -> tuple[list[type[MissingEffect]], list[type[Miss
         return list(AT_REST), [effect for effect in CATALOGUE if effect not in AT_REST]
     own = (record.own.missing_effect(),) if record.own else ()
     able = [effect for effect in (*CATALOGUE, *own) if set(effect.needs) <= held]
-    unable = [effect for effect in CATALOGUE if effect not in able]
+    unable = [effect for effect in CATALOGUE if effect not in able and effect is not catalogue.ExternalLoad]
     linear: set[type[MissingEffect]] = {
         catalogue.SlowDynamics,
         catalogue.Damping,
@@ -119,11 +152,6 @@ def judgeable(record: Record) -> tuple[list[type[MissingEffect]], list[type[Miss
     return [effect for effect in able if effect not in fitted], unable
 
 
-def is_placed(effects: tuple[type[MissingEffect], ...]) -> bool:
-    """Whether any effect fixes where the slow pole lies."""
-    return any(places_of(effect) for effect in effects)
-
-
 def excluded(known: tuple[type[MissingEffect], ...]) -> set[str]:
     """Names that cannot come on top of known effects: they are there already, in this form or another."""
     names = {effect.name for effect in known}
@@ -135,15 +163,14 @@ def candidates(
 ) -> list[Candidate]:
     """What may come on top of known effects; a servo has one slow pole, in one place."""
     names = excluded(known)
-    common = [each for each in (BEFORE, INSIDE, AFTER) if all(each in places_of(e) for e in known if places_of(e))]
     found = []
     for effect in able:
         if effect.name in names or effect is catalogue.PwmFrame:
             continue
         where: tuple[float, ...] = (place,)
         if places_of(effect) and record.plant.has_places and record.side is None:
-            where = tuple(each for each in places_of(effect) if each in common)
-        found += [Candidate(effect, each) for each in where if not (effect is catalogue.SensorLag and each == AFTER)]
+            where = common_places((*known, effect))
+        found += [Candidate(effect, each) for each in where]
     if catalogue.SensorLag in known:
-        found = [each for each in found if each.place != AFTER]
-    return found
+        return [each for each in found if each.place != AFTER]
+    return [each for each in found if each != Candidate(catalogue.SensorLag, AFTER)]

@@ -43,6 +43,8 @@ _LOG_STEP, _DECADES = 0.2, 50.0
 """Numbers that range over decades are fitted by their logarithm, in such units."""
 _STRAIN, _STRAINED = 2.0, 3.0
 """Standard deviations at which one of the servo's own numbers may stand in for something else."""
+_LEAST_COLOUR, _WHITE = 0.2, 2.0
+"""Share that must stay from sample to sample, and memory that may be left without it, for noise to have one colour."""
 _SAME = 1e-9
 _FAR = 50.0
 _SIMULATORS_DIFFER = 2.5e-3
@@ -172,6 +174,8 @@ class Fitter:
     """Samples that are fitted: all of them, or of a long record enough."""
     kappa: FloatArray = field(init=False)
     """How much memory the errors have, for each run."""
+    colour: float = field(default=0.0, init=False)
+    """Share of the noise that stays from one sample to the next (AR1)."""
     _where: IntArray = field(init=False)
     _run: IntArray = field(init=False)
     _count: FloatArray = field(init=False)
@@ -201,9 +205,32 @@ class Fitter:
 
     def remember(self, fit: Fit) -> None:
         """Take the memory of what a fit leaves for that of the noise."""
-        errors = self._error_deg(fit.physics)[self._where]
+        errors = self._seen_deg(fit.physics)
         kappa = [long_run_factor(errors[self._run == r]) for r in range(self._count.size)]
         self.kappa = np.array(kappa)
+
+    def recolour(self, fit: Fit) -> bool:
+        """Take what a fit leaves for noise with a colour, if it has one that a single number tells.
+
+        What differs between two servos as fast as the noise changes tells them apart better than its mean square does.
+        """
+        if self.part.time_s.size != self.record.time_s.size:
+            return False
+        errors = self._seen_deg(fit.physics)
+        follows = self._where[1:] == self._where[:-1] + 1
+        self.colour = max(float(errors[1:][follows] @ errors[:-1][follows] / (errors @ errors)), 0.0)
+        self.remember(fit)
+        if self.colour > _LEAST_COLOUR and self.kappa.max() < _WHITE:
+            return True
+        self.colour = 0.0
+        self.remember(fit)
+        return False
+
+    def reweighed(self, fit: Fit) -> Fit:
+        """The same servo with the misfit that the colour and the memory of the noise give it now."""
+        squares = self._squares(self._seen_deg(fit.physics)) if self.colour else fit.run_deg2
+        misfit = float((self._count / self.kappa) @ np.log(squares + self._least)) + self.prior(fit)
+        return replace(fit, misfit=misfit, run_deg2=squares)
 
     def physics(self, effects: Sequence[type[MissingEffect]], values: Sequence[float] | FloatArray) -> Physics:
         """The servo as it is known, with these effects."""
@@ -222,7 +249,7 @@ class Fitter:
         starts = [neutral]
         if self.record.free_poles:
             coarse = [neutral._replace(**point) for point in _COARSE]
-            coarse.sort(key=lambda physics: self._misfit(self._error_deg(physics)[self._where], [], np.zeros(0)))
+            coarse.sort(key=lambda physics: self._misfit(self._seen_deg(physics), [], np.zeros(0)))
             starts += [*coarse[:_ROOTS], *(neutral._replace(**start) for start in _STARTS)]
         return sorted((self.descended((), start, LONG) for start in starts), key=lambda fit: fit.misfit)
 
@@ -283,7 +310,7 @@ class Fitter:
         """A size in degrees as this record is to be judged: of a drive that is off by micrometres, micrometres."""
         if self.record.free_poles and parameter.fields[0] == "delay_s":
             return _UNKNOWN_LATE_S
-        return size * (self._size if _grows_with_gap(parameter) else 1.0)
+        return size * self._scale(parameter)
 
     def starts(self, base: Fit) -> list[Physics]:
         """Where a further effect may start: from what its own numbers came to, and from what is usual.
@@ -322,13 +349,13 @@ class Fitter:
 
     def given_way(self, physics: Physics, slopes: FloatArray) -> float:
         """Misfit of a servo after its numbers gave way as far as their slopes tell."""
-        return self._given_way(self._error_deg(physics)[self._where], slopes)
+        return self._given_way(self._seen_deg(physics), slopes)
 
     def slopes(self, fit: Fit) -> FloatArray:
         """Slope of the errors over each number that is fitted, and its prior in the last row, shape (m + 1, q)."""
         numbers = self._numbers(fit.effects, fit.physics)
         x = self._x(numbers, fit.physics)
-        error = self._error_deg(fit.physics)[self._where]
+        error = self._seen_deg(fit.physics)
         return np.vstack([self._slopes(numbers, x, fit.physics, error), [float(n.prior) for n in numbers]])
 
     def descended(
@@ -345,7 +372,7 @@ class Fitter:
         numbers = self._numbers(effects, start)
         x = self._x(numbers, start)
         physics = self._servo(numbers, x, start)
-        error = self._error_deg(physics)[self._where]
+        error = self._seen_deg(physics)
         best = self._misfit(error, numbers, x)
         own = len([n for n in numbers if n.prior])
         slopes = np.zeros((error.size, 0))
@@ -360,7 +387,7 @@ class Fitter:
                 trial = x + self._step(slopes, error, numbers, x, damping)
                 trial = np.array([n.x(n.value(v)) for n, v in zip(numbers, trial, strict=True)])
                 candidate = self._servo(numbers, trial, start)
-                error_there = self._error_deg(candidate)[self._where]
+                error_there = self._seen_deg(candidate)
                 there = self._misfit(error_there, numbers, trial)
                 if there < best:
                     x, physics, error, best = trial, candidate, error_there, there
@@ -387,7 +414,7 @@ class Fitter:
     def foreseen(self, fit: Fit) -> tuple[float, float]:
         """Misfit that a servo fitted to the training blocks leaves on those held out, and what its prior costs."""
         judged, held = self._foreseen(fit), self.record.held_out
-        error = self._beside_mean_reading(judged)
+        error = self._whitened(self._beside_mean_reading(judged))
         runs = self.record.run[held]
         count = np.bincount(runs, minlength=self._count.size)
         squares = np.bincount(runs, weights=error[held] ** 2, minlength=count.size) / np.maximum(count, 1)
@@ -404,7 +431,7 @@ class Fitter:
         if self.record.side is not None or not (fit.effects or fit.physics != self.record.plant.neutral):
             return self.judged(fit.effects, fit.physics)
         half = Fitter(replace(self.record, counts=self.record.trained))
-        half.kappa, half._size = self.kappa, self._size
+        half.kappa, half._size, half.colour = self.kappa, self._size, self.colour
         trained = half.descended(fit.effects, fit.physics, _AGAIN)
         self.simulations += half.simulations
         return self.judged(fit.effects, trained.physics)
@@ -416,7 +443,7 @@ class Fitter:
         if not count:
             return np.zeros((0, 0))
         x = self._x(numbers, fit.physics)
-        error = self._error_deg(fit.physics)[self._where]
+        error = self._seen_deg(fit.physics)
         slopes = self._slopes(numbers, x, fit.physics, error)
         weight = self._weights(error)
         curvature = slopes.T @ (slopes * weight[:, None]) + np.diag([float(n.prior) for n in numbers])
@@ -458,7 +485,7 @@ class Fitter:
         for effect in effects:
             for p in effect.parameters:
                 is_log = p.low > 0.0 and p.high / p.low > _DECADES
-                unit = _LOG_STEP if is_log else p.typical * (self._size if _grows_with_gap(p) else 1.0)
+                unit = _LOG_STEP if is_log else p.typical * self._scale(p)
                 value = getattr(start, p.fields[0])
                 at = value if is_log else 0.0
                 # The comb of the readings tells their step, and nothing else does.
@@ -481,6 +508,20 @@ class Fitter:
     def _error_deg(self, physics: Physics) -> FloatArray:
         self.simulations += 1
         return self.part.measured_deg - self._simulated_deg(physics)
+
+    def _seen_deg(self, physics: Physics) -> FloatArray:
+        """Errors of the samples that count, without the colour of the noise."""
+        return self._whitened(self._error_deg(physics))[self._where]
+
+    def _whitened(self, error_deg: FloatArray) -> FloatArray:
+        """Errors of a colour as what each adds to the one before, as large as they are."""
+        if not self.colour:
+            return error_deg
+        new: FloatArray = error_deg.copy()
+        follows = np.isfinite(error_deg[:-1]) & (self.part.run[1:] == self.part.run[:-1])
+        new[1:][follows] -= self.colour * error_deg[:-1][follows]
+        new[1:][follows] /= np.sqrt(1.0 - self.colour**2)
+        return new
 
     def _simulated_deg(self, physics: Physics) -> FloatArray:
         """Of the fitted part; through a converter with coarse steps what it reads on average, or nothing has slopes."""
@@ -522,7 +563,7 @@ class Fitter:
             if abs(number.value(each + step) - number.value(each)) < _SAME:
                 step = -step
             there = physics._replace(**dict.fromkeys(number.fields, number.value(each + step)))
-            columns.append((self._error_deg(there)[self._where] - error) / step)
+            columns.append((self._seen_deg(there) - error) / step)
         return np.column_stack(columns) if columns else np.zeros((error.size, 0))
 
     def _step(
@@ -559,8 +600,13 @@ class Fitter:
         return float((self._count / self.kappa) @ np.log(self._squares(error) + self._least)) + penalty
 
     def _sized(self, parameter: Parameter, grid: tuple[float, ...]) -> list[float]:
-        scale = self._size if _grows_with_gap(parameter) else 1.0
-        return [scale * value for value in grid]
+        return [self._scale(parameter) * value for value in grid]
+
+    def _scale(self, parameter: Parameter) -> float:
+        """Of what is usual for a number: degrees as the record is off, a load as it was logged."""
+        if parameter.fields[0] == "load_deg" and self.record.pushed is not None:
+            return 1.0 / float(np.sqrt(np.mean(self.record.pushed.load**2)))
+        return self._size if _grows_with_gap(parameter) else 1.0
 
 
 def _ends(numbers: list[_Number]) -> tuple[list[float], list[float]]:

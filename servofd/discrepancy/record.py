@@ -10,6 +10,7 @@ import numpy as np
 from servofd.detection.residual import Commands, commands_at_servo
 from servofd.discrepancy.lost import after_lost_commands
 from servofd.discrepancy.steps import comb_step_deg
+from servofd.models.context import Context
 from servofd.models.laws import at_run
 from servofd.models.physics import LOOSE_FIELDS, Physics, Plant, longest_step_s
 from servofd.models.servo_model import plant_of
@@ -87,6 +88,8 @@ class Record:
     """Drawn by the servo."""
     temperature_c: FloatArray | None = None
     """Of the servo."""
+    pushed: Context | None = None
+    """Load that was logged on the shaft."""
     step_deg: float | None = None
     """Of the converter whose whole multiples the positions are."""
     runs: tuple[Record, ...] = ()
@@ -189,6 +192,7 @@ def record_of(
         voltage_v = context.supply_v(time_s)
     current_a = context.drawn_a(time_s) if "servo_current_a" in context.logged else None
     temperature_c = context.warmth_c(time_s) if "servo_temperature_c" in context.logged else None
+    pushed = Context(load_s=context.load_s, load=context.load) if np.ptp(context.pushed(time_s)) > 0.0 else None
     return Record(
         plant,
         commands,
@@ -200,6 +204,7 @@ def record_of(
         voltage_v,
         current_a,
         temperature_c,
+        pushed,
         comb_step_deg(measured_deg),
         free_poles=free_poles,
         own=own,
@@ -222,7 +227,8 @@ def joined(records: Sequence[Record]) -> Record:
     for k, each in enumerate(records):
         shift_s = later_s - float(each.time_s[0])
         moved = replace(each.commands, effective_s=each.commands.effective_s + shift_s)
-        runs.append(replace(each, commands=moved, time_s=each.time_s + shift_s))
+        load = each.pushed and replace(each.pushed, load_s=each.pushed.load_s + shift_s)
+        runs.append(replace(each, commands=moved, time_s=each.time_s + shift_s, pushed=load))
         number = each.block + count
         blocks.append(2 * number + k % 2 if len(records) >= FEW_RUNS else number)
         count += int(each.block[-1]) + 1
@@ -242,6 +248,7 @@ def joined(records: Sequence[Record]) -> Record:
         _context([each.voltage_v for each in runs]),
         _context([each.current_a for each in runs]),
         _context([each.temperature_c for each in runs]),
+        _joined_load([each.pushed for each in runs]),
         comb_step_deg(np.concatenate([each.measured_deg for each in runs])),
         tuple(runs),
         records[0].free_poles,
@@ -329,6 +336,16 @@ def _only(record: Record, where: IntArray) -> Record:
     )
 
 
+def _joined_load(loads: Sequence[Context | None]) -> Context | None:
+    """What was logged in any run: where none was, nothing pushed."""
+    there = [each for each in loads if each is not None]
+    if not there:
+        return None
+    return Context(
+        load_s=np.concatenate([each.load_s for each in there]), load=np.concatenate([each.load for each in there])
+    )
+
+
 def _context(values: list[FloatArray | None]) -> FloatArray | None:
     """What was logged in every run; None if it was not in one of them."""
     there = [each for each in values if each is not None]
@@ -408,6 +425,7 @@ def _moved_from(record: Record, physics: Physics, finer: float, starts_deg: Sequ
         nothing if record.pressure_pa is None else record.pressure_pa,
         nothing if record.voltage_v is None else record.voltage_v,
         np.array([new_memory(start_deg) for start_deg in starts_deg]),
+        None if record.pushed is None else record.pushed.pushed(record.time_s, physics.load_late_s),
     )
     if physics.deg_per_a != 0.0 and record.current_a is not None:
         positions_deg = positions_deg + physics.deg_per_a * record.current_a

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.discrepancy.adequacy import Adequacy, adequacy, floor_of
-from servofd.discrepancy.candidates import SMALLEST, SURPRISE, candidates, excluded, is_placed, judgeable, places_of
+from servofd.discrepancy.candidates import SMALLEST, SURPRISE, candidates, common_places, excluded, judgeable
 from servofd.discrepancy.fit import LONG, OWN_FIELDS, Fit, Fitter
 from servofd.discrepancy.frames import best_frame, frames_like
 from servofd.discrepancy.one_size import step_size_deg
@@ -31,9 +31,10 @@ from servofd.models.catalogue import (
     SensorLag,
     SlowDynamics,
     TiltedLoad,
+    installed,
 )
 from servofd.models.laws import VARIED, by_condition, is_law, plain
-from servofd.models.physics import INSIDE
+from servofd.models.physics import INSIDE, RATE_FIELDS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -79,6 +80,9 @@ sample: errors that differ by 5 % tell no names apart."""
 _LIMITS, _FAR_WORSE, _OF_STEP = ("rate_limit", "voltage_rate"), 0.75, 0.02
 """Limits of the speed; and the share of what a slow servo leaves beyond the noise that tells one from it by shape, if
 it is that share of a step too: real servos differ from a linear one by as much."""
+_COLOURLESS = 0.6
+"""Share of the samples that count in full where the noise has no colour to speak of."""
+_PER_V, _SLOWEST = ("deg_s_per_v", "speed_deg_s_per_v"), 0.2
 _DECLARED, _NEGLIGIBLE = 0.99, 1e-3
 _WORSE = 9.0
 """Times the mean square of a run, and of the noise, that an effect must not leave."""
@@ -187,7 +191,9 @@ class _Search:
             for effect in self.able
             if effect.name not in excluded(base.effects) and self.fitter.strains(effect, base)
         ]
-        fits += self._siblings(base, fits, enough)
+        loose = [fit for fit in fits if fit.effects[-1].family == "hysteresis"]
+        if loose:
+            self.exchange(min(loose, key=lambda fit: fit.misfit), enough, len(base.effects))
         fits += self._twins(base, fits, enough)
         if PwmFrame in self.able and PwmFrame.name not in base.names:
             fits += self._framed(base, fits)
@@ -222,33 +228,37 @@ class _Search:
         self.keep(fit)
         return fit
 
-    def _siblings(self, base: Fit, fits: list[Fit], enough: float) -> list[Fit]:
-        """What sticks, is dead or loose, each started from what the best of them came to, at its place."""
-        loose = [fit for fit in fits if fit.effects[-1].family == "hysteresis"]
-        if not loose:
-            return []
-        best = min(loose, key=lambda fit: fit.misfit)
-        width = _width(best)
-        found = []
-        for effect in self.able:
-            if effect.family != "hysteresis" or effect.name in base.names:
+    def exchange(self, fit: Fit, enough: float, known: int = 0) -> None:
+        """Each effect of a fit, but for so many that are known, in its other forms, started from what it came to.
+
+        What sticks, is dead or loose passes for one another until each has been fitted as well, at each place; so do
+        the ways in which a speed is limited.
+        """
+        record, first = self.fitter.record, 0
+        is_placed = record.plant.has_places and record.side is None
+        for k, effect in enumerate(fit.effects):
+            size, first = float(fit.values[first]), first + len(effect.parameters)
+            if k < known:
                 continue
-            record = self.fitter.record
-            placed = record.plant.has_places and record.side is None
-            for place in (places_of(effect) or (INSIDE,)) if placed else (base.place,):
-                if any(place not in places_of(other) for other in base.effects if places_of(other)):
+            rest = (*fit.effects[:k], *fit.effects[k + 1 :])
+            without = fit.physics._replace(**{f: getattr(record.plant.neutral, f) for f in _fields(effect)})
+            is_loose = effect.family == "hysteresis"
+            for other in self.able:
+                if other.name in excluded(rest) or not (_is_like(effect, other) or (is_loose and other is effect)):
                     continue
-                if SensorLag in base.effects and place > INSIDE:
-                    continue
-                p = effect.parameters[0]
-                size = 0.5 * width if p.fields[0] == "friction_deg" else width
-                start = best.physics._replace(slow_place=place, deadband_deg=0.0, insensitive_deg=0.0)
-                start = start._replace(friction_deg=0.0, backlash_deg=0.0, stribeck=0.0)
-                start = start._replace(**{name: getattr(base.physics, name) for name in _kept(base)})
-                extra = {q.fields[0]: q.grid[0] for q in effect.parameters[1:]}
-                start = start._replace(**{p.fields[0]: size}, **extra)
-                found.append(self._fitted((*base.effects, effect), start, enough))
-        return found
+                into = [size * _half(other) / _half(effect), *(p.grid[0] for p in other.parameters[1:])]
+                for place in (common_places((*rest, other)) or (INSIDE,)) if is_placed and is_loose else (fit.place,):
+                    start = installed(without._replace(slow_place=place), [other], into)
+                    self._fitted((*rest, other), self._as_fast(start, fit.physics), enough)
+
+    def _as_fast(self, start: Physics, fitted: Physics) -> Physics:
+        """A start that is as fast as what was fitted: a motor at its limit loses what friction takes."""
+        record = self.fitter.record
+        more_deg_s = _lost_deg_s(record, start) - _lost_deg_s(record, fitted)
+        supply_v = 1.0 if record.voltage_v is None else float(np.nanmean(record.voltage_v))
+        limits = {name: getattr(start, name) for name in RATE_FIELDS}
+        more = {name: more_deg_s / (supply_v if name in _PER_V else 1.0) for name in limits}
+        return start._replace(**{n: max(v + more[n], _SLOWEST * v) for n, v in limits.items() if v < np.inf})
 
     def _twins(self, base: Fit, fits: list[Fit], enough: float) -> list[Fit]:
         """What moves nearly alike, started from what the other came to: late commands and late readings."""
@@ -293,25 +303,34 @@ def without_idle(fit: Fit, neutral: Physics) -> Fit:
     values = [getattr(fit.physics, p.fields[0]) for effect in effects for p in effect.parameters]
     gone = {name: getattr(neutral, name) for k in fit.idle for p in fit.effects[k].parameters for name in p.fields}
     physics = fit.physics._replace(**gone)
-    if not is_placed(effects):
+    if physics.slow_place not in common_places(effects):
         physics = physics._replace(slow_place=INSIDE)
     return replace(fit, effects=effects, values=np.array(values), physics=physics, idle=())
 
 
-def _kept(base: Fit) -> tuple[str, ...]:
-    """Fields of the family that the base itself has fitted."""
-    fields = {name for effect in base.effects for p in effect.parameters for name in p.fields}
-    return tuple(
-        name
-        for name in ("deadband_deg", "insensitive_deg", "friction_deg", "backlash_deg", "stribeck")
-        if name in fields
-    )
+def _fields(effect: type[MissingEffect]) -> tuple[str, ...]:
+    """Of `Physics`, those that an effect sets."""
+    return (*(name for p in effect.parameters for name in p.fields), *effect.fixed)
 
 
-def _width(fit: Fit) -> float:
-    """Full width of what sticks, is dead or loose."""
-    p, first = fit.effects[-1].parameters[0], len(fit.values) - len(fit.effects[-1].parameters)
-    return float(fit.values[first]) * (2.0 if p.fields[0] == "friction_deg" else 1.0)
+def _lost_deg_s(record: Record, physics: Physics) -> float:
+    """Speed that friction takes from a motor at its limit."""
+    limits = (physics.rate_up_deg_s, physics.rate_down_deg_s, physics.deg_s_per_v)
+    is_limited = physics.friction_deg > 0.0 and min(limits) < np.inf
+    return physics.friction_deg / record.plant.loop(physics).error_per_rate_s if is_limited else 0.0
+
+
+def _half(effect: type[MissingEffect]) -> float:
+    """Friction is given by half the width within which a servo may rest, the others by all of it."""
+    return 0.5 if effect.parameters[0].fields[0] == "friction_deg" else 1.0
+
+
+def _is_like(effect: type[MissingEffect], other: type[MissingEffect]) -> bool:
+    """Whether two effects are ways of sticking, being dead or loose, or of limiting one speed, of one size."""
+    if effect.family == "hysteresis" or other.family == "hysteresis":
+        return effect is not other and effect.family == other.family
+    same = effect.parameters[0].name == other.parameters[0].name
+    return effect is not other and same and effect.name == other.name and effect.name in _LIMITS
 
 
 def select(record: Record, progress: Callable[[str], None] = lambda _step: None) -> Selection:
@@ -334,9 +353,10 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     fitter.remember(best)
     search.look_again()
     _reweighed(search)
+    _recoloured(search, _chosen(search))
     best = _foreseeing(search, _chosen(search))
     nominal = fitter.nominal()
-    names, sets = _shares(search, best, nominal)
+    names, sets = _shares(search, best, fitter.reweighed(nominal))
     linear = _better_linear(search, names[0])
     if linear is not None:
         names, sets = [linear], 1.0
@@ -371,6 +391,8 @@ def _widened(search: _Search, root: Fit) -> None:
         for base in beam:
             least = min(f.misfit for f in search.visited.values())
             search.grow(base, least + 40.0)
+        if not record.free_poles:
+            _exchanged(search, size + 1)
         # The memory of what the best leaves is that of the noise; what lacks an effect remembers it.
         search.fitter.remember(min(search.visited.values(), key=lambda fit: fit.misfit))
         search.look_again()
@@ -380,10 +402,11 @@ def _widened(search: _Search, root: Fit) -> None:
         _by_condition(search, size + 1)
         longer = _best_of_size(search, size + 1)
         for fit in longer[:1]:  # without each of its effects, and with others in their place
-            for k in range(len(fit.effects) - 1):
+            for k in range(len(fit.effects) - record.free_poles):
                 fewer = _without(search, fit, k)
                 if size + 1 > 1 and fit.misfit < best.misfit - _window(search, best, fit):
                     search.grow(fewer, min(f.misfit for f in search.visited.values()) + 40.0)
+        best = best if record.free_poles else search.visited[best.key]
         longer = _best_of_size(search, size + 1)
         if _needed(search, best, longer):
             best = longer[0]
@@ -394,17 +417,23 @@ def _widened(search: _Search, root: Fit) -> None:
         beam = [fit for fit in longer[:_BEAM] if fit.misfit < longer[0].misfit + 4.0 * _OCCAM]
 
 
+def _exchanged(search: _Search, size: int) -> None:
+    """The likeliest structure of a size, and the likeliest that sticks, is dead or loose, with like effects instead."""
+    likely = _best_of_size(search, size)
+    loose = [fit for fit in likely if any(e.family == "hysteresis" for e in fit.effects)]
+    for fit in dict.fromkeys((*likely[:1], *loose[:1])):
+        search.exchange(fit, min(f.misfit for f in search.visited.values()) + 40.0)
+
+
 def _polished(search: _Search, size: int) -> None:
     """Fit the likeliest structures of a size to the end, from where they are and with the best one's own numbers."""
     likely = _best_of_size(search, size)[:_POLISHED]
     for fit in likely:
-        starts = [fit.physics]
-        if fit is not likely[0]:
-            own = {name: getattr(likely[0].physics, name) for name in OWN_FIELDS}
-            taken = {name for effect in fit.effects for p in effect.parameters for name in p.fields}
-            starts.append(fit.physics._replace(**{k: v for k, v in own.items() if k not in taken}))
-        for start in starts:
-            search.keep(search.fitter.descended(fit.effects, start, LONG))
+        like = [fit.physics] if fit is likely[0] else [fit.physics, likely[0].physics]
+        taken = {name for effect in fit.effects for name in _fields(effect)}
+        for own in like:
+            changes = {name: getattr(own, name) for name in OWN_FIELDS if name not in taken}
+            search.keep(search.fitter.descended(fit.effects, fit.physics._replace(**changes), LONG))
 
 
 def _by_condition(search: _Search, size: int) -> None:
@@ -435,7 +464,7 @@ def _without(search: _Search, fit: Fit, k: int) -> Fit:
     neutral = search.fitter.record.plant.neutral
     gone = {name: getattr(neutral, name) for p in fit.effects[k].parameters for name in p.fields}
     start = fit.physics._replace(**gone)
-    if not is_placed(effects):
+    if start.slow_place not in common_places(effects):
         start = start._replace(slow_place=INSIDE)
     key = tuple(sorted(effect.key() for effect in effects)), start.slow_place
     known = search.visited.get(key)
@@ -594,10 +623,23 @@ def _share_of_excess(search: _Search, fewer: Fit, best: Fit) -> float:
 
 def _reweighed(search: _Search) -> None:
     """Misfits of all that comes into question, counted by another memory."""
-    fitter = search.fitter
     for key, fit in list(search.visited.items()):
-        misfit = float((fitter._count / fitter.kappa) @ np.log(fit.run_deg2 + fitter._least)) + fitter.prior(fit)
-        search.visited[key] = replace(fit, misfit=misfit)
+        search.visited[key] = search.fitter.reweighed(fit)
+
+
+def _recoloured(search: _Search, best: Fit) -> None:
+    """All that comes into question, judged by the colour of the noise where the best leaves nothing else."""
+    fitter = search.fitter
+    whole = fitter.judged(best.effects, best.physics)
+    if fitter.effective > _COLOURLESS * fitter._count.sum() or adequacy(fitter.record, whole).reasons:
+        return
+    near = [fit for fit in search.visited.values() if _cost(search, fit) < _cost(search, best) + _OCCAM]
+    if not fitter.recolour(best):
+        return
+    _reweighed(search)
+    for fit in sorted(near, key=lambda fit: fit.misfit)[:_FITS]:
+        search.keep(fitter.descended(fit.effects, fit.physics))
+    search.keep(fitter.descended((), search.visited[((), INSIDE)].physics))
 
 
 def _shares(search: _Search, best: Fit, nominal: Fit) -> tuple[list[Fit], float]:
@@ -640,6 +682,8 @@ def _shares(search: _Search, best: Fit, nominal: Fit) -> tuple[list[Fit], float]
 def _beyond_noise(search: _Search, best: Fit) -> float:
     """Share of what the best leaves that is no noise but its own error."""
     record = search.fitter.record
+    if search.fitter.colour:
+        return 0.0
     whole = search.fitter.judged(best.effects, best.physics)
     left = whole.total / max(float(record.counts.sum()), 1.0)
     return max(0.0, 1.0 - (_MODEL_RATIO * floor_of(record, whole)) ** 2 / max(left, 1e-30))
@@ -657,7 +701,7 @@ def _forms(search: _Search, fit: Fit) -> float:
     most = 1
     for name in fit.names:
         forms = [effect for effect in search.able if effect.name == name]
-        most = max(most, sum(max(len(places_of(form)), 1) if has_places else 1 for form in forms))
+        most = max(most, sum(max(len(common_places((form,))), 1) if has_places else 1 for form in forms))
     return float(most)
 
 
@@ -750,7 +794,7 @@ def _prefix(search: _Search, best: Fit, effects: tuple[type[MissingEffect], ...]
         fit
         for fit in search.visited.values()
         if sorted(e.key() for e in fit.effects) == sorted(e.key() for e in effects)
-        and (fit.place == best.place or not is_placed(effects))
+        and (fit.place == best.place or best.place not in common_places(effects))
     ]
     if known:
         return min(known, key=lambda fit: fit.misfit)

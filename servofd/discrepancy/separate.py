@@ -176,6 +176,7 @@ def _flown(record: Record, manoeuvre: Manoeuvre) -> Record:
         pressure_pa=_AIR_PA[0] + share * (_AIR_PA[1] - _AIR_PA[0]) if manoeuvre.air_changes else _CRUISE_PA * ones,
         voltage_v=_SUPPLY_V - share * (_SUPPLY_V - _SAGGING_V) if manoeuvre.supply_sags else _SUPPLY_V * ones,
         current_a=None,
+        pushed=None,
         temperature_c=None,
         runs=(),
         side=None,

@@ -23,6 +23,7 @@ _CONTEXT = {
     "airspeed_m_s": "airspeed (column airspeed_m_s)",
     "servo_voltage_v": "supply voltage (servo_voltage_v)",
     "servo_current_a": "current (servo_current_a)",
+    "servo_load": "load (servo_load)",
 }
 
 

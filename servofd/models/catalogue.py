@@ -266,6 +266,17 @@ class TiltedLoad(MissingEffect):
     )
 
 
+class ExternalLoad(MissingEffect):
+    """Force or torque that was logged, on the shaft: so many degrees for each of its units."""
+
+    name, place, needs = "external_load", Place.SERVO, ("servo_load",)
+    parameters = (
+        Parameter("deg_per_unit", ("load_deg",), -1e6, 1e6, 0.0, 0.5, (-3.0, -1.0, -0.3, 0.3, 1.0, 3.0)),
+        Parameter("late_s", ("load_late_s",), -0.1, 0.1, 0.0, 0.01, (0.0,), aside=True),
+        _SPLIT,
+    )
+
+
 class PositionLimit(MissingEffect):
     """Stops of the linkage: the surface waits there while the servo goes on."""
 
@@ -382,6 +393,7 @@ CATALOGUE: tuple[type[MissingEffect], ...] = (
     Damping,
     GravityLoad,
     TiltedLoad,
+    ExternalLoad,
     LoadFriction,
     CurrentLimit,
     AsymmetricRate,

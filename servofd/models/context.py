@@ -1,4 +1,4 @@
-"""What acts on a servo beside its command: airstream, supply, current and temperature, as far as they were logged."""
+"""What acts on a servo beside its command: airstream, supply, current, temperature and load, as far as logged."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ import numpy as np
 from logparsers.records import own
 from servofd.types import FloatArray
 
+_LONG_S, _INSTANT_S = 1e3, 1e-4
+"""A load holds so long before its first and after its last stamp; what is shorter is an instant."""
 AIR_KG_M3: Final = 1.225
 """Density of the standard atmosphere at sea level."""
 
@@ -20,7 +22,7 @@ def _nothing() -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Context:
-    """Airspeed, supply voltage, current and temperature, each on its own time stamps; empty where a log holds none.
+    """Airspeed, supply, current, temperature and load, each on its own time stamps; empty where a log holds none.
 
     Examples
     --------
@@ -39,6 +41,9 @@ class Context:
     current_a: FloatArray = field(default_factory=_nothing)
     temperature_s: FloatArray = field(default_factory=_nothing)
     temperature_c: FloatArray = field(default_factory=_nothing)
+    load_s: FloatArray = field(default_factory=_nothing)
+    load: FloatArray = field(default_factory=_nothing)
+    """Force or torque on the shaft from outside, in whatever unit it was logged."""
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
@@ -46,12 +51,13 @@ class Context:
 
     @property
     def logged(self) -> frozenset[str]:
-        """Which of ``airspeed_m_s``, ``servo_voltage_v``, ``servo_current_a``, ``servo_temperature_c`` are there."""
+        """Which of airspeed, supply, current, temperature and load are there, by the names of their columns."""
         sizes = {
             "airspeed_m_s": self.airspeed_s.size,
             "servo_voltage_v": self.voltage_s.size,
             "servo_current_a": self.current_s.size,
             "servo_temperature_c": self.temperature_s.size,
+            "servo_load": self.load_s.size,
         }
         return frozenset(name for name, size in sizes.items() if size)
 
@@ -77,6 +83,26 @@ class Context:
         if not self.temperature_s.size:
             return np.full(at_s.size, np.nan)
         return np.interp(at_s, self.temperature_s, self.temperature_c)
+
+    def pushed(self, at_s: FloatArray, late_s: float = 0.0) -> FloatArray:
+        """Mean load since the instant before, shape (n,), if each value holds until the next; 0 if never logged.
+
+        It acts so much later than it is stamped. At the first instant it is the value in force.
+
+        Examples
+        --------
+        >>> Context(load_s=np.array([0.0, 1.0, 2.0]), load=np.array([0.0, 4.0, 0.0])).pushed(np.arange(4.0), 0.5)
+        array([0., 0., 2., 2.])
+        """
+        if not self.load_s.size:
+            return np.zeros(at_s.size)
+        ends_s = np.concatenate([[self.load_s[0] - _LONG_S], self.load_s[1:], [self.load_s[-1] + _LONG_S]])
+        so_far = np.concatenate([[0.0], np.cumsum(self.load * np.diff(ends_s))])
+        begin_s = np.concatenate([at_s[:1] - _INSTANT_S, at_s[:-1]])
+        begin_s = np.minimum(begin_s, at_s - _INSTANT_S)
+        both = [np.interp(each - late_s, ends_s, so_far) for each in (begin_s, at_s)]
+        mean: FloatArray = (both[1] - both[0]) / (at_s - begin_s)
+        return mean
 
 
 NO_CONTEXT = Context()

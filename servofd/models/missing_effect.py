@@ -11,7 +11,7 @@ from servofd.models.effects import Place
 if TYPE_CHECKING:
     from servofd.models.physics import Physics
 
-Context = Literal["airspeed_m_s", "servo_voltage_v", "servo_current_a"]
+Context = Literal["airspeed_m_s", "servo_voltage_v", "servo_current_a", "servo_load"]
 
 _AT_BOUND, _NEAR = 1e-3, 0.1
 """Share of the range, and of the lower bound, within which a value is at it."""

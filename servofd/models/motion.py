@@ -302,6 +302,7 @@ class ExtendedMotion(Motion[ExtendedServo]):
             self.context.pressure_pa(at_s),
             self.context.supply_v(at_s),
             self._memory,
+            self.context.pushed(at_s, physics.load_late_s),
         )
         if physics.deg_per_a != 0.0:
             position_deg = position_deg + physics.deg_per_a * self.context.drawn_a(at_s)

@@ -121,6 +121,10 @@ class Physics(NamedTuple):
     """Speed at which most of that is gone."""
     hangs_deg: float = 0.0
     """Where a weight on the horn hangs at rest: its load is droop times the sine of the angle from there."""
+    load_deg: float = 0.0
+    """Deflection at which a unit of the load that was logged holds the servo."""
+    load_late_s: float = 0.0
+    """How much later it acts than it is stamped."""
     run_slope: float = 0.0
     """By how much a size is larger in the run with the largest value of a condition than in the mean one; the kernel
     knows nothing of it, nor of the next two (`servofd.models.laws`)."""

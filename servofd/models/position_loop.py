@@ -88,13 +88,16 @@ def run(
     pressure_pa: FloatArray,
     voltage_v: FloatArray,
     memory: FloatArray,
+    load: FloatArray | None = None,
 ) -> FloatArray:
     """Measured position at the rising times `at_s` [deg], shape (m,), from where the memory stands.
 
     The memory is moved on: run again with later times, and with the commands from its cursor on. From memories of shape
-    (p, k), one per row, positions are of shape (p, m).
+    (p, k), one per row, positions are of shape (p, m). A load that was logged acts until the instant it is given for.
     """
-    inputs = tuple(_plain(each) for each in (effective_s, command_deg, slope_deg_s, at_s, pressure_pa, voltage_v))
+    known = np.zeros(at_s.size) if load is None else load
+    given = (effective_s, command_deg, slope_deg_s, at_s, pressure_pa, voltage_v, known)
+    inputs = tuple(_plain(each) for each in given)
     memories = np.atleast_2d(memory)
     result = np.empty((memories.shape[0], at_s.size))
     room = np.empty((2 * _SLOTS, 3 * ROW)), np.empty((_NOTES, 5))
@@ -187,7 +190,7 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
     Its positions at the instants are the result, or, if it is noted for a linkage, how many steps were taken until
     then. Of the matrices there are two for each length of step: while the error acts, and while it does not.
     """
-    effective_s, command_deg, slope_deg_s, at_s, pressure_pa, voltage_v = inputs
+    effective_s, command_deg, slope_deg_s, at_s, pressure_pa, voltage_v, known = inputs
     built_s = memory[_STATES:]
     grid_s, order, stiffness = loop.grid_s, loop.order, loop.closed_rate[loop.order - 1, 5]
     filters = loop.filters
@@ -212,7 +215,7 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
     bends = edge > 0.0
     saturates = sags or up < math.inf or down < math.inf
     weighs = physics.droop_deg != 0.0
-    loaded = weighs or physics.airload_per_pa != 0.0
+    loaded = weighs or physics.airload_per_pa != 0.0 or physics.load_deg != 0.0
     stop_upper, stop_lower = physics.stop_upper_deg / dc_gain, physics.stop_lower_deg / dc_gain
     blocked = stop_upper < math.inf or stop_lower > -math.inf
     slews, rooted = physics.set_point_deg_s < math.inf, physics.knee_deg < math.inf
@@ -302,7 +305,7 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
                 pushed = max(min(bent, most), least) if held else bent - error
                 load = 0.0
                 if loaded:
-                    load = physics.airload_per_pa * pressure_pa[n] * middle
+                    load = physics.airload_per_pa * pressure_pa[n] * middle - physics.load_deg * known[n]
                     if weighs:
                         load += physics.droop_deg * sine((middle - physics.hangs_deg) * _PER_DEG)
                     load *= -per_error

@@ -116,6 +116,7 @@ class ServoModel:
             "airspeed_m_s": physics.airload_per_pa != 0.0,
             "servo_voltage_v": min(physics.deg_s_per_v, physics.speed_deg_s_per_v) < float("inf"),
             "servo_current_a": physics.deg_per_a != 0.0,
+            "servo_load": physics.load_deg != 0.0,
         }
         return frozenset(name for name, does in acts.items() if does)
 

@@ -114,7 +114,8 @@ def simulate_flight(
     for name, further in (effects or {}).items():
         for effect in further:
             models[name] = models[name] + effect
-    context = acting(time_s) if any(model.needs for model in models.values()) else NO_CONTEXT
+    needs = frozenset().union(*(model.needs for model in models.values()))
+    context = acting(time_s, pushed="servo_load" in needs) if needs else NO_CONTEXT
     commanded, moved, noise, pulses = [], [], [], []
     for index, (name, surface) in enumerate(aircraft.surfaces.items()):
         rng = np.random.default_rng([seed, index])

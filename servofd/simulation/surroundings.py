@@ -84,19 +84,21 @@ def surroundings(time_s: FloatArray, seed: int) -> Surroundings:
     )
 
 
-def acting(time_s: FloatArray) -> Context:
-    """Airspeed and supply for servos that feel them, varying enough to be told from a gain and a plain rate limit.
+def acting(time_s: FloatArray, *, pushed: bool = False) -> Context:
+    """What servos may feel: airspeed and supply that vary enough to be told from a gain and a rate limit, and gusts.
 
     Parameters
     ----------
     time_s : ndarray, shape (n,)
         When [s].
+    pushed : bool
+        Whether a load of 0.05 N m comes and goes.
 
     Examples
     --------
-    >>> context = acting(np.array([0.0, 10.0]))
-    >>> context.airspeed_m_s.tolist(), context.voltage_v.tolist()
-    ([22.0, 27.0], [7.4, 6.9])
+    >>> context = acting(np.array([0.0, 10.0]), pushed=True)
+    >>> context.airspeed_m_s.tolist(), context.voltage_v.tolist(), context.load.tolist()
+    ([22.0, 27.0], [7.4, 6.9], [0.0, 0.05])
     """
     wave = 2.0 * np.pi * time_s / 40.0
     return Context(
@@ -104,6 +106,8 @@ def acting(time_s: FloatArray) -> Context:
         airspeed_m_s=_SPEED_M_S + 5.0 * np.sin(wave),
         voltage_s=time_s,
         voltage_v=_RAIL_V - 0.5 * (1.0 - np.cos(wave)),
+        load_s=time_s if pushed else np.zeros(0),
+        load=np.where((time_s % 5.0 < 1.5) & (time_s >= 5.0), 0.05, 0.0) if pushed else np.zeros(0),
     )
 
 

@@ -104,6 +104,7 @@ def _csv(flight: SimulatedFlight, aircraft: Aircraft) -> bytes:  # noqa: ARG001 
             ("airspeed_m_s", felt.airspeed_m_s),
             ("servo_voltage_v", felt.voltage_v),
             ("servo_current_a", felt.current_a),
+            ("servo_load", felt.load),
         )
         if values.size
     }

@@ -36,6 +36,7 @@ SIZES = {
     "load_friction": "share=0.4",
     "current_limit": "knee_deg=2",
     "supply_coupling": "deg_per_a=2",
+    "external_load": "deg_per_unit=40",
 }
 CONTEXT = ("airspeed_m_s", "servo_voltage_v", "servo_current_a")
 
@@ -57,7 +58,9 @@ def test_every_effect_shows_in_the_surface_that_has_it(name: str, size: str, tmp
     assert np.array_equal(with_it["rudder_pos_deg"].values, without["rudder_pos_deg"].values)
 
 
-@pytest.mark.parametrize("name", ["rate_limit, asymmetric", "airload", "voltage_rate", "supply_coupling"])
+@pytest.mark.parametrize(
+    "name", ["rate_limit, asymmetric", "airload", "voltage_rate", "supply_coupling", "external_load"]
+)
 def test_what_was_hidden_is_named_with_its_size(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     effect = name.partition(",")[0]
     path = simulated(tmp_path, f"{effect}:{SIZES[name]}", duration_s=40.0)

@@ -46,6 +46,7 @@ SIZES = {
     "backlash": {"width_deg": 0.8},
     "airload": {"deg_per_deg_pa": 4e-4},
     "gravity_load": {"droop_deg": 3.0},
+    "external_load": {"deg_per_unit": 20.0},
     "load_friction": {"share": 0.2},
     "pwm_frame": {"period_s": 0.02, "phase": 0.3},
     "sensor_lag": {"time_constant_s": 0.02},
@@ -211,7 +212,12 @@ def test_what_is_linear_needs_no_substeps() -> None:
 
 def test_a_model_says_which_context_its_effects_depend_on() -> None:
     needs = {name: extended(name, size).needs for name, size in SIZES.items()}
-    assert {name for name, need in needs.items() if need} == {"airload", "voltage_rate", "supply_coupling"}
+    assert {name for name, need in needs.items() if need} == {
+        "airload",
+        "voltage_rate",
+        "supply_coupling",
+        "external_load",
+    }
     for effect in CATALOGUE:
         assert needs[effect.name] == set(effect.needs)
 
