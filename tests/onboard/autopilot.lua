@@ -1,10 +1,11 @@
 -- An ArduPilot as far as a servofd script knows it: outputs, servo telemetry, texts, logs, parameters, arming.
 -- It runs SCRIPT on the rows of the file INPUT and writes what is logged into the file OUTPUT; results are in the table
--- that it returns. Rows: time [us, int32], armed (int32), then for each output pulse [us] or command [deg] (float; 0 none), position
--- [deg, float; NaN none], time of the position [ms, int32].
+-- that it returns. Without OUTPUT nothing is packed: an autopilot makes no strings of what it logs. Rows: time [us, int32],
+-- armed (int32), then for each output pulse [us] or command [deg] (float; 0 none), position [deg, float; NaN none],
+-- time of the position [ms, int32].
 
 local rows = assert(io.open(INPUT, "rb"))
-local log = assert(io.open(OUTPUT, "wb"))
+local log = OUTPUT and assert(io.open(OUTPUT, "wb"))
 local result = { texts = {}, refusals = {}, named = 0, logged = 0, instructions = 0, most_instructions = 0,
                  heap_kb = 0, most_heap_kb = 0, parameters = {} }
 local row, now_us = nil, 0
@@ -81,7 +82,9 @@ local world = {
       write = function(_, name, labels, format, units, multipliers, output, ...)
          assert(name == "SFD" and #labels <= 58 and #format == #units and #format == #multipliers)
          result.logged = result.logged + 1
-         log:write(string.pack(FLOAT, now_us, output, ...))
+         if log then
+            log:write(string.pack(FLOAT, now_us, output, ...))
+         end
       end,
    },
    param = {
@@ -155,5 +158,7 @@ collectgarbage()
 result.most_heap_kb = collectgarbage("count") - before_kb
 result.ended = not run
 rows:close()
-log:close()
+if log then
+   log:close()
+end
 return result

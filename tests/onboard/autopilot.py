@@ -122,7 +122,7 @@ def heap_kb(interpreter: Path, script: str, flight: Flight, folder: Path) -> flo
         f"""local file = assert(io.open("{folder}/script.lua"))
 SCRIPT = file:read("a")
 file:close()
-INPUT, OUTPUT, OUTPUTS = "{folder}/rows.bin", "{folder}/log.bin", {{ {", ".join(map(str, outputs))} }}
+INPUT, OUTPUT, OUTPUTS = "{folder}/rows.bin", nil, {{ {", ".join(map(str, outputs))} }}
 PARAMETERS, COUNTED, OLD = {{}}, false, false
 print(dofile("{_STUBS_FILE}").most_heap_kb)
 """
