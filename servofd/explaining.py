@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 _SAME_FAULT_S = 3.0
 UNKNOWN = "unknown"
 """Name of a servo that nobody knows."""
-_UNKNOWN_SERVO = Servo(
+UNKNOWN_SERVO = Servo(
     title="third order, its poles fitted",
     numerator=(200.0 * 31.4**2,),
     denominator=(1.0, 200.0 + 1.6 * 31.4, 31.4**2 + 200.0 * 1.6 * 31.4, 200.0 * 31.4**2),
@@ -329,7 +329,7 @@ def _conditions(logs: Sequence[FlightLog], surface: Surface) -> dict[str, FloatA
     return dict(sorted(result.items()))
 
 
-def _with_unknown_servo(aircraft: Aircraft, surface: str, servo: Servo = _UNKNOWN_SERVO) -> Aircraft:
+def _with_unknown_servo(aircraft: Aircraft, surface: str, servo: Servo = UNKNOWN_SERVO) -> Aircraft:
     name = f"{surface}-{UNKNOWN}"
     entry = aircraft.surfaces[surface].model_copy(update={"servo": name})
     return aircraft.model_copy(
@@ -341,7 +341,7 @@ def _with_fitted_poles(aircraft: Aircraft, surface: str, found: Explanation) -> 
     """The aircraft with the servo whose poles were found, for an audit."""
     transfer = scaled_transfer(found.record.plant.transfer, found.selection.final.physics)
     servo = Servo(
-        title=_UNKNOWN_SERVO.title,
+        title=UNKNOWN_SERVO.title,
         numerator=transfer.numerator,
         denominator=transfer.denominator,
         delay_s=0.0,

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from servofd.models.servo_model import ServoModel
     from servofd.types import BoolArray, FloatArray
 
-__all__ = ["Conclusion", "Explanation", "explain_gap"]
+__all__ = ["Conclusion", "Explanation", "driven_part", "explain_gap"]
 
 Conclusion = Literal["nothing_missing", "explained", "partly_explained", "unexplained"]
 
@@ -260,20 +260,9 @@ def explain_gap(
         replace(each, conditions=tuple(float(of[k]) for of in known.values()), condition_names=tuple(known))
         for k, each in enumerate(records)
     ]
-    record = joined([at_rest(each) for each in records])
-    check(record)
-    undriven = list(off)
-    if record.side is None:
-        kept, stood = driven(records, Fitter(record).linear().physics)
-        if stood:  # the servo had been fitted to what no servo does
-            clear = joined([at_rest(each) for each in clear_of(records, stood)])
-            if int(clear.counts.sum()) >= _FEWEST_SAMPLES:
-                again = driven(records, Fitter(clear).linear().physics)
-                kept, stood = again if len(again[1]) >= len(stood) else (kept, stood)
-        part = joined([at_rest(each) for each in kept]) if stood else record
-        if stood and int(part.counts.sum()) >= _FEWEST_SAMPLES:
-            records, record = kept, part
-            undriven += stood
+    check(joined([at_rest(each) for each in records]))
+    record, stood = driven_part(records)
+    undriven = [*off, *stood]
     selection = select(record, progress)
     notes = [each.sentence(several=len(records) > 1) for each in undriven]
     fault_s = undriven[0].start_s if len(records) == 1 and undriven and not off else None
@@ -303,6 +292,23 @@ def explain_gap(
         gain = audit_gain(segments, model, found.better_model, fault_s or float("inf"))
     # Manoeuvres are simulated, and how the servo moves must be known for that.
     return replace(found, separating=() if record.side is not None else separations(selection), gain=gain)
+
+
+def driven_part(records: Sequence[Record]) -> tuple[Record, list[Undriven]]:
+    """Runs as one record in which only what was driven counts, and where that was not so."""
+    record = joined([at_rest(each) for each in records])
+    if record.side is not None:
+        return record, []
+    kept, stood = driven(records, Fitter(record).linear().physics)
+    if not stood:
+        return record, []
+    # The servo had been fitted to what no servo does.
+    clear = joined([at_rest(each) for each in clear_of(records, stood)])
+    if int(clear.counts.sum()) >= _FEWEST_SAMPLES:
+        again = driven(records, Fitter(clear).linear().physics)
+        kept, stood = again if len(again[1]) >= len(stood) else (kept, stood)
+    part = joined([at_rest(each) for each in kept])
+    return (part, stood) if int(part.counts.sum()) >= _FEWEST_SAMPLES else (record, [])
 
 
 def _notes(record: Record, selection: Selection) -> list[str]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from servofd.discrepancy.explanation import Explanation, explain_gap
-from servofd.explaining import _UNKNOWN_SERVO
+from servofd.explaining import UNKNOWN_SERVO
 from servofd.models.servo_model import ServoModel
 from servofd.segment import Segment
 from servofd.types import FloatArray
@@ -33,7 +33,7 @@ def explained(command_deg: FloatArray, fastest_deg_s: float) -> Explanation:
     noise_deg = 0.1 * np.random.default_rng(0).standard_normal(_TIME_S.size)
     measured_deg = moved(command_deg, fastest_deg_s) + noise_deg
     segment = Segment("elevator", _TIME_S, command_deg, _TIME_S, measured_deg)
-    return explain_gap(segment, ServoModel.of(_UNKNOWN_SERVO), free_poles=True)
+    return explain_gap(segment, ServoModel.of(UNKNOWN_SERVO), free_poles=True)
 
 
 @pytest.mark.slow

@@ -1,0 +1,44 @@
+"""Servos of another structure than any model's, and runs without torque: what is told of them is right or a tie."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from places import case, score_line
+from validity import found_in, lot
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [48, 90, 148, 184, 196])
+def test_two_effects_at_any_place_of_the_slow_pole_are_told(seed: int) -> None:
+    """Play behind a limit of the speed, friction of a motor at its limit, a dead band where the pole is after it."""
+    line = score_line(case(seed))
+    assert line["in_set"]
+    assert line["per_name"] <= 2.0
+
+
+@pytest.mark.nightly
+def test_structures_that_are_none_of_the_models() -> None:
+    lines = [score_line(case(seed)) for seed in range(1, 200, 2)]
+    there = [line for line in lines if line["truth"]]
+    assert np.mean([line["in_set"] for line in there]) >= 0.94
+    assert np.mean([line["per_name"] for line in there]) <= 1.5
+    assert sum(line["wrong"] for line in lines) <= 3
+    assert all(not line["named"] for line in lines if not line["truth"])
+
+
+def test_lost_torque_is_found_when_it_is_lost_and_a_healthy_run_is_not_accused() -> None:
+    for seed in (2, 4, 6):
+        drawn = lot(seed)
+        found = found_in(drawn)
+        assert [each.run for each in found] == [drawn.run]
+        assert abs(found[0].start_s - drawn.start_s) <= 0.3
+        assert found_in(lot(seed, healthy=True)) == []
+
+
+@pytest.mark.nightly
+def test_lost_torque_in_a_hundred_sets_of_runs() -> None:
+    sets = [lot(seed) for seed in range(1, 200, 2)]
+    right = sum(any(f.run == s.run and abs(f.start_s - s.start_s) <= 0.3 for f in found_in(s)) for s in sets)
+    assert right >= 95
+    assert not any(found_in(lot(seed, healthy=True)) for seed in range(1, 600, 2))
