@@ -21,7 +21,7 @@ from logparsers.errors import MissingChannel, UnreadableLog
 from logparsers.records import Damage, FlightLog
 from logparsers.source import decoding
 from logparsers.text import header_cells, read_grid
-from logparsers.texts import split_rows
+from logparsers.texts import rows_by_text
 from logparsers.units import suffix_unit
 
 if TYPE_CHECKING:
@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 
     from logparsers.only import Only
     from logparsers.source import Source
+
+    Table = tuple[NDArray[np.float64], Mapping[str, NDArray[Any]]]
+    """Times [s] and columns of numbers."""
 
 __all__ = ["Part", "dataflash_log", "flight_of", "flights", "kind_of", "labelled_messages", "read_part"]
 
@@ -49,6 +52,7 @@ CLOCKS: Final = ("timestamp", "TimeUS", "%time")
 NAMED: Final = ("name", "key")
 """Columns by which several senders share a message."""
 WRAP_US: Final = 2.0**32
+_CLOCKS: Final = "time_boot_ms", "time_usec"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,8 +65,8 @@ class Part:
         ``"dataflash"``, ``"tlog"``, ``"ulog"`` or ``"ros"``.
     path : Path
         The file; its name tells flight and message.
-    columns : Mapping[str, ndarray of shape (n,)]
-        Numbers or text.
+    columns : dict of str to ndarray, shape (n,)
+        Numbers or text; whoever makes a log of them takes them away.
     damage : tuple of Damage
         What is wrong with the table.
     flight : str
@@ -71,7 +75,7 @@ class Part:
 
     kind: str
     path: Path
-    columns: Mapping[str, NDArray[Any]]
+    columns: dict[str, NDArray[Any]]
     damage: tuple[Damage, ...]
     flight: str
 
@@ -190,8 +194,9 @@ def _ulog(parts: Sequence[Part], path: Path, only: Only) -> FlightLog:
         if stamps.dtype.kind != "f" or np.any(stamps % 1):
             raise MissingChannel(f"{part.path}: its timestamps are no microseconds; name its clock in a table layout")
         filled = stamps > 0.0  # PX4 leaves the stamp of a topic that was never published at 0
-        columns = {field: values[filled] for field, values in part.columns.items()}
-        tables.add(f"{name}[{instance}]", name, stamps[filled] * 1e-6, columns, "timestamp")
+        if not filled.all():
+            part.columns.update({field: values[filled] for field, values in part.columns.items()})
+        tables.add(f"{name}[{instance}]", name, part.columns.pop("timestamp") * 1e-6, part.columns)
     return tables.log(path, "ulog", only)
 
 
@@ -205,7 +210,7 @@ def _telemetry(parts: Sequence[Part], path: Path, only: Only) -> FlightLog:
                 fields.setdefault(match[1], {})[match[2]] = values
         for message, columns in fields.items():
             rows = ~np.logical_and.reduce([v == "" if v.dtype.kind in "UO" else np.isnan(v) for v in columns.values()])
-            clock = next((k for k in ("time_boot_ms", "time_usec") if k in columns), "")
+            clock = next((k for k in _CLOCKS if k in columns and columns[k].dtype.kind == "f"), "")
             mine = {name: values[rows] for name, values in columns.items()}
             found.append((message, part.columns["timestamp"][rows], mine, clock))
     found = [table for table in found if len(table[1])]
@@ -213,7 +218,9 @@ def _telemetry(parts: Sequence[Part], path: Path, only: Only) -> FlightLog:
     boot_s = float(np.median(booted or [arrival.min() for _, arrival, _, _ in found])) if found else 0.0
     tables = _Tables()
     for message, arrival, columns, clock in found:
-        tables.add(message, message, _own_s(columns, clock) if clock else arrival - boot_s, columns, clock)
+        time_s = _own_s(columns, clock) if clock else arrival - boot_s
+        columns.pop(clock, None)
+        tables.add(message, message, time_s, columns)
     return tables.log(path, "tlog", only)
 
 
@@ -254,24 +261,23 @@ class _Tables:
 
     def __init__(self) -> None:
         self._series: dict[str, Series] = {}
-        self._clocks: dict[str, NDArray[np.float64]] = {}
-        self._columns: dict[str, dict[str, NDArray[Any]]] = {}
+        self._rows: dict[str, tuple[Table, Any]] = {}
 
-    def add(
-        self, label: str, origin: str, time_s: NDArray[np.float64], columns: Mapping[str, NDArray[Any]], clock: str
-    ) -> None:
-        by_name = next((columns[k] for k in NAMED if k in columns and columns[k].dtype.kind in "UO"), None)
+    def add(self, label: str, origin: str, time_s: NDArray[np.float64], columns: dict[str, NDArray[Any]]) -> None:
+        """Add a table, whose texts go: another one in each row takes four times the file."""
+        by_name = next((k for k in NAMED if k in columns and columns[k].dtype.kind in "UO"), None)
         rows_of: dict[str, Any] = {"": slice(None)}
         if by_name is not None:
-            names, codes = np.unique(by_name, return_inverse=True)
-            rows_of = split_rows(names[: MOST_CHANNELS + 1].tolist(), codes)
+            rows_of = rows_by_text(columns[by_name], MOST_CHANNELS + 1)
+            for field in [field for field, values in columns.items() if values.dtype.kind != "f"]:
+                del columns[field]
+        table = time_s, {field: values for field, values in columns.items() if values.dtype.kind == "f"}
         for name, rows in rows_of.items():
             if len(self._series) > MOST_CHANNELS:
                 return
             group = f"{label}[{name}]" if name else label
-            numbers = {k: v[rows] for k, v in columns.items() if v.dtype.kind == "f" and k != clock}
-            self._clocks[group], self._columns[group] = time_s[rows], numbers
-            for field in numbers:
+            self._rows[group] = table, rows
+            for field in table[1]:
                 series = Series(group, field, None, suffix_unit(field), f"{origin}.{field}")
                 self._series[f"{group}.{field}"] = series
 
@@ -279,10 +285,13 @@ class _Tables:
         return self._series
 
     def stamps(self, group: str) -> tuple[NDArray[np.float64], None]:
-        return self._clocks[group], None
+        (time_s, _), rows = self._rows[group]
+        return time_s[rows], None
 
     def values(self, series: Series) -> NDArray[Any]:
-        return self._columns[str(series.group)][series.field]
+        (_, columns), rows = self._rows[str(series.group)]
+        values: NDArray[Any] = columns[series.field][rows]
+        return values
 
     def log(self, path: Path, kind: str, only: Only) -> FlightLog:
         channels = LazyChannels(self).only(only, path)

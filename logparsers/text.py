@@ -31,7 +31,7 @@ __all__ = ["Grid", "header_cells", "read_grid"]
 CONTROL = bytes(c for c in range(32) if c not in b"\t\n\f\r") + b"\x7f"
 NO_CONTROL = bytes(c for c in range(256) if c not in CONTROL)
 NEWLINE, MARK = b"\n", b"\xef\xbb\xbf"
-BLOCK_BYTES = 1 << 20
+BLOCK_BYTES = 1 << 18
 """As much text is taken apart at a time."""
 MOST_QUOTED = 1 << 22
 """Of a header with quotes, in which delimiters tell nothing [bytes]."""

@@ -353,6 +353,13 @@ def test_commands_of_an_exported_table_that_are_words() -> None:
     np.testing.assert_array_equal(log["CSRV[1].Pos"].values, np.arange(1.0, 50.0))
 
 
+def test_a_clock_of_an_exported_table_that_is_words() -> None:
+    head = "timestamp,VFR_HUD.airspeed,NAMED_VALUE_FLOAT.time_boot_ms,NAMED_VALUE_FLOAT.value\n"
+    rows = "".join(f"{1.7e9 + 0.02 * k:.2f},{k},[[[,{k}\n" for k in range(1, 50))
+    log = logparsers.read(io.BytesIO((head + rows).encode()))
+    np.testing.assert_array_equal(log["VFR_HUD.airspeed"].values, np.arange(1.0, 50.0))
+
+
 def test_stamps_of_damaged_records_that_lie_centuries_apart(tmp_path: Path) -> None:
     """Counted are the seconds in which there is something, not those between."""
     time_s = 0.02 * np.arange(3000.0)
