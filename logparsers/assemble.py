@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from logparsers import clock
+from logparsers.channels import as_float
 from logparsers.errors import EmptyLog
 from logparsers.records import Channel, Damage, FlightLog, own
 
@@ -197,7 +198,7 @@ class Columns(Mapping[str, Channel]):
     def __getitem__(self, name: str) -> Channel:
         column = self._columns[name]
         values = column.values if self._kept is None else column.values[self._kept]
-        floats = values.astype(np.float64)
+        floats = as_float(values)
         floats[np.isinf(floats)] = np.nan
         floats.setflags(write=False)
         return Channel(name, self._time_s, floats, column.unit, column.origin)

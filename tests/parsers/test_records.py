@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from logparsers import Channel, Damage, FlightLog, MissingChannel
+from logparsers.assemble import Column, Columns
 from logparsers.only import Only
 
 LOG = FlightLog(
@@ -111,3 +112,10 @@ def test_repeated_damage_is_one_line_with_a_count() -> None:
     assert (one.kind, one.count, one.start_s, one.end_s) == ("bad_checksum", 500_500, 1.0, 1000.0)
     assert one.note.startswith("1000 times, as in: a message with a wrong check-sum")
     assert other == gap
+
+
+def test_a_signalling_nan_of_a_damaged_file_is_a_nan() -> None:
+    values = np.array([0x3F800000, 0x7FA00000], dtype=np.uint32).view(np.float32)
+    columns = Columns(np.array([0.0, 1.0]), None, {"x": Column("x", values, "deg", "file")})
+    assert columns["x"].values.tolist()[0] == 1.0
+    assert np.isnan(columns["x"].values[1])
