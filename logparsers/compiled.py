@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import TYPE_CHECKING, Any
 
 import numba
@@ -12,13 +13,34 @@ if TYPE_CHECKING:
 __all__ = ["compiled"]
 
 
-def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+def _load_arrays() -> None:
+    """Load numba's loops over arrays without scipy.linalg, whose presence they would load it to find out.
+
+    A function with a matrix product still loads it, when it is compiled or called: 0.2 s that others save.
+    """
+    blas = "scipy.linalg.cython_blas"
+    if blas in sys.modules:
+        return
+    sys.modules[blas] = None  # type: ignore[assignment]
+    try:
+        from numba.np import arraymath
+    finally:
+        del sys.modules[blas]
+    arraymath._HAVE_BLAS = True
+
+
+_load_arrays()
+
+
+def compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:  # noqa: ANN401 - numba's own
     """Compile; keep the machine code on disk where there is a place to keep it.
 
     Parameters
     ----------
     function : callable
         Of integers, tuples and arrays only.
+    **options
+        Of the compiler, such as its error model.
 
     Examples
     --------
@@ -29,6 +51,6 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     42
     """
     try:
-        return numba.njit(cache=True, nogil=True)(function)  # type: ignore[no-any-return]
+        return numba.njit(cache=True, nogil=True, **options)(function)  # type: ignore[no-any-return]
     except RuntimeError:  # no writable directory for the cache
-        return numba.njit(nogil=True)(function)  # type: ignore[no-any-return]
+        return numba.njit(nogil=True, **options)(function)  # type: ignore[no-any-return]

@@ -16,11 +16,12 @@ of the sampling rate (L). All of them are sums over windows, hence differences o
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
-from numba import njit
 
+from logparsers.compiled import compiled
 from servofd.estimate.family import PATTERNS
 from servofd.estimate.priors import FITTED, PRIORS
 
@@ -131,7 +132,7 @@ def follow(
     return sigma_deg, triple, grid_s[:count], statistics[:count]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@partial(compiled, error_model="numpy")
 def _follow(  # noqa: C901, PLR0912, PLR0915 - one loop over time
     colour: FloatArray, root: FloatArray, precision: FloatArray, spectrum: FloatArray, before: FloatArray,
     runs: FloatArray, sums: FloatArray, ring: FloatArray, units: FloatArray, period_s: float, time_s: FloatArray,
@@ -216,7 +217,7 @@ def _follow(  # noqa: C901, PLR0912, PLR0915 - one loop over time
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@partial(compiled, error_model="numpy")
 def _evaluate(  # noqa: C901, PLR0912, PLR0915 - all statistics at one time
     ring: FloatArray, last: int, precision: FloatArray, spectrum: FloatArray, width: int, period_s: float,
     out: FloatArray,
@@ -295,6 +296,6 @@ def _evaluate(  # noqa: C901, PLR0912, PLR0915 - all statistics at one time
         place += 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@partial(compiled, error_model="numpy")
 def _count(end: FloatArray, begin: FloatArray, after_b: int) -> float:
     return float(end[after_b + 1] - begin[after_b + 1])

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from logparsers.compiled import compiled
 from servofd.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ def mark_starts(
     return starts
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _mark(
     command_s: FloatArray,
     measured_s: FloatArray,

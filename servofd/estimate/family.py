@@ -16,11 +16,12 @@ The command is averaged over each step, so that the position depends smoothly on
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numba import njit
 
+from logparsers.compiled import compiled
 from servofd.estimate.priors import FITTED, PRIORS
 
 if TYPE_CHECKING:
@@ -100,7 +101,7 @@ def new_state(count: int) -> FloatArray:
     return state
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})  # type: ignore[untyped-decorator]
+@partial(compiled, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
 def advance(  # noqa: C901, PLR0912, PLR0915 - one loop over time
     table: FloatArray, state: FloatArray, command_s: FloatArray, command_deg: FloatArray, time_s: FloatArray,
     load: FloatArray, power: FloatArray, start_deg: FloatArray, position_deg: FloatArray, speed_deg_s: FloatArray,

@@ -75,7 +75,7 @@ def peaks(speed_deg_s: FloatArray, time_s: FloatArray, memory: FloatArray | None
     return out
 
 
-@compiled  # type: ignore[untyped-decorator]
+@compiled
 def _hold(top: FloatArray, time_s: FloatArray, memory: FloatArray, out: FloatArray) -> None:
     for k in range(top.size):
         kept = memory[0] * np.exp(-(time_s[k] - memory[1]) / 0.15) if memory[1] == memory[1] else 0.0

@@ -95,7 +95,7 @@ def unknown_deg(
     return out
 
 
-@compiled  # type: ignore[untyped-decorator]
+@compiled
 def _unknown(
     command_s: FloatArray, command_deg: FloatArray, shortest_s: float, delay_s: float, lag_s: float,
     time_s: FloatArray, memory: FloatArray, out: FloatArray,

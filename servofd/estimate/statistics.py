@@ -54,8 +54,8 @@ class Estimate(NamedTuple):
 
 def line(
     x: FloatArray, y: FloatArray, *, near: tuple[float, float] = (1e-6, 0.1), rounds: int = 8
-) -> tuple[float, float, float]:
-    """Slope and offset of y over x by small absolute deviations, and the median size of what is left.
+) -> tuple[float, float]:
+    """Slope and offset of y over x by small absolute deviations.
 
     Least squares, reweighted a few times; deviations within `near` (in the unit of y, and as a share of the mean one)
     count alike.
@@ -63,7 +63,7 @@ def line(
     Examples
     --------
     >>> x = np.arange(100.0)
-    >>> slope, offset, left = line(x, np.where(x < 90, 2.0 * x + 1.0, 0.0))
+    >>> slope, offset = line(x, np.where(x < 90, 2.0 * x + 1.0, 0.0))
     >>> round(slope, 1)
     2.0
     """
@@ -77,7 +77,7 @@ def line(
         offset = centre_y - slope * centre_x
         deviation = np.abs(y - slope * x - offset)
         weight = 1.0 / (deviation + near[0] + near[1] * float(deviation.mean()))
-    return slope, offset, float(np.median(np.abs(y - slope * x - offset)))
+    return slope, offset
 
 
 def memory(errors: Sequence[FloatArray], lags: int) -> float:

@@ -352,7 +352,7 @@ def _judged(
 ) -> RoughFit:
     """Same fit with its scale, if that is free, and its error, beside what is ordinary."""
     simulated, measured = simulator.simulated_deg(fit.model)[moving], simulator.starts.measured_deg[moving]
-    gain, bias_deg = line(simulated, measured, near=_NEAR_LINE, rounds=_REWEIGHTINGS)[:2] if free_scale else (1.0, 0.0)
+    gain, bias_deg = line(simulated, measured, near=_NEAR_LINE, rounds=_REWEIGHTINGS) if free_scale else (1.0, 0.0)
     error = measured - gain * simulated - bias_deg
     # Cauchy's cost: quadratic for errors of a working servo, nearly flat for those of a jammed one.
     if free_scale and not _SCALES[0] <= abs(gain) <= _SCALES[1]:

@@ -6,8 +6,8 @@ import math
 from functools import partial
 
 import numpy as np
-from numba import njit
 
+from logparsers import compiled as compiler
 from servofd.types import FloatArray
 
 ROW = 8
@@ -18,13 +18,13 @@ _TERMS = 5
 _NO_LOSS = 1e-6
 """Of the torque [1/s]: below, a step keeps all of it; servos of lower order have none at all."""
 _FAST = {"contract", "nsz", "arcp"}
-compiled = partial(njit, cache=True, nogil=True, error_model="numpy", fastmath=_FAST, _nrt=False)()
-inlined = partial(njit, cache=True, nogil=True, error_model="numpy", fastmath=_FAST, _nrt=False, forceinline=True)()
+compiled = partial(compiler.compiled, error_model="numpy", fastmath=_FAST, _nrt=False)
+inlined = partial(compiler.compiled, error_model="numpy", fastmath=_FAST, _nrt=False, forceinline=True)
 """No reference counting inside: nothing here allocates, and it would take half of the time (measured). LLVM puts these
 into the loop around them: numba's own inlining made it no faster, and took 5 s more to compile."""
 
 
-@njit(cache=True, error_model="numpy")
+@partial(compiler.compiled, error_model="numpy")
 def step_matrices(rate: FloatArray, grid_s: float, count: int) -> FloatArray:
     """Matrices of 0..count grid steps, and their first derivatives over factorials, shape (count + 1, 5, 3 * ROW).
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from logparsers.compiled import compiled
 from servofd.types import FloatArray
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _play(values: FloatArray, half_width: float, start: float, result: FloatArray) -> None:
     held = start
     for k in range(values.size):

@@ -11,11 +11,12 @@ only then is it taken again in short ones. What hangs on the shaft is carried on
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from logparsers import compiled as compiler
 from servofd.models.linkage import LINKAGE, begin_linkage, carried, deflected, rest_linkage
 from servofd.models.loop_steps import ROW, build, coasted, column, compiled, row, sine
 from servofd.models.physics import Loop, Physics
@@ -425,7 +426,7 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
     return last
 
 
-@njit(cache=True, error_model="numpy")
+@partial(compiler.compiled, error_model="numpy")
 def framed(
     time_s: FloatArray, command_deg: FloatArray, slope_deg_s: FloatArray, period_s: float, phase: float
 ) -> tuple[FloatArray, FloatArray]:

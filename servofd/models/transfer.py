@@ -66,11 +66,12 @@ class TransferFunction:
 
     def __post_init__(self) -> None:
         for name in ("numerator", "denominator"):
-            coefficients = np.asarray(getattr(self, name), dtype=float)
-            if not np.all(np.isfinite(coefficients)):
-                raise DesignError(f"{name} {coefficients.tolist()} has a coefficient that is not finite")
-            trimmed = np.trim_zeros(np.atleast_1d(coefficients), "f")
-            object.__setattr__(self, name, tuple(float(c) for c in trimmed) or (0.0,))
+            coefficients = [float(c) for c in getattr(self, name)]
+            if not all(map(math.isfinite, coefficients)):
+                raise DesignError(f"{name} {coefficients} has a coefficient that is not finite")
+            while coefficients and not coefficients[0]:
+                del coefficients[0]
+            object.__setattr__(self, name, tuple(coefficients) or (0.0,))
         if self.denominator == (0.0,):
             raise DesignError("the denominator of a transfer function must not be zero")
         largest = max(abs(c) for c in (*self.numerator, *self.denominator))

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numba import njit
 
+from logparsers.compiled import compiled
 from servofd.errors import ConfigError, UnknownName, suggest
 
 if TYPE_CHECKING:
@@ -192,7 +192,7 @@ def _targets(rng: np.random.Generator, steps: int) -> FloatArray:
     return found
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@compiled
 def _flown(  # noqa: PLR0915 - one step of physics, in the order in which it happens
     steps: int,
     shocks: FloatArray,

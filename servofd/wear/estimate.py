@@ -169,10 +169,13 @@ def _fitted(motion: Motion, prior: FlownServo) -> _Fit:
     if prior.rate_limit_deg_s is not None and motion.top_speed_deg_s(prior) > _LIMIT_REACHED * prior.rate_limit_deg_s:
         names = (*names, "rate_limit_deg_s")
     measured_deg = motion.measured_deg
-    starts = {
-        width_deg: line(_simulated(motion, prior, width_deg, behind=False), measured_deg) for width_deg in _WIDTHS_DEG
-    }
-    width_deg, (gain, offset_deg, left_deg) = min(starts.items(), key=lambda start: start[1][2])
+    starts = []
+    for width_deg in _WIDTHS_DEG:
+        simulated_deg = _simulated(motion, prior, width_deg, behind=False)
+        gain, offset_deg = line(simulated_deg, measured_deg)
+        left_deg = float(np.median(np.abs(measured_deg - gain * simulated_deg - offset_deg)))
+        starts.append((left_deg, width_deg, gain, offset_deg))
+    left_deg, width_deg, gain, offset_deg = min(starts)
     begin = np.array([width_deg, *prior.vector(names), gain, offset_deg])
     return _descended(motion, prior, names, begin, ordinary_deg(max(left_deg, 1e-6)), behind=False)
 

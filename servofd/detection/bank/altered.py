@@ -7,8 +7,8 @@ from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from numba import njit
 
+from logparsers.compiled import compiled
 from servofd.detection.bank.explanation import COLOUR
 from servofd.detection.bank.window import Explanation
 from servofd.estimate.statistics import Estimate
@@ -206,7 +206,7 @@ def _limited(window: Window, rate_deg_s: float) -> FloatArray:
     return window.simulate(window.servo.limited(rate_deg_s))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _stick(command_deg: FloatArray, half_width_deg: float, held_deg: float) -> None:
     """Hold until the command is half a width away, then go all the way."""
     for k in range(command_deg.size):

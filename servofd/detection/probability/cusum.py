@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
+from logparsers.compiled import compiled
 from servofd.numeric import root
 from servofd.types import BoolArray, FloatArray
 
@@ -140,7 +140,7 @@ def cusum(
     return _sums(values, kappa, restarts, np.zeros(2) if memory is None else memory)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _sums(values: FloatArray, kappa: float, restart: BoolArray, memory: FloatArray) -> FloatArray:
     result = np.empty(values.size)
     high, low = memory[0], memory[1]
