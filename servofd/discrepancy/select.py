@@ -192,7 +192,7 @@ class _Search:
             if effect.name not in excluded(base.effects) and self.fitter.strains(effect, base)
         ]
         loose = [fit for fit in fits if fit.effects[-1].family == "hysteresis"]
-        if loose:
+        if loose and self.fitter.record.free_poles:
             self.exchange(min(loose, key=lambda fit: fit.misfit), enough, len(base.effects))
         fits += self._twins(base, fits, enough)
         if PwmFrame in self.able and PwmFrame.name not in base.names:
