@@ -31,18 +31,6 @@ if TYPE_CHECKING:
 
     from pydantic_core import ErrorDetails
 
-__all__ = [
-    "DEFAULT_SIGMAS",
-    "DEFAULT_THRESHOLD_DEG",
-    "UNKNOWN_SERVO",
-    "Aircraft",
-    "Surface",
-    "Swap",
-    "Table",
-    "load_aircraft",
-    "plain_aircraft",
-]
-
 UNKNOWN_SERVO = "unknown"
 """Nobody says which servo it is: it is fitted to the log."""
 DEFAULT_THRESHOLD_DEG = 1.5

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from servofd.calibrating.flights import Flight
     from servofd.calibrating.result import CalibratedSurface
 
-__all__ = ["calibrate_aircraft"]
-
 
 def calibrate_aircraft(
     aircraft: Aircraft,

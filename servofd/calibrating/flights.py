@@ -11,8 +11,6 @@ if TYPE_CHECKING:
     from servofd.segment import Segment
     from servofd.types import FloatArray
 
-__all__ = ["Flight", "Span", "asked_deg", "busiest", "cropped"]
-
 _SLOW_RAD_S = 12.6
 _PIECES = 8
 

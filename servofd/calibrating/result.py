@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from servofd.servos import Servo
     from servofd.tolerance import Tolerance
 
-__all__ = ["CalibratedSurface", "Calibration", "FlightRecord"]
-
 
 @dataclass(frozen=True, slots=True)
 class FlightRecord:

@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from servofd.estimate.fit import Fit
     from servofd.types import FloatArray
 
-__all__ = ["calibrate_surface", "hardly_moved"]
-
 _ENOUGH_MOTION_DEG: Final = 1.0
 _SHORTEST_S: Final = 2.5
 """A bench test that is all motion; a flight says more."""

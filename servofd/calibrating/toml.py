@@ -11,8 +11,6 @@ if TYPE_CHECKING:
     from servofd.calibrating.result import CalibratedSurface, Calibration
     from servofd.servos import Servo
 
-__all__ = ["calibration_to_toml"]
-
 
 def calibration_to_toml(calibration: Calibration) -> str:
     """Text of an aircraft file that `servofd audit -c` accepts, with intervals and provenance as comments."""

@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from servofd.evidence import Detectable
     from servofd.types import FloatArray
 
-__all__ = ["Found", "audit_calibrated", "judge_stretch", "judged", "shown"]
-
 _MOST_FAULTS: Final = 20
 _AGAIN_S: Final = 1.0
 _STILL_FAST: Final = 0.69

@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from servofd.models.context import Context
     from servofd.types import BoolArray, FloatArray
 
-__all__ = ["CalibratedStream"]
-
 _BACK_S: Final = 3.0
 _FINE_S: Final = 0.01
 _FASTEST_COMMANDS_S: Final = 0.005

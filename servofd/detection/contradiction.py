@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from servofd.detection.residual import ResidualGenerator, Residuals
     from servofd.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["contradictions", "resting_runs", "resting_width_deg", "unanswered"]
-
 _WIDTH_DEG, _WIDTH_SIGMAS, _WIDTH_STEPS, _WIDEST_DEG = 0.4, 6.0, 2.0, 2.0
 """A surface at rest reads within so much: play that the air takes up, noise, steps of the reading."""
 _MISSED_DEG, _ASKED_DEG, _MISSED_S = 2.5, 4.0, 0.5

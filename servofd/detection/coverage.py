@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from servofd.segment import Segment
     from servofd.types import BoolArray, FloatArray
 
-__all__ = ["Coverage", "coverage"]
-
 _BIN_S = 1.0
 _MOVES_DEG = 0.5
 _CLEARLY_MOVES_DEG = 2.0

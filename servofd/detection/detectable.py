@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from servofd.detection.threshold import Threshold
     from servofd.types import BoolArray, FloatArray
 
-__all__ = ["detectable"]
-
 _POWER = 95.0
 _LATEST_ONSET = 0.5
 """Faults set in during this share of the log, and last to its end."""

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
     from servofd.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["Adequacy", "adequacy", "floor_of", "foretold_share"]
-
 _RATIO = 1.1
 """Held-out error over the noise floor, beyond which something is left."""
 _SIGMAS = 3.0

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from servofd.discrepancy.select import Selection
     from servofd.discrepancy.separate import Separation
 
-__all__ = ["Found", "answer"]
-
 _NAMES = {
     "delay": "a longer delay",
     "clock_offset": "positions stamped late",

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from servofd.models.missing_effect import MissingEffect
     from servofd.types import BoolArray, FloatArray
 
-__all__ = ["AT_REST", "at_rest", "rest_sentence"]
-
 AT_REST: tuple[type[MissingEffect], ...] = (Bias, Gain, Backlash, DeadBand, InsensitiveBand, Friction)
 """Effects that show where a surface rests. The play of the linkage comes before that of the controller: it needs no
 more than a pull to be seen."""

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from servofd.segment import Segment
     from servofd.types import FloatArray
 
-__all__ = ["AuditGain", "Watch", "audit_gain"]
-
 _FALSE_ALARMS_PER_HOUR = 1e-3
 _WITHIN_S = 1.0
 

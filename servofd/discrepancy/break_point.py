@@ -10,8 +10,6 @@ if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
     from servofd.discrepancy.select import Selection
 
-__all__ = ["fault_start_s"]
-
 _SHORTEST_S = 3.0
 _RATIO = 3.0
 _BEYOND = 6.0

@@ -15,17 +15,6 @@ if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
     from servofd.models.missing_effect import MissingEffect
 
-__all__ = [
-    "SMALLEST",
-    "SURPRISE",
-    "Candidate",
-    "candidates",
-    "common_places",
-    "excluded",
-    "judgeable",
-    "places_of",
-]
-
 _PLACES: dict[type[MissingEffect], tuple[float, ...]] = {
     catalogue.DeadBand: (BEFORE, INSIDE, AFTER),
     catalogue.InsensitiveBand: (BEFORE, INSIDE),

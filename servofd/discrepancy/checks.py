@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
     from servofd.types import FloatArray
 
-__all__ = ["check"]
-
 _SHORTEST_S, _SHORTEST_ON_BENCH_S = 4.0, 1.0
 """The shorter one for runs that begin at rest with a step, of which nothing is lost."""
 _MOTION_OF_NOISE, _SMALLEST_MOTION_DEG = 2.0, 0.1

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from servofd.models.servo_model import ServoModel
     from servofd.segment import Segment
 
-__all__ = ["Elsewhere", "judged_elsewhere"]
-
 
 @dataclass(frozen=True, slots=True)
 class Elsewhere:

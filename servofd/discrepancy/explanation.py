@@ -45,8 +45,6 @@ if TYPE_CHECKING:
     from servofd.models.servo_model import ServoModel
     from servofd.types import BoolArray, FloatArray
 
-__all__ = ["Conclusion", "Explanation", "driven_part", "explain_gap"]
-
 Conclusion = Literal["nothing_missing", "explained", "partly_explained", "unexplained"]
 
 _MUCH_WORSE, _NO_NOISE = 4.0, 5.5

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from servofd.discrepancy.candidates import Candidate
     from servofd.models.missing_effect import MissingEffect, Parameter
 
-__all__ = ["LONG", "OWN_FIELDS", "Fit", "Fitter"]
-
 _ITERATIONS, _GAIN_OVER = 8, 0.3
 """A descent ends where a step improves the misfit by less."""
 _AGAIN = 8

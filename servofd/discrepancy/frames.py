@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from servofd.models.physics import Physics
     from servofd.types import FloatArray
 
-__all__ = ["best_frame", "frames_like"]
-
 _SHORTEST_S, _LONGEST_S = 0.01, 0.055
 _WINDOW_S = 4.0
 _REMEMBERED_S = 1.5

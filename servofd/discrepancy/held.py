@@ -10,8 +10,6 @@ import numpy as np
 if TYPE_CHECKING:
     from servofd.segment import Segment
 
-__all__ = ["without_held"]
-
 _CLEAR, _SMALLEST = 3.0, 0.02
 """A jump of so many steps of the readings is motion or noise, which goes on; that quantile of all jumps is a step."""
 _FEWEST, _ROWS = 30, 1.5

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
     from servofd.types import FloatArray
 
-__all__ = ["Block", "bad_seconds", "blocks", "sentences"]
-
 _FALSE_DISCOVERIES = 0.01
 _SHOWN_SHARE, _NO_SHARE = 0.25, 0.05
 _HARDLY = 0.15

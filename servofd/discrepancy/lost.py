@@ -11,8 +11,6 @@ from servofd.detection.residual import rhythm
 if TYPE_CHECKING:
     from servofd.types import BoolArray, FloatArray
 
-__all__ = ["after_lost_commands"]
-
 _DOUBTFUL = 1.45
 """Times the usual interval, from which on a lost command may hide among time stamps that jitter."""
 _LARGEST_GUESS_DEG, _FORGOTTEN_S = 0.25, 0.16

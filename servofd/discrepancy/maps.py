@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
     from servofd.types import FloatArray, IntArray
 
-__all__ = ["EVEN", "LINEAR", "ODD", "Map", "maps", "since_reversal_s", "speed_deg_s"]
-
 LINEAR, ODD, EVEN = "linear filter of the command", "odd distortion of the command", "even distortion of the command"
 """The second is the same up and down (a limit, friction, dead band), the third is not (a curved linkage)."""
 _BINS, _FEWEST_PER_BIN = 12, 30

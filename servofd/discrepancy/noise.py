@@ -10,8 +10,6 @@ if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
     from servofd.types import BoolArray, FloatArray
 
-__all__ = ["floor_uncertainty", "long_run_factor", "noise_floor_deg"]
-
 _TO_SIGMA = 1.482602218505602
 """Standard deviation over median absolute deviation, of a Gaussian."""
 _THIRD = 20.0**0.5

@@ -11,8 +11,6 @@ if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
     from servofd.types import FloatArray
 
-__all__ = ["STEPS_OF_TWO_SIZES", "step_size_deg"]
-
 STEPS_OF_TWO_SIZES = "steps of two sizes, such as 5 and 20 deg"
 _HOLDS_S, _MOSTLY = 0.15, 0.8
 """How long a command stands between steps, and for how much of its time it does."""

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
     from servofd.models.physics import Physics
 
-__all__ = ["OwnEffect", "OwnParameter", "load_own_effect"]
-
 _FIELDS = ("own_1", "own_2", "own_3", "own_4")
 _GRID = (0.3, 1.0, 3.0, 10.0)
 """Values to start from, in typical sizes from neutral, on either side."""

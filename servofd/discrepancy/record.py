@@ -23,18 +23,6 @@ if TYPE_CHECKING:
     from servofd.segment import Segment
     from servofd.types import BoolArray, FloatArray, IntArray
 
-__all__ = [
-    "BLOCK_S",
-    "FEW_RUNS",
-    "SLOWEST_RATE_HZ",
-    "Record",
-    "joined",
-    "liveliest",
-    "record_of",
-    "simulate",
-    "thinned",
-]
-
 SLOWEST_RATE_HZ = 19.0
 """Below this the effects of a servo fall between the samples: HS-225BB, time constants 15 to 40 ms."""
 

@@ -10,8 +10,6 @@ if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
     from servofd.types import BoolArray, FloatArray
 
-__all__ = ["Bins", "Quantity", "RegimeError", "binned", "errors_by_regime", "quantities"]
-
 _BINS, _FEWEST_PER_BIN = 14, 12
 _SWING_S = 0.5
 _REST, _FAST = 0.3, 0.8

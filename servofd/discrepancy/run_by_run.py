@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from servofd.discrepancy.fit import Fit
     from servofd.types import FloatArray
 
-__all__ = ["RunErrors", "run_errors"]
-
 _MOST_FOLDS = 8
 """Runs that are held out at the same time, where there are many."""
 

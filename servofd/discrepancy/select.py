@@ -44,8 +44,6 @@ if TYPE_CHECKING:
     from servofd.models.physics import Physics
     from servofd.types import FloatArray
 
-__all__ = ["Rung", "Selection", "select"]
-
 _MOST, _MOST_ON_BENCH = 3, 4
 """Effects; one more where whole runs are held out, which no flexible combination survives for long."""
 _BEAM = 3

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from servofd.discrepancy.select import Selection
     from servofd.types import FloatArray
 
-__all__ = ["MANOEUVRES", "Manoeuvre", "Separation", "separations"]
-
 _RATE_HZ, _DURATION_S = 100.0, 24.0
 _SETTLING_S = 0.5
 _TELLING_SIGMAS = 4.0

@@ -10,8 +10,6 @@ if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
     from servofd.types import FloatArray
 
-__all__ = ["Spectrum", "coherent_to_hz", "excess_band_hz", "spectrum"]
-
 _PIECE_S, _PIECES, _FEWEST_SAMPLES = 4.0, 5.5, 32
 """Length of what is transformed at once; the record is at least so many times as long, which makes ten of them, half
 over half."""

@@ -9,15 +9,6 @@ import numpy as np
 if TYPE_CHECKING:
     from servofd.types import FloatArray
 
-__all__ = [
-    "COARSE_STEP_DEG",
-    "comb_step_deg",
-    "mean_reading_deg",
-    "noise_below_deg",
-    "noise_within_deg",
-    "stepped_noise_deg",
-]
-
 COARSE_STEP_DEG = 0.12
 """10 bits for 120 deg; what is finer is a usual potentiometer's or encoder's converter, and missing in no model."""
 _MOST, _FEWEST = 3000, 100

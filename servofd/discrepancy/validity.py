@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from servofd.segment import Segment
     from servofd.types import BoolArray, FloatArray
 
-__all__ = ["Undriven", "clear_of", "driven", "share_followed", "without_torque"]
-
 _WINDOW_S, _EVERY_S, _SHORTEST_S = 1.5, 0.1, 0.8
 _SURE_S, _SURE_ALONE_S = 1.3, 4.0
 """Length of a stretch that is no chance [s]; without other runs a slow servo may look like it for longer."""

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from servofd.discrepancy.select import Selection
     from servofd.types import BoolArray, FloatArray
 
-__all__ = ["Varying", "varying"]
-
 _FEWEST_RUNS = 5
 """Fitted ones with a value of their own, for a line."""
 _SHARES = tuple(np.geomspace(0.5, 2.0, 13).tolist())

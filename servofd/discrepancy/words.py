@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from servofd.discrepancy.select import Selection
     from servofd.models.missing_effect import MissingEffect
 
-__all__ = ["effect_values", "form_of", "linear_sentence", "only_rests_sentence", "unjudged_sentence"]
-
 _SURE = 1.959963984540054
 """Standard deviations of a 95 % interval."""
 _CONTEXT = {

@@ -27,18 +27,6 @@ from servofd.estimate.priors import FITTED, PRIORS
 if TYPE_CHECKING:
     from servofd.types import FloatArray
 
-__all__ = [
-    "LONGEST_PAUSE_S",
-    "PATTERNS",
-    "PRESSURE_PA",
-    "advance",
-    "new_state",
-    "patterns_of",
-    "sensitivities",
-    "simulated",
-    "variants",
-]
-
 PRESSURE_PA: Final = 300.0
 """Dynamic pressure that loads refer to: 22 m/s at sea level."""
 REACH_DEG: Final = 25.0

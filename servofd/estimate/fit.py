@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from servofd.estimate.record import Record
     from servofd.types import BoolArray, FloatArray
 
-__all__ = ["FAMILY", "Fit", "fit", "peaks", "residual"]
-
 _HUBER: Final = 2.5
 _DELAYS_S: Final = (0.01, 0.03, 0.06, 0.1)
 _FIRST_STEPS, _STEPS = 4, 12

@@ -21,8 +21,6 @@ from servofd.models.state import compiled
 if TYPE_CHECKING:
     from servofd.types import FloatArray
 
-__all__ = ["LONGEST_S", "new_memory", "put_back", "unknown_deg"]
-
 LONGEST_S: Final = 0.25
 """Between two commands; in more a servo goes a long way and comes back, and nothing shows it."""
 _HOLDS: Final = 1.5

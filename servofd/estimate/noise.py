@@ -10,8 +10,6 @@ import numpy as np
 if TYPE_CHECKING:
     from servofd.types import FloatArray
 
-__all__ = ["Noise"]
-
 
 @dataclass(frozen=True, slots=True)
 class Noise:

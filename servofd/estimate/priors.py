@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-__all__ = ["FITTED", "NAMES", "PRIORS", "Prior"]
-
 
 class Prior(NamedTuple):
     """What is known of a parameter before any flight."""

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from servofd.segment import Segment
     from servofd.types import BoolArray, FloatArray
 
-__all__ = ["SETTLING_S", "Record", "gap_s", "loads", "powers", "starts", "straightened", "usual_supply_v"]
-
 SETTLING_S = 0.45
 """After a gap in commands or positions; a servo that rested anywhere in its friction band is where it is asked to be by
 then."""

@@ -11,8 +11,6 @@ from servofd.estimate.noise import Noise
 from servofd.estimate.priors import NAMES, PRIORS
 from servofd.types import FloatArray
 
-__all__ = ["CalibratedNoise", "CalibratedServo"]
-
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
 _Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 _LARGEST = 1e9

@@ -11,8 +11,6 @@ if TYPE_CHECKING:
 
     from servofd.types import FloatArray
 
-__all__ = ["MAD_TO_SIGMA", "Z_95", "Estimate", "descended", "deviations", "line", "mean_loss", "memory", "ordinary_deg"]
-
 Z_95: Final = 1.96
 """Standard deviations of a 95 % interval."""
 MAD_TO_SIGMA: Final = 1.4826

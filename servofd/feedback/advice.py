@@ -7,9 +7,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from logparsers.records import FlightLog
 
-__all__ = ["what_to_log"]
-
-
 _ROTORCRAFT = frozenset(
     {"multirotor", "quadrotor", "hexarotor", "octorotor", "tricopter", "decarotor", "dodecarotor", "coaxial"}
 )

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from servofd.evidence import ModelOrigin
     from servofd.feedback.fitted import Drafted
 
-__all__ = ["Draft", "DraftedSurface", "draft_aircraft"]
-
 _FULL_NORM_DEG = 25.0
 _SHORTEST_PERIOD_S, _LONGEST_PERIOD_S = 1e-4, 0.2
 _ANGLES = {"deg", "rad"}

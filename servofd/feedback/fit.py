@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
     from servofd.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["RoughFit", "fit_roughly"]
-
 _MOST_SAMPLES = 4_000
 _ORDINARY_SHARE = 0.02
 _BANDWIDTHS_HZ = (1.5, 2.3, 3.5, 5.0, 8.0, 12.0, 20.0)

@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from servofd.models.servo_model import ServoModel
     from servofd.segment import Segment
 
-__all__ = ["Drafted", "draft_tolerance", "fitted_aircraft", "fitted_servo", "good_levels", "levels_of"]
-
 _AROUND_S = 2.0
 _SMALLEST_GAIN, _LARGEST_GAIN = 0.3, 1.7
 _SHORTEST_PERIOD_S, _LONGEST_PERIOD_S = 1e-4, 0.2

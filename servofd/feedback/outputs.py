@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["SURFACE_FUNCTIONS", "LoggedOutput", "named_outputs", "outputs_of"]
-
 SURFACE_FUNCTIONS = {
     2: "flap",
     3: "flap",

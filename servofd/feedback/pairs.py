@@ -14,8 +14,6 @@ from servofd.feedback.outputs import LoggedOutput, named_outputs, outputs_of
 if TYPE_CHECKING:
     from logparsers.records import Channel, FlightLog
 
-__all__ = ["Pair", "Position", "find_pairs", "find_positions", "pulse_channel"]
-
 _POSITION_PATTERNS = (
     # pattern of the channel's name, field with the command beside it, fields that a living telemetry changes
     (re.compile(r"CSRV\[(\d+)\]\.Pos"), "PosCmd", ("V", "A", "MotT", "PCBT", "Force", "Speed")),

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from servofd.calibration import Calibration
     from servofd.feedback.pairs import Pair
 
-__all__ = ["resolved", "streamed"]
-
 _HALF_TRAVEL_US = 500.0
 """Pulses of 1000 to 2000 us are what an autopilot that speaks of -1 to 1 sends by default."""
 _OUTPUTS_OF_A_MESSAGE = 16

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from servofd.aircraft import Aircraft
     from servofd.feedback.draft import Draft, DraftedSurface
 
-__all__ = ["draft_to_toml", "fitted_to_toml"]
-
 _ENTRIES = ("servo", "output", "threshold", "threshold_deg", "tolerance", "persistence", "suspicions", "model")
 
 

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from servofd.detection.events import Event
     from servofd.detection.monitor import SurfaceMonitor
 
-__all__ = ["Alerts", "health"]
-
 _LONGEST, _NAME_LONGEST = 50, 10
 _LEAST_ROOM: Final = 12
 """For a surface's name, however long the rest of a text would like to be."""

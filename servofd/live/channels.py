@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
     from logparsers.codec import Heard
 
-__all__ = ["ChannelTable", "Stamp", "stamp_of"]
-
 _AUTOPILOT = 1
 _GONE_S = 5.0
 """A sender that is no autopilot and silent for so long makes room for another."""

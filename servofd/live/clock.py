@@ -16,8 +16,6 @@ from servofd.live.latency import Latency
 if TYPE_CHECKING:
     from logparsers.codec import Heard
 
-__all__ = ["VehicleClock"]
-
 _AUTOPILOT = 1
 _RELAYED = ("NAMED_VALUE", "DEBUG", "SET_", "HIL_", "VISION", "TIMESYNC")
 """Often stamped by someone else."""

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["Latency"]
-
 _DRIFT = 1e-4
 """Most by which two clocks drift apart [s/s]; crystals have some 20 ppm, and 50 in the cold."""
 _BLOCK_S = 0.5

@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-__all__ = ["short_names"]
-
 _WORDS = {
     "AILERON": "AIL",
     "ELEVATOR": "ELEV",

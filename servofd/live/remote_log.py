@@ -9,8 +9,6 @@ from logparsers.dataflash.live import BlockStream, RowDecoder
 if TYPE_CHECKING:
     from logparsers.codec import Heard
 
-__all__ = ["LOG_SILENCE_S", "RemoteLog"]
-
 _START: Final = 2_147_483_646
 _AGAIN_S: Final = 1.0
 _QUIET_S: Final = 3.0

@@ -10,8 +10,6 @@ from logparsers.mavlink import dialect
 if TYPE_CHECKING:
     from logparsers.codec import Heard
 
-__all__ = ["Requests"]
-
 _SET_MESSAGE_INTERVAL: Final = 511  # MAV_CMD
 _ACCEPTED, _IN_PROGRESS, _UNSUPPORTED = 0, 5, 3  # MAV_RESULT
 _RATES_HZ: Final = (50.0, 40.0, 25.0, 10.0)

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from servofd.live.session import Session
     from servofd.live.threads import Receiver
 
-__all__ = ["Pace", "Watcher", "replay_log", "replay_telemetry", "watch_link"]
-
 _STEP_S = 0.02
 """Of a replay: data is evaluated in steps of this length."""
 _TOGETHER_S = 0.003

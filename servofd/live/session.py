@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from servofd.detection.stream import Piece
     from servofd.types import FloatArray
 
-__all__ = ["Session", "stamped"]
-
 _GROUND_SYSTEM, _AUTOPILOT = 255, 1
 _NO_AUTOPILOT = 8
 _SYNC_S = 5.0

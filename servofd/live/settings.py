@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from servofd.aircraft import Surface
     from servofd.calibration import Calibration
 
-__all__ = ["Change", "Settings", "output_of", "rescaled"]
-
 _RANGE: Final = "SERVO_VOLZ_RANGE"
 _CENTRE_US: Final = 1500.0
 """Where a Volz servo stands at zero, whatever SERVOn_TRIM is (AP_Volz_Protocol)."""

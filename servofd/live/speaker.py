@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from logparsers.codec import Signature
     from logparsers.link import Link
 
-__all__ = ["ALLOWED", "Speaker"]
-
 ALLOWED = frozenset(
     {
         "HEARTBEAT",

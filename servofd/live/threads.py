@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from logparsers.link import Link
 
-__all__ = ["Queue", "Receiver", "Worker"]
-
 T = TypeVar("T")
 _POLL_S = 0.1
 _CHUNKS = 20_000

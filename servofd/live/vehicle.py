@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from servofd.axes.watch import AxisWatch
     from servofd.types import FloatArray
 
-__all__ = ["Disorder", "Losses", "Vehicle"]
-
 Samples = tuple[list[float], list[float]]
 """Times and values of one channel."""
 

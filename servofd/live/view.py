@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from servofd.live.session import Session
     from servofd.live.vehicle import Vehicle
 
-__all__ = ["View", "event_line", "status_of"]
-
 _BAR = 20
 _EVENTS = 8
 _STYLES = {

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from servofd.models.physics import Physics
     from servofd.types import FloatArray
 
-__all__ = ["VARIED", "at_run", "by_condition", "is_law", "plain", "told_apart"]
-
 VARIED: tuple[type[MissingEffect], ...] = (
     catalogue.RateLimit,
     catalogue.ShaftSpeed,

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from servofd.aircraft import Surface
 
-__all__ = ["COMMANDS_OF_SERVO", "POSITIONS_FROM_0", "POSITIONS_FROM_1", "output_of"]
-
 _COMMANDS_OF_OUTPUT = re.compile(r"(?:.*:)?(?:RCOU\.C|RCO2\.C|RCO3\.C|SERVO_OUTPUT_RAW\.servo)(\d+)(?:_raw)?")
 COMMANDS_OF_SERVO = re.compile(r"CSRV\[(\d+)\]\.PosCmd")
 POSITIONS_FROM_0 = re.compile(r"CSRV\[(\d+)\]\.Pos")

@@ -29,16 +29,6 @@ if TYPE_CHECKING:
     from servofd.models.servo_model import ServoModel
     from servofd.types import FloatArray
 
-__all__ = [
-    "LONGEST_NAME",
-    "Mode",
-    "OnboardPlan",
-    "OnboardSurface",
-    "onboard_name",
-    "outputs_of",
-    "plan_onboard",
-]
-
 LONGEST_NAME = 22
 """With " not moved yet: use sticks" it fills the 50 characters of a message."""
 _SAME_POLE = 4e-3

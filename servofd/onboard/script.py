@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from servofd.onboard.plan import OnboardPlan, OnboardSurface
 
-__all__ = ["stream_script", "watch_script"]
-
 _FOLDED_AT = 112
 _STREAM_HZ = 25.0
 

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from servofd.aircraft import Aircraft
     from servofd.types import FloatArray
 
-__all__ = ["Seen", "seen_of", "seen_on_board"]
-
 _RESIDUAL = re.compile(r"SFD\[(\d+)\]\.Res")
 
 

@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from servofd.detection.events import Event
     from servofd.types import FloatArray
 
-__all__ = ["LiveRecording", "Samples"]
-
 _TO_VIEWER_S, _TO_FILE_S = 0.2, 2.0
 _PATIENCE_S = 5.0
 """A sink that has not taken a batch by then is given up."""

@@ -10,8 +10,6 @@ from typing import Any
 from servofd.outputs.palette import BANNER_COLOURS, STATUS_COLOURS
 from servofd.outputs.plain import plain
 
-__all__ = ["page", "source_tag"]
-
 _PACKAGES = ("numpy", "scipy", "numba")
 
 

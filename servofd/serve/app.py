@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
     from servofd.serve.flights import Flight, Flights
 
-__all__ = ["application"]
-
 _KINDS = {AUDIT: "application/json", PAGE: "text/html; charset=utf-8", RECORDING: "application/octet-stream"}
 _COMPARED = 2
 

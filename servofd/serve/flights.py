@@ -25,8 +25,6 @@ from servofd.serve.judge import Summary, judge
 if TYPE_CHECKING:
     from types import TracebackType
 
-__all__ = ["Flight", "Flights", "TooLarge", "Upload"]
-
 State = Literal["waiting", "at work", "done"]
 
 RESULTS = "servofd"

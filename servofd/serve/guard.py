@@ -13,8 +13,6 @@ from starlette.responses import PlainTextResponse, RedirectResponse
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-__all__ = ["Guard"]
-
 _COOKIE = "servofd_token"
 _OWN = frozenset({"127.0.0.1", "localhost", "[::1]"})
 _POLICY = (

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from servofd.detection.verdict import LogAudit
     from servofd.fleet.key import Job
 
-__all__ = ["AUDIT", "PAGE", "RECORDING", "SUMMARY", "Summary", "judge", "progress_in"]
-
 AUDIT, PAGE, RECORDING, SUMMARY = "audit.json", "page.html", "recording.rrd", "summary.json"
 """What the folder of a flight holds; the summary is written last."""
 _PROGRESS = "progress.txt"

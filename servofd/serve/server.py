@@ -14,8 +14,6 @@ import uvicorn
 if TYPE_CHECKING:
     from starlette.types import ASGIApp
 
-__all__ = ["listening", "serve"]
-
 
 def listening(host: str, port: int) -> socket.socket:
     """A socket that listens."""

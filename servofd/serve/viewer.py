@@ -18,8 +18,6 @@ from servofd.outputs.files import make_folder, write_whole
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["FILES", "viewer_files"]
-
 FILES = {
     "index.html": "text/html; charset=utf-8",
     "re_viewer.js": "text/javascript",

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from servofd.types import BoolArray, FloatArray
     from servofd.wear.servo import FlownServo
 
-__all__ = ["Motion", "noise_of"]
-
 _POLE_RAD_S = 30.0
 """Of a filter that only serves to find gaps and starts: gaps beyond 0.17 s, blanking of 0.27 s."""
 _FORGOTTEN_S = 1.0

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from servofd.models.transfer import TransferFunction
     from servofd.types import FloatArray
 
-__all__ = ["NUMBERS", "FlownServo"]
-
 NUMBERS = ("bandwidth_hz", "damping", "delay_s", "rate_limit_deg_s")
 """What is fitted beside scale and offset of the position, in this order."""
 

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from servofd.axes.verdict import AxisAudit
     from servofd.outputs.recording.stream import Recorder
 
-__all__ = ["axis_tab", "send_axis"]
-
 
 def _place(axis: AxisAudit) -> str:
     return f"/axes/{axis.axis}"

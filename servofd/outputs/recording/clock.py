@@ -12,8 +12,6 @@ if TYPE_CHECKING:
 
     from servofd.types import FloatArray, IntArray
 
-__all__ = ["TIME_BOOT", "TIME_UTC", "Clock", "microseconds", "seconds"]
-
 TIME_BOOT, TIME_UTC = "time_boot", "time_utc"
 
 

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from servofd.segment import Segment
     from servofd.types import BoolArray, FloatArray
 
-__all__ = ["Recording", "Trace", "command_at"]
-
 _CURVES = (
     "time_s",
     "command_deg",

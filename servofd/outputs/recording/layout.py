@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from servofd.outputs.recording.content import Recording
     from servofd.types import FloatArray
 
-__all__ = ["ALARM_LINE", "LINK", "REPORT", "audit_layout", "live_layout"]
-
 ALARM_LINE = "/surfaces_alarm"
 """Entity of the line at 1 in the overview."""
 

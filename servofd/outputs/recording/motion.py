@@ -10,8 +10,6 @@ if TYPE_CHECKING:
     from logparsers.records import FlightLog
     from servofd.types import FloatArray
 
-__all__ = ["attitude_of", "geo_of", "local_of"]
-
 _ATTITUDES = (
     ("ATT.Roll", "ATT.Pitch", "ATT.Yaw"),
     ("ATTITUDE.roll", "ATTITUDE.pitch", "ATTITUDE.yaw"),

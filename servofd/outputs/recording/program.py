@@ -8,8 +8,6 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
-__all__ = ["run_rerun"]
-
 _WITH_ITS_EXIT_CODE = "import sys; from rerun_cli.__main__ import main; sys.exit(main())"
 """``python -m rerun_cli`` always ends with 0."""
 

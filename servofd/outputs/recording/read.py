@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
     from servofd.types import FloatArray, IntArray
 
-__all__ = ["check_is_recording", "is_recording", "read_recording"]
-
 _CURVES = "Scalars:scalars"
 _PROPERTIES = f"/__properties/{PROPERTIES}"
 _KEPT = ("deflection", "residual", "command", "seconds", "command_seconds")
@@ -235,9 +233,6 @@ def _exact(stored: _Stored, time_s: FloatArray, place: str) -> FloatArray:
         return time_s
     exact_s = found[1][:, 0]
     return exact_s if np.all(np.abs(exact_s - time_s) < 1e-6) else time_s
-
-
-__all__ = ["repair_recording"]
 
 
 def repair_recording(path: str | Path, target: str | Path) -> None:

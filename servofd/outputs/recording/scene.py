@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from servofd.outputs.recording.stream import Recorder
     from servofd.types import FloatArray
 
-__all__ = ["AIRSPEED", "ATTITUDE", "GEO", "LOCAL", "SUPPLY", "send_context", "send_scene"]
-
 ATTITUDE, LOCAL, GEO = "/flight/attitude", "/flight/position", "/flight/geo"
 AIRSPEED, SUPPLY = "/flight/airspeed", "/flight/supply"
 """Where attitude, local and geographic position, airspeed and supply are kept as numbers."""
@@ -123,8 +121,6 @@ def _strips(recording: Recording, rows: FloatArray) -> tuple[list[FloatArray], A
     pieces = [(rows[a : b + 1, 1:], "fault" if bad[a] else "ok") for a, b in itertools.pairwise(cuts)]
     return [piece for piece, _ in pieces], colours([tint for _, tint in pieces])
 
-
-__all__ = ["BODY", "Hinge", "hinges", "turned", "turned_by_euler"]
 
 BODY = (
     ((0.0, 0.0, 0.0), (0.75, 0.07, 0.08)),

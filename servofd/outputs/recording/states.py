@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from servofd.outputs.recording.content import Trace
     from servofd.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["breaks_s", "events", "ratio", "silences", "states"]
-
 _SHORTEST_SILENCE_S = 0.5
 _PERIODS = 5.0
 """Longer than that without a sample, the curve is broken."""

@@ -24,18 +24,6 @@ if TYPE_CHECKING:
 
     from servofd.types import FloatArray
 
-__all__ = [
-    "CHUNK_ROWS",
-    "PROPERTIES",
-    "STATES",
-    "Recorder",
-    "application_name",
-    "colours",
-    "recording_file",
-    "shown",
-    "surface_place",
-]
-
 CHUNK_ROWS = 65_536
 """Rows in one chunk: smaller ones cost space, larger ones memory (measured: 22.3 B/scalar at 65 536, 22.5 at 4 096)."""
 

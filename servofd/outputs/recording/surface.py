@@ -18,17 +18,6 @@ if TYPE_CHECKING:
     from servofd.outputs.recording.stream import Recorder
     from servofd.types import FloatArray
 
-__all__ = [
-    "DEFLECTIONS",
-    "RESIDUALS",
-    "WIDTHS",
-    "plot_range",
-    "send_on_board",
-    "send_seconds",
-    "send_styles",
-    "send_surface",
-]
-
 DEFLECTIONS = ("command", "simulated", "measured")
 WIDTHS = (1.0, 2.5, 1.5)
 """Of the lines of deflections."""

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
     from servofd.outputs.recording.content import Recording
 
-__all__ = ["LIVE", "MANY_VEHICLES", "SCHEMA", "Verdicts", "audit_of", "live_verdicts", "verdicts_of"]
-
 SCHEMA = "servofd.recording/1"
 
 LIVE = "recorded in flight"

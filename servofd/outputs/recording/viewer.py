@@ -12,8 +12,6 @@ from servofd.outputs.recording.program import run_rerun
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["check_display", "open_viewer"]
-
 _OTHER_WAYS = "'servofd audit LOG --rrd FILE' keeps the recording for another machine"
 
 

@@ -10,8 +10,6 @@ from servofd.outputs.recording.stream import shown
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["blueprint", "curves", "document", "lanes", "messages", "stacked"]
-
 _ALL_AXES = "view/5c0dca6a-e63f-9cf7-f657-2602590474cc/TimeAxis"
 """Where Rerun 0.41 keeps the range that linked time axes share (its ``GLOBAL_VIEW_ID``); not documented, hence the
 picture test."""

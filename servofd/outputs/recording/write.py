@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 
     from servofd.detection.verdict import LogAudit
 
-__all__ = ["application_of", "fill", "recording_of", "save_recording", "send_to_stdout", "write_recording"]
-
 
 def save_recording(
     audit: LogAudit, path: str | Path, *, include_position: bool = False, online_map: bool = False
