@@ -12,6 +12,12 @@ _ROTORCRAFT = frozenset(
 )
 
 
+_MOTION = (
+    "healthy flights of four days tell what each axis loses: `servofd calibrate DAY1 DAY2 DAY3 DAY4 -o plane.toml`, "
+    "then `servofd FLIGHT -c plane.toml`; for a verdict on each servo "
+)
+
+
 def what_to_log(log: FlightLog) -> str:
     """One sentence: how this kind of autopilot gets servo positions into its logs.
 
@@ -29,13 +35,14 @@ def what_to_log(log: FlightLog) -> str:
             "send the positions as DEBUG_FLOAT_ARRAY (name SRVP) and log debug topics (SDLOG_PROFILE bit 5); "
             "actuator_outputs and actuator_servos are commands"
         )
+    motion = _MOTION if log.vehicle == "fixed wing" else ""
     if log.format == "tlog":
-        return (
+        return motion + (
             "send the positions as NAMED_VALUE_FLOAT SRVP1, SRVP2, ... in degrees: `servofd onboard --stream-only -o "
             "servofd.lua` writes the script, copy it to APM/scripts and set SCR_ENABLE = 1; or audit the autopilot's "
             "own .bin log; SERVO_OUTPUT_RAW is a command"
         )
-    return (
-        "RCOU is a command; servos with feedback log CSRV: Volz (SERIALn_PROTOCOL = 14, SERVO_VOLZ_MASK) or DroneCAN "
-        "(CAN_D1_PROTOCOL = 1, CAN_D1_UC_SRV_BM), with LOG_BITMASK including RC output"
+    return motion + (
+        "log its position: RCOU is a command; servos with feedback write CSRV: Volz (SERIALn_PROTOCOL = 14, "
+        "SERVO_VOLZ_MASK) or DroneCAN (CAN_D1_PROTOCOL = 1, CAN_D1_UC_SRV_BM), with LOG_BITMASK including RC output"
     )

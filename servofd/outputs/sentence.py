@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -25,6 +26,8 @@ _WHAT = {
     "unknown": "NOT WHERE IT SHOULD BE since {since}",
 }
 _MOST_NAMED = 2
+_CLAUSE = re.compile(r"[:;]| \(|, ")
+"""Where the first clause of a reason ends."""
 _RARE_PER_HOUR = 1e-6
 
 
@@ -114,8 +117,9 @@ def _what(fault: Fault) -> str:
 def _missing(surfaces: Sequence[SurfaceAudit]) -> str:
     if not surfaces:
         return ""
-    reasons = dict.fromkeys(s.reason for s in surfaces)
-    return f"No verdict on {_listed(surfaces)}: {'; '.join(reasons)}."
+    reasons = list(dict.fromkeys(_CLAUSE.split(s.reason, maxsplit=1)[0] for s in surfaces))
+    why = f": {reasons[0]}" if len(reasons) == 1 else ""  # each with its numbers stands beside its surface
+    return f"No verdict on {_listed(surfaces)}{why}."
 
 
 def _listed(surfaces: Sequence[SurfaceAudit]) -> str:

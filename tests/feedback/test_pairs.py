@@ -115,4 +115,6 @@ def test_positions_in_another_unit_are_not_taken_for_degrees() -> None:
 def test_a_multirotor_is_called_one() -> None:
     for craft in ("quadrotor", "multirotor"):
         assert f"it is of a {craft}" in what_to_log(FlightLog(Path("a.bin"), "dataflash", {}, vehicle=craft))
-    assert "CSRV" in what_to_log(FlightLog(Path("a.bin"), "dataflash", {}, vehicle="fixed wing"))
+    wing = what_to_log(FlightLog(Path("a.bin"), "dataflash", {}, vehicle="fixed wing"))
+    assert wing.startswith("healthy flights of four days tell what each axis loses: `servofd calibrate")
+    assert "CSRV" in wing

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
 import servofd
@@ -77,6 +78,27 @@ def axes(folder: Path) -> Path:
     return page
 
 
+def no_model(folder: Path) -> Path:
+    """Positions that no servo would make of these commands."""
+    time_s, rng = 0.02 * np.arange(3000), np.random.default_rng(0)
+    walk = np.cumsum(rng.normal(0.0, 0.4, time_s.size))
+    columns = time_s, 8.0 * np.sin(0.7 * time_s), walk - np.convolve(walk, np.full(200, 1 / 200), "same")
+    log, page = folder / "walk.csv", folder / "walk.html"
+    np.savetxt(
+        log, np.column_stack(columns), "%.3f", ",", header="time_s,elevator_cmd_deg,elevator_pos_deg", comments=""
+    )
+    assert main([str(log), "--no-open", "--html", str(page)]) == 2
+    return page
+
+
+def no_feedback(folder: Path) -> Path:
+    log, page = folder / "wing.bin", folder / "wing.html"
+    log.write_bytes(airframe_log(fly_airframe(9, duration_s=60.0)))
+    assert main([str(log), "--no-open", "--html", str(page)]) == 2
+    assert "servofd calibrate DAY1" in page.read_text(encoding="utf-8")
+    return page
+
+
 def fleet(folder: Path) -> Path:
     logs = folder / "flights"
     logs.mkdir()
@@ -105,7 +127,7 @@ def identify(folder: Path) -> Path:
     return page
 
 
-@pytest.mark.parametrize("write", [fault, several, axes, fleet, trend, explain, identify])
+@pytest.mark.parametrize("write", [fault, several, axes, no_model, no_feedback, fleet, trend, explain, identify])
 def test_a_page_fits_a_phone_can_be_read_and_is_small(write: Callable[[Path], Path], tmp_path: Path) -> None:
     page = write(tmp_path)
     assert page.stat().st_size <= (LARGEST_FIGURES_BYTES if write in (explain, identify) else LARGEST_BYTES)
@@ -117,6 +139,9 @@ def test_a_page_fits_a_phone_can_be_read_and_is_small(write: Callable[[Path], Pa
             browser.shot(tmp_path / f"{page.stem}-{width}{'-dark' if dark else ''}.png")
             ratio, words = browser.tell(CONTRAST)
             assert ratio >= AA, (width, dark, words)
+            assert browser.tell(
+                "[...document.querySelectorAll('.wide')].every(one => one.scrollWidth <= one.clientWidth)"
+            )
             browser.tell("document.querySelectorAll('details').forEach(one => one.open = true)")
             assert browser.tell("document.documentElement.scrollWidth") <= width
             assert browser.tell("document.querySelector('#words dt') !== null")
