@@ -13,6 +13,7 @@ from servofd.errors import RecordingError
 from servofd.outputs.recording.clock import microseconds
 from servofd.outputs.recording.content import Recording
 from servofd.outputs.recording.verdicts import LIVE
+from servofd.segment import is_streamed
 
 if TYPE_CHECKING:
     from servofd.detection.bank.flight import Fault
@@ -230,7 +231,11 @@ def _judged(
         asked = judged_by(known, threshold_deg, threshold)
         return replace(surface, threshold_kind=asked.threshold, threshold_deg=asked.threshold_deg)
     return audit_segment(
-        trace.segment(surface.surface, known.command_period_s),
+        trace.segment(
+            surface.surface,
+            known.command_period_s,
+            is_streamed=is_streamed(recording.audit.log.format, known.command.channel),
+        ),
         recording.audit.aircraft,
         duration_s=recording.audit.log.duration_s,
         threshold_deg=threshold_deg,

@@ -222,14 +222,25 @@ def cut(log: FlightLog, name: str, surface: Surface) -> Segment:
                 for column in _signal(log, _sources(kind, sources, name, surface))
             )
         ),
-        sent_period_s=sent_period_s(command.time_s[given][: WARM_UP_STEPS + 1]) if _is_streamed(log, command) else None,
+        sent_period_s=_sent_period_s(log, command.name, command.time_s[given]),
     )
     return _without_dead_telemetry(segment, measured, log, surface) if surface.alive else segment
 
 
-def _is_streamed(log: FlightLog, channel: Channel) -> bool:
-    """Whether a channel came in messages of its own over a link."""
-    return log.format == "tlog" and channel.name.rpartition(":")[2].partition(".")[0] in dialect().layouts
+def _sent_period_s(log: FlightLog, channel: str, command_s: FloatArray) -> float | None:
+    return sent_period_s(command_s[: WARM_UP_STEPS + 1]) if is_streamed(log.format, channel) else None
+
+
+def is_streamed(log_format: str, channel: str) -> bool:
+    """Whether a channel came in messages of its own over a link.
+
+    Examples
+    --------
+    >>> is_streamed("tlog", "1/1:SERVO_OUTPUT_RAW.servo2_raw"), is_streamed("tlog", "RCOU.C2")
+    (True, False)
+    """
+    name = channel.rpartition(":")[2].partition(".")[0].partition("[")[0]
+    return log_format in ("tlog", "live") and name in dialect().layouts
 
 
 def _sources(kind: str, sources: Mapping[str, float], name: str, surface: Surface) -> Mapping[str, float]:

@@ -17,12 +17,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from servofd.aircraft import Aircraft
-    from servofd.detection.events import Event
+    from servofd.detection.events import Event, Inputs
     from servofd.detection.stream import Piece
     from servofd.live.session import Session
     from servofd.live.threads import Receiver, Worker
     from servofd.outputs.live_recording import LiveRecording
-    from servofd.types import FloatArray
 
 _DRAW_S, _LINES_S = 0.1, 5.0
 
@@ -132,6 +131,8 @@ class Outputs:
     def _record(
         self, options: argparse.Namespace, aircraft: Mapping[int, Aircraft], open_: contextlib.ExitStack
     ) -> None:
+        import numpy as np
+
         from servofd.outputs.live_recording import LiveRecording, Samples
         from servofd.outputs.recording.verdicts import live_verdicts
 
@@ -147,11 +148,15 @@ class Outputs:
         if options.serve:
             print(f"servofd: rerun rerun+http://127.0.0.1:{port}/proxy shows it live", file=sys.stderr)
 
-        def listen(surface: str, piece: Piece, asked_deg: FloatArray) -> None:
+        def listen(surface: str, piece: Piece, inputs: Inputs) -> None:
             r = piece.residuals
-            level_deg = piece.threshold.level_deg
-            columns = (r.time_s, asked_deg, r.simulated_deg, r.measured_deg, r.residual_deg, level_deg)
-            recording.add(Samples(surface, *columns))
+            residual_deg = np.where(r.settled, r.residual_deg, np.nan)
+            columns = (r.time_s, inputs.asked_deg, r.simulated_deg, r.measured_deg, residual_deg)
+            recording.add(
+                Samples(
+                    surface, *columns, piece.threshold.level_deg, inputs.command_s, inputs.command_deg, inputs.context
+                )
+            )
 
         self._session.listener = listen
 

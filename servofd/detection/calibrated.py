@@ -71,7 +71,7 @@ def audit_calibrated(
     found = judged(flight)
     sizes = detectable([flight])
     error_deg = flight.error_deg[rows]
-    statistics = Statistics.of(error_deg, error_deg)
+    statistics = Statistics.of(error_deg, (flight.record.measured_deg - flight.reading_deg)[rows])
     status, reason = _verdict(flight, found.faults, found.suspicions, sizes, statistics.max_abs_deg)
     judged_share = min(judged_s / max(duration_s, 1e-9), 1.0)
     if judged_share < _MOST_OF_THE_LOG:

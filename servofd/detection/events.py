@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from servofd.detection.bank.flight import Fault
     from servofd.detection.residual import Commands, ResidualGenerator, Residuals
     from servofd.detection.threshold import Threshold
+    from servofd.models.context import Context
     from servofd.types import BoolArray, FloatArray
 
 EventKind = Literal["alarm", "clear", "named", "no_data", "link_lost", "link_restored"]
@@ -45,6 +46,18 @@ class Reading(NamedTuple):
     residual_deg: float
     threshold_deg: float
     settled: bool
+
+
+class Inputs(NamedTuple):
+    """What samples were evaluated with."""
+
+    asked_deg: FloatArray
+    """Command at each of them, shape (n,) [deg]."""
+    command_s: FloatArray
+    """Commands that have come since the samples before, shape (m,) [s],"""
+    command_deg: FloatArray
+    """and what they asked for [deg]."""
+    context: Context
 
 
 class Look(NamedTuple):

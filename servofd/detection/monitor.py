@@ -15,7 +15,7 @@ import numpy as np
 
 from servofd.detection.bank.confirm import SURE
 from servofd.detection.calibrated_stream import CalibratedStream
-from servofd.detection.events import Alarm, Event, Look, Reading
+from servofd.detection.events import Alarm, Event, Inputs, Look, Reading
 from servofd.detection.residual import ResidualGenerator, rhythm, thinned_rhythm
 from servofd.detection.stream import Stream
 from servofd.errors import DesignError
@@ -184,8 +184,8 @@ class SurfaceMonitor:
     name: str
     surface: Surface
     model: ServoModel
-    listener: Callable[[str, Piece, FloatArray], None] | None = None
-    """Told of every piece: surface, piece, and the command at each of its samples [deg]."""
+    listener: Callable[[str, Piece, Inputs], None] | None = None
+    """Told of every piece."""
     reading: Reading | None = None
     problem: str = ""
     """Why this surface is not watched; empty if it is."""
@@ -208,6 +208,8 @@ class SurfaceMonitor:
     _period_s: float = float("nan")
     _mean_s: float = float("nan")
     _least_hz: float = SLOWEST_RATE_HZ
+    _passed_on_s: float = -np.inf
+    """Time of the last command that the listener was told of [s]."""
     _begun_s: float = float("inf")
     _judged_s: float = 0.0
     """Since when positions were evaluated, and how long they were judged [s]."""
@@ -640,9 +642,12 @@ class SurfaceMonitor:
         last = int(residuals.time_s.size) - 1
         commands = self._stream.logged.commands().command_deg
         if self.listener is not None:
-            held = np.searchsorted(self._stream.logged.time_s, residuals.time_s, side="right") - 1
+            came_s = self._stream.logged.time_s
+            held = np.searchsorted(came_s, residuals.time_s, side="right") - 1
             asked_deg = commands[np.maximum(held, 0)] if commands.size else np.full(held.size, np.nan)
-            self.listener(self.name, piece, asked_deg)
+            new = slice(int(np.searchsorted(came_s, self._passed_on_s, side="right")), None)
+            self.listener(self.name, piece, Inputs(asked_deg, came_s[new].copy(), commands[new].copy(), self._context))
+            self._passed_on_s = float(came_s[-1]) if came_s.size else self._passed_on_s
         self.reading = Reading(
             float(residuals.time_s[last]),
             float(commands[-1]) if commands.size else float("nan"),

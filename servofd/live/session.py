@@ -23,9 +23,8 @@ if TYPE_CHECKING:
 
     from logparsers.codec import Codec, Heard
     from servofd.aircraft import Aircraft
-    from servofd.detection.events import Event, Look
+    from servofd.detection.events import Event, Inputs, Look
     from servofd.detection.stream import Piece
-    from servofd.types import FloatArray
 
 _GROUND_SYSTEM, _AUTOPILOT = 255, 1
 _NO_AUTOPILOT = 8
@@ -95,7 +94,7 @@ class Session:
     """Whether channels are those of the autopilot's own log, which is asked for if there is a `send`."""
     component: int = 191
     """As which it asks: answers to others are none of its own."""
-    listener: Callable[[str, Piece, FloatArray], None] | None = None
+    listener: Callable[[str, Piece, Inputs], None] | None = None
     """Told of every piece that was evaluated."""
     vehicles: dict[int, Vehicle] = field(default_factory=dict)
     strangers: set[int] = field(default_factory=set)

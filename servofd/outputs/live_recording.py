@@ -20,6 +20,7 @@ import numpy as np
 from servofd.errors import ConfigError
 from servofd.outputs.palette import SERIES
 from servofd.outputs.recording.layout import ALARM_LINE, LINK, REPORT, live_layout
+from servofd.outputs.recording.scene import AIRSPEED, SUPPLY
 from servofd.outputs.recording.states import breaks_s, ratio
 from servofd.outputs.recording.stream import STATES, Recorder, application_name, surface_place
 from servofd.outputs.recording.surface import send_styles
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from servofd.detection.events import Event
+    from servofd.models.context import Context
     from servofd.types import FloatArray
 
 _TO_VIEWER_S, _TO_FILE_S = 0.2, 2.0
@@ -40,7 +42,7 @@ _ABOUT = "Recorded in flight. `servofd review` of this recording gives the verdi
 
 
 class Samples(NamedTuple):
-    """What was evaluated of one surface; columns of shape (n,)."""
+    """What was evaluated of one surface; columns of shape (n,) unless said."""
 
     surface: str
     time_s: FloatArray
@@ -49,6 +51,10 @@ class Samples(NamedTuple):
     measured_deg: FloatArray
     residual_deg: FloatArray
     threshold_deg: FloatArray
+    command_s: FloatArray
+    """Commands that have come since the samples before, on their own times, shape (m,)."""
+    came_deg: FloatArray
+    context: Context
 
 
 class LiveRecording:
@@ -145,6 +151,8 @@ class _Sink:
     """Batches of the fastest one that make one of this."""
     kept: list[Samples | Event] = field(default_factory=list)
     lanes: dict[str, _Lane] = field(default_factory=dict)
+    around_s: dict[str, float] = field(default_factory=dict)
+    """Until when airspeed and supply were sent [s]."""
     error: str = ""
     """Why nothing goes there any more."""
 
@@ -172,11 +180,12 @@ class _Sink:
         self.recorder.stream.flush(timeout_sec=_PATIENCE_S)
 
     def _samples(self, surface: str, pieces: list[Samples]) -> None:
-        time_s, *deflections, residual_deg, threshold_deg = (
-            np.concatenate(column) for column in list(zip(*pieces, strict=True))[1:]
+        time_s, *deflections, residual_deg, threshold_deg, command_s, came_deg = (
+            np.concatenate(column) for column in list(zip(*pieces, strict=True))[1:-1]
         )
         if not time_s.size:
             return
+        self._around(pieces[-1].context)
         place, lane = surface_place(surface), self.lanes.setdefault(surface, _Lane())
         if lane.shown in ("", "NO DATA"):
             self._state(surface, float(time_s[0]), "FAULT" if lane.faulty else "OK")
@@ -186,8 +195,20 @@ class _Sink:
         for name, values in (("deflection", np.column_stack(deflections)), ("residual", levels)):
             self.recorder.scalars(f"{place}/{name}", broken_s, np.full((broken_s.size, 3), np.nan))
             self.recorder.scalars(f"{place}/{name}", time_s, values)
+        self.recorder.scalars(f"{place}/command", command_s, came_deg)
         self.recorder.scalars(f"{place}/ratio", *ratio(time_s, residual_deg, threshold_deg))
         self.recorder.scalars(ALARM_LINE, time_s[[0, -1]], np.ones(2))
+
+    def _around(self, context: Context) -> None:
+        """Airspeed and supply, as far as they are news."""
+        for place, at_s, values in (
+            (AIRSPEED, context.airspeed_s, context.airspeed_m_s),
+            (SUPPLY, context.voltage_s, context.voltage_v),
+        ):
+            new = slice(int(np.searchsorted(at_s, self.around_s.get(place, -np.inf), side="right")), None)
+            if at_s[new].size:
+                self.recorder.scalars(place, at_s[new], values[new])
+                self.around_s[place] = float(at_s[-1])
 
     def _event(self, event: Event) -> None:
         time_s = event.time_s if np.isfinite(event.time_s) else 0.0

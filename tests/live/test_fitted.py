@@ -15,6 +15,8 @@ from servofd.cli import main
 from servofd.feedback.resolve import resolved
 from servofd.live.run import Pace, replay_log
 from servofd.live.session import Session
+from servofd.outputs.recording.read import read_recording
+from servofd.review import rejudged
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -76,6 +78,11 @@ def test_it_accuses_of_what_contradicts_any_servo(
         monitor = found[surface.surface]
         assert [(f.kind, f.start_s) for f in monitor.faults] == [(f.kind, f.start_s) for f in surface.faults]
         assert bool(monitor.suspicions) == bool(surface.suspicions)
-    code = main(["monitor", str(flight), "-c", str(file), "--speed", "0", "--json-lines", "-", "--no-alert"])
-    assert code == main(["audit", str(flight), "-c", str(file)])
+    recording = tmp_path / "flight.rrd"
+    words = ["-c", str(file), "--speed", "0", "--json-lines", "-", "--no-alert", "--rrd", str(recording)]
+    code = main(["monitor", str(flight), *words])
+    assert code == main(["audit", str(flight), "-c", str(file)]) == main(["review", str(recording)])
+    assert [
+        [(f.kind, f.start_s, f.alarm_s) for f in s.faults] for s in rejudged(read_recording(recording)).audit.surfaces
+    ] == [[(f.kind, f.start_s, f.alarm_s) for f in s.faults] for s in audited.surfaces]
     assert ("not cleared" in capsys.readouterr().err) == (code == 2)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from servofd.cli import main
+from servofd.models.context import NO_CONTEXT
 from servofd.outputs.live_recording import LiveRecording, Samples
 from servofd.outputs.palette import COLOURS, rgba
 from servofd.outputs.recording.stream import surface_place
@@ -66,7 +67,10 @@ def test_there_are_no_verdicts_to_review(bench: Path, capsys: pytest.CaptureFixt
 def test_names_of_surfaces_are_kept_as_they_are(surface: str, tmp_path: Path) -> None:
     live = LiveRecording("x", [surface], path=tmp_path / "live.rrd")
     time_s = np.arange(5) / 10.0
-    live.add(Samples(surface, time_s, *(np.full(5, float(k)) for k in range(5))))
+    columns = [np.full(5, float(k)) for k in range(5)]
+    asked_deg, simulated_deg, measured_deg, residual_deg, threshold_deg = columns
+    deflections = asked_deg, simulated_deg, measured_deg
+    live.add(Samples(surface, time_s, *deflections, residual_deg, threshold_deg, time_s, asked_deg, NO_CONTEXT))
     live.close()
     time_us, values = curves(tmp_path / "live.rrd")[surface_place(surface, "deflection")]
     np.testing.assert_array_equal(time_us, np.arange(5) * 100_000)

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import json
+from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import servofd
+from logparsers.codec import Codec
+from logparsers.replay import replayed
 from servofd.cli import main
+from servofd.live.session import stamped
 from servofd.outputs.live_recording import LiveRecording, Samples
 from servofd.outputs.recording.content import Trace
 from servofd.outputs.recording.read import read_recording
@@ -29,9 +35,20 @@ def test_a_recording_of_the_monitor_is_judged_in_review(tmp_path: Path, capsys: 
         assert surface.threshold is not None
         trace = Trace.of(surface.segment, surface.residuals, surface.threshold.level_deg)
         for rows in np.array_split(np.arange(trace.time_s.size), 7):
-            columns = (trace.command_deg, trace.simulated_deg, trace.measured_deg, trace.residual_deg)
-            values = (column[rows] for column in (trace.time_s, *columns, trace.threshold_deg))
-            live.add(Samples(surface.surface, *values))
+            live.add(
+                Samples(
+                    surface.surface,
+                    trace.time_s[rows],
+                    trace.command_deg[rows],
+                    trace.simulated_deg[rows],
+                    trace.measured_deg[rows],
+                    trace.residual_deg[rows],
+                    trace.threshold_deg[rows],
+                    trace.asked_s[rows],
+                    trace.asked_deg[rows],
+                    trace.context,
+                )
+            )
     live.close()
     again = rejudged(read_recording(path)).audit
     assert [s.status for s in again.surfaces] == [s.status for s in audit.surfaces]
@@ -41,6 +58,35 @@ def test_a_recording_of_the_monitor_is_judged_in_review(tmp_path: Path, capsys: 
     assert [f.kind for s in again.surfaces for f in s.faults] == [f.kind for s in audit.surfaces for f in s.faults]
     assert main(["review", str(path)]) == 1
     assert "stuck at" in capsys.readouterr().out
+
+
+def verdicts(words: list[str], capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+    """What a verb says of each surface: status, and each fault's kind, onset and alarm."""
+    main([*words, "--json", "-"])
+    (log,) = json.loads(capsys.readouterr().out)["logs"]
+    return {
+        name: (one["status"], [(f["kind"], f["start_s"], f["alarm_s"]) for f in one["faults"]])
+        for name, one in log["surfaces"].items()
+    }
+
+
+def test_commands_are_recorded_as_they_came(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Commands come more often than positions here: those at the positions alone would be another flight."""
+    log, path = SAMPLES / "telemetry_stuck.tlog", tmp_path / "live.rrd"
+    slow = tmp_path / "slow.tlog"
+    codec, count, kept = Codec(0, 191), Counter[str](), []
+    for at_s, frame in replayed(log):
+        (heard,) = codec.decode(frame)
+        name = heard.fields["name"] if heard.name == "NAMED_VALUE_FLOAT" else ""
+        count[name] += 1
+        if not name or count[name] % 3 == 0:
+            kept.append(stamped(at_s, frame))
+    slow.write_bytes(b"".join(kept))
+    main(["monitor", str(slow), "-c", "simulated", "--speed", "0", "--no-alert", "--rrd", str(path), "--plain"])
+    capsys.readouterr()
+    audited = verdicts(["audit", str(slow), "-c", "simulated"], capsys)
+    assert "fault" in {status for status, _ in audited.values()}
+    assert verdicts(["review", str(path)], capsys) == audited
 
 
 def test_nothing_recorded_is_no_verdict(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

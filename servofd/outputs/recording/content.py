@@ -86,9 +86,9 @@ class Trace:
             segment.context,
         )
 
-    def segment(self, surface: str, command_period_s: float | None = None) -> Segment:
+    def segment(self, surface: str, command_period_s: float | None = None, *, is_streamed: bool = False) -> Segment:
         """What an audit starts from, see `Segment`: as of a log, without commands that are no numbers or come again."""
-        from servofd.segment import Segment
+        from servofd.segment import WARM_UP_STEPS, Segment, sent_period_s
 
         given = np.isfinite(self.asked_deg) & _rising(self.asked_s)
         seen = _rising(self.time_s)
@@ -102,6 +102,7 @@ class Trace:
             self.frozen_s,
             self.frozen_to_end,
             self.context,
+            sent_period_s(self.asked_s[given][: WARM_UP_STEPS + 1]) if is_streamed else None,
         )
 
     def between(self, from_s: float, to_s: float) -> Self:
