@@ -1,0 +1,114 @@
+"""ArduPlane flights in wind as streams: commands at 25 Hz, positions at 50, and worse links than that."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+import logparsers
+import servofd
+from logparsers.codec import Codec
+from servofd.aircraft import load_aircraft
+from servofd.calibrating.toml import calibration_to_toml
+from servofd.feedback.draft import draft_aircraft
+from servofd.feedback.toml import draft_to_toml
+from servofd.live.session import stamped
+from tests.external.test_bench_tables import DATA
+from tests.external.test_disturbed_links import LINKS, alarms, most_outages, same, silent, thinned, told
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from servofd.aircraft import Aircraft
+    from tests.external.test_disturbed_links import Frames
+
+WIND = DATA / "logs" / "wind"
+OUTPUTS = (1, 2, 4, 9, 10, 12)
+PLANE: dict[str, Any] = {
+    "type": 1,
+    "autopilot": 3,
+    "base_mode": 157,
+    "custom_mode": 10,
+    "system_status": 4,
+    "mavlink_version": 3,
+}
+WAYS = {**LINKS, "silent": silent}
+ALL = {**WAYS, "straight": list, "thinned": thinned}
+
+pytestmark = [
+    pytest.mark.nightly,
+    pytest.mark.skipif(not WIND.is_dir(), reason="no flights in wind: set SERVOFD_EXTERNAL_DATA"),
+]
+
+
+def frames(name: str) -> Frames:
+    """What a ground station would have received of a flight, 20 ms later."""
+    log, codec = logparsers.read(WIND / f"{name}.bin.gz"), Codec(1, 1)
+    pulses = [log[f"RCOU.C{output}"] for output in OUTPUTS]
+    air = log["ARSP[0].Airspeed" if "ARSP[0].Airspeed" in log.channels else "ARSP.Airspeed"]
+    rows: list[tuple[float, str, dict[str, Any]]] = []
+    for k, at_s in enumerate(pulses[0].time_s.tolist()):
+        servos = {f"servo{o}_raw": int(p.values[k]) for o, p in zip(OUTPUTS, pulses, strict=True)}
+        rows.append((at_s, "SERVO_OUTPUT_RAW", {"time_usec": round(1e6 * at_s), "port": 0, **servos}))
+    for output in OUTPUTS:
+        position = log[f"CSRV[{output - 1}].Pos"]
+        for at_s, deg in zip(position.time_s.tolist(), position.values.tolist(), strict=True):
+            stamp = {"time_boot_ms": round(1e3 * at_s), "name": f"SRVP{output}", "value": deg}
+            rows.append((at_s, "NAMED_VALUE_FLOAT", stamp))
+    for at_s in np.arange(pulses[0].time_s[0], pulses[0].time_s[-1]).tolist():
+        rows.append((at_s, "HEARTBEAT", PLANE))
+        rows.append((at_s, "SYSTEM_TIME", {"time_unix_usec": 0, "time_boot_ms": round(1e3 * at_s)}))
+    for at_s, m_s in zip(air.time_s[::3].tolist(), air.values[::3].tolist(), strict=True):
+        level = {"groundspeed": m_s, "heading": 0, "throttle": 50, "alt": 100.0, "climb": 0.0}
+        rows.append((at_s, "VFR_HUD", {"airspeed": m_s, **level}))
+    rows.sort(key=lambda row: row[0])
+    return [(1.7e9 + at_s + 0.02, codec.encode(message, fields)) for at_s, message, fields in rows]
+
+
+@pytest.fixture(scope="module")
+def plane(tmp_path_factory: pytest.TempPathFactory) -> Aircraft:
+    """Calibrated on two healthy flights, as streams."""
+    folder: Path = tmp_path_factory.mktemp("wind")
+    good = [folder / f"{name}.tlog" for name in ("d_ok1", "d_ok3")]
+    for path in good:
+        path.write_bytes(b"".join(stamped(*entry) for entry in frames(path.stem)))
+    draft, known = folder / "draft.toml", folder / "plane.toml"
+    draft.write_text(draft_to_toml(draft_aircraft(logparsers.read(good[0]))))
+    known.write_text(calibration_to_toml(servofd.calibrate(good, draft, force=True)))
+    return load_aircraft(known)
+
+
+@pytest.fixture(scope="module")
+def jam_and_lag() -> Frames:
+    """An elevator is stuck from 110.05 s on, an aileron has twice its lag from 222.08 s on."""
+    return frames("d_f3")
+
+
+@pytest.fixture(scope="module")
+def straight(plane: Aircraft, jam_and_lag: Frames) -> list[tuple[str, float]]:
+    return alarms(told(plane, jam_and_lag))
+
+
+def test_both_faults_are_told_and_nothing_else(straight: list[tuple[str, float]]) -> None:
+    (elevator, jammed_s), (aileron, slow_s) = straight
+    assert (elevator, aileron) == ("servo_10", "servo_1")
+    assert 110.05 < jammed_s < 111.1
+    assert 222.08 < slow_s < 232.1
+
+
+@pytest.mark.parametrize("link", WAYS)
+def test_on_worse_links_at_the_same_times(
+    plane: Aircraft, jam_and_lag: Frames, straight: list[tuple[str, float]], link: str
+) -> None:
+    disturbed = told(plane, WAYS[link](jam_and_lag))
+    assert same(alarms(disturbed), straight)
+    assert most_outages(disturbed) == 0
+
+
+@pytest.mark.parametrize("link", ALL)
+def test_a_healthy_flight_has_no_alarm(plane: Aircraft, link: str) -> None:
+    disturbed = told(plane, ALL[link](frames("d_ok2")))
+    assert alarms(disturbed) == []
+    assert most_outages(disturbed) == 0
