@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 _SHORTEST_S = 0.5
 _REPUBLISHED_S = 0.1
+_LATE_BUS_S, _LATE_DEG = 0.25, 0.5
+"""A bus that has lost a few answers goes on within this time; those of an ArduPilot's servos came up to 0.2 s late."""
 _COMMAND_MOVES_DEG = 1.0
 _EXPECTED_CHANGES = 3.0
 
@@ -71,6 +73,27 @@ def frozen_rows(
         alive = not np.all(same_sibling[first + 1 : last + 1])
         if not alive and np.ptp(command_deg[first : last + 1]) >= _COMMAND_MOVES_DEG:
             rows[first : last + 1] = True
+    return rows
+
+
+def held_rows(time_s: FloatArray, position_deg: FloatArray, healthy_deg: FloatArray) -> BoolArray:
+    """Rows in which a late bus repeats its last answer, for up to a quarter of a second, while a healthy servo moves.
+
+    Examples
+    --------
+    >>> position_deg = np.array([0.0, 1.0, 1.0, 2.0, 2.0, 2.0])
+    >>> held_rows(np.array([0.0, 0.1, 0.2, 0.3, 0.5, 0.7]), position_deg, np.arange(6.0)).tolist()
+    [False, False, True, False, False, False]
+    """
+    rows = np.zeros(time_s.size, dtype=bool)
+    if time_s.size < 2:
+        return rows
+    same = _same_as_before(position_deg)
+    firsts, lasts = _runs(same)
+    late = (time_s[lasts] - time_s[firsts] <= _LATE_BUS_S) & (
+        np.abs(healthy_deg[lasts] - healthy_deg[firsts]) >= _LATE_DEG
+    )
+    rows[np.flatnonzero(same)] = np.repeat(late, lasts - firsts)
     return rows
 
 

@@ -299,8 +299,9 @@ def _too_little(segment: Segment, *, is_calibrated: bool) -> str:
     return too_far(segment)
 
 
-_FOLLOWED_BEFORE = 0.2
-"""Share of a log before its first fault that tells whether position and command belong together."""
+_FOLLOWED_BEFORE, _UNSEEN_S = 0.2, 2.0
+"""Share of a log before its first fault that tells whether position and command belong together, and for how long a
+fault may have been there before."""
 
 
 def _miswired(residuals: Residuals, faults: tuple[Fault, ...], surface: Surface) -> str:
@@ -308,7 +309,7 @@ def _miswired(residuals: Residuals, faults: tuple[Fault, ...], surface: Surface)
     problem = wiring_problem(residuals)
     if not problem or not faults or surface.model.origin != "fitted":
         return problem
-    before = residuals.settled & (residuals.time_s < faults[0].start_s)
+    before = residuals.settled & (residuals.time_s < faults[0].start_s - _UNSEEN_S)
     if np.count_nonzero(before) < _FOLLOWED_BEFORE * np.count_nonzero(residuals.settled):
         return problem
     return wiring_problem(replace(residuals, settled=before))

@@ -27,9 +27,12 @@ if TYPE_CHECKING:
 
 _WIDTH_DEG, _WIDTH_SIGMAS, _WIDTH_STEPS, _WIDEST_DEG = 0.4, 6.0, 2.0, 2.0
 """A surface at rest reads within so much: play that the air takes up, noise, steps of the reading."""
-_MISSED_DEG, _ASKED_DEG, _MISSED_S = 2.5, 4.0, 0.5
-"""A jammed surface is so far from where it should be, while that moves by so much, for so long beyond its lag."""
+_MISSED_WIDTHS, _LEAST_MISSED_DEG, _MISSED_DEG, _ASKED_DEG, _MISSED_S = 2.0, 1.5, 2.5, 4.0, 0.5
+"""A jammed surface is so far from where it should be, by the width within which it rests and between two limits, while
+that moves by so much, for so long beyond its lag."""
 _ONE_SIDED_S = 5.0
+_LEAST_TRAVEL, _LEAST_TRAVEL_DEG = 1.0 / 3.0, 10.0
+"""Between its stops a surface has such a share of the travel that is asked for, and so much."""
 _BEFORE_S, _LEAST_SIGMA_DEG, _ALIKE = 2.0, 0.05, 4.0
 """Healthy time before a jam that tells its offset, least noise, and squared deviations that tell instants apart."""
 _FAR_DEG, _FAR_SHARE, _FAR_S = 6.0, 0.3, 1.5
@@ -216,21 +219,23 @@ def _resting(flight: _Flight) -> Iterator[_Stretch]:
     usual_s = float(np.median(step_s))
     step_s = np.minimum(step_s, 3.0 * usual_s)
     low_deg, high_deg = float(flight.reached_deg.min()), float(flight.reached_deg.max())
+    stops = high_deg - low_deg >= max(_LEAST_TRAVEL * float(np.ptp(flight.healthy_deg)), _LEAST_TRAVEL_DEG)
     late_s = _MISSED_S + 2.0 * (flight.lag_s + flight.delay_s)
+    missed_deg = min(max(_MISSED_WIDTHS * width_deg, _LEAST_MISSED_DEG), _MISSED_DEG)
     largest_deg = np.maximum.reduceat(np.abs(flight.error_deg), begins)
-    may_be = (time_s[ends - 1] - time_s[begins] >= late_s) & ~(largest_deg <= _MISSED_DEG - width_deg)
+    may_be = (time_s[ends - 1] - time_s[begins] >= late_s) & ~(largest_deg <= missed_deg - width_deg)
     for begin, end in zip(begins[may_be].tolist(), ends[may_be].tolist(), strict=True):
         rows = slice(begin, end)
         at_deg = float(np.median(flight.measured_deg[rows]))
         # Beyond a stop nobody expects it; what rests elsewhere is not held by one.
         asked_deg = np.clip(
             flight.healthy_deg[rows],
-            low_deg if at_deg <= low_deg + width_deg else -np.inf,
-            high_deg if at_deg >= high_deg - width_deg else np.inf,
+            low_deg if stops and at_deg <= low_deg + width_deg else -np.inf,
+            high_deg if stops and at_deg >= high_deg - width_deg else np.inf,
         )
         beyond_deg = asked_deg - at_deg
         off_deg = np.abs(beyond_deg)
-        missed = off_deg > _MISSED_DEG
+        missed = off_deg > missed_deg
         missed_s = np.cumsum(step_s[rows] * missed)
         far = off_deg > max(_FAR_DEG, _FAR_SHARE * flight.travel_deg)
         far_s = np.cumsum(step_s[rows] * far)

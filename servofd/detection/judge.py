@@ -15,6 +15,7 @@ from servofd.detection.bank.window import noise_deg
 from servofd.detection.contradiction import contradictions
 from servofd.detection.residual import commands_at_servo
 from servofd.detection.threshold import Threshold, constant_threshold, interval_threshold, suspicion
+from servofd.frozen import held_rows
 
 if TYPE_CHECKING:
     from servofd.aircraft import Surface
@@ -112,8 +113,9 @@ def judge_evaluated(
 def _by_fitted(
     generator: ResidualGenerator, surface: Surface, residuals: Residuals, threshold: Threshold, commands: Commands
 ) -> Judgement:
-    """What a model says that was fitted to the log."""
+    """What a model says that was fitted to the log; readings that are merely held are no ground for a suspicion."""
     faults = contradictions(generator, residuals)
+    residuals = _of_a_bus_in_time(generator, residuals)
     episodes = tuple(
         episode
         for episode in find_episodes(residuals, threshold, persistence=surface.persistence)
@@ -127,6 +129,19 @@ def _by_fitted(
     flight = Flight(generator, surface.tolerances, noise, sigma_deg, residuals, commands)
     named = joined(flight, (replace(f, level="suspect") for e in episodes for f in isolate(flight, e)))
     return Judgement(threshold, faults, tuple(fault for fault in named if fault.kind != "healthy"), unnamed)
+
+
+def _of_a_bus_in_time(generator: ResidualGenerator, residuals: Residuals) -> Residuals:
+    """Judge nothing while a late bus repeats its last answer although the servo moves, nor shortly after."""
+    known = np.flatnonzero(np.isfinite(residuals.measured_deg))
+    time_s = residuals.time_s
+    held = np.zeros(time_s.size, dtype=bool)
+    held[known] = held_rows(time_s[known], residuals.measured_deg[known], residuals.simulated_deg[known])
+    if not held.any():
+        return residuals
+    last_s = np.maximum.accumulate(np.where(held, time_s, -np.inf))
+    in_time = residuals.settled & (time_s > last_s + generator.blanking_s)
+    return replace(generator.without(residuals, held), settled=in_time)
 
 
 def _as_commanded(judgement: Judgement, segment: Segment) -> Judgement:

@@ -141,7 +141,7 @@ def _draft(log: FlightLog, pair: Pair) -> DraftedSurface:
         command = _rescaled(command, fit)
         fit = replace(fit, gain=1.0, bias_deg=0.0)
         segment = _cut(log, pair, command, measured)
-    return DraftedSurface(pair, fit, command, measured, draft_tolerance(fit.model, segment))
+    return DraftedSurface(pair, fit, command, measured, draft_tolerance(fit.model, segment, until_s=fit.until_s))
 
 
 def _cut(log: FlightLog, pair: Pair, command: dict[str, Any], measured: dict[str, Any]) -> Segment:

@@ -73,6 +73,8 @@ class RoughFit:
     """Typical simulation error of the moving samples, large ones hardly counted [deg]."""
     origin: ModelOrigin = _NO_MODEL
     """``fitted`` if it predicts the blocks that were held out."""
+    until_s: float = float("inf")
+    """The servo was like this until then; what comes later was not fitted [s]."""
 
     @property
     def model(self) -> ServoModel:
@@ -85,10 +87,10 @@ class RoughFit:
 _ORDINARY = RoughFit(bandwidth_hz=2.0)
 """A slow servo: when it moves, any other does."""
 _GRID = tuple(RoughFit(*shape) for shape in itertools.product(_BANDWIDTHS_HZ, _DAMPINGS, _DELAYS_S))
-_BEGINNINGS, _SHORTEST_BEGINNING_S, _CHANGED, _COARSELY = (0.5, 0.25, 0.125), 5.0, 2.7, 2.0
-"""Shares of a log from its start, how long they have to be, how many times smaller the error of a servo of their own is
-there (1 to 2.3 in healthy flights, from 3.2 on where a fault bends the fit: aircraft of even seed in
-`benchmarks/strangers.py`), and how far from that the best of the grid may be."""
+_BEGINNINGS, _SHORTEST_BEGINNING_S, _CHANGED = (0.5, 0.25, 0.125), 5.0, 2.7
+"""Shares of a log from its start, how long they have to be, and how many times smaller the error of their own servo
+is there: 1 to 2.3 in healthy flights, from 3.2 on where a fault bends the fit (aircraft of even seed in
+`benchmarks/strangers.py`)."""
 
 
 def fit_roughly(segment: Segment, *, free_scale: bool) -> RoughFit:
@@ -125,10 +127,10 @@ def fit_roughly(segment: Segment, *, free_scale: bool) -> RoughFit:
     for share in _BEGINNINGS:
         if share * duration_s < _SHORTEST_BEGINNING_S:
             break
-        beginning = _until(segment, float(segment.measured_s[0]) + share * duration_s)
-        early = _of_its_own(beginning, whole, free_scale=free_scale)
+        end_s = float(segment.measured_s[0]) + share * duration_s
+        early = _of_its_own(_until(segment, end_s), whole, free_scale=free_scale)
         if early is not None:
-            return early
+            return replace(early, until_s=end_s)
     return whole
 
 
@@ -150,12 +152,13 @@ def _of_its_own(beginning: Segment, whole: RoughFit, *, free_scale: bool) -> Rou
     moving = _moving_rows(simulator)
     if np.count_nonzero(moving) < _FEWEST_ROWS:
         return None
-    least_deg = _off_deg(whole, simulator, moving) / _CHANGED
+    off_deg = _off_deg(whole, simulator, moving)
     coarse = min(map(_judging(simulator, moving, free_scale=free_scale), _GRID), key=_error)
-    if _off_deg(coarse, simulator, moving) > _COARSELY * least_deg:
+    if _off_deg(coarse, simulator, moving) > off_deg:
         return None
     early = _fitted(beginning, free_scale=free_scale)
-    return early if early.origin.origin == "fitted" and _off_deg(early, simulator, moving) < least_deg else None
+    changes = early.origin.origin == "fitted" and _CHANGED * _off_deg(early, simulator, moving) < off_deg
+    return early if changes else None
 
 
 def _off_deg(fit: RoughFit, simulator: Simulator, moving: BoolArray) -> float:

@@ -108,7 +108,7 @@ def _fitted(log: FlightLog, name: str, surface: Surface, key: str) -> tuple[Surf
             ends = tuple(fit.gain * end + fit.bias_deg for end in surface.command_saturation_deg)
             change["command_saturation_deg"] = ends
     fitted = plain.model_copy(update=change)
-    drafted = draft_tolerance(fit.model, cut(log, name, fitted))
+    drafted = draft_tolerance(fit.model, cut(log, name, fitted), until_s=fit.until_s)
     if drafted is None:
         return plain, unfit
     levels = {
@@ -171,7 +171,9 @@ def levels_of(model: ServoModel, segments: Iterable[Segment]) -> dict[str, Any]:
     }
 
 
-def draft_tolerance(model: ServoModel, segment: Segment, *, all_of_it: bool = False) -> Drafted | None:
+def draft_tolerance(
+    model: ServoModel, segment: Segment, *, all_of_it: bool = False, until_s: float = np.inf
+) -> Drafted | None:
     """Tolerances drafted from a log; None if nothing of it can be judged.
 
     No threshold that follows from them lies below the largest residual of the blocks that are alike, nor below one step
@@ -185,13 +187,15 @@ def draft_tolerance(model: ServoModel, segment: Segment, *, all_of_it: bool = Fa
         One surface of the log, its command scaled as the fit says.
     all_of_it : bool
         Whether the log is known to be good, and blocks that stand out count as well.
+    until_s : float
+        When the servo ceased to be like the model: what comes later is left out [s].
     """
     try:
         generator = ResidualGenerator.fitting(model, segment)
     except DesignError:
         return None
     segment, residuals, _ = prepared(generator, segment)
-    usual = residuals.settled & np.isfinite(residuals.residual_deg)
+    usual = residuals.settled & np.isfinite(residuals.residual_deg) & (residuals.time_s < until_s)
     for fault in contradictions(generator, residuals):
         end_s = np.inf if fault.end_s is None else fault.end_s + _AROUND_S
         usual &= (residuals.time_s < fault.start_s - _AROUND_S) | (residuals.time_s > end_s)

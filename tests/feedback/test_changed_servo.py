@@ -1,0 +1,133 @@
+"""A servo that changes in flight is judged by what it was at first, and a late bus is no servo's fault."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from logparsers.records import Channel, FlightLog
+from servofd.aircraft import plain_aircraft
+from servofd.detection.audit import audit_log
+from servofd.feedback.fit import RoughFit, fit_roughly
+from servofd.feedback.fitted import fitted_aircraft
+from servofd.models.servo_model import ServoModel
+from servofd.segment import Segment
+from servofd.servos import library
+from servofd.simulation.commands import doublets
+
+if TYPE_CHECKING:
+    from servofd.detection.verdict import SurfaceAudit
+    from servofd.types import FloatArray
+
+TIME_S = np.arange(0.0, 120.0, 0.02)
+AT_FIRST = RoughFit(bandwidth_hz=6.0, damping=0.8, delay_s=0.03)
+
+
+def commands(seed: int) -> FloatArray:
+    return doublets(TIME_S, np.random.default_rng(seed))
+
+
+def lag_s(fit: RoughFit) -> float:
+    """What a slow command suffers: bandwidth, damping and delay are each known less well."""
+    return fit.delay_s + float(np.sum(-1.0 / fit.model.transfer.poles_rad_s).real)
+
+
+def read(position_deg: FloatArray, seed: int) -> FloatArray:
+    """As a potentiometer reads it."""
+    return np.round(position_deg + 0.05 * np.random.default_rng([seed, 1]).normal(size=TIME_S.size), 3)
+
+
+def fitted_verdict(command_deg: FloatArray, position_deg: FloatArray) -> SurfaceAudit:
+    channels = {
+        "x_cmd_deg": Channel("x_cmd_deg", TIME_S, command_deg, "deg", ""),
+        "x_pos_deg": Channel("x_pos_deg", TIME_S, position_deg, "deg", ""),
+    }
+    log = FlightLog(Path("x.csv"), "table", channels)
+    return audit_log(log, fitted_aircraft(log, plain_aircraft(["x"])), threads=1).surfaces[0]
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_a_servo_that_becomes_slow_is_fitted_as_it_was_and_named_from_when_it_changed(seed: int) -> None:
+    command_deg, from_s = commands(seed), 40.0
+    later = RoughFit(bandwidth_hz=2.0, damping=0.8, delay_s=0.03)
+    before, after = (fit.model.simulate(TIME_S, command_deg, TIME_S) for fit in (AT_FIRST, later))
+    position_deg = read(np.where(from_s <= TIME_S, after, before), seed)
+    fit = fit_roughly(Segment("x", TIME_S, command_deg, TIME_S, position_deg), free_scale=True)
+    assert fit.until_s <= from_s
+    assert lag_s(fit) == pytest.approx(lag_s(AT_FIRST), abs=0.003)
+    verdict = fitted_verdict(command_deg, position_deg)
+    found = verdict.faults + verdict.suspicions
+    assert "slow" in {fault.kind for fault in found}
+    assert min(fault.start_s for fault in found) == pytest.approx(from_s, abs=5.0)
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_an_oscillation_that_the_autopilot_answers_does_not_become_the_servos_resonance(seed: int) -> None:
+    """In a closed loop the command leads the oscillation by a quarter of a period, as if it had caused it."""
+    from_s, frequency_hz = 45.0, 3.0
+    broken = from_s <= TIME_S
+    turn = 2.0 * np.pi * frequency_hz * (TIME_S - from_s)
+    command_deg = 0.3 * commands(seed) + np.where(broken, 2.0 * np.cos(turn), 0.0)
+    answered = AT_FIRST.model.simulate(TIME_S, command_deg, TIME_S)
+    verdict = fitted_verdict(command_deg, read(answered + np.where(broken, 3.5 * np.sin(turn), 0.0), seed))
+    assert verdict.status == "fault"
+    assert verdict.faults[0].kind == "oscillation"
+    assert verdict.faults[0].start_s == pytest.approx(from_s, abs=2.0)
+    assert verdict.faults[0].parameters["frequency_hz"].value == pytest.approx(frequency_hz, abs=0.2)
+
+
+def test_a_servo_that_stays_as_it_is_is_fitted_to_the_whole_log() -> None:
+    slow = RoughFit(bandwidth_hz=3.0, damping=1.5, delay_s=0.05, rate_limit_deg_s=150.0)
+    for seed, fit in enumerate((AT_FIRST, slow)):
+        command_deg = commands(seed)
+        position_deg = read(fit.model.simulate(TIME_S, command_deg, TIME_S), seed)
+        found = fit_roughly(Segment("x", TIME_S, command_deg, TIME_S, position_deg), free_scale=True)
+        assert found.until_s == np.inf
+
+
+def test_a_bus_that_is_late_for_a_fifth_of_a_second_makes_nothing_suspicious() -> None:
+    seed = 4
+    command_deg = commands(seed)
+    position_deg = read(AT_FIRST.model.simulate(TIME_S, command_deg, TIME_S), seed)
+    usual = fitted_verdict(command_deg, position_deg)
+    held = position_deg.copy()
+    for first in np.random.default_rng(seed).integers(100, TIME_S.size - 100, 12).tolist():
+        held[first : first + 10] = held[first]
+    late = fitted_verdict(command_deg, held)
+    assert (usual.status, late.status) == ("healthy", "healthy")
+
+
+def test_a_surface_that_rests_within_a_small_travel_is_no_surface_at_its_stop() -> None:
+    seed = 6
+    command_deg = 0.25 * commands(seed)
+    position_deg = AT_FIRST.model.simulate(TIME_S, command_deg, TIME_S)
+    rests = TIME_S > 50.0
+    at_deg = float(position_deg[~rests].max())
+    asked_deg = np.where(rests, command_deg + 6.0 * np.sin(0.5 * TIME_S), command_deg)
+    verdict = fitted_verdict(asked_deg, read(np.where(rests, at_deg, position_deg), seed))
+    assert verdict.status == "fault"
+    assert verdict.faults[0].kind in ("stuck", "hardover")
+
+
+@pytest.mark.parametrize("origin", ["fitted", "named"])
+def test_nothing_below_a_step_of_the_command_is_named(origin: str) -> None:
+    """The servo hears the command before it was rounded to whole microseconds, 0.18 deg each."""
+    step_deg = 0.18
+    for seed, (name, servo) in enumerate(sorted(library().items())):
+        if seed % 4:
+            continue
+        command_deg = commands(seed)
+        moved = ServoModel.of(servo).simulate(TIME_S, command_deg, TIME_S)
+        logged_deg = np.round(command_deg / step_deg) * step_deg
+        if origin == "fitted":
+            verdict = fitted_verdict(logged_deg, read(moved, seed))
+        else:
+            channels = {
+                "x_cmd_deg": Channel("x_cmd_deg", TIME_S, logged_deg, "deg", ""),
+                "x_pos_deg": Channel("x_pos_deg", TIME_S, read(moved, seed), "deg", ""),
+            }
+            verdict = audit_log(FlightLog(Path("x.csv"), "table", channels), plain_aircraft(["x"], name)).surfaces[0]
+        assert not verdict.faults + verdict.suspicions, (name, verdict.reason)
