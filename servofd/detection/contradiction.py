@@ -223,7 +223,7 @@ def _resting(flight: _Flight) -> Iterator[_Stretch]:
     late_s = _MISSED_S + 2.0 * (flight.lag_s + flight.delay_s)
     missed_deg = min(max(_MISSED_WIDTHS * width_deg, _LEAST_MISSED_DEG), _MISSED_DEG)
     largest_deg = np.maximum.reduceat(np.abs(flight.error_deg), begins)
-    may_be = (time_s[ends - 1] - time_s[begins] >= late_s) & ~(largest_deg <= missed_deg - width_deg)
+    may_be = (time_s[ends - 1] - time_s[begins] >= late_s) & ~(largest_deg <= missed_deg)
     for begin, end in zip(begins[may_be].tolist(), ends[may_be].tolist(), strict=True):
         rows = slice(begin, end)
         at_deg = float(np.median(flight.measured_deg[rows]))
@@ -233,7 +233,7 @@ def _resting(flight: _Flight) -> Iterator[_Stretch]:
             low_deg if stops and at_deg <= low_deg + width_deg else -np.inf,
             high_deg if stops and at_deg >= high_deg - width_deg else np.inf,
         )
-        beyond_deg = asked_deg - at_deg
+        beyond_deg = asked_deg - flight.measured_deg[rows]
         off_deg = np.abs(beyond_deg)
         missed = off_deg > missed_deg
         missed_s = np.cumsum(step_s[rows] * missed)
