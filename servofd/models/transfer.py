@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -172,25 +173,7 @@ class TransferFunction:
         DesignError
             If the system is unstable or not strictly proper: no servo jumps, and none runs away.
         """
-        if len(self.numerator) >= len(self.denominator):
-            raise DesignError("a servo's transfer function must have more poles than zeros")
-        poles = self.poles_rad_s
-        if not np.all(poles.real < 0.0):
-            raise DesignError(f"a servo's poles must have negative real parts, not {poles}")
-        if np.any(np.abs(poles) < _SLOWEST_RAD_S) or np.any(np.abs(poles.imag) > _FASTEST_RAD_S):
-            raise DesignError(
-                f"a servo moves within {1.0 / _SLOWEST_RAD_S:g} s and swings no faster than {_FASTEST_RAD_S:g} rad/s, "
-                f"with these poles it would not: {poles}"
-            )
-        poles = _separated(poles)
-        upper = poles[poles.imag >= 0.0]
-        residues = [
-            np.polyval(self.numerator, p) / (self.denominator[0] * np.prod(p - poles[poles != p])) for p in upper
-        ]
-        if not np.all(np.isfinite(residues)) or np.sum(np.abs(np.array(residues) / upper)) > _LARGEST_CANCELLATION:
-            raise DesignError("poles lie too close for so high an order: use a simpler model of this servo")
-        doubled = np.where(upper.imag > 0.0, 2.0, 1.0)
-        return Modes(-upper, doubled * np.array(residues) / -upper)
+        return _modes(self)
 
 
 def _pair(square: float, linear: float, constant: float) -> ComplexArray:
@@ -201,6 +184,30 @@ def _pair(square: float, linear: float, constant: float) -> ComplexArray:
         return np.array([complex(half, -math.sqrt(-spread)), complex(half, math.sqrt(-spread))])
     large = half + math.copysign(math.sqrt(spread), half)  # the other would lose digits
     return np.array([product / large if large else 0.0, large], dtype=complex)
+
+
+@functools.lru_cache(maxsize=512)
+def _modes(transfer: TransferFunction) -> Modes:
+    """Modes of a servo; a residual asks for them three times, a fit for those of its grid once a surface."""
+    if len(transfer.numerator) >= len(transfer.denominator):
+        raise DesignError("a servo's transfer function must have more poles than zeros")
+    poles = transfer.poles_rad_s
+    if not np.all(poles.real < 0.0):
+        raise DesignError(f"a servo's poles must have negative real parts, not {poles}")
+    if np.any(np.abs(poles) < _SLOWEST_RAD_S) or np.any(np.abs(poles.imag) > _FASTEST_RAD_S):
+        raise DesignError(
+            f"a servo moves within {1.0 / _SLOWEST_RAD_S:g} s and swings no faster than {_FASTEST_RAD_S:g} rad/s, "
+            f"with these poles it would not: {poles}"
+        )
+    poles = _separated(poles)
+    upper = poles[poles.imag >= 0.0]
+    residues = [
+        np.polyval(transfer.numerator, p) / (transfer.denominator[0] * np.prod(p - poles[poles != p])) for p in upper
+    ]
+    if not np.all(np.isfinite(residues)) or np.sum(np.abs(np.array(residues) / upper)) > _LARGEST_CANCELLATION:
+        raise DesignError("poles lie too close for so high an order: use a simpler model of this servo")
+    doubled = np.where(upper.imag > 0.0, 2.0, 1.0)
+    return Modes(-upper, doubled * np.array(residues) / -upper)
 
 
 def _squared_magnitude(coefficients: tuple[float, ...]) -> ComplexArray:
