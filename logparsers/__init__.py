@@ -110,17 +110,7 @@ def read_all(
 ) -> tuple[FlightLog, ...]:
     r"""Read every run of a file, in the order of the file; all but tables with a run column hold one.
 
-    Parameters
-    ----------
-    path : str, PathLike or BinaryIO
-        The file, or a binary file object that can seek; it is read from its beginning and left open. A name with ``*``
-        in it, as ``"log_7_*.csv"``, stands for the tables of messages of one flight.
-    layout : TableLayout, optional
-        How to read a text table with names of its own; other formats describe themselves.
-    only : sequence of str, optional
-        Channels that are wanted, all if None: names (``"CSRV[0].Pos"``), what they begin with (``"RCOU"``,
-        ``"actuator_servos"``), or patterns with ``*`` and ``?``. Those that fit nothing are passed over unless all
-        do. Large logs are read faster for it.
+    The parameters are those of `read`.
 
     Raises
     ------

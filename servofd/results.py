@@ -251,7 +251,8 @@ def audit(
     aircraft : Aircraft, str or Path, optional
         An aircraft, its file, or the name of one that comes with servofd; what the log itself says if left out.
     servo : str, optional
-        Servo to assume for all surfaces: a name of the library, or a servo file.
+        Servo of all surfaces: a name of the library, or a servo file; ``unknown``, which it is for plain tables and
+        autopilots' logs that come without an aircraft, fits each servo to the log.
     threshold_deg : float, optional
         Constant alarm level for all surfaces [deg].
     threshold : {"constant", "interval"}, optional

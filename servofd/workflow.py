@@ -38,26 +38,7 @@ def audit(
 ) -> Iterator[LogAudit]:
     """Judge every surface of a log; one result for each run that the file holds.
 
-    Parameters
-    ----------
-    path : str or Path
-        The log.
-    aircraft : Aircraft, str or Path, optional
-        An aircraft, its file, or the name of one that comes with servofd. Left out, FASER logs use ``faser`` and
-        plain tables the surfaces of their header.
-    servo : str, optional
-        Servo of all surfaces: a name of the library, or a servo file; ``unknown``, which it is for plain tables and
-        autopilots' logs that come without an aircraft, fits each servo to the log.
-    threshold_deg : float, optional
-        Constant alarm level for all surfaces [deg].
-    threshold : {"constant", "interval"}, optional
-        Kind of threshold for all surfaces.
-    surfaces : tuple of str
-        Which to judge; all if empty.
-    threads : int, optional
-        How many surfaces are judged at a time; one per core if None.
-    progress : callable
-        Called with the name of each surface that is done.
+    `servofd.audit` describes the parameters.
 
     Yields
     ------
@@ -167,24 +148,7 @@ def calibrate(
 ) -> Calibration:
     """Calibrate an aircraft on flights that are known to be good.
 
-    Parameters
-    ----------
-    paths : sequence of str or Path
-        Logs of the same aircraft.
-    aircraft : Aircraft, str or Path
-        What is known of it, its file, or the name of one that comes with servofd.
-    false_alarms_per_hour : float
-        Wanted rate of the whole aircraft.
-    surfaces : tuple of str
-        Which to calibrate; all that were measured if empty.
-    spans : tuple of (from_s, to_s)
-        Which parts of each log are good [s]; all of it if empty.
-    runs : tuple of str
-        Which runs of a file that holds several; all if empty.
-    force : bool
-        Calibrate also where the loss of a third of travel and of two thirds of speed would not show.
-    progress : callable
-        Called with the name of each surface that is done.
+    `servofd.calibrate` describes the parameters.
 
     Returns
     -------

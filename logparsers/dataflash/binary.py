@@ -88,15 +88,6 @@ class BinaryStore:
     def read(self, name: str, fields: Sequence[str], rows: NDArray[np.intp] | None = None) -> dict[str, NDArray[Any]]:
         """Gather and decode columns of one message.
 
-        Parameters
-        ----------
-        name : str
-            Of the message.
-        fields : sequence of str
-            Which columns.
-        rows : ndarray of int, shape (n,), or None
-            Which rows; None for all.
-
         Returns
         -------
         dict of str to ndarray, shape (n,) each

@@ -207,13 +207,6 @@ class DataFlashFile:
     def times_us(self, name: str, instance: int | str | None = None) -> NDArray[np.int64]:
         """When each row was logged, exactly as the vehicle's clock had it.
 
-        Parameters
-        ----------
-        name : str
-            Of the message.
-        instance : int, str or None
-            Only the rows of this instance; None for all.
-
         Returns
         -------
         ndarray of int64, shape (n,)
@@ -235,13 +228,6 @@ class DataFlashFile:
     def times_s(self, name: str, instance: int | str | None = None) -> NDArray[np.float64]:
         """When each row was logged.
 
-        Parameters
-        ----------
-        name : str
-            Of the message.
-        instance : int, str or None
-            Only the rows of this instance; None for all.
-
         Returns
         -------
         ndarray, shape (n,)
@@ -261,13 +247,6 @@ class DataFlashFile:
 
     def suspect(self, name: str, instance: int | str | None = None) -> NDArray[np.bool_]:
         """Rows whose time stamp contradicts their neighbours: nothing in them can be trusted.
-
-        Parameters
-        ----------
-        name : str
-            Of the message.
-        instance : int, str or None
-            Only the rows of this instance; None for all.
 
         Returns
         -------

@@ -84,15 +84,6 @@ class TextStore:
     def read(self, name: str, fields: Sequence[str], rows: NDArray[np.intp] | None = None) -> dict[str, NDArray[Any]]:
         """Parse columns of one message.
 
-        Parameters
-        ----------
-        name : str
-            Of the message.
-        fields : sequence of str
-            Which columns.
-        rows : ndarray of int, shape (n,), or None
-            Which rows; None for all.
-
         Returns
         -------
         dict of str to ndarray, shape (n,) each

@@ -30,17 +30,7 @@ _STATES = {_AGREES: "ok", _DIFFERS: "fault"}
 
 
 def save_explanation(found: Explanation, path: str | Path, source: str) -> None:
-    """Write nominal and extended simulation, residuals and bad blocks into one .rrd file, with its layout inside.
-
-    Parameters
-    ----------
-    found : Explanation
-        What was found.
-    path : str or Path
-        File to write.
-    source : str
-        Names of the logs, without their folders: the recording tells them.
-    """
+    """Write nominal and extended simulation, residuals and bad blocks into one .rrd file, with its layout inside."""
     place = surface_place(found.surface)
     with recording_file(path, application_name("explain", found.surface, source), _layout(place, found)) as recorder:
         whole = {"schema": "servofd.explain/1", "surface": shown(found.surface), "conclusion": found.conclusion}

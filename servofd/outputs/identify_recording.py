@@ -27,17 +27,7 @@ if TYPE_CHECKING:
 
 
 def save_identification(found: Identification, path: str | Path, source: str) -> None:
-    """Write all tests, the servo that was found and its error into one .rrd file, with its layout inside.
-
-    Parameters
-    ----------
-    found : Identification
-        What was identified.
-    path : str or Path
-        File to write.
-    source : str
-        Names of the logs, without their folders: the recording tells them.
-    """
+    """Write all tests, the servo that was found and its error into one .rrd file, with its layout inside."""
     names = [found.surface, *(f"{found.surface} {k}" for k in range(2, len(found.runs) + 1))]
     tabs = [*map(_tab, names), document("Report", REPORT)]
     with recording_file(path, application_name("identify", found.surface, source), blueprint(tabs)) as recorder:
