@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import runpy
 import shutil
@@ -34,6 +35,33 @@ def test_the_version_is_written_once() -> None:
     cited = re.search(r"^version: (.+)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)
     assert cited is not None
     assert cited[1] == servofd.__version__
+
+
+def test_the_container_is_small_its_own_user_and_made_of_what_is_there() -> None:
+    """What a linter asks: a slim base, sources that exist, no cache of packages, no root, words instead of a shell."""
+    text = (ROOT / "Dockerfile").read_text(encoding="utf-8")
+    lines = [line for line in text.splitlines() if line and not line.startswith("#")]
+    steps = [(word, rest) for word, _, rest in (line.partition(" ") for line in lines)]
+    bases = [rest for word, rest in steps if word == "FROM"]
+    assert all(re.match(r"python:3\.\d+-slim( AS \w+)?$", base) for base in bases)
+    sources = [name for word, rest in steps if word == "COPY" and "--from" not in rest for name in rest.split()[:-1]]
+    assert sources
+    assert all((ROOT / name).exists() for name in sources)
+    assert all("--no-cache-dir" in rest for word, rest in steps if word == "RUN" and "pip install" in rest)
+    last = steps[max(at for at, (word, _) in enumerate(steps) if word == "FROM") :]
+    assert next(rest for word, rest in last if word == "USER") != "root"
+    assert all(isinstance(json.loads(rest), list) for word, rest in last if word in ("ENTRYPOINT", "CMD"))
+    assert {word for word, _ in steps} <= {
+        "FROM",
+        "WORKDIR",
+        "COPY",
+        "RUN",
+        "ENV",
+        "USER",
+        "EXPOSE",
+        "ENTRYPOINT",
+        "CMD",
+    }
 
 
 def test_every_lowest_version_is_given() -> None:
