@@ -538,7 +538,24 @@ def calibrate(
     runs: tuple[str, ...] = (),
     force: bool = False,
 ) -> Calibrated:
-    """Calibrate an aircraft on flights that are known to be good; parameters as of `servofd.workflow.calibrate`.
+    """Calibrate an aircraft on flights that are known to be good.
+
+    Parameters
+    ----------
+    logs : str, Path or sequence of them
+        Logs of the same aircraft.
+    aircraft : Aircraft, str or Path
+        What is known of it, its file, or the name of one that comes with servofd.
+    false_alarms_per_hour : float
+        Wanted rate of the whole aircraft.
+    surfaces : tuple of str
+        Which to calibrate; all that were measured if empty.
+    spans : tuple of (from_s, to_s)
+        Which parts of each log are good [s]; all of it if empty.
+    runs : tuple of str
+        Which runs of a file that holds several; all if empty.
+    force : bool
+        Calibrate also where the loss of a third of travel and of two thirds of speed would not show.
 
     Examples
     --------
