@@ -389,6 +389,8 @@ def _widened(search: _Search, root: Fit) -> None:
         for base in beam:
             least = min(f.misfit for f in search.visited.values())
             search.grow(base, least + 40.0)
+            if base is best and _suffices(search, best, size + 1):
+                break
         if not record.free_poles:
             _exchanged(search, size + 1)
         # The memory of what the best leaves is that of the noise; what lacks an effect remembers it.
@@ -413,6 +415,17 @@ def _widened(search: _Search, root: Fit) -> None:
         # What lacks an effect remembers it, and few samples count of it: in a single run of a servo that nobody knows,
         # where more than noise is left, go on.
         beam = [fit for fit in longer[:_BEAM] if fit.misfit < longer[0].misfit + 4.0 * _OCCAM]
+
+
+def _suffices(search: _Search, best: Fit, size: int) -> bool:
+    """Whether a servo that is known leaves nothing but noise, and nothing that came on top of it helps by much."""
+    fitter = search.fitter
+    if not best.effects or fitter.record.free_poles or fitter.record.runs:
+        return False
+    longer = _best_of_size(search, size)
+    if longer and longer[0].misfit < best.misfit - 0.5 * _OCCAM:
+        return False
+    return not adequacy(fitter.record, fitter.judged(best.effects, best.physics)).reasons
 
 
 def _exchanged(search: _Search, size: int) -> None:
