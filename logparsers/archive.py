@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-__all__ = ["IN_MEMORY_MB", "LIMIT_VARIABLE", "beginning", "check_size", "inflated", "is_packed", "members"]
-
 LIMIT_VARIABLE: Final = "LOGPARSERS_MOST_UNPACKED_MB"
 MOST_UNPACKED_MB: Final = 4096
 """Of one log, unless `LIMIT_VARIABLE` in the environment says otherwise: deflate turns 4 MB of zeros into 4 GB."""

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
     from logparsers.records import FloatArray
 
-__all__ = ["Column", "Columns", "assemble", "join_rows"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Column:

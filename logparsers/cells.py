@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from logparsers.records import FloatArray
     from logparsers.text import Grid
 
-__all__ = ["Cells", "convert", "texts_of"]
-
 MISSING = frozenset((b"", b"nan", b"-nan", b"+nan"))
 """What stands for no value, in small letters."""
 MOST_KNOWN = 10_000

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from logparsers.only import Only
     from logparsers.records import FloatArray
 
-__all__ = ["MOST_CHANNELS", "LazyChannels", "Recording", "Series", "Together", "as_float", "check_names"]
-
 MOST_CHANNELS = 50_000
 """Of one log: the richest have some ten thousand, forged ones a new name in every message."""
 MOST_NOTES = 100

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from logparsers.records import FloatArray
 
-__all__ = ["gaps", "order", "rise", "utc_date"]
-
 FEW_ROWS = 5
 FEW_SHARE = 0.01
 """Rows out of order up to `FEW_ROWS`, or up to this share of all rows, are dropped; more is a broken clock."""

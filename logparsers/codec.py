@@ -13,8 +13,6 @@ from pymavlink.dialects.v20 import all as version_2
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["Codec", "Heard", "Signature", "signing_key"]
-
 _SIGNING_EPOCH_S: Final = 1_420_070_400  # 1 January 2015
 _SIGNING_TICKS_PER_S: Final = 100_000
 _KEY_SIZE: Final = 32

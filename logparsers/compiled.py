@@ -10,8 +10,6 @@ import numba
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["compiled"]
-
 
 def _load_arrays() -> None:
     """Load numba's loops over arrays without scipy.linalg, whose presence they would load it to find out.

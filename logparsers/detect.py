@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from logparsers.records import FlightLog
     from logparsers.source import Source
 
-__all__ = ["FORMATS", "Format", "detect", "read_messages", "read_text"]
-
 Test = Callable[[bytes], bool]
 Reader = Callable[["Source", TableLayout | None, "Only"], "tuple[FlightLog, ...]"]
 

@@ -8,8 +8,6 @@ from typing import Final, Literal
 
 from logparsers.errors import LinkError
 
-__all__ = ["Endpoint", "Serial", "Socket", "parse_endpoint"]
-
 _LOOPBACK: Final = "127.0.0.1"
 _KINDS: Final = ("udpin", "udpout", "tcp", "tcpin")
 _HELP: Final = (

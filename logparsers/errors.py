@@ -16,19 +16,6 @@
 
 from __future__ import annotations
 
-__all__ = [
-    "ClockError",
-    "EmptyLog",
-    "LinkError",
-    "LogError",
-    "MissingChannel",
-    "MissingLog",
-    "SeveralRuns",
-    "TruncatedLog",
-    "UnknownFormat",
-    "UnreadableLog",
-]
-
 
 class LogError(Exception):
     """A log is of no use as a whole; the message says what, where, and what would have worked."""

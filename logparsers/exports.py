@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     Table = tuple[NDArray[np.float64], Mapping[str, NDArray[Any]]]
     """Times [s] and columns of numbers."""
 
-__all__ = ["Part", "dataflash_log", "flight_of", "flights", "kind_of", "labelled_messages", "read_part"]
-
 LABEL: Final = "_label"
 MESSAGE_FIELD: Final = re.compile(r"([A-Z][A-Z0-9_]+)\.(\w+)")
 DATAFLASH_FILE: Final = re.compile(r"(?:(?P<flight>.*)[._-])?(?:[A-Za-z][A-Za-z0-9]{1,3})")

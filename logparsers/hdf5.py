@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from logparsers.source import Source
 
-__all__ = ["arrays"]
-
 SIGNATURE = re.compile(rb"\x89HDF\r\n\x1a\n")
 TREE_HEAD = struct.Struct("<4sBBHQQ")
 

@@ -11,8 +11,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["interleave", "places"]
-
 
 def places(times: Sequence[ArrayLike], lengths: Sequence[ArrayLike]) -> tuple[list[NDArray[np.int64]], int]:
     """Where each record begins in the file.

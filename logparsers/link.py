@@ -16,8 +16,6 @@ from logparsers.errors import LinkError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["Link", "open_link"]
-
 _PIECE: Final = 65_536
 _RECEIVE_BUFFER: Final = 4 * 1024 * 1024  # a burst of some 10 000 messages; the usual 200 kB overflows silently
 _MOST_PEERS: Final = 16

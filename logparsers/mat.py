@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["Header4", "header4", "level4", "level5"]
-
 CODES4: Final = ("f8", "f4", "i4", "i2", "u2", "u1")
 CODES5: Final = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 UTF8: Final = 16

@@ -25,20 +25,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = [
-    "DEFAULT_DIALECT",
-    "Dialect",
-    "Field",
-    "Layout",
-    "dialect",
-    "dialect_names",
-    "enum_name",
-    "message_name",
-    "pack",
-    "rival_names",
-    "version_text",
-]
-
 DEFAULT_DIALECT = "all"
 """Knows every message of every dialect, except where two dialects use one number twice."""
 

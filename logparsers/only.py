@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-__all__ = ["Only"]
-
 SENDER = r"(?:\d+/\d+:)?"
 """MAVLink's system and component, which stand before a name where several send the same message."""
 

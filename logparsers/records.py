@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
-__all__ = ["Channel", "Damage", "FlightLog", "Text", "own"]
-
 FloatArray = NDArray[np.float64]
 
 _MOST_CELLS = 100_000_000

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from logparsers.source import LogBytes
 
-__all__ = ["replayed"]
-
 _SIGNED, _SIGNATURE = 1, 13
 
 

@@ -22,19 +22,6 @@ if TYPE_CHECKING:
 
     from logparsers.records import Damage, FlightLog
 
-__all__ = [
-    "HEAD_BYTES",
-    "LogBytes",
-    "LogFile",
-    "Source",
-    "decoding",
-    "files_of",
-    "heads",
-    "mapped",
-    "opened",
-    "sources",
-]
-
 LogFile = str | PathLike[str] | BinaryIO
 """What a reader accepts: a path, or a binary file that can seek."""
 

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from logparsers.source import Source
     from logparsers.text import Grid
 
-__all__ = ["TableLayout", "read_table"]
-
 MOST_RUNS = 10_000
 """A column that tells more experiments apart holds measurements."""
 

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["Grid", "header_cells", "read_grid"]
-
 CONTROL = bytes(c for c in range(32) if c not in b"\t\n\f\r") + b"\x7f"
 NO_CONTROL = bytes(c for c in range(256) if c not in CONTROL)
 NEWLINE, MARK = b"\n", b"\xef\xbb\xbf"

@@ -11,8 +11,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["distinct_texts", "rows_by_text", "split_rows"]
-
 
 def distinct_texts(raw: NDArray[np.uint8], most: int | None = None) -> tuple[list[str], NDArray[np.int64]]:
     r"""Find the distinct texts among rows of characters. By sorting: no choice of texts can make it slow.

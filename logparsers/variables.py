@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from logparsers.source import Source
     from logparsers.table import TableLayout
 
-__all__ = ["from_variables", "read_hdf5", "read_level4", "read_level5"]
-
 CLOCKS: Final = {"time": 1.0, "Time_us": 1e-6, "time_s": 1.0, "Time": 1.0, "t": 1.0, "time_us": 1e-6, "TimeUS": 1e-6}
 """Seconds per unit of the variables that carry time stamps: FASER's, RAPTRS', and what others like to call them."""
 

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["BinaryStore"]
-
 LISTED_STRETCHES: Final = 1000
 LAYOUT_LIMIT: Final = 2048  # a log has at most 255 types; forged ones could define a new one every 89 bytes
 

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     Group = tuple[str, Any]
 
-__all__ = ["DataFlashRecording"]
-
 
 class DataFlashRecording:
     r"""The numeric columns of a log that carry a time stamp.

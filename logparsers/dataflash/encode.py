@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Message", "Rows", "encode", "encode_rows"]
-
 FIRST_FREE_TYPE: Final = 129
 UNITS: Final[Mapping[str, str]] = {
     "-": "", "?": "UNKNOWN", "#": "instance", "s": "s", "d": "deg", "k": "deg/s", "%": "%", "v": "V",

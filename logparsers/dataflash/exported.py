@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from logparsers.dataflash.store import Stretch
 
-__all__ = ["ExportedStore", "is_exported"]
-
 CLOCKS: Final = {"TimeUS": "Q", "TimeMS": "I"}
 INSTANCES: Final = ("I", "Id", "Inst", "Instance", "C", "IMU", "chan", "Type")
 """Second columns that tell sensors, servos and estimators apart; the units that say so are never exported whole."""

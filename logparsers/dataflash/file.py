@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from logparsers.records import Damage
     from logparsers.source import LogBytes
 
-__all__ = ["DataFlashFile", "ParameterChange"]
-
 HEAD_SIZE: Final = 8192
 GPS_EPOCH: Final = datetime(1980, 1, 6, tzinfo=UTC)
 # Since that year, UTC is this much behind GPS time [s].

@@ -20,21 +20,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = [
-    "DICTIONARY",
-    "FMT",
-    "HEADER_SIZE",
-    "NUMBER",
-    "WORDS",
-    "Field",
-    "Layout",
-    "decode_text",
-    "define",
-    "is_consistent",
-    "parse_fmt",
-    "with_units",
-]
-
 HEADER_SIZE: Final = 3  # A3 95 and the message type
 
 # One character per column: how it is stored, and the divisor that turns it into its unit. Dividing by 100

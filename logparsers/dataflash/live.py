@@ -7,8 +7,6 @@ import struct
 from dataclasses import dataclass
 from typing import Final
 
-__all__ = ["Answer", "BlockStream", "LiveRow", "RowDecoder"]
-
 _HEAD: Final = b"\xa3\x95"
 _FMT, _FMT_SIZE, _HEAD_SIZE = 128, 89, 3
 _CODES: Final = {

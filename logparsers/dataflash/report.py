@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from logparsers.dataflash.store import Store, Stretch
 
-__all__ = ["Boots", "describe"]
-
 REBOOT_US: Final = 1_000_000  # set between two runs of the clock in one file; the true pause is unknown
 JUMP_US: Final = 86_400_000_000  # no log pauses for a day: such a stamp is damaged
 PAGE: Final = 528  # boards that log to flash pages leave up to this many bytes unused at the end

@@ -26,24 +26,6 @@ if TYPE_CHECKING:
 
     Ints = array[int]
 
-__all__ = [
-    "BACK_US",
-    "BAD_CUT",
-    "BAD_HEADER",
-    "BAD_TAIL",
-    "END",
-    "FULL",
-    "GAP_US",
-    "NEW_FORMAT",
-    "NO_TIME",
-    "Walk",
-    "clock_steps",
-    "finish",
-    "follow",
-    "is_header",
-    "read_time",
-]
-
 COMPILE_FROM: Final = 1 << 21  # bytes; below, the plain walk beats the import of numba (about 0.5 s)
 
 # state

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
     from logparsers.dataflash.formats import Layout
 
-__all__ = ["Step", "Store", "Stretch"]
-
 
 @dataclass(frozen=True, slots=True)
 class Stretch:

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from logparsers.dataflash.formats import Field
 
-__all__ = ["TextStore"]
-
 NAME_SIZE: Final = 4
 BYTES_AT_ONCE: Final = 1 << 20
 LINES_AT_ONCE: Final = 1 << 13

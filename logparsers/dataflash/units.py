@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     Read = Callable[[str, Sequence[str]], dict[str, NDArray[Any]]]
 
-__all__ = ["apply_units"]
-
 
 def apply_units(layouts: dict[str, Layout], read: Read) -> None:
     """Replace layouts by the same with units, where the log tells them."""

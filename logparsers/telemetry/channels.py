@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from logparsers.telemetry.file import TelemetryFile
     from logparsers.telemetry.messages import Sender
 
-__all__ = ["Stream", "TelemetryRecording"]
-
 _NO_SERIES = ("PARAM_", "MISSION_", "STATUSTEXT", "FILE_TRANSFER", "LOG_", "REMOTE_LOG", "TERRAIN_DATA")
 """Messages that carry lists, files or words: their numbers are no signal over time."""
 

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
     FloatArray = NDArray[np.float64]
 
-__all__ = ["TelemetryClock"]
-
 _AUTOPILOT = 1  # component number of every autopilot
 _BREAKS = {
     "reboot": "the vehicle's clock starts again; times run on by arrival time",

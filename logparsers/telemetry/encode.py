@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     Bytes = NDArray[np.uint8]
 
-__all__ = ["Message", "encode"]
-
 _AROUND = 8 + 10 + 2  # arrival time, header, check-sum
 
 

@@ -36,8 +36,6 @@ if TYPE_CHECKING:
 
     FloatArray = NDArray[np.float64]
 
-__all__ = ["TelemetryFile", "Vehicle"]
-
 _SAMPLE_BYTES = 1 << 17  # read again in other dialects, where something cannot be read in the default one
 _INVALID, _PX4 = 8, 12  # MAV_AUTOPILOT
 _BYTEWISE = 16  # MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE

@@ -18,19 +18,6 @@ if TYPE_CHECKING:
     Bytes = NDArray[np.uint8]
     Slots = NDArray[np.int32]
 
-__all__ = [
-    "BAD_CHECKSUM",
-    "LOST_SYNC",
-    "SPAN",
-    "TRUNCATED",
-    "arrivals_us",
-    "check_sum",
-    "gather",
-    "group",
-    "origins",
-    "scan",
-]
-
 STAMP_BYTES = 8
 _V1, _V2 = 0xFE, 0xFD
 _SIGNED = 0x01

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from logparsers.mavlink import Layout
 
-__all__ = ["MessageTable", "Sender"]
-
 
 class Sender(NamedTuple):
     """Who sent a message."""

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from logparsers.channels import Recording, Series
     from logparsers.telemetry.file import TelemetryFile
 
-__all__ = ["BLOCKS", "RemoteLogs", "WithRemoteLog", "remote_logs"]
-
 BLOCKS = "REMOTE_LOG_DATA_BLOCK"
 
 

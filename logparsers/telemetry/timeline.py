@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     FloatArray = NDArray[np.float64]
     IntArray = NDArray[np.int64]
 
-__all__ = ["Break", "Timeline", "build_timeline", "find_breaks", "place"]
-
 BACKWARD_S = 1.0
 """A counter that falls by more, and stays there, has restarted: links reorder by less."""
 FORWARD_S = 5.0

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     FloatArray = NDArray[np.float64]
     IntArray = NDArray[np.int64]
 
-__all__ = ["despike", "lower_line", "unwrap"]
-
 _ABSURD_S = 3 * 86_400.0  # no message waits longer than three days for the next
 _BINS = 512  # points that a lower line is drawn under
 _DRIFT_LIMIT = 1e-3  # crystals are 10 to 100 times better

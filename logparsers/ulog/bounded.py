@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     from logparsers.ulog.sieve import Samples
 
-__all__ = ["Reader", "load"]
-
 _MAX_FIELDS = 200_000  # over all topics of a file; the richest logs have some ten thousand
 _MAX_FORMATS = 10_000
 _MAX_MESSAGE = 65_535  # fields: a message has at most as many bytes

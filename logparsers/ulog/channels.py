@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from logparsers.ulog.file import UlogFile
 
-__all__ = ["Topic", "UlogRecording", "unit_of"]
-
 _NAME_FIELDS = {"debug_key_value": "key", "debug_vect": "name", "debug_array": "name"}
 """Topics that several senders share, and the text that tells them apart."""
 

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from logparsers.records import Text
 
-__all__ = ["Topic", "encode"]
-
 _MAGIC: Final = b"ULog\x01\x12\x35\x01"
 _TYPES: Final[Mapping[str, str]] = {
     "u1": "uint8_t", "u2": "uint16_t", "u4": "uint32_t", "u8": "uint64_t", "i1": "int8_t", "i2": "int16_t",

@@ -33,9 +33,6 @@ if TYPE_CHECKING:
 
     FloatArray = NDArray[np.float64]
 
-__all__ = ["UlogFile"]
-
-
 _CLOCK_TOPICS = ("vehicle_gps_position", "sensor_gps", "vehicle_global_position")
 """Small topics that know the date; always read, shown only if they are asked for."""
 

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     Bytes = NDArray[np.uint8]
 
-__all__ = ["NotPlain", "Samples", "chain", "set_aside", "sieve"]
-
 _HEADER = 16
 _ADD, _DATA, _DROPOUT, _PARAMETER = ord("A"), ord("D"), ord("O"), ord("P")
 _TEXT, _TAGGED = ord("L"), ord("C")
