@@ -20,7 +20,7 @@ from servofd.detection.threshold import Threshold
 from servofd.detection.watch import thresholds_of
 from servofd.estimate.family import new_state, sensitivities, simulated, variants
 from servofd.estimate.fit import peaks, residual
-from servofd.estimate.lost import LONGEST_S, new_memory, put_back, unknown_deg
+from servofd.estimate.lost import HOLDS, LONGEST_S, new_memory, put_back, unknown_deg
 from servofd.estimate.record import gap_s, loads, powers, starts
 from servofd.models.context import NO_CONTEXT
 
@@ -198,7 +198,8 @@ class CalibratedStream:
         commands = self.logged.commands()
         first = max(int(np.searchsorted(commands.effective_s, time_s[0] - self._gap_s)) - 1, 0)
         command_s = commands.effective_s[first:]
-        start_deg, usable = starts(command_s, time_s, measured_deg, self._gap_s, self._begun_s)
+        held_s = None if self.sent_period_s is None else HOLDS * self.sent_period_s
+        start_deg, usable = starts(command_s, time_s, measured_deg, self._gap_s, self._begun_s, held_s)
         if not np.isfinite(self._begun_s):
             begun = np.flatnonzero(np.isfinite(start_deg))
             if begun.size:

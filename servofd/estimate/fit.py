@@ -183,10 +183,11 @@ def _evaluated(
     """Errors, sensitivities and largest speeds of each record, in usable rows."""
     errors, slopes, speeds = [], [], []
     for record in records:
-        reading_deg, slope, speed = FAMILY.predicted(theta, record, reach_deg)
-        error, inside = residual(record.measured_deg, reading_deg, reach_deg)
+        with np.errstate(over="ignore", invalid="ignore"):  # a servo that runs away is none, and its cost says so
+            reading_deg, slope, speed = FAMILY.predicted(theta, record, reach_deg)
+            error, inside = residual(record.measured_deg, reading_deg, reach_deg)
+            slopes.append((slope * inside[:, None])[record.usable])
         errors.append(error[record.usable])
-        slopes.append((slope * inside[:, None])[record.usable])
         speeds.append(speed[record.usable])
     return errors, slopes, speeds
 

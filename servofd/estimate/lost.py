@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 LONGEST_S: Final = 0.25
 """Between two commands; in more a servo goes a long way and comes back, and nothing shows it."""
-_HOLDS: Final = 1.5
+HOLDS: Final = 1.5
 """A gap of so many periods holds a lost command."""
 _MIDDLE: Final = np.pi / 8.0
 """Mean of sqrt(s (1 - s)) over the gap."""
@@ -40,7 +40,7 @@ def put_back(command_s: FloatArray, command_deg: FloatArray, period_s: float) ->
     array([0., 1., 2., 3., 9.])
     """
     step_s = np.diff(command_s)
-    lost = (step_s > _HOLDS * period_s) & (step_s <= LONGEST_S)
+    lost = (step_s > HOLDS * period_s) & (step_s <= LONGEST_S)
     pieces = np.where(lost, np.round(step_s / period_s), 1.0).astype(int)
     place = np.arange(pieces.sum()) - np.repeat(np.cumsum(pieces) - pieces, pieces)
     share = place / np.repeat(pieces, pieces)
@@ -89,7 +89,7 @@ def unknown_deg(
     lag_s = 2.0 * np.exp(theta[_LN_DAMPING] - theta[_LN_BANDWIDTH])
     out = np.zeros(time_s.size)
     if commands[0].size:
-        _unknown(*commands, _HOLDS * period_s, theta[_DELAY], lag_s, time_s, memory, out)
+        _unknown(*commands, HOLDS * period_s, theta[_DELAY], lag_s, time_s, memory, out)
     return out
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.estimate.family import LONGEST_PAUSE_S, PRESSURE_PA
-from servofd.estimate.lost import LONGEST_S, new_memory, put_back, unknown_deg
+from servofd.estimate.lost import HOLDS, LONGEST_S, new_memory, put_back, unknown_deg
 from servofd.models.context import AIR_KG_M3
 
 if TYPE_CHECKING:
@@ -72,7 +72,8 @@ class Record:
             commands = straightened(*commands, segment.command_period_s)
         known = np.isfinite(segment.measured_deg)
         time_s, measured_deg = segment.measured_s[known], segment.measured_deg[known]
-        start_deg, usable = starts(segment.command_s, time_s, measured_deg, LONGEST_S if sent is not None else None)
+        gaps = (None, float("nan"), None) if sent is None else (LONGEST_S, float("nan"), HOLDS * sent[2])
+        start_deg, usable = starts(segment.command_s, time_s, measured_deg, *gaps)
         context = segment.context
         if supply_v is None:
             supply_v = usual_supply_v(context)
@@ -138,10 +139,12 @@ def starts(
     measured_deg: FloatArray,
     longest_s: float | None = None,
     begun_s: float = float("nan"),
+    held_s: float | None = None,
 ) -> tuple[FloatArray, BoolArray]:
     """Where the simulation begins anew (positions, else NaN), and which samples may be judged; both (m,).
 
-    `longest_s` is the longest time between commands that is no gap, `begun_s` when the flight began, if that is known.
+    `longest_s` is the longest time between commands that is no gap, `begun_s` when the flight began, if that is known;
+    `held_s` how long a command holds for sure where the next one comes after a gap, or never: as long if left out.
 
     Examples
     --------
@@ -157,12 +160,12 @@ def starts(
     if not command_s.size or not time_s.size:
         return start_deg, np.zeros(time_s.size, dtype=bool)
     last = np.searchsorted(command_s, time_s, side="right") - 1
-    usable &= (last >= 0) & (time_s - command_s[np.maximum(last, 0)] <= longest_s)
+    held_s = longest_s if held_s is None else held_s
+    age_s = time_s - command_s[np.maximum(last, 0)]
+    usable &= (last >= 0) & (age_s <= np.where(last < command_s.size - 1, longest_s, held_s))
     breaks = np.flatnonzero(np.diff(command_s) > longest_s)
     for begin_s, end_s in zip(command_s[breaks], command_s[breaks + 1], strict=True):
-        first, here, settled = np.searchsorted(
-            time_s, (begin_s + longest_s, end_s + _START_S - 1e-9, end_s + SETTLING_S)
-        )
+        first, here, settled = np.searchsorted(time_s, (begin_s + held_s, end_s + _START_S - 1e-9, end_s + SETTLING_S))
         usable[first:settled] = False
         good = here + np.flatnonzero(np.isfinite(measured_deg[here : here + 10]))
         if good.size:
