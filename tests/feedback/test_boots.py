@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import json
 import tomllib
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
 import servofd
 from servofd.cli import main
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def test_no_fault_spans_a_reboot_and_each_boot_is_judged_on_its_own(tmp_path: Path) -> None:
@@ -73,3 +70,9 @@ def test_each_boot_is_a_sweep_of_its_own_and_one_that_is_no_go_counts(
     assert {one["status"] for one in last["surfaces"].values()} == {"go"}
     assert first["duration_s"] < 21.0
     assert last["duration_s"] < 21.0
+
+
+def test_a_sweep_that_begins_slowly_has_no_servo_of_its_own_there() -> None:
+    """An elevator with a little play, which oscillated by the servo of the slow half."""
+    (result,) = servofd.audit(Path(__file__).parents[2] / "sample_logs" / "hidden" / "hidden_11.csv")
+    assert [surface.status for surface in result.surfaces] == ["unknown"]
