@@ -12,7 +12,8 @@ if TYPE_CHECKING:
 
 MOST_LOST = 0.34
 """A surface that could have lost more than a third of its travel unseen is not called healthy."""
-_LEAST_SPEED = 1.0 / 3.0
+_LEAST_SPEED, _LIVELIER = 1.0 / 3.0, 1.5
+"""Motion so much larger shows that much less of a loss."""
 _MARGIN = 1.2
 _NAMES = {
     "bias_deg": "offset",
@@ -38,15 +39,15 @@ def why_not_cleared(residuals: Residuals, shown: Detectable, level_deg: float) -
 
 
 def is_blind(shown: Detectable) -> bool:
-    """Whether neither the loss of a third of the travel nor a servo at a third of its speed would show.
+    """Whether a servo at a third of its speed would not show, nor the loss of a third of its travel in livelier flight.
 
     Examples
     --------
     >>> from servofd.evidence import Detectable
-    >>> is_blind(Detectable(loss_share=0.5)), is_blind(Detectable(loss_share=0.5, slow_share=0.4))
+    >>> is_blind(Detectable(loss_share=0.6)), is_blind(Detectable(loss_share=0.6, slow_share=0.4))
     (True, False)
     """
-    loss_shows = shown.loss_share is not None and shown.loss_share <= MOST_LOST
+    loss_shows = shown.loss_share is not None and shown.loss_share <= _LIVELIER * MOST_LOST
     speed_shows = shown.slow_share is not None and shown.slow_share >= _LEAST_SPEED
     return not (loss_shows or speed_shows)
 

@@ -140,7 +140,7 @@ def test_wrong_options_are_told(words: list[str], config: str) -> None:
 def test_a_file_that_would_miss_a_lost_third_is_written_by_force_only(
     tmp_path: Path, config: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    good = logged(tmp_path, "good.csv", flown(noise_deg=1.0, duration_s=60.0, command="calm"))
+    good = logged(tmp_path, "good.csv", flown(noise_deg=0.9, duration_s=60.0, command="calm", rate_hz=20.0))
     target = tmp_path / "calibrated.toml"
     asked = ["calibrate", good, "-c", config, "-o", str(target)]
     assert main(asked) == 2

@@ -70,7 +70,7 @@ def calibrated(folder: Path, log: Path, spans: tuple[tuple[float, float], ...] |
         pytest.skip("no flight logs: set SERVOFD_EXTERNAL_DATA to the directory that holds bench/ and logs/")
     draft, known = folder / "draft.toml", folder / "plane.toml"
     draft.write_text(draft_to_toml(draft_aircraft(logparsers.read(log))))
-    known.write_text(calibration_to_toml(servofd.calibrate([log], draft, spans=spans or (), force=True)))
+    known.write_text(calibration_to_toml(servofd.calibrate([log], draft, spans=spans or ())))
     return load_aircraft(known)
 
 

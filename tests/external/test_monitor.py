@@ -34,7 +34,7 @@ def aircraft(tmp_path_factory: pytest.TempPathFactory) -> Aircraft:
     folder: Path = tmp_path_factory.mktemp("sitl")
     draft, calibrated = folder / "plane.toml", folder / "calibrated.toml"
     draft.write_text(draft_to_toml(draft_aircraft(logparsers.read(LOG))))
-    calibrated.write_text(calibration_to_toml(servofd.calibrate([LOG], draft, spans=HEALTHY_S, force=True)))
+    calibrated.write_text(calibration_to_toml(servofd.calibrate([LOG], draft, spans=HEALTHY_S)))
     return load_aircraft(calibrated)
 
 

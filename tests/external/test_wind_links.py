@@ -76,7 +76,7 @@ def plane(tmp_path_factory: pytest.TempPathFactory) -> Aircraft:
         path.write_bytes(b"".join(stamped(*entry) for entry in frames(path.stem)))
     draft, known = folder / "draft.toml", folder / "plane.toml"
     draft.write_text(draft_to_toml(draft_aircraft(logparsers.read(good[0]))))
-    known.write_text(calibration_to_toml(servofd.calibrate(good, draft, force=True)))
+    known.write_text(calibration_to_toml(servofd.calibrate(good, draft)))
     return load_aircraft(known)
 
 
