@@ -287,7 +287,8 @@ def explain_gap(
     )
     gain = None
     if selection.rungs and found.is_simulated_by_audit and record.side is None:
-        gain = audit_gain(segments, model, found.better_model, fault_s or float("inf"))
+        before = model + Extension(selection.nominal.physics) if free_poles else model
+        gain = audit_gain(segments, before, found.better_model, fault_s or float("inf"))
     # Manoeuvres are simulated, and how the servo moves must be known for that.
     return replace(found, separating=() if record.side is not None else separations(selection), gain=gain)
 

@@ -271,7 +271,7 @@ class ExternalLoad(MissingEffect):
 
     name, place, needs = "external_load", Place.SERVO, ("servo_load",)
     parameters = (
-        Parameter("deg_per_unit", ("load_deg",), -1e5, 1e5, 0.0, 0.5, (-2.7, -0.9, -0.3, 0.3, 0.9, 2.7)),
+        Parameter("deg_per_unit", ("load_deg",), -1e5, 1e5, 0.0, 0.5, (-2.5, -0.85, -0.3, 0.3, 0.85, 2.5)),
         Parameter("late_s", ("load_late_s",), -0.1, 0.1, 0.0, 0.01, (0.0,), aside=True),
         _SPLIT,
     )

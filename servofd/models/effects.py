@@ -169,7 +169,7 @@ class Extension:
             rate_down_deg_s=physics.follow_down_deg_s,
             lower_deg=physics.lower_deg,
             upper_deg=physics.upper_deg,
-            physics=physics._replace(bandwidth_scale=1.0, damping_scale=1.0),
+            physics=physics._replace(bandwidth_scale=1.0, slow_scale=1.0, pair_scale=1.0, damping_scale=1.0),
         )
 
 

@@ -57,6 +57,15 @@ def test_the_better_model_makes_the_audit_quieter(tmp_path: Path, capsys: pytest
     assert errors[1] < 0.11 < 2.0 * errors[1] < errors[0]
 
 
+def test_what_an_audit_gains_is_told_of_a_servo_that_nobody_knows_too(tmp_path: Path) -> None:
+    path = hide(FineServo(backlash_deg=1.0), duration_s=30.0).write(tmp_path / "log.csv")
+    assert main(["explain", str(path), "-s", "elevator", "--json", str(tmp_path / "gap.json")]) == 0
+    audit = json.loads((tmp_path / "gap.json").read_text())["audit"]
+    # Noise of 0.1 deg, less than half of which passes the filter.
+    assert audit["after"]["residual_std_deg"] < 0.06 < 2.0 * audit["after"]["residual_std_deg"]
+    assert audit["after"]["threshold_deg"] < 0.75 * audit["before"]["threshold_deg"]
+
+
 def test_what_is_found_in_the_linkage_is_saved_and_simulated(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
