@@ -96,19 +96,18 @@ def _limited(servo: ServoParameters, memory: Memory, step_s: float) -> tuple[flo
     now, position, direction = 0.0, memory.motion[3], memory.motion[4]
     while True:
         if direction == 0.0:
-            begin = _first_change(servo, memory, now, step_s, 0.0, 0.0, 0.0)
-            if begin >= step_s:
+            # The rate of a servo of first order jumps with its command, and may soon have fallen again.
+            if _excess_rate(servo, memory, now) <= 0.0:
+                now = _first_change(servo, memory, now, step_s, 0.0, 0.0, 0.0)
+            if now >= step_s:
                 return _linear_position(servo, memory, step_s), 0.0
-            now, position = begin, _linear_position(servo, memory, begin)
-            direction = 1.0 if _linear_rate(servo, memory, begin) > 0.0 else -1.0
+            position = _linear_position(servo, memory, now)
+            direction = 1.0 if _linear_rate(servo, memory, now) > 0.0 else -1.0
         rate = servo.rate_up_deg_s if direction > 0.0 else -servo.rate_down_deg_s
         meet = _first_change(servo, memory, now, step_s, position, rate, direction)
         if meet >= step_s:
             return position + rate * (step_s - now), direction
         now, direction = meet, 0.0
-        if _excess_rate(servo, memory, now) > 0.0:
-            position = _linear_position(servo, memory, now)
-            direction = 1.0 if _linear_rate(servo, memory, now) > 0.0 else -1.0
 
 
 @compiled
