@@ -14,14 +14,14 @@ from typing import NamedTuple
 import numpy as np
 
 from fleet import KINDS, flight
-from servofd.aircraft import plain_aircraft
+from servofd.aircraft.schema import plain_aircraft
+from servofd.aircraft.segment import Segment
+from servofd.core.tolerance import Tolerance
 from servofd.detection.bank.classify import name_fault
 from servofd.detection.bank.window import Onset, Window, noise_deg
 from servofd.detection.judge import judge
 from servofd.detection.residual import ResidualGenerator, commands_at_servo
-from servofd.segment import Segment
 from servofd.simulation.commands import COMMANDS
-from servofd.tolerance import Tolerance
 from trial import judged
 
 __all__ = ["Cost", "measure"]

@@ -28,8 +28,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from servofd.core.types import FloatArray
     from servofd.detection.bank.window import Window
-    from servofd.types import FloatArray
 
 __all__ = ["KNOWN_ONSET", "UNKNOWN_ONSET", "log_likelihood_ratio"]
 

@@ -18,20 +18,20 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from strangers import SIZES, SURFACES, draw_failure, fly, stranger
 
-from servofd.aircraft import plain_aircraft
+from servofd.aircraft.schema import plain_aircraft
+from servofd.aircraft.segment import Segment
 from servofd.calibrating.calibrate import calibrate_aircraft
 from servofd.calibrating.flights import Flight
+from servofd.core.errors import CalibrationError
 from servofd.detection.audit import audit_segment
-from servofd.errors import CalibrationError
-from servofd.models.context import Context
-from servofd.segment import Segment
+from servofd.servo.context import Context
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from strangers import Flight as Flown
 
-    from servofd.aircraft import Aircraft
+    from servofd.aircraft.schema import Aircraft
     from servofd.detection.verdict import SurfaceAudit
 
 STYLES: Final = ("taxi", "cruise", "loiter", "turbulence", "aerobatics")

@@ -26,15 +26,15 @@ import numpy as np
 import logparsers
 from logparsers.codec import Codec
 from logparsers.telemetry.encode import encode
-from servofd.aircraft import plain_aircraft
+from servofd.aircraft.schema import plain_aircraft
 from servofd.feedback.draft import draft_aircraft
+from servofd.jobs.workflow import audit
 from servofd.live.run import Pace, replay_telemetry
 from servofd.live.session import Session
 from servofd.simulation.flight import simulate_flight
 from servofd.simulation.pulses import outputs_of
 from servofd.simulation.telemetry_writer import telemetry_messages
 from servofd.simulation.writers import write_flight
-from servofd.workflow import audit
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

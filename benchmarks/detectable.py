@@ -20,15 +20,15 @@ import numpy as np
 from strangers import STYLES, SURFACES, fly, stranger
 
 from logparsers.records import Channel, FlightLog
-from servofd.aircraft import plain_aircraft
+from servofd.aircraft.schema import plain_aircraft
 from servofd.detection.audit import audit_log
 from servofd.feedback.fitted import fitted_aircraft
-from servofd.servos import library
+from servofd.servo.library import library
 from servofd.simulation.flight import simulate_flight
 
 if TYPE_CHECKING:
+    from servofd.core.types import FloatArray
     from servofd.detection.verdict import SurfaceAudit
-    from servofd.types import FloatArray
 
 _FLIGHT_S = 90.0
 _KINDS = ("bias_deg", "loss_share", "oscillation_deg", "deadband_deg", "slow_share")

@@ -17,7 +17,7 @@ import numpy as np
 from strangers import STYLES, SURFACES, Flight, draw_failure, fly, stranger
 
 from logparsers.records import Channel, FlightLog
-from servofd.aircraft import plain_aircraft
+from servofd.aircraft.schema import plain_aircraft
 from servofd.detection.audit import audit_log
 from servofd.detection.verdict import SurfaceAudit
 from servofd.feedback.fitted import fitted_aircraft

@@ -17,10 +17,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import lfilter
 
+from servofd.core.types import FloatArray
 from servofd.detection.probability import Noise, TailFit, fit_tail, persistent_threshold_deg, threshold_for_rate_deg
 from servofd.detection.pulse import PulseFilter, design_pulse_filter
-from servofd.servos import servo_named
-from servofd.types import FloatArray
+from servofd.servo.library import servo_named
 
 RATE_HZ, POLE_RAD_S, NOISE_DEG = 100.0, 50.0, 0.1
 SAMPLES_PER_HOUR = round(3600 * RATE_HZ)

@@ -20,7 +20,7 @@ from servofd.simulation.commands import COMMANDS
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from servofd.types import FloatArray
+    from servofd.core.types import FloatArray
 
 __all__ = [
     "KINDS",

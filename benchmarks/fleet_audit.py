@@ -17,13 +17,13 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from servofd.aircraft import plain_aircraft
+from servofd.aircraft.schema import plain_aircraft
 from servofd.fleet.find import find_logs
 from servofd.fleet.judge import judge_log
 from servofd.fleet.key import Job
 from servofd.fleet.local import cores
 from servofd.fleet.run import audit_fleet
-from servofd.models.faults import Stuck
+from servofd.servo.faults import Stuck
 from servofd.simulation.flight import simulate_flight
 from servofd.simulation.pulses import outputs_of
 from servofd.simulation.writers import write_flight

@@ -40,7 +40,7 @@ from hidden_rivals import leftover_sigmas
 from hidden_score import Score, Seconds, ask, score, seconds_found
 
 if TYPE_CHECKING:
-    from servofd.types import FloatArray
+    from servofd.core.types import FloatArray
 
 PAIRS = (
     ("delay", "backlash"), ("rate_limit", "backlash"), ("rate_limit", "bias"), ("deadband", "slow_dynamics"),

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.signal import savgol_filter
 
-from servofd.models.servo_model import ServoModel
-from servofd.servos import servo_named
+from servofd.servo.library import servo_named
+from servofd.servo.servo_model import ServoModel
 
 if TYPE_CHECKING:
     from hidden_physics import HiddenRecord
-    from servofd.types import BoolArray, FloatArray
+    from servofd.core.types import BoolArray, FloatArray
 
 __all__ = ["GROUPS", "has_pysindy", "regression_closure", "residual_deg", "sindy_group"]
 

@@ -21,7 +21,7 @@ from hidden_servo import STEP_S, Machine, Motor, run
 from servofd.simulation.commands import COMMANDS
 
 if TYPE_CHECKING:
-    from servofd.types import FloatArray
+    from servofd.core.types import FloatArray
 
 __all__ = [
     "CATALOGUE", "CONVERTER_DEG", "EXCITATIONS", "LEVELS", "OUTSIDE", "STRUCTURAL", "Air", "Effects", "HiddenRecord",

@@ -12,7 +12,7 @@ from hidden_physics import CONVERTER_DEG, Effects, HiddenRecord, hidden
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from servofd.types import FloatArray
+    from servofd.core.types import FloatArray
 
 __all__ = ["RIVALS", "Doubt", "leftover_sigmas"]
 

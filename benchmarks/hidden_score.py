@@ -18,7 +18,7 @@ import numpy as np
 from hidden_physics import CATALOGUE, Effects
 
 if TYPE_CHECKING:
-    from servofd.types import FloatArray
+    from servofd.core.types import FloatArray
 
 __all__ = ["ALIKE", "Answer", "Score", "Seconds", "ask", "score", "seconds_found"]
 

@@ -17,12 +17,12 @@ from typing import Any
 import control
 import numpy as np
 
+from servofd.aircraft.segment import Segment
+from servofd.core.types import ComplexArray
 from servofd.identification.identify import identify
-from servofd.models.servo_model import ServoModel
-from servofd.segment import Segment
-from servofd.servos import servo_named
+from servofd.servo.library import servo_named
+from servofd.servo.servo_model import ServoModel
 from servofd.simulation.commands import chirp
-from servofd.types import ComplexArray
 
 SERVOS = ("hs225bb-eq31", "s9254", "s9256", "s3151", "9360th")
 NOISE_DEG, BITS, SEEDS = 0.1, 12, 3

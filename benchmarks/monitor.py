@@ -27,12 +27,12 @@ from logparsers.codec import Codec
 from logparsers.endpoint import parse_endpoint
 from logparsers.link import open_link
 from logparsers.replay import replayed
-from servofd.aircraft import Aircraft, plain_aircraft
-from servofd.calibration import DegreeCalibration, PulseCalibration
+from servofd.aircraft.calibration import DegreeCalibration, PulseCalibration
+from servofd.aircraft.schema import Aircraft, plain_aircraft
 from servofd.live.run import watch_link
 from servofd.live.session import Session
 from servofd.live.threads import Receiver
-from servofd.models.faults import Stuck
+from servofd.servo.faults import Stuck
 from servofd.simulation.flight import simulate_flight
 from servofd.simulation.pulses import MOST_OUTPUTS, outputs_of
 from servofd.simulation.telemetry_writer import telemetry_log

@@ -18,16 +18,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import logparsers
+from servofd.aircraft.outputs import outputs_of
+from servofd.aircraft.pairs import pulse_channel
 from servofd.axes.autopilot import motion_of_autopilot
 from servofd.axes.calibrate import calibrate_motion
 from servofd.axes.judge import judge_motion
 from servofd.axes.mixers import airframe_of
-from servofd.feedback.outputs import outputs_of
-from servofd.feedback.pairs import pulse_channel
 
 if TYPE_CHECKING:
     from servofd.axes.motion import Motion
-    from servofd.axes.verdict import AxisAudit, AxisEvent
+    from servofd.detection.axis_verdict import AxisAudit, AxisEvent
 
 AXES = {"aileron": "roll", "elevator": "pitch", "rudder": "side"}
 DEG_PER_US = 0.2

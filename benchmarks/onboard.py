@@ -16,7 +16,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from servofd.aircraft import Aircraft
+from servofd.aircraft.schema import Aircraft
 from servofd.onboard.plan import plan_onboard
 from servofd.onboard.script import watch_script
 from tests.onboard.autopilot import Flight, fly, heap_kb

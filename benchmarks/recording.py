@@ -20,14 +20,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from logparsers.records import Channel, FlightLog
-from servofd.aircraft import plain_aircraft
+from servofd.aircraft.schema import plain_aircraft
 from servofd.detection.audit import audit_log
 from servofd.detection.verdict import LogAudit
-from servofd.models.servo_model import ServoModel
 from servofd.outputs.recording import save_recording
 from servofd.outputs.recording.content import Recording
 from servofd.outputs.recording.read import read_recording
-from servofd.servos import servo_named
+from servofd.servo.library import servo_named
+from servofd.servo.servo_model import ServoModel
 
 SURFACES, CHANNELS, RATE_HZ = 8, 6, 100
 LOGGED_S = 2.0

@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING
 import control
 import numpy as np
 
+from servofd.aircraft.segment import Segment
 from servofd.detection.pulse import design_pulse_filter
 from servofd.detection.residual import ResidualGenerator
-from servofd.models.servo_model import ServoModel
-from servofd.segment import Segment
-from servofd.servos import servo_named
+from servofd.servo.library import servo_named
+from servofd.servo.servo_model import ServoModel
 from servofd.simulation.commands import flight
 
 if TYPE_CHECKING:

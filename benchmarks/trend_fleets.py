@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fleet import FleetServo, Truth, deflection
-from servofd.aircraft import plain_aircraft
-from servofd.segment import Segment
+from servofd.aircraft.schema import plain_aircraft
+from servofd.aircraft.segment import Segment
 from servofd.simulation.commands import COMMANDS
 from servofd.wear.estimate import estimate_flight
 from servofd.wear.logs import FlownLog

@@ -9,15 +9,15 @@ import numpy as np
 
 from bound import log_likelihood_ratio
 from fleet import FleetFlight, flight
-from servofd.aircraft import plain_aircraft
+from servofd.aircraft.schema import plain_aircraft
+from servofd.aircraft.segment import Segment
 from servofd.detection.bank.window import Window
 from servofd.detection.judge import Judgement, judge
 from servofd.detection.residual import ResidualGenerator, Residuals, commands_at_servo
-from servofd.segment import Segment
 
 if TYPE_CHECKING:
+    from servofd.core.types import FloatArray
     from servofd.detection.bank.flight import Fault
-    from servofd.types import FloatArray
 
 __all__ = ["CONSTANT_DEG", "MOVING_DEG_S", "Case", "Found", "Judged", "Trial", "judged", "trial"]
 

@@ -17,13 +17,13 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from servofd.aircraft.segment import Segment
+from servofd.core.types import FloatArray as Floats
 from servofd.discrepancy.explanation import driven_part
 from servofd.discrepancy.record import record_of
 from servofd.discrepancy.validity import Undriven
-from servofd.explaining import UNKNOWN_SERVO
-from servofd.models.servo_model import ServoModel
-from servofd.segment import Segment
-from servofd.types import FloatArray as Floats
+from servofd.jobs.explaining import UNKNOWN_SERVO
+from servofd.servo.servo_model import ServoModel
 
 __all__ = ["Lot", "found_in", "lot"]
 

@@ -16,7 +16,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from detection import calibration, delays, false_alarms, fly, limits, onsets, shares
 from detection_pictures import draw
-from servofd.aircraft import DEFAULT_SIGMAS
+from servofd.aircraft.schema import DEFAULT_SIGMAS
+from servofd.core.tolerance import Tolerance
 from servofd.detection import alarm, allowance, judge, latch, threshold
 from servofd.detection.bank import (
     classify,
@@ -28,7 +29,6 @@ from servofd.detection.bank import (
     oscillation,
     window,
 )
-from servofd.tolerance import Tolerance
 from trial import CONSTANT_DEG, Trial
 
 HERE = Path(__file__).parent

@@ -11,10 +11,10 @@ from rich.console import Console
 
 from logparsers.codec import Codec
 from logparsers.replay import replayed
-from servofd.aircraft import load_aircraft, plain_aircraft
+from servofd.aircraft.schema import load_aircraft, plain_aircraft
 from servofd.live.session import Session
 from servofd.live.view import View, event_line
-from servofd.models.faults import Stuck
+from servofd.servo.faults import Stuck
 from servofd.simulation.flight import simulate_flight
 from servofd.simulation.pulses import outputs_of
 from servofd.simulation.telemetry_writer import telemetry_log

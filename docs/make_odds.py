@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import lfilter
 
-from servofd.aircraft import plain_aircraft
+from servofd.aircraft.schema import plain_aircraft
 from servofd.detection.odds import SurfaceOdds, Wish
 from servofd.detection.pulse import design_pulse_filter
-from servofd.odds import Part, odds_from_design, odds_from_logs
+from servofd.jobs.odds import Part, odds_from_design, odds_from_logs
 from servofd.outputs.odds_figure import save_odds_figure
-from servofd.servos import servo_named
+from servofd.servo.library import servo_named
 
 SERVO, RATE_HZ, POLE_RAD_S, NOISE_DEG, HOURS, DEGREES_OF_FREEDOM = "hs225bb-eq31", 100.0, 50.0, 0.1, 10, 6
 

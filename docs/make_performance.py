@@ -32,15 +32,15 @@ import residual
 import tlog
 from logparsers.replay import replayed
 from logparsers.ulog import UlogFile
+from servofd.aircraft.segment import Segment
 from servofd.detection.pulse import design_pulse_filter
 from servofd.detection.residual import ResidualGenerator
 from servofd.discrepancy.explanation import explain_gap
 from servofd.identification.identify import identify
-from servofd.models.servo_model import ServoModel
 from servofd.outputs.recording import save_recording
 from servofd.outputs.recording.content import Recording
-from servofd.segment import Segment
-from servofd.servos import servo_named
+from servofd.servo.library import servo_named
+from servofd.servo.servo_model import ServoModel
 from servofd.simulation.commands import flight
 from servofd.simulation.flight import simulate_flight
 from servofd.simulation.pulses import outputs_of

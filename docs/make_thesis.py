@@ -8,21 +8,21 @@ from pathlib import Path
 import numpy as np
 
 import servofd
+from servofd.aircraft.segment import Segment
+from servofd.core.types import BoolArray, ComplexArray, FloatArray
 from servofd.detection.nullspace import design_nullspace_filter
 from servofd.detection.pulse import design_pulse_filter
 from servofd.detection.residual import ResidualGenerator
 from servofd.identification.identify import identify
-from servofd.models.effects import Delay, LinearDynamics
-from servofd.models.failing import Fault
-from servofd.models.faults import DeadBand, Stuck
-from servofd.models.servo_model import ServoModel
-from servofd.models.transfer import TransferFunction
 from servofd.outputs.figure import save_figure
 from servofd.outputs.identify_figures import identify_figures
-from servofd.segment import Segment
-from servofd.servos import servo_named
+from servofd.servo.effects import Delay, LinearDynamics
+from servofd.servo.failing import Fault
+from servofd.servo.faults import DeadBand, Stuck
+from servofd.servo.library import servo_named
+from servofd.servo.servo_model import ServoModel
+from servofd.servo.transfer import TransferFunction
 from servofd.simulation.commands import chirp, flight
-from servofd.types import BoolArray, ComplexArray, FloatArray
 
 HERE = Path(__file__).parent
 SAMPLES = HERE.parent / "sample_logs"

@@ -12,7 +12,7 @@ import tempfile
 from pathlib import Path
 
 from servofd.cli import main as servofd
-from servofd.explaining import explain_log
+from servofd.jobs.explaining import explain_log
 from servofd.outputs.explain_figures import explain_figures
 
 HERE = Path(__file__).parent

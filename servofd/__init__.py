@@ -12,9 +12,12 @@ from typing import TYPE_CHECKING
 from servofd.version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from servofd.aircraft import Aircraft as Aircraft
-    from servofd.aircraft import Surface as Surface
-    from servofd.aircraft import load_aircraft as load_aircraft
+    from servofd.aircraft.schema import Aircraft as Aircraft
+    from servofd.aircraft.schema import Surface as Surface
+    from servofd.aircraft.schema import load_aircraft as load_aircraft
+    from servofd.aircraft.segment import Segment as Segment
+    from servofd.aircraft.segment import cut as cut
+    from servofd.core.errors import ServofdError as ServofdError
     from servofd.detection.audit import audit_log as audit_log
     from servofd.detection.nullspace import design_nullspace_filter as design_nullspace_filter
     from servofd.detection.pulse import design_pulse_filter as design_pulse_filter
@@ -25,13 +28,10 @@ if TYPE_CHECKING:
     from servofd.discrepancy.explanation import explain_gap as explain_gap
     from servofd.discrepancy.own import OwnEffect as OwnEffect
     from servofd.discrepancy.own import OwnParameter as OwnParameter
-    from servofd.errors import ServofdError as ServofdError
-    from servofd.explaining import explain_log as explain_log
-    from servofd.explaining import explain_logs as explain_logs
     from servofd.fleet.run import audit_logs as audit_logs
     from servofd.identification.result import Identification as Identification
-    from servofd.models.servo_model import ServoModel as ServoModel
-    from servofd.models.transfer import TransferFunction as TransferFunction
+    from servofd.jobs.explaining import explain_log as explain_log
+    from servofd.jobs.explaining import explain_logs as explain_logs
     from servofd.results import Audit as Audit
     from servofd.results import Audits as Audits
     from servofd.results import audit as audit
@@ -39,15 +39,15 @@ if TYPE_CHECKING:
     from servofd.results import explain as explain
     from servofd.results import identify as identify
     from servofd.results import trend as trend
-    from servofd.segment import Segment as Segment
-    from servofd.segment import cut as cut
-    from servofd.servos import Servo as Servo
-    from servofd.servos import library as library
-    from servofd.servos import servo_named as servo_named
+    from servofd.servo.library import Servo as Servo
+    from servofd.servo.library import library as library
+    from servofd.servo.library import servo_named as servo_named
+    from servofd.servo.servo_model import ServoModel as ServoModel
+    from servofd.servo.transfer import TransferFunction as TransferFunction
     from servofd.simulation.flight import simulate_flight as simulate_flight
 
 _HOME = {
-    "Aircraft": "aircraft",
+    "Aircraft": "aircraft.schema",
     "Audit": "results",
     "Audits": "results",
     "Explanation": "discrepancy.explanation",
@@ -56,28 +56,28 @@ _HOME = {
     "OwnEffect": "discrepancy.own",
     "OwnParameter": "discrepancy.own",
     "ResidualGenerator": "detection.residual",
-    "Segment": "segment",
-    "Servo": "servos",
-    "ServoModel": "models.servo_model",
-    "ServofdError": "errors",
-    "Surface": "aircraft",
+    "Segment": "aircraft.segment",
+    "Servo": "servo.library",
+    "ServoModel": "servo.servo_model",
+    "ServofdError": "core.errors",
+    "Surface": "aircraft.schema",
     "SurfaceAudit": "detection.verdict",
-    "TransferFunction": "models.transfer",
+    "TransferFunction": "servo.transfer",
     "audit": "results",
     "audit_logs": "fleet.run",
     "calibrate": "results",
     "audit_log": "detection.audit",
-    "cut": "segment",
+    "cut": "aircraft.segment",
     "design_nullspace_filter": "detection.nullspace",
     "design_pulse_filter": "detection.pulse",
     "explain": "results",
     "explain_gap": "discrepancy.explanation",
-    "explain_log": "explaining",
-    "explain_logs": "explaining",
+    "explain_log": "jobs.explaining",
+    "explain_logs": "jobs.explaining",
     "identify": "results",
-    "library": "servos",
-    "load_aircraft": "aircraft",
-    "servo_named": "servos",
+    "library": "servo.library",
+    "load_aircraft": "aircraft.schema",
+    "servo_named": "servo.library",
     "simulate_flight": "simulation.flight",
     "trend": "results",
 }

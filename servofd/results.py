@@ -8,16 +8,16 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from servofd import bench, workflow
+from servofd.aircraft.segment import Segment
 from servofd.calibrating.result import Calibration
+from servofd.core.errors import ConfigError, UnknownName, needs, suggest
 from servofd.detection.verdict import LogAudit, SurfaceAudit
-from servofd.errors import ConfigError, UnknownName, needs, suggest
-from servofd.explaining import ExplainedLog, explain_log
 from servofd.identification.identify import identify as identify_records
 from servofd.identification.result import Identification
+from servofd.jobs import bench, workflow
+from servofd.jobs.explaining import ExplainedLog, explain_log
 from servofd.outputs.files import write_whole
 from servofd.outputs.sentence import spoken, whole_sentence, worst
-from servofd.segment import Segment
 from servofd.wear.trend import AircraftTrend, trend_logs
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-    from servofd.aircraft import Aircraft
+    from servofd.aircraft.schema import Aircraft
     from servofd.calibrating.flights import Span
     from servofd.detection.threshold import ThresholdKind
     from servofd.identification.identify import Method
@@ -458,7 +458,7 @@ def explain(
     surface: str | None = None,
     servo: str | None = None,
 ) -> Explained:
-    """Explain where a servo and its model disagree; parameters as of `servofd.explaining.explain_log`.
+    """Explain where a servo and its model disagree; parameters as of `servofd.jobs.explaining.explain_log`.
 
     Examples
     --------

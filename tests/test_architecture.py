@@ -72,7 +72,7 @@ ONLY_IN = {
     "shtab": {"servofd/cli/completion.py"},
     "pyulog": {"logparsers/ulog/bounded.py"},
     "h5py": {"logparsers/hdf5.py"},
-    "control": {"servofd/models/transfer.py"},
+    "control": {"servofd/servo/transfer.py"},
     "starlette": {f"servofd/serve/{name}.py" for name in ("app", "guard", "server")},
     "uvicorn": {"servofd/serve/server.py"},
     "distributed": {"servofd/fleet/cluster.py"},

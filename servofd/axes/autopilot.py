@@ -7,20 +7,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.aircraft.outputs import outputs_of
+from servofd.aircraft.pairs import pulse_channel
 from servofd.axes.grid import LARGEST_GAP_S, Series, cell_means, check_rate, day_of, present_on
 from servofd.axes.mixers import airframe_of
 from servofd.axes.motion import Motion
-from servofd.errors import NoMeasurement
-from servofd.feedback.outputs import outputs_of
-from servofd.feedback.pairs import pulse_channel
+from servofd.core.errors import NoMeasurement
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from logparsers.records import FlightLog
+    from servofd.aircraft.outputs import LoggedOutput
     from servofd.axes.mixers import Airframe
-    from servofd.feedback.outputs import LoggedOutput
-    from servofd.types import BoolArray, FloatArray
+    from servofd.core.types import BoolArray, FloatArray
 
 _FASTEST_HZ = 25.0
 _OF_AN_OUTPUT = re.compile(r"SERVO\d+_(FUNCTION|TRIM|MIN|MAX|REVERSED)")

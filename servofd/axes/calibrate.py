@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.aircraft.axes import AxisModel, MotionModel, Regime, Spread
+from servofd.aircraft.axis_names import AXES, SURFACE_AXES
 from servofd.axes.forms import FORMS, Filtered, Form, Regression
 from servofd.axes.model import (
     covered,
@@ -21,16 +23,14 @@ from servofd.axes.model import (
     whitened,
     windows_of,
 )
-from servofd.axes.names import AXES, SURFACE_AXES
-from servofd.axes.schema import AxisModel, MotionModel, Regime, Spread
-from servofd.axes.windows import Inputs, Sliding, lags, sliding, spread_between
-from servofd.errors import CalibrationError
+from servofd.core.errors import CalibrationError
+from servofd.estimate.axis_windows import Inputs, Sliding, lags, sliding, spread_between
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from servofd.axes.motion import Motion
-    from servofd.types import BoolArray, FloatArray
+    from servofd.core.types import BoolArray, FloatArray
 
 _WINDOWS_S = (1.0, 2.0, 5.0, 10.0, 20.0, 30.0)
 _CORNERS_HZ = (0.4, 1.0, 2.5)

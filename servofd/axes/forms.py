@@ -20,7 +20,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from servofd.axes.motion import Motion
-    from servofd.types import FloatArray
+    from servofd.core.types import FloatArray
 
 _DAMPING = 0.8
 

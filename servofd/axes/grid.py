@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from servofd.errors import NoMeasurement
+from servofd.core.errors import NoMeasurement
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from logparsers.records import Channel, FlightLog
-    from servofd.types import BoolArray, FloatArray
+    from servofd.core.types import BoolArray, FloatArray
 
 LARGEST_GAP_S = 1.0
 """Channels of an autopilot come every 0.25 s at the slowest; nothing is guessed across more than four of them."""

@@ -8,22 +8,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.aircraft.axis_names import MOST_OF_THE_FLIGHT, SURFACE_AXES
 from servofd.axes.model import covered, distances, flown_of, inputs_of, shares_of, statistic, windows_of
-from servofd.axes.names import MOST_OF_THE_FLIGHT, SURFACE_AXES
-from servofd.axes.verdict import AxisAudit, AxisEvent, AxisStatus
-from servofd.axes.windows import Expected, lags, nothing_known, sliding
 from servofd.axes.words import reason_of
+from servofd.detection.axis_verdict import AxisAudit, AxisEvent, AxisStatus
+from servofd.estimate.axis_windows import Expected, lags, nothing_known, sliding
 from servofd.estimate.statistics import Z_95, Estimate
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from servofd.aircraft.axes import AxisModel, MotionModel
     from servofd.axes.motion import Motion
-    from servofd.axes.schema import AxisModel, MotionModel
-    from servofd.axes.windows import Inputs
+    from servofd.core.types import BoolArray, FloatArray
     from servofd.detection.bank.flight import Fault
     from servofd.detection.verdict import SurfaceAudit
-    from servofd.types import BoolArray, FloatArray
+    from servofd.estimate.axis_windows import Inputs
 
 _KNOWN_WITHIN = 0.3
 """Half width of the 95 % interval of lambda beyond which an axis is never called healthy."""

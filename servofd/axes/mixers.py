@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from servofd.feedback.outputs import named_outputs
+from servofd.aircraft.outputs import named_outputs
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from servofd.feedback.outputs import LoggedOutput
+    from servofd.aircraft.outputs import LoggedOutput
 
 _SHARES: Mapping[int, tuple[tuple[str, float], ...]] = {
     4: (("roll", 1.0),),
@@ -68,7 +68,7 @@ def airframe_of(outputs: Mapping[int, LoggedOutput]) -> Airframe:
 
     Examples
     --------
-    >>> from servofd.feedback.outputs import LoggedOutput
+    >>> from servofd.aircraft.outputs import LoggedOutput
     >>> wing = airframe_of({1: LoggedOutput(1, 77), 2: LoggedOutput(2, 78), 3: LoggedOutput(3, 70)})
     >>> wing.members["roll"], [share.weight for share in wing.commands["roll"]]
     (('elevon_left', 'elevon_right'), [-0.5, 0.5])

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.axes.forms import FORMS, Filtered, Regression
-from servofd.axes.windows import Inputs, Sliding, distance, expected, lags, sliding
+from servofd.estimate.axis_windows import Inputs, Sliding, distance, expected, lags, sliding
 
 if TYPE_CHECKING:
+    from servofd.aircraft.axes import AxisModel, Regime
     from servofd.axes.motion import Motion
-    from servofd.axes.schema import AxisModel, Regime
-    from servofd.types import BoolArray, FloatArray
+    from servofd.core.types import BoolArray, FloatArray
 
 _PERSISTENCE_S = 0.5
 """As long the statistic stays above its threshold before it is an alarm: a gust's edge does not."""

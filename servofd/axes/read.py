@@ -9,13 +9,13 @@ import numpy as np
 from servofd.axes.autopilot import motion_of_autopilot
 from servofd.axes.grid import Series, check_rate, day_of, present_on
 from servofd.axes.motion import Motion
-from servofd.errors import NoMeasurement
+from servofd.core.errors import NoMeasurement
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from logparsers.records import Channel, FlightLog
-    from servofd.types import FloatArray
+    from servofd.core.types import FloatArray
 
 
 def motion_of(log: FlightLog, rate_hz: float | None = None, parameters: Mapping[str, float] | None = None) -> Motion:

@@ -13,14 +13,14 @@ from logparsers.records import Channel, FlightLog
 from servofd.axes.judge import judge_motion
 from servofd.axes.read import motion_of
 from servofd.axes.words import named
+from servofd.core.errors import NoMeasurement
 from servofd.detection.events import Event
-from servofd.errors import NoMeasurement
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from servofd.axes.schema import MotionModel
-    from servofd.axes.verdict import AxisAudit, AxisEvent
+    from servofd.aircraft.axes import MotionModel
+    from servofd.detection.axis_verdict import AxisAudit, AxisEvent
 
 STREAMED = {
     "SERVO_OUTPUT_RAW": tuple(f"servo{number}_raw" for number in range(1, 17)),

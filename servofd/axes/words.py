@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from servofd.axes.names import MOST_OF_THE_FLIGHT
+from servofd.aircraft.axis_names import MOST_OF_THE_FLIGHT
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from servofd.axes.schema import AxisModel, MotionModel
-    from servofd.axes.verdict import AxisEvent, AxisStatus
+    from servofd.aircraft.axes import AxisModel, MotionModel
+    from servofd.detection.axis_verdict import AxisEvent, AxisStatus
     from servofd.estimate.statistics import Estimate
 
 _SURFACES = {"roll": "ailerons", "pitch": "elevator", "side": "rudder", "thrust": "engine"}

@@ -6,17 +6,17 @@ import os
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
-from servofd.aircraft import Aircraft
+from servofd.aircraft.schema import Aircraft
 from servofd.calibrating.result import Calibration
 from servofd.calibrating.surface import calibrate_surface, hardly_moved
+from servofd.core.errors import CalibrationError
+from servofd.core.evidence import ModelOrigin
 from servofd.detection.cleared import is_blind
-from servofd.errors import CalibrationError
-from servofd.evidence import ModelOrigin
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from servofd.aircraft import Surface
+    from servofd.aircraft.schema import Surface
     from servofd.calibrating.flights import Flight
     from servofd.calibrating.result import CalibratedSurface
 
@@ -47,9 +47,9 @@ def calibrate_aircraft(
     Examples
     --------
     >>> import numpy as np
-    >>> from servofd.aircraft import plain_aircraft
+    >>> from servofd.aircraft.schema import plain_aircraft
     >>> from servofd.calibrating.flights import Flight
-    >>> from servofd.segment import Segment
+    >>> from servofd.aircraft.segment import Segment
     >>> from servofd.simulation.flight import simulate_flight
     >>> flown = simulate_flight(plain_aircraft(["rudder"], "s9254"), duration_s=30.0, seed=1, noise_deg=0.05)
     >>> segment = Segment("rudder", flown.time_s, flown.command_deg[:, 0], flown.time_s, flown.measured_deg[:, 0])

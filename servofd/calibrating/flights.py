@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from servofd.segment import Segment
-    from servofd.types import FloatArray
+    from servofd.aircraft.segment import Segment
+    from servofd.core.types import FloatArray
 
 _SLOW_RAD_S = 12.6
 _PIECES = 8
@@ -37,7 +37,7 @@ def cropped(segment: Segment, spans: tuple[Span, ...]) -> Segment:
 
     Examples
     --------
-    >>> from servofd.segment import Segment
+    >>> from servofd.aircraft.segment import Segment
     >>> t = np.arange(5.0)
     >>> cropped(Segment("x", t, t, t, t), ((1.0, 3.0),)).measured_s
     array([1., 2., 3.])
@@ -57,7 +57,7 @@ def busiest(flight: Flight, most_samples: int) -> list[Flight]:
 
     Examples
     --------
-    >>> from servofd.segment import Segment
+    >>> from servofd.aircraft.segment import Segment
     >>> t = np.arange(100.0)
     >>> long = Flight("a", Segment("x", t, np.where(t > 50.0, 5.0, 0.0), t, t))
     >>> [piece.segment.measured_s.size for piece in busiest(long, 40)]

@@ -5,17 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from servofd.evidence import NOTHING_DETECTABLE, Detectable
+from servofd.core.evidence import NOTHING_DETECTABLE, Detectable
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from servofd.aircraft import Aircraft
-    from servofd.calibration import Calibration as Scale
-    from servofd.estimate.schema import CalibratedServo
+    from servofd.aircraft.calibrated import CalibratedServo
+    from servofd.aircraft.calibration import Calibration as Scale
+    from servofd.aircraft.schema import Aircraft
+    from servofd.core.tolerance import Tolerance
     from servofd.estimate.statistics import Estimate
-    from servofd.servos import Servo
-    from servofd.tolerance import Tolerance
+    from servofd.servo.library import Servo
 
 
 @dataclass(frozen=True, slots=True)

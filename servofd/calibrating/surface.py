@@ -7,30 +7,30 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from servofd.aircraft.calibrated import CalibratedNoise, CalibratedServo
+from servofd.aircraft.priors import NAMES, PRIORS
 from servofd.calibrating.flights import asked_deg
 from servofd.calibrating.result import CalibratedSurface, FlightRecord
+from servofd.core.errors import CalibrationError
+from servofd.core.tolerance import Tolerance
 from servofd.detection.bank.window import noise_deg
 from servofd.detection.calibrated import judged
 from servofd.detection.changes import STATISTICS
 from servofd.detection.watch import FLOORS, MARGIN, detectable, statistics_of, watched
-from servofd.errors import CalibrationError
 from servofd.estimate.family import PRESSURE_PA
 from servofd.estimate.fit import fit
-from servofd.estimate.priors import NAMES, PRIORS
 from servofd.estimate.record import Record, usual_supply_v
-from servofd.estimate.schema import CalibratedNoise, CalibratedServo
 from servofd.estimate.statistics import Estimate
-from servofd.models.context import AIR_KG_M3
-from servofd.servos import Servo
-from servofd.tolerance import Tolerance
+from servofd.servo.context import AIR_KG_M3
+from servofd.servo.library import Servo
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from servofd.aircraft import Aircraft
+    from servofd.aircraft.schema import Aircraft
     from servofd.calibrating.flights import Flight
+    from servofd.core.types import FloatArray
     from servofd.estimate.fit import Fit
-    from servofd.types import FloatArray
 
 _ENOUGH_MOTION_DEG: Final = 1.0
 _SHORTEST_S: Final = 2.5
@@ -94,7 +94,7 @@ def hardly_moved(flights: Sequence[Flight]) -> str:
     Examples
     --------
     >>> from servofd.calibrating.flights import Flight
-    >>> from servofd.segment import Segment
+    >>> from servofd.aircraft.segment import Segment
     >>> t = np.arange(2000) / 100.0
     >>> hardly_moved([Flight("a.csv", Segment("x", t, 0.0 * t, t, 0.0 * t))])
     'the command moves by 0 deg only; a calibration needs 1 deg or more'
@@ -398,7 +398,7 @@ def _shown(estimate: Estimate, *, least: bool) -> str:
 
 def _linear(theta: FloatArray, flights: Sequence[Flight]) -> Servo:
     """The servo without its effects."""
-    from servofd.models.transfer import TransferFunction
+    from servofd.servo.transfer import TransferFunction
 
     natural, damping = float(np.exp(theta[3])), float(np.exp(theta[4]))
     transfer = TransferFunction((natural**2,), (1.0, 2.0 * damping * natural, natural**2))

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from servofd.estimate.priors import PRIORS
-from servofd.toml_text import toml_key, toml_lines, toml_value
+from servofd.aircraft.priors import PRIORS
+from servofd.core.toml_text import toml_key, toml_lines, toml_value
 
 if TYPE_CHECKING:
     from servofd.calibrating.result import CalibratedSurface, Calibration
-    from servofd.servos import Servo
+    from servofd.servo.library import Servo
 
 
 def calibration_to_toml(calibration: Calibration) -> str:

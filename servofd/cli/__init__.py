@@ -135,7 +135,7 @@ def _main(arguments: Sequence[str] | None) -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Importing these takes a while; `servofd --help` does without.
     from logparsers import LogError
-    from servofd.errors import EXTRAS, ServofdError, without
+    from servofd.core.errors import EXTRAS, ServofdError, without
 
     try:
         with interruptible():
@@ -177,7 +177,7 @@ def parsed(words: Sequence[str]) -> argparse.Namespace:
     if verb and verb != words[0]:
         return parser.parse_args([verb, *words])
     if words and not verb and not words[0].startswith("-"):
-        from servofd.errors import suggest
+        from servofd.core.errors import suggest
 
         parser.error(f"{words[0]}: no such file, and {suggest('verb', words[0], names)}")
     options = parser.parse_args(words)

@@ -13,7 +13,7 @@ from servofd.cli.exit_codes import worst
 from servofd.cli.parser import LARGEST, SMALLEST, number
 
 if TYPE_CHECKING:
-    from servofd.aircraft import Aircraft
+    from servofd.aircraft.schema import Aircraft
     from servofd.detection.verdict import LogAudit
     from servofd.outputs.json_report import FailedLog
 
@@ -114,10 +114,10 @@ def _plot(results: list[LogAudit | FailedLog]) -> None:
 
 def check(options: argparse.Namespace) -> None:
     """Refuse what cannot be, before the work starts."""
-    from servofd.aircraft import UNKNOWN_SERVO
+    from servofd.aircraft.schema import UNKNOWN_SERVO
     from servofd.cli.targets import check_targets
-    from servofd.errors import ConfigError, needs
-    from servofd.servos import find_servo
+    from servofd.core.errors import ConfigError, needs
+    from servofd.servo.library import find_servo
 
     if options.threshold == "interval" and options.threshold_deg is not None:
         raise ConfigError("--threshold-deg gives a constant threshold; leave it out, or leave out --threshold interval")
@@ -134,7 +134,7 @@ def check(options: argparse.Namespace) -> None:
 def judged(options: argparse.Namespace) -> list[LogAudit | FailedLog]:
     """Every run of every log that was named."""
     from servofd.fleet.find import flights_joined
-    from servofd.job import known_aircraft, layout_of
+    from servofd.jobs.job import known_aircraft, layout_of
 
     aircraft = known_aircraft(options.config)
     logs = options.logs if layout_of(aircraft) else flights_joined(options.logs)
@@ -145,9 +145,9 @@ def _audit(path: str, aircraft: Aircraft | None, options: argparse.Namespace) ->
     """Audit one file; what cannot be read is reported and does not stop the others."""
     from logparsers import LogError
     from servofd.cli.tables import progress_bar
-    from servofd.errors import NoMeasurement, UnknownName
+    from servofd.core.errors import NoMeasurement, UnknownName
+    from servofd.jobs.workflow import audit
     from servofd.outputs.json_report import FailedLog
-    from servofd.workflow import audit
 
     total = len(aircraft.surfaces) if aircraft else None
     results: list[LogAudit | FailedLog] = []
@@ -197,7 +197,7 @@ def _exit_codes(results: list[LogAudit | FailedLog]) -> list[int]:
 def write(options: argparse.Namespace, results: list[LogAudit | FailedLog]) -> None:
     """Write the files that were asked for."""
     from servofd.cli.targets import give_json
-    from servofd.errors import ConfigError
+    from servofd.core.errors import ConfigError
     from servofd.outputs.files import write_whole
     from servofd.outputs.json_report import FailedLog, audit_document
 
@@ -221,7 +221,7 @@ def write(options: argparse.Namespace, results: list[LogAudit | FailedLog]) -> N
 
 def _write_folder(folder: Path, audits: list[LogAudit], document: dict[str, Any], *, where: bool, on_map: bool) -> None:
     from servofd.cli.targets import give_json
-    from servofd.errors import ConfigError, needs
+    from servofd.core.errors import ConfigError, needs
     from servofd.outputs.figure import save_figure
     from servofd.outputs.files import distinct_file_names, make_folder
     from servofd.outputs.recording import save_recording

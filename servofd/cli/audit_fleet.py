@@ -44,11 +44,11 @@ def run_fleet(options: argparse.Namespace) -> int:
     """Judge all logs, each printed as it is done; then the overview, and what was asked for."""
     from servofd.cli.tables import one_line
     from servofd.cli.targets import give_json
-    from servofd.errors import ConfigError
+    from servofd.core.errors import ConfigError
     from servofd.fleet.find import find_logs
     from servofd.fleet.key import Job
     from servofd.fleet.store import FleetStore
-    from servofd.job import known_aircraft, layout_of
+    from servofd.jobs.job import known_aircraft, layout_of
 
     if options.rrd:
         raise ConfigError(f"{options.rrd}: --rrd takes one log; judge the one you want to see by itself")

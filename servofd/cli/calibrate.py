@@ -11,7 +11,7 @@ from servofd.cli.parser import number
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from servofd.aircraft import Aircraft
+    from servofd.aircraft.schema import Aircraft
     from servofd.calibrating.result import CalibratedSurface, Calibration
 
 _MILLI = 1e3
@@ -83,13 +83,13 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Calibrate, write, then print."""
-    from servofd.aircraft import load_aircraft
+    from servofd.aircraft.schema import load_aircraft
     from servofd.calibrating.toml import calibration_to_toml
     from servofd.cli.calibrate_axes import has_feedback, run_axes
     from servofd.cli.tables import progress_bar
-    from servofd.errors import ConfigError
+    from servofd.core.errors import ConfigError
+    from servofd.jobs.workflow import calibrate
     from servofd.outputs.files import write_whole
-    from servofd.workflow import calibrate
 
     _check_output(options)
     if options.config is None:
@@ -124,8 +124,8 @@ def run(options: argparse.Namespace) -> int:
 
 def _drafted(logs: Sequence[str]) -> Aircraft:
     """The aircraft as the first log that tells of servos describes it."""
-    from servofd.errors import NoMeasurement
-    from servofd.job import aircraft_for, logs_of
+    from servofd.core.errors import NoMeasurement
+    from servofd.jobs.job import aircraft_for, logs_of
 
     reason = ""
     for log in logs_of(logs):
@@ -138,7 +138,7 @@ def _drafted(logs: Sequence[str]) -> Aircraft:
 
 def _check_output(options: argparse.Namespace) -> None:
     """Refuse to overwrite what the numbers come from."""
-    from servofd.errors import ConfigError
+    from servofd.core.errors import ConfigError
 
     target = Path(options.output).resolve()
     if not target.parent.is_dir():

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import argparse
 
-    from servofd.axes.schema import MotionModel
+    from servofd.aircraft.axes import MotionModel
 
 _PER_HOUR = 1.0
 _BY_DAYS = "1 day: 17, 2: 6, 3: 1.5 times as many as after four"
@@ -16,8 +16,8 @@ _BY_DAYS = "1 day: 17, 2: 6, 3: 1.5 times as many as after four"
 
 def has_feedback(paths: list[str]) -> bool:
     """Whether any of the logs tells where a surface was."""
-    from servofd.errors import NoMeasurement
-    from servofd.job import logs_of, surfaces_of
+    from servofd.core.errors import NoMeasurement
+    from servofd.jobs.job import logs_of, surfaces_of
 
     for log in logs_of(paths):
         try:
@@ -38,9 +38,9 @@ def run_axes(options: argparse.Namespace, text: str = "") -> int:
     text : str
         Aircraft file so far.
     """
-    from servofd.axes.schema import motion_to_toml
+    from servofd.aircraft.axes import motion_to_toml
+    from servofd.jobs.workflow import calibrate_axes
     from servofd.outputs.files import write_whole
-    from servofd.workflow import calibrate_axes
 
     spans = tuple(options.between)
     if options.until is not None:
@@ -54,7 +54,7 @@ def run_axes(options: argparse.Namespace, text: str = "") -> int:
 
 
 def _print(model: MotionModel, output: str) -> None:
-    from servofd.axes.names import SURFACE_AXES
+    from servofd.aircraft.axis_names import SURFACE_AXES
     from servofd.cli.tables import print_table
 
     rows = [

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from servofd.detection.pulse import PulseFilter
-    from servofd.servos import Servo
+    from servofd.servo.library import Servo
 
 
 def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
@@ -32,10 +32,10 @@ def run(options: argparse.Namespace) -> int:
     """Print the design."""
     import numpy as np
 
+    from servofd.core.errors import DesignError
     from servofd.detection.nullspace import design_nullspace_filter
     from servofd.detection.pulse import design_pulse_filter, fastest_pole_rad_s
-    from servofd.errors import DesignError
-    from servofd.servos import servo_named
+    from servofd.servo.library import servo_named
 
     servo = servo_named(options.servo)
     if not 1e-3 <= options.rate_hz <= 1e6:
@@ -86,7 +86,7 @@ def _plot(servo: Servo, sampled: PulseFilter, path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    from servofd.errors import ConfigError
+    from servofd.core.errors import ConfigError
     from servofd.outputs.files import whole_file
 
     if path.suffix.lower() not in (".png", ".svg", ".pdf"):

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from servofd.explaining import ExplainedLogs
+    from servofd.jobs.explaining import ExplainedLogs
 
 _STEPS = 30
 """Effects in the catalogue, for the progress bar."""
@@ -45,7 +45,7 @@ def run(options: argparse.Namespace) -> int:
     """Explain, write what was asked for, print."""
     from servofd.cli.tables import one_line, progress_bar
     from servofd.cli.targets import check_targets
-    from servofd.explaining import explain_logs
+    from servofd.jobs.explaining import explain_logs
 
     inputs = {
         "a log": [*options.logs, *options.also],
@@ -78,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
 def _write(options: argparse.Namespace, found: ExplainedLogs) -> None:
     """Results to the files that were asked for, and to stdout."""
     from servofd.cli.targets import give_json
-    from servofd.errors import ConfigError
+    from servofd.core.errors import ConfigError
 
     documents = {one.surface: one.document() for one in found.explanations}
     single = len(found.explanations) == 1 and not found.failures

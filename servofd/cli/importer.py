@@ -53,8 +53,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # Only now: these imports take a second, and the viewer asks for every picture that it opens.
     from logparsers import LogError
     from servofd.cli.tables import one_line
-    from servofd.errors import ServofdError
-    from servofd.workflow import audit
+    from servofd.core.errors import ServofdError
+    from servofd.jobs.workflow import audit
 
     try:
         found = next(audit(path))

@@ -7,7 +7,7 @@ import json
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from servofd.survey import Survey
+    from servofd.jobs.survey import Survey
 
 
 def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
@@ -28,7 +28,7 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Survey the log and print."""
-    from servofd.survey import survey
+    from servofd.jobs.survey import survey
 
     surveys = survey(options.log, options.config, every_channel=options.channels)
     if options.json:

@@ -7,7 +7,7 @@ import pydoc
 import sys
 from typing import Any
 
-from servofd.errors import UnknownName, suggest
+from servofd.core.errors import UnknownName, suggest
 
 
 def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from logparsers.records import FlightLog
-    from servofd.aircraft import Aircraft
+    from servofd.aircraft.schema import Aircraft
     from servofd.live.session import Session
     from servofd.live.speaker import Speaker
 
@@ -66,7 +66,7 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Watch until the end, then say what was found."""
-    from servofd.errors import ConfigError
+    from servofd.core.errors import ConfigError
 
     aircraft = _aircraft(options.config)
     is_log = Path(options.endpoint).is_file()
@@ -131,9 +131,9 @@ def _watch(options: argparse.Namespace, aircraft: Mapping[int, Aircraft]) -> Ses
 def _replay(options: argparse.Namespace, aircraft: Mapping[int, Aircraft]) -> Session:
     """Replay a log in the same view; nothing is sent but alerts, if they have an address."""
     from logparsers.codec import Codec
+    from servofd.aircraft.resolve import resolved
     from servofd.cli.monitor_outputs import Outputs
-    from servofd.feedback.resolve import resolved
-    from servofd.job import one_log
+    from servofd.jobs.job import one_log
     from servofd.live.run import Pace, replay_log, replay_telemetry
     from servofd.live.session import Session
     from servofd.live.speaker import Speaker
@@ -212,9 +212,9 @@ def _verdict(session: Session) -> int:
 
 
 def _aircraft(names: list[str]) -> dict[int, Aircraft]:
-    from servofd.aircraft import load_aircraft
-    from servofd.errors import ConfigError
-    from servofd.feedback.resolve import streamed
+    from servofd.aircraft.resolve import streamed
+    from servofd.aircraft.schema import load_aircraft
+    from servofd.core.errors import ConfigError
 
     known: dict[int, Aircraft] = {}
     for name in names:

@@ -9,14 +9,14 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from servofd.errors import ConfigError
+from servofd.core.errors import ConfigError
 from servofd.live.view import View, event_line
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterator, Mapping
 
-    from servofd.aircraft import Aircraft
+    from servofd.aircraft.schema import Aircraft
     from servofd.detection.events import Event, Inputs
     from servofd.detection.stream import Piece
     from servofd.live.session import Session

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 from servofd.cli.parser import LARGEST, SMALLEST, number
 
 if TYPE_CHECKING:
-    from servofd.aircraft import Aircraft
+    from servofd.aircraft.schema import Aircraft
     from servofd.detection.odds import SurfaceOdds, Wish
-    from servofd.odds import LeftOut, Part
+    from servofd.jobs.odds import LeftOut, Part
 
 _PLAIN_SURFACE = "surface"
 
@@ -58,8 +58,8 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
 def run(options: argparse.Namespace) -> int:
     """Work out the odds, write what was asked for, and print."""
     from servofd.cli.targets import give_json
+    from servofd.core.errors import ConfigError
     from servofd.detection.odds import Wish
-    from servofd.errors import ConfigError
     from servofd.outputs.odds_report import odds_document
 
     wish = Wish(options.false_alarms_per_hour, options.fault_deg)
@@ -76,9 +76,9 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _from_design(options: argparse.Namespace, wish: Wish) -> list[SurfaceOdds]:
-    from servofd.aircraft import UNKNOWN_SERVO, plain_aircraft
-    from servofd.errors import ConfigError
-    from servofd.odds import odds_from_design
+    from servofd.aircraft.schema import UNKNOWN_SERVO, plain_aircraft
+    from servofd.core.errors import ConfigError
+    from servofd.jobs.odds import odds_from_design
 
     aircraft = _aircraft(options)
     if aircraft is None:
@@ -101,9 +101,9 @@ def _from_logs(options: argparse.Namespace, wish: Wish) -> tuple[list[SurfaceOdd
     """Odds of the surfaces, surfaces without, and logs that could not be read."""
     from logparsers import LogError
     from servofd.cli.tables import progress_bar
-    from servofd.errors import NoMeasurement, UnknownName
-    from servofd.odds import LeftOut, odds_from_logs, parts_of
-    from servofd.workflow import audit
+    from servofd.core.errors import NoMeasurement, UnknownName
+    from servofd.jobs.odds import LeftOut, odds_from_logs, parts_of
+    from servofd.jobs.workflow import audit
 
     aircraft = _aircraft(options, with_servo=False)
     parts: list[Part | LeftOut] = []
@@ -122,8 +122,8 @@ def _from_logs(options: argparse.Namespace, wish: Wish) -> tuple[list[SurfaceOdd
 
 
 def _aircraft(options: argparse.Namespace, *, with_servo: bool = True) -> Aircraft | None:
-    from servofd.aircraft import UNKNOWN_SERVO, load_aircraft
-    from servofd.servos import servo_named
+    from servofd.aircraft.schema import UNKNOWN_SERVO, load_aircraft
+    from servofd.servo.library import servo_named
 
     aircraft = load_aircraft(options.config) if options.config else None
     if options.servo in (None, UNKNOWN_SERVO):
@@ -133,7 +133,7 @@ def _aircraft(options: argparse.Namespace, *, with_servo: bool = True) -> Aircra
 
 
 def _check_surfaces(options: argparse.Namespace, aircraft: Aircraft) -> None:
-    from servofd.errors import NoMeasurement
+    from servofd.core.errors import NoMeasurement
 
     aircraft.check_names(options.surface)
     if not options.surface and all(surface.measured is None for surface in aircraft.surfaces.values()):

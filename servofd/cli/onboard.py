@@ -54,8 +54,8 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _watching(options: argparse.Namespace) -> tuple[str, str]:
-    from servofd.aircraft import load_aircraft
-    from servofd.errors import ConfigError
+    from servofd.aircraft.schema import load_aircraft
+    from servofd.core.errors import ConfigError
     from servofd.onboard.plan import plan_onboard
     from servofd.onboard.script import watch_script
 
@@ -72,7 +72,7 @@ def _watching(options: argparse.Namespace) -> tuple[str, str]:
 
 
 def _streaming(options: argparse.Namespace) -> tuple[str, str]:
-    from servofd.aircraft import load_aircraft
+    from servofd.aircraft.schema import load_aircraft
     from servofd.onboard.plan import outputs_of
     from servofd.onboard.script import stream_script
 

@@ -12,7 +12,7 @@ from servofd.cli.exit_codes import worst
 
 if TYPE_CHECKING:
     from servofd.outputs.recording.content import Recording
-    from servofd.review import Change
+    from servofd.outputs.recording.review import Change
 
 
 def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
@@ -56,14 +56,14 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _errors() -> tuple[type[Exception], ...]:
-    from servofd.errors import RecordingError
+    from servofd.core.errors import RecordingError
 
     return (RecordingError,)
 
 
 def _paths(given: list[str]) -> list[Path]:
     """All recordings, those of folders in alphabetical order."""
-    from servofd.errors import RecordingError
+    from servofd.core.errors import RecordingError
 
     paths = []
     for name in given:
@@ -80,7 +80,7 @@ def _paths(given: list[str]) -> list[Path]:
 def _check(options: argparse.Namespace, paths: list[Path]) -> None:
     """Refuse what cannot be done, before anything is done."""
     from servofd.cli.targets import check_targets
-    from servofd.errors import ConfigError
+    from servofd.core.errors import ConfigError
 
     changes = options.between or options.repair or options.threshold_deg is not None or options.threshold
     if options.threshold == "interval" and options.threshold_deg is not None:
@@ -106,11 +106,11 @@ def _read(path: Path, options: argparse.Namespace) -> Recording:
         path = Path(options.output)
     recording = read_recording(path)
     if options.threshold_deg is not None or options.threshold or LIVE in recording.notes:
-        from servofd.review import rejudged
+        from servofd.outputs.recording.review import rejudged
 
         recording = rejudged(recording, threshold_deg=options.threshold_deg, threshold=options.threshold)
     if options.between:
-        from servofd.review import between
+        from servofd.outputs.recording.review import between
 
         recording = between(recording, *options.between)
     return recording
@@ -125,7 +125,7 @@ def _exit_code(recording: Recording) -> int:
 def _show(options: argparse.Namespace, found: list[tuple[Path, Recording]], failed: list[tuple[Path, str]]) -> None:
     from servofd.cli.tables import one_line
     from servofd.cli.targets import give_json
-    from servofd.review import contradictions
+    from servofd.outputs.recording.review import contradictions
 
     for path, recording in found:
         for sentence in contradictions(recording):
@@ -211,7 +211,7 @@ def _compare(options: argparse.Namespace, path: Path) -> int:
     from servofd.cli.tables import print_table
     from servofd.cli.targets import give_json
     from servofd.outputs.recording.read import read_recording
-    from servofd.review import compared
+    from servofd.outputs.recording.review import compared
 
     before, after = _read(path, options), read_recording(options.compare)
     changes = compared(before, after)

@@ -50,10 +50,10 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Serve until Ctrl-C."""
-    from servofd.aircraft import UNKNOWN_SERVO, load_aircraft
-    from servofd.errors import ConfigError, needs
+    from servofd.aircraft.schema import UNKNOWN_SERVO, load_aircraft
+    from servofd.core.errors import ConfigError, needs
     from servofd.fleet.key import Job
-    from servofd.servos import find_servo
+    from servofd.servo.library import find_servo
 
     needs("starlette", "uvicorn")
     from servofd.serve.app import application

@@ -8,8 +8,8 @@ import math
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from servofd.servos import Servo
-    from servofd.types import ComplexArray
+    from servofd.core.types import ComplexArray
+    from servofd.servo.library import Servo
 
 
 def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
@@ -28,7 +28,7 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
 def run(options: argparse.Namespace) -> int:
     """Print the table."""
     from servofd.cli.tables import print_table
-    from servofd.servos import library
+    from servofd.servo.library import library
 
     servos = library()
     if options.json:

@@ -19,7 +19,7 @@ def signature_of(name: str | None) -> Signature | None:
     None
     """
     from logparsers.codec import Signature, signing_key
-    from servofd.errors import ConfigError
+    from servofd.core.errors import ConfigError
 
     if name is None:
         return None

@@ -12,8 +12,8 @@ from servofd.cli import stream
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from servofd.models.effects import Effect
-    from servofd.models.failing import Fault
+    from servofd.servo.effects import Effect
+    from servofd.servo.failing import Fault
 
 OUTPUTS = ".csv (plain table), .mat (FASER), .bin (ArduPilot DataFlash), .tlog (MAVLink) or .ulg (PX4)"
 
@@ -103,9 +103,9 @@ def run(options: argparse.Namespace) -> int:
     """Simulate, and write or fly."""
     if options.airframe is not None or options.turbulence is not None or options.engine_cut is not None:
         return _run_airframe(options)
-    from servofd.aircraft import UNKNOWN_SERVO, load_aircraft, plain_aircraft
-    from servofd.errors import ConfigError
-    from servofd.servos import servo_named
+    from servofd.aircraft.schema import UNKNOWN_SERVO, load_aircraft, plain_aircraft
+    from servofd.core.errors import ConfigError
+    from servofd.servo.library import servo_named
     from servofd.simulation.flight import simulate_flight
     from servofd.simulation.pulses import outputs_of
     from servofd.simulation.writers import Writer, write_flight, writer_for
@@ -159,14 +159,14 @@ def run(options: argparse.Namespace) -> int:
 
 def _simulated_servo() -> str:
     """Servo of the aircraft that comes with servofd to be simulated."""
-    from servofd.aircraft import load_aircraft
+    from servofd.aircraft.schema import load_aircraft
 
     return next(iter(load_aircraft("simulated").surfaces.values())).servo
 
 
 def _run_airframe(options: argparse.Namespace) -> int:
     """An aeroplane that answers its surfaces, as the log of its autopilot."""
-    from servofd.errors import ConfigError
+    from servofd.core.errors import ConfigError
     from servofd.outputs.files import write_whole
     from servofd.simulation.airframe import AirframeFault, fly_airframe
     from servofd.simulation.airframe_log import airframe_log
@@ -206,8 +206,8 @@ def _run_airframe(options: argparse.Namespace) -> int:
 
 def _faults(texts: list[str], duration_s: float) -> dict[str, tuple[Fault, ...]]:
     """Faults of each surface, within the flight and one at a time."""
-    from servofd.errors import ConfigError
-    from servofd.models.failing import in_order
+    from servofd.core.errors import ConfigError
+    from servofd.servo.failing import in_order
 
     faults: dict[str, tuple[Fault, ...]] = {}
     for text in texts:
@@ -225,8 +225,8 @@ def _faults(texts: list[str], duration_s: float) -> dict[str, tuple[Fault, ...]]
 
 def _fault(text: str) -> tuple[str, Fault]:
     """Read ``surface:kind@start:key=value``."""
-    from servofd.errors import ConfigError, UnknownName, suggest
-    from servofd.models.faults import FAULTS
+    from servofd.core.errors import ConfigError, UnknownName, suggest
+    from servofd.servo.faults import FAULTS
 
     surface, _, rest = text.partition(":")
     what, *pairs = rest.split(":")
@@ -244,9 +244,9 @@ def _fault(text: str) -> tuple[str, Fault]:
 
 def _effect(text: str) -> tuple[str, Effect]:
     """Read ``surface:effect:key=value``."""
-    from servofd.errors import ConfigError, ServofdError
-    from servofd.models.effect_table import TabledEffect
-    from servofd.models.effects import Plan
+    from servofd.core.errors import ConfigError, ServofdError
+    from servofd.servo.effect_table import TabledEffect
+    from servofd.servo.effects import Plan
 
     where = f"--effect {text}"
     surface, _, rest = text.partition(":")
@@ -266,7 +266,7 @@ def _effect(text: str) -> tuple[str, Effect]:
 
 
 def _numbers(where: str, pairs: list[str]) -> dict[str, float]:
-    from servofd.errors import ConfigError
+    from servofd.core.errors import ConfigError
 
     values = {}
     for pair in pairs:
@@ -284,7 +284,7 @@ def _made(kind: Callable[..., _Made], values: dict[str, float], where: str) -> _
     """Instance of a small dataclass from its numbers."""
     import dataclasses
 
-    from servofd.errors import ConfigError
+    from servofd.core.errors import ConfigError
 
     fields = {f.name: f for f in dataclasses.fields(kind) if f.init}  # type: ignore[arg-type]
     required = {n for n, f in fields.items() if f.default is dataclasses.MISSING}

@@ -12,7 +12,7 @@ from servofd.cli.signing import signature_of
 if TYPE_CHECKING:
     import argparse
 
-    from servofd.aircraft import Aircraft
+    from servofd.aircraft.schema import Aircraft
     from servofd.simulation.flight import SimulatedFlight
     from servofd.simulation.vehicle.troubles import Trouble
 
@@ -61,7 +61,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def refuse_options(options: argparse.Namespace) -> None:
     """Options of a live link make no sense for a file."""
-    from servofd.errors import ConfigError
+    from servofd.core.errors import ConfigError
 
     for name in (
         "speed",
@@ -84,7 +84,7 @@ def stream(options: argparse.Namespace, flight: SimulatedFlight, aircraft: Aircr
     from logparsers.codec import Codec
     from logparsers.endpoint import parse_endpoint
     from logparsers.link import open_link
-    from servofd.errors import ConfigError
+    from servofd.core.errors import ConfigError
     from servofd.simulation.ardupilot import rate_hz
     from servofd.simulation.vehicle.fly import fly, legs
     from servofd.simulation.vehicle.troubles import Air
@@ -115,7 +115,7 @@ def stream(options: argparse.Namespace, flight: SimulatedFlight, aircraft: Aircr
 
 def _trouble(text: str) -> Trouble:
     """Read ``kind@start:key=value``."""
-    from servofd.errors import ConfigError, UnknownName, suggest
+    from servofd.core.errors import ConfigError, UnknownName, suggest
     from servofd.simulation.vehicle.troubles import TROUBLES
 
     what, *pairs = text.split(":")
@@ -134,7 +134,7 @@ def _trouble(text: str) -> Trouble:
 
 def _shifted(flight: SimulatedFlight, clock_s: float | None) -> SimulatedFlight:
     """The same flight of an autopilot that was booted earlier."""
-    from servofd.errors import ConfigError
+    from servofd.core.errors import ConfigError
 
     if clock_s is None:
         return flight

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
     from logparsers.records import FlightLog
     from servofd.estimate.statistics import Estimate
-    from servofd.sweep import SurfaceSweep, SweepNumbers
+    from servofd.jobs.sweep import SurfaceSweep, SweepNumbers
 
 
 def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
@@ -32,8 +32,8 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
 def run(options: argparse.Namespace) -> int:
     """Check, then write or print."""
     from servofd.cli.targets import give_json
-    from servofd.job import flown_aircraft, known_aircraft, one_log
-    from servofd.sweep import check_sweep
+    from servofd.jobs.job import flown_aircraft, known_aircraft, one_log
+    from servofd.jobs.sweep import check_sweep
 
     known = known_aircraft(options.config)
     sweeps = []
@@ -84,8 +84,8 @@ def sweep_document(log: FlightLog, surfaces: Sequence[SurfaceSweep]) -> dict[str
     Examples
     --------
     >>> import logparsers
-    >>> from servofd.aircraft import load_aircraft
-    >>> from servofd.sweep import check_sweep
+    >>> from servofd.aircraft.schema import load_aircraft
+    >>> from servofd.jobs.sweep import check_sweep
     >>> log = logparsers.read("sample_logs/faser_healthy_chirp.mat")
     >>> document = sweep_document(log, check_sweep(log, load_aircraft("faser"), ("aileron_right",)))
     >>> document["schema"], document["surfaces"]["aileron_right"]["status"]

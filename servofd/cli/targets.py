@@ -47,9 +47,9 @@ def check_targets(
     >>> check_targets(["-", None], {"a log": ["flight.csv"]})
     >>> check_targets(["flight.csv"], {"a log": ["flight.csv"]})
     Traceback (most recent call last):
-    servofd.errors.ConfigError: flight.csv: is a log already; choose another file for this output
+    servofd.core.errors.ConfigError: flight.csv: is a log already; choose another file for this output
     """
-    from servofd.errors import ConfigError
+    from servofd.core.errors import ConfigError
 
     taken = {Path(name).resolve(): what for what, names in inputs.items() for name in names if name}
     for name in outputs:

@@ -56,8 +56,8 @@ def run(options: argparse.Namespace) -> int:
 def _audit(options: argparse.Namespace, target: Path) -> None:
     """Write the recording of the first run of a log, and print its verdicts."""
     from servofd.cli.tables import print_verdicts, progress_bar
+    from servofd.jobs.workflow import audit
     from servofd.outputs.recording import save_recording
-    from servofd.workflow import audit
 
     with progress_bar(Path(options.file).name, 1) as step:
         found = next(audit(options.file, options.config, servo=options.servo, progress=step))

@@ -10,9 +10,9 @@ import numpy as np
 from servofd.detection.latch import latch, new_latch_memory
 
 if TYPE_CHECKING:
+    from servofd.core.types import BoolArray, FloatArray, IntArray
     from servofd.detection.residual import Residuals
     from servofd.detection.threshold import Threshold
-    from servofd.types import BoolArray, FloatArray, IntArray
 
 Level = Literal["suspect", "fault"]
 

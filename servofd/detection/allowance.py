@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from servofd.aircraft import DEFAULT_SIGMAS
-from servofd.models.state import compiled, inlined
-from servofd.types import BoolArray, ComplexArray, FloatArray
+from servofd.aircraft.schema import DEFAULT_SIGMAS
+from servofd.core.types import BoolArray, ComplexArray, FloatArray
+from servofd.servo.state import compiled, inlined
 
 _PEAK_HOLD_S = 0.15
 """Time constant with which the peaks fade: about as long as the filter remembers."""

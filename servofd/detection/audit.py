@@ -11,6 +11,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.aircraft.segment import (
+    SLOWEST_LEFT_HZ,
+    SLOWEST_RATE_HZ,
+    TOO_MANY_LOST,
+    WARM_UP_STEPS,
+    Segment,
+    cut,
+    sent_period_s,
+    too_far,
+)
+from servofd.core.errors import DesignError, NoMeasurement
+from servofd.core.evidence import NOTHING_DETECTABLE
 from servofd.detection.calibrated import audit_calibrated
 from servofd.detection.cleared import not_judgeable, why_not_cleared
 from servofd.detection.contradiction import unanswered
@@ -24,28 +36,16 @@ from servofd.detection.residual import ResidualGenerator, Residuals
 from servofd.detection.statistics import Statistics, outline
 from servofd.detection.verdict import LogAudit, Status, SurfaceAudit
 from servofd.detection.words import describe
-from servofd.errors import DesignError, NoMeasurement
-from servofd.evidence import NOTHING_DETECTABLE
-from servofd.segment import (
-    SLOWEST_LEFT_HZ,
-    SLOWEST_RATE_HZ,
-    TOO_MANY_LOST,
-    WARM_UP_STEPS,
-    Segment,
-    cut,
-    sent_period_s,
-    too_far,
-)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from logparsers.records import FlightLog
-    from servofd.aircraft import Aircraft, Surface
+    from servofd.aircraft.schema import Aircraft, Surface
+    from servofd.core.evidence import Detectable
     from servofd.detection.bank.flight import Fault
     from servofd.detection.threshold import Threshold, ThresholdKind
-    from servofd.evidence import Detectable
-    from servofd.models.servo_model import ServoModel
+    from servofd.servo.servo_model import ServoModel
 
 _SECONDS_FOR_ODDS = 10.0
 _SHORTEST_JUDGED_S = 0.25
@@ -95,7 +95,7 @@ def audit_log(
     Examples
     --------
     >>> import logparsers
-    >>> from servofd.aircraft import load_aircraft
+    >>> from servofd.aircraft.schema import load_aircraft
     >>> log = logparsers.read("sample_logs/faser_stuck_flight.mat")
     >>> audit_log(log, load_aircraft("faser"), surfaces=("elevator",)).surfaces[0].status
     'fault'
@@ -155,7 +155,7 @@ def audit_segment(
     Examples
     --------
     >>> import logparsers
-    >>> from servofd.aircraft import load_aircraft
+    >>> from servofd.aircraft.schema import load_aircraft
     >>> log, faser = logparsers.read("sample_logs/faser_stuck_flight.mat"), load_aircraft("faser")
     >>> segment = cut(log, "elevator", faser.surfaces["elevator"])
     >>> audit_segment(segment, faser, duration_s=log.duration_s, threshold_deg=1.0).status

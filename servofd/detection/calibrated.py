@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from servofd.aircraft.segment import Segment
 from servofd.detection.changes import STATISTICS, Memory, follow
 from servofd.detection.cleared import not_judgeable, why_not_cleared
 from servofd.detection.probability.cusum import CusumDesign
@@ -21,19 +22,18 @@ from servofd.detection.threshold import Threshold
 from servofd.detection.watch import detectable, thresholds_of, watched
 from servofd.detection.words import describe
 from servofd.estimate.record import Record
-from servofd.segment import Segment
 
 if TYPE_CHECKING:
     from functools import partial
 
-    from servofd.aircraft import Surface
+    from servofd.aircraft.calibrated import CalibratedServo
+    from servofd.aircraft.schema import Surface
+    from servofd.core.evidence import Detectable
+    from servofd.core.types import FloatArray
     from servofd.detection.bank.flight import Fault
     from servofd.detection.residual import Commands
     from servofd.detection.verdict import Status, SurfaceAudit
     from servofd.detection.watch import Watched
-    from servofd.estimate.schema import CalibratedServo
-    from servofd.evidence import Detectable
-    from servofd.types import FloatArray
 
 _MOST_FAULTS: Final = 20
 _AGAIN_S: Final = 1.0

@@ -22,13 +22,13 @@ from servofd.estimate.family import new_state, sensitivities, simulated, variant
 from servofd.estimate.fit import peaks, residual
 from servofd.estimate.lost import HOLDS, LONGEST_S, new_memory, put_back, unknown_deg
 from servofd.estimate.record import gap_s, loads, powers, starts
-from servofd.models.context import NO_CONTEXT
+from servofd.servo.context import NO_CONTEXT
 
 if TYPE_CHECKING:
-    from servofd.aircraft import Surface
-    from servofd.estimate.schema import CalibratedServo
-    from servofd.models.context import Context
-    from servofd.types import BoolArray, FloatArray
+    from servofd.aircraft.calibrated import CalibratedServo
+    from servofd.aircraft.schema import Surface
+    from servofd.core.types import BoolArray, FloatArray
+    from servofd.servo.context import Context
 
 _BACK_S: Final = 3.0
 _FINE_S: Final = 0.01

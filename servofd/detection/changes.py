@@ -22,12 +22,12 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from logparsers.compiled import compiled
+from servofd.aircraft.priors import FITTED, PRIORS
 from servofd.estimate.family import PATTERNS
-from servofd.estimate.priors import FITTED, PRIORS
 
 if TYPE_CHECKING:
-    from servofd.estimate.noise import Noise
-    from servofd.types import FloatArray
+    from servofd.aircraft.noise import Noise
+    from servofd.core.types import FloatArray
 
 GRID_S: Final = 0.25
 WINDOWS_S: Final = (2.0, 5.0, 10.0, 30.0, 60.0)

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from servofd.core.evidence import Detectable
     from servofd.detection.residual import Residuals
-    from servofd.evidence import Detectable
 
 MOST_LOST = 0.34
 """A surface that could have lost more than a third of its travel unseen is not called healthy."""
@@ -43,7 +43,7 @@ def is_blind(shown: Detectable) -> bool:
 
     Examples
     --------
-    >>> from servofd.evidence import Detectable
+    >>> from servofd.core.evidence import Detectable
     >>> is_blind(Detectable(loss_share=0.6)), is_blind(Detectable(loss_share=0.6, slow_share=0.4))
     (True, False)
     """
@@ -57,7 +57,7 @@ def not_judgeable(shown: Detectable) -> str:
 
     Examples
     --------
-    >>> from servofd.evidence import Detectable
+    >>> from servofd.core.evidence import Detectable
     >>> not_judgeable(Detectable(bias_deg=0.5, loss_share=0.1, deadband_deg=1.0, oscillation_deg=0.5))
     'speed not judgeable: no brisk motion'
     """

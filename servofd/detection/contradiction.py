@@ -17,13 +17,13 @@ from servofd.detection.bank.flight import Fault
 from servofd.detection.bank.window import noise_deg
 from servofd.detection.resolution import step_deg
 from servofd.estimate.statistics import Estimate
-from servofd.models.state import compiled
+from servofd.servo.state import compiled
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from servofd.core.types import BoolArray, FloatArray, IntArray
     from servofd.detection.residual import ResidualGenerator, Residuals
-    from servofd.types import BoolArray, FloatArray, IntArray
 
 _WIDTH_DEG, _WIDTH_SIGMAS, _WIDTH_STEPS, _WIDEST_DEG = 0.4, 6.0, 2.0, 2.0
 """A surface at rest reads within so much: play that the air takes up, noise, steps of the reading."""
@@ -110,9 +110,9 @@ def contradictions(
     Examples
     --------
     >>> from servofd.detection.residual import ResidualGenerator
-    >>> from servofd.models.servo_model import ServoModel
-    >>> from servofd.segment import Segment
-    >>> from servofd.servos import servo_named
+    >>> from servofd.servo.servo_model import ServoModel
+    >>> from servofd.aircraft.segment import Segment
+    >>> from servofd.servo.library import servo_named
     >>> model, time_s = ServoModel.of(servo_named("hs225bb-eq31")), np.arange(0.0, 40.0, 0.02)
     >>> command_deg = 10.0 * np.sin(2.0 * time_s)
     >>> jammed_deg = np.where(time_s < 20.0, model.simulate(time_s, command_deg, time_s), 3.0)

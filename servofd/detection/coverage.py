@@ -9,9 +9,9 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from servofd.aircraft.segment import Segment
+    from servofd.core.types import BoolArray, FloatArray
     from servofd.detection.residual import Residuals
-    from servofd.segment import Segment
-    from servofd.types import BoolArray, FloatArray
 
 _BIN_S = 1.0
 _MOVES_DEG = 0.5
@@ -55,9 +55,9 @@ def coverage(segment: Segment, residuals: Residuals) -> Coverage:
     Examples
     --------
     >>> from servofd.detection.residual import ResidualGenerator
-    >>> from servofd.models.servo_model import ServoModel
-    >>> from servofd.segment import Segment
-    >>> from servofd.servos import servo_named
+    >>> from servofd.servo.servo_model import ServoModel
+    >>> from servofd.aircraft.segment import Segment
+    >>> from servofd.servo.library import servo_named
     >>> time_s = np.arange(0.0, 40.0, 0.02)
     >>> motion = 5.0 * np.sin(time_s)
     >>> segment = Segment("x", time_s[:400], motion[:400], time_s, motion)

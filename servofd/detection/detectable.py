@@ -14,19 +14,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from servofd.core.evidence import NOTHING_DETECTABLE, Detectable
 from servofd.detection.threshold import suspicion
-from servofd.evidence import NOTHING_DETECTABLE, Detectable
-from servofd.models.play import play
-from servofd.models.state import compiled
+from servofd.servo.play import play
+from servofd.servo.state import compiled
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
 
+    from servofd.core.types import BoolArray, FloatArray
     from servofd.detection.residual import ResidualGenerator, Residuals
     from servofd.detection.threshold import Threshold
-    from servofd.types import BoolArray, FloatArray
 
 _POWER = 95.0
 _LATEST_ONSET = 0.5
@@ -77,10 +77,10 @@ def detectable(
     --------
     >>> from servofd.detection.residual import ResidualGenerator
     >>> from servofd.detection.threshold import constant_threshold, interval_threshold
-    >>> from servofd.models.servo_model import ServoModel
-    >>> from servofd.segment import Segment
-    >>> from servofd.servos import servo_named
-    >>> from servofd.tolerance import Tolerance
+    >>> from servofd.servo.servo_model import ServoModel
+    >>> from servofd.aircraft.segment import Segment
+    >>> from servofd.servo.library import servo_named
+    >>> from servofd.core.tolerance import Tolerance
     >>> model, time_s = ServoModel.of(servo_named("hs225bb-eq31")), np.arange(0.0, 40.0, 0.02)
     >>> command_deg = 10.0 * np.sin(time_s)
     >>> segment = Segment("x", time_s, command_deg, time_s, model.simulate(time_s, command_deg, time_s))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 if TYPE_CHECKING:
-    from servofd.types import FloatArray
+    from servofd.core.types import FloatArray
 
 PERSISTENCE = 3
 """Judged samples in a row that make an alarm of a servo fitted to its log: a reading may be as old as the interval

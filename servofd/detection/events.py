@@ -11,12 +11,12 @@ from servofd.detection.judge import judge_evaluated
 from servofd.detection.plausible import wiring_problem
 
 if TYPE_CHECKING:
-    from servofd.aircraft import Surface
+    from servofd.aircraft.schema import Surface
+    from servofd.core.types import BoolArray, FloatArray
     from servofd.detection.bank.flight import Fault
     from servofd.detection.residual import Commands, ResidualGenerator, Residuals
     from servofd.detection.threshold import Threshold
-    from servofd.models.context import Context
-    from servofd.types import BoolArray, FloatArray
+    from servofd.servo.context import Context
 
 EventKind = Literal["alarm", "clear", "named", "no_data", "link_lost", "link_restored"]
 

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servofd.detection.running import RunningMedian, new_running_median, with_value
-from servofd.models.state import compiled
+from servofd.servo.state import compiled
 
 if TYPE_CHECKING:
-    from servofd.types import BoolArray, FloatArray
+    from servofd.core.types import BoolArray, FloatArray
 
 _AWAY_SIGMAS, _AGREEMENT_SIGMAS = 10.0, 8.0
 _MOST_GLITCHES, _FEW_GLITCHES = 0.02, 2

@@ -10,9 +10,9 @@ from servofd.detection.residual import Commands, Residuals
 from servofd.detection.threshold import Threshold
 
 if TYPE_CHECKING:
+    from servofd.core.types import BoolArray, FloatArray
     from servofd.detection.probability import CusumDesign
     from servofd.detection.threshold import ThresholdKind
-    from servofd.types import BoolArray, FloatArray
 
 _DROPPED = 4
 """One part in so many is dropped when the room is full."""

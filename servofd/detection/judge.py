@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from servofd.core.frozen import held_rows
 from servofd.detection.alarm import find_episodes
 from servofd.detection.bank.confirm import confirmed, joined
 from servofd.detection.bank.flight import Fault, Flight
@@ -15,14 +16,13 @@ from servofd.detection.bank.window import noise_deg
 from servofd.detection.contradiction import contradictions
 from servofd.detection.residual import commands_at_servo
 from servofd.detection.threshold import Threshold, constant_threshold, interval_threshold, suspicion
-from servofd.frozen import held_rows
 
 if TYPE_CHECKING:
-    from servofd.aircraft import Surface
+    from servofd.aircraft.schema import Surface
+    from servofd.aircraft.segment import Segment
+    from servofd.core.types import BoolArray
     from servofd.detection.alarm import Episode
     from servofd.detection.residual import Commands, ResidualGenerator, Residuals
-    from servofd.segment import Segment
-    from servofd.types import BoolArray
 
 _MOST_EPISODES = 50
 """Of one surface that are named, which takes some 50 ms each: a threshold within the noise is crossed thousands of

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from servofd.models.state import SAME_STEP_S, compiled, fixed
-from servofd.types import ComplexArray, FloatArray
+from servofd.core.types import ComplexArray, FloatArray
+from servofd.servo.state import SAME_STEP_S, compiled, fixed
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servofd.detection.running import RunningMedian, new_running_median, with_value
-from servofd.models.state import compiled
+from servofd.servo.state import compiled
 
 if TYPE_CHECKING:
-    from servofd.types import BoolArray, FloatArray
+    from servofd.core.types import BoolArray, FloatArray
 
 _QUIET_SHARE = 0.5
 _TRAVEL_TO_CLEAR = 20.0

@@ -13,14 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.detection.bank.confirm import SURE
-from servofd.detection.calibrated_stream import CalibratedStream
-from servofd.detection.events import Alarm, Event, Inputs, Look, Reading
-from servofd.detection.residual import ResidualGenerator, rhythm, thinned_rhythm
-from servofd.detection.stream import Stream
-from servofd.errors import DesignError
-from servofd.models.context import NO_CONTEXT, Context
-from servofd.segment import (
+from servofd.aircraft.segment import (
     SLOWEST_LEFT_HZ,
     SLOWEST_RATE_HZ,
     TOO_MANY_LOST,
@@ -29,16 +22,23 @@ from servofd.segment import (
     pace_steps,
     sent_period_s,
 )
+from servofd.core.errors import DesignError
+from servofd.detection.bank.confirm import SURE
+from servofd.detection.calibrated_stream import CalibratedStream
+from servofd.detection.events import Alarm, Event, Inputs, Look, Reading
+from servofd.detection.residual import ResidualGenerator, rhythm, thinned_rhythm
+from servofd.detection.stream import Stream
+from servofd.servo.context import NO_CONTEXT, Context
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from servofd.aircraft import Surface
+    from servofd.aircraft.schema import Surface
+    from servofd.core.types import BoolArray, FloatArray
     from servofd.detection.bank.flight import Fault
     from servofd.detection.events import EventKind
     from servofd.detection.stream import Piece
-    from servofd.models.servo_model import ServoModel
-    from servofd.types import BoolArray, FloatArray
+    from servofd.servo.servo_model import ServoModel
 
 _SAMPLES_PER_PERIOD = 4.0
 """Of the servo's bandwidth; twice what the sampling theorem asks for."""
@@ -164,7 +164,7 @@ class SurfaceMonitor:
 
     Examples
     --------
-    >>> from servofd.aircraft import plain_aircraft
+    >>> from servofd.aircraft.schema import plain_aircraft
     >>> aircraft = plain_aircraft(["rudder"], "hs225bb-eq31")
     >>> model = aircraft.model("rudder")
     >>> monitor = SurfaceMonitor("rudder", aircraft.surfaces["rudder"], model)
@@ -296,7 +296,7 @@ class SurfaceMonitor:
 
     @property
     def needs(self) -> frozenset[str]:
-        """What acts on its servo beside the command, by the names of `servofd.segment.SURROUNDINGS`."""
+        """What acts on its servo beside the command, by the names of `servofd.aircraft.segment.SURROUNDINGS`."""
         known = self.surface.calibrated
         if known is None or not self.surface.is_calibrated:
             return self.model.needs

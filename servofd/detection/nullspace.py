@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from servofd.errors import DesignError
-from servofd.models.transfer import TransferFunction
+from servofd.core.errors import DesignError
+from servofd.servo.transfer import TransferFunction
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from servofd.types import ComplexArray, FloatArray
+    from servofd.core.types import ComplexArray, FloatArray
 
 _SAME_ROOT = 1e-6
 _ON_AXIS = 1e-9

@@ -19,9 +19,9 @@ from servofd.detection.probability import (
 )
 
 if TYPE_CHECKING:
+    from servofd.core.types import FloatArray
     from servofd.detection.probability import Quoted, TailFit
     from servofd.detection.pulse import PulseFilter
-    from servofd.types import FloatArray
 
 IN_A_ROW = (2, 3, 5)
 """Persistences that are shown beside the single sample."""
@@ -120,7 +120,7 @@ def surface_odds(
     Examples
     --------
     >>> from servofd.detection.pulse import design_pulse_filter
-    >>> from servofd.servos import servo_named
+    >>> from servofd.servo.library import servo_named
     >>> design = design_pulse_filter(servo_named("hs225bb-eq31").transfer, 0.004, 0.01, 50.0)
     >>> odds = surface_odds("elevator", "hs225bb-eq31", design, Noise.designed(design, 0.1), 1.5, Wish(1e-6))
     >>> round(odds.gaussian_threshold_deg, 3)

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from servofd.core.types import IntArray
     from servofd.detection.residual import Residuals
-    from servofd.types import IntArray
 
 _FIT = 0.9
 """Share of the position's variance that a line through the healthy deflection has to explain."""
@@ -30,9 +30,9 @@ def wiring_problem(residuals: Residuals) -> str:
     --------
     >>> import numpy as np
     >>> from servofd.detection.residual import ResidualGenerator
-    >>> from servofd.models.servo_model import ServoModel
-    >>> from servofd.segment import Segment
-    >>> from servofd.servos import servo_named
+    >>> from servofd.servo.servo_model import ServoModel
+    >>> from servofd.aircraft.segment import Segment
+    >>> from servofd.servo.library import servo_named
     >>> model = ServoModel.of(servo_named("hs225bb-eq31"))
     >>> time_s = np.arange(0.0, 9.0, 0.01)
     >>> command_deg = 5.0 * np.sin(5.0 * time_s)

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from servofd.aircraft.segment import pace_steps
 from servofd.detection.glitches import glitches
-from servofd.segment import pace_steps
 
 if TYPE_CHECKING:
+    from servofd.aircraft.segment import Segment
     from servofd.detection.residual import ResidualGenerator, Residuals
-    from servofd.segment import Segment
 
 _THIN_PERIOD_S = 0.039
 """Logs at up to 25 Hz may hold fewer commands than the servo received; autopilots command at 50 Hz and more."""

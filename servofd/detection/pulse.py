@@ -17,14 +17,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.core.errors import DesignError
 from servofd.detection.nullspace import checked_pole_rad_s, common_denominator
-from servofd.errors import DesignError
-from servofd.models.transfer import TransferFunction
+from servofd.servo.transfer import TransferFunction
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servofd.types import ComplexArray, FloatArray
+    from servofd.core.types import ComplexArray, FloatArray
 
 PREFERRED_POLES_RAD_S = (120.0, 80.0, 50.0, 30.0, 20.0, 15.0, 10.0, 5.0)
 """Poles to choose from, fastest first; 50 rad/s is that of thesis Eq. 4.10."""
@@ -125,7 +125,7 @@ def pulse_polynomials(
 
     Examples
     --------
-    >>> from servofd.models.transfer import TransferFunction
+    >>> from servofd.servo.transfer import TransferFunction
     >>> b, a = pulse_polynomials(TransferFunction((1.0,), (1.0, 1.0)), 0.0, np.log(2.0))
     >>> b.round(6).tolist(), a.round(6).tolist()
     ([0.0, 0.5, 0.0], [1.0, -0.5])
@@ -174,7 +174,7 @@ def design_pulse_filter(
 
     Examples
     --------
-    >>> from servofd.servos import servo_named
+    >>> from servofd.servo.library import servo_named
     >>> servo = servo_named("hs225bb-eq31").printed
     >>> round(design_pulse_filter(servo, 0.004, 0.01, 50.0).noise_gain, 3)
     0.418
@@ -203,7 +203,7 @@ def fastest_pole_rad_s(transfer: TransferFunction, sample_time_s: float) -> floa
 
     Examples
     --------
-    >>> from servofd.servos import servo_named
+    >>> from servofd.servo.library import servo_named
     >>> [fastest_pole_rad_s(servo_named(name).transfer, 0.01) for name in ("hs225bb-eq31", "s3151")]
     [50.0, 30.0]
     """

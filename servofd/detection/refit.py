@@ -14,17 +14,17 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from servofd.aircraft.priors import FITTED, NAMES
 from servofd.detection.bank.flight import Fault
 from servofd.estimate.family import new_state, sensitivities, simulated, variants
 from servofd.estimate.fit import residual
-from servofd.estimate.priors import FITTED, NAMES
 from servofd.estimate.statistics import Estimate
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from servofd.core.types import BoolArray, FloatArray
     from servofd.detection.watch import Watched
-    from servofd.types import BoolArray, FloatArray
 
 _WINDOW_S: Final = 20.0
 _SETTLING_S: Final = 0.5

@@ -19,17 +19,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logparsers.records import own
+from servofd.aircraft.segment import pace_steps
+from servofd.core.errors import DesignError
 from servofd.detection.pulse import fastest_pole_rad_s
-from servofd.errors import DesignError
-from servofd.models.context import NO_CONTEXT, Context
-from servofd.segment import pace_steps
+from servofd.servo.context import NO_CONTEXT, Context
 
 if TYPE_CHECKING:
+    from servofd.aircraft.segment import Segment
+    from servofd.core.types import BoolArray, FloatArray, IntArray
     from servofd.detection.lags import FilterParameters
-    from servofd.models.motion import AnyServo, ExtendedMotion, PlainMotion
-    from servofd.models.servo_model import ServoModel
-    from servofd.segment import Segment
-    from servofd.types import BoolArray, FloatArray, IntArray
+    from servofd.servo.motion import AnyServo, ExtendedMotion, PlainMotion
+    from servofd.servo.servo_model import ServoModel
 
 _GAP_TIME_CONSTANTS = 5.0
 _GAP_PERIODS = 3.0
@@ -107,9 +107,9 @@ class ResidualGenerator:
     --------
     A healthy servo has no residual, however irregular the samples:
 
-    >>> from servofd.models.servo_model import ServoModel
-    >>> from servofd.segment import Segment
-    >>> from servofd.servos import servo_named
+    >>> from servofd.servo.servo_model import ServoModel
+    >>> from servofd.aircraft.segment import Segment
+    >>> from servofd.servo.library import servo_named
     >>> model = ServoModel.of(servo_named("hs225bb-eq31"))
     >>> time_s = np.cumsum(np.random.default_rng(1).uniform(0.005, 0.015, 1000))
     >>> command_deg = 10.0 * np.sin(time_s)
@@ -239,7 +239,7 @@ def followed(
     restart : ndarray, shape (n,)
         2 where the servo has to start anew, as `servofd.detection.starts` marks it.
     """
-    from servofd.models.motion import on_its_way
+    from servofd.servo.motion import on_its_way
 
     return go_on(on_its_way(servo), commands, np.zeros(1, dtype=np.int64), at_s, measured_deg, restart)
 
@@ -281,7 +281,7 @@ def commands_at_servo(segment: Segment, delay_s: float, longest_gap_s: float) ->
     --------
     One lost sample at 0.02 s:
 
-    >>> from servofd.segment import Segment
+    >>> from servofd.aircraft.segment import Segment
     >>> time_s = np.array([0.0, 0.01, 0.03, 0.04])
     >>> commands_at_servo(Segment("x", time_s, time_s * 100.0, time_s, time_s), 0.0, 0.1).command_deg
     array([0., 1., 2., 3., 4.])

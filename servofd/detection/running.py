@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from servofd.models.state import compiled
+from servofd.servo.state import compiled
 
 _PER_OCTAVE, _LOWEST_OCTAVE, _BINS = 16, -20, 640
 """From 1e-6 to 1e6, within 2.2 %."""

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 from servofd.detection.residual import Commands, ResidualGenerator, commands_at_servo, followed, rhythm
 
 if TYPE_CHECKING:
+    from servofd.aircraft.segment import Segment
+    from servofd.core.types import FloatArray
     from servofd.detection.starts import Starts
-    from servofd.models.servo_model import ServoModel
-    from servofd.segment import Segment
-    from servofd.types import FloatArray
+    from servofd.servo.servo_model import ServoModel
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,9 +21,9 @@ class Simulator:
     Examples
     --------
     >>> import numpy as np
-    >>> from servofd.models.servo_model import ServoModel
-    >>> from servofd.segment import Segment
-    >>> from servofd.servos import servo_named
+    >>> from servofd.servo.servo_model import ServoModel
+    >>> from servofd.aircraft.segment import Segment
+    >>> from servofd.servo.library import servo_named
     >>> model = ServoModel.of(servo_named("hs225bb-eq31"))
     >>> time_s = np.arange(1000) / 100.0
     >>> segment = Segment("elevator", time_s, np.sin(time_s), time_s, np.zeros(1000))

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logparsers.compiled import compiled
-from servofd.types import BoolArray, FloatArray
+from servofd.core.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
-    from servofd.segment import Segment
+    from servofd.aircraft.segment import Segment
 
 RESTART_NONE, RESTART_FILTER, RESTART_ALL = 0, 1, 2
 
@@ -57,7 +57,7 @@ def find_starts(segment: Segment, longest_gap_s: float, blanking_s: float, fresh
 
     Examples
     --------
-    >>> from servofd.segment import Segment
+    >>> from servofd.aircraft.segment import Segment
     >>> time_s = np.array([0.0, 0.1, 0.2, 5.0, 5.1, 5.2])
     >>> starts = find_starts(Segment("x", time_s, time_s, time_s, time_s), 0.3, 0.15)
     >>> starts.restart.tolist(), starts.settled.tolist()

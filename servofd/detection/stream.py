@@ -28,13 +28,13 @@ from servofd.detection.threshold import (
     suspicion,
     unseen_deg,
 )
-from servofd.models.motion import on_its_way
+from servofd.servo.motion import on_its_way
 
 if TYPE_CHECKING:
-    from servofd.aircraft import Surface
+    from servofd.aircraft.schema import Surface
+    from servofd.core.types import BoolArray, FloatArray
     from servofd.detection.residual import ResidualGenerator, Rhythm
-    from servofd.models.context import Context
-    from servofd.types import BoolArray, FloatArray
+    from servofd.servo.context import Context
 
 MEMORY_S = 600.0
 """How much of a flight a monitor remembers."""

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.aircraft.segment import SURROUNDINGS
 from servofd.detection.stream import MEMORY_S
-from servofd.models.context import NO_CONTEXT, Context
-from servofd.segment import SURROUNDINGS
+from servofd.servo.context import NO_CONTEXT, Context
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -24,18 +24,18 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from servofd.aircraft import DEFAULT_SIGMAS
+from servofd.aircraft.schema import DEFAULT_SIGMAS
 from servofd.detection.allowance import Bounds, Signals, follow, new_work
 from servofd.detection.starts import RESTART_ALL
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from servofd.aircraft.segment import Segment
+    from servofd.core.tolerance import Tolerance
+    from servofd.core.types import BoolArray, FloatArray
     from servofd.detection.probability import CusumDesign
     from servofd.detection.residual import ResidualGenerator, Residuals
-    from servofd.segment import Segment
-    from servofd.tolerance import Tolerance
-    from servofd.types import BoolArray, FloatArray
 
 ThresholdKind = Literal["constant", "interval"]
 
@@ -158,10 +158,10 @@ def interval_threshold(
     At rest only bias and noise remain; in motion there is more to be wrong:
 
     >>> from servofd.detection.residual import ResidualGenerator
-    >>> from servofd.models.servo_model import ServoModel
-    >>> from servofd.segment import Segment
-    >>> from servofd.servos import servo_named
-    >>> from servofd.tolerance import Tolerance
+    >>> from servofd.servo.servo_model import ServoModel
+    >>> from servofd.aircraft.segment import Segment
+    >>> from servofd.servo.library import servo_named
+    >>> from servofd.core.tolerance import Tolerance
     >>> model = ServoModel.of(servo_named("hs225bb-eq31"))
     >>> time_s = np.arange(0.0, 20.0, 0.01)
     >>> command_deg = np.where(time_s > 10.0, 10.0, 0.0)
@@ -246,7 +246,7 @@ def tolerated_parameters(tolerance: Tolerance) -> FloatArray:
 
     Examples
     --------
-    >>> from servofd.tolerance import Tolerance
+    >>> from servofd.core.tolerance import Tolerance
     >>> tolerated_parameters(Tolerance(bandwidth=0.5)).tolist()
     [0.03, 0.003, 1.0, 0.3]
     """

@@ -5,17 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from servofd.evidence import NAMED, NOTHING_DETECTABLE, Detectable, ModelOrigin
+from servofd.core.evidence import NAMED, NOTHING_DETECTABLE, Detectable, ModelOrigin
 
 if TYPE_CHECKING:
     from logparsers.records import FlightLog
-    from servofd.aircraft import Aircraft
-    from servofd.axes.verdict import AxisAudit
+    from servofd.aircraft.schema import Aircraft
+    from servofd.aircraft.segment import Segment
+    from servofd.detection.axis_verdict import AxisAudit
     from servofd.detection.bank.flight import Fault
     from servofd.detection.residual import Residuals
     from servofd.detection.statistics import Statistics
     from servofd.detection.threshold import Threshold, ThresholdKind
-    from servofd.segment import Segment
 
 Status = Literal["healthy", "suspect", "fault", "no_data", "unknown"]
 

@@ -11,20 +11,20 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from servofd.aircraft.priors import NAMES, PRIORS
+from servofd.core.evidence import Detectable
 from servofd.detection.changes import STATISTICS, Memory, Tests, follow
 from servofd.detection.glitches import decide, new_glitch_memory
 from servofd.estimate.family import new_state, sensitivities, simulated, variants
 from servofd.estimate.fit import peaks, residual
-from servofd.estimate.priors import NAMES, PRIORS
-from servofd.evidence import Detectable
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servofd.estimate.noise import Noise
+    from servofd.aircraft.calibrated import CalibratedServo
+    from servofd.aircraft.noise import Noise
+    from servofd.core.types import BoolArray, FloatArray
     from servofd.estimate.record import Record
-    from servofd.estimate.schema import CalibratedServo
-    from servofd.types import BoolArray, FloatArray
 
 MARGIN: Final = 1.25
 FLOORS: Final = dict(

@@ -9,12 +9,12 @@ import numpy as np
 
 from servofd.discrepancy.noise import floor_uncertainty, long_run_factor, noise_floor_deg
 from servofd.discrepancy.steps import COARSE_STEP_DEG, noise_below_deg, noise_within_deg, stepped_noise_deg
-from servofd.models.catalogue import Quantization
+from servofd.servo.catalogue import Quantization
 
 if TYPE_CHECKING:
+    from servofd.core.types import BoolArray, FloatArray, IntArray
     from servofd.discrepancy.fit import Fit
     from servofd.discrepancy.record import Record
-    from servofd.types import BoolArray, FloatArray, IntArray
 
 _RATIO = 1.1
 """Held-out error over the noise floor, beyond which something is left."""

@@ -15,12 +15,12 @@ import numpy as np
 from servofd.discrepancy.noise import noise_floor_deg
 from servofd.discrepancy.record import SLOWEST_RATE_HZ
 from servofd.discrepancy.steps import comb_step_deg
-from servofd.models.catalogue import Backlash, Bias, DeadBand, Friction, Gain, InsensitiveBand
+from servofd.servo.catalogue import Backlash, Bias, DeadBand, Friction, Gain, InsensitiveBand
 
 if TYPE_CHECKING:
+    from servofd.core.types import BoolArray, FloatArray
     from servofd.discrepancy.record import Record
-    from servofd.models.missing_effect import MissingEffect
-    from servofd.types import BoolArray, FloatArray
+    from servofd.servo.missing_effect import MissingEffect
 
 AT_REST: tuple[type[MissingEffect], ...] = (Bias, Gain, Backlash, DeadBand, InsensitiveBand, Friction)
 """Effects that show where a surface rests. The play of the linkage comes before that of the controller: it needs no

@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from servofd.core.errors import NoMeasurement
 from servofd.detection.probability import Noise, smallest_bias_deg, threshold_for_rate_deg
 from servofd.detection.pulse import design_pulse_filter
 from servofd.detection.residual import ResidualGenerator
-from servofd.errors import NoMeasurement
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servofd.models.servo_model import ServoModel
-    from servofd.segment import Segment
-    from servofd.types import FloatArray
+    from servofd.aircraft.segment import Segment
+    from servofd.core.types import FloatArray
+    from servofd.servo.servo_model import ServoModel
 
 _FALSE_ALARMS_PER_HOUR = 1e-3
 _WITHIN_S = 1.0
@@ -79,10 +79,10 @@ def audit_gain(
 
     Examples
     --------
-    >>> from servofd.models.effects import Delay
-    >>> from servofd.models.servo_model import ServoModel
-    >>> from servofd.segment import Segment
-    >>> from servofd.servos import servo_named
+    >>> from servofd.servo.effects import Delay
+    >>> from servofd.servo.servo_model import ServoModel
+    >>> from servofd.aircraft.segment import Segment
+    >>> from servofd.servo.library import servo_named
     >>> known = ServoModel.of(servo_named("hs225bb-eq31"))
     >>> t = np.arange(0.0, 60.0, 0.01)
     >>> command = 5.0 * np.sin(2.0 * t)

@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from servofd.discrepancy.at_rest import AT_REST
 from servofd.discrepancy.steps import COARSE_STEP_DEG
-from servofd.models import catalogue
-from servofd.models.catalogue import CATALOGUE
-from servofd.models.laws import plain
-from servofd.models.physics import AFTER, BEFORE, INSIDE
+from servofd.servo import catalogue
+from servofd.servo.catalogue import CATALOGUE
+from servofd.servo.laws import plain
+from servofd.servo.physics import AFTER, BEFORE, INSIDE
 
 if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
-    from servofd.models.missing_effect import MissingEffect
+    from servofd.servo.missing_effect import MissingEffect
 
 _PLACES: dict[type[MissingEffect], tuple[float, ...]] = {
     catalogue.DeadBand: (BEFORE, INSIDE, AFTER),

@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.core.errors import NoMeasurement
 from servofd.discrepancy.at_rest import rest_sentence
 from servofd.discrepancy.noise import noise_floor_deg
 from servofd.discrepancy.record import SLOWEST_RATE_HZ, simulate
-from servofd.errors import NoMeasurement
 
 if TYPE_CHECKING:
+    from servofd.core.types import FloatArray
     from servofd.discrepancy.record import Record
-    from servofd.types import FloatArray
 
 _SHORTEST_S, _SHORTEST_ON_BENCH_S = 4.0, 1.0
 """The shorter one for runs that begin at rest with a step, of which nothing is lost."""
@@ -74,8 +74,8 @@ def _check_order(record: Record) -> None:
 
 def _misfit(record: Record, direction: float) -> float:
     """Error of the nominal servo, or of one that takes the position for its command (-1) [deg rms]."""
-    from servofd.models.physics import longest_step_s
-    from servofd.models.position_loop import new_memory, run
+    from servofd.servo.physics import longest_step_s
+    from servofd.servo.position_loop import new_memory, run
 
     plant = record.plant
     index = np.maximum(np.searchsorted(record.commands.effective_s, record.time_s, side="right") - 1, 0)

@@ -11,10 +11,10 @@ from servofd.discrepancy.noise import noise_floor_deg
 from servofd.discrepancy.record import record_of, simulate
 
 if TYPE_CHECKING:
+    from servofd.aircraft.segment import Segment
     from servofd.discrepancy.own import OwnEffect
-    from servofd.models.physics import Physics
-    from servofd.models.servo_model import ServoModel
-    from servofd.segment import Segment
+    from servofd.servo.physics import Physics
+    from servofd.servo.servo_model import ServoModel
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from servofd.aircraft.segment import Segment
 from servofd.discrepancy.answer import Found, answer
 from servofd.discrepancy.at_rest import at_rest
 from servofd.discrepancy.audit_gain import AuditGain, audit_gain
@@ -27,23 +28,22 @@ from servofd.discrepancy.words import (
     only_rests_sentence,
     unjudged_sentence,
 )
-from servofd.models.catalogue import CATALOGUE
-from servofd.models.effects import Extension
-from servofd.models.laws import plain, told_apart
-from servofd.segment import Segment
+from servofd.servo.catalogue import CATALOGUE
+from servofd.servo.effects import Extension
+from servofd.servo.laws import plain, told_apart
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    from servofd.core.types import BoolArray, FloatArray
     from servofd.discrepancy.elsewhere import Elsewhere
     from servofd.discrepancy.fit import Fit
     from servofd.discrepancy.own import OwnEffect
     from servofd.discrepancy.record import Record
     from servofd.discrepancy.validity import Undriven
     from servofd.discrepancy.varying import Varying
-    from servofd.models.physics import Physics
-    from servofd.models.servo_model import ServoModel
-    from servofd.types import BoolArray, FloatArray
+    from servofd.servo.physics import Physics
+    from servofd.servo.servo_model import ServoModel
 
 Conclusion = Literal["nothing_missing", "explained", "partly_explained", "unexplained"]
 
@@ -234,10 +234,10 @@ def explain_gap(
 
     Examples
     --------
-    >>> from servofd.models.effects import Delay
-    >>> from servofd.models.servo_model import ServoModel
-    >>> from servofd.segment import Segment
-    >>> from servofd.servos import servo_named
+    >>> from servofd.servo.effects import Delay
+    >>> from servofd.servo.servo_model import ServoModel
+    >>> from servofd.aircraft.segment import Segment
+    >>> from servofd.servo.library import servo_named
     >>> t = np.arange(0.0, 20.0, 0.01)
     >>> command = 5.0 * np.sin(0.5 * t**2)
     >>> known = ServoModel.of(servo_named("hs225bb-eq31"))

@@ -18,16 +18,16 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from servofd.core.types import FloatArray, IntArray
 from servofd.discrepancy.noise import long_run_factor, noise_floor_deg
 from servofd.discrepancy.record import Record, simulate, thinned
 from servofd.discrepancy.steps import COARSE_STEP_DEG, mean_reading_deg, noise_below_deg
-from servofd.models.catalogue import Bias, Gain, Quantization, installed
-from servofd.models.physics import Physics
-from servofd.types import FloatArray, IntArray
+from servofd.servo.catalogue import Bias, Gain, Quantization, installed
+from servofd.servo.physics import Physics
 
 if TYPE_CHECKING:
     from servofd.discrepancy.candidates import Candidate
-    from servofd.models.missing_effect import MissingEffect, Parameter
+    from servofd.servo.missing_effect import MissingEffect, Parameter
 
 _ITERATIONS, _GAIN_OVER = 8, 0.3
 """A descent ends where a step improves the misfit by less."""

@@ -13,9 +13,9 @@ from servofd.discrepancy.record import simulate
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from servofd.core.types import FloatArray
     from servofd.discrepancy.record import Record
-    from servofd.models.physics import Physics
-    from servofd.types import FloatArray
+    from servofd.servo.physics import Physics
 
 _SHORTEST_S, _LONGEST_S = 0.01, 0.055
 _WINDOW_S = 4.0

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from servofd.segment import Segment
+    from servofd.aircraft.segment import Segment
 
 _CLEAR, _SMALLEST = 3.0, 0.02
 """A jump of so many steps of the readings is motion or noise, which goes on; that quantile of all jumps is a step."""
@@ -23,7 +23,7 @@ def without_held(segment: Segment) -> tuple[Segment, str | None]:
 
     Examples
     --------
-    >>> from servofd.segment import Segment
+    >>> from servofd.aircraft.segment import Segment
     >>> t = np.arange(0.0, 10.0, 0.01)
     >>> moved = np.sin(3.0 * t)
     >>> held = moved[5 * (np.arange(t.size) // 5)]

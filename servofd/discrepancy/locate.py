@@ -10,9 +10,9 @@ from servofd.discrepancy.maps import EVEN, LINEAR, ODD, maps, since_reversal_s
 from servofd.discrepancy.spectrum import coherent_to_hz, excess_band_hz, spectrum
 
 if TYPE_CHECKING:
+    from servofd.core.types import FloatArray
     from servofd.discrepancy.maps import Map
     from servofd.discrepancy.record import Record
-    from servofd.types import FloatArray
 
 _FALSE_DISCOVERIES = 0.01
 _SHOWN_SHARE, _NO_SHARE = 0.25, 0.05

@@ -9,7 +9,7 @@ import numpy as np
 from servofd.detection.residual import rhythm
 
 if TYPE_CHECKING:
-    from servofd.types import BoolArray, FloatArray
+    from servofd.core.types import BoolArray, FloatArray
 
 _DOUBTFUL = 1.45
 """Times the usual interval, from which on a lost command may hide among time stamps that jitter."""

@@ -9,8 +9,8 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from servofd.core.types import FloatArray, IntArray
     from servofd.discrepancy.record import Record
-    from servofd.types import FloatArray, IntArray
 
 LINEAR, ODD, EVEN = "linear filter of the command", "odd distortion of the command", "even distortion of the command"
 """The second is the same up and down (a limit, friction, dead band), the third is not (a curved linkage)."""

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from servofd.core.types import BoolArray, FloatArray
     from servofd.discrepancy.record import Record
-    from servofd.types import BoolArray, FloatArray
 
 _TO_SIGMA = 1.482602218505602
 """Standard deviation over median absolute deviation, of a Gaussian."""
@@ -30,9 +30,9 @@ def noise_floor_deg(record: Record, error_deg: FloatArray) -> float:
     Examples
     --------
     >>> from servofd.discrepancy.record import record_of
-    >>> from servofd.models.servo_model import ServoModel
-    >>> from servofd.segment import Segment
-    >>> from servofd.servos import servo_named
+    >>> from servofd.servo.servo_model import ServoModel
+    >>> from servofd.aircraft.segment import Segment
+    >>> from servofd.servo.library import servo_named
     >>> t = np.arange(0.0, 60.0, 0.01)
     >>> noise = 0.1 * np.random.default_rng(0).standard_normal(t.size)
     >>> record = record_of(Segment("x", t, 0.0 * t, t, noise), ServoModel.of(servo_named("s9254")))

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from servofd.core.types import FloatArray
     from servofd.detection.residual import Commands
     from servofd.discrepancy.record import Record
-    from servofd.types import FloatArray
 
 STEPS_OF_TWO_SIZES = "steps of two sizes, such as 5 and 20 deg"
 _HOLDS_S, _MOSTLY = 0.15, 0.8
@@ -24,9 +24,9 @@ def step_size_deg(record: Record) -> float | None:
     Examples
     --------
     >>> from servofd.discrepancy.record import record_of
-    >>> from servofd.models.servo_model import ServoModel
-    >>> from servofd.segment import Segment
-    >>> from servofd.servos import servo_named
+    >>> from servofd.servo.servo_model import ServoModel
+    >>> from servofd.aircraft.segment import Segment
+    >>> from servofd.servo.library import servo_named
     >>> t = np.arange(0.0, 20.0, 0.02)
     >>> model = ServoModel.of(servo_named("s9254"))
     >>> commands = 10.0 * (t % 2.0 < 1.0), 10.0 * (t % 2.0 < 1.0) + 5.0 * (t % 4.0 < 2.0), 10.0 * np.sin(t)

@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from servofd.errors import ConfigError
-from servofd.models.catalogue import CATALOGUE
-from servofd.models.effects import Place
-from servofd.models.missing_effect import MissingEffect, Parameter
-from servofd.types import FloatArray
+from servofd.core.errors import ConfigError
+from servofd.core.types import FloatArray
+from servofd.servo.catalogue import CATALOGUE
+from servofd.servo.effects import Place
+from servofd.servo.missing_effect import MissingEffect, Parameter
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from servofd.models.physics import Physics
+    from servofd.servo.physics import Physics
 
 _FIELDS = ("own_1", "own_2", "own_3", "own_4")
 _GRID = (0.3, 1.0, 3.0, 10.0)

@@ -10,18 +10,18 @@ import numpy as np
 from servofd.detection.residual import Commands, commands_at_servo
 from servofd.discrepancy.lost import after_lost_commands
 from servofd.discrepancy.steps import comb_step_deg
-from servofd.models.context import Context
-from servofd.models.laws import at_run
-from servofd.models.physics import LOOSE_FIELDS, Physics, Plant, longest_step_s
-from servofd.models.servo_model import plant_of
+from servofd.servo.context import Context
+from servofd.servo.laws import at_run
+from servofd.servo.physics import LOOSE_FIELDS, Physics, Plant, longest_step_s
+from servofd.servo.servo_model import plant_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from servofd.aircraft.segment import Segment
+    from servofd.core.types import BoolArray, FloatArray, IntArray
     from servofd.discrepancy.own import OwnEffect
-    from servofd.models.servo_model import ServoModel
-    from servofd.segment import Segment
-    from servofd.types import BoolArray, FloatArray, IntArray
+    from servofd.servo.servo_model import ServoModel
 
 SLOWEST_RATE_HZ = 19.0
 """Below this the effects of a servo fall between the samples: HS-225BB, time constants 15 to 40 ms."""
@@ -347,9 +347,9 @@ def simulate(record: Record, physics: Physics, finer: float = 1.0) -> FloatArray
 
     Examples
     --------
-    >>> from servofd.models.servo_model import ServoModel
-    >>> from servofd.segment import Segment
-    >>> from servofd.servos import servo_named
+    >>> from servofd.servo.servo_model import ServoModel
+    >>> from servofd.aircraft.segment import Segment
+    >>> from servofd.servo.library import servo_named
     >>> t = np.arange(0.0, 5.0, 0.01)
     >>> model = ServoModel.of(servo_named("hs225bb-eq31"))
     >>> record = record_of(Segment("x", t, 5.0 * np.sin(t**2), t, np.zeros(t.size)), model)
@@ -388,7 +388,7 @@ def _first_deg(record: Record) -> float:
 
 def _moved_from(record: Record, physics: Physics, finer: float, starts_deg: Sequence[float]) -> FloatArray:
     """Positions of one run from rest at each of several places [deg], shape (p, n)."""
-    from servofd.models.position_loop import framed, new_memory, run
+    from servofd.servo.position_loop import framed, new_memory, run
 
     commands, plant = record.commands, record.plant
     sent_s, deg, slope = commands.effective_s, commands.command_deg, commands.slope_deg_s

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 if TYPE_CHECKING:
+    from servofd.core.types import BoolArray, FloatArray
     from servofd.discrepancy.record import Record
-    from servofd.types import BoolArray, FloatArray
 
 _BINS, _FEWEST_PER_BIN = 14, 12
 _SWING_S = 0.5
@@ -66,9 +66,9 @@ def quantities(record: Record, simulated_deg: FloatArray) -> tuple[Quantity, ...
     Examples
     --------
     >>> from servofd.discrepancy.record import record_of, simulate
-    >>> from servofd.models.servo_model import ServoModel
-    >>> from servofd.segment import Segment
-    >>> from servofd.servos import servo_named
+    >>> from servofd.servo.servo_model import ServoModel
+    >>> from servofd.aircraft.segment import Segment
+    >>> from servofd.servo.library import servo_named
     >>> t = np.arange(0.0, 10.0, 0.01)
     >>> model = ServoModel.of(servo_named("hs225bb-eq31"))
     >>> record = record_of(Segment("x", t, 5.0 * np.sin(t), t, np.zeros(t.size)), model)

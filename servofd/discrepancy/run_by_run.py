@@ -10,8 +10,8 @@ import numpy as np
 from servofd.discrepancy.fit import Fitter
 
 if TYPE_CHECKING:
+    from servofd.core.types import FloatArray
     from servofd.discrepancy.fit import Fit
-    from servofd.types import FloatArray
 
 _MOST_FOLDS = 8
 """Runs that are held out at the same time, where there are many."""

@@ -19,7 +19,7 @@ from servofd.discrepancy.fit import LONG, OWN_FIELDS, Fit, Fitter
 from servofd.discrepancy.frames import best_frame, frames_like
 from servofd.discrepancy.one_size import step_size_deg
 from servofd.discrepancy.record import liveliest
-from servofd.models.catalogue import (
+from servofd.servo.catalogue import (
     AirLoad,
     Bias,
     ClockOffset,
@@ -33,16 +33,16 @@ from servofd.models.catalogue import (
     TiltedLoad,
     installed,
 )
-from servofd.models.laws import VARIED, by_condition, is_law, plain
-from servofd.models.physics import INSIDE, RATE_FIELDS
+from servofd.servo.laws import VARIED, by_condition, is_law, plain
+from servofd.servo.physics import INSIDE, RATE_FIELDS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from servofd.core.types import FloatArray
     from servofd.discrepancy.record import Record
-    from servofd.models.missing_effect import MissingEffect
-    from servofd.models.physics import Physics
-    from servofd.types import FloatArray
+    from servofd.servo.missing_effect import MissingEffect
+    from servofd.servo.physics import Physics
 
 _MOST, _MOST_ON_BENCH = 3, 4
 """Effects; one more where whole runs are held out, which no flexible combination survives for long."""

@@ -14,10 +14,10 @@ from servofd.discrepancy.record import simulate
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from servofd.core.types import FloatArray
     from servofd.discrepancy.fit import Fit, Fitter
     from servofd.discrepancy.record import Record
     from servofd.discrepancy.select import Selection
-    from servofd.types import FloatArray
 
 _RATE_HZ, _DURATION_S = 100.0, 24.0
 _SETTLING_S = 0.5

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 if TYPE_CHECKING:
+    from servofd.core.types import FloatArray
     from servofd.discrepancy.record import Record
-    from servofd.types import FloatArray
 
 _PIECE_S, _PIECES, _FEWEST_SAMPLES = 4.0, 5.5, 32
 """Length of what is transformed at once; the record is at least so many times as long, which makes ten of them, half
@@ -43,9 +43,9 @@ def spectrum(record: Record, error_deg: FloatArray) -> Spectrum | None:
     Examples
     --------
     >>> from servofd.discrepancy.record import record_of
-    >>> from servofd.models.servo_model import ServoModel
-    >>> from servofd.segment import Segment
-    >>> from servofd.servos import servo_named
+    >>> from servofd.servo.servo_model import ServoModel
+    >>> from servofd.aircraft.segment import Segment
+    >>> from servofd.servo.library import servo_named
     >>> rng, t = np.random.default_rng(0), np.arange(0.0, 60.0, 0.01)
     >>> asked = np.repeat(rng.standard_normal(1500), 4)
     >>> error = 0.5 * np.sin(2.0 * np.pi * 3.0 * t)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from servofd.types import FloatArray
+    from servofd.core.types import FloatArray
 
 COARSE_STEP_DEG = 0.12
 """10 bits for 120 deg; what is finer is a usual potentiometer's or encoder's converter, and missing in no model."""

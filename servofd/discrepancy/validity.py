@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from logparsers import FlightLog
+    from servofd.aircraft.segment import Segment
+    from servofd.core.types import BoolArray, FloatArray
     from servofd.discrepancy.record import Record
-    from servofd.models.physics import Physics
-    from servofd.segment import Segment
-    from servofd.types import BoolArray, FloatArray
+    from servofd.servo.physics import Physics
 
 _WINDOW_S, _EVERY_S, _SHORTEST_S = 1.5, 0.1, 0.8
 _SURE_S, _SURE_ALONE_S = 1.3, 4.0

@@ -13,14 +13,14 @@ import numpy as np
 
 from servofd.discrepancy.noise import long_run_factor
 from servofd.discrepancy.record import simulate
-from servofd.models.laws import VARIED
+from servofd.servo.laws import VARIED
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from servofd.core.types import BoolArray, FloatArray
     from servofd.discrepancy.record import Record
     from servofd.discrepancy.select import Selection
-    from servofd.types import BoolArray, FloatArray
 
 _FEWEST_RUNS = 5
 """Fitted ones with a value of their own, for a line."""

@@ -8,12 +8,12 @@ import numpy as np
 
 from servofd.discrepancy.at_rest import rest_sentence
 from servofd.discrepancy.candidates import places_of
-from servofd.models.physics import AFTER, BEFORE, scaled_transfer, split
+from servofd.servo.physics import AFTER, BEFORE, scaled_transfer, split
 
 if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
     from servofd.discrepancy.select import Selection
-    from servofd.models.missing_effect import MissingEffect
+    from servofd.servo.missing_effect import MissingEffect
 
 _SURE = 1.959963984540054
 """Standard deviations of a 95 % interval."""

@@ -22,10 +22,10 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from logparsers.compiled import compiled
-from servofd.estimate.priors import FITTED, PRIORS
+from servofd.aircraft.priors import FITTED, PRIORS
 
 if TYPE_CHECKING:
-    from servofd.types import FloatArray
+    from servofd.core.types import FloatArray
 
 PRESSURE_PA: Final = 300.0
 """Dynamic pressure that loads refer to: 22 m/s at sea level."""

@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from servofd.aircraft.noise import Noise
+from servofd.aircraft.priors import FITTED, NAMES, PRIORS
 from servofd.estimate.family import new_state, sensitivities, simulated, variants
-from servofd.estimate.noise import Noise
-from servofd.estimate.priors import FITTED, NAMES, PRIORS
-from servofd.models.state import compiled
+from servofd.servo.state import compiled
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from servofd.core.types import BoolArray, FloatArray
     from servofd.estimate.record import Record
-    from servofd.types import BoolArray, FloatArray
 
 _HUBER: Final = 2.5
 _DELAYS_S: Final = (0.01, 0.03, 0.06, 0.1)

@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from servofd.estimate.priors import NAMES
-from servofd.models.state import compiled
+from servofd.aircraft.priors import NAMES
+from servofd.servo.state import compiled
 
 if TYPE_CHECKING:
-    from servofd.types import FloatArray
+    from servofd.core.types import FloatArray
 
 LONGEST_S: Final = 0.25
 """Between two commands; in more a servo goes a long way and comes back, and nothing shows it."""
@@ -80,7 +80,7 @@ def unknown_deg(
 
     Examples
     --------
-    >>> from servofd.estimate.priors import PRIORS
+    >>> from servofd.aircraft.priors import PRIORS
     >>> theta = np.array([prior.value for prior in PRIORS])
     >>> asked = np.array([0.0, 0.02, 0.22, 0.24, 0.26]), np.array([0.0, 0.0, 9.0, 9.0, 9.0])
     >>> unknown_deg(asked, 0.02, theta, np.array([0.02, 0.22, 0.26]), new_memory()).round(1)

@@ -9,12 +9,12 @@ import numpy as np
 
 from servofd.estimate.family import LONGEST_PAUSE_S, PRESSURE_PA
 from servofd.estimate.lost import HOLDS, LONGEST_S, new_memory, put_back, unknown_deg
-from servofd.models.context import AIR_KG_M3
+from servofd.servo.context import AIR_KG_M3
 
 if TYPE_CHECKING:
-    from servofd.models.context import Context
-    from servofd.segment import Segment
-    from servofd.types import BoolArray, FloatArray
+    from servofd.aircraft.segment import Segment
+    from servofd.core.types import BoolArray, FloatArray
+    from servofd.servo.context import Context
 
 SETTLING_S = 0.45
 """After a gap in commands or positions; a servo that rested anywhere in its friction band is where it is asked to be by

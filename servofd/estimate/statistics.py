@@ -9,7 +9,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from servofd.types import FloatArray
+    from servofd.core.types import FloatArray
 
 Z_95: Final = 1.96
 """Standard deviations of a 95 % interval."""

@@ -7,18 +7,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from servofd.aircraft import Aircraft
+from servofd.aircraft.pairs import Pair, find_pairs
+from servofd.aircraft.schema import Aircraft
+from servofd.aircraft.segment import Segment, cut
+from servofd.core.errors import NoMeasurement
 from servofd.detection.drafting import PERSISTENCE
-from servofd.errors import NoMeasurement
 from servofd.feedback.advice import what_to_log
 from servofd.feedback.fit import RoughFit, fit_roughly
 from servofd.feedback.fitted import draft_tolerance
-from servofd.feedback.pairs import Pair, find_pairs
-from servofd.segment import Segment, cut
 
 if TYPE_CHECKING:
     from logparsers.records import FlightLog
-    from servofd.evidence import ModelOrigin
+    from servofd.core.evidence import ModelOrigin
     from servofd.feedback.fitted import Drafted
 
 _FULL_NORM_DEG = 25.0

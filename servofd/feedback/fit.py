@@ -9,21 +9,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from servofd.aircraft.segment import Segment
+from servofd.core.evidence import ModelOrigin
 from servofd.detection.contradiction import resting_runs, resting_width_deg
 from servofd.detection.residual import ResidualGenerator
 from servofd.detection.resolution import step_deg
 from servofd.detection.simulator import Simulator
 from servofd.estimate.statistics import line
-from servofd.evidence import ModelOrigin
-from servofd.models.effects import Delay, LinearDynamics, RateLimit
-from servofd.models.servo_model import ServoModel
-from servofd.segment import Segment
-from servofd.servos import second_order
+from servofd.servo.effects import Delay, LinearDynamics, RateLimit
+from servofd.servo.library import second_order
+from servofd.servo.servo_model import ServoModel
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from servofd.types import BoolArray, FloatArray, IntArray
+    from servofd.core.types import BoolArray, FloatArray, IntArray
 
 _MOST_SAMPLES = 4_000
 _ORDINARY_SHARE = 0.02

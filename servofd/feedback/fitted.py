@@ -7,6 +7,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from servofd.aircraft.segment import cut
+from servofd.core.errors import CalibrationError, DesignError, NoMeasurement
+from servofd.core.evidence import ModelOrigin
+from servofd.core.tolerance import Tolerance
 from servofd.detection.bank.window import noise_deg
 from servofd.detection.contradiction import contradictions
 from servofd.detection.drafting import PERSISTENCE, excess, width
@@ -15,20 +19,16 @@ from servofd.detection.residual import ResidualGenerator
 from servofd.detection.resolution import step_deg
 from servofd.detection.threshold import interval_threshold
 from servofd.detection.words import describe
-from servofd.errors import CalibrationError, DesignError, NoMeasurement
-from servofd.evidence import ModelOrigin
 from servofd.feedback.fit import RoughFit, fit_roughly
-from servofd.segment import cut
-from servofd.servos import Servo
-from servofd.tolerance import Tolerance
+from servofd.servo.library import Servo
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from logparsers.records import FlightLog
-    from servofd.aircraft import Aircraft, Surface
-    from servofd.models.servo_model import ServoModel
-    from servofd.segment import Segment
+    from servofd.aircraft.schema import Aircraft, Surface
+    from servofd.aircraft.segment import Segment
+    from servofd.servo.servo_model import ServoModel
 
 _AROUND_S = 2.0
 _SMALLEST_GAIN, _LARGEST_GAIN = 0.3, 1.7
@@ -60,7 +60,7 @@ def fitted_aircraft(log: FlightLog, aircraft: Aircraft, only: Iterable[str] | No
     Examples
     --------
     >>> import logparsers
-    >>> from servofd.aircraft import plain_aircraft
+    >>> from servofd.aircraft.schema import plain_aircraft
     >>> log = logparsers.read("sample_logs/table_three_faults.csv")
     >>> model = fitted_aircraft(log, plain_aircraft(["aileron"])).surfaces["aileron"].model
     >>> model.origin, model.explained_share > 0.99

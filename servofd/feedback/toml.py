@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from servofd.core.toml_text import toml_key, toml_lines, toml_value
 from servofd.feedback.draft import servo_entry, surface_entry
-from servofd.toml_text import toml_key, toml_lines, toml_value
 
 if TYPE_CHECKING:
     from logparsers.records import FlightLog
-    from servofd.aircraft import Aircraft
+    from servofd.aircraft.schema import Aircraft
     from servofd.feedback.draft import Draft, DraftedSurface
 
 _ENTRIES = ("servo", "output", "threshold", "threshold_deg", "tolerance", "persistence", "suspicions", "model")
@@ -39,7 +39,7 @@ def fitted_to_toml(log: FlightLog, aircraft: Aircraft) -> str:
 
     Examples
     --------
-    >>> from servofd.job import flown_aircraft, one_log
+    >>> from servofd.jobs.job import flown_aircraft, one_log
     >>> log = one_log("sample_logs/table_three_faults.csv")
     >>> fitted_to_toml(log, flown_aircraft(log, None)).splitlines()[6]
     '[surfaces.aileron]'

@@ -7,7 +7,7 @@ from concurrent.futures import CancelledError, as_completed
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from servofd.errors import ConfigError, ServofdError
+from servofd.core.errors import ConfigError, ServofdError
 from servofd.version import __version__
 
 if TYPE_CHECKING:

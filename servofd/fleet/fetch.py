@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from servofd.errors import ConfigError
+from servofd.core.errors import ConfigError
 from servofd.fleet.find import is_address
 
 if TYPE_CHECKING:

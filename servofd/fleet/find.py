@@ -16,7 +16,7 @@ from logparsers import EmptyLog, LogError
 from logparsers.detect import detect
 from logparsers.exports import flight_of, kind_of
 from logparsers.source import HEAD_BYTES, files_of, heads
-from servofd.errors import ConfigError
+from servofd.core.errors import ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from logparsers import LogError
-from servofd.errors import ConfigError, ServofdError
+from servofd.core.errors import ConfigError, ServofdError
 from servofd.fleet.fetch import fetched
 from servofd.fleet.key import content_key
+from servofd.jobs.workflow import audit
 from servofd.outputs.json_report import FailedLog, audit_document
-from servofd.workflow import audit
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -9,14 +9,14 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from logparsers.source import files_of
-from servofd.aircraft import UNKNOWN_SERVO
+from servofd.aircraft.schema import UNKNOWN_SERVO
 from servofd.fleet.find import is_address
 from servofd.outputs.files import distinct_file_names
-from servofd.servos import find_servo, levels_in
+from servofd.servo.library import find_servo, levels_in
 from servofd.version import __version__
 
 if TYPE_CHECKING:
-    from servofd.aircraft import Aircraft
+    from servofd.aircraft.schema import Aircraft
     from servofd.detection.threshold import ThresholdKind
 
 _DIGEST_BYTES = 16

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
-from servofd.errors import ServofdError
+from servofd.core.errors import ServofdError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

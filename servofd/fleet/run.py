@@ -11,12 +11,12 @@ from servofd.fleet.find import find_logs
 from servofd.fleet.judge import failed, judge_log
 from servofd.fleet.key import Job
 from servofd.fleet.local import run_local
-from servofd.job import known_aircraft, layout_of
+from servofd.jobs.job import known_aircraft, layout_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from servofd.aircraft import Aircraft
+    from servofd.aircraft.schema import Aircraft
     from servofd.fleet.find import LogSource
     from servofd.fleet.judge import JudgedLog
 

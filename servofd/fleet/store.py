@@ -10,7 +10,7 @@ import uuid
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Self
 
-from servofd.errors import ConfigError
+from servofd.core.errors import ConfigError
 from servofd.fleet.find import META_FILE
 from servofd.fleet.key import content_key
 from servofd.fleet.tables import TABLES, rows, to_arrow
@@ -256,7 +256,7 @@ def locked(folder: Path) -> BinaryIO:
     >>> with tempfile.TemporaryDirectory() as name, locked(Path(name)):
     ...     locked(Path(name))  # doctest: +ELLIPSIS
     Traceback (most recent call last):
-    servofd.errors.ConfigError: ...: another audit writes its results here; wait for it, or choose another folder
+    servofd.core.errors.ConfigError: ...: another audit writes its results here; wait for it, or choose another folder
     """
     file = (folder / _NAME).open("ab")
     try:

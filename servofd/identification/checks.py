@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.errors import IdentificationError
+from servofd.core.errors import IdentificationError
 
 if TYPE_CHECKING:
+    from servofd.aircraft.segment import Segment
+    from servofd.core.types import FloatArray
     from servofd.identification.output_error import ServoCandidate
     from servofd.identification.records import Run, Uniform
-    from servofd.segment import Segment
-    from servofd.types import FloatArray
 
 _SLOWEST_HZ, _FASTEST_HZ = 8.0, 20_000.0
 _FEWEST_SAMPLES = 30

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.errors import IdentificationError
+from servofd.core.errors import IdentificationError
 from servofd.identification.fit import fit_response
 from servofd.identification.output_error import MotionFit, ServoCandidate, fit_motion
 from servofd.identification.rate import step_slopes
 from servofd.identification.shape import HIGHEST_ORDER, LinearServo
-from servofd.servos import second_order
+from servofd.servo.library import second_order
 
 if TYPE_CHECKING:
     from servofd.identification.frequency_response import FrequencyResponse

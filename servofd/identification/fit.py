@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.identification.shape import LARGEST_LOG_GAIN, LONGEST_DELAY_S, LinearServo, shape_bounds
-from servofd.models.transfer import TransferFunction
+from servofd.servo.transfer import TransferFunction
 
 if TYPE_CHECKING:
+    from servofd.core.types import ComplexArray, FloatArray
     from servofd.identification.frequency_response import FrequencyResponse
-    from servofd.types import ComplexArray, FloatArray
 
 _DELAY_STEP_S, _LONGEST_DELAY_S = 1e-3, 0.08
 _ITERATIONS = 8

@@ -10,7 +10,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servofd.types import BoolArray, ComplexArray, FloatArray
+    from servofd.core.types import BoolArray, ComplexArray, FloatArray
 
 LAGS_S = 4.0
 """Reach of the lag window: 400 lags at 100 Hz. With 100 (thesis Appendix A) poles come out four times as wrong,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal, TypeVar
 
 import numpy as np
 
-from servofd.errors import IdentificationError
+from servofd.core.errors import IdentificationError
 from servofd.estimate.statistics import Estimate
 from servofd.identification import checks
 from servofd.identification.choice import Choice, choose_linear, choose_nonlinear, with_unity_gain
@@ -22,7 +22,7 @@ from servofd.identification.result import Identification
 from servofd.identification.summary import intervals_of, notes_on_servo, notes_on_spread
 
 if TYPE_CHECKING:
-    from servofd.segment import Segment
+    from servofd.aircraft.segment import Segment
 
 Method = Literal["response", "magnitude"]
 _T = TypeVar("_T")
@@ -79,9 +79,9 @@ def identify(
 
     Examples
     --------
-    >>> from servofd.models.servo_model import ServoModel
-    >>> from servofd.segment import Segment
-    >>> from servofd.servos import servo_named
+    >>> from servofd.servo.servo_model import ServoModel
+    >>> from servofd.aircraft.segment import Segment
+    >>> from servofd.servo.library import servo_named
     >>> from servofd.simulation.commands import chirp
     >>> rng, time_s = np.random.default_rng(0), np.arange(12000) / 100.0
     >>> command_deg = chirp(time_s, rng)

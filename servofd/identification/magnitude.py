@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.errors import IdentificationError
+from servofd.core.errors import IdentificationError
 from servofd.identification.shape import LinearServo
-from servofd.models.transfer import TransferFunction
+from servofd.servo.transfer import TransferFunction
 
 if TYPE_CHECKING:
+    from servofd.core.types import FloatArray
     from servofd.identification.frequency_response import FrequencyResponse
-    from servofd.types import FloatArray
 
 _LARGEST_RIPPLE = 3.0
 """Of the logarithm of the magnitude: a factor of 20 is no fit."""

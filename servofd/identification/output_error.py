@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.errors import DesignError
+from servofd.core.errors import DesignError
 from servofd.estimate.statistics import Estimate, descended, memory
 from servofd.identification.shape import LARGEST_LOG_GAIN, LONGEST_DELAY_S, LinearServo, shape_bounds
-from servofd.models.effects import Delay, Effect, LinearDynamics, RateLimit
-from servofd.models.play import play
-from servofd.models.servo_model import ServoModel
+from servofd.servo.effects import Delay, Effect, LinearDynamics, RateLimit
+from servofd.servo.play import play
+from servofd.servo.servo_model import ServoModel
 
 if TYPE_CHECKING:
+    from servofd.core.types import FloatArray
     from servofd.identification.records import Run
-    from servofd.types import FloatArray
 
 _OUT_OF_REACH_DEG = 1e4
 _DEVIATION_LAGS = 20
@@ -174,7 +174,7 @@ def fit_motion(runs: Sequence[Run], start: ServoCandidate, *, evaluations: int =
     Examples
     --------
     >>> from servofd.identification.records import prepared
-    >>> from servofd.segment import Segment
+    >>> from servofd.aircraft.segment import Segment
     >>> t = np.arange(500) / 100.0
     >>> truth = ServoCandidate(LinearServo((3.4,), 0.004))
     >>> command = np.sign(np.sin(3.0 * t**2))

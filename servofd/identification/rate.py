@@ -13,8 +13,8 @@ from servofd.identification.output_error import ServoCandidate
 from servofd.identification.records import Run
 
 if TYPE_CHECKING:
+    from servofd.core.types import FloatArray
     from servofd.identification.shape import LinearServo
-    from servofd.types import FloatArray
 
 _FROM, _TO = 0.2, 0.8
 """Part of the travel that is straight. The largest slope of any 40 ms would be noise: 384 instead of 370 deg/s."""
@@ -56,7 +56,7 @@ def step_slopes(runs: Sequence[Run]) -> tuple[StepSlope, ...]:
     Examples
     --------
     >>> from servofd.identification.records import prepared
-    >>> from servofd.segment import Segment
+    >>> from servofd.aircraft.segment import Segment
     >>> t = np.arange(100) / 100.0
     >>> ramp = np.clip(300.0 * (t - 0.1), 0.0, 60.0)
     >>> run = prepared(Segment("x", t, np.where(t < 0.1, 0.0, 60.0), t, ramp))

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from servofd.segment import Segment
-    from servofd.types import FloatArray
+    from servofd.aircraft.segment import Segment
+    from servofd.core.types import FloatArray
 
 _FAR_AWAY_S = 60.0
 """The servo rests for so long before a run that nothing is left of how it came there."""
@@ -63,7 +63,7 @@ def prepared(segment: Segment, servo: int = 0) -> Run:
 
     Examples
     --------
-    >>> from servofd.segment import Segment
+    >>> from servofd.aircraft.segment import Segment
     >>> run = prepared(Segment("x", np.arange(3.0), np.ones(3), np.arange(3.0), np.array([0.0, np.nan, 1.0])))
     >>> run.measured_deg
     array([0., 1.])
@@ -92,7 +92,7 @@ def longest_uniform(run: Run) -> Uniform:
 
     Examples
     --------
-    >>> from servofd.segment import Segment
+    >>> from servofd.aircraft.segment import Segment
     >>> t = np.arange(100) / 50.0
     >>> longest_uniform(prepared(Segment("x", t, np.sin(t), t, np.sin(t)))).resampled
     False

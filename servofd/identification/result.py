@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
+    from servofd.aircraft.segment import Segment
+    from servofd.core.types import ComplexArray, FloatArray
     from servofd.estimate.statistics import Estimate
     from servofd.identification.frequency_response import FrequencyResponse, Spread
     from servofd.identification.output_error import ServoCandidate
     from servofd.identification.records import Run
-    from servofd.segment import Segment
-    from servofd.types import ComplexArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.models.transfer import TransferFunction
+from servofd.servo.transfer import TransferFunction
 
 if TYPE_CHECKING:
-    from servofd.types import ComplexArray, FloatArray
+    from servofd.core.types import ComplexArray, FloatArray
 
 HIGHEST_ORDER = 3
 """Of thesis Fig. 3.10."""

@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from servofd.errors import IdentificationError
+from servofd.core.errors import IdentificationError
 from servofd.estimate.statistics import Estimate
 from servofd.identification.fit import fit_response
 from servofd.identification.output_error import MotionFit, ServoCandidate, evaluated, fit_motion
 from servofd.identification.shape import HIGHEST_ORDER, LONGEST_DELAY_S, LinearServo
 
 if TYPE_CHECKING:
+    from servofd.core.types import FloatArray
     from servofd.identification.choice import Choice
     from servofd.identification.frequency_response import FrequencyResponse
     from servofd.identification.rate import RateLimits
     from servofd.identification.records import Run
-    from servofd.types import FloatArray
 
 _UNIDENTIFIABLE = 1.0
 """Standard deviation of the logarithm of a pole: a factor of e either way is no knowledge."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from servofd.aircraft import plain_aircraft
+from servofd.aircraft.schema import plain_aircraft
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.live.alerts import Alerts
 from servofd.live.channels import ChannelTable
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from logparsers.codec import Codec, Heard
-    from servofd.aircraft import Aircraft
+    from servofd.aircraft.schema import Aircraft
     from servofd.detection.events import Event, Inputs, Look
     from servofd.detection.stream import Piece
 

@@ -11,13 +11,13 @@ import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from servofd.calibration import PulseCalibration
+from servofd.aircraft.calibration import PulseCalibration
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from servofd.aircraft import Surface
-    from servofd.calibration import Calibration
+    from servofd.aircraft.calibration import Calibration
+    from servofd.aircraft.schema import Surface
 
 _RANGE: Final = "SERVO_VOLZ_RANGE"
 _CENTRE_US: Final = 1500.0

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from servofd.core.errors import ConfigError
 from servofd.detection.events import Event, Look
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.surroundings import Surroundings
-from servofd.errors import ConfigError
 from servofd.live.channels import ChannelTable
 from servofd.live.clock import VehicleClock
 from servofd.live.remote_log import LOG_SILENCE_S, RemoteLog
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from logparsers.codec import Heard
-    from servofd.aircraft import Aircraft
+    from servofd.aircraft.schema import Aircraft
     from servofd.axes.watch import AxisWatch
-    from servofd.types import FloatArray
+    from servofd.core.types import FloatArray
 
 Samples = tuple[list[float], list[float]]
 """Times and values of one channel."""

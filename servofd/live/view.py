@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.text import Text
 
-    from servofd.axes.verdict import AxisAudit
+    from servofd.detection.axis_verdict import AxisAudit
     from servofd.detection.events import Event
     from servofd.detection.monitor import SurfaceMonitor
     from servofd.live.session import Session

@@ -15,19 +15,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.calibration import DegreeCalibration, PulseCalibration, RadianCalibration
+from servofd.aircraft.calibration import DegreeCalibration, PulseCalibration, RadianCalibration
+from servofd.aircraft.output import COMMANDS_OF_SERVO, POSITIONS_FROM_0, POSITIONS_FROM_1, output_of
+from servofd.core.errors import ConfigError, DesignError
 from servofd.detection.residual import ResidualGenerator
 from servofd.detection.threshold import Evaluation
-from servofd.errors import ConfigError, DesignError
-from servofd.models.physics import Physics
-from servofd.onboard.output import COMMANDS_OF_SERVO, POSITIONS_FROM_0, POSITIONS_FROM_1, output_of
+from servofd.servo.physics import Physics
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servofd.aircraft import Aircraft, Surface
-    from servofd.models.servo_model import ServoModel
-    from servofd.types import FloatArray
+    from servofd.aircraft.schema import Aircraft, Surface
+    from servofd.core.types import FloatArray
+    from servofd.servo.servo_model import ServoModel
 
 LONGEST_NAME = 22
 """With " not moved yet: use sticks" it fills the 50 characters of a message."""
@@ -57,7 +57,7 @@ _RATE_COST, _RATE_MODE_COST = 700, 190
 
 @dataclass(frozen=True, slots=True)
 class Mode:
-    """One mode of the linear servo, as `servofd.models.transfer.Modes` has it."""
+    """One mode of the linear servo, as `servofd.servo.transfer.Modes` has it."""
 
     decay_rad_s: float
     turn_rad_s: float
@@ -149,7 +149,7 @@ def plan_onboard(
 
     Examples
     --------
-    >>> from servofd.aircraft import load_aircraft
+    >>> from servofd.aircraft.schema import load_aircraft
     >>> [(surface.name, surface.output) for surface in plan_onboard(load_aircraft("simulated")).surfaces]
     [('AILERON', 1), ('ELEVATOR', 2), ('RUDDER', 4)]
     """
@@ -190,7 +190,7 @@ def outputs_of(aircraft: Aircraft, surfaces: Sequence[str] = ()) -> list[int]:
 
     Examples
     --------
-    >>> from servofd.aircraft import load_aircraft
+    >>> from servofd.aircraft.schema import load_aircraft
     >>> outputs_of(load_aircraft("simulated"))
     [1, 2, 4]
     """
@@ -359,7 +359,7 @@ def _polynomial(surface: Surface) -> tuple[float, float, float, float]:
 
 def _modes(model: ServoModel, gain: float) -> tuple[Mode, ...]:
     """Modes of the linear servo times the gain of its linkage, none too close to another for 32-bit numbers."""
-    from servofd.models.transfer import TransferFunction
+    from servofd.servo.transfer import TransferFunction
 
     transfer = model.transfer
     poles = transfer.poles_rad_s

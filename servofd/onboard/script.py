@@ -6,7 +6,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from servofd.errors import ConfigError
+from servofd.core.errors import ConfigError
 from servofd.onboard.plan import LONGEST_NAME
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ def watch_script(plan: OnboardPlan, file_name: str = "servofd.lua") -> str:
 
     Examples
     --------
-    >>> from servofd.aircraft import load_aircraft
+    >>> from servofd.aircraft.schema import load_aircraft
     >>> from servofd.onboard.plan import plan_onboard
     >>> text = watch_script(plan_onboard(load_aircraft("simulated")))
     >>> [line[:60] for line in text.splitlines() if "RUDDER" in line]

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.onboard.output import output_of
+from servofd.aircraft.output import output_of
 
 if TYPE_CHECKING:
     from logparsers.records import FlightLog
-    from servofd.aircraft import Aircraft
-    from servofd.types import FloatArray
+    from servofd.aircraft.schema import Aircraft
+    from servofd.core.types import FloatArray
 
 _RESIDUAL = re.compile(r"SFD\[(\d+)\]\.Res")
 

@@ -10,12 +10,12 @@ from servofd.outputs.chart import Chart, Curve, Mark, Panel, Span, bridged, thin
 from servofd.outputs.sentence import clock, spoken
 
 if TYPE_CHECKING:
+    from servofd.aircraft.segment import Segment
+    from servofd.core.types import FloatArray
     from servofd.detection.bank.flight import Fault
     from servofd.detection.residual import Residuals
     from servofd.detection.threshold import Threshold
     from servofd.detection.verdict import SurfaceAudit
-    from servofd.segment import Segment
-    from servofd.types import FloatArray
 
 MOST_FAULTS = 4
 """Faults that are shown from near; the table lists all."""

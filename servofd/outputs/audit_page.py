@@ -21,13 +21,13 @@ from servofd.outputs.sentence import plain_rate, seen, spoken, whole_sentence, w
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servofd.aircraft import Aircraft
-    from servofd.axes.verdict import AxisAudit
+    from servofd.aircraft.schema import Aircraft
+    from servofd.core.evidence import ModelOrigin
+    from servofd.core.types import FloatArray
+    from servofd.detection.axis_verdict import AxisAudit
     from servofd.detection.bank.flight import Fault
     from servofd.detection.verdict import LogAudit, SurfaceAudit
     from servofd.estimate.statistics import Estimate
-    from servofd.evidence import ModelOrigin
-    from servofd.types import FloatArray
 
 _UNITS = {"deg_s": "deg/s", "deg": "deg", "hz": "Hz", "s": "s"}
 _MISSING = "none"
@@ -313,7 +313,7 @@ def quality_rows(surface: SurfaceAudit) -> list[tuple[str, str]]:
     Examples
     --------
     >>> from servofd.detection.verdict import SurfaceAudit
-    >>> from servofd.segment import Segment
+    >>> from servofd.aircraft.segment import Segment
     >>> t = np.arange(0.0, 10.0, 0.02)
     >>> segment = Segment("rudder", t, 0.0 * t, t, np.where(t < 5.0, 0.0, np.nan))
     >>> rows = dict(quality_rows(SurfaceAudit("rudder", "unknown", "", "x", "constant", 1.5, True, segment=segment)))

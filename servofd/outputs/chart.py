@@ -16,7 +16,7 @@ import numpy as np
 from servofd.outputs.sentence import clock
 
 if TYPE_CHECKING:
-    from servofd.types import FloatArray
+    from servofd.core.types import FloatArray
 
 WIDTH, HEIGHT = 4000, 1000
 """Units of the drawing: four to a column of pixels of a wide screen, four to a row of a tall panel."""

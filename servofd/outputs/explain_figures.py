@@ -15,10 +15,10 @@ from servofd.outputs.picture import Picture, finish, new_figure
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from servofd.core.types import FloatArray
     from servofd.discrepancy.explanation import Explanation
     from servofd.discrepancy.regimes import Quantity
     from servofd.discrepancy.varying import Varying
-    from servofd.types import FloatArray
 
 _EXCERPT_S = 6.0
 _BEFORE, _AFTER, _FLOOR = COLOURS["fault"], COLOURS["simulated"], COLOURS["command"]

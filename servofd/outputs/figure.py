@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from servofd.aircraft.segment import Segment
+    from servofd.core.types import BoolArray, FloatArray
     from servofd.detection.residual import Residuals
     from servofd.detection.threshold import Threshold
     from servofd.detection.verdict import SurfaceAudit
-    from servofd.segment import Segment
-    from servofd.types import BoolArray, FloatArray
 
 _DRAWN = ("time_s", "simulated_deg", "measured_deg", "residual_deg", "settled")
 _TITLE_COLUMNS = 130

@@ -15,9 +15,9 @@ from servofd.outputs.picture import Picture, finish, new_figure
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from servofd.core.types import FloatArray
     from servofd.identification.frequency_response import FrequencyResponse
     from servofd.identification.result import Identification
-    from servofd.types import FloatArray
 
 _EXCERPT_S = 4.0
 _STEP_S = 0.6

@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from pathlib import Path
     from typing import Any
 
+    from servofd.core.types import FloatArray
     from servofd.identification.records import Run
     from servofd.identification.result import Identification
     from servofd.outputs.recording.stream import Recorder
-    from servofd.types import FloatArray
 
 
 def save_identification(found: Identification, path: str | Path, source: str) -> None:

@@ -7,14 +7,14 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from servofd.axes.names import MOST_OF_THE_FLIGHT
+from servofd.aircraft.axis_names import MOST_OF_THE_FLIGHT
 from servofd.outputs.sentence import whole_sentence
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from logparsers.records import Damage, FlightLog
-    from servofd.axes.verdict import AxisAudit
+    from servofd.detection.axis_verdict import AxisAudit
     from servofd.detection.bank.flight import Fault
     from servofd.detection.verdict import LogAudit, SurfaceAudit
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from servofd.errors import ConfigError
+from servofd.core.errors import ConfigError
 from servofd.outputs.palette import SERIES
 from servofd.outputs.recording.layout import ALARM_LINE, LINK, REPORT, live_layout
 from servofd.outputs.recording.scene import AIRSPEED, SUPPLY
@@ -29,9 +29,9 @@ from servofd.outputs.recording.verdicts import MANY_VEHICLES
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from servofd.core.types import FloatArray
     from servofd.detection.events import Event
-    from servofd.models.context import Context
-    from servofd.types import FloatArray
+    from servofd.servo.context import Context
 
 _TO_VIEWER_S, _TO_FILE_S = 0.2, 2.0
 _PATIENCE_S = 5.0

@@ -6,23 +6,23 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from servofd.errors import CalibrationError
+from servofd.core.errors import CalibrationError
+from servofd.core.toml_text import toml_key, toml_lines
 from servofd.feedback.fitted import good_levels
-from servofd.models.catalogue import CATALOGUE, OWN, Bias, Delay, Gain
-from servofd.models.effect_table import table_of
-from servofd.models.laws import plain
-from servofd.models.physics import INSIDE
-from servofd.toml_text import toml_key, toml_lines
+from servofd.servo.catalogue import CATALOGUE, OWN, Bias, Delay, Gain
+from servofd.servo.effect_table import table_of
+from servofd.servo.laws import plain
+from servofd.servo.physics import INSIDE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from logparsers.records import FlightLog
-    from servofd.aircraft import Aircraft
+    from servofd.aircraft.schema import Aircraft
     from servofd.discrepancy.explanation import Explanation
-    from servofd.models.effect_table import EffectTable
-    from servofd.models.missing_effect import MissingEffect
-    from servofd.models.physics import Physics
+    from servofd.servo.effect_table import EffectTable
+    from servofd.servo.missing_effect import MissingEffect
+    from servofd.servo.physics import Physics
 
 _WORTH_SAVING = 0.9
 """A model that leaves more of the error than this is no better."""

@@ -15,8 +15,8 @@ from servofd.outputs.picture import saved
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from servofd.core.types import FloatArray
     from servofd.detection.odds import SurfaceOdds
-    from servofd.types import FloatArray
 
 _COLOURS = ("#0072b2", "#009e73", "#e69f00", "#d55e00", "#cc79a7")
 """Okabe and Ito's palette."""

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servofd.axes.verdict import AxisAudit
+    from servofd.core.evidence import Detectable
+    from servofd.detection.axis_verdict import AxisAudit
     from servofd.detection.bank.flight import Fault
     from servofd.detection.verdict import LogAudit, Status, SurfaceAudit
-    from servofd.evidence import Detectable
 
 _WORST_FIRST: tuple[Status, ...] = ("fault", "suspect", "healthy", "unknown", "no_data")
 _WHAT = {
@@ -143,7 +143,7 @@ def seen(detectable: Detectable) -> str:
 
     Examples
     --------
-    >>> from servofd.evidence import Detectable
+    >>> from servofd.core.evidence import Detectable
     >>> seen(Detectable(bias_deg=0.8, loss_share=0.2))
     'would have seen 0.8 deg, -20 % travel'
     >>> seen(Detectable(bias_deg=0.8, slow_share=0.5, oscillation_deg=0.42))

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from servofd.core.toml_text import toml_key, toml_lines
 from servofd.feedback.fitted import levels_of
-from servofd.models.servo_model import ServoModel
-from servofd.servos import Servo
-from servofd.toml_text import toml_key, toml_lines
+from servofd.servo.library import Servo
+from servofd.servo.servo_model import ServoModel
 
 if TYPE_CHECKING:
     from servofd.identification.result import Identification

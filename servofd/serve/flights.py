@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Self
 
-from servofd.errors import ConfigError
+from servofd.core.errors import ConfigError
 from servofd.fleet.find import META_FILE, find_logs
 from servofd.fleet.key import Job, content_key
 from servofd.fleet.local import cores, interrupts_wait, processes

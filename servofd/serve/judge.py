@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from logparsers import LogError
-from servofd.errors import ServofdError
+from servofd.core.errors import ServofdError
+from servofd.jobs.workflow import audit
 from servofd.outputs.audit_page import audit_page
 from servofd.outputs.files import make_folder, write_whole
 from servofd.outputs.json_report import FailedLog, audit_document, to_json
 from servofd.outputs.sentence import spoken, whole_sentence, worst
-from servofd.workflow import audit
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from logparsers.compiled import compiled
-from servofd.errors import ConfigError, UnknownName, suggest
+from servofd.core.errors import ConfigError, UnknownName, suggest
 
 if TYPE_CHECKING:
-    from servofd.types import FloatArray
+    from servofd.core.types import FloatArray
 
 _STEP_S: Final = 0.01
 

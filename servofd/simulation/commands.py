@@ -12,7 +12,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from servofd.types import FloatArray
+    from servofd.core.types import FloatArray
 
 _FIRST_TURN_S = 8.0
 _LEG_S = 12.0

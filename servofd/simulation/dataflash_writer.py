@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-    from servofd.aircraft import Aircraft
+    from servofd.aircraft.schema import Aircraft
     from servofd.simulation.flight import SimulatedFlight
 
 _CONTEXT_HZ: Final = 10.0

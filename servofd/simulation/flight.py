@@ -7,20 +7,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.errors import ConfigError, UnknownName, suggest
-from servofd.models.context import NO_CONTEXT, Context
-from servofd.models.failing import Fault, failing_deflection, in_order
+from servofd.core.errors import ConfigError, UnknownName, suggest
+from servofd.servo.context import NO_CONTEXT, Context
+from servofd.servo.failing import Fault, failing_deflection, in_order
 from servofd.simulation.commands import COMMANDS
 from servofd.simulation.surroundings import acting, current_a
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from servofd.aircraft import Aircraft
-    from servofd.models.effects import Effect
-    from servofd.models.servo_model import ServoModel
+    from servofd.aircraft.schema import Aircraft
+    from servofd.core.types import FloatArray, IntArray
+    from servofd.servo.effects import Effect
+    from servofd.servo.servo_model import ServoModel
     from servofd.simulation.pulses import Output
-    from servofd.types import FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,8 +89,8 @@ def simulate_flight(
 
     Examples
     --------
-    >>> from servofd.aircraft import plain_aircraft
-    >>> from servofd.models.faults import Stuck
+    >>> from servofd.aircraft.schema import plain_aircraft
+    >>> from servofd.servo.faults import Stuck
     >>> flown = simulate_flight(plain_aircraft(["rudder"], "hs225bb-eq31"), duration_s=20.0, noise_deg=0.0,
     ...                         faults={"rudder": Stuck(10.0)})
     >>> bool(np.ptp(flown.measured_deg[1001:, 0]) == 0.0)

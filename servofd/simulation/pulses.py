@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from servofd.calibration import PulseCalibration
-from servofd.errors import ConfigError
+from servofd.aircraft.calibration import PulseCalibration
+from servofd.core.errors import ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-    from servofd.aircraft import Aircraft
-    from servofd.calibration import Calibration
-    from servofd.types import FloatArray, IntArray
+    from servofd.aircraft.calibration import Calibration
+    from servofd.aircraft.schema import Aircraft
+    from servofd.core.types import FloatArray, IntArray
 
 FULL_TRAVEL_DEG: Final = 45.0
 """Deflection at SERVOn_MIN and SERVOn_MAX [deg]: neither firmware nor log knows it, so it is assumed."""
@@ -147,7 +147,7 @@ def outputs_of(aircraft: Aircraft) -> tuple[Output, ...]:
 
     Examples
     --------
-    >>> from servofd.aircraft import plain_aircraft
+    >>> from servofd.aircraft.schema import plain_aircraft
     >>> [(o.number, o.function) for o in outputs_of(plain_aircraft(["elevator", "vtail_right", "gimbal"]))]
     [(2, 19), (5, 80), (6, 94)]
     """

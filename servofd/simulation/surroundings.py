@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from servofd.models.context import Context
+from servofd.servo.context import Context
 
 if TYPE_CHECKING:
-    from servofd.types import FloatArray, IntArray
+    from servofd.core.types import FloatArray, IntArray
 
 EPOCH_US: Final = 1_700_000_000_000_000
 """When every simulated vehicle was booted [us since 1970]: the same flight gives the same file."""

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-    from servofd.aircraft import Aircraft
+    from servofd.aircraft.schema import Aircraft
+    from servofd.core.types import IntArray
     from servofd.simulation.flight import SimulatedFlight
-    from servofd.types import IntArray
 
     Sent = tuple[str, IntArray, dict[str, ArrayLike]]
     """Name of a message, when it was made [us], and its fields."""

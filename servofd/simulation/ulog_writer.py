@@ -8,7 +8,7 @@ import numpy as np
 
 from logparsers.records import Text
 from logparsers.ulog.encode import Topic, encode
-from servofd.errors import ConfigError
+from servofd.core.errors import ConfigError
 from servofd.simulation.ardupilot import outputs_needed
 from servofd.simulation.pulses import THROTTLE, THROTTLE_US
 from servofd.simulation.surroundings import EPOCH_US, microseconds, sparse, surroundings
@@ -16,7 +16,7 @@ from servofd.simulation.surroundings import EPOCH_US, microseconds, sparse, surr
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from servofd.aircraft import Aircraft
+    from servofd.aircraft.schema import Aircraft
     from servofd.simulation.flight import SimulatedFlight
     from servofd.simulation.pulses import Output
 

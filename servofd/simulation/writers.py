@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.errors import ConfigError, suggest
+from servofd.core.errors import ConfigError, suggest
 from servofd.outputs.files import write_whole
 from servofd.simulation.dataflash_writer import GENERATIONS, dataflash_log
 from servofd.simulation.telemetry_writer import telemetry_log
@@ -21,9 +21,9 @@ from servofd.simulation.ulog_writer import ulog_log
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from servofd.aircraft import Aircraft
+    from servofd.aircraft.schema import Aircraft
+    from servofd.core.types import FloatArray
     from servofd.simulation.flight import SimulatedFlight
-    from servofd.types import FloatArray
 
 _BIG_ENDIAN_SINGLE = 1010
 _CSV_DECIMALS = 9

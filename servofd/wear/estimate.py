@@ -17,22 +17,22 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from servofd.calibrating.flights import Flight, busiest
+from servofd.core.errors import NoMeasurement
 from servofd.detection.bank.window import noise_deg
 from servofd.detection.prepare import prepared
 from servofd.detection.residual import ResidualGenerator
 from servofd.detection.threshold import constant_threshold, interval_threshold
-from servofd.errors import NoMeasurement
 from servofd.estimate.statistics import Estimate, descended, deviations, line, mean_loss, ordinary_deg
-from servofd.models.play import play
+from servofd.servo.play import play
 from servofd.wear.motion import Motion, noise_of
 from servofd.wear.records import QUANTITIES
 from servofd.wear.servo import FlownServo
 
 if TYPE_CHECKING:
-    from servofd.aircraft import Aircraft
+    from servofd.aircraft.schema import Aircraft
+    from servofd.aircraft.segment import Segment
+    from servofd.core.types import FloatArray
     from servofd.detection.residual import Residuals
-    from servofd.segment import Segment
-    from servofd.types import FloatArray
 
 _MOST_SAMPLES = 12_000
 """Two minutes at 100 Hz tell the width to 0.01 deg, which is less than it varies from flight to flight."""
@@ -94,9 +94,9 @@ def estimate_flight(segment: Segment, aircraft: Aircraft, voltage_v: float | Non
 
     Examples
     --------
-    >>> from servofd.aircraft import plain_aircraft
-    >>> from servofd.models.faults import DeadBand
-    >>> from servofd.segment import Segment
+    >>> from servofd.aircraft.schema import plain_aircraft
+    >>> from servofd.servo.faults import DeadBand
+    >>> from servofd.aircraft.segment import Segment
     >>> from servofd.simulation.flight import simulate_flight
     >>> plane = plain_aircraft(["rudder"], "hs225bb-eq31")
     >>> flown = simulate_flight(plane, seed=1, faults={"rudder": DeadBand(0.0, width_deg=0.8)})

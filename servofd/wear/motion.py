@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
     from servofd.calibrating.flights import Flight
-    from servofd.types import BoolArray, FloatArray
+    from servofd.core.types import BoolArray, FloatArray
     from servofd.wear.servo import FlownServo
 
 _POLE_RAD_S = 30.0

@@ -11,7 +11,7 @@ import numpy as np
 from servofd.estimate.statistics import MAD_TO_SIGMA, Estimate
 
 if TYPE_CHECKING:
-    from servofd.types import FloatArray
+    from servofd.core.types import FloatArray
 
 CHANCE = 1e-6
 """Of a change where there is none: six surfaces with nine numbers, in a hundred fleets, are 5400 chances for one."""

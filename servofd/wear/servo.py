@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from servofd.models.effects import Delay, Effect, LinearDynamics, PositionLimit, RateLimit
-from servofd.models.servo_model import ServoModel
-from servofd.servos import Servo, second_order
+from servofd.servo.effects import Delay, Effect, LinearDynamics, PositionLimit, RateLimit
+from servofd.servo.library import Servo, second_order
+from servofd.servo.servo_model import ServoModel
 
 if TYPE_CHECKING:
-    from servofd.aircraft import Aircraft
-    from servofd.models.transfer import TransferFunction
-    from servofd.types import FloatArray
+    from servofd.aircraft.schema import Aircraft
+    from servofd.core.types import FloatArray
+    from servofd.servo.transfer import TransferFunction
 
 NUMBERS = ("bandwidth_hz", "damping", "delay_s", "rate_limit_deg_s")
 """What is fitted beside scale and offset of the position, in this order."""
@@ -45,7 +45,7 @@ class FlownServo:
 
     Examples
     --------
-    >>> from servofd.servos import servo_named
+    >>> from servofd.servo.library import servo_named
     >>> servo = FlownServo.of(servo_named("hs225bb-eq31"))
     >>> round(servo.bandwidth_hz, 2), servo.delay_s, servo.numbers
     (4.53, 0.004, ('bandwidth_hz', 'delay_s', 'rate_limit_deg_s'))
@@ -112,7 +112,7 @@ class FlownServo:
 
         Examples
         --------
-        >>> from servofd.servos import servo_named
+        >>> from servofd.servo.library import servo_named
         >>> servo = FlownServo.of(servo_named("s3151"))
         >>> servo.with_vector(("delay_s",), np.array([7.0])).delay_s
         0.007

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.aircraft import Aircraft, load_aircraft
-from servofd.errors import NoMeasurement
+from servofd.aircraft.schema import Aircraft, load_aircraft
+from servofd.core.errors import NoMeasurement
 from servofd.fleet.cluster import run_on_cluster
 from servofd.fleet.find import find_logs
 from servofd.fleet.local import run_local
-from servofd.job import layout_of
+from servofd.jobs.job import layout_of
 from servofd.wear.follow import SurfaceTrend, Wear, follow
 from servofd.wear.logs import FlownLog, Order, check_one_aircraft, estimate_log, in_order
 
@@ -148,7 +148,7 @@ def limits_of(aircraft: Aircraft, surface: str) -> dict[str, float]:
 
     Examples
     --------
-    >>> from servofd.aircraft import plain_aircraft
+    >>> from servofd.aircraft.schema import plain_aircraft
     >>> limits = limits_of(plain_aircraft(["rudder"], "hs225bb-eq31"), "rudder")
     >>> limits["dead_band_deg"], round(limits["delay_s"], 4), round(limits["bandwidth_hz"], 2)
     (2.0, 0.019, 3.17)

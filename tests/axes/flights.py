@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from servofd.axes.motion import Motion
-from servofd.types import FloatArray
+from servofd.core.types import FloatArray
 
 __all__ = ["flown"]
 

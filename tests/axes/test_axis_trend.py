@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from servofd.aircraft import load_aircraft
+from servofd.aircraft.axes import motion_to_toml
+from servofd.aircraft.schema import load_aircraft
 from servofd.axes.calibrate import calibrate_motion
-from servofd.axes.schema import motion_to_toml
 from servofd.wear.trend import trend_logs
 from tests.axes.flights import flown
 from tests.axes.test_axes import as_table

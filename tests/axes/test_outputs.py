@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from servofd.axes.schema import motion_to_toml
+from servofd.aircraft.axes import motion_to_toml
 from servofd.cli import main
 from tests.axes.flights import flown
 from tests.axes.test_axes import as_table

@@ -10,10 +10,10 @@ import pytest
 from rich.console import Console
 
 from logparsers.codec import Codec
-from servofd.aircraft import Aircraft
+from servofd.aircraft.axes import MotionModel
+from servofd.aircraft.schema import Aircraft
 from servofd.axes.calibrate import calibrate_motion
 from servofd.axes.motion import Motion
-from servofd.axes.schema import MotionModel
 from servofd.axes.watch import AxisWatch
 from servofd.detection.events import Event
 from servofd.live.session import Session

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from servofd.aircraft import load_aircraft, plain_aircraft
+from servofd.aircraft.schema import load_aircraft, plain_aircraft
 from servofd.cli import main
-from servofd.models.faults import Stuck
+from servofd.core.types import FloatArray
+from servofd.servo.faults import Stuck
 from servofd.simulation.flight import SimulatedFlight, simulate_flight
-from servofd.types import FloatArray
 
 AIRCRAFT = """
 [surfaces.rudder]

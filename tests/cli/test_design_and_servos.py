@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from servofd.cli import main
-from servofd.servos import library
+from servofd.servo.library import library
 
 
 def test_design_prints_thesis_eq_4_10(capsys: pytest.CaptureFixture[str]) -> None:

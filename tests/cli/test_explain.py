@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from servofd.aircraft import load_aircraft
+from servofd.aircraft.schema import load_aircraft
 from servofd.cli import main
 from tests.recordings.inside import everything
 from tests.recovery.fine_servo import FineServo, Hidden, hide

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from servofd.cli import main
-from servofd.types import FloatArray
+from servofd.core.types import FloatArray
 
 SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"
 HEALTHY = str(SAMPLES / "faser_healthy_flight.mat")
@@ -129,8 +129,8 @@ class TestVerdicts:
         assert json.loads(capsys.readouterr().out)["logs"][0]["surfaces"]["elevator"]["status"] == "no_data"
 
     def test_positions_inside_a_hole_of_the_commands_are_not_judged(self) -> None:
+        from servofd.aircraft.segment import Segment
         from servofd.detection.starts import find_starts
-        from servofd.segment import Segment
 
         time_s = np.arange(200) / 100.0
         kept = (time_s <= 1.0) | (time_s >= 1.04)
@@ -156,7 +156,7 @@ class TestVerdicts:
         assert "check its unit and calibration" in capsys.readouterr().err
 
     def test_counts_need_not_be_whole(self) -> None:
-        from servofd.calibration import RadianOrCountCalibration
+        from servofd.aircraft.calibration import RadianOrCountCalibration
 
         faser = RadianOrCountCalibration(channel="x", unit="rad_or_count", trim_count=2048.0, slope_deg_per_count=0.05)
         assert faser.to_deg(np.array([2048.5, 2068.0])) == pytest.approx([0.025, 1.0])
@@ -213,7 +213,7 @@ def test_simulated_faults_must_happen(
 
 
 def test_every_fault_can_be_asked_for_and_passes(tmp_path: Path) -> None:
-    from servofd.models.faults import FAULTS
+    from servofd.servo.faults import FAULTS
 
     path = tmp_path / "a.csv"
     times = {kind: 2.0 + 4.0 * index for index, kind in enumerate(FAULTS)}

@@ -14,8 +14,8 @@ import pytest
 
 from servofd.cli import main
 from servofd.cli.terminal import console, plain_streams
+from servofd.core.toml_text import toml_inline
 from servofd.outputs.picture import Picture, new_figure
-from servofd.toml_text import toml_inline
 
 ACTS = [*map(chr, range(8)), "\x1b", "\x7f", "\x80", "\x9b", "\u202e", "\ufeff"]
 NAMES = ["a\x1b[31m\x9b2J", "<script>alert(1)</script>", "x\\1\\g<2>$\\frac$\"']]>"]

@@ -14,14 +14,14 @@ import numpy as np
 import pytest
 
 from logparsers.dataflash.encode import Message, encode
+from servofd.aircraft.segment import Segment
 from servofd.cli import main
 from servofd.identification.identify import identify
-from servofd.models.effects import Delay, LinearDynamics, RateLimit
-from servofd.models.servo_model import ServoModel
-from servofd.models.transfer import TransferFunction
 from servofd.outputs.identify_figures import identify_figures
-from servofd.segment import Segment
-from servofd.servos import find_servo, servo_named
+from servofd.servo.effects import Delay, LinearDynamics, RateLimit
+from servofd.servo.library import find_servo, servo_named
+from servofd.servo.servo_model import ServoModel
+from servofd.servo.transfer import TransferFunction
 from tests.recovery.bench import step, sweep, written
 
 QUICK = sweep("hs225bb-eq31", duration_s=40.0)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from servofd.cli import main
-from servofd.models.servo_model import ServoModel
-from servofd.servos import servo_named
+from servofd.servo.library import servo_named
+from servofd.servo.servo_model import ServoModel
 from servofd.simulation.commands import COMMANDS
 
 SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"

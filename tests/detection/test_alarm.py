@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from servofd.aircraft.segment import Segment
+from servofd.core.tolerance import Tolerance
+from servofd.core.types import FloatArray
 from servofd.detection.alarm import Episode, find_episodes
 from servofd.detection.latch import latch, new_latch_memory
 from servofd.detection.probability import Noise, design_cusum
 from servofd.detection.residual import ResidualGenerator, Residuals
 from servofd.detection.threshold import Threshold, constant_threshold, interval_threshold, suspicion
-from servofd.segment import Segment
 from servofd.simulation.commands import COMMANDS
-from servofd.tolerance import Tolerance
-from servofd.types import FloatArray
 from tests.detection.tolerated import MODEL, deviating
 
 TIME_S = np.arange(6000) / 100.0

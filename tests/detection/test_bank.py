@@ -9,6 +9,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from servofd.core.types import FloatArray
 from servofd.detection.alarm import Episode
 from servofd.detection.bank.classify import BANK, name_fault, scores
 from servofd.detection.bank.confirm import confirmed, joined
@@ -18,12 +19,11 @@ from servofd.detection.bank.flight import Flight
 from servofd.detection.bank.isolate import narendra, refine_onset_s
 from servofd.detection.bank.window import Explanation, Window
 from servofd.detection.plausible import wiring_problem
-from servofd.models.effects import RateLimit
-from servofd.models.failing import Fault
-from servofd.models.faults import Bias, DeadBand, Floating, HardOver, LossOfEffectiveness, Oscillation, Slow, Stuck
-from servofd.models.play import play
+from servofd.servo.effects import RateLimit
+from servofd.servo.failing import Fault
+from servofd.servo.faults import Bias, DeadBand, Floating, HardOver, LossOfEffectiveness, Oscillation, Slow, Stuck
+from servofd.servo.play import play
 from servofd.simulation.commands import COMMANDS
-from servofd.types import FloatArray
 from tests.detection.tolerated import MODEL, deviating
 from tests.detection.windows import NOISE_DEG, command, flown, judged, residuals_of, window
 

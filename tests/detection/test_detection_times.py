@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from servofd.aircraft.segment import Segment
+from servofd.core.tolerance import Tolerance
+from servofd.core.types import FloatArray
 from servofd.detection.alarm import Episode, find_episodes
 from servofd.detection.residual import ResidualGenerator, Residuals
 from servofd.detection.threshold import constant_threshold, interval_threshold
-from servofd.models.failing import Fault
-from servofd.models.faults import DeadBand, Stuck
-from servofd.models.servo_model import ServoModel
-from servofd.segment import Segment
-from servofd.servos import servo_named
-from servofd.tolerance import Tolerance
-from servofd.types import FloatArray
+from servofd.servo.failing import Fault
+from servofd.servo.faults import DeadBand, Stuck
+from servofd.servo.library import servo_named
+from servofd.servo.servo_model import ServoModel
 
 THRESHOLD_DEG = 1.5
 MODEL = ServoModel.of(servo_named("hs225bb-eq31"))

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from servofd.aircraft.segment import Segment
+from servofd.core.types import FloatArray
 from servofd.detection.residual import ResidualGenerator
-from servofd.models.effects import Delay, LinearDynamics
-from servofd.models.servo_model import ServoModel
-from servofd.models.transfer import TransferFunction
-from servofd.segment import Segment
-from servofd.servos import servo_named
+from servofd.servo.effects import Delay, LinearDynamics
+from servofd.servo.library import servo_named
+from servofd.servo.servo_model import ServoModel
+from servofd.servo.transfer import TransferFunction
 from servofd.simulation.commands import COMMANDS
-from servofd.types import FloatArray
 
 SERVO = servo_named("hs225bb-eq31")
 TIME_S = np.arange(6000) / 500.0

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from fleet import KINDS, SIZES, STYLES, FleetServo, Truth, cases, deflection, flight
-from servofd.models.faults import FAULTS
-from servofd.models.servo_model import ServoModel
-from servofd.servos import servo_named
+from servofd.servo.faults import FAULTS
+from servofd.servo.library import servo_named
+from servofd.servo.servo_model import ServoModel
 from servofd.simulation.commands import COMMANDS
 
 MODEL = ServoModel.of(servo_named("hs225bb-eq31"))

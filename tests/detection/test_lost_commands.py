@@ -7,21 +7,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from servofd.aircraft import plain_aircraft
+from servofd.aircraft.calibrated import CalibratedServo
+from servofd.aircraft.priors import PRIORS
+from servofd.aircraft.schema import plain_aircraft
+from servofd.aircraft.segment import Segment, sent_period_s
 from servofd.detection.calibrated import judged
 from servofd.detection.calibrated_stream import CalibratedStream
 from servofd.detection.watch import watched
 from servofd.estimate.family import new_state, simulated, variants
 from servofd.estimate.lost import LONGEST_S, new_memory, put_back, unknown_deg
-from servofd.estimate.priors import PRIORS
 from servofd.estimate.record import Record
-from servofd.estimate.schema import CalibratedServo
-from servofd.segment import Segment, sent_period_s
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from servofd.types import FloatArray
+    from servofd.core.types import FloatArray
 
 PERIOD_S = 0.02
 KNOWN = CalibratedServo.model_validate(

@@ -7,16 +7,16 @@ import re
 import numpy as np
 import pytest
 
-from servofd.aircraft import plain_aircraft
+from servofd.aircraft.schema import plain_aircraft
+from servofd.aircraft.segment import Segment
+from servofd.core.tolerance import Tolerance
 from servofd.detection.alarm import Episode, find_episodes
 from servofd.detection.audit import audit_segment
 from servofd.detection.judge import _largest
 from servofd.detection.threshold import constant_threshold, interval_threshold
 from servofd.detection.verdict import SurfaceAudit
-from servofd.models.failing import failing_deflection
-from servofd.models.faults import Bias, HardOver, Stuck
-from servofd.segment import Segment
-from servofd.tolerance import Tolerance
+from servofd.servo.failing import failing_deflection
+from servofd.servo.faults import Bias, HardOver, Stuck
 from tests.detection.tolerated import MODEL
 from tests.detection.windows import GENERATOR, command, flown, judged, residuals_of
 

@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from servofd.aircraft import Surface, plain_aircraft
+from servofd.aircraft.schema import Surface, plain_aircraft
+from servofd.aircraft.segment import Segment
 from servofd.detection.bank.flight import Fault
 from servofd.detection.events import Event, Look
 from servofd.detection.glitches import glitches
@@ -24,8 +25,7 @@ from servofd.detection.residual import ResidualGenerator, rhythm
 from servofd.detection.running import new_running_median, with_value
 from servofd.detection.starts import mark_starts, new_starts_memory
 from servofd.detection.stream import Piece, Stream
-from servofd.models.servo_model import ServoModel
-from servofd.segment import Segment
+from servofd.servo.servo_model import ServoModel
 from tests.detection.windows import troubled
 
 SAME_DEG = 1e-9

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from servofd.aircraft import plain_aircraft
+from servofd.aircraft.schema import plain_aircraft
+from servofd.core.types import FloatArray
 from servofd.detection.bank.classify import BANK, name_fault
 from servofd.detection.bank.lost import Wandering
 from servofd.detection.bank.window import Explanation, Window
@@ -24,10 +25,9 @@ from servofd.detection.prepare import prepared
 from servofd.detection.probability.noise import Noise
 from servofd.detection.probability.tail import fit_tail
 from servofd.detection.pulse import design_pulse_filter
-from servofd.models.failing import Fault
-from servofd.models.faults import Bias, DeadBand, Floating, LossOfEffectiveness, Oscillation, Slow, Stuck
-from servofd.servos import servo_named
-from servofd.types import FloatArray
+from servofd.servo.failing import Fault
+from servofd.servo.faults import Bias, DeadBand, Floating, LossOfEffectiveness, Oscillation, Slow, Stuck
+from servofd.servo.library import servo_named
 from tests.detection.windows import NOISE_DEG, troubled, window
 
 if TYPE_CHECKING:

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from servofd.core.errors import DesignError, NoMeasurement
 from servofd.detection.odds import Wish
 from servofd.detection.probability import (
     Noise,
@@ -27,9 +28,8 @@ from servofd.detection.probability import (
     threshold_for_rate_deg,
 )
 from servofd.detection.pulse import design_pulse_filter
-from servofd.errors import DesignError, NoMeasurement
-from servofd.odds import LeftOut, Part, odds_from_logs
-from servofd.servos import servo_named
+from servofd.jobs.odds import LeftOut, Part, odds_from_logs
+from servofd.servo.library import servo_named
 
 ROOT = Path(__file__).parent.parent.parent
 DESIGN = design_pulse_filter(servo_named("hs225bb-eq31").transfer, 0.004, 0.01, 50.0)

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from servofd.aircraft.segment import Segment
 from servofd.detection.prepare import prepared
 from servofd.detection.residual import ResidualGenerator, Residuals
-from servofd.segment import Segment
 from tests.detection.tolerated import MODEL
 
 TIME_S = np.arange(1000) / 50.0

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from servofd.aircraft import plain_aircraft
+from servofd.aircraft.schema import plain_aircraft
+from servofd.core.types import FloatArray
 from servofd.detection.events import Event
 from servofd.detection.monitor import Quiet, SurfaceMonitor
-from servofd.types import FloatArray
 
 BEGINS_S, ENDS_S, LAST_S = 20.0, 32.0, 44.0
 WITHIN_S = 2.0

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
+from servofd.aircraft.segment import WARM_UP_STEPS
 from servofd.detection.alarm import Level
 from servofd.detection.audit import _odds
 from servofd.detection.bank.altered import _with_interval
@@ -27,10 +28,9 @@ from servofd.detection.probability.persistence import persistent_delay_s, persis
 from servofd.detection.probability.upcrossing import false_alarms_per_hour
 from servofd.detection.pulse import design_pulse_filter
 from servofd.estimate.statistics import Estimate
-from servofd.models.faults import Oscillation
-from servofd.models.transfer import TransferFunction
-from servofd.segment import WARM_UP_STEPS
-from servofd.servos import servo_named
+from servofd.servo.faults import Oscillation
+from servofd.servo.library import servo_named
+from servofd.servo.transfer import TransferFunction
 from tests.detection.test_monitor import surface
 from tests.detection.test_numbers import FAULTS
 from tests.detection.tolerated import MODEL

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from servofd.aircraft.segment import Segment
+from servofd.core.tolerance import Tolerance
+from servofd.core.types import FloatArray
 from servofd.detection.allowance import Bounds, Signals, follow, new_work
 from servofd.detection.residual import ResidualGenerator, Residuals
 from servofd.detection.threshold import Threshold, constant_threshold, interval_threshold, suspicion
-from servofd.segment import Segment
 from servofd.simulation.commands import COMMANDS
-from servofd.tolerance import Tolerance
-from servofd.types import FloatArray
 from tests.detection.tolerated import MODEL, deviating
 
 GENERATOR = ResidualGenerator(MODEL, 50.0)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from servofd.models.effects import Delay, LinearDynamics, RateLimit
-from servofd.models.servo_model import ServoModel
-from servofd.models.transfer import TransferFunction
-from servofd.servos import servo_named
-from servofd.types import FloatArray
+from servofd.core.types import FloatArray
+from servofd.servo.effects import Delay, LinearDynamics, RateLimit
+from servofd.servo.library import servo_named
+from servofd.servo.servo_model import ServoModel
+from servofd.servo.transfer import TransferFunction
 
 __all__ = ["MODEL", "deviating"]
 

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from servofd.aircraft import plain_aircraft
+from servofd.aircraft.schema import plain_aircraft
+from servofd.aircraft.segment import Segment
+from servofd.core.tolerance import Tolerance
+from servofd.core.types import FloatArray
 from servofd.detection.bank.window import Window
 from servofd.detection.judge import Judgement, judge
 from servofd.detection.residual import ResidualGenerator, Residuals, commands_at_servo
 from servofd.detection.threshold import ThresholdKind
-from servofd.models.failing import Fault
-from servofd.models.servo_model import ServoModel
-from servofd.segment import Segment
-from servofd.servos import servo_named
+from servofd.servo.failing import Fault
+from servofd.servo.library import servo_named
+from servofd.servo.servo_model import ServoModel
 from servofd.simulation.commands import COMMANDS
-from servofd.tolerance import Tolerance
-from servofd.types import FloatArray
 from tests.detection.tolerated import MODEL
 
 __all__ = ["NOISE_DEG", "command", "flown", "judged", "residuals_of", "troubled", "window"]

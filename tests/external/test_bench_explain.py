@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from servofd import explain_log, explain_logs
+from servofd.core.errors import NoMeasurement
 from servofd.discrepancy.explanation import Explanation
-from servofd.errors import NoMeasurement
-from servofd.models.catalogue import Bias, Gain
+from servofd.servo.catalogue import Bias, Gain
 from tests.external.test_bench_tables import DATA
 
 pytestmark = [

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from logparsers import FlightLog
+from servofd.aircraft.segment import Segment
 from servofd.identification.identify import identify
 from servofd.identification.rate import step_slopes
 from servofd.identification.records import prepared
-from servofd.segment import Segment
 from tests.external.test_bench_tables import DATA, logs_of
 
 pytestmark = pytest.mark.skipif(

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 import servofd
-from servofd.aircraft import Aircraft, load_aircraft
+from servofd.aircraft.schema import Aircraft, load_aircraft
 from servofd.calibrating.toml import calibration_to_toml
 from servofd.cli import main
-from servofd.errors import CalibrationError
+from servofd.core.errors import CalibrationError
 from tests.external.test_bench_tables import DATA
 
 LOG = DATA / "logs" / "ardupilot_sitl_feedback.bin"

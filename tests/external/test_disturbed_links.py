@@ -12,7 +12,7 @@ import logparsers
 import servofd
 from logparsers.codec import Codec
 from logparsers.replay import replayed
-from servofd.aircraft import load_aircraft
+from servofd.aircraft.schema import load_aircraft
 from servofd.calibrating.toml import calibration_to_toml
 from servofd.feedback.draft import draft_aircraft
 from servofd.feedback.toml import draft_to_toml
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from servofd.aircraft import Aircraft
+    from servofd.aircraft.schema import Aircraft
     from servofd.detection.events import Event
 
 Frames = list[tuple[float, bytes]]

@@ -10,7 +10,7 @@ import logparsers
 import servofd
 from logparsers.codec import Codec
 from logparsers.replay import replayed
-from servofd.aircraft import load_aircraft
+from servofd.aircraft.schema import load_aircraft
 from servofd.calibrating.toml import calibration_to_toml
 from servofd.feedback.draft import draft_aircraft
 from servofd.feedback.toml import draft_to_toml
@@ -20,7 +20,7 @@ from tests.external.test_bench_tables import DATA
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from servofd.aircraft import Aircraft
+    from servofd.aircraft.schema import Aircraft
 
 LOG = DATA / "logs" / "ardupilot_sitl_feedback.tlog"
 HEALTHY_S = ((2.0, 50.0), (58.0, 92.0))

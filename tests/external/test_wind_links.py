@@ -10,7 +10,7 @@ import pytest
 import logparsers
 import servofd
 from logparsers.codec import Codec
-from servofd.aircraft import load_aircraft
+from servofd.aircraft.schema import load_aircraft
 from servofd.calibrating.toml import calibration_to_toml
 from servofd.feedback.draft import draft_aircraft
 from servofd.feedback.toml import draft_to_toml
@@ -21,7 +21,7 @@ from tests.external.test_disturbed_links import LINKS, alarms, most_outages, sam
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from servofd.aircraft import Aircraft
+    from servofd.aircraft.schema import Aircraft
     from tests.external.test_disturbed_links import Frames
 
 WIND = DATA / "logs" / "wind"

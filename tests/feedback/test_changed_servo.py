@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 
 from logparsers.records import Channel, FlightLog
-from servofd.aircraft import plain_aircraft
+from servofd.aircraft.schema import plain_aircraft
+from servofd.aircraft.segment import Segment
 from servofd.detection.audit import audit_log
 from servofd.feedback.fit import RoughFit, fit_roughly
 from servofd.feedback.fitted import fitted_aircraft
-from servofd.models.servo_model import ServoModel
-from servofd.segment import Segment
-from servofd.servos import library
+from servofd.servo.library import library
+from servofd.servo.servo_model import ServoModel
 from servofd.simulation.commands import doublets
 
 if TYPE_CHECKING:
+    from servofd.core.types import FloatArray
     from servofd.detection.verdict import SurfaceAudit
-    from servofd.types import FloatArray
 
 TIME_S = np.arange(0.0, 120.0, 0.02)
 AT_FIRST = RoughFit(bandwidth_hz=6.0, damping=0.8, delay_s=0.03)

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from logparsers import Channel, FlightLog
-from servofd.aircraft import Aircraft
+from servofd.aircraft.schema import Aircraft
+from servofd.core.types import BoolArray, FloatArray
 from servofd.detection.audit import audit_log
 from servofd.detection.verdict import SurfaceAudit
-from servofd.models.servo_model import ServoModel
-from servofd.servos import servo_named
+from servofd.servo.library import servo_named
+from servofd.servo.servo_model import ServoModel
 from servofd.simulation.commands import flight
-from servofd.types import BoolArray, FloatArray
 
 TIME_S = np.arange(3000) / 50.0
 COMMAND_DEG = flight(TIME_S, np.random.default_rng(3))

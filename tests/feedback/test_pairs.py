@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from logparsers import Channel, FlightLog
-from servofd.errors import NoMeasurement
+from servofd.aircraft.pairs import find_pairs
+from servofd.core.errors import NoMeasurement
 from servofd.feedback.advice import what_to_log
 from servofd.feedback.draft import draft_aircraft
-from servofd.feedback.pairs import find_pairs
 from servofd.feedback.toml import draft_to_toml
-from servofd.models.servo_model import ServoModel
-from servofd.servos import servo_named
+from servofd.servo.library import servo_named
+from servofd.servo.servo_model import ServoModel
 from servofd.simulation.commands import flight
 
 TIME_S = np.arange(4000) / 50.0
@@ -92,7 +92,7 @@ def test_the_scale_of_pulses_is_found(unit: str) -> None:
 
 @pytest.mark.slow
 def test_the_drafted_file_is_accepted_as_it_is(tmp_path: Path) -> None:
-    from servofd.aircraft import load_aircraft
+    from servofd.aircraft.schema import load_aircraft
 
     draft = draft_aircraft(log_of([0, 1, 3], base=0, command_field=True))
     config = tmp_path / "plane.toml"

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 import servofd
-from servofd.aircraft import Surface, load_aircraft
+from servofd.aircraft.resolve import streamed
+from servofd.aircraft.schema import Surface, load_aircraft
 from servofd.cli import main
-from servofd.feedback.resolve import streamed
 
 if TYPE_CHECKING:
     from pathlib import Path

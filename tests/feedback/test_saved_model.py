@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import servofd
-from servofd.aircraft import load_aircraft
+from servofd.aircraft.schema import load_aircraft
 from servofd.cli import main
 
 

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from servofd.aircraft import plain_aircraft
+from servofd.aircraft.schema import plain_aircraft
 from servofd.cli import main
-from servofd.models.faults import Stuck
+from servofd.servo.faults import Stuck
 from servofd.simulation.flight import simulate_flight
 from servofd.simulation.writers import write_flight
 

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from servofd.cli import main
-from servofd.errors import ConfigError
+from servofd.core.errors import ConfigError
 from servofd.fleet.find import find_logs
 from servofd.fleet.key import Job
 from servofd.fleet.overview import overview
@@ -278,7 +278,7 @@ def test_a_table_has_the_same_columns_whatever_it_holds(tmp_path: Path, logs: Pa
 
 
 def test_a_key_depends_on_all_that_decides_a_verdict() -> None:
-    from servofd.aircraft import plain_aircraft
+    from servofd.aircraft.schema import plain_aircraft
 
     jobs = [
         Job(),

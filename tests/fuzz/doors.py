@@ -21,20 +21,20 @@ from typing import TYPE_CHECKING, Any
 from logparsers import LogError
 from logparsers.codec import Codec, signing_key
 from logparsers.endpoint import parse_endpoint
-from servofd.aircraft import load_aircraft
+from servofd.aircraft.schema import load_aircraft
 from servofd.cli import main
-from servofd.errors import ServofdError
+from servofd.core.errors import ServofdError
 from servofd.fleet.find import find_logs
 from servofd.fleet.key import Job
 from servofd.fleet.overview import overview
 from servofd.fleet.store import FleetStore, read_logs
+from servofd.jobs.workflow import audit
 from servofd.live.session import Session
 from servofd.outputs.fleet_page import fleet_page
 from servofd.outputs.json_report import audit_document, to_json
 from servofd.outputs.recording.read import read_recording
-from servofd.review import contradictions, rejudged
-from servofd.servos import find_servo
-from servofd.workflow import audit
+from servofd.outputs.recording.review import contradictions, rejudged
+from servofd.servo.library import find_servo
 from tests.fuzz import mutate, seeds
 from tests.fuzz.harness import outcome
 

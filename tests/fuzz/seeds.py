@@ -18,24 +18,24 @@ import logparsers
 from logparsers.codec import Codec
 from logparsers.dataflash.encode import encode
 from logparsers.replay import replayed
-from servofd.aircraft import plain_aircraft
+from servofd.aircraft.schema import plain_aircraft
 from servofd.feedback.draft import draft_aircraft
 from servofd.feedback.toml import draft_to_toml
 from servofd.fleet.find import find_logs
 from servofd.fleet.key import Job
 from servofd.fleet.run import audit_fleet
 from servofd.fleet.store import FleetStore
-from servofd.models.context import Context
-from servofd.models.faults import Bias, Stuck
+from servofd.jobs.workflow import audit
 from servofd.outputs.recording.scene import ATTITUDE, send_context
 from servofd.outputs.recording.stream import recording_file
 from servofd.outputs.recording.surface import send_surface
 from servofd.outputs.recording.verdicts import verdicts_of
 from servofd.outputs.recording.write import recording_of
+from servofd.servo.context import Context
+from servofd.servo.faults import Bias, Stuck
 from servofd.simulation.flight import SimulatedFlight, simulate_flight
 from servofd.simulation.pulses import outputs_of
 from servofd.simulation.writers import write_flight
-from servofd.workflow import audit
 from tests.fuzz.harness import SEEDS
 from tests.live.vehicles import plane_file
 from tests.parsers import dataflash_writer, export_writer, tlog_writer, writers

@@ -14,26 +14,26 @@ from pyarrow import parquet
 import logparsers
 from logparsers.endpoint import parse_endpoint
 from logparsers.errors import LinkError
-from servofd.aircraft import load_aircraft, plain_aircraft
+from servofd.aircraft.outputs import outputs_of
+from servofd.aircraft.schema import load_aircraft, plain_aircraft
+from servofd.aircraft.segment import pace_steps
 from servofd.cli import main, manual
+from servofd.core.errors import ConfigError, RecordingError
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.statistics import Statistics
-from servofd.errors import ConfigError, RecordingError
 from servofd.feedback.draft import draft_aircraft
-from servofd.feedback.outputs import outputs_of
 from servofd.fleet.key import Job
 from servofd.fleet.store import FleetStore, read_table
+from servofd.jobs.workflow import audit
 from servofd.live.session import stamped
 from servofd.outputs.recording import read
 from servofd.outputs.recording.content import Trace
 from servofd.outputs.recording.program import run_rerun
+from servofd.outputs.recording.review import rejudged, statistics_of
 from servofd.outputs.recording.stream import recording_file
 from servofd.outputs.recording.verdicts import audit_of
 from servofd.outputs.recording.write import recording_of
-from servofd.review import rejudged, statistics_of
-from servofd.segment import pace_steps
-from servofd.servos import find_servo
-from servofd.workflow import audit
+from servofd.servo.library import find_servo
 from tests.fuzz import seeds
 from tests.fuzz.doors import DOORS
 

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from servofd.core.errors import DesignError
 from servofd.detection.nullspace import design_nullspace_filter
 from servofd.detection.probability import false_alarms_per_hour
 from servofd.detection.pulse import design_pulse_filter
-from servofd.errors import DesignError
-from servofd.models.transfer import TransferFunction
+from servofd.servo.transfer import TransferFunction
 
 HERE = Path(__file__).parent
 GETBASICQ: dict[str, Any] = json.loads((HERE / "getbasicq.json").read_text())

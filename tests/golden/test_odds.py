@@ -19,7 +19,7 @@ from servofd.detection.probability import (
     threshold_for_rate_deg,
 )
 from servofd.detection.pulse import design_pulse_filter
-from servofd.servos import servo_named
+from servofd.servo.library import servo_named
 
 T = 0.01
 DESIGN = design_pulse_filter(servo_named("hs225bb-eq31").printed, 0.004, T, 50.0)

@@ -9,8 +9,8 @@ from scipy.linalg import expm
 from scipy.signal import tf2ss
 
 if TYPE_CHECKING:
-    from servofd.models.transfer import TransferFunction
-    from servofd.types import FloatArray
+    from servofd.core.types import FloatArray
+    from servofd.servo.transfer import TransferFunction
 
 
 def linear_deflection(

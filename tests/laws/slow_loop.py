@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from servofd.models.physics import AFTER, BEFORE, INSIDE, Physics, split
-from servofd.types import FloatArray
+from servofd.core.types import FloatArray
+from servofd.servo.physics import AFTER, BEFORE, INSIDE, Physics, split
 
 _STEP_S = 1e-4
 

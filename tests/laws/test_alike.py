@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from servofd.models.effects import Delay, Extension, LinearDynamics, RateLimit
-from servofd.models.faults import Slow
-from servofd.models.servo_model import ServoModel, plant_of
-from servofd.servos import servo_named
+from servofd.servo.effects import Delay, Extension, LinearDynamics, RateLimit
+from servofd.servo.faults import Slow
+from servofd.servo.library import servo_named
+from servofd.servo.servo_model import ServoModel, plant_of
 from servofd.simulation.commands import doublets, flight
 
 ALIKE_DEG = 1e-6

@@ -7,14 +7,14 @@ import math
 import numpy as np
 import pytest
 
+from servofd.aircraft.segment import Segment
+from servofd.core.types import FloatArray
 from servofd.discrepancy.record import Record, joined, record_of, simulate
-from servofd.models.context import Context
-from servofd.models.effects import Delay, LinearDynamics
-from servofd.models.physics import Physics
-from servofd.models.servo_model import ServoModel
-from servofd.models.transfer import TransferFunction
-from servofd.segment import Segment
-from servofd.types import FloatArray
+from servofd.servo.context import Context
+from servofd.servo.effects import Delay, LinearDynamics
+from servofd.servo.physics import Physics
+from servofd.servo.servo_model import ServoModel
+from servofd.servo.transfer import TransferFunction
 
 NATURAL_RAD_S, DAMPING = 25.0, 0.7
 MODEL = ServoModel(

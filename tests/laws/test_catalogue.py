@@ -7,9 +7,9 @@ from itertools import pairwise
 
 import pytest
 
-from servofd.models.catalogue import CATALOGUE, installed
-from servofd.models.missing_effect import MissingEffect
-from servofd.models.physics import Physics
+from servofd.servo.catalogue import CATALOGUE, installed
+from servofd.servo.missing_effect import MissingEffect
+from servofd.servo.physics import Physics
 
 every_effect = pytest.mark.parametrize("effect", CATALOGUE, ids=lambda effect: effect.key())
 

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from servofd.errors import ConfigError
-from servofd.models.effects import Delay, LinearDynamics, PositionLimit, RateLimit
-from servofd.models.failing import Fault, failing_deflection, in_order
-from servofd.models.faults import (
+from servofd.core.errors import ConfigError
+from servofd.servo.effects import Delay, LinearDynamics, PositionLimit, RateLimit
+from servofd.servo.failing import Fault, failing_deflection, in_order
+from servofd.servo.faults import (
     FAULTS,
     Bias,
     DeadBand,
@@ -24,12 +24,12 @@ from servofd.models.faults import (
     Slow,
     Stuck,
 )
-from servofd.models.servo_model import ServoModel
-from servofd.servos import servo_named
+from servofd.servo.library import servo_named
+from servofd.servo.servo_model import ServoModel
 from servofd.simulation.commands import flight
 
 if TYPE_CHECKING:
-    from servofd.types import FloatArray
+    from servofd.core.types import FloatArray
 
 MODEL = ServoModel.of(servo_named("hs225bb-eq31"))
 RATE_DEG_S = 370.0

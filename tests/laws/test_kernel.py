@@ -9,16 +9,16 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from servofd.errors import DesignError
-from servofd.models.effects import Delay, LinearDynamics, PositionLimit, RateLimit
-from servofd.models.play import play
-from servofd.models.servo_model import ServoModel
-from servofd.models.transfer import TransferFunction
-from servofd.servos import library, servo_named
+from servofd.core.errors import DesignError
+from servofd.servo.effects import Delay, LinearDynamics, PositionLimit, RateLimit
+from servofd.servo.library import library, servo_named
+from servofd.servo.play import play
+from servofd.servo.servo_model import ServoModel
+from servofd.servo.transfer import TransferFunction
 from tests.laws.reference_twin import limited_deflection, linear_deflection
 
 if TYPE_CHECKING:
-    from servofd.types import FloatArray
+    from servofd.core.types import FloatArray
 
 NANODEGREE = 1e-9
 
@@ -130,8 +130,8 @@ def test_rate_limit_equals_the_reference_twin(up: float, down: float) -> None:
 
 def test_the_rate_limit_reproduces_the_published_peaks() -> None:
     """Peak residual of a linear filter on a rate-limited healthy servo, steps of 20 to 60 deg (370 deg/s)."""
+    from servofd.aircraft.segment import Segment
     from servofd.detection.residual import ResidualGenerator
-    from servofd.segment import Segment
 
     servo = servo_named("hs225bb-eq31")
     linear = ServoModel((Delay(servo.transport_delay_s), LinearDynamics(servo.printed)))

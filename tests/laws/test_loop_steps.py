@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from servofd.models import linkage
-from servofd.models.loop_steps import ROW, build, coasted, column, row, sine, step_matrices
-from servofd.models.physics import Loop, Physics, Plant
-from servofd.models.transfer import TransferFunction
-from servofd.servos import servo_named
-from servofd.types import FloatArray
+from servofd.core.types import FloatArray
+from servofd.servo import linkage
+from servofd.servo.library import servo_named
+from servofd.servo.loop_steps import ROW, build, coasted, column, row, sine, step_matrices
+from servofd.servo.physics import Loop, Physics, Plant
+from servofd.servo.transfer import TransferFunction
 
 SERVOS = {
     "Eq. 3.1": servo_named("hs225bb-eq31").transfer,

@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.signal import tf2ss
 
+from servofd.core.types import FloatArray
 from servofd.detection.lags import FilterMemory, FilterParameters, filtered_rows, lag_weights
 from servofd.detection.residual import Commands, followed
 from servofd.detection.starts import RESTART_ALL, RESTART_FILTER, RESTART_NONE
-from servofd.models.effects import LinearDynamics, PositionLimit
-from servofd.models.servo_model import ServoModel
-from servofd.models.transfer import TransferFunction
-from servofd.servos import servo_named
-from servofd.types import FloatArray
+from servofd.servo.effects import LinearDynamics, PositionLimit
+from servofd.servo.library import servo_named
+from servofd.servo.servo_model import ServoModel
+from servofd.servo.transfer import TransferFunction
 
 EQ31 = servo_named("hs225bb-eq31").transfer
 GAINS = {

@@ -16,12 +16,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import servofd
-from servofd.aircraft import plain_aircraft
+from servofd.aircraft.schema import plain_aircraft
+from servofd.core.types import FloatArray
 from servofd.detection.verdict import SurfaceAudit
-from servofd.models.failing import Fault
-from servofd.models.faults import Bias, HardOver, LossOfEffectiveness, Stuck
+from servofd.servo.failing import Fault
+from servofd.servo.faults import Bias, HardOver, LossOfEffectiveness, Stuck
 from servofd.simulation.flight import SimulatedFlight, simulate_flight
-from servofd.types import FloatArray
 
 SURFACES = ("aileron", "elevator", "rudder")
 DURATION_S, RATE_HZ = 45.0, 50.0

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from servofd.models.physics import AFTER, BEFORE, Physics, Plant, longest_step_s
-from servofd.models.position_loop import framed, new_memory, run
-from servofd.models.transfer import TransferFunction
-from servofd.servos import servo_named
-from servofd.types import FloatArray
+from servofd.core.types import FloatArray
+from servofd.servo.library import servo_named
+from servofd.servo.physics import AFTER, BEFORE, Physics, Plant, longest_step_s
+from servofd.servo.position_loop import framed, new_memory, run
+from servofd.servo.transfer import TransferFunction
 from tests.laws.slow_loop import SlowLoop
 
 DENOMINATORS = {

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from servofd.aircraft import Aircraft, plain_aircraft
-from servofd.errors import ConfigError
+from servofd.aircraft.schema import Aircraft, plain_aircraft
+from servofd.core.errors import ConfigError
 from servofd.simulation.pulses import Output, outputs_of
 
 AILERON, FLAP = 4, 2

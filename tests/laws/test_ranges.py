@@ -7,11 +7,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from servofd.errors import ConfigError
-from servofd.models.catalogue import CATALOGUE
-from servofd.models.effect_table import effects_installed, table_of
-from servofd.models.missing_effect import MissingEffect, Parameter
-from servofd.models.physics import Physics
+from servofd.core.errors import ConfigError
+from servofd.servo.catalogue import CATALOGUE
+from servofd.servo.effect_table import effects_installed, table_of
+from servofd.servo.missing_effect import MissingEffect, Parameter
+from servofd.servo.physics import Physics
 
 NUMBERS = [(effect, parameter) for effect in CATALOGUE for parameter in effect.parameters]
 

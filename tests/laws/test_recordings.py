@@ -13,17 +13,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from logparsers.records import Damage, FlightLog
-from servofd.aircraft import plain_aircraft
+from servofd.aircraft.schema import plain_aircraft
+from servofd.core.types import FloatArray
 from servofd.detection.bank.flight import Fault
 from servofd.detection.verdict import LogAudit, Status, SurfaceAudit
 from servofd.estimate.statistics import Estimate
 from servofd.outputs.recording.clock import microseconds, seconds
 from servofd.outputs.recording.content import Recording, Trace
 from servofd.outputs.recording.read import read_recording
+from servofd.outputs.recording.review import between, compared, statistics_of
 from servofd.outputs.recording.states import breaks_s
 from servofd.outputs.recording.write import write_recording
-from servofd.review import between, compared, statistics_of
-from servofd.types import FloatArray
 from tests.recordings.inside import everything
 
 NAMES = st.text(st.characters(codec="utf-8", exclude_categories=("Cs", "Cc")), min_size=1, max_size=12)

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from servofd.aircraft.segment import Segment
+from servofd.core.types import FloatArray
 from servofd.detection.pulse import design_pulse_filter
 from servofd.detection.residual import ResidualGenerator, commands_at_servo
-from servofd.models.servo_model import ServoModel
-from servofd.segment import Segment
-from servofd.servos import library, servo_named
+from servofd.servo.library import library, servo_named
+from servofd.servo.servo_model import ServoModel
 from servofd.simulation.commands import flight
-from servofd.types import FloatArray
 from tests.laws.reference_twin import linear_deflection
 
 SILENT_DEG = 1e-9

@@ -7,15 +7,15 @@ import math
 import numpy as np
 import pytest
 
-from servofd.errors import DesignError
-from servofd.models.effects import LinearDynamics, Place
-from servofd.models.faults import Floating
-from servofd.models.loop_steps import ROW
-from servofd.models.motion import ExtendedMotion, ExtendedServo
-from servofd.models.physics import Physics, Plant, longest_step_s, scaled_transfer
-from servofd.models.servo_model import ServoModel, plant_of
-from servofd.models.transfer import TransferFunction
-from servofd.servos import library, servo_named
+from servofd.core.errors import DesignError
+from servofd.servo.effects import LinearDynamics, Place
+from servofd.servo.faults import Floating
+from servofd.servo.library import library, servo_named
+from servofd.servo.loop_steps import ROW
+from servofd.servo.motion import ExtendedMotion, ExtendedServo
+from servofd.servo.physics import Physics, Plant, longest_step_s, scaled_transfer
+from servofd.servo.servo_model import ServoModel, plant_of
+from servofd.servo.transfer import TransferFunction
 
 SECOND = TransferFunction((900.0,), (1.0, 42.0, 900.0))
 KNOWN = ServoModel.of(servo_named("hs225bb-eq31"))

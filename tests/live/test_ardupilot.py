@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from logparsers.codec import Codec
-from servofd.aircraft import Aircraft, load_aircraft
+from servofd.aircraft.schema import Aircraft, load_aircraft
 from servofd.cli import main
 from servofd.live.session import Session
 from servofd.simulation.vehicle.fly import legs

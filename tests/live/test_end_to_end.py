@@ -18,8 +18,8 @@ import pytest
 
 import servofd
 from logparsers.codec import Codec, Signature, signing_key
-from servofd.aircraft import load_aircraft
-from servofd.models.faults import Stuck
+from servofd.aircraft.schema import load_aircraft
+from servofd.servo.faults import Stuck
 from tests.live.ground import mavproxy, router
 from tests.live.relay import BadLink, relayed
 from tests.live.vehicles import DEADLINE_S, flown, flying, free_port, plane_file, until

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 import servofd
-from servofd.aircraft import load_aircraft
+from servofd.aircraft.schema import load_aircraft
 from servofd.cli import main
-from servofd.models.faults import Stuck
+from servofd.servo.faults import Stuck
 from servofd.simulation.telemetry_writer import telemetry_log
 from tests.live.vehicles import DEADLINE_S, PLANE, flown, free_port, plane_file
 

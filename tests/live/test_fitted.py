@@ -10,13 +10,13 @@ from strangers import Failure, fly, stranger
 import logparsers
 import servofd
 from logparsers.codec import Codec
-from servofd.aircraft import load_aircraft
+from servofd.aircraft.resolve import resolved
+from servofd.aircraft.schema import load_aircraft
 from servofd.cli import main
-from servofd.feedback.resolve import resolved
 from servofd.live.run import Pace, replay_log
 from servofd.live.session import Session
 from servofd.outputs.recording.read import read_recording
-from servofd.review import rejudged
+from servofd.outputs.recording.review import rejudged
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from servofd.models.faults import Stuck
+from servofd.servo.faults import Stuck
 from servofd.simulation.telemetry_writer import telemetry_log
 from tests.live.vehicles import DEADLINE_S, PLANE, flown, plane_file
 

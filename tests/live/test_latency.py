@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from logparsers.codec import Codec, Heard
-from servofd.aircraft import Aircraft, load_aircraft
+from servofd.aircraft.schema import Aircraft, load_aircraft
 from servofd.live.clock import VehicleClock
 from servofd.live.latency import Latency
 from servofd.live.session import Session

@@ -10,7 +10,7 @@ import pytest
 
 import logparsers
 import servofd
-from servofd.models.faults import Stuck
+from servofd.servo.faults import Stuck
 from servofd.simulation.dataflash_writer import dataflash_log
 from tests.live.ground import mavproxy, pymavlink_station, received, router
 from tests.live.vehicles import PLANE, flown, flying, free_port, until

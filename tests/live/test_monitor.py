@@ -17,14 +17,14 @@ import logparsers
 import servofd
 from logparsers.codec import Codec, Signature, signing_key
 from logparsers.replay import replayed
-from servofd.aircraft import load_aircraft
+from servofd.aircraft.schema import load_aircraft
 from servofd.cli import main
 from servofd.detection.audit import audit_log
 from servofd.feedback.draft import draft_aircraft
 from servofd.feedback.toml import draft_to_toml
 from servofd.live.session import Session, stamped
 from servofd.live.speaker import ALLOWED
-from servofd.models.faults import Bias, Stuck
+from servofd.servo.faults import Bias, Stuck
 from servofd.simulation.telemetry_writer import telemetry_log
 from tests.live.relay import BadLink, relayed
 from tests.live.vehicles import DEADLINE_S, PLANE, flown, flying, free_port, plane_file, until
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
-    from servofd.aircraft import Aircraft
+    from servofd.aircraft.schema import Aircraft
     from servofd.detection.events import Event
     from servofd.detection.stream import Piece
 

@@ -12,7 +12,7 @@ import logparsers
 from logparsers.codec import Codec
 from logparsers.dataflash.live import BlockStream
 from logparsers.replay import replayed
-from servofd.aircraft import Aircraft, load_aircraft
+from servofd.aircraft.schema import Aircraft, load_aircraft
 from servofd.detection.audit import audit_log
 from servofd.live.session import Session
 from servofd.simulation.dataflash_writer import dataflash_log

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from logparsers.codec import Codec, Signature
-from servofd.aircraft import Aircraft, load_aircraft
+from servofd.aircraft.schema import Aircraft, load_aircraft
 from servofd.live.session import Session
-from servofd.models.faults import Stuck
+from servofd.servo.faults import Stuck
 from tests.live.relay import BadLink
 from tests.live.vehicles import flown, plane_file, said, vehicle
 

@@ -15,8 +15,8 @@ from pymavlink.generator.mavcrc import x25crc
 import logparsers
 from logparsers.codec import Codec
 from logparsers.mavlink import Layout, dialect
-from servofd.errors import ConfigError
-from servofd.models.faults import Stuck
+from servofd.core.errors import ConfigError
+from servofd.servo.faults import Stuck
 from servofd.simulation.dataflash_writer import dataflash_log
 from servofd.simulation.telemetry_writer import telemetry_log
 from servofd.simulation.vehicle.remote_log import START, STOP

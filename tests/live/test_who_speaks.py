@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from logparsers.codec import Codec, Heard
-from servofd.aircraft import Aircraft, load_aircraft
+from servofd.aircraft.schema import Aircraft, load_aircraft
 from servofd.cli import main
 from servofd.live.channels import ChannelTable
 from servofd.live.session import Session

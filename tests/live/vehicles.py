@@ -12,7 +12,7 @@ from logparsers.codec import Codec, Heard
 from logparsers.endpoint import parse_endpoint
 from logparsers.errors import LinkError
 from logparsers.link import open_link
-from servofd.aircraft import plain_aircraft
+from servofd.aircraft.schema import plain_aircraft
 from servofd.simulation.flight import SimulatedFlight, simulate_flight
 from servofd.simulation.pulses import outputs_of
 from servofd.simulation.vehicle.fly import Flown, fly

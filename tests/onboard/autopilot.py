@@ -14,7 +14,7 @@ from tests.onboard.float32 import in_32_bits
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from servofd.types import FloatArray, IntArray
+    from servofd.core.types import FloatArray, IntArray
 
 __all__ = ["Flight", "Flown", "fly", "heap_kb"]
 

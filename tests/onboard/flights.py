@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.aircraft import Aircraft
-from servofd.calibration import DegreeCalibration
+from servofd.aircraft.calibration import DegreeCalibration
+from servofd.aircraft.schema import Aircraft
 from tests.onboard.autopilot import Flight
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from servofd.segment import Segment
+    from servofd.aircraft.segment import Segment
 
 __all__ = ["flight_of", "on_autopilot"]
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from logparsers.dataflash.encode import Message, encode
-from servofd.aircraft import load_aircraft
+from servofd.aircraft.schema import load_aircraft
 from servofd.cli import main
-from servofd.models.faults import Stuck
 from servofd.onboard.plan import plan_onboard
 from servofd.onboard.script import watch_script
+from servofd.servo.faults import Stuck
 from servofd.simulation.dataflash_writer import dataflash_messages
 from servofd.simulation.flight import simulate_flight
 from servofd.simulation.pulses import outputs_of

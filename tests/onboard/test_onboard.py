@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from servofd.aircraft import Aircraft, load_aircraft
+from servofd.aircraft.schema import Aircraft, load_aircraft
 from servofd.cli import main
-from servofd.errors import ConfigError
+from servofd.core.errors import ConfigError
 from servofd.onboard.plan import LONGEST_NAME, onboard_name, plan_onboard
 from servofd.onboard.script import stream_script, watch_script
 from tests.onboard.autopilot import Flight, fly

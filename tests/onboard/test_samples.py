@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import servofd
-from servofd.aircraft import load_aircraft
+from servofd.aircraft.schema import load_aircraft
 from servofd.detection.alarm import find_episodes
 from servofd.onboard.plan import plan_onboard
 from servofd.onboard.script import watch_script

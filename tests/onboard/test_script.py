@@ -7,20 +7,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from servofd.aircraft import Aircraft
+from servofd.aircraft.schema import Aircraft
+from servofd.aircraft.segment import Segment
 from servofd.detection.residual import ResidualGenerator
 from servofd.detection.threshold import constant_threshold, interval_threshold
 from servofd.onboard.plan import plan_onboard
 from servofd.onboard.script import watch_script
-from servofd.segment import Segment
 from tests.onboard.autopilot import Flight, Flown, fly
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from servofd.core.types import IntArray
     from servofd.detection.residual import Residuals
     from servofd.detection.threshold import Threshold
-    from servofd.types import IntArray
 
 SERVOS: dict[str, dict[str, object]] = {
     "third_order": {

@@ -19,7 +19,7 @@ from logparsers import FlightLog, LogError, MissingChannel, TableLayout
 from logparsers.dataflash import DataFlashFile
 from logparsers.dataflash.encode import Message, encode
 from servofd.fleet.find import find_logs, flights_joined
-from servofd.workflow import audit
+from servofd.jobs.workflow import audit
 from tests.parsers import export_writer, tlog_writer
 
 SAMPLES = Path(__file__).parents[2] / "sample_logs"

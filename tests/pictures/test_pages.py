@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 
 import servofd
+from servofd.aircraft.segment import Segment
 from servofd.detection.verdict import LogAudit
 from servofd.discrepancy.explanation import Explanation, explain_gap
-from servofd.models.effects import RateLimit
-from servofd.models.servo_model import ServoModel
 from servofd.outputs.audit_page import audit_page
 from servofd.outputs.explain_page import explain_page
 from servofd.outputs.json_report import FailedLog
 from servofd.outputs.palette import BANNER_COLOURS
-from servofd.segment import Segment
-from servofd.servos import servo_named
+from servofd.servo.effects import RateLimit
+from servofd.servo.library import servo_named
+from servofd.servo.servo_model import ServoModel
 
 SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"
 VOID = {"meta", "link", "br", "hr", "img", "input"}

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from servofd.cli import main
-from servofd.models.context import NO_CONTEXT
 from servofd.outputs.live_recording import LiveRecording, Samples
 from servofd.outputs.palette import COLOURS, rgba
 from servofd.outputs.recording.stream import surface_place
+from servofd.servo.context import NO_CONTEXT
 from tests.recordings.inside import everything
 from tests.recovery.bench import sweep, written
 

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from servofd.models.effects import RateLimit
-from servofd.models.servo_model import ServoModel
-from servofd.segment import Segment
-from servofd.servos import servo_named
+from servofd.aircraft.segment import Segment
+from servofd.core.types import FloatArray
+from servofd.servo.effects import RateLimit
+from servofd.servo.library import servo_named
+from servofd.servo.servo_model import ServoModel
 from servofd.simulation.commands import chirp
-from servofd.types import FloatArray
 
 
 def quantized(values: FloatArray, bits: int) -> FloatArray:

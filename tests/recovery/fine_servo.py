@@ -1,6 +1,6 @@
 """A servo in steps of a quarter millisecond, written from scratch: shares nothing with the kernel that explains it.
 
-Torque, friction and loads act on a mass; the loop's damping is split otherwise than in `servofd.models.physics`.
+Torque, friction and loads act on a mass; the loop's damping is split otherwise than in `servofd.servo.physics`.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from numba import njit
 
+from servofd.core.types import FloatArray
 from servofd.simulation.commands import COMMANDS
-from servofd.types import FloatArray
 
 _STEPS = 40
 _SPLIT = 0.65

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from servofd.aircraft.segment import Segment
+from servofd.core.errors import NoMeasurement
+from servofd.core.types import FloatArray
 from servofd.discrepancy.explanation import explain_gap
-from servofd.errors import NoMeasurement
-from servofd.models.servo_model import ServoModel
-from servofd.segment import Segment
-from servofd.servos import servo_named
-from servofd.types import FloatArray
+from servofd.servo.library import servo_named
+from servofd.servo.servo_model import ServoModel
 
 MODEL = ServoModel.of(servo_named("hs225bb-eq31"))
 TIME_S = np.arange(0.0, 120.0, 0.1)

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from hidden_physics import Air, Effects, deflection, hidden
+from servofd.aircraft.segment import Segment
+from servofd.core.types import FloatArray
 from servofd.discrepancy.explanation import Explanation, explain_gap
-from servofd.models.context import Context
-from servofd.models.effects import LinearDynamics
-from servofd.models.servo_model import ServoModel
-from servofd.models.transfer import TransferFunction
-from servofd.segment import Segment
-from servofd.servos import servo_named
-from servofd.types import FloatArray
+from servofd.servo.context import Context
+from servofd.servo.effects import LinearDynamics
+from servofd.servo.library import servo_named
+from servofd.servo.servo_model import ServoModel
+from servofd.servo.transfer import TransferFunction
 
 KNOWN = ServoModel.of(servo_named("hs225bb-eq31"))
 UNKNOWN = ServoModel((LinearDynamics(TransferFunction((987.0,), (1.0, 50.3, 987.0))),))

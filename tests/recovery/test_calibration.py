@@ -14,23 +14,23 @@ import pytest
 from strangers import SURFACES, Failure, Stranger, fly, stranger
 
 from fleet import FleetServo, deflection, flight
-from servofd.aircraft import Aircraft, plain_aircraft
+from servofd.aircraft.schema import Aircraft, plain_aircraft
+from servofd.aircraft.segment import Segment
 from servofd.calibrating.calibrate import calibrate_aircraft
 from servofd.calibrating.flights import Flight
 from servofd.calibrating.result import Calibration
+from servofd.core.errors import CalibrationError
+from servofd.core.types import FloatArray
 from servofd.detection.audit import audit_segment
 from servofd.detection.bank.flight import Fault
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.stream import Piece
 from servofd.detection.verdict import SurfaceAudit
-from servofd.errors import CalibrationError
-from servofd.models.context import Context
-from servofd.models.effect_table import TabledEffect
-from servofd.models.faults import Stuck
-from servofd.segment import Segment
+from servofd.servo.context import Context
+from servofd.servo.effect_table import TabledEffect
+from servofd.servo.faults import Stuck
 from servofd.simulation.commands import COMMANDS
 from servofd.simulation.flight import simulate_flight
-from servofd.types import FloatArray
 
 STYLES = ("lively", "calm", "hand_flown", "cruise")
 

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from servofd.aircraft.segment import Segment
 from servofd.discrepancy.explanation import Explanation, explain_gap
 from servofd.discrepancy.locate import bad_seconds, blocks
 from servofd.discrepancy.record import record_of, simulate
 from servofd.discrepancy.steps import comb_step_deg
-from servofd.models.physics import Physics
-from servofd.models.servo_model import ServoModel
-from servofd.segment import Segment
-from servofd.servos import library, servo_named
+from servofd.servo.library import library, servo_named
+from servofd.servo.physics import Physics
+from servofd.servo.servo_model import ServoModel
 from servofd.simulation.commands import COMMANDS
 from tests.recovery.fine_servo import FineServo, Hidden, hide
 
@@ -65,7 +65,7 @@ def test_without_effects_it_is_the_linear_servo(name: str) -> None:
     ],
 )
 def test_shorter_steps_change_nothing(change: dict[str, float], monkeypatch: pytest.MonkeyPatch) -> None:
-    from servofd.models import physics
+    from servofd.servo import physics
 
     time_s = np.arange(0.0, 20.0, 0.01)
     command_deg = 8.0 * np.sign(np.sin(1.3 * time_s)) + 2.0 * np.sin(5.0 * time_s)

@@ -11,7 +11,10 @@ import numpy as np
 import pytest
 
 import logparsers
-from servofd.aircraft import Aircraft, load_aircraft
+from servofd.aircraft.schema import Aircraft, load_aircraft
+from servofd.aircraft.segment import Segment
+from servofd.core.errors import ConfigError
+from servofd.core.types import FloatArray
 from servofd.detection.audit import audit_log
 from servofd.detection.judge import judge
 from servofd.detection.residual import ResidualGenerator, rhythm
@@ -19,22 +22,19 @@ from servofd.detection.stream import Stream
 from servofd.detection.threshold import interval_threshold
 from servofd.detection.verdict import SurfaceAudit
 from servofd.discrepancy.record import record_of, simulate
-from servofd.errors import ConfigError
-from servofd.models.catalogue import CATALOGUE, installed
-from servofd.models.context import Context
-from servofd.models.effect_table import effects_installed, table_of
-from servofd.models.effects import Extension
-from servofd.models.failing import Fault
-from servofd.models.faults import Bias, HardOver, LossOfEffectiveness, Slow, Stuck
-from servofd.models.motion import ExtendedMotion, ExtendedServo
-from servofd.models.physics import Physics, longest_step_s, scaled_transfer
-from servofd.models.servo_model import ServoModel, plant_of
-from servofd.models.transfer import TransferFunction
-from servofd.segment import Segment
-from servofd.servos import servo_named
+from servofd.servo.catalogue import CATALOGUE, installed
+from servofd.servo.context import Context
+from servofd.servo.effect_table import effects_installed, table_of
+from servofd.servo.effects import Extension
+from servofd.servo.failing import Fault
+from servofd.servo.faults import Bias, HardOver, LossOfEffectiveness, Slow, Stuck
+from servofd.servo.library import servo_named
+from servofd.servo.motion import ExtendedMotion, ExtendedServo
+from servofd.servo.physics import Physics, longest_step_s, scaled_transfer
+from servofd.servo.servo_model import ServoModel, plant_of
+from servofd.servo.transfer import TransferFunction
 from servofd.simulation.commands import lively
 from servofd.simulation.flight import simulate_flight
-from servofd.types import FloatArray
 from tests.recovery.fine_servo import FineServo, Hidden, hide
 
 KNOWN = ServoModel.of(servo_named("hs225bb-eq31"))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from servofd.cli import main
-from servofd.types import FloatArray
+from servofd.core.types import FloatArray
 
 STEP_S, EVERY = 2.5e-4, 80
 SLOW, SUM, PRODUCT = 24.84, 70.04, 4921.0

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from hidden_physics import Air, deflection
-from servofd.models.context import Context
-from servofd.models.effect_table import effects_installed
-from servofd.models.effects import RateLimit
-from servofd.models.motion import ExtendedMotion, ExtendedServo
-from servofd.models.physics import Physics, Plant
-from servofd.models.servo_model import ServoModel, plant_of
-from servofd.models.transfer import TransferFunction
-from servofd.servos import servo_named
+from servofd.servo.context import Context
+from servofd.servo.effect_table import effects_installed
+from servofd.servo.effects import RateLimit
+from servofd.servo.library import servo_named
+from servofd.servo.motion import ExtendedMotion, ExtendedServo
+from servofd.servo.physics import Physics, Plant
+from servofd.servo.servo_model import ServoModel, plant_of
+from servofd.servo.transfer import TransferFunction
 from servofd.simulation.commands import COMMANDS
 from tests.laws.reference_twin import linear_deflection
 from tests.recovery.fine_servo import FineServo

@@ -19,9 +19,9 @@ from hidden_physics import (
     hidden,
     sweep,
 )
-from servofd.models.servo_model import ServoModel
-from servofd.servos import servo_named
-from servofd.types import FloatArray
+from servofd.core.types import FloatArray
+from servofd.servo.library import servo_named
+from servofd.servo.servo_model import ServoModel
 
 MODEL = ServoModel.of(servo_named("hs225bb-eq31"))
 TIME_S = np.arange(3000) / 100.0

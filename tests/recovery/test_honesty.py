@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from servofd.aircraft.segment import Segment
+from servofd.core.types import FloatArray
 from servofd.discrepancy.adequacy import adequacy
 from servofd.discrepancy.fit import Fitter
 from servofd.discrepancy.frames import best_frame
@@ -14,14 +16,12 @@ from servofd.discrepancy.noise import noise_floor_deg
 from servofd.discrepancy.record import Record, record_of, simulate
 from servofd.discrepancy.select import select
 from servofd.discrepancy.steps import comb_step_deg
-from servofd.models.catalogue import Backlash, CurrentLimit, Delay, installed
-from servofd.models.missing_effect import MissingEffect
-from servofd.models.physics import AFTER, BEFORE, Physics
-from servofd.models.servo_model import ServoModel
-from servofd.segment import Segment
-from servofd.servos import servo_named
+from servofd.servo.catalogue import Backlash, CurrentLimit, Delay, installed
+from servofd.servo.library import servo_named
+from servofd.servo.missing_effect import MissingEffect
+from servofd.servo.physics import AFTER, BEFORE, Physics
+from servofd.servo.servo_model import ServoModel
 from servofd.simulation.commands import COMMANDS
-from servofd.types import FloatArray
 
 KNOWN = ServoModel.of(servo_named("hs225bb-eq31"))
 CONVERTER_DEG = 180.0 / 4096.0

@@ -9,7 +9,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from servofd.errors import IdentificationError
+from servofd.aircraft.segment import Segment
+from servofd.core.errors import IdentificationError
 from servofd.identification.frequency_response import average, estimate
 from servofd.identification.identify import identify
 from servofd.identification.output_error import ServoCandidate
@@ -17,10 +18,9 @@ from servofd.identification.rate import rate_limits
 from servofd.identification.records import prepared
 from servofd.identification.result import Identification
 from servofd.identification.shape import LinearServo
-from servofd.models.play import play
-from servofd.models.servo_model import ServoModel
-from servofd.segment import Segment
-from servofd.servos import Servo, servo_named
+from servofd.servo.library import Servo, servo_named
+from servofd.servo.play import play
+from servofd.servo.servo_model import ServoModel
 from tests.recovery.bench import step, sweep
 
 HS225 = servo_named("hs225bb-eq31")

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
+from servofd.aircraft.segment import Segment
+from servofd.core.types import FloatArray
 from servofd.discrepancy.record import record_of, simulate
-from servofd.models.physics import Physics
-from servofd.models.play import play
-from servofd.models.servo_model import ServoModel
-from servofd.segment import Segment
-from servofd.servos import servo_named
-from servofd.types import FloatArray
+from servofd.servo.library import servo_named
+from servofd.servo.physics import Physics
+from servofd.servo.play import play
+from servofd.servo.servo_model import ServoModel
 
 KNOWN = ServoModel.of(servo_named("hs225bb-eq31")).linear()
 FREE = Physics(delay_s=0.004)

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from servofd.aircraft.segment import Segment
+from servofd.core.types import FloatArray
 from servofd.discrepancy.locate import sentences
 from servofd.discrepancy.maps import EVEN, LINEAR, ODD, Map, maps, since_reversal_s
 from servofd.discrepancy.record import Record, record_of, simulate
 from servofd.discrepancy.spectrum import coherent_to_hz, excess_band_hz, spectrum
-from servofd.models.context import Context
-from servofd.models.servo_model import ServoModel
-from servofd.segment import Segment
-from servofd.servos import servo_named
+from servofd.servo.context import Context
+from servofd.servo.library import servo_named
+from servofd.servo.servo_model import ServoModel
 from servofd.simulation.commands import doublets
-from servofd.types import FloatArray
 
 KNOWN = ServoModel.of(servo_named("hs225bb-eq31"))
 TIME_S = np.arange(6000) / 100.0

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from servofd.core.types import FloatArray
 from servofd.detection.residual import rhythm
 from servofd.discrepancy.lost import after_lost_commands
-from servofd.types import FloatArray
 
 PERIOD_S, HOLE_S = 0.01, 0.1
 

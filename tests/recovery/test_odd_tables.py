@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from servofd import explain_log
-from servofd.errors import NoMeasurement
-from servofd.types import FloatArray
+from servofd.core.errors import NoMeasurement
+from servofd.core.types import FloatArray
 
 _TIME_S: FloatArray = np.array(np.arange(6000) * 0.005, dtype=np.float64)
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from servofd.aircraft.segment import Segment
+from servofd.core.types import FloatArray
 from servofd.discrepancy.explanation import Explanation, explain_gap
-from servofd.explaining import UNKNOWN_SERVO
-from servofd.models.servo_model import ServoModel
-from servofd.segment import Segment
-from servofd.types import FloatArray
+from servofd.jobs.explaining import UNKNOWN_SERVO
+from servofd.servo.servo_model import ServoModel
 
 _STEP_S, _NATURAL_RAD_S, _DAMPING = 1e-3, 40.0, 0.8
 _TIME_S = np.arange(0.0, 30.0, 0.02)

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from servofd.aircraft.segment import Segment
+from servofd.core.errors import ConfigError
 from servofd.discrepancy.break_point import fault_start_s
 from servofd.discrepancy.explanation import explain_gap
 from servofd.discrepancy.fit import Fitter
@@ -18,10 +20,8 @@ from servofd.discrepancy.frames import best_frame, frames_like
 from servofd.discrepancy.own import OwnEffect, OwnParameter, load_own_effect
 from servofd.discrepancy.record import simulate
 from servofd.discrepancy.regimes import errors_by_regime
-from servofd.errors import ConfigError
-from servofd.models.catalogue import Delay
-from servofd.models.physics import Physics
-from servofd.segment import Segment
+from servofd.servo.catalogue import Delay
+from servofd.servo.physics import Physics
 from tests.recovery.test_honesty import KNOWN, flown
 
 

@@ -12,12 +12,12 @@ from hidden_effects import Case, judge
 from hidden_logs import SURFACE, write
 from hidden_physics import Effects, draw, hidden
 from hidden_score import ask, score
+from servofd.aircraft.segment import Segment
 from servofd.discrepancy.record import Record, record_of, simulate
-from servofd.models.catalogue import CurrentLimit, RateLimit, installed
-from servofd.models.missing_effect import MissingEffect
-from servofd.models.servo_model import ServoModel
-from servofd.segment import Segment
-from servofd.servos import servo_named
+from servofd.servo.catalogue import CurrentLimit, RateLimit, installed
+from servofd.servo.library import servo_named
+from servofd.servo.missing_effect import MissingEffect
+from servofd.servo.servo_model import ServoModel
 from servofd.simulation.commands import COMMANDS
 
 KNOWN = ServoModel.of(servo_named("hs225bb-eq31"))

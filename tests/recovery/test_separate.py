@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from servofd.aircraft.segment import Segment
 from servofd.discrepancy.adequacy import adequacy
 from servofd.discrepancy.fit import Fit, Fitter
 from servofd.discrepancy.record import Record, record_of
 from servofd.discrepancy.select import Rung, Selection
 from servofd.discrepancy.separate import MANOEUVRES, separations
-from servofd.models.catalogue import effects_named
-from servofd.models.missing_effect import MissingEffect
-from servofd.models.servo_model import ServoModel
-from servofd.segment import Segment
-from servofd.servos import servo_named
+from servofd.servo.catalogue import effects_named
+from servofd.servo.library import servo_named
+from servofd.servo.missing_effect import MissingEffect
+from servofd.servo.servo_model import ServoModel
 
 NOISE_DEG = 0.1
 

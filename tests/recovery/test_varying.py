@@ -7,13 +7,13 @@ import functools
 import numpy as np
 import pytest
 
+from servofd.aircraft.segment import Segment
 from servofd.discrepancy.explanation import Explanation, explain_gap
 from servofd.discrepancy.varying import varying
-from servofd.models.effects import Extension
-from servofd.models.physics import Physics
-from servofd.models.servo_model import ServoModel
-from servofd.segment import Segment
-from servofd.servos import servo_named
+from servofd.servo.effects import Extension
+from servofd.servo.library import servo_named
+from servofd.servo.physics import Physics
+from servofd.servo.servo_model import ServoModel
 
 KNOWN = ServoModel.of(servo_named("hs225bb-eq31"))
 LOAD_G = np.array([0.0, 0.0, 100.0, 100.0, 200.0, 200.0, 300.0, 300.0, 50.0, 50.0, 250.0, 250.0])

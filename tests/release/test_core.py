@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from servofd.errors import EXTRAS
+from servofd.core.errors import EXTRAS
 
 SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"
 CODE = f"""

@@ -22,7 +22,7 @@ ROOT = Path(__file__).parent.parent.parent
 DATA = {
     "servofd/py.typed",
     "logparsers/py.typed",
-    "servofd/servo_library.toml",
+    "servofd/servo/library.toml",
     *(f"servofd/configs/{path.name}" for path in ROOT.glob("configs/*.toml")),
     *(path.relative_to(ROOT).as_posix() for path in ROOT.glob("servofd/outputs/templates/*")),
 }

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from servofd.aircraft import load_aircraft
+from servofd.aircraft.schema import load_aircraft
 from servofd.cli import main, parsed
-from servofd.models.catalogue import CATALOGUE
-from servofd.tolerance import Tolerance
+from servofd.core.tolerance import Tolerance
+from servofd.servo.catalogue import CATALOGUE
 
 ROOT = Path(__file__).parent.parent.parent
 README = (ROOT / "README.md").read_text()
@@ -222,8 +222,8 @@ def test_the_aircraft_files_of_the_documentation_are_valid(tmp_path: Path) -> No
 
 def test_the_bench_output_of_appendix_c_is_audited(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Tab-separated `meas pwm cmd` at 1 kHz without header or time, a step from 500 to 900 us."""
-    from servofd.models.servo_model import ServoModel
-    from servofd.servos import servo_named
+    from servofd.servo.library import servo_named
+    from servofd.servo.servo_model import ServoModel
 
     config = tmp_path / "bench.toml"
     config.write_text(blocks((ROOT / "docs" / "aircraft-file.md").read_text(), "toml")[-1])

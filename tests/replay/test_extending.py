@@ -13,15 +13,15 @@ import pytest
 
 import logparsers
 import servofd
-from servofd.aircraft import plain_aircraft
+from servofd.aircraft.schema import plain_aircraft
 from servofd.cli import main
-from servofd.models import catalogue
-from servofd.models.effect_table import effects_installed
-from servofd.models.effects import Extension
-from servofd.models.failing import Fault
-from servofd.models.faults import FAULTS, Stuck
-from servofd.models.servo_model import ServoModel, plant_of
-from servofd.servos import servo_named
+from servofd.servo import catalogue
+from servofd.servo.effect_table import effects_installed
+from servofd.servo.effects import Extension
+from servofd.servo.failing import Fault
+from servofd.servo.faults import FAULTS, Stuck
+from servofd.servo.library import servo_named
+from servofd.servo.servo_model import ServoModel, plant_of
 from servofd.simulation.commands import lively
 from servofd.simulation.flight import simulate_flight
 

@@ -15,10 +15,10 @@ from pyulog import ULog
 
 import logparsers
 from logparsers.dataflash.formats import CHARACTERS, TEXT
-from servofd.aircraft import Aircraft, load_aircraft, plain_aircraft
+from servofd.aircraft.schema import Aircraft, load_aircraft, plain_aircraft
 from servofd.cli import main
-from servofd.errors import ConfigError
-from servofd.models.faults import Stuck
+from servofd.core.errors import ConfigError
+from servofd.servo.faults import Stuck
 from servofd.simulation.dataflash_writer import GENERATIONS, Generation, dataflash_messages
 from servofd.simulation.flight import SimulatedFlight, simulate_flight
 from servofd.simulation.pulses import outputs_of

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from servofd.aircraft import Aircraft, load_aircraft, plain_aircraft
+from servofd.aircraft.schema import Aircraft, load_aircraft, plain_aircraft
+from servofd.aircraft.segment import Segment
 from servofd.cli import main
-from servofd.errors import ConfigError, NoMeasurement
+from servofd.core.errors import ConfigError, NoMeasurement
 from servofd.estimate.statistics import Estimate
-from servofd.models.faults import DeadBand
-from servofd.models.play import play
-from servofd.segment import Segment
+from servofd.servo.faults import DeadBand
+from servofd.servo.play import play
 from servofd.simulation.flight import simulate_flight
 from servofd.wear.estimate import estimate_flight
 from servofd.wear.logs import FlownLog, in_order
@@ -26,7 +26,7 @@ from trend_fleets import crossing_at, healthy_fleet, widths_trend
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from servofd.types import FloatArray
+    from servofd.core.types import FloatArray
 
 PLANE = plain_aircraft(["rudder"], "hs225bb-eq31")
 START = datetime.datetime(2026, 5, 1, 9, 0, tzinfo=datetime.UTC)

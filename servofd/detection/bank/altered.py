@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from logparsers.compiled import compiled
+from servofd.core.types import FloatArray
 from servofd.detection.bank.explanation import COLOUR
 from servofd.detection.bank.window import Explanation
 from servofd.estimate.statistics import Estimate
-from servofd.models.motion import ExtendedServo
-from servofd.models.play import play
-from servofd.types import FloatArray
+from servofd.servo.motion import ExtendedServo
+from servofd.servo.play import play
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -10,7 +10,7 @@ import numpy as np
 from servofd.estimate.statistics import Estimate
 
 if TYPE_CHECKING:
-    from servofd.types import FloatArray
+    from servofd.core.types import FloatArray
 
 COLOUR = 4.0
 """Misfits of neighbouring samples are alike: so many samples tell as much as one."""

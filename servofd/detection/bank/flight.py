@@ -12,10 +12,10 @@ from servofd.detection.bank.window import Onset, Window
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from servofd.core.tolerance import Tolerance
     from servofd.detection.alarm import Level
     from servofd.detection.residual import Commands, ResidualGenerator, Residuals
     from servofd.estimate.statistics import Estimate
-    from servofd.tolerance import Tolerance
 
 _FEWEST_SAMPLES = 12
 

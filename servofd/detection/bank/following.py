@@ -13,8 +13,8 @@ from servofd.detection.bank.explanation import Ridge
 from servofd.detection.bank.window import Explanation
 
 if TYPE_CHECKING:
+    from servofd.core.types import FloatArray
     from servofd.detection.bank.window import Window
-    from servofd.types import FloatArray
 
 _GAIN, _BIAS = 0, 3
 """Columns of `Window.nuisances`."""

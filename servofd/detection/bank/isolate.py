@@ -13,10 +13,10 @@ from servofd.detection.bank.flight import Fault, Flight
 from servofd.detection.bank.window import Onset, Window
 
 if TYPE_CHECKING:
+    from servofd.core.types import FloatArray
     from servofd.detection.alarm import Episode
     from servofd.detection.bank.window import Explanation
     from servofd.detection.residual import ResidualGenerator
-    from servofd.types import FloatArray
 
 _SETTLING_S = 0.25
 """Left out after the onset: faults that set in abruptly still move the surface as a healthy servo would."""

@@ -12,8 +12,8 @@ from servofd.detection.bank.window import Explanation
 from servofd.estimate.statistics import Estimate
 
 if TYPE_CHECKING:
+    from servofd.core.types import FloatArray
     from servofd.detection.bank.window import Window
-    from servofd.types import FloatArray
 
 _OUT_OF_REACH_DEG = 2.0
 _UNCOMMANDED_RUN_DEG = 3.0

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 
+from servofd.core.numeric import least
 from servofd.detection.bank.explanation import Regression, Ridge
 from servofd.detection.bank.window import Explanation
 from servofd.estimate.statistics import Estimate
-from servofd.numeric import least
 
 if TYPE_CHECKING:
+    from servofd.core.types import FloatArray
     from servofd.detection.bank.window import Window
-    from servofd.types import FloatArray
 
 _SLOWEST_HZ = 0.4
 _FASTEST_SHARE_OF_RATE = 0.4

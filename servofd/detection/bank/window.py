@@ -10,16 +10,16 @@ import numpy as np
 
 from servofd.detection.allowance import CURVATURE_TO_SIGMA
 from servofd.detection.bank.explanation import COLOUR, Ridge
-from servofd.models.motion import AnyServo, swung
+from servofd.servo.motion import AnyServo, swung
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
+    from servofd.core.tolerance import Tolerance
+    from servofd.core.types import FloatArray
     from servofd.detection.residual import Commands, Residuals
     from servofd.estimate.statistics import Estimate
-    from servofd.models.servo_model import ServoModel
-    from servofd.tolerance import Tolerance
-    from servofd.types import FloatArray
+    from servofd.servo.servo_model import ServoModel
 
 _LEAD_S = 1.5
 """Simulations start this long before the window, so that how they start is forgotten (lags are below 0.15 s)."""

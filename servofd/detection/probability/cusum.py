@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from logparsers.compiled import compiled
-from servofd.numeric import root
-from servofd.types import BoolArray, FloatArray
+from servofd.core.numeric import root
+from servofd.core.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from servofd.detection.probability.noise import Noise

@@ -10,9 +10,9 @@ import numpy as np
 from servofd.detection.probability.upcrossing import false_alarms_per_hour
 
 if TYPE_CHECKING:
+    from servofd.core.types import FloatArray
     from servofd.detection.probability.noise import Noise
     from servofd.detection.pulse import PulseFilter
-    from servofd.types import FloatArray
 
 _MOST_DRAWS, _FEWEST_DRAWS, _NUMBERS = 4096, 256, 4_000_000
 _ROUND_OFF = 1e-12
@@ -98,7 +98,7 @@ def bias_response(design: PulseFilter, duration_s: float) -> FloatArray:
     Examples
     --------
     >>> from servofd.detection.pulse import design_pulse_filter
-    >>> from servofd.servos import servo_named
+    >>> from servofd.servo.library import servo_named
     >>> design = design_pulse_filter(servo_named("hs225bb-eq31").transfer, 0.004, 0.01, 50.0)
     >>> round(float(bias_response(design, 1.0)[-1]), 6)
     1.0

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from logparsers.records import own
-from servofd.errors import NoMeasurement
+from servofd.core.errors import NoMeasurement
 
 if TYPE_CHECKING:
+    from servofd.core.types import FloatArray
     from servofd.detection.pulse import PulseFilter
-    from servofd.types import FloatArray
 
 _FEWEST_SAMPLES = 100
 _FEWEST_LAGS = 5
@@ -39,7 +39,7 @@ class Noise:
     Examples
     --------
     >>> from servofd.detection.pulse import design_pulse_filter
-    >>> from servofd.servos import servo_named
+    >>> from servofd.servo.library import servo_named
     >>> design = design_pulse_filter(servo_named("hs225bb-eq31").printed, 0.004, 0.01, 50.0)
     >>> noise = Noise.designed(design, noise_deg=0.1)
     >>> round(noise.sigma_deg, 4), round(noise.correlation, 5), round(noise.long_run_factor, 2)

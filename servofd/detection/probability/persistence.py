@@ -10,8 +10,8 @@ import numpy as np
 from servofd.detection.probability.upcrossing import false_alarms_per_hour, root_of_rate
 
 if TYPE_CHECKING:
+    from servofd.core.types import FloatArray
     from servofd.detection.probability.noise import Noise
-    from servofd.types import FloatArray
 
 _POINTS_LOG2 = 13
 _SHARE_SEEN = 0.95
@@ -47,7 +47,7 @@ def persistent_false_alarms_per_hour(threshold_deg: float, noise: Noise, samples
     --------
     >>> from servofd.detection.probability import Noise
     >>> from servofd.detection.pulse import design_pulse_filter
-    >>> from servofd.servos import servo_named
+    >>> from servofd.servo.library import servo_named
     >>> design = design_pulse_filter(servo_named("hs225bb-eq31").printed, 0.004, 0.01, 50.0)
     >>> noise = Noise.designed(design, noise_deg=0.1)
     >>> rate = persistent_false_alarms_per_hour(4.0 * noise.sigma_deg, noise, samples=3)

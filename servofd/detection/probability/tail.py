@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from servofd.errors import NoMeasurement
+from servofd.core.errors import NoMeasurement
 
 if TYPE_CHECKING:
-    from servofd.types import FloatArray
+    from servofd.core.types import FloatArray
 
 HOURS_FOR_TAIL = 2.0
 """With less healthy data the fitted tail says less than the assumption of a Gaussian one."""

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.errors import DesignError
-from servofd.numeric import root
+from servofd.core.errors import DesignError
+from servofd.core.numeric import root
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from servofd.types import FloatArray
+    from servofd.core.types import FloatArray
 
 _NODES = 120
 _REACH = 10.0

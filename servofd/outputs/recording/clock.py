@@ -10,7 +10,7 @@ import numpy as np
 if TYPE_CHECKING:
     from datetime import datetime
 
-    from servofd.types import FloatArray, IntArray
+    from servofd.core.types import FloatArray, IntArray
 
 TIME_BOOT, TIME_UTC = "time_boot", "time_utc"
 

@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 
 from logparsers.records import FlightLog, own
-from servofd.models.context import NO_CONTEXT, Context
+from servofd.servo.context import NO_CONTEXT, Context
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from servofd.aircraft.segment import Segment
+    from servofd.core.types import BoolArray, FloatArray
     from servofd.detection.residual import Residuals
     from servofd.detection.verdict import LogAudit, SurfaceAudit
     from servofd.onboard.seen import Seen
-    from servofd.segment import Segment
-    from servofd.types import BoolArray, FloatArray
 
 _CURVES = (
     "time_s",
@@ -88,7 +88,7 @@ class Trace:
 
     def segment(self, surface: str, command_period_s: float | None = None, *, is_streamed: bool = False) -> Segment:
         """What an audit starts from, see `Segment`: as of a log, without commands that are no numbers or come again."""
-        from servofd.segment import WARM_UP_STEPS, Segment, sent_period_s
+        from servofd.aircraft.segment import WARM_UP_STEPS, Segment, sent_period_s
 
         given = np.isfinite(self.asked_deg) & _rising(self.asked_s)
         seen = _rising(self.time_s)
@@ -180,7 +180,7 @@ def command_at(segment: Segment, time_s: FloatArray) -> FloatArray:
 
     Examples
     --------
-    >>> from servofd.segment import Segment
+    >>> from servofd.aircraft.segment import Segment
     >>> command_at(Segment("x", np.array([1.0, 2.0]), np.array([5.0, 6.0]), np.ones(1), np.ones(1)), np.arange(3.0))
     array([nan,  5.,  6.])
     """

@@ -15,8 +15,8 @@ from servofd.outputs.recording.views import blueprint, curves, document, lanes, 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from servofd.core.types import FloatArray
     from servofd.outputs.recording.content import Recording
-    from servofd.types import FloatArray
 
 ALARM_LINE = "/surfaces_alarm"
 """Entity of the line at 1 in the overview."""

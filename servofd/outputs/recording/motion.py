@@ -8,7 +8,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from logparsers.records import FlightLog
-    from servofd.types import FloatArray
+    from servofd.core.types import FloatArray
 
 _ATTITUDES = (
     ("ATT.Roll", "ATT.Pitch", "ATT.Yaw"),

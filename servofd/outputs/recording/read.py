@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from servofd.errors import RecordingError
-from servofd.models.context import Context
+from servofd.core.errors import RecordingError
 from servofd.outputs.files import whole_file
 from servofd.outputs.recording.clock import TIME_BOOT, seconds
 from servofd.outputs.recording.content import Recording, Trace
@@ -19,11 +18,12 @@ from servofd.outputs.recording.program import run_rerun
 from servofd.outputs.recording.scene import AIRSPEED, ATTITUDE, GEO, LOCAL, SUPPLY
 from servofd.outputs.recording.stream import PROPERTIES, surface_place
 from servofd.outputs.recording.verdicts import audit_of
+from servofd.servo.context import Context
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from servofd.types import FloatArray, IntArray
+    from servofd.core.types import FloatArray, IntArray
 
 _CURVES = "Scalars:scalars"
 _PROPERTIES = f"/__properties/{PROPERTIES}"

@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from servofd.models.context import NO_CONTEXT
 from servofd.outputs.recording.states import states
 from servofd.outputs.recording.stream import STATES, colours, shown
 from servofd.outputs.recording.surface import send_seconds
+from servofd.servo.context import NO_CONTEXT
 
 if TYPE_CHECKING:
-    from servofd.models.context import Context
+    from servofd.core.types import FloatArray
     from servofd.outputs.recording.content import Recording, Trace
     from servofd.outputs.recording.stream import Recorder
-    from servofd.types import FloatArray
+    from servofd.servo.context import Context
 
 ATTITUDE, LOCAL, GEO = "/flight/attitude", "/flight/position", "/flight/geo"
 AIRSPEED, SUPPLY = "/flight/airspeed", "/flight/supply"

@@ -10,9 +10,9 @@ from servofd.detection.words import describe
 from servofd.outputs.recording.clock import microseconds, seconds
 
 if TYPE_CHECKING:
+    from servofd.core.types import BoolArray, FloatArray, IntArray
     from servofd.detection.verdict import SurfaceAudit
     from servofd.outputs.recording.content import Trace
-    from servofd.types import BoolArray, FloatArray, IntArray
 
 _SHORTEST_SILENCE_S = 0.5
 _PERIODS = 5.0

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from servofd.types import FloatArray
+    from servofd.core.types import FloatArray
 
 CHUNK_ROWS = 65_536
 """Rows in one chunk: smaller ones cost space, larger ones memory (measured: 22.3 B/scalar at 65 536, 22.5 at 4 096)."""

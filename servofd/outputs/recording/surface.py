@@ -11,12 +11,12 @@ from servofd.outputs.recording.states import breaks_s, events, ratio, states
 from servofd.outputs.recording.stream import STATES, surface_place
 
 if TYPE_CHECKING:
+    from servofd.core.types import FloatArray
     from servofd.detection.bank.flight import Fault
     from servofd.detection.verdict import SurfaceAudit
     from servofd.onboard.seen import Seen
     from servofd.outputs.recording.content import Trace
     from servofd.outputs.recording.stream import Recorder
-    from servofd.types import FloatArray
 
 DEFLECTIONS = ("command", "simulated", "measured")
 WIDTHS = (1.0, 2.5, 1.5)

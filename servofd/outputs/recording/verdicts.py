@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from pydantic import ValidationError
 
 from logparsers.records import Damage, FlightLog
-from servofd.aircraft import Aircraft
+from servofd.aircraft.schema import Aircraft
+from servofd.core.errors import RecordingError
+from servofd.core.evidence import Detectable, ModelOrigin
 from servofd.detection.bank.flight import Fault
 from servofd.detection.statistics import Statistics
 from servofd.detection.verdict import LogAudit, SurfaceAudit
-from servofd.errors import RecordingError
 from servofd.estimate.statistics import Estimate
-from servofd.evidence import Detectable, ModelOrigin
 from servofd.outputs.json_report import audit_document
 from servofd.outputs.recording.stream import shown
 

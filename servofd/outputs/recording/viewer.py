@@ -6,7 +6,7 @@ import os
 import sys
 from typing import TYPE_CHECKING
 
-from servofd.errors import RecordingError
+from servofd.core.errors import RecordingError
 from servofd.outputs.recording.program import run_rerun
 
 if TYPE_CHECKING:

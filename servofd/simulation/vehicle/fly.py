@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from logparsers.codec import Codec
     from logparsers.link import Link
-    from servofd.aircraft import Aircraft
+    from servofd.aircraft.schema import Aircraft
     from servofd.simulation.flight import SimulatedFlight
     from servofd.simulation.vehicle.messages import Send
 
@@ -57,7 +57,7 @@ def legs(flight: SimulatedFlight, aircraft: Aircraft, settings: Settings) -> tup
 
     Examples
     --------
-    >>> from servofd.aircraft import plain_aircraft
+    >>> from servofd.aircraft.schema import plain_aircraft
     >>> from servofd.simulation.flight import simulate_flight
     >>> from servofd.simulation.pulses import outputs_of
     >>> from servofd.simulation.vehicle.troubles import Reboot

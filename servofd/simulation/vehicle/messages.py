@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from servofd.aircraft import Aircraft
+    from servofd.aircraft.schema import Aircraft
+    from servofd.core.types import IntArray
     from servofd.simulation.flight import SimulatedFlight
-    from servofd.types import IntArray
 
 
 class Send(NamedTuple):

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.errors import ConfigError
+from servofd.core.errors import ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from servofd.aircraft import Aircraft
+    from servofd.aircraft.schema import Aircraft
+    from servofd.core.types import BoolArray
     from servofd.simulation.flight import SimulatedFlight
-    from servofd.types import BoolArray
 
 _LONGEST_S = 3600.0
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from logparsers.dataflash.encode import encode_rows
 from logparsers.mavlink import message_name
-from servofd.errors import ConfigError, suggest
+from servofd.core.errors import ConfigError, suggest
 from servofd.simulation.ardupilot import banner, outputs_needed, parameters, rate_hz
 from servofd.simulation.dataflash_writer import VOLZ, dataflash_messages
 from servofd.simulation.surroundings import microseconds
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from logparsers.codec import Heard
-    from servofd.aircraft import Aircraft
+    from servofd.aircraft.schema import Aircraft
+    from servofd.core.types import IntArray
     from servofd.simulation.flight import SimulatedFlight
-    from servofd.types import IntArray
 
 _AUTOPILOT: Final = 1  # MAV_COMP_ID_AUTOPILOT1
 _ACCEPTED, _DENIED, _UNSUPPORTED = 0, 2, 3  # MAV_RESULT
@@ -95,7 +95,7 @@ class Vehicle:
 
     Examples
     --------
-    >>> from servofd.aircraft import plain_aircraft
+    >>> from servofd.aircraft.schema import plain_aircraft
     >>> from servofd.simulation.flight import simulate_flight
     >>> from servofd.simulation.pulses import outputs_of
     >>> plane = plain_aircraft(["elevator"], "hs225bb-eq31")

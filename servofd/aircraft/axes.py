@@ -1,0 +1,151 @@
+"""What calibration learned of an aircraft's axes; the ``[motion]`` table of its file."""
+
+from __future__ import annotations
+
+from typing import Annotated, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from servofd.aircraft.axis_names import AXES, FORM_NAMES
+from servofd.core.toml_text import toml_lines, toml_value
+from servofd.core.types import FloatArray
+
+
+class _Entry(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Spread(_Entry):
+    """How far windows of one length stray in healthy flights, and flights from each other as far again."""
+
+    window_s: Annotated[float, Field(gt=0.0)]
+    loss_var: Annotated[float, Field(ge=0.0)]
+    cross_us: float
+    offset_var_us2: Annotated[float, Field(ge=0.0)]
+    scale: Annotated[float, Field(gt=0.0)] = 1.0
+    """Largest J of the calibration flights, each judged by a model that has not seen its day."""
+    lag_var_s2: Annotated[float, Field(ge=0.0)] = 0.0
+    lag_scale: Annotated[float, Field(gt=0.0)] | None = None
+    """As `scale`, of the lag; None if these windows do not tell it."""
+
+    @classmethod
+    def of(cls, window_s: float, covariance: FloatArray) -> Spread:
+        """From a covariance, shape (2, 2)."""
+        (loss_var, cross), (_, offset_var) = covariance.tolist()
+        return cls(window_s=window_s, loss_var=loss_var, cross_us=cross, offset_var_us2=offset_var)
+
+    @property
+    def covariance(self) -> FloatArray:
+        """P_window, and P_flight as well, shape (2, 2)."""
+        return np.array([[self.loss_var, self.cross_us], [self.cross_us, self.offset_var_us2]])
+
+    def samples(self, rate_hz: float) -> int:
+        """Length of the window."""
+        return max(4, round(self.window_s * rate_hz))
+
+
+class Regime(_Entry):
+    """Where the calibration flights were; nothing is judged outside."""
+
+    airspeed_low_m_s: float
+    airspeed_high_m_s: float
+    throttle_low: float
+    lift_high_m_s2: float
+    """Largest -az / (V / V0)^2: beyond it the wing is nearer to its stall than it ever was."""
+
+
+class AxisModel(_Entry):
+    """Model of one axis, and how far healthy flights stray from it."""
+
+    form: str
+    corner_hz: Annotated[float, Field(gt=0.0)]
+    delay_s: Annotated[float, Field(ge=0.0, le=2.0)]
+    gain: float
+    """K: motion for each microsecond of command at the reference airspeed; 1 for an inverse form."""
+    offset: float
+    others: tuple[float, ...]
+    whitening: tuple[float, ...] = ()
+    """Autoregression of the residual that is taken out of everything."""
+    noise_var: Annotated[float, Field(gt=0.0)]
+    """Of the residual, times what its colour makes of sums."""
+    residual_var: Annotated[float, Field(ge=0.0)] = 0.0
+    """Of the residual alone; 0 if windows are not to be judged by what they leave unexplained themselves."""
+    spreads: tuple[Spread, ...] = Field(min_length=1)
+    of_flight: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.5
+    """Share of what healthy windows differ by that is the flight's own, and so learned from it."""
+    own_command: bool = True
+    """False if its command always was a copy of another axis' command."""
+    explained: float
+    """Share of the command's effect that the model explains on days it has not seen."""
+    suspect: Annotated[float, Field(gt=0.0)] = 1.0
+    fault: Annotated[float, Field(gt=0.0)] | None = None
+    """Multiples of the calibration's largest statistic; None: the calibrated hours support none."""
+    false_alarms_per_hour: float = 0.0
+    members: tuple[str, ...] = ()
+
+    def of_flights(self, spread: Spread) -> FloatArray:
+        """Covariance between flights beside that between the windows of one, shape (2, 2)."""
+        return spread.covariance * self.of_flight / (1.0 - self.of_flight)
+
+    @model_validator(mode="after")
+    def _known(self) -> Self:
+        if self.form not in FORM_NAMES:
+            raise ValueError(f"form: there are {', '.join(FORM_NAMES)}")
+        if len(self.others) != FORM_NAMES[self.form]:
+            raise ValueError(f"others: {self.form} has {FORM_NAMES[self.form]} of them")
+        return self
+
+
+class MotionModel(_Entry):
+    """Models of all axes of an aircraft without position feedback."""
+
+    rate_hz: Annotated[float, Field(gt=0.0)]
+    reference_m_s: Annotated[float, Field(gt=0.0)]
+    regime: Regime
+    days: int
+    flights: int
+    hours: float
+    axes: dict[str, AxisModel] = Field(min_length=1)
+    parameters: dict[str, float] = Field(default_factory=dict)
+    """SERVOn_... of the outputs that move surfaces and engines: for logs and links that do not tell them."""
+
+    @model_validator(mode="after")
+    def _named(self) -> Self:
+        strange = [name for name in self.axes if name not in AXES]
+        if strange:
+            raise ValueError(f"axes: there are {', '.join(AXES)}, not {strange[0]}")
+        return self
+
+
+_COMMENTS = {
+    "rate_hz": "samples a second at which it is judged",
+    "reference_m_s": "airspeed at which the gains below hold",
+    "days": "of the calibration flights: the more, the fewer false alarms",
+    "explained": "share of the command's effect explained on days the model had not seen",
+    "own_command": "false: its command always was a copy of another axis'",
+    "suspect": "multiple of the largest statistic of the calibration flights",
+    "fault": "multiple that is exceeded wrongly once in a hundred hours",
+}
+
+
+def motion_to_toml(model: MotionModel) -> str:
+    """Text of the table, to stand at the end of an aircraft file."""
+    document = model.model_dump(exclude_none=True)
+    axes, regime = document.pop("axes"), document.pop("regime")
+    lines = [
+        "# What the aircraft's motion tells of its axes: fitted to healthy flights by servofd calibrate.",
+        "[motion]",
+    ]
+    lines += toml_lines(document, _COMMENTS)
+    lines += [
+        "",
+        "[motion.regime] # where the calibration flights were: nothing is judged outside",
+        *toml_lines(regime, _COMMENTS),
+    ]
+    for name, axis in axes.items():
+        spreads = axis.pop("spreads")
+        lines += ["", f"[motion.axes.{name}]", *toml_lines(axis, _COMMENTS), "spreads = ["]
+        lines += [f"    {toml_value(spread)}," for spread in spreads]
+        lines += ["]"]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,105 @@
+"""What a calibration writes into an aircraft file, beside what was there before: the fitted servo and its tests."""
+
+from __future__ import annotations
+
+from typing import Annotated, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from servofd.aircraft.noise import Noise
+from servofd.aircraft.priors import NAMES, PRIORS
+from servofd.core.types import FloatArray
+
+_Finite = Annotated[float, Field(allow_inf_nan=False)]
+_Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+_LARGEST = 1e9
+
+
+class CalibratedNoise(BaseModel):
+    """Noise of the reading: ``sigma^2 = still_deg^2 + (lag_s * speed)^2``, coloured."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    still_deg: _Positive
+    lag_s: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+    colour: tuple[_Finite, _Finite]
+    innovation: _Positive
+    period_s: _Positive
+
+    @model_validator(mode="after")
+    def _stable(self) -> Self:
+        first, second = self.colour
+        if not (abs(second) < 1.0 and abs(first) < 1.0 - second):
+            raise ValueError(f"colour = [{first:g}, {second:g}] is no noise: it would grow for ever")
+        return self
+
+    @property
+    def noise(self) -> Noise:
+        """The same, ready for tests."""
+        return Noise(self.still_deg, self.lag_s, self.colour, self.innovation, self.period_s)
+
+
+class CalibratedServo(BaseModel):
+    """A servo fitted to good flights, how far it may differ between them, and where each test alarms.
+
+    Examples
+    --------
+    >>> servo = CalibratedServo(
+    ...     parameters={prior.name: prior.value for prior in PRIORS},
+    ...     between=[[prior.between**2 * (i == k) for k in range(i + 1)] for i, prior in enumerate(PRIORS)],
+    ...     noise={"still_deg": 0.1, "lag_s": 0.003, "colour": (0.4, 0.2), "innovation": 0.8, "period_s": 0.02},
+    ...     reach_deg=(-20.0, 20.0),
+    ... )
+    >>> servo.theta.shape, servo.covariance.shape
+    ((13,), (13, 13))
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    parameters: dict[str, _Finite]
+    """Of `servofd.aircraft.priors.PRIORS`, all of them."""
+    between: tuple[tuple[_Finite, ...], ...]
+    """Covariance between good flights, in the order of the priors: lower triangle, row by row."""
+    noise: CalibratedNoise
+    reach_deg: tuple[_Finite, _Finite]
+    """Deflections that the flights showed."""
+    supply_v: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
+    """Usual supply; 0 where it was not logged."""
+    thresholds: dict[str, _Positive] = {}
+    """Of the statistics of `servofd.detection.changes`; those that are missing are the usual ones."""
+    flights: Annotated[int, Field(ge=1)] = 1
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        wrong = sorted(set(NAMES) ^ set(self.parameters))
+        if wrong:
+            raise ValueError(f"parameters: {', '.join(NAMES)} are needed, all of them and no other; see {wrong[0]}")
+        for prior in PRIORS:
+            if not prior.low <= self.parameters[prior.name] <= prior.high:
+                raise ValueError(f"parameters.{prior.name}: must lie between {prior.low:g} and {prior.high:g}")
+        if [len(row) for row in self.between] != list(range(1, len(NAMES) + 1)):
+            raise ValueError(f"between: the lower triangle of a matrix of {len(NAMES)} rows is needed")
+        if np.abs(self.covariance).max() > _LARGEST or np.linalg.eigvalsh(self._scaled)[0] <= 0.0:
+            raise ValueError("between: not a covariance, as it is not positive definite")
+        if not self.reach_deg[0] < self.reach_deg[1]:
+            raise ValueError("reach_deg = [lower, upper] needs lower < upper")
+        return self
+
+    @property
+    def theta(self) -> FloatArray:
+        """Parameters in order, shape (13,)."""
+        return np.array([self.parameters[name] for name in NAMES])
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Between good flights, shape (13, 13)."""
+        out = np.zeros((len(NAMES), len(NAMES)))
+        for i, row in enumerate(self.between):
+            out[i, : i + 1] = out[: i + 1, i] = row
+        return out
+
+    @property
+    def _scaled(self) -> FloatArray:
+        units = np.array([prior.between for prior in PRIORS])
+        return self.covariance / np.outer(units, units)

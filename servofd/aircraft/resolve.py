@@ -1,0 +1,145 @@
+"""One aircraft file for every log of an aircraft: a surface names its output, and the log says where that is."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from servofd.aircraft.calibration import DegreeCalibration, NormCalibration, PulseCalibration, RadianCalibration
+from servofd.aircraft.output import output_of
+from servofd.aircraft.outputs import LoggedOutput
+from servofd.aircraft.pairs import find_pairs, pulse_channel
+
+if TYPE_CHECKING:
+    from logparsers.records import FlightLog
+    from servofd.aircraft.calibration import Calibration
+    from servofd.aircraft.pairs import Pair
+    from servofd.aircraft.schema import Aircraft, Surface
+
+_HALF_TRAVEL_US = 500.0
+"""Pulses of 1000 to 2000 us are what an autopilot that speaks of -1 to 1 sends by default."""
+_OUTPUTS_OF_A_MESSAGE = 16
+
+
+def resolved(log: FlightLog, aircraft: Aircraft) -> Aircraft:
+    """Return the same aircraft with the channels of a log, where its own are not in it.
+
+    Parameters
+    ----------
+    log : FlightLog
+        Of an autopilot; the channels of others are those of the file.
+    aircraft : Aircraft
+        Whose surfaces name their outputs, or channels from which these can be told.
+
+    Examples
+    --------
+    >>> import logparsers
+    >>> from servofd.aircraft.schema import load_aircraft
+    >>> log = logparsers.read("sample_logs/ardupilot_volz_stuck.bin")
+    >>> rudder = resolved(log, load_aircraft("simulated")).surfaces["rudder"]
+    >>> rudder.command.channel, rudder.measured.channel
+    ('RCOU.C4', 'CSRV[3].Pos')
+    """
+    if not log.is_of_autopilot or all(_is_there(log, surface) for surface in aircraft.surfaces.values()):
+        return aircraft
+    pairs = _by_output(log, aircraft)
+    surfaces = {name: _resolved(log, surface, pairs) for name, surface in aircraft.surfaces.items()}
+    return aircraft.model_copy(update={"surfaces": surfaces})
+
+
+def streamed(aircraft: Aircraft) -> Aircraft:
+    """Return the same aircraft with the channels of telemetry, where a surface names nothing but its output.
+
+    Examples
+    --------
+    >>> from servofd.aircraft.schema import Surface, load_aircraft
+    >>> pulse = {"unit": "us", "trim_us": 1500.0, "slope_deg_per_us": 0.1}
+    >>> rudder = Surface.model_validate({"servo": "s9254", "output": 4, "command": pulse})
+    >>> plane = load_aircraft("simulated").model_copy(update={"surfaces": {"rudder": rudder}})
+    >>> streamed(plane).surfaces["rudder"].measured.channel
+    'NAMED_VALUE_FLOAT[SRVP4].value'
+    """
+    surfaces = {name: _streamed(surface) for name, surface in aircraft.surfaces.items()}
+    return aircraft.model_copy(update={"surfaces": surfaces})
+
+
+def _by_output(log: FlightLog, aircraft: Aircraft) -> dict[int, Pair]:
+    """What a log has of each output of the aircraft.
+
+    PX4 numbers its servos one after the other, whatever the outputs that they are on.
+    """
+    found = {pair.output.number: pair for pair in find_pairs(log)}
+    numbers = sorted(n for n in map(output_of, aircraft.surfaces.values()) if n is not None)
+    if log.format == "ulog" and len(numbers) == len(found) and not set(numbers) <= set(found):
+        return dict(zip(numbers, (found[number] for number in sorted(found)), strict=True))
+    return found
+
+
+def _is_there(log: FlightLog, surface: Surface) -> bool:
+    """Whether a log holds the channels of a surface."""
+    if surface.measured is None and surface.output is None:
+        return True
+    return surface.measured is not None and {surface.command.channel, surface.measured.channel} <= set(log.channels)
+
+
+def _resolved(log: FlightLog, surface: Surface, pairs: dict[int, Pair]) -> Surface:
+    number = output_of(surface)
+    if number is None or _is_there(log, surface):
+        return surface
+    pair = pairs.get(number)
+    change: dict[str, object] = {}
+    if surface.command.channel not in log.channels:
+        command = _command(log, surface.command, number, pair)
+        if command is not None:
+            change["command"] = command
+    if pair is not None and (surface.measured is None or surface.measured.channel not in log.channels):
+        change["measured"] = _measured(log, surface.measured, pair)
+        change["alive"] = pair.position.alive
+    return surface.model_copy(update=change)
+
+
+def _command(log: FlightLog, known: Calibration, number: int, pair: Pair | None) -> Calibration | None:
+    """The same command in the words of a log: as pulses if it has them, else as the autopilot gives it."""
+    channel = pulse_channel(log.channels, pair.output.number if pair is not None else number)
+    if isinstance(known, PulseCalibration):
+        if not channel:
+            return None
+        if log[channel].unit in ("us", "") and "actuator_servos" not in channel:
+            return known.model_copy(update={"channel": channel})
+        if known.slope_deg_per_us is None:
+            return None
+        return NormCalibration(
+            channel=channel,
+            unit="norm",
+            sign=known.sign,
+            correction=known.correction,
+            trim=(known.trim_us - LoggedOutput(number).trim_us) / _HALF_TRAVEL_US,
+            slope_deg=known.slope_deg_per_us * _HALF_TRAVEL_US,
+        )
+    if isinstance(known, DegreeCalibration) and pair is not None and pair.command == pair.position.command:
+        return known.model_copy(update={"channel": pair.command})
+    return None
+
+
+def _measured(log: FlightLog, known: Calibration | None, pair: Pair) -> Calibration:
+    """The position that a log has of an output, with what calibration found about the sensor."""
+    channel = pair.position.channel
+    correction = known.correction if known is not None else (1.0, 0.0)
+    sign = known.sign if known is not None else 1
+    if log[channel].unit == "rad":
+        return RadianCalibration(channel=channel, unit="rad", sign=sign, correction=correction)
+    trim_deg = known.trim_deg if isinstance(known, DegreeCalibration) else 0.0
+    return DegreeCalibration(channel=channel, unit="deg", sign=sign, correction=correction, trim_deg=trim_deg)
+
+
+def _streamed(surface: Surface) -> Surface:
+    if surface.output is None:
+        return surface
+    change: dict[str, object] = {}
+    if not surface.command.channel:
+        message, rest = divmod(surface.output - 1, _OUTPUTS_OF_A_MESSAGE)
+        name = "SERVO_OUTPUT_RAW" + (f"[{message}]" if message else "")
+        change["command"] = surface.command.model_copy(update={"channel": f"{name}.servo{rest + 1}_raw"})
+    if surface.measured is None:
+        channel = f"NAMED_VALUE_FLOAT[SRVP{surface.output}].value"
+        change["measured"] = DegreeCalibration(channel=channel, unit="deg")
+    return surface.model_copy(update=change)

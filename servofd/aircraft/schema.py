@@ -1,0 +1,358 @@
+"""Aircraft files: which surface is which, how it is calibrated, which servo turns it."""
+
+from __future__ import annotations
+
+import datetime
+import itertools
+import os
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from servofd.aircraft.axes import MotionModel
+from servofd.aircraft.calibrated import CalibratedServo
+from servofd.aircraft.calibration import Calibration, DegreeCalibration
+from servofd.aircraft.limits import Limits
+from servofd.core.errors import ConfigError, DesignError, ServofdError, UnknownName, suggest
+from servofd.core.evidence import ModelOrigin
+from servofd.core.tolerance import Tolerance
+from servofd.core.toml_text import read_toml
+from servofd.servo.effect_table import EffectTable, effects_installed
+from servofd.servo.effects import Extension, PositionLimit
+from servofd.servo.library import Positive, Servo, find_servo, levels_in, library
+from servofd.servo.physics import Physics
+from servofd.servo.servo_model import ServoModel, plant_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+    from importlib.resources.abc import Traversable
+
+    from pydantic_core import ErrorDetails
+
+UNKNOWN_SERVO = "unknown"
+"""Nobody says which servo it is: it is fitted to the log."""
+DEFAULT_THRESHOLD_DEG = 1.5
+"""Thesis 4.2: the residuals of healthy HS-225BB servos on FASER commands stay within +-1.5 deg."""
+
+DEFAULT_SIGMAS = 6.0
+"""Gaussian noise in a residual of the default filter's colour exceeds 6 standard deviations 7e-4 times an hour."""
+
+Sigmas = Annotated[float, Field(ge=1.0, le=100.0, strict=True)]
+
+
+class _Entry(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Table(_Entry):
+    """How to read a CSV file that does not use servofd's own column names."""
+
+    columns: tuple[str, ...] = ()
+    """Names for a file without a header line, in order."""
+    time: str = "time_s"
+    time_unit: Literal["s", "ms", "us", "ns"] = "s"
+    sample_rate_hz: Positive | None = None
+    """For a file without a time column."""
+    run: str = ""
+    """Column that tells separate experiments apart; they are never joined."""
+    where: dict[str, str] = {}
+    """Keep only rows in which these columns hold these texts."""
+
+
+class Swap(_Entry):
+    """A servo was replaced."""
+
+    date: datetime.date
+    """Flights that begin on this day (UTC) or later are flown with the new servo."""
+    removed: str = ""
+    """Serial number of the servo that was taken out."""
+
+
+class Surface(_Entry):
+    """One control surface and the servo that turns it."""
+
+    servo: str = UNKNOWN_SERVO
+    command: Calibration
+    measured: Calibration | None = None
+    """None: the log tells where the position of `output` is; or, without an output, nothing measures this surface."""
+    output: Annotated[int, Field(ge=1, le=32, strict=True)] | None = None
+    """Output of the autopilot that turns it; logs of autopilots that lack the channels named here are read by it."""
+    alive: tuple[str, ...] = ()
+    """Channels of the same telemetry that change as long as it lives; rows in which nothing does say nothing."""
+    load: str = ""
+    """Channel of a force, torque or current that pushes the shaft from outside; left out, one that is named so."""
+    command_saturation_deg: tuple[float, float] | None = None
+    """Limits applied to the command after it is logged and before the servo sees it."""
+    position_limit_deg: tuple[float, float] | None = None
+    """Stops of the linkage."""
+    effects: EffectTable = {}
+    """What the servo's linear model lacks: effect to parameters, as ``servofd explain --save`` writes them."""
+    command_hold: Literal["zoh", "linear"] = "zoh"
+    """ "linear" for logs that hold fewer commands than the servo received."""
+    command_period_s: Annotated[float, Field(gt=0.0, le=1.0, strict=True)] | None = None
+    """Period at which the autopilot really updates the command; for "linear" alone."""
+    threshold_deg: Positive = DEFAULT_THRESHOLD_DEG
+    threshold: Literal["constant", "interval"] = "constant"
+    """ "interval" follows the activity of the command, within `tolerance`."""
+    threshold_sigmas: Sigmas = DEFAULT_SIGMAS
+    """Standard deviations of noise in the interval threshold."""
+    persistence: Annotated[int, Field(ge=1, le=100, strict=True)] = 1
+    """Samples in a row, all on one side, that make an alarm."""
+    tolerance: Tolerance | None = None
+    """How far a healthy servo may differ from its model; None: as far as `threshold_deg` was made for."""
+    suspicions: bool = True
+    """Whether what stays below the threshold may be suspect; not if the model does not reach down to the noise."""
+    filter_pole_rad_s: Annotated[float, Field(ge=0.1, le=1000.0, strict=True)] | None = None
+    """Speed of the residual filter; None: the fastest with a noise gain of at most 0.5."""
+    serial: str = ""
+    """Serial number of the servo that is in now."""
+    swaps: tuple[Swap, ...] = ()
+    """When servos were replaced, the oldest first."""
+    limits: Limits = Limits()
+    """How far the servo may wear."""
+    model: ModelOrigin = ModelOrigin()
+    """Where the servo's model comes from: a servo that a file names is ``named`` unless it says otherwise."""
+    calibrated: CalibratedServo | None = None
+    """What ``servofd calibrate`` fitted to good flights; judged by it unless a constant threshold is asked for."""
+
+    @property
+    def tolerances(self) -> Tolerance:
+        """Those of the file; else those for which the constant threshold is right.
+
+        Examples
+        --------
+        >>> plain_aircraft(["rudder"]).surfaces["rudder"].tolerances.gain
+        0.03
+        """
+        return self.tolerance or Tolerance().scaled(max(1.0, self.threshold_deg / DEFAULT_THRESHOLD_DEG))
+
+    @property
+    def is_calibrated(self) -> bool:
+        """Whether it is judged by what was fitted to its good flights."""
+        return self.calibrated is not None and self.threshold != "constant"
+
+    @property
+    def tells_small_faults(self) -> bool:
+        """Whether the model is known well enough for suspicions below the threshold: drafted thresholds are not."""
+        known = self.tolerance is not None or self.threshold_deg <= DEFAULT_THRESHOLD_DEG
+        return known and self.suspicions
+
+    @property
+    def names_servo(self) -> bool:
+        """Whether its file says which servo it is."""
+        return self.servo != UNKNOWN_SERVO
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        for key in ("command_saturation_deg", "position_limit_deg"):
+            limits = getattr(self, key)
+            if limits is not None and not limits[0] < limits[1]:
+                raise ValueError(f"{key} = [lower, upper] needs lower < upper, not {list(limits)}")
+        if (self.command_hold == "linear") != (self.command_period_s is not None):
+            raise ValueError('command_period_s belongs to command_hold = "linear", and to that alone')
+        try:
+            effects_installed(Physics(), self.effects)
+        except ServofdError as error:
+            raise ValueError(str(error)) from None
+        if not self.command.channel and self.output is None:
+            raise ValueError("command.channel: this key is missing, and so is output, which would do instead of it")
+        dates = [swap.date for swap in self.swaps]
+        if any(later <= earlier for earlier, later in itertools.pairwise(dates)):
+            raise ValueError("swaps: the dates must rise, one servo after the other")
+        return self
+
+
+class Aircraft(_Entry):
+    """An aircraft: its surfaces, and the servos that are not in the library."""
+
+    name: str = ""
+    surfaces: dict[str, Surface] = {}
+    motion: MotionModel | None = None
+    """What the aircraft's motion tells of its axes; the only thing known of one whose servos report nothing."""
+    servos: dict[str, Servo] = {}
+    table: Table | None = None
+
+    @model_validator(mode="after")
+    def _servos_exist(self) -> Self:
+        if not self.surfaces and self.motion is None:
+            raise ValueError("surfaces: at least one entry is needed, for example [surfaces.elevator]")
+        known = {**library(), **self.servos}
+        for name, surface in self.surfaces.items():
+            if surface.servo == UNKNOWN_SERVO:
+                if surface.effects or surface.calibrated is not None:
+                    raise ValueError(
+                        f"surfaces.{name}.servo: this key is missing: effects and calibrations belong to a servo (in "
+                        'files that name none it was "hs225bb-eq31")'
+                    )
+                continue
+            if surface.servo not in known:
+                raise ValueError(f"surfaces.{name}.servo: {suggest('servo', surface.servo, known)}")
+            try:
+                self.model(name)
+            except DesignError as error:
+                raise ValueError(f"surfaces.{name}.effects: {error}") from None
+        return self
+
+    def servo(self, surface: str) -> Servo:
+        """Servo of a surface; the aircraft's own definitions come before the library's.
+
+        Raises
+        ------
+        ConfigError
+            If nobody says which it is.
+        """
+        name = self.surfaces[surface].servo
+        if name == UNKNOWN_SERVO:
+            raise ConfigError(f"{surface}: no servo is named; 'servofd servos' lists those that are known")
+        return self.servos[name] if name in self.servos else library()[name]
+
+    def check_names(self, surfaces: Iterable[str], where: str = "") -> None:
+        """Refuse names of surfaces that the aircraft does not have.
+
+        Raises
+        ------
+        UnknownName
+            For the first of them; the message begins with `where`.
+        """
+        for name in surfaces:
+            if name not in self.surfaces:
+                raise UnknownName(f"{where}: " * bool(where) + suggest("surface", name, self.surfaces))
+
+    def with_servo(self, name: str) -> Self:
+        """Return the same aircraft with one servo on every surface: one of the library, or of a servo file.
+
+        Raises
+        ------
+        UnknownName
+            If the library has no such servo.
+        ConfigError
+            If the file does not describe one.
+
+        Examples
+        --------
+        >>> plain_aircraft(["rudder"]).with_servo("s9254").surfaces["rudder"].servo
+        's9254'
+        """
+        key, servo = find_servo(name)
+        change = {"servo": key, "model": ModelOrigin(), **levels_in(name)}
+        changed = {surface: entry.model_copy(update=change) for surface, entry in self.surfaces.items()}
+        return self.model_copy(update={"surfaces": changed, "servos": {} if key == name else {key: servo}})
+
+    def model(self, surface: str) -> ServoModel:
+        """Healthy model of a surface: its servo, the stops of its linkage, and its effects.
+
+        Raises
+        ------
+        DesignError
+            If it has effects, and a servo with zeros or more than three poles, which no kernel can give them.
+
+        Examples
+        --------
+        >>> plain_aircraft(["elevator"], "hs225bb-eq31").model("elevator").plan.delay_s
+        0.004
+        """
+        model = ServoModel.of(self.servo(surface))
+        entry = self.surfaces[surface]
+        if entry.position_limit_deg:
+            model += PositionLimit(*entry.position_limit_deg)
+        if not entry.effects:
+            return model
+        return model + Extension(effects_installed(plant_of(model).neutral, entry.effects))
+
+
+def plain_aircraft(surfaces: Iterable[str], servo: str = UNKNOWN_SERVO) -> Aircraft:
+    """Aircraft of a plain table: columns ``<surface>_cmd_deg`` and ``<surface>_pos_deg``, one servo for all, if any.
+
+    Examples
+    --------
+    >>> plain_aircraft(["rudder"]).surfaces["rudder"].command.channel
+    'rudder_cmd_deg'
+    """
+    return _validated(
+        {
+            "surfaces": {
+                name: {
+                    "servo": servo,
+                    "command": DegreeCalibration(channel=f"{name}_cmd_deg", unit="deg"),
+                    "measured": DegreeCalibration(channel=f"{name}_pos_deg", unit="deg"),
+                }
+                for name in surfaces
+            }
+        },
+        "plain table",
+    )
+
+
+def load_aircraft(path: str | Path) -> Aircraft:
+    """Read an aircraft file, or one of those that come with servofd by its bare name.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, is not TOML, or does not describe an aircraft; the message names the file,
+        the key, and what would have worked.
+
+    Examples
+    --------
+    >>> load_aircraft("faser").servo("elevator").title
+    'Hitec HS-225BB (thesis Eq. 3.1)'
+    """
+    return _validated(read_toml(_find(path), str(path), "aircraft file"), str(path))
+
+
+def _find(path: str | Path) -> Path | Traversable:
+    """The file itself, or a configuration that ships with servofd when a bare name is given."""
+    if Path(path).suffix or os.path.isfile(path):  # noqa: PTH113 - which takes any text for a name
+        return Path(path)
+    installed = resources.files("servofd").joinpath("configs")
+    home = installed if installed.is_dir() else Path(__file__).parents[2] / "configs"
+    known = sorted(entry.name.removesuffix(".toml") for entry in home.iterdir() if entry.name.endswith(".toml"))
+    if str(path) not in known:
+        raise ConfigError(f"{path}: no such file, and {suggest('aircraft', str(path), known)}")
+    return home.joinpath(f"{path}.toml")
+
+
+def _validated(content: Mapping[str, object], source: str) -> Aircraft:
+    try:
+        return Aircraft.model_validate(content)
+    except ValidationError as error:
+        details = error.errors(include_url=False)
+        more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
+        raise ConfigError(f"{source}: {_sentence(details[0])}{more}") from None
+
+
+def _sentence(detail: ErrorDetails) -> str:
+    """One validation error in words: where, what, and which keys would have worked."""
+    # The unit that a discriminated union inserts is no key of the file.
+    units = {"deg", "rad", "us", "count", "norm", "rad_or_count"}
+    path = [str(part) for part in detail["loc"] if str(part) not in units]
+    where = ".".join(path) or "the file"
+    kind, message = detail["type"], detail["msg"].removeprefix("Value error, ")
+    if kind == "extra_forbidden":
+        return f"{where}: unknown key; {_siblings(path)}"
+    if kind == "missing":
+        return f"{where}: this key is missing"
+    if kind == "union_tag_not_found":
+        return f'{where}: needs unit = "deg", "rad", "us", "count", "norm" or "rad_or_count"'
+    given = detail.get("input")
+    shown = f" (given: {given!r})" if isinstance(given, str | int | float | bool | list) else ""
+    return f"{where}: {message}{shown}" if not message.startswith(f"{where}") else message
+
+
+def _siblings(path: list[str]) -> str:
+    """Keys that exist where an unknown one stands."""
+    models: dict[int, type[BaseModel]] = {1: Aircraft, 3: Surface}
+    model = models.get(len(path))
+    if len(path) == 4 and path[2] in ("tolerance", "limits"):
+        model = Tolerance if path[2] == "tolerance" else Limits
+    if len(path) == 5 and path[2] == "swaps":
+        model = Swap
+    if len(path) == 2 and path[0] == "table":
+        model = Table
+    if len(path) == 3 and path[0] == "servos":
+        model = Servo
+    if model is None:
+        return "see the comments in configs/faser.toml"
+    return suggest("key", path[-1], model.model_fields).split("; ", 1)[-1].removeprefix("unknown key ")

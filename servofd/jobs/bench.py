@@ -1,0 +1,188 @@
+"""Bench tests in logs: which channels they are, and the servo they show."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servofd.aircraft.schema import load_aircraft
+from servofd.aircraft.segment import Segment, cut
+from servofd.core.errors import ConfigError, NoMeasurement
+from servofd.identification.identify import Method, identify
+from servofd.jobs.job import logs_of, surfaces_of
+
+if TYPE_CHECKING:
+    from logparsers import FlightLog
+    from servofd.aircraft.schema import Aircraft
+    from servofd.core.types import FloatArray
+    from servofd.identification.result import Identification
+
+_CHIRP_COMMAND, _CHIRP_POSITION = "SCRP.PWM", "SCRP.Pos"
+"""Written by ArduPilot's applet ``actuator_chirp.lua``: pulse [us] and position of the servo's telemetry [deg]."""
+_NO_POSITION = -1.0
+"""What the applet writes while the servo has sent none."""
+_CHIRP_SURFACE = "servo"
+_LONGEST_HEADER = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class BenchTest:
+    """One test, and where it comes from."""
+
+    segment: Segment
+    source: str
+    """Channels and how they were read, in words."""
+    pulse_us: FloatArray | None = None
+    """Commands as pulses [us], shape (n,), if nobody knows how many degrees one asks for."""
+
+
+def bench_tests(
+    path: str | Path, aircraft: Aircraft | None = None, surface: str | None = None
+) -> tuple[BenchTest, ...]:
+    """Take the tests of one servo out of a log; several if the file holds several runs.
+
+    Parameters
+    ----------
+    path : str or Path
+        Plain table, FASER log, autopilot log, or anything that an aircraft file explains.
+    aircraft : Aircraft, optional
+        What the channels are; left out, it is found as for an audit.
+    surface : str, optional
+        Which servo; may be left out if only one was measured.
+    """
+    logs = tuple(logs_of(path, aircraft))
+    found: list[BenchTest] = []
+    reasons: list[str] = []
+    for log in logs:
+        if aircraft is None and _CHIRP_COMMAND in log.channels:
+            found.append(_chirp_script(log))
+            continue
+        try:
+            found.append(_of_surface(log, aircraft or surfaces_of(log), surface))
+        except NoMeasurement as error:
+            if len(logs) == 1:
+                raise
+            reasons.append(str(error))
+    if not found:
+        raise NoMeasurement(reasons[0])
+    return tuple(found)
+
+
+def identify_logs(
+    paths: Sequence[str | Path],
+    aircraft: Aircraft | None = None,
+    *,
+    surface: str | None = None,
+    method: Method = "response",
+    order: int | None = None,
+    progress: Callable[[str], object] = str,
+) -> Identification:
+    """Identify a servo from one log, or the mean of several servos of one kind from a log of each.
+
+    Parameters
+    ----------
+    paths : sequence of str or Path
+        One log for each servo.
+    aircraft : Aircraft, optional
+        What the channels are.
+    surface : str, optional
+        Which servo of the logs.
+    method, order, progress
+        As in `servofd.identification.identify.identify`.
+
+    Examples
+    --------
+    >>> found = identify_logs(["sample_logs/faser_healthy_chirp.mat"], surface="aileron_right")
+    >>> abs(found.servo.linear.transfer.bandwidth_rad_s / 28.49 - 1.0) < 0.05
+    True
+    """
+    tests = [bench_tests(path, aircraft, surface) for path in paths]
+    labels = [str(path) for path in paths]
+    sources = tuple(dict.fromkeys(test.source for one in tests for test in one))
+    segments = [[test.segment for test in one] for one in tests]
+    result = identify(segments, method=method, order=order, labels=labels, progress=progress)
+    if not any(test.pulse_us is not None for one in tests for test in one):
+        return replace(result, notes=(*sources, *result.notes))
+    gain = result.servo.linear.gain
+    scaled = [[_rescaled(test.segment, gain, result.offset_deg) for test in one] for one in tests]
+    slope = gain * _slope_deg_per_us(tests[0][0])
+    result = identify(scaled, method=method, order=order, labels=labels)
+    scale = f"pulses were converted with the scale that gives a dc gain of 1: {slope:.5f} deg/us"
+    return replace(result, notes=(*sources, scale, *result.notes))
+
+
+def bench_aircraft(path: str | Path) -> Aircraft | None:
+    """What a plain bench record is: columns ``run``, ``t_s``, ``cmd`` and ``meas`` [deg]; None for any other file.
+
+    Examples
+    --------
+    >>> bench_aircraft("sample_logs/faser_healthy_chirp.mat") is None
+    True
+    """
+    try:
+        with Path(path).open("rb") as file:
+            header = file.readline(_LONGEST_HEADER).decode("utf-8", "replace").strip().split(",")
+    except OSError:
+        return None
+    return load_aircraft("bench") if {"run", "t_s", "cmd", "meas"} <= set(header) else None
+
+
+def _of_surface(log: FlightLog, aircraft: Aircraft, surface: str | None) -> BenchTest:
+    if surface is not None:
+        aircraft.check_names([surface], log.label)
+    segments: dict[str, Segment] = {}
+    reasons: dict[str, str] = {}
+    for name in [surface] if surface is not None else aircraft.surfaces:
+        try:
+            segments[name] = cut(log, name, aircraft.surfaces[name])
+        except NoMeasurement as error:
+            reasons[name] = str(error)
+    if not segments:
+        name, reason = next(iter(reasons.items()))
+        raise NoMeasurement(f"{log.label}: {name}: {reason}")
+    if len(segments) > 1:
+        raise ConfigError(
+            f"{log.label}: {len(segments)} servos were measured: choose one of {', '.join(segments)} with -s"
+        )
+    ((name, segment),) = segments.items()
+    entry = aircraft.surfaces[name]
+    measured = entry.measured.channel if entry.measured is not None else ""
+    return BenchTest(segment, f"command from {entry.command.channel}, position from {measured}")
+
+
+def _chirp_script(log: FlightLog) -> BenchTest:
+    """Test of ArduPilot's chirp applet: its telemetry comes more seldom than its rows, and repeats meanwhile."""
+    command, position = log[_CHIRP_COMMAND], log[_CHIRP_POSITION]
+    values = np.where(position.values == _NO_POSITION, np.nan, position.values)
+    fresh = np.isfinite(values) & (np.diff(values, prepend=np.nan) != 0.0)
+    if np.count_nonzero(fresh) < 2:
+        raise NoMeasurement(
+            f"{log.label}: SCRP holds no position (Pos is {_NO_POSITION:g} throughout): the applet needs a servo with "
+            "telemetry (DroneCAN, Volz, ...) and ACHRP_TYPE = 1"
+        )
+    measured_deg = values[fresh]
+    sign = np.sign(np.corrcoef(np.interp(position.time_s[fresh], command.time_s, command.values), measured_deg)[0, 1])
+    slope = float(sign or 1.0) * float(np.std(measured_deg)) / max(float(np.std(command.values)), 1e-9)
+    command_deg = slope * (command.values - float(np.mean(command.values)))
+    rate_hz = np.count_nonzero(fresh) / max(log.duration_s, 1e-9)
+    return BenchTest(
+        Segment(_CHIRP_SURFACE, command.time_s, command_deg, position.time_s[fresh], measured_deg),
+        f"command from {_CHIRP_COMMAND} [us], position from {_CHIRP_POSITION} (ArduPilot actuator_chirp.lua); rows "
+        f"that repeat a position were left out, which leaves {rate_hz:.0f} Hz",
+        pulse_us=command.values,
+    )
+
+
+def _slope_deg_per_us(test: BenchTest) -> float:
+    """Degrees per microsecond that the conversion of a test amounts to."""
+    if test.pulse_us is None:
+        return 1.0
+    return float(np.polyfit(test.pulse_us, test.segment.command_deg, 1)[0])
+
+
+def _rescaled(segment: Segment, gain: float, offset_deg: float) -> Segment:
+    return replace(segment, command_deg=gain * segment.command_deg + offset_deg)

@@ -1,0 +1,351 @@
+"""From logs to explanations: which channels, which servo, which context."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servofd.aircraft.schema import Aircraft, Surface
+from servofd.aircraft.segment import cut
+from servofd.core.errors import ConfigError, DesignError, NoMeasurement, UnknownName, suggest
+from servofd.detection.audit import audit_log
+from servofd.detection.words import describe
+from servofd.discrepancy.elsewhere import judged_elsewhere
+from servofd.discrepancy.explanation import Explanation, explain_gap
+from servofd.discrepancy.held import without_held
+from servofd.discrepancy.own import OwnEffect, load_own_effect
+from servofd.discrepancy.validity import Undriven, without_torque
+from servofd.discrepancy.varying import varying
+from servofd.jobs.bench import bench_aircraft
+from servofd.jobs.job import known_aircraft, logs_of, surfaces_of
+from servofd.servo.library import Servo
+from servofd.servo.physics import scaled_transfer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from logparsers import FlightLog
+    from servofd.aircraft.segment import Segment
+    from servofd.core.types import FloatArray
+
+_SAME_FAULT_S = 3.0
+UNKNOWN = "unknown"
+"""Name of a servo that nobody knows."""
+UNKNOWN_SERVO = Servo(
+    title="third order, its poles fitted",
+    numerator=(200.0 * 31.4**2,),
+    denominator=(1.0, 200.0 + 1.6 * 31.4, 31.4**2 + 200.0 * 1.6 * 31.4, 200.0 * 31.4**2),
+    delay_s=0.004,
+    hold="zoh",
+    source="start of the search for the poles: hobby servos have 2 to 20 Hz",
+)
+
+
+_MOST_SAID = 4
+"""Sentences about the readings; a log of many runs has one each."""
+_STEADY = 0.5
+"""Of the spread between runs, that within one: more, and a mean says little about the run."""
+_WORSE = 1.05
+"""What chance makes of an error of a thousand samples is less."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExplainedLog:
+    """An explanation, and the aircraft it was made for."""
+
+    explanation: Explanation
+    aircraft: Aircraft
+    source: str
+    logs: tuple[FlightLog, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExplainedLogs:
+    """Explanations of several surfaces."""
+
+    explanations: tuple[Explanation, ...]
+    failures: tuple[str, ...]
+    """Why other surfaces could not be explained, a sentence each."""
+    aircraft: Aircraft
+    source: str
+    logs: tuple[FlightLog, ...]
+    """What was explained; `also` is not among them."""
+
+
+def explain_log(
+    path: str | Path | Sequence[str | Path],
+    aircraft: str | Path | Aircraft | None = None,
+    *,
+    surface: str | None = None,
+    servo: str | None = None,
+    progress: Callable[[str], None] = lambda _step: None,
+) -> ExplainedLog:
+    """Explain where logs and the model of one of its servos disagree.
+
+    Parameters
+    ----------
+    path : str, Path or sequence of them
+        The log, or several of the same servo. Of several, and of the runs of a bench record, every other one is held
+        out whole.
+    aircraft : str, Path or Aircraft, optional
+        Aircraft file, or its content; found as for an audit if left out.
+    surface : str, optional
+        Which surface; may be left out if there is only one.
+    servo : str, optional
+        Servo to assume: a name of the library, a servo file, or ``unknown`` for one of second order whose poles are
+        fitted as well. A bench record whose aircraft file names no servo is of an unknown one.
+    progress : callable
+        Called with the name of each effect that was tried.
+
+    Raises
+    ------
+    LogError
+        If a log is of no use.
+    ServofdError
+        If the aircraft is not what it should be, a name is unknown, or the logs cannot show what is missing.
+    """
+    flown = _opened([path] if isinstance(path, str | Path) else path, aircraft, servo)
+    if surface is None and len(flown.surfaces) > 1:
+        raise UnknownName(f"{flown.source}: choose a surface: {', '.join(flown.surfaces)}")
+    found = _explained(flown, (surface,) if surface else flown.surfaces, (), None, progress)
+    if found.failures:
+        raise NoMeasurement(found.failures[0])
+    return ExplainedLog(found.explanations[0], found.aircraft, found.source, found.logs)
+
+
+def explain_logs(
+    paths: Sequence[str | Path],
+    aircraft: str | Path | Aircraft | None = None,
+    *,
+    surfaces: tuple[str, ...] = (),
+    servo: str | None = None,
+    also: Sequence[str | Path] = (),
+    own: OwnEffect | str | Path | None = None,
+    progress: Callable[[str], None] = lambda _step: None,
+) -> ExplainedLogs:
+    """Explain several surfaces of an aircraft, from one flight or from several together.
+
+    Parameters
+    ----------
+    paths : sequence of str or Path
+        Logs of one aircraft. With several, or several runs in a file, every other one is held out whole.
+    aircraft : str, Path or Aircraft, optional
+        Aircraft file, or its content; found as for an audit if left out.
+    surfaces : tuple of str
+        Which; all that are measured if empty.
+    servo : str, optional
+        Servo to assume, as for `explain_log`.
+    also : sequence of str or Path
+        Further logs of the same aircraft, on which the model that was found is only judged.
+    own : OwnEffect, str or Path, optional
+        An effect of the user's own, or the file that makes it, tried beside those of the catalogue.
+    progress : callable
+        Called with the name of each effect that was tried.
+
+    Returns
+    -------
+    ExplainedLogs
+        What cannot be explained of one surface does not keep the others from being explained.
+
+    Raises
+    ------
+    LogError
+        If a log is of no use.
+    ServofdError
+        If the aircraft is not what it should be, a name is unknown, or a log of `also` does not hold the surfaces.
+
+    Examples
+    --------
+    >>> found = explain_logs(["sample_logs/hidden/hidden_10.csv"])
+    >>> found.explanations[0].conclusion in ("nothing_missing", "explained", "partly_explained", "unexplained")
+    True
+    """
+    effect = load_own_effect(own) if isinstance(own, str | Path) else own
+    flown = _opened(paths, aircraft, servo)
+    for name in surfaces:
+        if name not in flown.aircraft.surfaces:
+            raise UnknownName(f"{flown.source}: {suggest('surface', name, flown.aircraft.surfaces)}")
+    wanted = tuple(dict.fromkeys(surfaces)) or flown.surfaces
+    others = list(logs_of(also, flown.aircraft))
+    judged = [(log.label, {name: _also(log, flown.aircraft, name) for name in wanted}) for log in others]
+    return _explained(flown, wanted, judged, effect, progress)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Flown:
+    """Flights of one aircraft, or runs of a bench."""
+
+    logs: tuple[FlightLog, ...]
+    aircraft: Aircraft
+    described: bool
+    """Whether an aircraft file came with them."""
+    servo: str | None
+    label: str
+
+    @property
+    def source(self) -> str:
+        return self.logs[0].label if len(self.logs) == 1 else f"{self.label} ({len(self.logs)} runs)"
+
+    @property
+    def surfaces(self) -> tuple[str, ...]:
+        """Those that are measured, and known to some log; all if there is none."""
+        known = self.aircraft.surfaces
+        logged = {channel for log in self.logs for channel in log.channels}
+        return tuple(n for n, s in known.items() if s.measured and s.measured.channel in logged) or tuple(known)
+
+    @property
+    def on_bench(self) -> bool:
+        """Whether these are experiments that begin at rest."""
+        return self.described and self.aircraft.table is not None and bool(self.aircraft.table.run)
+
+    def has_unknown_servo(self, surface: str) -> bool:
+        """Whether the poles have to be found as well."""
+        if self.servo is None:
+            return not self.aircraft.surfaces[surface].names_servo
+        return self.servo == UNKNOWN
+
+
+def _opened(paths: Sequence[str | Path], aircraft: str | Path | Aircraft | None, servo: str | None) -> _Flown:
+    known = known_aircraft(aircraft) or bench_aircraft(paths[0])
+    logs = tuple(logs_of(paths, known))
+    # The servo of a plain table is fitted along with what it may lack.
+    flown = known or surfaces_of(logs[0])
+    if servo is not None and servo != UNKNOWN:
+        flown = flown.with_servo(servo)
+    return _Flown(logs, flown, known is not None, servo, ", ".join(map(str, paths)))
+
+
+def _explained(
+    flown: _Flown,
+    surfaces: Sequence[str],
+    also: Sequence[tuple[str, dict[str, Segment]]],
+    own: OwnEffect | None,
+    progress: Callable[[str], None],
+) -> ExplainedLogs:
+    aircraft, found, failures = flown.aircraft, [], []
+    for name in surfaces:
+        if name not in aircraft.surfaces:
+            raise UnknownName(f"{flown.source}: {suggest('surface', name, aircraft.surfaces)}")
+        try:
+            one = _surface(flown, name, also, own, progress)
+        except (NoMeasurement, DesignError) as error:
+            failures.append(f"{flown.source}: {name}: {error}")
+            continue
+        found.append(one)
+        if flown.has_unknown_servo(name) and one.record.side is None:
+            aircraft = _with_fitted_poles(aircraft, name, one)
+    return ExplainedLogs(tuple(found), tuple(failures), aircraft, flown.source, flown.logs)
+
+
+def _surface(
+    flown: _Flown,
+    name: str,
+    also: Sequence[tuple[str, dict[str, Segment]]],
+    own: OwnEffect | None,
+    progress: Callable[[str], None],
+) -> Explanation:
+    free_poles = flown.has_unknown_servo(name)
+    aircraft = _with_unknown_servo(flown.aircraft, name) if free_poles else flown.aircraft
+    logs, segments = _segments(flown.logs, name, aircraft)
+    model = aircraft.model(name)
+    off: list[Undriven] = []
+    said: dict[str, None] = {}
+    for k, (log, segment) in enumerate(zip(logs, segments, strict=True)):
+        each, held = without_held(segment)
+        segments[k], stood = without_torque(log, each, k)
+        off += stood
+        said |= dict.fromkeys([held] if held else []) | dict.fromkeys(damage.note for damage in log.damage)
+    conditions = _conditions(logs, aircraft.surfaces[name])
+    found = explain_gap(
+        segments,
+        model,
+        on_bench=flown.on_bench,
+        free_poles=free_poles,
+        own=own,
+        off=off,
+        conditions=conditions,
+        progress=progress,
+    )
+    found = replace(found, notes=(*found.notes, *list(said)[:_MOST_SAID]))
+    if found.record.side is None:
+        differing = varying(found.selection, conditions)
+        found = replace(found, varying=differing, notes=(*found.notes, *(each.sentence for each in differing)))
+    if found.fault_s is not None and len(flown.logs) == 1:
+        found = _with_kind(found, found.fault_s, flown.logs[0], aircraft)
+    judged = tuple(judged_elsewhere(label, there[name], model, found.physics, own) for label, there in also)
+    worse = [
+        f"{there.path}: the model does worse there than without what was found: is it the same servo?"
+        for there in judged
+        if there.extended_rms_deg > _WORSE * max(there.nominal_rms_deg, there.noise_floor_rms_deg)
+    ]
+    return replace(found, also=judged, notes=(*found.notes, *worse))
+
+
+def _also(log: FlightLog, aircraft: Aircraft, name: str) -> Segment:
+    """A surface in another log of the same aircraft."""
+    try:
+        return cut(log, name, aircraft.surfaces[name])
+    except NoMeasurement as error:
+        raise ConfigError(f"--also {log.label}: {name}: {error}; give a log of the same aircraft") from None
+
+
+def _with_kind(found: Explanation, fault_s: float, log: FlightLog, aircraft: Aircraft) -> Explanation:
+    """An explanation that says which fault it is that sets in, if the audit can name it."""
+    (verdict,) = audit_log(log, aircraft, surfaces=(found.surface,)).surfaces
+    named = [fault for fault in verdict.faults if abs(fault.start_s - fault_s) < _SAME_FAULT_S]
+    if not named or named[0].kind == "unknown":
+        return found
+    return replace(found, notes=(*found.notes, f"the audit can name that fault: {describe(named[0])}"))
+
+
+def _segments(logs: Sequence[FlightLog], surface: str, aircraft: Aircraft) -> tuple[list[FlightLog], list[Segment]]:
+    """The runs in which the surface was commanded and measured, and it in each of them."""
+    used, segments, reasons = [], [], []
+    for log in logs:
+        try:
+            segments.append(cut(log, surface, aircraft.surfaces[surface]))
+            used.append(log)
+        except NoMeasurement as error:
+            reasons.append(str(error))
+    if not segments:
+        raise NoMeasurement(reasons[0])
+    return used, segments
+
+
+def _conditions(logs: Sequence[FlightLog], surface: Surface) -> dict[str, FloatArray]:
+    """What else was logged in every run and hardly changed within one: its mean, by the name of its channel."""
+    own = {surface.command.channel, surface.measured.channel if surface.measured else ""}
+    result = {}
+    for name in set.intersection(*(set(log.channels) for log in logs)) - own:
+        each = [log[name].values[np.isfinite(log[name].values)] for log in logs]
+        if all(values.size for values in each):
+            means = np.array([np.mean(values) for values in each])
+            within = float(np.mean([np.std(values) for values in each]))
+            if within < _STEADY * float(np.std(means)):
+                result[name] = means
+    return dict(sorted(result.items()))
+
+
+def _with_unknown_servo(aircraft: Aircraft, surface: str, servo: Servo = UNKNOWN_SERVO) -> Aircraft:
+    name = f"{surface}-{UNKNOWN}"
+    entry = aircraft.surfaces[surface].model_copy(update={"servo": name})
+    return aircraft.model_copy(
+        update={"surfaces": {**aircraft.surfaces, surface: entry}, "servos": {**aircraft.servos, name: servo}}
+    )
+
+
+def _with_fitted_poles(aircraft: Aircraft, surface: str, found: Explanation) -> Aircraft:
+    """The aircraft with the servo whose poles were found, for an audit."""
+    transfer = scaled_transfer(found.record.plant.transfer, found.selection.final.physics)
+    servo = Servo(
+        title=UNKNOWN_SERVO.title,
+        numerator=transfer.numerator,
+        denominator=transfer.denominator,
+        delay_s=0.0,
+        hold="zoh",
+        source="servofd explain",
+    )
+    return _with_unknown_servo(aircraft, surface, servo)

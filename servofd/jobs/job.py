@@ -1,0 +1,164 @@
+"""What every verb begins with: the aircraft that is known, its logs, and the surfaces that a log holds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import logparsers
+from servofd.aircraft.schema import UNKNOWN_SERVO, Aircraft, load_aircraft, plain_aircraft
+from servofd.core.errors import ConfigError, NoMeasurement
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from logparsers import FlightLog, LogFile
+
+_COMMAND_SUFFIX, _POSITION_SUFFIX = "_cmd_deg", "_pos_deg"
+
+
+def known_aircraft(aircraft: Aircraft | str | Path | None) -> Aircraft | None:
+    """What is known of an aircraft: itself, its file, or the name of one that comes with servofd.
+
+    Examples
+    --------
+    >>> known_aircraft("faser").name, known_aircraft(None)
+    ('FASER (Ultra Stick 120)', None)
+    """
+    if isinstance(aircraft, str | Path):
+        return load_aircraft(aircraft) if aircraft else None
+    return aircraft
+
+
+def logs_of(paths: LogFile | Sequence[LogFile], aircraft: Aircraft | None = None) -> Iterator[FlightLog]:
+    """Every run of every log of an aircraft, in order; what follows a reboot is another flight.
+
+    Parameters
+    ----------
+    paths : str, Path, binary file or sequence of them
+        The logs.
+    aircraft : Aircraft, optional
+        Tells how its tables are to be read.
+
+    Examples
+    --------
+    >>> [round(log.duration_s) for log in logs_of("sample_logs/faser_healthy_flight.mat")]
+    [40]
+    """
+    several = paths if isinstance(paths, Sequence) and not isinstance(paths, str) else [paths]
+    for path in several:
+        for log in logparsers.read_all(path, layout_of(aircraft)):
+            yield from log.by_boots()
+
+
+def one_log(path: str | Path, aircraft: Aircraft | None = None) -> FlightLog:
+    """The only run of a log.
+
+    Examples
+    --------
+    >>> one_log("sample_logs/telemetry_stuck.tlog").format
+    'tlog'
+    """
+    return logparsers.read(path, layout_of(aircraft))
+
+
+def flown_aircraft(log: FlightLog, known: Aircraft | None, servo: str | None = None) -> Aircraft:
+    """The aircraft that flew a log: as it is known, or as the log shows it, with the servo that was asked for.
+
+    Surfaces whose channels a log lacks are looked for by the outputs of the autopilot that turn them. Servos that the
+    aircraft's file does not name are fitted to the log.
+
+    Parameters
+    ----------
+    log : FlightLog
+        One run.
+    known : Aircraft or None
+        What is known of the aircraft.
+    servo : str, optional
+        Servo of all surfaces: a name of the library, or a servo file; ``unknown`` fits each servo to the log.
+    """
+    from servofd.aircraft.resolve import resolved
+
+    flown = resolved(log, known) if known is not None and known.surfaces else _with_surfaces(log, known, servo)
+    unnamed = [name for name, surface in flown.surfaces.items() if servo == UNKNOWN_SERVO or not surface.names_servo]
+    if servo in (None, UNKNOWN_SERVO) and known is not None and known.surfaces and unnamed:
+        from servofd.feedback.fitted import fitted_aircraft
+
+        return fitted_aircraft(log, flown, unnamed)
+    return flown if servo in (None, UNKNOWN_SERVO) else flown.with_servo(servo)
+
+
+def _with_surfaces(log: FlightLog, known: Aircraft | None, servo: str | None) -> Aircraft:
+    """Surfaces as the log has them, beside what is known of the aircraft's motion."""
+    if known is None or known.motion is None:
+        return aircraft_for(log, servo)
+    try:
+        return aircraft_for(log, servo).model_copy(update={"motion": known.motion})
+    except NoMeasurement:
+        return known
+
+
+def aircraft_for(log: FlightLog, servo: str | None = None) -> Aircraft:
+    """Aircraft to assume for a log that comes without a file of its own.
+
+    Parameters
+    ----------
+    log : FlightLog
+        What is to be judged.
+    servo : str, optional
+        Servo of a plain table's surfaces, of the library or a servo file; each is fitted to the log if left out.
+    """
+    aircraft = surfaces_of(log)
+    if log.format == "faser" or log.is_of_autopilot:
+        return aircraft
+    if servo not in (None, UNKNOWN_SERVO):
+        return aircraft.with_servo(servo)
+    from servofd.feedback.fitted import fitted_aircraft
+
+    return fitted_aircraft(log, aircraft)
+
+
+def surfaces_of(log: FlightLog) -> Aircraft:
+    """Surfaces as the channels of a log name them; nothing is said of the servos of a plain table.
+
+    Examples
+    --------
+    >>> list(surfaces_of(one_log("sample_logs/table_three_faults.csv")).surfaces)
+    ['aileron', 'elevator', 'rudder']
+    """
+    if log.format == "faser":
+        faser = load_aircraft("faser")
+        logged = {name: s for name, s in faser.surfaces.items() if s.command.channel in log.channels}
+        if logged:
+            return faser.model_copy(update={"surfaces": logged})
+        raise NoMeasurement(
+            f"{log.label}: no measured deflection: this log holds {', '.join(list(log.channels)[:8])}; a position "
+            "per surface is needed (de_pos, dr_pos, da_l_pos, ...), or an aircraft file (-c) that names other channels"
+        )
+    if log.is_of_autopilot:
+        from servofd.feedback.draft import draft_aircraft
+
+        return draft_aircraft(log).aircraft()
+    names = dict.fromkeys(
+        name.removesuffix(suffix)
+        for name in log.channels
+        for suffix in (_COMMAND_SUFFIX, _POSITION_SUFFIX)
+        if name.endswith(suffix)
+    )
+    if not names:
+        raise NoMeasurement(
+            f"{log.label}: no surface found: a plain table needs columns <surface>_cmd_deg and <surface>_pos_deg; "
+            f"for other names write an aircraft file (-c). Its columns: {', '.join(list(log.channels)[:12])}"
+        )
+    return plain_aircraft(names)
+
+
+def layout_of(aircraft: Aircraft | None) -> logparsers.TableLayout | None:
+    """How to read a text table that belongs to this aircraft; None if it does not say."""
+    if aircraft is None or aircraft.table is None:
+        return None
+    try:
+        return logparsers.TableLayout(**aircraft.table.model_dump())
+    except ValueError as error:
+        raise ConfigError(f"table: {error}") from None

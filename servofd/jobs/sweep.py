@@ -1,0 +1,253 @@
+"""A sweep on the ground: what it shows of each servo in numbers, and go or no-go."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import numpy as np
+
+from servofd.aircraft.segment import SLOWEST_RATE_HZ, cut
+from servofd.core.errors import DesignError, NoMeasurement
+from servofd.detection.bank.explanation import Ridge
+from servofd.detection.bank.window import Window, noise_deg
+from servofd.detection.judge import judge
+from servofd.detection.plausible import wiring_problem
+from servofd.detection.residual import ResidualGenerator, commands_at_servo
+from servofd.detection.words import describe
+from servofd.estimate.statistics import Estimate
+from servofd.servo.play import play
+
+if TYPE_CHECKING:
+    from logparsers.records import FlightLog
+    from servofd.aircraft.schema import Aircraft, Surface
+    from servofd.aircraft.segment import Segment
+    from servofd.core.tolerance import Tolerance
+    from servofd.core.types import FloatArray
+    from servofd.detection.residual import Residuals
+    from servofd.detection.threshold import Threshold
+    from servofd.servo.servo_model import ServoModel
+
+_WIDE = np.array([1.0, 0.1, 1.0, 30.0, 30.0])
+"""Prior standard deviations of gain, delay [s], bandwidth, bias [deg] and play [deg]: wide, a sweep is all motion."""
+_PLAY_NOISES, _SMALLEST_PLAY_DEG = 6.0, 0.5
+
+
+class SweepNumbers(NamedTuple):
+    """Travel, and how the servo differs from its model."""
+
+    asked_deg: tuple[float, float]
+    """Lowest and highest command [deg]."""
+    expected_deg: tuple[float, float]
+    """Lowest and highest deflection of a healthy servo [deg]."""
+    reached_deg: tuple[float, float]
+    """Lowest and highest measured deflection [deg]."""
+    gain: Estimate
+    """Deflection per degree of command."""
+    extra_delay_s: Estimate
+    """Beyond that of the model [s]."""
+    bandwidth: Estimate
+    """Over that of the model."""
+    bias_deg: Estimate
+    play_deg: Estimate
+    """Full width of dead band or backlash, seen when the motion turns round [deg]."""
+    fastest_deg_s: float
+    """Speed of the surface, single samples left out [deg/s]."""
+    residual_peak_deg: float
+    threshold_deg: float
+    """Median level [deg]."""
+
+
+def measure(
+    generator: ResidualGenerator, segment: Segment, residuals: Residuals, threshold: Threshold, tolerance: Tolerance
+) -> SweepNumbers:
+    """Fit gain, delay, bandwidth, bias and play to a sweep.
+
+    Notes
+    -----
+    Play enters as the difference between the healthy motion and what is left of it after a zone of small width,
+    per degree of that width: linear in the true width as long as that is small against the motion.
+    """
+    judged = np.flatnonzero(residuals.settled)
+    noise = noise_deg(residuals.error_deg[judged])
+    commands = commands_at_servo(segment, generator.model.plan.delay_s, generator.longest_gap_s(segment))
+    span = slice(int(judged[0]), int(judged[-1]) + 1)
+    window = Window.of(generator.model, tolerance, noise, residuals, commands, span)
+    healthy_deg = window.healthy_deg
+    width_deg = max(_PLAY_NOISES * noise, _SMALLEST_PLAY_DEG)
+    lost_deg = (play(healthy_deg, width_deg, float(healthy_deg[0])) - healthy_deg) / width_deg
+    ridge = Ridge(np.column_stack([window.nuisances, lost_deg]), _WIDE, window.noise_deg)
+    fit = ridge.fit(window.error_deg)
+    gain, delay, bandwidth, bias, width = (
+        ridge.estimate(fit, window.error_deg, k, offset) for k, offset in enumerate((1.0, 0.0, 1.0, 0.0, 0.0))
+    )
+    asked = segment.command_deg[
+        (segment.command_s >= residuals.time_s[0]) & (segment.command_s <= residuals.time_s[-1])
+    ]
+    return SweepNumbers(
+        _ends(asked if asked.size else segment.command_deg),
+        _ends(healthy_deg),
+        _ends(window.measured_deg),
+        gain,
+        delay,
+        bandwidth,
+        bias,
+        width,
+        _fastest_deg_s(window.time_s, window.measured_deg),
+        float(np.max(np.abs(residuals.residual_deg[judged]))),
+        threshold.typical_deg,
+    )
+
+
+def _ends(values_deg: FloatArray) -> tuple[float, float]:
+    return float(np.min(values_deg)), float(np.max(values_deg))
+
+
+def _fastest_deg_s(time_s: FloatArray, measured_deg: FloatArray) -> float:
+    """Largest speed over 50 ms [deg/s]: over single samples it would be that of the noise."""
+    ahead = np.minimum(np.searchsorted(time_s, time_s + 0.05), time_s.size - 1)
+    step_s = time_s[ahead] - time_s
+    speed = np.abs(measured_deg[ahead] - measured_deg)[step_s > 0.0] / step_s[step_s > 0.0]
+    return float(np.max(speed, initial=0.0))
+
+
+SweepStatus = Literal["go", "no_go", "unknown"]
+
+_THRESHOLDS = 2.0
+"""A stuck servo must show twice the threshold, on both sides."""
+_LEAST_DEG = 3.0
+_FEWEST_SAMPLES = 30
+_SHORT_SHARE = 0.05
+_SMALL_PLAY_DEG = 0.6
+"""Twice the bias that a fleet of healthy servos may have: play of that width shifts no position by more."""
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceSweep:
+    """Whether a surface may fly."""
+
+    surface: str
+    status: SweepStatus
+    reasons: tuple[str, ...]
+    """Why not; or one sentence that says what was seen."""
+    expected: bool = True
+    """False if the aircraft does not measure this surface."""
+    numbers: SweepNumbers | None = None
+
+
+def check_sweep(log: FlightLog, aircraft: Aircraft, surfaces: tuple[str, ...] = ()) -> tuple[SurfaceSweep, ...]:
+    """Judge the surfaces of a log in which each was moved to both sides on the ground.
+
+    Parameters
+    ----------
+    log : FlightLog
+        What was recorded.
+    aircraft : Aircraft
+        Surfaces, calibrations, servos and tolerances.
+    surfaces : tuple of str
+        Which to judge; all if empty.
+
+    Examples
+    --------
+    >>> import logparsers
+    >>> from servofd.aircraft.schema import load_aircraft
+    >>> log = logparsers.read("sample_logs/faser_stuck_chirp.mat")
+    >>> check_sweep(log, load_aircraft("faser"), ("aileron_right",))[0].status
+    'no_go'
+    """
+    found = []
+    for name in surfaces or tuple(aircraft.surfaces):
+        surface = aircraft.surfaces[name]
+        try:
+            segment = cut(log, name, surface)
+        except NoMeasurement as reason:
+            found.append(SurfaceSweep(name, "unknown", (str(reason),), expected=surface.measured is not None))
+            continue
+        found.append(check_segment(segment, surface, aircraft.model(name)))
+    return tuple(found)
+
+
+def check_segment(segment: Segment, surface: Surface, model: ServoModel) -> SurfaceSweep:
+    """Judge one surface: what a live check calls with the last seconds of its stream.
+
+    Returns
+    -------
+    SurfaceSweep
+        ``go`` only if the surface was moved enough, to both sides, for a stuck one to have shown.
+    """
+    name = segment.surface
+    rate_hz = 1.0 / segment.period_s if segment.period_s > 0.0 else 0.0
+    if rate_hz < SLOWEST_RATE_HZ:
+        slow = f"position comes at {rate_hz:.2g} Hz; a sweep needs {SLOWEST_RATE_HZ:g} Hz or more"
+        return SurfaceSweep(name, "unknown", (slow,))
+    try:
+        generator = ResidualGenerator.fitting(model, segment, surface.filter_pole_rad_s)
+    except DesignError as error:
+        return SurfaceSweep(name, "unknown", (str(error),))
+    residuals = generator.run(segment)
+    if np.count_nonzero(residuals.settled) < _FEWEST_SAMPLES:
+        few = f"fewer than {_FEWEST_SAMPLES} positions while commands came"
+        return SurfaceSweep(name, "unknown", (few,))
+    judgement = judge(generator, segment, residuals, surface)
+    numbers = measure(generator, segment, residuals, judgement.threshold, surface.tolerances)
+    # What is named explains all numbers that are wrong, and a wrong sign explains any name.
+    wrong = [describe(fault) for fault in judgement.faults] or _out_of_tolerance(numbers, surface, model)
+    if wrong and wiring_problem(residuals):
+        wrong = [wiring_problem(residuals)]
+    return _concluded(name, numbers, wrong, _not_enough(numbers, float(segment.command_deg[0])))
+
+
+def _concluded(name: str, numbers: SweepNumbers, wrong: list[str], missing: str) -> SurfaceSweep:
+    if wrong:
+        return SurfaceSweep(name, "no_go", tuple(wrong), numbers=numbers)
+    if missing:
+        return SurfaceSweep(name, "unknown", (missing,), numbers=numbers)
+    low, high = numbers.reached_deg
+    seen = f"reached {low:+.1f} to {high:+.1f} deg, largest residual {numbers.residual_peak_deg:.2f} deg"
+    return SurfaceSweep(name, "go", (seen,), numbers=numbers)
+
+
+def _not_enough(numbers: SweepNumbers, rest_deg: float) -> str:
+    """Which motion is missing; nothing if a stuck servo would have shown on both sides."""
+    needed_deg = max(_LEAST_DEG, _THRESHOLDS * numbers.threshold_deg)
+    low, high = (end - rest_deg for end in numbers.asked_deg)
+    if low <= -needed_deg and high >= needed_deg:
+        return ""
+    return f"not moved enough ({low:+.1f} to {high:+.1f} deg): move it at least ±{np.ceil(needed_deg):.0f} deg"
+
+
+def _out_of_tolerance(numbers: SweepNumbers, surface: Surface, model: ServoModel) -> list[str]:
+    """What is certainly beyond the tolerances: the whole interval of an estimate, or travel that was not reached."""
+    tolerance = surface.tolerances
+    found = []
+    if _beyond(numbers.gain, 1.0, tolerance.gain):
+        found.append(f"moves by {numbers.gain.value:.0%} of its command (tolerance ±{tolerance.gain:.1%})")
+    if _beyond(numbers.extra_delay_s, 0.0, tolerance.delay_s):
+        found.append(
+            f"lags by {1e3 * numbers.extra_delay_s.value:+.0f} ms more than its model "
+            f"(tolerance ±{1e3 * tolerance.delay_s:.1f} ms)"
+        )
+    if _beyond(numbers.bandwidth, 1.0, tolerance.bandwidth):
+        found.append(f"has {numbers.bandwidth.value:.0%} of its bandwidth (tolerance ±{tolerance.bandwidth:.0%})")
+    if _beyond(numbers.bias_deg, 0.0, tolerance.bias_deg):
+        found.append(f"is off by {numbers.bias_deg.value:+.2f} deg (tolerance ±{tolerance.bias_deg:.2g} deg)")
+    if numbers.play_deg.low > max(2.0 * tolerance.bias_deg, _SMALL_PLAY_DEG):
+        found.append(f"has a dead band or play of {numbers.play_deg.value:.1f} deg")
+    return found + _short_of_travel(numbers, model)
+
+
+def _beyond(estimate: Estimate, healthy: float, tolerance: float) -> bool:
+    return estimate.low > healthy + tolerance or estimate.high < healthy - tolerance
+
+
+def _short_of_travel(numbers: SweepNumbers, model: ServoModel) -> list[str]:
+    """Ends that a healthy servo would have reached and this one did not."""
+    plan = model.plan
+    margin_deg = max(numbers.threshold_deg, _SHORT_SHARE * (numbers.expected_deg[1] - numbers.expected_deg[0]))
+    low, high = max(numbers.expected_deg[0], plan.lower_deg), min(numbers.expected_deg[1], plan.upper_deg)
+    found = []
+    if numbers.reached_deg[0] > low + margin_deg:
+        found.append(f"reaches {numbers.reached_deg[0]:+.1f} deg instead of {low:+.1f} deg")
+    if numbers.reached_deg[1] < high - margin_deg:
+        found.append(f"reaches {numbers.reached_deg[1]:+.1f} deg instead of {high:+.1f} deg")
+    return found

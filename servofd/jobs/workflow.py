@@ -1,0 +1,213 @@
+"""What the command line does, as functions for a notebook."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from servofd.aircraft.schema import load_aircraft
+from servofd.aircraft.segment import cut
+from servofd.core.errors import NoMeasurement, UnknownName, suggest
+from servofd.detection.audit import audit_log
+from servofd.jobs.job import flown_aircraft, known_aircraft, logs_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from servofd.aircraft.axes import MotionModel
+    from servofd.aircraft.schema import Aircraft
+    from servofd.calibrating.flights import Flight, Span
+    from servofd.calibrating.result import Calibration
+    from servofd.detection.threshold import ThresholdKind
+    from servofd.detection.verdict import LogAudit
+
+_SAME_RATE = 1.01
+
+
+def audit(
+    path: str | Path,
+    aircraft: Aircraft | str | Path | None = None,
+    *,
+    servo: str | None = None,
+    threshold_deg: float | None = None,
+    threshold: ThresholdKind | None = None,
+    surfaces: tuple[str, ...] = (),
+    threads: int | None = None,
+    progress: Callable[[str], None] = lambda _surface: None,
+) -> Iterator[LogAudit]:
+    """Judge every surface of a log; one result for each run that the file holds.
+
+    `servofd.audit` describes the parameters.
+
+    Yields
+    ------
+    LogAudit
+        Verdicts on the surfaces of one run.
+
+    Raises
+    ------
+    LogError
+        If the log is of no use.
+    ServofdError
+        If the aircraft is not what it should be, or a name is unknown.
+
+    Examples
+    --------
+    >>> [result.has_fault for result in audit("sample_logs/faser_healthy_flight.mat")]
+    [False]
+    """
+    known, nothing = known_aircraft(aircraft), None
+    for log in logs_of(path, known):
+        try:
+            flown = flown_aircraft(log, known, servo)
+        except NoMeasurement as error:  # the other runs are judged first
+            error.log, nothing = log, nothing or error
+            continue
+        flown.check_names(surfaces, log.label)
+        result = audit_log(
+            log,
+            flown,
+            threshold_deg=threshold_deg,
+            threshold=threshold,
+            surfaces=surfaces,
+            threads=threads,
+            progress=progress,
+        )
+        yield result if flown.motion is None else _with_axes(result, flown.motion)
+    if nothing is not None:
+        raise nothing
+
+
+def _with_axes(result: LogAudit, motion: MotionModel) -> LogAudit:
+    """The same audit, with what motion tells of axes and of faulty surfaces; a log without motion stays as it is."""
+    from servofd.axes.judge import compared, judge_motion
+    from servofd.axes.read import motion_of
+
+    try:
+        axes = judge_motion(motion, motion_of(result.log, motion.rate_hz, motion.parameters))
+    except NoMeasurement:
+        if not result.surfaces:
+            raise
+        return result
+    return replace(result, surfaces=compared(result.surfaces, axes), axes=axes)
+
+
+def calibrate_axes(
+    paths: Sequence[str | Path],
+    *,
+    false_alarms_per_hour: float = 1.0,
+    spans: tuple[Span, ...] = (),
+    own_days: bool = False,
+) -> MotionModel:
+    """Calibrate what an aircraft's motion tells of its axes, on flights that are known to be good.
+
+    Parameters
+    ----------
+    paths : sequence of str or Path
+        Logs of the same aircraft, of several days.
+    false_alarms_per_hour : float
+        Wanted of all axes together.
+    spans : tuple of (from_s, to_s)
+        Which parts of each log are good [s]; all of it if empty.
+    own_days : bool
+        Whether flights of one date differ as days do: in payload, trim or wind.
+
+    Returns
+    -------
+    MotionModel
+        `servofd.aircraft.axes.motion_to_toml` makes a part of an aircraft file of it.
+    """
+    from servofd.axes.calibrate import calibrate_motion
+    from servofd.axes.read import motion_of
+
+    logs = list(logs_of(paths))
+    flights = [motion_of(log) for log in logs]
+    rate_hz = min(flight.rate_hz for flight in flights)
+    flights = [
+        flight if flight.rate_hz < _SAME_RATE * rate_hz else motion_of(log, rate_hz)
+        for log, flight in zip(logs, flights, strict=True)
+    ]
+    if own_days:
+        flights = [replace(flight, day=f"{flight.day}, {place}") for place, flight in enumerate(flights)]
+    if spans:
+        flights = [flight.within(spans) for flight in flights]
+    return calibrate_motion(flights, false_alarms_per_hour=false_alarms_per_hour)
+
+
+def calibrate(
+    paths: Sequence[str | Path],
+    aircraft: Aircraft | str | Path,
+    *,
+    false_alarms_per_hour: float = 1e-3,
+    surfaces: tuple[str, ...] = (),
+    spans: tuple[Span, ...] = (),
+    runs: tuple[str, ...] = (),
+    force: bool = False,
+    progress: Callable[[str], None] = lambda _surface: None,
+) -> Calibration:
+    """Calibrate an aircraft on flights that are known to be good.
+
+    `servofd.calibrate` describes the parameters.
+
+    Returns
+    -------
+    Calibration
+        `servofd.calibrating.toml.calibration_to_toml` makes a file of it.
+
+    Raises
+    ------
+    LogError
+        If a log is of no use.
+    ServofdError
+        If the aircraft is not what it should be, or the flights are not good.
+
+    Examples
+    --------
+    >>> found = calibrate(["sample_logs/faser_healthy_flight.mat"], "faser", surfaces=("elevator",))
+    >>> found.surfaces[0].held_out_rms_deg < 0.2
+    True
+    """
+    from servofd.calibrating.calibrate import calibrate_aircraft
+
+    known = load_aircraft(aircraft) if isinstance(aircraft, str | Path) else aircraft
+    known.check_names(surfaces)
+    flights = flights_of(paths, known, surfaces=surfaces, spans=spans, runs=runs)
+    return calibrate_aircraft(
+        known, flights, false_alarms_per_hour=false_alarms_per_hour, force=force, progress=progress
+    )
+
+
+def flights_of(
+    paths: Sequence[str | Path],
+    aircraft: Aircraft,
+    *,
+    surfaces: tuple[str, ...] = (),
+    spans: tuple[Span, ...] = (),
+    runs: tuple[str, ...] = (),
+) -> dict[str, list[Flight]]:
+    """Each surface in each log that measured it."""
+    from servofd.aircraft.resolve import resolved
+    from servofd.calibrating.flights import Flight, cropped
+
+    flights: dict[str, list[Flight]] = {name: [] for name in surfaces or aircraft.surfaces}
+    reasons, seen = [], set()
+    for log in logs_of(paths, aircraft):
+        seen.add(log.run)
+        if runs and log.run not in runs:
+            continue
+        known = resolved(log, aircraft)
+        for name, there in flights.items():
+            try:
+                segment = cropped(cut(log, name, known.surfaces[name]), spans)
+            except NoMeasurement as error:
+                if known.surfaces[name].measured is not None:
+                    reasons.append(f"{log.label}: {name}: {error}")
+                continue
+            there.append(Flight(Path(log.label).name, segment))
+    missing = [run for run in runs if run not in seen]
+    if missing:
+        raise UnknownName(suggest("run", missing[0], sorted(seen)))
+    if not any(flights.values()):
+        raise NoMeasurement("; ".join(reasons) or "the aircraft file names no measured channel")
+    return flights

@@ -1,0 +1,305 @@
+"""A recording read back: whether its curves fit its verdicts, other verdicts from it, a part of it, two compared."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from servofd.aircraft.segment import is_streamed
+from servofd.core.errors import RecordingError
+from servofd.detection.audit import audit_segment, judged_by
+from servofd.detection.statistics import Statistics
+from servofd.outputs.recording.clock import microseconds
+from servofd.outputs.recording.content import Recording
+from servofd.outputs.recording.verdicts import LIVE
+
+if TYPE_CHECKING:
+    from servofd.core.types import FloatArray
+    from servofd.detection.bank.flight import Fault
+    from servofd.detection.threshold import ThresholdKind
+    from servofd.detection.verdict import Status, SurfaceAudit
+    from servofd.outputs.recording.content import Trace
+
+_CURVES = (("simulated", "simulated_deg"), ("residual", "residual_deg"), ("threshold", "threshold_deg"))
+_SAME_FAULT_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One thing that is not the same in two recordings."""
+
+    surface: str
+    what: str
+    before: str
+    after: str
+    from_s: float | None = None
+    """Where it begins [s], if it has a place."""
+    to_s: float | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values."""
+        return asdict(self)
+
+
+def compared(before: Recording, after: Recording) -> list[Change]:
+    """Everything in which two recordings of the same log differ; empty if they agree to the last bit.
+
+    Parameters
+    ----------
+    before, after : Recording
+        Two audits of one log: by other thresholds, models, or versions of servofd.
+
+    Examples
+    --------
+    >>> from servofd.outputs.recording.write import recording_of
+    >>> from servofd.outputs.recording.review import rejudged
+    >>> from servofd.jobs.workflow import audit
+    >>> (found,) = audit("sample_logs/faser_stuck_flight.mat", surfaces=("rudder",))
+    >>> one = recording_of(found)
+    >>> compared(one, one), [c.what for c in compared(one, rejudged(one, threshold_deg=2.0))]
+    ([], ['threshold', 'reason', 'threshold curve'])
+    """
+    first, second = ({s.surface: s for s in r.audit.surfaces} for r in (before, after))
+    changes = [Change(name, "surface", "recorded", "not recorded") for name in first if name not in second]
+    changes += [Change(name, "surface", "not recorded", "recorded") for name in second if name not in first]
+    for name in (name for name in first if name in second):
+        changes += _verdicts(first[name], second[name])
+        if name in before.traces and name in after.traces:
+            changes += _curves(name, before.traces[name], after.traces[name])
+    return changes
+
+
+def _verdicts(before: SurfaceAudit, after: SurfaceAudit) -> list[Change]:
+    name = before.surface
+    pairs = (
+        ("status", before.status, after.status),
+        ("servo", before.servo, after.servo),
+        ("threshold", _threshold(before), _threshold(after)),
+        ("reason", before.reason, after.reason),
+    )
+    changes = [Change(name, what, old, new) for what, old, new in pairs if old != new]
+    left = list(after.faults)
+    for fault in before.faults:
+        same = next((f for f in left if _is_same(f, fault)), None)
+        if same is None:
+            changes.append(Change(name, "fault", _fault(fault), "none", fault.start_s, fault.end_s))
+            continue
+        left.remove(same)
+        if _fault(same) != _fault(fault):
+            changes.append(Change(name, "fault", _fault(fault), _fault(same), fault.start_s, fault.end_s))
+    return changes + [Change(name, "fault", "none", _fault(f), f.start_s, f.end_s) for f in left]
+
+
+def _curves(name: str, before: Trace, after: Trace) -> list[Change]:
+    """Which curves differ, by how much at most, and from when to when."""
+    _, mine, theirs = np.intersect1d(
+        microseconds(before.time_s), microseconds(after.time_s), assume_unique=True, return_indices=True
+    )
+    if not mine.size:
+        raise RecordingError(f"{name}: the two recordings have no time in common: not the same log")
+    gap_deg = np.abs(before.measured_deg[mine] - after.measured_deg[theirs])
+    if np.any(gap_deg > 0.0):
+        raise RecordingError(f"{name}: the measured deflections differ: not two recordings of the same log")
+    time_s = before.time_s[mine]
+    changes = []
+    if before.time_s.size != after.time_s.size:
+        changes.append(Change(name, "length", _length(before), _length(after)))
+    for what, attribute in _CURVES:
+        old, new = getattr(before, attribute)[mine], getattr(after, attribute)[theirs]
+        differs = (old != new) & ~(np.isnan(old) & np.isnan(new))
+        if differs.any():
+            where = np.flatnonzero(differs)
+            known = np.abs(np.where(differs, new - old, 0.0))
+            worst = int(np.nanargmax(known)) if np.isfinite(known).any() else int(where[0])
+            changes.append(
+                Change(
+                    name,
+                    f"{what} curve",
+                    f"{old[worst]:.4g} deg at {time_s[worst]:.2f} s",
+                    f"{new[worst]:.4g} deg",
+                    float(time_s[where[0]]),
+                    float(time_s[where[-1]]),
+                )
+            )
+    return changes
+
+
+def _length(trace: Trace) -> str:
+    return f"{trace.time_s.size} samples"
+
+
+def _is_same(one: Fault, other: Fault) -> bool:
+    """Whether two findings overlap in time."""
+    ends_s = [np.inf if f.end_s is None else f.end_s + _SAME_FAULT_S for f in (one, other)]
+    return one.start_s <= ends_s[1] and other.start_s <= ends_s[0]
+
+
+def _threshold(surface: SurfaceAudit) -> str:
+    return f"{surface.threshold_kind}, {surface.threshold_deg:.4g} deg"
+
+
+def _fault(fault: Fault) -> str:
+    end = "" if fault.end_s is None else f" to {fault.end_s:.2f} s"
+    return f"{fault.kind} from {fault.start_s:.2f} s{end}, alarm {fault.alarm_s:.2f} s"
+
+
+def statistics_of(trace: Trace) -> Statistics | None:
+    """Size of the residual while it was judged, from the recorded curves; None if it never was.
+
+    Examples
+    --------
+    >>> from servofd.outputs.recording.content import Trace
+    >>> t, r = np.arange(3.0), np.array([np.nan, 1.0, -3.0])
+    >>> statistics_of(Trace(t, t, t, t + 0.5, r, t, t, t)).max_abs_deg
+    3.0
+    """
+    judged = np.isfinite(trace.residual_deg)
+    if not judged.any():
+        return None
+    with np.errstate(over="ignore", invalid="ignore"):  # of a damaged recording
+        error_deg = (trace.measured_deg - trace.simulated_deg)[judged]
+    return Statistics.of(trace.residual_deg[judged], error_deg)
+
+
+def contradictions(recording: Recording) -> list[str]:
+    """One sentence for each surface whose recorded curves are not the ones that were judged.
+
+    Statistics are computed from the curves in the same way as by the audit, so that they agree to the last bit, or
+    the recording is incomplete, or was altered.
+    """
+    found = []
+    for surface in recording.audit.surfaces:
+        if surface.statistics is None:
+            continue
+        trace = recording.traces.get(surface.surface)
+        now = None if trace is None else statistics_of(trace)
+        if now != surface.statistics:
+            until = f"end at {trace.time_s[-1]:.2f} s" if trace is not None and trace.time_s.size else "are missing"
+            found.append(
+                f"{surface.surface}: the verdict was made from other curves than are recorded here (they {until}): "
+                "incomplete or altered"
+            )
+    return found
+
+
+def rejudged(
+    recording: Recording, *, threshold_deg: float | None = None, threshold: ThresholdKind | None = None
+) -> Recording:
+    """Judge the recorded commands and deflections again, as an audit of the log would.
+
+    The recording has the aircraft's models and tolerances, so that new alarms get names as well.
+
+    Parameters
+    ----------
+    recording : Recording
+        As it was read.
+    threshold_deg : float, optional
+        Constant alarm level for all surfaces [deg].
+    threshold : {"constant", "interval"}, optional
+        Kind of threshold for all surfaces.
+
+    Examples
+    --------
+    >>> from servofd.outputs.recording.write import recording_of
+    >>> from servofd.jobs.workflow import audit
+    >>> (found,) = audit("sample_logs/faser_stuck_flight.mat", surfaces=("elevator",))
+    >>> [s.faults[0].alarm_s < found.surfaces[0].faults[0].alarm_s
+    ...  for s in rejudged(recording_of(found), threshold_deg=0.8).audit.surfaces]
+    [True]
+    """
+    audit = recording.audit
+    if LIVE in recording.notes:
+        audit = replace(audit, log=replace(audit.log, span_s=(recording.start_s, recording.end_s)))
+        recording = replace(recording, audit=audit)
+    judged = tuple(_judged(recording, surface, threshold_deg, threshold) for surface in audit.surfaces)
+    again = Recording.of(replace(audit, surfaces=judged))
+    by = f"{threshold_deg:g} deg" if threshold_deg is not None else threshold or "the recorded threshold"
+    notes = (*(n for n in recording.notes if n != LIVE), f"judged again, by {by}")
+    return replace(
+        recording, audit=replace(again.audit, log=audit.log), traces={**recording.traces, **again.traces}, notes=notes
+    )
+
+
+def _judged(
+    recording: Recording, surface: SurfaceAudit, threshold_deg: float | None, threshold: ThresholdKind | None
+) -> SurfaceAudit:
+    trace = recording.traces.get(surface.surface)
+    known = recording.audit.aircraft.surfaces[surface.surface]
+    if trace is None or trace.time_s.size < 2:
+        asked = judged_by(known, threshold_deg, threshold)
+        return replace(surface, threshold_kind=asked.threshold, threshold_deg=asked.threshold_deg)
+    return audit_segment(
+        trace.segment(
+            surface.surface,
+            known.command_period_s,
+            is_streamed=is_streamed(recording.audit.log.format, known.command.channel),
+        ),
+        recording.audit.aircraft,
+        duration_s=recording.audit.log.duration_s,
+        threshold_deg=threshold_deg,
+        threshold=threshold,
+        expected=surface.expected,
+    )
+
+
+def between(recording: Recording, from_s: float, to_s: float) -> Recording:
+    """Keep what happened from one time to another.
+
+    Verdicts are those of the whole flight: a fault is kept if any of it lies in between, with its name and onset.
+
+    Examples
+    --------
+    >>> from servofd.outputs.recording.write import recording_of
+    >>> from servofd.jobs.workflow import audit
+    >>> (found,) = audit("sample_logs/faser_stuck_flight.mat")
+    >>> cut = between(recording_of(found), 0.0, 4.0)
+    >>> cut.audit.has_fault, cut.audit.surfaces[0].reason
+    (False, 'no alarm from 0 to 4 s')
+    """
+    begin_s, end_s = recording.start_s, recording.end_s
+    if not from_s < to_s:
+        raise RecordingError(f"--between {from_s:g} {to_s:g}: the first time must be before the second")
+    if from_s > end_s or to_s < begin_s or not recording.traces:
+        raise RecordingError(f"--between {from_s:g} {to_s:g}: the recording runs from {begin_s:g} to {end_s:g} s")
+    traces = {name: trace.between(from_s, to_s) for name, trace in recording.traces.items()}
+    short = replace(recording, traces=traces)
+    surfaces = tuple(_of(surface, short, from_s, to_s) for surface in recording.audit.surfaces)
+    log = replace(recording.audit.log, span_s=(max(from_s, begin_s), min(to_s, end_s)))
+    return replace(
+        short,
+        audit=replace(recording.audit, log=log, surfaces=surfaces),
+        attitude=_rows(recording.attitude, from_s, to_s),
+        position=_rows(recording.position, from_s, to_s),
+        geo=_rows(recording.geo, from_s, to_s),
+        notes=(*recording.notes, f"cut from {from_s:g} to {to_s:g} s of {begin_s:g} to {end_s:g} s"),
+    )
+
+
+def _of(surface: SurfaceAudit, recording: Recording, from_s: float, to_s: float) -> SurfaceAudit:
+    """Verdict on one surface, as far as it belongs to these seconds."""
+    trace = recording.traces.get(surface.surface)
+    if trace is None or not surface.is_judged:
+        return surface
+    faults, suspicions = (
+        tuple(f for f in found if _touches(f, from_s, to_s)) for found in (surface.faults, surface.suspicions)
+    )
+    statistics = statistics_of(trace)
+    status: Status = "fault" if faults else "suspect" if suspicions else "healthy"
+    reason = surface.reason if status == surface.status else f"no alarm from {from_s:g} to {to_s:g} s"
+    if statistics is None:
+        status, reason = "no_data", f"nothing was judged from {from_s:g} to {to_s:g} s"
+        faults = suspicions = ()
+    return replace(surface, status=status, reason=reason, faults=faults, suspicions=suspicions, statistics=statistics)
+
+
+def _touches(fault: Fault, from_s: float, to_s: float) -> bool:
+    return fault.start_s <= to_s and (fault.end_s is None or fault.end_s >= from_s)
+
+
+def _rows(rows: FloatArray | None, from_s: float, to_s: float) -> FloatArray | None:
+    if rows is None:
+        return None
+    kept: FloatArray = rows[np.logical_and(rows[:, 0] >= from_s, rows[:, 0] <= to_s)]
+    return kept if len(kept) > 1 else None
