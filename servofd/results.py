@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any, Self
 from servofd.aircraft.segment import Segment
 from servofd.calibrating.result import Calibration
 from servofd.core.errors import ConfigError, UnknownName, needs, suggest
+from servofd.core.files import write_whole
 from servofd.detection.verdict import LogAudit, SurfaceAudit
 from servofd.identification.identify import identify as identify_records
 from servofd.identification.result import Identification
 from servofd.jobs import bench, workflow
 from servofd.jobs.explaining import ExplainedLog, explain_log
-from servofd.outputs.files import write_whole
 from servofd.outputs.sentence import spoken, whole_sentence, worst
 from servofd.wear.trend import AircraftTrend, trend_logs
 

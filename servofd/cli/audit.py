@@ -198,7 +198,7 @@ def write(options: argparse.Namespace, results: list[LogAudit | FailedLog]) -> N
     """Write the files that were asked for."""
     from servofd.cli.targets import give_json
     from servofd.core.errors import ConfigError
-    from servofd.outputs.files import write_whole
+    from servofd.core.files import write_whole
     from servofd.outputs.json_report import FailedLog, audit_document
 
     audits = [result for result in results if not isinstance(result, FailedLog)]
@@ -222,8 +222,8 @@ def write(options: argparse.Namespace, results: list[LogAudit | FailedLog]) -> N
 def _write_folder(folder: Path, audits: list[LogAudit], document: dict[str, Any], *, where: bool, on_map: bool) -> None:
     from servofd.cli.targets import give_json
     from servofd.core.errors import ConfigError, needs
+    from servofd.core.files import distinct_file_names, make_folder
     from servofd.outputs.figure import save_figure
-    from servofd.outputs.files import distinct_file_names, make_folder
     from servofd.outputs.recording import save_recording
 
     make_folder(folder)

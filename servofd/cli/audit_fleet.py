@@ -83,8 +83,8 @@ def run_fleet(options: argparse.Namespace) -> int:
 def _judged(found: Found, job: Job, store: FleetStore | None, options: argparse.Namespace) -> list[JudgedLog]:
     """Judge what is not done, and print it; kept in memory only if there is no folder for it."""
     from servofd.cli.tables import progress_with_estimate
+    from servofd.core.files import make_folder
     from servofd.fleet.run import audit_fleet
-    from servofd.outputs.files import make_folder
 
     kept = []
     to_do = _to_do(found.logs, store)
@@ -108,8 +108,8 @@ def _judged(found: Found, job: Job, store: FleetStore | None, options: argparse.
 
 def _with_page(judged: JudgedLog, folder: Path) -> JudgedLog:
     """Write the page of a log, and keep it no longer."""
+    from servofd.core.files import write_whole
     from servofd.fleet.key import page_name
-    from servofd.outputs.files import write_whole
 
     if judged.page:
         write_whole(folder / page_name(judged.source.path, judged.content), judged.page.encode())
@@ -195,7 +195,7 @@ def _overview(logs: list[dict[str, Any]]) -> Overview:
 
 def write_page(seen: Overview, target: str) -> None:
     """Write the page of a fleet, with links to the pages of its flights that stand beside it."""
-    from servofd.outputs.files import write_whole
+    from servofd.core.files import write_whole
     from servofd.outputs.fleet_page import fleet_page
 
     pages = frozenset(path.name for path in Path(target).parent.glob("*.html"))

@@ -88,8 +88,8 @@ def run(options: argparse.Namespace) -> int:
     from servofd.cli.calibrate_axes import has_feedback, run_axes
     from servofd.cli.tables import progress_bar
     from servofd.core.errors import ConfigError
+    from servofd.core.files import write_whole
     from servofd.jobs.workflow import calibrate
-    from servofd.outputs.files import write_whole
 
     _check_output(options)
     if options.config is None:

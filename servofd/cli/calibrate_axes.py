@@ -39,8 +39,8 @@ def run_axes(options: argparse.Namespace, text: str = "") -> int:
         Aircraft file so far.
     """
     from servofd.aircraft.axes import motion_to_toml
+    from servofd.core.files import write_whole
     from servofd.jobs.workflow import calibrate_axes
-    from servofd.outputs.files import write_whole
 
     spans = tuple(options.between)
     if options.until is not None:

@@ -87,7 +87,7 @@ def _plot(servo: Servo, sampled: PulseFilter, path: Path) -> None:
     from matplotlib.figure import Figure
 
     from servofd.core.errors import ConfigError
-    from servofd.outputs.files import whole_file
+    from servofd.core.files import whole_file
 
     if path.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise ConfigError(f"{path}: draws .png, .svg or .pdf, not {path.suffix or 'a file without suffix'}")

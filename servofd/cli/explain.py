@@ -96,8 +96,8 @@ def _write(options: argparse.Namespace, found: ExplainedLogs) -> None:
 
 
 def _write_page(options: argparse.Namespace, found: ExplainedLogs) -> None:
+    from servofd.core.files import write_whole
     from servofd.outputs.explain_page import explain_page
-    from servofd.outputs.files import write_whole
 
     gains = {one.surface: audit_rows(one.gain.document()) for one in found.explanations if one.gain}
     write_whole(options.html, explain_page(found.explanations, _names(options), thresholds=gains).encode())
@@ -110,7 +110,7 @@ def _names(options: argparse.Namespace) -> str:
 
 def _save(options: argparse.Namespace, found: ExplainedLogs) -> None:
     from servofd.cli.tables import one_line
-    from servofd.outputs.files import write_whole
+    from servofd.core.files import write_whole
     from servofd.outputs.model_file import model_file
 
     text, kept = model_file(found.explanations, found.aircraft, found.source, found.logs)

@@ -64,7 +64,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _write(options: argparse.Namespace, found: Identification) -> None:
-    from servofd.outputs.files import write_whole
+    from servofd.core.files import write_whole
 
     source = ", ".join(Path(log).name for log in options.logs)
     if options.save:
@@ -85,7 +85,7 @@ def _write(options: argparse.Namespace, found: Identification) -> None:
 
 def _write_folder(folder: Path, found: Identification) -> None:
     from servofd.cli.targets import give_json
-    from servofd.outputs.files import make_folder, write_whole
+    from servofd.core.files import make_folder, write_whole
     from servofd.outputs.identify_figures import identify_figures
 
     make_folder(folder)

@@ -149,8 +149,8 @@ def closing_lines(results: Sequence[LogAudit | FailedLog], page: Path | None) ->
 
 def _written(options: argparse.Namespace, results: Sequence[LogAudit | FailedLog]) -> Path | None:
     """Write the page into ``-o``, else beside the log, else where the user is; None if there is nothing to show."""
+    from servofd.core.files import distinct_file_names, write_whole
     from servofd.outputs.audit_page import audit_page
-    from servofd.outputs.files import distinct_file_names, write_whole
     from servofd.outputs.json_report import FailedLog
     from servofd.outputs.motors import motors_of
 

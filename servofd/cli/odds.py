@@ -143,7 +143,7 @@ def _check_surfaces(options: argparse.Namespace, aircraft: Aircraft) -> None:
 def _write_folder(folder: Path, odds: list[SurfaceOdds], document: dict[str, Any]) -> None:
     from servofd.cli.tables import progress_bar
     from servofd.cli.targets import give_json
-    from servofd.outputs.files import distinct_file_names, make_folder
+    from servofd.core.files import distinct_file_names, make_folder
     from servofd.outputs.odds_figure import save_odds_figure
 
     make_folder(folder)

@@ -44,7 +44,7 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
 def run(options: argparse.Namespace) -> int:
     """Write the script."""
     from servofd.cli.targets import check_targets
-    from servofd.outputs.files import write_whole
+    from servofd.core.files import write_whole
 
     check_targets([options.output], {"the aircraft file": [options.aircraft]})
     text, done = _streaming(options) if options.stream_only else _watching(options)

@@ -167,7 +167,7 @@ def _simulated_servo() -> str:
 def _run_airframe(options: argparse.Namespace) -> int:
     """An aeroplane that answers its surfaces, as the log of its autopilot."""
     from servofd.core.errors import ConfigError
-    from servofd.outputs.files import write_whole
+    from servofd.core.files import write_whole
     from servofd.simulation.airframe import AirframeFault, fly_airframe
     from servofd.simulation.airframe_log import airframe_log
 

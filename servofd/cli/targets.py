@@ -18,7 +18,7 @@ def give_json(target: str | None, document: dict[str, Any]) -> bool:
     >>> give_json(None, {"schema": "servofd.audit/1"})
     False
     """
-    from servofd.outputs.files import write_whole
+    from servofd.core.files import write_whole
     from servofd.outputs.json_report import to_json
 
     if target and target != "-":

@@ -41,7 +41,7 @@ def run(options: argparse.Namespace) -> int:
     """Follow, write what was asked for, print."""
     from servofd.cli.tables import one_line
     from servofd.cli.targets import check_targets, give_json
-    from servofd.outputs.files import write_whole
+    from servofd.core.files import write_whole
     from servofd.wear.document import trend_document
 
     check_targets((options.json, options.html), {"a log": options.logs, "the aircraft file": [options.config]})

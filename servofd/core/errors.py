@@ -14,11 +14,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from logparsers import FlightLog
-
 import difflib
 from collections.abc import Iterable
 from importlib.util import find_spec
@@ -38,15 +33,7 @@ class UnknownName(ServofdError):  # noqa: N818 - reads better without "Error" wh
 
 
 class NoMeasurement(ServofdError):  # noqa: N818
-    """Nothing in the log tells where a surface was.
-
-    Attributes
-    ----------
-    log : FlightLog or None
-        The log, if it could be read.
-    """
-
-    log: FlightLog | None = None
+    """Nothing in the log tells where a surface was."""
 
 
 class CalibrationError(ServofdError):

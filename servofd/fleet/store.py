@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Self
 
 from servofd.core.errors import ConfigError
+from servofd.core.files import whole_file, write_whole
 from servofd.fleet.find import META_FILE
 from servofd.fleet.key import content_key
 from servofd.fleet.tables import TABLES, rows, to_arrow
-from servofd.outputs.files import whole_file, write_whole
 from servofd.version import __version__
 
 if TYPE_CHECKING:

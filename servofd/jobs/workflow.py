@@ -15,6 +15,7 @@ from servofd.jobs.job import flown_aircraft, known_aircraft, logs_of
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
+    from logparsers.records import FlightLog
     from servofd.aircraft.axes import MotionModel
     from servofd.aircraft.schema import Aircraft
     from servofd.calibrating.flights import Flight, Span
@@ -23,6 +24,14 @@ if TYPE_CHECKING:
     from servofd.detection.verdict import LogAudit
 
 _SAME_RATE = 1.01
+
+
+class UnmeasuredLog(NoMeasurement):
+    """A log that could be read, but tells nowhere where a surface was."""
+
+    def __init__(self, reason: str, log: FlightLog | None = None) -> None:
+        super().__init__(reason)
+        self.log = log
 
 
 def audit(
@@ -62,7 +71,7 @@ def audit(
         try:
             flown = flown_aircraft(log, known, servo)
         except NoMeasurement as error:  # the other runs are judged first
-            error.log, nothing = log, nothing or error
+            nothing = nothing or UnmeasuredLog(str(error), log)
             continue
         flown.check_names(surfaces, log.label)
         result = audit_log(

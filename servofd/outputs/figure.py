@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from servofd.core.files import write_whole
 from servofd.outputs.chart import bridged, thinned
-from servofd.outputs.files import write_whole
 from servofd.outputs.palette import COLOURS
 from servofd.outputs.picture import finish, new_figure, saved
 

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.core.files import write_whole
 from servofd.detection.odds import WITHIN_S, settled_bias
 from servofd.detection.probability import bias_response, detect, false_alarms_per_hour, persistent_delay_s
-from servofd.outputs.files import write_whole
 from servofd.outputs.picture import saved
 
 if TYPE_CHECKING:

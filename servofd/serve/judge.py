@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, Self
 
 from logparsers import LogError
 from servofd.core.errors import ServofdError
+from servofd.core.files import make_folder, write_whole
 from servofd.jobs.workflow import audit
 from servofd.outputs.audit_page import audit_page
-from servofd.outputs.files import make_folder, write_whole
 from servofd.outputs.json_report import FailedLog, audit_document, to_json
 from servofd.outputs.sentence import spoken, whole_sentence, worst
 

@@ -13,7 +13,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from servofd.outputs.files import make_folder, write_whole
+from servofd.core.files import make_folder, write_whole
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

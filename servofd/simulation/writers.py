@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.core.errors import ConfigError, suggest
-from servofd.outputs.files import write_whole
+from servofd.core.files import write_whole
 from servofd.simulation.dataflash_writer import GENERATIONS, dataflash_log
 from servofd.simulation.telemetry_writer import telemetry_log
 from servofd.simulation.ulog_writer import ulog_log

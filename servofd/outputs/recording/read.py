@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from servofd.core.errors import RecordingError
-from servofd.outputs.files import whole_file
+from servofd.core.files import whole_file
 from servofd.outputs.recording.clock import TIME_BOOT, seconds
 from servofd.outputs.recording.content import Recording, Trace
 from servofd.outputs.recording.program import run_rerun

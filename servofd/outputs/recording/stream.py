@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from servofd.outputs.files import whole_file
+from servofd.core.files import whole_file
 from servofd.outputs.palette import rgba
 from servofd.outputs.recording.clock import Clock
 
