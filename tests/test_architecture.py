@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import functools
 import importlib
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -139,6 +140,30 @@ def test_imports_point_one_way() -> None:
         if name.startswith("logparsers") and any(u.startswith("servofd") for u in used)
     ]
     assert circles(arrows()) == []
+
+
+def test_rooms_stand_on_those_that_are_named_before_them() -> None:
+    """The list in docs/architecture.md is the order of the rooms, and holds each of them."""
+    listed = (ROOT / "docs" / "architecture.md").read_text().split("no arrow runs back:")[1].split("\n- ")[0]
+    floors = [set(re.findall(r"`([a-z_]+)`", floor)) for floor in re.split(r"\n\d\. ", listed)[1:]]
+    height = {room: k for k, floor in enumerate(floors) for room in floor}
+    rooms: dict[str, set[str]] = {}
+    for name, used in arrows().items():
+        rooms.setdefault(room_of(name), set()).update(map(room_of, used))
+    assert set(rooms) - {"__main__", "version"} <= set(height)
+    assert circles({room: used - {room} for room, used in rooms.items()}) == []
+    back = {
+        (room, u)
+        for room, used in rooms.items()
+        for u in used & set(height) - {room}
+        if height.get(room, 99) < height[u]
+    }
+    assert back == set()
+
+
+def room_of(module: str) -> str:
+    package, _, rest = module.partition(".")
+    return package if package == "logparsers" else rest.partition(".")[0]
 
 
 @pytest.mark.parametrize("package", ONLY_IN)
