@@ -10,6 +10,7 @@ import re
 from dataclasses import dataclass, replace
 from itertools import takewhile
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -200,6 +201,8 @@ def _ulog(parts: Sequence[Part], path: Path, only: Only) -> FlightLog:
 
 def _telemetry(parts: Sequence[Part], path: Path, only: Only) -> FlightLog:
     """The vehicle's own clock, and the arrival mapped to it for messages without one."""
+    from logparsers.mavlink import dialect
+
     found: list[tuple[str, NDArray[Any], dict[str, NDArray[Any]], str]] = []
     for part in parts:
         fields: dict[str, dict[str, NDArray[Any]]] = {}
@@ -214,11 +217,13 @@ def _telemetry(parts: Sequence[Part], path: Path, only: Only) -> FlightLog:
     found = [table for table in found if len(table[1])]
     booted = [np.median(arrival - _own_s(columns, clock)) for _, arrival, columns, clock in found if clock]
     boot_s = float(np.median(booted or [arrival.min() for _, arrival, _, _ in found])) if found else 0.0
-    tables = _Tables()
+    tables, layouts = _Tables(), dialect().layouts
     for message, arrival, columns, clock in found:
         time_s = _own_s(columns, clock) if clock else arrival - boot_s
         columns.pop(clock, None)
-        tables.add(message, message, time_s, columns)
+        known = layouts.get(message)
+        units = {name: field.unit for name, field in known.fields.items()} if known else {}
+        tables.add(message, message, time_s, columns, known.instance if known else "", units)
     return tables.log(path, "tlog", only)
 
 
@@ -261,11 +266,27 @@ class _Tables:
         self._series: dict[str, Series] = {}
         self._rows: dict[str, tuple[Table, Any]] = {}
 
-    def add(self, label: str, origin: str, time_s: NDArray[np.float64], columns: dict[str, NDArray[Any]]) -> None:
-        """Add a table, whose texts go: another one in each row takes four times the file."""
+    def add(
+        self,
+        label: str,
+        origin: str,
+        time_s: NDArray[np.float64],
+        columns: dict[str, NDArray[Any]],
+        instance: str = "",
+        units: Mapping[str, str] = MappingProxyType({}),
+    ) -> None:
+        """Add a table, whose texts go: another one in each row takes four times the file.
+
+        Rows of each number of `instance` are apart, as in a log; without a unit, the end of a column's name tells it.
+        """
+        numbered = instance in columns and columns[instance].dtype.kind == "f"
         by_name = next((k for k in NAMED if k in columns and columns[k].dtype.kind in "UO"), None)
         rows_of: dict[str, Any] = {"": slice(None)}
-        if by_name is not None:
+        if numbered:
+            numbers = np.nan_to_num(columns.pop(instance), nan=-1.0)
+            apart = rows_by_text(numbers, MOST_CHANNELS + 1)
+            rows_of = {"" if float(number) == 0.0 else f"{float(number):.12g}": rows for number, rows in apart.items()}
+        elif by_name is not None:
             rows_of = rows_by_text(columns[by_name], MOST_CHANNELS + 1)
             for field in [field for field, values in columns.items() if values.dtype.kind != "f"]:
                 del columns[field]
@@ -276,7 +297,8 @@ class _Tables:
             group = f"{label}[{name}]" if name else label
             self._rows[group] = table, rows
             for field in table[1]:
-                series = Series(group, field, None, suffix_unit(field), f"{origin}.{field}")
+                unit = units.get(field, suffix_unit(field))
+                series = Series(group, field, None, unit, f"{origin}.{field}")
                 self._series[f"{group}.{field}"] = series
 
     def series(self) -> dict[str, Series]:

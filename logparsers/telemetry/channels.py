@@ -35,8 +35,9 @@ class TelemetryRecording:
     A name is ``MESSAGE.field``; the elements of an array ``MESSAGE.field[0]`` and on. A message that comes in
     several instances has its value in brackets, ``NAMED_VALUE_FLOAT[SRVP1].value``; the number 0 is left out
     (``SERVO_OUTPUT_RAW.servo3_raw`` is port 0, ``SERVO_OUTPUT_RAW[1].servo3_raw`` port 1). ``1/1:`` stands
-    before it, system and component, where several sources send that message (named values: that name). Lists,
-    files and words (parameters, missions, texts) are no channels.
+    before it, system and component, where several sources send that message (named values: that name). Where
+    instances are numbered and named (``DEBUG_FLOAT_ARRAY``), the name stands in the channel's origin. Lists, files and
+    words (parameters, missions, texts) are no channels.
 
     Examples
     --------
@@ -92,15 +93,18 @@ class TelemetryRecording:
         layout = self._file.layout(message)
         clock = layout.clock[0].name if layout.clock else ""
         fields = [f for f in layout.fields.values() if not f.is_text and f.name not in (clock, layout.instance)]
+        named = layout.instance != "name" and "name" in layout.fields and layout.fields["name"].is_text
         found: dict[str, Series] = {}
         for instance in self._file.instances(message, source) or (None,):
             if len(found) > MOST_CHANNELS:
                 break
             bracket = "" if instance is None or instance == 0 else f"[{instance}]"
             stream = Stream(message, source, instance)
+            titles = set(self._file.column(message, "name", source=source, instance=instance)) if named else ()
+            title = f"[{next(iter(titles))}]" if len(titles) == 1 and "" not in titles else ""
             for field in fields:
                 sender = "" if instance in alone else prefix
-                stem, origin = f"{sender}{message}{bracket}.{field.name}", f"{message}.{field.name}"
+                stem, origin = f"{sender}{message}{bracket}.{field.name}", f"{message}{title}.{field.name}"
                 if not field.length:
                     found[stem] = Series(stream, field.name, None, field.unit, origin)
                 for k in range(field.length):

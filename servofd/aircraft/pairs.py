@@ -23,8 +23,13 @@ _POSITION_PATTERNS = (
     (re.compile(r"(?:NVF|NVAL)\[(?:SRVP|UMPOS_|SERVO|POS)_?(\d+)\]\.Value"), "", ()),
     (re.compile(r"(?:.*:)?NAMED_VALUE_FLOAT\[(?:SRVP|UMPOS_|SERVO|POS)_?(\d+)\]\.value"), "", ()),
     (re.compile(r"SFD\[(\d+)\]\.Pos"), "Cmd", ()),
+    (re.compile(r"debug_key_value\[\d+\]\[(?:SRVP|UMPOS_|SERVO|POS)_?(\d+)\]\.value"), "", ()),
     (re.compile(r"debug_array\[\d+\](?:\[SRVP\])?\.data\[(\d+)\]"), "", ()),
+    (re.compile(r"(?:.*:)?DEBUG_FLOAT_ARRAY(?:\[\d+\])?\.data\[(\d+)\]"), "", ()),
+    (re.compile(r"(?:(?:.*:)?DEBUG_VECT|debug_vect\[\d+\])\[SRVP_?(\d*)\]\.([xyz])"), "", ()),
 )
+_ARRAY_ORIGIN = re.compile(r"DEBUG_FLOAT_ARRAY\[SRVP\]\.data\[\d+\]")
+"""Of a numbered array its origin tells the name: another one's elements are no positions."""
 _MOVES = 1e-9
 
 
@@ -62,13 +67,19 @@ def find_positions(log: FlightLog) -> tuple[Position, ...]:
     for name in log.channels:
         for pattern, command_field, alive_fields in _POSITION_PATTERNS:
             match = pattern.fullmatch(name)
-            if match:
+            if match and _is_told(log, name):
                 stem = name.rsplit(".", 1)[0]
                 command = f"{stem}.{command_field}"
                 alive = tuple(f"{stem}.{field}" for field in alive_fields if f"{stem}.{field}" in log.channels)
                 known = command if command_field and command in log.channels else ""
-                found.append(Position(name, int(match[1]), known, alive))
+                place = "xyz".index(match[2]) if match.lastindex == 2 else 0
+                found.append(Position(name, int(match[1] or 0) + place, known, alive))
     return tuple(found)
+
+
+def _is_told(log: FlightLog, name: str) -> bool:
+    """Whether an array of telemetry is that of positions."""
+    return "DEBUG_FLOAT_ARRAY" not in name or _ARRAY_ORIGIN.fullmatch(log[name].origin) is not None
 
 
 def find_pairs(log: FlightLog) -> tuple[Pair, ...]:

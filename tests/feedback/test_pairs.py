@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+import logparsers
 from logparsers import Channel, FlightLog
-from servofd.aircraft.pairs import find_pairs
+from logparsers.telemetry.encode import Message, encode
+from servofd.aircraft.pairs import find_pairs, find_positions
+from servofd.aircraft.schema import load_aircraft
 from servofd.core.errors import NoMeasurement
 from servofd.feedback.advice import what_to_log
 from servofd.feedback.draft import draft_aircraft
 from servofd.feedback.toml import draft_to_toml
+from servofd.jobs.workflow import audit
+from servofd.servo.faults import Stuck
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel
 from servofd.simulation.commands import flight
+from servofd.simulation.flight import simulate_flight
+from servofd.simulation.pulses import outputs_of
+from servofd.simulation.telemetry_writer import telemetry_messages
 
 TIME_S = np.arange(4000) / 50.0
 FUNCTIONS = {1: 4, 2: 19, 3: 70, 4: 21}
@@ -92,14 +101,75 @@ def test_the_scale_of_pulses_is_found(unit: str) -> None:
 
 @pytest.mark.slow
 def test_the_drafted_file_is_accepted_as_it_is(tmp_path: Path) -> None:
-    from servofd.aircraft.schema import load_aircraft
-
     draft = draft_aircraft(log_of([0, 1, 3], base=0, command_field=True))
     config = tmp_path / "plane.toml"
     config.write_text(draft_to_toml(draft))
     loaded = load_aircraft(config)
     assert loaded.surfaces == draft.aircraft().surfaces
     assert loaded.servos == draft.aircraft().servos
+
+
+def in_one_message(named: list[Message], message: str) -> Message:
+    """Named values of the servos 1, 2 and 4 in one array or vector, as a companion computer sends them."""
+    stamps = np.asarray(named[0].columns["time_boot_ms"], np.uint64) * np.uint64(1000)
+    values = {int(np.asarray(m.columns["name"])[0][4:]): np.asarray(m.columns["value"], float) for m in named}
+    columns: dict[str, Any] = {"time_usec": stamps, "name": ["SRVP"] * stamps.size}
+    if message == "DEBUG_VECT":
+        columns |= {"x": values[1], "y": values[2], "z": np.zeros(stamps.size)}
+    else:
+        data = np.zeros((stamps.size, 58))
+        data[:, [number - 1 for number in values]] = np.column_stack(list(values.values()))
+        columns |= {"array_id": np.full(stamps.size, 7), "data": data}
+    return Message(message, named[0].arrival_us, columns)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("message", ["DEBUG_FLOAT_ARRAY", "DEBUG_VECT"])
+def test_arrays_and_vectors_of_telemetry_tell_positions(message: str, tmp_path: Path) -> None:
+    plane = load_aircraft("simulated")
+    flown = simulate_flight(
+        plane, duration_s=60.0, rate_hz=50.0, seed=4, faults={"elevator": Stuck(30.0)}, outputs=outputs_of(plane)
+    )
+    sent = telemetry_messages(flown, plane)
+    named = [one for one in sent if one.name == "NAMED_VALUE_FLOAT"]
+    other = in_one_message(named, message)
+    rig = Message(message, other.arrival_us, {**other.columns, "name": ["RIG"] * len(named[0].arrival_us)})  # type: ignore[arg-type]
+    if message == "DEBUG_FLOAT_ARRAY":
+        rig = Message(message, rig.arrival_us, {**rig.columns, "array_id": np.ones(len(named[0].arrival_us))})  # type: ignore[arg-type]
+    others = [one for one in sent if one.name != "NAMED_VALUE_FLOAT"]
+    found = {}
+    for name, messages in {"named": named, "together": [other, rig]}.items():
+        path = tmp_path / f"{name}.tlog"
+        path.write_bytes(encode([*others, *messages]))
+        (result,) = audit(path, plane, threads=1)
+        found[name] = {
+            s.surface: (s.status, [(f.kind, round(f.start_s, 1)) for f in s.faults]) for s in result.surfaces
+        }
+    assert found["together"]["elevator"] == found["named"]["elevator"]
+    assert found["named"]["elevator"][0] == "fault"
+    shared = found["named"].keys() if message == "DEBUG_FLOAT_ARRAY" else {"aileron", "elevator"}
+    assert {name: found["together"][name] for name in shared} == {name: found["named"][name] for name in shared}
+    positions = find_positions(logparsers.read(tmp_path / "together.tlog"))
+    assert not [one.channel for one in positions if "RIG" in one.channel or "ARRAY[1]" in one.channel]
+    assert len(find_pairs(logparsers.read(tmp_path / "together.tlog"))) == len(shared)
+
+
+@pytest.mark.parametrize(
+    ("name", "number"),
+    [
+        ("debug_key_value[0][SRVP3].value", 3),
+        ("debug_array[0][SRVP].data[4]", 4),
+        ("debug_vect[0][SRVP].z", 2),
+        ("DEBUG_VECT[SRVP4].y", 5),
+        ("1/191:DEBUG_VECT[SRVP].x", 0),
+        ("debug_array[0][RIG].data[4]", None),
+        ("DEBUG_VECT[TAIL].x", None),
+        ("DEBUG_FLOAT_ARRAY[7].data[3]", None),
+    ],
+)
+def test_which_channels_tell_positions(name: str, number: int | None) -> None:
+    log = FlightLog(Path("a.ulg"), "ulog", {name: channel(name, np.sin(TIME_S))})
+    assert [one.id for one in find_positions(log)] == ([] if number is None else [number])
 
 
 def test_a_log_without_positions_says_what_to_log() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gzip
 import io
-import zipfile
 from typing import Any
 
 import numpy as np
@@ -32,15 +31,6 @@ LABELLED = {
 }
 
 
-def zipped(**files: bytes) -> bytes:
-    """An archive."""
-    file = io.BytesIO()
-    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, content in files.items():
-            archive.writestr(name, content)
-    return file.getvalue()
-
-
 SEEDS = {
     "mavlogdump_mat": writers.matlab({**MESSAGES, **SAID}),
     "mission_planner_mat": writers.matlab(LABELLED),
@@ -56,7 +46,7 @@ SEEDS = {
     "ulog_table": writers.table({"timestamp": STAMPS, "control[0]": COMMAND, "name": ["SRVP"] * TIME_S.size}),
     "ros_table": writers.table({"%time": STAMPS * 1000, "field.data": COMMAND, "field.frame": ["a"] * TIME_S.size}),
     "gzipped": gzip.compress(writers.table({"time_s": TIME_S, "tail_cmd_deg": COMMAND}), mtime=0),
-    "zipped": zipped(a=writers.matlab(FLIGHT), b=b"\x89PNG"),
+    "zipped": writers.zipped({"a": writers.matlab(FLIGHT), "b": b"\x89PNG"}),
     "level4": writers.flight_level4(),
     "level5": writers.matlab({**FLIGHT, "inner": {"more": {"dr": COMMAND}}}),
     "level7": writers.matlab({"flight": FLIGHT}, compressed=True),

@@ -6,7 +6,6 @@ import bz2
 import gzip
 import io
 import lzma
-import zipfile
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -201,14 +200,6 @@ def logs_of(kind: str) -> list[bytes]:
     return [*(_MAKERS[kind]() if kind in _MAKERS else [_written(_SUFFIXES[kind])]), *sound]
 
 
-def _zipped(content: bytes) -> bytes:
-    packed = io.BytesIO()
-    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("flight", content)
-        archive.writestr("notes.txt", b"none")
-    return packed.getvalue()
-
-
 def _exported_log() -> bytes:
     return encode(dataflash_writer.servo_flight(2.0))
 
@@ -239,7 +230,7 @@ def _one_frame() -> list[bytes]:
     return [*stamped, *beats, value, stamped[0] + stamped[2], b"".join(stamped)]
 
 
-_PACKERS = (gzip.compress, bz2.compress, lzma.compress, _zipped)
+_PACKERS = (gzip.compress, bz2.compress, lzma.compress, lambda raw: writers.zipped({"log": raw}))
 _MAKERS: Mapping[str, Callable[[], list[bytes]]] = {
     "dataflash_text": lambda: [dataflash_writer.as_text(dataflash_writer.servo_flight(2.0))],
     "matlab4": lambda: [writers.level4({name: ("f4", values) for name, values in _faser().items()})],

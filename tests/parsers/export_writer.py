@@ -15,7 +15,7 @@ import numpy as np
 from pymavlink import DFReader
 from scipy.io import savemat
 
-__all__ = ["mavlogdump", "mavlogdump_mat", "mission_planner_mat"]
+__all__ = ["mavlogdump", "mavlogdump_mat", "mission_planner_mat", "ulog2csv"]
 
 
 @cache
@@ -33,6 +33,17 @@ def mavlogdump(content: bytes, *options: str, suffix: str = ".bin") -> bytes:
 
 def mavlogdump_mat(content: bytes, *options: str) -> bytes:
     return mavlogdump(content, "--format", "mat", "--mat_file", "OUT", *options)
+
+
+@cache
+def ulog2csv(content: bytes, topic: str) -> bytes:
+    """The table that pyulog's program writes of a topic."""
+    with tempfile.TemporaryDirectory() as folder:
+        log = Path(folder, "flight.ulg")
+        log.write_bytes(content)
+        command = [sys.executable, "-c", "from pyulog.ulog2csv import main; main()", str(log)]
+        subprocess.run(command, capture_output=True, check=True, env={**os.environ, "OPENBLAS_NUM_THREADS": "1"})
+        return Path(folder, f"flight_{topic}.csv").read_bytes()
 
 
 def mission_planner_mat(content: bytes) -> bytes:

@@ -7,7 +7,6 @@ import gzip
 import io
 import lzma
 import resource
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -20,18 +19,10 @@ from logparsers.archive import LIMIT_VARIABLE
 from logparsers.dataflash import DataFlashFile
 from logparsers.dataflash.encode import encode
 from tests.parsers import dataflash_writer, ulog_writer, writers
-from tests.parsers.writers import COMMAND, FLIGHT
+from tests.parsers.writers import COMMAND, FLIGHT, zipped
 
 DATAFLASH = encode(dataflash_writer.servo_flight(0.2))
 CONTENTS = {"mat": writers.matlab(FLIGHT), "bin": DATAFLASH, "ulg": ulog_writer.flight(6)}
-
-
-def zipped(files: dict[str, bytes], method: int = zipfile.ZIP_DEFLATED) -> bytes:
-    file = io.BytesIO()
-    with zipfile.ZipFile(file, "w", method) as archive:
-        for name, content in files.items():
-            archive.writestr(name, content)
-    return file.getvalue()
 
 
 @pytest.mark.parametrize("name", CONTENTS)

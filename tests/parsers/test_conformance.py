@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import gzip
 import io
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import ClassVar
@@ -314,6 +316,49 @@ class TestMissionPlannerMat(Exported):
         super().check(dataclasses.replace(log, channels={n: c for n, c in log.channels.items() if n not in extra}))
 
 
+class TableOfMessages(Conformance):
+    """A table of a message or of some: what the log holds of them, by the library that wrote the table."""
+
+    prefixes_are_logs = True
+    truth: ClassVar[reference.Series]
+
+    def named(self, log: FlightLog) -> Mapping[str, str]:
+        """What the reference calls each channel."""
+        return {name: name for name in log.channels}
+
+    def check(self, log: FlightLog) -> None:
+        assert log.format == self.kind
+        names = self.named(log)
+        assert set(names.values()) == set(self.truth)
+        for name, there in names.items():
+            time_s, values = self.truth[there]
+            np.testing.assert_array_equal(log[name].values, values, err_msg=name)
+            np.testing.assert_allclose(log[name].time_s, time_s, rtol=0.0, atol=MICROSECOND, err_msg=name)
+        assert {there: log[name].unit for name, there in names.items() if there in self.units} == self.units
+        assert log.damage == ()
+
+    @pytest.mark.parametrize("share", [0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.97])
+    def test_truncated(self, share: float) -> None:
+        log = self.outcome(self.content[: int(len(self.content) * share)])
+        if isinstance(log, LogError):
+            assert "\n" not in str(log)
+            return
+        for name, there in self.named(log).items():
+            found = log[name].values[:-1]
+            np.testing.assert_array_equal(found, self.truth[there][1][: found.size])
+
+
+def of_messages(series: reference.Series, *messages: str) -> reference.Series:
+    return {name: pair for name, pair in series.items() if re.split(r"[\[.]", name)[0] in messages}
+
+
+class TestMavlogdumpTable(TableOfMessages):
+    kind = "dataflash"
+    content = export_writer.mavlogdump(TestDataFlash.content, "--format", "csv", "--types", "CSRV")
+    truth = of_messages(reference.dataflash(TestDataFlash.content), "CSRV")
+    units: ClassVar[Mapping[str, str]] = {"CSRV[0].Pos": "deg"}
+
+
 class TestTelemetry(Autopilot):
     kind = "tlog"
     content = tlog_writer.flight(4.0)
@@ -327,6 +372,33 @@ class TestTelemetry(Autopilot):
     about = ("fixed wing", "ArduPlane V4.6.0 (abc)")
 
 
+class TestOneFrame(Conformance):
+    """Telemetry of a single message."""
+
+    kind = "tlog"
+    content = tlog_writer.log([(0.0, tlog_writer.frame("ATTITUDE", {"time_boot_ms": 5000, "roll": 0.5}))])
+    expected: ClassVar[Mapping[str, Floats]] = {name: values for name, (_, values) in reference.tlog(content).items()}
+    units: ClassVar[Mapping[str, str]] = {"ATTITUDE.roll": "rad"}
+    origins: ClassVar[Mapping[str, str]] = {"ATTITUDE.roll": "ATTITUDE.roll"}
+
+    def check(self, log: FlightLog) -> None:
+        assert (log.format, list(log.channels)) == (self.kind, list(self.expected))
+        assert {name: channel.values.tolist() for name, channel in log.channels.items()} == {
+            name: values.tolist() for name, values in self.expected.items()
+        }
+        assert log["ATTITUDE.roll"].time_s.tolist() == [5.0]
+
+
+class TestMavlogdumpTelemetryTable(TableOfMessages):
+    kind = "tlog"
+    messages = ("SERVO_OUTPUT_RAW", "NAMED_VALUE_FLOAT", "ATTITUDE")
+    content = export_writer.mavlogdump(
+        TestTelemetry.content, "--format", "csv", "--types", ",".join(messages), suffix=".tlog"
+    )
+    truth = of_messages(reference.tlog(TestTelemetry.content), *messages)
+    units: ClassVar[Mapping[str, str]] = {"SERVO_OUTPUT_RAW.servo3_raw": "us", "ATTITUDE.roll": "rad"}
+
+
 class TestUlog(Autopilot):
     kind = "ulog"
     content = ulog_writer.flight(20, dropout=False)
@@ -338,3 +410,58 @@ class TestUlog(Autopilot):
     units: ClassVar[Mapping[str, str]] = {"actuator_servos[0].control[3]": "", "sensor_baro[0].pressure": ""}
     origins: ClassVar[Mapping[str, str]] = {"actuator_servos[0].control[3]": "actuator_servos.control[3]"}
     about = ("fixed wing", "PX4 1.15.1")
+
+
+class TestUlogTable(TableOfMessages):
+    """The name of the file is that of the topic."""
+
+    kind = "ulog"
+    content = export_writer.ulog2csv(TestUlog.content, "actuator_servos_0")
+    truth: ClassVar[reference.Series] = {
+        name: (time_s, np.array([float(str(value)) for value in values.astype(np.float32)]))
+        for name, (time_s, values) in of_messages(reference.ulog(TestUlog.content), "actuator_servos").items()
+    }
+    units: ClassVar[Mapping[str, str]] = {}
+
+    def named(self, log: FlightLog) -> Mapping[str, str]:
+        return {name: f"actuator_servos[0].{name.rpartition('.')[2]}" for name in log.channels}
+
+
+class TestRosTable(Conformance):
+    kind = "table"
+    content = writers.table(
+        {"%time": np.rint(TIME_S * 1e9).astype(np.int64), "field.de": COMMAND, "field.de_pos": POSITION}
+    )
+    units: ClassVar[Mapping[str, str]] = {"de": ""}
+    origins: ClassVar[Mapping[str, str]] = {"de": "field.de"}
+    prefixes_are_logs = True
+
+
+class TestGzippedDataFlash(TestDataFlash):
+    content = gzip.compress(TestDataFlash.content, mtime=0)
+
+    @staticmethod
+    def decoder(content: bytes) -> reference.Series:
+        return reference.dataflash(gzip.decompress(content))
+
+
+class TestZippedTable(TestPlainTable):
+    content = writers.zipped({"flight.csv": TestPlainTable.content})
+    prefixes_are_logs = False
+
+
+class TestNamesOfOnesOwn(Conformance):
+    """A structure of MATLAB with other names than FASER's."""
+
+    kind = "table"
+    content = writers.matlab({"t": TIME_S, "q_cmd": COMMAND, "q_meas": POSITION})
+    layout = TableLayout(time="t")
+    expected: ClassVar[Mapping[str, Floats]] = {"q_cmd": COMMAND, "q_meas": POSITION}
+    units: ClassVar[Mapping[str, str]] = {"q_cmd": ""}
+    origins: ClassVar[Mapping[str, str]] = {"q_cmd": "q_cmd"}
+
+
+class TestNamesOfOnesOwnInHdf5(TestNamesOfOnesOwn):
+    content = writers.hdf5({"log/t": TIME_S, "log/q_cmd": COMMAND, "log/q_meas": POSITION})
+    layout = TableLayout(time="t")
+    origins: ClassVar[Mapping[str, str]] = {"q_cmd": "/log/q_cmd"}

@@ -139,6 +139,16 @@ def test_a_table_of_telemetry_is_that_of_the_log() -> None:
     assert np.all((arrived > -1.0) & (arrived < 60.0))
 
 
+def test_ports_in_a_table_of_telemetry_are_apart() -> None:
+    """Servos 1 and 17 share a column of the table."""
+    head = b"timestamp,SERVO_OUTPUT_RAW.time_usec,SERVO_OUTPUT_RAW.port,SERVO_OUTPUT_RAW.servo1_raw\n"
+    rows = b"".join(b"%d.0,%d,%d,%d\n" % (k, 1_000_000 * k, k % 2, 1000 + 500 * (k % 2) + k) for k in range(40))
+    log = logparsers.read(io.BytesIO(head + rows + b"41.0,41000000,,1700\n"))
+    assert log["SERVO_OUTPUT_RAW.servo1_raw"].values.tolist() == list(range(1000, 1040, 2))
+    assert log["SERVO_OUTPUT_RAW[1].servo1_raw"].values.tolist() == list(range(1501, 1541, 2))
+    assert {log[name].unit for name in log.channels} == {"us"}
+
+
 @pytest.mark.slow
 def test_tables_of_ulog2csv_are_the_log(tmp_path: Path) -> None:
     source = SAMPLES / "px4_stuck.ulg"

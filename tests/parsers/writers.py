@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import struct
+import zipfile
 from collections.abc import Mapping
 from typing import Any
 
@@ -99,3 +100,12 @@ def table(columns: Mapping[str, Any], delimiter: str = ",", *, header: bool = Tr
     lines = [delimiter.join(columns)] if header else []
     lines += [delimiter.join(str(cell) for cell in row) for row in zip(*columns.values(), strict=True)]
     return (end.join(lines) + end).encode()
+
+
+def zipped(files: Mapping[str, bytes], method: int = zipfile.ZIP_DEFLATED) -> bytes:
+    """An archive."""
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", method) as archive:
+        for name, content in files.items():
+            archive.writestr(zipfile.ZipInfo(name), content, method)
+    return file.getvalue()
