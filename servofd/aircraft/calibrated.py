@@ -14,6 +14,9 @@ from servofd.core.types import FloatArray
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
 _Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 _LARGEST = 1e9
+_UNKNOWN_AIR = 0.6
+"""Dynamic pressure of flights of any style over that of a calibration flight: it differs between them by 0.49, and
+within each by 0.3 more (standard deviations, aircraft of even seed in `benchmarks/strangers.py`)."""
 
 
 class CalibratedNoise(BaseModel):
@@ -66,6 +69,8 @@ class CalibratedServo(BaseModel):
     """Deflections that the flights showed."""
     supply_v: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
     """Usual supply; 0 where it was not logged."""
+    airspeed_m_s: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] | None = None
+    """Usual airspeed; 0 where it was not logged, None where the file does not say."""
     thresholds: dict[str, _Positive] = {}
     """Of the statistics of `servofd.detection.changes`; those that are missing are the usual ones."""
     flights: Annotated[int, Field(ge=1)] = 1
@@ -98,6 +103,14 @@ class CalibratedServo(BaseModel):
         for i, row in enumerate(self.between):
             out[i, : i + 1] = out[: i + 1, i] = row
         return out
+
+    def without_airspeed(self) -> Self:
+        """The same servo in a flight that logged no airspeed: how hard the air pushes is a guess."""
+        if not self.airspeed_m_s:
+            return self
+        pushed = np.where(np.char.startswith(NAMES, "hinge"), self.theta, 0.0)
+        wider = self.covariance + _UNKNOWN_AIR**2 * np.outer(pushed, pushed)
+        return self.model_copy(update={"between": tuple(tuple(row[: i + 1]) for i, row in enumerate(wider.tolist()))})
 
     @property
     def _scaled(self) -> FloatArray:

@@ -19,7 +19,7 @@ from servofd.detection.changes import STATISTICS
 from servofd.detection.watch import FLOORS, MARGIN, detectable, statistics_of, watched
 from servofd.estimate.family import PRESSURE_PA
 from servofd.estimate.fit import fit
-from servofd.estimate.record import Record, usual_supply_v
+from servofd.estimate.record import Record, usual_airspeed_m_s, usual_supply_v
 from servofd.estimate.statistics import Estimate
 from servofd.servo.context import AIR_KG_M3
 from servofd.servo.library import Servo
@@ -126,7 +126,8 @@ def calibrate_surface(flights: Sequence[Flight], aircraft: Aircraft) -> Calibrat
     if surface.measured is None:
         raise CalibrationError(f"{name}: the aircraft file names no measured channel for it")
     supply_v = float(np.median([usual_supply_v(flight.segment.context) for flight in flights]))
-    records = [Record.of(flight.segment, supply_v) for flight in flights]
+    airspeed_m_s = usual_airspeed_m_s([flight.segment.context for flight in flights])
+    records = [Record.of(flight.segment, supply_v, airspeed_m_s) for flight in flights]
     first = fit(records)
     gain, offset_deg = first.theta[0], first.theta[1]
     _check(name, first, records, flights)
@@ -135,9 +136,9 @@ def calibrate_surface(flights: Sequence[Flight], aircraft: Aircraft) -> Calibrat
     measured = measured.model_copy(update={"correction": (scale, shift_deg)})
     _refuse_mixed(name, first, records, flights)
     scaled = [flight.with_scale(gain, offset_deg) for flight in flights]
-    records = [Record.of(flight.segment, supply_v) for flight in scaled]
+    records = [Record.of(flight.segment, supply_v, airspeed_m_s) for flight in scaled]
     fitted = fit(records, start=_scaled(first.theta))
-    known = _known(fitted, records, supply_v, len(flights))
+    known = _known(fitted, records, supply_v, airspeed_m_s)
     _refuse_broken(name, known, records, scaled)
     known = known.model_copy(update={"thresholds": _thresholds(known, fitted, records)})
     flown = [watched(known, record) for record in records]
@@ -272,7 +273,7 @@ def _crude_gain(record: Record) -> float:
     return best[1]
 
 
-def _known(fitted: Fit, records: Sequence[Record], supply_v: float, flights: int) -> CalibratedServo:
+def _known(fitted: Fit, records: Sequence[Record], supply_v: float, airspeed_m_s: float) -> CalibratedServo:
     """What goes into the file, with the usual thresholds."""
     spread = np.array([prior.between for prior in PRIORS]) ** 2
     resting = [NAMES.index(name) for name in ("deadband_deg", "friction_deg", "play_deg")]
@@ -295,7 +296,8 @@ def _known(fitted: Fit, records: Sequence[Record], supply_v: float, flights: int
         ),
         reach_deg=(round(fitted.reach_deg[0], 3), round(fitted.reach_deg[1], 3)),
         supply_v=round(supply_v, 3),
-        flights=flights,
+        airspeed_m_s=round(airspeed_m_s, 2),
+        flights=len(records),
     )
 
 

@@ -60,7 +60,7 @@ def audit_calibrated(
     known = surface.calibrated
     if known is None:
         raise ValueError(f"{segment.surface}: not calibrated")
-    flight = watched(known, Record.of(segment, known.supply_v))
+    flight = _watched(known, segment)
     rows = flight.judged
     steps_s = np.minimum(np.diff(flight.record.time_s, append=np.nan), 3.0 * segment.period_s)
     judged_s = float(np.nansum(steps_s[rows]))
@@ -80,6 +80,8 @@ def audit_calibrated(
         reason += f"; {segment.frozen_s:.1f} s of frozen telemetry not judged"
         if segment.frozen_to_end and status != "fault":
             status, reason = "no_data", "telemetry froze and never came back; before that, " + reason
+    if known.airspeed_m_s and not segment.context.airspeed_s.size:
+        reason += f"; no airspeed in this log: taken to be about {known.airspeed_m_s:.0f} m/s, as in the good flights"
     return verdict(
         status=status,
         reason=reason,
@@ -192,7 +194,13 @@ def judge_stretch(
     """Judge what a stream remembers of a surface."""
     segment = Segment("", commands.effective_s, commands.command_deg, residuals.time_s, residuals.measured_deg)
     segment = replace(segment, sent_period_s=sent_period_s, context=residuals.context)
-    return judged(watched(known, Record.of(segment, known.supply_v)))
+    return judged(_watched(known, segment))
+
+
+def _watched(known: CalibratedServo, segment: Segment) -> Watched:
+    has_airspeed = segment.context.airspeed_s.size > 0
+    record = Record.of(segment, known.supply_v, known.airspeed_m_s)
+    return watched(known if has_airspeed else known.without_airspeed(), record)
 
 
 def shown(flight: Watched) -> tuple[Residuals, Threshold]:

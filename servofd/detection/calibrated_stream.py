@@ -73,13 +73,13 @@ class CalibratedStream:
         self._limits = thresholds_of(known)
         self.sent_period_s = sent_period_s
         self._noise = known.noise.noise.at(period_s)
-        self._tests = Tests.of(known.noise.noise, known.covariance, period_s, is_lossy=sent_period_s is not None)
-        self._memory = Memory(self._tests)
+        self._period_s = period_s
+        self._context = NO_CONTEXT
+        self._begin_tests()
         self._table = variants(known.theta)
         self._state = new_state(self._table.shape[0])
         self._glitch = new_glitch_memory()
         self._peak = np.array([0.0, np.nan])
-        self._context = NO_CONTEXT
         self.evaluation = _Evaluation(CusumDesign(1.0, np.inf, 1.0, period_s))
         self.history = History(int(MEMORY_S / max(period_s, 1e-3)))
         fastest_s = _FINE_S if surface.command_period_s is not None else _FASTEST_COMMANDS_S
@@ -98,7 +98,17 @@ class CalibratedStream:
 
     def surroundings(self, context: Context) -> None:
         """Airspeed and supply, as far as they are known by now."""
+        began = context.airspeed_s.size > 0 and not self._context.airspeed_s.size
         self._context = context
+        if began:
+            self._begin_tests()
+
+    def _begin_tests(self) -> None:
+        """Without airspeed more is unknown."""
+        known = self._known if self._context.airspeed_s.size else self._known.without_airspeed()
+        is_lossy = self.sent_period_s is not None
+        self._tests = Tests.of(known.noise.noise, known.covariance, self._period_s, is_lossy=is_lossy)
+        self._memory = Memory(self._tests)
 
     def command(self, time_s: float, command_deg: float) -> None:
         """Add a command [deg]; one that is no later than the one before is left out."""
@@ -175,7 +185,7 @@ class CalibratedStream:
             return
         start_deg, usable = self._starts(ready)
         time_s, measured_deg = ready
-        load = loads(self._context, time_s)
+        load = loads(self._context, time_s, self._known.airspeed_m_s)
         power = powers(self._context, time_s, self._known.supply_v)
         commands = self._filled.commands()
         position_deg, speed_deg_s = simulated(

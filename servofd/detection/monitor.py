@@ -300,7 +300,8 @@ class SurfaceMonitor:
         known = self.surface.calibrated
         if known is None or not self.surface.is_calibrated:
             return self.model.needs
-        return self.model.needs | {"airspeed_m_s"} | ({"servo_voltage_v"} if known.supply_v > 0.0 else frozenset())
+        told = {"airspeed_m_s": known.airspeed_m_s != 0.0, "servo_voltage_v": known.supply_v > 0.0}
+        return self.model.needs | {need for need, acts in told.items() if acts}
 
     @property
     def rate_hz(self) -> float:

@@ -12,6 +12,8 @@ from servofd.estimate.lost import HOLDS, LONGEST_S, new_memory, put_back, unknow
 from servofd.servo.context import AIR_KG_M3
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from servofd.aircraft.segment import Segment
     from servofd.core.types import BoolArray, FloatArray
     from servofd.servo.context import Context
@@ -54,7 +56,7 @@ class Record:
     """Where most commands were lost: those that arrived, and the period of what was sent [s]."""
 
     @classmethod
-    def of(cls, segment: Segment, supply_v: float | None = None) -> Record:
+    def of(cls, segment: Segment, supply_v: float | None = None, airspeed_m_s: float | None = None) -> Record:
         """Prepare a segment.
 
         Parameters
@@ -63,6 +65,8 @@ class Record:
             Commands and positions.
         supply_v : float, optional
             Usual supply; that of this segment if None.
+        airspeed_m_s : float, optional
+            Usual airspeed, for flights that logged none; 0 if nobody knew any when the servo was fitted.
         """
         commands = segment.command_s, segment.command_deg
         sent = None if segment.sent_period_s is None else (*commands, segment.sent_period_s)
@@ -81,7 +85,7 @@ class Record:
             *commands,
             time_s,
             measured_deg,
-            loads(context, time_s),
+            loads(context, time_s, airspeed_m_s),
             powers(context, time_s, supply_v),
             start_deg,
             usable,
@@ -182,12 +186,27 @@ def starts(
     return start_deg, usable
 
 
-def loads(context: Context, time_s: FloatArray) -> FloatArray:
-    """Dynamic pressure over 300 Pa, shape (m,); each airspeed holds until the next, as in flight."""
-    if not context.airspeed_s.size:
-        return np.zeros(time_s.size)
-    airspeed_m_s = _held(time_s, context.airspeed_s, context.airspeed_m_s)
+def loads(context: Context, time_s: FloatArray, usual_m_s: float | None = None) -> FloatArray:
+    """Dynamic pressure over 300 Pa, shape (m,); each airspeed holds until the next, as in flight.
+
+    Where none is known it is the usual one; where no usual one is known (0), what the air did is part of the servo.
+
+    Examples
+    --------
+    >>> from servofd.servo.context import NO_CONTEXT
+    >>> loads(NO_CONTEXT, np.zeros(1), 22.1).round(2), loads(NO_CONTEXT, np.zeros(1))
+    (array([1.]), array([0.]))
+    """
+    airspeed_m_s = np.full(time_s.size, usual_m_s or 0.0)
+    if context.airspeed_s.size and usual_m_s != 0.0:
+        airspeed_m_s = _held(time_s, context.airspeed_s, context.airspeed_m_s)
     return np.clip(0.5 * AIR_KG_M3 * airspeed_m_s**2 / PRESSURE_PA, 0.0, 20.0)
+
+
+def usual_airspeed_m_s(contexts: Sequence[Context]) -> float:
+    """Root mean square of the airspeed, median of the flights that logged it [m/s]; 0 if none did."""
+    rms_m_s = [float(np.sqrt(np.mean(context.airspeed_m_s**2))) for context in contexts if context.airspeed_s.size]
+    return float(np.median(rms_m_s)) if rms_m_s else 0.0
 
 
 def usual_supply_v(context: Context) -> float:
