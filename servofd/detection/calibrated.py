@@ -41,6 +41,8 @@ _STILL_FAST: Final = 0.69
 """Speed goes with the supply, and friction with the temperature: a fifth each, between good flights."""
 _STILL_ALL: Final = 0.93
 _LASTING: Final = ("slow", "loss_of_effectiveness", "bias", "deadband")
+_NONE: Final = (("bias_deg", 0.0), ("gain", 1.0), ("bandwidth_scale", 1.0))
+"""What a healthy servo has."""
 _SHORTEST_WEAR_S: Final = 2.0
 _SAME_S: Final = 5.0
 """What is raised so soon after the end of a fault belongs to it."""
@@ -151,13 +153,18 @@ def _weighed(fault: Fault, ratio: float) -> Fault:
     """The same fault, or none: what barely passes its threshold has to be one that servos have.
 
     A servo that is a little slow is still a good one, on a cold day or a low supply; and none is worn, weak or bent for
-    a moment only.
+    a moment only, nor is an offset one that may as well be none.
     """
     speed, gain = fault.parameters.get("bandwidth_scale"), fault.parameters.get("gain")
     still_fast = fault.kind == "slow" and speed is not None and speed.value >= _STILL_FAST
     short = fault.kind in _LASTING and fault.end_s is not None and fault.end_s - fault.start_s < _SHORTEST_WEAR_S
     little = fault.kind == "loss_of_effectiveness" and gain is not None and gain.value >= _STILL_ALL
-    if still_fast or (ratio < LOUD and (short or little or fault.kind == "unknown")):
+    nothing = any(
+        fault.parameters[key].low <= none <= fault.parameters[key].high
+        for key, none in _NONE
+        if key in fault.parameters
+    )
+    if still_fast or (ratio < LOUD and (short or little or nothing or fault.kind == "unknown")):
         own = () if fault.kind == "unknown" else (fault.kind,)
         return replace(fault, kind="healthy", parameters={}, alternatives=(*own, *fault.alternatives)[:3])
     return fault

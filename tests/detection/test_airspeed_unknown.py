@@ -1,0 +1,106 @@
+"""Calibrated with airspeed and judged without, or the other way about: what is not known of the air is no fault."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from strangers import SURFACES, fly, stranger
+
+from servofd.aircraft.priors import NAMES
+from servofd.aircraft.schema import plain_aircraft
+from servofd.aircraft.segment import Segment
+from servofd.calibrating.calibrate import calibrate_aircraft
+from servofd.calibrating.flights import Flight
+from servofd.detection.audit import audit_segment
+from servofd.detection.calibrated_stream import CalibratedStream
+from servofd.servo.context import NO_CONTEXT, Context
+
+if TYPE_CHECKING:
+    from servofd.aircraft.schema import Aircraft
+    from servofd.detection.verdict import SurfaceAudit
+
+SEED = 323
+"""Without airspeed, its aileron was said to move by only 89 % of its command in aerobatics, which are flown fast."""
+
+
+def flown(number: int, style: str, duration_s: float) -> Segment:
+    flight = fly(stranger(SEED), number, style, duration_s=duration_s)
+    place = (SEED // 2) % len(SURFACES)
+    command_deg, position_deg = flight.command_deg[:, place], flight.position_deg[:, place]
+    context = Context(flight.command_s, flight.airspeed_m_s, flight.command_s, flight.supply_v)
+    return Segment("x", flight.command_s, command_deg, flight.position_s, position_deg, context=context)
+
+
+def calibrated(good: Segment) -> Aircraft:
+    return calibrate_aircraft(plain_aircraft(["x"]), {"x": [Flight("good.csv", good)]}).aircraft
+
+
+def audited(aircraft: Aircraft, segment: Segment) -> SurfaceAudit:
+    measured = aircraft.surfaces["x"].measured
+    assert measured is not None
+    read = replace(segment, measured_deg=measured.to_deg(segment.measured_deg))
+    return audit_segment(read, aircraft, duration_s=read.duration_s)
+
+
+@pytest.fixture(scope="module")
+def aircraft() -> Aircraft:
+    return calibrated(flown(1, "mixed", 240.0))
+
+
+@pytest.mark.slow
+def test_a_fast_flight_without_airspeed_is_no_loss_of_travel(aircraft: Aircraft) -> None:
+    for number in (50, 51, 52):
+        segment = flown(number, "aerobatics", 90.0)
+        verdict = audited(aircraft, replace(segment, context=NO_CONTEXT))
+        assert verdict.status == "healthy"
+        assert "no airspeed in this log" in verdict.reason
+        assert "no airspeed" not in audited(aircraft, segment).reason
+        half = np.where(segment.measured_s < 45.0, 1.0, 0.6) * segment.measured_deg
+        assert audited(aircraft, replace(segment, measured_deg=half, context=NO_CONTEXT)).status == "fault"
+
+
+@pytest.mark.slow
+def test_an_airspeed_that_no_good_flight_logged_acts_on_nothing() -> None:
+    aircraft = calibrated(replace(flown(1, "mixed", 240.0), context=NO_CONTEXT))
+    segment = flown(51, "aerobatics", 90.0)
+    blind = audited(aircraft, replace(segment, context=NO_CONTEXT))
+    no_air = replace(segment.context, airspeed_m_s=np.full(segment.command_s.size, 80.0))
+    assert audited(aircraft, replace(segment, context=no_air)).statistics == blind.statistics
+    assert blind.status != "fault"
+
+
+@pytest.mark.slow
+def test_only_what_the_air_does_becomes_less_certain(aircraft: Aircraft) -> None:
+    known = aircraft.surfaces["x"].calibrated
+    assert known is not None
+    assert known.airspeed_m_s is not None
+    assert known.airspeed_m_s > 10.0
+    more = np.diag(known.without_airspeed().covariance - known.covariance)
+    assert {name for name, added in zip(NAMES, more, strict=True) if added > 0.0} == {"hinge", "hinge_deg"}
+    assert type(known).model_validate(known.without_airspeed().model_dump()).airspeed_m_s == known.airspeed_m_s
+
+
+@pytest.mark.slow
+def test_a_stream_that_learns_its_airspeed_later_begins_its_tests_anew(aircraft: Aircraft) -> None:
+    surface, segment = aircraft.surfaces["x"], flown(50, "aerobatics", 30.0)
+    assert surface.calibrated is not None
+    assert surface.measured is not None
+    stream = CalibratedStream(surface.calibrated, surface, segment.period_s, segment.command_s[:101])
+    position_deg = surface.measured.to_deg(segment.measured_deg)
+    sigma_deg = []
+    for begin_s, context in ((0.0, NO_CONTEXT), (15.0, segment.context)):
+        stream.surroundings(context)
+        for column, take in (("command", stream.command), ("measured", stream.position)):
+            time_s = getattr(segment, f"{column}_s")
+            values = segment.command_deg if column == "command" else position_deg
+            rows = (time_s >= begin_s) & (time_s < begin_s + 15.0)
+            for at_s, value in zip(time_s[rows].tolist(), values[rows].tolist(), strict=True):
+                take(at_s, value)
+        piece = stream.evaluate()
+        assert piece is not None
+        assert not piece.alarm.any()
+        sigma_deg.append(float(np.nanmedian(piece.threshold.level_deg)))
+    assert sigma_deg[1] < sigma_deg[0]
