@@ -20,6 +20,7 @@ from servofd.servo.context import NO_CONTEXT, Context
 
 if TYPE_CHECKING:
     from servofd.aircraft.schema import Aircraft
+    from servofd.core.types import FloatArray
     from servofd.detection.verdict import SurfaceAudit
 
 SEED = 323
@@ -83,24 +84,38 @@ def test_only_what_the_air_does_becomes_less_certain(aircraft: Aircraft) -> None
     assert type(known).model_validate(known.without_airspeed().model_dump()).airspeed_m_s == known.airspeed_m_s
 
 
-@pytest.mark.slow
-def test_a_stream_that_learns_its_airspeed_later_begins_its_tests_anew(aircraft: Aircraft) -> None:
-    surface, segment = aircraft.surfaces["x"], flown(50, "aerobatics", 30.0)
+def levels_deg(aircraft: Aircraft, segment: Segment, parts: list[tuple[float, Context]]) -> list[FloatArray]:
+    """Thresholds of a stream, in parts that begin at some times with what is known of the air by then."""
+    surface = aircraft.surfaces["x"]
     assert surface.calibrated is not None
     assert surface.measured is not None
     stream = CalibratedStream(surface.calibrated, surface, segment.period_s, segment.command_s[:101])
-    position_deg = surface.measured.to_deg(segment.measured_deg)
-    sigma_deg = []
-    for begin_s, context in ((0.0, NO_CONTEXT), (15.0, segment.context)):
+    ends_s = [begin_s for begin_s, _ in parts[1:]] + [np.inf]
+    found = []
+    for (begin_s, context), end_s in zip(parts, ends_s, strict=True):
         stream.surroundings(context)
-        for column, take in (("command", stream.command), ("measured", stream.position)):
-            time_s = getattr(segment, f"{column}_s")
-            values = segment.command_deg if column == "command" else position_deg
-            rows = (time_s >= begin_s) & (time_s < begin_s + 15.0)
+        for take, time_s, values in (
+            (stream.command, segment.command_s, segment.command_deg),
+            (stream.position, segment.measured_s, surface.measured.to_deg(segment.measured_deg)),
+        ):
+            rows = (time_s >= begin_s) & (time_s < end_s)
             for at_s, value in zip(time_s[rows].tolist(), values[rows].tolist(), strict=True):
                 take(at_s, value)
         piece = stream.evaluate()
         assert piece is not None
         assert not piece.alarm.any()
-        sigma_deg.append(float(np.nanmedian(piece.threshold.level_deg)))
-    assert sigma_deg[1] < sigma_deg[0]
+        found.append(piece.threshold.level_deg)
+    return found
+
+
+@pytest.mark.slow
+def test_a_stream_that_learns_its_airspeed_later_is_as_sure_from_then_on(aircraft: Aircraft) -> None:
+    servo = aircraft.surfaces["x"].calibrated
+    assert servo is not None
+    assert servo.airspeed_m_s is not None
+    segment, usual = flown(50, "aerobatics", 30.0), np.array([servo.airspeed_m_s])
+    told = Context(np.zeros(1), usual, NO_CONTEXT.voltage_s, NO_CONTEXT.voltage_v)
+    known = levels_deg(aircraft, segment, [(0.0, told), (15.0, told)])
+    learnt = levels_deg(aircraft, segment, [(0.0, NO_CONTEXT), (15.0, told)])
+    assert (learnt[0][1:] > known[0][1:]).all()
+    assert learnt[1] == pytest.approx(known[1], rel=1e-9, nan_ok=True)
