@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 MOST_CHANNELS = 50_000
 """Of one log: the richest have some ten thousand, forged ones a new name in every message."""
 MOST_NOTES = 100
+OFTEN = 0.01
+"""Messages with less than this share of the rows of the most frequent one do not tell when a flight begins and ends."""
 """Groups of channels whose rows are out of order and that are listed one by one."""
 
 
@@ -182,22 +184,27 @@ class LazyChannels(Mapping[str, Channel]):
         damage : tuple of Damage
             Rows out of order, for each message.
         span_s : tuple of float, or None
-            First and last time stamp [s]; None if there is none.
+            First and last time stamp of the messages that come often [s]: one of a mission, minutes after the flight,
+            makes it no longer. None if there is none.
         """
-        found, ends = [], []
+        found, spans = [], []
         for group, label in self._groups().items():
             time_s, _, damage = self._clock(group)
             if damage:
                 found.append(replace(damage, note=f"{label}: {damage.note}"))
             if time_s.size:
-                ends += [float(time_s[0]), float(time_s[-1])]
+                spans.append((time_s.size, float(time_s[0]), float(time_s[-1])))
         listed, rest = found[:MOST_NOTES], found[MOST_NOTES:]
         if rest:
             total = sum(damage.count for damage in rest)
             listed.append(Damage("out_of_order", f"{total} rows of {len(rest)} more messages", total))
         if not self._is_whole:
             listed.append(Damage("bad_format", f"more than {MOST_CHANNELS} channels; the rest is left out"))
-        return tuple(listed), (min(ends), max(ends)) if ends else None
+        if not spans:
+            return tuple(listed), None
+        enough = OFTEN * max(size for size, _, _ in spans)
+        flown = [(begin_s, end_s) for size, begin_s, end_s in spans if size >= enough]
+        return tuple(listed), (min(begin_s for begin_s, _ in flown), max(end_s for _, end_s in flown))
 
     def _groups(self) -> dict[Any, str]:
         """Groups, and what to call them: the name of a channel up to its last dot."""

@@ -26,6 +26,8 @@ A_LOG = "give a flight log"
 A_TABLE = "CSV with time_s, <surface>_cmd_deg and <surface>_pos_deg"
 HDF5 = b"\x89HDF\r\n\x1a\n"
 FMT_RECORD, FMT_LINE = b"\xa3\x95\x80", re.compile(rb"(?:^|\n)FMT, ?\d+, ?\d+, ?\w")
+PARAMETERS = re.compile(rb"(?:#[^\n]*\n)*(?:[A-Z][A-Z0-9]+_[A-Z0-9_]+[ \t]*[,=\t ][ \t]*-?[\d.]+\s*?\n){2}")
+QGC_PARAMETERS = re.compile(rb"# (?:Onboard parameters|Vehicle-Id)")
 FRAMES = 3
 """MAVLink frames one behind the other are no accident."""
 
@@ -78,6 +80,24 @@ def _is_sdlog2(head: bytes) -> bool:
     """Like ArduPilot's, but time has messages of its own, and none of the others a stamp."""
     first_is_attitude = head[5:9] == b"ATT\0" and b"Time" not in head[25:89]
     return head.startswith(FMT_RECORD) and (first_is_attitude or b"StartTime" in head)
+
+
+def _is_document(*beginnings: bytes) -> Test:
+    return lambda head: head.removeprefix(b"\xef\xbb\xbf").lstrip()[:16].lower().startswith(beginnings)
+
+
+def _is_parameters(head: bytes) -> bool:
+    return PARAMETERS.match(head) is not None or QGC_PARAMETERS.match(head) is not None
+
+
+def _is_pickle(head: bytes) -> bool:
+    return head[:1] == b"\x80" and head[1:2] in (b"\x02", b"\x03", b"\x04", b"\x05") and not _is_text(head)
+
+
+def _has_control(head: bytes) -> bool:
+    """Text but for control characters in its first line."""
+    line = head.split(b"\n")[0]
+    return b"\n" in head and b"," in line and _is_text(re.sub(rb"[\x01-\x1f]", b"", line)) and b"\0" not in line
 
 
 def _is_text(head: bytes) -> bool:
@@ -181,6 +201,19 @@ FORMATS = (
         "it has no servo positions; log those",
     ),
     Format("DJI flight record", _is_dji, f"export it with a DJI log converter to {A_TABLE}"),
+    Format(
+        "web page",
+        _is_document(b"<!doctype html", b"<html", b"<head"),
+        "download the log itself, not the page around it",
+    ),
+    Format("pointer of Git LFS", _starts(b"version https://git-lfs"), "fetch the log itself with git lfs pull"),
+    Format("XML document, as GPX and KML are", _is_document(b"<?xml", b"<gpx", b"<kml"), A_LOG),
+    Format("JSON document", _is_document(b"{", b"[{", b"[["), f"save it as {A_TABLE}"),
+    Format("mission of a ground station", _starts(b"QGC WPL"), A_LOG),
+    Format("file of parameters", _is_parameters, "give the log of a flight, which holds them too"),
+    Format("Rerun recording", _starts(b"RRF"), "servofd review reads it back"),
+    Format("NumPy array", _starts(b"\x93NUMPY"), f"save it as {A_TABLE}"),
+    Format("Python pickle", _is_pickle, f"it may run programs; save it as {A_TABLE}"),
     Format("Parquet table", _starts(b"PAR1"), f"save it as {A_TABLE}"),
     Format("Excel or OLE document", _starts(b"\xd0\xcf\x11\xe0"), f"save it as {A_TABLE}"),
     Format("PX4 log of before 2016 (sdlog2)", _is_sdlog2, f"export it with sdlog2_dump.py to {A_TABLE}"),
@@ -192,6 +225,7 @@ FORMATS = (
     Format("damaged MAVLink telemetry log", _has_telemetry, _telemetry),
     Format("table of messages", lambda head: _is_text(head) and bool(kind_of(head)), read_messages),
     Format("text table", _is_text, read_text),
+    Format("text with control characters in its first line", _has_control, "take them out of the names"),
 )
 """Tried from top to bottom; to add a format is to give its line a reader."""
 

@@ -163,6 +163,7 @@ class Text:
 
 
 MOST_ALIKE = 3
+_MESSAGE = re.compile(r"^\S+: ")
 
 
 def _together(group: Sequence[Damage]) -> Damage:
@@ -203,7 +204,7 @@ class FlightLog:
     start_utc : datetime or None
         Date and time at ``time_s = 0``, when the vehicle was booted; None if the log does not say.
     span_s : tuple of float, or None
-        First and last time of the log [s]; None: those of its channels.
+        First and last time of the flight [s]: messages that come once tell nothing of it. None: those of the channels.
     """
 
     source: Path
@@ -267,7 +268,7 @@ class FlightLog:
 
     @property
     def duration_s(self) -> float:
-        """From the first to the last time stamp of the log [s]; decodes nothing."""
+        """From the first to the last time stamp of the flight [s]; decodes nothing."""
         if self.span_s is not None:
             return self.span_s[1] - self.span_s[0]
         spans = [(c.time_s[0], c.time_s[-1]) for c in self.channels.values() if c.time_s.size]
@@ -277,6 +278,8 @@ class FlightLog:
     def damage_summary(self) -> tuple[Damage, ...]:
         """The same damage for people: what stands there more than `MOST_ALIKE` times in other numbers is one entry.
 
+        Disorder of several messages is alike, whatever they are called.
+
         Examples
         --------
         >>> lost = [Damage("bad_checksum", f"{k} bytes at offset {9 * k}", k) for k in range(1, 8)]
@@ -285,7 +288,8 @@ class FlightLog:
         """
         alike: dict[tuple[str, str], list[Damage]] = {}
         for damage in self.damage:
-            alike.setdefault((damage.kind, re.sub(r"[\d.]+", "#", damage.note)), []).append(damage)
+            words = _MESSAGE.sub("", damage.note) if damage.kind == "out_of_order" else damage.note
+            alike.setdefault((damage.kind, re.sub(r"[\d.]+", "#", words)), []).append(damage)
         return tuple(
             told for group in alike.values() for told in (group if len(group) <= MOST_ALIKE else [_together(group)])
         )

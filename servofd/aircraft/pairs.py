@@ -155,7 +155,9 @@ def _correlation(command: Channel, position: Channel) -> float:
         return 0.0
     asked = np.interp(position.time_s[good], command.time_s, np.nan_to_num(command.values))
     reported = position.values[good]
-    if np.std(asked) < _MOVES or np.std(reported) < _MOVES:
+    with np.errstate(over="ignore", invalid="ignore"):
+        spread = np.array([np.std(asked), np.std(reported)])
+    if not np.all(np.isfinite(spread)) or spread.min() < _MOVES:  # squares of forged numbers are none
         return 0.0
     return float(abs(np.corrcoef(asked, reported)[0, 1]))
 

@@ -43,7 +43,8 @@ def _print(found: Survey) -> None:
     from servofd.cli.tables import print_table
 
     log = found.log
-    print(f"{log.label}: {log.format}, {log.duration_s:.1f} s, {len(log.channels)} channels")
+    many = "" if len(log.channels) == 1 else "s"
+    print(f"{log.label}: {log.format}, {log.duration_s:.1f} s, {len(log.channels)} channel{many}")
     for label, value in (("vehicle", log.vehicle), ("firmware", log.firmware), ("booted", log.start_utc)):
         if value:
             print(f"  {label}: {value}")

@@ -12,9 +12,11 @@ import pytest
 from pyarrow import parquet
 
 import logparsers
+from logparsers import Channel, FlightLog
 from logparsers.endpoint import parse_endpoint
 from logparsers.errors import LinkError
 from servofd.aircraft.outputs import outputs_of
+from servofd.aircraft.pairs import find_pairs
 from servofd.aircraft.schema import load_aircraft, plain_aircraft
 from servofd.aircraft.segment import pace_steps
 from servofd.cli import main, manual
@@ -351,6 +353,13 @@ def test_commands_of_an_exported_table_that_are_words() -> None:
     rows = "".join(f"1.0,{20000 * k},1,{k},[[[\n" for k in range(1, 50))
     log = logparsers.read(io.BytesIO(f"timestamp,TimeUS,Id,Pos,PosCmd\n{rows}".encode()))
     np.testing.assert_array_equal(log["CSRV[1].Pos"].values, np.arange(1.0, 50.0))
+
+
+def test_pulses_and_positions_whose_squares_are_none() -> None:
+    time_s = np.arange(9.0)
+    huge = [Channel(name, time_s, 1e300 * np.sin(time_s), "", name) for name in ("RCOU.C1", "CSRV[1].Pos")]
+    log = FlightLog(Path("a.bin"), "dataflash", {channel.name: channel for channel in huge})
+    assert len(find_pairs(log)) == 1
 
 
 def test_a_clock_of_an_exported_table_that_is_words() -> None:

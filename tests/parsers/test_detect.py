@@ -39,6 +39,17 @@ STAMP = struct.pack(">Q", 1_700_000_000_000_000)
         (bytes(16) + b"BUILD 2017-09-01" + bytes(300), "DJI"),
         (SDLOG2, "PX4 log of before 2016"),
         (b"PAR1" + bytes(30), "Parquet"),
+        (b'\n<!DOCTYPE html>\n<html lang="en">', "web page, .* download the log itself"),
+        (b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n", "Git LFS, .* git lfs pull"),
+        (b'<?xml version="1.0"?>\n<gpx></gpx>\n', "XML"),
+        (b'{"logs": [1,2,3]}\n', "JSON"),
+        (b"QGC WPL 110\n0\t1\t0\t16\n", "mission"),
+        (b"SERVO1_MIN,1100\nSERVO1_MAX,1900\n", "file of parameters"),
+        (b"# Onboard parameters for Vehicle 1\n#\n1\t1\tARMING_CHECK\t1\t6\n", "file of parameters"),
+        (b"RRF2\0\x29\0\0", "Rerun recording, .* servofd review"),
+        (b"\x93NUMPY\1\0v\0", "NumPy array"),
+        (b"\x80\x04\x95\n\0\0\0\0\0\0\0", "Python pickle, .* may run programs"),
+        (b"\x1b[2Jtime_s,x\n0,1\n", "text with control characters"),
     ],
 )
 def test_strangers_are_named_whatever_they_are_called(tmp_path: Path, head: bytes, name: str) -> None:

@@ -114,6 +114,14 @@ def test_repeated_damage_is_one_line_with_a_count() -> None:
     assert other == gap
 
 
+def test_the_same_disorder_of_many_messages_is_one_line() -> None:
+    late = [
+        Damage("out_of_order", f"{name}: 1 rows came late and are sorted in", 1) for name in ("A", "B[1]", "C", "D")
+    ]
+    (one,) = FlightLog(Path("a.tlog"), "tlog", {}, tuple(late)).damage_summary
+    assert (one.count, one.note) == (4, "4 times, as in: A: 1 rows came late and are sorted in")
+
+
 def test_a_signalling_nan_of_a_damaged_file_is_a_nan() -> None:
     values = np.array([0x3F800000, 0x7FA00000], dtype=np.uint32).view(np.float32)
     columns = Columns(np.array([0.0, 1.0]), None, {"x": Column("x", values, "deg", "file")})

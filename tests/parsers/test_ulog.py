@@ -254,3 +254,12 @@ def test_topics_published_before_the_log_began_do_not_make_it_longer() -> None:
     log = logparsers.read(io.BytesIO(both))
     assert log["home_position[0].alt"].time_s.tolist() == [3.0]
     assert log.duration_s == pytest.approx(3.98)
+
+
+def test_a_topic_published_once_long_after_the_flight_does_not_make_it_longer() -> None:
+    stamps = np.arange(1_000_000, 5_000_000, 20_000).astype(np.uint64)
+    servos = Topic("actuator_servos", {"timestamp": stamps, "control": np.zeros((stamps.size, 8), np.float32)})
+    once = Topic("mission", {"timestamp": np.array([1_200_000_000], np.uint64), "count": np.zeros(1, np.float32)})
+    log = logparsers.read(io.BytesIO(encode([servos, once])))
+    assert log["mission[0].count"].time_s.tolist() == [1200.0]
+    assert log.duration_s == pytest.approx(3.98)
