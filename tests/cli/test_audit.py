@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -12,8 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+import servofd
 from logparsers.dataflash.encode import Message, encode
 from servofd.cli import main
+from tests.parsers import tlog_writer
 
 SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"
 STATUSES = {"healthy", "suspect", "fault", "no_data", "unknown"}
@@ -203,3 +206,54 @@ def test_the_json_of_a_log_that_cannot_be_judged_tells_what_is_known_of_it(tmp_p
     assert document["duration_s"] == pytest.approx(7.96)  # of the first boot: each is a flight of its own
     assert "no measured deflection" in document["error"]
     assert {damage["kind"] for damage in document["damage"]} >= {"corrupt"}
+
+
+def motion(rate_hz: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Time, command and position of a servo 60 ms behind; stuck from 40 s on."""
+    time_s = np.arange(round(60.0 * rate_hz)) / rate_hz
+    command = 8.0 * np.sin(1.3 * time_s) + 3.0 * np.sin(4.1 * time_s)
+    position = np.interp(np.minimum(time_s, 40.0) - 0.06, time_s, command)
+    return time_s, command, position
+
+
+def test_commands_and_positions_in_rows_of_their_own_have_the_verdict_of_one_table(tmp_path: Path) -> None:
+    """At stamps of their own, and at the same ones."""
+    time_s, command, position = motion(50.0)
+    head, found = "time_s,tail_cmd_deg,tail_pos_deg\n", {}
+    for name, later_s in (("together", None), ("same", 0.0), ("between", 0.007)):
+        rows = []
+        for t, c, p in zip(time_s, command, position, strict=True):
+            both = [f"{t:.4f},{c:.5f},{p:.5f}"]
+            apart = [f"{t:.4f},{c:.5f},", f"{t + (later_s or 0.0):.4f},,{p:.5f}"]
+            rows += both if later_s is None else apart
+        path = tmp_path / f"{name}.csv"
+        path.write_text(head + "\n".join(rows) + "\n")
+        (log,) = servofd.audit(str(path))
+        assert log.log.damage == ()
+        (surface,) = log.surfaces
+        (fault,) = surface.faults
+        found[name] = (surface.status, fault.kind, round(fault.start_s))
+    assert set(found.values()) == {("fault", "stuck", 40)}
+
+
+@pytest.mark.parametrize("rate_hz", [9.9, 10.0, 10.02])
+def test_ten_positions_a_second_are_judged(rate_hz: float, tmp_path: Path) -> None:
+    path = tmp_path / "slow.csv"
+    np.savetxt(
+        path, np.column_stack(motion(rate_hz)), "%.4f", ",", header="time_s,tail_cmd_deg,tail_pos_deg", comments=""
+    )
+    ((surface,),) = (log.surfaces for log in servofd.audit(str(path)))
+    assert (surface.status, [fault.kind for fault in surface.faults]) == ("fault", ["stuck"])
+
+
+def test_a_thousand_bad_check_sums_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    content = bytearray(tlog_writer.flight(110.0))
+    ends = [found.start() for found in re.finditer(rb"\xfd\x13\x00\x00", bytes(content))]
+    for at in ends[:1000]:
+        content[at + 12] ^= 0x55
+    path = tmp_path / "noisy.tlog"
+    path.write_bytes(bytes(content))
+    assert main(["info", str(path)]) == 0
+    told = capsys.readouterr().out
+    assert "1000 times" in told
+    assert len(told.splitlines()) < 20

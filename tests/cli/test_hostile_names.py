@@ -29,6 +29,18 @@ def flight(path: Path, surface: str) -> str:
     return str(path)
 
 
+def lively(path: Path, surface: str, seed: int) -> str:
+    """Motion from which a servo can be identified."""
+    rng, time_s = np.random.default_rng(seed), np.arange(2500) / 50
+    walk = np.cumsum(rng.normal(size=time_s.size))
+    command = np.clip(1.5 * (walk - np.convolve(walk, np.full(100, 0.01), "same")), -18.0, 18.0)
+    command = np.convolve(command, np.full(5, 0.2), "same")
+    position = np.interp(time_s - 0.05, time_s, command) + 0.02 * rng.normal(size=time_s.size)
+    rows = "".join(f"{t:.2f},{c:.3f},{p:.3f}\n" for t, c, p in zip(time_s, command, position, strict=True))
+    path.write_text(f'time_s,"{surface}_cmd_deg","{surface}_pos_deg"\n{rows}', encoding="utf-8")
+    return str(path)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("surface", ["ele\x9b31m\u202evator", "a<script>alert(1)</script>", "x\\1\\g<2>$\\frac$'"])
 def test_an_audit_of_hostile_names(surface: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -42,6 +54,33 @@ def test_an_audit_of_hostile_names(surface: str, tmp_path: Path, capsys: pytest.
     assert "<script>alert" not in page.read_text(encoding="utf-8")
     assert len(list(out.iterdir())) == 3
     assert main(["audit", str(tmp_path), "-o", str(tmp_path / "fleet")]) in (0, 2)
+
+
+@pytest.mark.slow
+def test_every_other_page_of_a_hostile_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    surface, plane = "a<script>alert(1)</script>\x9b31m\u202ex\\1\\g<2>$\\frac$'", tmp_path / "plane.toml"
+    logs = [lively(tmp_path / f"flight{number}.csv", surface, number) for number in range(2)]
+    assert main(["config", logs[0]]) == 0
+    plane.write_text(capsys.readouterr().out, encoding="utf-8")
+    for words in (
+        ["trend", *logs, "-c", str(plane), "--html", str(tmp_path / "trend.html")],
+        ["explain", logs[0], "-s", surface, "--html", str(tmp_path / "explain.html")],
+        ["identify", logs[0], "--html", str(tmp_path / "identify.html"), "--save", str(tmp_path / "servo.toml")],
+        [*logs, "--no-open", "-o", str(tmp_path / "pages")],
+        ["info", logs[0]],
+        ["calibrate", *logs, "-o", str(tmp_path / "calibrated.toml")],
+    ):
+        assert main(words) in (0, 1, 2), words
+    said = capsys.readouterr()
+    pages = {page.name: page.read_text(encoding="utf-8") for page in tmp_path.rglob("*.html")}
+    assert {"trend.html", "explain.html", "identify.html"} < pages.keys()
+    assert len(pages) > 4
+    for text in (said.out, said.err, *pages.values()):
+        assert not [sign for sign in ACTS if sign in text]
+        assert "Traceback" not in text
+    assert not [name for name, text in pages.items() if "<script>alert" in text]
+    for written in tmp_path.glob("*.toml"):
+        assert tomllib.loads(written.read_text(encoding="utf-8"))
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -83,13 +83,18 @@ def servo_flight(seconds: float = 4.0, *, first_us: int = 5_000_000, radians: bo
 
 def as_text(messages: list[Message]) -> bytes:
     """The text form of a log, as ground stations write it."""
-    log = DataFlashFile.open(encode(messages))
+    return text_of(encode(messages))
+
+
+def text_of(content: bytes) -> bytes:
+    """The text form of a binary log; numbers to the last digit."""
+    log = DataFlashFile.open(content)
     lines = [f"FMT, {f.type}, {f.length}, {f.name}, {f.format}, {','.join(f.columns)}" for f in log.formats.values()]
     rows = []
     for name in (n for n in log.names if n != "FMT"):
         table = log.table(name)
         for i, at in enumerate(log.times_us(name).tolist()):
-            cells = (v[i].tobytes().hex() if v.ndim > 1 else str(v[i]) for v in table.values())
+            cells = (v[i].tobytes().hex() if v.ndim > 1 else str(v[i].item()) for v in table.values())
             rows.append((at, f"{name}, {', '.join(cells)}"))
     return "\n".join([*lines, *(row for _, row in sorted(rows, key=lambda r: r[0])), ""]).encode()
 

@@ -8,6 +8,7 @@ import io
 import itertools
 import math
 import random
+import struct
 import time
 from collections import Counter
 from pathlib import Path
@@ -425,6 +426,14 @@ def test_a_contradictory_length_does_not_cost_a_message() -> None:
     at = content.index(b"RCOU") - 1
     content[at] = 200
     assert DataFlashFile.open(bytes(content)).count("RCOU") == 100
+
+
+def test_how_a_firmware_defines_the_definition_is_no_damage() -> None:
+    content = encode([Message("RCOU", "QH", {"TimeUS": [10, 20], "C1": [1500, 1600]})])
+    own = b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", 128, 89, b"FMT", b"BBnNZ", b"Type,Length,Name,Format")
+    log = logparsers.read(io.BytesIO(own + own + content + own))
+    assert log["RCOU.C1"].values.tolist() == [1500.0, 1600.0]
+    assert log.damage == ()
 
 
 def test_two_layouts_of_one_name_are_kept_apart() -> None:

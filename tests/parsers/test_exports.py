@@ -20,7 +20,7 @@ from logparsers.dataflash import DataFlashFile
 from logparsers.dataflash.encode import Message, encode
 from servofd.fleet.find import find_logs, flights_joined
 from servofd.jobs.workflow import audit
-from tests.parsers import export_writer, tlog_writer
+from tests.parsers import dataflash_writer, export_writer, tlog_writer
 
 SAMPLES = Path(__file__).parents[2] / "sample_logs"
 MICROSECOND = 1e-6
@@ -47,6 +47,7 @@ def sample(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "b.mat").write_bytes(export_writer.mavlogdump_mat(content))
     (folder / "c.mat").write_bytes(export_writer.mission_planner_mat(content))
     (folder / "d.bin.gz").write_bytes(gzip.compress(content))
+    (folder / "g.log").write_bytes(dataflash_writer.text_of(content))
     names = [name for name in DataFlashFile.open(content).names if name in ("CSRV", "RCOU", "PARM", "MSG", "VER")]
     for name in names:
         (folder / f"e_{name}.csv").write_bytes(export_writer.mavlogdump(content, "--format", "csv", "--types", name))
@@ -72,7 +73,7 @@ def test_tables_of_one_flight_are_the_log(sample: Path) -> None:
 @pytest.mark.slow
 def test_the_same_flight_in_every_form_has_the_same_verdicts(sample: Path) -> None:
     found = {}
-    for path in ("a.bin", "b.mat", "c.mat", "d.bin.gz", "e_*.csv", "f.zip"):
+    for path in ("a.bin", "b.mat", "c.mat", "d.bin.gz", "e_*.csv", "f.zip", "g.log"):
         (result,) = audit(sample / path, threads=1)
         found[path] = [
             (s.surface, s.status, s.reason, [(f.kind, f.start_s, f.end_s) for f in s.faults]) for s in result.surfaces
@@ -84,7 +85,7 @@ def test_the_same_flight_in_every_form_has_the_same_verdicts(sample: Path) -> No
 @pytest.mark.slow
 def test_a_folder_joins_the_tables_of_a_flight(sample: Path) -> None:
     names = [Path(log.path).name for log in find_logs([str(sample)]).logs]
-    assert names == ["a.bin", "b.mat", "c.mat", "d.bin.gz", "e*.csv", "f.zip"]
+    assert names == ["a.bin", "b.mat", "c.mat", "d.bin.gz", "e*.csv", "f.zip", "g.log"]
     tables = sorted(map(str, sample.glob("e_*.csv")))
     assert flights_joined(tables) == [str(sample / "e*.csv")]
     assert flights_joined(tables[:1]) == tables[:1]
