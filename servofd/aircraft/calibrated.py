@@ -14,7 +14,7 @@ from servofd.core.types import FloatArray
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
 _Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 _LARGEST = 1e9
-UNKNOWN_AIR = 0.6
+_UNKNOWN_AIR = 0.6
 """Dynamic pressure of flights of any style over that of a calibration flight: it differs between them by 0.49, and
 within each by 0.3 more (standard deviations, aircraft of even seed in `benchmarks/strangers.py`)."""
 
@@ -109,7 +109,7 @@ class CalibratedServo(BaseModel):
         if not self.airspeed_m_s:
             return self
         pushed = np.where(np.char.startswith(NAMES, "hinge"), self.theta, 0.0)
-        wider = self.covariance + UNKNOWN_AIR**2 * np.outer(pushed, pushed)
+        wider = self.covariance + _UNKNOWN_AIR**2 * np.outer(pushed, pushed)
         return self.model_copy(update={"between": tuple(tuple(row[: i + 1]) for i, row in enumerate(wider.tolist()))})
 
     @property
