@@ -229,6 +229,7 @@ is the peer's time divided by servofd's: above 1 servofd is faster. Compiling, o
 
 | script | measures |
 |---|---|
+| `benchmarks/reading.py` | every channel of logs of 3 to 160 MB, beside pymavlink and pyulog: [everything read](robustness.md#everything-read) |
 | `benchmarks/dataflash.py`, `benchmarks/tlog.py` | logs of 90 minutes, memory, and the bare reading of the bytes |
 | `benchmarks/residual.py` | 30 minutes of six surfaces, on all cores, and with jittered time stamps |
 | `benchmarks/detection.py` | what is found how soon, beside the best that any detector could do: [detection](detection.md) |

@@ -37,6 +37,16 @@ def test_the_version_is_written_once() -> None:
     assert cited[1] == servofd.__version__
 
 
+def test_every_python_that_is_named_is_tried() -> None:
+    """The lowest one by the whole tests, the others by the wheel."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    named = re.findall(r"Python :: (3\.\d+)", "\n".join(project["classifiers"]))
+    tried = re.search(r"^for version in (.+); do$", (ROOT / ".ci" / "run").read_text(), re.MULTILINE)
+    assert tried is not None
+    assert named == [project["requires-python"].removeprefix(">="), *tried[1].split()]
+    assert named[-1] == "3.14"
+
+
 def test_the_container_is_small_its_own_user_and_made_of_what_is_there() -> None:
     """What a linter asks: a slim base, sources that exist, no cache of packages, no root, words instead of a shell."""
     text = (ROOT / "Dockerfile").read_text(encoding="utf-8")
