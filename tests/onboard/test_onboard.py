@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -105,6 +107,20 @@ def test_six_surfaces_fit_an_autopilot(tmp_path: Path) -> None:
     assert flown.heap_kb <= 80.0, "with pointers and numbers of 64 bits; an autopilot's have 32"
 
 
+def test_whatever_a_surface_is_made_of_it_takes_hardly_more_memory(tmp_path: Path) -> None:
+    """A Lua table doubles where it has more than 64 entries: the settings and states of a surface stay below."""
+    plane = many(6)
+    plan, flight = plan_onboard(plane), wiggled(plane, jammed=3)
+    most: dict[str, Any] = {
+        "stops_deg": (-60.0, 60.0),
+        "saturation_deg": (-55.0, 55.0),
+        "command": (0.0, 0.09, 1e-7, 1e-9),
+    }
+    full = replace(plan, surfaces=tuple(replace(surface, **most) for surface in plan.surfaces))
+    usual_kb, full_kb = (fly(watch_script(each), flight, tmp_path).heap_kb for each in (plan, full))
+    assert full_kb - usual_kb <= 6 * 0.35
+
+
 def test_more_surfaces_than_a_call_has_time_for_are_refused_with_how_many_fit() -> None:
     with pytest.raises(ConfigError, match=r"32 surfaces are more than .* 1\d are not; choose them with -s"):
         plan_onboard(many(32))
@@ -117,7 +133,9 @@ def test_more_surfaces_than_a_call_has_time_for_are_refused_with_how_many_fit() 
         (("gain = 0.09", 'gain = "much"'), "servofd: AILERON: gain is no number"),
         (('name = "RUDDER"', 'name = "A NAME THAT IS FAR TOO LONG FOR A TEXT"'), "servofd: name of surface 3: 1 to 22"),
         (("modes = { {", "modes = { { 1.0 }, {"), "servofd: AILERON: a mode is wrong"),
-        (("rates = { 370.0,", "rates = { nil,"), "servofd: AILERON: rates are no three numbers"),
+        (("rates = { 370.0,", "rates = { nil,"), "servofd: AILERON: rates: 3 numbers"),
+        (("tolerance = {", "tolerances = {"), "servofd: AILERON: tolerance: 4 numbers"),
+        (("tolerance = {", "stops = { 12.0 }, tolerance = {"), "servofd: AILERON: stops: 2 numbers"),
         (("rates = {", "rats = {"), ""),  # without a limit it is another servo, and one that works
     ],
 )

@@ -14,7 +14,9 @@
 --]]
 
 -- Angles in degrees, rates in degrees per second (up, down, and of the slowest motor tolerated), times in microseconds.
--- Each mode of a servo is { decay [1/s], turn [rad/s], weight, weight of the turning part }.
+-- A tolerance is { gain, delay [s], lags, offset }. With 64 settings and states in all a surface takes 1.3 kB, with more 2.6.
+-- Each mode of a servo is { decay [1/s], turn [rad/s], weight, weight of the turning part }; behind these four stand its
+-- state (5, and 6 for the turning part) and that of the same mode while it follows the activity of the command (7, 8).
 local SURFACES = {
 {%- for surface in plan.surfaces %}
    { {{ surface | lua_entry }} },
@@ -107,12 +109,12 @@ local function move(s, until_us)
    local p0, v0, p1, v1 = 0.0, 0.0, 0.0, 0.0
    for k = 1, #modes do
       local m = modes[k]
-      local decay, turn, re, im = m.decay, m.turn, m.re - held, m.im
+      local decay, turn, re, im = m[1], m[2], m[5] - held, m[6]
       local keep = exp(-decay * step)
       keep_re[k], keep_im[k] = keep * cos(turn * step), -keep * sin(turn * step)
       if limited then
-         p0 = p0 + m.weight * m.re - m.weight_turn * im
-         v0 = v0 - m.weight * (decay * re - turn * im) + m.weight_turn * (decay * im + turn * re)
+         p0 = p0 + m[3] * m[5] - m[4] * im
+         v0 = v0 - m[3] * (decay * re - turn * im) + m[4] * (decay * im + turn * re)
       end
    end
    local position, direction, weak, weak_direction = s.position, s.direction, s.weak_position, s.weak_direction
@@ -120,13 +122,13 @@ local function move(s, until_us)
       p1, v1 = 0.0, 0.0
       for k = 1, #modes do
          local m = modes[k]
-         local re, im, keep, turned = m.re - held, m.im, keep_re[k], keep_im[k]
+         local re, im, keep, turned = m[5] - held, m[6], keep_re[k], keep_im[k]
          re, im = keep * re - turned * im, keep * im + turned * re
-         m.re, m.im = held + re, im
-         p1 = p1 + m.weight * m.re - m.weight_turn * im
+         m[5], m[6] = held + re, im
+         p1 = p1 + m[3] * m[5] - m[4] * im
          if limited then
-            local decay, turn = m.decay, m.turn
-            v1 = v1 - m.weight * (decay * re - turn * im) + m.weight_turn * (decay * im + turn * re)
+            local decay, turn = m[1], m[2]
+            v1 = v1 - m[3] * (decay * re - turn * im) + m[4] * (decay * im + turn * re)
          end
       end
       if limited then
@@ -146,9 +148,9 @@ local function hold(s, command)
    local fastest = 0.0
    for k = 1, #s.modes do
       local m = s.modes[k]
-      local re, im = m.re - command, m.im
-      local rate, rate_im = m.decay * re - m.turn * im, m.decay * im + m.turn * re
-      fastest = fastest + abs(m.weight * rate - m.weight_turn * rate_im) + abs(m.weight * rate_im + m.weight_turn * rate)
+      local re, im = m[5] - command, m[6]
+      local rate, rate_im = m[1] * re - m[2] * im, m[1] * im + m[2] * re
+      fastest = fastest + abs(m[3] * rate - m[4] * rate_im) + abs(m[3] * rate_im + m[4] * rate)
    end
    s.fastest = fastest
 end
@@ -174,11 +176,11 @@ end
 local function settle(s, now_us, measured)
    local rest, total = measured, 0.0
    for k = 1, #s.modes do
-      total = total + s.modes[k].weight
+      total = total + s.modes[k][3]
    end
    rest = measured / total
    for k = 1, #s.modes do
-      s.modes[k].re, s.modes[k].im = rest, 0.0
+      s.modes[k][5], s.modes[k][6] = rest, 0.0
    end
    hold(s, s.held or rest)
    s.at_us, s.position, s.direction, s.weak_position, s.weak_direction = now_us, measured, 0, measured, 0
@@ -193,8 +195,8 @@ local function weigh(s, step, lag)
    polynomial[1] = 1.0
    for k = 1, #s.modes do
       local m = s.modes[k]
-      local ratio = exp((s.pole - m.decay) * step)
-      if m.turn == 0.0 then
+      local ratio = exp((s.pole - m[1]) * step)
+      if m[2] == 0.0 then
          local rest = 1.0 - ratio
          polynomial[n + 1] = ratio * polynomial[n]
          for j = n, 2, -1 do
@@ -204,7 +206,7 @@ local function weigh(s, step, lag)
          n = n + 1
          free = free * (1.0 - ratio * lag)
       else
-         local c, d = ratio * cos(m.turn * step), ratio * sin(m.turn * step)
+         local c, d = ratio * cos(m[2] * step), ratio * sin(m[2] * step)
          local none, one, two = (1.0 - c) * (1.0 - c) + d * d, 2.0 * (c - ratio * ratio), ratio * ratio
          polynomial[n + 1], polynomial[n + 2] = 0.0, 0.0
          for j = n + 2, 3, -1 do
@@ -264,30 +266,30 @@ local function allowed(s, still, weak, step, fresh)
    if fresh then
       s.activity = still
       for k = 1, #modes do
-         modes[k].slow_re, modes[k].slow_im = still, 0.0
+         modes[k][7], modes[k][8] = still, 0.0
       end
    end
-   local speed, quickness, ahead = 0.0, 0.0, 0.0
+   local tolerance, speed, quickness, ahead = s.tolerance, 0.0, 0.0, 0.0
    if step > 0.0 then
       speed = (still - s.activity) / step
-      ahead = 0.5 * (1.0 + s.tol_delay / step)
+      ahead = 0.5 * (1.0 + tolerance[2] / step)
    end
    local both = still + s.activity
    for k = 1, #modes do
       local m = modes[k]
-      local h, g = 0.5 * step * m.decay, 0.5 * step * m.turn
-      local re = (1.0 - h) * m.slow_re + g * m.slow_im + h * both
-      local im = (1.0 - h) * m.slow_im - g * m.slow_re + g * both
+      local h, g = 0.5 * step * m[1], 0.5 * step * m[2]
+      local re = (1.0 - h) * m[7] + g * m[8] + h * both
+      local im = (1.0 - h) * m[8] - g * m[7] + g * both
       local size = (1.0 + h) * (1.0 + h) + g * g
-      m.slow_re, m.slow_im = (re * (1.0 + h) + im * g) / size, (im * (1.0 + h) - re * g) / size
-      quickness = quickness + (g == 0.0 and 1.0 or 2.0) * (still - m.slow_re)
+      m[7], m[8] = (re * (1.0 + h) + im * g) / size, (im * (1.0 + h) - re * g) / size
+      quickness = quickness + (g == 0.0 and 1.0 or 2.0) * (still - m[7])
    end
    s.peak = max(abs(still), fade * s.peak)
    s.peak_speed = max(abs(speed) + ahead * abs(speed - s.speed), fade * s.peak_speed)
    s.peak_quick = max(abs(quickness) + ahead * abs(quickness - s.quickness), fade * s.peak_quick)
    s.activity, s.speed, s.quickness = still, speed, quickness
    local noise = s.count >= 200.0 and s.seen_noise or max(s.seen_noise, s.noise)
-   return s.tol_gain * s.peak + s.tol_delay * s.peak_speed + s.tol_lags * s.peak_quick + s.tol_bias + s.peak_weak
+   return tolerance[1] * s.peak + tolerance[2] * s.peak_speed + tolerance[3] * s.peak_quick + tolerance[4] + s.peak_weak
       + s.sigmas * max(noise, 0.28867513 * s.resolution)
 end
 
@@ -628,7 +630,7 @@ local function mistake()
          return "name of surface " .. i .. ": 1 to {{ longest_name }} letters"
       end
       for _, key in ipairs({ "output", "gain", "offset", "sense", "zero", "delay_us", "dc_gain", "pole", "gap_us", "noise",
-                             "tol_gain", "tol_delay", "tol_lags", "tol_bias", "sigmas", "persistence" }) do
+                             "sigmas", "persistence" }) do
          if type(s[key]) ~= "number" then
             return s.name .. ": " .. key .. " is no number"
          end
@@ -636,9 +638,12 @@ local function mistake()
       if s.threshold and type(s.threshold) ~= "number" then
          return s.name .. ": threshold is no number"
       end
-      for k = 1, s.rates and 3 or 0 do
-         if type(s.rates) ~= "table" or type(s.rates[k]) ~= "number" then
-            return s.name .. ": rates are no three numbers"
+      for key, count in pairs({ tolerance = 4, rates = s.rates and 3, bounds = s.bounds and 2, stops = s.stops and 2,
+                                curve = s.curve and 2 }) do
+         for k = 1, count or 0 do
+            if type(s[key]) ~= "table" or type(s[key][k]) ~= "number" then
+               return s.name .. ": " .. key .. ": " .. count .. " numbers"
+            end
          end
       end
       if type(s.modes) ~= "table" or #s.modes < 1 or #s.modes > 8 then
@@ -656,8 +661,9 @@ local function prepare(s, now_us)
    local lags = 1
    for k, mode in ipairs(s.modes) do
       lags = lags + (mode[2] == 0.0 and 1 or 2)
-      s.modes[k] = { decay = mode[1], turn = mode[2], weight = mode[3], weight_turn = mode[4], re = 0.0, im = 0.0,
-                     slow_re = 0.0, slow_im = 0.0 }
+      for at = 5, 8 do
+         mode[at] = 0.0
+      end
    end
    s.lags, s.jump, s.due = {}, {}, {}
    for k = 1, 3 * lags do
