@@ -211,6 +211,7 @@ FORMATS = (
     Format("JSON document", _is_document(b"{", b"[{", b"[["), f"save it as {A_TABLE}"),
     Format("mission of a ground station", _starts(b"QGC WPL"), A_LOG),
     Format("file of parameters", _is_parameters, "give the log of a flight, which holds them too"),
+    Format("storage of ArduPilot's parameters (eeprom.bin)", _starts(b"PA\x06\0"), A_LOG),
     Format("Rerun recording", _starts(b"RRF"), "servofd review reads it back"),
     Format("NumPy array", _starts(b"\x93NUMPY"), f"save it as {A_TABLE}"),
     Format("Python pickle", _is_pickle, f"it may run programs; save it as {A_TABLE}"),

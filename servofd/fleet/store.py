@@ -6,6 +6,7 @@ import errno
 import json
 import re
 import sys
+import time
 import uuid
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Self
@@ -29,7 +30,8 @@ _SCHEMA = "servofd.fleet/1"
 _EARLIER = "earlier"
 _KEY = re.compile(r"\w+")  # it names a folder
 _LOGS_PER_PART = 64
-"""A thousand logs give sixteen files per table; a run that is killed loses at most this many logs, not their time."""
+_SECONDS_PER_PART = 10.0
+"""A thousand quick logs give sixteen files per table; a run that is killed loses the work of these seconds at most."""
 
 
 class FleetStore:
@@ -61,6 +63,7 @@ class FleetStore:
     def _read_what_is_done(self) -> None:
         self._waiting: dict[str, list[dict[str, Any]]] = {name: [] for name in TABLES}
         self._sizes: dict[int, set[str]] = {}
+        self._written_s = time.monotonic()
         for row in read_table(self.folder, "logs", ["content", "size_bytes", "not_judged"]):
             if row["content"]:
                 self._sizes.setdefault(row["size_bytes"], set()).add(row["content"])
@@ -100,7 +103,7 @@ class FleetStore:
             known.add(judged.content)
         for name, some in rows(judged).items():
             self._waiting[name] += some
-        if len(self._waiting["logs"]) >= _LOGS_PER_PART:
+        if len(self._waiting["logs"]) >= _LOGS_PER_PART or time.monotonic() - self._written_s > _SECONDS_PER_PART:
             self.flush()
         return True
 
@@ -115,6 +118,7 @@ class FleetStore:
             with whole_file(self.folder / name / part) as temporary:
                 pq.write_table(to_arrow(name, content), temporary, write_page_checksum=True)
         self._waiting = {name: [] for name in TABLES}
+        self._written_s = time.monotonic()
 
     def forget_not_judged(self) -> None:
         """Take out the rows of logs that are tried again."""

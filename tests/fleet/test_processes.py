@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -94,24 +95,33 @@ def test_a_cluster_that_is_not_there_is_told_in_one_line(
         assert why in capsys.readouterr().err.splitlines()[-1]
 
 
-def test_ctrl_c_in_the_middle_keeps_what_was_done_and_the_next_run_goes_on(logs: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("end", [signal.SIGINT, pytest.param(signal.SIGKILL, marks=pytest.mark.slow)])
+def test_an_end_in_the_middle_keeps_what_was_done_and_the_next_run_goes_on(
+    end: signal.Signals, logs: Path, tmp_path: Path
+) -> None:
     many = tmp_path / "many"
     many.mkdir()
     for k in range(24):  # a blank line more each: other bytes, the same flight
         (many / f"flight{k}.csv").write_bytes((logs / "flight0.csv").read_bytes() + b"\n" * k)
-    command = [sys.executable, "-c", _MAIN, "audit", str(many), "-o", str(tmp_path / "r"), "--workers", "1"]
+    at_once = (
+        "import servofd.fleet.store; servofd.fleet.store._SECONDS_PER_PART = 0.0\n" if end == signal.SIGKILL else ""
+    )
+    command = [sys.executable, "-c", at_once + _MAIN, "audit", str(many), "-o", str(tmp_path / "r"), "--workers", "1"]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment, start_new_session=True
     )
     assert process.stdout is not None
     first = process.stdout.readline()
-    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the processes as well
+    while end == signal.SIGKILL and not list((tmp_path / "r" / "logs").glob("part-*.parquet")):
+        time.sleep(0.05)
+    os.killpg(process.pid, end)  # as a terminal does: to the processes as well
     _, err = process.communicate(timeout=300)
     assert first
-    assert process.returncode == 130
     assert "Traceback" not in err
-    assert err.splitlines()[-1] == "servofd: interrupted; nothing half-written was left behind"
+    if end == signal.SIGINT:
+        assert process.returncode == 130
+        assert err.splitlines()[-1] == "servofd: interrupted; nothing half-written was left behind"
     again = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
     assert again.returncode == 0
     assert "of 24 logs are done already" in again.stderr
