@@ -10,6 +10,7 @@ from logparsers.codec import Codec
 from servofd.aircraft.schema import Aircraft, load_aircraft
 from servofd.cli import main
 from servofd.live.session import Session
+from servofd.live.view import View
 from servofd.simulation.vehicle.fly import legs
 from servofd.simulation.vehicle.troubles import Air, Edit, Freeze, Jump, Late, Pause, Reboot, Silence, Stall, Trouble
 from servofd.simulation.vehicle.vehicle import Settings
@@ -76,6 +77,17 @@ def test_the_jam_alone_is_told(aircraft: Aircraft, trouble: str) -> None:
     assert kinds(events, "alarm")[0][1] == pytest.approx(30.3, abs=0.5)
     assert [e.kind for e in events if e.event == "named"] == ["stuck"]
     assert kinds(events, "no_data") == []
+
+
+@pytest.mark.slow
+def test_numbers_that_jump_are_skipped_and_not_lost(aircraft: Aircraft) -> None:
+    """Nobody can tell a lost frame from one that was routed elsewhere: neither is said."""
+    session, events = watched(aircraft, *(Jump(at_s) for at_s in (4.0, 6.0, 8.0)), stuck_s=None, duration_s=10.0)
+    link = View(session, "it").plain(EPOCH_S + 10.0)[3]
+    assert session.vehicles[1].losses[1].lost == 27
+    assert link.endswith(f"{27 / (27 + session.frames):.1%} skipped")
+    assert "lost" not in link.lower()
+    assert [e for e in events if e.event in ("link_lost", "no_data")] == []
 
 
 @pytest.mark.slow
