@@ -6,7 +6,7 @@ import io
 from abc import ABC, abstractmethod
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self, overload
 
 from servofd.aircraft.segment import Segment
 from servofd.calibrating.result import Calibration
@@ -114,8 +114,16 @@ class Audit(LogAudit, Shown):
         """Itself, once."""
         return iter((self,))
 
-    def __getitem__(self, surface: str) -> SurfaceAudit:
-        """Verdict on one surface."""
+    @overload
+    def __getitem__(self, surface: str) -> SurfaceAudit: ...
+
+    @overload
+    def __getitem__(self, surface: int) -> Self: ...
+
+    def __getitem__(self, surface: str | int) -> SurfaceAudit | Self:
+        """Verdict on one surface; by number the only run, itself, as in a loop."""
+        if isinstance(surface, int):
+            return (self,)[surface]
         found = {one.surface: one for one in self.surfaces}
         if surface not in found:
             raise UnknownName(suggest("surface", surface, found))

@@ -37,6 +37,9 @@ def test_the_page_on_python_runs_and_prints_what_it_shows(monkeypatch: pytest.Mo
 
 def test_a_result_is_short_and_a_loop_over_it_gives_itself(stuck: servofd.Audit) -> None:
     assert [one for one in stuck] == [stuck]  # noqa: C416 - as people write it
+    assert stuck[0] is stuck
+    with pytest.raises(IndexError):
+        stuck[1]
     assert len(repr(stuck)) < 400
     assert repr(stuck).count("\n") == 2
 

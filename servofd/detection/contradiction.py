@@ -389,7 +389,8 @@ def _line(time_s: FloatArray, error: FloatArray, asked: FloatArray) -> tuple[flo
     turns[1:] = np.exp(-0.5j * np.pi / _WINDOW_S * since_s)  # from each frequency to the next
     waves = np.multiply.accumulate(turns)
     scale = 2.0 / taper.sum()
-    amplitude = np.abs(waves @ (taper * (error - error.mean()))) * scale
+    # Without BLAS, whose threads wait for each other longer than so small a product takes.
+    amplitude = np.abs(np.einsum("ij,j->i", waves, taper * (error - error.mean()))) * scale
     best = int(np.argmax(amplitude))
     size_deg = float(amplitude[best])
     own_deg = float(np.abs(waves[best] @ (taper * (asked - asked.mean()))) * scale)
