@@ -193,7 +193,10 @@ def test_two_commands_from_logs_to_a_verdict(tmp_path: Path, capsys: pytest.Capt
     assert roll["since_s"] == pytest.approx(60.0, abs=2.0)
     assert roll["members"] == ["aileron_left", "aileron_right"]
     assert set(roll) >= {"reason", "offset_us", "false_alarms_per_hour", "identifiable"}
-    assert "one of them, or both at half effect" in page.read_text()
+    words = page.read_text()
+    assert "one of them, or both at half effect" in words
+    assert "is judged by the motion" in words
+    assert "Each servo is simulated" not in words
     well = as_table(tmp_path, "2026-05-08.csv", flown(50, "2026-05-08"))
     assert main(["audit", well, "-c", plane]) == 0
 
