@@ -49,6 +49,8 @@ _FOLLOWS = 0.3
 _BRISK_DEG = 1.4
 _LAG_SHARE, _LAG_S, _LAG_DEG, _LAG_EXPLAINS = 1.0, 0.03, 1.0, 0.5
 """Lag beyond its own by this share and this time [s], which moves it by so much (rms) and explains its error."""
+_LAGS_S = (-0.1, 0.0, 0.1, 0.2, 0.35, 0.5)
+"""Lags at which the position may follow the healthy deflection."""
 _LATE_SHARE, _LATE_S = 0.7, 6.0
 _FEWEST_SAMPLES = 30
 _JOINED_S = 6.0
@@ -353,12 +355,14 @@ def _best_slope(flight: _Flight, rows: slice) -> tuple[float, float]:
 
     An offset that comes within the window is left out of account.
     """
-    time_s, left_s = flight.time_s[rows], _left_s(flight, rows)
+    time_s = flight.time_s[rows]
+    after = time_s >= _left_s(flight, rows)
+    asked_deg = [np.interp(time_s - lag_s, flight.time_s, flight.healthy_deg) for lag_s in _LAGS_S]
     best = (0.0, 0.0)
-    for later in (time_s >= left_s, np.ones(time_s.size, dtype=bool)):
+    for later in (after,) if after.all() else (after, np.ones(time_s.size, dtype=bool)):
         moved = _about_means(flight.measured_deg[rows], later)
-        for lag_s in (-0.1, 0.0, 0.1, 0.2, 0.35, 0.5):
-            asked = _about_means(np.interp(time_s - lag_s, flight.time_s, flight.healthy_deg), later)
+        for late_deg in asked_deg:
+            asked = _about_means(late_deg, later)
             common, asked2, moved2 = float(asked @ moved), float(asked @ asked), float(moved @ moved)
             explained = common**2 / max(asked2 * moved2, 1e-300)
             if explained > best[1]:

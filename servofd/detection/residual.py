@@ -239,8 +239,13 @@ def followed(
     restart : ndarray, shape (n,)
         2 where the servo has to start anew, as `servofd.detection.starts` marks it.
     """
-    from servofd.servo.motion import on_its_way
+    from servofd.detection.starts import RESTART_ALL
+    from servofd.servo.motion import on_its_way, started_anew
+    from servofd.servo.state import ServoParameters
 
+    if isinstance(servo, ServoParameters):
+        signal = commands.effective_s, commands.command_deg, commands.slope_deg_s
+        return started_anew(servo, signal, at_s, measured_deg, restart == RESTART_ALL)
     return go_on(on_its_way(servo), commands, np.zeros(1, dtype=np.int64), at_s, measured_deg, restart)
 
 

@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.servo.state import SAME_STEP_S, SLOTS, Memory, ServoParameters, compiled, inlined
+from servofd.servo.state import SAME_STEP_S, SLOTS, Memory, ServoParameters, compiled, exactly, inlined
 
 if TYPE_CHECKING:
-    from servofd.core.types import FloatArray
+    from servofd.core.types import BoolArray, FloatArray
 
 _NO_STEP_S = 1e-12
 _ROUND_OFF_S = 5e-13
@@ -236,3 +236,53 @@ def run(
         _advance(servo, memory, at_s[k])
         position_deg[k] = min(max(motion[3], servo.lower_deg), servo.upper_deg)
     return c
+
+
+@exactly
+def run_from_starts(
+    servo: ServoParameters,
+    memory: Memory,
+    gain: float,
+    effective_s: FloatArray,
+    command_deg: FloatArray,
+    slope_deg_s: FloatArray,
+    at_s: FloatArray,
+    measured_deg: FloatArray,
+    anew: BoolArray,
+    position_deg: FloatArray,
+) -> None:
+    """The same for a whole flight, at rest where it was measured at each instant of `anew`; `gain` is that at rest."""
+    motion, first, last, begin, commanded = memory.motion, 0, 0, 0, False
+    while begin < at_s.size:
+        end = begin + 1
+        while end < at_s.size and not anew[end]:
+            end += 1
+        now_s, heard = at_s[begin], first
+        while last < effective_s.size and effective_s[last] <= at_s[end - 1]:
+            last += 1
+        while first < last and effective_s[first] <= now_s:
+            first += 1
+        if first > heard:
+            motion[0], motion[1], motion[2] = effective_s[first - 1], command_deg[first - 1], slope_deg_s[first - 1]
+            commanded = True
+        elif not commanded and first < last:
+            motion[0], motion[1], motion[2] = now_s, command_deg[first], 0.0
+        motion[1] += motion[2] * (now_s - motion[0])
+        rest_deg = measured_deg[begin] / gain if anew[begin] and not math.isnan(measured_deg[begin]) else motion[1]
+        if not commanded:
+            motion[1] = rest_deg
+        memory.modes[:] = rest_deg
+        motion[0], motion[3], motion[4], motion[5] = now_s, gain * rest_deg, 0.0, math.nan
+        ahead = slice(first, last)
+        done = run(
+            servo,
+            memory,
+            effective_s[ahead],
+            command_deg[ahead],
+            slope_deg_s[ahead],
+            at_s[begin:end],
+            position_deg[begin:end],
+        )
+        first += done
+        commanded = commanded or done > 0
+        begin = end

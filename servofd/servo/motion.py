@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 
 import numpy as np
 
-from servofd.core.types import FloatArray
+from servofd.core.types import BoolArray, FloatArray
 from servofd.servo.context import NO_CONTEXT, Context
 from servofd.servo.physics import LOOSE_FIELDS, RATE_FIELDS, Physics, Plant, longest_step_s
 from servofd.servo.state import ServoParameters, fixed, new_memory
@@ -177,6 +177,37 @@ def swung(servo: AnyServo, commands: _Commands, at_s: FloatArray) -> FloatArray:
     memory.modes[:] = commands[1][0]
     memory.motion[:] = commands[0][0], commands[1][0], commands[2][0], gain * commands[1][0], 0.0, math.nan
     run(servo, memory, *(fixed(each[1:]) for each in commands), fixed(at_s), position_deg)
+    return position_deg
+
+
+def started_anew(
+    servo: ServoParameters, commands: _Commands, at_s: FloatArray, measured_deg: FloatArray, anew: BoolArray
+) -> FloatArray:
+    """Deflection at some instants [deg], shape (n,), from rest where it was measured at those that are marked.
+
+    Examples
+    --------
+    >>> from servofd.servo.servo_model import ServoModel
+    >>> from servofd.servo.library import servo_named
+    >>> servo = ServoModel.of(servo_named("s9254")).parameters()
+    >>> commands = np.array([0.0, 0.1]), np.array([0.0, 5.0]), np.zeros(2)
+    >>> at_s, measured_deg = np.array([0.1, 0.5, 0.6]), np.array([0.0, 4.0, 2.0])
+    >>> started_anew(servo, commands, at_s, measured_deg, np.array([True, False, True])).round(3)
+    array([0., 5., 2.])
+    """
+    from servofd.servo.kernel import run_from_starts
+
+    position_deg, gain = np.empty(at_s.size), float(servo.weight.real.sum())
+    run_from_starts(
+        servo,
+        new_memory(servo),
+        gain,
+        *map(fixed, commands),
+        fixed(at_s),
+        fixed(measured_deg),
+        fixed(anew),
+        position_deg,
+    )
     return position_deg
 
 
