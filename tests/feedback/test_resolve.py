@@ -31,6 +31,25 @@ def test_the_shipped_aircraft_judges_every_log_that_it_flies_alike(suffix: str, 
     assert (fault.kind, round(fault.start_s)) == ("stuck", 20)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("drafted", "judged"), [("tlog", "bin")])
+def test_an_aircraft_drafted_from_one_kind_of_log_judges_the_others(
+    drafted: str, judged: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    good, bad, plane = tmp_path / f"good.{drafted}", tmp_path / f"bad.{judged}", tmp_path / "plane.toml"
+    flight = ["simulate", "-c", "simulated", "--duration", "60"]
+    assert main([*flight, "-o", str(good)]) == 0
+    assert main([*flight, "-o", str(bad), "--seed", "7", "--fault", "elevator:stuck@20"]) == 0
+    capsys.readouterr()
+    assert main(["config", str(good)]) == 0
+    plane.write_text(capsys.readouterr().out, encoding="utf-8")
+    (result,) = servofd.audit(str(bad), str(plane))
+    faults = {s.surface: [fault.kind for fault in s.faults] for s in result.surfaces if s.status == "fault"}
+    assert len(result.surfaces) == 3
+    assert list(faults.values()) == [["stuck"]]
+    assert next(iter(faults)).startswith("elevator")
+
+
 def test_an_output_is_enough(tmp_path: Path) -> None:
     path = str(tmp_path / "flown.bin")
     assert main(["simulate", "-c", "simulated", "-o", path, "--duration", "60"]) == 0
