@@ -76,6 +76,8 @@ class DegreeCalibration(_Channel):
 
     unit: Literal["deg"]
     trim_deg: Finite = 0.0
+    pulse: tuple[Finite, Finite] | None = None
+    """Where a log has pulses only: the pulse of 0 deg [us], and degrees of this channel for each microsecond."""
 
     def _convert(self, values: FloatArray) -> FloatArray:
         return self.sign * (values - self.trim_deg)

@@ -115,9 +115,25 @@ def _command(log: FlightLog, known: Calibration, number: int, pair: Pair | None)
             trim=(known.trim_us - LoggedOutput(number).trim_us) / _HALF_TRAVEL_US,
             slope_deg=known.slope_deg_per_us * _HALF_TRAVEL_US,
         )
-    if isinstance(known, DegreeCalibration) and pair is not None and pair.command == pair.position.command:
+    return _angle(log, known, number, pair) if isinstance(known, DegreeCalibration) else None
+
+
+def _angle(log: FlightLog, known: DegreeCalibration, number: int, pair: Pair | None) -> Calibration | None:
+    """A command in degrees: as the servo repeats it, or as the pulse that asks for it."""
+    if pair is not None and pair.command == pair.position.command:
         return known.model_copy(update={"channel": pair.command})
-    return None
+    if known.pulse is None or not known.pulse[1]:
+        return None
+    zero_us, slope = known.pulse
+    pulse = PulseCalibration(
+        channel="pulse",
+        unit="us",
+        sign=known.sign if slope > 0.0 else -known.sign,
+        correction=known.correction,
+        trim_us=zero_us + known.trim_deg / slope,
+        slope_deg_per_us=abs(slope),
+    )
+    return _command(log, pulse, number, pair)
 
 
 def _measured(log: FlightLog, known: Calibration | None, pair: Pair) -> Calibration:

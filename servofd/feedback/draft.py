@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from servofd.aircraft.pairs import Pair, find_pairs
+from servofd.aircraft.pairs import Pair, find_pairs, pulse_channel
 from servofd.aircraft.schema import Aircraft
 from servofd.aircraft.segment import Segment, cut
 from servofd.core.errors import NoMeasurement
@@ -26,6 +26,7 @@ _SHORTEST_PERIOD_S, _LONGEST_PERIOD_S = 1e-4, 0.2
 _ANGLES = {"deg", "rad"}
 
 
+_FEWEST_PULSES, _SAME_COMMAND = 100, 0.9
 _MOST_OUTPUTS = 32
 """Of an ArduPilot; a damaged log may name any other."""
 
@@ -121,6 +122,8 @@ def _draft(log: FlightLog, pair: Pair) -> DraftedSurface:
     command_unit = log[pair.command].unit
     angle_command = pair.command == pair.position.command
     command = _command_entry(pair, command_unit, is_angle=angle_command)
+    if angle_command and command["unit"] == "deg":
+        command |= _as_pulse(log, pair)
     measured_unit = log[pair.position.channel].unit or "deg"
     if measured_unit not in _ANGLES:
         raise NoMeasurement(
@@ -163,6 +166,23 @@ def _command_entry(pair: Pair, unit: str, *, is_angle: bool) -> dict[str, Any]:
         "trim_us": output.trim_us,
         "slope_deg_per_us": round(output.slope_deg_per_us, 6),
     }
+
+
+def _as_pulse(log: FlightLog, pair: Pair) -> dict[str, Any]:
+    """The same command as a pulse, if the log has that too: other logs of the aircraft may have nothing else."""
+    name = pulse_channel(log.channels, pair.output.number)
+    if not name or log[name].unit not in ("us", ""):
+        return {}
+    pulses, angles = log[name], log[pair.command]
+    rows = (pulses.values > 0.0) & np.isfinite(pulses.values)
+    asked_deg = np.interp(pulses.time_s[rows], angles.time_s, np.nan_to_num(angles.values))
+    sent_us = pulses.values[rows]
+    if sent_us.size < _FEWEST_PULSES or np.ptp(sent_us) < 1.0 or np.ptp(asked_deg) == 0.0:
+        return {}
+    if abs(np.corrcoef(sent_us, asked_deg)[0, 1]) < _SAME_COMMAND:
+        return {}
+    slope, offset_deg = np.polyfit(sent_us, asked_deg, 1)
+    return {"pulse": [round(float(-offset_deg / slope), 2), round(float(slope), 6)]}
 
 
 def _rescaled(command: dict[str, Any], fit: RoughFit) -> dict[str, Any]:

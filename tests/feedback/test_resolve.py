@@ -32,7 +32,7 @@ def test_the_shipped_aircraft_judges_every_log_that_it_flies_alike(suffix: str, 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("drafted", "judged"), [("tlog", "bin")])
+@pytest.mark.parametrize(("drafted", "judged"), [("tlog", "bin"), ("bin", "tlog"), ("bin", "ulg")])
 def test_an_aircraft_drafted_from_one_kind_of_log_judges_the_others(
     drafted: str, judged: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
