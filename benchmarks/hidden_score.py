@@ -36,6 +36,10 @@ _FROM_ONE = ("gain", "bandwidth_scale")
 """Parameters that do nothing at 1: their error is relative to the deviation from there."""
 _SCATTER = ("gain", "slow_dynamics", "damping", "delay")
 _COULD_NOT_TELL = 2
+_LOST = "torque_lost"
+"""What belongs to no effect: a run in which the motor does nothing from an instant on."""
+_LATE_S, _LAW_ERROR = 0.3, 0.1
+"""By how much that instant may be wrong, and both ends of a size that goes with a load."""
 _TOLD = 0.6
 """Over the noise: the rms of an effect that half of the seconds of 100 samples show which have it, when 1 % of the
 seconds that are called bad may be so by chance."""
@@ -158,15 +162,16 @@ def score(
     """
     said = said or {"conclusion": "could_not_tell", "steps": []}
     steps: Sequence[Mapping[str, Any]] = said.get("steps", [])
+    untold = _untold(said, truth)
     named = tuple(step["effect"] for step in steps)
     offered = [_offered(name, said.get("indistinguishable", [])) for name in named]
     known = tuple(name for name in truth if name in CATALOGUE)
-    nameless = tuple(name for name in truth if name not in CATALOGUE)
+    nameless = tuple(name for name in truth if name not in (*CATALOGUE, _LOST))
     right = {*known, *(alike for name in nameless for alike in ALIKE.get(name, ()))}
     right |= {*unseen, *(_SCATTER if scattered else ())}
     found = sum(any(name in names for names in offered) for name in known)
     extra = tuple(name for name, names in zip(named, offered, strict=True) if not right & names)
-    missed = found < len(known) or (bool(nameless) and not named)
+    missed = found < len(known) or (bool(nameless) and not named) or untold
     fault = said.get("fault_s") is not None
     settled = said["conclusion"] in ("explained", "nothing_missing") and not fault
     errors, covered = _sizes(steps, truth)
@@ -175,7 +180,7 @@ def score(
         named=named,
         hidden=tuple(truth),
         first=bool(known) and set(named[: len(known)]) == set(known),
-        in_set=found == len(known),
+        in_set=found == len(known) and not untold,
         found=found,
         extra=extra,
         fault=fault,
@@ -185,6 +190,25 @@ def score(
         covered=covered,
         floor_ratio=_held_out(said, "final") / noise_deg,
         closure=_closure(_held_out(said, "nominal"), _held_out(said, "final"), noise_deg),
+    )
+
+
+def _untold(said: Mapping[str, Any], truth: Effects) -> bool:
+    """Whether a loss of torque is not found where it is, or a size that goes with a load is not told with its slope."""
+    lost = truth.get(_LOST)
+    stretches = [(each["run"], each["start_s"]) for each in said.get("not_driven", [])]
+    if lost is None and stretches:
+        return True
+    if lost is not None and not (
+        len(stretches) == 1 and stretches[0][0] == lost["run"] and abs(stretches[0][1] - lost["start_s"]) <= _LATE_S
+    ):
+        return True
+    laws = {each["effect"]: each for each in said.get("varying", [])}
+    hidden = {name: parameters for name, parameters in truth.items() if "slope" in parameters}
+    return laws.keys() != hidden.keys() or any(
+        abs(laws[name][key] / parameters[key] - 1.0) > _LAW_ERROR
+        for name, parameters in hidden.items()
+        for key in ("at_zero", "slope")
     )
 
 

@@ -22,14 +22,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["Case", "case", "score_line"]
+__all__ = ["RATE_HZ", "Case", "case", "command", "moved", "score_line"]
 
 Floats = NDArray[np.floating[Any]]
 PLACES = ("before", "inside", "after")
 STYLES = ("flight", "aerobatic", "doublets")
 _STEP_S = 2.5e-4
 _SLOW, _SUM, _PRODUCT = 24.84, 70.04, 4921.0
-_RATE_HZ, _DURATION_S = 50.0, 50.0
+RATE_HZ, _DURATION_S = 50.0, 50.0
 _SEEN = 0.4
 """Times the noise: what changes the motion by less is left out; nobody could see it."""
 EFFECTS: Mapping[str, tuple[float, float]] = {
@@ -97,36 +97,49 @@ def case(seed: int) -> Case:
     if "bias" in truth and rng.uniform() < 0.5:
         truth["bias"] *= -1.0
     noise_deg = float(rng.uniform(0.1, 0.3))
-    time_s = np.arange(round(_DURATION_S * _RATE_HZ)) / _RATE_HZ
-    command = _command(rng, style, time_s)
+    time_s = np.arange(round(_DURATION_S * RATE_HZ)) / RATE_HZ
+    asked = command(rng, style, time_s)
     supply = 6.0 - 0.8 * time_s / _DURATION_S - 0.3 * (np.sin(0.4 * time_s + rng.uniform(0.0, 6.0)) > 0.3)
     scales = np.exp(rng.normal(0.0, 0.03, 2)).tolist()
     damping = float(np.exp(rng.normal(0.0, 0.06)))
 
-    def moved(there: Mapping[str, float]) -> Floats:
-        slow = there.get("slow_dynamics", 1.0)
-        numbers = np.array(_numbers(place, there, scales, damping, slow))
-        late = max(there.get("delay", 0.0) + late_s, 0.0)
-        swung: Floats = _moved(numbers, command, supply, late)
-        return swung * there.get("gain", 1.0) + there.get("bias", 0.0)
+    def swung(there: Mapping[str, float]) -> Floats:
+        return moved(place, there, scales, damping, asked, supply, late_s=late_s)
 
     late_s = 0.004 + float(rng.normal(0.0, 1e-3))
-    whole = moved(truth)
+    whole = swung(truth)
     least = _SEEN * noise_deg
     unseen = [
         name
         for name in truth
-        if np.std(whole - moved({other: size for other, size in truth.items() if other != name})) < least
+        if np.std(whole - swung({other: size for other, size in truth.items() if other != name})) < least
         and (name != "bias" or abs(truth["bias"]) < least)
     ]
     shown = {name: size for name, size in truth.items() if name not in unseen}
-    moved_deg = moved(shown) * (1.0 + rng.normal(0.0, 0.005))
+    moved_deg = swung(shown) * (1.0 + rng.normal(0.0, 0.005))
     white = rng.normal(size=time_s.size)
     noise = white.copy()
     for k in range(1, noise.size):
         noise[k] = colour * noise[k - 1] + np.sqrt(1.0 - colour**2) * white[k]
     measured = moved_deg + rng.normal(0.0, 0.04) + noise_deg * noise
-    return Case(seed, place, style, colour, shown, noise_deg, time_s, command, measured, supply)
+    return Case(seed, place, style, colour, shown, noise_deg, time_s, asked, measured, supply)
+
+
+def moved(
+    place: str,
+    there: Mapping[str, float],
+    scales: list[float],
+    damping: float,
+    command_deg: Floats,
+    supply_v: Floats,
+    *,
+    late_s: float,
+) -> Floats:
+    """Deflection without noise [deg]; `scales` are of the slow pole and of the pair."""
+    numbers = np.array(_numbers(place, there, scales, damping, there.get("slow_dynamics", 1.0)))
+    late = max(there.get("delay", 0.0) + late_s, 0.0)
+    turned: Floats = _moved(numbers, command_deg, supply_v, late)
+    return turned * there.get("gain", 1.0) + there.get("bias", 0.0)
 
 
 def _numbers(
@@ -148,7 +161,7 @@ def _numbers(
     )
 
 
-def _command(rng: np.random.Generator, style: str, time_s: Floats) -> Floats:
+def command(rng: np.random.Generator, style: str, time_s: Floats) -> Floats:
     """Degrees: turbulence and turns, brisk sticks, or steps either way with rests between."""
     if style == "doublets":
         out = np.zeros(time_s.size)
@@ -173,14 +186,14 @@ def _moved(numbers: Floats, command: Floats, supply: Floats, late_s: float) -> F
     place, slow, total, product = numbers[0], numbers[1], numbers[2], numbers[3]
     half_dead, friction, extra, fade = numbers[4], numbers[5], numbers[6], numbers[7]
     rate, per_volt, half_play = numbers[8], numbers[9], numbers[10]
-    inner = round(1.0 / _RATE_HZ / _STEP_S)
+    inner = round(1.0 / RATE_HZ / _STEP_S)
     out = np.zeros(command.size)
     y = v = torque = filtered = after = 0.0
     y = filtered = after = played = command[0]
     for n in range(command.size):
         for k in range(inner):
             t = n * inner + k
-            at = (t * _STEP_S - late_s) * _RATE_HZ
+            at = (t * _STEP_S - late_s) * RATE_HZ
             u = command[max(int(np.floor(at + 1e-9)), 0)] if at >= 0.0 else command[0]
             if place == 0.0:
                 filtered += (u - filtered) * (1.0 - np.exp(-slow * _STEP_S))

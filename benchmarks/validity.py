@@ -25,7 +25,7 @@ from servofd.discrepancy.validity import Undriven
 from servofd.jobs.explaining import UNKNOWN_SERVO
 from servofd.servo.servo_model import ServoModel
 
-__all__ = ["Lot", "found_in", "lot"]
+__all__ = ["Lot", "found_in", "lot", "moved"]
 
 _STEP_S = 5e-4
 _LATE_S = 0.3
@@ -83,10 +83,10 @@ def lot(seed: int, *, healthy: bool = False) -> Lot:
             first, last = begin_s, begin_s + lasts_s
             start_s, end_s = first, min(last, float(time_s[-1]))
         numbers = np.array([natural, damping, slew, grip, weight, first, last, ("holds", "falls", "limp").index(kind)])
-        moved = _moved(numbers, command, rate_hz)
-        runs.append(Segment("servo", time_s, command, time_s, moved + noise_deg * rng.standard_normal(time_s.size)))
+        turned = moved(numbers, command, rate_hz)
+        runs.append(Segment("servo", time_s, command, time_s, turned + noise_deg * rng.standard_normal(time_s.size)))
         if number == run and not healthy:  # it shows once the servo should have moved
-            gap = np.abs(moved - _moved(np.array([*numbers[:5], np.inf, np.inf, 0.0]), command, rate_hz))
+            gap = np.abs(turned - moved(np.array([*numbers[:5], np.inf, np.inf, 0.0]), command, rate_hz))
             apart = np.flatnonzero(gap > max(6.0 * noise_deg, 0.06 * size_deg))
             shows_s = max(first, float(time_s[apart[0]])) if apart.size else np.inf
             start_s = first if apart.size else np.inf
@@ -107,7 +107,8 @@ def _command(rng: np.random.Generator, style: str, time_s: Floats, size_deg: flo
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _moved(numbers: Floats, command: Floats, rate_hz: float) -> Floats:
+def moved(numbers: Floats, command: Floats, rate_hz: float) -> Floats:
+    """Position [deg] of a servo of these numbers: see where it is used."""
     natural, damping, slew, grip, weight, first, last, kind = numbers
     inner = round(1.0 / rate_hz / _STEP_S)
     out = np.zeros(command.size)

@@ -15,9 +15,8 @@ from hidden_score import Answer, Score, ask, score  # noqa: E402
 
 def main(wanted: list[str]) -> int:
     """Print a line for each log and a sum; 1 if an answer is silently wrong or could not be had."""
-    files = [path for path in sorted(HERE.glob("*.csv")) if not wanted or path.name in wanted]
-    answers = {path.name: ask(path, SURFACE) for path in files}
-    recipes = [recipe for recipe in unseal((HERE / TRUTH).read_text()) if recipe.file in answers]
+    recipes = [r for r in unseal((HERE / TRUTH).read_text()) if not wanted or r.file in wanted]
+    answers = {r.file: ask(HERE / r.file, SURFACE, "--servo", r.servo) for r in recipes}
     scores = [score(answers[recipe.file].said, recipe.effects, recipe.floor_deg) for recipe in recipes]
     print("| log | hidden | answer | names | worst error | gap closed | s |")
     print("|---|---|---|---|---|---|---|")

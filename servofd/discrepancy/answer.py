@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
     from servofd.discrepancy.select import Selection
     from servofd.discrepancy.separate import Separation
+    from servofd.discrepancy.varying import Varying
 
 _NAMES = {
     "delay": "a longer delay",
@@ -66,6 +67,8 @@ class Found:
     separating: tuple[Separation, ...]
     is_kept: bool
     """Whether an audit can use the model."""
+    varying: tuple[Varying, ...] = ()
+    """Values that go with something that was logged beside the runs."""
 
 
 def answer(found: Found) -> str:
@@ -129,7 +132,13 @@ def _named(found: Found, index: int, *, judged: bool) -> str:
     values = effect_values(found.selection, index)
     name, value = next(iter(values.items()))
     unit = next((words for end, words in _UNITS if name.endswith(end)), "")
-    size = f"{value['value']:.3g}{unit} ({value['low']:.3g} to {value['high']:.3g})"
+    law = next((each for each in found.varying if (each.effect, each.parameter) == (effect.name, name)), None)
+    if law:
+        (low, first), (high, last) = law.ends
+        way = "falls" if last < first else "rises"
+        size = f"{first:.3g}{unit} at {law.conditions[0]} {low:.3g} that {way} to {last:.3g}{unit} at {high:.3g}"
+    else:
+        size = f"{value['value']:.3g}{unit} ({value['low']:.3g} to {value['high']:.3g})"
     ties = next((tie[1:] for tie in found.selection.ties if tie[0] == effect.name), ())
     instead = f", or else {' or '.join(_NAMES.get(n, n) for n in ties)} (the data cannot tell which)" if ties else ""
     sound = ""

@@ -117,6 +117,7 @@ class Explanation:
                 bool(self.undriven),
                 self.separating,
                 self.is_simulated_by_audit,
+                self.varying,
             )
         )
 

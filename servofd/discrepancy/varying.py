@@ -13,7 +13,7 @@ import numpy as np
 
 from servofd.discrepancy.noise import long_run_factor
 from servofd.discrepancy.record import simulate
-from servofd.servo.laws import VARIED
+from servofd.servo.laws import VARIED, is_law
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from servofd.core.types import BoolArray, FloatArray
     from servofd.discrepancy.record import Record
     from servofd.discrepancy.select import Selection
+    from servofd.servo.missing_effect import MissingEffect
 
 _FEWEST_RUNS = 5
 """Fitted ones with a value of their own, for a line."""
@@ -99,7 +100,8 @@ def varying(selection: Selection, conditions: Mapping[str, FloatArray]) -> tuple
     Returns
     -------
     tuple of Varying
-        For each value at most the condition that tells most of it; the one that foresees the held-out runs best first.
+        The laws that were found as such, and for each other value at most the condition that tells most of it; the
+        one that foresees the held-out runs best first.
     """
     record, final = selection.fitter.record, selection.final
     known = {name: of for name, of in conditions.items() if np.all(np.isfinite(of)) and np.ptp(of) > 0.0}
@@ -107,12 +109,15 @@ def varying(selection: Selection, conditions: Mapping[str, FloatArray]) -> tuple
         return ()
     held_out = _held_out(record)
     found = []
-    names = [(effect.name, parameter) for effect in final.effects for parameter in effect.parameters]
+    names = [(effect, parameter) for effect in final.effects for parameter in effect.parameters]
     for k, (effect, parameter) in enumerate(names):
         if parameter.kinked or parameter.aside:
             continue
         values = np.array([_own_value(selection, run, k, parameter.low, parameter.high) for run in record.runs])
         shown = np.isfinite(values)
+        if is_law(effect) and parameter is effect.parameters[0]:
+            found += _law(selection, k, effect, known, values)
+            continue
         fitted = shown & ~held_out
         if np.count_nonzero(fitted) < _FEWEST_RUNS or not np.any(shown & held_out):
             continue
@@ -129,10 +134,29 @@ def varying(selection: Selection, conditions: Mapping[str, FloatArray]) -> tuple
         if np.ptp(line) < _LEAST_CHANGE * abs(final.values[k]) or line_deg > _LEAST_GAIN * common_deg:
             continue
         alike = [n for n in known if n != best and abs(np.corrcoef(known[n], known[best])[0, 1]) > _ALIKE]
-        found.append(
-            Varying(effect, parameter.name, (best, *alike), known[best], values, at_zero, slope, common_deg, line_deg)
-        )
+        lines = at_zero, slope, common_deg, line_deg
+        found.append(Varying(effect.name, parameter.name, (best, *alike), known[best], values, *lines))
     return tuple(sorted(found, key=lambda each: each.line_rms_deg))
+
+
+def _law(
+    selection: Selection, index: int, effect: type[MissingEffect], known: Mapping[str, FloatArray], values: FloatArray
+) -> list[Varying]:
+    """What an effect goes with that was found with its law: no line has to be drawn any more."""
+    record, physics = selection.fitter.record, selection.final.physics
+    name = record.condition_names[int(physics.run_condition)]
+    if name not in known:
+        return []
+    of, value = known[name], float(selection.final.values[index])
+    slope = 2.0 * physics.run_slope / float(np.ptp(of))
+    at_zero = value - physics.run_slope - slope * float(of.min())
+    held_out = _held_out(record)
+    common_deg, line_deg = (
+        _rms_deg(selection, index, each, held_out) for each in (np.full(of.size, value), at_zero + slope * of)
+    )
+    alike = [n for n in known if n != name and abs(np.corrcoef(known[n], of)[0, 1]) > _ALIKE]
+    parameter = effect.parameters[0].name
+    return [Varying(effect.name, parameter, (name, *alike), of, values, at_zero, slope, common_deg, line_deg)]
 
 
 def _held_out(record: Record) -> BoolArray:

@@ -12,6 +12,7 @@ import pytest
 import logparsers
 from hidden_logs import SURFACE, TRUTH, Recipe, seal, unseal
 from hidden_physics import CATALOGUE, OUTSIDE, STRUCTURAL, Effects
+from hidden_runs import SCENES
 from hidden_score import Answer, Score, score
 
 FOLDER = Path(__file__).parent.parent.parent / "sample_logs" / "hidden"
@@ -61,22 +62,49 @@ def test_the_seal_shows_nothing_and_loses_nothing() -> None:
     text = (FOLDER / TRUTH).read_text()
     assert not any(name in text for name in (*CATALOGUE, *STRUCTURAL, *OUTSIDE))
     assert seal(RECIPES) == text
-    assert 12 <= len(RECIPES) <= 14
+    assert len(RECIPES) == 17
+    assert {recipe.scene for recipe in RECIPES} == {"", *SCENES}
     hidden = [len(recipe.effects) for recipe in RECIPES]
     assert {0, 1, 2, 3} <= set(hidden)
 
 
 @pytest.mark.parametrize("recipe", RECIPES, ids=lambda recipe: recipe.file)
 def test_a_log_holds_what_happened(recipe: Recipe) -> None:
-    log, record = logparsers.read(FOLDER / recipe.file), recipe.log()
-    for name, values, digits in (
-        (f"{SURFACE}_cmd_deg", record.command_deg, 1e-9),
-        (f"{SURFACE}_pos_deg", record.measured_deg, 5.1e-4),
-        ("airspeed_m_s", record.airspeed_m_s, 0.051),
-        ("servo_voltage_v", record.servo_voltage_v, 0.0051),
-    ):
-        np.testing.assert_allclose(log[name].values, values, rtol=0, atol=digits)
-        np.testing.assert_allclose(log[name].time_s, record.time_s, rtol=0, atol=1e-9)
+    columns = dict(recipe.columns())
+    stamps_s, runs = columns.pop("time_s"), columns.pop("run", np.zeros(1))
+    logs = logparsers.read_all(FOLDER / recipe.file)
+    assert len(logs) == np.unique(runs).size
+    for log, run in zip(logs, np.unique(runs), strict=True):
+        at = np.broadcast_to(runs == run, stamps_s.shape)
+        for name, values in columns.items():
+            channel = log[f"{SURFACE}_{name}" if name in ("cmd_deg", "pos_deg") else name]
+            atol = {"pos_deg": 5.1e-4, "airspeed_m_s": 0.051, "servo_voltage_v": 0.0051}.get(name, 1e-9)
+            np.testing.assert_allclose(channel.values, values[at], rtol=0, atol=atol)
+            np.testing.assert_allclose(channel.time_s, stamps_s[at], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("not_driven", "is_right"),
+    [([], False), ([(3, 5.4)], True), ([(3, 5.6)], False), ([(2, 5.2)], False), ([(3, 5.2), (0, 1.0)], False)],
+)
+def test_a_loss_of_torque_has_to_be_told_where_it_is(not_driven: list[tuple[int, float]], is_right: bool) -> None:
+    truth: Effects = {"torque_lost": {"run": 3.0, "start_s": 5.2}}
+    said = {
+        "conclusion": "nothing_missing",
+        "steps": [],
+        "not_driven": [{"run": run, "start_s": start_s} for run, start_s in not_driven],
+    }
+    one = score(said, truth, 0.1)
+    assert (one.in_set, one.silently_wrong) == (is_right, not is_right)
+
+
+@pytest.mark.parametrize(("slope", "is_right"), [(-0.5, True), (-0.52, True), (-0.3, False), (None, False)])
+def test_a_size_that_goes_with_a_load_has_to_be_told_with_its_slope(slope: float | None, is_right: bool) -> None:
+    truth: Effects = {"rate_limit": {"at_zero": 380.0, "slope": -0.5}}
+    laws = [] if slope is None else [{"effect": "rate_limit", "at_zero": 370.0, "slope": slope}]
+    said = {"conclusion": "explained", "steps": [step("rate_limit")], "varying": laws}
+    one = score(said, truth, 0.1)
+    assert (one.in_set, one.silently_wrong) == (is_right, not is_right)
 
 
 def test_a_right_answer() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from places import case, score_line
 from validity import found_in, lot
 
