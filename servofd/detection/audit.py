@@ -51,9 +51,6 @@ _SECONDS_FOR_ODDS = 10.0
 _SHORTEST_JUDGED_S = 0.25
 _MOST_OF_THE_LOG, _LEAST_OF_THE_LOG = 0.9, 0.5
 _FASTEST_RATE_HZ = 50_000.0
-_WIDENED = 2.0
-"""A threshold drafted from the log that is judged grows with the fault that it should show (aircraft of even seed in
-`benchmarks/strangers.py`)."""
 _CLEAR_SIGMAS = 4.0
 """A threshold of less is crossed by noise alone, once in some thousand samples."""
 
@@ -198,17 +195,17 @@ def audit_segment(
     problem = _miswired(residuals, faults, surface) if faults or suspicions or surface.model.origin == "fitted" else ""
     if problem:
         faults = suspicions = ()
-    shown = NOTHING_DETECTABLE
+    shown, own_fit = NOTHING_DETECTABLE, surface.model.origin == "fitted" and not surface.model.good_runs
     if not problem:
         shown = detectable(
             generator,
             residuals,
             level,
             suspicions=surface.tells_small_faults,
-            margin=_WIDENED if surface.model.origin == "fitted" and not surface.model.good_runs else 1.0,
+            own_fit=own_fit,
             persistence=surface.persistence,
         )
-    status, reason_text = _verdict(residuals, statistics, faults, suspicions, level, problem or shown)
+    status, reason_text = _verdict(residuals, statistics, faults, suspicions, level, problem or shown, own_fit=own_fit)
     judged_share = min(judged_s / max(duration_s, 1e-9), 1.0)
     covered = coverage(segment, residuals)
     problem = covered.problem or ("judged for too little of the log" if judged_share < _LEAST_OF_THE_LOG else "")
@@ -363,6 +360,8 @@ def _verdict(
     suspicions: tuple[Fault, ...],
     threshold: Threshold,
     shown: Detectable | str,
+    *,
+    own_fit: bool,
 ) -> tuple[Status, str]:
     """Status and reason; `shown` is what the log would have shown, or why nothing of it can be believed."""
     if isinstance(shown, str):
@@ -379,7 +378,7 @@ def _verdict(
     stayed = f"{threshold.typical_deg:.3g} deg" if threshold.kind == "constant" else "its interval threshold"
     above = np.abs(residuals.residual_deg[residuals.settled]) > threshold.level_deg[residuals.settled]
     briefly = " but for single readings" if above.any() else ""
-    limits = not_judgeable(shown)
+    limits = not_judgeable(shown, own_fit=own_fit)
     return (
         "healthy",
         f"|residual| stayed below {stayed}{briefly} (largest {statistics.max_abs_deg:.2f} deg)"

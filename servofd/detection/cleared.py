@@ -52,8 +52,8 @@ def is_blind(shown: Detectable) -> bool:
     return not (loss_shows or speed_shows)
 
 
-def not_judgeable(shown: Detectable) -> str:
-    """Kinds of faults that a log could not have shown, in words.
+def not_judgeable(shown: Detectable, *, own_fit: bool = False) -> str:
+    """Kinds of faults that a log could not have shown, in words; `own_fit` if its servo was fitted to this very log.
 
     Examples
     --------
@@ -64,5 +64,5 @@ def not_judgeable(shown: Detectable) -> str:
     missing = [_NAMES[name] for name in shown.missing]
     if not missing:
         return ""
-    why = ": no brisk motion" if missing == ["speed"] else ""
+    why = f": {'fitted to this log' if own_fit else 'no brisk motion'}" if missing == ["speed"] else ""
     return f"{' and '.join(missing)} not judgeable{why}"
