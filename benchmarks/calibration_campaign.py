@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 import sys
 import time
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -192,7 +193,10 @@ def table(rows: Sequence[Row]) -> str:
         some = [r for r in faulty if r["grade"] == grade]
         seen = [(r, f) for r in some if (f := _first(r)) is not None]
         right = wilson(sum(_is_right(r, f) for r, f in seen), len(seen))
+        unseen = Counter(r["own"]["status"] for r in some if _first(r) is None)
+        told = ", ".join(f"{unseen[status]} `{status}`" for status in ("suspect", "unknown", "healthy"))
         lines.append(f"| {grade} faults found | {wilson(len(seen), len(some))} |")
+        lines.append(f"| {grade}: verdict on those not found | {told} |")
         lines.append(f"| {grade}: right name, or its physical twin | {right} |")
     sure = [(r, f) for r in faulty if (f := _first(r)) is not None and f["p"] >= 0.95 and f["kind"] != "unknown"]
     lines.append(

@@ -1,7 +1,8 @@
 """The verdict on a surface whose servo was fitted to good flights.
 
-An alarm is raised where a statistic stays above its threshold twice in a row, or three residuals in a row on one side
-pass theirs; its name and times come from `servofd.detection.refit`, and the tests begin anew where it ended.
+An alarm is raised where a statistic stays above its threshold twice in a row or passes it by far, or three residuals in
+a row on one side pass theirs; its name and times come from `servofd.detection.refit`, and the tests begin anew where it
+ended.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from servofd.detection.refit import LOUD, named
 from servofd.detection.residual import Residuals
 from servofd.detection.statistics import Statistics, outline
 from servofd.detection.threshold import Threshold
-from servofd.detection.watch import detectable, thresholds_of, watched
+from servofd.detection.watch import detectable, exceeded, thresholds_of, watched
 from servofd.detection.words import describe
 from servofd.estimate.record import Record
 
@@ -184,13 +185,12 @@ def _alarm(
     """When the first alarm is raised [s], infinite if never, and the largest statistic over its threshold then."""
     direct = np.flatnonzero(triple >= limits[0])
     first_s = float(time_s[direct[0]]) if direct.size else np.inf
-    ratios = statistics[:, 1:] / limits[1:]
-    both = np.minimum(ratios[1:], ratios[:-1]).max(axis=1) if len(ratios) > 1 else np.zeros(0)
-    raised = np.flatnonzero(both >= 1.0)
-    second_s = float(grid_s[1 + raised[0]]) if raised.size else np.inf
+    ratios = exceeded(limits, np.zeros(limits.size), statistics)
+    raised = np.flatnonzero(ratios >= 1.0)
+    second_s = float(grid_s[raised[0]]) if raised.size else np.inf
     at_s = min(first_s, second_s)
     if not np.isfinite(at_s):
-        return np.inf, float(both.max(initial=0.0))
+        return np.inf, float(ratios.max(initial=0.0))
     soon = (grid_s >= at_s) & (grid_s <= at_s + 5.0)
     return at_s, float(max((statistics[soon] / limits).max(initial=1.0), 1.0))
 

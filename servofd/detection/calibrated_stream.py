@@ -17,7 +17,7 @@ from servofd.detection.probability.cusum import CusumDesign
 from servofd.detection.residual import Residuals
 from servofd.detection.stream import MEMORY_S, Piece
 from servofd.detection.threshold import Threshold
-from servofd.detection.watch import thresholds_of
+from servofd.detection.watch import exceeded, thresholds_of
 from servofd.estimate.family import new_state, sensitivities, simulated, variants
 from servofd.estimate.fit import peaks, residual
 from servofd.estimate.lost import HOLDS, LONGEST_S, new_memory, put_back, unknown_deg
@@ -92,7 +92,7 @@ class CalibratedStream:
         self._begun_s = np.nan
         self._newest: tuple[float, float] = (-np.inf, 0.0)
         self._pending: list[FloatArray] = []
-        self._before = np.zeros(len(STATISTICS) - 1)
+        self._before = np.zeros(len(STATISTICS))
         self.latched = False
         self.latest_s = -np.inf
 
@@ -134,7 +134,7 @@ class CalibratedStream:
     def again(self) -> None:
         """Begin the tests anew, because the alarm that stood is over."""
         self._memory, self.latched = Memory(self._tests), False
-        self._before = np.zeros(len(STATISTICS) - 1)
+        self._before = np.zeros(len(STATISTICS))
 
     @property
     def is_waiting(self) -> bool:
@@ -243,12 +243,11 @@ class CalibratedStream:
 
     def _alarm_s(self, time_s: FloatArray, triple: FloatArray, grid_s: FloatArray, table: FloatArray) -> float:
         """When an alarm is raised in this piece; infinite if none is."""
-        ratios = table[:, 1:] / self._limits[1:]
-        both = np.minimum(ratios, np.concatenate([self._before[None], ratios])[:-1]).max(axis=1, initial=0.0)
-        if len(ratios):
-            self._before = ratios[-1]
+        ratios = exceeded(self._limits, self._before, table)
+        if len(table):
+            self._before = table[-1]
         if self.latched:
             return float("inf")
         direct = time_s[triple >= self._limits[0]]
-        second = grid_s[both >= 1.0]
+        second = grid_s[ratios >= 1.0]
         return float(min(direct.min(initial=np.inf), second.min(initial=np.inf)))
