@@ -215,10 +215,10 @@ def table(rows: Sequence[Row]) -> str:
     half = [r for r in faulty if (r["kind"], r["grade"]) == ("slow", "medium")]
     for names in (("aerobatics", "turbulence"), ("cruise", "loiter")):
         some = [r for r in half if r["style"] in names]
-        unseen = [r for r in some if _first(r) is None]
-        said = sum(r["own"]["slow"] is None or r["own"]["slow"] < 0.5 for r in unseen)
-        found = wilson(len(some) - len(unseen), len(some))
-        told = f"of those not found, {said} of {len(unseen)} flights said so"
+        missed = [r for r in some if _first(r) is None]
+        said = sum(r["own"]["slow"] is None or r["own"]["slow"] < 0.5 for r in missed)
+        found = wilson(len(some) - len(missed), len(some))
+        told = f"of those not found, {said} of {len(missed)} flights said so"
         lines += ["", f"Slow to half in {' and '.join(names)}: {found}; {told}."]
     return "\n".join(lines) + "\n"
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from servofd.aircraft.outputs import outputs_of
 from servofd.aircraft.pairs import pulse_channel
-from servofd.axes.grid import LARGEST_GAP_S, Series, cell_means, check_rate, day_of, present_on
+from servofd.axes.grid import LARGEST_GAP_S, Series, day_of, grid_rate, present_on
 from servofd.axes.mixers import airframe_of
 from servofd.axes.motion import Motion
 from servofd.core.errors import NoMeasurement
@@ -51,7 +51,7 @@ def motion_of_autopilot(
     log : FlightLog
         With ``SERVOn_FUNCTION`` among its parameters, outputs, gyros, accelerometers, attitude and an airspeed.
     rate_hz : float, optional
-        Of the grid; None: that of the outputs, 25 Hz at most.
+        Of the grid; None: that of the outputs, from 10 to 25 Hz.
     parameters : mapping of str to float, optional
         SERVOn_... to assume where the log has none.
     """
@@ -72,8 +72,7 @@ def motion_of_autopilot(
     airspeed, source = _airspeed(log)
     first = next(series for number in needed if (series := pulses[number]) is not None)
     native_hz = min(_FASTEST_HZ, *(one.rate_hz for one in (first, rates[0], forces[0])))
-    check_rate(log.label, native_hz, rate_hz)
-    rate_hz = rate_hz or native_hz
+    rate_hz = grid_rate(log.label, native_hz, rate_hz)
     start_s = max(one.time_s[0] for one in (first, rates[0], forces[0], roll, airspeed))
     end_s = min(one.time_s[-1] for one in (first, rates[0], forces[0], roll, airspeed))
     if end_s - start_s < LARGEST_GAP_S:
@@ -82,13 +81,14 @@ def motion_of_autopilot(
 
     def of_output(output: LoggedOutput) -> FloatArray:
         series = pulses.get(output.number)
-        return np.zeros(grid_s.size) if series is None else cell_means(grid_s, series.time_s, series.values, held=True)
+        return np.zeros(grid_s.size) if series is None else series.on(grid_s, held=True)
 
     commands = {}
     for axis, parts in airframe.commands.items():
         asked = [part.weight * part.output.sign * (of_output(part.output) - part.output.trim_us) for part in parts]
         commands[axis] = np.sum(asked, axis=0)
     served = needed | {output.number for output in (*airframe.throttles, *airframe.lift_motors)}
+    lifting = _lifting(airframe, of_output, grid_s)
     every = [first, *rates, *forces, roll, pitch, airspeed]
     return Motion(
         name=log.source.name,
@@ -101,10 +101,11 @@ def motion_of_autopilot(
         pitch_deg=pitch.on(grid_s),
         airspeed_m_s=airspeed.on(grid_s),
         throttle=_throttle(airframe, of_output, grid_s),
-        present=present_on(grid_s, every) & ~_lifting(airframe, of_output, grid_s),
+        present=present_on(grid_s, every) & ~lifting,
         airspeed_source=source,
         members=airframe.members,
         parameters={name: value for name, value in settings.items() if _number(name) in served},
+        lifted_share=float(lifting.mean()),
     )
 
 

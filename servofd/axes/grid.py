@@ -21,15 +21,29 @@ LARGEST_GAP_S = 1.0
 
 
 _SLOWER = 1.5
+_SLOWEST_HZ = 10.0
+"""What comes more seldom is judged on a grid as fast, that of ALFA, whose commands come at 3 Hz: a command holds until
+the next, and the filters of the axes need some samples in a period of their corner."""
 
 
-def check_rate(label: str, native_hz: float, rate_hz: float | None) -> None:
-    """Refuse commands and motion that come much more seldom than those of the calibration: they are late and coarse."""
-    if rate_hz is not None and rate_hz > _SLOWER * native_hz:
+def grid_rate(label: str, native_hz: float, rate_hz: float | None) -> float:
+    """Rate of the grid for commands and motion of some rate.
+
+    Those that come much more seldom than those of the calibration are refused: they are late and coarse.
+
+    Examples
+    --------
+    >>> grid_rate("flight.bin", 25.0, None), grid_rate("flight.tlog", 3.0, None)
+    (25.0, 10.0)
+    """
+    if rate_hz is None:
+        return max(native_hz, _SLOWEST_HZ)
+    if rate_hz > max(_SLOWER * native_hz, _SLOWEST_HZ):
         raise NoMeasurement(
             f"{label}: commands and motion come at {native_hz:.3g} Hz, those of the calibration at {rate_hz:.3g} Hz; "
             "calibrate on logs of the same kind, or log faster"
         )
+    return rate_hz
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,9 +64,9 @@ class Series:
         """Typical rate of samples."""
         return 1.0 / float(np.median(np.diff(self.time_s)))
 
-    def on(self, grid_s: FloatArray) -> FloatArray:
+    def on(self, grid_s: FloatArray, *, held: bool = False) -> FloatArray:
         """Means over the cells of a grid."""
-        return cell_means(grid_s, self.time_s, self.values)
+        return cell_means(grid_s, self.time_s, self.values, held=held)
 
 
 def day_of(log: FlightLog) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from servofd.aircraft.axis_names import MOST_OF_THE_FLIGHT, SURFACE_AXES
 from servofd.axes.model import covered, distances, flown_of, inputs_of, shares_of, statistic, windows_of
-from servofd.axes.words import reason_of
+from servofd.axes.words import left_out, reason_of
 from servofd.detection.axis_verdict import AxisAudit, AxisEvent, AxisStatus
 from servofd.estimate.axis_windows import Expected, lags, nothing_known, sliding
 from servofd.estimate.statistics import Z_95, Estimate
@@ -393,10 +393,11 @@ def _verdict(
         lost, offset = None, None
     members = _members(name, axis, motion)
     outside = {reason: float((~good & flown).sum()) / seconds for reason, good in inside.items() if flown.any()}
+    reason = reason_of(name, model, members, events, identifiable, outside, lost, status=status, worst=worst)
     return AxisAudit(
         axis=name,
         status=status,
-        reason=reason_of(name, model, members, events, identifiable, outside, lost, status=status, worst=worst),
+        reason=f"{reason}{left_out(motion.lifted_share)}",
         members=members,
         lost_share=lost,
         offset_us=offset,

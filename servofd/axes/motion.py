@@ -46,6 +46,8 @@ class Motion:
         Surfaces that serve each axis.
     parameters : mapping of str to float
         SERVOn_... of the outputs that do.
+    lifted_share : float
+        Share of the log in which motors lifted a VTOL aircraft, which is not `present`.
     """
 
     name: str
@@ -62,6 +64,7 @@ class Motion:
     airspeed_source: str = "sensor"
     members: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     parameters: Mapping[str, float] = field(default_factory=dict)
+    lifted_share: float = 0.0
 
     @property
     def rate_hz(self) -> float:

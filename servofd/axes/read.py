@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.axes.autopilot import motion_of_autopilot
-from servofd.axes.grid import Series, check_rate, day_of, present_on
+from servofd.axes.grid import Series, day_of, grid_rate, present_on
 from servofd.axes.motion import Motion
 from servofd.core.errors import NoMeasurement
 
@@ -68,12 +68,12 @@ def motion_of_table(log: FlightLog, rate_hz: float | None = None) -> Motion:
     airspeed, source = _airspeed(log)
     first = next(iter(given.values()), forces[0])
     time_s = first.time_s
-    check_rate(log.label, _rate(time_s), rate_hz)
-    rate_hz = rate_hz or _rate(time_s)
+    native_hz = _rate(time_s)
+    rate_hz = grid_rate(log.label, native_hz, rate_hz)
     grid_s = time_s[0] + np.arange(int((time_s[-1] - time_s[0]) * rate_hz) + 1) / rate_hz
 
-    def means(channel: Channel) -> FloatArray:
-        return Series.of(channel).on(grid_s)
+    def means(channel: Channel, *, held: bool = False) -> FloatArray:
+        return Series.of(channel).on(grid_s, held=held)
 
     asked = np.zeros(grid_s.size) if throttle is None else means(throttle)
     if throttle is not None and throttle.name.endswith("_us"):
@@ -83,7 +83,7 @@ def motion_of_table(log: FlightLog, rate_hz: float | None = None) -> Motion:
         name=log.source.name,
         day=day_of(log),
         time_s=grid_s,
-        commands_us={axis: means(channel) for axis, channel in given.items()},
+        commands_us={axis: means(channel, held=native_hz < rate_hz) for axis, channel in given.items()},
         rates_deg_s=np.array([scale * means(channel) for channel, scale in rates]),
         accelerations_m_s2=np.array([means(channel) for channel in forces]),
         roll_deg=roll[1] * means(roll[0]),

@@ -44,6 +44,17 @@ def named(members: Sequence[str], axis: str) -> str:
     return " or ".join(member.replace("_", " ") for member in members)
 
 
+def left_out(lifted_share: float) -> str:
+    """What is said of a VTOL aircraft.
+
+    Examples
+    --------
+    >>> left_out(0.4)
+    '; left out: 40% of the log, while motors lifted it'
+    """
+    return f"; left out: {lifted_share:.0%} of the log, while motors lifted it" if lifted_share > 0.0 else ""
+
+
 def reason_of(
     name: str,
     model: MotionModel,

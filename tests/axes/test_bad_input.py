@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from servofd.axes.calibrate import calibrate_motion
 from servofd.axes.judge import judge_motion
 from servofd.axes.motion import Motion
 from servofd.core.errors import CalibrationError, NoMeasurement
+from servofd.core.types import FloatArray
 from servofd.detection.axis_verdict import AxisAudit
 from tests.axes.flights import flown
 
@@ -78,7 +81,14 @@ def test_a_flight_slower_than_any_of_the_calibration_is_not_judged() -> None:
     assert "outside the calibrated airspeed" in audit.reason
 
 
-def log_of(flight: Motion, *, lift_us: float = 1000.0, airspeed: bool = True) -> FlightLog:
+def log_of(
+    flight: Motion,
+    *,
+    lift_us: FloatArray | float = 1000.0,
+    speed: str = "CTUN.As",
+    mixer: Mapping[str, float] = MIXER,
+    command_every: int = 1,
+) -> FlightLog:
     """The same flight as an autopilot logs it."""
     p, q, r = np.radians(flight.rates_deg_s)
     ones = np.ones(flight.time_s.size)
@@ -91,30 +101,79 @@ def log_of(flight: Motion, *, lift_us: float = 1000.0, airspeed: bool = True) ->
         "ATT.Roll": flight.roll_deg,
         "ATT.Pitch": flight.pitch_deg,
     }
-    if airspeed:
-        series["CTUN.As"] = flight.airspeed_m_s
-    channels = {name: Channel(name, flight.time_s, values, "", name) for name, values in series.items()}
-    return FlightLog(Path("flight.bin"), "dataflash", channels, parameters=MIXER)
+    if speed:
+        series[speed] = flight.airspeed_m_s
+    every = {name: command_every if name.startswith("RCOU") else 1 for name in series}
+    channels = {
+        name: Channel(name, flight.time_s[:: every[name]], values[:: every[name]], "", name)
+        for name, values in series.items()
+    }
+    return FlightLog(Path(f"{flight.day}.bin"), "dataflash", channels, parameters=dict(mixer))
 
 
-def test_commands_three_times_a_second_are_not_judged_by_a_faster_calibration() -> None:
-    log = log_of(flown(65, OF_THE_DAY))
-    slow = {name: Channel(name, c.time_s[::8], c.values[::8], "", name) for name, c in log.channels.items()}
-    seldom = replace(log, channels=slow)
-    assert motion_of_autopilot(seldom).rate_hz == pytest.approx(3.125)
+def calibrated_on(**kind: Any) -> MotionModel:
+    """From logs of another kind."""
+    flights = [flown(seed, f"2026-05-0{1 + seed % 3}") for seed in range(6)]
+    return calibrate_motion([motion_of_autopilot(log_of(flight, **kind)) for flight in flights])
+
+
+def rolls_of(model: MotionModel, flight: Motion, **kind: Any) -> AxisAudit:
+    motion = motion_of_autopilot(log_of(flight, **kind), model.rate_hz)
+    return next(audit for audit in judge_motion(model, motion) if audit.axis == "roll")
+
+
+def test_commands_at_3_hz_are_judged_by_a_calibration_of_their_kind() -> None:
+    model = calibrated_on(command_every=8)
+    assert (model.rate_hz, model.days) == (10.0, 3)
+    assert rolls_of(model, flown(70, OF_THE_DAY), command_every=8).events == ()
+    lost = rolls_of(model, flown(71, OF_THE_DAY, aileron_share=0.0, from_s=60.0), command_every=8)
+    assert lost.since_s == pytest.approx(60.0, abs=3.0)
+    assert lost.lost_share is not None
+    assert lost.lost_share.low < 1.0 < lost.lost_share.high
+
+
+def test_commands_at_3_hz_are_not_judged_by_a_faster_calibration() -> None:
     with pytest.raises(NoMeasurement, match=r"come at 3\.12 Hz, those of the calibration at 25 Hz"):
-        motion_of_autopilot(seldom, calibrated().rate_hz)
+        rolls_of(calibrated(), flown(65, OF_THE_DAY), command_every=8)
 
 
-def test_while_motors_lift_nothing_is_judged() -> None:
-    flight = flown(67, OF_THE_DAY, duration_s=30.0)
-    assert motion_of_autopilot(log_of(flight)).present.any()
-    assert not motion_of_autopilot(log_of(flight, lift_us=1600.0)).present.any()
+def test_a_glider_has_no_engine_and_is_judged() -> None:
+    glider = {"SERVO1_FUNCTION": 4.0}
+    model = calibrated_on(mixer=glider)
+    assert set(model.axes) == {"roll"}
+    assert rolls_of(model, flown(72, OF_THE_DAY), mixer=glider).status == "healthy"
+    lost = rolls_of(model, flown(73, OF_THE_DAY, aileron_share=0.5, from_s=60.0), mixer=glider)
+    assert lost.since_s == pytest.approx(60.0, abs=2.0)
 
 
-def test_a_log_without_airspeed_says_what_to_log() -> None:
+def test_vtol_transitions_are_left_out_and_it_is_said() -> None:
+    flight = flown(67, OF_THE_DAY)
+    hovers = (flight.time_s < 20.0) | (flight.time_s > 100.0)
+    lift_us = np.where(hovers, 1600.0, 1000.0)
+    hangs = hovers & (np.random.default_rng(1).random(hovers.size) < 0.5)  # wild motion that no aileron asked for
+    wild = replace(flight, rates_deg_s=flight.rates_deg_s + 200.0 * hangs)
+    audit = rolls_of(calibrated(), wild, lift_us=lift_us)
+    assert audit.events == ()
+    assert "left out: 33% of the log, while motors lifted it" in audit.reason
+    assert not audit.inputs.usable[(audit.time_s < 20.0) | (audit.time_s > 100.1)].any()
+    lost = rolls_of(calibrated(), flown(79, OF_THE_DAY, aileron_share=0.0, from_s=60.0), lift_us=lift_us)
+    assert lost.since_s == pytest.approx(60.0, abs=2.0)
+    hovering = rolls_of(calibrated(), flight, lift_us=1600.0)
+    assert hovering.reason == "the aircraft never flew; left out: 100% of the log, while motors lifted it"
+
+
+def test_no_airspeed_at_all_says_what_to_log() -> None:
     with pytest.raises(NoMeasurement, match="no airspeed that measures anything"):
-        motion_of_autopilot(log_of(flown(68, OF_THE_DAY, duration_s=30.0), airspeed=False))
+        motion_of_autopilot(log_of(flown(68, OF_THE_DAY, duration_s=30.0), speed=""))
+
+
+def test_a_pitot_that_reads_0_is_no_airspeed() -> None:
+    flight = flown(69, OF_THE_DAY, duration_s=30.0)
+    blocked = log_of(replace(flight, airspeed_m_s=np.zeros_like(flight.airspeed_m_s)), speed="ARSP.Airspeed")
+    with pytest.raises(NoMeasurement, match="no airspeed that measures anything"):
+        motion_of_autopilot(blocked)
+    estimated = dict(blocked.channels) | {"CTUN.As": log_of(flight)["CTUN.As"]}
+    assert motion_of_autopilot(replace(blocked, channels=estimated)).airspeed_source == "the autopilot's estimate"
 
 
 def test_one_short_flight_and_no_flight_are_refused() -> None:
