@@ -193,8 +193,8 @@ def table(rows: Sequence[Row]) -> str:
         some = [r for r in faulty if r["grade"] == grade]
         seen = [(r, f) for r in some if (f := _first(r)) is not None]
         right = wilson(sum(_is_right(r, f) for r, f in seen), len(seen))
-        unseen = Counter(r["own"]["status"] for r in some if _first(r) is None)
-        told = ", ".join(f"{unseen[status]} `{status}`" for status in ("suspect", "unknown", "healthy"))
+        verdict = Counter(r["own"]["status"] for r in some if _first(r) is None)
+        told = ", ".join(f"{verdict[status]} `{status}`" for status in ("suspect", "unknown", "healthy"))
         lines.append(f"| {grade} faults found | {wilson(len(seen), len(some))} |")
         lines.append(f"| {grade}: verdict on those not found | {told} |")
         lines.append(f"| {grade}: right name, or its physical twin | {right} |")

@@ -42,8 +42,11 @@ _STILL_FAST: Final = 0.69
 """Speed goes with the supply, and friction with the temperature: a fifth each, between good flights."""
 _STILL_ALL: Final = 0.93
 _LASTING: Final = ("slow", "loss_of_effectiveness", "bias", "deadband")
+_TOLD_BEFORE: Final = ("slow", "loss_of_effectiveness", "bias")
 _NONE: Final = (("bias_deg", 0.0), ("gain", 1.0), ("bandwidth_scale", 1.0))
 """What a healthy servo has."""
+_LEAST_DEG: Final = {"oscillation": ("amplitude_deg", 0.2), "deadband": ("width_deg", 0.2)}
+"""What the narrow-band test counts as an oscillation, and less play than any servo has."""
 _SHORTEST_WEAR_S: Final = 2.0
 _SAME_S: Final = 5.0
 """What is raised so soon after the end of a fault belongs to it."""
@@ -154,7 +157,8 @@ def _weighed(fault: Fault, ratio: float) -> Fault:
     """The same fault, or none: what barely passes its threshold has to be one that servos have.
 
     A servo that is a little slow is still a good one, on a cold day or a low supply; and none is worn, weak or bent for
-    a moment only, nor is an offset one that may as well be none.
+    a moment only, nor is an offset one that may as well be none. Wear of no size is none, and what raised the alarm has
+    to tell of it before.
     """
     speed, gain = fault.parameters.get("bandwidth_scale"), fault.parameters.get("gain")
     still_fast = fault.kind == "slow" and speed is not None and speed.value >= _STILL_FAST
@@ -165,7 +169,10 @@ def _weighed(fault: Fault, ratio: float) -> Fault:
         for key, none in _NONE
         if key in fault.parameters
     )
-    if still_fast or (ratio < LOUD and (short or little or nothing or fault.kind == "unknown")):
+    size, least = _LEAST_DEG.get(fault.kind, ("", 0.0))
+    tiny = size in fault.parameters and fault.parameters[size].value < least
+    untold = fault.kind in _TOLD_BEFORE and fault.start_s >= fault.alarm_s
+    if still_fast or tiny or untold or (ratio < LOUD and (short or little or nothing or fault.kind == "unknown")):
         own = () if fault.kind == "unknown" else (fault.kind,)
         return replace(fault, kind="healthy", parameters={}, alternatives=(*own, *fault.alternatives)[:3])
     return fault

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 PRESSURE_PA: Final = 300.0
 """Dynamic pressure that loads refer to: 22 m/s at sea level."""
 REACH_DEG: Final = 25.0
-"""Deflection that bends of the reading refer to."""
+"""Deflection that bends of the reading refer to, or the largest one seen."""
 _STEP_S: Final = 0.002
 LONGEST_PAUSE_S: Final = 5.0
 """Between positions; after it the simulation begins anew from the position."""
@@ -158,6 +158,9 @@ def advance(  # noqa: C901, PLR0912, PLR0915 - one loop over time
                 y[j] = min(x[j] + half, max(x[j] - half, at))
         now = time_s[i]
         for j in range(count):
+            if abs(x[j]) > 360.0:  # an overbalanced surface that its servo no longer holds
+                x[j], v[j] = min(360.0, max(-360.0, x[j])), 0.0
+                y[j] = x[j]
             position_deg[i, j] = y[j] + table[j, 1]
         speed_deg_s[i, 0] = v[0]
         held = command_deg[cursor] * table[0, 0] - x[0]
@@ -181,9 +184,12 @@ def simulated(
 def bent(position_deg: FloatArray, theta: FloatArray, reach_deg: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
     """What the reading adds to a position (m,) [deg], and what each unit of both bends would, shape (m, 2).
 
-    Bends are those of the deflections seen, and stay as they are beyond.
+    Bends are those of the deflections seen, and stay as they are beyond; about zero, or about the end of the reach that
+    is nearest to it.
     """
-    share = np.clip(position_deg, *reach_deg) / REACH_DEG
+    low, high = reach_deg
+    middle = min(max(low, 0.0), high)
+    share = (np.clip(position_deg, low, high) - middle) / max(REACH_DEG, high - middle, middle - low)
     shapes = np.stack([share**2, share**3 - share], axis=-1)
     added: FloatArray = shapes @ theta[_BEND2 : _BEND3 + 1]
     return added, shapes

@@ -14,6 +14,7 @@ import pytest
 from strangers import SURFACES, Failure, Stranger, fly, stranger
 
 from fleet import FleetServo, deflection, flight
+from servofd.aircraft.priors import NAMES, PRIORS
 from servofd.aircraft.schema import Aircraft, plain_aircraft
 from servofd.aircraft.segment import Segment
 from servofd.calibrating.calibrate import calibrate_aircraft
@@ -26,6 +27,7 @@ from servofd.detection.bank.flight import Fault
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.stream import Piece
 from servofd.detection.verdict import SurfaceAudit
+from servofd.estimate.family import new_state, simulated, variants
 from servofd.servo.context import Context
 from servofd.servo.effect_table import TabledEffect
 from servofd.servo.faults import Stuck
@@ -212,6 +214,50 @@ def test_motors_with_friction_play_and_load_are_quiet_and_their_faults_are_named
         first = judged(known, bad).faults[0]
         assert kind in (first.kind, *first.alternatives), (kind, first)
         assert first.alarm_s == pytest.approx(60.0, abs=8.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("seed", "name"), [(3, "elevator"), (9, "rudder")])
+def test_a_servo_calibrated_on_half_a_minute_is_quiet_in_other_flights(seed: int, name: str) -> None:
+    """Half a minute shows less than flights do."""
+    long = of_stranger(stranger(seed), 1, "mixed", name)
+    commands, positions = long.command_s < 30.0, long.measured_s < 30.0
+    short = replace(
+        long,
+        command_s=long.command_s[commands],
+        command_deg=long.command_deg[commands],
+        measured_s=long.measured_s[positions],
+        measured_deg=long.measured_deg[positions],
+    )
+    known = calibrated(short).aircraft
+    for style in ("taxi", "turbulence", "aerobatics"):
+        assert judged(known, of_stranger(stranger(seed), 2, style, name)).faults == (), style
+
+
+def test_a_servo_whose_neutral_is_far_from_zero_is_calibrated_as_well() -> None:
+    """Bends of its reading are those of the angles seen: the cube of 180 deg would be anything."""
+    servo = FleetServo(noise_deg=0.1)
+    segments = [flown(servo, seed, "lively") for seed in (1, 2)]
+    away = [replace(s, command_deg=s.command_deg + 180.0, measured_deg=s.measured_deg + 180.0) for s in segments]
+    found = calibrated(away[0])
+    verdict = judged(found.aircraft, away[1])
+    assert verdict.status == "healthy", verdict.reason
+    assert verdict.detectable.bias_deg is not None
+    assert verdict.detectable.bias_deg < 6.0
+
+
+def test_an_overbalanced_surface_stays_a_number() -> None:
+    """With half its torque the servo of the test of a weak motor loses the surface to the air; the test goes on."""
+    theta = np.array([prior.value for prior in PRIORS])
+    theta[NAMES.index("hinge")] = -0.3
+    time_s = np.arange(0.0, 60.0, 0.02)
+    command_deg = 10.0 * np.sin(time_s)
+    table = variants(theta)
+    position_deg, _ = simulated(
+        table, new_state(table.shape[0]), (time_s, command_deg), time_s, np.full(time_s.size, 3.0),
+        np.ones(time_s.size), np.where(time_s == 0.0, 0.0, np.nan),
+    )  # fmt: skip
+    assert np.abs(position_deg).max() <= 400.0
 
 
 def test_a_stream_finds_what_an_audit_finds() -> None:
