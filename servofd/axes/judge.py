@@ -105,7 +105,8 @@ def _draft(
         alarm = begin + int(above[0])
         past = _own_past(axis, rest, alarm, begin, rate_hz)
         changed = replace(rest, residual=rest.residual - past.loss[0] * rest.loss - past.offset[0] * rest.offset)
-        start = _onset(changed, alarm, begin, rate_hz)
+        expected = np.array([[past.loss_var[0], past.cross[0]], [past.cross[0], past.offset_var[0]]])
+        start = _onset(changed, alarm, begin, rate_hz, expected / axis.noise_var)
         from_start = of_flight is inputs and bool(judged[start] <= _AT_ONCE_S * rate_hz)
         if from_start:
             end = max(alarm + 1, int(np.searchsorted(judged, _LEARNING_S * rate_hz)))
@@ -219,14 +220,23 @@ def _recovered(axis: AxisModel, inputs: Inputs, alarm: int, rate_hz: float) -> i
     return int(found[0]) if found.size else None
 
 
-def _onset(inputs: Inputs, alarm: int, begin: int, rate_hz: float) -> int:
-    """Where a fault must have begun to explain most of the residual up to its alarm."""
+def _onset(inputs: Inputs, alarm: int, begin: int, rate_hz: float, healthy: FloatArray) -> int:
+    """Where a fault must have begun to explain most of the residual up to its alarm.
+
+    Before it, if that was long enough to tell, the flight had a loss and an offset of its own, which flights differ by
+    (`healthy`, over the noise): what they explain as well is not the fault's.
+    """
     first = max(begin, alarm - round(_ONSET_S * rate_hz))
     a, b, c, d1, d2, count = (total[alarm] - total[first:alarm] for total in inputs.sums[:6])
     determinant = a * c - b * b
     good = (count > 3) & (determinant > 1e-9 * a * c)
     safe = np.where(good, determinant, 1.0)
     explained = np.where(good, (c * d1**2 - 2.0 * b * d1 * d2 + a * d2**2) / safe, -np.inf)
+    prior = np.linalg.inv(healthy)
+    a, b, c, d1, d2, count = (total[first:alarm] - total[first] for total in inputs.sums[:6])
+    a, b, c = a + prior[0, 0], b + prior[0, 1], c + prior[1, 1]
+    of_flight = (c * d1**2 - 2.0 * b * d1 * d2 + a * d2**2) / (a * c - b * b)
+    explained += np.where(count > _AT_ONCE_S * rate_hz, of_flight, 0.0)
     return first + int(np.argmax(explained)) if good.any() else alarm
 
 
