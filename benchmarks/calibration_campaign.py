@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 STYLES: Final = ("taxi", "cruise", "loiter", "turbulence", "aerobatics")
 _HEALTHY: Final = 10
 _FLIGHT_S: Final = 120.0
+_MOVED_DEG: Final = 5.0
 _GRADES: Final = ("small", "medium", "large")
 _SIZELESS: Final = ("stuck", "hardover", "floating")
 _TWINS: Final = {
@@ -117,9 +118,12 @@ def trials(seed: int) -> Iterable[Row]:
     ):
         style = STYLES[1 + (number + seed // 2 + seed // 8) % 4]
         failure = draw_failure(1000 * seed + number, _FLIGHT_S, kind, grade)
-        found = verdicts(aircraft, fly(origin, 200 + number, style, duration_s=_FLIGHT_S, failure=failure))
+        flown = fly(origin, 200 + number, style, duration_s=_FLIGHT_S, failure=failure)
+        asked_deg = flown.command_deg[flown.command_s > failure.start_s, flown.surfaces.index(failure.surface)]
+        found = verdicts(aircraft, flown)
         yield known | {
             "what": "faulty", "style": style, "kind": kind, "grade": grade, "start_s": failure.start_s,
+            "asked_deg": float(np.ptp(asked_deg)),
             "own": _told(found.pop(failure.surface)), "found": [_told(v) for v in found.values()],
         }  # fmt: skip
 
@@ -193,9 +197,14 @@ def table(rows: Sequence[Row]) -> str:
         some = [r for r in faulty if r["grade"] == grade]
         seen = [(r, f) for r in some if (f := _first(r)) is not None]
         right = wilson(sum(_is_right(r, f) for r, f in seen), len(seen))
+        moved = [r for r in some if r["asked_deg"] >= _MOVED_DEG]
+        seen_moving = sum(_first(r) is not None for r in moved)
         verdict = Counter(r["own"]["status"] for r in some if _first(r) is None)
         told = ", ".join(f"{verdict[status]} `{status}`" for status in ("suspect", "unknown", "healthy"))
         lines.append(f"| {grade} faults found | {wilson(len(seen), len(some))} |")
+        lines.append(
+            f"| {grade}: where the command moves {_MOVED_DEG:g} deg after it | {wilson(seen_moving, len(moved))} |"
+        )
         lines.append(f"| {grade}: verdict on those not found | {told} |")
         lines.append(f"| {grade}: right name, or its physical twin | {right} |")
     sure = [(r, f) for r in faulty if (f := _first(r)) is not None and f["p"] >= 0.95 and f["kind"] != "unknown"]

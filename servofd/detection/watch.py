@@ -181,7 +181,7 @@ def detectable(flights: Sequence[Watched]) -> Detectable:
     return Detectable(
         bias_deg=_within(units["bias_deg"] * sizes["bias"], 10.0),
         slow_share=_rounded(share) if share > _SLOWEST else None,
-        loss_share=_within(loss, 0.5),
+        loss_share=_within(loss, 1.0),
         deadband_deg=_within(max(_PLAYS[0] * sizes["play"], _PLAYS[1] * sizes["dead"]), 8.0),
         oscillation_deg=_within(sizes["band"], 8.0),
     )
