@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     from servofd.detection.watch import Watched
 
 _MOST_FAULTS: Final = 20
+_RESIDUALS: Final = STATISTICS.index("left_2s")
+"""So many statistics are of the residual over its total sigma, not of what is left of it."""
 _AGAIN_S: Final = 1.0
 _STILL_FAST: Final = 0.69
 """Speed goes with the supply, and friction with the temperature: a fifth each, between good flights."""
@@ -130,14 +132,14 @@ def judged(flight: Watched) -> Found:
         _, triple, grid_s, statistics = follow(
             flight.tests, memory, time_s[part], error_deg[part], flight.slopes[part], flight.noise_deg[part]
         )
-        raised_s, ratio = _alarm(limits, time_s[part], triple, grid_s, statistics[:, : len(STATISTICS)])
+        raised_s, ratio, is_far = _alarm(limits, time_s[part], triple, grid_s, statistics[:, : len(STATISTICS)])
         keep = grid_s <= raised_s
         statistics = statistics[:, : len(STATISTICS)]
         grids.append(grid_s[keep])
         tables.append(statistics[keep])
         if not np.isfinite(raised_s):
             break
-        fault = _weighed(named(flight, raised_s, ratio, earliest_s=earliest_s), ratio)
+        fault = _weighed(named(flight, raised_s, ratio, earliest_s=earliest_s), ratio, is_far=is_far)
         if faults and fault.kind != "healthy" and raised_s - (faults[-1].end_s or raised_s) < _SAME_S:
             fault = _joined(faults.pop(), fault)
         (suspicions if fault.kind == "healthy" else faults).append(fault)
@@ -153,12 +155,12 @@ def judged(flight: Watched) -> Found:
     return Found(tuple(faults), tuple(suspicions), np.concatenate(grids), np.concatenate(tables))
 
 
-def _weighed(fault: Fault, ratio: float) -> Fault:
+def _weighed(fault: Fault, ratio: float, *, is_far: bool) -> Fault:
     """The same fault, or none: what barely passes its threshold has to be one that servos have.
 
     A servo that is a little slow is still a good one, on a cold day or a low supply; and none is worn, weak or bent for
-    a moment only, nor is an offset one that may as well be none. Wear of no size is none, and what raised the alarm has
-    to tell of it before.
+    a moment only, nor is an offset one that may as well be none. Where the residual itself stays within what good
+    flights do, wear of no size is none, and what raised the alarm has to tell of it before.
     """
     speed, gain = fault.parameters.get("bandwidth_scale"), fault.parameters.get("gain")
     still_fast = fault.kind == "slow" and speed is not None and speed.value >= _STILL_FAST
@@ -172,7 +174,11 @@ def _weighed(fault: Fault, ratio: float) -> Fault:
     size, least = _LEAST_DEG.get(fault.kind, ("", 0.0))
     tiny = size in fault.parameters and fault.parameters[size].value < least
     untold = fault.kind in _TOLD_BEFORE and fault.start_s >= fault.alarm_s
-    if still_fast or tiny or untold or (ratio < LOUD and (short or little or nothing or fault.kind == "unknown")):
+    if (
+        still_fast
+        or (not is_far and (tiny or untold))
+        or (ratio < LOUD and (short or little or nothing or fault.kind == "unknown"))
+    ):
         own = () if fault.kind == "unknown" else (fault.kind,)
         return replace(fault, kind="healthy", parameters={}, alternatives=(*own, *fault.alternatives)[:3])
     return fault
@@ -188,8 +194,11 @@ def _joined(first: Fault, then: Fault) -> Fault:
 
 def _alarm(
     limits: FloatArray, time_s: FloatArray, triple: FloatArray, grid_s: FloatArray, statistics: FloatArray
-) -> tuple[float, float]:
-    """When the first alarm is raised [s], infinite if never, and the largest statistic over its threshold then."""
+) -> tuple[float, float, bool]:
+    """When the first alarm is raised [s], infinite if never, and the largest statistic over its threshold then.
+
+    Last whether the residual itself passes a threshold, not only a test of what it may mean.
+    """
     direct = np.flatnonzero(triple >= limits[0])
     first_s = float(time_s[direct[0]]) if direct.size else np.inf
     ratios = exceeded(limits, np.zeros(limits.size), statistics)
@@ -197,9 +206,9 @@ def _alarm(
     second_s = float(grid_s[raised[0]]) if raised.size else np.inf
     at_s = min(first_s, second_s)
     if not np.isfinite(at_s):
-        return np.inf, float(ratios.max(initial=0.0))
-    soon = (grid_s >= at_s) & (grid_s <= at_s + 5.0)
-    return at_s, float(max((statistics[soon] / limits).max(initial=1.0), 1.0))
+        return np.inf, float(ratios.max(initial=0.0)), False
+    soon = statistics[(grid_s >= at_s) & (grid_s <= at_s + 5.0)] / limits
+    return at_s, float(max(soon.max(initial=1.0), 1.0)), bool(soon[:, :_RESIDUALS].max(initial=0.0) >= 1.0)
 
 
 def judge_stretch(
