@@ -67,8 +67,7 @@ def judge_motion(model: MotionModel, motion: Motion) -> tuple[AxisAudit, ...]:
     events = _with_causes(drafts, {name: axis.suspect for name, axis in model.axes.items()}, motion.time_s)
     differing = [name for name, found in events.items() if any(event.from_start for event in found)]
     return tuple(
-        _verdict(name, model, drafts[name], events[name], motion, inside, flown, alone=differing == [name])
-        for name in model.axes
+        _verdict(name, model, drafts[name], events[name], motion, inside, flown, differing) for name in model.axes
     )
 
 
@@ -382,11 +381,11 @@ def _verdict(
     motion: Motion,
     inside: dict[str, BoolArray],
     flown: BoolArray,
-    *,
-    alone: bool,
+    differing: list[str],
 ) -> AxisAudit:
+    """Verdict on an axis of a flight, some axes of which were different from its beginning on (`differing`)."""
     axis = model.axes[name]
-    own = [event for event in events if event.is_own or (alone and _failed(event))]
+    own = [event for event in events if event.is_own or (differing == [name] and _failed(event))]
     worst = max(own, key=lambda event: event.score, default=None)
     seconds = max(int(flown.sum()), 1)
     identifiable = float((draft.known & flown).sum()) / seconds
@@ -394,7 +393,8 @@ def _verdict(
     status: AxisStatus = "unknown"
     if worst is not None:
         certain = axis.fault is not None and worst.score > max(axis.fault, axis.suspect) and name in SURFACE_AXES
-        certain = certain and not worst.from_start  # it may be another aircraft
+        # Levels are those of the calibrated aircraft: this may be another.
+        certain = certain and not any(other in SURFACE_AXES for other in differing)
         status = "fault" if certain else "suspect"
     elif not events and min(identifiable, judged) >= MOST_OF_THE_FLIGHT and _is_known(draft.whole):
         status = "healthy"

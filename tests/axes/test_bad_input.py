@@ -66,6 +66,15 @@ def test_another_aircraft_is_said_to_differ_from_the_beginning() -> None:
     assert not any(event.is_own for event in audit.events)
 
 
+def test_a_failure_of_another_aircraft_is_no_more_than_suspect() -> None:
+    flight = flown(80, OF_THE_DAY, aileron_share=0.0, from_s=60.0)
+    assert roll_of(flight).status == "fault"
+    audit = roll_of(replace(flight, commands_us={"roll": 1.6 * flight.commands_us["roll"]}))  # shorter horns
+    assert audit.events[0].from_start
+    assert audit.since_s == pytest.approx(60.0, abs=3.0)
+    assert audit.status == "suspect"
+
+
 def test_nothing_is_judged_in_a_stall() -> None:
     flight = flown(64, OF_THE_DAY)
     audit = roll_of(replace(flight, accelerations_m_s2=flight.accelerations_m_s2 * np.array([[1.0], [1.0], [3.0]])))
