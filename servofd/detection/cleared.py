@@ -64,5 +64,7 @@ def not_judgeable(shown: Detectable, *, own_fit: bool = False) -> str:
     missing = [_NAMES[name] for name in shown.missing]
     if not missing:
         return ""
-    why = f": {'fitted to this log' if own_fit else 'no brisk motion'}" if missing == ["speed"] else ""
+    why = ": no brisk motion" if missing == ["speed"] else ""
+    if own_fit and set(missing) <= {"speed", "oscillation"}:
+        why = ": fitted to this log"
     return f"{' and '.join(missing)} not judgeable{why}"

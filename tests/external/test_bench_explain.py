@@ -46,6 +46,7 @@ def nominal_deg(found: Explanation) -> float:
     return found.rms_deg(found.selection.nominal)["held_out_rms_deg"]
 
 
+@pytest.mark.nightly
 def test_hobby_servo() -> None:
     """A linear servo leaves 30 deg on the runs that are held out, the effects at most 2.1 deg (2.05).
 
@@ -87,6 +88,7 @@ def test_smart_servo_with_a_weight() -> None:
     assert found.selection.final.names[0] == "gravity_load"
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("kp", "most_deg"), [("400", 2.5), ("100", 1.6)])
 def test_smart_servo_of_low_gain(kp: str, most_deg: float, tmp_path: Path) -> None:
     """The first run, sums of sines, as predicted by the other three; and every run better than by a linear servo."""
@@ -100,6 +102,7 @@ def test_smart_servo_of_low_gain(kp: str, most_deg: float, tmp_path: Path) -> No
     assert not found.undriven
 
 
+@pytest.mark.nightly
 def test_digital_servo_whose_rate_limit_falls_with_its_load() -> None:
     """Slopes of the steps themselves: 388 deg/s without a load, 303 with 400 g."""
     found = explain_log(DATA / "bench" / "digital_servo_loads.csv").explanation
@@ -113,7 +116,14 @@ def test_digital_servo_whose_rate_limit_falls_with_its_load() -> None:
     assert found.notes[-1] == first.sentence
 
 
-@pytest.mark.parametrize("name", ["teleop_arm_1", "teleop_arm_2", "geared_joint_multisine", "geared_joint_plc"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "teleop_arm_1",
+        "geared_joint_plc",
+        *(pytest.param(name, marks=pytest.mark.nightly) for name in ("teleop_arm_2", "geared_joint_multisine")),
+    ],
+)
 def test_healthy_joints(name: str) -> None:
     """No fault is claimed, nothing is left out, and a linear servo with any gain and zero never foresees more.
 
@@ -135,6 +145,7 @@ def test_healthy_joints(name: str) -> None:
             assert final_deg(found) < 0.4 * nominal_deg(found)
 
 
+@pytest.mark.nightly
 def test_linear_drive() -> None:
     """Coulomb friction and offset of the EMPS benchmark, whose closed loop is a servo of second order.
 
