@@ -64,7 +64,5 @@ def not_judgeable(shown: Detectable, *, own_fit: bool = False) -> str:
     missing = [_NAMES[name] for name in shown.missing]
     if not missing:
         return ""
-    why = ": no brisk motion" if missing == ["speed"] else ""
-    if own_fit and set(missing) <= {"speed", "oscillation"}:
-        why = ": fitted to this log"
+    why = f": {'fitted to this log' if own_fit else 'no brisk motion'}" if missing == ["speed"] else ""
     return f"{' and '.join(missing)} not judgeable{why}"

@@ -45,7 +45,7 @@ _BISECTIONS = 9
 _WIDENED = 2.0
 """A threshold drafted from the log that is judged grows with the fault that it should show (aircraft of even seed in
 `benchmarks/strangers.py`)."""
-_ABSORBED = 2.0
+_ABSORBED = 1.6
 _WIDEST_DEG = 20.0
 _LARGEST = {"bias_deg": 45.0, "loss_share": 1.0, "oscillation_deg": 20.0}
 
@@ -73,9 +73,8 @@ def detectable(
         Whether what stays below the threshold may be suspect, if it lasts.
     own_fit : bool
         Whether servo and threshold come from this very log: a fault would have widened the threshold, and a servo that
-        was slow or oscillated is what was fitted, or none is, so that neither is judgeable (of 16 brisk flights of
-        strangers at a third of their speed, one was healthy and said that 9 % would have been seen; of 14 oscillations
-        of the size that was stated, six were found, as many of half more, and in the others no servo was).
+        was slow is what was fitted, so that a loss of speed is not judgeable (of 16 brisk flights of strangers at a
+        third of their speed, one was healthy and said that 9 % would have been seen).
     persistence : int
         How many judged samples in a row, all on one side, make an alarm.
 
@@ -102,7 +101,7 @@ def detectable(
         return NOTHING_DETECTABLE
     level_deg = (_WIDENED if own_fit else 1.0) * threshold.level_deg
     judge = _Judge(residuals, level_deg, use, persistence)
-    # A servo that is fitted to its own play takes part of it for its own.
+    # A servo that is fitted to its own oscillation or play takes part of it for its own.
     patient = _Judge(residuals, level_deg * (_ABSORBED if own_fit else 1.0), use, persistence)
     if suspicions:
         patient.suspicious = threshold
@@ -117,9 +116,7 @@ def detectable(
             for wave in (np.sin, np.cos)
         ],
     }
-    if own_fit:
-        del signals["oscillation_deg"]
-    found: dict[str, float | None] = dict.fromkeys(_LARGEST)
+    found: dict[str, float | None] = {}
     for name, ways in signals.items():
         signs = (1.0,) if name == "loss_share" else (1.0, -1.0)
         by = patient if name == "oscillation_deg" else judge
