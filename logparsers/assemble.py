@@ -11,7 +11,7 @@ import numpy as np
 from logparsers import clock
 from logparsers.channels import as_float
 from logparsers.errors import EmptyLog
-from logparsers.records import Channel, Damage, FlightLog, own
+from logparsers.records import Channel, Damage, FlightLog, own, rows_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -173,7 +173,7 @@ def _repeated(time_s: FloatArray, another: NDArray[np.bool_], row_of: NDArray[np
     rows = np.flatnonzero(another)
     if not rows.size:
         return ()
-    note = f"{rows.size} rows give a time stamp again with other values, left out, first row {row_of[rows[0]] + 1}"
+    note = f"{rows_text(rows.size)} with a time stamp again but other values left out, first row {row_of[rows[0]] + 1}"
     return (Damage("out_of_order", note, int(rows.size), float(time_s[rows[0]]), float(time_s[rows[-1]])),)
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from logparsers.errors import ClockError
-from logparsers.records import Damage
+from logparsers.records import Damage, rows_text
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -94,7 +94,7 @@ def _disorder(stamps: FloatArray, rows: NDArray[np.intp], rising: NDArray[np.boo
             f"{label}: time {verb} at row {rows[worst + 1] + 1} ({stamps[worst]:.6g} s -> {stamps[worst + 1]:.6g} s), "
             f"{dropped.size} of {stamps.size} rows are out of order; split the log there"
         )
-    note = f"{dropped.size} rows whose time stamps do not rise left out, first row {rows[dropped[0]] + 1}"
+    note = f"{rows_text(dropped.size)} left out for time stamps that do not rise, first row {rows[dropped[0]] + 1}"
     sound = np.flatnonzero(rising)
     before, after = np.searchsorted(sound, [dropped[0], dropped[-1]])
     start = stamps[sound[max(before - 1, 0)]]
@@ -147,7 +147,7 @@ def rise(time_s: FloatArray, sound: NDArray[np.bool_] | None = None) -> tuple[ND
     --------
     >>> rows, damage = rise(np.array([0.0, 2.0, 1.0, 2.0, 3.0]))
     >>> rows.tolist(), damage.note
-    ([0, 2, 1, 4], '1 rows came late and are sorted in, 1 rows with repeated or wrong stamps left out')
+    ([0, 2, 1, 4], '1 row sorted in that came late, 1 row with repeated or wrong stamps left out')
     """
     usable = np.isfinite(time_s)
     if sound is not None:
@@ -169,8 +169,8 @@ def rise(time_s: FloatArray, sound: NDArray[np.bool_] | None = None) -> tuple[ND
     dropped = time_s.size - rows.size
     if not late and not dropped:
         return rows, None
-    words = [f"{late} rows came late and are sorted in"] if late else []
-    words += [f"{dropped} rows with repeated or wrong stamps left out"] if dropped else []
+    words = [f"{rows_text(late)} sorted in that came late"] if late else []
+    words += [f"{rows_text(dropped)} with repeated or wrong stamps left out"] if dropped else []
     where = (float(time_s[rows].min()), float(time_s[rows].max())) if rows.size else (None, None)
     return rows, Damage("out_of_order", ", ".join(words), late + dropped, *where)
 

@@ -27,6 +27,7 @@ A_TABLE = "CSV with time_s, <surface>_cmd_deg and <surface>_pos_deg"
 HDF5 = b"\x89HDF\r\n\x1a\n"
 FMT_RECORD, FMT_LINE = b"\xa3\x95\x80", re.compile(rb"(?:^|\n)FMT, ?\d+, ?\d+, ?\w")
 PARAMETERS = re.compile(rb"(?:#[^\n]*\n)*(?:[A-Z][A-Z0-9]+_[A-Z0-9_]+[ \t]*[,=\t ][ \t]*-?[\d.]+\s*?\n){2}")
+TOML_LINE = re.compile(rb"(?:\xef\xbb\xbf)?(?:[ \t]*(?:#[^\n]*)?\r?\n)*(?:[\w-]+[ \t]*=|\[)")
 QGC_PARAMETERS = re.compile(rb"# (?:Onboard parameters|Vehicle-Id)")
 FRAMES = 3
 """MAVLink frames one behind the other are no accident."""
@@ -88,6 +89,16 @@ def _is_document(*beginnings: bytes) -> Test:
 
 def _is_parameters(head: bytes) -> bool:
     return PARAMETERS.match(head) is not None or QGC_PARAMETERS.match(head) is not None
+
+
+def _is_settings(*headings: bytes) -> Test:
+    """TOML: its first line that is no comment gives a key or a heading, and one of these headings follows."""
+    wanted = re.compile(rb"^\[\[?(?:" + b"|".join(headings) + rb")[.\]]", re.MULTILINE)
+
+    def matches(head: bytes) -> bool:
+        return TOML_LINE.match(head) is not None and wanted.search(head) is not None
+
+    return matches
 
 
 def _is_pickle(head: bytes) -> bool:
@@ -210,6 +221,8 @@ FORMATS = (
     Format("XML document, as GPX and KML are", _is_document(b"<?xml", b"<gpx", b"<kml"), A_LOG),
     Format("JSON document", _is_document(b"{", b"[{", b"[["), f"save it as {A_TABLE}"),
     Format("mission of a ground station", _starts(b"QGC WPL"), A_LOG),
+    Format("TOML file of an aircraft", _is_settings(b"surfaces", b"motion"), "give it with -c, beside a log"),
+    Format("TOML file of a servo", _is_settings(b"servos"), "give it with --servo, beside a log"),
     Format("file of parameters", _is_parameters, "give the log of a flight, which holds them too"),
     Format("storage of ArduPilot's parameters (eeprom.bin)", _starts(b"PA\x06\0"), A_LOG),
     Format("Rerun recording", _starts(b"RRF"), "servofd review reads it back"),
@@ -247,13 +260,13 @@ def detect(head: bytes, label: str) -> Reader:
     'read_table'
     >>> detect(b"\x89PNG\r\n", "flight.mat")
     Traceback (most recent call last):
-    logparsers.errors.UnknownFormat: flight.mat: is a PNG image, which cannot be read; give a flight log
+    logparsers.errors.UnknownFormat: flight.mat: is a PNG image, which is no log to read; give a flight log
     """
     for found in FORMATS:
         if found.matches(head):
             if not isinstance(found.read, str):
                 return found.read
-            raise UnknownFormat(f"{label}: is a {found.name}, which cannot be read; {found.read}")
+            raise UnknownFormat(f"{label}: is a {found.name}, which is no log to read; {found.read}")
     known = ", ".join(f.name for f in FORMATS if not isinstance(f.read, str) and not f.name.startswith("damaged"))
     first = head[:8].hex(" ")
     raise UnknownFormat(f"{label}: its first bytes ({first}) belong to no known format; this version reads {known}")

@@ -253,6 +253,16 @@ def _extension_names(message: Any) -> list[str]:  # noqa: ANN401
     return [name for name in message.fieldnames if parameters[name].default is not inspect.Parameter.empty]
 
 
+_NEWER_NAMES = {
+    ("MAV_TYPE", 19): "vtol tailsitter duorotor",
+    ("MAV_TYPE", 20): "vtol tailsitter quadrotor",
+    ("MAV_TYPE", 22): "vtol fixedrotor",
+    ("MAV_TYPE", 23): "vtol tailsitter",
+    ("MAV_TYPE", 24): "vtol tiltwing",
+}
+"""Where pymavlink's dialects still say "reserved": https://mavlink.io/en/messages/minimal.html#MAV_TYPE"""
+
+
 def enum_name(enum: str, value: int, *, prefix: str = "") -> str:
     """Name of an enumerated value, without its prefix and in lower case.
 
@@ -274,7 +284,11 @@ def enum_name(enum: str, value: int, *, prefix: str = "") -> str:
     --------
     >>> enum_name("MAV_TYPE", 1), enum_name("MAV_TYPE", 250)
     ('fixed wing', 'MAV_TYPE 250')
+    >>> enum_name("MAV_TYPE", 22)  # a quadplane
+    'vtol fixedrotor'
     """
+    if (enum, value) in _NEWER_NAMES:
+        return _NEWER_NAMES[enum, value]
     entry = _module(DEFAULT_DIALECT).enums.get(enum, {}).get(value)
     if entry is None or entry.name.endswith("_ENUM_END"):
         return f"{enum} {value}"

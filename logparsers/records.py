@@ -31,6 +31,17 @@ _SHORTEST_FLIGHT_S = 3.0
 """What a vehicle logs between two boots in less is no flight."""
 
 
+def rows_text(number: int) -> str:
+    """Write a number of rows.
+
+    Examples
+    --------
+    >>> rows_text(1), rows_text(20)
+    ('1 row', '20 rows')
+    """
+    return f"{number} row" if number == 1 else f"{number} rows"
+
+
 def own(values: ArrayLike) -> FloatArray:
     """Copy to a read-only float64 array, so that no record can change behind its owner's back.
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from logparsers.channels import check_names
 from logparsers.errors import EmptyLog, LogError, MissingChannel, UnreadableLog
-from logparsers.records import Damage
+from logparsers.records import Damage, rows_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -321,7 +321,9 @@ def _cut(lines: NDArray[np.int32], needed: int) -> tuple[Damage, ...]:
         return ()
     return (
         Damage(
-            "truncated", f"{lines.size} rows have fewer than {needed} cells, first line {lines[0]}", int(lines.size)
+            "truncated",
+            f"{rows_text(lines.size)} with fewer than {needed} cells, first line {lines[0]}",
+            int(lines.size),
         ),
     )
 

@@ -96,7 +96,7 @@ def test_a_bomb_is_refused_at_the_limit(pack: Callable[[bytes], bytes], monkeypa
         (zipped({"a.txt": b"hello\n", "b.png": b"\x89PNG"}), "no row below the header"),
         (zipped({"a": b""}), "the file is empty"),
         (gzip.compress(gzip.compress(DATAFLASH)), "belong to no known format"),
-        (b"7z\xbc\xaf\x27\x1c" + bytes(20), "archive, which cannot be read; unpack it"),
+        (b"7z\xbc\xaf\x27\x1c" + bytes(20), "archive, which is no log to read; unpack it"),
     ],
 )
 def test_what_cannot_be_unpacked_is_one_line(content: bytes, why: str) -> None:

@@ -158,7 +158,7 @@ def test_rise_sorts_late_rows_in_and_drops_repeated_ones() -> None:
     np.testing.assert_array_equal(late[rows], GRID)
     assert damage is not None
     assert (damage.kind, damage.count) == ("out_of_order", 2)
-    assert damage.note == "1 rows came late and are sorted in, 1 rows with repeated or wrong stamps left out"
+    assert damage.note == "1 row sorted in that came late, 1 row with repeated or wrong stamps left out"
 
 
 @pytest.mark.parametrize("wrong", [-1e9, 0.0, 1e9, 19.0 + 86400.0])

@@ -302,7 +302,7 @@ def test_one_wrong_time_stamp_is_not_believed() -> None:
     assert channels(log)["RCOU.C1"].values.size == 99
     (lost,), _ = channels(log).survey()
     assert (lost.kind, lost.count) == ("out_of_order", 1)
-    assert lost.note == "RCOU: 1 rows with repeated or wrong stamps left out"
+    assert lost.note == "RCOU: 1 row with repeated or wrong stamps left out"
 
 
 # -- damaged logs -----------------------------------------------------------------------------------------

@@ -45,6 +45,8 @@ STAMP = struct.pack(">Q", 1_700_000_000_000_000)
         (b'{"logs": [1,2,3]}\n', "JSON"),
         (b"QGC WPL 110\n0\t1\t0\t16\n", "mission"),
         (b"SERVO1_MIN,1100\nSERVO1_MAX,1900\n", "file of parameters"),
+        (b'# plane\nname = "x"\n\n[surfaces.elevator]\noutput = 1\n', "TOML file of an aircraft, .* with -c"),
+        (b'[servos.mine]\ntitle = "mine"\n', "TOML file of a servo, .* with --servo"),
         (b"# Onboard parameters for Vehicle 1\n#\n1\t1\tARMING_CHECK\t1\t6\n", "file of parameters"),
         (b"PA\x06\0\0\x02\0\0" + bytes(60), "storage of ArduPilot's parameters"),
         (b"RRF2\0\x29\0\0", "Rerun recording, .* servofd review"),

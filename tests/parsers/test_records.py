@@ -115,11 +115,9 @@ def test_repeated_damage_is_one_line_with_a_count() -> None:
 
 
 def test_the_same_disorder_of_many_messages_is_one_line() -> None:
-    late = [
-        Damage("out_of_order", f"{name}: 1 rows came late and are sorted in", 1) for name in ("A", "B[1]", "C", "D")
-    ]
+    late = [Damage("out_of_order", f"{name}: 1 row sorted in that came late", 1) for name in ("A", "B[1]", "C", "D")]
     (one,) = FlightLog(Path("a.tlog"), "tlog", {}, tuple(late)).damage_summary
-    assert (one.count, one.note) == (4, "4 times, as in: A: 1 rows came late and are sorted in")
+    assert (one.count, one.note) == (4, "4 times, as in: A: 1 row sorted in that came late")
 
 
 def test_a_signalling_nan_of_a_damaged_file_is_a_nan() -> None:

@@ -225,7 +225,7 @@ def test_a_stamp_that_comes_again_with_another_value_is_counted_and_refuses_noth
     log = read("time_s,x\n" + rows)
     np.testing.assert_array_equal(log["x"].values, np.arange(0, 40, 2))
     assert kinds(log) == [("out_of_order", 20)]
-    assert "20 rows give a time stamp again with other values, left out, first row 2" in log.damage[0].note
+    assert "20 rows with a time stamp again but other values left out, first row 2" in log.damage[0].note
 
 
 def test_numbers_are_read_to_the_last_bit() -> None:
