@@ -74,6 +74,19 @@ def test_the_container_is_small_its_own_user_and_made_of_what_is_there() -> None
     }
 
 
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd")
+def test_the_service_of_a_companion_passes_the_lint_of_systemd(tmp_path: Path) -> None:
+    """With a program that exists in place of the installed one: systemd asks for that, too."""
+    text = (ROOT / "examples" / "servofd-monitor.service").read_text(encoding="utf-8")
+    assert "/opt/servofd/bin/servofd monitor" in text
+    unit = tmp_path / "servofd-monitor.service"
+    unit.write_text(text.replace("/opt/servofd/bin/servofd", sys.executable), encoding="utf-8")
+    analyze = shutil.which("systemd-analyze")
+    assert analyze is not None
+    done = subprocess.run([analyze, "verify", str(unit)], capture_output=True, text=True, timeout=60, check=False)
+    assert "servofd-monitor" not in done.stderr, done.stderr
+
+
 def test_every_lowest_version_is_given() -> None:
     """`pip install` on an old machine upgrades what is too old instead of failing later."""
     for needed in tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]:

@@ -14,9 +14,11 @@ from servofd.aircraft.segment import Segment
 from servofd.cli import main
 from servofd.core.errors import ConfigError, NoMeasurement
 from servofd.estimate.statistics import Estimate
+from servofd.outputs.trend_page import trend_page
 from servofd.servo.faults import DeadBand
 from servofd.servo.play import play
 from servofd.simulation.flight import simulate_flight
+from servofd.wear.document import trend_document
 from servofd.wear.estimate import estimate_flight
 from servofd.wear.logs import FlownLog, in_order
 from servofd.wear.records import FlightEstimate
@@ -183,6 +185,16 @@ def test_the_command_line_prints_writes_and_returns_what_it_found(
     assert found["per_flight"]["value"] == pytest.approx(0.02, rel=0.1)
     assert found["forecast"]["low"] < 100.0 < found["forecast"]["high"]
     assert "crosses its limit at flight" in (tmp_path / "t.html").read_text()
+
+
+def test_the_page_begins_with_the_worst_surface() -> None:
+    document = trend_document(trend_of(logs([0.02 * number for number in range(1, 41)], START), PLANE))
+    calm = json.loads(json.dumps(document["surfaces"]["rudder"]))
+    for quantity in calm["quantities"].values():
+        quantity["forecast"] = {"kind": "none", "reason": "no trend"}
+    document["surfaces"] = {"aileron": calm, "rudder": document["surfaces"]["rudder"]}
+    text = trend_page(document)
+    assert 0 < text.index("<h2>rudder ") < text.index("<h2>aileron ")
 
 
 def test_nothing_to_follow_is_said_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
