@@ -60,9 +60,13 @@ def not_judgeable(shown: Detectable, *, own_fit: bool = False) -> str:
     >>> from servofd.core.evidence import Detectable
     >>> not_judgeable(Detectable(bias_deg=0.5, loss_share=0.1, deadband_deg=1.0, oscillation_deg=0.5))
     'speed not judgeable: no brisk motion'
+    >>> not_judgeable(Detectable(loss_share=0.1, deadband_deg=1.0, oscillation_deg=0.5), own_fit=True)
+    'offset and speed not judgeable: fitted to this log'
     """
     missing = [_NAMES[name] for name in shown.missing]
     if not missing:
         return ""
-    why = f": {'fitted to this log' if own_fit else 'no brisk motion'}" if missing == ["speed"] else ""
+    if own_fit and set(missing) <= {"offset", "speed"}:
+        return f"{' and '.join(missing)} not judgeable: fitted to this log"
+    why = ": no brisk motion" if missing == ["speed"] else ""
     return f"{' and '.join(missing)} not judgeable{why}"

@@ -46,6 +46,13 @@ _WIDENED = 2.0
 """A threshold drafted from the log that is judged grows with the fault that it should show (aircraft of even seed in
 `benchmarks/strangers.py`)."""
 _ABSORBED = 1.6
+_FIT_TAKES_SHARE = 0.25
+"""A fault of this share of the log or earlier may become part of a servo that is fitted to it, and is not meant."""
+_BENDS = {"bias_deg": 2.5, "deadband_deg": 1.4}
+"""How much larger these faults have to be where they bend the very servo that is fitted, and widen what is drafted
+(flights of even seed 1030 to 1068 of `benchmarks/detectable.py`)."""
+_STILL_FITTED = 1.0
+"""An offset or oscillation of more, beside the standard deviation of the motion, may leave no servo to be fitted."""
 _WIDEST_DEG = 20.0
 _LARGEST = {"bias_deg": 45.0, "loss_share": 1.0, "oscillation_deg": 20.0}
 
@@ -74,7 +81,8 @@ def detectable(
     own_fit : bool
         Whether servo and threshold come from this very log: a fault would have widened the threshold, and a servo that
         was slow is what was fitted, so that a loss of speed is not judgeable (of 16 brisk flights of strangers at a
-        third of their speed, one was healthy and said that 9 % would have been seen).
+        third of their speed, one was healthy and said that 9 % would have been seen). Then meant are faults that set in
+        after the first quarter.
     persistence : int
         How many judged samples in a row, all on one side, make an alarm.
 
@@ -100,9 +108,10 @@ def detectable(
     if np.count_nonzero(use) < 2:
         return NOTHING_DETECTABLE
     level_deg = (_WIDENED if own_fit else 1.0) * threshold.level_deg
-    judge = _Judge(residuals, level_deg, use, persistence)
+    from_share = _FIT_TAKES_SHARE if own_fit else 0.0
+    judge = _Judge(residuals, level_deg, use, persistence, from_share)
     # A servo that is fitted to its own oscillation or play takes part of it for its own.
-    patient = _Judge(residuals, level_deg * (_ABSORBED if own_fit else 1.0), use, persistence)
+    patient = _Judge(residuals, level_deg * (_ABSORBED if own_fit else 1.0), use, persistence, from_share)
     if suspicions:
         patient.suspicious = threshold
     ones = np.where(np.isfinite(residuals.measured_deg), 1.0, np.nan)
@@ -116,6 +125,11 @@ def detectable(
             for wave in (np.sin, np.cos)
         ],
     }
+    largest, bends = dict(_LARGEST), _BENDS if own_fit else {}
+    if own_fit:
+        still_fitted_deg = _STILL_FITTED * float(np.std(residuals.simulated_deg[use]))
+        for name in ("bias_deg", "oscillation_deg"):
+            largest[name] = min(largest[name], still_fitted_deg)
     found: dict[str, float | None] = {}
     for name, ways in signals.items():
         signs = (1.0,) if name == "loss_share" else (1.0, -1.0)
@@ -123,7 +137,8 @@ def detectable(
         size = float(np.percentile(np.concatenate([by.needed(s * way) for way in ways for s in signs]), _POWER))
         if suspicions and name != "oscillation_deg":
             size = min(size, _drift_size(residuals, threshold, ways[0], use))
-        found[name] = size if size <= _LARGEST[name] else None
+        size *= bends.get(name, 1.0)
+        found[name] = size if size <= largest[name] else None
     lag_s = float(np.sum(1.0 / generator.filter_parameters().decay_rad_s).real)
     start_deg = float(residuals.simulated_deg[use][0])
 
@@ -139,7 +154,10 @@ def detectable(
 
     reach_deg = min(float(np.ptp(residuals.simulated_deg[use])), _WIDEST_DEG)
     found["slow_share"] = None if own_fit else _bisected(lambda speed: shows(slowed, speed), _LEAST_SPEED, 1.0)
-    found["deadband_deg"] = _bisected(lambda width: shows(loose, width), reach_deg, 0.0) if reach_deg > 0.0 else None
+    width_deg = _bisected(lambda width: shows(loose, width), reach_deg, 0.0) if reach_deg > 0.0 else None
+    if width_deg is not None:
+        width_deg *= bends.get("deadband_deg", 1.0)
+    found["deadband_deg"] = width_deg if width_deg is not None and width_deg <= reach_deg else None
     return Detectable(**{name: None if size is None else _rounded(size) for name, size in found.items()})
 
 
@@ -149,12 +167,16 @@ class _Judge:
     suspicious: Threshold | None
     """If what stays below the threshold but lasts counts as well."""
 
-    def __init__(self, residuals: Residuals, level_deg: FloatArray, use: BoolArray, persistence: int) -> None:
+    def __init__(
+        self, residuals: Residuals, level_deg: FloatArray, use: BoolArray, persistence: int, from_share: float
+    ) -> None:
         self.residual_deg, self.level_deg, self.use = residuals.residual_deg[use], level_deg[use], use
         self.persistence = persistence
         self.residuals, self.suspicious = residuals, None
         time_s = residuals.time_s[use]
-        self.onsets = time_s <= time_s[0] + _LATEST_ONSET * (time_s[-1] - time_s[0])
+        share = (time_s - time_s[0]) / max(float(time_s[-1] - time_s[0]), 1e-9)
+        self.onsets = (share >= from_share) & (share <= _LATEST_ONSET)
+        self.onsets[np.flatnonzero(share <= _LATEST_ONSET)[-1]] = True  # a pause may last for all of those
 
     def needed(self, signal: FloatArray) -> FloatArray:
         """Size that a fault of each onset needs, if it adds this much for each unit of its size."""

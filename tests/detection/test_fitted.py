@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 import pytest
 from strangers import Failure, Flight, draw_failure, fly, stranger
 
 import servofd
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from servofd.detection.verdict import SurfaceAudit
 
 
@@ -115,6 +115,25 @@ def test_a_healthy_surface_tells_what_would_have_been_seen(tmp_path: Path) -> No
         assert shown.loss_share is not None
         assert shown.loss_share <= 0.34
         assert (shown.slow_share is None) == ("speed" in surface.reason and "not judgeable" in surface.reason)
+
+
+@pytest.mark.parametrize("kind", ["loss_share", "oscillation_deg"])
+@pytest.mark.parametrize("share", [0.27, 0.45])
+def test_a_fault_of_the_stated_size_in_the_second_quarter_shows(kind: str, share: float, tmp_path: Path) -> None:
+    table = pd.read_csv(Path(__file__).parents[2] / "sample_logs" / "table_three_faults.csv")
+    table = table[["time_s", "aileron_cmd_deg", "aileron_pos_deg"]]
+    table.to_csv(tmp_path / "good.csv", index=False)
+    good = servofd.audit(tmp_path / "good.csv")[0].surfaces[0]
+    assert good.status == "healthy"
+    assert "speed not judgeable: fitted to this log" in good.reason
+    size = good.detectable.document()[kind]
+    assert size is not None
+    time_s, position_deg = table["time_s"].to_numpy(), table["aileron_pos_deg"].to_numpy()
+    wave = size * np.sin(2.0 * np.pi * 3.0 * time_s)
+    broken = (1.0 - size) * position_deg if kind == "loss_share" else position_deg + wave
+    after = time_s >= time_s[0] + share * np.ptp(time_s)
+    table.assign(aileron_pos_deg=np.where(after, broken, position_deg)).to_csv(tmp_path / "bad.csv", index=False)
+    assert servofd.audit(tmp_path / "bad.csv")[0].surfaces[0].status in ("suspect", "fault")
 
 
 def test_a_reversed_sign_is_told_and_not_hidden_by_wide_tolerances(tmp_path: Path) -> None:
