@@ -131,3 +131,18 @@ def test_the_page_is_opened_where_somebody_can_see_it(
     main([str(flight), "-s", "rudder", *words])
     capsys.readouterr()
     assert seen == [flight.with_suffix(".html").as_uri()] * opened
+
+
+@pytest.mark.slow
+def test_each_row_of_a_folder_has_a_thumbnail_and_leads_to_its_flight(tmp_path: Path) -> None:
+    logs, pages = tmp_path / "flights", tmp_path / "pages"
+    logs.mkdir()
+    for name in ("faser_stuck_flight.mat", "faser_healthy_flight.mat"):
+        (logs / name).write_bytes((SAMPLES / name).read_bytes())
+    assert main([str(logs), "--no-open", "-o", str(pages)]) == 1
+    text = (pages / "fleet.html").read_text(encoding="utf-8")
+    led_to = re.findall(r'<th scope="row"><a href="([^"]+)">', text)
+    assert [name.partition(".")[0] for name in led_to] == ["faser_stuck_flight", "faser_healthy_flight"]
+    assert all((pages / name).is_file() for name in led_to)
+    assert text.count('<svg class="thumbnail') == 2
+    assert '<table class="stack sortable">' in text
