@@ -44,6 +44,7 @@ def test_a_result_is_short_and_a_loop_over_it_gives_itself(stuck: servofd.Audit)
     assert repr(stuck).count("\n") == 2
 
 
+@pytest.mark.slow
 def test_a_cell_is_escaped_and_needs_nothing(tmp_path: Path) -> None:
     table = pd.read_csv(ROOT / "sample_logs" / "table_three_faults.csv")
     name = "<script>alert(1)</script>"
@@ -56,6 +57,7 @@ def test_a_cell_is_escaped_and_needs_nothing(tmp_path: Path) -> None:
     assert not re.search(r"(src|href)=", found._repr_html_())
 
 
+@pytest.mark.slow
 def test_a_table_is_judged_as_its_file() -> None:
     path = ROOT / "sample_logs" / "table_three_faults.csv"
     table = pd.read_csv(path)

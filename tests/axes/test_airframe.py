@@ -13,6 +13,7 @@ from servofd.cli import main
 from servofd.simulation.airframe import MIXERS, AirframeFault, fly_airframe
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mixer", list(MIXERS))
 def test_every_mixer_flies_the_same_aeroplane(mixer: str, tmp_path: Path) -> None:
     log = tmp_path / "plane.bin"

@@ -86,6 +86,7 @@ def test_days_and_steepness_tell_the_rate() -> None:
     assert tail_of(tops, np.full(400, 0.1), days=1).level(0.1) > level
 
 
+@pytest.mark.slow
 def test_healthy_flights_are_healthy_and_a_loss_is_measured() -> None:
     model = calibrated()
     assert model.days == 3
@@ -179,6 +180,7 @@ def as_table(folder: Path, name: str, flight: Motion) -> str:
     return str(path)
 
 
+@pytest.mark.slow
 def test_two_commands_from_logs_to_a_verdict(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     good = [as_table(tmp_path, f"{DAYS[k]}.csv", flown(k, DAYS[k])) for k in range(3)]
     plane, out = str(tmp_path / "plane.toml"), tmp_path / "audit.json"

@@ -14,6 +14,7 @@ from tests.axes.flights import flown
 from tests.axes.test_axes import as_table
 
 
+@pytest.mark.slow
 def test_an_axis_that_loses_effect_is_followed(tmp_path: Path) -> None:
     plane = tmp_path / "plane.toml"
     model = calibrate_motion([flown(seed, f"2026-05-0{1 + seed % 3}") for seed in range(3)])

@@ -35,6 +35,7 @@ def roll_of(flight: Motion) -> AxisAudit:
     return next(audit for audit in judge_motion(calibrated(), flight) if audit.axis == "roll")
 
 
+@pytest.mark.slow
 def test_an_engine_that_never_ran_is_no_axis() -> None:
     assert set(calibrated().axes) == {"roll"}
 
@@ -131,6 +132,7 @@ def rolls_of(model: MotionModel, flight: Motion, **kind: Any) -> AxisAudit:
     return next(audit for audit in judge_motion(model, motion) if audit.axis == "roll")
 
 
+@pytest.mark.slow
 def test_commands_at_3_hz_are_judged_by_a_calibration_of_their_kind() -> None:
     model = calibrated_on(command_every=8)
     assert (model.rate_hz, model.days) == (10.0, 3)
@@ -146,6 +148,7 @@ def test_commands_at_3_hz_are_not_judged_by_a_faster_calibration() -> None:
         rolls_of(calibrated(), flown(65, OF_THE_DAY), command_every=8)
 
 
+@pytest.mark.slow
 def test_a_glider_has_no_engine_and_is_judged() -> None:
     glider = {"SERVO1_FUNCTION": 4.0}
     model = calibrated_on(mixer=glider)

@@ -13,6 +13,7 @@ from tests.axes.test_axes import as_table
 from tests.axes.test_bad_input import calibrated
 
 
+@pytest.mark.slow
 def test_an_axis_has_its_line_in_the_terminal_and_its_lanes_in_rerun(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

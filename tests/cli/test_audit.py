@@ -108,6 +108,7 @@ def test_a_surface_can_be_chosen(capsys: pytest.CaptureFixture[str]) -> None:
     assert list(document["logs"][0]["surfaces"]) == ["rudder"]
 
 
+@pytest.mark.slow
 def test_a_surface_without_data_keeps_the_log_from_being_called_healthy(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -129,6 +130,7 @@ def test_a_surface_without_data_keeps_the_log_from_being_called_healthy(
     assert surfaces["elevator"]["status"] == "healthy"
 
 
+@pytest.mark.slow
 def test_damage_is_recorded_and_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "gap.csv"
     main(["simulate", "-o", str(path)])
@@ -216,6 +218,7 @@ def motion(rate_hz: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return time_s, command, position
 
 
+@pytest.mark.slow
 def test_commands_and_positions_in_rows_of_their_own_have_the_verdict_of_one_table(tmp_path: Path) -> None:
     """At stamps of their own, and at the same ones."""
     time_s, command, position = motion(50.0)
@@ -246,6 +249,7 @@ def test_ten_positions_a_second_are_judged(rate_hz: float, tmp_path: Path) -> No
     assert (surface.status, [fault.kind for fault in surface.faults]) == ("fault", ["stuck"])
 
 
+@pytest.mark.slow
 def test_a_thousand_bad_check_sums_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     content = bytearray(tlog_writer.flight(110.0))
     ends = [found.start() for found in re.finditer(rb"\xfd\x13\x00\x00", bytes(content))]

@@ -45,6 +45,7 @@ def config(tmp_path: Path) -> str:
     return str(path)
 
 
+@pytest.mark.slow
 def test_a_good_flight_gives_an_aircraft_file(tmp_path: Path, config: str, capsys: pytest.CaptureFixture[str]) -> None:
     flight = flown()
     good = written(tmp_path, "good.csv", flight.time_s, flight.command_deg[:, 0], 0.9 * flight.measured_deg[:, 0] + 2.0)
@@ -109,6 +110,7 @@ def test_bad_input_is_told_in_a_sentence(tmp_path: Path, config: str, capsys: py
         assert not target.exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("every", [1, 10])
 def test_without_a_file_the_aircraft_is_drafted_and_ten_hertz_will_do(tmp_path: Path, every: int) -> None:
     flight = flown(duration_s=60.0)

@@ -27,6 +27,7 @@ def healthy() -> Hidden:
     return hide(FineServo(), duration_s=20.0)
 
 
+@pytest.mark.slow
 def test_the_json_is_what_the_contract_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = slow().write(tmp_path / "log.csv")
     assert main(["explain", *KNOWN, str(path), "-s", "elevator", "--json", "-"]) == 0
@@ -43,6 +44,7 @@ def test_the_json_is_what_the_contract_says(tmp_path: Path, capsys: pytest.Captu
     assert all(isinstance(sentence, str) for sentence in document["where"])
 
 
+@pytest.mark.slow
 def test_the_better_model_makes_the_audit_quieter(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, better = slow().write(tmp_path / "log.csv"), tmp_path / "better.toml"
     assert main(["explain", *KNOWN, str(path), "--save", str(better)]) == 0
@@ -57,6 +59,7 @@ def test_the_better_model_makes_the_audit_quieter(tmp_path: Path, capsys: pytest
     assert errors[1] < 0.11 < 2.0 * errors[1] < errors[0]
 
 
+@pytest.mark.slow
 def test_what_an_audit_gains_is_told_of_a_servo_that_nobody_knows_too(tmp_path: Path) -> None:
     path = hide(FineServo(backlash_deg=1.0), duration_s=30.0).write(tmp_path / "log.csv")
     assert main(["explain", str(path), "-s", "elevator", "--json", str(tmp_path / "gap.json")]) == 0
@@ -66,6 +69,7 @@ def test_what_an_audit_gains_is_told_of_a_servo_that_nobody_knows_too(tmp_path: 
     assert audit["after"]["threshold_deg"] < 0.75 * audit["before"]["threshold_deg"]
 
 
+@pytest.mark.slow
 def test_what_is_found_in_the_linkage_is_saved_and_simulated(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -130,6 +134,7 @@ def test_what_has_no_better_model_is_saved_as_it_was(tmp_path: Path, capsys: pyt
     assert main(["audit", str(path), "-c", str(saved)]) == 0
 
 
+@pytest.mark.slow
 def test_the_model_is_judged_on_other_flights(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = slow().write(tmp_path / "log.csv")
     other = hide(FineServo(delay_s=0.03), duration_s=12.0, seed=4).write(tmp_path / "other.csv")
@@ -171,6 +176,7 @@ def two_surfaces(path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_surface_that_cannot_be_told_does_not_stop_the_others(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

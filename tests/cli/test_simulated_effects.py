@@ -58,6 +58,7 @@ def test_every_effect_shows_in_the_surface_that_has_it(name: str, size: str, tmp
     assert np.array_equal(with_it["rudder_pos_deg"].values, without["rudder_pos_deg"].values)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["rate_limit, asymmetric", "airload", "voltage_rate", "supply_coupling", "external_load"]
 )

@@ -101,6 +101,7 @@ def test_a_stream_that_becomes_slower_has_lost_nothing() -> None:
     assert sent_period_s(np.concatenate([np.arange(50) * 0.25, 12.5 + np.arange(51) * PERIOD_S])) is None
 
 
+@pytest.mark.slow
 def test_good_flights_have_no_alarm_and_jams_are_found() -> None:
     for seed in range(20):
         assert judged(watched(KNOWN, Record.of(flown(seed)))).faults == ()

@@ -210,6 +210,7 @@ class TestToleranceByHand:
         follow(signals, bounds, new_work(bounds, 1), poles, tolerated, saturated, sigma, drift)
         return tolerated, saturated, sigma, drift
 
+    @pytest.mark.slow
     def test_a_gain_leaves_its_share_of_the_recent_peak(self) -> None:
         tolerated, saturated, sigma, _ = self.followed([0.0, -10.0, 0.0, np.nan, 0.0], 0.15, (0.03, 0.0, 0.0, 0.3))
         np.testing.assert_allclose(tolerated, [0.3, 0.6, 0.45, 0.45, 0.3 + 0.3 / 2.0 / 3.0], rtol=1e-12)

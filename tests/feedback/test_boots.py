@@ -12,6 +12,7 @@ import servofd
 from servofd.cli import main
 
 
+@pytest.mark.slow
 def test_no_fault_spans_a_reboot_and_each_boot_is_judged_on_its_own(tmp_path: Path) -> None:
     parts = []
     for name, fault in (("first", ["--fault", "rudder:stuck@25"]), ("second", [])):
@@ -42,6 +43,7 @@ def _two_boots(folder: Path, *, first: list[str], second: list[str]) -> Path:
     return both
 
 
+@pytest.mark.slow
 def test_an_aircraft_is_drafted_from_the_longest_flight_of_a_log(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -49,6 +49,7 @@ def fitted_verdict(command_deg: FloatArray, position_deg: FloatArray) -> Surface
     return audit_log(log, fitted_aircraft(log, plain_aircraft(["x"])), threads=1).surfaces[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 2])
 def test_a_servo_that_becomes_slow_is_fitted_as_it_was_and_named_from_when_it_changed(seed: int) -> None:
     command_deg, from_s = commands(seed), 40.0

@@ -12,6 +12,7 @@ from servofd.cli import main
 TABLE = Path("sample_logs/table_three_faults.csv")
 
 
+@pytest.mark.slow
 def test_the_drafted_file_gives_the_verdicts_of_the_fit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["config", str(TABLE)]) == 0
     config = tmp_path / "plane.toml"

@@ -42,6 +42,7 @@ def test_an_identified_servo_accuses_none_of_its_own_tests(log: Path, tmp_path: 
         assert verdict.status == "healthy" or verdict.reason.startswith("too little motion")
 
 
+@pytest.mark.slow
 def test_a_servo_that_does_not_explain_its_own_test_is_not_saved(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

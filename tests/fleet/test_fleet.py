@@ -46,6 +46,7 @@ def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, s
     return code, printed.out, printed.err
 
 
+@pytest.mark.slow
 def test_a_folder_is_judged_like_its_logs_one_by_one(
     logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -90,6 +91,7 @@ def test_what_could_not_be_judged_is_said_and_the_rest_is_done(
     assert "6 logs" in out
 
 
+@pytest.mark.slow
 def test_tables_are_read_by_pandas_and_duckdb(results: Path) -> None:
     surfaces = pd.read_parquet(results / "surfaces")
     assert len(surfaces) == 10
@@ -298,6 +300,7 @@ def test_a_store_refuses_a_folder_with_tables_of_others(tmp_path: Path) -> None:
         FleetStore(tmp_path, "key")
 
 
+@pytest.mark.slow
 def test_only_one_audit_writes_to_a_folder(logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["audit", logs / "may", "-o", tmp_path]
     with FleetStore(tmp_path, Job().key):
@@ -308,6 +311,7 @@ def test_only_one_audit_writes_to_a_folder(logs: Path, tmp_path: Path, capsys: p
     assert run(capsys, *words)[0] == 1
 
 
+@pytest.mark.slow
 def test_the_lock_of_a_killed_audit_is_free(tmp_path: Path) -> None:
     program = f"""
 import pathlib, time

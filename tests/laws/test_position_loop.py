@@ -187,6 +187,7 @@ def test_a_reading_in_steps_is_the_nearest_of_them() -> None:
     np.testing.assert_allclose(coarse_deg / 0.35, np.round(fine_deg / 0.35), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_frames_carry_the_command_in_force_when_they_begin() -> None:
     time_s, period_s, phase = COMMANDS[0], 0.02, 0.3
     frame_s, frame_deg = framed(*COMMANDS, period_s, phase)

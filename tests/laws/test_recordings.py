@@ -97,6 +97,7 @@ def same(one: Recording, other: Recording) -> None:
         assert np.array_equal(other.traces[name].asked_deg, trace.asked_deg)
 
 
+@pytest.mark.slow
 @settings(max_examples=12, deadline=None)
 @given(recordings())
 def test_what_is_read_is_what_was_written(recording: Recording) -> None:

@@ -90,6 +90,7 @@ def audited(log: bytes, aircraft: Aircraft) -> dict[str, list[tuple[str, float]]
 
 
 class TestAsAnAudit:
+    @pytest.mark.slow
     def test_of_the_same_bytes(self, log: bytes, aircraft: Aircraft) -> None:
         session, events = heard(replayed(log), aircraft)
         found = {m.name: [(fault.kind, fault.alarm_s) for fault in m.faults] for _, m in session.watched}

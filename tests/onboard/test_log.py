@@ -45,6 +45,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_info_shows_what_was_seen_on_board(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["info", str(folder / "flight.bin"), "--json"]) == 0
     seen = {one["output"]: one for one in json.loads(capsys.readouterr().out)["logs"][0]["on_board"]}

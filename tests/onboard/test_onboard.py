@@ -98,6 +98,7 @@ def test_positions_go_to_the_ground_at_the_rate_of_the_parameter(tmp_path: Path)
         assert least <= fly(script, flight, tmp_path, parameters={"SFD_STREAM_HZ": hz}).named <= most
 
 
+@pytest.mark.slow
 def test_six_surfaces_fit_an_autopilot(tmp_path: Path) -> None:
     plane = many(6)
     flight = wiggled(plane, jammed=3)

@@ -38,6 +38,7 @@ NAMES = {
 QUICK = ("ardupilot_dronecan_healthy.bin", "faser_slow_flight.mat")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "sample", [pytest.param(name, marks=() if name in QUICK else pytest.mark.nightly) for name in NAMES]
 )

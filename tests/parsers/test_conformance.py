@@ -54,6 +54,7 @@ class Conformance:
         assert {name: log[name].origin for name in self.origins} == self.origins
         assert log.damage == ()
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("name", ["flight.mat", "flight.csv", "flight.bin", "flight.tlog", "flight"])
     def test_path_whatever_its_name(self, tmp_path: Path, name: str) -> None:
         path = tmp_path / name
@@ -91,6 +92,7 @@ class Conformance:
             # A row that happens to be cut inside its last cell still has all its cells: nobody can tell.
             np.testing.assert_array_equal(log[name].values[:-1], values[: size - 1])
 
+    @pytest.mark.slow
     def test_flipped_bytes_are_never_another_error(self) -> None:
         for at in range(0, len(self.content), max(len(self.content) // 20, 1)):
             broken = bytearray(self.content)

@@ -162,6 +162,7 @@ def test_the_name_of_a_file_object_is_its_label(tmp_path: Path) -> None:
         assert logparsers.read(file).source == path
 
 
+@pytest.mark.slow
 def test_importing_stays_light() -> None:
     heavy = ("pandas", "scipy", "h5py", "numba", "pymavlink", "pyulog", "servofd")
     code = (

@@ -249,6 +249,7 @@ def test_no_matlab_file_takes_more_than_six_times_its_size_beyond_one_channel() 
     assert peak_mb(content) < 6 * len(content) / 2**20 + 2 * channel_mb
 
 
+@pytest.mark.slow
 def test_many_small_cells_take_no_memory_to_speak_of() -> None:
     empty = writers.element5("<", 14, b"")
     cells = writers.element5(
@@ -263,6 +264,7 @@ def test_many_small_cells_take_no_memory_to_speak_of() -> None:
     assert peak_mb(writers.level5("<", packed)) < 60
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("promise", [0, 1 << 31, (1 << 32) - 1])
 def test_a_compressed_variable_inflates_as_far_as_its_header_promises(promise: int) -> None:
     bomb = zlib.compress(struct.pack("<2I", 14, promise) + bytes(200 << 20), 9)

@@ -42,6 +42,7 @@ def colour_share(path: Path, colour: str, tolerance: float = 0.1) -> float:
     return float(np.mean(np.max(np.abs(picture - np.array(to_rgb(colour))), axis=2) < tolerance))
 
 
+@pytest.mark.slow
 def test_the_figure_shows_curves_threshold_and_fault(stuck: LogAudit, tmp_path: Path) -> None:
     from servofd.outputs.palette import COLOURS
 
@@ -95,6 +96,7 @@ def columns(path: Path, entity: str, component: str) -> tuple[np.ndarray[Any, An
     return np.concatenate(times)[order], np.concatenate(values)[order]
 
 
+@pytest.mark.slow
 def test_the_recording_reads_back_what_was_audited(stuck: LogAudit, recording: Path) -> None:
     elevator = stuck.surfaces[0]
     assert elevator.residuals is not None
@@ -118,6 +120,7 @@ def test_the_recording_tells_nothing_of_the_machine(recording: Path) -> None:
     assert str(SAMPLES.parent) not in everything(recording)
 
 
+@pytest.mark.slow
 def test_the_recording_passes_the_viewers_own_check(recording: Path) -> None:
     verify = [sys.executable, "-m", "rerun", "rrd", "verify", str(recording)]
     result = subprocess.run(verify, capture_output=True, text=True, check=False)

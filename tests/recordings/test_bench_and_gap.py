@@ -42,6 +42,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "servo.rrd"
 
 
+@pytest.mark.slow
 def test_the_servo_that_was_found_stands_beside_each_test(bench: Path) -> None:
     log = sweep("hs225bb-eq31", duration_s=20.0)
     found = curves(bench)

@@ -24,6 +24,7 @@ from servofd.outputs.recording.verdicts import live_verdicts
 SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"
 
 
+@pytest.mark.slow
 def test_a_recording_of_the_monitor_is_judged_in_review(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (audit,) = servofd.audit(SAMPLES / "table_three_faults.csv")
     names = [s.surface for s in audit.surfaces]
@@ -70,6 +71,7 @@ def verdicts(words: list[str], capsys: pytest.CaptureFixture[str]) -> dict[str, 
     }
 
 
+@pytest.mark.slow
 def test_commands_are_recorded_as_they_came(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Commands come more often than positions here: those at the positions alone would be another flight."""
     log, path = SAMPLES / "telemetry_stuck.tlog", tmp_path / "live.rrd"
@@ -89,6 +91,7 @@ def test_commands_are_recorded_as_they_came(tmp_path: Path, capsys: pytest.Captu
     assert verdicts(["review", str(path)], capsys) == audited
 
 
+@pytest.mark.slow
 def test_nothing_recorded_is_no_verdict(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (audit,) = servofd.audit(SAMPLES / "table_three_faults.csv")
     names = [s.surface for s in audit.surfaces]

@@ -195,6 +195,7 @@ def test_bad_recordings_are_one_line(what: str, tmp_path: Path, capsys: pytest.C
     assert shown.out == ""
 
 
+@pytest.mark.slow
 def test_a_truncated_recording_is_repaired(stuck: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     half, fixed = tmp_path / "half.rrd", tmp_path / "fixed.rrd"
     content = stuck.read_bytes()

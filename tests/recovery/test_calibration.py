@@ -92,6 +92,7 @@ def of_stranger(aircraft: Stranger, number: int, style: str, surface: str, failu
     )
 
 
+@pytest.mark.slow
 def test_hidden_numbers_are_found() -> None:
     servo = FleetServo(gain=0.97, delay_s=0.007, bandwidth_scale=1.1, bias_deg=-0.25, noise_deg=0.1, jitter_s=0.002)
     (one,) = calibrated(flown(servo, 0, "lively")).surfaces
@@ -105,6 +106,7 @@ def test_hidden_numbers_are_found() -> None:
     assert one.held_out_rms_deg == pytest.approx(0.1, rel=0.15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize(
     ("effect", "width_deg", "key"),
@@ -131,6 +133,7 @@ def test_play_dead_band_and_friction_are_told_with_what_they_may_be(
         assert one.estimates[key].low <= width_deg <= one.estimates[key].high
 
 
+@pytest.mark.slow
 def test_small_faults_are_found_and_named() -> None:
     servo = flight(101, "lively").servo
     aircraft = calibrated(flown(servo, 0, "lively")).aircraft
@@ -143,6 +146,7 @@ def test_small_faults_are_found_and_named() -> None:
     assert fault.parameters["bias_deg"].value == pytest.approx(1.0, abs=0.2)
 
 
+@pytest.mark.slow
 def test_a_flight_that_turns_bad_is_refused() -> None:
     healthy = flown(FleetServo(noise_deg=0.1), 0, "lively")
     weak = np.where(healthy.measured_s > 80.0, 0.6, 1.0)
@@ -153,6 +157,7 @@ def test_a_flight_that_turns_bad_is_refused() -> None:
         calibrated(replace(healthy, measured_deg=healthy.measured_deg + wobble_deg))
 
 
+@pytest.mark.slow
 def test_positions_that_pause_are_no_change_of_the_servo() -> None:
     healthy = flown(FleetServo(noise_deg=0.05, bias_deg=4.0), 0, "lively")
     t = healthy.measured_s
@@ -178,12 +183,14 @@ def test_a_jam_of_most_of_the_flight_is_refused_with_its_time(seed: int) -> None
     assert float(found[1]) == pytest.approx(20.0, abs=0.5)
 
 
+@pytest.mark.slow
 def test_flights_of_two_servos_are_refused() -> None:
     one, other = (flown(FleetServo(noise_deg=0.1, gain=gain), 0, "lively") for gain in (1.0, 0.6))
     with pytest.raises(CalibrationError, match="not the same aircraft"):
         calibrated(one, other)
 
 
+@pytest.mark.slow
 def test_more_flights_measure_what_differs_between_them() -> None:
     servo = FleetServo(noise_deg=0.1)
     (one,) = calibrated(flown(servo, 0, "lively")).surfaces
@@ -234,6 +241,7 @@ def test_a_servo_calibrated_on_half_a_minute_is_quiet_in_other_flights(seed: int
         assert judged(known, of_stranger(stranger(seed), 2, style, name)).faults == (), style
 
 
+@pytest.mark.slow
 def test_a_servo_whose_neutral_is_far_from_zero_is_calibrated_as_well() -> None:
     """Bends of its reading are those of the angles seen: the cube of 180 deg would be anything."""
     servo = FleetServo(noise_deg=0.1)
@@ -260,6 +268,7 @@ def test_an_overbalanced_surface_stays_a_number() -> None:
     assert np.abs(position_deg).max() <= 400.0
 
 
+@pytest.mark.slow
 def test_a_stream_finds_what_an_audit_finds() -> None:
     aircraft = stranger(3)
     known = calibrated(of_stranger(aircraft, 1, "mixed", "rudder")).aircraft

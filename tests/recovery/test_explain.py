@@ -94,10 +94,12 @@ def test_neutral_effects_are_absent() -> None:
     assert not Physics(lag_s=0.1).is_linear_loop
 
 
+@pytest.mark.slow
 def test_backlash_is_named_in_flight() -> None:
     assert_named(explained(hide(FineServo(backlash_deg=0.8))), "backlash", 0.8, 0.02)
 
 
+@pytest.mark.slow
 def test_a_rate_limit_is_named_in_a_chirp() -> None:
     found = explained(hide(FineServo(rate_deg_s=50.0), "chirp"), context=False)
     assert_named(found, "rate_limit", 50.0, 1.0)
@@ -211,6 +213,7 @@ def test_an_interval_in_which_a_lost_row_may_hide_does_not_count() -> None:
     assert record.counts[(since_s > 0.2) & (since_s < 4.0)].all()
 
 
+@pytest.mark.slow
 def test_the_steps_of_a_converter_are_seen_and_named() -> None:
     log = hide(FineServo(), seed=8, noise_deg=0.05)
     coarse = replace(log, position_deg=0.7 * np.round(log.position_deg / 0.7))

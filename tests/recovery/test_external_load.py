@@ -58,6 +58,7 @@ def model(said: dict[str, object]) -> dict[str, dict[str, float]]:
 KNOWN = ("--servo", "hs225bb-eq31")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("column", ["elevator_load_nm", "disturbance"])
 def test_a_load_that_was_logged_is_found_with_its_size(column: str, tmp_path: Path) -> None:
     time_s, command, position, load_nm = pushed_servo(0.0, 1)
@@ -69,6 +70,7 @@ def test_a_load_that_was_logged_is_found_with_its_size(column: str, tmp_path: Pa
     assert "load" in str(said["answer"])
 
 
+@pytest.mark.slow
 def test_it_is_found_beside_friction_in_any_unit(tmp_path: Path) -> None:
     time_s, command, position, load_nm = pushed_servo(FRICTION_DEG, 2)
     columns = {"time_s": time_s, "elevator_cmd_deg": command, "elevator_pos_deg": position, "load_n": 5e4 * load_nm}
@@ -85,6 +87,7 @@ def test_a_load_that_nobody_logged_is_no_other_effect(tmp_path: Path) -> None:
     assert said["conclusion"] in ("unexplained", "partly_explained")
 
 
+@pytest.mark.slow
 def test_a_load_that_does_nothing_is_not_named(tmp_path: Path) -> None:
     time_s, command, position, load_nm = pushed_servo(0.0, 1)
     other = np.roll(load_nm, 700)
@@ -95,6 +98,7 @@ def test_a_load_that_does_nothing_is_not_named(tmp_path: Path) -> None:
     assert "external_load" not in model(answer(tmp_path, columns, *KNOWN))
 
 
+@pytest.mark.slow
 def test_the_aircraft_file_names_its_channel(tmp_path: Path) -> None:
     time_s, command, position, load_nm = pushed_servo(0.0, 1)
     aircraft = tmp_path / "bench.toml"

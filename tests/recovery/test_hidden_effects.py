@@ -27,6 +27,7 @@ def test_everything_is_flown() -> None:
     assert len(set(full)) == len(full)
 
 
+@pytest.mark.slow
 def test_a_steady_supply_cannot_tell_voltage_from_speed_and_a_battery_can() -> None:
     effects = {"voltage_rate": {"deg_s_per_v": 7.0}}
     steady, flown = (

@@ -49,6 +49,7 @@ def test_what_hardly_shows_need_not_be_named_but_may() -> None:
     assert not lenient.silently_wrong
 
 
+@pytest.mark.slow
 def test_every_log_is_made_byte_for_byte(tmp_path: Path) -> None:
     made = runpy.run_path(str(FOLDER / "make.py"))["make"](FOLDER / TRUTH, tmp_path)
     assert sorted(path.name for path in made) == sorted(path.name for path in FOLDER.glob("*.csv"))

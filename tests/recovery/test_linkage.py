@@ -31,6 +31,7 @@ JITTERED_S = np.sort(np.random.default_rng(2).choice(FINE_S, 700, replace=False)
 JITTERED_S[0] = 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("at_s", [FINE_S[::100], JITTERED_S], ids=["even", "jittered"])
 def test_a_tip_a_sensor_and_a_play_follow_the_shaft_as_if_integrated_finely(at_s: FloatArray) -> None:
     shaft_deg, at = moved(FREE, FINE_S), np.searchsorted(FINE_S, at_s - 1e-9)

@@ -28,6 +28,7 @@ def test_structures_that_are_none_of_the_models() -> None:
     assert all(not line["named"] for line in lines if not line["truth"])
 
 
+@pytest.mark.slow
 def test_lost_torque_is_found_when_it_is_lost_and_a_healthy_run_is_not_accused() -> None:
     for seed in (2, 4, 6):
         drawn = lot(seed)

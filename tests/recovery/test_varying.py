@@ -58,6 +58,7 @@ def test_what_does_not_go_with_the_value_is_not_told() -> None:
     assert varying(explained().selection, by_lot | {"gap": gap}) == ()
 
 
+@pytest.mark.slow
 def test_one_limit_for_all_runs_goes_with_nothing() -> None:
     found = explained(0.0)
     assert found.selection.final.names == ("rate_limit",)

@@ -43,6 +43,7 @@ def test_the_core_judges_a_flight_a_folder_and_a_table(tmp_path: Path) -> None:
     assert "Traceback" not in run.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "package"),
     [

@@ -150,6 +150,7 @@ def test_posix_only_calls_are_seen() -> None:
     assert posix_only(ast.parse("try:\n    import fcntl\nexcept ImportError:\n    pass")) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("package", ["logparsers", "servofd"])
 def test_no_posix_only_call_outside_guarded_places(package: str) -> None:
     found = {
@@ -160,6 +161,7 @@ def test_no_posix_only_call_outside_guarded_places(package: str) -> None:
     assert found == {}
 
 
+@pytest.mark.slow
 def test_every_text_file_is_opened_with_its_encoding() -> None:
     """Windows takes another one than UTF-8 where nothing is said."""
     found = []

@@ -55,6 +55,7 @@ def bench_log(jammed_s: float | None) -> bytes:
     return b"BENCH1 elevator_cmd_deg elevator_pos_deg\n" + record.tobytes()
 
 
+@pytest.mark.slow
 def test_a_log_format(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     line = example("A log format")["LINE"]
     detect = importlib.import_module("logparsers.detect")  # the package has a function of that name
@@ -89,6 +90,7 @@ def test_an_effect(monkeypatch: pytest.MonkeyPatch) -> None:
     assert lost_deg.max() == pytest.approx(0.9 * 0.4, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_fault(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     kind = example("A fault")["Reversed"]
     assert issubclass(kind, Fault)

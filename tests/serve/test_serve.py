@@ -256,6 +256,7 @@ def test_what_is_at_work_says_how_far_it_is(tmp_path: Path, monkeypatch: pytest.
     assert told == ["Being read.", "Judged so far: aileron left.", "Judged so far: aileron left, rudder."]
 
 
+@pytest.mark.slow
 def test_a_flight_that_no_browser_could_show_gets_no_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("servofd.serve.judge._MOST_RECORDED", 1000)
     folder = tmp_path / "servofd" / ("0" * 32)
