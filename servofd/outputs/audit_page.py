@@ -41,7 +41,7 @@ _RANK = {"fault": 0, "suspect": 1}
 
 
 def audit_page(results: Sequence[LogAudit | FailedLog]) -> str:
-    """Text of the page, for one or more logs.
+    """Text of the page, for one or more logs, those with a fault first.
 
     It names files without their folders, and tells nothing else of the machine, its user, or where the aircraft flew.
 
@@ -60,6 +60,7 @@ def audit_page(results: Sequence[LogAudit | FailedLog]) -> str:
         _failed(result) if isinstance(result, FailedLog) else _log(result, f"log-{k}")
         for k, result in enumerate(results, start=1)
     ]
+    logs.sort(key=lambda log: _RANK.get(log["status"], len(_RANK)))
     first = logs[0] if len(logs) == 1 else _all_of(logs)
     return page(
         "audit.html",

@@ -114,6 +114,17 @@ def test_an_audit_begins_with_its_verdict_and_shows_every_fault(audited: str, au
 
 
 @pytest.mark.slow
+def test_a_flight_with_a_fault_stands_before_those_without() -> None:
+    logs = ["faser_healthy_flight.mat", "faser_stuck_flight.mat"]
+    results = [audit for name in logs for audit in servofd.audit(SAMPLES / name)]
+    assert [any(surface.faults for surface in result.surfaces) for result in results] == [False, True]
+    text = audit_page([*results, FailedLog("none.csv", "none.csv: no such file")])
+    at = [text.index(f"<h2>{name}</h2>") for name in (logs[1], logs[0], "none.csv")]
+    assert at == sorted(at)
+    contents = text[text.index("All logs") :]
+    assert contents.index(logs[1]) < contents.index(logs[0])
+
+
 def test_an_explanation_shows_the_gap_before_and_after(explained: str) -> None:
     page = Page(explained)
     for words in ("rate limit", "explains the gap", "held-out samples", "Rivals, tried", "Error by regime", "0.50"):
