@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from servofd.cli import audit
 from servofd.cli.parser import OneLineParser
+from servofd.core.files import beginning, distinct_file_names, write_whole
 
 if TYPE_CHECKING:
     import argparse
@@ -47,8 +48,7 @@ def verb_for(words: Sequence[str], verbs: Collection[str]) -> str:
 
 def _is_recording(path: Path) -> bool:
     try:
-        with path.open("rb") as file:
-            return file.read(len(_RECORDING)) == _RECORDING
+        return beginning(path, len(_RECORDING)) == _RECORDING
     except OSError:  # a folder, or a file that the audit tells what is wrong with
         return False
 
@@ -149,7 +149,6 @@ def closing_lines(results: Sequence[LogAudit | FailedLog], page: Path | None) ->
 
 def _written(options: argparse.Namespace, results: Sequence[LogAudit | FailedLog]) -> Path | None:
     """Write the page into ``-o``, else beside the log, else where the user is; None if there is nothing to show."""
-    from servofd.core.files import distinct_file_names, write_whole
     from servofd.outputs.audit_page import audit_page
     from servofd.outputs.json_report import FailedLog
     from servofd.outputs.motors import motors_of
@@ -173,8 +172,7 @@ def _is_of(page: Path, log: str) -> bool:
     from servofd.outputs.page import source_tag
 
     try:
-        with page.open("rb") as file:
-            return source_tag(log).encode() in file.read(_HEAD_BYTES)
+        return source_tag(log).encode() in beginning(page, _HEAD_BYTES)
     except OSError:
         return False
 

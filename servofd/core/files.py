@@ -1,7 +1,8 @@
-"""Writing files whole or not at all."""
+"""Writing files whole or not at all, and how a file begins."""
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import tempfile
@@ -32,6 +33,20 @@ def distinct_file_names(names: Sequence[str]) -> list[str]:
         used[plain] = used.get(plain, 0) + 1
         result.append(plain if used[plain] == 1 else f"{plain}~{used[plain]}")
     return result
+
+
+def beginning(path: Path, most_bytes: int) -> bytes:
+    """First bytes of a file; an OSError says why it cannot be read, as of a pipe, which would be waited for.
+
+    Examples
+    --------
+    >>> beginning(Path("pyproject.toml"), 7)
+    b'[build-'
+    """
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise OSError(errno.EINVAL, "is not a regular file; copy it to one")
+    with path.open("rb") as file:
+        return file.read(most_bytes)
 
 
 def make_folder(folder: Path) -> None:

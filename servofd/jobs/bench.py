@@ -12,6 +12,7 @@ import numpy as np
 from servofd.aircraft.schema import load_aircraft
 from servofd.aircraft.segment import Segment, cut
 from servofd.core.errors import ConfigError, NoMeasurement
+from servofd.core.files import beginning
 from servofd.identification.identify import Method, identify
 from servofd.jobs.job import logs_of, surfaces_of
 
@@ -124,10 +125,10 @@ def bench_aircraft(path: str | Path) -> Aircraft | None:
     True
     """
     try:
-        with Path(path).open("rb") as file:
-            header = file.readline(_LONGEST_HEADER).decode("utf-8", "replace").strip().split(",")
+        first = beginning(Path(path), _LONGEST_HEADER).split(b"\n", 1)[0]
     except OSError:
         return None
+    header = first.decode("utf-8", "replace").strip().split(",")
     return load_aircraft("bench") if {"run", "t_s", "cmd", "meas"} <= set(header) else None
 
 

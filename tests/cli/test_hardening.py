@@ -34,6 +34,19 @@ def elevator(path: str, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
     return verdict
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
+@pytest.mark.parametrize(
+    "verb", [[], ["audit"], ["info"], ["explain"], ["identify"], ["review"], ["config"], ["sweep"]]
+)
+def test_a_pipe_that_nobody_writes_to_is_not_waited_for(
+    verb: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pipe = tmp_path / "flight.bin"
+    os.mkfifo(pipe)
+    assert main([*verb, str(pipe)]) == 2
+    assert "is not a regular file" in capsys.readouterr().err
+
+
 class TestOutputs:
     def test_a_pipe_is_written_to_and_not_replaced(self, tmp_path: Path) -> None:
         pipe = tmp_path / "pipe"

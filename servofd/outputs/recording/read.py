@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from servofd.core.errors import RecordingError
-from servofd.core.files import whole_file
+from servofd.core.files import beginning, whole_file
 from servofd.outputs.recording.clock import TIME_BOOT, seconds
 from servofd.outputs.recording.content import Recording, Trace
 from servofd.outputs.recording.program import run_rerun
@@ -144,8 +144,7 @@ def _reader(path: Path) -> Any:  # noqa: ANN401 - rerun is untyped here
 def is_recording(path: Path) -> bool:
     """Whether a file begins as Rerun's recordings do."""
     try:
-        with path.open("rb") as file:
-            return file.read(4).startswith(_MAGIC)
+        return beginning(path, 4).startswith(_MAGIC)
     except OSError as error:
         raise RecordingError(f"{path}: cannot read this file: {error.strerror}") from None
 
