@@ -102,6 +102,7 @@ def test_healthy_flights_are_healthy_and_a_loss_is_measured() -> None:
     assert "one of them, or both at half effect" in roll.reason
 
 
+@pytest.mark.slow
 def test_the_verdict_is_causal() -> None:
     flight = flown(52, "2026-05-09", aileron_share=0.0, from_s=60.0)
     whole = next(a for a in judge_motion(calibrated(), flight) if a.axis == "roll")

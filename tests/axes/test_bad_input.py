@@ -40,6 +40,7 @@ def test_an_engine_that_never_ran_is_no_axis() -> None:
     assert set(calibrated().axes) == {"roll"}
 
 
+@pytest.mark.slow
 def test_gusts_twice_as_strong_are_no_fault() -> None:
     assert [event for event in roll_of(flown(60, OF_THE_DAY, gusts=12.0)).events if event.is_own] == []
 

@@ -56,6 +56,7 @@ def test_the_json_is_what_the_contract_says(capsys: pytest.CaptureFixture[str]) 
     assert 0.0 <= rudder["false_alarms_per_hour"] < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["flight", "chirp", "steps", "doublets"])
 @pytest.mark.parametrize("suffix", ["csv", "mat"])
 def test_what_simulate_writes_audit_reads(

@@ -117,6 +117,7 @@ def test_a_healthy_surface_tells_what_would_have_been_seen(tmp_path: Path) -> No
         assert (shown.slow_share is None) == ("speed" in surface.reason and "not judgeable" in surface.reason)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["loss_share", "oscillation_deg"])
 @pytest.mark.parametrize("share", [0.27, 0.45])
 def test_a_fault_of_the_stated_size_in_the_second_quarter_shows(kind: str, share: float, tmp_path: Path) -> None:

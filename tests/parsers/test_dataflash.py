@@ -336,6 +336,7 @@ def untouched(store: BinaryStore, lost_from: int, lost_to: int, shift: int) -> d
     return kept
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_record_the_damage_did_not_touch_is_recovered(kind: str, tmp_path: Path) -> None:
     rng = np.random.default_rng(SEED)

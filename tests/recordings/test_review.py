@@ -57,6 +57,7 @@ def test_review_says_what_the_audit_said(name: str, folder: Path, capsys: pytest
     assert alarms == {e["time_s"] for e in log["events"] if e["level"] == "ERROR"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [["--threshold-deg", "0.8"], ["--threshold", "interval"]])
 @pytest.mark.parametrize(
     "name",

@@ -209,7 +209,8 @@ def test_no_false_alarm_in_fresh_flights(style: str, number: int) -> None:
     assert [fault for verdict in fresh for fault in verdict.faults] == []
 
 
-@pytest.mark.parametrize("seed", [pytest.param(3), pytest.param(5, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [3, 5])
 def test_motors_with_friction_play_and_load_are_quiet_and_their_faults_are_named(seed: int) -> None:
     """Good and cheap servos of an aircraft that shares no physics with the model."""
     aircraft = stranger(seed)

@@ -176,6 +176,7 @@ def test_what_is_too_large_is_refused_before_and_while_it_comes(tmp_path: Path) 
     assert [path.name for path in (tmp_path / RESULTS).iterdir()] == ["fleet.json"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("path", "status"),
     [
