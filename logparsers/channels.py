@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 MOST_CHANNELS = 50_000
 """Of one log: the richest have some ten thousand, forged ones a new name in every message."""
 MOST_NOTES = 100
+"""Groups of channels whose rows are out of order and that are listed one by one."""
 OFTEN = 0.01
 """Messages with less than this share of the rows of the most frequent one do not tell when a flight begins and ends."""
-"""Groups of channels whose rows are out of order and that are listed one by one."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,6 +25,8 @@ Reader = Callable[["Source", TableLayout | None, "Only"], "tuple[FlightLog, ...]
 A_LOG = "give a flight log"
 A_TABLE = "CSV with time_s, <surface>_cmd_deg and <surface>_pos_deg"
 HDF5 = b"\x89HDF\r\n\x1a\n"
+RECORDING = (b"RRF", b"RRIO")
+"""How recordings of Rerun begin."""
 FMT_RECORD, FMT_LINE = b"\xa3\x95\x80", re.compile(rb"(?:^|\n)FMT, ?\d+, ?\d+, ?\w")
 PARAMETERS = re.compile(rb"(?:#[^\n]*\n)*(?:[A-Z][A-Z0-9]+_[A-Z0-9_]+[ \t]*[,=\t ][ \t]*-?[\d.]+\s*?\n){2}")
 TOML_LINE = re.compile(rb"(?:\xef\xbb\xbf)?(?:[ \t]*(?:#[^\n]*)?\r?\n)*(?:[\w-]+[ \t]*=|\[)")
@@ -225,7 +227,7 @@ FORMATS = (
     Format("TOML file of a servo", _is_settings(b"servos"), "give it with --servo, beside a log"),
     Format("file of parameters", _is_parameters, "give the log of a flight, which holds them too"),
     Format("storage of ArduPilot's parameters (eeprom.bin)", _starts(b"PA\x06\0"), A_LOG),
-    Format("Rerun recording", _starts(b"RRF"), "servofd review reads it back"),
+    Format("Rerun recording", _starts(*RECORDING), "servofd review reads it back"),
     Format("NumPy array", _starts(b"\x93NUMPY"), f"save it as {A_TABLE}"),
     Format("Python pickle", _is_pickle, f"it may run programs; save it as {A_TABLE}"),
     Format("Parquet table", _starts(b"PAR1"), f"save it as {A_TABLE}"),

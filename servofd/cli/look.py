@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from servofd.detection.verdict import LogAudit
     from servofd.outputs.json_report import FailedLog
 
-_RECORDING = b"RRF"
 _PACKED = (".gz", ".zip", ".bz2", ".xz")
 _HEAD_BYTES = 2000
 _WORST_FIRST = ("fault", "suspect", "unknown", "no_data", "healthy")
@@ -47,8 +46,10 @@ def verb_for(words: Sequence[str], verbs: Collection[str]) -> str:
 
 
 def _is_recording(path: Path) -> bool:
+    from logparsers.detect import RECORDING
+
     try:
-        return beginning(path, len(_RECORDING)) == _RECORDING
+        return beginning(path, 4).startswith(RECORDING)
     except OSError:  # a folder, or a file that the audit tells what is wrong with
         return False
 

@@ -81,8 +81,8 @@ def detectable(
     own_fit : bool
         Whether servo and threshold come from this very log: a fault would have widened the threshold, and a servo that
         was slow is what was fitted, so that a loss of speed is not judgeable (of 16 brisk flights of strangers at a
-        third of their speed, one was healthy and said that 9 % would have been seen). Then meant are faults that set in
-        after the first quarter.
+        third of their speed, one was healthy and said that 9 % would have been seen). Sizes are then those of faults
+        that set in after the first quarter of the log.
     persistence : int
         How many judged samples in a row, all on one side, make an alarm.
 

@@ -111,6 +111,9 @@ def advance(  # noqa: C901, PLR0912, PLR0915 - one loop over time
         force[j] = np.exp(table[j, 13])
         x[j], v[j], y[j] = state[j + 1, 0], state[j + 1, 1], state[j + 1, 2]
     delay = table[0, 2]
+    furthest = 360.0  # a turn beyond all that is asked for
+    for k in range(command_deg.shape[0]):
+        furthest = max(furthest, 360.0 + abs(command_deg[k]))
     now, cursor = state[0, 0], int(state[0, 1])
     last = command_s.shape[0] - 1
     for i in range(time_s.shape[0]):
@@ -158,8 +161,8 @@ def advance(  # noqa: C901, PLR0912, PLR0915 - one loop over time
                 y[j] = min(x[j] + half, max(x[j] - half, at))
         now = time_s[i]
         for j in range(count):
-            if abs(x[j]) > 360.0:  # an overbalanced surface that its servo no longer holds
-                x[j], v[j] = min(360.0, max(-360.0, x[j])), 0.0
+            if abs(x[j]) > furthest:  # an overbalanced surface that its servo no longer holds
+                x[j], v[j] = min(furthest, max(-furthest, x[j])), 0.0
                 y[j] = x[j]
             position_deg[i, j] = y[j] + table[j, 1]
         speed_deg_s[i, 0] = v[0]

@@ -83,13 +83,17 @@ def followed(aircraft: Aircraft, segment: Segment) -> tuple[tuple[Fault, ...], F
     return monitor.faults, np.concatenate([piece.residuals.residual_deg for piece in pieces])
 
 
-def of_stranger(aircraft: Stranger, number: int, style: str, surface: str, failure: Failure | None = None) -> Segment:
+def of_stranger(
+    aircraft: Stranger, number: int, style: str, surface: str, failure: Failure | None = None, until_s: float = np.inf
+) -> Segment:
     log = fly(aircraft, number, style, duration_s=240.0 if style == "mixed" else 120.0, failure=failure)
     place = SURFACES.index(surface)
     context = Context(log.command_s, log.airspeed_m_s, log.command_s, log.supply_v)
+    asked, seen = log.command_s < until_s, log.position_s < until_s
     return Segment(
-        "x", log.command_s, log.command_deg[:, place], log.position_s, log.position_deg[:, place], context=context
-    )
+        "x", log.command_s[asked], log.command_deg[asked, place], log.position_s[seen], log.position_deg[seen, place],
+        context=context,
+    )  # fmt: skip
 
 
 @pytest.mark.slow
@@ -228,15 +232,7 @@ def test_motors_with_friction_play_and_load_are_quiet_and_their_faults_are_named
 @pytest.mark.parametrize(("seed", "name"), [(3, "elevator"), (9, "rudder")])
 def test_a_servo_calibrated_on_half_a_minute_is_quiet_in_other_flights(seed: int, name: str) -> None:
     """Half a minute shows less than flights do."""
-    long = of_stranger(stranger(seed), 1, "mixed", name)
-    commands, positions = long.command_s < 30.0, long.measured_s < 30.0
-    short = replace(
-        long,
-        command_s=long.command_s[commands],
-        command_deg=long.command_deg[commands],
-        measured_s=long.measured_s[positions],
-        measured_deg=long.measured_deg[positions],
-    )
+    short = of_stranger(stranger(seed), 1, "mixed", name, until_s=30.0)
     known = calibrated(short).aircraft
     for style in ("taxi", "turbulence", "aerobatics"):
         assert judged(known, of_stranger(stranger(seed), 2, style, name)).faults == (), style

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from logparsers.detect import RECORDING
 from servofd.core.errors import RecordingError
 from servofd.core.files import beginning, whole_file
 from servofd.outputs.recording.clock import TIME_BOOT, seconds
@@ -30,7 +31,6 @@ _PROPERTIES = f"/__properties/{PROPERTIES}"
 _KEPT = ("deflection", "residual", "command", "seconds", "command_seconds")
 _PANICS = (101, 102)
 """Exit codes of a Rust program, and of Rerun's, that came to its wits' end."""
-_MAGIC = (b"RRF", b"RRIO")
 
 
 def read_recording(path: str | Path) -> Recording:
@@ -144,7 +144,7 @@ def _reader(path: Path) -> Any:  # noqa: ANN401 - rerun is untyped here
 def is_recording(path: Path) -> bool:
     """Whether a file begins as Rerun's recordings do."""
     try:
-        return beginning(path, 4).startswith(_MAGIC)
+        return beginning(path, 4).startswith(RECORDING)
     except OSError as error:
         raise RecordingError(f"{path}: cannot read this file: {error.strerror}") from None
 
