@@ -26,6 +26,7 @@ from servofd.core.errors import DesignError
 from servofd.detection.bank.confirm import SURE
 from servofd.detection.calibrated_stream import CalibratedStream
 from servofd.detection.events import Alarm, Event, Inputs, Look, Reading
+from servofd.detection.quiet import Quiet
 from servofd.detection.residual import ResidualGenerator, rhythm, thinned_rhythm
 from servofd.detection.stream import Stream
 from servofd.servo.context import NO_CONTEXT, Context
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from servofd.aircraft.schema import Surface
-    from servofd.core.types import BoolArray, FloatArray
+    from servofd.core.types import FloatArray
     from servofd.detection.bank.flight import Fault
     from servofd.detection.events import EventKind
     from servofd.detection.stream import Piece
@@ -71,14 +72,8 @@ _LOOKS_AGAIN_S = 30.0
 """and how often after that."""
 _LIKELY = 0.5
 """A name of this probability keeps until then."""
-_QUIET_SHARE = 0.5
-"""Of its threshold, below which the residual of a surface in alarm is quiet,"""
 _RECOVERED_S = 0.5
-"""for so long while the surface is farther from where it was stuck than its threshold: it obeys again."""
-_QUIET_LOOKS_S = (0.75, 1.25, 1.75, 3.0, 6.0, 12.0)
-"""After so long in quiet the bank looks whether an alarm is over,"""
-_PAUSE_S, _LONGEST_PAUSE_S = 0.4, 1.5
-"""no more often than after pauses that grow with each look in vain."""
+"""A surface that is quiet for so long, and farther from where it was stuck than its threshold, obeys again."""
 _WINDOWS_S = (2.25, 4.25, 8.25, 16.25)
 """The bank's own windows, which begin a quarter of a second after what raised a suspicion."""
 _NEWS_S = 10.0
@@ -110,52 +105,6 @@ _EXPLAINED = {
     "fitted": "what followed contradicts no servo",
 }
 """Why an alarm is taken back; by the origin of its model."""
-
-
-@dataclass(slots=True)
-class Quiet:
-    """How long the residual of a surface in alarm has been quiet.
-
-    Examples
-    --------
-    >>> quiet = Quiet(quiet_s=10.0)
-    >>> [quiet.is_due(at_s) for at_s in (10.5, 10.8, 10.9, 11.8)]
-    [False, True, False, True]
-    """
-
-    quiet_s: float = float("inf")
-    """Since when it is quiet [s]; infinite if it is not."""
-    away_s: float = float("inf")
-    """Since when it is, elsewhere than where it was stuck [s]."""
-    _asked_s: float = float("-inf")
-    _asked: int = 0
-
-    def follow(self, piece: Piece, stuck_deg: float) -> None:
-        """Take the next samples, and where the surface is said to be stuck [deg]; NaN if nowhere."""
-        residuals, level_deg = piece.residuals, piece.threshold.level_deg
-        judged = residuals.settled
-        loud = judged & ~(np.abs(residuals.residual_deg) < _QUIET_SHARE * level_deg)
-        there = loud | (judged & ~(np.abs(residuals.measured_deg - stuck_deg) > level_deg))
-        self.quiet_s = self._since_s(self.quiet_s, residuals.time_s, judged, loud)
-        self.away_s = self._since_s(self.away_s, residuals.time_s, judged, there)
-
-    def is_due(self, now_s: float) -> bool:
-        """Whether the bank should look now [s]."""
-        pause_s = min(_PAUSE_S * (1 + self._asked), _LONGEST_PAUSE_S)
-        if now_s - self._asked_s < pause_s:
-            return False
-        if not any(self._asked_s < self.quiet_s + after_s <= now_s for after_s in _QUIET_LOOKS_S):
-            return False
-        self._asked_s, self._asked = now_s, self._asked + 1
-        return True
-
-    @staticmethod
-    def _since_s(since_s: float, time_s: FloatArray, judged: BoolArray, ends: BoolArray) -> float:
-        last = np.flatnonzero(ends)
-        if last.size:
-            since_s, time_s, judged = np.inf, time_s[last[-1] + 1 :], judged[last[-1] + 1 :]
-        begun = np.flatnonzero(judged)
-        return min(since_s, float(time_s[begun[0]])) if begun.size else since_s
 
 
 @dataclass(slots=True)

@@ -8,33 +8,27 @@ probability of a name is the sum over its places and forms.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from servofd.discrepancy.adequacy import Adequacy, adequacy, floor_of
-from servofd.discrepancy.candidates import SMALLEST, SURPRISE, candidates, common_places, excluded, judgeable
+from servofd.discrepancy.candidates import SURPRISE, common_places, judgeable
 from servofd.discrepancy.fit import LONG, OWN_FIELDS, Fit, Fitter
-from servofd.discrepancy.frames import best_frame, frames_like
 from servofd.discrepancy.one_size import step_size_deg
-from servofd.discrepancy.record import liveliest
+from servofd.discrepancy.search import FITS, LIMITS, NAMES, OCCAM, Search, fields_of, hanging
 from servofd.servo.catalogue import (
     AirLoad,
     Bias,
-    ClockOffset,
-    Delay,
     Gain,
     GravityLoad,
-    PwmFrame,
     RateLimit,
-    SensorLag,
     SlowDynamics,
     TiltedLoad,
-    installed,
 )
 from servofd.servo.laws import VARIED, by_condition, is_law, plain
-from servofd.servo.physics import INSIDE, RATE_FIELDS
+from servofd.servo.physics import INSIDE
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -42,27 +36,19 @@ if TYPE_CHECKING:
     from servofd.core.types import FloatArray
     from servofd.discrepancy.record import Record
     from servofd.servo.missing_effect import MissingEffect
-    from servofd.servo.physics import Physics
 
 _MOST, _MOST_ON_BENCH = 3, 4
 """Effects; one more where whole runs are held out, which no flexible combination survives for long."""
 _BEAM = 3
-_OCCAM, _OCCAM_OWN, _OF_GAP, _OF_SAMPLES = 30.0, 16.0, 1e-4, 0.02
-"""By how much a further name must improve the misfit; the same for one of the servo's own numbers, which the prior has
-held back; and the share of what was there (as chi-squared) on top, at most that share of the samples."""
-_POSSIBLE = 6.0
-"""Improvement on the screen below which a candidate is not fitted."""
-_NAMES, _FITS, _CLOSE, _SHARE = 8, 16, 60.0, 0.3
-"""Names and structures that are fitted from one base, and how far behind the best of its name a structure may be: so
-much, or that share of what it improves."""
+_OCCAM_OWN, _OF_GAP, _OF_SAMPLES = 16.0, 1e-4, 0.02
+"""By how much one more of the servo's own numbers, which the prior has held back, must improve the misfit; and the
+share of what was there (as chi-squared) on top, at most that share of the samples."""
 _POLISHED, _VARIED, _LAW = 6, 2, 16.0
 """Structures that are fitted to the end, and those that are tried with a size that goes with a condition of the runs;
 minus twice the logarithm of how rarely it does."""
 _NO_GAIN, _GAIN_SHARE = 40.0, 0.03
 """The same of a gain in place of a load, at most: a servo that controls its position comes to where it is sent, within
 some percent of its horn and sensor (standard deviation)."""
-_STEEP = 0.9
-"""A load that pulls back more steeply where the servo works is a lost gain and an offset."""
 _USUAL_GAINS = 3.0
 """So many of these deviations a servo may be off before its gain stands for something that is missing."""
 _FORESEEN, _SIBLING = 4.0, 0.3
@@ -75,16 +61,14 @@ leaves beyond the noise that effects may leave and still be an answer."""
 _MODEL_RATIO, _MODEL_SHARE = 1.5, 0.02
 """Where a servo leaves more than so many times the noise, its misfit is not right to that share for each effective
 sample: errors that differ by 5 % tell no names apart."""
-_LIMITS, _FAR_WORSE, _OF_STEP = ("rate_limit", "voltage_rate"), 0.75, 0.02
-"""Limits of the speed; and the share of what a slow servo leaves beyond the noise that tells one from it by shape, if
-it is that share of a step too: real servos differ from a linear one by as much."""
+_FAR_WORSE, _OF_STEP = 0.75, 0.02
+"""Share of what a slow servo leaves beyond the noise that tells a limit of the speed from it by shape, if it is that
+share of a step too: real servos differ from a linear one by as much."""
 _COLOURLESS = 0.6
 """Share of the samples that count in full where the noise has no colour to speak of."""
-_PER_V, _SLOWEST = ("deg_s_per_v", "speed_deg_s_per_v"), 0.2
 _DECLARED, _NEGLIGIBLE = 0.99, 1e-3
 _WORSE = 9.0
 """Times the mean square of a run, and of the noise, that an effect must not leave."""
-_LATE = (Delay, SensorLag, SlowDynamics)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,211 +110,6 @@ class Selection:
         return self.fitter.simulations
 
 
-@dataclass(slots=True, eq=False)
-class _Search:
-    fitter: Fitter
-    able: list[type[MissingEffect]]
-    progress: Callable[[str], None]
-    visited: dict[tuple[tuple[str, ...], float], Fit] = field(default_factory=dict)
-    grown: set[tuple[tuple[str, ...], float]] = field(default_factory=set)
-    part: Fitter = field(init=False)
-
-    def begin(self, root: Fit) -> None:
-        record = self.fitter.record
-        self.part = Fitter(liveliest(record, self.fitter.judged((), root.physics).error_deg))
-        self.look_again()
-        self.keep(root)
-
-    def look_again(self) -> None:
-        """Count the part's samples as the whole's."""
-        self.part._size = self.fitter._size
-        if self.part.kappa.size == self.fitter.kappa.size:
-            self.part.kappa = self.fitter.kappa
-        else:
-            self.part.kappa = np.full(self.part.kappa.size, float(np.median(self.fitter.kappa)))
-
-    def keep(self, fit: Fit) -> bool:
-        """Remember a fit if it is the best of its structure; whether it is a servo at all.
-
-        What changes nothing is no part of it: the rest has been fitted from another start.
-        """
-        if fit.idle:
-            fit = without_idle(fit, self.fitter.record.plant.neutral)
-        if fit.key not in self.visited or fit.misfit < self.visited[fit.key].misfit:
-            self.visited[fit.key] = fit
-        return self.is_physical(fit)
-
-    def is_physical(self, fit: Fit) -> bool:
-        """Whether no number is at its bound, and none so small that it is none."""
-        if fit.ran_away or (TiltedLoad in fit.effects and _hanging(self.fitter.record, fit) > _STEEP):
-            return False
-        neutral, first = self.fitter.record.plant.neutral, 0
-        for effect in fit.effects:
-            sizes = []
-            for p, value in zip(effect.parameters, fit.values[first:].tolist(), strict=False):
-                least = SMALLEST.get(p.fields[0])
-                if least is not None and not p.aside:
-                    sizes.append(p.away(value, neutral) >= self.fitter.smallest(p, least))
-            first += len(effect.parameters)
-            if sizes and not any(sizes):
-                return False
-        return True
-
-    def grow(self, base: Fit, enough: float) -> list[Fit]:
-        """Fits with one effect more than a base."""
-        if base.key in self.grown:
-            return []
-        self.grown.add(base.key)
-        physical = self.fitter.starts(base)
-        chosen = [each for start in physical for each in self._screened(replace(base, physics=start), len(physical))]
-        fits = [self._fitted((*base.effects, effect), physics, enough) for effect, physics in chosen]
-        fits += [
-            self._fitted((*base.effects, effect), base.physics, enough)
-            for effect in self.able
-            if effect.name not in excluded(base.effects) and self.fitter.strains(effect, base)
-        ]
-        loose = [fit for fit in fits if fit.effects[-1].family == "hysteresis"]
-        if loose and self.fitter.record.free_poles:
-            self.exchange(min(loose, key=lambda fit: fit.misfit), enough, len(base.effects))
-        fits += self._twins(base, fits, enough)
-        if PwmFrame in self.able and PwmFrame.name not in base.names:
-            fits += self._framed(base, fits)
-        return fits
-
-    def _screened(self, start: Fit, shares: int) -> list[tuple[type[MissingEffect], Physics]]:
-        """What is worth fitting on top of a start, one of so many."""
-        slopes = self.part.slopes(start)
-        before = self.part.given_way(start.physics, slopes[:, :0])
-        screened: list[tuple[float, type[MissingEffect], Physics]] = []
-        for candidate in candidates(self.fitter.record, self.able, start.effects, start.place):
-            if self.fitter.is_own(candidate.effect):
-                continue
-            self.progress(candidate.effect.key())
-            misfit, physics = self.part.screened(start, slopes, candidate)
-            screened.append((misfit, candidate.effect, physics))
-        screened.sort(key=lambda each: each[0])
-        best_of: dict[str, float] = {}
-        for misfit, effect, _ in screened:
-            best_of.setdefault(effect.name, misfit)
-        most = -(-_NAMES // shares)
-        names = [name for name, misfit in best_of.items() if misfit < before - _POSSIBLE][:most]
-        near = {name: max(_CLOSE, _SHARE * (before - best_of[name])) for name in names}
-        return [
-            (effect, physics)
-            for misfit, effect, physics in screened
-            if effect.name in near and misfit < best_of[effect.name] + near[effect.name]
-        ][: -(-_FITS // shares)]
-
-    def _fitted(self, effects: tuple[type[MissingEffect], ...], start: Physics, enough: float = np.inf) -> Fit:
-        fit = self.fitter.descended(effects, start, enough=enough)
-        self.keep(fit)
-        return fit
-
-    def exchange(self, fit: Fit, enough: float, known: int = 0) -> None:
-        """Each effect of a fit, but for so many that are known, in its other forms, started from what it came to.
-
-        What sticks, is dead or loose passes for one another until each has been fitted as well, at each place; so do
-        the ways in which a speed is limited.
-        """
-        record, first = self.fitter.record, 0
-        is_placed = record.plant.has_places and record.side is None
-        for k, effect in enumerate(fit.effects):
-            size, first = float(fit.values[first]), first + len(effect.parameters)
-            if k < known:
-                continue
-            rest = (*fit.effects[:k], *fit.effects[k + 1 :])
-            without = fit.physics._replace(**{f: getattr(record.plant.neutral, f) for f in _fields(effect)})
-            is_loose = effect.family == "hysteresis"
-            for other in self.able:
-                if other.name in excluded(rest) or not (_is_like(effect, other) or (is_loose and other is effect)):
-                    continue
-                into = [size * _half(other) / _half(effect), *(p.grid[0] for p in other.parameters[1:])]
-                for place in (common_places((*rest, other)) or (INSIDE,)) if is_placed and is_loose else (fit.place,):
-                    start = installed(without._replace(slow_place=place), [other], into)
-                    self._fitted((*rest, other), self._as_fast(start, fit.physics), enough)
-
-    def _as_fast(self, start: Physics, fitted: Physics) -> Physics:
-        """A start that is as fast as what was fitted: a motor at its limit loses what friction takes."""
-        record = self.fitter.record
-        more_deg_s = _lost_deg_s(record, start) - _lost_deg_s(record, fitted)
-        supply_v = 1.0 if record.voltage_v is None else float(np.nanmean(record.voltage_v))
-        limits = {name: getattr(start, name) for name in RATE_FIELDS}
-        more = {name: more_deg_s / (supply_v if name in _PER_V else 1.0) for name in limits}
-        return start._replace(**{n: max(v + more[n], _SLOWEST * v) for n, v in limits.items() if v < np.inf})
-
-    def _twins(self, base: Fit, fits: list[Fit], enough: float) -> list[Fit]:
-        """What moves nearly alike, started from what the other came to: late commands and late readings."""
-        best = {
-            twin: min((fit for fit in fits if fit.effects[-1] is twin), key=lambda fit: fit.misfit, default=None)
-            for twin in (Delay, ClockOffset)
-        }
-        found, neutral = [], self.fitter.record.plant.neutral
-        for twin, other in ((Delay, best[ClockOffset]), (ClockOffset, best[Delay])):
-            if twin not in self.able or other is None or ((own := best[twin]) and own.misfit < other.misfit):
-                continue
-            at = other.physics
-            late_s = at.delay_s + at.offset_s - neutral.delay_s
-            if twin is Delay:
-                start = at._replace(delay_s=max(neutral.delay_s + late_s, 0.0), offset_s=neutral.offset_s)
-            else:
-                start = at._replace(delay_s=neutral.delay_s, offset_s=late_s)
-            found.append(self._fitted((*base.effects, twin), start, enough))
-        return found
-
-    def _framed(self, base: Fit, fits: list[Fit]) -> list[Fit]:
-        """The base with pulse frames, if a delay or what passes for one helps it."""
-        late = [fit for fit in fits if fit.effects[-1] in _LATE]
-        if not late or base.misfit - min(fit.misfit for fit in late) < _OCCAM:
-            return []
-        self.progress(PwmFrame.key())
-        record = self.fitter.record
-        known = base.physics
-        rival = self.fitter.judged((), min(fits, key=lambda fit: fit.misfit).physics)
-        sigma = float(np.sqrt(rival.run_deg2.mean()))
-        likely = frames_like(record, known, rival.error_deg, sigma)
-        if not likely:
-            return []
-        period_s, phase = best_frame(record, known, likely)
-        start = known._replace(frame_s=period_s, frame_phase=phase)
-        return [self._fitted((*base.effects, PwmFrame), start)]
-
-
-def without_idle(fit: Fit, neutral: Physics) -> Fit:
-    """A fit without the effects that change nothing."""
-    effects = tuple(effect for k, effect in enumerate(fit.effects) if k not in fit.idle)
-    values = [getattr(fit.physics, p.fields[0]) for effect in effects for p in effect.parameters]
-    gone = {name: getattr(neutral, name) for k in fit.idle for p in fit.effects[k].parameters for name in p.fields}
-    physics = fit.physics._replace(**gone)
-    if physics.slow_place not in common_places(effects):
-        physics = physics._replace(slow_place=INSIDE)
-    return replace(fit, effects=effects, values=np.array(values), physics=physics, idle=())
-
-
-def _fields(effect: type[MissingEffect]) -> tuple[str, ...]:
-    """Of `Physics`, those that an effect sets."""
-    return (*(name for p in effect.parameters for name in p.fields), *effect.fixed)
-
-
-def _lost_deg_s(record: Record, physics: Physics) -> float:
-    """Speed that friction takes from a motor at its limit."""
-    limits = (physics.rate_up_deg_s, physics.rate_down_deg_s, physics.deg_s_per_v)
-    is_limited = physics.friction_deg > 0.0 and min(limits) < np.inf
-    return physics.friction_deg / record.plant.loop(physics).error_per_rate_s if is_limited else 0.0
-
-
-def _half(effect: type[MissingEffect]) -> float:
-    """Friction is given by half the width within which a servo may rest, the others by all of it."""
-    return 0.5 if effect.parameters[0].fields[0] == "friction_deg" else 1.0
-
-
-def _is_like(effect: type[MissingEffect], other: type[MissingEffect]) -> bool:
-    """Whether two effects are ways of sticking, being dead or loose, or of limiting one speed, of one size."""
-    if effect.family == "hysteresis" or other.family == "hysteresis":
-        return effect is not other and effect.family == other.family
-    same = effect.parameters[0].name == other.parameters[0].name
-    return effect is not other and same and effect.name == other.name and effect.name in _LIMITS
-
-
 def select(record: Record, progress: Callable[[str], None] = lambda _step: None) -> Selection:
     """Find the effects that are missing.
 
@@ -344,7 +123,7 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     fitter = Fitter(record)
     able, unable = judgeable(record)
     root = fitter.root()
-    search = _Search(fitter, able, progress)
+    search = Search(fitter, able, progress)
     search.begin(root)
     _widened(search, root)
     best = _chosen(search)
@@ -381,7 +160,7 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     )
 
 
-def _widened(search: _Search, root: Fit) -> None:
+def _widened(search: Search, root: Fit) -> None:
     """Forward with a beam, and back: what came first may stand in for what is found later."""
     record = search.fitter.record
     beam, best = [root], root
@@ -414,21 +193,21 @@ def _widened(search: _Search, root: Fit) -> None:
             return
         # What lacks an effect remembers it, and few samples count of it: in a single run of a servo that nobody knows,
         # where more than noise is left, go on.
-        beam = [fit for fit in longer[:_BEAM] if fit.misfit < longer[0].misfit + 4.0 * _OCCAM]
+        beam = [fit for fit in longer[:_BEAM] if fit.misfit < longer[0].misfit + 4.0 * OCCAM]
 
 
-def _suffices(search: _Search, best: Fit, size: int) -> bool:
+def _suffices(search: Search, best: Fit, size: int) -> bool:
     """Whether a servo that is known leaves nothing but noise, and nothing that came on top of it helps by much."""
     fitter = search.fitter
     if not best.effects or fitter.record.free_poles or fitter.record.runs:
         return False
     longer = _best_of_size(search, size)
-    if longer and longer[0].misfit < best.misfit - 0.5 * _OCCAM:
+    if longer and longer[0].misfit < best.misfit - 0.5 * OCCAM:
         return False
     return not adequacy(fitter.record, fitter.judged(best.effects, best.physics)).reasons
 
 
-def _exchanged(search: _Search, size: int) -> None:
+def _exchanged(search: Search, size: int) -> None:
     """The likeliest structure of a size, and the likeliest that sticks, is dead or loose, with like effects instead."""
     likely = _best_of_size(search, size)
     loose = [fit for fit in likely if any(e.family == "hysteresis" for e in fit.effects)]
@@ -436,18 +215,18 @@ def _exchanged(search: _Search, size: int) -> None:
         search.exchange(fit, min(f.misfit for f in search.visited.values()) + 40.0)
 
 
-def _polished(search: _Search, size: int) -> None:
+def _polished(search: Search, size: int) -> None:
     """Fit the likeliest structures of a size to the end, from where they are and with the best one's own numbers."""
     likely = _best_of_size(search, size)[:_POLISHED]
     for fit in likely:
         like = [fit.physics] if fit is likely[0] else [fit.physics, likely[0].physics]
-        taken = {name for effect in fit.effects for name in _fields(effect)}
+        taken = {name for effect in fit.effects for name in fields_of(effect)}
         for own in like:
             changes = {name: getattr(own, name) for name in OWN_FIELDS if name not in taken}
             search.keep(search.fitter.descended(fit.effects, fit.physics._replace(**changes), LONG))
 
 
-def _by_condition(search: _Search, size: int) -> None:
+def _by_condition(search: Search, size: int) -> None:
     """The likeliest structures of a size with one of their effects going with a condition of the runs."""
     fitter = search.fitter
     for fit in _best_of_size(search, size)[:_VARIED]:
@@ -469,7 +248,7 @@ def _by_condition(search: _Search, size: int) -> None:
                 search.keep(fitter.descended(effects, tried[int(np.argmin(errors))], LONG))
 
 
-def _without(search: _Search, fit: Fit, k: int) -> Fit:
+def _without(search: Search, fit: Fit, k: int) -> Fit:
     """The servo without one of its effects, started from where it is with it."""
     effects = tuple(effect for j, effect in enumerate(fit.effects) if j != k)
     neutral = search.fitter.record.plant.neutral
@@ -484,7 +263,7 @@ def _without(search: _Search, fit: Fit, k: int) -> Fit:
     return found if known is None or found.misfit < known.misfit else known
 
 
-def _best_of_size(search: _Search, size: int, *, harmless: bool = False) -> list[Fit]:
+def _best_of_size(search: Search, size: int, *, harmless: bool = False) -> list[Fit]:
     """The best fit of each set of names of a size, best first."""
     best: dict[tuple[str, ...], Fit] = {}
     for fit in search.visited.values():
@@ -495,7 +274,7 @@ def _best_of_size(search: _Search, size: int, *, harmless: bool = False) -> list
     return sorted(best.values(), key=lambda fit: _cost(search, fit))
 
 
-def _harms(search: _Search, fit: Fit) -> bool:
+def _harms(search: Search, fit: Fit) -> bool:
     """Whether a run is clearly worse with effects than without any."""
     if fit.run_deg2.size < 2:
         return False
@@ -504,7 +283,7 @@ def _harms(search: _Search, fit: Fit) -> bool:
     return bool(np.any((fit.run_deg2 > _WORSE * without) & (fit.run_deg2 > _WORSE * floor)))
 
 
-def _cost(search: _Search, fit: Fit) -> float:
+def _cost(search: Search, fit: Fit) -> float:
     """BIC, and how surprising its names are."""
     count = sum(len(effect.parameters) for effect in fit.effects)
     surprise = sum(SURPRISE.get(name, 0.0) for name in fit.names)
@@ -526,23 +305,18 @@ def _static_loss(record: Record, fit: Fit) -> float:
     if record.pressure_pa is not None and AirLoad in fit.effects:
         loss += fit.physics.airload_per_pa * float(np.median(record.pressure_pa))
     if GravityLoad in fit.effects or TiltedLoad in fit.effects:
-        loss += float(np.radians(fit.physics.droop_deg)) * _hanging(record, fit)
+        loss += float(np.radians(fit.physics.droop_deg)) * hanging(record, fit)
     return loss
 
 
-def _hanging(record: Record, fit: Fit) -> float:
-    """Cosine of how far from where its load hangs a servo works: how steeply the load changes there."""
-    return float(np.cos(np.radians(np.nanmean(record.measured_deg) - fit.physics.hangs_deg)))
-
-
-def _window(search: _Search, fewer: Fit, more: Fit) -> float:
+def _window(search: Search, fewer: Fit, more: Fit) -> float:
     """By how much the misfit must fall for a further name."""
     if all(search.fitter.is_own(effect) for effect in more.effects if effect.name not in fewer.names):
         return _OCCAM_OWN
-    return _OCCAM + _tolerance(search, more)
+    return OCCAM + _tolerance(search, more)
 
 
-def _tolerance(search: _Search, fit: Fit, before: Fit | None = None) -> float:
+def _tolerance(search: Search, fit: Fit, before: Fit | None = None) -> float:
     """Misfit that no model of a real servo, and no other simulator, is right to: a share of what was there before."""
     count = search.fitter._count / search.fitter.kappa
     root = search.visited[((), INSIDE)] if before is None else before
@@ -550,16 +324,16 @@ def _tolerance(search: _Search, fit: Fit, before: Fit | None = None) -> float:
     return min(_OF_GAP * gap, _OF_SAMPLES * float(count.sum()))
 
 
-def _needed(search: _Search, best: Fit, longer: list[Fit]) -> bool:
+def _needed(search: Search, best: Fit, longer: list[Fit]) -> bool:
     """Whether longer structures, or what nearly equals the best of them, beat one with fewer names by the window."""
     return any(
         fit.misfit < best.misfit - _window(search, best, fit) * (len(fit.effects) - len(best.effects))
         for fit in longer
-        if _cost(search, fit) < _cost(search, longer[0]) + _OCCAM
+        if _cost(search, fit) < _cost(search, longer[0]) + OCCAM
     )
 
 
-def _chosen(search: _Search) -> Fit:
+def _chosen(search: Search) -> Fit:
     """The best structure of as many names as are needed."""
     best = search.visited[((), INSIDE)]
     for size in range(1, _MOST_ON_BENCH + 1):
@@ -569,7 +343,7 @@ def _chosen(search: _Search) -> Fit:
     return best
 
 
-def _foreseeing(search: _Search, best: Fit) -> Fit:
+def _foreseeing(search: Search, best: Fit) -> Fit:
     """The structure without what does not help to foresee what was not fitted."""
     if search.fitter.record.side is not None:
         return best
@@ -593,7 +367,7 @@ def _foreseeing(search: _Search, best: Fit) -> Fit:
     return best
 
 
-def _better_linear(search: _Search, best: Fit) -> Fit | None:
+def _better_linear(search: Search, best: Fit) -> Fit | None:
     """Of a servo that nobody knows, the linear one with any gain and zero, if it foresees more than what was found.
 
     So too where that one leaves no more than noise with a gain that servos have, and where what was found leaves most
@@ -622,7 +396,7 @@ def _better_linear(search: _Search, best: Fit) -> Fit | None:
     return linear
 
 
-def _share_of_excess(search: _Search, fewer: Fit, best: Fit) -> float:
+def _share_of_excess(search: Search, fewer: Fit, best: Fit) -> float:
     """Of what a servo without an effect leaves beyond the noise, how much the effect takes away."""
     fitter = search.fitter
     before, after = (
@@ -632,35 +406,35 @@ def _share_of_excess(search: _Search, fewer: Fit, best: Fit) -> float:
     return (before - after) / excess if excess > 0.0 else 0.0
 
 
-def _reweighed(search: _Search) -> None:
+def _reweighed(search: Search) -> None:
     """Misfits of all that comes into question, counted by another memory."""
     for key, fit in list(search.visited.items()):
         search.visited[key] = search.fitter.reweighed(fit)
 
 
-def _recoloured(search: _Search, best: Fit) -> None:
+def _recoloured(search: Search, best: Fit) -> None:
     """All that comes into question, judged by the colour of the noise where the best leaves nothing else."""
     fitter = search.fitter
     whole = fitter.judged(best.effects, best.physics)
     if fitter.effective > _COLOURLESS * fitter._count.sum() or adequacy(fitter.record, whole).reasons:
         return
-    near = [fit for fit in search.visited.values() if _cost(search, fit) < _cost(search, best) + _OCCAM]
+    near = [fit for fit in search.visited.values() if _cost(search, fit) < _cost(search, best) + OCCAM]
     if not fitter.recolour(best):
         return
     _reweighed(search)
-    for fit in sorted(near, key=lambda fit: fit.misfit)[:_FITS]:
+    for fit in sorted(near, key=lambda fit: fit.misfit)[:FITS]:
         search.keep(fitter.descended(fit.effects, fit.physics))
     search.keep(fitter.descended((), search.visited[((), INSIDE)].physics))
 
 
-def _shares(search: _Search, best: Fit, nominal: Fit) -> tuple[list[Fit], float]:
+def _shares(search: Search, best: Fit, nominal: Fit) -> tuple[list[Fit], float]:
     """Fits of each set of names that belongs to those that share 99 % of the probability, likeliest first."""
     size = len(best.effects)
     weight: dict[tuple[str, ...], float] = {}
     first: dict[tuple[str, ...], Fit] = {}
     least = _cost(search, best)
     # Of the servo as it is known: a gain that is refitted stands in for much of a load, against its prior.
-    tempered = 1.0 + max(_tolerance(search, best), _tolerance(search, best, nominal)) / _OCCAM
+    tempered = 1.0 + max(_tolerance(search, best), _tolerance(search, best, nominal)) / OCCAM
     tempered += _MODEL_SHARE * _beyond_noise(search, best) * search.fitter.effective
     for fit in search.visited.values():
         if len(fit.effects) != size or not search.is_physical(fit) or _harms(search, fit):
@@ -690,7 +464,7 @@ def _shares(search: _Search, best: Fit, nominal: Fit) -> tuple[list[Fit], float]
     return names, max(weight.values()) / total
 
 
-def _beyond_noise(search: _Search, best: Fit) -> float:
+def _beyond_noise(search: Search, best: Fit) -> float:
     """Share of what the best leaves that is no noise but its own error."""
     record = search.fitter.record
     if search.fitter.colour:
@@ -706,7 +480,7 @@ def _siblings_in(fit: Fit) -> int:
     return len(families) - len(set(families))
 
 
-def _forms(search: _Search, fit: Fit) -> float:
+def _forms(search: Search, fit: Fit) -> float:
     """How many structures the names of a fit may have, by which their probability is divided."""
     has_places = search.fitter.record.plant.has_places and search.fitter.record.side is None
     most = 1
@@ -737,7 +511,7 @@ def _ties(best: Fit, others: list[Fit]) -> tuple[tuple[tuple[str, ...], ...], tu
 
 
 def _or_slow(
-    search: _Search,
+    search: Search,
     best: Fit,
     ties: tuple[tuple[str, ...], ...],
     tied: tuple[tuple[Fit, ...], ...],
@@ -745,8 +519,8 @@ def _or_slow(
 ) -> tuple[tuple[tuple[str, ...], ...], tuple[tuple[Fit, ...], ...]]:
     """The ties of steps of one size: a slow servo and one whose speed is limited, unless one is far worse."""
     slow = SlowDynamics.name
-    mine = next((effect for effect in best.effects if effect.name in (*_LIMITS, slow)), None)
-    if mine is None or any(mine.name == tie[0] and {slow, *_LIMITS} & set(tie[1:]) for tie in ties):
+    mine = next((effect for effect in best.effects if effect.name in (*LIMITS, slow)), None)
+    if mine is None or any(mine.name == tie[0] and {slow, *LIMITS} & set(tie[1:]) for tie in ties):
         return ties, tied
     rest = tuple(effect for effect in best.effects if effect is not mine)
     if mine.name == slow:
@@ -773,7 +547,7 @@ def _or_slow(
     return tuple(names for names, _ in old.values()), tuple(fits for _, fits in old.values())
 
 
-def _rungs(search: _Search, best: Fit) -> tuple[Rung, ...]:
+def _rungs(search: Search, best: Fit) -> tuple[Rung, ...]:
     """From the servo as it is known to the best, the effect that helps most first."""
     fitter, rungs = search.fitter, []
     left = list(best.effects)
@@ -792,12 +566,12 @@ def _rungs(search: _Search, best: Fit) -> tuple[Rung, ...]:
                 order = (*(e for e in other.effects if e is not last), last)
                 if search.is_physical(other):
                     rivals.setdefault(rest[0], _reordered(other, order))
-        shown = [fitter.judged(each.effects, each.physics) for each in list(rivals.values())[:_NAMES]]
+        shown = [fitter.judged(each.effects, each.physics) for each in list(rivals.values())[:NAMES]]
         rungs.append(Rung(fit, tuple(shown)))
     return tuple(rungs)
 
 
-def _prefix(search: _Search, best: Fit, effects: tuple[type[MissingEffect], ...]) -> Fit:
+def _prefix(search: Search, best: Fit, effects: tuple[type[MissingEffect], ...]) -> Fit:
     """The servo with some of its effects."""
     if len(effects) == len(best.effects):
         return best

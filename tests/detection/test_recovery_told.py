@@ -8,7 +8,8 @@ import pytest
 from servofd.aircraft.schema import plain_aircraft
 from servofd.core.types import FloatArray
 from servofd.detection.events import Event
-from servofd.detection.monitor import Quiet, SurfaceMonitor
+from servofd.detection.monitor import SurfaceMonitor
+from servofd.detection.quiet import Quiet
 
 BEGINS_S, ENDS_S, LAST_S = 20.0, 32.0, 44.0
 WITHIN_S = 2.0
