@@ -18,7 +18,7 @@ from servofd.detection.calibrated import judged
 from servofd.detection.changes import STATISTICS
 from servofd.detection.watch import FLOORS, MARGIN, detectable, statistics_of, watched
 from servofd.estimate.family import PRESSURE_PA
-from servofd.estimate.fit import fit
+from servofd.estimate.fit import fit, worse_without
 from servofd.estimate.record import Record, usual_airspeed_m_s, usual_supply_v
 from servofd.estimate.statistics import Estimate
 from servofd.servo.context import AIR_KG_M3
@@ -383,8 +383,7 @@ def _effects(fitted: Fit, records: Sequence[Record], estimates: Mapping[str, Est
     def gained(together: tuple[str, ...]) -> float:
         if max(abs(float(fitted.theta[NAMES.index(each)])) for each in together) < _NOTHING:
             return 0.0
-        without = fit(records, fixed=together, start=fitted.theta, steps=2)
-        return without.held_out_rms_deg / fitted.held_out_rms_deg
+        return worse_without(fitted, records, together)
 
     def resting(key: str) -> str:
         return f"{_RESTING[key]} {_shown(estimates[key], least=flown and key == 'play_deg')}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -40,6 +40,7 @@ _FASTER: Final = float(np.log(2.0))
 
 _VALUES = np.array([prior.value for prior in PRIORS])
 _SIGMAS = np.array([prior.sigma for prior in PRIORS])
+_NONE_HELD: Final = np.zeros(FITTED, dtype=bool)
 _LOWS, _HIGHS = np.array([prior.low for prior in PRIORS]), np.array([prior.high for prior in PRIORS])
 
 
@@ -96,41 +97,60 @@ class Fit:
     held_out_rms_deg: float
     explained_share: float
     usable: tuple[BoolArray, ...]
+    sigma_deg: FloatArray
+    """Of the noise, in the usable samples of all records."""
     estimates: FloatArray
     """What the flights alone say of each parameter, and how sure that is; shape (13, 2)."""
 
 
-def fit(
-    records: Sequence[Record], *, fixed: Sequence[str] = (), start: FloatArray | None = None, steps: int = _STEPS
-) -> Fit:
+def fit(records: Sequence[Record], *, start: FloatArray | None = None) -> Fit:
     """Fit one servo to records of it.
 
     Parameters
     ----------
     records : sequence of Record
         Good flights.
-    fixed : sequence of str
-        Names of effects that are left out: their parameters are held at zero.
     start : ndarray, shape (13,), optional
         Where to begin; else some delays are tried.
-    steps : int
-        Of the descent, at most.
     """
-    held = np.array([name in fixed for name in NAMES])
     seen = np.concatenate([r.measured_deg[r.usable] for r in records])
     reach_deg = (float(np.quantile(seen, _SELDOM)), float(np.quantile(seen, 1.0 - _SELDOM)))
     if start is not None:
-        begins = [np.where(held, 0.0, np.clip(start, _LOWS, _HIGHS))]
+        theta = np.clip(start, _LOWS, _HIGHS)
     else:
-        begins = [np.where(held, 0.0, _with_delay(delay_s)) for delay_s in _DELAYS_S]
-    tried = [_descended(records, theta, held, reach_deg, _FIRST_STEPS) for theta in begins]
-    theta = min(tried, key=lambda each: each[1])[0] if len(tried) > 1 else tried[0][0]
-    theta, _ = _descended(records, theta, held, reach_deg, steps)
+        tried = [
+            _descended(records, _with_delay(delay_s), _NONE_HELD, reach_deg, _FIRST_STEPS) for delay_s in _DELAYS_S
+        ]
+        theta = min(tried, key=lambda each: each[1])[0]
+    theta, _ = _descended(records, theta, _NONE_HELD, reach_deg, _STEPS)
     errors, _, speeds = _evaluated(records, theta, reach_deg)
     sigma = _noise(errors, speeds, records).sigma_deg(np.concatenate(speeds))
-    again = [theta] if start is not None else [theta, *_alike(theta, held)]
-    tried = [_descended(records, each, held, reach_deg, steps, sigma) for each in again]
-    return _finished(records, tried, held, reach_deg)
+    again = [theta] if start is not None else [theta, *_alike(theta)]
+    return _finished(
+        records, [_descended(records, each, _NONE_HELD, reach_deg, _STEPS, sigma) for each in again], reach_deg
+    )
+
+
+def worse_without(fitted: Fit, records: Sequence[Record], effects: Sequence[str]) -> float:
+    """By how many times a servo without some effects, fitted to the same records, predicts worse what it was not shown.
+
+    Parameters
+    ----------
+    fitted : Fit
+        The servo with all effects.
+    records : sequence of Record
+        What it was fitted to.
+    effects : sequence of str
+        Names of parameters that are held at zero.
+    """
+    held = np.array([name in effects for name in NAMES])
+    begin = np.where(held, 0.0, fitted.theta)
+    theta, _ = _descended(records, begin, held, fitted.reach_deg, _FIRST_STEPS, fitted.sigma_deg)
+    errors, slopes, speeds = _evaluated(records, theta, fitted.reach_deg)
+    noise = _noise(errors, speeds, records)
+    sigma = noise.sigma_deg(np.concatenate(speeds))
+    left = _left_out(records, np.concatenate(errors), np.concatenate(slopes), sigma, noise, ~held)
+    return left.rms_deg / fitted.held_out_rms_deg
 
 
 def residual(
@@ -151,7 +171,7 @@ def residual(
     return error, inside
 
 
-def _alike(theta: FloatArray, held: BoolArray) -> list[FloatArray]:
+def _alike(theta: FloatArray) -> list[FloatArray]:
     """Servos that move much like this one: dead band, friction and play in place of each other."""
     dead, friction, play = (NAMES.index(name) for name in ("deadband_deg", "friction_deg", "play_deg"))
     out = []
@@ -163,7 +183,7 @@ def _alike(theta: FloatArray, held: BoolArray) -> list[FloatArray]:
     ):
         other = theta.copy()
         other[[dead, friction, play]] = width, rub, loose
-        out.append(np.where(held, 0.0, other))
+        out.append(other)
     return out
 
 
@@ -246,51 +266,60 @@ def _stepped(theta: FloatArray, curvature: FloatArray, pull: FloatArray, held: B
 
 
 def _finished(
-    records: Sequence[Record],
-    tried: Sequence[tuple[FloatArray, float]],
-    held: BoolArray,
-    reach_deg: tuple[float, float],
+    records: Sequence[Record], tried: Sequence[tuple[FloatArray, float]], reach_deg: tuple[float, float]
 ) -> Fit:
     """Noise and covariance of the best of some descents, and what the folds left out say."""
     theta, cost = min(tried, key=lambda each: each[1])
     errors, slopes, speeds = _evaluated(records, theta, reach_deg)
-    error, slope, speed = np.concatenate(errors), np.concatenate(slopes), np.concatenate(speeds)
+    error, slope = np.concatenate(errors), np.concatenate(slopes)
     noise = _noise(errors, speeds, records)
-    sigma = noise.sigma_deg(speed)
-    free = ~held
+    sigma = noise.sigma_deg(np.concatenate(speeds))
+    left = _left_out(records, error, slope, sigma, noise, ~_NONE_HELD)
     lengthened = _colour_length(noise)
-    weight = _weight(error, sigma) / lengthened
-    fold = np.concatenate([(np.floor(r.time_s[r.usable] / _FOLD_S).astype(int) + k) % 2 for k, r in enumerate(records)])
-    ridge = np.diag(_SIGMAS[free] ** -2.0)
-    left, halves = np.zeros(error.size), []
-    folds = [np.flatnonzero(fold == k) for k in (0, 1)]
-    for mine, other in (folds, folds[::-1]):
-        weighted = slope[np.ix_(other, free)] * weight[other, None]
-        change = np.linalg.solve(weighted.T @ slope[np.ix_(other, free)] + ridge, weighted.T @ error[other])
-        left[mine] = error[mine] - slope[np.ix_(mine, free)] @ change
-        halves.append(change)
-    weighted = slope[:, free] * weight[:, None]
-    covariance = np.zeros((FITTED, FITTED))
-    covariance[np.ix_(free, free)] = np.linalg.inv(weighted.T @ slope[:, free] + ridge)
-    if not held[_RATE]:
-        unseen = lengthened * _unseen_speed(records, theta, reach_deg, error, sigma)
-        covariance[_RATE, _RATE] = max(covariance[_RATE, _RATE], min(unseen, float(_SIGMAS[_RATE]) ** 2))
+    covariance: FloatArray = np.linalg.inv(
+        (slope * (_weight(error, sigma) / lengthened)[:, None]).T @ slope + np.diag(_SIGMAS**-2.0)
+    )
+    unseen = lengthened * _unseen_speed(records, theta, reach_deg, error, sigma)
+    covariance[_RATE, _RATE] = max(covariance[_RATE, _RATE], min(unseen, float(_SIGMAS[_RATE]) ** 2))
     near = np.array([each for each, its in tried if its - cost < _NEAR * lengthened])
-    apart: FloatArray = 0.5 * (near.max(axis=0) - near.min(axis=0))
-    apart[free] = np.hypot(apart[free], 0.5 * (halves[0] - halves[1]))
+    apart = np.hypot(0.5 * (near.max(axis=0) - near.min(axis=0)), 0.5 * (left.changes[0] - left.changes[1]))
     cuts = np.cumsum([e.size for e in errors])[:-1]
     power = float(np.var(np.concatenate([r.measured_deg[r.usable] for r in records])))
-    share = 1.0 - float(np.mean(left**2)) / power if power > 0.0 else 0.0
+    share = 1.0 - float(np.mean(left.error_deg**2)) / power if power > 0.0 else 0.0
     whole = []
-    for part, record in zip(np.split(left, cuts), records, strict=True):
+    for part, record in zip(np.split(left.error_deg, cuts), records, strict=True):
         full = np.full(record.time_s.size, np.nan)
         full[record.usable] = part
         whole.append(full)
-    rms = float(np.sqrt(np.mean(np.clip(left, -6.0 * sigma, 6.0 * sigma) ** 2)))
     return Fit(
-        theta, covariance, noise, reach_deg, tuple(whole), tuple(errors), rms, share,
-        tuple(r.usable for r in records), _unshrunk(theta, np.diag(covariance), apart),
+        theta, covariance, noise, reach_deg, tuple(whole), tuple(errors), left.rms_deg, share,
+        tuple(r.usable for r in records), sigma, _unshrunk(theta, np.diag(covariance), apart),
     )  # fmt: skip
+
+
+class _LeftOut(NamedTuple):
+    """What a servo that was fitted to every other fold leaves."""
+
+    error_deg: FloatArray
+    changes: FloatArray
+    """Of the parameters, from all records to each half of them; shape (2, 13)."""
+    rms_deg: float
+
+
+def _left_out(
+    records: Sequence[Record], error: FloatArray, slope: FloatArray, sigma: FloatArray, noise: Noise, free: BoolArray
+) -> _LeftOut:
+    weight = _weight(error, sigma) / _colour_length(noise)
+    fold = np.concatenate([(np.floor(r.time_s[r.usable] / _FOLD_S).astype(int) + k) % 2 for k, r in enumerate(records)])
+    ridge = np.diag(_SIGMAS[free] ** -2.0)
+    left, changes = np.zeros(error.size), np.zeros((2, FITTED))
+    folds = [np.flatnonzero(fold == k) for k in (0, 1)]
+    for place, (mine, other) in enumerate((folds, folds[::-1])):
+        weighted = slope[np.ix_(other, free)] * weight[other, None]
+        change = np.linalg.solve(weighted.T @ slope[np.ix_(other, free)] + ridge, weighted.T @ error[other])
+        left[mine] = error[mine] - slope[np.ix_(mine, free)] @ change
+        changes[place, free] = change
+    return _LeftOut(left, changes, float(np.sqrt(np.mean(np.clip(left, -6.0 * sigma, 6.0 * sigma) ** 2))))
 
 
 def _unshrunk(theta: FloatArray, variance: FloatArray, apart: FloatArray) -> FloatArray:
