@@ -533,14 +533,13 @@ class Calibrated(Calibration, Shown):
         ]
 
     def _facts(self) -> str:
-        return f"{self.false_alarms_per_hour:g} false alarms an hour wanted"
+        return f"about {self.false_alarms_per_hour:.2g} false alarms an hour to expect"
 
 
 def calibrate(
     logs: str | Path | Sequence[str | Path],
-    aircraft: Aircraft | str | Path,
+    aircraft: Aircraft | str | Path | None = None,
     *,
-    false_alarms_per_hour: float = 1e-3,
     surfaces: tuple[str, ...] = (),
     spans: tuple[Span, ...] = (),
     runs: tuple[str, ...] = (),
@@ -553,9 +552,7 @@ def calibrate(
     logs : str, Path or sequence of them
         Logs of the same aircraft.
     aircraft : Aircraft, str or Path
-        What is known of it, its file, or the name of one that comes with servofd.
-    false_alarms_per_hour : float
-        Wanted rate of the whole aircraft.
+        What is known of it, its file, or the name of one that comes with servofd; drafted from the logs if left out.
     surfaces : tuple of str
         Which to calibrate; all that were measured if empty.
     spans : tuple of (from_s, to_s)
@@ -575,7 +572,6 @@ def calibrate(
     found = workflow.calibrate(
         paths,
         aircraft,
-        false_alarms_per_hour=false_alarms_per_hour,
         surfaces=surfaces,
         spans=spans,
         runs=runs,

@@ -25,7 +25,6 @@ def calibrate_aircraft(
     aircraft: Aircraft,
     flights: Mapping[str, Sequence[Flight]],
     *,
-    false_alarms_per_hour: float = 1e-3,
     force: bool = False,
     progress: Callable[[str], None] = lambda _surface: None,
 ) -> Calibration:
@@ -37,8 +36,6 @@ def calibrate_aircraft(
         What is known so far; its servos may be rough drafts.
     flights : mapping of surface to Flights
         Surfaces without any stay as they are.
-    false_alarms_per_hour : float
-        Wanted rate of the whole aircraft; each surface that is calibrated gets its share.
     force : bool
         Calibrate also where the loss of a third of travel and of two thirds of speed would not show.
     progress : callable
@@ -88,7 +85,7 @@ def calibrate_aircraft(
     found = [one for one in found if one.surface not in blind]
     if not found:
         raise CalibrationError("; ".join(f"{name}: {reason}" for name, reason in kept.items()))
-    return Calibration(_with(aircraft, found), tuple(found), kept, false_alarms_per_hour)
+    return Calibration(_with(aircraft, found), tuple(found), kept)
 
 
 def _blind(one: CalibratedSurface) -> str:

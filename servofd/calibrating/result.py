@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from servofd.core.evidence import NOTHING_DETECTABLE, Detectable
+from servofd.detection.calibrated import FALSE_ALARMS_PER_HOUR
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -67,5 +68,10 @@ class Calibration:
     surfaces: tuple[CalibratedSurface, ...]
     kept: dict[str, str]
     """Surfaces left as they were, and why."""
-    false_alarms_per_hour: float
+
+    @property
+    def false_alarms_per_hour(self) -> float:
+        """Of all surfaces that were calibrated, in flights like those of simulated aircraft of other physics."""
+        return len(self.surfaces) * FALSE_ALARMS_PER_HOUR
+
     """Wanted, of all surfaces together."""

@@ -9,13 +9,11 @@ from typing import TYPE_CHECKING, Any
 from servofd.cli.parser import number
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable
 
-    from servofd.aircraft.schema import Aircraft
     from servofd.calibrating.result import CalibratedSurface, Calibration
 
 _MILLI = 1e3
-_PER_HOUR = 1e-3
 _NOT_REACHED = 0.5
 """Deviation of the logarithm of the largest speed from which on flights do not tell it."""
 
@@ -53,7 +51,8 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
         "--false-alarms-per-hour",
         type=_RATE,
         metavar="X",
-        help="of the whole aircraft (default: 0.001; of motion alone: 1)",
+        help="wanted of all axes together, where motion is calibrated (default: 1); of servos that report their "
+        "position the measured rate is told",
     )
     parser.add_argument("-s", "--surface", action="append", default=[], metavar="NAME", help="calibrate only this one")
     parser.add_argument("--until", type=_SECONDS, metavar="S", help="use each log up to this time [s] only")
@@ -89,13 +88,13 @@ def run(options: argparse.Namespace) -> int:
     from servofd.cli.tables import progress_bar
     from servofd.core.errors import ConfigError
     from servofd.core.files import write_whole
-    from servofd.jobs.workflow import calibrate
+    from servofd.jobs.workflow import calibrate, drafted_aircraft
 
     _check_output(options)
     if options.config is None:
         if options.motion or not has_feedback(options.logs):
             return run_axes(options)
-        aircraft = _drafted(options.logs)
+        aircraft = drafted_aircraft(options.logs)
     else:
         aircraft = load_aircraft(options.config)
     if not aircraft.surfaces:
@@ -107,7 +106,6 @@ def run(options: argparse.Namespace) -> int:
         calibration = calibrate(
             options.logs,
             aircraft,
-            false_alarms_per_hour=_PER_HOUR if options.false_alarms_per_hour is None else options.false_alarms_per_hour,
             surfaces=tuple(options.surface),
             spans=spans,
             runs=tuple(options.runs),
@@ -116,24 +114,10 @@ def run(options: argparse.Namespace) -> int:
         )
     text = calibration_to_toml(calibration)
     write_whole(options.output, text.encode())
-    _print(calibration, options.output)
+    _print(calibration, options)
     if options.motion:
         return run_axes(options, text)
     return 0
-
-
-def _drafted(logs: Sequence[str]) -> Aircraft:
-    """The aircraft as the first log that tells of servos describes it."""
-    from servofd.core.errors import NoMeasurement
-    from servofd.jobs.job import aircraft_for, logs_of
-
-    reason = ""
-    for log in logs_of(logs):
-        try:
-            return aircraft_for(log)
-        except NoMeasurement as error:
-            reason = str(error)
-    raise NoMeasurement(reason)
 
 
 def _check_output(options: argparse.Namespace) -> None:
@@ -147,7 +131,7 @@ def _check_output(options: argparse.Namespace) -> None:
         raise ConfigError(f"{options.output}: is a log already; choose another file for the calibrated aircraft")
 
 
-def _print(calibration: Calibration, output: str) -> None:
+def _print(calibration: Calibration, options: argparse.Namespace) -> None:
     from servofd.cli.tables import print_table
 
     headings = ["surface", "delay (ms)", "bandwidth (rad/s)", "speed (deg/s)", "noise (deg)", "held out (deg)"]
@@ -162,7 +146,16 @@ def _print(calibration: Calibration, output: str) -> None:
             print(f"{one.surface}: note: {note}")
     for name, reason in calibration.kept.items():
         print(f"{name}: not calibrated: {reason}")
-    print(f"wrote {output}")
+    print(_rate(calibration.false_alarms_per_hour, len(calibration.surfaces), options.false_alarms_per_hour))
+    print(f"wrote {options.output}")
+
+
+def _rate(per_hour: float, surfaces: int, wanted: float | None) -> str:
+    """False alarms to expect; a lower rate than was measured is not promised."""
+    of = "this surface" if surfaces == 1 else f"these {surfaces} surfaces"
+    text = f"false alarms to expect: about {per_hour:.2g} an hour of {of}, as measured on simulated aircraft"
+    refused = wanted is not None and wanted < per_hour
+    return f"{text}; {wanted:g} cannot be promised" if refused else text
 
 
 def _row(one: CalibratedSurface) -> list[str]:

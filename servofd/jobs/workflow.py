@@ -10,7 +10,7 @@ from servofd.aircraft.schema import load_aircraft
 from servofd.aircraft.segment import cut
 from servofd.core.errors import NoMeasurement, UnknownName, suggest
 from servofd.detection.audit import audit_log
-from servofd.jobs.job import flown_aircraft, known_aircraft, logs_of
+from servofd.jobs.job import aircraft_for, flown_aircraft, known_aircraft, logs_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -146,9 +146,8 @@ def calibrate_axes(
 
 def calibrate(
     paths: Sequence[str | Path],
-    aircraft: Aircraft | str | Path,
+    aircraft: Aircraft | str | Path | None = None,
     *,
-    false_alarms_per_hour: float = 1e-3,
     surfaces: tuple[str, ...] = (),
     spans: tuple[Span, ...] = (),
     runs: tuple[str, ...] = (),
@@ -179,12 +178,24 @@ def calibrate(
     """
     from servofd.calibrating.calibrate import calibrate_aircraft
 
-    known = load_aircraft(aircraft) if isinstance(aircraft, str | Path) else aircraft
+    if aircraft is None:
+        known = drafted_aircraft(paths)
+    else:
+        known = load_aircraft(aircraft) if isinstance(aircraft, str | Path) else aircraft
     known.check_names(surfaces)
     flights = flights_of(paths, known, surfaces=surfaces, spans=spans, runs=runs)
-    return calibrate_aircraft(
-        known, flights, false_alarms_per_hour=false_alarms_per_hour, force=force, progress=progress
-    )
+    return calibrate_aircraft(known, flights, force=force, progress=progress)
+
+
+def drafted_aircraft(paths: Sequence[str | Path]) -> Aircraft:
+    """The aircraft as the first log that tells of servos describes it."""
+    reason = ""
+    for log in logs_of(paths):
+        try:
+            return aircraft_for(log)
+        except NoMeasurement as error:
+            reason = str(error)
+    raise NoMeasurement(reason)
 
 
 def flights_of(

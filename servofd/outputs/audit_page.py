@@ -233,7 +233,8 @@ def _statistics(surface: SurfaceAudit) -> list[tuple[str, str]]:
         ("smallest faults", seen(surface.detectable) or "none would have been seen"),
     ]
     if surface.false_alarms_per_hour is not None:
-        rows.append(("false alarms, were the residual Gaussian", plain_rate(surface.false_alarms_per_hour)))
+        told = "as measured on simulated aircraft" if model.origin == "calibrated" else "were the residual Gaussian"
+        rows.append((f"false alarms, {told}", plain_rate(surface.false_alarms_per_hour)))
     return rows
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import servofd
 from servofd.aircraft.schema import load_aircraft, plain_aircraft
 from servofd.cli import main
 from servofd.core.types import FloatArray
@@ -119,6 +120,21 @@ def test_without_a_file_the_aircraft_is_drafted_and_ten_hertz_will_do(tmp_path: 
     good, target = written(tmp_path, "good.csv", *columns), tmp_path / "plane.toml"
     assert main(["calibrate", good, "-o", str(target)]) == 0
     assert load_aircraft(target).surfaces["rudder"].calibrated is not None
+
+
+@pytest.mark.slow
+def test_a_rate_of_false_alarms_is_told_and_none_is_promised_that_was_not_measured(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    good = logged(tmp_path, "good.csv", flown())
+    told = servofd.calibrate(good)
+    assert f"about {told.false_alarms_per_hour:.2g} false alarms an hour" in told._repr_html_()
+    command = ["calibrate", good, "-o", str(tmp_path / "plane.toml")]
+    for wanted, is_refused in (([], False), (["1"], False), (["0.001"], True)):
+        assert main([*command, *(["--false-alarms-per-hour", *wanted] if wanted else [])]) == 0
+        line = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("false alarms to expect"))
+        assert f"about {told.false_alarms_per_hour:.2g} an hour of this surface" in line
+        assert line.endswith("0.001 cannot be promised") == is_refused
 
 
 @pytest.mark.slow
