@@ -43,6 +43,17 @@ class CalibratedNoise(BaseModel):
         return Noise(self.still_deg, self.lag_s, self.colour, self.innovation, self.period_s)
 
 
+def lower_triangle(covariance: FloatArray) -> tuple[tuple[float, ...], ...]:
+    """Rows of a symmetric matrix as a file keeps them, shape (n, n).
+
+    Examples
+    --------
+    >>> lower_triangle(np.array([[4.0, 1.0], [1.0, 9.0]]))
+    ((4.0,), (1.0, 9.0))
+    """
+    return tuple(tuple(float(f"{x:.5g}") for x in row[: i + 1]) for i, row in enumerate(covariance.tolist()))
+
+
 class CalibratedServo(BaseModel):
     """A servo fitted to good flights, how far it may differ between them, and where each test alarms.
 
@@ -110,7 +121,7 @@ class CalibratedServo(BaseModel):
             return self
         pushed = np.where(np.char.startswith(NAMES, "hinge"), self.theta, 0.0)
         wider = self.covariance + _UNKNOWN_AIR**2 * np.outer(pushed, pushed)
-        return self.model_copy(update={"between": tuple(tuple(row[: i + 1]) for i, row in enumerate(wider.tolist()))})
+        return self.model_copy(update={"between": lower_triangle(wider)})
 
     @property
     def _scaled(self) -> FloatArray:

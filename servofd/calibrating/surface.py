@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from servofd.aircraft.calibrated import CalibratedNoise, CalibratedServo
+from servofd.aircraft.calibrated import CalibratedNoise, CalibratedServo, lower_triangle
 from servofd.aircraft.priors import NAMES, PRIORS
 from servofd.calibrating.flights import asked_deg
 from servofd.calibrating.result import CalibratedSurface, FlightRecord
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from servofd.aircraft.schema import Aircraft
     from servofd.calibrating.flights import Flight
+    from servofd.core.evidence import Detectable
     from servofd.core.types import FloatArray
     from servofd.estimate.fit import Fit
 
@@ -75,7 +76,7 @@ _NEVER_LOGGED: Final = 0.3
 _ADVICE: Final = "leave that part out (--until, --between), or the surface (-s)"
 _FAST_M_S: Final = 25.0
 
-_MANY: Final = 3
+_WORTH_FLYING: Final = 0.1
 _VAGUE: Final = 4.0
 """A parameter is vague if its variance is so many times the usual one between flights."""
 _SPOKEN: Final = dict(
@@ -149,7 +150,7 @@ def calibrate_surface(flights: Sequence[Flight], aircraft: Aircraft) -> Calibrat
     known = _known(fitted, records, supply_v, airspeed_m_s)
     _refuse_broken(name, known, records, scaled)
     known = known.model_copy(update={"thresholds": _thresholds(known, fitted, records)})
-    flown = [watched(known, record) for record in records]
+    sizes = detectable([watched(known, record) for record in records])
     servo = _linear(fitted.theta, flights)
     estimates = {key: _estimate(fitted, first, place) for place, key in enumerate(NAMES)}
     return CalibratedSurface(
@@ -164,8 +165,8 @@ def calibrate_surface(flights: Sequence[Flight], aircraft: Aircraft) -> Calibrat
         fitted.held_out_rms_deg,
         fitted.explained_share,
         tuple(FlightRecord(flight.label, flight.segment.duration_s) for flight in flights),
-        detectable(flown),
-        _sharper(known, len(flights)),
+        sizes,
+        _sharper(known, fitted, records, sizes),
         _notes(gain, known),
     )
 
@@ -297,7 +298,7 @@ def _known(fitted: Fit, records: Sequence[Record], supply_v: float, airspeed_m_s
     noise = fitted.noise
     return CalibratedServo(
         parameters={key: float(f"{value:.6g}") for key, value in zip(NAMES, fitted.theta.tolist(), strict=True)},
-        between=tuple(tuple(float(f"{x:.5g}") for x in row[: i + 1]) for i, row in enumerate(between.tolist())),
+        between=lower_triangle(between),
         noise=CalibratedNoise(
             still_deg=float(f"{noise.still_deg:.4g}"),
             lag_s=float(f"{noise.lag_s:.4g}"),
@@ -453,16 +454,31 @@ def _constant_deg(fitted: Fit) -> float:
     return float(f"{max(1.5 * largest, 0.05):.2g}")
 
 
-def _sharper(known: CalibratedServo, flights: int) -> str:
-    """What more flights buy."""
-    usual = np.array([prior.between for prior in PRIORS]) ** 2
-    ratio = np.diag(known.covariance) / usual
-    if flights > _MANY:
-        return f"differences between flights are measured on {flights} flights"
-    vague = [_SPOKEN[key] for key, value in zip(NAMES, ratio.tolist(), strict=True) if value > _VAGUE]
-    if vague:
-        return f"more flights, or livelier ones, would make {', '.join(dict.fromkeys(vague))} surer"
-    return "more flights would measure what differs between them; a usual amount is assumed"
+def _sharper(known: CalibratedServo, fitted: Fit, records: Sequence[Record], now: Detectable) -> str:
+    """What three more flights for each of these would show, if good flights differ by as little as they may."""
+    vague = _UNCERTAINTIES * fitted.covariance
+    between = known.covariance - 0.75 * vague
+    if len(records) == 1:
+        between -= (3.0 / (_KNOWN_FLIGHTS + 3.0)) * (known.covariance - vague)
+    surer = known.model_copy(update={"between": lower_triangle(between)})
+    then = detectable([watched(surer, record) for record in records])
+    told = [
+        f"{words.format(after)} ({'none' if before is None else format(before, form)} now)"
+        for words, form, before, after in (
+            ("an offset of {:.2g} deg", ".2g", now.bias_deg, then.bias_deg),
+            ("a servo that keeps {:.0%} of its speed", ".0%", now.slow_share, then.slow_share),
+            ("the loss of {:.0%} of its travel", ".0%", now.loss_share, then.loss_share),
+            ("play of {:.2g} deg", ".2g", now.deadband_deg, then.deadband_deg),
+            ("an oscillation of {:.2g} deg", ".2g", now.oscillation_deg, then.oscillation_deg),
+        )
+        if after is not None and (before is None or abs(after - before) > _WORTH_FLYING * before)
+    ]
+    more = 3 * len(records)
+    text = f"{more} more flights like {'this one' if more == 3 else 'these'} would show "
+    text += f"{', '.join(told)} at best" if told else "hardly less"
+    ratio = np.diag(known.covariance) / np.array([prior.between for prior in PRIORS]) ** 2
+    unsure = [_SPOKEN[key] for key, value in zip(NAMES, ratio.tolist(), strict=True) if value > _VAGUE]
+    return f"{text}; livelier ones would tell {', '.join(dict.fromkeys(unsure))} better" if unsure else text
 
 
 def _notes(gain: float, known: CalibratedServo) -> tuple[str, ...]:

@@ -54,7 +54,7 @@ def test_a_good_flight_gives_an_aircraft_file(tmp_path: Path, config: str, capsy
     assert main(["calibrate", good, "-c", config, "-o", str(target)]) == 0
     shown = capsys.readouterr().out
     assert "smallest faults that flights like these show" in shown
-    assert "rudder: note: more flights" in shown
+    assert "rudder: note: 3 more flights like this one would show" in shown
     text = target.read_text()
     assert "good.csv" in text
     assert str(tmp_path) not in text

@@ -200,7 +200,14 @@ def test_more_flights_measure_what_differs_between_them() -> None:
     (one,) = calibrated(flown(servo, 0, "lively")).surfaces
     (many,) = calibrated(*(flown(servo, seed, "lively") for seed in range(4))).surfaces
     assert many.known.covariance[0, 0] < one.known.covariance[0, 0]
-    assert "4 flights" in many.sharper
+    # What one flight foresees of four comes true, and they foresee no more.
+    foreseen = re.search(r"an offset of ([\d.]+) deg .* keeps (\d+)% of its speed .* the loss of (\d+)% ", one.sharper)
+    assert foreseen is not None
+    offset_deg, speed, loss = (float(each) for each in foreseen.groups())
+    assert many.detectable.bias_deg == pytest.approx(offset_deg, rel=0.1)
+    assert many.detectable.slow_share == pytest.approx(speed / 100.0, rel=0.1)
+    assert many.detectable.loss_share == pytest.approx(loss / 100.0, rel=0.1)
+    assert many.sharper.startswith("12 more flights like these would show hardly less")
 
 
 @pytest.mark.slow
