@@ -7,8 +7,9 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 from servofd.aircraft.schema import Aircraft
+from servofd.calibrating.refusals import hardly_moved
 from servofd.calibrating.result import Calibration
-from servofd.calibrating.surface import calibrate_surface, hardly_moved
+from servofd.calibrating.surface import calibrate_surface
 from servofd.core.errors import CalibrationError
 from servofd.core.evidence import ModelOrigin
 from servofd.detection.cleared import is_blind

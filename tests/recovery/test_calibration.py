@@ -11,7 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from strangers import SURFACES, Failure, Stranger, fly, stranger
+from calibration_campaign import segment_of
+from strangers import SIZES, SURFACES, Failure, Stranger, draw_failure, fly, stranger
 
 from fleet import FleetServo, deflection, flight
 from servofd.aircraft.priors import NAMES, PRIORS
@@ -159,6 +160,21 @@ def test_a_flight_that_turns_bad_is_refused() -> None:
     wobble_deg = np.where(healthy.measured_s > 60.0, 2.0 * np.sin(20.0 * healthy.measured_s), 0.0)
     with pytest.raises(CalibrationError, match="oscillates"):
         calibrated(replace(healthy, measured_deg=healthy.measured_deg + wobble_deg))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [200, 206])
+def test_a_fault_of_any_kind_in_the_middle_of_a_good_flight_is_refused_with_its_time(seed: int) -> None:
+    """A good and a cheap servo; each fault bends the servo that is fitted to the whole flight."""
+    for place, kind in enumerate(SIZES):
+        failure = draw_failure(7000 * seed + place, 240.0, kind, "large")
+        flown_so = fly(stranger(seed), 50 + place, "mixed", failure=failure)
+        segment = replace(segment_of(flown_so, failure.surface), surface="x")
+        with pytest.raises(CalibrationError, match="not a good flight") as refused:
+            calibrated(segment)
+        found = re.search(r"(?:since|from) ([\d.]+) ", str(refused.value))
+        assert found is not None
+        assert failure.start_s - 1.0 < float(found[1]) < failure.start_s + 8.0
 
 
 @pytest.mark.slow
