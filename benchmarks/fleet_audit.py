@@ -18,10 +18,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from servofd.aircraft.schema import plain_aircraft
-from servofd.fleet.find import find_logs
+from servofd.batch.find import find_logs
+from servofd.batch.key import Job
+from servofd.batch.local import cores
 from servofd.fleet.judge import judge_log
-from servofd.fleet.key import Job
-from servofd.fleet.local import cores
 from servofd.fleet.run import audit_fleet
 from servofd.servo.faults import Stuck
 from servofd.simulation.flight import simulate_flight

@@ -76,7 +76,7 @@ ONLY_IN = {
     "control": {"servofd/servo/transfer.py"},
     "starlette": {f"servofd/serve/{name}.py" for name in ("app", "guard", "server")},
     "uvicorn": {"servofd/serve/server.py"},
-    "distributed": {"servofd/fleet/cluster.py"},
+    "distributed": {"servofd/batch/cluster.py"},
 }
 
 

@@ -133,7 +133,7 @@ def check(options: argparse.Namespace) -> None:
 
 def judged(options: argparse.Namespace) -> list[LogAudit | FailedLog]:
     """Every run of every log that was named."""
-    from servofd.fleet.find import flights_joined
+    from servofd.batch.find import flights_joined
     from servofd.jobs.job import known_aircraft, layout_of
 
     aircraft = known_aircraft(options.config)

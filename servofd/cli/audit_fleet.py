@@ -14,9 +14,9 @@ from servofd.cli.parser import whole
 if TYPE_CHECKING:
     import argparse
 
-    from servofd.fleet.find import Found, LogSource
+    from servofd.batch.find import Found, LogSource
+    from servofd.batch.key import Job
     from servofd.fleet.judge import JudgedLog
-    from servofd.fleet.key import Job
     from servofd.fleet.overview import Overview
     from servofd.fleet.store import FleetStore
 
@@ -34,7 +34,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def is_fleet(options: argparse.Namespace) -> bool:
     """Whether there may be more logs than one looks at one by one."""
-    from servofd.fleet.find import is_address, is_folder, is_pattern
+    from servofd.batch.find import is_address, is_folder, is_pattern
 
     several = any(is_address(log) or is_pattern(log) or is_folder(log) for log in options.logs)
     return several or bool(options.cluster or options.workers) or len(options.logs) > _A_FEW
@@ -42,11 +42,11 @@ def is_fleet(options: argparse.Namespace) -> bool:
 
 def run_fleet(options: argparse.Namespace) -> int:
     """Judge all logs, each printed as it is done; then the overview, and what was asked for."""
+    from servofd.batch.find import find_logs
+    from servofd.batch.key import Job
     from servofd.cli.tables import one_line
     from servofd.cli.targets import give_json
     from servofd.core.errors import ConfigError
-    from servofd.fleet.find import find_logs
-    from servofd.fleet.key import Job
     from servofd.fleet.store import FleetStore
     from servofd.jobs.job import known_aircraft, layout_of
 
@@ -108,8 +108,8 @@ def _judged(found: Found, job: Job, store: FleetStore | None, options: argparse.
 
 def _with_page(judged: JudgedLog, folder: Path) -> JudgedLog:
     """Write the page of a log, and keep it no longer."""
+    from servofd.batch.key import page_name
     from servofd.core.files import write_whole
-    from servofd.fleet.key import page_name
 
     if judged.page:
         write_whole(folder / page_name(judged.source.path, judged.content), judged.page.encode())

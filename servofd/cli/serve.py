@@ -51,8 +51,8 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
 def run(options: argparse.Namespace) -> int:
     """Serve until Ctrl-C."""
     from servofd.aircraft.schema import UNKNOWN_SERVO, load_aircraft
+    from servofd.batch.key import Job
     from servofd.core.errors import ConfigError, needs
-    from servofd.fleet.key import Job
     from servofd.servo.library import find_servo
 
     needs("starlette", "uvicorn")

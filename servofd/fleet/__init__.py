@@ -1,1 +1,1 @@
-"""Many logs: found, judged side by side, kept in tables, shown on one page."""
+"""Many flights audited: kept in tables, shown on one page."""

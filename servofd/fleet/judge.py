@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from logparsers import LogError
+from servofd.batch.fetch import fetched
+from servofd.batch.key import content_key
 from servofd.core.errors import ConfigError, ServofdError
-from servofd.fleet.fetch import fetched
-from servofd.fleet.key import content_key
 from servofd.jobs.workflow import audit
 from servofd.outputs.json_report import FailedLog, audit_document
 
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from logparsers import FlightLog
+    from servofd.batch.find import LogSource
+    from servofd.batch.key import Job
     from servofd.detection.verdict import LogAudit
-    from servofd.fleet.find import LogSource
-    from servofd.fleet.key import Job
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,8 +52,8 @@ def judge_log(source: LogSource, job: Job) -> JudgedLog:
 
     Examples
     --------
-    >>> from servofd.fleet.find import LogSource
-    >>> from servofd.fleet.key import Job
+    >>> from servofd.batch.find import LogSource
+    >>> from servofd.batch.key import Job
     >>> judge_log(LogSource("no_such.csv", 0), Job()).runs[0].not_judged[:24]
     'no_such.csv: no such fil'
     """

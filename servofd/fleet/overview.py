@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from servofd.fleet.key import page_name
+from servofd.batch.key import page_name
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -6,18 +6,18 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from servofd.fleet.cluster import run_on_cluster
-from servofd.fleet.find import find_logs
+from servofd.batch.cluster import run_on_cluster
+from servofd.batch.find import find_logs
+from servofd.batch.key import Job
+from servofd.batch.local import run_local
 from servofd.fleet.judge import failed, judge_log
-from servofd.fleet.key import Job
-from servofd.fleet.local import run_local
 from servofd.jobs.job import known_aircraft, layout_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from servofd.aircraft.schema import Aircraft
-    from servofd.fleet.find import LogSource
+    from servofd.batch.find import LogSource
     from servofd.fleet.judge import JudgedLog
 
 
@@ -29,7 +29,7 @@ def audit_fleet(
     Parameters
     ----------
     logs : sequence of LogSource
-        What to judge (`servofd.fleet.find.find_logs`).
+        What to judge (`servofd.batch.find.find_logs`).
     job : Job
         What to judge it with.
     cluster : str, optional
@@ -44,8 +44,8 @@ def audit_fleet(
 
     Examples
     --------
-    >>> from servofd.fleet.find import find_logs
-    >>> from servofd.fleet.key import Job
+    >>> from servofd.batch.find import find_logs
+    >>> from servofd.batch.key import Job
     >>> logs = find_logs(["sample_logs/faser_stuck_flight.mat"]).logs
     >>> [judged.runs[0].has_fault for judged in audit_fleet(logs, Job(), workers=0)]
     [True]

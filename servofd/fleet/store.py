@@ -11,10 +11,10 @@ import uuid
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Self
 
+from servofd.batch.find import META_FILE
+from servofd.batch.key import content_key
 from servofd.core.errors import ConfigError
 from servofd.core.files import whole_file, write_whole
-from servofd.fleet.find import META_FILE
-from servofd.fleet.key import content_key
 from servofd.fleet.tables import TABLES, rows, to_arrow
 from servofd.version import __version__
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     import pyarrow as pa
 
-    from servofd.fleet.find import LogSource
+    from servofd.batch.find import LogSource
     from servofd.fleet.judge import JudgedLog
 
 _SCHEMA = "servofd.fleet/1"
@@ -46,7 +46,7 @@ class FleetStore:
     folder : Path
         Made if it does not exist.
     key : str
-        Of the `servofd.fleet.key.Job`.
+        Of the `servofd.batch.key.Job`.
     """
 
     def __init__(self, folder: Path, key: str) -> None:

@@ -65,7 +65,7 @@ def rows(judged: JudgedLog) -> dict[str, list[dict[str, Any]]]:
 
     Examples
     --------
-    >>> from servofd.fleet.find import LogSource
+    >>> from servofd.batch.find import LogSource
     >>> from servofd.fleet.judge import failed
     >>> rows(failed(LogSource("a.csv", 0), "a.csv: no such file"))["logs"][0]["not_judged"]
     'a.csv: no such file'

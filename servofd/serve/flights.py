@@ -15,11 +15,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Self
 
+from servofd.batch.find import META_FILE, find_logs
+from servofd.batch.key import Job, content_key
+from servofd.batch.local import cores, interrupts_wait, processes
 from servofd.core.errors import ConfigError
 from servofd.core.files import distinct_file_names, make_folder, write_whole
-from servofd.fleet.find import META_FILE, find_logs
-from servofd.fleet.key import Job, content_key
-from servofd.fleet.local import cores, interrupts_wait, processes
 from servofd.serve.judge import Summary, judge
 
 if TYPE_CHECKING:

@@ -20,8 +20,8 @@ from servofd.outputs.sentence import spoken, whole_sentence, worst
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from servofd.batch.key import Job
     from servofd.detection.verdict import LogAudit
-    from servofd.fleet.key import Job
 
 AUDIT, PAGE, RECORDING, SUMMARY = "audit.json", "page.html", "recording.rrd", "summary.json"
 """What the folder of a flight holds; the summary is written last."""
@@ -43,7 +43,7 @@ class Summary:
     alarm_s: float | None = None
     """When the first alarm would have been raised [s]."""
     key: str = ""
-    """Of the `servofd.fleet.key.Job` that judged it."""
+    """Of the `servofd.batch.key.Job` that judged it."""
     too_long: bool = False
     """For a recording that a browser can show."""
 

@@ -10,9 +10,9 @@ import numpy as np
 
 from logparsers import LogError
 from servofd.aircraft.segment import cut
+from servofd.batch.fetch import fetched
 from servofd.core.errors import ConfigError, NoMeasurement, ServofdError
 from servofd.estimate.statistics import Estimate
-from servofd.fleet.fetch import fetched
 from servofd.jobs.job import logs_of
 from servofd.wear.estimate import estimate_flight
 from servofd.wear.records import FlightEstimate
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from servofd.aircraft.axes import MotionModel
     from servofd.aircraft.schema import Aircraft
     from servofd.aircraft.segment import Segment
-    from servofd.fleet.find import LogSource
+    from servofd.batch.find import LogSource
 
 _VOLTAGES = ("servo_voltage_v", "POWR.Vservo")
 _SYSTEM_IDS = ("MAV_SYSID", "SYSID_THISMAV")
@@ -60,7 +60,7 @@ def estimate_log(source: LogSource, aircraft: Aircraft, surfaces: tuple[str, ...
     Examples
     --------
     >>> from servofd.aircraft.schema import load_aircraft
-    >>> from servofd.fleet.find import LogSource
+    >>> from servofd.batch.find import LogSource
     >>> (log,) = estimate_log(LogSource("sample_logs/faser_healthy_flight.mat", 0), load_aircraft("faser"))
     >>> log.flights[0].surface, log.flights[0].values["dead_band_deg"].value < 0.2
     ('elevator', True)

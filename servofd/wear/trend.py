@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.aircraft.schema import Aircraft, load_aircraft
+from servofd.batch.cluster import run_on_cluster
+from servofd.batch.find import find_logs
+from servofd.batch.local import run_local
 from servofd.core.errors import NoMeasurement
-from servofd.fleet.cluster import run_on_cluster
-from servofd.fleet.find import find_logs
-from servofd.fleet.local import run_local
 from servofd.jobs.job import layout_of
 from servofd.wear.follow import SurfaceTrend, Wear, follow
 from servofd.wear.logs import FlownLog, Order, check_one_aircraft, estimate_log, in_order
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from servofd.fleet.find import Skipped
+    from servofd.batch.find import Skipped
 
 
 @dataclass(frozen=True, slots=True, eq=False)

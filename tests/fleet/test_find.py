@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from logparsers import TableLayout
+from servofd.batch.find import META_FILE, find_logs
 from servofd.core.errors import ConfigError
-from servofd.fleet.find import META_FILE, find_logs
 
 FLIGHTS = ["broken.csv", "flight0.csv", "flight1.csv", "flight2.csv", "flight3.csv", "flight4.csv"]
 

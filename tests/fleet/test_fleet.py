@@ -12,10 +12,10 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
+from servofd.batch.find import find_logs
+from servofd.batch.key import Job
 from servofd.cli import main
 from servofd.core.errors import ConfigError
-from servofd.fleet.find import find_logs
-from servofd.fleet.key import Job
 from servofd.fleet.overview import overview
 from servofd.fleet.store import FleetStore, locked, read_logs
 
@@ -168,7 +168,7 @@ def test_another_version_judges_again(
     logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, judged: list[str]
 ) -> None:
     run(capsys, "audit", logs / "may", "-o", tmp_path / "r")
-    monkeypatch.setattr("servofd.fleet.key.__version__", "99.0")
+    monkeypatch.setattr("servofd.batch.key.__version__", "99.0")
     assert "another version" in run(capsys, "audit", logs / "may", "-o", tmp_path / "r")[2]
     assert len(judged) == 4
 

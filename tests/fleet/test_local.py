@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from servofd.fleet.local import WorkerDied, run_local
+from servofd.batch.local import WorkerDied, run_local
 
 # Spawned processes import what they are to do: builtins are everywhere.
 KILL = "__import__('os').kill(__import__('os').getpid(), 9)"

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from servofd.batch.find import find_logs
+from servofd.batch.key import Job
 from servofd.cli import main
-from servofd.fleet.find import find_logs
-from servofd.fleet.key import Job
 from servofd.fleet.run import audit_fleet
 from servofd.fleet.tables import rows
 
@@ -89,7 +89,7 @@ def test_a_cluster_that_is_not_there_is_told_in_one_line(
     logs: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("distributed")
-    monkeypatch.setattr("servofd.fleet.cluster._PATIENCE_S", 0.5)
+    monkeypatch.setattr("servofd.batch.cluster._PATIENCE_S", 0.5)
     for address, why in (("tcp://127.0.0.1:9", "no Dask scheduler answers"), ("nonsense", "is no address")):
         assert main(["audit", str(logs), "--cluster", address]) == 2
         assert why in capsys.readouterr().err.splitlines()[-1]

@@ -22,10 +22,10 @@ from logparsers import LogError
 from logparsers.codec import Codec, signing_key
 from logparsers.endpoint import parse_endpoint
 from servofd.aircraft.schema import load_aircraft
+from servofd.batch.find import find_logs
+from servofd.batch.key import Job
 from servofd.cli import main
 from servofd.core.errors import ServofdError
-from servofd.fleet.find import find_logs
-from servofd.fleet.key import Job
 from servofd.fleet.overview import overview
 from servofd.fleet.store import FleetStore, read_logs
 from servofd.jobs.workflow import audit

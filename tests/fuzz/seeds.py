@@ -18,10 +18,10 @@ from logparsers.codec import Codec
 from logparsers.dataflash.encode import encode
 from logparsers.replay import replayed
 from servofd.aircraft.schema import plain_aircraft
+from servofd.batch.find import find_logs
+from servofd.batch.key import Job
 from servofd.feedback.draft import draft_aircraft
 from servofd.feedback.toml import draft_to_toml
-from servofd.fleet.find import find_logs
-from servofd.fleet.key import Job
 from servofd.fleet.run import audit_fleet
 from servofd.fleet.store import FleetStore
 from servofd.jobs.workflow import audit

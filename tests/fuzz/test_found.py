@@ -19,12 +19,12 @@ from servofd.aircraft.outputs import outputs_of
 from servofd.aircraft.pairs import find_pairs
 from servofd.aircraft.schema import load_aircraft, plain_aircraft
 from servofd.aircraft.segment import pace_steps
+from servofd.batch.key import Job
 from servofd.cli import main, manual
 from servofd.core.errors import ConfigError, RecordingError
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.statistics import Statistics
 from servofd.feedback.draft import draft_aircraft
-from servofd.fleet.key import Job
 from servofd.fleet.store import FleetStore, read_table
 from servofd.jobs.workflow import audit
 from servofd.live.session import stamped

@@ -18,7 +18,7 @@ import logparsers
 from logparsers import FlightLog, LogError, MissingChannel, TableLayout
 from logparsers.dataflash import DataFlashFile
 from logparsers.dataflash.encode import Message, encode
-from servofd.fleet.find import find_logs, flights_joined
+from servofd.batch.find import find_logs, flights_joined
 from servofd.jobs.workflow import audit
 from tests.parsers import dataflash_writer, export_writer, tlog_writer
 

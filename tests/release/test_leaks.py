@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from servofd.batch.find import find_logs
+from servofd.batch.key import Job
 from servofd.cli import main
-from servofd.fleet.find import find_logs
-from servofd.fleet.key import Job
 from servofd.fleet.run import audit_fleet
 from tests.fuzz.seeds import drafted
 from tests.live.vehicles import free_port, plane_file

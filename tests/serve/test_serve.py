@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from logparsers import EmptyLog
-from servofd.fleet.key import Job
+from servofd.batch.key import Job
 from servofd.serve.flights import RESULTS, Flight, Flights, TooLarge
 from servofd.serve.judge import Summary, judge
 

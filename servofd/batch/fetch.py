@@ -8,8 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from servofd.batch.find import is_address
 from servofd.core.errors import ConfigError
-from servofd.fleet.find import is_address
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from logparsers.source import files_of
 from servofd.aircraft.schema import UNKNOWN_SERVO
+from servofd.batch.find import is_address
 from servofd.core.files import distinct_file_names
-from servofd.fleet.find import is_address
 from servofd.servo.library import find_servo, levels_in
 from servofd.version import __version__
 

@@ -1,0 +1,1 @@
+"""Many logs: found, told apart by their content, and spread over processes or machines."""
