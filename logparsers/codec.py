@@ -52,6 +52,19 @@ class Signature:
         return Signature(self.key, _SIGNING_EPOCH_S)
 
 
+def is_signed(frame: bytes) -> bool:
+    """Whether a frame says that it carries a signature, be that right or wrong.
+
+    Examples
+    --------
+    >>> is_signed(Codec(1, 1, signature=Signature(bytes(32), 1.7e9)).encode("HEARTBEAT", {}))
+    True
+    >>> is_signed(Codec(1, 1).encode("HEARTBEAT", {}))
+    False
+    """
+    return len(frame) >= _SHORTEST and frame[0] == _MARKER_2 and frame[2] & _SIGNED != 0
+
+
 def signing_key(content: bytes) -> bytes:
     r"""Key from the content of a key file: 32 bytes, 64 hexadecimal digits, or a passphrase, which is hashed.
 
@@ -171,6 +184,11 @@ class Codec:
         frame: bytes = bytes(kind(**(empty | given)).pack(self._mav))
         self._mav.seq = (self._mav.seq + 1) % 256
         return frame
+
+    @property
+    def has_key(self) -> bool:
+        """Whether frames have to be signed with its key."""
+        return not self._is_open
 
     def skip(self, frames: int) -> None:
         """Count frames that are sent elsewhere."""

@@ -167,10 +167,11 @@ def _words(event: Event) -> tuple[int, str]:
     """Severity, and what follows the surface's name."""
     if event.event == "clear":
         return _NOTICE, "cleared: within tolerance" if event.kind == "healthy" else "moves as commanded again"
-    if event.event == "alarm" and event.fault is None and not math.isfinite(event.residual_deg):
+    if event.event == "alarm" and event.fault is None and event.text:
         return _SEVERITIES["unknown"], "AXIS ALARM by its motion"
     if event.event == "alarm" and event.fault is None:
-        return _SEVERITIES["unknown"], f"ALARM, off by {abs(event.residual_deg):.1f} deg"
+        known = f", off by {abs(event.residual_deg):.1f} deg" if math.isfinite(event.residual_deg) else ""
+        return _SEVERITIES["unknown"], f"ALARM{known}"
     return _SEVERITIES.get(event.kind, _NOTICE), _KINDS.get(event.kind, event.kind) + _size(event)
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from logparsers.codec import is_signed
 from servofd.aircraft.schema import plain_aircraft
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.live.alerts import Alerts
@@ -105,6 +106,8 @@ class Session:
     """News of the link, to be shown and forgotten."""
     frames: int = 0
     damaged_bytes: int = 0
+    signed: tuple[int, int] = (0, 0)
+    """Whole frames that carry a signature: taken, and refused because it is another key's."""
     _alerts: dict[int, Alerts] = field(default_factory=dict)
     _requests: dict[int, Requests] = field(default_factory=dict)
     _reads: dict[int, int] = field(default_factory=dict)
@@ -132,6 +135,9 @@ class Session:
             self.store(stamped(arrival_s, frame))
             if heard is None:
                 self.damaged_bytes += len(frame)
+            if is_signed(frame):
+                self._signed(heard is not None)
+            if heard is None:
                 continue
             self.frames += 1
             vehicle = self.vehicles.get(heard.system) or self._found(heard, arrival_s)
@@ -142,6 +148,15 @@ class Session:
                 events += told
                 self._answered(vehicle, heard, arrival_s)
         return events
+
+    def _signed(self, taken: bool) -> None:
+        """Count signatures; say once whether anybody checks them."""
+        was_taken, refused = self.signed
+        self.signed = (was_taken + taken, refused + (not taken))
+        if taken and not was_taken:
+            fits = "signatures are those of the key: what carries no such one is not believed"
+            open_ = "frames are signed, and taken unchecked: --signing-key FILE would check them"
+            self.notes.append(fits if self.codec.has_key else open_)
 
     def step(self, arrival_now_s: float, *, final: bool = False) -> list[Event]:
         """Evaluate what was taken, or of it what cannot wait for the next step, and do what is due."""
@@ -340,14 +355,7 @@ class Session:
     def waiting(self) -> str:
         """What is still missing, in words; empty if every surface is watched."""
         if not self.vehicles:
-            if self.strangers:
-                systems = ", ".join(str(system) for system in sorted(self.strangers))
-                return f"hears vehicle {systems}, for which there is no aircraft file (-c ID=FILE)"
-            if self.frames:
-                return "hears MAVLink, but no vehicle"
-            if self.damaged_bytes:
-                return "hears bytes that are no MAVLink: another baud rate, or another signing key?"
-            return "waiting for the first byte"
+            return self._nobody()
         missing: dict[str, list[str]] = {}
         for vehicle in self.vehicles.values():
             why = vehicle.axes.waiting() if vehicle.axes is not None else ""
@@ -362,3 +370,18 @@ class Session:
                 who = monitor.name if len(self.vehicles) == 1 else f"{vehicle.system}/{monitor.name}"
                 missing.setdefault(why, []).append(who)
         return "; ".join(f"{', '.join(who)}: {why}" for why, who in missing.items())
+
+    def _nobody(self) -> str:
+        """What is heard while there is no vehicle."""
+        if self.strangers:
+            systems = ", ".join(str(system) for system in sorted(self.strangers))
+            return f"hears vehicle {systems}, for which there is no aircraft file (-c ID=FILE)"
+        if self.frames:
+            return "hears MAVLink, but no vehicle"
+        if self.signed[1] and self.codec.has_key:
+            return "no frame is signed with this key: they carry another's signature"
+        if self.damaged_bytes:
+            if self.codec.has_key:
+                return "nothing that it hears is signed: leave --signing-key out, or have the vehicle sign"
+            return "hears bytes that are no MAVLink: another baud rate?"
+        return "waiting for the first byte"

@@ -225,7 +225,7 @@ class TestBadLinks:
     def test_with_a_key_unsigned_frames_say_nothing(self, healthy: bytes, aircraft: Aircraft) -> None:
         session, events = heard(replayed(healthy), aircraft, Codec(0, 191, signature=Signature(bytes(32), 1.7e9)))
         assert (session.frames, events) == (0, [])
-        assert "another signing key?" in session.waiting()
+        assert session.waiting().startswith("nothing that it hears is signed")
 
 
 def readdressed(frame: bytes, system: int) -> bytes:
@@ -364,9 +364,23 @@ def test_replay_writes_json_lines(log: bytes, config: Path, tmp_path: Path, caps
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("passphrase", "code"), [("ours", 1), ("theirs", 2)])
-def test_a_signed_log_is_believed_with_its_key(
-    log: bytes, config: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], passphrase: str, code: int
+@pytest.mark.parametrize(
+    ("key", "code", "line"),
+    [
+        ("ours", 1, "signatures are those of the key: what carries no such one is not believed"),
+        ("theirs", 2, "no frame is signed with this key: they carry another's signature"),
+        (None, 1, "frames are signed, and taken unchecked: --signing-key FILE would check them"),
+    ],
+    ids=["right key", "wrong key", "no key"],
+)
+def test_replay_of_a_signed_log_checks_signatures_and_says_so_in_one_line(
+    log: bytes,
+    config: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    key: str | None,
+    code: int,
+    line: str,
 ) -> None:
     """However long ago it was signed."""
     plane, reader = Codec(1, 1, signature=Signature(signing_key(b"ours"), 1.6e9)), Codec(0, 1)
@@ -374,10 +388,32 @@ def test_a_signed_log_is_believed_with_its_key(
     (tmp_path / "signed.tlog").write_bytes(
         b"".join(stamped(at_s, plane.encode(m.name, m.fields)) for at_s, m in heard_frames)
     )
-    (tmp_path / "key").write_text(passphrase)
     arguments = ["monitor", str(tmp_path / "signed.tlog"), "-c", str(config), "--speed", "0", "--plain"]
-    assert main([*arguments, "--signing-key", str(tmp_path / "key")]) == code
-    assert ("another signing key?" in capsys.readouterr().err) == (code == 2)
+    if key:
+        (tmp_path / "key").write_text(key)
+        arguments += ["--signing-key", str(tmp_path / "key")]
+    assert main(arguments) == code
+    told = capsys.readouterr()
+    assert (told.err if code == 2 else told.out).count(line) == 1
+    assert told.err.count("\n") == (code == 2)
+
+
+def test_replay_of_a_signed_log_believes_no_forged_frame_between_its_own(healthy: bytes, aircraft: Aircraft) -> None:
+    """Each tenth of the positions is another's: with the key they are as if they had not been sent."""
+    ours, theirs = (Signature(signing_key(name), 1.6e9) for name in (b"ours", b"theirs"))
+    plane, forger, reader = Codec(1, 1, signature=ours), Codec(1, 1, signature=theirs), Codec(0, 1)
+    frames = []
+    for number, (at_s, frame) in enumerate(list(replayed(healthy))[:4000]):
+        (m,) = reader.decode(frame)
+        frames.append((at_s, plane.encode(m.name, m.fields)))
+        if m.name == "NAMED_VALUE_FLOAT" and number % 10 == 0:
+            frames.append((at_s, forger.encode(m.name, dict(m.fields) | {"value": 40.0})))
+    session, events = heard(frames, aircraft, Codec(0, 191, signature=ours.of_any_time()))
+    assert session.signed == (4000, len(frames) - 4000)
+    assert session.signed[1] > 100
+    alone, _ = heard([f for f in frames if reader.decode(f[1])[0].fields.get("value") != 40.0], aircraft)
+    assert brief(events, "alarm") == []
+    assert [m.reading for _, m in session.watched] == [m.reading for _, m in alone.watched]
 
 
 def test_stamps_are_those_of_a_telemetry_log() -> None:

@@ -15,7 +15,8 @@ from logparsers.link import open_link
 from servofd.aircraft.schema import plain_aircraft
 from servofd.simulation.flight import SimulatedFlight, simulate_flight
 from servofd.simulation.pulses import outputs_of
-from servofd.simulation.vehicle.fly import Flown, fly
+from servofd.simulation.vehicle.fly import Flown, fly, legs
+from servofd.simulation.vehicle.troubles import Air
 from servofd.simulation.vehicle.vehicle import Settings, Vehicle
 
 if TYPE_CHECKING:
@@ -84,14 +85,14 @@ def free_port(kind: int = socket.SOCK_DGRAM) -> int:
         return int(probe.getsockname()[1])
 
 
-def until(happened: Callable[[], Any], what: str) -> Any:
+def until(happened: Callable[[], Any], what: str, *, deadline_s: float = DEADLINE_S) -> Any:
     """Poll until a condition holds; the polling itself must wait on something."""
-    end_s = time.monotonic() + DEADLINE_S
+    end_s = time.monotonic() + deadline_s
     while time.monotonic() < end_s:
         found = happened()
         if found:
             return found
-    raise AssertionError(f"{what} did not happen within {DEADLINE_S:g} s")
+    raise AssertionError(f"{what} did not happen within {deadline_s:g} s")
 
 
 def _opened(endpoint: str) -> Link | None:
@@ -120,7 +121,8 @@ def flying(
     counted: list[Flown] = []
     heard = bytearray() if record is None else record
     link = until(lambda: _opened(endpoint), f"{endpoint} could be opened")
-    made = vehicle(flight, **settings)
+    known = Settings(**settings)
+    made, air = legs(flight or flown(), PLANE, known), Air(known.troubles)
     stop = threading.Event()
 
     class Stoppable:
@@ -140,7 +142,7 @@ def flying(
             link.close()
 
     def run() -> None:
-        counted.append(fly(made, Stoppable(), codec or Codec(1, 1), wait=wait))
+        counted.append(fly(made, Stoppable(), codec or Codec(1, 1), wait=wait, air=air))
 
     thread = threading.Thread(target=run)
     thread.start()
