@@ -94,3 +94,11 @@ def test_nothing_is_said_of_a_fault_that_has_cleared() -> None:
     assert texts(alerts, 100.0) == ["SERVO_3 stuck 2 deg"]
     alerts.take(Event(11.0, "servo_3", "clear", "stuck"), 100.6)
     assert texts(alerts, 105.0) == ["SERVO_3 moves as commanded again"]
+
+
+def test_a_surface_whose_residual_is_not_known_is_no_axis() -> None:
+    """Where commands were lost, a test over a window may alarm at a position that has no residual."""
+    alerts = Alerts(["rudder", "roll"])
+    alerts.take(Event(10.0, "rudder", "alarm", "unknown"), 100.0)
+    alerts.take(Event(10.0, "roll", "alarm", "unknown", text="aileron_left: alarm of its motion"), 100.0)
+    assert texts(alerts, 100.0) == ["RUDDER ALARM", "ROLL AXIS ALARM by its motion"]
