@@ -29,8 +29,9 @@ if TYPE_CHECKING:
     from servofd.core.types import FloatArray
     from servofd.servo.servo_model import ServoModel
 
-LONGEST_NAME = 22
-"""With " not moved yet: use sticks" it fills the 50 characters of a message."""
+LONGEST_NAME = 21
+"""With " not moved by sticks" it fills the 41 characters that ArduPilot keeps of a reason to refuse arming
+(``AP_Arming::aux_auth_str_len`` less the end of the string, which it does not set itself)."""
 _SAME_POLE = 4e-3
 """Poles closer than this share are moved that far apart: half the digits of a 32-bit number, as the error of moving
 grows with the square of the distance and that of rounding with its inverse."""
@@ -210,7 +211,7 @@ def onboard_name(surface: str) -> str:
     Examples
     --------
     >>> onboard_name("aileron_left"), onboard_name("Größe"), onboard_name("the_outermost_flap_on_the_left_wing")
-    ('AILERON_LEFT', 'GR__E', 'THE_OUTERMO~_LEFT_WING')
+    ('AILERON_LEFT', 'GR__E', 'THE_OUTERM~_LEFT_WING')
     """
     plain = re.sub(r"[^ -~]|[\"\\\\]", "_", surface).upper() or "_"
     if len(plain) <= LONGEST_NAME:

@@ -104,7 +104,7 @@ local world = {
    arming = {
       get_aux_auth_id = function() return 0 end,
       set_aux_auth_failed = function(_, id, why)
-         assert(id == 0 and #why <= 42)
+         assert(id == 0 and #why <= 41)
          result.refusals[#result.refusals + 1] = why
       end,
       set_aux_auth_passed = function(_, id)

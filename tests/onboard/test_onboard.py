@@ -79,6 +79,18 @@ def test_arming_is_refused_by_name(tmp_path: Path, check: int, jammed: int, last
     assert (flown.refusals[:1] == ["AILERON not moved by sticks"]) == (check == 2)
 
 
+def test_the_reason_to_refuse_arming_is_whole_for_the_longest_name(tmp_path: Path) -> None:
+    """ArduPilot copies 42 characters into a buffer of 42 and reads on beyond it: the stub takes 41."""
+    flown = fly(
+        watch_script(plan_onboard(many(2, "the_flap_in_the_middle"))),
+        wiggled(many(2)),
+        tmp_path,
+        parameters={"SFD_CHECK": 2},
+    )
+    assert flown.refusals[0].endswith(" not moved by sticks")
+    assert len(flown.refusals[0]) == 41
+
+
 def test_positions_that_stop_are_told_once_and_of_all_together(tmp_path: Path) -> None:
     flight = wiggled(SIMULATED, armed=True)
     late = flight.time_us > 9_000_000
