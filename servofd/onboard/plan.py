@@ -123,8 +123,9 @@ class OnboardPlan:
     """In how many calls all surfaces are looked at, some of them in each."""
     notes: tuple[str, ...] = ()
     """What the script will not do, for the user."""
-    table_key: int = 93
-    """Of the parameters; any number from 0 to 200 that no other script uses."""
+    table_key: int = 161
+    """Of the parameters; any number from 0 to 200 that no other script uses (those in ArduPilot 4.7 have some of
+    7 to 117, 135 to 139, and 193: the example ``qnh_alt.lua`` has 93)."""
 
     @property
     def instructions(self) -> int:

@@ -91,6 +91,7 @@ local world = {
       get = function(_, name) return PARAMETERS[name] end,
       add_table = function(_, key, prefix, count)
          assert(key > 0 and key <= 200 and #prefix < 16 and count < 64)
+         assert(key > 139 and key ~= 193, "a script that comes with ArduPilot 4.7 may have this key")
          return true
       end,
       add_param = function(_, key, index, name, default)
