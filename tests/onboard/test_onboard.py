@@ -144,7 +144,7 @@ def test_more_surfaces_than_a_call_has_time_for_are_refused_with_how_many_fit() 
     ("edit", "told"),
     [
         (("gain = 0.09", 'gain = "much"'), "servofd: AILERON: gain is no number"),
-        (('name = "RUDDER"', 'name = "A NAME THAT IS FAR TOO LONG FOR A TEXT"'), "servofd: name of surface 3: 1 to 22"),
+        (('name = "RUDDER"', 'name = "A NAME THAT IS FAR TOO LONG FOR A TEXT"'), "servofd: name of surface 3: 1 to 21"),
         (("modes = { {", "modes = { { 1.0 }, {"), "servofd: AILERON: a mode is wrong"),
         (("rates = { 370.0,", "rates = { nil,"), "servofd: AILERON: rates: 3 numbers"),
         (("tolerance = {", "tolerances = {"), "servofd: AILERON: tolerance: 4 numbers"),
