@@ -76,10 +76,12 @@ class Look(NamedTuple):
     """Positions before, of a model that was fitted, of which only faults are wanted: suspicions wait for the end."""
     is_last: bool = False
     """Whether it is for the report, with all that a report holds."""
+    quiet_s: float = float("inf")
+    """Since when a surface in alarm is quiet [s]; infinite if it is not."""
 
     def judge(self) -> tuple[tuple[Fault, ...], tuple[Fault, ...], str]:
         """Faults and suspicions, and why nothing should be concluded from them; depends on nothing else."""
-        _, _, _, residuals, threshold, suspicious, commands, sent_period_s, _, is_last = self
+        _, _, _, residuals, threshold, suspicious, commands, sent_period_s, _, is_last, quiet_s = self
         if self.surface.calibrated is not None and self.surface.is_calibrated:
             calibrated = judge_stretch(self.surface.calibrated, residuals, commands, sent_period_s)
             return calibrated.faults, calibrated.suspicions, ""
@@ -88,7 +90,14 @@ class Look(NamedTuple):
             problem = wiring_problem(residuals) if faults else ""
             return (() if problem else faults), (), problem
         found = judge_evaluated(
-            self.generator, self.surface, residuals, threshold, suspicious, commands, is_report=is_last
+            self.generator,
+            self.surface,
+            residuals,
+            threshold,
+            suspicious,
+            commands,
+            is_report=is_last,
+            quiet_s=quiet_s,
         )
         problem = wiring_problem(residuals) if found.faults or found.suspicions else ""
         return (() if problem else found.faults), (() if problem else found.suspicions), problem

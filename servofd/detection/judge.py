@@ -11,7 +11,7 @@ from servofd.core.frozen import held_rows
 from servofd.detection.alarm import find_episodes
 from servofd.detection.bank.confirm import confirmed, joined
 from servofd.detection.bank.flight import Fault, Flight
-from servofd.detection.bank.isolate import isolate
+from servofd.detection.bank.isolate import has_recovered, isolate
 from servofd.detection.bank.window import noise_deg
 from servofd.detection.contradiction import contradictions
 from servofd.detection.residual import commands_at_servo
@@ -83,11 +83,13 @@ def judge_evaluated(
     *,
     dismiss: bool = True,
     is_report: bool = True,
+    quiet_s: float = np.inf,
 ) -> Judgement:
     """Name each alarm of a flight whose threshold is known, and whose suspicious samples may be.
 
     A model that was fitted to a log accuses only of what contradicts any servo; the rest is suspicious. What only
-    reports tell may be left out.
+    reports tell may be left out. In flight an alarm that stands is over where the servo has surely moved as a healthy
+    one since it became quiet [s].
     """
     if surface.model.origin == "fitted":
         return _by_fitted(generator, surface, residuals, threshold, commands)
@@ -106,6 +108,8 @@ def judge_evaluated(
     named = joined(flight, (fault for episode in episodes for fault in _named(flight, episode, threshold)))
     if not dismiss:
         named = tuple(_held(fault) for fault in named)
+    if np.isfinite(quiet_s) and named and named[-1].end_s is None and has_recovered(flight, named[-1].kind, quiet_s):
+        named = (*named[:-1], replace(named[-1], end_s=quiet_s))
     faults = tuple(fault for fault in named if fault.level == "fault" and fault.kind != "healthy")
     return Judgement(threshold, faults, tuple(fault for fault in named if fault not in faults), unnamed)
 

@@ -344,7 +344,7 @@ class SurfaceMonitor:
         faults, self.suspicions, problem = verdict
         faults = self._moved_alarms(faults, float(look.residuals.time_s[0]))
         now_s = look.at_s if self.reading is None else max(look.at_s, self.reading.time_s)
-        events = []
+        events, is_over = [], False
         for fault in faults:
             alarm = self._alarms.get(fault.alarm_s)
             if alarm is None or alarm.dismissed:
@@ -355,7 +355,7 @@ class SurfaceMonitor:
             alarm.kind, alarm.fault = fault.kind, fault
             self._look_later(look, fault)
             if alarm.stands and fault.end_s is not None:
-                alarm.stands = False
+                alarm.stands, is_over = False, True
                 events.append(self._event(look, look.at_s, "clear", fault.kind, fault))
         cleared = self._dismissed(look, sorted((*faults, *self.suspicions), key=lambda fault: fault.alarm_s))
         if problem or self._is_fitted:
@@ -363,7 +363,8 @@ class SurfaceMonitor:
             cleared = [at_s for at_s in self._alarms if at_s not in known and at_s >= look.residuals.time_s[0]]
         events += self._taken_back(cleared, look.at_s, problem)
         self.problem = problem
-        if isinstance(self._stream, CalibratedStream) and self._stream.latched and not self.standing:
+        latched = isinstance(self._stream, CalibratedStream) and self._stream.latched
+        if self._stream is not None and (is_over or latched) and not self.standing:
             self._stream.again()
         return events
 
@@ -665,8 +666,19 @@ class SurfaceMonitor:
         at_s = float(residuals.time_s[-1])
         earlier_deg = history.before(since_s, _EACH) if in_flight else None
         sent_s = self._stream.sent_period_s if isinstance(self._stream, CalibratedStream) else None
+        quiet_s = self._quiet.quiet_s if self.standing and not whole else np.inf
         return Look(
-            at_s, self._generator, self.surface, residuals, threshold, suspicious, copied, sent_s, earlier_deg, whole
+            at_s,
+            self._generator,
+            self.surface,
+            residuals,
+            threshold,
+            suspicious,
+            copied,
+            sent_s,
+            earlier_deg,
+            whole,
+            quiet_s,
         )
 
     def _last_look(self) -> list[Event]:

@@ -179,6 +179,15 @@ def _change(flight: Flight, kind: str, from_s: float, until_s: float) -> tuple[f
     return high_s, last.naming
 
 
+def has_recovered(flight: Flight, kind: str, quiet_s: float) -> bool:
+    """Whether all since it became quiet [s] is surely the motion of a healthy servo, and not the fault going on."""
+    window = flight.window(quiet_s, flight.end_s, None)
+    if window is None or window.motion_deg < _ENOUGH_MOTION_DEG:
+        return False
+    naming = name_fault(window)
+    return naming.kind == "healthy" and naming.probabilities.get(kind, 0.0) <= 1.0 - SURE
+
+
 def _differs(naming: Naming, kind: str) -> bool:
     if kind in _AT_REST and naming.kind in _AT_REST:
         return False  # only the onset, which lies outside the block, tells which
