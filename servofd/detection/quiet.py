@@ -13,10 +13,10 @@ if TYPE_CHECKING:
 
 _QUIET_SHARE = 0.5
 """Of its threshold, below which the residual of a surface in alarm is quiet."""
-_QUIET_LOOKS_S = (0.75, 1.25, 1.75, 3.0, 6.0, 12.0)
+_QUIET_S = 0.75
 """After so long in quiet the bank looks whether an alarm is over,"""
 _PAUSE_S, _LONGEST_PAUSE_S = 0.4, 1.5
-"""no more often than after pauses that grow with each look in vain."""
+"""and again after pauses that grow with each look in vain."""
 
 
 @dataclass(slots=True)
@@ -49,9 +49,7 @@ class Quiet:
     def is_due(self, now_s: float) -> bool:
         """Whether the bank should look now [s]."""
         pause_s = min(_PAUSE_S * (1 + self._asked), _LONGEST_PAUSE_S)
-        if now_s - self._asked_s < pause_s:
-            return False
-        if not any(self._asked_s < self.quiet_s + after_s <= now_s for after_s in _QUIET_LOOKS_S):
+        if now_s - self._asked_s < pause_s or now_s - self.quiet_s < _QUIET_S:
             return False
         self._asked_s, self._asked = now_s, self._asked + 1
         return True

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
 from logparsers.codec import Codec
@@ -16,6 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from servofd.detection.events import Event
+    from servofd.detection.stream import Piece
     from servofd.servo.failing import Fault
 
 EPOCH_S = 1.7e9
@@ -41,11 +45,23 @@ def aircraft(tmp_path_factory: pytest.TempPathFactory) -> Aircraft:
     return load_aircraft(path)
 
 
-def told(aircraft: Aircraft, *faults: Fault) -> tuple[list[Event], list[tuple[float, str]]]:
-    """Events of a flight in which the elevator fails for a while, and the texts that were sent, each with its time."""
+def told(
+    aircraft: Aircraft, *faults: Fault, loud_s: list[float] | None = None
+) -> tuple[list[Event], list[tuple[float, str]]]:
+    """Events of a flight in which the elevator fails for a while, and the texts that were sent, each with its time.
+
+    `loud_s` gets the times at which the residual was over its threshold [s].
+    """
     plane = vehicle(flown(command="lively", duration_s=40.0, faults={"elevator": faults}), message_hz=40.0)
     codec, session, texts = Codec(1, 1), Session(Codec(0, 191), {0: aircraft}), []
     events: list[Event] = []
+
+    def listen(surface: str, piece: Piece, _: object) -> None:
+        loud = np.abs(piece.residuals.residual_deg) >= piece.threshold.level_deg
+        if surface == "elevator" and loud_s is not None:
+            loud_s.extend(piece.residuals.time_s[loud].tolist())
+
+    session.listener = listen
     for index in range(plane.time_us.size):
         now_s = 1e-6 * int(plane.time_us[index])
 
@@ -60,12 +76,53 @@ def told(aircraft: Aircraft, *faults: Fault) -> tuple[list[Event], list[tuple[fl
     return events + session.finish(EPOCH_S + now_s), texts
 
 
+def alarms_of(events: list[Event]) -> list[tuple[Event, Event | None, list[Event]]]:
+    """Each alarm of the elevator with its clear, if there was one, and the names that came after the alarm."""
+    found: list[tuple[Event, Event | None, list[Event]]] = []
+    for event in (e for e in events if e.surface == "elevator"):
+        if event.event == "alarm":
+            found.append((event, None, []))
+        elif event.event == "clear":
+            found[-1] = (found[-1][0], event, found[-1][2])
+        elif event.event == "named":
+            assert found[-1][1] is None, "a name after the clear"
+            found[-1][2].append(event)
+    return found
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", FAULTS, ids=[fault.kind for fault in FAULTS])
-def test_names_follow_alarms_within_2_s_and_clears_the_recovery(aircraft: Aircraft, fault: Fault) -> None:
+def test_the_name_follows_its_alarm_within_2_s_or_not_at_all(aircraft: Aircraft, fault: Fault) -> None:
     events, texts = told(aircraft, fault)
-    alarm_s: float | None = None
-    for event in events:
-        if event.surface:
-            print(event.event, event.surface, event.kind, event.time_s, event.text)
-    print(texts)
+    ((alarm, _, names),) = alarms_of(events)
+    assert [name.kind for name in names] == [fault.kind]
+    assert names[0].time_s - alarm.time_s <= NAMED_S
+    (first_s, *_), (clear_s, _) = texts[0], texts[-1]
+    said = [at_s for at_s, text in texts if not text.startswith(("ELEVATOR ALARM", "ELEVATOR moves"))]
+    assert first_s <= said[0] <= first_s + NAMED_S + 0.1
+    assert said[-1] <= said[0] + 1.1, "said once more a second later, and not again"
+    assert said[-1] < clear_s
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", FAULTS, ids=[fault.kind for fault in FAULTS])
+def test_no_name_comes_after_its_clear_and_clears_follow_recovery_within_2_s(aircraft: Aircraft, fault: Fault) -> None:
+    """Within 2 s of when the fault, had it gone on, would have been over the threshold again."""
+    events, texts = told(aircraft, fault)
+    loud_s: list[float] = []
+    told(aircraft, replace(fault, end_s=math.inf), loud_s=loud_s)
+    shown_s = min(at_s for at_s in loud_s if at_s >= OVER_S)
+    ((_, clear, _),) = alarms_of(events)
+    assert clear is not None
+    assert OVER_S < clear.time_s <= shown_s + CLEARED_S
+    assert texts[-1][0] == pytest.approx(clear.time_s, abs=0.1)
+    assert texts[-1][1] == "ELEVATOR moves as commanded again"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", FAULTS, ids=[fault.kind for fault in FAULTS])
+def test_nothing_is_cleared_while_the_fault_stands(aircraft: Aircraft, fault: Fault) -> None:
+    """For 24 s of a lively command, in which some faulty servos are quiet for seconds."""
+    events, _ = told(aircraft, replace(fault, end_s=math.inf))
+    ((_, clear, _),) = alarms_of(events)
+    assert clear is None

@@ -28,6 +28,7 @@ _LIKELY = 0.4
 _SHORT_S = 1.0
 _BLOCK_S = 3.0
 _LONGEST_BLOCK_S = 12.0
+_RECENT_S = 1.5
 _FIRST_S = 1.0 - _SETTLING_S
 _SUSPICION_LASTS_S = 15.0
 """The cumulative sum and the usual residual look back about ten seconds."""
@@ -180,12 +181,17 @@ def _change(flight: Flight, kind: str, from_s: float, until_s: float) -> tuple[f
 
 
 def has_recovered(flight: Flight, kind: str, quiet_s: float) -> bool:
-    """Whether all since it became quiet [s] is surely the motion of a healthy servo, and not the fault going on."""
-    window = flight.window(quiet_s, flight.end_s, None)
-    if window is None or window.motion_deg < _ENOUGH_MOTION_DEG:
-        return False
-    naming = name_fault(window)
-    return naming.kind == "healthy" and naming.probabilities.get(kind, 0.0) <= 1.0 - SURE
+    """Whether what it did lately is surely the motion of a healthy servo, and not the fault going on.
+
+    All since it became quiet [s], or the last of that: where little was asked, a faulty servo is quiet as well.
+    """
+    for from_s in {quiet_s, max(quiet_s, flight.end_s - _RECENT_S)}:
+        window = flight.window(from_s, flight.end_s, None)
+        if window is not None and window.motion_deg >= _ENOUGH_MOTION_DEG:
+            naming = name_fault(window)
+            if naming.kind == "healthy" and naming.probabilities.get(kind, 0.0) <= 1.0 - SURE:
+                return True
+    return False
 
 
 def _differs(naming: Naming, kind: str) -> bool:
