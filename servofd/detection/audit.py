@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.aircraft.calibration import DegreeCalibration
 from servofd.aircraft.segment import (
     SLOWEST_LEFT_HZ,
     SLOWEST_RATE_HZ,
@@ -173,7 +174,7 @@ def audit_segment(
     if surface.model.origin == "none":
         return _without_model(generator, segment, surface, verdict)
     segment, residuals, notes = prepared(generator, segment)
-    notes = (*notes, *_left_out(generator.model, segment))
+    notes = (*notes, *_left_out(generator.model, segment), *_unusual_scale(surface))
     judged_s = _judged_s(residuals, generator.longest_gap_s(segment))
     problem = _not_judged(judged_s, residuals)
     if problem:
@@ -263,6 +264,16 @@ def _left_out(model: ServoModel, segment: Segment) -> tuple[str, ...]:
     return tuple(_LACKING[need] for need in sorted(model.needs - segment.context.logged))
 
 
+def _unusual_scale(surface: Surface) -> tuple[str, ...]:
+    """That a servo fitted to this log moves by another amount than its command in degrees, from the beginning on."""
+    if surface.model.origin != "fitted" or not isinstance(surface.command, DegreeCalibration):
+        return ()
+    gain = surface.command.correction[0]
+    if _USUAL_GAINS[0] <= gain <= _USUAL_GAINS[1]:
+        return ()
+    return (f"its position moves by {gain:.2f} times its command throughout: a scale, or travel lost before this log",)
+
+
 def _is_expected(log: FlightLog, aircraft: Aircraft, name: str) -> bool:
     """Whether this log should tell about a surface.
 
@@ -296,6 +307,9 @@ def _too_little(segment: Segment, *, is_calibrated: bool) -> str:
     return too_far(segment)
 
 
+_USUAL_GAINS = (0.8, 1.25)
+_HARDLY_ASKED_DEG, _HARDLY_MOVED = 1.0, 0.05
+"""A command that moves by less tells nothing [deg]; a position that moves by such a share of it does not follow."""
 _FOLLOWED_BEFORE, _UNSEEN_S = 0.2, 2.0
 """Share of a log before its first fault that tells whether position and command belong together, and for how long a
 fault may have been there before."""
@@ -342,8 +356,16 @@ def _without_model(
 def _unpredicted(surface: Surface, segment: Segment) -> str:
     """Why no servo could be fitted to this log, and what to record."""
     asked_deg = float(np.ptp(segment.command_deg)) if segment.command_deg.size else 0.0
+    moved_deg = float(np.nanmax(segment.measured_deg) - np.nanmin(segment.measured_deg))
     record = "record a minute of full and free control movements with this surface, brisk and slow"
     share = surface.model.explained_share
+    if asked_deg < _HARDLY_ASKED_DEG:
+        return f"its command stays within {asked_deg:.2g} deg, so that nothing tells how it would follow: {record}"
+    if moved_deg < _HARDLY_MOVED * asked_deg:
+        return (
+            f"its position stays within {moved_deg:.2g} deg while its command moves by {asked_deg:.2g} deg: jammed "
+            "from the beginning, or no reading of this surface"
+        )
     if share is None:
         seen = f"{segment.duration_s:.0f} s in which the command stays within {asked_deg:.2g} deg"
         return f"too little motion to fit a servo to ({seen}): {record}"

@@ -44,6 +44,8 @@ _LINE_DEG, _LINE_SHARE, _NOT_ASKED = 2.0, 0.6, 0.5
 """Amplitude of an oscillation, its share of the error's power, and of the command's amplitude there to its own."""
 _SLOWEST_HZ = 1.2
 """Fewer periods in a window are no oscillation: positions that came late to the log look like that as well."""
+_SAMPLES, _FASTEST_HZ = 3.0, 12.0
+"""In each period; with fewer, commands and positions that were read at other times than stamped look like a wave."""
 _FOLLOWS = 0.3
 """Slope of the position over the healthy deflection below which it does not follow."""
 _BRISK_DEG = 1.4
@@ -54,8 +56,8 @@ _LAGS_S = (-0.1, 0.0, 0.1, 0.2, 0.35, 0.5)
 _LATE_SHARE, _LATE_S = 0.7, 6.0
 _FEWEST_SAMPLES = 30
 _JOINED_S = 6.0
-_FLOATS_S = 4.0
-"""A motion that is strange for less may be a load."""
+_FLOATS_S, _WAVE_SAMPLES = 4.0, 40
+"""A motion that is strange for less may be a load, and two jerks between two rows of a slow log look like a wave."""
 _FOLLOWED_S, _AROUND_S, _MOSTLY, _NEAR_DEG, _ALONG = 10.0, 1.0, 95.0, 1.25, 0.4
 """For so long, but around where it rests, and for so many of 100 samples, a surface is where it is asked, half of
 `_MISSED_DEG`, and moves as it is asked (correlation), or nobody knows that command and position belong together."""
@@ -88,6 +90,10 @@ class _Flight:
     @cached_property
     def error_deg(self) -> FloatArray:
         return self.measured_deg - self.healthy_deg
+
+    @cached_property
+    def usual_s(self) -> float:
+        return float(np.median(np.diff(self.time_s)))
 
     @cached_property
     def travel_deg(self) -> float:
@@ -128,7 +134,7 @@ def contradictions(
         return ()
     with np.errstate(over="ignore", invalid="ignore"):
         found = [*_resting(flight), *_moving(flight)]
-    return _as_faults(found, float(residuals.time_s[-1]))
+    return _as_faults(found, float(residuals.time_s[-1]), flight.usual_s)
 
 
 def unanswered(generator: ResidualGenerator, residuals: Residuals) -> tuple[Fault, ...]:
@@ -149,14 +155,13 @@ def unanswered(generator: ResidualGenerator, residuals: Residuals) -> tuple[Faul
     elsewhere = np.ones(flight.time_s.size, dtype=bool)
     for stretch in found:
         elsewhere &= (flight.time_s < stretch.start_s - _AROUND_S) | (flight.time_s > stretch.end_s + _AROUND_S)
-    usual_s = float(np.median(np.diff(flight.time_s)))
-    if not found or np.count_nonzero(elsewhere) * usual_s < _FOLLOWED_S:
+    if not found or np.count_nonzero(elsewhere) * flight.usual_s < _FOLLOWED_S:
         return ()
     error_deg, asked, moved = (x[elsewhere] for x in (flight.error_deg, flight.healthy_deg, flight.measured_deg))
     near = float(np.percentile(np.abs(error_deg), _MOSTLY)) <= _NEAR_DEG
     common = float(np.cov(asked, moved)[0, 1])
     follows = common >= _ALONG * max(float(np.std(asked) * np.std(moved)), 1e-12)
-    return _as_faults(found, float(residuals.time_s[-1])) if near and follows else ()
+    return _as_faults(found, float(residuals.time_s[-1]), flight.usual_s) if near and follows else ()
 
 
 def _flight(
@@ -320,15 +325,16 @@ def _moving(flight: _Flight) -> Iterator[_Stretch]:
 
 def _strange(flight: _Flight, rows: slice) -> _Stretch | None:
     """A window whose motion the command does not explain."""
-    time_s, error = flight.time_s[rows], flight.error_deg[rows]
+    time_s, error, asked = flight.time_s[rows], flight.error_deg[rows], flight.healthy_deg[rows]
     span = (_left_s(flight, rows), float(time_s[-1]), float(time_s[-1]))
-    line = _line(time_s, error, flight.healthy_deg[rows])
+    line = _line(time_s, error, asked)
     if line is not None:
         frequency_hz, amplitude_deg = line
         return _Stretch("oscillation", *span, {"amplitude_deg": amplitude_deg, "frequency_hz": frequency_hz})
-    asked, moved = flight.healthy_deg[rows], flight.measured_deg[rows]
-    if float(error.min()) > 1.0 or float(error.max()) < -1.0:
-        return None  # held up from one side, by a load or an obstacle
+    moved = flight.measured_deg[rows]
+    held_up = float(error.min()) > 1.0 or float(error.max()) < -1.0  # from one side, by a load or an obstacle
+    if held_up or span[1] - span[0] < _MISSED_S:  # the next window tells
+        return None
     asked_deg, moved_deg = float(np.std(asked)), float(np.std(moved))
     slope, explained = _best_slope(flight, rows)
     amplitude_deg = float(np.ptp(moved)) / 2.0
@@ -382,8 +388,7 @@ def _about_means(values: FloatArray, later: BoolArray) -> FloatArray:
 def _line(time_s: FloatArray, error: FloatArray, asked: FloatArray) -> tuple[float, float] | None:
     """Frequency [Hz] and amplitude [deg] of an oscillation of the error that the command has no part in."""
     step_s = float(np.median(np.diff(time_s)))
-    highest_hz = 0.5 / step_s
-    frequencies = np.arange(_SLOWEST_HZ, min(highest_hz, 12.0), 0.25 / _WINDOW_S)
+    frequencies = np.arange(_SLOWEST_HZ, min(1.0 / (_SAMPLES * step_s), _FASTEST_HZ), 0.25 / _WINDOW_S)
     if frequencies.size == 0:
         return None
     taper = np.hanning(time_s.size)
@@ -462,7 +467,7 @@ def _lasting(brisk: list[_Stretch]) -> Iterator[_Stretch]:
         return
 
 
-def _as_faults(found: list[_Stretch], end_s: float) -> tuple[Fault, ...]:
+def _as_faults(found: list[_Stretch], end_s: float, usual_s: float) -> tuple[Fault, ...]:
     """Stretches that belong together joined, the plainest kind first."""
     joined: list[list[_Stretch]] = []
     for stretch in sorted(found, key=lambda s: s.start_s):
@@ -471,7 +476,8 @@ def _as_faults(found: list[_Stretch], end_s: float) -> tuple[Fault, ...]:
         else:
             joined.append([stretch])
     faults = [(_as_fault(group, end_s), _union_s(group)) for group in joined]
-    return tuple(fault for fault, lasted_s in faults if fault.kind != "floating" or lasted_s >= _FLOATS_S)
+    least_s = {"floating": _FLOATS_S, "oscillation": _WAVE_SAMPLES * usual_s}
+    return tuple(fault for fault, lasted_s in faults if lasted_s >= least_s.get(fault.kind, 0.0))
 
 
 def _union_s(stretches: list[_Stretch]) -> float:

@@ -1,0 +1,125 @@
+"""Logs to judge nobody by, without an aircraft file: no fault where none is, and healthy only what was seen."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+import pytest
+from strangers import SURFACES, fly, stranger
+
+import servofd
+from servofd.cli import main
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from servofd.core.types import FloatArray
+    from servofd.detection.verdict import SurfaceAudit
+
+SEED = 220
+
+
+def table(seed: int, style: str, time_s: FloatArray | None = None) -> pd.DataFrame:
+    """A healthy flight as a recorder would write it: in each row the last command, if it is fresh, and position."""
+    flown = fly(stranger(seed), 1, style, duration_s=90.0)
+    time_s = flown.position_s[flown.position_s > 1.0] if time_s is None else time_s
+    asked, seen = (
+        np.maximum(np.searchsorted(at_s, time_s, side="right") - 1, 0) for at_s in (flown.command_s, flown.position_s)
+    )
+    columns = {"time_s": time_s}
+    fresh = time_s - flown.command_s[asked] < 0.06
+    for place, name in enumerate(flown.surfaces):
+        columns[f"{name}_cmd_deg"] = np.where(fresh, flown.command_deg[asked, place], np.nan)
+        columns[f"{name}_pos_deg"] = flown.position_deg[seen, place]
+    return pd.DataFrame(columns)
+
+
+def changed(
+    frame: pd.DataFrame, change: Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
+) -> pd.DataFrame:
+    """The same with other commands and positions of all surfaces."""
+    columns = {"time_s": frame["time_s"].to_numpy()}
+    for name in SURFACES:
+        names = f"{name}_cmd_deg", f"{name}_pos_deg"
+        columns |= dict(zip(names, change(*(frame[each].to_numpy() for each in names)), strict=True))
+    return pd.DataFrame(columns)
+
+
+def judged(frame: pd.DataFrame) -> dict[str, SurfaceAudit]:
+    return {each.surface: each for each in servofd.audit(frame)[0].surfaces}
+
+
+def noise_deg(like: FloatArray) -> FloatArray:
+    return np.random.default_rng(3).normal(0.0, 0.05, like.size)
+
+
+def test_a_log_without_motion_tells_nothing_and_says_so() -> None:
+    frame = changed(table(SEED, "cruise"), lambda asked, seen: (0.0 * asked + 1.0, 1.0 + noise_deg(seen)))
+    for verdict in judged(frame).values():
+        assert verdict.status == "unknown"
+        assert "command stays within 0 deg" in verdict.reason
+
+
+def test_one_surface_alone_is_judged_as_among_others() -> None:
+    frame = table(SEED, "aerobatics")
+    alone = judged(frame[["time_s", "elevator_cmd_deg", "elevator_pos_deg"]])
+    among = judged(frame)["elevator"]
+    assert list(alone) == ["elevator"]
+    assert (alone["elevator"].status, alone["elevator"].reason) == (among.status, among.reason)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda asked, seen: (asked, 3.0 + noise_deg(seen)), "jammed from the beginning, or no reading"),
+        (lambda asked, seen: (asked, 20.0 * np.sin(0.01 * np.arange(seen.size))), "no servo predicts this surface"),
+        (lambda asked, seen: (asked, -seen), "check the sign"),
+        (lambda asked, seen: (asked, 0.4 * seen), "times its command throughout"),
+    ],
+    ids=["jammed", "floating", "reversed", "weak"],
+)
+def test_what_was_so_from_the_beginning_is_told_and_no_fault_of_all_servos(
+    change: Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]], told: str
+) -> None:
+    for verdict in judged(changed(table(SEED, "aerobatics"), change)).values():
+        assert told in verdict.reason
+        assert verdict.status in {"unknown", "suspect"} or "travel lost before this log" in verdict.reason
+
+
+@pytest.mark.parametrize("suffix", ["bin", "tlog"])
+def test_servos_of_an_autopilot_that_are_jammed_from_the_beginning(
+    tmp_path: Path, suffix: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = str(tmp_path / f"jammed.{suffix}")
+    jams = [word for name in ("elevator", "aileron", "rudder") for word in ("--fault", f"{name}:stuck@0")]
+    assert main(["simulate", "-o", log, "--seed", "4", *jams]) == 0
+    assert main(["audit", log]) == 2
+    assert capsys.readouterr().out.count("jammed from the beginning, or no reading of this surface") == 3
+
+
+def test_three_rows_are_no_flight() -> None:
+    assert {verdict.status for verdict in judged(table(SEED, "aerobatics")[:3]).values()} <= {"unknown", "no_data"}
+
+
+def test_a_surface_that_is_asked_to_one_side_only_is_not_accused() -> None:
+    frame = changed(table(SEED, "aerobatics"), lambda asked, seen: (np.abs(asked), np.abs(seen)))
+    assert {verdict.status for verdict in judged(frame).values()} <= {"healthy", "suspect", "unknown"}
+    assert all(verdict.model.origin == "fitted" for verdict in judged(frame).values())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rate_hz", [10.0, 9.99])
+def test_rows_of_ten_hertz_that_come_unevenly_are_judged_and_their_servos_not_accused(rate_hz: float) -> None:
+    """Four of five commands are between the rows: a jerk that came and went looked like an oscillation."""
+    origins = []
+    for seed in (200, 206, 218, 220):
+        shaken_s = np.random.default_rng(seed).uniform(-0.03, 0.03, int(88 * rate_hz))
+        time_s = np.sort(1.0 + np.arange(shaken_s.size) / rate_hz + shaken_s)
+        for style in ("aerobatics", "turbulence"):
+            found = judged(table(seed, style, time_s)).values()
+            assert all(verdict.status != "fault" for verdict in found)
+            origins += [verdict.model.origin for verdict in found]
+    assert origins.count("fitted") > 12
