@@ -101,13 +101,30 @@ def reason_of(
         text = _differs(name, axis, members, at_once)
     elif status == "healthy" and lost is not None:
         shown = f"lost share {lost.value:+.2f} [{lost.low:+.2f}, {lost.high:+.2f}]"
-        text = f"{shown}, known in {identifiable:.0%} of the flight"
+        text = f"{shown}, known in {identifiable:.0%} of the flight{_unusual(lost)}"
     else:
         text = _not_judged(name, model, members, identifiable, outside, lost)
     if model.days >= _ENOUGH_DAYS:
         return text
     days = "one day" if model.days == 1 else f"{model.days} days"
     return f"{text}; calibrated on {days}: about {axis.false_alarms_per_hour:.2g} false alarms an hour of this axis"
+
+
+def _unusual(lost: Estimate) -> str:
+    """That zero lies outside a 95 % interval, which is no alarm: one healthy flight in forty is so on each side.
+
+    Examples
+    --------
+    >>> from servofd.estimate.statistics import Estimate
+    >>> _unusual(Estimate(0.1, 0.03, 0.17))
+    '; weaker than in its good flights, as one healthy flight in 40 seems: look whether the next ones are as well'
+    """
+    if lost.low <= 0.0 <= lost.high:
+        return ""
+    than = "weaker" if lost.low > 0.0 else "stronger"
+    return (
+        f"; {than} than in its good flights, as one healthy flight in 40 seems: look whether the next ones are as well"
+    )
 
 
 def _failed(name: str, axis: AxisModel, members: Sequence[str], worst: AxisEvent) -> str:

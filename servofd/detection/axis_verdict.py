@@ -109,6 +109,11 @@ class AxisAudit:
         return self.axis != "thrust" and self.model.own_command
 
     @property
+    def is_weaker(self) -> bool:
+        """Whether it surely lost some of its effect (95 %), though no more than healthy flights may."""
+        return self.lost_share is not None and self.lost_share.low > 0.0
+
+    @property
     def asked(self) -> FloatArray:
         """Effect of the command that the model expects, in the unit of its form."""
         return -self.inputs.loss

@@ -86,10 +86,17 @@ def axes_sentence(axes: Sequence[AxisAudit]) -> str:
     if lost:
         named = "; ".join(f"{axis.axis.upper()}: {axis.reason}" for axis in lost)
         return f"{named}. {'Do not fly.' if lost[0].status == 'fault' else 'Look at it before the next flight.'}"
-    healthy = [axis.axis for axis in axes if axis.status == "healthy"]
+    weaker = [axis.axis for axis in axes if axis.status == "healthy" and axis.is_weaker]
+    healthy = [axis.axis for axis in axes if axis.status == "healthy" and not axis.is_weaker]
     dark = [axis.axis for axis in axes if axis.status == "unknown" and axis.axis != "thrust"]
-    answered = f"{' and '.join(healthy).capitalize()} answered as on healthy days." if healthy else "Could not tell."
-    return f"{answered} No verdict on {', '.join(dark)}." if dark else answered
+    told = [f"{' and '.join(healthy).capitalize()} answered as on healthy days."] if healthy else []
+    told += (
+        [f"{' and '.join(weaker).capitalize()} answered a little weaker, as on one healthy day in 40."]
+        if weaker
+        else []
+    )
+    told = told or ["Could not tell."]
+    return " ".join([*told, f"No verdict on {', '.join(dark)}."] if dark else told)
 
 
 def _faults(faulty: Sequence[SurfaceAudit]) -> str:

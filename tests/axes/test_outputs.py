@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from servofd.aircraft.axes import motion_to_toml
 from servofd.cli import main
+from servofd.estimate.statistics import Estimate
+from servofd.outputs.sentence import axes_sentence
 from tests.axes.flights import flown
 from tests.axes.test_axes import as_table
-from tests.axes.test_bad_input import calibrated
+from tests.axes.test_bad_input import calibrated, roll_of
 
 
 @pytest.mark.slow
@@ -29,3 +32,28 @@ def test_an_axis_has_its_line_in_the_terminal_and_its_lanes_in_rerun(
     assert set(line[6:20]) <= set("▁▂▃▄·")
     places = {str(chunk.entity_path) for chunk in RrdReader(recording).stream()}
     assert {"/axes/roll/effect", "/axes/roll/distance", "/axes/roll/state"} <= places
+
+
+@pytest.mark.slow
+def test_an_axis_that_is_surely_a_little_weak_is_not_said_to_answer_as_ever() -> None:
+    healthy = roll_of(flown(50, "2026-05-09"))
+    assert healthy.status == "healthy"
+    assert healthy.lost_share is not None
+    width = healthy.lost_share.high - healthy.lost_share.low
+    as_ever = replace(healthy, lost_share=Estimate(0.0, -width / 2.0, width / 2.0))
+    weak = replace(healthy, lost_share=Estimate(width, width / 2.0, 1.5 * width))
+    assert axes_sentence([as_ever]) == "Roll answered as on healthy days."
+    assert axes_sentence([weak]) == "Roll answered a little weaker, as on one healthy day in 40."
+    assert axes_sentence([as_ever, replace(weak, axis="pitch")]).endswith(
+        "Pitch answered a little weaker, as on one healthy day in 40."
+    )
+
+
+@pytest.mark.slow
+def test_the_reason_of_a_weak_axis_says_how_rare_that_is() -> None:
+    """A tenth less: its interval excludes nothing lost in some of these flights, and all of those say so."""
+    found = [roll_of(flown(seed, "2026-05-09", aileron_share=0.85, from_s=0.0)) for seed in range(60, 66)]
+    healthy = [audit for audit in found if audit.status == "healthy"]
+    for audit in healthy:
+        assert ("weaker than in its good flights" in audit.reason) == audit.is_weaker
+    assert any(audit.is_weaker or audit.status != "healthy" for audit in found)
