@@ -167,7 +167,8 @@ class _Reading:
             where = f"line {self.grid.line(row)}, column {name!r}: {text[:40]!r} is not a number"
             if self._must_be_numeric(name):
                 raise UnreadableLog(f"{self.path}: {where}; missing cells are empty or nan")
-            if cells.has_number and name not in (*self.layout.where, self.layout.run):
+            is_size = cells.has_number or bool(self._unit(name)) or name.startswith("load_")
+            if is_size and name not in (*self.layout.where, self.layout.run):
                 note = f"column left out, {cells.strange} cells are text, first in {where}"
                 damage.append(Damage("not_numeric", note, cells.strange))
             return False

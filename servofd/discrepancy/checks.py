@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 _SHORTEST_S, _SHORTEST_ON_BENCH_S = 4.0, 1.0
 """The shorter one for runs that begin at rest with a step, of which nothing is lost."""
 _MOTION_OF_NOISE, _SMALLEST_MOTION_DEG = 2.0, 0.1
-_SAME = 0.9
+_SAME, _SHIFT_S = 0.9, 0.1
+"""Share of the position that a multiple of what was asked tells, by so much earlier or later: of another servo."""
 _GAINS = (0.3, 1.7)
 _SWAPPED = 0.5
 
@@ -43,7 +44,7 @@ def check(record: Record) -> None:
     error = record.measured_deg - simulated
     asked, measured = simulated[record.counts], record.measured_deg[record.counts]
     # First, for noise that is scaled, too, hides the motion that was asked for.
-    _check_scale(asked, measured)
+    _check_scale(asked, measured, round(_SHIFT_S / record.period_s))
     if record.side is not None:
         return
     noise = noise_floor_deg(record, error)
@@ -55,11 +56,16 @@ def check(record: Record) -> None:
     _check_order(record)
 
 
-def _check_scale(asked: FloatArray, measured: FloatArray) -> None:
-    spread = np.cov(asked, measured)
-    gain = float(spread[0, 1] / max(spread[0, 0], 1e-300))
-    likeness = float(spread[0, 1] ** 2 / max(spread[0, 0] * spread[1, 1], 1e-300))
-    if likeness > _SAME and not _GAINS[0] <= gain <= _GAINS[1]:
+def _check_scale(asked: FloatArray, measured: FloatArray, shift: int) -> None:
+    """Refuse a position that is another multiple of what was asked, so many samples early or late at most."""
+    shift = min(shift, asked.size // 4)
+    at, best, gain = measured[shift : measured.size - shift], 0.0, 1.0
+    for late in range(2 * shift + 1):
+        spread = np.cov(asked[late : late + at.size], at)
+        likeness = float(spread[0, 1] ** 2 / max(spread[0, 0] * spread[1, 1], 1e-300))
+        if likeness > best:
+            best, gain = likeness, float(spread[0, 1] / max(spread[0, 0], 1e-300))
+    if best > _SAME and not _GAINS[0] <= gain <= _GAINS[1]:
         what = "sign" if gain < 0.0 else "scale"
         raise NoMeasurement(f"position is {gain:.3g}x the command throughout: check the {what} of the calibration")
 

@@ -264,6 +264,9 @@ def explain_gap(
     undriven = [*off, *stood]
     selection = select(record, progress)
     notes = [each.sentence(several=len(records) > 1) for each in undriven]
+    notes += [
+        f"run {k + 1} is too short: nothing of it counts" for k, each in enumerate(records) if each.counts.sum() == 0
+    ]
     fault_s = undriven[0].start_s if len(records) == 1 and undriven and not off else None
     if fault_s is None and selection.adequacy.reasons and not (record.runs or record.side is not None):
         healthy = _healthy_part(record, selection, progress)

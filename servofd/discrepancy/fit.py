@@ -23,7 +23,7 @@ from servofd.discrepancy.noise import long_run_factor, noise_floor_deg
 from servofd.discrepancy.record import Record, simulate, thinned
 from servofd.discrepancy.steps import COARSE_STEP_DEG, mean_reading_deg, noise_below_deg
 from servofd.servo.catalogue import Bias, Gain, Quantization, installed
-from servofd.servo.physics import Physics
+from servofd.servo.physics import Physics, split
 
 if TYPE_CHECKING:
     from servofd.discrepancy.candidates import Candidate
@@ -201,6 +201,11 @@ class Fitter:
         """Number of samples, over their memory."""
         return float((self._count / self.kappa).sum())
 
+    @property
+    def _fastest(self) -> float:
+        """Scale of a slow pole that is faster than the log shows."""
+        return max(_FASTEST_SLOW, _SAMPLES / (_SLOW_RAD_S * self._period_s))
+
     def remember(self, fit: Fit) -> None:
         """Take the memory of what a fit leaves for that of the noise."""
         errors = self._seen_deg(fit.physics)
@@ -321,6 +326,16 @@ class Fitter:
         strained = not self.record.free_poles and any(abs(x) > _STRAINED for x in self._x(numbers, base.physics))
         usual = base.physics._replace(**{n.fields[0]: n.neutral for n in numbers})
         return [base.physics, usual] if strained else [base.physics]
+
+    def as_a_pair(self, physics: Physics) -> Physics:
+        """A servo as late at low frequencies, all of it by its pair of poles: the slow one is as fast as may be."""
+        slow_rad_s, (total, product) = split(np.array(self.record.plant.transfer.denominator))
+        fast = self._fastest
+        by_slow_s = (1.0 / physics.slow_scale - 1.0 / fast) / slow_rad_s
+        by_pair_s = physics.damping_scale / physics.pair_scale * total / product
+        return physics._replace(
+            slow_scale=fast, pair_scale=total / product / max(by_pair_s + by_slow_s, 0.5 * by_pair_s), damping_scale=1.0
+        )
 
     def screened(self, base: Fit, slopes: FloatArray, candidate: Candidate) -> tuple[float, Physics]:
         """Best misfit that a coarse grid of one more effect reaches, and the servo there.
@@ -466,7 +481,6 @@ class Fitter:
         neutral, record = self.record.plant.neutral, self.record
         taken = {name for effect in effects for p in effect.parameters for name in p.fields}
         numbers = []
-        fastest = max(_FASTEST_SLOW, _SAMPLES / (_SLOW_RAD_S * self._period_s))
         for name, deviation, is_log in _OWN:
             if name in taken or (name == "slow_scale" and not record.plant.has_places):
                 continue
@@ -475,7 +489,7 @@ class Fitter:
             if record.free_poles:
                 deviation = _UNKNOWN.get(name, deviation) * (self._size if name == "bias_deg" else 1.0)  # noqa: PLW2901
             low, high = (
-                (0.02, fastest if name == "slow_scale" else 50.0)
+                (0.02, self._fastest if name == "slow_scale" else 50.0)
                 if is_log
                 else (0.0 if name == "delay_s" else -np.inf, np.inf)
             )

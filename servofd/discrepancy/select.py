@@ -43,9 +43,9 @@ _BEAM = 3
 _OCCAM_OWN, _OF_GAP, _OF_SAMPLES = 16.0, 1e-4, 0.02
 """By how much one more of the servo's own numbers, which the prior has held back, must improve the misfit; and the
 share of what was there (as chi-squared) on top, at most that share of the samples."""
-_POLISHED, _VARIED, _LAW = 6, 2, 16.0
-"""Structures that are fitted to the end, and those that are tried with a size that goes with a condition of the runs;
-minus twice the logarithm of how rarely it does."""
+_POLISHED, _PAIRED, _VARIED, _LAW = 6, 3, 2, 16.0
+"""Structures that are fitted to the end, that are so from a servo of two poles, too, and that are tried with a size
+that goes with a condition of the runs; minus twice the logarithm of how rarely it does."""
 _NO_GAIN, _GAIN_SHARE = 40.0, 0.03
 """The same of a gain in place of a load, at most: a servo that controls its position comes to where it is sent, within
 some percent of its horn and sensor (standard deviation)."""
@@ -224,6 +224,10 @@ def _polished(search: Search, size: int) -> None:
         for own in like:
             changes = {name: getattr(own, name) for name in OWN_FIELDS if name not in taken}
             search.keep(search.fitter.descended(fit.effects, fit.physics._replace(**changes), LONG))
+    record = search.fitter.record
+    if record.free_poles and record.plant.has_places:
+        for fit in likely[:_PAIRED]:
+            search.keep(search.fitter.descended(fit.effects, search.fitter.as_a_pair(fit.physics), LONG))
 
 
 def _by_condition(search: Search, size: int) -> None:

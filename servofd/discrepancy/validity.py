@@ -92,7 +92,8 @@ def driven(records: Sequence[Record], physics: Physics) -> tuple[list[Record], l
     moved = [simulate(each, physics) for each in records]
     # Without evidence that the model tells how this servo moves when it is driven, nothing can be said.
     shares = [share_followed(each, sim, each.counts) for each, sim in zip(records, moved, strict=True)]
-    swing = float(np.median([np.std(sim[each.counts]) for each, sim in zip(records, moved, strict=True)]))
+    swings = [np.std(sim[each.counts]) for each, sim in zip(records, moved, strict=True) if each.counts.any()]
+    swing = float(np.median(swings))
     found, kept = [], []
     for run, (record, sim) in enumerate(zip(records, moved, strict=True)):
         least_deg = max(_MOVES_OF_NOISE * noise_floor_deg(record, record.measured_deg - sim), _MOVES_DEG)

@@ -259,6 +259,7 @@ def _surface(
         off += stood
         said |= dict.fromkeys([held] if held else []) | dict.fromkeys(damage.note for damage in log.damage)
     conditions = _conditions(logs, aircraft.surfaces[name])
+    said |= dict.fromkeys(_same_loads(logs))
     found = explain_gap(
         segments,
         model,
@@ -327,6 +328,16 @@ def _conditions(logs: Sequence[FlightLog], surface: Surface) -> dict[str, FloatA
             if within < _STEADY * float(np.std(means)):
                 result[name] = means
     return dict(sorted(result.items()))
+
+
+def _same_loads(logs: Sequence[FlightLog]) -> list[str]:
+    """Of each load that is the same in every run, a sentence."""
+    found = []
+    for name in sorted(set.intersection(*(set(log.channels) for log in logs))) if len(logs) > 1 else []:
+        values = np.unique(np.concatenate([log[name].values for log in logs]))
+        if name.startswith("load_") and values.size == 1:
+            found.append(f"{name} is {values[0]:.6g} in every run: what goes with it cannot be told")
+    return found
 
 
 def _with_unknown_servo(aircraft: Aircraft, surface: str, servo: Servo = UNKNOWN_SERVO) -> Aircraft:

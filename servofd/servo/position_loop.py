@@ -244,6 +244,7 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
         wanted = u
         if slews:
             s = 0.0
+    point, most_deg = u, 0.0
     noted, last = 0, first
     while last < at_s.size:
         n = last
@@ -285,7 +286,11 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
                         table[2 * slot, 0] = table[2 * slot + 1, 0] = np.nan
                     older, latest = latest, slot
                 if slews:
-                    s = max(min((wanted - u) / h, physics.set_point_deg_s), -physics.set_point_deg_s)
+                    most_deg, travel_deg = physics.set_point_deg_s * h, wanted - point
+                    if abs(travel_deg) < most_deg:  # where it is on the average of a step in which it arrives
+                        u, s = wanted - 0.5 * travel_deg * abs(travel_deg) / most_deg, 0.0
+                    else:
+                        u, s = point, math.copysign(physics.set_point_deg_s, travel_deg)
                 middle = y + 0.5 * h * v
                 error, come, gone = u + 0.5 * h * s - middle, u, u + h * s
                 if filters:  # what the slow pole lets through of the command takes its place, in the third state
@@ -392,6 +397,9 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
                         continue
                 count -= 1
                 u += h * s
+                if slews:
+                    point += max(min(wanted - point, most_deg), -most_deg)
+                    u = point
                 if blocked:
                     if y1 > stop_upper:
                         y1, v1 = stop_upper, min(v1, 0.0)

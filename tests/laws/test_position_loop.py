@@ -106,6 +106,19 @@ PLACED: list[tuple[dict[str, float], float]] = [
 ]
 
 
+@pytest.mark.parametrize("order", DENOMINATORS)
+def test_a_set_point_that_is_never_too_slow_is_none(order: int) -> None:
+    """It arrives within a step of the kernel, and lags by no part of that."""
+    plant = Plant(TransferFunction((DENOMINATORS[order][-1],), DENOMINATORS[order]), Physics())
+    times_s, deg = np.arange(0.0, 5.0, 0.01), 8.0 * np.sin(np.arange(0.0, 5.0, 0.01) ** 2)
+    nothing = np.zeros(times_s.size)
+    turned = [
+        run(physics, plant.loop(), 1.0, 0.002, times_s, deg, nothing, times_s, nothing, nothing, new_memory(0.0))
+        for physics in (Physics(deadband_deg=1.0), Physics(deadband_deg=1.0, set_point_deg_s=1e7))
+    ]
+    assert np.abs(turned[1] - turned[0]).max() < 2e-3
+
+
 @pytest.mark.parametrize("place", [BEFORE, AFTER], ids=["before", "after"])
 @pytest.mark.parametrize(("sizes", "within_deg"), PLACED, ids=named)
 def test_with_its_slow_pole_elsewhere_it_moves_as_that_loop_in_small_steps(
