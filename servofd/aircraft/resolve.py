@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 from servofd.aircraft.calibration import DegreeCalibration, NormCalibration, PulseCalibration, RadianCalibration
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 _HALF_TRAVEL_US = 500.0
 """Pulses of 1000 to 2000 us are what an autopilot that speaks of -1 to 1 sends by default."""
 _OUTPUTS_OF_A_MESSAGE = 16
+_OF_A_LOG = re.compile(r"RCOU|RCO[23]|CSRV\[|NVF\[")
+"""Channels that autopilots write into their own logs and do not send."""
 
 
 def resolved(log: FlightLog, aircraft: Aircraft) -> Aircraft:
@@ -47,16 +50,21 @@ def resolved(log: FlightLog, aircraft: Aircraft) -> Aircraft:
 
 
 def streamed(aircraft: Aircraft) -> Aircraft:
-    """Return the same aircraft with the channels of telemetry, where a surface names nothing but its output.
+    """Return the same aircraft with the channels of telemetry, where a surface names its output or channels of a log.
+
+    A command that servos repeat in degrees becomes the pulse that asks for it; without that pulse it stays.
 
     Examples
     --------
     >>> from servofd.aircraft.schema import Surface, load_aircraft
-    >>> pulse = {"unit": "us", "trim_us": 1500.0, "slope_deg_per_us": 0.1}
-    >>> rudder = Surface.model_validate({"servo": "s9254", "output": 4, "command": pulse})
+    >>> angle = {"channel": "CSRV[3].PosCmd", "unit": "deg", "pulse": [1500.0, 0.2]}
+    >>> rudder = Surface.model_validate(
+    ...     {"servo": "s9254", "command": angle, "measured": {"channel": "CSRV[3].Pos", "unit": "deg"}}
+    ... )
     >>> plane = load_aircraft("simulated").model_copy(update={"surfaces": {"rudder": rudder}})
-    >>> streamed(plane).surfaces["rudder"].measured.channel
-    'NAMED_VALUE_FLOAT[SRVP4].value'
+    >>> rudder = streamed(plane).surfaces["rudder"]
+    >>> rudder.command.channel, rudder.command.slope_deg_per_us, rudder.measured.channel
+    ('SERVO_OUTPUT_RAW.servo4_raw', 0.2, 'NAMED_VALUE_FLOAT[SRVP4].value')
     """
     surfaces = {name: _streamed(surface) for name, surface in aircraft.surfaces.items()}
     return aircraft.model_copy(update={"surfaces": surfaces})
@@ -122,10 +130,16 @@ def _angle(log: FlightLog, known: DegreeCalibration, number: int, pair: Pair | N
     """A command in degrees: as the servo repeats it, or as the pulse that asks for it."""
     if pair is not None and pair.command == pair.position.command:
         return known.model_copy(update={"channel": pair.command})
+    pulse = _pulse(known)
+    return _command(log, pulse, number, pair) if pulse is not None else None
+
+
+def _pulse(known: DegreeCalibration) -> PulseCalibration | None:
+    """The pulse that asks for a command in degrees, if it is known."""
     if known.pulse is None or not known.pulse[1]:
         return None
     zero_us, slope = known.pulse
-    pulse = PulseCalibration(
+    return PulseCalibration(
         channel="pulse",
         unit="us",
         sign=known.sign if slope > 0.0 else -known.sign,
@@ -133,7 +147,6 @@ def _angle(log: FlightLog, known: DegreeCalibration, number: int, pair: Pair | N
         trim_us=zero_us + known.trim_deg / slope,
         slope_deg_per_us=abs(slope),
     )
-    return _command(log, pulse, number, pair)
 
 
 def _measured(log: FlightLog, known: Calibration | None, pair: Pair) -> Calibration:
@@ -148,14 +161,21 @@ def _measured(log: FlightLog, known: Calibration | None, pair: Pair) -> Calibrat
 
 
 def _streamed(surface: Surface) -> Surface:
-    if surface.output is None:
+    number = output_of(surface)
+    if number is None:
         return surface
+    command, measured = surface.command, surface.measured
     change: dict[str, object] = {}
-    if not surface.command.channel:
-        message, rest = divmod(surface.output - 1, _OUTPUTS_OF_A_MESSAGE)
-        name = "SERVO_OUTPUT_RAW" + (f"[{message}]" if message else "")
-        change["command"] = surface.command.model_copy(update={"channel": f"{name}.servo{rest + 1}_raw"})
-    if surface.measured is None:
-        channel = f"NAMED_VALUE_FLOAT[SRVP{surface.output}].value"
+    if not command.channel or _OF_A_LOG.match(command.channel):
+        pulse = _pulse(command) if isinstance(command, DegreeCalibration) else command
+        if pulse is not None:
+            message, rest = divmod(number - 1, _OUTPUTS_OF_A_MESSAGE)
+            name = "SERVO_OUTPUT_RAW" + (f"[{message}]" if message else "")
+            change["command"] = pulse.model_copy(update={"channel": f"{name}.servo{rest + 1}_raw"})
+    channel = f"NAMED_VALUE_FLOAT[SRVP{number}].value"
+    if measured is None and surface.output is not None:
         change["measured"] = DegreeCalibration(channel=channel, unit="deg")
+    elif isinstance(measured, DegreeCalibration) and _OF_A_LOG.match(measured.channel):
+        change["measured"] = measured.model_copy(update={"channel": channel})
+        change["alive"] = ()
     return surface.model_copy(update=change)

@@ -27,6 +27,9 @@ _ANGLES = {"deg", "rad"}
 
 
 _FEWEST_PULSES, _SAME_COMMAND = 100, 0.9
+_REPEATED_AFTER_S = np.arange(0.0, 0.11, 0.01)
+"""How much later than its pulse a log may have the angle that a servo was asked for: ArduPlane's driver of Volz servos,
+which asks in a thread of its own, has it 20 to 30 ms later."""
 _MOST_OUTPUTS = 32
 """Of an ArduPilot; a damaged log may name any other."""
 
@@ -175,13 +178,29 @@ def _as_pulse(log: FlightLog, pair: Pair) -> dict[str, Any]:
         return {}
     pulses, angles = log[name], log[pair.command]
     rows = (pulses.values > 0.0) & np.isfinite(pulses.values)
-    asked_deg = np.interp(pulses.time_s[rows], angles.time_s, np.nan_to_num(angles.values))
-    sent_us = pulses.values[rows]
-    if sent_us.size < _FEWEST_PULSES or np.ptp(sent_us) < 1.0 or np.ptp(asked_deg) == 0.0:
+    sent_us, sent_s = pulses.values[rows], pulses.time_s[rows]
+    if sent_us.size < _FEWEST_PULSES or np.ptp(sent_us) < 1.0:
         return {}
-    if abs(np.corrcoef(sent_us, asked_deg)[0, 1]) < _SAME_COMMAND:
+    repeated = np.isfinite(angles.values)
+    order = np.argsort(angles.time_s[repeated], kind="stable")
+    angle_s, angle_deg = angles.time_s[repeated][order], angles.values[repeated][order]
+    best, asked_deg = 0.0, np.zeros(0)
+    for lag_s in _REPEATED_AFTER_S:
+        after = np.searchsorted(angle_s, sent_s + lag_s, side="right") - 1
+        held_deg = angle_deg[np.maximum(after, 0)] if angle_deg.size else angle_deg
+        if held_deg.size and np.ptp(held_deg) > 0.0:
+            alike = abs(np.corrcoef(sent_us, held_deg)[0, 1])
+            if alike > best:
+                best, asked_deg = alike, held_deg
+    if best < _SAME_COMMAND:
         return {}
     slope, offset_deg = np.polyfit(sent_us, asked_deg, 1)
+    for _ in range(3):  # pulses that the servo repeats later or never are on another line
+        off_deg = np.abs(asked_deg - offset_deg - slope * sent_us)
+        near = off_deg <= max(2.0 * np.median(off_deg), 1e-6)
+        if np.ptp(sent_us[near]) < 1.0:
+            break
+        slope, offset_deg = np.polyfit(sent_us[near], asked_deg[near], 1)
     return {"pulse": [round(float(-offset_deg / slope), 2), round(float(slope), 6)]}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -97,6 +98,20 @@ def test_the_scale_of_pulses_is_found(unit: str) -> None:
         assert surface.measured["unit"] == unit
         assert surface.drafted is not None
         assert surface.drafted.peak_deg < 1.0
+
+
+def test_the_pulse_of_a_command_is_found_behind_the_lag_of_its_repetition() -> None:
+    """A real ArduPlane has RCOU at 25 Hz and CSRV.PosCmd at 50 Hz, 20 to 30 ms later than the pulse."""
+    log = log_of([0], base=0, command_field=True)
+    late_s = 0.026
+    pulses, angles = log["RCOU.C1"], log["CSRV[0].PosCmd"]
+    steps = np.round(60.0 * np.random.default_rng(4).standard_normal(TIME_S.size // 10)).repeat(10)
+    pulses = dataclasses.replace(pulses, time_s=TIME_S[::2], values=1500.0 + steps[::2])
+    sent = np.searchsorted(TIME_S, TIME_S - late_s, side="right") - 1
+    angles = dataclasses.replace(angles, values=0.2 * steps[np.maximum(sent, 0)])
+    log = dataclasses.replace(log, channels={**log.channels, "RCOU.C1": pulses, "CSRV[0].PosCmd": angles})
+    (surface,) = draft_aircraft(log).surfaces
+    assert surface.command["pulse"] == pytest.approx([1500.0, 0.2], rel=1e-3)
 
 
 @pytest.mark.slow

@@ -61,6 +61,21 @@ def test_an_output_is_enough(tmp_path: Path) -> None:
     assert streamed(plane).surfaces["rudder"].command.channel == "SERVO_OUTPUT_RAW.servo4_raw"
 
 
+def test_a_file_drafted_from_the_log_of_an_autopilot_watches_its_link(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    good, bad, plane = tmp_path / "good.bin", tmp_path / "bad.tlog", tmp_path / "plane.toml"
+    flight = ["simulate", "-c", "simulated", "--duration", "40"]
+    assert main([*flight, "-o", str(good)]) == 0
+    assert main([*flight, "-o", str(bad), "--seed", "7", "--fault", "elevator:stuck@20"]) == 0
+    capsys.readouterr()
+    assert main(["config", str(good)]) == 0
+    plane.write_text(capsys.readouterr().out, encoding="utf-8")
+    assert "SERVO_OUTPUT_RAW" not in plane.read_text()
+    assert main(["monitor", str(bad), "-c", str(plane), "--speed", "0", "--plain"]) == 1
+    assert "elevator: ALARM" in capsys.readouterr().out
+
+
 def test_neither_channel_nor_output_is_refused() -> None:
     with pytest.raises(ValueError, match="output"):
         Surface.model_validate({"servo": "s9254", "command": {"unit": "deg"}})
