@@ -1,8 +1,8 @@
 """Strangers' aircraft: motor-level servos, a closed loop, a log; from physics, sharing no code with servofd's models.
 
 ``stranger(seed)`` draws an aircraft, ``fly(...)`` one of its flights, healthy or with a `Failure`; a `Flight` writes
-itself as a plain table or as an ArduPilot log. Everything is drawn from the seeds and nothing else. **Constants of
-servofd are chosen on aircraft of even seed, figures are reported on odd ones.**
+itself as a plain table, as an ArduPilot log or as telemetry. Everything is drawn from the seeds and nothing else.
+**Constants of servofd are chosen on aircraft of even seed, figures are reported on odd ones.**
 
 What is in it, and in no model of servofd as such:
 
@@ -72,6 +72,8 @@ _KEEP: Final = 2
 """Every so manieth step is kept, and the electronics look as often."""
 _TICK_S: Final = 0.02
 _PA_AT_CRUISE: Final = 300.0
+_EPOCH_US: Final = 1_700_000_000_000_000
+"""When telemetry was received [us since 1970]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,9 +230,61 @@ class Flight:
             ]
         )
 
+    def telemetry(self) -> bytes:
+        """As a ground station's log: SERVO_OUTPUT_RAW, NAMED_VALUE_FLOAT ``SRVP<n>``, VFR_HUD and the parameters."""
+        from logparsers.telemetry.encode import Message, encode
+
+        def micros(time_s: Floats) -> NDArray[np.int64]:
+            return np.round(1e6 * (time_s + 5.0)).astype(np.int64)
+
+        sent_us = micros(self.command_s)
+        pulses: dict[str, ArrayLike] = {"time_usec": sent_us, "servo3_raw": np.full(sent_us.size, 1500)}
+        parameters = {"SERVO3_FUNCTION": 70.0}
+        told: list[tuple[str, NDArray[np.int64], dict[str, ArrayLike]]] = []
+        for i, output in enumerate(_OUTPUTS):
+            us = 1500.0 + self.command_deg[:, i] / self.aircraft.deg_per_us
+            pulses[f"servo{output}_raw"] = np.round(us).astype(np.int64)
+            parameters |= {f"SERVO{output}_FUNCTION": (4.0, 4.0, 19.0, 21.0)[i], f"SERVO{output}_TRIM": 1500.0}
+            parameters |= {f"SERVO{output}_MIN": 1100.0, f"SERVO{output}_MAX": 1900.0, f"SERVO{output}_REVERSED": 0.0}
+            known = np.isfinite(self.position_deg[:, i])
+            at_us = micros(self.position_s[known])
+            name = [f"SRVP{output}"] * at_us.size
+            position = {"time_boot_ms": at_us // 1000, "name": name, "value": self.position_deg[known, i]}
+            told.append(("NAMED_VALUE_FLOAT", at_us, position))
+        start_us, count = micros(np.zeros(1)), len(parameters)
+        param: dict[str, ArrayLike] = {"param_id": list(parameters), "param_value": list(parameters.values())}
+        param |= {"param_type": [9] * count, "param_count": [count] * count, "param_index": np.arange(count)}
+        second_us = sent_us[:: round(self.aircraft.command_hz)]
+        beat = {"type": 1, "autopilot": 3, "base_mode": 128 | 16 | 8 | 4 | 1, "custom_mode": 10, "system_status": 4}
+        air = slice(None, None, max(1, round(self.aircraft.command_hz / 5.0)))
+        told += [
+            ("HEARTBEAT", second_us, {name: np.full(second_us.size, value) for name, value in beat.items()}),
+            ("STATUSTEXT", start_us, {"severity": [6], "text": ["ArduPlane V4.7.0-dev (00000000)"]}),
+            ("PARAM_VALUE", np.repeat(start_us, count), param),
+            ("SERVO_OUTPUT_RAW", sent_us, pulses),
+            ("VFR_HUD", sent_us[air], {"airspeed": self.airspeed_m_s[air], "groundspeed": self.airspeed_m_s[air]}),
+        ]
+        link = np.random.default_rng([74, self.aircraft.seed, self.number])
+        made_us = np.concatenate([at_us for _, at_us, _ in told])
+        order = np.argsort(made_us, kind="stable")
+        heard_us = np.empty_like(made_us)
+        late_us = 12_000 + np.rint(link.exponential(3_000.0, made_us.size)).astype(np.int64)
+        heard_us[order] = np.maximum.accumulate(_EPOCH_US + made_us[order] + late_us)
+        parts = np.split(heard_us, np.cumsum([at_us.size for _, at_us, _ in told])[:-1])
+        return encode([Message(name, at_us, columns) for (name, _, columns), at_us in zip(told, parts, strict=True)])
+
+    def until(self, time_s: float) -> Flight:
+        """The beginning of this flight, as if the log ended there."""
+        sent, seen = self.command_s < time_s, self.position_s < time_s
+        return replace(
+            self, command_s=self.command_s[sent], command_deg=self.command_deg[sent], position_s=self.position_s[seen],
+            position_deg=self.position_deg[seen], airspeed_m_s=self.airspeed_m_s[sent], supply_v=self.supply_v[sent],
+        )  # fmt: skip
+
     def write(self, path: Path) -> Path:
-        """Write the log; ``.csv`` or ``.bin``."""
-        path.write_bytes(self.dataflash() if path.suffix == ".bin" else self.table())
+        """Write the log; ``.csv``, ``.bin`` or ``.tlog``."""
+        forms = {".bin": self.dataflash, ".tlog": self.telemetry}
+        path.write_bytes(forms.get(path.suffix, self.table)())
         return path
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -15,6 +16,8 @@ from servofd.cli import main
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
+
+    from strangers import Flight
 
     from servofd.core.types import FloatArray
     from servofd.detection.verdict import SurfaceAudit
@@ -53,7 +56,7 @@ def judged(frame: pd.DataFrame) -> dict[str, SurfaceAudit]:
 
 
 def noise_deg(like: FloatArray) -> FloatArray:
-    return np.random.default_rng(3).normal(0.0, 0.05, like.size)
+    return np.random.default_rng(3).normal(0.0, 0.05, like.shape)
 
 
 def test_a_log_without_motion_tells_nothing_and_says_so() -> None:
@@ -87,6 +90,73 @@ def test_what_was_so_from_the_beginning_is_told_and_no_fault_of_all_servos(
     for verdict in judged(changed(table(SEED, "aerobatics"), change)).values():
         assert told in verdict.reason
         assert verdict.status in {"unknown", "suspect"} or "travel lost before this log" in verdict.reason
+
+
+FORMS = ("csv", "bin", "tlog")
+
+
+def in_form(form: str, folder: Path, change: Callable[[Flight], Flight], rate_hz: float | None = None) -> list[Any]:
+    """Verdicts on a healthy minute, changed, in a form of its own, without any aircraft file."""
+    flight = fly(stranger(SEED, position_hz=rate_hz), 1, "aerobatics", duration_s=60.0)
+    return list(servofd.audit(change(flight).write(folder / f"flight.{form}"))[0].surfaces)
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda f: replace(f, command_deg=0.0 * f.command_deg + 1.0), "command stays within 0 deg"),
+        (lambda f: replace(f, position_deg=3.0 + noise_deg(f.position_deg)), "jammed from the beginning, or no read"),
+        (lambda f: replace(f, position_deg=_wanders(f)), "no servo predicts this surface"),
+    ],
+    ids=["no motion", "jammed", "floating"],
+)
+def test_an_autopilots_log_or_table_that_tells_nothing_says_why(
+    form: str, change: Callable[[Flight], Flight], told: str, tmp_path: Path
+) -> None:
+    found = in_form(form, tmp_path, change)
+    assert len(found) == 4
+    assert all(verdict.status == "unknown" and told in verdict.reason for verdict in found)
+
+
+def _wanders(flight: Flight) -> FloatArray:
+    return np.repeat(20.0 * np.sin(0.01 * np.arange(flight.position_s.size))[:, None], len(SURFACES), axis=1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize(
+    ("change", "rate_hz"),
+    [
+        (lambda f: replace(f, command_deg=np.abs(f.command_deg), position_deg=np.abs(f.position_deg)), None),
+        (lambda f: f, 9.99),
+    ],
+    ids=["one direction only", "9.99 Hz"],
+)
+def test_an_autopilots_log_or_table_is_judged_and_accuses_nobody(
+    form: str, change: Callable[[Flight], Flight], rate_hz: float | None, tmp_path: Path
+) -> None:
+    found = in_form(form, tmp_path, change, rate_hz)
+    assert {verdict.status for verdict in found} <= {"healthy", "suspect", "unknown"}
+    assert [verdict.model.origin for verdict in found] == ["fitted"] * 4
+
+
+@pytest.mark.slow
+def test_a_sign_is_an_error_of_a_table_and_a_convention_of_an_autopilot(tmp_path: Path) -> None:
+    """Pulses have no angle of their own: a servo that turns the other way is mounted so."""
+    for form in FORMS:
+        found = in_form(form, tmp_path, lambda f: replace(f, position_deg=-f.position_deg))
+        assert all(verdict.status != "fault" for verdict in found)
+        told = ["check the sign" in verdict.reason for verdict in found]
+        assert told == [form == "csv"] * 4
+        if form == "csv":
+            assert {verdict.status for verdict in found} == {"unknown"}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_three_rows_of_any_form_are_no_flight(form: str, tmp_path: Path) -> None:
+    found = in_form(form, tmp_path, lambda f: f.until(0.12))
+    assert {verdict.status for verdict in found} <= {"unknown", "no_data"}
 
 
 @pytest.mark.parametrize("suffix", ["bin", "tlog"])

@@ -42,6 +42,21 @@ def test_both_jams_are_found_and_nothing_else(suffix: str, aileron: str, elevato
 
 
 @pytest.mark.slow
+def test_no_beginning_of_the_log_accuses_a_servo_that_is_well(tmp_path: Path) -> None:
+    """Of 1.4 to 13 MB, cut anywhere: only what has jammed by then is at fault, and both jams are before the end."""
+    content = (LOGS / "ardupilot_sitl_feedback.bin").read_bytes()
+    jammed_s = {"aileron_1": 93.5, "elevator_10": 133.4}
+    log = tmp_path / "beginning.bin"
+    for megabytes in (1.4, 2.5, 4.0, 5.5, 7.0, 8.5, 10.0, 11.5, 13.0):
+        log.write_bytes(content[: int(megabytes * 1e6)])
+        (result,) = servofd.audit(log)
+        faults = {verdict.surface: verdict.faults[0].start_s for verdict in result.surfaces if verdict.faults}
+        assert faults == {name: pytest.approx(jammed_s[name], abs=0.6) for name in faults}
+        assert len(result.surfaces) == 6
+    assert set(faults) == set(jammed_s)
+
+
+@pytest.mark.slow
 def test_the_drafted_file_gives_the_same_verdicts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = str(LOGS / "ardupilot_sitl_feedback.bin")
     assert main(["config", log]) == 0
