@@ -37,6 +37,9 @@ _JUMP_S = 1.0
 """Left out after a parameter has changed: pulses jump, and nobody knows exactly when."""
 _AUTOPILOT = 1
 _NO_PLACE = 65_535
+_READ_FIRST_S = 10.0
+"""Parameters without a place that come so early answer whoever reads them at the start (in a replay, the monitor that
+recorded it): ArduPilot answers a name in the same way as it tells of a change."""
 _NONE = np.zeros(0)
 _REORDERED = 200
 _DISORDER_S, _LONGEST_WAIT_S = 30.0, 0.5
@@ -164,6 +167,8 @@ class Vehicle:
     _table: ChannelTable = field(init=False)
     _read: set[str] = field(default_factory=set)
     """Parameters that were asked for."""
+    _met_s: float = float("inf")
+    """Arrival of the first message [s]."""
     _held_s: dict[str, float] = field(default_factory=dict)
     """Until when samples of a surface are left out [s]."""
     _around: Surroundings = field(init=False)
@@ -217,6 +222,7 @@ class Vehicle:
         events = self._back(arrival_s)
         self.losses.setdefault(heard.component, Losses()).count(heard.sequence)
         self.heard_s = arrival_s
+        self._met_s = min(self._met_s, arrival_s)
         if heard.name == "HEARTBEAT" and heard.component == _AUTOPILOT:
             self.autopilot = int(heard.fields["autopilot"])
         elif heard.name == "PARAM_VALUE" and heard.component == _AUTOPILOT:
@@ -243,7 +249,8 @@ class Vehicle:
 
     def _set(self, told: Mapping[str, Any]) -> list[Event]:
         """A parameter: what was evaluated is, the rest is calibrated anew, or not watched any more."""
-        is_news = told["param_index"] == _NO_PLACE and told["param_id"] not in self._read
+        is_answer = told["param_id"] in self._read or self.heard_s - self._met_s <= _READ_FIRST_S
+        is_news = told["param_index"] == _NO_PLACE and not is_answer
         self._read.discard(told["param_id"])
         change = self.settings.hear(str(told["param_id"]), float(told["param_value"]), is_news=is_news)
         if change is None:

@@ -122,6 +122,19 @@ def test_a_range_that_nobody_has_heard_before_is_asked_for_or_suspends(aircraft:
     assert kinds(asking.events, "no_data") == []
 
 
+def test_an_answer_to_another_reader_at_the_start_is_no_change(aircraft: Aircraft) -> None:
+    """A replay, or a monitor that may not ask, hears what ArduPilot answered to a name: with place 65535."""
+    session, codec = Session(Codec(0, 191), {0: aircraft}), Codec(1, 1)
+    answer = {"param_id": "SERVO_VOLZ_RANGE", "param_value": 200.0, "param_type": 4, "param_count": 900}
+    alive = {"type": 1, "autopilot": 3, "base_mode": 0, "custom_mode": 0, "system_status": 4, "mavlink_version": 3}
+    session.take(EPOCH_S, codec.encode("HEARTBEAT", alive))
+    session.take(EPOCH_S + 4.0, codec.encode("PARAM_VALUE", answer | {"param_index": 65_535}))
+    assert "SERVO_VOLZ_RANGE" not in session.waiting()
+    session.take(EPOCH_S + 60.0, codec.encode("PARAM_VALUE", answer | {"param_index": 65_535, "param_value": 160.0}))
+    (heard,) = session.vehicles.values()
+    assert any("200 -> 160: calibration follows" in news for news in heard.news)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("stalled_s", [5.0, 7.0])
 def test_a_pause_of_the_log_around_arming_is_no_event(stalled_s: float, tmp_path: Path) -> None:
