@@ -132,7 +132,7 @@ class _Routes:
             ]
         except OSError:
             raise HTTPException(409, "One of the two is not judged yet.") from None
-        rows = _compared([document["logs"][0]["surfaces"] for document in documents])
+        rows = _compared([_parts(document["logs"]) for document in documents])
         return HTMLResponse(page("compare.html", flights=[self._row(one) for one in flights], rows=rows))
 
     async def viewer(self, request: Request) -> Response:
@@ -191,18 +191,32 @@ def _viewer_address(flight: Flight) -> str:
     return f"/flights/{quote(flight.id)}/{RECORDING}"
 
 
-def _compared(surfaces: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """One row for each surface that either flight knows, the worst first."""
-    names = list(dict.fromkeys(name for one in surfaces for name in one))
-    ranks = ("fault", "suspect", "healthy", "unknown", "no_data", "")
-    rows = [{"name": spoken(name), "flights": [_entry(one.get(name)) for one in surfaces]} for name in names]
-    return sorted(rows, key=lambda row: min(ranks.index(one["status"]) for one in row["flights"]))
+_RANKS = ("fault", "suspect", "healthy", "unknown", "no_data", "")
+
+
+def _parts(runs: list[dict[str, Any]]) -> dict[str, Any]:
+    """Surfaces and axes of a flight by name, each from the run of the log in which it did worst."""
+    found: dict[str, Any] = {}
+    for run in runs:
+        axes = {f"{name} axis": entry for name, entry in run.get("axes", {}).items()}
+        for name, entry in (run["surfaces"] | axes).items():
+            known = found.get(name)
+            if known is None or _RANKS.index(entry["status"]) < _RANKS.index(known["status"]):
+                found[name] = entry
+    return found
+
+
+def _compared(parts: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """One row for each surface and axis that either flight knows, the worst first."""
+    names = list(dict.fromkeys(name for one in parts for name in one))
+    rows = [{"name": spoken(name), "flights": [_entry(one.get(name)) for one in parts]} for name in names]
+    return sorted(rows, key=lambda row: min(_RANKS.index(one["status"]) for one in row["flights"]))
 
 
 def _entry(entry: dict[str, Any] | None) -> dict[str, Any]:
     if entry is None:
         return {"status": "", "reason": "not in this flight", "numbers": "", "thumbnail": thumbnail(())}
-    residual = entry["residual"]
+    residual = entry.get("residual")  # of an axis its sentence tells all
     numbers = (
         ""
         if residual is None

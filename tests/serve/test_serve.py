@@ -7,6 +7,7 @@ import re
 import shutil
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import threading
@@ -22,6 +23,7 @@ import pytest
 
 from logparsers import EmptyLog
 from servofd.batch.key import Job
+from servofd.core.files import make_folder
 from servofd.serve.flights import RESULTS, Flight, Flights, TooLarge
 from servofd.serve.judge import Summary, judge
 
@@ -60,10 +62,10 @@ class Client:
     """Asks a page on this machine, as a browser does."""
 
     def __init__(self, port: int) -> None:
-        self._port = port
+        self.port = port
 
     def ask(self, method: str, path: str, content: bytes | Iterable[bytes] | None = None, **headers: str) -> Answer:
-        connection = HTTPConnection("127.0.0.1", self._port, timeout=60)
+        connection = HTTPConnection("127.0.0.1", self.port, timeout=60)
         connection.request(method, path, content, headers)
         answer = connection.getresponse()
         found = Answer(answer.status, answer.headers, answer.read())
@@ -93,6 +95,18 @@ def client_of(flights: Flights, token: str = "") -> Iterator[Client]:
         finally:
             server.should_exit = True
             thread.join()
+
+
+def uploads(folder: Path) -> list[Path]:
+    """What is on its way."""
+    return list((folder / RESULTS).glob(".upload-*"))
+
+
+def until(known: Callable[[], object]) -> None:
+    deadline = time.monotonic() + 60.0
+    while not known():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
 
 
 def done(flights: Flights, flight_id: str) -> Flight:
@@ -343,6 +357,117 @@ def test_two_users_with_many_logs_at_once_lose_nothing(each: int, tmp_path: Path
             seen = asked(f"{link}flights")
         assert {flight["id"] for flight in seen} == set(sent)
         assert {flight["status"] for flight in seen} == {"fault"}
+
+
+def test_an_upload_that_breaks_off_leaves_nothing(tmp_path: Path) -> None:
+    flights = Flights(tmp_path, Job(), most_bytes=LARGEST)
+    with client_of(flights) as client:
+        with socket.create_connection(("127.0.0.1", client.port)) as line:
+            head = f"PUT /flights?name=lost.csv HTTP/1.1\r\nHost: 127.0.0.1:{client.port}\r\nContent-Length: 100000"
+            line.sendall(head.encode() + b"\r\n\r\n" + b"time_s\n" * 1000)
+            until(lambda: uploads(tmp_path))
+        until(lambda: not uploads(tmp_path))
+        assert client.get("/flights").json() == []
+        assert client.put("/flights?name=lost.csv", b"time_s\n").status == 201
+    assert [path.name for path in tmp_path.glob("*.csv")] == ["lost.csv"]
+
+
+@pytest.mark.slow
+def test_a_second_user_gets_a_verdict_while_the_log_of_the_first_still_comes(tmp_path: Path) -> None:
+    judged = threading.Event()
+    rows = (SAMPLES / "table_three_faults.csv").read_bytes().splitlines(keepends=True)
+
+    def slowly() -> Iterator[bytes]:
+        yield from rows[:400]
+        assert judged.wait(120.0)
+        yield from rows[400:]
+
+    with flights_of(tmp_path) as flights, client_of(flights) as client:
+        answers: list[Answer] = []
+        first = threading.Thread(target=lambda: answers.append(client.put("/flights?name=first.csv", slowly())))
+        first.start()
+        until(lambda: uploads(tmp_path))
+        second = client.put("/flights?name=second.mat", STUCK.read_bytes()).json()
+        summary = done(flights, second["id"]).summary
+        assert summary is not None
+        assert summary.status == "fault"
+        assert uploads(tmp_path)
+        judged.set()
+        first.join()
+        assert answers[0].status == 201
+        # While the first is judged, the second reads its page.
+        assert "ELEVATOR JAMMED" in client.get(f"/flights/{second['id']}/page.html").text
+        summary = done(flights, answers[0].json()["id"]).summary
+        assert summary is not None
+        assert summary.status == "fault"
+
+
+@pytest.mark.parametrize(
+    "megabytes", [pytest.param(40, marks=pytest.mark.slow), pytest.param(1000, marks=pytest.mark.nightly)]
+)
+def test_a_log_of_one_gigabyte_is_judged_and_keeps_nobody_waiting(megabytes: int, tmp_path: Path) -> None:
+    """A flight, and raw samples of its gyroscopes, which are what makes logs long."""
+    shape = struct.pack("<3sBB4s16s64s", b"\xa3\x95\x80", 250, 203, b"RAWG", b"Qaaa", b"TimeUS,x,y,z")
+    time_us = struct.pack("<Q", 20_000_000)
+    piece = (b"\xa3\x95\xfa" + time_us + bytes(192)) * 4926  # 1 MB
+    flight = (SAMPLES / "ardupilot_volz_stuck.bin").read_bytes()
+
+    def content() -> Iterator[bytes]:
+        yield flight + shape
+        for _ in range(megabytes):
+            yield piece
+
+    answers: list[Answer] = []
+    longest_s = 0.0
+    with flights_of(tmp_path, most_bytes=2_000_000_000) as flights, client_of(flights) as client:
+        first = threading.Thread(target=lambda: answers.append(client.put("/flights?name=long.bin", content())))
+        first.start()
+        while first.is_alive() or flights.all()[0].state != "done":
+            begun = time.monotonic()
+            assert client.get("/flights").status == 200
+            longest_s = max(longest_s, time.monotonic() - begun)
+            time.sleep(0.05)
+        assert answers[0].status == 201
+        (row,) = client.get("/flights").json()
+    assert row["sentence"].startswith("ELEVATOR JAMMED at 0:20")
+    assert row["size"] == f"{(len(flight) + len(shape) + megabytes * len(piece)) / 1e6:.1f} MB"
+    assert longest_s < 5.0
+
+
+def test_two_flights_are_beside_each_other_surface_by_surface(tmp_path: Path) -> None:
+    flights = Flights(tmp_path, Job(), most_bytes=LARGEST)
+    residual = {"max_abs_deg": 1.25, "mean_deg": -0.004, "std_deg": 0.1, "outline": [0.1, 1.0, None]}
+    jam = {"status": "fault", "reason": "jammed at 3.1 deg", "residual": residual}
+    good = {"status": "healthy", "reason": "followed its command", "residual": residual}
+    weak = {"status": "suspect", "reason": "lost 10 % (3 to 17 %)"}
+    runs = (
+        [{"surfaces": {"rudder": good, "elevator": good}}],
+        [{"surfaces": {"elevator": good}, "axes": {"roll": weak}}, {"surfaces": {"elevator": jam}, "axes": {}}],
+        [{"error": "no rows", "surfaces": {}}],
+    )
+    ids = []
+    for k, logs in enumerate(runs):
+        upload = flights.upload(f"flight{k}.csv", 0)
+        upload.write(b"%d" % k)
+        ids.append(upload.finish().id)
+        if k < 2:
+            make_folder(flights.results(ids[k]))
+            (flights.results(ids[k]) / "audit.json").write_text(json.dumps({"logs": logs}))
+    with client_of(flights) as client:
+        text = client.get(f"/compare?flight={ids[0]}&flight={ids[1]}").text
+        waiting = client.get(f"/compare?flight={ids[0]}&flight={ids[2]}")
+        make_folder(flights.results(ids[2]))
+        (flights.results(ids[2]) / "audit.json").write_text(json.dumps({"logs": runs[2]}))
+        unread = client.get(f"/compare?flight={ids[0]}&flight={ids[2]}")
+    names = re.findall(r'<th scope="row">(.*?)</th>', text)
+    assert names == ["elevator", "roll axis", "rudder"]  # the worst first
+    for words in ("jammed at 3.1 deg", "lost 10 % (3 to 17 %)", "largest residual 1.25 deg, mean +0.00"):
+        assert words in text
+    assert text.count("not in this flight") == 2
+    assert waiting.status == 409
+    assert "not judged yet" in waiting.text
+    assert unread.status == 200
+    assert unread.text.count("not in this flight") == 2
 
 
 def test_a_port_that_is_taken_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
