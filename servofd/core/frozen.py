@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -117,6 +118,39 @@ def republished_rows(time_s: FloatArray, position: FloatArray, siblings: Sequenc
     short = np.repeat(time_s[lasts] - time_s[firsts] < _REPUBLISHED_S, lasts - firsts)
     rows[np.flatnonzero(same)] = short
     return rows
+
+
+@dataclass(slots=True)
+class Republished:
+    """What `republished_rows` leaves of the positions of a stream.
+
+    A position that repeats the one before waits until it is known whether it goes on repeating.
+
+    Examples
+    --------
+    >>> stream = Republished()
+    >>> [len(stream.without([(0.02 * k, deg)])) for k, deg in enumerate([0.0, 1.0, 1.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0])]
+    [1, 1, 0, 1, 0, 0, 0, 0, 5]
+    """
+
+    _begun: tuple[float, float] = (float("nan"), float("nan"))
+    """Since when [s] a position is what it is."""
+    _waiting: list[tuple[float, float]] = field(default_factory=list)
+
+    def without(self, rows: list[tuple[float, float]]) -> list[tuple[float, float]]:
+        """The next rows of time [s] and value, without those that only repeat; some may come later."""
+        found = []
+        for row in rows:
+            if row[1] != self._begun[1]:
+                self._begun = row
+                self._waiting.clear()
+                found.append(row)
+                continue
+            self._waiting.append(row)
+            if row[0] - self._begun[0] >= _REPUBLISHED_S:
+                found += self._waiting
+                self._waiting.clear()
+        return found
 
 
 def _same_as_before(values: FloatArray) -> BoolArray:

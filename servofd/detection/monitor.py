@@ -23,6 +23,7 @@ from servofd.aircraft.segment import (
     sent_period_s,
 )
 from servofd.core.errors import DesignError
+from servofd.core.frozen import Republished
 from servofd.detection.bank.confirm import SURE
 from servofd.detection.calibrated_stream import CalibratedStream
 from servofd.detection.events import Alarm, Event, Inputs, Look, Reading
@@ -155,7 +156,8 @@ class SurfaceMonitor:
     _suspected_s: float = -np.inf
     _recent: deque[float] = field(default_factory=lambda: deque(maxlen=WARM_UP_STEPS + 1))
     _period_s: float = float("nan")
-    _mean_s: float = float("nan")
+    _paces_s: tuple[float, float] = (float("nan"), float("nan"))
+    """Median and mean time between positions as they come, those that only repeat the one before included [s]."""
     _least_hz: float = SLOWEST_RATE_HZ
     _passed_on_s: float = -np.inf
     """Time of the last command that the listener was told of [s]."""
@@ -182,6 +184,7 @@ class SurfaceMonitor:
     _excused: tuple[float, float] = (-np.inf, 0.0)
     """Until when nothing at all was heard of the vehicle, and for how long [s]."""
     _earlier: dict[float, Fault] = field(default_factory=dict)
+    _republished: Republished = field(default_factory=Republished)
     _context: Context = NO_CONTEXT
 
     def surroundings(self, context: Context) -> None:
@@ -213,6 +216,7 @@ class SurfaceMonitor:
                 until_s, gap_s = self._excused
                 self._heard[what] = [rows[-1][0], gap_s if rows[-1][0] < until_s else 0.0]
         events = self._alive(seen)
+        seen = self._republished.without(seen)
         if self._stream is None:
             return events + self._warm_up(asked, seen)
         self._hand_over(asked, seen)
@@ -467,12 +471,12 @@ class SurfaceMonitor:
             self.problem, self._told_slow = thin, True
             return [*events, Event(time_s, self.name, "no_data", text=thin)]
         mean_s = (self._recent[-1] - self._recent[0]) / WARM_UP_STEPS
-        now = float(np.median(np.diff(np.array(self._recent)))) / self._period_s
+        now = float(np.median(np.diff(np.array(self._recent)))) / self._paces_s[0]
         most = _SAME_PACE if self._least_hz == SLOWEST_RATE_HZ else _SAME_LEFT
-        same = any(1.0 / most <= pace <= most for pace in (now, mean_s / self._mean_s))
-        if same or mean_s / self._period_s > 10.0 * now:
+        same = any(1.0 / most <= pace <= most for pace in (now, mean_s / self._paces_s[1]))
+        if same or mean_s / self._paces_s[0] > 10.0 * now:
             return []
-        text = f"positions now come at {self.rate_hz:.3g} Hz, not {1.0 / self._period_s:.3g} Hz; begins anew"
+        text = f"positions now come at {self.rate_hz:.3g} Hz, not {1.0 / self._paces_s[0]:.3g} Hz; begins anew"
         return [*self.restart(), Event(time_s, self.name, "no_data", text=text)]
 
     @property
@@ -517,7 +521,9 @@ class SurfaceMonitor:
         steps_s = pace_steps(valued_s)
         if not commands or steps_s.size < 2 or np.ptp([value for _, value in positions if np.isfinite(value)]) == 0.0:
             return []
-        self._period_s, self._mean_s = float(np.median(steps_s)), float(np.mean(steps_s))
+        self._period_s = float(np.median(steps_s))
+        came_s = pace_steps(np.array(self._recent))
+        self._paces_s = float(np.median(came_s)), float(np.mean(came_s))
         logged_s = np.array([time_s for time_s, _ in commands[: WARM_UP_STEPS + 1]])
         lost_s = sent_period_s(logged_s) if self.is_periodic else None
         self._least_hz = SLOWEST_LEFT_HZ if lost_s is not None and self.surface.is_calibrated else SLOWEST_RATE_HZ
@@ -589,7 +595,8 @@ class SurfaceMonitor:
                 self._looks_s = sorted([*self._looks_s, *(time_s + after_s for after_s in _LOOKS_S)])
         events += self._recovered(piece)
         self._suspect(piece)
-        self._judged_s += self._mean_s * float(np.count_nonzero(residuals.settled))
+        steps_s = np.diff(residuals.time_s, prepend=self.reading.time_s if self.reading else residuals.time_s[0])
+        self._judged_s += float(np.minimum(steps_s, _OUTAGE_S)[residuals.settled].sum())
         last = int(residuals.time_s.size) - 1
         commands = self._stream.logged.commands().command_deg
         if self.listener is not None:

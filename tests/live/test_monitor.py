@@ -416,5 +416,26 @@ def test_replay_of_a_signed_log_believes_no_forged_frame_between_its_own(healthy
     assert [m.reading for _, m in session.watched] == [m.reading for _, m in alone.watched]
 
 
+@pytest.mark.slow
+def test_review_and_audit_of_what_was_recorded_agree_with_what_was_told_live(
+    log: bytes, config: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The same surfaces, names and times."""
+    flight, kept, recording = (tmp_path / name for name in ("flight.tlog", "kept.tlog", "kept.rrd"))
+    flight.write_bytes(log)
+    told: list[str] = ["monitor", str(flight), "-c", str(config), "--speed", "0", "--json-lines", "-"]
+    assert main([*told, "--tlog", str(kept), "--rrd", str(recording)]) == 1
+    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    names = {e["surface"]: e["kind"] for e in events if e["event"] == "named"}
+    live = [(e["surface"], names[e["surface"]], e["time_s"]) for e in events if e["event"] == "alarm"]
+    assert [(surface, kind) for surface, kind, _ in sorted(live)] == [("elevator", "stuck"), ("rudder", "bias")]
+    for words in (["audit", str(kept), "-c", str(config)], ["review", str(recording)]):
+        assert main([*words, "--json", "-"]) == 1
+        (document,) = json.loads(capsys.readouterr().out)["logs"]
+        faults = [(name, f["kind"], f["alarm_s"]) for name, s in document["surfaces"].items() for f in s["faults"]]
+        assert [fault[:2] for fault in sorted(faults)] == [alarm[:2] for alarm in sorted(live)]
+        assert [f[2] for f in sorted(faults)] == pytest.approx([alarm[2] for alarm in sorted(live)], abs=0.1)
+
+
 def test_stamps_are_those_of_a_telemetry_log() -> None:
     assert stamped(1.5, b"x") == struct.pack(">Q", 1_500_000) + b"x"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +14,7 @@ from logparsers.codec import Codec
 from logparsers.dataflash.live import BlockStream
 from logparsers.replay import replayed
 from servofd.aircraft.schema import Aircraft, load_aircraft
+from servofd.cli import main
 from servofd.detection.audit import audit_log
 from servofd.live.session import Session
 from servofd.simulation.dataflash_writer import dataflash_log
@@ -121,3 +123,37 @@ def test_what_was_stored_is_what_the_card_holds(aircraft: Aircraft) -> None:
         assert len(rows) > 0.8 * len(on_card)
     assert live.parameters["SERVO2_FUNCTION"] == 19.0
     assert np.all(np.diff(live["CSRV[1].Pos"].time_s) > 0.0)
+
+
+@pytest.mark.slow
+def test_a_log_that_stops_in_the_middle_of_a_block_is_judged_until_there(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The telemetry log that the monitor kept, replayed and audited, and the blocks themselves as a log of the card."""
+    field, stored = watching(aircraft_of_the_card(tmp_path))
+    field.fly(vehicle(lively(duration_s=25.0, stuck_s=15.0)))
+    ((_, alarm_s),) = kinds(field.end(), "alarm")
+    reader, blocks, ends, at = Codec(0, 191), {}, [], 0
+    for _, frame in replayed(bytes(stored)):
+        at += 8 + len(frame)
+        (heard,) = reader.decode(frame)
+        if heard.name == "REMOTE_LOG_DATA_BLOCK":
+            blocks[heard.fields["seqno"]] = bytes(heard.fields["data"])
+            ends.append(at)
+    cut = {
+        "flight.tlog": bytes(stored)[: ends[-1] - 100],
+        "flight.bin": b"".join(blocks[n] for n in sorted(blocks))[:-77],
+    }
+    for name, content in cut.items():
+        path = tmp_path / name
+        path.write_bytes(content)
+        arguments = [str(path), "-c", str(tmp_path / "plane.toml")]
+        assert main(["monitor", *arguments, "--speed", "0", "--json-lines", "-"]) == 1
+        told = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+        assert main(["audit", *arguments, "--json", "-"]) == 1
+        (log,) = json.loads(capsys.readouterr().out)["logs"]
+        (fault,) = log["surfaces"]["elevator"]["faults"]
+        assert (log["error"], fault["kind"]) == (None, "stuck")
+        assert [(e["surface"], e["time_s"]) for e in told if e["event"] == "alarm"] == [("elevator", fault["alarm_s"])]
+        assert fault["alarm_s"] == pytest.approx(alarm_s, abs=0.1)
+        assert "truncated" in {damage["kind"] for damage in log["damage"]}
