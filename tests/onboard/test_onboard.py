@@ -104,6 +104,24 @@ def test_positions_that_stop_are_told_once_and_of_all_together(tmp_path: Path) -
     assert texts == [["AILERON no position"], ["servos: no positions"]]
 
 
+@pytest.mark.parametrize(("lasts_s", "told"), [(0.3, []), (2.0, ["servos: positions stand still"])])
+def test_a_bus_that_freezes_is_no_fault_of_a_servo(tmp_path: Path, lasts_s: float, told: list[str]) -> None:
+    """ArduPilot's Volz driver repeats the last readings with new stamps for 5 s."""
+    flight = wiggled(SIMULATED, armed=True)
+    is_frozen = (flight.time_us > 9_000_000) & (flight.time_us <= 9_000_000 + 1e6 * lasts_s)
+    positions = {o: np.where(is_frozen, deg[np.argmax(is_frozen)], deg) for o, deg in flight.position_deg.items()}
+    flown = fly(watch_script(plan_onboard(SIMULATED)), Flight(flight.time_us, flight.pulse_us, positions), tmp_path)
+    assert [text for _, text in flown.texts[1:]] == told
+
+
+def test_a_jam_while_the_other_servos_rest_is_told_after_a_second(tmp_path: Path) -> None:
+    flight = wiggled(SIMULATED, 2, armed=True)
+    pulses = {o: us if o == 2 else np.full_like(us, 1500) for o, us in flight.pulse_us.items()}
+    positions = {o: deg if o == 2 else np.zeros_like(deg) for o, deg in flight.position_deg.items()}
+    flown = fly(watch_script(plan_onboard(SIMULATED)), Flight(flight.time_us, pulses, positions), tmp_path)
+    assert flown.said("ELEVATOR")[0].startswith("ELEVATOR off by")
+
+
 def test_positions_go_to_the_ground_at_the_rate_of_the_parameter(tmp_path: Path) -> None:
     script, flight = watch_script(plan_onboard(SIMULATED)), wiggled(SIMULATED)
     for hz, least, most in ((0, 0, 40), (10, 220, 300), (50, 1100, 1200)):

@@ -33,7 +33,7 @@ local PIECE_S, MOST_PIECES = 0.004, 6.0 -- while a rate limit acts, its instants
 local PEAK_HOLD_S = 0.15      -- how long the activity of the command counts
 local BLANKING = 8.0          -- time constants of the filter until it has forgotten how it was started
 local TRAVEL_TO_CLEAR = 20.0  -- thresholds of travel, followed quietly, that disprove an alarm
-local SILENCE_US = 1000000
+local SILENCE_US, FROZEN_US = 1000000, 30000
 
 -- What a mode is worth while it is worked on; nothing is allocated in flight.
 local keep_re, keep_im, polynomial, weights = {}, {}, {}, {}
@@ -349,6 +349,32 @@ local function name_it(s, now_us, measured, simulated, residual, level)
    end
 end
 
+-- By output: its last reading, when that changed, and, while alarms are held back, 1, or 2 if it was off since.
+-- Readings that all stand still are no fault of one servo: drivers repeat the last ones of a frozen bus (Volz: for 5 s).
+local reading, changed_us, held_back = {}, {}, {}
+local bus_told = false
+
+-- Whether all readings stand still: that is waited for a second, and is the bus if more than one servo is off by then.
+local function frozen(now_us)
+   local still_us, off = SILENCE_US, 0
+   for i = 1, #SURFACES do
+      still_us = min(still_us, now_us - changed_us[SURFACES[i].output])
+   end
+   if still_us < FROZEN_US or #SURFACES < 2 then
+      return false
+   end
+   for i = 1, #SURFACES do
+      local s = SURFACES[i]
+      held_back[s.output] = max(held_back[s.output], abs(s.row) >= s.persistence and 2 or 1)
+      off = off + held_back[s.output] - 1
+   end
+   if still_us == SILENCE_US and off > 1 and not bus_told then
+      bus_told = true
+      gcs:send_text(WARNING, "servos: positions stand still")
+   end
+   return still_us < SILENCE_US or off > 1
+end
+
 -- Raise an alarm, or take it back once the surface has followed large commands quietly.
 local function decide(s, now_us, residual, still, level, measured, simulated)
    s.typical = s.typical + (level - s.typical) / (1.0 + min(s.count, 1000.0))
@@ -365,7 +391,7 @@ local function decide(s, now_us, residual, still, level, measured, simulated)
    end
    local side = size < level and 0 or residual > 0.0 and 1 or -1
    s.row = s.row * side > 0 and s.row + side or side
-   if abs(s.row) >= s.persistence and not s.alarm then
+   if abs(s.row) >= s.persistence and not s.alarm and not frozen(now_us) then
       s.alarm, suspect, since_us = true, s, now_us
       gcs:send_text(CRITICAL, string.format("%s off by %+.1f deg", s.name, measured - simulated))
    end
@@ -514,6 +540,13 @@ local function watch(s, now_us)
       return
    end
    s.update_ms, s.seen_us, s.silent = update_ms, now_us, false
+   local output = s.output
+   if raw ~= reading[output] then
+      reading[output], changed_us[output] = raw, now_us
+      if held_back[output] > 0 then
+         held_back[output], bus_told, s.row, s.filter_us = 0, false, 0, nil -- what it did meanwhile nobody knows
+      end
+   end
    if sending then
       gcs:send_named_float(s.stream, raw)
    end
@@ -683,6 +716,7 @@ local function prepare(s, now_us)
    s.alarm, s.silent, s.draining = false, false, false -- a table that grows in flight would have to be copied
    s.seen_us, s.last_measured, s.seen_noise, s.lowest, s.highest = now_us, NAN, s.noise, 1e9, -1e9
    s.stream = "SRVP" .. s.output
+   reading[s.output], changed_us[s.output], held_back[s.output] = NAN, now_us, 0
    s.reach_low, s.reach_high = -1e9, 1e9
    if not s.telemetry then
       local a = s.gain * ((param:get("SERVO" .. s.output .. "_MIN") or 1000) - 1500.0) + s.offset
