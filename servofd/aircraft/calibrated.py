@@ -14,6 +14,9 @@ from servofd.core.types import FloatArray
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
 _Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 _LARGEST = 1e9
+_BEYOND, _STANDING_M_S = 1.5, 6.0
+"""Calibrated on the ground alone, 37 of 128 good flights of eight aircraft of even seed were at fault; beyond 1.5 times
+the calibrated airspeed the air pushes more than twice as hard. A pitot reads so much where nothing moves."""
 _UNKNOWN_AIR = 0.6
 """Dynamic pressure of flights of any style over that of a calibration flight: it differs between them by 0.49, and
 within each by 0.3 more (standard deviations, aircraft of even seed in `benchmarks/strangers.py`)."""
@@ -82,6 +85,8 @@ class CalibratedServo(BaseModel):
     """Usual supply; 0 where it was not logged."""
     airspeed_m_s: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] | None = None
     """Usual airspeed; 0 where it was not logged, None where the file does not say."""
+    fastest_m_s: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
+    """Largest airspeed of the good flights; 0 where it was not logged."""
     thresholds: dict[str, _Positive] = {}
     """Of the statistics of `servofd.detection.changes`; those that are missing are the usual ones."""
     flights: Annotated[int, Field(ge=1)] = 1
@@ -122,6 +127,11 @@ class CalibratedServo(BaseModel):
         pushed = np.where(np.char.startswith(NAMES, "hinge"), self.theta, 0.0)
         wider = self.covariance + _UNKNOWN_AIR**2 * np.outer(pushed, pushed)
         return self.model_copy(update={"between": lower_triangle(wider)})
+
+    @property
+    def last_judged_m_s(self) -> float:
+        """Airspeed beyond which nobody knows what the air does to the servo; infinite where none was logged."""
+        return _BEYOND * max(self.fastest_m_s, _STANDING_M_S) if self.fastest_m_s else np.inf
 
     @property
     def _scaled(self) -> FloatArray:

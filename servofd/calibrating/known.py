@@ -46,7 +46,13 @@ SPOKEN: Final = dict(
 
 
 def known_servo(
-    fitted: Fit, records: Sequence[Record], supply_v: float, airspeed_m_s: float, *, pushed: float = _NEVER_LOGGED
+    fitted: Fit,
+    records: Sequence[Record],
+    supply_v: float,
+    airspeed_m_s: float,
+    *,
+    fastest_m_s: float = 0.0,
+    pushed: float = _NEVER_LOGGED,
 ) -> CalibratedServo:
     """What goes into the file, with the usual thresholds.
 
@@ -58,6 +64,8 @@ def known_servo(
         Good flights.
     supply_v, airspeed_m_s : float
         Usual ones; 0 where nobody logged them.
+    fastest_m_s : float
+        Largest airspeed; 0 where nobody logged it.
     pushed : float
         Share of what the usual air does that differs between flights, where nobody logged the airspeed.
     """
@@ -86,6 +94,7 @@ def known_servo(
         reach_deg=(round(fitted.reach_deg[0], 3), round(fitted.reach_deg[1], 3)),
         supply_v=round(supply_v, 3),
         airspeed_m_s=round(airspeed_m_s, 2),
+        fastest_m_s=round(fastest_m_s, 2),
         flights=len(records),
     )
 

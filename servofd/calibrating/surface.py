@@ -16,7 +16,7 @@ from servofd.core.tolerance import Tolerance
 from servofd.detection.watch import detectable, watched
 from servofd.estimate.family import PRESSURE_PA
 from servofd.estimate.fit import fit, worse_without
-from servofd.estimate.record import Record, usual_airspeed_m_s, usual_supply_v
+from servofd.estimate.record import Record, fastest_m_s, usual_airspeed_m_s, usual_supply_v
 from servofd.estimate.statistics import Estimate
 from servofd.servo.context import AIR_KG_M3
 from servofd.servo.library import Servo
@@ -35,6 +35,7 @@ _PAYS: Final = 1.01
 _FAST_M_S: Final = 25.0
 
 _WORTH_FLYING: Final = 0.1
+_SLOWER_THAN_FLIGHT_M_S: Final = 8.0
 _VAGUE: Final = 4.0
 """A parameter is vague if its variance is so many times the usual one between flights."""
 
@@ -73,7 +74,8 @@ def calibrate_surface(flights: Sequence[Flight], aircraft: Aircraft) -> Calibrat
     scaled = [flight.with_scale(gain, offset_deg) for flight in flights]
     records = [Record.of(flight.segment, supply_v, airspeed_m_s) for flight in scaled]
     fitted = fit(records, start=_scaled(first.theta))
-    known = known_servo(fitted, records, supply_v, airspeed_m_s)
+    fastest = fastest_m_s([flight.segment.context for flight in flights])
+    known = known_servo(fitted, records, supply_v, airspeed_m_s, fastest_m_s=fastest)
     refuse_broken(name, known, records, scaled)
     known = known.model_copy(update={"thresholds": thresholds_above(known, fitted, records)})
     sizes = detectable([watched(known, record) for record in records])
@@ -218,6 +220,11 @@ def _notes(gain: float, known: CalibratedServo) -> tuple[str, ...]:
     notes = []
     if not _USUAL_GAINS[0] <= gain <= _USUAL_GAINS[1]:
         notes.append(f"the position moves by {gain:.2f} times the command: check the scale in the aircraft file")
+    if 0.0 < known.fastest_m_s < _SLOWER_THAN_FLIGHT_M_S:
+        notes.append(
+            f"these flights stayed below {known.fastest_m_s:.0f} m/s: what is flown at more than "
+            f"{known.last_judged_m_s:.0f} m/s is not judged"
+        )
     if known.noise.period_s > 0.06:
         notes.append(f"positions at {1.0 / known.noise.period_s:.0f} Hz: slow servos show less")
     return tuple(notes)

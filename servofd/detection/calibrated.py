@@ -22,7 +22,7 @@ from servofd.detection.statistics import Statistics, outline
 from servofd.detection.threshold import Threshold
 from servofd.detection.watch import detectable, exceeded, thresholds_of, watched
 from servofd.detection.words import describe
-from servofd.estimate.record import Record
+from servofd.estimate.record import Record, load_at
 
 if TYPE_CHECKING:
     from functools import partial
@@ -56,6 +56,7 @@ _MOST_OF_THE_LOG: Final = 0.9
 _SHORTEST_JUDGED_S: Final = 0.25
 _LITTLE_KNOWN: Final = 5.0
 """Times its usual deviation a residual may reach where a servo moves as it never did in its good flights."""
+_OFTEN_BEYOND: Final = 0.2
 FALSE_ALARMS_PER_HOUR: Final = 0.05
 """Of one surface: 2 faults in 41 h of healthy flight of 31 simulated aircraft of even seed; 2 in 49 h of 37 of odd seed
 confirm it (`benchmarks/calibration_campaign.py`). The rate of a rarer alarm has not been measured."""
@@ -72,6 +73,9 @@ def audit_calibrated(
     rows = flight.judged
     steps_s = np.minimum(np.diff(flight.record.time_s, append=np.nan), 3.0 * segment.period_s)
     judged_s = float(np.nansum(steps_s[rows]))
+    beyond = _beyond(flight)
+    if judged_s < _SHORTEST_JUDGED_S and beyond:
+        return verdict(status="unknown", reason=beyond, segment=segment)
     if judged_s < _SHORTEST_JUDGED_S:
         reason = f"only {judged_s:.1f} s of command and position together; {_SHORTEST_JUDGED_S:g} s are needed"
         return verdict(status="unknown", reason=reason, segment=segment)
@@ -82,6 +86,8 @@ def audit_calibrated(
     statistics = Statistics.of(error_deg, (flight.record.measured_deg - flight.reading_deg)[rows])
     status, reason = _verdict(flight, found.faults, found.suspicions, sizes, statistics.max_abs_deg)
     judged_share = min(judged_s / max(duration_s, 1e-9), 1.0)
+    if beyond:
+        status, reason = ("unknown" if status == "healthy" else status), f"{reason}; {beyond}"
     if judged_share < _MOST_OF_THE_LOG:
         reason += f"; judged for {judged_share:.0%} of the log"
     if segment.frozen_s > 0.0:
@@ -257,6 +263,18 @@ def _verdict(
         return "unknown", problem
     reason = f"as in its good flights (largest residual {largest_deg:.2f} deg{_untold(flight)})"
     return "healthy", "; ".join(filter(None, (reason, not_judgeable(sizes))))
+
+
+def _beyond(flight: Watched) -> str:
+    """That much of a flight was faster than what was calibrated, and is not judged; nothing if little was."""
+    last_m_s = flight.known.last_judged_m_s
+    share = float(np.mean(flight.record.load > load_at(last_m_s))) if flight.record.load.size else 0.0
+    if share < _OFTEN_BEYOND:
+        return ""
+    return (
+        f"{share:.0%} of it flown at more than {last_m_s:.0f} m/s, of which the flights of its calibration (up to "
+        f"{flight.known.fastest_m_s:.0f} m/s) tell nothing: calibrate it on one that is as fast"
+    )
 
 
 def _untold(flight: Watched) -> str:

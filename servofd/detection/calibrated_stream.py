@@ -21,7 +21,7 @@ from servofd.detection.watch import exceeded, thresholds_of
 from servofd.estimate.family import new_state, sensitivities, simulated, variants
 from servofd.estimate.fit import peaks, residual
 from servofd.estimate.lost import HOLDS, LONGEST_S, new_memory, put_back, unknown_deg
-from servofd.estimate.record import gap_s, loads, powers, starts
+from servofd.estimate.record import gap_s, load_at, loads, powers, starts
 from servofd.servo.context import NO_CONTEXT
 
 if TYPE_CHECKING:
@@ -186,6 +186,7 @@ class CalibratedStream:
         start_deg, usable = self._starts(ready)
         time_s, measured_deg = ready
         load = loads(self._context, time_s, self._known.airspeed_m_s)
+        usable = usable & (load <= load_at(self._known.last_judged_m_s))
         power = powers(self._context, time_s, self._known.supply_v)
         commands = self._filled.commands()
         position_deg, speed_deg_s = simulated(

@@ -17,6 +17,7 @@ from servofd.detection.changes import STATISTICS, Memory, Tests, follow
 from servofd.detection.glitches import decide, new_glitch_memory
 from servofd.estimate.family import new_state, sensitivities, simulated, variants
 from servofd.estimate.fit import peaks, residual
+from servofd.estimate.record import load_at
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -123,7 +124,7 @@ def watched(known: CalibratedServo, record: Record) -> Watched:
     error_deg = np.where(record.usable, error_deg, np.nan)
     glitch = np.zeros(error_deg.size, dtype=bool)
     decide(new_glitch_memory(), error_deg, np.isfinite(record.start_deg).astype(np.int8), glitch, True)
-    usable = record.usable & ~glitch
+    usable = record.usable & ~glitch & (record.load <= load_at(known.last_judged_m_s))
     noise = known.noise.noise.at(record.period_s)
     noise_deg = np.hypot(noise.sigma_deg(peaks(speed_deg_s, record.time_s)), record.unknown_deg(theta))
     tests = Tests.of(known.noise.noise, known.covariance, record.period_s, is_lossy=record.sent is not None)

@@ -203,6 +203,22 @@ def loads(context: Context, time_s: FloatArray, usual_m_s: float | None = None) 
     return np.clip(0.5 * AIR_KG_M3 * airspeed_m_s**2 / PRESSURE_PA, 0.0, 20.0)
 
 
+def load_at(airspeed_m_s: float) -> float:
+    """Dynamic pressure over 300 Pa.
+
+    Examples
+    --------
+    >>> round(load_at(22.1), 2)
+    1.0
+    """
+    return 0.5 * AIR_KG_M3 * airspeed_m_s**2 / PRESSURE_PA
+
+
+def fastest_m_s(contexts: Sequence[Context]) -> float:
+    """Largest airspeed of some flights, but for a glitch in a thousand [m/s]; 0 if none logged it."""
+    return max((float(np.quantile(c.airspeed_m_s, 0.999)) for c in contexts if c.airspeed_s.size), default=0.0)
+
+
 def usual_airspeed_m_s(contexts: Sequence[Context]) -> float:
     """Root mean square of the airspeed, median of the flights that logged it [m/s]; 0 if none did."""
     rms_m_s = [float(np.sqrt(np.mean(context.airspeed_m_s**2))) for context in contexts if context.airspeed_s.size]

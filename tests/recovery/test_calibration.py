@@ -178,6 +178,21 @@ def test_a_fault_of_any_kind_in_the_middle_of_a_good_flight_is_refused_with_its_
 
 
 @pytest.mark.slow
+def test_what_was_calibrated_on_the_ground_is_not_judged_in_the_air() -> None:
+    origin = stranger(210)
+    ground = replace(segment_of(fly(origin, 1, "taxi"), "elevator"), surface="x")
+    found = calibrated(ground)
+    assert any("is not judged" in note for note in found.surfaces[0].notes)
+    assert judged(found.aircraft, ground).status == "healthy"
+    for style in ("cruise", "aerobatics"):
+        verdict = judged(
+            found.aircraft, replace(segment_of(fly(origin, 2, style, duration_s=90.0), "elevator"), surface="x")
+        )
+        assert verdict.status == "unknown"
+        assert "calibrate it on one that is as fast" in verdict.reason
+
+
+@pytest.mark.slow
 def test_positions_that_pause_are_no_change_of_the_servo() -> None:
     healthy = flown(FleetServo(noise_deg=0.05, bias_deg=4.0), 0, "lively")
     t = healthy.measured_s
