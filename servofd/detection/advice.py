@@ -68,8 +68,9 @@ def next_step(surface: SurfaceAudit) -> str:
         check = _CHECK.get(surface.faults[0].kind, _ANYHOW)
         return f"do not fly; on the ground, {check}; if it moves as asked, its position sensor is at fault"
     if surface.status == "suspect":
+        check = _CHECK.get(surface.suspicions[0].kind, _ANYHOW) if surface.suspicions else _ANYHOW
         return (
-            "look at another flight; if it happens again, check the linkage, or let 'servofd explain' say what the "
+            f"look at another flight; if it happens again, on the ground, {check}; 'servofd explain' says what the "
             "model lacks"
         )
     if surface.status == "unknown":

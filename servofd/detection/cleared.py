@@ -15,6 +15,8 @@ MOST_LOST = 0.34
 _LEAST_SPEED, _LIVELIER = 1.0 / 3.0, 1.5
 """Motion so much larger shows that much less of a loss."""
 _MARGIN = 1.2
+_FARTHEST_DEG = 30.0
+"""No control surface moves much further to either side: whoever would have to, lacks a better model and not motion."""
 _NAMES = {
     "bias_deg": "offset",
     "slow_share": "speed",
@@ -32,6 +34,11 @@ def why_not_cleared(residuals: Residuals, shown: Detectable, level_deg: float) -
     reach_deg = float(np.ptp(moved)) / 2.0 if moved.size else 0.0
     unseen = "a jam" if shown.loss_share is None else f"the loss of {shown.loss_share:.0%} of its travel"
     wanted_deg = max(3.0 * _MARGIN * level_deg, _MARGIN * reach_deg)
+    if wanted_deg > max(_FARTHEST_DEG, _MARGIN * reach_deg):
+        return (
+            f"its model is too coarse: even {unseen} might not have shown (threshold {level_deg:.2g} deg); record slow "
+            "movements beside fast ones, or calibrate on a good flight"
+        )
     return (
         f"too little motion: even {unseen} might not have shown (threshold {level_deg:.2g} deg); fly or bench-test "
         f"several movements of ±{wanted_deg:.0f} deg or more, or calibrate on a good flight"
@@ -62,11 +69,18 @@ def not_judgeable(shown: Detectable, *, own_fit: bool = False) -> str:
     'speed not judgeable: no brisk motion'
     >>> not_judgeable(Detectable(loss_share=0.1, deadband_deg=1.0, oscillation_deg=0.5), own_fit=True)
     'offset and speed not judgeable: fitted to this log'
+    >>> not_judgeable(Detectable(loss_share=0.1, deadband_deg=1.0))
+    'offset, speed and oscillation not judgeable'
     """
     missing = [_NAMES[name] for name in shown.missing]
     if not missing:
         return ""
     if own_fit and set(missing) <= {"offset", "speed"}:
-        return f"{' and '.join(missing)} not judgeable: fitted to this log"
+        return f"{_in_words(missing)} not judgeable: fitted to this log"
     why = ": no brisk motion" if missing == ["speed"] else ""
-    return f"{' and '.join(missing)} not judgeable{why}"
+    return f"{_in_words(missing)} not judgeable{why}"
+
+
+def _in_words(names: list[str]) -> str:
+    *first, last = names
+    return f"{', '.join(first)} and {last}" if first else last
