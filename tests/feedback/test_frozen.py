@@ -91,9 +91,10 @@ def test_a_fault_before_the_telemetry_dies_stays_a_fault() -> None:
 def test_a_stream_leaves_out_the_rows_that_an_audit_leaves_out(seed: int) -> None:
     """However it is cut; what repeats at the very end may go on, and is left out in both."""
     rng = np.random.default_rng(seed)
-    values = np.repeat(rng.integers(0, 4, 300).astype(float), rng.integers(1, 9, 300))
-    time_s = np.cumsum(rng.choice([0.019, 0.02, 0.021, 0.06], values.size))
-    stream, kept, rows = Republished(), [], list(zip(time_s.tolist(), values.tolist(), strict=True))
+    values = np.asarray(np.repeat(rng.integers(0, 4, 300), rng.integers(1, 9, 300)), dtype=np.float64)
+    time_s: FloatArray = np.cumsum(rng.choice([0.019, 0.02, 0.021, 0.06], values.size))
+    stream, rows = Republished(), list(zip(time_s.tolist(), values.tolist(), strict=True))
+    kept: list[tuple[float, float]] = []
     for first in range(0, len(rows), 7):
         kept += stream.without(rows[first : first + 7])
     repeated = republished_rows(time_s, values, [])
