@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from servofd.detection.axis_verdict import AxisAudit
     from servofd.detection.bank.flight import Fault
     from servofd.detection.verdict import LogAudit, Status, SurfaceAudit
+    from servofd.estimate.statistics import Estimate
 
 _WORST_FIRST: tuple[Status, ...] = ("fault", "suspect", "healthy", "unknown", "no_data")
 _WHAT = {
@@ -86,17 +87,22 @@ def axes_sentence(axes: Sequence[AxisAudit]) -> str:
     if lost:
         named = "; ".join(f"{axis.axis.upper()}: {axis.reason}" for axis in lost)
         return f"{named}. {'Do not fly.' if lost[0].status == 'fault' else 'Look at it before the next flight.'}"
-    weaker = [axis.axis for axis in axes if axis.status == "healthy" and axis.is_weaker]
-    healthy = [axis.axis for axis in axes if axis.status == "healthy" and not axis.is_weaker]
+    weaker = {
+        axis.axis: axis.lost_share for axis in axes if axis.status == "healthy" and axis.is_weaker and axis.lost_share
+    }
+    healthy = [axis.axis for axis in axes if axis.status == "healthy" and axis.axis not in weaker]
     dark = [axis.axis for axis in axes if axis.status == "unknown" and axis.axis != "thrust"]
     told = [f"{' and '.join(healthy).capitalize()} answered as on healthy days."] if healthy else []
-    told += (
-        [f"{' and '.join(weaker).capitalize()} answered a little weaker, as on one healthy day in 40."]
-        if weaker
-        else []
-    )
+    told += [_weaker(axis, share) for axis, share in weaker.items()]
     told = told or ["Could not tell."]
     return " ".join([*told, f"No verdict on {', '.join(dark)}."] if dark else told)
+
+
+def _weaker(axis: str, lost_share: Estimate) -> str:
+    """That an axis without an alarm surely lost something, how much, and how rare that is in a healthy flight."""
+    value, low, high = (f"{100.0 * share:.0f}" for share in lost_share)
+    size = f"{value} % weaker ({low} to {high} %)"
+    return f"{axis.capitalize()} is probably {size}, as one healthy flight in 40 seems to be: look at the next ones."
 
 
 def _faults(faulty: Sequence[SurfaceAudit]) -> str:
