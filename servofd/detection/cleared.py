@@ -16,7 +16,7 @@ _LEAST_SPEED, _LIVELIER = 1.0 / 3.0, 1.5
 """Motion so much larger shows that much less of a loss."""
 _MARGIN = 1.2
 _FARTHEST_DEG = 30.0
-"""No control surface moves much further to either side: whoever would have to, lacks a better model and not motion."""
+"""No control surface moves much further to either side: whoever would have to, lacks a narrower threshold and not motion."""
 _NAMES = {
     "bias_deg": "offset",
     "slow_share": "speed",
@@ -36,8 +36,8 @@ def why_not_cleared(residuals: Residuals, shown: Detectable, level_deg: float) -
     wanted_deg = max(3.0 * _MARGIN * level_deg, _MARGIN * reach_deg)
     if wanted_deg > max(_FARTHEST_DEG, _MARGIN * reach_deg):
         return (
-            f"its model is too coarse: even {unseen} might not have shown (threshold {level_deg:.2g} deg); record slow "
-            "movements beside fast ones, or calibrate on a good flight"
+            f"too little motion for so wide a threshold ({level_deg:.2g} deg): even {unseen} might not have shown; fly "
+            "or bench-test slow movements beside fast ones, or calibrate on a good flight"
         )
     return (
         f"too little motion: even {unseen} might not have shown (threshold {level_deg:.2g} deg); fly or bench-test "
