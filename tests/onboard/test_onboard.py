@@ -106,10 +106,13 @@ def test_positions_that_stop_are_told_once_and_of_all_together(tmp_path: Path) -
 
 @pytest.mark.parametrize(("lasts_s", "told"), [(0.3, []), (2.0, ["servos: positions stand still"])])
 def test_a_bus_that_freezes_is_no_fault_of_a_servo(tmp_path: Path, lasts_s: float, told: list[str]) -> None:
-    """ArduPilot's Volz driver repeats the last readings with new stamps for 5 s."""
+    """ArduPilot's Volz driver repeats the last readings with new stamps for 5 s; then servos move one by one."""
     flight = wiggled(SIMULATED, armed=True)
-    is_frozen = (flight.time_us > 9_000_000) & (flight.time_us <= 9_000_000 + 1e6 * lasts_s)
-    positions = {o: np.where(is_frozen, deg[np.argmax(is_frozen)], deg) for o, deg in flight.position_deg.items()}
+    positions = {}
+    for output, deg in flight.position_deg.items():
+        end_us = 9_000_000 + 1e6 * lasts_s + 10_000 * output
+        is_frozen = (flight.time_us > 9_000_000) & (flight.time_us <= end_us)
+        positions[output] = np.where(is_frozen, deg[np.argmax(is_frozen)], deg)
     flown = fly(watch_script(plan_onboard(SIMULATED)), Flight(flight.time_us, flight.pulse_us, positions), tmp_path)
     assert [text for _, text in flown.texts[1:]] == told
 

@@ -33,7 +33,7 @@ local PIECE_S, MOST_PIECES = 0.004, 6.0 -- while a rate limit acts, its instants
 local PEAK_HOLD_S = 0.15      -- how long the activity of the command counts
 local BLANKING = 8.0          -- time constants of the filter until it has forgotten how it was started
 local TRAVEL_TO_CLEAR = 20.0  -- thresholds of travel, followed quietly, that disprove an alarm
-local SILENCE_US, FROZEN_US = 1000000, 30000
+local SILENCE_US, FROZEN_US, THAW_US = 1000000, 30000, 100000
 
 -- What a mode is worth while it is worked on; nothing is allocated in flight.
 local keep_re, keep_im, polynomial, weights = {}, {}, {}, {}
@@ -352,16 +352,16 @@ end
 -- By output: its last reading, when that changed, and, while alarms are held back, 1, or 2 if it was off since.
 -- Readings that all stand still are no fault of one servo: drivers repeat the last ones of a frozen bus (Volz: for 5 s).
 local reading, changed_us, held_back = {}, {}, {}
-local bus_told = false
+local bus_told, thawed_us = false, 0
 
 -- Whether all readings stand still: that is waited for a second, and is the bus if more than one servo is off by then.
-local function frozen(now_us)
+local function frozen(suspected, now_us)
    local still_us, off = SILENCE_US, 0
    for i = 1, #SURFACES do
       still_us = min(still_us, now_us - changed_us[SURFACES[i].output])
    end
-   if still_us < FROZEN_US or #SURFACES < 2 then
-      return false
+   if still_us < FROZEN_US or #SURFACES < 2 then -- a bus begins again one servo after the other
+      return held_back[suspected.output] > 0 and now_us - thawed_us < THAW_US
    end
    for i = 1, #SURFACES do
       local s = SURFACES[i]
@@ -391,7 +391,7 @@ local function decide(s, now_us, residual, still, level, measured, simulated)
    end
    local side = size < level and 0 or residual > 0.0 and 1 or -1
    s.row = s.row * side > 0 and s.row + side or side
-   if abs(s.row) >= s.persistence and not s.alarm and not frozen(now_us) then
+   if abs(s.row) >= s.persistence and not s.alarm and not frozen(s, now_us) then
       s.alarm, suspect, since_us = true, s, now_us
       gcs:send_text(CRITICAL, string.format("%s off by %+.1f deg", s.name, measured - simulated))
    end
@@ -544,7 +544,8 @@ local function watch(s, now_us)
    if raw ~= reading[output] then
       reading[output], changed_us[output] = raw, now_us
       if held_back[output] > 0 then
-         held_back[output], bus_told, s.row, s.filter_us = 0, false, 0, nil -- what it did meanwhile nobody knows
+         held_back[output], bus_told, thawed_us = 0, false, now_us
+         s.row, s.filter_us = 0, nil -- what it did meanwhile nobody knows
       end
    end
    if sending then
