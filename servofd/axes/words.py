@@ -100,14 +100,28 @@ def reason_of(
     elif at_once is not None:
         text = _differs(name, axis, members, at_once)
     elif status == "healthy" and lost is not None:
-        shown = f"lost share {lost.value:+.2f} [{lost.low:+.2f}, {lost.high:+.2f}]"
-        text = f"{shown}, known in {identifiable:.0%} of the flight{_unusual(lost)}"
+        text = f"{_share_lost(lost)}, known in {identifiable:.0%} of the flight{_unusual(lost)}"
     else:
         text = _not_judged(name, model, members, identifiable, outside, lost)
     if model.days >= _ENOUGH_DAYS:
         return text
     days = "one day" if model.days == 1 else f"{model.days} days"
     return f"{text}; calibrated on {days}: about {axis.false_alarms_per_hour:.2g} false alarms an hour of this axis"
+
+
+def _share_lost(lost: Estimate) -> str:
+    """How much of its effect an axis has lost, with a 95 % interval.
+
+    Examples
+    --------
+    >>> from servofd.estimate.statistics import Estimate
+    >>> _share_lost(Estimate(0.02, -0.04, 0.07)), _share_lost(Estimate(0.1, 0.03, 0.17))
+    ('lost nothing for sure (-4 to 7% of its effect)', 'lost 10% of its effect (3 to 17%)')
+    """
+    low, value, high = (f"{100.0 * share:z.0f}" for share in (lost.low, lost.value, lost.high))
+    if lost.low <= 0.0 <= lost.high:
+        return f"lost nothing for sure ({low} to {high}% of its effect)"
+    return f"lost {value}% of its effect ({low} to {high}%)"
 
 
 def _unusual(lost: Estimate) -> str:
