@@ -16,7 +16,7 @@ _LEAST_SPEED, _LIVELIER = 1.0 / 3.0, 1.5
 """Motion so much larger shows that much less of a loss."""
 _MARGIN = 1.2
 _FARTHEST_DEG = 30.0
-"""No control surface moves much further to either side: whoever would have to, lacks a narrower threshold and not motion."""
+"""No control surface moves much further to either side: one that would have to needs a narrower threshold."""
 _NAMES = {
     "bias_deg": "offset",
     "slow_share": "speed",
