@@ -75,9 +75,12 @@ SMALLEST = {
     "friction_deg": 0.08,
     "backlash_deg": 0.12,
     "bias_deg": 0.2,
+    "droop_deg": 0.1,
     "load_friction": 0.03,
 }
-"""What is smaller is the difference between two servos of a type, or no servo's at all; by field of `Physics`."""
+"""What is smaller is the difference between two servos of a type, or no servo's at all; by field of `Physics`.
+
+A weight that turns the shaft by less than the least step of its pulses (1 us: 0.1 deg) can be nobody's finding."""
 SURPRISE = {
     "clock_offset": 4.0,
     "damping": 8.0,
