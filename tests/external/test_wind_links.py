@@ -112,3 +112,20 @@ def test_a_healthy_flight_has_no_alarm(plane: Aircraft, link: str) -> None:
     disturbed = told(plane, ALL[link](frames("d_ok2")))
     assert alarms(disturbed) == []
     assert most_outages(disturbed) == 0
+
+
+def test_a_jam_and_both_slow_elevators_are_told_at_the_same_times_10_s_late(plane: Aircraft) -> None:
+    """An aileron is stuck from 95.08 s on, both elevators have three times their lag from 210.09 s on."""
+    seen = frames("d_f2")
+    on_time, late = told(plane, seen), told(plane, LINKS["10 s late"](seen))
+    assert {surface for surface, _ in alarms(on_time)} == {"servo_9", "servo_2", "servo_10"}
+    assert alarms(on_time)[0][1] < 95.08 + 1.0
+    assert same(alarms(late), alarms(on_time))
+    assert most_outages(late) == 0
+
+
+def test_of_an_aileron_that_jams_nothing_else_is_told(plane: Aircraft) -> None:
+    """From 120.08 s on, in another aeroplane of the kind."""
+    ((surface, at_s),) = alarms(told(plane, frames("d_f1")))
+    assert surface == "servo_1"
+    assert 120.08 < at_s < 121.0
