@@ -360,7 +360,7 @@ def _unpredicted(surface: Surface, segment: Segment) -> str:
     record = "record a minute of full and free control movements with this surface, brisk and slow"
     share = surface.model.explained_share
     if asked_deg < _HARDLY_ASKED_DEG:
-        return f"its command stays within {asked_deg:.2g} deg, so that nothing tells how it would follow: {record}"
+        return f"its command stays within {asked_deg:.2g} deg, too little motion to tell how it would follow: {record}"
     if moved_deg < _HARDLY_MOVED * asked_deg:
         return (
             f"its position stays within {moved_deg:.2g} deg while its command moves by {asked_deg:.2g} deg: jammed "
