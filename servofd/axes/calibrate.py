@@ -281,9 +281,10 @@ class _Setting:
         """Tail of flights of which neither the model, nor the covariances, nor the largest J have seen the day.
 
         A covariance that has seen a strange day calls it usual: the tail by which trials are compared is too short.
-        Of fewer days than four too few are left to tell what days differ by: then it is the one there is.
+        Of fewer days than four too few are left to tell what days differ by, and of fewer flights than eight how
+        steeply the tail falls: then it is the one there is.
         """
-        if trial.tail.days < _DAYS_TO_LEAVE_OUT:
+        if trial.tail.days < _DAYS_TO_LEAVE_OUT or len(self.flights) < _FLIGHTS_TO_LEAVE_OUT:
             return trial.tail
         rate_hz, tops = self.flights[0].rate_hz, np.zeros(len(self.flights))
         for group in dict.fromkeys(self.groups):
@@ -498,6 +499,9 @@ _LEAST_DAYS = 2
 _DAYS_TO_LEAVE_OUT = 4
 """With three days of the test aeroplane, judged by two, the level for one false alarm in three hours was 30 times the
 calibration's largest statistic, and hid a trim that changed by 60 us."""
+_FLIGHTS_TO_LEAVE_OUT = 8
+"""As many as the rate was measured with: 4 false alarms in 6 h where 6 were predicted. With four flights of aeroplanes
+that differ two of four jams were no longer found."""
 _FEW_DAYS = {1: 17.0, 2: 6.0, 3: 1.5}
 """Flights of one day tell too little of the next: false alarms at the same multiple of the calibration's largest
 statistic, over those after four days. Measured on five days of a real aircraft (ALFA): 35.6, 12.1, 3.1 and 2.1 an hour
