@@ -56,6 +56,8 @@ _LAGS_S = (-0.1, 0.0, 0.1, 0.2, 0.35, 0.5)
 _LATE_SHARE, _LATE_S = 0.7, 6.0
 _FEWEST_SAMPLES = 30
 _JOINED_S = 6.0
+_SEEN_SAMPLES = 5
+"""What a window shows in its last samples alone may be a reading that jumped."""
 _FLOATS_S, _WAVE_SAMPLES = 4.0, 40
 """A motion that is strange for less may be a load, and two jerks between two rows of a slow log look like a wave."""
 _FOLLOWED_S, _AROUND_S, _MOSTLY, _NEAR_DEG, _ALONG = 10.0, 1.0, 95.0, 1.25, 0.4
@@ -333,7 +335,7 @@ def _strange(flight: _Flight, rows: slice) -> _Stretch | None:
         return _Stretch("oscillation", *span, {"amplitude_deg": amplitude_deg, "frequency_hz": frequency_hz})
     moved = flight.measured_deg[rows]
     held_up = float(error.min()) > 1.0 or float(error.max()) < -1.0  # from one side, by a load or an obstacle
-    if held_up or span[1] - span[0] < _MISSED_S:  # the next window tells
+    if held_up or span[1] - span[0] < _SEEN_SAMPLES * flight.usual_s:  # the next window tells
         return None
     asked_deg, moved_deg = float(np.std(asked)), float(np.std(moved))
     slope, explained = _best_slope(flight, rows)

@@ -276,13 +276,12 @@ def _finished(
     sigma = noise.sigma_deg(np.concatenate(speeds))
     left = _left_out(records, error, slope, sigma, noise, ~_NONE_HELD)
     lengthened = _colour_length(noise)
-    covariance: FloatArray = np.linalg.inv(
-        (slope * (_weight(error, sigma) / lengthened)[:, None]).T @ slope + np.diag(_SIGMAS**-2.0)
-    )
+    curvature = (slope * (_weight(error, sigma) / lengthened)[:, None]).T @ slope + np.diag(_SIGMAS**-2.0)
+    covariance = np.asarray(np.linalg.inv(curvature), dtype=np.float64)
     unseen = lengthened * _unseen_speed(records, theta, reach_deg, error, sigma)
     covariance[_RATE, _RATE] = max(covariance[_RATE, _RATE], min(unseen, float(_SIGMAS[_RATE]) ** 2))
     near = np.array([each for each, its in tried if its - cost < _NEAR * lengthened])
-    apart = np.hypot(0.5 * (near.max(axis=0) - near.min(axis=0)), 0.5 * (left.changes[0] - left.changes[1]))
+    apart: FloatArray = np.hypot(0.5 * (near.max(axis=0) - near.min(axis=0)), 0.5 * (left.changes[0] - left.changes[1]))
     cuts = np.cumsum([e.size for e in errors])[:-1]
     power = float(np.var(np.concatenate([r.measured_deg[r.usable] for r in records])))
     share = 1.0 - float(np.mean(left.error_deg**2)) / power if power > 0.0 else 0.0
