@@ -49,10 +49,11 @@ def resolved(log: FlightLog, aircraft: Aircraft) -> Aircraft:
     return aircraft.model_copy(update={"surfaces": surfaces})
 
 
-def streamed(aircraft: Aircraft) -> Aircraft:
+def streamed(aircraft: Aircraft, *, has_card: bool = False) -> Aircraft:
     """Return the same aircraft with the channels of telemetry, where a surface names its output or channels of a log.
 
-    A command that servos repeat in degrees becomes the pulse that asks for it; without that pulse it stays.
+    A command that servos repeat in degrees becomes the pulse that asks for it; without that pulse it stays. Where the
+    log on the card comes as well (`has_card`), its channels stay.
 
     Examples
     --------
@@ -66,7 +67,7 @@ def streamed(aircraft: Aircraft) -> Aircraft:
     >>> rudder.command.channel, rudder.command.slope_deg_per_us, rudder.measured.channel
     ('SERVO_OUTPUT_RAW.servo4_raw', 0.2, 'NAMED_VALUE_FLOAT[SRVP4].value')
     """
-    surfaces = {name: _streamed(surface) for name, surface in aircraft.surfaces.items()}
+    surfaces = {name: _streamed(surface, has_card=has_card) for name, surface in aircraft.surfaces.items()}
     return aircraft.model_copy(update={"surfaces": surfaces})
 
 
@@ -160,13 +161,13 @@ def _measured(log: FlightLog, known: Calibration | None, pair: Pair) -> Calibrat
     return DegreeCalibration(channel=channel, unit="deg", sign=sign, correction=correction, trim_deg=trim_deg)
 
 
-def _streamed(surface: Surface) -> Surface:
+def _streamed(surface: Surface, *, has_card: bool) -> Surface:
     number = output_of(surface)
     if number is None:
         return surface
     command, measured = surface.command, surface.measured
     change: dict[str, object] = {}
-    if not command.channel or _OF_A_LOG.match(command.channel):
+    if not command.channel or (not has_card and _OF_A_LOG.match(command.channel)):
         pulse = _pulse(command) if isinstance(command, DegreeCalibration) else command
         if pulse is not None:
             message, rest = divmod(number - 1, _OUTPUTS_OF_A_MESSAGE)
@@ -175,7 +176,7 @@ def _streamed(surface: Surface) -> Surface:
     channel = f"NAMED_VALUE_FLOAT[SRVP{number}].value"
     if measured is None and surface.output is not None:
         change["measured"] = DegreeCalibration(channel=channel, unit="deg")
-    elif isinstance(measured, DegreeCalibration) and _OF_A_LOG.match(measured.channel):
+    elif not has_card and isinstance(measured, DegreeCalibration) and _OF_A_LOG.match(measured.channel):
         change["measured"] = measured.model_copy(update={"channel": channel})
         change["alive"] = ()
     return surface.model_copy(update=change)

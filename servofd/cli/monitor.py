@@ -23,6 +23,9 @@ _VIEWER_PORT = 9876
 _ADDRESS, _PORT = whole("an id from 1 to 255", 1, 255), whole("a port from 1 to 65535", 1, 65_535)
 _LASTING, _SPEED = number("a positive number of seconds", SMALLEST), number("a positive number, or 0", 0.0, LARGEST)
 
+_ON_THE_CARD, _HEAD_BYTES = b"CSRV", 16_000_000
+"""A log that holds what ArduPilot writes on its card names this message in its beginning."""
+
 
 def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
     """Declare the verb."""
@@ -67,9 +70,11 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
 def run(options: argparse.Namespace) -> int:
     """Watch until the end, then say what was found."""
     from servofd.core.errors import ConfigError
+    from servofd.core.files import beginning
 
-    aircraft = _aircraft(options.config)
     is_log = Path(options.endpoint).is_file()
+    has_card = options.dataflash or (is_log and _ON_THE_CARD in beginning(Path(options.endpoint), _HEAD_BYTES))
+    aircraft = _aircraft(options.config, has_card=has_card)
     if options.dataflash and options.no_request:
         raise ConfigError("--dataflash has to ask for the log, which --no-request forbids")
     if options.dataflash and is_log:
@@ -211,7 +216,8 @@ def _verdict(session: Session) -> int:
     return 2
 
 
-def _aircraft(names: list[str]) -> dict[int, Aircraft]:
+def _aircraft(names: list[str], *, has_card: bool) -> dict[int, Aircraft]:
+    """The aircraft by system; channels of the log on the card become those of telemetry where it does not come."""
     from servofd.aircraft.resolve import streamed
     from servofd.aircraft.schema import load_aircraft
     from servofd.core.errors import ConfigError
@@ -229,5 +235,5 @@ def _aircraft(names: list[str]) -> dict[int, Aircraft]:
                 f"{path if system else name}: {', '.join(unnamed)}: no servo is named; name one (servo = ...), or let "
                 "'servofd calibrate' make the file from a good flight"
             )
-        known[system] = streamed(aircraft)
+        known[system] = streamed(aircraft, has_card=has_card)
     return known

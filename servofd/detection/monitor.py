@@ -163,6 +163,8 @@ class SurfaceMonitor:
     """Time of the last command that the listener was told of [s]."""
     _begun_s: float = float("inf")
     _judged_s: float = 0.0
+    _valued_s: float = -np.inf
+    """Time of the last position that had a value [s]."""
     """Since when positions were evaluated, and how long they were judged [s]."""
     _command_period_s: float = float("nan")
     _off_pace: int = 0
@@ -458,18 +460,20 @@ class SurfaceMonitor:
         """Follow the pace of the positions; a new one means to begin anew."""
         if not seen:
             return []
-        self._recent.extend(time_s for time_s, value in seen if np.isfinite(value))
+        for time_s, value in seen:
+            if np.isfinite(value) and not (self._recent and time_s <= self._recent[-1]):
+                self._recent.append(time_s)
         if self._stream is None or len(self._recent) <= WARM_UP_STEPS:
             return []
         self._off_pace += len(seen)
         if self._off_pace < WARM_UP_STEPS:
             return []
         self._off_pace = 0
-        thin, time_s = self._thin, self._recent[-1]
+        thin, latest_s = self._thin, self._recent[-1]
         if thin:
             events = self.restart()
             self.problem, self._told_slow = thin, True
-            return [*events, Event(time_s, self.name, "no_data", text=thin)]
+            return [*events, Event(latest_s, self.name, "no_data", text=thin)]
         mean_s = (self._recent[-1] - self._recent[0]) / WARM_UP_STEPS
         now = float(np.median(np.diff(np.array(self._recent)))) / self._paces_s[0]
         most = _SAME_PACE if self._least_hz == SLOWEST_RATE_HZ else _SAME_LEFT
@@ -477,7 +481,7 @@ class SurfaceMonitor:
         if same or mean_s / self._paces_s[0] > 10.0 * now:
             return []
         text = f"positions now come at {self.rate_hz:.3g} Hz, not {1.0 / self._paces_s[0]:.3g} Hz; begins anew"
-        return [*self.restart(), Event(time_s, self.name, "no_data", text=text)]
+        return [*self.restart(), Event(latest_s, self.name, "no_data", text=text)]
 
     @property
     def _thin(self) -> str:
@@ -595,8 +599,12 @@ class SurfaceMonitor:
                 self._looks_s = sorted([*self._looks_s, *(time_s + after_s for after_s in _LOOKS_S)])
         events += self._recovered(piece)
         self._suspect(piece)
-        steps_s = np.diff(residuals.time_s, prepend=self.reading.time_s if self.reading else residuals.time_s[0])
-        self._judged_s += float(np.minimum(steps_s, _OUTAGE_S)[residuals.settled].sum())
+        valued = np.isfinite(residuals.measured_deg)
+        if valued.any():
+            valued_s = residuals.time_s[valued]
+            steps_s = np.diff(valued_s, prepend=self._valued_s if np.isfinite(self._valued_s) else valued_s[0])
+            self._judged_s += float(np.minimum(steps_s, _OUTAGE_S)[residuals.settled[valued]].sum())
+            self._valued_s = float(valued_s[-1])
         last = int(residuals.time_s.size) - 1
         commands = self._stream.logged.commands().command_deg
         if self.listener is not None:
