@@ -131,7 +131,7 @@ def test_named_value_float_cannot_be_requested_and_each_try_is_told_to_everybody
             assert texts.count("No ap_message for mavlink id (251)") == tries
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_dataflash_client_is_dropped_after_10_s_without_acknowledgement_until_it_starts_again() -> None:
     """Ten of the clock, however fast the flight goes."""
     with linked(duration_s=200.0) as (ground, _, _):

@@ -54,8 +54,8 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ("failure", "kinds"),
     [
         (None, []),
-        (Failure("bias", "rudder", 36.0, 4.0), []),
-        (Failure("slow", "rudder", 36.0, 0.5), []),
+        pytest.param(Failure("bias", "rudder", 36.0, 4.0), [], marks=pytest.mark.nightly),
+        pytest.param(Failure("slow", "rudder", 36.0, 0.5), [], marks=pytest.mark.nightly),
         (Failure("stuck", "rudder", 36.0), ["stuck"]),
     ],
     ids=["healthy", "bias", "slow", "stuck"],

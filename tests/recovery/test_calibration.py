@@ -164,7 +164,7 @@ def test_a_flight_that_turns_bad_is_refused() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [200, 206])
+@pytest.mark.parametrize("seed", [200, pytest.param(206, marks=pytest.mark.nightly)])
 def test_a_fault_of_any_kind_in_the_middle_of_a_good_flight_is_refused_with_its_time(seed: int) -> None:
     """A good and a cheap servo; each fault bends the servo that is fitted to the whole flight."""
     for place, kind in enumerate(SIZES):
