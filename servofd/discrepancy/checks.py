@@ -21,7 +21,8 @@ _MOTION_OF_NOISE, _SMALLEST_MOTION_DEG = 2.0, 0.1
 _SAME, _SHIFT_S = 0.9, 0.1
 """Share of the position that a multiple of what was asked tells, by so much earlier or later: of another servo. Of one
 that is too slow for its command (25 to 70 deg/s, 200 logs) none is told by more than 0.7 and a multiple below 0.5."""
-_GAINS = (0.3, 1.7)
+_GAINS, _LATE_GAINS = (0.3, 1.7), (0.15, 3.4)
+"""A servo of low gain that lags behind a large command moves by 0.29 of it (a smart servo under a weight)."""
 _SWAPPED = 0.5
 
 
@@ -65,7 +66,8 @@ def _check_scale(asked: FloatArray, measured: FloatArray, shift: int) -> None:
         spread = np.cov(asked[shift - late : shift - late + at.size], at)
         gain = float(spread[0, 1] / max(spread[0, 0], 1e-300))
         likeness = float(spread[0, 1] ** 2 / max(spread[0, 0] * spread[1, 1], 1e-300))
-        if likeness > _SAME and not _GAINS[0] <= gain <= _GAINS[1]:
+        low, high = _LATE_GAINS if late else _GAINS
+        if likeness > _SAME and not low <= gain <= high:
             what = "sign" if gain < 0.0 else "scale"
             raise NoMeasurement(f"position is {gain:.3g}x the command throughout: check the {what} of the calibration")
 
