@@ -405,7 +405,10 @@ def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would
                         y1, v1 = stop_upper, min(v1, 0.0)
                     elif y1 < stop_lower:
                         y1, v1 = stop_lower, max(v1, 0.0)
-                if linked:
+                if linked and noted == notes.shape[0]:  # it chatters more often than is noted: the last note goes on
+                    notes[noted - 1, 0] += h
+                    notes[noted - 1, 3], notes[noted - 1, 4] = dc_gain * y1, dc_gain * v1
+                elif linked:
                     notes[noted, 0], notes[noted, 1], notes[noted, 3] = h, dc_gain * y, dc_gain * y1
                     notes[noted, 2], notes[noted, 4] = dc_gain * v, dc_gain * v1
                     if order == 1 and fine_s == math.inf:
