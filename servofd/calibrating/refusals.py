@@ -42,8 +42,8 @@ _ADVICE: Final = "leave that part out (--until, --between), or the surface (-s)"
 _POOR, _DOUBTFUL = 0.6, 0.9
 _BEGINNINGS: Final = (1.0 / 3.0, 1.0 / 6.0, 1.0 / 12.0)
 """Shares of a flight that are taken to be good, the shorter ones where no servo explains the whole: of 36 flights of
-four aircraft of even seed with a large fault in the middle, 34 are refused and told when and what (25 without, 12 of
-them with another reason), of 36 with a medium one 24; of 32 good ones none."""
+four aircraft of even seed with a large fault in the middle all are refused and told when and what (25 without, 12 of
+them with another reason), of 36 with a medium one 24; of 188 good ones none."""
 
 
 def hardly_moved(flights: Sequence[Flight]) -> str:

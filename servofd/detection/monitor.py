@@ -27,9 +27,11 @@ from servofd.core.frozen import Republished
 from servofd.detection.bank.confirm import SURE
 from servofd.detection.calibrated_stream import CalibratedStream
 from servofd.detection.events import Alarm, Event, Inputs, Look, Reading
+from servofd.detection.judged_time import JudgedTime
 from servofd.detection.quiet import Quiet
 from servofd.detection.residual import ResidualGenerator, rhythm, thinned_rhythm
 from servofd.detection.stream import Stream
+from servofd.detection.words import EXPLAINED
 from servofd.servo.context import NO_CONTEXT, Context
 
 if TYPE_CHECKING:
@@ -101,13 +103,6 @@ _LONGEST_WAIT = 6_000
 """Samples that are kept while a position that has never changed may still turn out to be one."""
 
 
-_EXPLAINED = {
-    "": "the tolerances of a working servo explain it",
-    "fitted": "what followed contradicts no servo",
-}
-"""Why an alarm is taken back; by the origin of its model."""
-
-
 @dataclass(slots=True)
 class SurfaceMonitor:
     """One surface, from its first sample on.
@@ -162,9 +157,7 @@ class SurfaceMonitor:
     _passed_on_s: float = -np.inf
     """Time of the last command that the listener was told of [s]."""
     _begun_s: float = float("inf")
-    _judged_s: float = 0.0
-    _valued_s: float = -np.inf
-    """Time of the last position that had a value [s]."""
+    _judged: JudgedTime = field(default_factory=JudgedTime)
     """Since when positions were evaluated, and how long they were judged [s]."""
     _command_period_s: float = float("nan")
     _off_pace: int = 0
@@ -246,7 +239,7 @@ class SurfaceMonitor:
             return self.suspended or self.outage or self.problem
         if self.reading is None or not self.was_judged:
             return "never judged"
-        share = self._judged_s / max(self.reading.time_s - self._begun_s, 1e-9)
+        share = self._judged.seconds / max(self.reading.time_s - self._begun_s, 1e-9)
         return f"judged for {share:.0%} of the time" if share < _MOST else ""
 
     @property
@@ -396,7 +389,7 @@ class SurfaceMonitor:
             stood, alarm.dismissed, alarm.stands, alarm.fault = alarm.stands, True, False, None
             alarm.kind = "unknown" if problem else "healthy"
             if stood:
-                text = problem or _EXPLAINED["fitted" if self._is_fitted else ""]
+                text = problem or EXPLAINED["fitted" if self._is_fitted else ""]
                 events.append(Event(now_s, self.name, "clear", alarm.kind, text=text))
         return events
 
@@ -599,12 +592,7 @@ class SurfaceMonitor:
                 self._looks_s = sorted([*self._looks_s, *(time_s + after_s for after_s in _LOOKS_S)])
         events += self._recovered(piece)
         self._suspect(piece)
-        valued = np.isfinite(residuals.measured_deg)
-        if valued.any():
-            valued_s = residuals.time_s[valued]
-            steps_s = np.diff(valued_s, prepend=self._valued_s if np.isfinite(self._valued_s) else valued_s[0])
-            self._judged_s += float(np.minimum(steps_s, _OUTAGE_S)[residuals.settled[valued]].sum())
-            self._valued_s = float(valued_s[-1])
+        self._judged.take(residuals.time_s, residuals.measured_deg, residuals.settled)
         last = int(residuals.time_s.size) - 1
         commands = self._stream.logged.commands().command_deg
         if self.listener is not None:

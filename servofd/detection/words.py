@@ -24,6 +24,12 @@ _SLOW = {
 }
 _SURE = 0.95
 
+EXPLAINED = {
+    "": "the tolerances of a working servo explain it",
+    "fitted": "what followed contradicts no servo",
+}
+"""Why an alarm is taken back; by the origin of its model."""
+
 
 def describe(fault: Fault) -> str:
     """One clause: what, since when, until when, how sure.
