@@ -24,6 +24,9 @@ that is too slow for its command (25 to 70 deg/s, 200 logs) none is told by more
 _GAINS, _LATE_GAINS = (0.3, 1.7), (0.15, 3.4)
 """A servo of low gain that lags behind a large command moves by 0.29 of it (a smart servo under a weight)."""
 _SWAPPED = 0.5
+_STANDS, _FOLLOWS, _CLEARLY_DEG = 0.12, 0.05, 0.5
+"""Swing of a servo that stands (that of its noise) and the share that it follows, both over what it was asked, which
+must be so much [deg]."""
 
 
 def check(record: Record) -> None:
@@ -55,7 +58,19 @@ def check(record: Record) -> None:
             f"hardly asked to move ({float(np.std(asked)):.2g} deg rms, noise {noise:.2g} deg): no effect can show; "
             "fly doublets of several degrees"
         )
+    _check_motion(asked, measured)
     _check_order(record)
+
+
+def _check_motion(asked: FloatArray, measured: FloatArray) -> None:
+    """Refuse a position that stands still all along though the servo was clearly asked to move."""
+    asked_deg, moved_deg = float(np.std(asked)), float(np.std(measured))
+    followed = abs(float(np.cov(asked, measured)[0, 1])) / max(asked_deg, _CLEARLY_DEG) ** 2
+    if asked_deg > _CLEARLY_DEG and moved_deg < _STANDS * asked_deg and followed < _FOLLOWS:
+        raise NoMeasurement(
+            f"position stands still ({moved_deg:.2g} deg rms) where {asked_deg:.2g} deg rms were asked: jammed, "
+            "without power, or no reading of this servo; no effect can show"
+        )
 
 
 def _check_scale(asked: FloatArray, measured: FloatArray, shift: int) -> None:

@@ -168,6 +168,8 @@ def _widened(search: Search, root: Fit) -> None:
         for base in beam:
             least = min(f.misfit for f in search.visited.values())
             search.grow(base, least + 40.0)
+            if base is best and not record.free_poles:
+                search.delayed(base, least + 40.0)
             if base is best and _suffices(search, best, size + 1):
                 break
         if not record.free_poles:
@@ -187,9 +189,12 @@ def _widened(search: Search, root: Fit) -> None:
                     search.grow(fewer, min(f.misfit for f in search.visited.values()) + 40.0)
         best = best if record.free_poles else search.visited[best.key]
         longer = _best_of_size(search, size + 1)
+        if not longer:  # what stands at its bound alone may be driven there by what comes next
+            beam = _beyond_bounds(search, size + 1)
+            continue
         if _needed(search, best, longer):
             best = longer[0]
-        elif not longer or record.runs or not record.free_poles or _beyond_noise(search, longer[0]) == 0.0:
+        elif record.runs or not record.free_poles or _beyond_noise(search, longer[0]) == 0.0:
             return
         # What lacks an effect remembers it, and few samples count of it: in a single run of a servo that nobody knows,
         # where more than noise is left, go on.
@@ -276,6 +281,13 @@ def _best_of_size(search: Search, size: int, *, harmless: bool = False) -> list[
             if key not in best or _cost(search, fit) < _cost(search, best[key]):
                 best[key] = fit
     return sorted(best.values(), key=lambda fit: _cost(search, fit))
+
+
+def _beyond_bounds(search: Search, size: int) -> list[Fit]:
+    """Of the fits of a size with a number at its bound the likeliest, if it takes away most of what is there."""
+    most_deg2 = _MOST_LEFT * search.visited[((), INSIDE)].run_deg2.sum()
+    there = [fit for fit in search.visited.values() if len(fit.effects) == size and fit.run_deg2.sum() < most_deg2]
+    return sorted(there, key=lambda fit: _cost(search, fit))[:_BEAM]
 
 
 def _harms(search: Search, fit: Fit) -> bool:

@@ -95,6 +95,19 @@ def test_a_constant_command(gain: float, tmp_path: Path, capsys: pytest.CaptureF
 
 
 @pytest.mark.parametrize("options", [(), KNOWN], ids=["unknown", "known"])
+def test_a_position_that_stands_still(
+    options: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = table(tmp_path / "log.csv")
+    header, *rows = path.read_text().splitlines()
+    noisy = [f"{row.rsplit(',', 1)[0]},{3.0 + 0.05 * (k * k % 7):.5f}" for k, row in enumerate(rows)]
+    path.write_text("\n".join([header, *noisy]) + "\n")
+    said_of_it = refused(path, capsys, *options)
+    assert "position stands still" in said_of_it
+    assert "jammed, without power, or no reading of this servo" in said_of_it
+
+
+@pytest.mark.parametrize("options", [(), KNOWN], ids=["unknown", "known"])
 def test_swapped_columns(options: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = table(tmp_path / "log.csv")
     path.write_text(path.read_text().replace("x_cmd_deg,x_pos_deg", "x_pos_deg,x_cmd_deg"))
