@@ -67,8 +67,8 @@ share of a step too: real servos differ from a linear one by as much."""
 _COLOURLESS = 0.6
 """Share of the samples that count in full where the noise has no colour to speak of."""
 _DECLARED, _NEGLIGIBLE = 0.95, 1e-3
-"""Share of the probability that the declared names of one log hold: most logs leave no doubt, so that over all logs they
-hold 99.5 % (251 logs of even seeds, where 8.0 first names should be wrong and 10 are)."""
+"""Share of the probability that the declared names of one log hold: most logs leave no doubt, so that over all logs
+they hold 99.5 % (251 logs of even seeds, where 8.0 first names should be wrong and 10 are)."""
 _WORSE = 9.0
 """Times the mean square of a run, and of the noise, that an effect must not leave."""
 
