@@ -11,6 +11,8 @@ from servofd.aircraft.outputs import LoggedOutput
 from servofd.aircraft.pairs import find_pairs, pulse_channel
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from logparsers.records import FlightLog
     from servofd.aircraft.calibration import Calibration
     from servofd.aircraft.pairs import Pair
@@ -21,6 +23,9 @@ _HALF_TRAVEL_US = 500.0
 _OUTPUTS_OF_A_MESSAGE = 16
 _OF_A_LOG = re.compile(r"RCOU|RCO[23]|CSRV\[|NVF\[")
 """Channels that autopilots write into their own logs and do not send."""
+_OTHER_PATH_S = 0.06
+"""On the link of an ArduPlane, from its pulses to the positions that a script sends, six servos on one bus were 45 to
+73 ms later than in its log, from the command that a servo repeats to its position (software in the loop)."""
 
 
 def resolved(log: FlightLog, aircraft: Aircraft) -> Aircraft:
@@ -71,6 +76,22 @@ def streamed(aircraft: Aircraft, *, has_card: bool = False) -> Aircraft:
     return aircraft.model_copy(update={"surfaces": surfaces})
 
 
+def of_other_messages(names: Sequence[str]) -> str:
+    """Say what a calibration on other messages is worth for these surfaces; nothing if there are none.
+
+    Examples
+    --------
+    >>> of_other_messages(["rudder"])[:73]
+    'rudder: calibrated on other messages than these, which have delays of the'
+    """
+    if not names:
+        return ""
+    return (
+        f"{', '.join(names)}: calibrated on other messages than these, which have delays of their own: judged within "
+        "wide tolerances; a file that 'servofd calibrate' makes of such a log would show smaller faults"
+    )
+
+
 def _by_output(log: FlightLog, aircraft: Aircraft) -> dict[int, Pair]:
     """What a log has of each output of the aircraft.
 
@@ -103,7 +124,7 @@ def _resolved(log: FlightLog, surface: Surface, pairs: dict[int, Pair]) -> Surfa
     if pair is not None and (surface.measured is None or surface.measured.channel not in log.channels):
         change["measured"] = _measured(log, surface.measured, pair)
         change["alive"] = pair.position.alive
-    return surface.model_copy(update=change)
+    return _changed(surface, change)
 
 
 def _command(log: FlightLog, known: Calibration, number: int, pair: Pair | None) -> Calibration | None:
@@ -179,4 +200,16 @@ def _streamed(surface: Surface, *, has_card: bool) -> Surface:
     elif not has_card and isinstance(measured, DegreeCalibration) and _OF_A_LOG.match(measured.channel):
         change["measured"] = measured.model_copy(update={"channel": channel})
         change["alive"] = ()
+    return _changed(surface, change)
+
+
+def _changed(surface: Surface, change: dict[str, object]) -> Surface:
+    """The same surface by other messages, which tell of the same motion at times of their own.
+
+    What its good flights were like says nothing of these times: its linear servo judges it, within wide tolerances.
+    """
+    if change and surface.calibrated is not None:
+        known = surface.tolerances
+        change |= {"calibrated": None, "by_other_messages": True, "suspicions": False}
+        change["tolerance"] = known.model_copy(update={"delay_s": known.delay_s + _OTHER_PATH_S})
     return surface.model_copy(update=change)

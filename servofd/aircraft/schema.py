@@ -116,6 +116,8 @@ class Surface(_Entry):
     """Where the servo's model comes from: a servo that a file names is ``named`` unless it says otherwise."""
     calibrated: CalibratedServo | None = None
     """What ``servofd calibrate`` fitted to good flights; judged by it unless a constant threshold is asked for."""
+    by_other_messages: bool = False
+    """Whether it was calibrated, on other messages than those that a log or link has of it."""
 
     @property
     def tolerances(self) -> Tolerance:

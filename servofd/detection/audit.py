@@ -174,7 +174,7 @@ def audit_segment(
     if surface.model.origin == "none":
         return _without_model(generator, segment, surface, verdict)
     segment, residuals, notes = prepared(generator, segment)
-    notes = (*notes, *_left_out(generator.model, segment), *_unusual_scale(surface))
+    notes = (*notes, *_left_out(generator.model, segment), *_unusual_scale(surface), *_by_other_messages(surface))
     judged_s = _judged_s(residuals, generator.longest_gap_s(segment))
     problem = _not_judged(judged_s, residuals)
     if problem:
@@ -272,6 +272,12 @@ def _unusual_scale(surface: Surface) -> tuple[str, ...]:
     if _USUAL_GAINS[0] <= gain <= _USUAL_GAINS[1]:
         return ()
     return (f"its position moves by {gain:.2f} times its command throughout: a scale, or travel lost before this log",)
+
+
+def _by_other_messages(surface: Surface) -> tuple[str, ...]:
+    """That the calibration of a surface knows nothing of the times of this log."""
+    note = "calibrated on other messages than this log has: judged within wide tolerances"
+    return (note,) if surface.by_other_messages else ()
 
 
 def _is_expected(log: FlightLog, aircraft: Aircraft, name: str) -> bool:
@@ -445,6 +451,8 @@ _FEWEST, _MOST_SHARE = 3, 0.6
 _FROZEN = ("stuck", "hardover", "deadband", "floating")
 _AT_START_S = 5.0
 _FROZEN_SAMPLES = 5
+_ASKED_DEG = 0.5
+"""Readings of a servo that is asked to move so far change: none is coarser."""
 
 
 def with_common_causes(surfaces: Sequence[SurfaceAudit]) -> tuple[SurfaceAudit, ...]:
@@ -461,9 +469,10 @@ def with_common_causes(surfaces: Sequence[SurfaceAudit]) -> tuple[SurfaceAudit, 
     result = list(surfaces)
     for at_s in instants_s:
         together = [s for s in result if any(_is_at(_since_s(s, fault), at_s) for fault in s.faults)]
-        if len(together) < _FEWEST or len(together) < _MOST_SHARE * len(judged):
+        still = [s for s in judged if s not in together and _stands_still(s, at_s)]
+        if not together or len(together) + len(still) < max(_FEWEST, _MOST_SHARE * len(judged)):
             continue
-        text = _sentence(together, at_s)
+        text = _sentence(together, at_s, len(still))
         result = [_shared(s, at_s, text) if s in together else s for s in result]
     return tuple(result)
 
@@ -482,19 +491,30 @@ def _since_s(surface: SurfaceAudit, fault: Fault) -> float:
     return min(fault.start_s, float(time_s[seen[first]])) if frozen else fault.start_s
 
 
+def _stands_still(surface: SurfaceAudit, at_s: float) -> bool:
+    """Whether its readings froze to the last bit at this time although it was asked to move, which raised no alarm."""
+    seen = surface.residuals
+    if seen is None:
+        return False
+    begin, end = np.searchsorted(seen.time_s, (at_s + _TOGETHER_S, at_s + 2.0 * _TOGETHER_S))
+    froze = end - begin >= _FROZEN_SAMPLES and np.ptp(seen.measured_deg[begin:end]) == 0.0
+    return bool(froze and np.ptp(seen.simulated_deg[begin:end]) > _ASKED_DEG)
+
+
 def _is_at(start_s: float, at_s: float) -> bool:
     return 0.0 <= start_s - at_s <= _TOGETHER_S
 
 
-def _sentence(together: Sequence[SurfaceAudit], at_s: float) -> str:
-    """What happened to all of them, and what to look at."""
+def _sentence(together: Sequence[SurfaceAudit], at_s: float, still: int) -> str:
+    """What happened to all of them, of which so many stood still without a fault, and what to look at."""
     kinds = [fault.kind for s in together for fault in s.faults if _is_at(_since_s(s, fault), at_s)]
     ends = [fault.end_s for s in together for fault in s.faults if _is_at(_since_s(s, fault), at_s)]
     first_s = min(float(s.residuals.time_s[0]) for s in together if s.residuals is not None)
-    start = f"{len(together)} surfaces left their models together at {at_s:.2f} s, which is one cause and no servo's:"
+    count = len(together) + still
+    start = f"{count} surfaces left their models together at {at_s:.2f} s, which is one cause and no servo's:"
     if at_s - first_s <= _AT_START_S:
         return f"{start} look for a wrong servo type, calibration or pairing (--servo unknown fits servos to this log)"
-    if sum(kind in _FROZEN for kind in kinds) > 0.5 * len(kinds):
+    if still or sum(kind in _FROZEN for kind in kinds) > 0.5 * len(kinds):
         lasted = [end_s - at_s for end_s in ends if end_s is not None]
         until = f", for {float(np.median(lasted)):.1f} s" if len(lasted) == len(ends) else ""
         return (

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from logparsers.codec import is_signed
+from servofd.aircraft.resolve import of_other_messages
 from servofd.aircraft.schema import plain_aircraft
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.live.alerts import Alerts
@@ -326,9 +327,10 @@ class Session:
         return vehicle.unread() if self._reads[vehicle.system] <= _READS else ()
 
     def _compare(self, vehicle: Vehicle) -> None:
-        """Say once, of each surface, that less comes than its servo needs."""
-        for monitor in vehicle.monitors.values():
-            said = f"{monitor.name}: {monitor.too_slow}" if monitor.too_slow else ""
+        """Say once, of each surface, that less comes than its servo needs, or other messages than it is known by."""
+        said_of = [f"{monitor.name}: {monitor.too_slow}" for monitor in vehicle.monitors.values() if monitor.too_slow]
+        others = [monitor.name for monitor in vehicle.monitors.values() if monitor.surface.by_other_messages]
+        for said in (of_other_messages(others), *said_of):
             if said and said not in self._compared:
                 self.notes.append(said)
                 self._compared.add(said)

@@ -14,6 +14,7 @@ from servofd.core.errors import ConfigError
 from servofd.detection.events import Event, Look
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.surroundings import Surroundings
+from servofd.live.bus import ServoBus
 from servofd.live.channels import ChannelTable
 from servofd.live.clock import VehicleClock
 from servofd.live.remote_log import LOG_SILENCE_S, RemoteLog
@@ -179,6 +180,7 @@ class Vehicle:
     _early: list[tuple[Heard, float]] = field(default_factory=list)
     _samples: dict[str, tuple[Samples, Samples]] = field(default_factory=dict)
     _disorder: Disorder = field(default_factory=Disorder)
+    _bus: ServoBus = field(init=False)
 
     def __post_init__(self) -> None:
         for name, surface in self.aircraft.surfaces.items():
@@ -190,6 +192,7 @@ class Vehicle:
                 self.monitors[name].patience_s = LOG_SILENCE_S
             self._routes.setdefault(surface.command.channel, []).append((name, 0))
             self._routes.setdefault(surface.measured.channel, []).append((name, 1))
+        self._bus = ServoBus.of({name: monitor.surface.command for name, monitor in self.monitors.items()})
         streamed: set[str] = set()
         if self.aircraft.motion is not None:
             from servofd.axes.watch import STREAMED, AxisWatch
@@ -381,6 +384,12 @@ class Vehicle:
             if time_s < self._held_s.get(name, time_s):
                 continue
             self.has_positions |= role == 1
+            if role == 0:
+                self._bus.ask(name, value)
+            elif self._bus.is_old(name, time_s, value):
+                self.news += [self._bus.news] if self._bus.news else []
+                self._bus.news = ""
+                continue
             columns = self._samples.setdefault(name, (([], []), ([], [])))[role]
             columns[0].append(time_s)
             columns[1].append(value)

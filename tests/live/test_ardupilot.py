@@ -64,6 +64,7 @@ TROUBLES: dict[str, tuple[Trouble, ...]] = {
     "a silence": (Silence(12.0, for_s=8.0),),
     "numbers that jump": (Jump(10.0), Jump(20.0, by=100.0)),
     "a frozen bus": (Freeze(18.0), Freeze(22.0)),
+    "a bus frozen for long": (Freeze(18.0, for_s=1.5),),
     "a trim and a direction": (Edit(18.0, "SERVO2_TRIM", 1560.0), Edit(21.0, "SERVO4_REVERSED", 1.0)),
     "travel": (Edit(18.0, "SERVO1_MIN", 1200.0), Edit(19.0, "SERVO1_MAX", 1800.0)),
 }

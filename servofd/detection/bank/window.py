@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from operator import itemgetter
 from statistics import median
 from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol
 
@@ -30,6 +31,8 @@ _SMALLEST_NOISE_DEG = 0.01
 _SMALLEST_TOLERANCE = 1e-6
 _START_SAMPLES = 3
 _PENALTY = 1.5
+_WELL_KNOWN_S, _DELAYS = 0.02, 17
+"""A tolerance of the delay that is no longer than this is as good as linear; so many are tried within a longer one."""
 _FLOOR = 0.5
 
 
@@ -118,6 +121,8 @@ class Window:
         cut = slice(max(first, 0), max(last, 1))  # one at least, even if it takes effect after the window
         near = type(commands)(commands.effective_s[cut], commands.command_deg[cut], commands.slope_deg_s[cut])
         servo = model.servo(residuals.context)
+        if tolerance.delay_s > _WELL_KNOWN_S:
+            near, healthy_deg = _delayed(servo, tolerance, near, time_s, residuals.measured_deg[usable])
         quick, slow = (simulate(servo.slower(1.0 + change), near, time_s) for change in (_SMALL_CHANGE, -_SMALL_CHANGE))
         rate_deg_s = np.gradient(healthy_deg, time_s)
         quickness_deg = (quick - slow) / (2.0 * _SMALL_CHANGE)
@@ -184,6 +189,22 @@ class Window:
 def simulate(servo: AnyServo, commands: Commands, at_s: FloatArray) -> FloatArray:
     """Deflection at given times, from rest at the first command [deg]."""
     return swung(servo, (commands.effective_s, commands.command_deg, commands.slope_deg_s), at_s)
+
+
+def _delayed(
+    servo: AnyServo, tolerance: Tolerance, commands: Commands, time_s: FloatArray, measured_deg: FloatArray
+) -> tuple[Commands, FloatArray]:
+    """Commands as late as fits best within the tolerance, and the healthy deflection under them.
+
+    What a long delay changes is not linear in it.
+    """
+    tried = []
+    for late_s in np.linspace(-tolerance.delay_s, tolerance.delay_s, _DELAYS):
+        later = type(commands)(commands.effective_s + late_s, commands.command_deg, commands.slope_deg_s)
+        healthy_deg = simulate(servo, later, time_s)
+        tried.append((float(np.abs(measured_deg - healthy_deg).sum()), later, healthy_deg))
+    _, later, healthy_deg = min(tried, key=itemgetter(0))
+    return later, healthy_deg
 
 
 def _spread(tolerance: Tolerance) -> FloatArray:
