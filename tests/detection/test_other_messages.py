@@ -92,7 +92,7 @@ def by_its_link(by_its_card: Aircraft) -> Aircraft:
 
 def test_times_of_another_path_are_no_fault(by_its_card: Aircraft, by_its_link: Aircraft) -> None:
     flight = link(flown(2))
-    blamed, known = (servofd.audit(flight, plane).surfaces[0] for plane in (by_its_card, by_its_link))
+    blamed, known = (servofd.audit(flight, plane)[0].surfaces[0] for plane in (by_its_card, by_its_link))
     assert blamed.status in ("suspect", "fault")  # by the times of the card
     assert known.status in ("healthy", "unknown")
     assert known.suspicions == ()
@@ -100,7 +100,7 @@ def test_times_of_another_path_are_no_fault(by_its_card: Aircraft, by_its_link: 
 
 
 def test_a_jam_is_told_and_nothing_after_it(by_its_link: Aircraft) -> None:
-    verdict = servofd.audit(link(flown(3, stuck=True)), by_its_link).surfaces[0]
+    verdict = servofd.audit(link(flown(3, stuck=True)), by_its_link)[0].surfaces[0]
     (fault,) = verdict.faults
     assert fault.kind == "stuck"
     assert STUCK_S[0] < fault.alarm_s < STUCK_S[0] + 2.5

@@ -19,14 +19,16 @@ def old(
 ) -> dict[str, list[float]]:
     """When readings were old ones, in 20 s of slow waves; servos are read less often than that is sent."""
     bus = ServoBus.of(dict.fromkeys(NAMES, PULSE))
-    rng, found, readings = np.random.default_rng(3), {name: [] for name in NAMES}, {}
+    rng = np.random.default_rng(3)
+    found: dict[str, list[float]] = {name: [] for name in NAMES}
+    readings: dict[tuple[int, float | str], float] = {}
     for k in range(round(20.0 / sent_s)):
         at_s = k * sent_s
         refreshed_s = REFRESH_S * np.floor(at_s / REFRESH_S)
         for i, name in enumerate(NAMES):
             asked_deg = 0.0 if i in rest else 15.0 * np.sin(0.9 * (1.0 + 0.3 * i) * at_s)
             bus.ask(name, 1500.0 + asked_deg / 0.2)
-            key = (i, refreshed_s)
+            key: tuple[int, float | str] = (i, refreshed_s)
             moves = i not in rest and not frozen[0] <= at_s < frozen[1] and not (i == jammed and at_s > 8.0)
             if key not in readings and (moves or (i, "now") not in readings):
                 readings[key] = readings[i, "now"] = round(asked_deg + rng.normal(0.0, 0.05), 2)
