@@ -122,12 +122,23 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
     progress : callable
         Called with the name of each effect that was tried.
     """
+    return concluded(searched(record, progress))
+
+
+def searched(record: Record, progress: Callable[[str], None] = lambda _step: None) -> Search:
+    """All structures that come into question, fitted."""
     fitter = Fitter(record)
-    able, unable = judgeable(record)
     root = fitter.root()
-    search = Search(fitter, able, progress)
+    search = Search(fitter, judgeable(record)[0], progress)
     search.begin(root)
     _widened(search, root)
+    return search
+
+
+def concluded(search: Search) -> Selection:
+    """What a search comes to."""
+    fitter = search.fitter
+    record = fitter.record
     best = _chosen(search)
     fitter.remember(best)
     search.look_again()
@@ -153,7 +164,7 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
         ties,
         tied,
         found.floor_deg,
-        tuple(unable),
+        tuple(judgeable(record)[1]),
         fitter.covariance(final),
         fitter,
         final,
