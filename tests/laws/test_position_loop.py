@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from servofd.core.types import FloatArray
+from servofd.servo import position_loop
 from servofd.servo.library import servo_named
+from servofd.servo.loop_steps import ROW
 from servofd.servo.physics import AFTER, BEFORE, Physics, Plant, longest_step_s
 from servofd.servo.position_loop import framed, new_memory, run
 from servofd.servo.transfer import TransferFunction
@@ -210,3 +214,26 @@ def test_frames_carry_the_command_in_force_when_they_begin() -> None:
     for when_s, deg in zip(frame_s, frame_deg, strict=True):
         k = np.flatnonzero(time_s <= when_s)[-1]
         assert deg == pytest.approx(COMMANDS[1, k] + COMMANDS[2, k] * (when_s - time_s[k]), abs=1e-12)
+
+
+@given(seed=st.integers(0, 2**32 - 1), width_deg=st.floats(0.2, 3.0), spare=st.integers(1, 8))
+def test_a_servo_that_chatters_beyond_the_room_for_notes_keeps_to_it(seed: int, width_deg: float, spare: int) -> None:
+    """The shaft turns as with room enough, its play follows it as closely, and nothing is written behind the room."""
+    rng = np.random.default_rng(seed)
+    at_s = np.cumsum(rng.uniform(0.005, 0.02, 60))
+    asked = 3.0 * np.sin(40.0 * at_s) + rng.normal(size=at_s.size)
+    nothing = np.zeros(at_s.size)
+    known = Plant(TransferFunction((900.0,), DENOMINATORS[2]), Physics())
+    physics, loop = known.machine(Physics(backlash_deg=width_deg, friction_deg=0.3, deadband_deg=0.2))
+    least = position_loop._NOTES - position_loop._MOST_STEPS + spare
+    results, memories = [], []
+    for room in (position_loop._NOTES, least):
+        table, notes = np.empty((2 * position_loop._SLOTS, 3 * ROW)), np.full((room + 50, 5), np.pi)
+        memory, result = new_memory(0.0)[None], np.empty((1, at_s.size))
+        inputs = (at_s, asked, nothing, at_s, nothing, nothing, nothing)
+        position_loop._run(tuple(physics), tuple(loop), 1.0, 2e-4, inputs, memory, table, notes[:room], result)
+        assert np.all(notes[room:] == np.pi)
+        results.append(result[0])
+        memories.append(memory[0, :5])
+    assert np.array_equal(memories[0], memories[1])
+    assert np.all(np.abs(results[0] - results[1]) < 0.5 * width_deg)
