@@ -91,8 +91,8 @@ class Search:
                 return False
         return True
 
-    def grow(self, base: Fit, enough: float) -> list[Fit]:
-        """Fits with one effect more than a base."""
+    def grow(self, base: Fit, enough: float, *, framed: bool = True) -> list[Fit]:
+        """Fits with one effect more than a base; with pulse frames, which take long, only if asked for."""
         if base.key in self.grown:
             return []
         self.grown.add(base.key)
@@ -108,7 +108,7 @@ class Search:
         if loose and self.fitter.record.free_poles:
             self.exchange(min(loose, key=lambda fit: fit.misfit), enough, len(base.effects))
         fits += self._twins(base, fits, enough)
-        if PwmFrame in self.able and PwmFrame.name not in base.names:
+        if framed and PwmFrame in self.able and PwmFrame.name not in base.names:
             fits += self._framed(base, fits)
         return fits
 

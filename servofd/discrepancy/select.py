@@ -180,7 +180,7 @@ def _widened(search: Search, root: Fit) -> None:
     for size in range(_MOST_ON_BENCH if record.runs else _MOST):
         for base in beam:
             least = min(f.misfit for f in search.visited.values())
-            search.grow(base, least + 40.0)
+            search.grow(base, least + 40.0, framed=base is beam[0])
             if base is best and not record.free_poles:
                 search.delayed(base, least + 40.0)
             if base is best and _suffices(search, best, size + 1):
