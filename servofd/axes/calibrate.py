@@ -41,7 +41,7 @@ _FAST_PER_RATE = 0.25
 """Of the corner that is tried where the autopilot answers gusts, so that slow motion tells less of its command."""
 _MOSTLY_EXPLAINED = 0.75
 _DELAYS_S = (0.0, 0.04, 0.08, 0.12, 0.16, 0.2, 0.25, 0.3, 0.4)
-_WINDOW_PER_CORNER = 1.4
+_WINDOW_PER_CORNER = 1.0
 """Windows shorter than so many periods of the filter's corner hold no more than one ripple."""
 _WHITENINGS = (0, 2)
 _WELL_EXPLAINED = 0.5
