@@ -226,10 +226,18 @@ def _suffices(search: Search, best: Fit, size: int) -> bool:
 
 
 def _exchanged(search: Search, size: int) -> None:
-    """The likeliest structure of a size, and the likeliest that sticks, is dead or loose, with like effects instead."""
+    """The likeliest structure of a size, and those that stick, are dead or loose, with like effects instead.
+
+    Of these the likeliest beside each set of other effects: which of those it is may depend on the form of this one.
+    """
     likely = _best_of_size(search, size)
-    loose = [fit for fit in likely if any(e.family == "hysteresis" for e in fit.effects)]
-    for fit in dict.fromkeys((*likely[:1], *loose[:1])):
+    beside: dict[tuple[str, ...], Fit] = {}
+    for fit in likely:
+        if any(effect.family == "hysteresis" for effect in fit.effects):
+            others = tuple(sorted(effect.name for effect in fit.effects if effect.family != "hysteresis"))
+            if _cost(search, fit) < _cost(search, likely[0]) + 2.0 * OCCAM or not beside:
+                beside.setdefault(others, fit)
+    for fit in dict.fromkeys((*likely[:1], *list(beside.values())[:_BEAM])):
         search.exchange(fit, min(f.misfit for f in search.visited.values()) + 40.0)
 
 
