@@ -61,7 +61,7 @@ def judge_motion(model: MotionModel, motion: Motion) -> tuple[AxisAudit, ...]:
     usable = motion.present & np.logical_and.reduce(list(inside.values()))
     flown = motion.present & (motion.airspeed_m_s > 0.5 * model.reference_m_s)
     drafts = {
-        name: _draft(axis, motion, usable, flown, model.reference_m_s, len(_members(name, axis, motion)))
+        name: _draft(axis, motion, usable, flown, model, len(_members(name, axis, motion)))
         for name, axis in model.axes.items()
     }
     events = _with_causes(drafts, {name: axis.suspect for name, axis in model.axes.items()}, motion.time_s)
@@ -87,9 +87,9 @@ def _members(name: str, axis: AxisModel, motion: Motion) -> tuple[str, ...]:
 
 
 def _draft(
-    axis: AxisModel, motion: Motion, usable: BoolArray, flown: BoolArray, reference_m_s: float, members: int
+    axis: AxisModel, motion: Motion, usable: BoolArray, flown: BoolArray, model: MotionModel, members: int
 ) -> _Draft:
-    inputs = inputs_of(axis, motion, usable, reference_m_s)
+    inputs = inputs_of(axis, motion, usable, model.reference_m_s)
     rate_hz, time_s = motion.rate_hz, motion.time_s
     score, events = np.zeros(time_s.size), []
     judged, naming = np.cumsum(inputs.usable), round(_KIND_S * rate_hz)
@@ -137,7 +137,11 @@ def _draft(
             score[: end + 1] = 0.0
         begin = end
     return _Draft(
-        inputs, score, tuple(events), _known(axis, inputs, rate_hz, max(members, 1)), _whole(axis, inputs, flown)
+        inputs,
+        score,
+        tuple(events),
+        _known(axis, inputs, rate_hz, max(members, 1)),
+        _whole(axis, inputs, flown, rate_hz, model.flights),
     )
 
 
@@ -312,20 +316,27 @@ def _known(axis: AxisModel, inputs: Inputs, rate_hz: float, members: int) -> Boo
     return known & told
 
 
-def _whole(axis: AxisModel, inputs: Inputs, flown: BoolArray) -> tuple[Estimate, Estimate] | None:
-    """Loss and offset of the whole flight, in which windows average out and the flight's own difference does not."""
+def _whole(
+    axis: AxisModel, inputs: Inputs, flown: BoolArray, rate_hz: float, flights: int
+) -> tuple[Estimate, Estimate] | None:
+    """Loss and offset of the whole flight, in which windows average out and the flight's own difference does not.
+
+    What flights differ by was learned from a few of them, so that the interval is Student's.
+    """
+    from scipy import special  # takes longer to load than a flight to judge
+
     if not (inputs.usable & flown).any():
         return None
     found = sliding(inputs, inputs.usable.size, axis.noise_var, enough=0.0)
-    flight = axis.of_flights(axis.spreads[-1])
-    lost = _between(found.loss[-1], found.loss_var[-1] + flight[0, 0])
+    if not found.known[-1]:
+        return None
+    spread = axis.spreads[-1]
+    windows = max(1.0, float(inputs.usable.sum()) / spread.samples(rate_hz))
+    stray = axis.of_flights(spread) + spread.covariance / windows
+    wider = float(special.stdtrit(max(flights - 1, 1), 0.975)) / Z_95
     return (
-        None
-        if math.isnan(lost.value)
-        else (
-            lost,
-            _between(found.offset[-1], found.offset_var[-1] + flight[1, 1]),
-        )
+        _between(found.loss[-1], wider**2 * (found.loss_var[-1] + stray[0, 0])),
+        _between(found.offset[-1], wider**2 * (found.offset_var[-1] + stray[1, 1])),
     )
 
 

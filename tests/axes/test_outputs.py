@@ -51,9 +51,9 @@ def test_an_axis_that_is_surely_a_little_weak_is_not_said_to_answer_as_ever() ->
 
 @pytest.mark.slow
 def test_the_reason_of_a_weak_axis_says_how_rare_that_is() -> None:
-    """A tenth less: its interval excludes nothing lost in some of these flights, and all of those say so."""
-    found = [roll_of(flown(seed, "2026-05-09", aileron_share=0.85, from_s=0.0)) for seed in range(60, 66)]
+    """A fifth less: its interval excludes nothing lost in some of these flights, and all of those say so."""
+    found = [roll_of(flown(seed, "2026-05-09", aileron_share=0.82, from_s=0.0)) for seed in range(60, 63)]
     healthy = [audit for audit in found if audit.status == "healthy"]
     for audit in healthy:
         assert ("weaker than in its good flights" in audit.reason) == audit.is_weaker
-    assert any(audit.is_weaker or audit.status != "healthy" for audit in found)
+    assert any(audit.is_weaker for audit in healthy)
