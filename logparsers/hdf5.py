@@ -44,7 +44,12 @@ def arrays(source: Source) -> dict[str, NDArray[Any]]:
     ...     arrays(source)["/Control/cmdElev_rad"].tolist()
     [[0.5], [0.25]]
     """
-    import h5py
+    try:
+        import h5py
+    except ImportError:
+        raise UnreadableLog(
+            f'{source.path}: this needs h5py, which is not installed: pip install "servofd[hdf5]"'
+        ) from None
 
     found: dict[str, NDArray[Any]] = {}
     sizes = [0]

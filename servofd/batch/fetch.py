@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from servofd.batch.find import is_address
-from servofd.core.errors import ConfigError
+from servofd.core.errors import ConfigError, needs
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -30,9 +30,10 @@ def fetched(path: str) -> Iterator[str]:
         return
     with tempfile.TemporaryDirectory(prefix="servofd-") as folder:
         target = Path(folder, Path(path).name or "log")
-        try:
-            import fsspec
+        needs("fsspec")
+        import fsspec
 
+        try:
             with fsspec.open(path, "rb") as remote, target.open("wb") as file:
                 shutil.copyfileobj(remote, file)
         except (OSError, ImportError, ValueError) as error:

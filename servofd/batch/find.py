@@ -16,7 +16,7 @@ from logparsers import EmptyLog, LogError
 from logparsers.detect import detect
 from logparsers.exports import flight_of, kind_of
 from logparsers.source import HEAD_BYTES, files_of, heads
-from servofd.core.errors import ConfigError
+from servofd.core.errors import ConfigError, without
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -272,7 +272,7 @@ def _remote_files(address: str) -> Iterator[tuple[str, int, Any]]:
         import fsspec
         from fsspec.core import url_to_fs
     except ImportError:
-        raise ConfigError(f"{address}: addresses need fsspec: pip install fsspec") from None
+        raise ConfigError(f"{address}: {without('fsspec')}") from None
     try:
         system, path = url_to_fs(address)
         if _MAGIC & set(path):

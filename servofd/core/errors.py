@@ -62,6 +62,8 @@ EXTRAS = MappingProxyType(
         "starlette": "serve",
         "uvicorn": "serve",
         "control": "control",
+        "h5py": "hdf5",
+        "fsspec": "remote",
         "distributed": "cluster",
     }
 )

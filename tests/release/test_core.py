@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from servofd.cli import main
 from servofd.core.errors import EXTRAS
 
 SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"
@@ -41,6 +42,29 @@ def test_the_core_judges_a_flight_a_folder_and_a_table(tmp_path: Path) -> None:
     run = core(tmp_path, "flights", "--workers", "1")
     assert "flights/servofd/fleet.html" in run.stdout
     assert "Traceback" not in run.stderr
+
+
+@pytest.mark.parametrize("verb", ["audit", "info", "config", "explain", "identify", "sweep", "calibrate"])
+def test_an_hdf5_log_without_its_package_is_refused_in_one_line(
+    verb: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "h5py", None)  # as if it were not installed
+    log = tmp_path / "flight.mat"
+    log.write_bytes(b"\x89HDF\r\n\x1a\n".ljust(600, b"\0"))
+    rest = ["-o", str(tmp_path / "plane.toml")] if verb == "calibrate" else []
+    assert main([verb, str(log), *rest]) == 2
+    said = f'servofd: {log}: this needs h5py, which is not installed: pip install "servofd[{EXTRAS["h5py"]}]"'
+    assert capsys.readouterr().err.splitlines() == [said]
+
+
+@pytest.mark.parametrize("words", [["audit"], ["trend", "-c", "faser"]])
+def test_an_address_without_its_package_is_refused_in_one_line(
+    words: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "fsspec", None)
+    assert main([*words, "s3://club/flights"]) == 2
+    hint = f'this needs fsspec, which is not installed: pip install "servofd[{EXTRAS["fsspec"]}]"'
+    assert capsys.readouterr().err.splitlines() == [f"servofd: s3://club/flights: {hint}"]
 
 
 @pytest.mark.slow
