@@ -197,6 +197,12 @@ def _loss(name: str, axis: AxisModel, members: Sequence[str], event: AxisEvent) 
         text = f"slow: answers {late.value:.2f} s [{late.low:.2f}, {late.high:.2f}] later than calibrated"
     elif lost.high < _ALL:
         text = f"acts as if it stood {event.offset_us.value:+.0f} us away"
+    elif lost.low <= 0.0:
+        away = event.offset_us
+        text = (
+            f"does not answer as calibrated: {away.value:+.0f} us [{away.low:+.0f}, {away.high:+.0f}] away, or "
+            f"{lost.value:.0%} [{lost.low:.0%}, {lost.high:.0%}] of its effect lost (this motion hardly tells which)"
+        )
     elif lost.value > _HALF or len(members) == 1:
         text = f"{share}, offset {event.offset_us.value:+.0f} us"
     else:
