@@ -469,7 +469,7 @@ def with_common_causes(surfaces: Sequence[SurfaceAudit]) -> tuple[SurfaceAudit, 
     result = list(surfaces)
     for at_s in instants_s:
         together = [s for s in result if any(_is_at(_since_s(s, fault), at_s) for fault in s.faults)]
-        still = [s for s in judged if s not in together and _stands_still(s, at_s)]
+        still = [s for s in result if s.is_judged and s not in together and _stands_still(s, at_s)]
         if not together or len(together) + len(still) < max(_FEWEST, _MOST_SHARE * len(judged)):
             continue
         text = _sentence(together, at_s, len(still))
@@ -492,13 +492,17 @@ def _since_s(surface: SurfaceAudit, fault: Fault) -> float:
 
 
 def _stands_still(surface: SurfaceAudit, at_s: float) -> bool:
-    """Whether its readings froze to the last bit at this time although it was asked to move, which raised no alarm."""
+    """Whether its readings stop at this time, or freeze to the last bit although it is asked to move, without alarm."""
     seen = surface.residuals
     if seen is None:
         return False
-    begin, end = np.searchsorted(seen.time_s, (at_s + _TOGETHER_S, at_s + 2.0 * _TOGETHER_S))
-    froze = end - begin >= _FROZEN_SAMPLES and np.ptp(seen.measured_deg[begin:end]) == 0.0
-    return bool(froze and np.ptp(seen.simulated_deg[begin:end]) > _ASKED_DEG)
+    known = np.isfinite(seen.measured_deg)
+    time_s, measured_deg, simulated_deg = seen.time_s[known], seen.measured_deg[known], seen.simulated_deg[known]
+    begin, end = np.searchsorted(time_s, (at_s + _TOGETHER_S, at_s + 2.0 * _TOGETHER_S))
+    if begin == end:
+        return bool(begin > 0)
+    froze = end - begin >= _FROZEN_SAMPLES and np.ptp(measured_deg[begin:end]) == 0.0
+    return bool(froze and np.ptp(simulated_deg[begin:end]) > _ASKED_DEG)
 
 
 def _is_at(start_s: float, at_s: float) -> bool:
@@ -530,5 +534,7 @@ def _shared(surface: SurfaceAudit, at_s: float, text: str) -> SurfaceAudit:
     common = tuple(replace(fault, level="suspect") for fault in shared)
     suspicions = tuple(sorted((*surface.suspicions, *common), key=lambda fault: fault.start_s))
     if own:
-        return replace(surface, faults=own, suspicions=suspicions, reason=f"{surface.reason}; {text}")
+        told, left = ("; then ".join(describe(fault) for fault in faults) for faults in (surface.faults, own))
+        reason = f"{surface.reason.replace(told, left)}; {text}"
+        return replace(surface, faults=own, suspicions=suspicions, reason=reason)
     return replace(surface, status="suspect", faults=(), suspicions=suspicions, reason=text)

@@ -30,6 +30,9 @@ _WIDTH_DEG, _WIDTH_SIGMAS, _WIDTH_STEPS, _WIDEST_DEG = 0.4, 6.0, 2.0, 2.0
 _MISSED_WIDTHS, _LEAST_MISSED_DEG, _MISSED_DEG, _ASKED_DEG, _MISSED_S = 2.0, 1.5, 2.5, 4.0, 0.5
 """A jammed surface is so far from where it should be, by the width within which it rests and between two limits, while
 that moves by so much, for so long beyond its lag."""
+_SCALE = 0.05
+"""Share by which a fitted scale is off far from the usual deflections: 3.6 % in a flight of an ArduPlane whose servos went
+to ±80 deg on the ground and to ±15 in the air; a linkage bends by 3.4 %."""
 _ONE_SIDED_S = 5.0
 _LEAST_TRAVEL, _LEAST_TRAVEL_DEG = 1.0 / 3.0, 10.0
 """Between its stops a surface has such a share of the travel that is asked for, and so much."""
@@ -46,6 +49,8 @@ _SLOWEST_HZ = 1.2
 """Fewer periods in a window are no oscillation: positions that came late to the log look like that as well."""
 _SAMPLES, _FASTEST_HZ = 3.0, 12.0
 """In each period; with fewer, commands and positions that were read at other times than stamped look like a wave."""
+_TURNS = 1.0
+"""Of two in each period: a single jerk that the model does not follow has a line as well."""
 _FOLLOWS = 0.3
 """Slope of the position over the healthy deflection below which it does not follow."""
 _BRISK_DEG = 1.4
@@ -96,6 +101,21 @@ class _Flight:
     @cached_property
     def usual_s(self) -> float:
         return float(np.median(np.diff(self.time_s)))
+
+    @cached_property
+    def width_deg(self) -> float:
+        """Within how much it reads at rest."""
+        return resting_width_deg(self.noise_deg, self.step_deg)
+
+    @cached_property
+    def missed_deg(self) -> float:
+        """How far from where it should be a jam shows."""
+        return min(max(_MISSED_WIDTHS * self.width_deg, _LEAST_MISSED_DEG), _MISSED_DEG)
+
+    @property
+    def late_s(self) -> float:
+        """For how long it has to be there: the model may lag behind, or hasten."""
+        return _MISSED_S + 2.0 * (self.lag_s + self.delay_s)
 
     @cached_property
     def travel_deg(self) -> float:
@@ -220,7 +240,7 @@ def _label(measured_deg: FloatArray, width_deg: float, labels: IntArray) -> None
 
 def _resting(flight: _Flight) -> Iterator[_Stretch]:
     """Jammed, at an end of the travel or anywhere else."""
-    width_deg = resting_width_deg(flight.noise_deg, flight.step_deg)
+    width_deg, missed_deg, late_s = flight.width_deg, flight.missed_deg, flight.late_s
     labels = resting_runs(flight.measured_deg, width_deg)
     begins = np.flatnonzero(np.diff(labels, prepend=-1))
     ends = np.append(begins[1:], labels.size)
@@ -229,8 +249,6 @@ def _resting(flight: _Flight) -> Iterator[_Stretch]:
     step_s = np.minimum(step_s, 3.0 * usual_s)
     low_deg, high_deg = float(flight.reached_deg.min()), float(flight.reached_deg.max())
     stops = high_deg - low_deg >= max(_LEAST_TRAVEL * float(np.ptp(flight.healthy_deg)), _LEAST_TRAVEL_DEG)
-    late_s = _MISSED_S + 2.0 * (flight.lag_s + flight.delay_s)
-    missed_deg = min(max(_MISSED_WIDTHS * width_deg, _LEAST_MISSED_DEG), _MISSED_DEG)
     largest_deg = np.maximum.reduceat(np.abs(flight.error_deg), begins)
     may_be = (time_s[ends - 1] - time_s[begins] >= late_s) & ~(largest_deg <= missed_deg)
     for begin, end in zip(begins[may_be].tolist(), ends[may_be].tolist(), strict=True):
@@ -244,7 +262,7 @@ def _resting(flight: _Flight) -> Iterator[_Stretch]:
         )
         beyond_deg = asked_deg - flight.measured_deg[rows]
         off_deg = np.abs(beyond_deg)
-        missed = off_deg > missed_deg
+        missed = off_deg > missed_deg + _SCALE * np.abs(asked_deg)
         missed_s = np.cumsum(step_s[rows] * missed)
         far = off_deg > max(_FAR_DEG, _FAR_SHARE * flight.travel_deg)
         far_s = np.cumsum(step_s[rows] * far)
@@ -341,8 +359,10 @@ def _strange(flight: _Flight, rows: slice) -> _Stretch | None:
     slope, explained = _best_slope(flight, rows)
     amplitude_deg = float(np.ptp(moved)) / 2.0
     if asked_deg >= _BRISK_DEG and abs(slope) < _FOLLOWS:
-        if 2.0 * amplitude_deg <= resting_width_deg(flight.noise_deg, flight.step_deg):
-            return _Stretch("stuck", *span, {"position_deg": float(np.median(moved))})
+        if 2.0 * amplitude_deg <= flight.width_deg:
+            # A model that comes late to where the surface is already tells nothing of it.
+            long = np.count_nonzero(np.abs(error) > flight.missed_deg) * flight.usual_s >= flight.late_s
+            return _Stretch("stuck", *span, {"position_deg": float(np.median(moved))}) if long else None
         return _Stretch("floating", *span, {"amplitude_deg": amplitude_deg})
     # An offset that comes at once is no motion of its own.
     halves_deg = [float(np.std(half)) for half in np.array_split(moved, 2)]
@@ -408,7 +428,15 @@ def _line(time_s: FloatArray, error: FloatArray, asked: FloatArray) -> tuple[flo
     share = 0.5 * size_deg**2 / max(float(np.var(error)), 1e-12)
     if size_deg < _LINE_DEG or share < _LINE_SHARE or own_deg > _NOT_ASKED * size_deg:
         return None
+    if _turns(error - error.mean(), 0.5 * size_deg) < _TURNS * frequencies[best] * (time_s[-1] - time_s[0]):
+        return None
     return float(frequencies[best]), size_deg
+
+
+def _turns(values: FloatArray, least: float) -> int:
+    """How often some values go from beyond one side of zero to beyond the other."""
+    sides = np.sign(values[np.abs(values) >= least])
+    return int(np.count_nonzero(np.diff(sides)))
 
 
 def _behind(flight: _Flight, rows: slice) -> _Stretch | None:

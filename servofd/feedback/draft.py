@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -145,7 +145,7 @@ def _draft(log: FlightLog, pair: Pair) -> DraftedSurface:
         return DraftedSurface(pair, fit, command, measured)
     if not angle_command:
         command = _rescaled(command, fit)
-        fit = replace(fit, gain=1.0, bias_deg=0.0)
+        fit = fit.of_position
         segment = _cut(log, pair, command, measured)
     return DraftedSurface(pair, fit, command, measured, draft_tolerance(fit.model, segment, until_s=fit.until_s))
 

@@ -66,6 +66,7 @@ class RoughFit:
     damping: float = 0.8
     delay_s: float = 0.02
     rate_limit_deg_s: float = float("inf")
+    """In degrees of the command as it was converted."""
     gain: float = 1.0
     """Deflection per degree of the command as it was converted [deg/deg]."""
     bias_deg: float = 0.0
@@ -82,6 +83,17 @@ class RoughFit:
         dynamics = LinearDynamics(second_order(2.0 * np.pi * self.bandwidth_hz, self.damping))
         limit = (RateLimit(self.rate_limit_deg_s),) if np.isfinite(self.rate_limit_deg_s) else ()
         return ServoModel((Delay(self.delay_s), dynamics, *limit))
+
+    @property
+    def of_position(self) -> RoughFit:
+        """The same servo for a command in degrees of the position: its rate limit is that of the surface.
+
+        Examples
+        --------
+        >>> RoughFit(rate_limit_deg_s=100.0, gain=-2.0, bias_deg=1.0).of_position.rate_limit_deg_s
+        200.0
+        """
+        return replace(self, gain=1.0, bias_deg=0.0, rate_limit_deg_s=abs(self.gain) * self.rate_limit_deg_s)
 
 
 _ORDINARY = RoughFit(bandwidth_hz=2.0)

@@ -100,17 +100,18 @@ def _fitted(log: FlightLog, name: str, surface: Surface, key: str) -> tuple[Surf
     fit = fit_roughly(segment, free_scale=True)
     if fit.origin.origin != "fitted":
         return plain.model_copy(update={"model": fit.origin}), unfit
-    servo = fitted_servo(fit, title)
     change: dict[str, object] = {"model": fit.origin, "suspicions": False}
     if _SMALLEST_GAIN <= fit.gain <= _LARGEST_GAIN:  # else sign or scale are wrong, and the verdict tells so
         change["command"] = surface.command.corrected(fit.gain, fit.bias_deg)
         if surface.command_saturation_deg is not None:
             ends = tuple(fit.gain * end + fit.bias_deg for end in surface.command_saturation_deg)
             change["command_saturation_deg"] = ends
+        fit = fit.of_position
     fitted = plain.model_copy(update=change)
     drafted = draft_tolerance(fit.model, cut(log, name, fitted), until_s=fit.until_s)
     if drafted is None:
         return plain, unfit
+    servo = fitted_servo(fit, title)
     levels = {
         "threshold": "interval",
         "tolerance": drafted.tolerance,
