@@ -31,8 +31,8 @@ _MISSED_WIDTHS, _LEAST_MISSED_DEG, _MISSED_DEG, _ASKED_DEG, _MISSED_S = 2.0, 1.5
 """A jammed surface is so far from where it should be, by the width within which it rests and between two limits, while
 that moves by so much, for so long beyond its lag."""
 _SCALE = 0.05
-"""Share by which a fitted scale is off far from the usual deflections: 3.6 % in a flight of an ArduPlane whose servos went
-to ±80 deg on the ground and to ±15 in the air; a linkage bends by 3.4 %."""
+"""Share by which a fitted scale is off far from the usual deflections: 3.6 % in a flight of an ArduPlane whose servos
+went to ±80 deg on the ground and to ±15 in the air; a linkage bends by 3.4 %."""
 _ONE_SIDED_S = 5.0
 _LEAST_TRAVEL, _LEAST_TRAVEL_DEG = 1.0 / 3.0, 10.0
 """Between its stops a surface has such a share of the travel that is asked for, and so much."""
