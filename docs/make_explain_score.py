@@ -36,8 +36,9 @@ of 0.1 to 0.3 deg, white or with a colour; the even seeds chose constants, the o
 | "explained" or "nothing missing" | 197 |
 | processor time of a log of 50 s, on a busy machine: median, 95 % | 1.2, 3.9 s |
 
-What is wrong is a delay together with slower dynamics in gentle flight, which one sensor that lags foresees as well (7 of 16
-even logs of that pair): no command of it tells them apart, and the simplest name is taken.
+One of the two that are wrong is a delay together with slower dynamics in gentle flight, which one sensor that lags foresees as
+well: no command of it tells them apart, and the single name is taken (7 of 16 even logs of that pair). The other is slower
+dynamics beside friction, called a delay.
 
 | runs of servos that nobody knows | odd seeds |
 |---|---|
