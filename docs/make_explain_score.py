@@ -34,7 +34,7 @@ of 0.1 to 0.3 deg, white or with a colour; the even seeds chose constants, the o
 | "explained", but wrong | 2 |
 | nothing named where nothing is hidden | 46 of 46 |
 | "explained" or "nothing missing" | 197 |
-| processor time of a log of 50 s, on a busy machine: median, 95 % | 1.2, 3.9 s |
+| processor time of a log of 50 s, on a busy machine: median, 95 % | 1.3, 4.1 s |
 
 One of the two that are wrong is a delay together with slower dynamics in gentle flight, which one sensor that lags foresees as
 well: no command of it tells them apart, and the single name is taken (7 of 16 even logs of that pair). The other is slower
