@@ -75,8 +75,9 @@ def calibrate_motion(flights: Sequence[Motion], *, false_alarms_per_hour: float 
     seconds = sum(float(good.sum()) / f.rate_hz for f, good in zip(flights, usable, strict=True))
     if seconds < _LEAST_SECONDS:
         raise CalibrationError(
-            f"{seconds:.0f} s of steady flight in {len(flights)} logs; at least {_LEAST_SECONDS:.0f} s are needed to "
-            "fit how the aircraft answers, and flights of three days to know how it differs from day to day"
+            f"{seconds:.0f} s of steady flight in {len(flights)} log{'s' * (len(flights) > 1)}; at least "
+            f"{_LEAST_SECONDS:.0f} s are needed to fit how the aircraft answers, and flights of three days to know how "
+            "it differs from day to day"
         )
     groups = _groups(flights)
     per_hour = false_alarms_per_hour / len(SURFACE_AXES)  # lost thrust accuses no surface

@@ -6,8 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from scipy import stats
 
 from servofd.aircraft.axes import motion_to_toml
+from servofd.axes.judge import judge_motion
 from servofd.cli import main
 from servofd.estimate.statistics import Estimate
 from servofd.outputs.sentence import axes_sentence
@@ -57,3 +59,15 @@ def test_the_reason_of_a_weak_axis_says_how_rare_that_is() -> None:
     for audit in healthy:
         assert ("weaker than in its good flights" in audit.reason) == audit.is_weaker
     assert any(audit.is_weaker for audit in healthy)
+
+
+@pytest.mark.slow
+def test_few_flights_of_calibration_leave_the_lost_share_less_sure() -> None:
+    flight, widths = flown(50, "2026-05-09"), []
+    for flights in (2, 6, 100):
+        (roll,) = judge_motion(calibrated().model_copy(update={"flights": flights}), flight)
+        assert roll.lost_share is not None
+        widths.append(roll.lost_share.high - roll.lost_share.low)
+    normal = widths[-1] / stats.t.ppf(0.975, 99)
+    assert widths[0] == pytest.approx(normal * stats.t.ppf(0.975, 1), rel=1e-6)
+    assert widths[1] == pytest.approx(normal * stats.t.ppf(0.975, 5), rel=1e-6)

@@ -29,3 +29,4 @@ def test_surface_faults_are_found_on_days_the_model_has_not_seen() -> None:
     assert sum(bool(one.after) for one in faulty) >= len(faulty) - 2
     assert all(one.after[0][0] == AXIS[one.kind] for one in faulty if one.after)
     assert sum(bool(one.after) for one in results if one.kind == "engine") <= 3
+    assert all(one.delay_s is not None and one.delay_s <= 1.5 for one in faulty if one.kind == "rudder")

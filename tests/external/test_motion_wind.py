@@ -27,7 +27,7 @@ def test_jams_are_found_slow_is_named_and_an_engine_is_no_servo() -> None:
     jams = [one for one in faults if one.fault.kind == "stuck"]
     ailerons = [one for one in jams if one.fault.axis == "roll"]
     assert len(jams) == 4
-    assert all(one.delay_s is not None and one.delay_s <= 2.0 for one in ailerons)
+    assert all(one.delay_s is not None and one.delay_s <= 1.0 for one in ailerons)
     assert sum(one.event is not None for one in jams) >= 3
     for one in jams:
         if one.event is not None:
