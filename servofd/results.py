@@ -636,7 +636,7 @@ def trend(
     --------
     >>> seen = trend("sample_logs/faser_healthy_flight.mat", "faser", surfaces=("rudder",), workers=0)
     >>> seen.sentence
-    'No limit is exceeded or in sight.'
+    'No limit is exceeded. 1 flight: too few for a trend.'
     """
     paths = [logs] if isinstance(logs, str | Path) else logs
     return Trend._of(trend_logs(paths, aircraft, surfaces=surfaces, workers=workers))

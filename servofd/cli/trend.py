@@ -78,9 +78,10 @@ def _followed(options: argparse.Namespace) -> AircraftTrend:
 
 def _print(document: dict[str, Any]) -> None:
     from servofd.cli.tables import print_table
-    from servofd.outputs.trend_page import quantity_row, verdict
+    from servofd.outputs.trend_page import number_of_flights, quantity_row, verdict
+    from servofd.wear.records import QUANTITIES
 
-    print(f"{len(document['flights'])} flights, {document['order']['reason']}")
+    print(f"{number_of_flights(document)}, {document['order']['reason']}")
     for name, surface in document["surfaces"].items():
         serial = surface["serials"][-1]["serial"]
         title = f"{name}, servo {serial}" if serial else name
@@ -89,5 +90,5 @@ def _print(document: dict[str, Any]) -> None:
         for line in (*(event["reason"] for event in surface["events"]), *surface["notes"]):
             print(f"{name}: {line}")
         for what, why in surface["missing"].items():
-            print(f"{name}: no {what}: {why}")
+            print(f"{name}: no {QUANTITIES[what].title}: {why}")
     print(verdict(document))

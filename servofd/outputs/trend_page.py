@@ -11,6 +11,8 @@ import numpy as np
 from servofd.outputs.page import page
 from servofd.outputs.palette import COLOURS
 from servofd.outputs.picture import Picture, finish, new_figure
+from servofd.wear.forecast import TOO_FEW
+from servofd.wear.records import QUANTITIES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,14 +39,14 @@ def trend_page(document: dict[str, Any]) -> str:
     """
     flights = document["flights"]
     aircraft = document["aircraft"] or "aircraft"
-    surfaces = [_surface(name, surface) for name, surface in document["surfaces"].items()]
+    surfaces = [_surface(name, surface, len(flights)) for name, surface in document["surfaces"].items()]
     surfaces.sort(key=lambda surface: _WORST_FIRST.index(surface["status"]))
     return page(
         "trend.html",
         aircraft=aircraft,
         status=surfaces[0]["status"] if surfaces else "unknown",
         sentence=verdict(document),
-        facts=f"{aircraft}: {len(flights)} flights, {document['order']['reason']}",
+        facts=f"{aircraft}: {number_of_flights(document)}, {document['order']['reason']}",
         surfaces=surfaces,
         flights=[(str(one["number"]), _name(one), (one["start_utc"] or "")[:16].replace("T", " ")) for one in flights],
         problems=document["problems"],
@@ -65,7 +67,26 @@ def verdict(document: dict[str, Any]) -> str:
         for one in surface["quantities"].values()
         if one["forecast"]["kind"] != "none"
     ]
-    return "; ".join(limits) + "." if limits else "No limit is exceeded or in sight."
+    if limits:
+        return "; ".join(limits) + "."
+    reasons = {
+        one["forecast"]["reason"] for surface in document["surfaces"].values() for one in surface["quantities"].values()
+    }
+    if reasons == {TOO_FEW}:
+        return f"No limit is exceeded. {number_of_flights(document).capitalize()}: too few for a trend."
+    return "No limit is exceeded or in sight."
+
+
+def number_of_flights(document: dict[str, Any]) -> str:
+    """How many flights were followed.
+
+    Examples
+    --------
+    >>> number_of_flights({"flights": [{}]})
+    '1 flight'
+    """
+    count = len(document["flights"])
+    return f"{count} {'flight' if count == 1 else 'flights'}"
 
 
 def quantity_row(one: dict[str, Any]) -> tuple[str, str, str, str, str]:
@@ -101,7 +122,7 @@ def _name(flight: dict[str, Any]) -> str:
     return PurePosixPath(flight["path"].replace("\\", "/")).name + (f" (run {flight['run']})" if flight["run"] else "")
 
 
-def _surface(name: str, surface: dict[str, Any]) -> dict[str, Any]:
+def _surface(name: str, surface: dict[str, Any], flights: int) -> dict[str, Any]:
     quantities = surface["quantities"]
     kinds = {one["forecast"]["kind"] for one in quantities.values()}
     serials = [f"{one['serial'] or 'number unknown'} since flight {one['from_flight']}" for one in surface["serials"]]
@@ -112,8 +133,8 @@ def _surface(name: str, surface: dict[str, Any]) -> dict[str, Any]:
         "rows": [quantity_row(one) for one in quantities.values()],
         "events": [event["reason"] for event in surface["events"]],
         "notes": surface["notes"],
-        "missing": [(what.replace("_", " "), why) for what, why in surface["missing"].items()],
-        "pictures": [_picture(name, surface)],
+        "missing": [(QUANTITIES[what].title, why) for what, why in surface["missing"].items()],
+        "pictures": [_picture(name, surface)] if flights > 1 else [],
     }
 
 

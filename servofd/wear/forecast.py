@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 
 FEWEST_FLIGHTS = 8
 """Six degrees of freedom: a 95 % interval of 2.4 deviations."""
+TOO_FEW = "too few flights for a trend"
+"""Reason of a forecast that only more flights can bring."""
 HORIZON = 4.0
 """Nobody knows what happens after four times as many flights as were seen."""
 
@@ -76,7 +78,7 @@ def forecast(piece: Piece, limit: float, *, above: bool) -> Forecast:
     sign = 1.0 if above else -1.0
     count = piece.number.size
     if count <= 2:
-        return Forecast("none", "too few flights for a trend")
+        return Forecast("none", TOO_FEW)
     line = piece.line
     now = line.at(piece.last)
     if sign * (now.value - limit) >= 0.0 and (
