@@ -119,9 +119,11 @@ def test_digital_servo_whose_rate_limit_falls_with_its_load() -> None:
 @pytest.mark.parametrize(
     "name",
     [
-        "teleop_arm_1",
         "geared_joint_plc",
-        *(pytest.param(name, marks=pytest.mark.nightly) for name in ("teleop_arm_2", "geared_joint_multisine")),
+        *(
+            pytest.param(name, marks=pytest.mark.nightly)
+            for name in ("teleop_arm_1", "teleop_arm_2", "geared_joint_multisine")
+        ),
     ],
 )
 def test_healthy_joints(name: str) -> None:

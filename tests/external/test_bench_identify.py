@@ -26,7 +26,7 @@ def segment(log: FlightLog) -> Segment:
     return Segment("shaft", command.time_s[given], command.values[given], measured.time_s, measured.values)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_hobby_servo_with_everything_it_has() -> None:
     """A linear servo leaves 15.4 deg; with both rate limits and the dead band at most 3.0 deg."""
     result = identify([[segment(log) for log in logs_of("hobby_servo_encoder")]])

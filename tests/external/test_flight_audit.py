@@ -41,13 +41,19 @@ def test_both_jams_are_found_and_nothing_else(suffix: str, aileron: str, elevato
     assert verdicts[elevator].faults[0].alarm_s <= 144.5
 
 
-@pytest.mark.slow
-def test_no_beginning_of_the_log_accuses_a_servo_that_is_well(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "ends_mb",
+    [
+        pytest.param((1.4, 8.5, 13.0), marks=pytest.mark.slow),
+        pytest.param((2.5, 4.0, 5.5, 7.0, 10.0, 11.5, 13.0), marks=pytest.mark.nightly),
+    ],
+)
+def test_no_beginning_of_the_log_accuses_a_servo_that_is_well(ends_mb: tuple[float, ...], tmp_path: Path) -> None:
     """Of 1.4 to 13 MB, cut anywhere: only what has jammed by then is at fault, and both jams are before the end."""
     content = (LOGS / "ardupilot_sitl_feedback.bin").read_bytes()
     jammed_s = {"aileron_1": 93.5, "elevator_10": 133.4}
     log = tmp_path / "beginning.bin"
-    for megabytes in (1.4, 2.5, 4.0, 5.5, 7.0, 8.5, 10.0, 11.5, 13.0):
+    for megabytes in ends_mb:
         log.write_bytes(content[: int(megabytes * 1e6)])
         (result,) = servofd.audit(log)
         faults = {verdict.surface: verdict.faults[0].start_s for verdict in result.surfaces if verdict.faults}

@@ -53,7 +53,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     ("failure", "kinds"),
     [
-        (None, []),
+        pytest.param(None, [], marks=pytest.mark.nightly),
         pytest.param(Failure("bias", "rudder", 36.0, 4.0), [], marks=pytest.mark.nightly),
         pytest.param(Failure("slow", "rudder", 36.0, 0.5), [], marks=pytest.mark.nightly),
         (Failure("stuck", "rudder", 36.0), ["stuck"]),

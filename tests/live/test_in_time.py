@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -76,6 +76,24 @@ def told(
     return events + session.finish(EPOCH_S + now_s), texts
 
 
+@dataclass(frozen=True)
+class Flown:
+    """The same flight twice: the fault ends, and it goes on."""
+
+    fault: Fault
+    events: list[Event]
+    texts: list[tuple[float, str]]
+    standing: list[Event]
+    loud_s: list[float]
+
+
+@pytest.fixture(scope="module", params=FAULTS, ids=[fault.kind for fault in FAULTS])
+def twice(request: pytest.FixtureRequest, aircraft: Aircraft) -> Flown:
+    loud_s: list[float] = []
+    standing, _ = told(aircraft, replace(request.param, end_s=math.inf), loud_s=loud_s)
+    return Flown(request.param, *told(aircraft, request.param), standing, loud_s)
+
+
 def alarms_of(events: list[Event]) -> list[tuple[Event, Event | None, list[Event]]]:
     """Each alarm of the elevator with its clear, if there was one, and the names that came after the alarm."""
     found: list[tuple[Event, Event | None, list[Event]]] = []
@@ -91,11 +109,10 @@ def alarms_of(events: list[Event]) -> list[tuple[Event, Event | None, list[Event
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fault", FAULTS, ids=[fault.kind for fault in FAULTS])
-def test_the_name_follows_its_alarm_within_2_s_or_not_at_all(aircraft: Aircraft, fault: Fault) -> None:
-    events, texts = told(aircraft, fault)
-    ((alarm, _, names),) = alarms_of(events)
-    assert [name.kind for name in names] == [fault.kind]
+def test_the_name_follows_its_alarm_within_2_s_or_not_at_all(twice: Flown) -> None:
+    texts = twice.texts
+    ((alarm, _, names),) = alarms_of(twice.events)
+    assert [name.kind for name in names] == [twice.fault.kind]
     assert names[0].time_s - alarm.time_s <= NAMED_S
     (first_s, *_), (clear_s, _) = texts[0], texts[-1]
     said = [at_s for at_s, text in texts if not text.startswith(("ELEVATOR ALARM", "ELEVATOR moves"))]
@@ -105,24 +122,18 @@ def test_the_name_follows_its_alarm_within_2_s_or_not_at_all(aircraft: Aircraft,
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fault", FAULTS, ids=[fault.kind for fault in FAULTS])
-def test_no_name_comes_after_its_clear_and_clears_follow_recovery_within_2_s(aircraft: Aircraft, fault: Fault) -> None:
+def test_no_name_comes_after_its_clear_and_clears_follow_recovery_within_2_s(twice: Flown) -> None:
     """Within 2 s of when the fault, had it gone on, would have been over the threshold again."""
-    events, texts = told(aircraft, fault)
-    loud_s: list[float] = []
-    told(aircraft, replace(fault, end_s=math.inf), loud_s=loud_s)
-    shown_s = min(at_s for at_s in loud_s if at_s >= OVER_S)
-    ((_, clear, _),) = alarms_of(events)
+    shown_s = min(at_s for at_s in twice.loud_s if at_s >= OVER_S)
+    ((_, clear, _),) = alarms_of(twice.events)
     assert clear is not None
     assert OVER_S < clear.time_s <= shown_s + CLEARED_S
-    assert texts[-1][0] == pytest.approx(clear.time_s, abs=0.1)
-    assert texts[-1][1] == "ELEVATOR moves as commanded again"
+    assert twice.texts[-1][0] == pytest.approx(clear.time_s, abs=0.1)
+    assert twice.texts[-1][1] == "ELEVATOR moves as commanded again"
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fault", FAULTS, ids=[fault.kind for fault in FAULTS])
-def test_nothing_is_cleared_while_the_fault_stands(aircraft: Aircraft, fault: Fault) -> None:
+def test_nothing_is_cleared_while_the_fault_stands(twice: Flown) -> None:
     """For 24 s of a lively command, in which some faulty servos are quiet for seconds."""
-    events, _ = told(aircraft, replace(fault, end_s=math.inf))
-    ((_, clear, _),) = alarms_of(events)
+    ((_, clear, _),) = alarms_of(twice.standing)
     assert clear is None

@@ -302,17 +302,6 @@ class TestOnSockets:
         assert {m.fields["command"] for m in commands} == {511}
         assert rrd.stat().st_size > 10_000
 
-    @pytest.mark.slow
-    def test_no_request_sends_not_a_byte(self, config: Path) -> None:
-        port, up = free_port(), BadLink()
-        arguments = ["monitor", f"udpin:127.0.0.1:{port}", "-c", str(config), "--plain", "--duration", "3"]
-        with relayed(port, BadLink(), up) as relay:
-            thread, codes = in_background([*arguments, "--no-request"])
-            with flying(f"udpout:127.0.0.1:{relay}", flown(duration_s=60.0), speed=10.0, wait=False):
-                thread.join(DEADLINE_S)
-        assert len(codes) == 1
-        assert bytes(up.record) == b""
-
     @pytest.mark.parametrize(
         ("endpoint", "words"),
         [

@@ -99,11 +99,13 @@ def test_residuals_and_thresholds_are_those_of_an_audit(tmp_path: Path, threshol
         assert float(np.max(np.abs(flown.of(output)["level"] - level.level_deg))) < 2e-3
 
 
-@pytest.mark.slow
-def test_an_hour_later_they_still_are(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "rows", [pytest.param(30_000, marks=pytest.mark.slow), pytest.param(180_000, marks=pytest.mark.nightly)]
+)
+def test_ten_minutes_and_an_hour_later_they_still_are(rows: int, tmp_path: Path) -> None:
     plane = aircraft()
     plane = plane.model_copy(update={"surfaces": {"third_order": plane.surfaces["third_order"]}})
-    _, segments, flight = made(plane, 180_000)
+    _, segments, flight = made(plane, rows)
     flown = fly(watch_script(plan_onboard(plane)), flight, tmp_path)
     assert not flown.said("THIRD_ORDER")
     assert furthest_deg(flown, 1, audited(plane, "third_order", segments["third_order"])[0]) < 1e-3

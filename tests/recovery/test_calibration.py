@@ -164,10 +164,16 @@ def test_a_flight_that_turns_bad_is_refused() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    "kinds", [("stuck", "bias"), pytest.param(tuple(SIZES), marks=pytest.mark.nightly)], ids=["two", "all"]
+)
 @pytest.mark.parametrize("seed", [200, pytest.param(206, marks=pytest.mark.nightly)])
-def test_a_fault_of_any_kind_in_the_middle_of_a_good_flight_is_refused_with_its_time(seed: int) -> None:
+def test_a_fault_of_any_kind_in_the_middle_of_a_good_flight_is_refused_with_its_time(
+    seed: int, kinds: tuple[str, ...]
+) -> None:
     """A good and a cheap servo; each fault bends the servo that is fitted to the whole flight."""
-    for place, kind in enumerate(SIZES):
+    for kind in kinds:
+        place = list(SIZES).index(kind)
         failure = draw_failure(7000 * seed + place, 240.0, kind, "large")
         flown_so = fly(stranger(seed), 50 + place, "mixed", failure=failure)
         segment = replace(segment_of(flown_so, failure.surface), surface="x")

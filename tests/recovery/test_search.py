@@ -40,8 +40,8 @@ def swept(effects: tuple[type[MissingEffect], ...], values: list[float], seed: i
     [
         (("resonance", "rate_limit"), 102),
         (("delay", "rate_limit", "deadband"), 102),
-        (("delay", "rate_limit", "backlash"), 101),
-        (("airload", "friction", "delay"), 103),
+        pytest.param(("delay", "rate_limit", "backlash"), 101, marks=pytest.mark.nightly),
+        pytest.param(("airload", "friction", "delay"), 103, marks=pytest.mark.nightly),
     ],
 )
 def test_several_effects_are_told_in_a_chirp_of_one_amplitude(

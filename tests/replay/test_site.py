@@ -87,7 +87,7 @@ def test_the_site_builds_strictly_and_loads_nothing_from_the_network(tmp_path: P
     assert [p.name for p in (tmp_path / "site").glob("**/*.py")] == ["own_effect.py"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_tutorial_is_what_its_script_writes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -105,7 +105,7 @@ def test_the_tutorial_is_what_its_script_writes(
     assert drawn == set(re.findall(r"\]\(tutorial/(.*?)\)", text))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("path", sorted(ROOT.glob("examples/*.ipynb")), ids=lambda path: path.name)
 def test_a_notebook_runs_and_is_kept_without_results(path: Path) -> None:

@@ -330,7 +330,7 @@ def asked(address: str, method: str = "GET", data: bytes | None = None) -> Any:
 
 
 @pytest.mark.parametrize(
-    "each", [pytest.param(3, marks=pytest.mark.slow), pytest.param(100, marks=pytest.mark.nightly)]
+    "each", [pytest.param(2, marks=pytest.mark.slow), pytest.param(100, marks=pytest.mark.nightly)]
 )
 def test_two_users_with_many_logs_at_once_lose_nothing(each: int, tmp_path: Path) -> None:
     rows = (SAMPLES / "table_three_faults.csv").read_bytes().splitlines(keepends=True)
