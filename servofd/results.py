@@ -299,6 +299,8 @@ def _readable(log: str | Path | pd.DataFrame) -> Any:  # noqa: ANN401 - whatever
     """A table as the bytes of a file; a path as it is."""
     if isinstance(log, str | Path):
         return log
+    if not hasattr(log, "to_csv"):
+        raise TypeError(f"a log is a path or a DataFrame, and not of type {type(log).__name__}")
     table = log.reset_index() if log.index.name == "time_s" else log
     return io.BytesIO(table.to_csv(index=False).encode())
 

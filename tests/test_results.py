@@ -96,3 +96,8 @@ def test_columns_are_the_numbers_of_the_verdict(stuck: servofd.Audit) -> None:
     assert len(stuck.plot().axes) == 2
     with pytest.raises(servofd.ServofdError, match="unknown surface"):
         stuck.plot("nothing")
+
+
+def test_what_is_no_log_is_refused_by_its_type() -> None:
+    with pytest.raises(TypeError, match="a log is a path or a DataFrame, and not of type int"):
+        servofd.audit(3)  # type: ignore[arg-type]
