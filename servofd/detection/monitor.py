@@ -6,7 +6,6 @@ another thread; the names that it finds are those of an audit, and the last look
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
@@ -28,10 +27,10 @@ from servofd.detection.bank.confirm import SURE
 from servofd.detection.calibrated_stream import CalibratedStream
 from servofd.detection.events import Alarm, Event, Inputs, Look, Reading
 from servofd.detection.judged_time import JudgedTime
-from servofd.detection.quiet import Quiet
+from servofd.detection.quiet import QUIET_S, Quiet
 from servofd.detection.residual import ResidualGenerator, rhythm, thinned_rhythm
 from servofd.detection.stream import Stream
-from servofd.detection.words import EXPLAINED
+from servofd.detection.words import EXPLAINED, too_slow
 from servofd.servo.context import NO_CONTEXT, Context
 
 if TYPE_CHECKING:
@@ -43,29 +42,6 @@ if TYPE_CHECKING:
     from servofd.detection.events import EventKind
     from servofd.detection.stream import Piece
     from servofd.servo.servo_model import ServoModel
-
-_SAMPLES_PER_PERIOD = 4.0
-"""Of the servo's bandwidth; twice what the sampling theorem asks for."""
-
-
-def too_slow(bandwidth_rad_s: float, position_period_s: float, command_period_s: float) -> str:
-    """What comes too slowly for the bandwidth of a servo, in words; empty if nothing does or periods are NaN.
-
-    Examples
-    --------
-    >>> too_slow(28.5, 1.0 / 12.0, 0.02)
-    'position at 12 Hz: slow for a servo of 4.5 Hz, which needs 18 Hz'
-    >>> too_slow(28.5, 0.04, 0.02)
-    ''
-    """
-    bandwidth_hz = bandwidth_rad_s / (2.0 * math.pi)
-    enough_hz = _SAMPLES_PER_PERIOD * bandwidth_hz
-    periods_s = {"position": position_period_s, "command": command_period_s}
-    slow = [f"{what} at {1.0 / s:.3g} Hz" for what, s in periods_s.items() if s * enough_hz > 1.0]
-    if not slow:
-        return ""
-    return f"{' and '.join(slow)}: slow for a servo of {bandwidth_hz:.2g} Hz, which needs {enough_hz:.2g} Hz"
-
 
 _NAMED_S = 2.0
 """A name follows its alarm within so long, or is not told."""
@@ -356,14 +332,15 @@ class SurfaceMonitor:
             if alarm.stands and fault.end_s is not None:
                 alarm.stands, is_over = False, True
                 events.append(self._event(look, look.at_s, "clear", fault.kind, fault))
-        cleared = self._dismissed(look, sorted((*faults, *self.suspicions), key=lambda fault: fault.alarm_s))
+        cleared, ended = self._dismissed(look, sorted((*faults, *self.suspicions), key=lambda fault: fault.alarm_s))
+        events += [self._event(look, look.at_s, "clear", fault.kind, fault) for fault in ended]
         if problem or self._is_fitted:
             known = set() if problem else {fault.alarm_s for fault in faults}
             cleared = [at_s for at_s in self._alarms if at_s not in known and at_s >= look.residuals.time_s[0]]
         events += self._taken_back(cleared, look.at_s, problem)
         self.problem = problem
         latched = isinstance(self._stream, CalibratedStream) and self._stream.latched
-        if self._stream is not None and (is_over or latched) and not self.standing:
+        if self._stream is not None and (is_over or ended or latched) and not self.standing:
             self._stream.again()
         return events
 
@@ -413,18 +390,29 @@ class SurfaceMonitor:
             found.append(fault)
         return tuple(found)
 
-    def _dismissed(self, look: Look, found: list[Fault]) -> list[float]:
-        """Alarms that a working servo explains; those that belong to an earlier one are no faults of their own."""
-        healthy = []
+    def _dismissed(self, look: Look, found: list[Fault]) -> tuple[list[float], list[Fault]]:
+        """Alarms that a working servo explains; and faults that are over, of which a later alarm still stood.
+
+        Alarms that belong to an earlier one are no faults of their own.
+        """
+        healthy: list[float] = []
+        ended: list[Fault] = []
         for at_s, alarm in self._alarms.items():
             owner = next((fault for fault in reversed(found) if fault.alarm_s <= at_s), None)
-            if owner is None or at_s < look.residuals.time_s[0] or (owner.end_s or at_s) < at_s:
+            if owner is None or at_s < look.residuals.time_s[0]:
+                continue
+            was_before = (owner.end_s or at_s) < at_s
+            if alarm.stands and owner.alarm_s != at_s and owner.end_s is not None:
+                # What the bank knows nothing of is over when the residual is quiet.
+                alarm.stands = was_before and look.at_s - look.quiet_s < QUIET_S
+                ended += [] if alarm.stands else [owner]
+            if was_before:
                 continue
             if owner.kind == "healthy":
                 healthy.append(at_s)
             elif owner.alarm_s != at_s:
                 alarm.kind, alarm.fault, alarm.belongs = owner.kind, None, True
-        return healthy
+        return healthy, ended
 
     def finish(self) -> list[Event]:
         """End of the stream: evaluate what waits for more, and look once more at all of it."""
@@ -636,7 +624,8 @@ class SurfaceMonitor:
         stuck = alarm.fault.parameters.get("position_deg") if alarm.fault is not None else None
         self._quiet.follow(piece, np.nan if stuck is None else stuck.value)
         now_s = float(piece.residuals.time_s[-1])
-        if now_s - self._quiet.away_s >= _RECOVERED_S:
+        obeys = isinstance(self._stream, CalibratedStream) and self._quiet.is_over(now_s)
+        if obeys or now_s - self._quiet.away_s >= _RECOVERED_S:
             for each in self._alarms.values():
                 each.stands = False
             self._looks_s = [now_s]

@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from servofd.aircraft.schema import plain_aircraft
+from servofd.aircraft.schema import Aircraft, plain_aircraft
+from servofd.aircraft.segment import Segment
+from servofd.calibrating.calibrate import calibrate_aircraft
+from servofd.calibrating.flights import Flight
 from servofd.core.types import FloatArray
 from servofd.detection.events import Event
 from servofd.detection.monitor import SurfaceMonitor
@@ -50,8 +53,8 @@ def faulty(kind: str, seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     return time_s, command_deg, measured_deg + 0.05 * rng.standard_normal(time_s.size)
 
 
-def told(kind: str, seed: int) -> list[Event]:
-    aircraft = plain_aircraft(["x"], "hs225bb-eq31")
+def told(kind: str, seed: int, calibrated: Aircraft | None = None) -> list[Event]:
+    aircraft = calibrated or plain_aircraft(["x"], "hs225bb-eq31")
     entry = aircraft.surfaces["x"].model_copy(update={"threshold": "interval"})
     monitor, events = SurfaceMonitor("x", entry, aircraft.model("x")), []
     time_s, command_deg, measured_deg = faulty(kind, seed)
@@ -75,6 +78,28 @@ def test_the_end_of_a_fault_is_told_within_two_seconds_and_no_name_after_it(kind
     named = [event.time_s for event in events if event.event == "named"]
     assert named
     assert max(named) <= alarm.time_s + WITHIN_S
+
+
+@pytest.fixture(scope="module")
+def by_good_flights() -> Aircraft:
+    """Two of the same flights before the fault begins, and after it has ended."""
+    flights = []
+    for seed in (1, 2):
+        time_s, command_deg, measured_deg = faulty("bias", seed)
+        good = time_s < BEGINS_S
+        flights.append(
+            Flight(f"{seed}.csv", Segment("x", *(v[good] for v in (time_s, command_deg, time_s, measured_deg))))
+        )
+    return calibrate_aircraft(plain_aircraft(["x"], "hs225bb-eq31"), {"x": flights}).aircraft
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_calibrated_servo_is_no_longer_at_fault_two_seconds_after_it(by_good_flights: Aircraft, kind: str) -> None:
+    events = [event for event in told(kind, 6, by_good_flights) if event.event in ("alarm", "clear")]
+    assert BEGINS_S <= events[0].time_s < BEGINS_S + 1.0
+    assert events[-1].event == "clear"
+    assert ENDS_S - 1.5 <= events[-1].time_s <= ENDS_S + WITHIN_S
 
 
 def test_looks_in_vain_become_rarer() -> None:
