@@ -107,9 +107,28 @@ def test_on_worse_links_at_the_same_times(
     assert most_outages(disturbed) == 0
 
 
+@pytest.fixture(scope="module", params=["d_f1", "d_f2", "d_f4"])
+def another(plane: Aircraft, request: pytest.FixtureRequest) -> tuple[Frames, list[tuple[str, float]]]:
+    """Another flight with two faults, and what is told of it on a good link."""
+    seen = frames(request.param)
+    return seen, alarms(told(plane, seen))
+
+
+@pytest.mark.parametrize("link", WAYS)
+def test_of_other_flights_the_same_is_told_at_the_same_times(
+    plane: Aircraft, another: tuple[Frames, list[tuple[str, float]]], link: str
+) -> None:
+    seen, on_time = another
+    disturbed = told(plane, WAYS[link](seen))
+    assert on_time
+    assert same(alarms(disturbed), on_time)
+    assert most_outages(disturbed) == 0
+
+
+@pytest.mark.parametrize("name", ["d_ok2", "d_ok4"])
 @pytest.mark.parametrize("link", ALL)
-def test_a_healthy_flight_has_no_alarm(plane: Aircraft, link: str) -> None:
-    disturbed = told(plane, ALL[link](frames("d_ok2")))
+def test_a_healthy_flight_has_no_alarm(plane: Aircraft, name: str, link: str) -> None:
+    disturbed = told(plane, ALL[link](frames(name)))
     assert alarms(disturbed) == []
     assert most_outages(disturbed) == 0
 
