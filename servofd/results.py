@@ -539,7 +539,7 @@ class Calibrated(Calibration, Shown):
 
 
 def calibrate(
-    logs: str | Path | Sequence[str | Path],
+    logs: str | Path | pd.DataFrame | Sequence[str | Path | pd.DataFrame],
     aircraft: Aircraft | str | Path | None = None,
     *,
     surfaces: tuple[str, ...] = (),
@@ -551,7 +551,7 @@ def calibrate(
 
     Parameters
     ----------
-    logs : str, Path or sequence of them
+    logs : str, Path, DataFrame or sequence of them
         Logs of the same aircraft.
     aircraft : Aircraft, str or Path
         What is known of it, its file, or the name of one that comes with servofd; drafted from the logs if left out.
@@ -570,9 +570,9 @@ def calibrate(
     >>> "[surfaces.elevator" in found.to_toml()
     True
     """
-    paths = [logs] if isinstance(logs, str | Path) else logs
+    each: list[Any] = list(logs) if isinstance(logs, list | tuple) else [logs]
     found = workflow.calibrate(
-        paths,
+        [_readable(log) for log in each],
         aircraft,
         surfaces=surfaces,
         spans=spans,

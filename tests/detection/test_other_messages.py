@@ -66,11 +66,9 @@ def link(flight: Flown) -> pd.DataFrame:
 
 
 @pytest.fixture(scope="module")
-def by_its_card(tmp_path_factory: pytest.TempPathFactory) -> Aircraft:
+def by_its_card() -> Aircraft:
     """Calibrated on the card's log of one good flight."""
-    path = tmp_path_factory.mktemp("card") / "good.csv"
-    card(flown(1)).to_csv(path, index=False)
-    return servofd.calibrate(path).aircraft
+    return servofd.calibrate(card(flown(1))).aircraft
 
 
 @pytest.fixture(scope="module")

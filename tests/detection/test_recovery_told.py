@@ -82,14 +82,11 @@ def test_the_end_of_a_fault_is_told_within_two_seconds_and_no_name_after_it(kind
 
 @pytest.fixture(scope="module")
 def by_good_flights() -> Aircraft:
-    """Two of the same flights before the fault begins, and after it has ended."""
+    """What comes before the fault in two other flights."""
     flights = []
     for seed in (1, 2):
-        time_s, command_deg, measured_deg = faulty("bias", seed)
-        good = time_s < BEGINS_S
-        flights.append(
-            Flight(f"{seed}.csv", Segment("x", *(v[good] for v in (time_s, command_deg, time_s, measured_deg))))
-        )
+        time_s, command_deg, measured_deg = (column[: round(BEGINS_S / 0.02)] for column in faulty("bias", seed))
+        flights.append(Flight(f"{seed}.csv", Segment("x", time_s, command_deg, time_s, measured_deg)))
     return calibrate_aircraft(plain_aircraft(["x"], "hs225bb-eq31"), {"x": flights}).aircraft
 
 
