@@ -33,6 +33,8 @@ that moves by so much, for so long beyond its lag."""
 _SCALE = 0.05
 """Share by which a fitted scale is off far from the usual deflections: 3.6 % in a flight of an ArduPlane whose servos
 went to ±80 deg on the ground and to ±15 in the air; a linkage bends by 3.4 %."""
+_USUAL = 75.0
+"""Percentile of deflections that are the usual ones."""
 _ONE_SIDED_S = 5.0
 _LEAST_TRAVEL, _LEAST_TRAVEL_DEG = 1.0 / 3.0, 10.0
 """Between its stops a surface has such a share of the travel that is asked for, and so much."""
@@ -59,6 +61,7 @@ _LAG_SHARE, _LAG_S, _LAG_DEG, _LAG_EXPLAINS = 1.0, 0.03, 1.0, 0.5
 _LAGS_S = (-0.1, 0.0, 0.1, 0.2, 0.35, 0.5)
 """Lags at which the position may follow the healthy deflection."""
 _LATE_SHARE, _LATE_S = 0.7, 6.0
+_ARRIVED_S = 1.0
 _FEWEST_SAMPLES = 30
 _JOINED_S = 6.0
 _SEEN_SAMPLES = 5
@@ -111,11 +114,6 @@ class _Flight:
     def missed_deg(self) -> float:
         """How far from where it should be a jam shows."""
         return min(max(_MISSED_WIDTHS * self.width_deg, _LEAST_MISSED_DEG), _MISSED_DEG)
-
-    @property
-    def late_s(self) -> float:
-        """For how long it has to be there: the model may lag behind, or hasten."""
-        return _MISSED_S + 2.0 * (self.lag_s + self.delay_s)
 
     @cached_property
     def travel_deg(self) -> float:
@@ -240,7 +238,7 @@ def _label(measured_deg: FloatArray, width_deg: float, labels: IntArray) -> None
 
 def _resting(flight: _Flight) -> Iterator[_Stretch]:
     """Jammed, at an end of the travel or anywhere else."""
-    width_deg, missed_deg, late_s = flight.width_deg, flight.missed_deg, flight.late_s
+    width_deg, missed_deg = flight.width_deg, flight.missed_deg
     labels = resting_runs(flight.measured_deg, width_deg)
     begins = np.flatnonzero(np.diff(labels, prepend=-1))
     ends = np.append(begins[1:], labels.size)
@@ -248,7 +246,9 @@ def _resting(flight: _Flight) -> Iterator[_Stretch]:
     usual_s = float(np.median(step_s))
     step_s = np.minimum(step_s, 3.0 * usual_s)
     low_deg, high_deg = float(flight.reached_deg.min()), float(flight.reached_deg.max())
+    usual_deg = float(np.percentile(np.abs(flight.healthy_deg), _USUAL))
     stops = high_deg - low_deg >= max(_LEAST_TRAVEL * float(np.ptp(flight.healthy_deg)), _LEAST_TRAVEL_DEG)
+    late_s = _MISSED_S + 2.0 * (flight.lag_s + flight.delay_s)
     largest_deg = np.maximum.reduceat(np.abs(flight.error_deg), begins)
     may_be = (time_s[ends - 1] - time_s[begins] >= late_s) & ~(largest_deg <= missed_deg)
     for begin, end in zip(begins[may_be].tolist(), ends[may_be].tolist(), strict=True):
@@ -262,7 +262,7 @@ def _resting(flight: _Flight) -> Iterator[_Stretch]:
         )
         beyond_deg = asked_deg - flight.measured_deg[rows]
         off_deg = np.abs(beyond_deg)
-        missed = off_deg > missed_deg + _SCALE * np.abs(asked_deg)
+        missed = off_deg > missed_deg + _SCALE * np.maximum(np.abs(asked_deg) - usual_deg, 0.0)
         missed_s = np.cumsum(step_s[rows] * missed)
         far = off_deg > max(_FAR_DEG, _FAR_SHARE * flight.travel_deg)
         far_s = np.cumsum(step_s[rows] * far)
@@ -360,9 +360,9 @@ def _strange(flight: _Flight, rows: slice) -> _Stretch | None:
     amplitude_deg = float(np.ptp(moved)) / 2.0
     if asked_deg >= _BRISK_DEG and abs(slope) < _FOLLOWS:
         if 2.0 * amplitude_deg <= flight.width_deg:
-            # A model that comes late to where the surface is already tells nothing of it.
-            long = np.count_nonzero(np.abs(error) > flight.missed_deg) * flight.usual_s >= flight.late_s
-            return _Stretch("stuck", *span, {"position_deg": float(np.median(moved))}) if long else None
+            # A model that comes late to where the surface rests already tells nothing of it.
+            arrived = np.abs(error[time_s >= time_s[-1] - _ARRIVED_S]).max() <= flight.missed_deg
+            return None if arrived else _Stretch("stuck", *span, {"position_deg": float(np.median(moved))})
         return _Stretch("floating", *span, {"amplitude_deg": amplitude_deg})
     # An offset that comes at once is no motion of its own.
     halves_deg = [float(np.std(half)) for half in np.array_split(moved, 2)]

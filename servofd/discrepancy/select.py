@@ -66,6 +66,8 @@ _FAR_WORSE, _OF_STEP = 0.75, 0.02
 share of a step too: real servos differ from a linear one by as much."""
 _COLOURLESS = 0.6
 """Share of the samples that count in full where the noise has no colour to speak of."""
+_DECLARED_AT_REST = 0.99
+"""The same where only rests are judged, which tell play, dead band and friction apart by their noise alone."""
 _DECLARED, _NEGLIGIBLE = 0.95, 1e-3
 """Share of the probability that the declared names of one log hold: most logs leave no doubt, so that over all logs
 they hold 99.5 % (251 logs of even seeds, where 8.0 first names should be wrong and 10 are)."""
@@ -488,13 +490,14 @@ def _shares(search: Search, best: Fit, nominal: Fit) -> tuple[list[Fit], float]:
     total, reached = sum(weight.values()), 0.0
     names: list[Fit] = []
     most = max(weight.values())
+    declared = _DECLARED if search.fitter.record.side is None else _DECLARED_AT_REST
 
     def rank(key: tuple[str, ...]) -> tuple[float, int]:  # what is equal goes by the catalogue's order
         late = sum(search.able.index(plain(effect)) for effect in first[key].effects)
         return -round(float(np.log(max(weight[key] / most, 1e-300))), 1), late
 
     for key in sorted(weight, key=rank):
-        if names and (reached >= _DECLARED * total or weight[key] < _NEGLIGIBLE * total):
+        if names and (reached >= declared * total or weight[key] < _NEGLIGIBLE * total):
             break
         names.append(first[key])
         reached += weight[key]
