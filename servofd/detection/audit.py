@@ -469,7 +469,7 @@ def with_common_causes(surfaces: Sequence[SurfaceAudit]) -> tuple[SurfaceAudit, 
     result = list(surfaces)
     for at_s in instants_s:
         together = [s for s in result if any(_is_at(_since_s(s, fault), at_s) for fault in s.faults)]
-        still = [s for s in result if s.is_judged and s not in together and _stands_still(s, at_s)]
+        still = [s for s in result if s not in together and _stands_still(s, at_s)]
         if not together or len(together) + len(still) < max(_FEWEST, _MOST_SHARE * len(judged)):
             continue
         text = _sentence(together, at_s, len(still))
@@ -500,7 +500,7 @@ def _stands_still(surface: SurfaceAudit, at_s: float) -> bool:
     time_s, measured_deg, simulated_deg = seen.time_s[known], seen.measured_deg[known], seen.simulated_deg[known]
     begin, end = np.searchsorted(time_s, (at_s + _TOGETHER_S, at_s + 2.0 * _TOGETHER_S))
     if begin == end:
-        return bool(begin > 0)
+        return bool(begin > 0 and time_s[begin - 1] >= at_s - _TOGETHER_S)
     froze = end - begin >= _FROZEN_SAMPLES and np.ptp(measured_deg[begin:end]) == 0.0
     return bool(froze and np.ptp(simulated_deg[begin:end]) > _ASKED_DEG)
 
