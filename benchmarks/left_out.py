@@ -289,7 +289,8 @@ def _losses(cases: Sequence[Case], answers: Sequence[Sequence[Judged]]) -> Float
         least_deg = min(each[k].held_out_deg for each in answers)
         for j, each in enumerate(answers):
             lost[j, k] = each[k].loss + (np.log(each[k].held_out_deg / least_deg) if least_deg > 0.0 else 0.0)
-    return lost.mean(axis=1)
+    mean: FloatArray = lost.mean(axis=1)
+    return mean
 
 
 def main(words: list[str]) -> int:
