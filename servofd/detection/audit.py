@@ -403,13 +403,13 @@ def _verdict(
     problem = why_not_cleared(residuals, shown, threshold.typical_deg)
     if problem:
         return "unknown", problem
-    stayed = f"{threshold.typical_deg:.3g} deg" if threshold.kind == "constant" else "its interval threshold"
     above = np.abs(residuals.residual_deg[residuals.settled]) > threshold.level_deg[residuals.settled]
-    briefly = " but for single readings" if above.any() else ""
+    passed = ", which single readings passed" if above.any() else ""
     limits = not_judgeable(shown, own_fit=own_fit)
     return (
         "healthy",
-        f"|residual| stayed below {stayed}{briefly} (largest {statistics.max_abs_deg:.2f} deg)"
+        f"followed its command as its servo should, within {statistics.max_abs_deg:.2f} deg"
+        f" (threshold {threshold.typical_deg:.2g} deg{passed})"
         + (f"; {limits}" if limits else ""),
     )
 

@@ -31,7 +31,7 @@ class Prepared(NamedTuple):
 def prepared(generator: ResidualGenerator, segment: Segment) -> Prepared:
     """Run the generator, without glitches and with the hold that suits the commands.
 
-    A position that jumps away for one or two samples and back is no servo's motion. Commands that were logged at
+    A position that leaves the model for one or two samples and is back is no servo's fault. Commands that were logged at
     10 to 25 Hz, but given more often, look like steps that nobody commanded: if straight lines between them leave a
     clearly smaller residual, that is what they were.
     """
@@ -48,7 +48,7 @@ def prepared(generator: ResidualGenerator, segment: Segment) -> Prepared:
         segment = replace(segment, measured_deg=np.where(jumps, np.nan, segment.measured_deg))
         residuals = generator.without(residuals, jumps)
         count = int(np.count_nonzero(jumps))
-        notes.append(f"{count} position{'s' if count > 1 else ''} that jumped away and back not judged")
+        notes.append(f"{count} reading{'s' if count > 1 else ''} away from the model for a moment only, not judged")
     return Prepared(segment, residuals, tuple(notes))
 
 
