@@ -55,15 +55,7 @@ def is_packed(head: bytes) -> bool:
 
 
 def members(file: BinaryIO, path: Path) -> list[tuple[str, Opener]]:
-    """List what an archive holds: the name of each file within it, and what opens it.
-
-    Parameters
-    ----------
-    file : BinaryIO
-        The archive, open for as long as its members are read.
-    path : Path
-        Its name, for messages.
-    """
+    """List what an archive holds: the name of each file within it, and what opens it."""
     file.seek(0)
     head = file.read(8)
     file.seek(0)
@@ -120,12 +112,8 @@ def check_size(path: Path, size: int, most_mb: int = MOST_UNPACKED_MB) -> None:
 
     Parameters
     ----------
-    path : Path
-        What to call it in messages.
     size : int
         So far, or as its header promises [bytes].
-    most_mb : int
-        Limit, unless the environment has another.
     """
     text = os.environ.get(LIMIT_VARIABLE, "")
     limit_mb = int(text) if text.isdecimal() else most_mb

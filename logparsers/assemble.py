@@ -57,18 +57,10 @@ def assemble(
 
     Parameters
     ----------
-    path : Path
-        The file.
     kind : str
         Format of the log, ``"faser"`` or ``"table"``.
     time_s : ndarray, shape (n,)
         Time stamp of every row [s].
-    columns : iterable of Column
-        What was recorded, n values each.
-    damage : tuple of Damage
-        What the reader found already.
-    run : str
-        Which experiment.
 
     Examples
     --------
@@ -116,12 +108,8 @@ def join_rows(
     -------
     time_s : ndarray, shape (m,)
         m <= n.
-    columns : tuple of Column
-        Of cells with the same stamp, the first of each column.
     row_of : ndarray of int, shape (m,)
         The row that each stamp stood in.
-    damage : tuple of Damage
-        Rows that gave a column another value for the same stamp.
 
     Examples
     --------

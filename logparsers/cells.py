@@ -50,13 +50,6 @@ class Cells:
 def convert(grid: Grid, texts: Collection[str] = ()) -> dict[str, Cells]:
     r"""Convert every column that has a name.
 
-    Parameters
-    ----------
-    grid : Grid
-        The table.
-    texts : collection of str
-        Columns whose texts are wanted.
-
     Examples
     --------
     >>> from pathlib import Path

@@ -137,10 +137,6 @@ class LazyChannels(Mapping[str, Channel]):
 
         Parameters
         ----------
-        wanted : Only
-            The choice.
-        path : Path
-            The file, for messages.
         others : iterable of str
             Messages of the file that are not among these channels, because nobody asked for them.
         """
@@ -181,8 +177,6 @@ class LazyChannels(Mapping[str, Channel]):
 
         Returns
         -------
-        damage : tuple of Damage
-            Rows out of order, for each message.
         span_s : tuple of float, or None
             First and last time stamp of the messages that come often [s]: one of a mission, minutes after the flight,
             makes it no longer. None if there is none.

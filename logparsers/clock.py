@@ -47,8 +47,6 @@ def order(
     ----------
     time_s : ndarray, shape (n,)
         Time stamps as they stand in the log [s].
-    label : str
-        Name of the log, for messages.
     row_of : ndarray of int, shape (n,), optional
         Where each stamp stands in the file, from 0, for messages; as they are counted here if left out.
 

@@ -37,8 +37,6 @@ def compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any]
     ----------
     function : callable
         Of integers, tuples and arrays only.
-    **options
-        Of the compiler, such as its error model.
 
     Examples
     --------

@@ -249,13 +249,6 @@ FORMATS = (
 def detect(head: bytes, label: str) -> Reader:
     r"""Find the reader for a file.
 
-    Parameters
-    ----------
-    head : bytes
-        Its first bytes.
-    label : str
-        Its name, for the message.
-
     Examples
     --------
     >>> detect(b"time_s,elevator_cmd_deg\n", "flight.csv").__name__

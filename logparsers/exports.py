@@ -127,8 +127,6 @@ def read_part(source: Source, beginning: str = "") -> Part:
 
     Parameters
     ----------
-    source : Source
-        The file.
     beginning : str
         Of the names of its flight, if that is known.
     """
@@ -162,8 +160,6 @@ def flights(parts: Iterable[Part], path: Path, only: Only) -> tuple[FlightLog, .
         Tables of one folder, archive or file.
     path : Path
         Where they come from.
-    only : Only
-        Which channels.
     """
     together: dict[tuple[str, str], list[Part]] = {}
     for part in parts:
@@ -369,8 +365,6 @@ def dataflash_log(messages: Mapping[str, Mapping[str, NDArray[Any]]], path: Path
         Columns of each message.
     path : Path
         Where they come from.
-    only : Only
-        Which channels.
     """
     from logparsers.dataflash import DataFlashFile, flight_log
     from logparsers.dataflash.exported import ExportedStore

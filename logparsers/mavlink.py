@@ -270,8 +270,6 @@ def enum_name(enum: str, value: int, *, prefix: str = "") -> str:
     ----------
     enum : str
         For example ``"MAV_TYPE"``.
-    value : int
-        The number in the message.
     prefix : str
         What to cut off; the enum's own name and an underscore if empty.
 
@@ -324,8 +322,6 @@ def pack(name: str, values: Mapping[str, Any], *, dialect_name: str = DEFAULT_DI
 
     Parameters
     ----------
-    name : str
-        Message name.
     values : Mapping[str, object]
         Numbers, sequences of numbers, or text for character arrays; a field left out is zero.
     dialect_name : str

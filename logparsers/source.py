@@ -97,8 +97,6 @@ def mapped(file: LogBytes) -> tuple[NDArray[np.uint8], str]:
     -------
     content : ndarray of uint8, shape (n,), n > 0
         Read only.
-    label : str
-        For messages.
 
     Examples
     --------

@@ -88,8 +88,6 @@ def read_table(source: Source, layout: TableLayout | None = None) -> tuple[Fligh
 
     Parameters
     ----------
-    source : Source
-        The file.
     layout : TableLayout, optional
         How to read it; without one the header has ``time_s`` and perhaps ``run``, or the names of a FASER log.
 

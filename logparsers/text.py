@@ -162,10 +162,6 @@ def _header(path: Path, blocks: Iterator[bytes | memoryview]) -> tuple[int, int,
     -------
     start, skipped : int
         Where in its block it begins, and how many lines stand before it.
-    first : bytes
-        The line.
-    block : bytes or memoryview
-        With all that follows in it.
     """
     skipped = 0
     for block in blocks:

@@ -24,8 +24,6 @@ def distinct_texts(raw: NDArray[np.uint8], most: int | None = None) -> tuple[lis
 
     Returns
     -------
-    texts : list of str
-        Sorted.
     codes : ndarray of int64, shape (n,)
         Which text each row is.
 

@@ -68,8 +68,6 @@ def from_variables(path: Path, variables: Mapping[str, Any], layout: TableLayout
 
     Parameters
     ----------
-    path : Path
-        The file, for messages.
     variables : mapping of str to ndarray, list or dict
         By path; the last component becomes the name of the channel, unless an earlier one has it. A column of a matrix
         has its number behind that, as in ``pos[2]``.

@@ -30,12 +30,8 @@ def flight_log(file: DataFlashFile, path: Path, only: Only) -> FlightLog:
 
     Parameters
     ----------
-    file : DataFlashFile
-        The messages.
     path : Path
         Where they come from.
-    only : Only
-        Which channels.
     """
     channels = LazyChannels(DataFlashRecording(file)).only(only, path)
     disorder, span_s = channels.survey()

@@ -84,8 +84,6 @@ def encode(messages: Sequence[Message], *, start_us: int | None = None) -> bytes
 
     Parameters
     ----------
-    messages : sequence of Message
-        Rows of equal time keep the order of this sequence.
     start_us : int or None
         Time of the definitions [us]; None for that of the first row.
 

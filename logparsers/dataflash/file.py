@@ -115,8 +115,6 @@ class DataFlashFile:
         ----------
         content : ndarray of uint8, shape (n,)
             The file; kept, not copied.
-        label : str
-            For messages.
         """
         data = content.data
         form: Callable[[memoryview], Store] = TextStore if _is_text(bytes(data[:HEAD_SIZE])) else BinaryStore
@@ -184,8 +182,6 @@ class DataFlashFile:
 
         Parameters
         ----------
-        name : str
-            Of the message.
         fields : iterable of str or None
             Which columns; None for all.
         instance : int, str or None

@@ -304,10 +304,6 @@ def with_units(
 
     Parameters
     ----------
-    layout : Layout
-        Without units.
-    unit_ids, multiplier_ids : str
-        One character per column.
     units, multipliers : Mapping
         What the characters mean, from UNIT and MULT.
 

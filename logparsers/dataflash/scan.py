@@ -164,8 +164,6 @@ def walk(
     length, clock, defined : buffer of int64, shape (256,)
         Per type: length of a record [bytes] (0: unknown), kind of time stamp (0: none), and where the
         definition in force stands.
-    state : buffer of int64
-        Where the walk is, and what it knows of the clock.
     offsets, types : buffer of int64 and of uint8, shape (BATCH,)
         Filled with the beginning and the type of each record.
     bad, odd, steps : buffer of int64
@@ -221,13 +219,6 @@ def follow(times_us: Sequence[int], offsets: Sequence[int]) -> tuple[list[int], 
     ----------
     times_us, offsets : sequence of int
         Time stamp [us] or `NO_TIME`, and place [bytes], of each record in the order of the file.
-
-    Returns
-    -------
-    odd : list of int
-        Places of records whose time stamp contradicts the records around them.
-    steps : list of (place, before [us], after [us])
-        Gaps and jumps of the clock.
 
     Examples
     --------

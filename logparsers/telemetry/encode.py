@@ -44,13 +44,6 @@ class Message:
 def encode(messages: Sequence[Message], *, source: tuple[int, int] = (1, 1)) -> bytes:
     """Write a log of one sender: frames in the order of their arrival.
 
-    Parameters
-    ----------
-    messages : sequence of Message
-        Frames that arrive at the same time keep the order of this sequence.
-    source : tuple of int
-        System and component that sends them.
-
     Returns
     -------
     bytes

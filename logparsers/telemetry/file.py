@@ -144,8 +144,6 @@ class TelemetryFile(MessageTable):
 
         Parameters
         ----------
-        message : str
-            Name of a message in the file.
         source, instance : optional
             As for `column`.
 

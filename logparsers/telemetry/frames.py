@@ -218,8 +218,6 @@ def scan(
         Positions of frames whose arrival time is lost.
     spans : ndarray of SPAN
         Damaged stretches, at most `max_spans`.
-    hurt, lost : int
-        Number of damaged stretches, and the bytes in them.
 
     Examples
     --------

@@ -193,14 +193,10 @@ def place(
     ----------
     counter : array_like of unsigned integers, shape (n,)
         Raw stamps.
-    tick_s : float
-        Length of one count [s].
     bits : int
         Width of the counter: 32 or 64.
     arrival_s, positions : array_like, shape (n,)
         Despiked arrival time [s] and file position [bytes].
-    timeline : Timeline
-        Where to.
 
     Returns
     -------

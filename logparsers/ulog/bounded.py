@@ -145,19 +145,11 @@ def load(
     ----------
     data : ndarray of uint8, shape (n,)
         The file.
-    name : str
-        What to call it in messages.
-    wanted : container of str
-        Topics.
     samples : Samples, optional
         Those that were set aside before.
 
     Returns
     -------
-    reader : Reader
-        With all that pyulog knows.
-    said : tuple of str
-        The first lines pyulog would have printed.
     stopped : str
         Why reading was given up early; empty if it was not.
     """

@@ -61,8 +61,6 @@ def encode(
 
     Parameters
     ----------
-    topics : sequence of Topic
-        Samples of equal time keep the order of this sequence.
     parameters : Mapping[str, int or float], optional
         Settings of the autopilot; the type of the number decides that in the log (32 bits).
     information : Mapping[str, int or str], optional

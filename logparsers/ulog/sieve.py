@@ -66,8 +66,6 @@ def sieve(data: Bytes, wanted: Container[str]) -> Bytes | None:
     ----------
     data : ndarray of uint8, shape (n,)
         The file.
-    wanted : container of str
-        Topics to keep.
 
     Returns
     -------

@@ -61,8 +61,6 @@ def calibrate_motion(flights: Sequence[Motion], *, false_alarms_per_hour: float 
     ----------
     flights : sequence of Motion
         Healthy, of one aircraft and one rate of samples; the more days, the better.
-    false_alarms_per_hour : float
-        Wanted of all axes together, as far as the calibrated hours tell.
     """
     flights = [flight for flight in flights if flight.time_s.size > 2]
     if not flights:
@@ -518,8 +516,6 @@ def tail_of(tops: FloatArray, hours: FloatArray, *, days: int) -> Tail:
         Largest statistic of each flight, judged by a model without its day.
     hours : ndarray, shape (n,)
         Length of each.
-    days : int
-        On which they were flown.
     """
     seen = tops[tops > 0.0]
     base = float(np.median(seen)) if seen.size else 1.0

@@ -100,8 +100,6 @@ def cell_means(grid_s: FloatArray, time_s: FloatArray, values: FloatArray, *, he
         Uniform times [s], n >= 2.
     time_s, values : ndarray, shape (m,)
         The channel; its times rise strictly and its values are finite.
-    held : bool
-        Each sample holds until the next, as a command does.
 
     Returns
     -------

@@ -51,11 +51,6 @@ def judge_motion(model: MotionModel, motion: Motion) -> tuple[AxisAudit, ...]:
     """Judge the axes of one flight.
 
     Everything is causal: the statistic at a sample uses no later one, so that a monitor sees the same alarms.
-
-    Returns
-    -------
-    tuple of AxisAudit
-        One for each axis of the model.
     """
     inside = covered(model.regime, flown_of(motion, model.reference_m_s))
     usable = motion.present & np.logical_and.reduce(list(inside.values()))
@@ -185,10 +180,6 @@ def lagged(loss: FloatArray, lag_s: float, rate_hz: float) -> FloatArray:
     ----------
     loss : ndarray, shape (n,)
         What the loss of the whole command would leave.
-    lag_s : float
-        Time constant [s].
-    rate_hz : float
-        Of the samples.
 
     Examples
     --------

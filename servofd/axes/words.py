@@ -71,22 +71,10 @@ def reason_of(
 
     Parameters
     ----------
-    name : str
-        The axis.
-    model : MotionModel
-        What was calibrated.
-    members : sequence of str
-        Surfaces of the axis.
-    events : sequence of AxisEvent
-        What was found.
-    identifiable : float
-        Share of the flight in which the lost share was known.
     outside : mapping of str to float
         Share of the flight outside the calibrated regime, by reason; empty if the aircraft never flew.
     lost : Estimate or None
         Lost share of the whole flight.
-    status : AxisStatus
-        The verdict.
     worst : AxisEvent or None
         The event that the verdict rests on.
     """

@@ -38,8 +38,6 @@ def run_on_cluster(
         Of the scheduler, such as ``"tcp://scheduler:8786"``.
     task : callable
         A function of a module that the workers have, too, or a partial of one.
-    items : sequence
-        What to do it for.
     """
     with _client(address) as client:
         executor = client.get_executor(pure=False)

@@ -47,8 +47,6 @@ def run_local(
     ----------
     task : callable
         A function of a module, or a partial of one.
-    items : sequence
-        What to do it for.
     workers : int, optional
         Number of processes; one per core if None; 0: no process but this one, which then nothing protects.
 

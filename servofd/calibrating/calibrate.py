@@ -39,8 +39,6 @@ def calibrate_aircraft(
         Surfaces without any stay as they are.
     force : bool
         Calibrate also where the loss of a third of travel and of two thirds of speed would not show.
-    progress : callable
-        Called with the name of each surface that is done.
 
     Examples
     --------

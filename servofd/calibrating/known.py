@@ -58,10 +58,6 @@ def known_servo(
 
     Parameters
     ----------
-    fitted : Fit
-        To all records.
-    records : sequence of Record
-        Good flights.
     supply_v, airspeed_m_s : float
         Usual ones; 0 where nobody logged them.
     fastest_m_s : float

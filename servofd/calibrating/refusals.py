@@ -72,19 +72,7 @@ def hardly_moved(flights: Sequence[Flight]) -> str:
 def refuse_unlike(
     name: str, fitted: Fit, records: Sequence[Record], flights: Sequence[Flight], usual: tuple[float, float]
 ) -> None:
-    """Refuse flights whose position has little to do with the command, or comes to have less.
-
-    Parameters
-    ----------
-    name : str
-        Surface.
-    fitted : Fit
-        To all flights.
-    records, flights : sequence
-        The flights.
-    usual : (supply_v, airspeed_m_s)
-        Of these flights.
-    """
+    """Refuse flights whose position has little to do with the command, or comes to have less."""
     gain = fitted.theta[0]
     logs = ", ".join(flight.label for flight in flights)
     ahead_s = max(_ahead_s(record) for record in records)

@@ -54,8 +54,6 @@ def calibrate_surface(flights: Sequence[Flight], aircraft: Aircraft) -> Calibrat
     ----------
     flights : sequence of Flight
         Of one surface; long enough and with motion (`hardly_moved` says nothing).
-    aircraft : Aircraft
-        What is known of it.
     """
     name = flights[0].segment.surface
     surface = aircraft.surfaces[name]

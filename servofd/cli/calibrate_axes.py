@@ -35,8 +35,6 @@ def run_axes(options: argparse.Namespace, text: str = "") -> int:
     ----------
     options : Namespace
         Of ``servofd calibrate``.
-    text : str
-        Aircraft file so far.
     """
     from servofd.aircraft.axes import motion_to_toml
     from servofd.core.files import write_whole

@@ -69,12 +69,6 @@ def find_episodes(
 
     Parameters
     ----------
-    residuals : Residuals
-        Of one surface.
-    threshold : Threshold
-        Alarm level over time.
-    persistence : int
-        How many judged samples in a row, all on one side, make an alarm.
     suspicion : ndarray of bool, shape (n,), optional
         Where something too small for the threshold has lasted too long.
     """

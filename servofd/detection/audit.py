@@ -137,18 +137,10 @@ def audit_segment(
 
     Parameters
     ----------
-    segment : Segment
-        What was asked of it and what it did.
-    aircraft : Aircraft
-        Gives its healthy model and tolerances.
-    duration_s : float
-        Length of the whole log [s].
     threshold_deg : float, optional
         Constant alarm level [deg]; the aircraft has one.
     threshold : {"constant", "interval"}, optional
         Kind of threshold; the aircraft has one.
-    expected : bool
-        Whether a verdict on this surface is expected.
 
     Examples
     --------

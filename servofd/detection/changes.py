@@ -99,8 +99,6 @@ def follow(
 
     Parameters
     ----------
-    tests : Tests
-        Of this surface.
     memory : Memory
         Of this surface; is carried on.
     time_s, error_deg, noise_deg : ndarray, shape (m,)

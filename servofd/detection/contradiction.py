@@ -130,8 +130,6 @@ def contradictions(
     ----------
     generator : ResidualGenerator
         With the servo that was fitted to this log, or to another of the same aircraft.
-    residuals : Residuals
-        What it makes of the log.
     earlier_deg : ndarray, optional
         Positions before those of the residuals, which tell how far the surface can go [deg].
 
@@ -158,15 +156,7 @@ def contradictions(
 
 
 def unanswered(generator: ResidualGenerator, residuals: Residuals) -> tuple[Fault, ...]:
-    """Find where a surface did not answer its command at all, which needs no model: elsewhere it is where it is asked.
-
-    Parameters
-    ----------
-    generator : ResidualGenerator
-        With any ordinary servo.
-    residuals : Residuals
-        What it makes of the log.
-    """
+    """Find where a surface did not answer its command at all, which needs no model; elsewhere it goes where asked."""
     flight = _flight(generator, residuals)
     if flight is None:
         return ()

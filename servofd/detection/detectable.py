@@ -70,12 +70,6 @@ def detectable(
 
     Parameters
     ----------
-    generator : ResidualGenerator
-        Healthy model and filter.
-    residuals : Residuals
-        Of the log.
-    threshold : Threshold
-        Its alarm level.
     suspicions : bool
         Whether what stays below the threshold may be suspect, if it lasts.
     own_fit : bool
@@ -83,8 +77,6 @@ def detectable(
         was slow is what was fitted, so that a loss of speed is not judgeable (of 16 brisk flights of strangers at a
         third of their speed, one was healthy and said that 9 % would have been seen). Sizes are then those of faults
         that set in after the first quarter of the log.
-    persistence : int
-        How many judged samples in a row, all on one side, make an alarm.
 
     Examples
     --------

@@ -54,14 +54,6 @@ def judge(
 
     Parameters
     ----------
-    generator : ResidualGenerator
-        Healthy model and filter.
-    segment : Segment
-        Commands and measurements.
-    residuals : Residuals
-        What the generator makes of the segment.
-    surface : Surface
-        Its threshold, persistence and tolerances.
     dismiss : bool
         Whether an alarm that the tolerances of a working servo explain is only a suspicion.
     """

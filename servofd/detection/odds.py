@@ -100,16 +100,8 @@ def surface_odds(
 
     Parameters
     ----------
-    surface, servo : str
-        Their names.
-    design : PulseFilter
-        Its residual filter.
     noise : Noise
         Of its healthy residual, measured or designed.
-    threshold_deg : float
-        Threshold in force [deg].
-    wish : Wish
-        Wanted rate of false alarms, and the fault to be seen.
     tail : TailFit, optional
         Measured tail of the residual.
     hours : float

@@ -158,14 +158,8 @@ def named(watched: Watched, alarm_s: float, ratio: float, *, earliest_s: float) 
 
     Parameters
     ----------
-    watched : Watched
-        The surface.
-    alarm_s : float
-        When the alarm was raised [s].
     ratio : float
         Largest statistic over its threshold at or after the alarm.
-    earliest_s : float
-        Before it nothing of this fault can have happened [s].
 
     Returns
     -------

@@ -230,10 +230,6 @@ def followed(
 
     Parameters
     ----------
-    servo : ServoParameters or ExtendedServo
-        The servo.
-    commands : Commands
-        As they reach it.
     at_s, measured_deg : ndarray, shape (n,)
         Where the surface was measured [deg], and when [s].
     restart : ndarray, shape (n,)

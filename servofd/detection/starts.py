@@ -46,8 +46,6 @@ def find_starts(segment: Segment, longest_gap_s: float, blanking_s: float, fresh
 
     Parameters
     ----------
-    segment : Segment
-        Commands and measurements.
     longest_gap_s : float
         Longest interval without commands, or without positions, that is bridged [s].
     blanking_s : float

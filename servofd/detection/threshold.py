@@ -97,13 +97,9 @@ class Evaluation:
 
         Parameters
         ----------
-        residuals : Residuals
-            Of these samples.
         rate_error_deg, added_deg : ndarray, shape (n,)
             What a rate limit that is lower by its tolerance would leave, and what lost commands may add [deg]; empty
             where there is nothing of it.
-        sigmas : float
-            Standard deviations of noise in the threshold.
         """
         tolerated, saturated, sigma, drift = (np.zeros(residuals.time_s.size) for _ in range(4))
         signals = Signals(
@@ -137,16 +133,8 @@ def interval_threshold(
 
     Parameters
     ----------
-    generator : ResidualGenerator
-        Healthy model and filter.
-    segment : Segment
-        Commands and measurements.
-    residuals : Residuals
-        Of the segment.
     tolerance : Tolerance
         How far a healthy servo may differ from the model.
-    sigmas : float
-        Standard deviations of noise in the threshold.
 
     Returns
     -------
@@ -279,8 +267,6 @@ def unseen_deg(recent_deg: FloatArray, lost: int) -> float:
     ----------
     recent_deg : ndarray, shape (at most `RECENT_COMMANDS` + 1,)
         Commands up to the loss [deg].
-    lost : int
-        How many were lost.
 
     Examples
     --------

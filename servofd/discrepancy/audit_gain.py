@@ -68,15 +68,6 @@ def audit_gain(
 ) -> AuditGain | None:
     """Compare two models on the same flights; None if these are too short to tell the noise.
 
-    Parameters
-    ----------
-    segments : sequence of Segment
-        Flights of one healthy surface.
-    known, better : ServoModel
-        The model as it was, and with what was missing.
-    until_s : float
-        Nothing later counts [s].
-
     Examples
     --------
     >>> from servofd.servo.effects import Delay

@@ -38,14 +38,6 @@ def judged_elsewhere(
 
     Parameters
     ----------
-    path : str
-        Name of the flight.
-    segment : Segment
-        Commands and measurements of the same surface.
-    model : ServoModel
-        The servo as it is known.
-    physics : Physics
-        The servo with its effects, as they were found.
     own : OwnEffect, optional
         An effect of the user's own that is among them.
     """

@@ -33,8 +33,6 @@ def after_lost_commands(command_s: FloatArray, command_deg: FloatArray, hole_s: 
     ----------
     command_s, command_deg : ndarray, shape (m,)
         Time stamps [s] and commands, those that are left.
-    hole_s : float
-        A longer interval is a hole and no lost command [s].
     time_s : ndarray, shape (n,)
         Of the samples [s].
 

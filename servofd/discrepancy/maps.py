@@ -49,12 +49,8 @@ def maps(record: Record, error_deg: FloatArray, sigma_deg: float) -> tuple[Map, 
 
     Parameters
     ----------
-    record : Record
-        What is compared.
     error_deg : ndarray, shape (n,)
         Measured minus simulated position [deg].
-    sigma_deg : float
-        Noise floor [deg].
     """
     where = record.counts
     error = error_deg[where]

@@ -140,14 +140,8 @@ def record_of(
 
     Parameters
     ----------
-    segment : Segment
-        Commands and measurements.
-    model : ServoModel
-        The servo as it is known.
     pressure_pa, voltage_v : ndarray, shape (n,), optional
         Dynamic pressure [Pa] and supply voltage [V] at the measurements; left out, those of the segment.
-    until_s : float
-        Nothing later counts [s].
     at_rest : bool
         Whether the servo rested before the first sample, as on a bench: then all of it counts.
     free_poles : bool

@@ -58,8 +58,6 @@ def quantities(record: Record, simulated_deg: FloatArray) -> tuple[Quantity, ...
 
     Parameters
     ----------
-    record : Record
-        What is compared.
     simulated_deg : ndarray, shape (n,)
         Position of the better model, which knows the motion without the noise of the measurement [deg].
 
@@ -127,8 +125,6 @@ def errors_by_regime(
 
     Parameters
     ----------
-    record : Record
-        What is compared.
     before_deg, after_deg : ndarray, shape (n,)
         Error of the model as it was, and of the better one [deg].
     simulated_deg : ndarray, shape (n,)

@@ -115,15 +115,7 @@ class Selection:
 
 
 def select(record: Record, progress: Callable[[str], None] = lambda _step: None) -> Selection:
-    """Find the effects that are missing.
-
-    Parameters
-    ----------
-    record : Record
-        What was asked and what happened.
-    progress : callable
-        Called with the name of each effect that was tried.
-    """
+    """Find the effects that are missing."""
     return concluded(searched(record, progress))
 
 

@@ -35,8 +35,6 @@ def spectrum(record: Record, error_deg: FloatArray) -> Spectrum | None:
 
     Parameters
     ----------
-    record : Record
-        What is compared.
     error_deg : ndarray, shape (n,)
         Measured minus simulated position [deg].
 

@@ -33,8 +33,6 @@ def noise_below_deg(measured_deg: FloatArray, simulated_deg: FloatArray, step_de
     ----------
     measured_deg, simulated_deg : ndarray, shape (n,)
         Readings, and positions without steps, of the same samples in a row; NaN where there is none [deg].
-    step_deg : float
-        Of the converter [deg].
 
     Examples
     --------

@@ -84,8 +84,6 @@ def driven(records: Sequence[Record], physics: Physics) -> tuple[list[Record], l
 
     Parameters
     ----------
-    records : sequence of Record
-        The runs.
     physics : Physics
         The servo as it is known, or as well as a linear one fits.
     """

@@ -141,11 +141,6 @@ def nothing_known(flight: FloatArray) -> Expected:
 def sliding(inputs: Inputs, length: int, noise_var: float, *, enough: float = _ENOUGH) -> Sliding:
     """Least squares in every window of a length.
 
-    Returns
-    -------
-    Sliding
-        Estimates, shape (n,).
-
     Examples
     --------
     A surface that lost 40 % of its effect and stands 12 us away:
@@ -220,12 +215,6 @@ def expected(inputs: Inputs, length: int, noise_var: float, flight: FloatArray, 
 
     Parameters
     ----------
-    inputs : Inputs
-        Of one flight.
-    length : int
-        Samples in a window.
-    noise_var : float
-        Variance of the residual's noise.
     flight, window : ndarray, shape (2, 2)
         P_flight and P_window.
 
@@ -259,8 +248,6 @@ def distance(found: Sliding, known: Expected, window: FloatArray, *, loss_matter
 
     Parameters
     ----------
-    found : Sliding
-        Estimates.
     known : Expected
         theta0 and P0.
     window : ndarray, shape (2, 2)

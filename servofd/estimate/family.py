@@ -211,8 +211,6 @@ def sensitivities(
         Of the first of them.
     theta : ndarray, shape (13,)
         Parameters.
-    reach_deg : (lower, upper)
-        Deflections seen in calibration.
     """
     base = position_deg[:, 0]
     added, shapes = bent(base, theta, reach_deg)

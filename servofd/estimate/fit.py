@@ -108,8 +108,6 @@ def fit(records: Sequence[Record], *, start: FloatArray | None = None) -> Fit:
 
     Parameters
     ----------
-    records : sequence of Record
-        Good flights.
     start : ndarray, shape (13,), optional
         Where to begin; else some delays are tried.
     """
@@ -132,17 +130,7 @@ def fit(records: Sequence[Record], *, start: FloatArray | None = None) -> Fit:
 
 
 def worse_without(fitted: Fit, records: Sequence[Record], effects: Sequence[str]) -> float:
-    """By how many times a servo without some effects, fitted to the same records, predicts worse what it was not shown.
-
-    Parameters
-    ----------
-    fitted : Fit
-        The servo with all effects.
-    records : sequence of Record
-        What it was fitted to.
-    effects : sequence of str
-        Names of parameters that are held at zero.
-    """
+    """By how many times a servo without some effects, fitted to the same records, predicts unseen data worse."""
     held = np.array([name in effects for name in NAMES])
     begin = np.where(held, 0.0, fitted.theta)
     theta, _ = _descended(records, begin, held, fitted.reach_deg, _FIRST_STEPS, fitted.sigma_deg)

@@ -69,8 +69,6 @@ def unknown_deg(
     ----------
     commands : (command_s, command_deg)
         Those that arrived, up to the first after the last of the times, each of shape (n,).
-    period_s : float
-        Of the commands as they were sent [s].
     theta : ndarray, shape (13,)
         The servo.
     time_s : ndarray, shape (m,)

@@ -61,8 +61,6 @@ class Record:
 
         Parameters
         ----------
-        segment : Segment
-            Commands and positions.
         supply_v : float, optional
             Usual supply; that of this segment if None.
         airspeed_m_s : float, optional

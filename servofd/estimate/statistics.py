@@ -179,15 +179,6 @@ def descended(
 def deviations(jacobian: FloatArray, error_deg: FloatArray, memory: float) -> FloatArray:
     """Standard deviations of fitted numbers (inverse of the Fisher information), larger by the memory of the errors.
 
-    Parameters
-    ----------
-    jacobian : FloatArray
-        Derivatives of the errors, shape (n, k).
-    error_deg : FloatArray
-        Errors [deg], shape (n,).
-    memory : float
-        How many neighbouring errors tell as much as one.
-
     Examples
     --------
     The mean of 10 000 errors of 1 deg is known to 0.01 deg:

@@ -125,8 +125,6 @@ def fit_roughly(segment: Segment, *, free_scale: bool) -> RoughFit:
     ----------
     segment : Segment
         Command, converted with the best guess there is, and position [deg].
-    free_scale : bool
-        Whether gain and bias between command and position are fitted as well.
 
     Examples
     --------

@@ -50,8 +50,6 @@ def fitted_aircraft(log: FlightLog, aircraft: Aircraft, only: Iterable[str] | No
 
     Parameters
     ----------
-    log : FlightLog
-        What is to be judged.
     aircraft : Aircraft
         Its surfaces; which servo turns them is left out of account.
     only : iterable of str, optional
@@ -182,10 +180,6 @@ def draft_tolerance(
 
     Parameters
     ----------
-    model : ServoModel
-        Servo, fitted to this log.
-    segment : Segment
-        One surface of the log, its command scaled as the fit says.
     all_of_it : bool
         Whether the log is known to be good, and blocks that stand out count as well.
     until_s : float

@@ -30,8 +30,6 @@ def audit_fleet(
     ----------
     logs : sequence of LogSource
         What to judge (`servofd.batch.find.find_logs`).
-    job : Job
-        What to judge it with.
     cluster : str, optional
         Scheduler of a Dask cluster, such as ``"tcp://scheduler:8786"``; the processes of this machine if None.
     workers : int, optional

@@ -49,8 +49,6 @@ def choose_linear(runs: Sequence[Run], response: FrequencyResponse | None, order
 
     Parameters
     ----------
-    runs : sequence of Run
-        Tests of small motion.
     response : FrequencyResponse or None
         Their response within the band; None if they have none, then starts come from a grid.
     order : int or None
@@ -95,10 +93,6 @@ def choose_nonlinear(runs: Sequence[Run], linear: MotionFit, order: int | None, 
 
     Parameters
     ----------
-    runs : sequence of Run
-        All tests, large motion among them.
-    linear : MotionFit
-        Linear servo fitted to them.
     order : int or None
         Number of poles; None to let the data choose.
     swept : bool

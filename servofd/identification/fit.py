@@ -28,8 +28,6 @@ def start_value(response: FrequencyResponse, order: int) -> LinearServo:
 
     Parameters
     ----------
-    response : FrequencyResponse
-        Within the band to fit.
     order : int
         Number of poles, 1 to 3.
 
@@ -61,8 +59,6 @@ def fit_response(response: FrequencyResponse, order: int) -> LinearServo:
 
     Parameters
     ----------
-    response : FrequencyResponse
-        Within the band to fit.
     order : int
         Number of poles, 1 to 3.
 

@@ -109,8 +109,6 @@ def estimate(
     ----------
     command_deg, measured_deg : ndarray, shape (n,)
         Command and position [deg] at the same instants.
-    sample_time_s : float
-        Period [s].
     lags : int, optional
         Reach of the window; 4 s, at most a quarter of the data, if left out.
 

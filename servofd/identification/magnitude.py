@@ -31,8 +31,6 @@ def fit_magnitude(response: FrequencyResponse, order: int) -> LinearServo:
 
     Parameters
     ----------
-    response : FrequencyResponse
-        Within the band to fit.
     order : int
         Number of poles, 1 to 3.
 

@@ -164,8 +164,6 @@ def fit_motion(runs: Sequence[Run], start: ServoCandidate, *, evaluations: int =
 
     Parameters
     ----------
-    runs : sequence of Run
-        Tests.
     start : ServoCandidate
         Where to begin; what is None in it is not fitted.
     evaluations : int

@@ -97,8 +97,6 @@ class LinearServo:
         ----------
         frequency_rad_s : ndarray, shape (m,)
             Below the Nyquist frequency [rad/s].
-        sample_time_s : float
-            Period of samples and hold [s].
 
         Returns
         -------
@@ -141,8 +139,6 @@ def shape_bounds(order: int, sample_time_s: float) -> tuple[FloatArray, FloatArr
     ----------
     order : int
         Number of poles, 1 to 3.
-    sample_time_s : float
-        Period of the samples [s].
 
     Returns
     -------

@@ -43,14 +43,8 @@ def intervals_of(runs: Sequence[Run], choice: Choice, servo: ServoCandidate, lim
 
     Parameters
     ----------
-    runs : sequence of Run
-        Tests the choice rests on.
     choice : Choice
         Fits with the dc gain free: what is fixed afterwards makes nothing more certain.
-    servo : ServoCandidate
-        The servo that is reported.
-    limits : RateLimits
-        From steps.
     """
     fit = choice.fit
     quantities: dict[str, Callable[[ServoCandidate], float]] = {
@@ -104,12 +98,6 @@ def notes_on_servo(
 
     Parameters
     ----------
-    choice : Choice
-        The fit, and whether one more pole would do as well.
-    runs : sequence of Run
-        Tests the choice rests on.
-    intervals : dict of str to Estimate
-        What is reported.
     highest_rad_s : float or None
         Highest frequency with coherence [rad/s].
     """
@@ -163,17 +151,7 @@ def _early_s(runs: Sequence[Run], fit: MotionFit) -> float:
 
 
 def notes_on_spread(responses: Sequence[FrequencyResponse], order: int, names: Sequence[str]) -> tuple[str, ...]:
-    """How far several servos differ, from a fit to the response of each.
-
-    Parameters
-    ----------
-    responses : sequence of FrequencyResponse
-        Of each servo.
-    order : int
-        Number of poles.
-    names : sequence of str
-        What to call them.
-    """
+    """How far several servos differ, from a fit to the response of each."""
     if len(responses) < 2:
         return ()
     bands = [response.band_rad_s() for response in responses]

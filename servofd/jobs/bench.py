@@ -86,8 +86,6 @@ def identify_logs(
 
     Parameters
     ----------
-    paths : sequence of str or Path
-        One log for each servo.
     aircraft : Aircraft, optional
         What the channels are.
     surface : str, optional

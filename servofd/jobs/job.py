@@ -36,8 +36,6 @@ def logs_of(paths: LogFile | Sequence[LogFile], aircraft: Aircraft | None = None
 
     Parameters
     ----------
-    paths : str, Path, binary file or sequence of them
-        The logs.
     aircraft : Aircraft, optional
         Tells how its tables are to be read.
 
@@ -71,8 +69,6 @@ def flown_aircraft(log: FlightLog, known: Aircraft | None, servo: str | None = N
 
     Parameters
     ----------
-    log : FlightLog
-        One run.
     known : Aircraft or None
         What is known of the aircraft.
     servo : str, optional
@@ -104,8 +100,6 @@ def aircraft_for(log: FlightLog, servo: str | None = None) -> Aircraft:
 
     Parameters
     ----------
-    log : FlightLog
-        What is to be judged.
     servo : str, optional
         Servo of a plain table's surfaces, of the library or a servo file; each is fitted to the log if left out.
     """

@@ -87,8 +87,6 @@ def odds_from_logs(parts: Iterable[Part | LeftOut], wish: Wish) -> list[SurfaceO
     ----------
     parts : iterable of Part or LeftOut
         Of all logs of one aircraft, from `parts_of`.
-    wish : Wish
-        Wanted rate of false alarms, and the fault to be seen.
 
     Returns
     -------
@@ -109,14 +107,8 @@ def odds_from_design(
 
     Parameters
     ----------
-    aircraft : Aircraft
-        Surfaces, servos and thresholds.
-    wish : Wish
-        Wanted rate of false alarms, and the fault to be seen.
     noise_deg : float
         Standard deviation of the noise of the measured deflection [deg], at most 10.
-    rate_hz : float
-        Sample rate of the measured deflection [Hz].
     surfaces : tuple of str
         Which; all that are measured if empty.
 

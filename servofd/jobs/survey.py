@@ -102,8 +102,6 @@ def survey(path: str | Path, aircraft: str | Path | None = None, *, every_channe
 
     Parameters
     ----------
-    path : str or Path
-        The log.
     aircraft : str or Path, optional
         Aircraft file; left out, the log's own description is used as far as there is one.
     every_channel : bool

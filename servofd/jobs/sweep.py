@@ -140,10 +140,6 @@ def check_sweep(log: FlightLog, aircraft: Aircraft, surfaces: tuple[str, ...] = 
 
     Parameters
     ----------
-    log : FlightLog
-        What was recorded.
-    aircraft : Aircraft
-        Surfaces, calibrations, servos and tolerances.
     surfaces : tuple of str
         Which to judge; all if empty.
 

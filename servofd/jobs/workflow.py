@@ -113,10 +113,6 @@ def calibrate_axes(
 
     Parameters
     ----------
-    paths : sequence of str or Path
-        Logs of the same aircraft, of several days.
-    false_alarms_per_hour : float
-        Wanted of all axes together.
     spans : tuple of (from_s, to_s)
         Which parts of each log are good [s]; all of it if empty.
     own_days : bool

@@ -140,12 +140,8 @@ def plan_onboard(
 
     Parameters
     ----------
-    aircraft : Aircraft
-        Surfaces, calibrations and servos.
     surfaces : sequence of str
         Which to watch; all that can be if empty.
-    rate_hz : float
-        How often the script looks at the servos [Hz].
     instructions : int
         Of Lua's virtual machine, that the autopilot gives a call (``SCR_VM_I_COUNT``).
 

@@ -32,8 +32,6 @@ def explain_figures(found: Explanation, name: str) -> list[Picture]:
 
     Parameters
     ----------
-    found : Explanation
-        What was found.
     name : str
         Begins the names of the pictures; different for each explanation of a page.
     """

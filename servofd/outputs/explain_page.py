@@ -27,8 +27,6 @@ def explain_page(
 
     Parameters
     ----------
-    found : sequence of Explanation
-        One for each surface.
     source : str
         Name of the log, without its folder.
     thresholds : mapping of str to sequence of (quantity, before, after), optional

@@ -45,8 +45,6 @@ def audit_figure(
 
     Parameters
     ----------
-    audit : SurfaceAudit
-        A surface with residuals.
     between_s : tuple of float, optional
         First and last time to show [s].
     points : int

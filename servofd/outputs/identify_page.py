@@ -17,8 +17,6 @@ def identify_page(found: Identification, source: str) -> str:
 
     Parameters
     ----------
-    found : Identification
-        What was identified.
     source : str
         Where the data came from.
     """

@@ -43,10 +43,6 @@ def model_file(found: Sequence[Explanation], aircraft: Aircraft, source: str, lo
 
     Parameters
     ----------
-    found : sequence of Explanation
-        What was missing, one for each surface.
-    aircraft : Aircraft
-        The aircraft as it was known.
     source : str
         Where the data came from.
     logs : sequence of FlightLog

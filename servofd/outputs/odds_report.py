@@ -20,8 +20,6 @@ def odds_document(odds: Sequence[SurfaceOdds], missing: dict[str, str]) -> dict[
 
     Parameters
     ----------
-    odds : sequence of SurfaceOdds
-        Of the surfaces that could be judged.
     missing : dict of str to str
         Surfaces or logs that could not be judged, and why.
 

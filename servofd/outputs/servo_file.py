@@ -24,10 +24,6 @@ def servo_file(found: Identification, name: str, source: str) -> str:
 
     Parameters
     ----------
-    found : Identification
-        The servo.
-    name : str
-        Its key.
     source : str
         Where the data came from.
     """

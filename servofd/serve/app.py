@@ -37,8 +37,6 @@ def application(flights: Flights, token: str = "") -> ASGIApp:
 
     Parameters
     ----------
-    flights : Flights
-        What it shows and takes.
     token : str
         What everybody must bring; empty: only this machine comes in.
     """

@@ -62,12 +62,8 @@ def judge(log: str, folder: str, job: Job) -> Summary:
 
     Parameters
     ----------
-    log : str
-        The file.
     folder : str
         Where its results go; made if it is not there. None of them tells where the log lies.
-    job : Job
-        What to judge it with.
     """
     target = Path(folder)
     make_folder(target)

@@ -26,10 +26,6 @@ def serve(app: ASGIApp, listening_socket: socket.socket, link: str = "") -> None
 
     Parameters
     ----------
-    app : ASGI application
-        Who answers.
-    listening_socket : socket
-        Where.
     link : str
         What to open in a browser, where there is a display; nothing if empty.
     """

@@ -99,16 +99,12 @@ def failing_deflection(
 
     Parameters
     ----------
-    model : ServoModel
-        The healthy servo.
     faults : iterable of Fault
         What fails, and when; the intervals [start_s, end_s) do not overlap.
     command_s, command_deg : ndarray, shape (n,)
         When each command was given [s] and what it asked for [deg]; it holds until the next.
     at_s : ndarray, shape (m,)
         Times [s], rising.
-    context : Context
-        Airspeed and supply, for effects that depend on them.
 
     Returns
     -------

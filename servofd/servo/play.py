@@ -23,8 +23,6 @@ def play(values: FloatArray, width: float, start: float) -> FloatArray:
     ----------
     values : ndarray, shape (n,)
         Signal.
-    width : float
-        Full width of the zone, in the unit of the signal.
     start : float
         Result before the first sample.
 

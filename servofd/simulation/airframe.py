@@ -107,8 +107,6 @@ def fly_airframe(
 
     Parameters
     ----------
-    seed : int
-        Of the pilot, the air and the noise.
     mixer : str
         One of `MIXERS`.
     duration_s, rate_hz : float
@@ -117,8 +115,6 @@ def fly_airframe(
         1 is moderate: gusts of 1.5 m/s.
     faults : tuple of AirframeFault
         One for each surface at most.
-    engine_cut_s : float
-        From when on the propeller gives nothing, whatever is asked [s].
     day : int, optional
         Load, trim and density are those of a day; of the seed if left out.
 

@@ -40,10 +40,6 @@ def parameters(flight: SimulatedFlight, aircraft: Aircraft, feedback: str) -> di
 
     Parameters
     ----------
-    flight : SimulatedFlight
-        With outputs.
-    aircraft : Aircraft
-        Tells which servos report their positions.
     feedback : str
         How: ``"volz"``, ``"dronecan"`` or ``"script"``.
     """

@@ -41,8 +41,6 @@ def flight(time_s: FloatArray, rng: np.random.Generator) -> FloatArray:
     ----------
     time_s : ndarray, shape (n,)
         Uniform times [s].
-    rng : numpy Generator
-        Source of the variation.
 
     Returns
     -------

@@ -56,8 +56,6 @@ def surroundings(time_s: FloatArray, seed: int) -> Surroundings:
     ----------
     time_s : ndarray, shape (n,)
         When [s].
-    seed : int
-        Of the noise.
 
     Examples
     --------
@@ -124,8 +122,6 @@ def servo_state(time_s: FloatArray, measured_deg: FloatArray, rng: np.random.Gen
     ----------
     time_s, measured_deg : ndarray of shape (n,)
         Its motion [s], [deg].
-    rng : Generator
-        Draws what is random of it.
     """
     speed_deg_s = np.gradient(measured_deg, time_s)
     drawn_a = current_a(speed_deg_s, rng)

@@ -98,8 +98,6 @@ def servo_rows(flight: SimulatedFlight, aircraft: Aircraft, feedback: str = "nam
 
     Parameters
     ----------
-    flight : SimulatedFlight
-        With outputs.
     aircraft : Aircraft
         A surface without a measured channel has a servo that reports nothing.
     feedback : str

@@ -76,8 +76,6 @@ def write_flight(
     ----------
     path : str or Path
         As in `writer_for`.
-    flight : SimulatedFlight
-        What to write.
     aircraft : Aircraft
         Its calibration turns degrees into what a FASER log holds; its measured channels tell which servos report.
     generation : str, optional

@@ -80,10 +80,6 @@ def estimate_flight(segment: Segment, aircraft: Aircraft, voltage_v: float | Non
 
     Parameters
     ----------
-    segment : Segment
-        One surface in one flight.
-    aircraft : Aircraft
-        Its model, threshold and tolerances.
     voltage_v : float, optional
         Mean supply voltage of the servos [V], if it was logged.
 

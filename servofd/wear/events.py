@@ -51,13 +51,6 @@ class Event:
 def find_events(series: Mapping[str, Piece], telling: Mapping[str, float]) -> tuple[Event, ...]:
     """Find when numbers of a servo changed at once.
 
-    Parameters
-    ----------
-    series : mapping of str to Piece
-        All flights of one servo, for each quantity.
-    telling : mapping of str to float
-        Smallest change of each quantity that is reported.
-
     Returns
     -------
     tuple of Event

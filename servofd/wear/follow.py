@@ -84,12 +84,8 @@ def follow(surface: str, flights: Sequence[tuple[int, FlightEstimate]], wear: We
 
     Parameters
     ----------
-    surface : str
-        Its name.
     flights : sequence of (number, FlightEstimate)
         In the order in which they were flown, at least one; a number may be missing where a flight tells nothing.
-    wear : Wear
-        Limits, and known swaps.
 
     Returns
     -------

@@ -50,15 +50,6 @@ def forecast(piece: Piece, limit: float, *, above: bool) -> Forecast:
 
     The interval is Fieller's: all flights at which the limit lies within the 95 % interval of the line.
 
-    Parameters
-    ----------
-    piece : Piece
-        The flights since the last break.
-    limit : float
-        In the unit of the values.
-    above : bool
-        Whether more is worse.
-
     Returns
     -------
     Forecast

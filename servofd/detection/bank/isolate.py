@@ -38,13 +38,6 @@ _ONSET_BEFORE_RECORD_S = 0.5
 def isolate(flight: Flight, episode: Episode) -> tuple[Fault, ...]:
     """Name what happened during an alarm.
 
-    Parameters
-    ----------
-    flight : Flight
-        The surface.
-    episode : Episode
-        Since when something is wrong, and until when.
-
     Returns
     -------
     tuple of Fault
@@ -290,10 +283,6 @@ def first_signs(window: Window, generator: ResidualGenerator, sigma_deg: float) 
     ----------
     window : Window
         A second or less, from shortly after the onset on.
-    generator : ResidualGenerator
-        Its filter evaluates the misfits.
-    sigma_deg : float
-        Standard deviation of the healthy residual [deg].
 
     Returns
     -------

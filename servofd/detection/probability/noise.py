@@ -70,8 +70,6 @@ class Noise:
         ----------
         residual_deg : ndarray, shape (n,)
             Residual [deg]; NaN where it was not judged, and between one log and the next.
-        sample_time_s : float
-            Sample time [s].
         lags : int
             Most lags after lag 0 to look at; at least the time in which the filter forgets.
         """

@@ -27,8 +27,6 @@ def persistent_false_alarms_per_hour(threshold_deg: float, noise: Noise, samples
     ----------
     threshold_deg : float
         Alarm level, on both sides [deg].
-    noise : Noise
-        Of a healthy, Gaussian residual.
     samples : int
         Samples in a row, at least 1 and at most the number of lags that are known; 1 is `false_alarms_per_hour`.
 
@@ -83,14 +81,8 @@ def persistent_delay_s(
         Mean residual that the fault causes [deg], from the sample at which it sets in.
     threshold_deg : float
         Alarm level, on both sides [deg].
-    noise : Noise
-        Of the healthy residual, taken to be Gaussian.
-    samples : int
-        Samples in a row, all on one side.
     runs : int
         Flights to simulate; the standard error is about the delay over their square root.
-    seed : int
-        Of the random numbers.
 
     Returns
     -------

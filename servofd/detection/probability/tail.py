@@ -140,8 +140,6 @@ def fit_tail(residual_deg: FloatArray, sample_time_s: float, apart_samples: int 
     ----------
     residual_deg : ndarray, shape (n,)
         Residual [deg]; NaN where it was not judged. Put at least `apart_samples` NaN between one log and the next.
-    sample_time_s : float
-        Sample time [s].
     apart_samples : int
         Exceedances fewer samples apart than this belong to one peak: 15 at 100 Hz for a filter at 50 rad/s, 7.5
         time constants, after which the residual has forgotten (its correlation is below 0.01).

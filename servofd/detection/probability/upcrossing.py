@@ -31,12 +31,8 @@ def false_alarms_per_hour(threshold_deg: float, sigma_deg: float, correlation: f
     ----------
     threshold_deg : float
         Alarm level, on both sides [deg].
-    sigma_deg : float
-        Standard deviation of the residual [deg].
     correlation : float
         Correlation of the residual with itself one sample later, between -1 and 1.
-    sample_time_s : float
-        Sample time [s].
 
     Returns
     -------
@@ -93,10 +89,6 @@ def threshold_for_rate_deg(rate_per_hour: float, sigma_deg: float, correlation: 
         Wanted false alarms per flight hour, of this surface alone; for a fleet, divide by the number of surfaces.
     sigma_deg : float
         Standard deviation of the residual [deg], above zero.
-    correlation : float
-        Correlation of the residual with itself one sample later.
-    sample_time_s : float
-        Sample time [s].
 
     Returns
     -------

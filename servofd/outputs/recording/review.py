@@ -193,8 +193,6 @@ def rejudged(
 
     Parameters
     ----------
-    recording : Recording
-        As it was read.
     threshold_deg : float, optional
         Constant alarm level for all surfaces [deg].
     threshold : {"constant", "interval"}, optional

@@ -193,8 +193,6 @@ def recording_file(path: str | Path, application: str, layout: Any, clock: Clock
         File to write; `ConfigError` if it cannot be.
     application : str
         Name under which the viewer keeps the layout; recordings that share it share the layout.
-    layout : rerun.blueprint.Blueprint
-        Goes into the file.
     clock : Clock
         What time it is at ``time_s = 0``.
     """

@@ -59,16 +59,8 @@ def send_surface(
 
     Parameters
     ----------
-    recorder : Recorder
-        Where to.
-    surface : SurfaceAudit
-        The verdict.
     trace : Trace or None
         The curves.
-    start_s : float
-        When the recording begins [s].
-    tint : str
-        Colour of its curve in the overview.
     """
     place = surface_place(surface.surface)
     recorder.texts(f"{place}/events", events(trace, surface, start_s))

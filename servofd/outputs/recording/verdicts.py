@@ -105,8 +105,6 @@ def audit_of(properties: Mapping[str, Any], name: str) -> Verdicts:
     ----------
     properties : Mapping
         As `verdicts_of` made them.
-    name : str
-        Name of the recording, for messages.
     """
     schema = properties.get("schema")
     if isinstance(schema, str) and schema in _WITHOUT_VERDICTS:

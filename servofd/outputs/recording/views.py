@@ -20,8 +20,6 @@ def blueprint(tabs: Sequence[Any], last_s: float | None = None, around_s: tuple[
 
     Parameters
     ----------
-    tabs : sequence of views or containers
-        In order.
     last_s : float, optional
         Follow what comes live, and show so much of it [s]; the whole flight if left out.
     around_s : tuple of float, optional
@@ -57,12 +55,6 @@ def curves(name: str, places: Sequence[str], *, origin: str = "/", span: tuple[f
 
     Parameters
     ----------
-    name : str
-        Title, with the unit.
-    places : sequence of str
-        Entities.
-    origin : str
-        What their names in the legend leave out.
     span : (float, float), optional
         Bottom and top of the plot; it fits itself to the curves if left out.
     """

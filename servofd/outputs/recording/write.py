@@ -40,10 +40,6 @@ def save_recording(
 
     Parameters
     ----------
-    audit : LogAudit
-        Result of an audit.
-    path : str or Path
-        File to write.
     include_position : bool
         Whether to tell where the aircraft flew, in metres from its first fix.
     online_map : bool

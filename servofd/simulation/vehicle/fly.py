@@ -48,10 +48,6 @@ def legs(flight: SimulatedFlight, aircraft: Aircraft, settings: Settings) -> tup
 
     Parameters
     ----------
-    flight : SimulatedFlight
-        The whole of it.
-    aircraft : Aircraft
-        What flies.
     settings : Settings
         How it speaks; its troubles are counted from the beginning of the flight.
 
@@ -100,14 +96,8 @@ def fly(
 
     Parameters
     ----------
-    vehicle : Vehicle or tuple of Leg
-        What flies.
     link : Link
         Where it is heard; left open.
-    codec : Codec
-        Its end of the link.
-    wait : bool
-        Begin when somebody has said something.
     air : Air, optional
         What is between it and the link.
     """

@@ -54,10 +54,6 @@ class Telemetry:
 
         Parameters
         ----------
-        name : str
-            Message.
-        now_us : int
-            Time of the vehicle's clock [us].
         again : bool
             Also if it was given before.
 

@@ -63,10 +63,6 @@ class RemoteLog:
             System and component that sent it; the first to begin gets the log.
         seqno : int
             Number of a block, `START` or `STOP`.
-        arrived : bool
-            False to have the block once more.
-        now_us : int
-            Time of the vehicle's clock [us].
         """
         if arrived and seqno == START:
             if self._session is None:

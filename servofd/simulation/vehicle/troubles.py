@@ -178,10 +178,6 @@ def troubled_flight(flight: SimulatedFlight, aircraft: Aircraft, troubles: Seque
 
     Parameters
     ----------
-    flight : SimulatedFlight
-        With outputs.
-    aircraft : Aircraft
-        Its servos.
     troubles : sequence of Trouble
         `Edit` changes pulses and motion, `Freeze` the readings.
     """
