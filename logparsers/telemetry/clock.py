@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from logparsers.clock import utc_date
+from logparsers.protocol import Component
 from logparsers.records import Damage
 from logparsers.telemetry.timeline import Break, Timeline, build_timeline, place
 from logparsers.telemetry.unwrap import despike, unwrap
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 
     FloatArray = NDArray[np.float64]
 
-_AUTOPILOT = 1  # component number of every autopilot
 _BREAKS = {
     "reboot": "the vehicle's clock starts again; times run on by arrival time",
     "clock_jump": "the vehicle's clock was set forward; times run on by arrival time",
@@ -122,7 +122,7 @@ class TelemetryClock:
             for sender in self._table.sources(message):
                 count = int(self._table.stream(message, sender).size)
                 own = not message.startswith(_RELAYED)
-                rank = (sender.component == _AUTOPILOT, own, tick_s == 1e-3, count)
+                rank = (sender.component == Component.AUTOPILOT1, own, tick_s == 1e-3, count)
                 if best is None or rank > best[0]:
                     best = rank, (message, sender, tick_s, 8 * field.dtype.itemsize)
         return best[1] if best else None

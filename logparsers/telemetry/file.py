@@ -18,6 +18,7 @@ from logparsers.channels import as_float
 from logparsers.errors import UnreadableLog
 from logparsers.mavlink import DEFAULT_DIALECT, Dialect, enum_name, rival_names, version_text
 from logparsers.mavlink import dialect as dialect_called
+from logparsers.protocol import LONGEST_TEXT, Autopilot, Capability
 from logparsers.records import Damage, Text
 from logparsers.source import mapped
 from logparsers.telemetry import frames
@@ -37,11 +38,8 @@ if TYPE_CHECKING:
     FloatArray = NDArray[np.float64]
 
 _SAMPLE_BYTES = 1 << 17  # read again in other dialects, where something cannot be read in the default one
-_INVALID, _PX4 = 8, 12  # MAV_AUTOPILOT
-_BYTEWISE = 16  # MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
 _INTEGERS = {1: "u1", 2: "i1", 3: "<u2", 4: "<i2", 5: "<u4", 6: "<i4"}  # MAV_PARAM_TYPE
 _BANNER = re.compile(r"(Ardu\w+|APM:\w+|PX4|Rover|Blimp|AntennaTracker)[ -]?V?\d")
-_CHUNK = 50  # characters of one STATUSTEXT
 _KINDS = {
     frames.BAD_CHECKSUM: ("bad_checksum", "a message with a wrong check-sum"),
     frames.LOST_SYNC: ("corrupt", "no message can be read"),
@@ -249,7 +247,7 @@ def _read_vehicle(file: TelemetryFile) -> Vehicle | None:
     best: tuple[int, Vehicle] | None = None
     for source in file.sources("HEARTBEAT"):
         autopilots = file.column("HEARTBEAT", "autopilot", source=source)
-        named = autopilots != _INVALID
+        named = autopilots != Autopilot.INVALID
         count = int(np.count_nonzero(named))
         if not count or (best and count <= best[0]):
             continue
@@ -288,9 +286,11 @@ def _read_parameters(file: TelemetryFile) -> Mapping[str, float]:
 
 def _sends_bytes(file: TelemetryFile, source: Sender) -> bool:
     if source in file.sources("AUTOPILOT_VERSION"):
-        return bool(int(file.column("AUTOPILOT_VERSION", "capabilities", source=source)[-1]) & _BYTEWISE)
+        return bool(
+            int(file.column("AUTOPILOT_VERSION", "capabilities", source=source)[-1]) & Capability.PARAM_ENCODE_BYTEWISE
+        )
     if source in file.sources("HEARTBEAT"):
-        return bool((file.column("HEARTBEAT", "autopilot", source=source) == _PX4).any())
+        return bool((file.column("HEARTBEAT", "autopilot", source=source) == Autopilot.PX4).any())
     return False
 
 
@@ -323,5 +323,5 @@ def _read_texts(file: TelemetryFile) -> tuple[Text, ...]:
                 found[-1] = where, Text(before.time_s, before.text + text, severity, name)
             else:
                 found.append((place, Text(time_s, text, severity, name)))
-            begun = (number, chunk + 1) if len(text) == _CHUNK else None
+            begun = (number, chunk + 1) if len(text) == LONGEST_TEXT else None
     return tuple(text for _, text in sorted(found, key=lambda entry: entry[0]))

@@ -401,8 +401,7 @@ def _verdict(
     return (
         "healthy",
         f"followed its command as its servo should, within {statistics.max_abs_deg:.2f} deg"
-        f" (threshold {threshold.typical_deg:.2g} deg{passed})"
-        + (f"; {limits}" if limits else ""),
+        f" (threshold {threshold.typical_deg:.2g} deg{passed})" + (f"; {limits}" if limits else ""),
     )
 
 

@@ -11,6 +11,7 @@ import re
 from collections import defaultdict
 from typing import TYPE_CHECKING, Any, Final
 
+from logparsers.protocol import LONGEST_TEXT, Autopilot, Kind, Severity, State
 from servofd.live.names import short_names
 
 if TYPE_CHECKING:
@@ -19,20 +20,19 @@ if TYPE_CHECKING:
     from servofd.detection.events import Event
     from servofd.detection.monitor import SurfaceMonitor
 
-_LONGEST, _NAME_LONGEST = 50, 10
+_NAME_LONGEST: Final = 10
 _LEAST_ROOM: Final = 12
 """For a surface's name, however long the rest of a text would like to be."""
-_CRITICAL, _ERROR, _WARNING, _NOTICE = 2, 3, 4, 5  # MAV_SEVERITY
 _SEVERITIES: Final = {
-    "hardover": _CRITICAL,
-    "stuck": _CRITICAL,
-    "floating": _CRITICAL,
-    "oscillation": _CRITICAL,
-    "unknown": _CRITICAL,
-    "loss_of_effectiveness": _ERROR,
-    "bias": _ERROR,
-    "slow": _WARNING,
-    "deadband": _WARNING,
+    "hardover": Severity.CRITICAL,
+    "stuck": Severity.CRITICAL,
+    "floating": Severity.CRITICAL,
+    "oscillation": Severity.CRITICAL,
+    "unknown": Severity.CRITICAL,
+    "loss_of_effectiveness": Severity.ERROR,
+    "bias": Severity.ERROR,
+    "slow": Severity.WARNING,
+    "deadband": Severity.WARNING,
 }
 """By what the fault does to the aircraft: control lost, trim lost, control worse."""
 _KINDS: Final = {"deadband": "dead band", "loss_of_effectiveness": "loss of effectiveness", "unknown": "at fault"}
@@ -46,7 +46,6 @@ _SHOWN: Final = (
     "gain",
 )
 _UNITS: Final = {"bandwidth_scale": "x", "gain": "x", "rate_limit_deg_s": " deg/s"}
-_ONBOARD, _NO_AUTOPILOT, _ACTIVE, _STATE_CRITICAL = 18, 8, 4, 5  # MAV_TYPE, MAV_AUTOPILOT, MAV_STATE
 _PERIOD_S: Final = 1.0
 _AGAIN_S: Final = 1.0
 """An urgent text is said twice: of a link that loses 30 %, one in eleven is lost and not three in ten."""
@@ -123,7 +122,7 @@ class Alerts:
             quiet = self._quiet()
             if quiet:
                 self._spoke_s = now_s
-                found += [(_WARNING, text) for text in quiet]
+                found += [(Severity.WARNING, text) for text in quiet]
             self._gathered_s = math.inf
         return [("STATUSTEXT", {"severity": severity, "text": text}) for severity, text in found]
 
@@ -133,8 +132,13 @@ class Alerts:
             return []
         self._beat_s = now_s
         alarmed = any(monitor.standing for monitor in monitors.values())
-        state = _STATE_CRITICAL if alarmed else _ACTIVE
-        beat = {"type": _ONBOARD, "autopilot": _NO_AUTOPILOT, "system_status": state, "mavlink_version": 3}
+        state = State.CRITICAL if alarmed else State.ACTIVE
+        beat = {
+            "type": Kind.ONBOARD_CONTROLLER,
+            "autopilot": Autopilot.INVALID,
+            "system_status": state,
+            "mavlink_version": 3,
+        }
         boot_ms = int(vehicle_s * 1e3) % 2**32 if math.isfinite(vehicle_s) else 0
         numbers: list[Message] = [
             (
@@ -153,26 +157,26 @@ class Alerts:
         self._unwatched.clear()
         notes, self._notes = self._notes, []
         told = [self._text(surfaces, f"not watched: {reason}") for reason, surfaces in reasons.items()]
-        return told + ([notes[-1][:_LONGEST]] if notes else [])
+        return told + ([notes[-1][:LONGEST_TEXT]] if notes else [])
 
     def _text(self, surfaces: list[str], what: str) -> str:
         """Names, then what there is to say of them; what does not fit is cut off the latter."""
-        room = max(_LONGEST - len(what) - 1, _LEAST_ROOM)
+        room = max(LONGEST_TEXT - len(what) - 1, _LEAST_ROOM)
         whole = ", ".join(short_names(self._surfaces, room)[surface] for surface in surfaces)
         who = whole if len(whole) <= room else f"{len(surfaces)} surfaces"
-        return f"{who} {what}"[:_LONGEST]
+        return f"{who} {what}"[:LONGEST_TEXT]
 
 
 def _words(event: Event) -> tuple[int, str]:
     """Severity, and what follows the surface's name."""
     if event.event == "clear":
-        return _NOTICE, "cleared: within tolerance" if event.kind == "healthy" else "moves as commanded again"
+        return Severity.NOTICE, "cleared: within tolerance" if event.kind == "healthy" else "moves as commanded again"
     if event.event == "alarm" and event.fault is None and event.text:
         return _SEVERITIES["unknown"], "AXIS ALARM by its motion"
     if event.event == "alarm" and event.fault is None:
         known = f", off by {abs(event.residual_deg):.1f} deg" if math.isfinite(event.residual_deg) else ""
         return _SEVERITIES["unknown"], f"ALARM{known}"
-    return _SEVERITIES.get(event.kind, _NOTICE), _KINDS.get(event.kind, event.kind) + _size(event)
+    return _SEVERITIES.get(event.kind, Severity.NOTICE), _KINDS.get(event.kind, event.kind) + _size(event)
 
 
 def _size(event: Event) -> str:

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 from logparsers.mavlink import dialect
+from logparsers.protocol import Component
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from logparsers.codec import Heard
 
-_AUTOPILOT = 1
 _GONE_S = 5.0
 """A sender that is no autopilot and silent for so long makes room for another."""
 _MOST_OTHERS = 64
@@ -107,8 +107,8 @@ class ChannelTable:
         if bound.who == sender:
             bound.latest_s = arrival_s
             return True
-        is_better = sender[1] == _AUTOPILOT and bound.who[1] != _AUTOPILOT
-        if is_better or (bound.who[1] != _AUTOPILOT and arrival_s - bound.latest_s > _GONE_S):
+        is_better = sender[1] == Component.AUTOPILOT1 and bound.who[1] != Component.AUTOPILOT1
+        if is_better or (bound.who[1] != Component.AUTOPILOT1 and arrival_s - bound.latest_s > _GONE_S):
             self._tell(message, sender, f"component {sender[1]}, not {bound.who[1]}")
             self._senders[channel] = _Sender(sender, arrival_s)
             return True

@@ -10,13 +10,13 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from logparsers.protocol import Component
 from servofd.live.channels import stamp_of
 from servofd.live.latency import Latency
 
 if TYPE_CHECKING:
     from logparsers.codec import Heard
 
-_AUTOPILOT = 1
 _RELAYED = ("NAMED_VALUE", "DEBUG", "SET_", "HIL_", "VISION", "TIMESYNC")
 """Often stamped by someone else."""
 _BACKWARD_S = 1.0
@@ -62,7 +62,7 @@ class VehicleClock:
         """Whether this message tells the vehicle's time since boot without overflowing."""
         stamp = stamp_of(heard.name)
         return (
-            heard.component == _AUTOPILOT
+            heard.component == Component.AUTOPILOT1
             and stamp is not None
             and stamp.field == "time_boot_ms"
             and not heard.name.startswith(_RELAYED)
@@ -93,7 +93,7 @@ class VehicleClock:
         latest_s = self._newest_s + max(arrival_s - self._arrived_s, 0.0) + _STRAYED_S
         if key not in self._foreign and self._newest_s - _STRAYED_S <= own_s <= latest_s:
             return own_s
-        if stamp.bits < 64 and heard.component == _AUTOPILOT:
+        if stamp.bits < 64 and heard.component == Component.AUTOPILOT1:
             return None
         return own_s + self._foreign.setdefault(key, _Shift()).of(expected_s - own_s, arrival_s)
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 from logparsers.dataflash.live import BlockStream, RowDecoder
+from logparsers.protocol import RemoteLogCommand
 
 if TYPE_CHECKING:
     from logparsers.codec import Heard
 
-_START: Final = 2_147_483_646
 _AGAIN_S: Final = 1.0
 _QUIET_S: Final = 3.0
 """Without a block for so long it is asked to begin; that changes nothing for one that only pauses, as around arming."""
@@ -79,6 +79,6 @@ class RemoteLog:
         answers = self._blocks.answers(now_s)
         if now_s - self._heard_s >= _QUIET_S and now_s - self._asked_s >= _AGAIN_S:
             self._asked_s = now_s
-            answers.append((_START, True))
+            answers.append((RemoteLogCommand.START, True))
         target = {"target_system": self._system, "target_component": 1}
         return [("REMOTE_LOG_BLOCK_STATUS", target | {"seqno": seq, "status": int(there)}) for seq, there in answers]

@@ -6,12 +6,11 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
 from logparsers.mavlink import dialect
+from logparsers.protocol import Command, Result
 
 if TYPE_CHECKING:
     from logparsers.codec import Heard
 
-_SET_MESSAGE_INTERVAL: Final = 511  # MAV_CMD
-_ACCEPTED, _IN_PROGRESS, _UNSUPPORTED = 0, 5, 3  # MAV_RESULT
 _RATES_HZ: Final = (50.0, 40.0, 25.0, 10.0)
 """ArduPlane grants 0.8 of its loop rate: 40 Hz with the usual 50 Hz loop."""
 _SELDOM_HZ: Final = (5.0, 2.0, 1.0)
@@ -82,25 +81,25 @@ class Requests:
         self._open.append((wish, wish.step, now_s))
         period_us = 1e6 / wish.rates_hz[wish.step]
         number = dialect().layouts[wish.message].id
-        fields = {"target_system": self.system, "target_component": 1, "command": _SET_MESSAGE_INTERVAL}
+        fields = {"target_system": self.system, "target_component": 1, "command": Command.SET_MESSAGE_INTERVAL}
         return [("COMMAND_LONG", fields | {"param1": float(number), "param2": period_us})]
 
     def hear(self, heard: Heard) -> str:
         """Take an answer, and say what it means; empty if it is none."""
-        if heard.name != "COMMAND_ACK" or heard.fields["command"] != _SET_MESSAGE_INTERVAL or not self._open:
+        if heard.name != "COMMAND_ACK" or heard.fields["command"] != Command.SET_MESSAGE_INTERVAL or not self._open:
             return ""
         result = int(heard.fields["result"])
-        if result == _IN_PROGRESS or heard.fields.get("target_component", 0) not in (0, self.component):
+        if result == Result.IN_PROGRESS or heard.fields.get("target_component", 0) not in (0, self.component):
             return ""
         wish, step, self._finished_s = self._open.pop(0)
         if wish.done or step != wish.step:
             return ""  # the answer to a copy of a question that has been answered
         asked_hz = wish.rates_hz[step]
-        if result == _ACCEPTED:
+        if result == Result.ACCEPTED:
             wish.done, wish.granted_hz = True, asked_hz
             return f"{wish.message} at {asked_hz:g} Hz granted"
         wish.step, wish.tries = step + 1, 0
-        wish.done = result == _UNSUPPORTED or wish.step == len(wish.rates_hz)
+        wish.done = result == Result.UNSUPPORTED or wish.step == len(wish.rates_hz)
         return f"{wish.message} at {asked_hz:g} Hz denied" if not wish.done else f"{wish.message}: no rate is granted"
 
     def measured(self, message: str, rate_hz: float, now_s: float) -> str:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from logparsers.codec import is_signed
+from logparsers.protocol import Autopilot, Component
 from servofd.aircraft.resolve import of_other_messages
 from servofd.aircraft.schema import plain_aircraft
 from servofd.detection.monitor import SurfaceMonitor
@@ -28,8 +29,7 @@ if TYPE_CHECKING:
     from servofd.detection.events import Event, Inputs, Look
     from servofd.detection.stream import Piece
 
-_GROUND_SYSTEM, _AUTOPILOT = 255, 1
-_NO_AUTOPILOT = 8
+_GROUND_SYSTEM = 255
 _SYNC_S = 5.0
 """How often the delay of a link is asked for; ground stations ask every 10 s."""
 _READS = 3
@@ -200,8 +200,8 @@ class Session:
 
         Whoever speaks first is asked for positions; the first that sends any is the one.
         """
-        autopilot = heard.name == "HEARTBEAT" and heard.component == _AUTOPILOT
-        autopilot = autopilot and heard.fields["autopilot"] != _NO_AUTOPILOT
+        autopilot = heard.name == "HEARTBEAT" and heard.component == Component.AUTOPILOT1
+        autopilot = autopilot and heard.fields["autopilot"] != Autopilot.INVALID
         if 0 not in self.aircraft or heard.system == _GROUND_SYSTEM:
             self._stranger(heard.system, autopilot)
             return None
@@ -243,7 +243,7 @@ class Session:
         self._requests[vehicle.system] = Requests(vehicle.system, vehicle.messages, vehicle.seldom, self.component)
 
     def _answered(self, vehicle: Vehicle, heard: Heard, arrival_s: float) -> None:
-        if heard.name == "TIMESYNC" and heard.component == _AUTOPILOT and heard.fields["tc1"] > 0:
+        if heard.name == "TIMESYNC" and heard.component == Component.AUTOPILOT1 and heard.fields["tc1"] > 0:
             vehicle.clock.answered(heard.fields["ts1"], heard.fields["tc1"] * 1e-9, arrival_s)
         requests = self._requests.get(heard.system)
         if requests is not None:
@@ -316,7 +316,7 @@ class Session:
         if now_s - self._synced_s.get(vehicle.system, float("-inf")) >= _SYNC_S:
             self._synced_s[vehicle.system] = now_s
             due.append(("TIMESYNC", {"tc1": 0, "ts1": vehicle.clock.latency.ask(now_s)}))
-            target = {"target_system": vehicle.system, "target_component": _AUTOPILOT, "param_index": -1}
+            target = {"target_system": vehicle.system, "target_component": Component.AUTOPILOT1, "param_index": -1}
             due += [("PARAM_REQUEST_READ", target | {"param_id": name}) for name in self._unread(vehicle)]
         for name, fields in due:
             self.send(vehicle.system, name, fields)

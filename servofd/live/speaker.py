@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from logparsers.codec import Codec
+from logparsers.protocol import Command
 from servofd.live.threads import Worker
 
 if TYPE_CHECKING:
@@ -26,7 +27,6 @@ ALLOWED = frozenset(
     }
 )
 """COMMAND_LONG for message intervals alone: nothing that moves the vehicle or changes a setting of it."""
-_SET_MESSAGE_INTERVAL = 511
 _ROOM = 256
 
 
@@ -57,7 +57,7 @@ class Speaker:
         codecs: dict[int, Codec] = {}
 
         def send(vehicle: int, name: str, fields: dict[str, Any]) -> None:
-            if name not in ALLOWED or (name == "COMMAND_LONG" and fields["command"] != _SET_MESSAGE_INTERVAL):
+            if name not in ALLOWED or (name == "COMMAND_LONG" and fields["command"] != Command.SET_MESSAGE_INTERVAL):
                 raise ValueError(f"the monitor never sends {name}")
             system = self._system or vehicle or 1
             if system not in codecs:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from logparsers.protocol import NO_INDEX, Component
 from servofd.core.errors import ConfigError
 from servofd.detection.events import Event, Look
 from servofd.detection.monitor import SurfaceMonitor
@@ -36,8 +37,6 @@ _GAP_S = 1.0
 """Longer than any pause between two messages of a vehicle that is heard."""
 _JUMP_S = 1.0
 """Left out after a parameter has changed: pulses jump, and nobody knows exactly when."""
-_AUTOPILOT = 1
-_NO_PLACE = 65_535
 _READ_FIRST_S = 10.0
 """Parameters without a place that come so early answer whoever reads them at the start (in a replay, the monitor that
 recorded it): ArduPilot answers a name in the same way as it tells of a change."""
@@ -226,9 +225,9 @@ class Vehicle:
         self.losses.setdefault(heard.component, Losses()).count(heard.sequence)
         self.heard_s = arrival_s
         self._met_s = min(self._met_s, arrival_s)
-        if heard.name == "HEARTBEAT" and heard.component == _AUTOPILOT:
+        if heard.name == "HEARTBEAT" and heard.component == Component.AUTOPILOT1:
             self.autopilot = int(heard.fields["autopilot"])
-        elif heard.name == "PARAM_VALUE" and heard.component == _AUTOPILOT:
+        elif heard.name == "PARAM_VALUE" and heard.component == Component.AUTOPILOT1:
             events += self._set(heard.fields)
         if not self.clock.is_set(arrival_s) and not self.clock.is_reference(heard):
             if heard.name in self._table.messages:
@@ -253,7 +252,7 @@ class Vehicle:
     def _set(self, told: Mapping[str, Any]) -> list[Event]:
         """A parameter: what was evaluated is, the rest is calibrated anew, or not watched any more."""
         is_answer = told["param_id"] in self._read or self.heard_s - self._met_s <= _READ_FIRST_S
-        is_news = told["param_index"] == _NO_PLACE and not is_answer
+        is_news = told["param_index"] == NO_INDEX and not is_answer
         self._read.discard(told["param_id"])
         change = self.settings.hear(str(told["param_id"]), float(told["param_value"]), is_news=is_news)
         if change is None:

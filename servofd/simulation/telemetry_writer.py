@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from logparsers.protocol import Autopilot, Kind, ParameterType, State
 from logparsers.telemetry.encode import Message, encode
 from servofd.simulation.ardupilot import banner, outputs_needed, parameters
 from servofd.simulation.pulses import THROTTLE, THROTTLE_US
@@ -29,7 +30,6 @@ FEEDBACK: Final = ("named", "port", "array")
 
 _FASTEST_LINK_US: Final = 12_000
 _WAITING_US: Final = 3_000
-_PLANE, _ARDUPILOT, _ACTIVE, _REAL32 = 1, 3, 4, 9  # MAV_TYPE, MAV_AUTOPILOT, MAV_STATE, MAV_PARAM_TYPE
 _ARMED_AUTO: Final = 128 | 16 | 8 | 4 | 1  # MAV_MODE_FLAG
 _WRAP: Final = 2**32
 _POSITION_PORT: Final = 2
@@ -69,8 +69,8 @@ def telemetry_messages(flight: SimulatedFlight, aircraft: Aircraft) -> list[Mess
 def beats(flight: SimulatedFlight) -> list[Sent]:
     """HEARTBEAT and SYSTEM_TIME, once a second."""
     seconds_us = microseconds(flight.time_s[sparse(flight.time_s, 1.0)])
-    beat = {"type": _PLANE, "autopilot": _ARDUPILOT, "base_mode": _ARMED_AUTO, "custom_mode": 10}
-    beat |= {"system_status": _ACTIVE, "mavlink_version": 3}
+    beat = {"type": Kind.FIXED_WING, "autopilot": Autopilot.ARDUPILOTMEGA, "base_mode": _ARMED_AUTO, "custom_mode": 10}
+    beat |= {"system_status": State.ACTIVE, "mavlink_version": 3}
     return [
         ("HEARTBEAT", seconds_us, {name: np.full(seconds_us.size, value) for name, value in beat.items()}),
         ("SYSTEM_TIME", seconds_us, {"time_unix_usec": EPOCH_US + seconds_us, "time_boot_ms": _boot_ms(seconds_us)}),
@@ -83,7 +83,7 @@ def _words(flight: SimulatedFlight, aircraft: Aircraft) -> list[Sent]:
     param: dict[str, ArrayLike] = {
         "param_id": list(known),
         "param_value": list(known.values()),
-        "param_type": [_REAL32] * len(known),
+        "param_type": [ParameterType.REAL32] * len(known),
         "param_count": [len(known)] * len(known),
         "param_index": np.arange(len(known)),
     }

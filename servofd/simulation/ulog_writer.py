@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from logparsers.protocol import Kind
 from logparsers.records import Text
 from logparsers.ulog.encode import Topic, encode
 from servofd.core.errors import ConfigError
@@ -27,7 +28,6 @@ MOST_SERVOS: Final = 8
 
 _RELEASE: Final = 0x010F00FF  # 1.15.0
 _SERVO_1, _MOTOR_1 = 201, 101  # PWM_MAIN_FUNCn
-_FIXED_WING: Final = 1
 _DEBUG_SLOTS, _OUTPUT_SLOTS = 58, 16
 _CUSTOM: Final = 12
 _TYPES: Final = {  # of ArduPilot's functions in CA_SV_CSk_TYPE
@@ -89,7 +89,11 @@ def ulog_topics(flight: SimulatedFlight, aircraft: Aircraft) -> list[Topic]:
 
 def ulog_parameters(flight: SimulatedFlight) -> dict[str, int | float]:
     """Settings of a PX4 that flies these outputs, by name."""
-    known: dict[str, int | float] = {"MAV_TYPE": _FIXED_WING, "CA_AIRFRAME": 1, "CA_SV_CS_COUNT": len(flight.outputs)}
+    known: dict[str, int | float] = {
+        "MAV_TYPE": int(Kind.FIXED_WING),
+        "CA_AIRFRAME": 1,
+        "CA_SV_CS_COUNT": len(flight.outputs),
+    }
     known |= {"SDLOG_PROFILE": 1 | 16 | 32}  # default, high rate, debug
     for k, output in enumerate(flight.outputs):
         known |= {f"CA_SV_CS{k}_TYPE": _type(output), f"CA_SV_CS{k}_TRIM": 0.0}

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from servofd.simulation.vehicle.remote_log import START
+from logparsers.protocol import RemoteLogCommand
 from servofd.simulation.vehicle.troubles import Edit, Freeze, Jump, Late, Pause, Reboot, Silence, Stall, Trouble
 from tests.live.ground import Ground, ours
 from tests.live.test_end_to_end import monitor
@@ -78,7 +78,7 @@ class Client:
         self.start()
 
     def start(self) -> None:
-        self.ground.say("REMOTE_LOG_BLOCK_STATUS", seqno=START, status=1)
+        self.ground.say("REMOTE_LOG_BLOCK_STATUS", seqno=RemoteLogCommand.START, status=1)
 
     def listen(self) -> bool:
         """Take what came; whether the vehicle has begun anew."""

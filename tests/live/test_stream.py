@@ -19,9 +19,9 @@ import pytest
 
 import logparsers
 from logparsers.codec import Codec, Signature
+from logparsers.protocol import RemoteLogCommand
 from servofd.cli import main
 from servofd.simulation.dataflash_writer import dataflash_log
-from servofd.simulation.vehicle.remote_log import START
 from tests.live.ground import ours, pymavlink_station, received
 from tests.live.relay import BadLink, relayed
 from tests.live.vehicles import DEADLINE_S, PLANE, flown, flying, free_port, until
@@ -169,7 +169,7 @@ def test_the_log_arrives_whole_through_a_bad_link() -> None:
 
         def step() -> bool:
             if not blocks:
-                ground.say("REMOTE_LOG_BLOCK_STATUS", seqno=START, status=1)
+                ground.say("REMOTE_LOG_BLOCK_STATUS", seqno=RemoteLogCommand.START, status=1)
             for message in ground.listen():
                 if message.name == "REMOTE_LOG_DATA_BLOCK":
                     number = message.fields["seqno"]

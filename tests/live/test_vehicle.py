@@ -15,11 +15,11 @@ from pymavlink.generator.mavcrc import x25crc
 import logparsers
 from logparsers.codec import Codec
 from logparsers.mavlink import Layout, dialect
+from logparsers.protocol import RemoteLogCommand
 from servofd.core.errors import ConfigError
 from servofd.servo.faults import Stuck
 from servofd.simulation.dataflash_writer import dataflash_log
 from servofd.simulation.telemetry_writer import telemetry_log
-from servofd.simulation.vehicle.remote_log import START, STOP
 from servofd.simulation.vehicle.vehicle import Schedule, Settings, TooFastError
 from tests.live.vehicles import PLANE, ask, command, everything, fields, flown, said, vehicle
 
@@ -201,7 +201,7 @@ def streamed(plane: Vehicle, *, from_turn: int = 0, loss: float = 0.0) -> dict[i
     for index in range(plane.time_us.size):
         now_us = int(plane.time_us[index])
         if index == from_turn:
-            plane.hear(status(START), now_us)
+            plane.hear(status(RemoteLogCommand.START), now_us)
         for row in fields(plane.turn(index), "REMOTE_LOG_DATA_BLOCK"):
             if rng.random() >= loss:
                 blocks[row["seqno"]] = bytes(row["data"])
@@ -244,27 +244,27 @@ def test_a_client_that_comes_late_gets_definitions_and_the_rest() -> None:
 
 def test_a_client_that_falls_silent_is_given_up_and_may_come_back() -> None:
     plane = vehicle(flown(duration_s=30.0))
-    plane.hear(status(START), 0)
+    plane.hear(status(RemoteLogCommand.START), 0)
     sent = [fields(plane.turn(index), "REMOTE_LOG_DATA_BLOCK") for index in range(1000)]
     assert {row["seqno"] for rows in sent for row in rows} == set(range(39))  # the buffer, over and over
     assert plane.dropped_rows > 500
     last = max(index for index, rows in enumerate(sent) if rows)
     assert plane.time_us[last] == pytest.approx(10_000_000, abs=300_000)
-    plane.hear(status(START), int(plane.time_us[1000]))
+    plane.hear(status(RemoteLogCommand.START), int(plane.time_us[1000]))
     assert [row["seqno"] for row in fields(plane.turn(1001), "REMOTE_LOG_DATA_BLOCK")] == list(range(8))
 
 
 def test_blocks_go_to_the_first_client_until_it_stops() -> None:
     plane = vehicle()
-    plane.hear(status(START), 0)
-    plane.hear(status(START, sender=(254, 1)), 0)
-    plane.hear(status(STOP, sender=(254, 1)), 0)
+    plane.hear(status(RemoteLogCommand.START), 0)
+    plane.hear(status(RemoteLogCommand.START, sender=(254, 1)), 0)
+    plane.hear(status(RemoteLogCommand.STOP, sender=(254, 1)), 0)
     rows = fields(plane.turn(0), "REMOTE_LOG_DATA_BLOCK")
     assert [row["seqno"] for row in rows] == list(range(8))
     assert {(row["target_system"], row["target_component"]) for row in rows} == {(255, 190)}
     plane.hear(status(0, arrived=False), int(plane.time_us[0]))
     assert 0 in [row["seqno"] for row in fields(plane.turn(1), "REMOTE_LOG_DATA_BLOCK")]
-    plane.hear(status(STOP), 0)
+    plane.hear(status(RemoteLogCommand.STOP), 0)
     assert fields(plane.turn(2), "REMOTE_LOG_DATA_BLOCK") == []
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import io
 import os
 import time
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 
 import logparsers
-from logparsers import mavlink
+from logparsers import mavlink, protocol
 from logparsers.channels import LazyChannels
 from logparsers.errors import EmptyLog, LogError, MissingChannel, MissingLog, UnreadableLog
 from logparsers.telemetry import Sender, TelemetryFile
@@ -25,6 +26,7 @@ from tests.parsers import tlog_writer as writer
 from tests.parsers.external import real_logs
 
 if TYPE_CHECKING:
+    from enum import IntEnum
     from pathlib import Path
 
 CRAFT, COMPANION, STATION = Sender(1, 1), Sender(1, 191), Sender(255, 190)
@@ -548,3 +550,25 @@ def test_two_senders_of_one_message_keep_their_own_clocks() -> None:
     assert time_s.shape == (100,)
     np.testing.assert_allclose(time_s[::2], time_s[1::2], atol=0.02)
     np.testing.assert_allclose(np.diff(time_s[::2]), 0.1, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("ours", "theirs", "prefix"),
+    [
+        (protocol.Autopilot, "MAV_AUTOPILOT", "MAV_AUTOPILOT_"),
+        (protocol.Capability, "MAV_PROTOCOL_CAPABILITY", "MAV_PROTOCOL_CAPABILITY_"),
+        (protocol.Command, "MAV_CMD", "MAV_CMD_"),
+        (protocol.Component, "MAV_COMPONENT", "MAV_COMP_ID_"),
+        (protocol.Kind, "MAV_TYPE", "MAV_TYPE_"),
+        (protocol.ParameterType, "MAV_PARAM_TYPE", "MAV_PARAM_TYPE_"),
+        (protocol.RemoteLogCommand, "MAV_REMOTE_LOG_DATA_BLOCK_COMMANDS", "MAV_REMOTE_LOG_DATA_BLOCK_"),
+        (protocol.Result, "MAV_RESULT", "MAV_RESULT_"),
+        (protocol.Severity, "MAV_SEVERITY", "MAV_SEVERITY_"),
+        (protocol.State, "MAV_STATE", "MAV_STATE_"),
+    ],
+)
+def test_numbers_of_the_protocol_are_those_of_pymavlink(ours: type[IntEnum], theirs: str, prefix: str) -> None:
+    enums = importlib.import_module("pymavlink.dialects.v20.all").enums
+    assert {one.name: enums[theirs][one.value].name.removeprefix(prefix) for one in ours} == {
+        o.name: o.name for o in ours
+    }

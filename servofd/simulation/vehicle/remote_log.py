@@ -7,16 +7,13 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from logparsers.protocol import RemoteLogCommand
 from servofd.simulation.vehicle.messages import Send
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from logparsers.dataflash.encode import Rows
-
-START: Final = 2_147_483_646
-STOP: Final = 2_147_483_645
-"""MAV_REMOTE_LOG_DATA_BLOCK_COMMANDS: what a client acknowledges to begin and to end."""
 
 _BLOCK: Final = 200
 _BUFFER: Final = 40  # blocks of the usual 8 kB (HAL_LOGGING_MAV_BUFSIZE)
@@ -62,13 +59,13 @@ class RemoteLog:
         client : tuple of int
             System and component that sent it; the first to begin gets the log.
         seqno : int
-            Number of a block, `START` or `STOP`.
+            Number of a block, one of `RemoteLogCommand`.
         """
-        if arrived and seqno == START:
+        if arrived and seqno == RemoteLogCommand.START:
             if self._session is None:
                 self._session = _Session(self._rows, client, now_us, self._speed)
         elif self._session is not None and client == self._session.client:
-            if arrived and seqno == STOP:
+            if arrived and seqno == RemoteLogCommand.STOP:
                 self._session = None
             else:
                 self._session.answer(seqno, arrived, now_us)

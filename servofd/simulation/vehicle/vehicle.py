@@ -10,6 +10,7 @@ import numpy as np
 
 from logparsers.dataflash.encode import encode_rows
 from logparsers.mavlink import message_name
+from logparsers.protocol import LONGEST_TEXT, NO_INDEX, Capability, Command, Component, ParameterType, Result, Severity
 from servofd.core.errors import ConfigError, suggest
 from servofd.simulation.ardupilot import banner, outputs_needed, parameters, rate_hz
 from servofd.simulation.dataflash_writer import VOLZ, dataflash_messages
@@ -27,13 +28,7 @@ if TYPE_CHECKING:
     from servofd.core.types import IntArray
     from servofd.simulation.flight import SimulatedFlight
 
-_AUTOPILOT: Final = 1  # MAV_COMP_ID_AUTOPILOT1
-_ACCEPTED, _DENIED, _UNSUPPORTED = 0, 2, 3  # MAV_RESULT
-_INFO: Final = 6  # MAV_SEVERITY
-_GET_INTERVAL, _SET_INTERVAL, _REQUEST, _CAPABILITIES = 510, 511, 512, 520  # MAV_CMD
-_FLOATS_INTS_AND_VERSION_2: Final = 2 | 8 | 8192  # MAV_PROTOCOL_CAPABILITY
 _4_7_0_DEV: Final = 0x04070000
-_TEXT: Final = 50
 _POSITIONS: Final = ("NAMED_VALUE_FLOAT", "DEBUG_FLOAT_ARRAY")
 _GROUPS: Final[Mapping[int, tuple[str, ...]]] = {
     3: ("SERVO_OUTPUT_RAW",),  # MAV_DATA_STREAM_RC_CHANNELS
@@ -152,7 +147,7 @@ class Vehicle:
     def turn(self, index: int) -> list[Send]:
         """One turn of the main loop."""
         now_us = int(self.time_us[index])
-        sent = [Send("STATUSTEXT", {"severity": _INFO, "text": banner(VERSION)})] if index == 0 else []
+        sent = [Send("STATUSTEXT", {"severity": Severity.INFO, "text": banner(VERSION)})] if index == 0 else []
         for name in self._schedule.due(now_us):
             sent += self._telemetry.newest(name, now_us, again=name == "HEARTBEAT")
         while self._edits and self._edits[0][0] <= now_us:
@@ -170,7 +165,7 @@ class Vehicle:
         The component that is meant does not matter: ArduPilot itself takes what it cannot forward to another link.
         """
         answer = self._answers.get(heard.name)
-        is_own = heard.system == self.system and heard.component == _AUTOPILOT
+        is_own = heard.system == self.system and heard.component == Component.AUTOPILOT1
         if answer is None or is_own or heard.fields.get("target_system", 0) not in (0, self.system):
             return []
         return answer(heard, now_us)
@@ -179,34 +174,34 @@ class Vehicle:
         given = heard.fields
         command, what, value = given["command"], given["param1"], given["param2"]
         if not (np.isfinite(what) and np.isfinite(value)):
-            return [_result(heard, _DENIED)]
+            return [_result(heard, Result.DENIED)]
         name = message_name(int(what)) or ""
-        if command == _SET_INTERVAL:
+        if command == Command.SET_MESSAGE_INTERVAL:
             return self._set_interval(heard, name, int(value))
-        if command == _REQUEST:
+        if command == Command.REQUEST_MESSAGE:
             asked = [self._version()] if name == "AUTOPILOT_VERSION" else self._once(name, now_us)
-            return [_result(heard, _ACCEPTED if asked else _DENIED), *asked]
-        if command == _GET_INTERVAL:
+            return [_result(heard, Result.ACCEPTED if asked else Result.DENIED), *asked]
+        if command == Command.GET_MESSAGE_INTERVAL:
             interval_us = self._schedule.interval_us(name)
             told = Send("MESSAGE_INTERVAL", {"message_id": int(what) & 0xFFFF, "interval_us": interval_us})
-            return [_result(heard, _ACCEPTED), told]
-        if command == _CAPABILITIES:
-            return [_result(heard, _ACCEPTED), self._version()]
-        return [_result(heard, _UNSUPPORTED)]
+            return [_result(heard, Result.ACCEPTED), told]
+        if command == Command.REQUEST_AUTOPILOT_CAPABILITIES:
+            return [_result(heard, Result.ACCEPTED), self._version()]
+        return [_result(heard, Result.UNSUPPORTED)]
 
     def _set_interval(self, heard: Heard, name: str, interval_us: int) -> list[Send]:
         if name in _POSITIONS:
             number = int(heard.fields["param1"])
-            return [*_chunks(f"No ap_message for mavlink id ({number})"), _result(heard, _DENIED)]
+            return [*_chunks(f"No ap_message for mavlink id ({number})"), _result(heard, Result.DENIED)]
         if name not in self._telemetry.names or interval_us < -1:
-            return [_result(heard, _DENIED)]
+            return [_result(heard, Result.DENIED)]
         try:
             self._schedule.ask(name, interval_us)
         except TooFastError:
             number = int(heard.fields["param1"])
             words = f"Requested rate for message ID {number} too fast. Increase SCHED_LOOP_RATE"
-            return [*_chunks(words), _result(heard, _DENIED)]
-        return [_result(heard, _ACCEPTED)]
+            return [*_chunks(words), _result(heard, Result.DENIED)]
+        return [_result(heard, Result.ACCEPTED)]
 
     def _once(self, name: str, now_us: int) -> list[Send]:
         return self._telemetry.newest(name, now_us, again=True) if name in self._telemetry.names else []
@@ -242,7 +237,10 @@ class Vehicle:
         return []
 
     def _version(self) -> Send:
-        fields: dict[str, Any] = {"capabilities": _FLOATS_INTS_AND_VERSION_2, "flight_sw_version": _4_7_0_DEV}
+        fields: dict[str, Any] = {
+            "capabilities": Capability.PARAM_FLOAT | Capability.COMMAND_INT | Capability.MAVLINK2,
+            "flight_sw_version": _4_7_0_DEV,
+        }
         return Send("AUTOPILOT_VERSION", {**fields, "uid": self.system})
 
 
@@ -268,20 +266,21 @@ def _span_us(stall: Stall, begun_us: int) -> tuple[int, int]:
 
 def _chunks(words: str) -> list[Send]:
     """STATUSTEXT holds 50 characters; longer texts share a number, and the last piece is a short one."""
-    pieces = [words[at : at + _TEXT] for at in range(0, len(words) + 1, _TEXT)]
+    pieces = [words[at : at + LONGEST_TEXT] for at in range(0, len(words) + 1, LONGEST_TEXT)]
     return [
-        Send("STATUSTEXT", {"severity": _INFO, "text": piece, "id": 1, "chunk_seq": n})
+        Send("STATUSTEXT", {"severity": Severity.INFO, "text": piece, "id": 1, "chunk_seq": n})
         for n, piece in enumerate(pieces)
     ]
 
 
 _PER_TURN: Final = 5
-_NO_PLACE: Final = 65_535
-_INT8, _INT16, _INT32, _REAL32 = 2, 4, 6, 9  # MAV_PARAM_TYPE
 _WHOLE: Final = (
-    (("_REVERSED", "_DISARMED", "_REPLAY", "_TYPE", "_ENABLE", "_TRIM_AUTO", "_PROTOCOL", "_DRIVER"), _INT8),
-    (("_FUNCTION", "_MIN", "_MAX", "_TRIM", "_RATE", "_RANGE", "_THISMAV"), _INT16),
-    (("_MASK", "_BITMASK", "_BM"), _INT32),
+    (
+        ("_REVERSED", "_DISARMED", "_REPLAY", "_TYPE", "_ENABLE", "_TRIM_AUTO", "_PROTOCOL", "_DRIVER"),
+        ParameterType.INT8,
+    ),
+    (("_FUNCTION", "_MIN", "_MAX", "_TRIM", "_RATE", "_RANGE", "_THISMAV"), ParameterType.INT16),
+    (("_MASK", "_BITMASK", "_BM"), ParameterType.INT32),
 )
 
 
@@ -322,11 +321,11 @@ class Parameters:
             return []
         self._known[name] = value
         told = self._value(self._names.index(name))
-        return [Send(told.name, {**told.fields, "param_index": _NO_PLACE})]
+        return [Send(told.name, {**told.fields, "param_index": NO_INDEX})]
 
     def _value(self, index: int) -> Send:
         name = self._names[index]
-        kind = next((kind for endings, kind in _WHOLE if name.endswith(endings)), _REAL32)
+        kind = next((kind for endings, kind in _WHOLE if name.endswith(endings)), ParameterType.REAL32)
         count = len(self._names)
         fields: dict[str, Any] = {"param_id": name, "param_value": self._known[name], "param_type": kind}
         return Send("PARAM_VALUE", {**fields, "param_count": count, "param_index": index})
