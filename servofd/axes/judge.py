@@ -70,10 +70,31 @@ def judge_motion(model: MotionModel, motion: Motion) -> tuple[AxisAudit, ...]:
 class _Draft:
     inputs: Inputs
     score: FloatArray
+    changes: FloatArray
+    """Statistic beyond what the axis became with its latest event."""
     events: tuple[AxisEvent, ...]
     known: BoolArray
     """Where a member that stood still would be told, and lambda is known to less than +-0.3."""
     whole: tuple[Estimate, Estimate] | None
+
+
+@dataclass(slots=True)
+class _Change:
+    """An event while the flight is followed: samples, and by what it is judged."""
+
+    start: int
+    alarm: int
+    learned: int
+    """From here on what comes is judged beyond it."""
+    last: int
+    end: int
+    before: Inputs
+    """Of the flight before it and any event that still lasts."""
+    past: Expected
+    rest: Inputs
+    """Beyond what still lasts."""
+    score: FloatArray
+    from_start: bool
 
 
 def _members(name: str, axis: AxisModel, motion: Motion) -> tuple[str, ...]:
@@ -85,58 +106,108 @@ def _draft(
     axis: AxisModel, motion: Motion, usable: BoolArray, flown: BoolArray, model: MotionModel, members: int
 ) -> _Draft:
     inputs = inputs_of(axis, motion, usable, model.reference_m_s)
-    rate_hz, time_s = motion.rate_hz, motion.time_s
-    score, events = np.zeros(time_s.size), []
-    judged, naming = np.cumsum(inputs.usable), round(_KIND_S * rate_hz)
-    of_flight, begin = inputs, 0
-    while True:
-        rest = replace(of_flight, usable=inputs.usable & (np.arange(score.size) >= begin))
-        windows = windows_of(axis, rest, rate_hz)
-        score[begin:] = statistic(axis, rest, windows, rate_hz)[begin:]
-        above = np.flatnonzero(score[begin:] > axis.suspect)
-        if not above.size:
-            break
-        alarm = begin + int(above[0])
-        past = _own_past(axis, rest, alarm, begin, rate_hz)
-        changed = replace(rest, residual=rest.residual - past.loss[0] * rest.loss - past.offset[0] * rest.offset)
-        expected = np.array([[past.loss_var[0], past.cross[0]], [past.cross[0], past.offset_var[0]]])
-        start = _onset(changed, alarm, begin, rate_hz, expected / axis.noise_var)
-        from_start = of_flight is inputs and bool(judged[start] <= _AT_ONCE_S * rate_hz)
-        if from_start:
-            end = max(alarm + 1, int(np.searchsorted(judged, _LEARNING_S * rate_hz)))
-            past, last = nothing_known(axis.of_flights(axis.spreads[-1])), min(end, score.size)
-        else:
-            recovered = _recovered(axis, rest, alarm, rate_hz)
-            end = score.size if recovered is None else recovered
-            last = end
-        lost, offset = _estimate(axis, rest, start, last, rate_hz, past)
-        events.append(
-            AxisEvent(
-                start_s=float(time_s[start]),
-                alarm_s=float(time_s[alarm]),
-                end_s=None if from_start or end >= score.size else float(time_s[end]),
-                score=float(score[alarm:last].max()),
-                lost_share=lost,
-                offset_us=offset,
-                lag_s=_late(axis, rest, slice(alarm, min(last, alarm + naming)), rate_hz),
-                from_start=from_start,
-            )
-        )
-        if end >= score.size:
-            break
-        if from_start:
-            seen = replace(rest, usable=rest.usable & (np.arange(score.size) < end))
-            late_s = float(np.nan_to_num(lags(seen, score.size, axis.noise_var, enough=0.0).lag_s[-1]))
-            as_is = inputs.residual - lost.value * inputs.loss - offset.value * inputs.offset - late_s * inputs.lag
-            of_flight = replace(inputs, residual=as_is)
-            score[: end + 1] = 0.0
-        begin = end
+    rate_hz = motion.rate_hz
+    score, news, changes = _followed(axis, inputs, rate_hz)
     return _Draft(
         inputs,
         score,
-        tuple(events),
+        news,
+        tuple(_event(axis, change, motion.time_s, rate_hz) for change in changes),
         _known(axis, inputs, rate_hz, max(members, 1)),
         _whole(axis, inputs, flown, rate_hz, model.flights),
+    )
+
+
+def _followed(axis: AxisModel, inputs: Inputs, rate_hz: float) -> tuple[FloatArray, FloatArray, list[_Change]]:
+    """What happened to an axis, one event after the other.
+
+    An alarm lasts until the axis answers as before. While it does, the axis is as its event left it, and what comes
+    is judged beyond that, unless it is as before or as another event left it.
+    """
+    size = inputs.usable.size
+    judged, learning = np.cumsum(inputs.usable), _LEARNING_S * rate_hz
+    score, news = np.zeros((2, size))
+    changes: list[_Change] = []
+    standing: list[_Change] = []
+    flight, now, states, begin = inputs, inputs, [inputs], 0
+    while begin < size:
+        back = standing[-1].end if standing else size
+        rest, beyond = _since(axis, now, begin, rate_hz)
+        news[begin:] = beyond[begin:]
+        if not standing:
+            score[begin:] = news[begin:]
+        above = np.flatnonzero(news[begin:back] > axis.suspect)
+        if not above.size:
+            begin, now, standing, states = back, flight, [], [flight]
+            continue
+        alarm = begin + int(above[0])
+        past = _own_past(axis, rest, alarm, begin, rate_hz)
+        start = _onset(axis, rest, alarm, begin, rate_hz, past)
+        others = ((one, _since(axis, one, start, rate_hz)[1]) for one in states if one is not now)
+        again = next((one for one, away in others if away[: alarm + 1].max() <= axis.suspect), None)
+        if again is not None:
+            begin, now = start, again
+            continue
+        from_start = flight is inputs and not standing and bool(judged[start] <= _AT_ONCE_S * rate_hz)
+        learned = int(np.searchsorted(judged, learning + (0.0 if from_start else judged[start])))
+        learned = min(max(alarm + 1, learned), size)
+        before = standing[0].before if standing else rest
+        if from_start:
+            end, last, past = size, learned, nothing_known(axis.of_flights(axis.spreads[-1]))
+        else:
+            recovered = _recovered(axis, before, alarm, rate_hz)
+            end = size if recovered is None else recovered
+            # It was well in a run of windows that each last as long as the run.
+            last = size if recovered is None else max(alarm + 1, recovered - round(2.0 * _CLEAR_S * rate_hz))
+        for change in standing:
+            change.end = end
+            change.last = min(change.last, max(start, change.alarm + 1))
+        past = standing[0].past if standing else past
+        change = _Change(start, alarm, learned, last, end, before, past, rest, news.copy(), from_start)
+        changes.append(change)
+        if not from_start and learned >= end:
+            begin, now, standing, states = end, flight, [], [flight]
+            continue
+        now, begin = _became(axis, flight, start, learned), learned
+        if from_start:
+            flight, states = now, [now]
+            score[: learned + 1] = 0.0
+        else:
+            states.append(now)
+            standing.append(change)
+    return score, news, changes
+
+
+def _since(axis: AxisModel, state: Inputs, first: int, rate_hz: float) -> tuple[Inputs, FloatArray]:
+    """What is known of an axis from a sample on, and its statistic."""
+    seen = replace(state, usable=state.usable & (np.arange(state.usable.size) >= first))
+    return seen, statistic(axis, seen, windows_of(axis, seen, rate_hz), rate_hz)
+
+
+def _became(axis: AxisModel, flight: Inputs, start: int, learned: int) -> Inputs:
+    """What is left beyond the loss, the offset and the lag of an axis since an event."""
+    samples = np.arange(flight.usable.size)
+    seen = replace(flight, usable=flight.usable & (samples >= start) & (samples < learned))
+    found = sliding(seen, samples.size, axis.noise_var, enough=0.0)
+    loss, offset = float(np.nan_to_num(found.loss[-1])), float(np.nan_to_num(found.offset[-1]))
+    lag_s = float(np.nan_to_num(lags(seen, samples.size, axis.noise_var, enough=0.0).lag_s[-1]))
+    return replace(flight, residual=flight.residual - loss * flight.loss - offset * flight.offset - lag_s * flight.lag)
+
+
+def _event(axis: AxisModel, change: _Change, time_s: FloatArray, rate_hz: float) -> AxisEvent:
+    """An event, as it is said: its sizes hold all that the axis has lost since the flight was as usual."""
+    lost, offset = _estimate(axis, change.before, change.start, change.last, rate_hz, change.past)
+    kind = slice(change.alarm, min(change.last, change.alarm + round(_KIND_S * rate_hz)))
+    return AxisEvent(
+        start_s=float(time_s[change.start]),
+        alarm_s=float(time_s[change.alarm]),
+        end_s=None if change.end >= time_s.size else float(time_s[change.end]),
+        score=float(change.score[change.alarm : change.last].max()),
+        lost_share=lost,
+        offset_us=offset,
+        lag_s=_late(axis, change.rest, kind, rate_hz),
+        from_start=change.from_start,
+        known_s=float(time_s[change.learned]) if change.learned < time_s.size else math.inf,
     )
 
 
@@ -214,12 +285,15 @@ def _recovered(axis: AxisModel, inputs: Inputs, alarm: int, rate_hz: float) -> i
     return int(found[0]) if found.size else None
 
 
-def _onset(inputs: Inputs, alarm: int, begin: int, rate_hz: float, healthy: FloatArray) -> int:
+def _onset(axis: AxisModel, inputs: Inputs, alarm: int, begin: int, rate_hz: float, past: Expected) -> int:
     """Where a fault must have begun to explain most of the residual up to its alarm.
 
-    Before it, if that was long enough to tell, the flight had a loss and an offset of its own, which flights differ by
-    (`healthy`, over the noise): what they explain as well is not the fault's.
+    Before it, if that was long enough to tell, the flight had a loss and an offset of its own, which flights differ by:
+    what they explain as well is not the fault's.
     """
+    residual = inputs.residual - past.loss[0] * inputs.loss - past.offset[0] * inputs.offset
+    inputs = replace(inputs, residual=residual)
+    healthy = np.array([[past.loss_var[0], past.cross[0]], [past.cross[0], past.offset_var[0]]]) / axis.noise_var
     first = max(begin, alarm - round(_ONSET_S * rate_hz))
     a, b, c, d1, d2, count = (total[alarm] - total[first:alarm] for total in inputs.sums[:6])
     determinant = a * c - b * b
@@ -351,7 +425,7 @@ def _with_causes(
 
     def strength(axis: str, event: AxisEvent, first_s: float) -> float:
         around = (time_s >= event.start_s) & (time_s <= first_s + _NAMING_S)
-        return float(np.max(drafts[axis].score[around], initial=0.0)) / levels[axis]
+        return float(np.max(drafts[axis].changes[around], initial=0.0)) / levels[axis]
 
     found = {}
     for axis, draft in drafts.items():
@@ -360,7 +434,7 @@ def _with_causes(
             strengths = {axis: 0.0}
             for other, rivals in drafts.items():
                 for rival in rivals.events if other != axis else ():
-                    if not rival.from_start and _overlap(rival, event):
+                    if not rival.from_start and rival.known_s > event.start_s and _overlap(rival, event):
                         first_s = min(rival.alarm_s, event.alarm_s)
                         strengths[axis] = max(strengths[axis], strength(axis, event, first_s))
                         strengths[other] = max(strengths.get(other, 0.0), strength(other, rival, first_s))

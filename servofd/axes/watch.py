@@ -37,6 +37,8 @@ _LOGGED = (
 _EVERY_S = 1.0
 _KEPT_S, _LONGEST_S = 150.0, 300.0
 """What is judged grows to the longer, then falls back to the shorter: several times the longest window."""
+_NEW_S = 2.0
+"""What is judged once a second is told anew within twice that, of an alarm that stands already."""
 _NAMED_S = 2.0
 """So long after an alarm it is said which axis is the cause, and whether it acts late or too little."""
 
@@ -126,6 +128,14 @@ class AxisWatch:
                 self._standing[axis] = new.alarm_s
                 self.has_suspect = True
                 yield Event(now_s, axis, "alarm", "unknown", text=f"{named(audit.members, axis)}: alarm of its motion")
+            return
+        further = next(
+            (event for event in ongoing if now_s - event.alarm_s < _NEW_S and event.alarm_s > raised_s), None
+        )
+        if further is not None and axis in self._named:
+            self._standing[axis] = further.alarm_s
+            self._named.discard(axis)
+            yield Event(now_s, axis, "alarm", "unknown", text=f"{named(audit.members, axis)}: its motion changed again")
             return
         if axis not in self._named and now_s - raised_s >= _NAMED_S:
             event = max(audit.events, key=lambda one: one.score, default=None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from servofd.aircraft.axis_names import MOST_OF_THE_FLIGHT
@@ -82,7 +83,7 @@ def reason_of(
     caused = next((event for event in events if event.cause), None)
     at_once = next((event for event in events if event.from_start), None)
     if worst is not None:
-        text = _failed(name, axis, members, worst)
+        text = _failed(name, axis, members, worst, events)
     elif caused is not None:
         text = _moved(name, caused)
     elif at_once is not None:
@@ -129,10 +130,13 @@ def _unusual(lost: Estimate) -> str:
     )
 
 
-def _failed(name: str, axis: AxisModel, members: Sequence[str], worst: AxisEvent) -> str:
+def _failed(name: str, axis: AxisModel, members: Sequence[str], worst: AxisEvent, events: Sequence[AxisEvent]) -> str:
+    last_s = math.inf if worst.end_s is None else worst.end_s
+    times_s = [event.start_s for event in events if event.is_own and worst.start_s < event.start_s < last_s]
+    again = f"; it changed again at {', '.join(f'{time_s:.1f}' for time_s in times_s)} s" if times_s else ""
     ended = "" if worst.end_s is None else f" until {worst.end_s:.1f} s"
     since = "from the first judged second on" if worst.from_start else f"since {worst.start_s:.1f} s"
-    return f"{_loss(name, axis, members, worst)}, {since}{ended}"
+    return f"{_loss(name, axis, members, worst)}, {since}{ended}{again}"
 
 
 def _differs(name: str, axis: AxisModel, members: Sequence[str], event: AxisEvent) -> str:

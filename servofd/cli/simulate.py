@@ -186,11 +186,11 @@ def _run_airframe(options: argparse.Namespace) -> int:
         what, *pairs = rest.split(":")
         kind, at, start = what.partition("@")
         values = _numbers(f"--fault {text}", [f"start_s={start}", *pairs]) if at else {}
-        if set(values) != {"start_s", "value"}:
+        if set(values) - {"end_s"} != {"start_s", "value"}:
             raise ConfigError(
                 f"--fault {text}: write SURFACE:KIND@START:value=X, for example elevator:stuck@60:value=-2"
             )
-        faults.append(AirframeFault(surface, kind, values["start_s"], values["value"]))
+        faults.append(AirframeFault(surface, kind, values["start_s"], values["value"], values.get("end_s", math.inf)))
     flight = fly_airframe(
         options.seed,
         mixer=options.airframe,

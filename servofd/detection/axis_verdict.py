@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -37,6 +38,8 @@ class AxisEvent:
     from_start : bool
         Whether the flight differed from its first judged seconds on: another trim, payload or aircraft, or a failure
         before take-off. What comes later is judged beyond it.
+    known_s : float
+        From when on what the axis became is known, and what comes is judged beyond it; inf if it never was [s].
     """
 
     start_s: float
@@ -48,6 +51,7 @@ class AxisEvent:
     cause: str = ""
     lag_s: Estimate | None = None
     from_start: bool = False
+    known_s: float = math.inf
 
     @property
     def is_own(self) -> bool:

@@ -70,6 +70,8 @@ class AirframeFault:
     start_s: float
     value: float
     """Where it is stuck or how far it is off [deg], the share of travel that is left, or the lag [s]."""
+    end_s: float = float("inf")
+    """When it passes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,9 +143,9 @@ def fly_airframe(
     trims_us = 6.0 * of_day.standard_normal(3)
     steps = round(duration_s / _STEP_S)
     mix = np.array([weights for _, _, weights in wing.outputs.values()])
-    table = np.array([[np.inf, 0.0, 0.0]] * len(wing.names))
+    table = np.array([[np.inf, 0.0, 0.0, np.inf]] * len(wing.names))
     for fault in faults:
-        table[wing.names.index(fault.surface)] = (fault.start_s, _KINDS.index(fault.kind), fault.value)
+        table[wing.names.index(fault.surface)] = (fault.start_s, _KINDS.index(fault.kind), fault.value, fault.end_s)
     states = _flown(
         steps,
         rng.standard_normal((steps, 3)),
@@ -224,7 +226,7 @@ def _flown(  # noqa: PLR0915 - one step of physics, in the order in which it hap
                 pulse += mix[i, axis] * min(max(ask[axis], -450.0), 450.0)
             pulses[i] = min(max(pulse, -450.0), 450.0)
             target, lag = 0.05 * pulses[i], 0.06
-            if time_s >= faults[i, 0]:
+            if faults[i, 0] <= time_s < faults[i, 3]:
                 if faults[i, 1] == 0.0:
                     angles[i] = faults[i, 2]
                     continue

@@ -18,12 +18,14 @@ def flown(
     rate_hz: float = 25.0,
     aileron_share: float = 1.0,
     from_s: float = 1e9,
+    later_share: float = 1.0,
+    later_s: float = 1e9,
     gusts: float = 6.0,
     trim_step_us: float = 0.0,
 ) -> Motion:
     """Roll by Euler steps with a servo's lag, gusts and a pilot; at last ailerons that keep a share of their effect.
 
-    At the same time their trim may change.
+    At the same time their trim may change, and later the share again.
     """
     rng = np.random.default_rng(seed)
     trim = np.random.default_rng(list(day.encode())).normal(0.0, 6.0)
@@ -43,6 +45,7 @@ def flown(
         asked[k] = np.clip(6.0 * (want - roll[k - 1]) - 1.0 * rate[k - 1], -250.0, 250.0)
         surface[k] = surface[k - 1] + (asked[k] - surface[k - 1]) * dt / 0.08
         share, away_us = (aileron_share, trim_step_us) if time_s[k] >= from_s else (1.0, 0.0)
+        share = later_share if time_s[k] >= later_s else share
         v = speed[k] / 18.0
         pull = 3.0 * v * v * (share * surface[k] + trim + away_us) - 8.0 * v * rate[k - 1] + gust[k]
         rate[k] = rate[k - 1] + pull * dt

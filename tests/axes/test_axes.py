@@ -103,6 +103,23 @@ def test_healthy_flights_are_healthy_and_a_loss_is_measured() -> None:
 
 
 @pytest.mark.slow
+def test_what_happens_in_a_running_alarm_is_another_event_and_a_recovery_is_none() -> None:
+    half = functools.partial(flown, 54, "2026-05-09", duration_s=160.0, aileron_share=0.5, from_s=50.0, later_s=100.0)
+    worse = next(a for a in judge_motion(calibrated(), half(later_share=0.0)) if a.axis == "roll")
+    assert [event.start_s for event in worse.events] == pytest.approx([50.0, 100.0], abs=2.0)
+    for event, lost in zip(worse.events, (0.5, 1.0), strict=True):
+        assert event.is_own
+        assert event.end_s is None
+        assert event.lost_share.low < lost < event.lost_share.high
+    assert "since 100.0 s" in worse.reason
+    well = next(a for a in judge_motion(calibrated(), half(later_share=1.0)) if a.axis == "roll")
+    (event,) = well.events
+    assert event.end_s is not None
+    assert 100.0 < event.end_s < 115.0
+    assert event.lost_share.low < 0.5 < event.lost_share.high
+
+
+@pytest.mark.slow
 def test_the_verdict_is_causal() -> None:
     flight = flown(52, "2026-05-09", aileron_share=0.0, from_s=60.0)
     whole = next(a for a in judge_motion(calibrated(), flight) if a.axis == "roll")
