@@ -9,7 +9,6 @@ from servofd.core.toml_text import toml_key, toml_lines, toml_value
 
 if TYPE_CHECKING:
     from servofd.calibrating.result import CalibratedSurface, Calibration
-    from servofd.servo.library import Servo
 
 
 def calibration_to_toml(calibration: Calibration) -> str:
@@ -28,7 +27,7 @@ def calibration_to_toml(calibration: Calibration) -> str:
     for name in aircraft.surfaces:
         lines += ["", *_surface(calibration, name, found.get(name))]
     for name, servo in aircraft.servos.items():
-        lines += ["", *_servo(name, servo)]
+        lines += ["", *[f"[servos.{toml_key(name)}]", *toml_lines(servo.model_dump(exclude_defaults=True))]]
     return "\n".join(lines) + "\n"
 
 
@@ -69,7 +68,3 @@ def _calibrated(name: str, known: dict[str, Any], one: CalibratedSurface | None)
     if thresholds:
         lines += ["", f"[{heading}.thresholds]", *toml_lines(thresholds)]
     return lines
-
-
-def _servo(name: str, servo: Servo) -> list[str]:
-    return [f"[servos.{toml_key(name)}]", *toml_lines(servo.model_dump(exclude_defaults=True))]

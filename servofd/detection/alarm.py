@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from servofd.detection.latch import latch, new_latch_memory
+from servofd.estimate.statistics import MAD_TO_SIGMA
 
 if TYPE_CHECKING:
     from servofd.core.types import BoolArray, FloatArray, IntArray
@@ -22,7 +23,6 @@ _QUIET_BEFORE_ONSET_S = 0.5
 _SAMPLES_FOR_NOISE = 100
 _SUSPICION_LASTS_S = 10.0
 """The cumulative sum and the deviations look back about that far."""
-_MAD_TO_SIGMA = 1.4826
 _MEMORY_S = 60.0
 """How far back an onset is looked for."""
 
@@ -153,7 +153,7 @@ def _onset(time_s: FloatArray, size_deg: FloatArray, tolerance_deg: FloatArray, 
     before = size_deg[earliest:alarm]
     level_deg = tolerance_deg[earliest : alarm + 1]
     if before.size >= _SAMPLES_FOR_NOISE:
-        level_deg = np.maximum(level_deg, _ONSET_SIGMAS * _MAD_TO_SIGMA * float(np.median(before)))
+        level_deg = np.maximum(level_deg, _ONSET_SIGMAS * MAD_TO_SIGMA * float(np.median(before)))
     level_deg = np.minimum(level_deg, size_deg[alarm])  # with no healthy time before it, the noise is the fault itself
     outside = earliest + np.flatnonzero(size_deg[earliest : alarm + 1] >= level_deg)
     pauses_s = np.diff(time_s[outside], prepend=-np.inf)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servofd.detection.running import RunningMedian, new_running_median, with_value
+from servofd.estimate.statistics import MAD_TO_SIGMA
 from servofd.servo.state import compiled
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ _AWAY_SIGMAS, _AGREEMENT_SIGMAS = 10.0, 8.0
 _MOST_GLITCHES, _FEW_GLITCHES = 0.02, 2
 """Where more than this share of the positions so far jump, jumping is what this position does."""
 _SMALLEST_NOISE_DEG = 0.05
-_MEDIAN_TO_SIGMA = float(1.4826 / np.sqrt(6.0))
+_MEDIAN_TO_SIGMA = float(MAD_TO_SIGMA / np.sqrt(6.0))
 """Median absolute second difference of white noise to its standard deviation."""
 _FEWEST_SAMPLES = 8
 _WIDEST = 2

@@ -618,7 +618,7 @@ class Fitter:
         """Of what is usual for a number: degrees as the record is off, a load as it was logged."""
         if parameter.fields[0] == "load_deg" and self.record.pushed is not None:
             return 1.0 / float(np.sqrt(np.mean(self.record.pushed.load**2)))
-        return self._size if _grows_with_gap(parameter) else 1.0
+        return self._size if (parameter.neutral == 0.0 and parameter.name.endswith("_deg")) else 1.0
 
 
 def _ends(numbers: list[_Number]) -> tuple[list[float], list[float]]:
@@ -637,10 +637,6 @@ def _idle(effects: tuple[type[MissingEffect], ...], slopes: FloatArray) -> tuple
             found.append(k)
         first = last
     return tuple(found)
-
-
-def _grows_with_gap(parameter: Parameter) -> bool:
-    return parameter.neutral == 0.0 and parameter.name.endswith("_deg")
 
 
 def _beside(grid: list[float], value: float) -> list[float]:

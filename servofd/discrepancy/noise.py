@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.estimate.statistics import MAD_TO_SIGMA
+
 if TYPE_CHECKING:
     from servofd.core.types import BoolArray, FloatArray
     from servofd.discrepancy.record import Record
 
-_TO_SIGMA = 1.482602218505602
-"""Standard deviation over median absolute deviation, of a Gaussian."""
 _THIRD = 20.0**0.5
 """Standard deviation of third differences (1, -3, 3, -1) of white noise."""
 _GOLDEN = 0.6180339887498949
@@ -45,7 +45,7 @@ def noise_floor_deg(record: Record, error_deg: FloatArray) -> float:
     if record.step_deg:
         # At rest all differences are whole steps of the converter; spread over one, their median is on no tooth.
         third = third + record.step_deg * (_GOLDEN * np.arange(third.size) % 1.0 - 0.5)
-    spread = _TO_SIGMA * float(np.median(np.abs(third - np.median(third)))) / _THIRD
+    spread = MAD_TO_SIGMA * float(np.median(np.abs(third - np.median(third)))) / _THIRD
     return max(spread, _SMALLEST_DEG)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from servofd.discrepancy.noise import noise_floor_deg
 from servofd.discrepancy.record import simulate
+from servofd.estimate.statistics import MAD_TO_SIGMA
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,7 +28,7 @@ _OBEYS, _IGNORES = 0.6, 0.2
 """Regression of the position on the model's: from the first on a servo is driven, below the second it is not."""
 _STANDS, _STILL = 0.08, 4.0
 """Swing of a servo that stands, over that of the model, and over the noise."""
-_BEYOND, _MEDIAN, _STAYS_S, _MOSTLY, _FEW = 3.0, 0.6745, 0.2, 0.8, 25
+_BEYOND, _STAYS_S, _MOSTLY, _FEW = 3.0, 0.2, 0.8, 25
 """How far from its model, in usual errors, a servo must stay for how long to have left it."""
 _LOOK_BACK_S, _BEFORE_IT_SHOWS_S = 4.0, 0.3
 _LIKE = 0.7
@@ -185,7 +186,7 @@ def _onset(record: Record, simulated_deg: FloatArray, sure: int, first: int) -> 
     error = np.abs(np.nan_to_num(record.measured_deg - simulated_deg))
     before = record.counts[:first]
     usual = error[:first][before] if before.sum() > _FEW else error[record.counts]
-    far = _BEYOND * max(float(np.median(usual)) / _MEDIAN, noise_floor_deg(record, record.measured_deg))
+    far = _BEYOND * max(MAD_TO_SIGMA * float(np.median(usual)), noise_floor_deg(record, record.measured_deg))
     stays = max(round(_STAYS_S / record.period_s), 2)
     last = min(int(np.searchsorted(time_s, time_s[first] + 2.0 * _WINDOW_S)), time_s.size - stays)
     earliest_s = min(max(time_s[sure], time_s[first] - _LOOK_BACK_S), time_s[first] - 0.5 * _WINDOW_S)

@@ -8,6 +8,7 @@ import numpy as np
 
 from servofd.discrepancy.at_rest import rest_sentence
 from servofd.discrepancy.candidates import places_of
+from servofd.estimate.statistics import Z_95
 from servofd.servo.physics import AFTER, BEFORE, scaled_transfer, split
 
 if TYPE_CHECKING:
@@ -15,8 +16,6 @@ if TYPE_CHECKING:
     from servofd.discrepancy.select import Selection
     from servofd.servo.missing_effect import MissingEffect
 
-_SURE = 1.959963984540054
-"""Standard deviations of a 95 % interval."""
 _CONTEXT = {
     "airspeed_m_s": "airspeed (column airspeed_m_s)",
     "servo_voltage_v": "supply voltage (servo_voltage_v)",
@@ -38,8 +37,8 @@ def effect_values(selection: Selection, index: int) -> dict[str, dict[str, float
             value = float("nan")
         result[parameter.name] = {
             "value": value,
-            "low": max(value - _SURE * deviation, parameter.low),
-            "high": min(value + _SURE * deviation, parameter.high),
+            "low": max(value - Z_95 * deviation, parameter.low),
+            "high": min(value + Z_95 * deviation, parameter.high),
         }
     return result
 

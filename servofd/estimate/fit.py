@@ -10,6 +10,7 @@ import numpy as np
 from servofd.aircraft.noise import Noise
 from servofd.aircraft.priors import FITTED, NAMES, PRIORS
 from servofd.estimate.family import new_state, sensitivities, simulated, variants
+from servofd.estimate.statistics import MAD_TO_SIGMA
 from servofd.servo.state import compiled
 
 if TYPE_CHECKING:
@@ -27,7 +28,6 @@ _NEAR: Final = 2.0
 """A descent whose cost is larger by no more, in terms of samples that are not alike, may be the right one as well."""
 _MOST_PRIOR: Final = 0.9
 _FOLD_S: Final = 20.0
-_MAD: Final = 1.4826
 _LAG_FLOOR_S: Final = 0.003
 _LAG_CAP_S: Final = 0.03
 _QUIET_DEG_S: Final = 5.0
@@ -181,10 +181,6 @@ def _with_delay(delay_s: float) -> FloatArray:
     return theta
 
 
-def _spread_deg(error_deg: FloatArray) -> float:
-    return max(_MAD * float(np.median(np.abs(error_deg - np.median(error_deg)))), _LEAST_DEG)
-
-
 def _evaluated(
     records: Sequence[Record], theta: FloatArray, reach_deg: tuple[float, float]
 ) -> tuple[list[FloatArray], list[FloatArray], list[FloatArray]]:
@@ -214,7 +210,7 @@ def _descended(
         errors, slopes, speeds = _evaluated(records, theta, reach_deg)
         error, slope, speed = np.concatenate(errors), np.concatenate(slopes), np.concatenate(speeds)
         if sigma is None:
-            spread = max(_spread_deg(error), 0.03)
+            spread = max(MAD_TO_SIGMA * float(np.median(np.abs(error - np.median(error)))), 0.03)
             sigma = np.sqrt(spread**2 + (0.01 * speed) ** 2)
         ratio = np.abs(error) / sigma
         apart = (theta - _VALUES) / _SIGMAS
@@ -348,11 +344,11 @@ def _colour_length(noise: Noise) -> float:
 def _noise(errors: Sequence[FloatArray], speeds: Sequence[FloatArray], records: Sequence[Record]) -> Noise:
     error, speed = np.concatenate(errors), np.concatenate(speeds)
     slow = speed <= max(float(np.quantile(speed, 0.3)), _QUIET_DEG_S)
-    still = max(_MAD * float(np.median(np.abs(error[slow]))), _LEAST_DEG, _step_deg(records) / np.sqrt(12.0))
+    still = max(MAD_TO_SIGMA * float(np.median(np.abs(error[slow]))), _LEAST_DEG, _step_deg(records) / np.sqrt(12.0))
     fast = speed > _FAST_DEG_S
     lag = _LAG_FLOOR_S
     if np.count_nonzero(fast) > 30:
-        lag = _MAD * float(np.median(np.sqrt(np.maximum(error[fast] ** 2 - still**2, 0.0)) / speed[fast]))
+        lag = MAD_TO_SIGMA * float(np.median(np.sqrt(np.maximum(error[fast] ** 2 - still**2, 0.0)) / speed[fast]))
     lag = float(np.clip(lag, _LAG_FLOOR_S, _LAG_CAP_S))
     ratio = error / np.sqrt(still**2 + (lag * speed) ** 2)
     inflation = float(np.sqrt(np.mean(np.minimum(ratio**2, 9.0))))

@@ -9,6 +9,7 @@ import numpy as np
 from servofd.discrepancy.maps import maps
 from servofd.discrepancy.regimes import binned, quantities
 from servofd.discrepancy.spectrum import spectrum
+from servofd.estimate.statistics import Z_95
 from servofd.outputs.palette import COLOURS
 from servofd.outputs.picture import Picture, finish, new_figure
 
@@ -24,7 +25,6 @@ _EXCERPT_S = 6.0
 _BEFORE, _AFTER, _FLOOR = COLOURS["fault"], COLOURS["simulated"], COLOURS["command"]
 _LAG_S = 1.0
 _SEGMENT_S = 4.0
-_SURE = 1.96
 
 
 def explain_figures(found: Explanation, name: str) -> list[Picture]:
@@ -201,7 +201,7 @@ def _memory(found: Explanation, name: str) -> Picture:
         right.plot(period_s * np.arange(kept + 1), correlation / correlation[0], color=colour, ls=style, label=label)
     floor = selection.sigma_deg * np.sqrt(2.0 * period_s)
     left.axhline(floor, color=_FLOOR, lw=1.0, label="noise floor")
-    bound = _SURE / np.sqrt(max(int(record.counts.sum()), 1))
+    bound = Z_95 / np.sqrt(max(int(record.counts.sum()), 1))
     right.axhspan(-bound, bound, color=_FLOOR, alpha=0.35, lw=0, label="white noise")
     for axis in (left.xaxis, left.yaxis):
         axis.set_major_formatter("{x:g}")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from servofd.estimate.statistics import Z_95
 from servofd.outputs.page import page
 from servofd.outputs.palette import COLOURS
 from servofd.outputs.picture import Picture, finish, new_figure
@@ -17,7 +18,6 @@ from servofd.wear.records import QUANTITIES
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_SIGMA_95 = 1.96
 _EVENT_STYLES = {"swap": "-", "adjusted": "--", "changed": ":"}
 _WORST_FIRST = ("fault", "suspect", "healthy")
 _WORST = {"reached": "fault", "crossing": "suspect", "none": "healthy"}
@@ -163,7 +163,7 @@ def _picture(name: str, surface: dict[str, Any]) -> Picture:
 
 def _draw(one: dict[str, Any], axes: Axes) -> None:
     scale, forecast = one["shown"]["scale"], one["forecast"]
-    values, spread = scale * np.array(one["values"]), scale * _SIGMA_95 * np.array(one["deviations"])
+    values, spread = scale * np.array(one["values"]), scale * Z_95 * np.array(one["deviations"])
     axes.errorbar(one["flights"], values, spread, fmt="o", markersize=3, color=COLOURS["measured"], elinewidth=1.0)
     lines = [piece for piece in one["pieces"] if "begin" in piece]
     for piece in lines:

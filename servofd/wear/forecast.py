@@ -73,7 +73,7 @@ def forecast(piece: Piece, limit: float, *, above: bool) -> Forecast:
     line = piece.line
     now = line.at(piece.last)
     if sign * (now.value - limit) >= 0.0 and (
-        count < FEWEST_FLIGHTS or _nearer_end(now.low, now.high, sign) >= sign * limit
+        count < FEWEST_FLIGHTS or min(sign * now.low, sign * now.high) >= sign * limit
     ):
         return Forecast("reached", "is beyond its limit")
     if count < FEWEST_FLIGHTS:
@@ -85,11 +85,6 @@ def forecast(piece: Piece, limit: float, *, above: bool) -> Forecast:
     if sign * line.slope <= 0.0:
         return Forecast("none", "moves away from its limit")
     return _crossing(line, piece, limit)
-
-
-def _nearer_end(low: float, high: float, sign: float) -> float:
-    """The end of an interval that is nearer to being well, with more being worse."""
-    return min(sign * low, sign * high)
 
 
 def _crossing(line: Line, piece: Piece, limit: float) -> Forecast:
