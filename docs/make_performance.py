@@ -39,6 +39,7 @@ from servofd.discrepancy.explanation import explain_gap
 from servofd.identification.identify import identify
 from servofd.outputs.recording import save_recording
 from servofd.outputs.recording.content import Recording
+from servofd.servo.context import Context
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel
 from servofd.simulation.commands import flight
@@ -162,9 +163,10 @@ def explanations(_: Path) -> Iterable[Row]:
     for name in EFFECTS:
         drawn = hidden_physics.draw(np.random.default_rng(1), name, "medium")
         record = hidden_physics.hidden(1, {name: drawn}, "flight")
-        segment = Segment("x", record.time_s, record.command_deg, record.time_s, record.measured_deg)
+        flown = Context(airspeed_s=record.time_s, airspeed_m_s=record.airspeed_m_s)
+        segment = Segment("x", record.time_s, record.command_deg, record.time_s, record.measured_deg, context=flown)
         start_s = time.process_time()
-        explanation = explain_gap(segment, model, airspeed_m_s=record.airspeed_m_s)
+        explanation = explain_gap(segment, model)
         between_s = time.process_time()
         group = hidden_peers.sindy_group(record)
         theirs_s += time.process_time() - between_s

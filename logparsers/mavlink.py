@@ -263,15 +263,13 @@ _NEWER_NAMES = {
 """Where pymavlink's dialects still say "reserved": https://mavlink.io/en/messages/minimal.html#MAV_TYPE"""
 
 
-def enum_name(enum: str, value: int, *, prefix: str = "") -> str:
+def enum_name(enum: str, value: int) -> str:
     """Name of an enumerated value, without its prefix and in lower case.
 
     Parameters
     ----------
     enum : str
         For example ``"MAV_TYPE"``.
-    prefix : str
-        What to cut off; the enum's own name and an underscore if empty.
 
     Returns
     -------
@@ -290,7 +288,7 @@ def enum_name(enum: str, value: int, *, prefix: str = "") -> str:
     entry = _module(DEFAULT_DIALECT).enums.get(enum, {}).get(value)
     if entry is None or entry.name.endswith("_ENUM_END"):
         return f"{enum} {value}"
-    return str(entry.name).removeprefix(prefix or f"{enum}_").replace("_", " ").lower()
+    return str(entry.name).removeprefix(f"{enum}_").replace("_", " ").lower()
 
 
 def message_name(number: int) -> str | None:

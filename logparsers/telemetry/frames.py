@@ -195,7 +195,7 @@ def _copy(data: Bytes, markers: NDArray[Any], back: int, out: Bytes) -> None:
 
 
 def scan(
-    data: Bytes, slots: Slots, seeds: Bytes, *, max_spans: int = 1000
+    data: Bytes, slots: Slots, seeds: Bytes
 ) -> tuple[NDArray[Any], NDArray[np.uint16], NDArray[np.int64], NDArray[Any], int, int]:
     """Find every good frame.
 
@@ -205,8 +205,6 @@ def scan(
         The file.
     slots, seeds : ndarray
         Of the dialect.
-    max_spans : int
-        Damaged stretches to describe; further ones are only counted.
 
     Returns
     -------
@@ -217,7 +215,7 @@ def scan(
     unstamped : ndarray of int64
         Positions of frames whose arrival time is lost.
     spans : ndarray of SPAN
-        Damaged stretches, at most `max_spans`.
+        Damaged stretches, at most 1000; further ones are only counted.
 
     Examples
     --------
@@ -231,7 +229,7 @@ def scan(
     markers = np.empty(room, dtype=np.uint32 if data.size < 2**32 else np.int64)
     kinds = np.empty(room, dtype=np.uint16)
     unstamped = np.empty(room, dtype=np.int64)
-    spans = np.zeros(max_spans, dtype=SPAN)
+    spans = np.zeros(1000, dtype=SPAN)
     found, bare, hurt, lost = _scan(data, slots, seeds, (markers, kinds, unstamped, spans))
     return markers[:found], kinds[:found], unstamped[:bare].copy(), spans[:hurt].copy(), int(hurt), int(lost)
 

@@ -126,10 +126,10 @@ class MessageTable:
         values = raw.view(known.dtype)
         return values if known.length else values.reshape(-1)
 
-    def arrival_us(self, message: str, source: Sender | None = None) -> NDArray[np.uint64]:
+    def arrival_us(self, message: str) -> NDArray[np.uint64]:
         """When each message arrived [us since 1970], shape (n,), as written; 0 where the file lost it."""
         self.layout(message)
-        return self.arrivals_us(self.stream(message, source))
+        return self.arrivals_us(self.stream(message, None))
 
     def pick(self, message: str, source: Sender | None, instance: object) -> Any:  # noqa: ANN401 - an index
         """Rows of a message that belong to one instance: an index array, or a slice of all."""

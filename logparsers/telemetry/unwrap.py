@@ -19,15 +19,13 @@ _DRIFT_LIMIT = 1e-3  # crystals are 10 to 100 times better
 _DRIFT_SPAN_S = 60.0  # below this, drift cannot be distinguished from delay
 
 
-def despike(time_s: ArrayLike, tolerance_s: float = 5.0) -> FloatArray:
-    """Replace single wild time stamps by a neighbour's.
+def despike(time_s: ArrayLike) -> FloatArray:
+    """Replace time stamps that stand out by more than 5 s from both neighbours by one of these.
 
     Parameters
     ----------
     time_s : array_like, shape (n,)
         Arrival times in the order of the file [s]; NaN where unknown.
-    tolerance_s : float
-        How far one stamp may stand out from the middle of itself and its two neighbours [s].
 
     Returns
     -------
@@ -49,7 +47,7 @@ def despike(time_s: ArrayLike, tolerance_s: float = 5.0) -> FloatArray:
     before, after = time[:-2], time[2:]
     middle = np.clip(time[1:-1], np.minimum(before, after), np.maximum(before, after))
     clean = time.copy()
-    clean[1:-1] = np.where(np.abs(time[1:-1] - middle) > tolerance_s, middle, time[1:-1])
+    clean[1:-1] = np.where(np.abs(time[1:-1] - middle) > 5.0, middle, time[1:-1])
     for end, neighbour in ((0, 1), (-1, -2)):  # an end has one neighbour: only the absurd can be recognised
         if abs(clean[end] - clean[neighbour]) > _ABSURD_S:
             clean[end] = clean[neighbour]

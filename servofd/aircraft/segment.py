@@ -12,6 +12,7 @@ from logparsers.mavlink import dialect
 from logparsers.records import own
 from servofd.core.errors import NoMeasurement
 from servofd.core.frozen import frozen_rows, republished_rows
+from servofd.core.series import latest
 from servofd.servo.context import NO_CONTEXT, Context
 
 if TYPE_CHECKING:
@@ -268,8 +269,7 @@ def _without_dead_telemetry(segment: Segment, measured: Channel, log: FlightLog,
         for channel in (log[name] for name in surface.alive if name in log.channels)
         if np.array_equal(channel.time_s, measured.time_s)
     ]
-    held = np.searchsorted(segment.command_s, measured.time_s, side="right") - 1
-    asked_deg = segment.command_deg[np.maximum(held, 0)]
+    asked_deg = latest(segment.command_s, segment.command_deg, measured.time_s)
     frozen = frozen_rows(measured.time_s, measured.values, siblings, asked_deg)
     repeated = republished_rows(measured.time_s, measured.values, siblings)
     if frozen.all() or np.count_nonzero(~frozen) < 2:

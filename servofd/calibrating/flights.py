@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.core.series import latest
+
 if TYPE_CHECKING:
     from servofd.aircraft.segment import Segment
     from servofd.core.types import FloatArray
@@ -107,6 +109,4 @@ def _smoothed(command_deg: FloatArray, period_s: float) -> FloatArray:
 
 def asked_deg(segment: Segment) -> FloatArray:
     """Command in force at each measurement, shape (m,) [deg]."""
-    held = np.searchsorted(segment.command_s, segment.measured_s, side="right") - 1
-    command_deg: FloatArray = segment.command_deg[np.maximum(held, 0)]
-    return command_deg
+    return latest(segment.command_s, segment.command_deg, segment.measured_s)

@@ -84,9 +84,9 @@ def _share(share: float | None) -> str:
     return "not judged" if share is None else f"{share:.2f}"
 
 
-def _times(times_s: tuple[float, ...], most: int = 3) -> str:
-    shown = ", ".join(f"{time_s:.2f}" for time_s in times_s[:most])
-    return f"{shown}, and {len(times_s) - most} more" if len(times_s) > most else shown or "never"
+def _times(times_s: tuple[float, ...]) -> str:
+    shown = ", ".join(f"{time_s:.2f}" for time_s in times_s[:3])
+    return f"{shown}, and {len(times_s) - 3} more" if len(times_s) > 3 else shown or "never"
 
 
 def _rate(rate_hz: float | None) -> str:

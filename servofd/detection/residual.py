@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from logparsers.records import own
 from servofd.aircraft.segment import pace_steps
 from servofd.core.errors import DesignError
+from servofd.core.series import latest
 from servofd.detection.pulse import fastest_pole_rad_s
 from servofd.servo.context import NO_CONTEXT, Context
 
@@ -60,6 +61,10 @@ class Commands:
     effective_s: FloatArray
     command_deg: FloatArray
     slope_deg_s: FloatArray
+
+    def at(self, time_s: FloatArray) -> FloatArray:
+        """The last command that had reached the servo at some instants [deg]."""
+        return latest(self.effective_s, self.command_deg, time_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -122,8 +122,7 @@ def _quiet(record: Record) -> BoolArray:
     """Samples at which little was asked for a while."""
     quiet = []
     for run in record.runs or (record,):
-        sent_s, deg = run.commands.effective_s, run.commands.command_deg
-        command = deg[np.maximum(np.searchsorted(sent_s, run.time_s, side="right") - 1, 0)]
+        command = run.commands.at(run.time_s)
         width = max(1, round(_ACTIVITY_S / run.period_s))
         windows = np.lib.stride_tricks.sliding_window_view(np.pad(command, (width, 0), mode="edge"), width + 1)
         quiet.append(np.ptp(windows, axis=1))
@@ -190,8 +189,7 @@ def _features(record: Record, moved_deg: FloatArray) -> FloatArray:
         last = first + run.time_s.size
         moved = moved_deg[first:last]
         first = last
-        sent_s, deg = run.commands.effective_s, run.commands.command_deg
-        lagged = [deg[np.maximum(np.searchsorted(sent_s, run.time_s - lag, side="right") - 1, 0)] for lag in _LAGS_S]
+        lagged = [run.commands.at(run.time_s - lag) for lag in _LAGS_S]
         speed = np.gradient(moved, run.time_s)
         bend = np.gradient(speed, run.time_s)
         usual = max(float(np.quantile(np.abs(speed), 0.9)), 1e-9)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from servofd.core.errors import NoMeasurement
+from servofd.detection.residual import Commands
 from servofd.discrepancy.at_rest import rest_sentence
 from servofd.discrepancy.noise import noise_floor_deg
 from servofd.discrepancy.record import SLOWEST_RATE_HZ, simulate
@@ -59,7 +61,7 @@ def check(record: Record) -> None:
             "fly doublets of several degrees"
         )
     _check_motion(asked, measured)
-    _check_order(record)
+    _check_order(record, error)
 
 
 def _check_motion(asked: FloatArray, measured: FloatArray) -> None:
@@ -87,38 +89,13 @@ def _check_scale(asked: FloatArray, measured: FloatArray, shift: int) -> None:
             raise NoMeasurement(f"position is {gain:.3g}x the command throughout: check the {what} of the calibration")
 
 
-def _check_order(record: Record) -> None:
-    right, wrong = _misfit(record, 1.0), _misfit(record, -1.0)
-    if wrong < _SWAPPED * right:
+def _check_order(record: Record, error_deg: FloatArray) -> None:
+    """Refuse a position that a servo would have had to follow, and better than the other way round."""
+    known, command_deg = np.isfinite(record.measured_deg), record.commands.at(record.time_s)
+    given = Commands(record.time_s[known], record.measured_deg[known], np.zeros(int(known.sum())))
+    swapped = replace(record, commands=given, measured_deg=command_deg, own=None)
+    wrong_deg = command_deg - simulate(swapped, record.plant.neutral)
+    if np.std(wrong_deg[record.counts]) < _SWAPPED * np.std(error_deg[record.counts]):
         raise NoMeasurement(
             "the command follows the position, as a servo follows its command: are the two columns swapped?"
         )
-
-
-def _misfit(record: Record, direction: float) -> float:
-    """Error of the nominal servo, or of one that takes the position for its command (-1) [deg rms]."""
-    from servofd.servo.physics import longest_step_s
-    from servofd.servo.position_loop import new_memory, run
-
-    plant = record.plant
-    index = np.maximum(np.searchsorted(record.commands.effective_s, record.time_s, side="right") - 1, 0)
-    command = record.commands.command_deg[index]
-    known = np.isfinite(record.measured_deg)
-    given, answer = (command, record.measured_deg) if direction > 0.0 else (record.measured_deg, command)
-    time_s = record.time_s[known]
-    nothing = np.zeros(time_s.size)
-    simulated = run(
-        plant.neutral,
-        plant.loop(),
-        plant.dc_gain,
-        longest_step_s(plant.neutral),
-        time_s + plant.neutral.delay_s,
-        given[known],
-        nothing,
-        time_s,
-        nothing,
-        np.full(time_s.size, np.inf),
-        new_memory(float(answer[known][0])),
-    )
-    error = (answer[known] - simulated)[record.counts[known]]
-    return float(np.std(error))

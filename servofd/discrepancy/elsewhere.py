@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
+from servofd.core.series import rms
 from servofd.discrepancy.noise import noise_floor_deg
 from servofd.discrepancy.record import record_of, simulate
 
@@ -44,5 +43,5 @@ def judged_elsewhere(
     record = record_of(segment, model, own=own)
     before, after = (record.measured_deg - simulate(record, each) for each in (record.plant.neutral, physics))
     floor_deg = noise_floor_deg(record, after)
-    rms = [float(np.sqrt(np.mean(error[record.counts] ** 2))) for error in (before, after)]
-    return Elsewhere(path, rms[0], rms[1], min(floor_deg, rms[1]))
+    before_deg, after_deg = rms(before[record.counts]), rms(after[record.counts])
+    return Elsewhere(path, before_deg, after_deg, min(floor_deg, after_deg))

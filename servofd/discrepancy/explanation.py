@@ -195,8 +195,6 @@ def explain_gap(
     *,
     on_bench: bool = False,
     free_poles: bool = False,
-    airspeed_m_s: FloatArray | None = None,
-    voltage_v: FloatArray | None = None,
     own: OwnEffect | None = None,
     off: Sequence[Undriven] = (),
     conditions: Mapping[str, FloatArray] | None = None,
@@ -207,16 +205,14 @@ def explain_gap(
     Parameters
     ----------
     segment : Segment or sequence of Segment
-        Commands and measurements of one surface; of several runs, every other one is held out whole.
+        Commands and measurements of one surface; of several runs, every other one is held out whole. Effects that need
+        what its context does not hold (airspeed, supply) cannot be judged, and the result says so.
     model : ServoModel
         The servo as it is known.
     on_bench : bool
         Whether each run begins at rest, so that all of it counts.
     free_poles : bool
         Whether the poles of the model are only where the search for them starts.
-    airspeed_m_s, voltage_v : ndarray, shape (m,), optional
-        At the measurements: airspeed [m/s] and supply of the servo [V]; left out, those of the segment. Effects that
-        need what is not there cannot be judged, and the result says so.
     own : OwnEffect, optional
         An effect of the user's own, tried beside those of the catalogue.
     off : sequence of Undriven
@@ -251,8 +247,6 @@ def explain_gap(
     0.024
     """
     segments = [segment] if isinstance(segment, Segment) else list(segment)
-    if airspeed_m_s is not None or voltage_v is not None:
-        segments = [_with_context(each, airspeed_m_s, voltage_v) for each in segments]
     records = [record_of(each, model, at_rest=on_bench, free_poles=free_poles, own=own) for each in segments]
     known = told_apart(conditions or {})
     records = [
@@ -326,15 +320,6 @@ def _notes(record: Record, selection: Selection) -> list[str]:
             notes.append(f"{alike}; {STEPS_OF_TWO_SIZES}, would tell")
     notes += [f"left over: {reason}" for reason in selection.adequacy.reasons]
     return [*notes, unjudged_sentence(selection)] if selection.unjudged else notes
-
-
-def _with_context(segment: Segment, airspeed_m_s: FloatArray | None, voltage_v: FloatArray | None) -> Segment:
-    context = segment.context
-    if airspeed_m_s is not None:
-        context = replace(context, airspeed_s=segment.measured_s, airspeed_m_s=airspeed_m_s)
-    if voltage_v is not None:
-        context = replace(context, voltage_s=segment.measured_s, voltage_v=voltage_v)
-    return replace(segment, context=context)
 
 
 def _healthy_part(

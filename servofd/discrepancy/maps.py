@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from servofd.discrepancy.regimes import smooth
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -75,7 +77,8 @@ def speed_deg_s(record: Record, error_deg: FloatArray) -> FloatArray:
     """Speed of the simulation that leaves this error [deg/s], shape (n,)."""
     known = np.isfinite(error_deg)
     moved = np.interp(record.time_s, record.time_s[known], (record.measured_deg - error_deg)[known])
-    return _gradient(moved, record.time_s)
+    speed: FloatArray = np.asarray(np.gradient(moved, record.time_s), dtype=float)
+    return speed
 
 
 def since_reversal_s(time_s: FloatArray, moved_deg: FloatArray, least_deg: float) -> FloatArray:
@@ -113,9 +116,9 @@ def _quantities(record: Record, error_deg: FloatArray) -> list[tuple[str, str, F
     """Name, unit, values where they count, and whether they have a sign."""
     where = record.counts
     simulated = (record.measured_deg - error_deg)[where]
-    command = _command(record)
+    command = record.commands.at(record.time_s)
     speed = speed_deg_s(record, error_deg)[where]
-    rate = _gradient(_smooth(command), record.time_s)[where]
+    rate = np.gradient(smooth(command), record.time_s)[where]
     found: list[tuple[str, str, FloatArray, bool]] = [
         ("command rate", "deg/s", rate, True),
         ("speed", "deg/s", speed, True),
@@ -131,23 +134,6 @@ def _quantities(record: Record, error_deg: FloatArray) -> list[tuple[str, str, F
     if record.temperature_c is not None:
         found.append(("temperature", "°C", record.temperature_c[where], False))
     return found
-
-
-def _command(record: Record) -> FloatArray:
-    """Command in force at each sample [deg]."""
-    index = np.searchsorted(record.commands.effective_s, record.time_s, side="right") - 1
-    command: FloatArray = record.commands.command_deg[np.maximum(index, 0)]
-    return command
-
-
-def _gradient(values: FloatArray, time_s: FloatArray) -> FloatArray:
-    slope: FloatArray = np.asarray(np.gradient(values, time_s), dtype=float)
-    return slope
-
-
-def _smooth(values: FloatArray) -> FloatArray:
-    smooth: FloatArray = np.convolve(np.pad(values, 2, mode="edge"), np.full(5, 0.2), mode="valid")
-    return smooth
 
 
 def _binned(values: FloatArray, error: FloatArray, block: IntArray) -> FloatArray:
@@ -167,8 +153,9 @@ def _binned(values: FloatArray, error: FloatArray, block: IntArray) -> FloatArra
 
 def _filtered(record: Record, error_deg: FloatArray) -> list[tuple[str, FloatArray]]:
     """The same for a finite response to the last quarter of a second of commands, and to distorted ones beside them."""
-    command = _command(record) - float(np.mean(_command(record)[record.counts]))
-    rate = _gradient(_smooth(command), record.time_s)
+    command = record.commands.at(record.time_s)
+    command = command - float(np.mean(command[record.counts]))
+    rate = np.gradient(smooth(command), record.time_s)
     linear = _response([(command, _LAGS)], record, error_deg)
     distorted = {
         ODD: (command * np.abs(command), np.sign(rate)),

@@ -129,9 +129,6 @@ def record_of(
     segment: Segment,
     model: ServoModel,
     *,
-    pressure_pa: FloatArray | None = None,
-    voltage_v: FloatArray | None = None,
-    until_s: float = float("inf"),
     at_rest: bool = False,
     free_poles: bool = False,
     own: OwnEffect | None = None,
@@ -140,8 +137,6 @@ def record_of(
 
     Parameters
     ----------
-    pressure_pa, voltage_v : ndarray, shape (n,), optional
-        Dynamic pressure [Pa] and supply voltage [V] at the measurements; left out, those of the segment.
     at_rest : bool
         Whether the servo rested before the first sample, as on a bench: then all of it counts.
     free_poles : bool
@@ -160,7 +155,7 @@ def record_of(
         starts_s += times[1:][np.diff(times) > hole_s].tolist()
     begin = np.sort(np.array(starts_s))
     last = begin[np.maximum(np.searchsorted(begin, time_s, side="right") - 1, 0)]
-    counts = known & (time_s - last >= start_s) & (time_s >= segment.command_s[0]) & (time_s < until_s)
+    counts = known & (time_s - last >= start_s) & (time_s >= segment.command_s[0])
     counts &= time_s <= segment.command_s[-1] + hole_s
     if segment.command_period_s is None:
         counts &= ~after_lost_commands(segment.command_s, segment.command_deg, hole_s, time_s)
@@ -168,10 +163,8 @@ def record_of(
     commands = commands_at_servo(segment, 0.0, hole_s)
     block = ((time_s - time_s[0]) / BLOCK_S).astype(np.int64)
     context = segment.context
-    if pressure_pa is None and "airspeed_m_s" in context.logged:
-        pressure_pa = context.pressure_pa(time_s)
-    if voltage_v is None and "servo_voltage_v" in context.logged:
-        voltage_v = context.supply_v(time_s)
+    pressure_pa = context.pressure_pa(time_s) if "airspeed_m_s" in context.logged else None
+    voltage_v = context.supply_v(time_s) if "servo_voltage_v" in context.logged else None
     current_a = context.drawn_a(time_s) if "servo_current_a" in context.logged else None
     temperature_c = context.warmth_c(time_s) if "servo_temperature_c" in context.logged else None
     pushed = Context(load_s=context.load_s, load=context.load) if np.ptp(context.pushed(time_s)) > 0.0 else None

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from servofd.core.series import rms
+
 if TYPE_CHECKING:
     from servofd.core.types import BoolArray, FloatArray
     from servofd.discrepancy.record import Record
@@ -78,7 +80,7 @@ def quantities(record: Record, simulated_deg: FloatArray) -> tuple[Quantity, ...
     command = np.interp(time_s, record.commands.effective_s, record.commands.command_deg)
     speed = np.gradient(simulated_deg, time_s)
     found = [
-        Quantity("command rate", "deg/s", np.gradient(_smooth(command, 5), time_s)),
+        Quantity("command rate", "deg/s", np.gradient(smooth(command), time_s)),
         Quantity("deflection", "deg", simulated_deg),
         Quantity("speed", "deg/s", speed),
         Quantity("amplitude of the command", "deg", _swing(command, max(1, round(_SWING_S / record.period_s)))),
@@ -156,19 +158,16 @@ def errors_by_regime(
     }
     total = max(int(record.counts.sum()), 1)
     return tuple(
-        RegimeError(name, int(chosen.sum()) / total, _rms(before_deg[chosen]), _rms(after_deg[chosen]))
+        RegimeError(name, int(chosen.sum()) / total, rms(before_deg[chosen]), rms(after_deg[chosen]))
         for name, chosen in ((name, inside & record.counts) for name, inside in regimes.items())
         if chosen.any()
     )
 
 
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
-
-def _smooth(values: FloatArray, width: int) -> FloatArray:
-    smooth: FloatArray = np.convolve(np.pad(values, width // 2, mode="edge"), np.full(width, 1.0 / width), mode="valid")
-    return smooth
+def smooth(values: FloatArray) -> FloatArray:
+    """Mean of each value and the two on either side."""
+    smoothed: FloatArray = np.convolve(np.pad(values, 2, mode="edge"), np.full(5, 0.2), mode="valid")
+    return smoothed
 
 
 def _swing(values: FloatArray, width: int) -> FloatArray:

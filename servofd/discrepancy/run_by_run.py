@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from servofd.core.series import rms
 from servofd.discrepancy.fit import Fitter
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ def run_errors(fitter: Fitter, final: Fit) -> tuple[RunErrors, ...]:
         return ()
     errors_deg = [_foreseen_deg(fitter, fit) for fit in (fitter.nominal(), final)]
     return tuple(
-        RunErrors(k, *(_rms(error[(record.run == k) & record.counts]) for error in errors_deg))
+        RunErrors(k, *(rms(error[(record.run == k) & record.counts]) for error in errors_deg))
         for k in range(len(record.runs))
     )
 
@@ -50,7 +51,3 @@ def _foreseen_deg(fitter: Fitter, fit: Fit) -> FloatArray:
             )
         error_deg[left_out] = fitter.judged(fit.effects, physics).error_deg[left_out]
     return error_deg
-
-
-def _rms(error_deg: FloatArray) -> float:
-    return float(np.sqrt(np.mean(error_deg**2))) if error_deg.size else float("nan")

@@ -60,8 +60,7 @@ def spectrum(record: Record, error_deg: FloatArray) -> Spectrum | None:
     count = min(round(_PIECE_S / period_s), int(time_s.size / _PIECES))
     if count < _FEWEST_SAMPLES:
         return None
-    index = np.searchsorted(record.commands.effective_s, time_s, side="right") - 1
-    command_deg = record.commands.command_deg[np.maximum(index, 0)]
+    command_deg = record.commands.at(time_s)
     measured_deg = np.interp(time_s, record.time_s[known], record.measured_deg[known])
     wrong_deg = np.interp(time_s, record.time_s, np.where(record.counts, np.nan_to_num(error_deg), 0.0))
     rate_hz = 1.0 / period_s

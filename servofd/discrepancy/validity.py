@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from servofd.core.series import latest, stretches
 from servofd.discrepancy.noise import noise_floor_deg
 from servofd.discrepancy.record import simulate
 from servofd.estimate.statistics import MAD_TO_SIGMA
@@ -67,14 +68,12 @@ def without_torque(log: FlightLog, segment: Segment, run: int) -> tuple[Segment,
         known = np.isfinite(channel.values)
         if not known.any():
             continue
-        time_s, on = channel.time_s[known], channel.values[known] > 0.0
-        index = np.maximum(np.searchsorted(time_s, segment.measured_s, side="right") - 1, 0)
-        off = ~on[index]
+        off = latest(channel.time_s[known], channel.values[known], segment.measured_s) <= 0.0
         found = [
             Undriven(
                 run, float(segment.measured_s[a]), float(segment.measured_s[b - 1]), b == off.size, f"{name} is off"
             )
-            for a, b in _pieces(off)
+            for a, b in stretches(off)
         ]
         segment = replace(segment, measured_deg=np.where(off, np.nan, segment.measured_deg))
     return segment, found
@@ -103,9 +102,9 @@ def driven(records: Sequence[Record], physics: Physics) -> tuple[list[Record], l
             reason = "the position does not follow its command: torque or power lost, jammed or held"
             found += [
                 Undriven(run, float(record.time_s[a]), float(record.time_s[b - 1]), b == off.size, reason)
-                for a, b in _pieces(off)
+                for a, b in stretches(off)
             ]
-            for a, _ in _pieces(off):  # it may have begun before it shows
+            for a, _ in stretches(off):  # it may have begun before it shows
                 off |= (record.time_s >= record.time_s[a] - _BEFORE_IT_SHOWS_S) & (record.time_s <= record.time_s[a])
             record = replace(record, counts=record.counts & ~off)  # noqa: PLW2901
         kept.append(record)
@@ -122,12 +121,6 @@ def clear_of(records: Sequence[Record], undriven: Sequence[Undriven]) -> list[Re
                 counts &= (record.time_s < each.start_s - _LOOK_BACK_S) | (record.time_s > each.end_s)
         clear.append(replace(record, counts=counts))
     return clear
-
-
-def _pieces(flags: BoolArray) -> list[tuple[int, int]]:
-    """Where flags are set, as (first, last + 1)."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 def share_followed(record: Record, simulated_deg: FloatArray, where: BoolArray) -> float:

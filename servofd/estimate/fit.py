@@ -48,10 +48,10 @@ class Family:
     """How well parameters predict records, and how that changes with them."""
 
     def predicted(
-        self, theta: FloatArray, record: Record, reach_deg: tuple[float, float], *, patterns: bool = False
+        self, theta: FloatArray, record: Record, reach_deg: tuple[float, float]
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Reading (m,) [deg], sensitivities (m, 13 or 17), largest speed (m,) [deg/s]."""
-        table = variants(theta, patterns=patterns)
+        """Reading (m,) [deg], sensitivities (m, 13), largest speed (m,) [deg/s]."""
+        table = variants(theta, patterns=False)
         state = new_state(table.shape[0])
         position_deg, speed_deg_s = simulated(
             table, state, record.commands, record.time_s, record.load, record.power, record.start_deg

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.core.series import latest
 from servofd.estimate.family import LONGEST_PAUSE_S, PRESSURE_PA
 from servofd.estimate.lost import HOLDS, LONGEST_S, new_memory, put_back, unknown_deg
 from servofd.servo.context import AIR_KG_M3
@@ -197,7 +198,7 @@ def loads(context: Context, time_s: FloatArray, usual_m_s: float | None = None) 
     """
     airspeed_m_s = np.full(time_s.size, usual_m_s or 0.0)
     if context.airspeed_s.size and usual_m_s != 0.0:
-        airspeed_m_s = _held(time_s, context.airspeed_s, context.airspeed_m_s)
+        airspeed_m_s = latest(context.airspeed_s, context.airspeed_m_s, time_s)
     return np.clip(0.5 * AIR_KG_M3 * airspeed_m_s**2 / PRESSURE_PA, 0.0, 20.0)
 
 
@@ -235,9 +236,4 @@ def powers(context: Context, time_s: FloatArray, supply_v: float) -> FloatArray:
     """Supply over the usual one, shape (m,); 1 where either is not known."""
     if not supply_v or not context.voltage_s.size:
         return np.ones(time_s.size)
-    return np.clip(_held(time_s, context.voltage_s, context.voltage_v) / supply_v, *_POWERS)
-
-
-def _held(time_s: FloatArray, known_s: FloatArray, values: FloatArray) -> FloatArray:
-    """The last value that was known at each time; the first one before it."""
-    return values[np.maximum(np.searchsorted(known_s, time_s, side="right") - 1, 0)]
+    return np.clip(latest(context.voltage_s, context.voltage_v, time_s) / supply_v, *_POWERS)

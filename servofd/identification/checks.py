@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.core.errors import IdentificationError
+from servofd.core.series import latest
 
 if TYPE_CHECKING:
     from servofd.aircraft.segment import Segment
@@ -50,8 +51,7 @@ def check_segment(segment: Segment, label: str) -> None:
 
 def check_clipping(run: Run, label: str) -> None:
     """Refuse a position that stays at its extreme while the command moves on."""
-    at = np.searchsorted(run.command_s, run.measured_s, side="right") - 1
-    command_deg = run.command_deg[at]
+    command_deg = latest(run.command_s, run.command_deg, run.measured_s)
     for extreme in (run.measured_deg.max(), run.measured_deg.min()):
         held = run.measured_deg == extreme
         if np.mean(held) < _CLIPPED_SAMPLES:

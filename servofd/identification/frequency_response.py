@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.core.series import stretches
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -74,9 +76,9 @@ class FrequencyResponse:
         first, last = _longest_run(good)
         return (float(self.frequency_rad_s[first]), float(self.frequency_rad_s[last])) if last > first else None
 
-    def within(self, band_rad_s: tuple[float, float], count: int = 150) -> FrequencyResponse:
-        """About `count` frequencies of a band, evenly spaced on a logarithmic scale, for a fit."""
-        wanted = np.geomspace(*band_rad_s, count)
+    def within(self, band_rad_s: tuple[float, float]) -> FrequencyResponse:
+        """About 150 frequencies of a band, evenly spaced on a logarithmic scale, for a fit."""
+        wanted = np.geomspace(*band_rad_s, 150)
         return self._at(np.unique(np.searchsorted(self.frequency_rad_s, wanted * (1.0 - 1e-12))))
 
     def _at(self, index: np.ndarray[tuple[int], np.dtype[np.int64]]) -> FrequencyResponse:
@@ -205,10 +207,8 @@ def _spectrum(covariance: FloatArray, reach: int, size: int) -> ComplexArray:
 
 def _longest_run(flags: BoolArray) -> tuple[int, int]:
     """First and last index of the longest stretch of true flags; a hole of one tenth of it may be bridged."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
-    runs = [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
     merged: list[tuple[int, int]] = []
-    for first, last in runs:
+    for first, last in ((a, b - 1) for a, b in stretches(flags)):
         if merged and first - merged[-1][1] <= 0.1 * (merged[-1][1] - merged[-1][0]):
             merged[-1] = (merged[-1][0], last)
         else:

@@ -38,7 +38,7 @@ def watch_script(plan: OnboardPlan, file_name: str = "servofd.lua") -> str:
     )
 
 
-def stream_script(outputs: Sequence[int], file_name: str = "servofd.lua", rate_hz: float = _STREAM_HZ) -> str:
+def stream_script(outputs: Sequence[int], file_name: str = "servofd.lua") -> str:
     """Text of the script that only sends the measured positions of some outputs (from 1) to the ground.
 
     Examples
@@ -49,7 +49,7 @@ def stream_script(outputs: Sequence[int], file_name: str = "servofd.lua", rate_h
     if not outputs:
         raise ConfigError("no output to send the position of")
     return _rendered(
-        "stream.lua", outputs=sorted(set(outputs)), file=_comment(file_name), period_ms=round(1e3 / rate_hz)
+        "stream.lua", outputs=sorted(set(outputs)), file=_comment(file_name), period_ms=round(1e3 / _STREAM_HZ)
     )
 
 

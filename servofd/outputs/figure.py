@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import textwrap
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
     from servofd.detection.threshold import Threshold
     from servofd.detection.verdict import SurfaceAudit
 
-_DRAWN = ("time_s", "simulated_deg", "measured_deg", "residual_deg", "settled")
 _TITLE_COLUMNS = 130
 _WIDEST = 4000
 """Points drawn per curve; more cannot be told apart, and slow the drawing down."""
@@ -38,66 +36,34 @@ def save_figure(audit: SurfaceAudit, path: Path, title: str) -> None:
     write_whole(path, saved(figure, Path(path).suffix.lstrip(".") or "png"))
 
 
-def audit_figure(
-    audit: SurfaceAudit, between_s: tuple[float, float] | None = None, *, points: int = _WIDEST, legend: str = "beside"
-) -> Figure:
-    """Draw one surface, all of it or what lies between two times.
-
-    Parameters
-    ----------
-    between_s : tuple of float, optional
-        First and last time to show [s].
-    points : int
-        Points drawn per curve, at most; the extremes of each column survive.
-    legend : {"beside", "above"}
-        Where the names of the curves stand.
-    """
+def audit_figure(audit: SurfaceAudit) -> Figure:
+    """Draw one surface."""
     if audit.segment is None or audit.residuals is None or audit.threshold is None:
         raise ValueError(f"{audit.surface}: nothing to draw, {audit.reason}")
-    segment, residuals, threshold = audit.segment, audit.residuals, audit.threshold
-    if between_s is not None:
-        segment, residuals, threshold = _cut(segment, residuals, threshold, between_s)
-    height, width = (6.5, 11.0) if legend == "beside" else (5.6, 9.0)
-    figure, (upper, lower) = new_figure(2, height=height, width=width, ratios=(3, 2))
-    _draw_deflection(upper, segment, residuals, points)
-    _draw_residual(lower, residuals, threshold, points)
+    figure, (upper, lower) = new_figure(2, height=6.5, width=11.0, ratios=(3, 2))
+    _draw_deflection(upper, audit.segment, audit.residuals)
+    _draw_residual(lower, audit.residuals, audit.threshold)
     for axes in (upper, lower):
         _shade(axes, audit, named=axes is upper)
-    finish(upper, lower, legend=legend)
-    if between_s is not None:
-        lower.set_xlim(*between_s)
+    finish(upper, lower)
     return figure
 
 
-def _cut(
-    segment: Segment, residuals: Residuals, threshold: Threshold, between_s: tuple[float, float]
-) -> tuple[Segment, Residuals, Threshold]:
-    """What lies between two times, and the command that holds when it begins."""
-    first, last = np.searchsorted(segment.command_s, between_s)
-    kept = slice(max(int(first) - 1, 0), int(last) + 1)
-    inside = slice(*np.searchsorted(residuals.time_s, between_s))
-    return (
-        replace(segment, command_s=segment.command_s[kept], command_deg=segment.command_deg[kept]),
-        replace(residuals, **{name: getattr(residuals, name)[inside] for name in _DRAWN}),
-        replace(threshold, level_deg=threshold.level_deg[inside]),
-    )
-
-
-def _draw_deflection(axes: Axes, segment: Segment, residuals: Residuals, points: int) -> None:
-    time_s, command_deg = thinned(segment.command_s, segment.command_deg, points)
+def _draw_deflection(axes: Axes, segment: Segment, residuals: Residuals) -> None:
+    time_s, command_deg = thinned(segment.command_s, segment.command_deg, _WIDEST)
     axes.plot(time_s, command_deg, color=COLOURS["command"], lw=0.9, drawstyle="steps-post", label="command")
-    time_s, simulated_deg = thinned(residuals.time_s, residuals.simulated_deg, points)
+    time_s, simulated_deg = thinned(residuals.time_s, residuals.simulated_deg, _WIDEST)
     axes.plot(time_s, simulated_deg, color=COLOURS["simulated"], lw=2.0, label="simulated")
-    time_s, measured_deg = thinned(*bridged(residuals.time_s, residuals.measured_deg), points)
+    time_s, measured_deg = thinned(*bridged(residuals.time_s, residuals.measured_deg), _WIDEST)
     axes.plot(time_s, measured_deg, color=COLOURS["measured"], lw=0.9, label="measured")
     axes.set_ylabel("deflection [deg]")
 
 
-def _draw_residual(axes: Axes, residuals: Residuals, threshold: Threshold, points: int) -> None:
+def _draw_residual(axes: Axes, residuals: Residuals, threshold: Threshold) -> None:
     judged = np.where(residuals.settled, residuals.residual_deg, np.nan)
-    time_s, residual_deg = thinned(*bridged(residuals.time_s, judged), points)
+    time_s, residual_deg = thinned(*bridged(residuals.time_s, judged), _WIDEST)
     axes.plot(time_s, residual_deg, color="black", lw=0.8, label="residual")
-    level_s, level_deg = thinned(residuals.time_s, threshold.level_deg, points)
+    level_s, level_deg = thinned(residuals.time_s, threshold.level_deg, _WIDEST)
     for sign in (1.0, -1.0):
         about = "about " if threshold.kind == "interval" else ""
         label = f"threshold {about}±{threshold.typical_deg:.3g} deg" if sign > 0 else None
@@ -107,7 +73,7 @@ def _draw_residual(axes: Axes, residuals: Residuals, threshold: Threshold, point
     axes.set_ylim(-limit, limit)
     alarm = (np.abs(judged) >= threshold.level_deg).astype(float)
     axes.fill_between(
-        *_thin_flags(residuals.time_s, alarm, -limit, -0.92 * limit, points),
+        *_thin_flags(residuals.time_s, alarm, -limit, -0.92 * limit),
         color=COLOURS["fault"],
         lw=0,
         label="alarm",
@@ -135,9 +101,9 @@ def _shade(axes: Axes, audit: SurfaceAudit, *, named: bool) -> None:
 
 
 def _thin_flags(
-    time_s: FloatArray, flags: FloatArray, bottom: float, top: float, points: int
+    time_s: FloatArray, flags: FloatArray, bottom: float, top: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Outline of a bar that is there while a flag is set."""
-    thin_s, thin = thinned(time_s, flags, points)
+    thin_s, thin = thinned(time_s, flags, _WIDEST)
     raised: BoolArray = thin > 0.0
     return thin_s, np.full(thin_s.size, bottom), np.where(raised, top, bottom)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from servofd.core.series import latest
 from servofd.identification.frequency_response import raw_response
 from servofd.identification.rate import step_slopes
 from servofd.identification.records import longest_uniform
@@ -163,8 +164,8 @@ def _steps(found: Identification) -> Picture:
 def _draw(axes: Axes, found: Identification, index: int, inside: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> None:
     run = found.runs[index]
     time_s, measured_deg = run.measured_s[inside], run.measured_deg[inside]
-    held = np.searchsorted(run.command_s, time_s, side="right") - 1
-    axes.plot(time_s, run.command_deg[held], color=COLOURS["command"], lw=0.9, drawstyle="steps-post", label="command")
+    command_deg = latest(run.command_s, run.command_deg, time_s)
+    axes.plot(time_s, command_deg, color=COLOURS["command"], lw=0.9, drawstyle="steps-post", label="command")
     axes.plot(time_s, measured_deg, color=COLOURS["measured"], lw=2.0, label="measured")
     simulated_deg = measured_deg - found.errors_deg[index][inside]
     axes.plot(time_s, simulated_deg, color=COLOURS["simulated"], lw=0.9, label="simulated")

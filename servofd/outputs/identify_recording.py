@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.core.series import latest
 from servofd.outputs.identify_page import identified, sentence_of
 from servofd.outputs.recording.layout import REPORT
 from servofd.outputs.recording.stream import application_name, recording_file, shown, surface_place
@@ -38,9 +39,10 @@ def save_identification(found: Identification, path: str | Path, source: str) ->
 
 
 def _send_run(recorder: Recorder, place: str, run: Run, error_deg: FloatArray) -> None:
-    held = np.searchsorted(run.command_s, run.measured_s, side="right") - 1
     simulated_deg = run.measured_deg - error_deg
-    deflections = np.column_stack([run.command_deg[np.maximum(held, 0)], simulated_deg, run.measured_deg])
+    deflections = np.column_stack(
+        [latest(run.command_s, run.command_deg, run.measured_s), simulated_deg, run.measured_deg]
+    )
     recorder.lines(f"{place}/deflection", DEFLECTIONS, DEFLECTIONS, widths=WIDTHS)
     recorder.scalars(f"{place}/deflection", run.measured_s, deflections)
     recorder.lines(f"{place}/error", ["measured - simulated"], ["residual"])

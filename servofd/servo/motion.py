@@ -390,6 +390,6 @@ class ExtendedMotion(Motion[ExtendedServo]):
         return begin_s, deg, np.zeros(begin_s.size)
 
 
-def on_its_way(servo: AnyServo, start_deg: float = math.nan) -> PlainMotion | ExtendedMotion:
-    """The motion of a servo, from rest at a deflection [deg], or from where its first command wants it."""
-    return PlainMotion(servo, start_deg) if isinstance(servo, ServoParameters) else ExtendedMotion(servo, start_deg)
+def on_its_way(servo: AnyServo) -> PlainMotion | ExtendedMotion:
+    """The motion of a servo, from rest where its first command wants it."""
+    return PlainMotion(servo) if isinstance(servo, ServoParameters) else ExtendedMotion(servo)

@@ -12,6 +12,7 @@ from servofd.discrepancy.explanation import Explanation, explain_gap
 from servofd.discrepancy.locate import bad_seconds, blocks
 from servofd.discrepancy.record import record_of, simulate
 from servofd.discrepancy.steps import comb_step_deg
+from servofd.servo.context import Context
 from servofd.servo.library import library, servo_named
 from servofd.servo.physics import Physics
 from servofd.servo.servo_model import ServoModel
@@ -23,9 +24,8 @@ KNOWN = ServoModel.of(servo_named("hs225bb-eq31"))
 
 def explained(log: Hidden, *, context: bool = True) -> Explanation:
     segment = Segment("elevator", log.time_s, log.command_deg, log.time_s, log.position_deg)
-    if not context:
-        return explain_gap(segment, KNOWN)
-    return explain_gap(segment, KNOWN, airspeed_m_s=log.airspeed_m_s, voltage_v=log.supply_v)
+    there = Context(airspeed_s=log.time_s, airspeed_m_s=log.airspeed_m_s, voltage_s=log.time_s, voltage_v=log.supply_v)
+    return explain_gap(replace(segment, context=there) if context else segment, KNOWN)
 
 
 def assert_named(found: Explanation, name: str, value: float, within: float) -> None:

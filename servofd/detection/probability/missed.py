@@ -110,9 +110,7 @@ def bias_response(design: PulseFilter, duration_s: float) -> FloatArray:
     return response
 
 
-def smallest_bias_deg(
-    design: PulseFilter, threshold_deg: float, noise: Noise, within_s: float, probability: float = 0.99
-) -> float:
+def smallest_bias_deg(design: PulseFilter, threshold_deg: float, noise: Noise, within_s: float) -> float:
     """Smallest step of the measured deflection that is sure to be seen in time [deg].
 
     From the lower bound of the probability: the largest mean residual stands so far beyond the threshold that noise
@@ -122,7 +120,7 @@ def smallest_bias_deg(
 
     reach = float(np.max(np.abs(bias_response(design, within_s))))
     # The mean of the noise may work against the fault.
-    return (threshold_deg + abs(noise.mean_deg) + float(ndtri(probability)) * noise.sigma_deg) / reach
+    return (threshold_deg + abs(noise.mean_deg) + float(ndtri(0.99)) * noise.sigma_deg) / reach
 
 
 def _never_outside(lower: FloatArray, upper: FloatArray, noise: Noise) -> FloatArray:

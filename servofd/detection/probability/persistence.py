@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 _POINTS_LOG2 = 13
 _SHARE_SEEN = 0.95
+_RUNS = 400
+"""Flights to simulate; the standard error is about the delay over their square root."""
 _WHITE_SHARE = 1e-12
 _SMALLEST = np.finfo(float).tiny
 _LARGEST_BELOW_ONE = float(np.nextafter(1.0, 0.0))
@@ -71,7 +73,7 @@ def persistent_threshold_deg(rate_per_hour: float, noise: Noise, samples: int) -
 
 
 def persistent_delay_s(
-    response_deg: FloatArray, threshold_deg: float, noise: Noise, samples: int, *, runs: int = 400, seed: int = 1
+    response_deg: FloatArray, threshold_deg: float, noise: Noise, samples: int, *, seed: int = 1
 ) -> float:
     """Expected time from a fault to this many samples in a row over the threshold, by simulation [s].
 
@@ -81,15 +83,13 @@ def persistent_delay_s(
         Mean residual that the fault causes [deg], from the sample at which it sets in.
     threshold_deg : float
         Alarm level, on both sides [deg].
-    runs : int
-        Flights to simulate; the standard error is about the delay over their square root.
 
     Returns
     -------
     float
         Mean delay; infinite if more than one run in twenty saw no alarm within the response.
     """
-    residual = noise.sample((runs, response_deg.size), seed) + response_deg + noise.mean_deg
+    residual = noise.sample((_RUNS, response_deg.size), seed) + response_deg + noise.mean_deg
     hit = np.zeros(residual.shape, dtype=bool)
     for side in (residual >= threshold_deg, residual <= -threshold_deg):
         held = side.copy()
@@ -98,7 +98,7 @@ def persistent_delay_s(
             held[:, :back] = False
         hit |= held
     seen = hit.any(axis=1)
-    if np.count_nonzero(seen) < _SHARE_SEEN * runs:
+    if np.count_nonzero(seen) < _SHARE_SEEN * _RUNS:
         return float("inf")
     return float(np.where(seen, hit.argmax(axis=1), response_deg.size).mean()) * noise.sample_time_s
 

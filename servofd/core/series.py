@@ -1,0 +1,39 @@
+"""What was known at an instant, where a flag stands, and how large values are."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from servofd.core.types import BoolArray, FloatArray
+
+
+def latest(known_s: FloatArray, values: FloatArray, at_s: FloatArray) -> FloatArray:
+    """The last value that was known at each of some instants; the first one before it.
+
+    Examples
+    --------
+    >>> latest(np.array([1.0, 2.0]), np.array([5.0, 6.0]), np.array([0.0, 1.5, 2.0]))
+    array([5., 5., 6.])
+    """
+    held: FloatArray = values[np.maximum(np.searchsorted(known_s, at_s, side="right") - 1, 0)]
+    return held
+
+
+def stretches(flags: BoolArray) -> list[tuple[int, int]]:
+    """Where flags stand, each stretch as (first, last + 1).
+
+    Examples
+    --------
+    >>> stretches(np.array([True, False, True, True]))
+    [(0, 1), (2, 4)]
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
+def rms(values: FloatArray) -> float:
+    """Root mean square; NaN of nothing."""
+    return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")
