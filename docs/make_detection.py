@@ -123,13 +123,13 @@ on either side, so that oscillations add up, less one standard deviation, so tha
     z(k) = max(|r| - T - sigma_r, 0) / sigma_r,     S(k) = max(0, S(k-1) + z(k) - {threshold._KAPPA:g}),                         (D5)
 
 It is beyond its limit when it has gathered what noise without tolerance would {threshold._SUSPICIONS_PER_HOUR:g} times an hour (Siegmund's run
-length, multiplied by the long-run factor of the residual's colour). And the servo's deviations of the last {allowance._MEMORY_S:g} s are fitted
+length, multiplied by the long-run factor of the residual's colour). And the servo's deviations of the last {allowance.MEMORY_S:g} s are fitted
 to the residual by the terms x = [r0, dr0/dt, sum_i ..., 1] of D2, once with what tolerances allow and once freely:
 
     H = min_tight - min_free,  min = min over theta of sum (r - x theta)² / (S sigma_r²) + sum theta_j² / s_j²,   (D6)
 
 S being the long-run factor, and sigma_r no less than {allowance._TRIFLE:g} of the tolerated bias; what is beyond all tolerance, or rests on lost commands, teaches no deviations.
-H >= {threshold._SUSPICIOUS_DRIFT:g} means that gain, delay, bandwidth or bias is not that of a healthy servo. Both raise a *suspicion*, which ends when
+H >= {threshold.SUSPICIOUS_DRIFT:g} means that gain, delay, bandwidth or bias is not that of a healthy servo. Both raise a *suspicion*, which ends when
 none was raised for {alarm._SUSPICION_LASTS_S:g} s. It goes through the bank like an alarm; under an interval threshold it becomes a fault if the
 bank is sure of its name (P >= {confirm.SURE:g}), and its alarm is raised when the name is; else the surface is *suspect*. Rough models (drafts with a
 wider threshold and no tolerances of their own) raise none.
@@ -140,7 +140,7 @@ def latching() -> str:
     return f"""## Latching
 
 An alarm lasts until the surface has *proved* to be well. A jammed servo between two manoeuvres has no residual. So an
-episode ends only if |r| stayed below {alarm._QUIET_SHARE:g} tau while the residual of an immobile surface would have travelled
+episode ends only if |r| stayed below {latch.QUIET_SHARE:g} tau while the residual of an immobile surface would have travelled
 
     sum |d play(r0, 2 tau)| >= {latch._TRAVEL_TO_CLEAR:g} tau                                                           (D7)
 

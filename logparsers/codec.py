@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 from pymavlink.dialects.v20 import all as version_2
 
+from logparsers.protocol import SIGNATURE_BYTES, SIGNED
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -17,7 +19,7 @@ _SIGNING_EPOCH_S: Final = 1_420_070_400  # 1 January 2015
 _SIGNING_TICKS_PER_S: Final = 100_000
 _KEY_SIZE: Final = 32
 _MARKER_1, _MARKER_2 = 0xFE, 0xFD
-_SIGNED, _SIGNATURE, _SHORTEST = 1, 13, 12
+_SHORTEST = 12
 
 
 @dataclass(slots=True)
@@ -62,7 +64,7 @@ def is_signed(frame: bytes) -> bool:
     >>> is_signed(Codec(1, 1).encode("HEARTBEAT", {}))
     False
     """
-    return len(frame) >= _SHORTEST and frame[0] == _MARKER_2 and frame[2] & _SIGNED != 0
+    return len(frame) >= _SHORTEST and frame[0] == _MARKER_2 and frame[2] & SIGNED != 0
 
 
 def signing_key(content: bytes) -> bytes:
@@ -230,9 +232,9 @@ class Codec:
             else:
                 break
             end = begin + length + 2
-            after = end + _SIGNATURE if flags == _SIGNED else end
+            after = end + SIGNATURE_BYTES if flags == SIGNED else end
             kind = self._read.get(number) or self._known(number)
-            if kind is None or flags & ~_SIGNED or after > size:
+            if kind is None or flags & ~SIGNED or after > size:
                 break
             check = version_2.x25crc(data[at + 1 : end - 2] + kind.seed).crc
             if check != data[end - 2] | data[end - 1] << 8:

@@ -91,3 +91,6 @@ LONGEST_TEXT: Final = 50
 """Characters of one STATUSTEXT."""
 NO_INDEX: Final = 65_535
 """Of a PARAM_VALUE that was sent because it changed, and not as part of a list."""
+SIGNED: Final = 1
+"""Flag of a MAVLink 2 frame that a signature follows."""
+SIGNATURE_BYTES: Final = 13

@@ -8,6 +8,7 @@ import numpy as np
 
 from logparsers.errors import UnreadableLog
 from logparsers.mavlink import dialect
+from logparsers.protocol import SIGNATURE_BYTES, SIGNED
 from logparsers.source import mapped
 from logparsers.telemetry import frames
 
@@ -15,8 +16,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from logparsers.source import LogBytes
-
-_SIGNED, _SIGNATURE = 1, 13
 
 
 def replayed(source: LogBytes) -> Iterator[tuple[float, bytes]]:
@@ -47,5 +46,5 @@ def replayed(source: LogBytes) -> Iterator[tuple[float, bytes]]:
         if data[marker] == 0xFE:
             size += 8
         else:
-            size += 12 + (_SIGNATURE if data[marker + 2] & _SIGNED else 0)
+            size += 12 + (SIGNATURE_BYTES if data[marker + 2] & SIGNED else 0)
         yield arrival_s, data[marker : marker + size].tobytes()

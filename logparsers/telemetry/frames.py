@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from logparsers.compiled import compiled
+from logparsers.protocol import SIGNED
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 
 STAMP_BYTES = 8
 _V1, _V2 = 0xFE, 0xFD
-_SIGNED = 0x01
 
 BAD_CHECKSUM, LOST_SYNC, TRUNCATED = 1, 2, 3
 """Kinds of a damaged stretch."""
@@ -72,9 +72,9 @@ def _inspect(data: Bytes, at: int, slots: Slots, seeds: Bytes) -> tuple[int, int
     elif data[at] == _V2:
         if at + 12 > size:
             return _BEYOND, 0, -1
-        if data[at + 2] & ~_SIGNED:
+        if data[at + 2] & ~SIGNED:
             return _NOT_A_FRAME, 0, -1
-        header, trailer = 10, 2 + 13 * (data[at + 2] & _SIGNED)
+        header, trailer = 10, 2 + 13 * (data[at + 2] & SIGNED)
         message = np.int64(data[at + 7]) | np.int64(data[at + 8]) << 8 | np.int64(data[at + 9]) << 16
     else:
         return _NOT_A_FRAME, 0, -1

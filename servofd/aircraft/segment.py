@@ -38,13 +38,13 @@ SURROUNDINGS: Final[Mapping[str, Mapping[str, float]]] = {
 
 A load is what pushes the shaft from outside, in any unit; what a servo says of its own effort is none.
 """
-_OUTAGE_S = 1.0
+OUTAGE_S = 1.0
 """Longer steps are pauses of a link."""
 _FEWEST_STEPS, _SHORTEST, _WHOLE = 20, 10.0, 1.5
 """Where more than half is lost, the shortest steps (this percentile) are whole, and most of them are longer."""
 WARM_UP_S, WARM_UP_STEPS = 10.0, 100
 """A monitor in flight learns the pace of a stream from so many intervals, or from as many as there are by then [s]."""
-_SAME_PACE, _STEPS_FOR_PACE = 1.5, 10_000
+SAME_PACE, _STEPS_FOR_PACE = 1.5, 10_000
 
 SLOWEST_RATE_HZ = 8.0
 """Feedback of nominally 10 Hz, whose pace jitters, is judged; below, samples are further apart than a servo takes for
@@ -130,7 +130,7 @@ def pace_steps(time_s: FloatArray) -> FloatArray:
     last = int(np.searchsorted(time_s, time_s[0] + WARM_UP_S, side="right")) - 1
     first_s = steps_s[: max(1, min(WARM_UP_STEPS, last))]
     early_s, usual_s = float(np.median(first_s)), float(np.median(steps_s[:: 1 + steps_s.size // _STEPS_FOR_PACE]))
-    same = early_s <= _SAME_PACE * usual_s and usual_s <= _SAME_PACE * early_s
+    same = early_s <= SAME_PACE * usual_s and usual_s <= SAME_PACE * early_s
     return first_s if same else steps_s
 
 
@@ -145,7 +145,7 @@ def sent_period_s(time_s: FloatArray) -> float | None:
     >>> sent_period_s(sent_s)
     """
     steps_s = np.diff(time_s)
-    steps_s = steps_s[steps_s <= _OUTAGE_S]
+    steps_s = steps_s[steps_s <= OUTAGE_S]
     if steps_s.size < _FEWEST_STEPS:
         return None
     shortest_s = float(np.percentile(steps_s, _SHORTEST))

@@ -26,7 +26,7 @@ _SHARES: Mapping[int, tuple[tuple[str, float], ...]] = {
 """SERVOn_FUNCTION to what a surface does, with the signs of ArduPlane's mixers (left is the difference)."""
 
 _THROTTLES = frozenset({70, 73, 74})
-_LIFT_MOTORS = frozenset({*range(33, 41), *range(82, 86), 160})
+LIFT_MOTORS = frozenset({*range(33, 41), *range(82, 86), 160})
 _AXES = {"roll": "roll", "pitch": "pitch", "yaw": "side"}
 
 
@@ -84,7 +84,7 @@ def airframe_of(outputs: Mapping[int, LoggedOutput]) -> Airframe:
             axis: tuple(Share(output, sign / len(parts)) for output, sign in parts) for axis, parts in served.items()
         },
         throttles=tuple(output for output in outputs.values() if output.function in _THROTTLES),
-        lift_motors=tuple(output for output in outputs.values() if output.function in _LIFT_MOTORS),
+        lift_motors=tuple(output for output in outputs.values() if output.function in LIFT_MOTORS),
         members={
             _AXES[axis]: tuple(names[output.number] for output, _ in sorted(parts, key=lambda p: p[0].number))
             for axis, parts in served.items()

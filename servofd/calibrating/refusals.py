@@ -12,6 +12,7 @@ from servofd.calibrating.known import SPOKEN, changes_of, known_servo, threshold
 from servofd.core.errors import CalibrationError
 from servofd.detection.calibrated import judged
 from servofd.detection.changes import STATISTICS
+from servofd.detection.plausible import ENOUGH_MOTION_DEG
 from servofd.detection.watch import FLOORS, MARGIN, watched
 from servofd.detection.words import describe
 from servofd.estimate.fit import fit
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from servofd.aircraft.calibrated import CalibratedServo
     from servofd.estimate.fit import Fit
 
-_ENOUGH_MOTION_DEG: Final = 1.0
 _SHORTEST_S: Final = 2.5
 """A bench test that is all motion; a flight says more."""
 _FAR_GAINS: Final = (0.5, 2.0)
@@ -61,8 +61,8 @@ def hardly_moved(flights: Sequence[Flight]) -> str:
     if seconds < _SHORTEST_S:
         return f"only {seconds:.1f} s of flight; a calibration needs {_SHORTEST_S:g} s or more"
     motion_deg = max(float(np.ptp(asked_deg(flight.segment))) for flight in flights)
-    if motion_deg < _ENOUGH_MOTION_DEG:
-        return f"the command moves by {motion_deg:.2g} deg only; a calibration needs {_ENOUGH_MOTION_DEG:g} deg or more"
+    if motion_deg < ENOUGH_MOTION_DEG:
+        return f"the command moves by {motion_deg:.2g} deg only; a calibration needs {ENOUGH_MOTION_DEG:g} deg or more"
     count = sum(int(np.count_nonzero(Record.of(flight.segment).usable)) for flight in flights)
     if count < _FEWEST:
         return f"only {count} positions with commands around them; a calibration needs {_FEWEST}"

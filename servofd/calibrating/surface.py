@@ -13,6 +13,7 @@ from servofd.calibrating.refusals import refuse_broken, refuse_mixed, refuse_unl
 from servofd.calibrating.result import CalibratedSurface, FlightRecord
 from servofd.core.errors import CalibrationError
 from servofd.core.tolerance import Tolerance
+from servofd.detection.audit import USUAL_GAINS
 from servofd.detection.watch import detectable, watched
 from servofd.estimate.family import PRESSURE_PA
 from servofd.estimate.fit import fit, worse_without
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
     from servofd.core.types import FloatArray
     from servofd.estimate.fit import Fit
 
-_USUAL_GAINS: Final = (0.8, 1.25)
 _PAYS: Final = 1.01
 _FAST_M_S: Final = 25.0
 
@@ -216,7 +216,7 @@ def _sharper(known: CalibratedServo, fitted: Fit, records: Sequence[Record], now
 
 def _notes(gain: float, known: CalibratedServo) -> tuple[str, ...]:
     notes = []
-    if not _USUAL_GAINS[0] <= gain <= _USUAL_GAINS[1]:
+    if not USUAL_GAINS[0] <= gain <= USUAL_GAINS[1]:
         notes.append(f"the position moves by {gain:.2f} times the command: check the scale in the aircraft file")
     if 0.0 < known.fastest_m_s < _SLOWER_THAN_FLIGHT_M_S:
         notes.append(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from servofd.detection.latch import latch, new_latch_memory
+from servofd.detection.latch import QUIET_SHARE, latch, new_latch_memory
 from servofd.estimate.statistics import MAD_TO_SIGMA
 
 if TYPE_CHECKING:
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 Level = Literal["suspect", "fault"]
 
-_QUIET_SHARE = 0.5
 _ONSET_SIGMAS = 4.5
 _QUIET_BEFORE_ONSET_S = 0.5
 _SAMPLES_FOR_NOISE = 100
@@ -72,7 +71,7 @@ def find_episodes(
     suspicion : ndarray of bool, shape (n,), optional
         Where something too small for the threshold has lasted too long.
     """
-    noticeable = np.abs(residuals.residual_deg) >= _QUIET_SHARE * threshold.level_deg
+    noticeable = np.abs(residuals.residual_deg) >= QUIET_SHARE * threshold.level_deg
     if not np.any(residuals.settled & (noticeable if suspicion is None else noticeable | suspicion)):
         return ()
     judged = np.flatnonzero(residuals.settled)

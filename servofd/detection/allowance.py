@@ -20,7 +20,7 @@ _GLITCH = 5.0
 """Second differences count as no more than this many standard deviations."""
 CURVATURE_TO_SIGMA = float(np.sqrt(np.pi / 2.0 / 6.0))
 """Mean absolute second difference of white noise to its standard deviation. The median would fail on coarse steps."""
-_MEMORY_S, _EVERY_S = 10.0, 0.5
+MEMORY_S, _EVERY_S = 10.0, 0.5
 """How far back a servo's deviations are remembered, and how often they are looked at."""
 _SMALLEST_NOISE_DEG = 1e-3
 _RESOLUTION_TO_SIGMA = float(1.0 / np.sqrt(12.0))
@@ -151,7 +151,7 @@ def follow(
             # Neither made-up commands nor a saturated servo show deviations; what is beyond all tolerance is none.
             allowed = _total(bounds.tolerated, peak) + peak_rate + DEFAULT_SIGMAS * bounds.noise_gain * believed
             if abs(residual) <= allowed and unseen + peak_rate < bounds.noise_gain * believed:
-                _learn(work.gram, work.moment, x, residual, 1.0 / (1.0 + step_s / _MEMORY_S))
+                _learn(work.gram, work.moment, x, residual, 1.0 / (1.0 + step_s / MEMORY_S))
                 if last_s >= next_s:
                     power = bounds.colour * max(bounds.noise_gain * believed, _TRIFLE * bounds.tolerated[3]) ** 2
                     odds = _explained(work, work.anything, power) - _explained(work, work.healthy, power)

@@ -24,7 +24,7 @@ from servofd.aircraft.segment import (
 )
 from servofd.core.errors import DesignError, NoMeasurement
 from servofd.core.evidence import NOTHING_DETECTABLE
-from servofd.detection.calibrated import audit_calibrated
+from servofd.detection.calibrated import MOST_OF_THE_LOG, SHORTEST_JUDGED_S, audit_calibrated
 from servofd.detection.cleared import not_judgeable, why_not_cleared
 from servofd.detection.contradiction import unanswered
 from servofd.detection.coverage import coverage
@@ -49,8 +49,7 @@ if TYPE_CHECKING:
     from servofd.servo.servo_model import ServoModel
 
 _SECONDS_FOR_ODDS = 10.0
-_SHORTEST_JUDGED_S = 0.25
-_MOST_OF_THE_LOG, _LEAST_OF_THE_LOG = 0.9, 0.5
+_LEAST_OF_THE_LOG = 0.5
 _FASTEST_RATE_HZ = 50_000.0
 _CLEAR_SIGMAS = 4.0
 """A threshold of less is crossed by noise alone, once in some thousand samples."""
@@ -206,7 +205,7 @@ def audit_segment(
         status, reason_text = "unknown", f"{problem}; as far as it was judged, {reason_text}"
     reason_text = "; ".join((reason_text, *covered.notes, *_too_many(judgement), *notes))
     verdict = partial(verdict, judged_share=judged_share, detectable=shown)
-    if judged_share < _MOST_OF_THE_LOG:
+    if judged_share < MOST_OF_THE_LOG:
         reason_text += f"; judged for {judged_share:.0%} of the log"
     if segment.frozen_s > 0.0:
         reason_text += f"; {segment.frozen_s:.1f} s of frozen telemetry not judged"
@@ -261,7 +260,7 @@ def _unusual_scale(surface: Surface) -> tuple[str, ...]:
     if surface.model.origin != "fitted" or not isinstance(surface.command, DegreeCalibration):
         return ()
     gain = surface.command.correction[0]
-    if _USUAL_GAINS[0] <= gain <= _USUAL_GAINS[1]:
+    if USUAL_GAINS[0] <= gain <= USUAL_GAINS[1]:
         return ()
     return (f"its position moves by {gain:.2f} times its command throughout: a scale, or travel lost before this log",)
 
@@ -305,7 +304,7 @@ def _too_little(segment: Segment, *, is_calibrated: bool) -> str:
     return too_far(segment)
 
 
-_USUAL_GAINS = (0.8, 1.25)
+USUAL_GAINS = (0.8, 1.25)
 _HARDLY_ASKED_DEG, _HARDLY_MOVED = 1.0, 0.05
 """A command that moves by less tells nothing [deg]; a position that moves by such a share of it does not follow."""
 _FOLLOWED_BEFORE, _UNSEEN_S = 0.2, 2.0
@@ -326,8 +325,8 @@ def _miswired(residuals: Residuals, faults: tuple[Fault, ...], surface: Surface)
 
 def _not_judged(judged_s: float, residuals: Residuals) -> str:
     """Why residuals are no ground for a verdict, or nothing."""
-    if judged_s < _SHORTEST_JUDGED_S:
-        return f"only {judged_s:.1f} s of command and position together; {_SHORTEST_JUDGED_S:g} s are needed"
+    if judged_s < SHORTEST_JUDGED_S:
+        return f"only {judged_s:.1f} s of command and position together; {SHORTEST_JUDGED_S:g} s are needed"
     is_number = np.isfinite(residuals.residual_deg[residuals.settled]).all()
     return "" if is_number else "the residual is not a number: check model and units"
 

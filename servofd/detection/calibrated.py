@@ -52,8 +52,8 @@ _LEAST_DEG: Final = {"oscillation": ("amplitude_deg", 0.2), "deadband": ("width_
 _SHORTEST_WEAR_S: Final = 2.0
 _SAME_S: Final = 5.0
 """What is raised so soon after the end of a fault belongs to it."""
-_MOST_OF_THE_LOG: Final = 0.9
-_SHORTEST_JUDGED_S: Final = 0.25
+MOST_OF_THE_LOG: Final = 0.9
+SHORTEST_JUDGED_S: Final = 0.25
 _LITTLE_KNOWN: Final = 5.0
 """Times its usual deviation a residual may reach where a servo moves as it never did in its good flights."""
 _OFTEN_BEYOND: Final = 0.2
@@ -74,10 +74,10 @@ def audit_calibrated(
     steps_s = np.minimum(np.diff(flight.record.time_s, append=np.nan), 3.0 * segment.period_s)
     judged_s = float(np.nansum(steps_s[rows]))
     beyond = _beyond(flight)
-    if judged_s < _SHORTEST_JUDGED_S and beyond:
+    if judged_s < SHORTEST_JUDGED_S and beyond:
         return verdict(status="unknown", reason=beyond, segment=segment)
-    if judged_s < _SHORTEST_JUDGED_S:
-        reason = f"only {judged_s:.1f} s of command and position together; {_SHORTEST_JUDGED_S:g} s are needed"
+    if judged_s < SHORTEST_JUDGED_S:
+        reason = f"only {judged_s:.1f} s of command and position together; {SHORTEST_JUDGED_S:g} s are needed"
         return verdict(status="unknown", reason=reason, segment=segment)
     residuals, threshold = shown(flight)
     found = judged(flight)
@@ -88,7 +88,7 @@ def audit_calibrated(
     judged_share = min(judged_s / max(duration_s, 1e-9), 1.0)
     if beyond:
         status, reason = ("unknown" if status == "healthy" else status), f"{reason}; {beyond}"
-    if judged_share < _MOST_OF_THE_LOG:
+    if judged_share < MOST_OF_THE_LOG:
         reason += f"; judged for {judged_share:.0%} of the log"
     if segment.frozen_s > 0.0:
         reason += f"; {segment.frozen_s:.1f} s of frozen telemetry not judged"

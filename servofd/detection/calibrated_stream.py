@@ -15,13 +15,13 @@ from servofd.detection.glitches import decide, new_glitch_memory
 from servofd.detection.history import CommandBuffer, History
 from servofd.detection.probability.cusum import CusumDesign
 from servofd.detection.residual import Residuals
-from servofd.detection.stream import MEMORY_S, Piece
+from servofd.detection.stream import FASTEST_COMMANDS_S, MEMORY_S, Piece
 from servofd.detection.threshold import Threshold
 from servofd.detection.watch import exceeded, thresholds_of
 from servofd.estimate.family import new_state, sensitivities, simulated, variants
 from servofd.estimate.fit import peaks, residual
 from servofd.estimate.lost import HOLDS, LONGEST_S, new_memory, put_back, unknown_deg
-from servofd.estimate.record import gap_s, load_at, loads, powers, starts
+from servofd.estimate.record import FINE_S, gap_s, load_at, loads, powers, starts
 from servofd.servo.context import NO_CONTEXT
 
 if TYPE_CHECKING:
@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from servofd.servo.context import Context
 
 _BACK_S: Final = 3.0
-_FINE_S: Final = 0.01
-_FASTEST_COMMANDS_S: Final = 0.005
 _LATE: Final = 2.0
 
 
@@ -82,7 +80,7 @@ class CalibratedStream:
         self._peak = np.array([0.0, np.nan])
         self.evaluation = _Evaluation(CusumDesign(1.0, np.inf, 1.0, period_s))
         self.history = History(int(MEMORY_S / max(period_s, 1e-3)))
-        fastest_s = _FINE_S if surface.command_period_s is not None else _FASTEST_COMMANDS_S
+        fastest_s = FINE_S if surface.command_period_s is not None else FASTEST_COMMANDS_S
         self.logged = CommandBuffer(int(MEMORY_S / fastest_s))
         self.effective = self.logged
         self._filled = self.logged if sent_period_s is None else CommandBuffer(int(MEMORY_S / fastest_s))
@@ -118,7 +116,7 @@ class CalibratedStream:
         if self.sent_period_s is not None:
             self._fill(time_s, command_deg)
         elif self._surface.command_period_s is not None and time_s - before_s < 1.0:
-            pieces = max(round((time_s - before_s) / _FINE_S), 1)
+            pieces = max(round((time_s - before_s) / FINE_S), 1)
             for place in range(1, pieces):
                 share = place / pieces
                 self._add(before_s + share * (time_s - before_s), before_deg + share * (command_deg - before_deg))

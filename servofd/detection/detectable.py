@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from servofd.core.evidence import NOTHING_DETECTABLE, Detectable
-from servofd.detection.threshold import suspicion
+from servofd.detection.allowance import MEMORY_S
+from servofd.detection.threshold import SUSPICIOUS_DRIFT, suspicion
 from servofd.servo.play import play
 from servofd.servo.state import compiled
 
@@ -31,14 +32,11 @@ if TYPE_CHECKING:
 _POWER = 95.0
 _LATEST_ONSET = 0.5
 """Faults set in during this share of the log, and last to its end."""
-_SUSPICIOUS_DRIFT = 40.0
 _LEFT = 0.25
 """Share of an offset's power that gain, delay and bandwidth within their tolerances leave (even seeds of
 `benchmarks/detectable.py`)."""
 _SURE = 1.645
 """Standard deviations by which a normal deviate falls short of its mean once in 20 times."""
-_MEMORY_S = 10.0
-"""As in `servofd.detection.threshold.suspicion`."""
 _OSCILLATES_HZ = 3.0
 _LEAST_SPEED = 0.1
 _BISECTIONS = 9
@@ -209,7 +207,7 @@ def _drift_size(residuals: Residuals, threshold: Threshold, signal: FloatArray, 
     """Size from which on unusual deviations over ten seconds are suspicious."""
     time_s, power = residuals.time_s[use], np.nan_to_num(signal[use]) ** 2
     step_s = float(np.median(np.diff(time_s)))
-    samples = max(int(_MEMORY_S / max(step_s, 1e-6)), 1)
+    samples = max(int(MEMORY_S / max(step_s, 1e-6)), 1)
     total = np.cumsum(power)
     seen = total - np.concatenate([np.zeros(min(samples, total.size)), total[: max(total.size - samples, 0)]])
     noise = threshold.cusum.factor * float(np.median(threshold.sigma_deg)) ** 2
@@ -217,7 +215,7 @@ def _drift_size(residuals: Residuals, threshold: Threshold, signal: FloatArray, 
     offset_deg = abs(float(np.mean(residuals.residual_deg[use])))  # which the fault may take away
     tolerated_deg = float(np.median(threshold.tolerance_deg[use])) + offset_deg
     tolerated = tolerated_deg / max(float(np.sqrt(np.mean(power))), 1e-9)
-    return tolerated + (float(np.sqrt(_SUSPICIOUS_DRIFT)) + _SURE) * float(np.sqrt(noise / max(_LEFT * best, 1e-12)))
+    return tolerated + (float(np.sqrt(SUSPICIOUS_DRIFT)) + _SURE) * float(np.sqrt(noise / max(_LEFT * best, 1e-12)))
 
 
 def _bisected(shows: Callable[[float], bool], large: float, none: float) -> float | None:

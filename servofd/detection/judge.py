@@ -32,7 +32,7 @@ _SELDOM_S = 0.15
 """Commands further apart than this, where an autopilot gives 50 a second, are a link's choice of them."""
 _AT_REST = ("stuck", "hardover")
 
-_ECHO_S = 3.0
+ECHO_S = 3.0
 """Alarms so close to a contradiction are part of it."""
 
 
@@ -156,8 +156,8 @@ def _as_commanded(judgement: Judgement, segment: Segment) -> Judgement:
 
 def _belongs(episode: Episode, fault: Fault) -> bool:
     """Whether an alarm is raised by what is known to be a fault, or by its end."""
-    end_s = np.inf if fault.end_s is None else fault.end_s + _ECHO_S
-    return fault.start_s - _ECHO_S <= episode.alarm_s <= end_s
+    end_s = np.inf if fault.end_s is None else fault.end_s + ECHO_S
+    return fault.start_s - ECHO_S <= episode.alarm_s <= end_s
 
 
 def _largest(episodes: tuple[Episode, ...], residuals: Residuals, threshold: Threshold) -> tuple[Episode, ...]:

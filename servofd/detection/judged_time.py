@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.aircraft.segment import OUTAGE_S
+
 if TYPE_CHECKING:
     from servofd.core.types import BoolArray, FloatArray
-
-_OUTAGE_S = 1.0
-"""A longer interval between two positions was not judged."""
 
 
 @dataclass(slots=True)
@@ -37,6 +36,6 @@ class JudgedTime:
             return
         valued_s = time_s[valued]
         begin_s = self._latest_s if np.isfinite(self._latest_s) else valued_s[0]
-        steps_s = np.minimum(np.diff(valued_s, prepend=begin_s), _OUTAGE_S)
+        steps_s = np.minimum(np.diff(valued_s, prepend=begin_s), OUTAGE_S)
         self.seconds += float(steps_s[settled[valued]].sum())
         self._latest_s = float(valued_s[-1])

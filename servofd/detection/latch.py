@@ -13,7 +13,7 @@ from servofd.servo.state import compiled
 if TYPE_CHECKING:
     from servofd.core.types import BoolArray, FloatArray
 
-_QUIET_SHARE = 0.5
+QUIET_SHARE = 0.5
 _TRAVEL_TO_CLEAR = 20.0
 
 
@@ -91,7 +91,7 @@ def _latch(
         proved = travel - loud_travel >= _TRAVEL_TO_CLEAR
         if stands != 0.0 and proved:
             clear[k], stands = True, 0.0
-        if size >= _QUIET_SHARE * level_deg[k]:
+        if size >= QUIET_SHARE * level_deg[k]:
             if proved:
                 number += 1.0
             loud_travel = travel

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.aircraft.segment import (
+    OUTAGE_S,
+    SAME_PACE,
     SLOWEST_LEFT_HZ,
     SLOWEST_RATE_HZ,
     TOO_MANY_LOST,
@@ -26,6 +28,7 @@ from servofd.core.frozen import Republished
 from servofd.detection.bank.confirm import SURE
 from servofd.detection.calibrated_stream import CalibratedStream
 from servofd.detection.events import Alarm, Event, Inputs, Look, Reading
+from servofd.detection.judge import ECHO_S
 from servofd.detection.judged_time import JudgedTime
 from servofd.detection.quiet import QUIET_S, Quiet
 from servofd.detection.residual import ResidualGenerator, rhythm, thinned_rhythm
@@ -62,14 +65,12 @@ _WRONG_DEG, _AGAIN_S, _STANDING_S, _AFTER_S = 1.0, 1.0, 2.5, 6.0
 there the bank looks so often [s], less often while an alarm stands, and for so long after."""
 _LOOKED_AT_S, _EACH = 40.0, 20
 """What it looks at [s], and of what was before one position in so many."""
-_ECHO_S = 3.0
-"""What a later look finds so close to an alarm is the same fault."""
 _MOST = 0.5
 """Share of the time that must be judged for a verdict."""
 _STEADY_S = 2.0
-_SAME_PACE, _SAME_LEFT = 1.5, 2.0
-"""Times, a pace is the same; what a link leaves of one scatters more."""
-_LEAST_SHARE, _OUTAGE_S = 0.75, 1.0
+_SAME_LEFT = 2.0
+"""What a link leaves of a pace scatters by so many times."""
+_LEAST_SHARE = 0.75
 """Of the slowest rate that is judged, as the mean of what a link leaves of it between pauses longer than this [s]."""
 _CALIBRATED_RAD_S = 10.0
 """A filter that nothing is judged by."""
@@ -379,10 +380,10 @@ class SurfaceMonitor:
             return faults
         found = []
         for fault in faults:
-            until_s = np.inf if fault.end_s is None else fault.end_s + _ECHO_S
-            same = [at_s for at_s in self._alarms if fault.start_s - _ECHO_S <= at_s <= until_s]
+            until_s = np.inf if fault.end_s is None else fault.end_s + ECHO_S
+            same = [at_s for at_s in self._alarms if fault.start_s - ECHO_S <= at_s <= until_s]
             old = [at_s for at_s, alarm in self._alarms.items() if at_s < since_s and alarm.stands and alarm.fault]
-            if not same and old and fault.start_s <= since_s + _ECHO_S:
+            if not same and old and fault.start_s <= since_s + ECHO_S:
                 known = self._alarms[old[-1]].fault or fault
                 fault = replace(known, end_s=fault.end_s)  # noqa: PLW2901 - the same one, as it began
             elif same and fault.alarm_s not in same:
@@ -457,7 +458,7 @@ class SurfaceMonitor:
             return [*events, Event(latest_s, self.name, "no_data", text=thin)]
         mean_s = (self._recent[-1] - self._recent[0]) / WARM_UP_STEPS
         now = float(np.median(np.diff(np.array(self._recent)))) / self._paces_s[0]
-        most = _SAME_PACE if self._least_hz == SLOWEST_RATE_HZ else _SAME_LEFT
+        most = SAME_PACE if self._least_hz == SLOWEST_RATE_HZ else _SAME_LEFT
         same = any(1.0 / most <= pace <= most for pace in (now, mean_s / self._paces_s[1]))
         if same or mean_s / self._paces_s[0] > 10.0 * now:
             return []
@@ -468,7 +469,7 @@ class SurfaceMonitor:
     def _thin(self) -> str:
         """That too many positions are lost to judge a servo by the rest, in words; empty if they are not."""
         steps_s = np.diff(np.array(self._recent))
-        steps_s = steps_s[steps_s <= _OUTAGE_S]
+        steps_s = steps_s[steps_s <= OUTAGE_S]
         if steps_s.size < 2 or 1.0 / float(np.mean(steps_s)) >= _LEAST_SHARE * self._least_hz:
             return ""
         return f"{1.0 / float(np.mean(steps_s)):.2g} positions a second arrive; a servo cannot be judged by so few"

@@ -14,7 +14,7 @@ _FIT = 0.9
 """Share of the position's variance that a line through the healthy deflection has to explain."""
 _SAME_SLOPE = 0.15
 _SMALLEST_GAIN, _LARGEST_GAIN = 0.1, 1.3
-_ENOUGH_MOTION_DEG = 1.0
+ENOUGH_MOTION_DEG = 1.0
 _PARTS = 3
 
 
@@ -54,7 +54,7 @@ def wiring_problem(residuals: Residuals) -> str:
 def _gain(residuals: Residuals, part: IntArray) -> float | None:
     """Slope of the position over the healthy deflection; 0 if it does not follow, None without motion."""
     asked, measured = residuals.simulated_deg[part], residuals.measured_deg[part]
-    if part.size < 2 or np.std(asked) < _ENOUGH_MOTION_DEG / 2.0:
+    if part.size < 2 or np.std(asked) < ENOUGH_MOTION_DEG / 2.0:
         return None
     spread = np.cov(asked, measured)
     slope = spread[0, 1] / spread[0, 0]

@@ -40,7 +40,7 @@ MEMORY_S = 600.0
 """How much of a flight a monitor remembers."""
 _SURELY_NEXT = 0.75
 """Share of the command period within which no made-up command lies: between 1.5 and 2 periods, halved."""
-_FASTEST_COMMANDS_S = 0.005
+FASTEST_COMMANDS_S = 0.005
 _PENDING_ROWS = 7
 _NOTHING_READY = np.zeros((2, 0))
 
@@ -73,7 +73,7 @@ class Stream:
         seconds = int(MEMORY_S / max(period_s, 1e-3))
         self.history = History(seconds)
         period_s = min(period_s, beat.period_s)
-        room = int(MEMORY_S / max(period_s, _FASTEST_COMMANDS_S))
+        room = int(MEMORY_S / max(period_s, FASTEST_COMMANDS_S))
         self.logged, self.effective = CommandBuffer(4096), CommandBuffer(room)
         self._starts, self._glitch, self._latch = new_starts_memory(), new_glitch_memory(), new_latch_memory()
         self._cusum = np.zeros(2)

@@ -43,7 +43,7 @@ _TAKEN_UP = 2.0
 """Half plays to move until it is known on which side of its play a surface lies."""
 RECENT_COMMANDS = 11
 """Commands before a loss whose curvature counts."""
-_SUSPICIOUS_DRIFT = 40.0
+SUSPICIOUS_DRIFT = 40.0
 """In 400 flights of 120 s, healthy servos with parameters anywhere within their tolerances reached 22."""
 PEAK_OF_LAGS = 0.224
 _KAPPA = 0.5
@@ -174,7 +174,7 @@ def suspicion(residuals: Residuals, threshold: Threshold, memory: FloatArray | N
     from servofd.detection.probability import cusum
 
     excess_deg = np.abs(residuals.residual_deg) - threshold.tolerance_deg
-    drifted = threshold.drift >= _SUSPICIOUS_DRIFT
+    drifted = threshold.drift >= SUSPICIOUS_DRIFT
     if memory is None and not np.any(excess_deg > 0.0):
         return drifted
     # Of either sign, so that oscillations add up; less one sigma, so that the sum of noise alone falls.

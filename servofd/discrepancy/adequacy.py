@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.discrepancy.noise import floor_uncertainty, long_run_factor, noise_floor_deg
+from servofd.discrepancy.noise import SMALLEST_DEG, floor_uncertainty, long_run_factor, noise_floor_deg
 from servofd.discrepancy.steps import COARSE_STEP_DEG, noise_below_deg, noise_within_deg, stepped_noise_deg
 from servofd.servo.catalogue import Quantization
 
@@ -31,7 +31,6 @@ _MEMORY = 1.6
 _COLOUR, _ALIKE = 3.5, 1.3
 """Error over the floor that a colour may make: a memory of 0.8 from sample to sample makes it 2.7; and how much it may
 differ between runs."""
-_NOTHING_DEG = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +52,7 @@ class Adequacy:
 def floor_of(record: Record, fit: Fit) -> float:
     """Noise floor as this fit shows it [deg]: a converter's steps at least, no more than its error, but not nothing."""
     noise_deg = max(noise_floor_deg(record, fit.error_deg), _floor_of_steps(record, fit))
-    return max(min(noise_deg, float(np.sqrt(fit.total / max(float(record.counts.sum()), 1.0)))), _NOTHING_DEG)
+    return max(min(noise_deg, float(np.sqrt(fit.total / max(float(record.counts.sum()), 1.0)))), SMALLEST_DEG)
 
 
 def _floor_of_steps(record: Record, fit: Fit) -> float:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from servofd.discrepancy.maps import EVEN, LINEAR, ODD, maps, since_reversal_s
+from servofd.discrepancy.regimes import AFTER_REVERSAL_S
 from servofd.discrepancy.spectrum import coherent_to_hz, excess_band_hz, spectrum
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ _SHOWN_SHARE, _NO_SHARE = 0.25, 0.05
 _HARDLY = 0.15
 """What chance may make of a share that is said to be none."""
 _EXCESS = 0.03
-_REVERSAL_DEG, _REVERSAL_OF_NOISE, _AFTER_S = 2.0, 6.0, 0.3
+_REVERSAL_DEG, _REVERSAL_OF_NOISE = 2.0, 6.0
 _DENSE, _DENSER = 0.5, 1.5
 """Share of the excess in a part of the log that is told, and times the share of the samples there."""
 _NOT_SILENT = ("time", "direction of motion")
@@ -132,14 +133,14 @@ def _after_reversals(record: Record, error_deg: FloatArray, sigma_deg: float) ->
     least_deg = max(_REVERSAL_DEG, _REVERSAL_OF_NOISE * sigma_deg)
     counts = record.counts
     error, moved_deg = error_deg[counts], (record.measured_deg - error_deg)[counts]
-    after = since_reversal_s(record.time_s[counts], moved_deg, least_deg) < _AFTER_S
+    after = since_reversal_s(record.time_s[counts], moved_deg, least_deg) < AFTER_REVERSAL_S
     excess = error**2 - sigma_deg**2
     part, share = float(excess[after].sum() / max(excess.sum(), 1e-12)), float(np.mean(after))
     if part < max(_DENSE, _DENSER * share):
         return []
     return [
-        f"{_percent(part)} of the excess lies within {_AFTER_S:g} s after reversals of more than {least_deg:.2g} deg "
-        f"({share:.0%} of the samples)"
+        f"{_percent(part)} of the excess lies within {AFTER_REVERSAL_S:g} s after reversals of more than "
+        f"{least_deg:.2g} deg ({share:.0%} of the samples)"
     ]
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from servofd.discrepancy.regimes import smooth
+from servofd.discrepancy.regimes import FAST, REST, smooth
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -17,13 +17,11 @@ if TYPE_CHECKING:
 LINEAR, ODD, EVEN = "linear filter of the command", "odd distortion of the command", "even distortion of the command"
 """The second is the same up and down (a limit, friction, dead band), the third is not (a curved linkage)."""
 _BINS, _FEWEST_PER_BIN = 12, 30
-_TOP = 0.8
 _LAGS, _MEMORY_S = 25, 0.25
 _FEWER_LAGS = 12
 """Of each of two distorted commands."""
 _FOLDS = 2
 _CHUNK = 20_000
-_RESTING = 0.3
 _DRAWS, _MOST_GROUPS = 2000, 300
 _FALSE_ALARMS = 0.01
 """Share of healthy logs in which any of the quantities may seem to matter, however many there are."""
@@ -60,7 +58,7 @@ def maps(record: Record, error_deg: FloatArray, sigma_deg: float) -> tuple[Map, 
     found = []
     for name, unit, values, signed in _quantities(record, error_deg):
         size = np.abs(values) if signed else values
-        above = float(np.quantile(size, _TOP))
+        above = float(np.quantile(size, FAST))
         top = size > above
         share = float(np.sum(error[top] ** 2 - sigma_deg**2)) / (excess * error.size) if top.any() else 0.0
         found.append((name, unit, _binned(values, error, record.block[where]), above, share))
@@ -125,7 +123,7 @@ def _quantities(record: Record, error_deg: FloatArray) -> list[tuple[str, str, F
         ("deflection", "deg", simulated, True),
         ("lag behind the command", "deg", command[where] - simulated, True),
         ("time", "s", record.time_s[where] - record.time_s[where][0], False),
-        ("direction of motion", "", np.sign(speed) * (np.abs(speed) > np.quantile(np.abs(speed), _RESTING)), True),
+        ("direction of motion", "", np.sign(speed) * (np.abs(speed) > np.quantile(np.abs(speed), REST)), True),
     ]
     if record.pressure_pa is not None:
         found.append(("deflection times dynamic pressure", "deg Pa", simulated * record.pressure_pa[where], True))

@@ -19,7 +19,7 @@ _GOLDEN = 0.6180339887498949
 _MEDIAN_OF_THIRD = 3.02
 """Relative standard deviation of the squared floor, times the root of the number of differences (2000 simulations)."""
 _LAGS, _PER_LAG = 25, 4
-_SMALLEST_DEG = 1e-6
+SMALLEST_DEG = 1e-6
 
 
 def noise_floor_deg(record: Record, error_deg: FloatArray) -> float:
@@ -41,12 +41,12 @@ def noise_floor_deg(record: Record, error_deg: FloatArray) -> float:
     """
     third = np.diff(error_deg, 3)[_joined(record)]
     if third.size < 8:
-        return _SMALLEST_DEG
+        return SMALLEST_DEG
     if record.step_deg:
         # At rest all differences are whole steps of the converter; spread over one, their median is on no tooth.
         third = third + record.step_deg * (_GOLDEN * np.arange(third.size) % 1.0 - 0.5)
     spread = MAD_TO_SIGMA * float(np.median(np.abs(third - np.median(third)))) / _THIRD
-    return max(spread, _SMALLEST_DEG)
+    return max(spread, SMALLEST_DEG)
 
 
 def floor_uncertainty(record: Record) -> float:

@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
 _BINS, _FEWEST_PER_BIN = 14, 12
 _SWING_S = 0.5
-_REST, _FAST = 0.3, 0.8
+REST, FAST = 0.3, 0.8
 """Quantiles of the speed below which a servo is taken to rest, and above which it is fast."""
-_AFTER_REVERSAL_S = 0.3
+AFTER_REVERSAL_S = 0.3
 _CHANGES = 0.05
 """What surrounds the aircraft is a condition only if it changes by this share."""
 _BAND = (5.0, 50.0, 95.0)
@@ -134,20 +134,20 @@ def errors_by_regime(
     """
     speed = np.gradient(simulated_deg, record.time_s)
     size = np.abs(speed)
-    rest, fast = np.quantile(size[record.counts], [_REST, _FAST])
+    rest, fast = np.quantile(size[record.counts], [REST, FAST])
     turned = np.flatnonzero(np.diff(np.sign(np.where(size > rest, speed, 0.0)), prepend=0.0) != 0.0)
     last = np.searchsorted(turned, np.arange(speed.size), side="right") - 1
     since_s = np.full(speed.size, np.inf)
     if turned.size:
         since_s[last >= 0] = (record.time_s - record.time_s[turned[np.maximum(last, 0)]])[last >= 0]
-    outer = np.quantile(np.abs(simulated_deg[record.counts]), _FAST)
+    outer = np.quantile(np.abs(simulated_deg[record.counts]), FAST)
     half_s = float(np.median(record.time_s[record.counts]))
     moving = {
         f"at rest (below {rest:.3g} deg/s)": size <= rest,
         f"fast (above {fast:.3g} deg/s)": size > fast,
         "moving up": (speed > 0.0) & (size > rest),
         "moving down": (speed < 0.0) & (size > rest),
-        f"within {_AFTER_REVERSAL_S:g} s after it starts, stops or turns": since_s < _AFTER_REVERSAL_S,
+        f"within {AFTER_REVERSAL_S:g} s after it starts, stops or turns": since_s < AFTER_REVERSAL_S,
     }
     regimes = {
         "all": np.ones(speed.size, dtype=bool),

@@ -52,7 +52,6 @@ some percent of its horn and sensor (standard deviation)."""
 _USUAL_GAINS = 3.0
 """So many of these deviations a servo may be off before its gain stands for something that is missing."""
 _FORESEEN, _SIBLING = 4.0, 0.3
-_SAME = 1e-9
 """By how much an effect must improve the misfit of what was not fitted; and the share of what is left beyond the noise
 that a second way to stick, to be dead or loose must take away."""
 _NO_WORSE, _MOST_LEFT = 0.95, 0.5

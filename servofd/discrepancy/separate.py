@@ -10,6 +10,7 @@ import numpy as np
 from servofd.detection.residual import Commands
 from servofd.discrepancy.one_size import STEPS_OF_TWO_SIZES
 from servofd.discrepancy.record import simulate
+from servofd.discrepancy.search import LIMITS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -98,7 +99,6 @@ MANOEUVRES: tuple[Manoeuvre, ...] = (
     Manoeuvre("steps of 20 deg while the supply sags from 6 to 4.8 V", _step(20.0), supply_sags=True),
 )
 """Simple before complicated."""
-_LIMITS = {"rate_limit", "voltage_rate"}
 _BY_SIZE = (Manoeuvre(STEPS_OF_TWO_SIZES, _two_steps),)
 """What tells a limit of the speed from slow poles: the one takes longer for larger steps."""
 
@@ -146,7 +146,7 @@ def separations(selection: Selection) -> tuple[Separation, ...]:
 def _separation(fitter: Fitter, names: tuple[str, str], best: Fit, rival: Fit, sigma_deg: float) -> Separation:
     one, two = best.physics, rival.physics
     rms, most = [], []
-    library = _BY_SIZE if set(names) & _LIMITS and "slow_dynamics" in names else MANOEUVRES
+    library = _BY_SIZE if set(names) & set(LIMITS) and "slow_dynamics" in names else MANOEUVRES
     for manoeuvre in library:
         flown = _flown(fitter.record, manoeuvre)
         apart = (simulate(flown, one) - simulate(flown, two))[flown.counts]

@@ -13,7 +13,7 @@ import numpy as np
 
 from servofd.discrepancy.noise import long_run_factor
 from servofd.discrepancy.record import simulate
-from servofd.servo.laws import VARIED, is_law
+from servofd.servo.laws import ALIKE, FEWEST_RUNS, VARIED, is_law
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from servofd.discrepancy.select import Selection
     from servofd.servo.missing_effect import MissingEffect
 
-_FEWEST_RUNS = 5
-"""Fitted ones with a value of their own, for a line."""
 _SHARES = tuple(np.geomspace(0.5, 2.0, 13).tolist())
 """Of the value that is common to all runs; where a run's best is the first or the last of these, it has none."""
 _SURE_CHI_SQUARED = 9.0
@@ -32,8 +30,6 @@ _LEAST_DETERMINED, _LEAST_GAIN = 0.7, 0.8
 """Share of the spread of the values that the line tells, and of the error of held-out runs that it may leave."""
 _LEAST_CHANGE = 0.05
 """Of the value, from one end of the runs to the other: less is what servos of one kind differ by."""
-_ALIKE = 0.98
-"""Correlation beyond which two conditions cannot be told apart."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,7 +115,7 @@ def varying(selection: Selection, conditions: Mapping[str, FloatArray]) -> tuple
             found += _law(selection, k, effect, known, values)
             continue
         fitted = shown & ~held_out
-        if np.count_nonzero(fitted) < _FEWEST_RUNS or not np.any(shown & held_out):
+        if np.count_nonzero(fitted) < FEWEST_RUNS or not np.any(shown & held_out):
             continue
         determined = {name: _determined(of[fitted], values[fitted]) for name, of in known.items()}
         best = max(determined, key=lambda name: determined[name])
@@ -133,7 +129,7 @@ def varying(selection: Selection, conditions: Mapping[str, FloatArray]) -> tuple
         )
         if np.ptp(line) < _LEAST_CHANGE * abs(final.values[k]) or line_deg > _LEAST_GAIN * common_deg:
             continue
-        alike = [n for n in known if n != best and abs(np.corrcoef(known[n], known[best])[0, 1]) > _ALIKE]
+        alike = [n for n in known if n != best and abs(np.corrcoef(known[n], known[best])[0, 1]) > ALIKE]
         lines = at_zero, slope, common_deg, line_deg
         found.append(Varying(effect.name, parameter.name, (best, *alike), known[best], values, *lines))
     return tuple(sorted(found, key=lambda each: each.line_rms_deg))
@@ -154,7 +150,7 @@ def _law(
     common_deg, line_deg = (
         _rms_deg(selection, index, each, held_out) for each in (np.full(of.size, value), at_zero + slope * of)
     )
-    alike = [n for n in known if n != name and abs(np.corrcoef(known[n], of)[0, 1]) > _ALIKE]
+    alike = [n for n in known if n != name and abs(np.corrcoef(known[n], of)[0, 1]) > ALIKE]
     parameter = effect.parameters[0].name
     return [Varying(effect.name, parameter, (name, *alike), of, values, at_zero, slope, common_deg, line_deg)]
 

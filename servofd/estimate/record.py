@@ -33,7 +33,7 @@ _RARELY = 0.98
 """Intervals between commands of which fewer than one in fifty is longer are the rhythm, and no gap."""
 _LEAST_SUPPLY_V = 2.0
 _POWERS = (0.6, 1.4)
-_FINE_S = 0.01
+FINE_S = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,7 +119,7 @@ def straightened(
     if period_s is None or command_s.size < 2:
         return command_s, command_deg
     step_s = np.diff(command_s)
-    pieces = np.where(step_s < 1.0, np.maximum(np.round(step_s / _FINE_S), 1.0), 1.0).astype(int)
+    pieces = np.where(step_s < 1.0, np.maximum(np.round(step_s / FINE_S), 1.0), 1.0).astype(int)
     place = np.arange(pieces.sum()) - np.repeat(np.cumsum(pieces) - pieces, pieces)
     share = place / np.repeat(pieces, pieces)
     fine_s = np.repeat(command_s[:-1], pieces) + share * np.repeat(step_s, pieces)

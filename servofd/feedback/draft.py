@@ -14,7 +14,7 @@ from servofd.core.errors import NoMeasurement
 from servofd.detection.drafting import PERSISTENCE
 from servofd.feedback.advice import what_to_log
 from servofd.feedback.fit import RoughFit, fit_roughly
-from servofd.feedback.fitted import draft_tolerance
+from servofd.feedback.fitted import LONGEST_PERIOD_S, SHORTEST_PERIOD_S, draft_tolerance
 
 if TYPE_CHECKING:
     from logparsers.records import FlightLog
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from servofd.feedback.fitted import Drafted
 
 _FULL_NORM_DEG = 25.0
-_SHORTEST_PERIOD_S, _LONGEST_PERIOD_S = 1e-4, 0.2
 _ANGLES = {"deg", "rad"}
 
 
@@ -138,7 +137,7 @@ def _draft(log: FlightLog, pair: Pair) -> DraftedSurface:
         segment = _cut(log, pair, command, measured)
     except NoMeasurement:
         return DraftedSurface(pair, RoughFit(), command, measured)
-    if not _SHORTEST_PERIOD_S < segment.period_s < _LONGEST_PERIOD_S:
+    if not SHORTEST_PERIOD_S < segment.period_s < LONGEST_PERIOD_S:
         return DraftedSurface(pair, RoughFit(), command, measured)
     fit = fit_roughly(segment, free_scale=not angle_command)
     if fit.origin.origin != "fitted":

@@ -39,7 +39,8 @@ _REWEIGHTINGS, _NEAR_LINE = 5, (1e-3, 0.5)
 _BANDWIDTH_RANGE_HZ, _DAMPING_RANGE = (0.2, 100.0), (0.2, 10.0)
 _FEWEST_ROWS = 30
 _SLOWEST_SHARE = 0.1
-_POLE_RAD_S = 30.0
+POLE_RAD_S = 30.0
+"""Of a filter that only serves to find gaps and starts: gaps beyond 0.17 s, blanking of 0.27 s."""
 _BLOCK_S = 5.0
 _ROWS_PER_BLOCK, _MOST_BLOCKS = 10, 32
 _STRATA = 8
@@ -353,7 +354,7 @@ def _jammed_rows(simulator: Simulator) -> BoolArray:
 
 
 def _simulator(segment: Segment) -> Simulator:
-    return Simulator.of(ResidualGenerator(_ORDINARY.model, _POLE_RAD_S), segment)
+    return Simulator.of(ResidualGenerator(_ORDINARY.model, POLE_RAD_S), segment)
 
 
 def _moving_rows(simulator: Simulator) -> BoolArray:

@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     from servofd.aircraft.segment import Segment
     from servofd.servo.servo_model import ServoModel
 
+SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 1e-4, 0.2
 _AROUND_S = 2.0
 _SMALLEST_GAIN, _LARGEST_GAIN = 0.3, 1.7
-_SHORTEST_PERIOD_S, _LONGEST_PERIOD_S = 1e-4, 0.2
 
 
 class Drafted(NamedTuple):
@@ -93,7 +93,7 @@ def _fitted(log: FlightLog, name: str, surface: Surface, key: str) -> tuple[Surf
         segment = cut(log, name, surface)
     except NoMeasurement:
         return plain, unfit
-    if not _SHORTEST_PERIOD_S < segment.period_s < _LONGEST_PERIOD_S:
+    if not SHORTEST_PERIOD_S < segment.period_s < LONGEST_PERIOD_S:
         return plain, unfit
     fit = fit_roughly(segment, free_scale=True)
     if fit.origin.origin != "fitted":

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from servofd.axes.mixers import LIFT_MOTORS
 from servofd.outputs.chart import Chart, Curve, Panel
 
 if TYPE_CHECKING:
@@ -21,7 +22,6 @@ _NO_SURFACES = frozenset(
     }
 )
 _OUTPUT = re.compile(r"(?:RCOU|RCO2|SERVO_OUTPUT_RAW)\.(?:C|Ch|servo)(\d+)(?:_raw)?")
-_MOTORS = frozenset({*range(33, 41), *range(82, 86), 160})
 _LEAST_US, _MOST_US = 900.0, 2200.0
 _LOWEST_US, _HIGHEST_US = 1000.0, 2000.0
 _AT_LIMIT_US = 5.0
@@ -43,7 +43,7 @@ def motors_of(log: FlightLog) -> dict[str, Any] | None:
         return None
     names = {int(found[1]): name for name in log.channels if (found := _OUTPUT.fullmatch(name))}
     functions = {number: log.parameters.get(f"SERVO{number}_FUNCTION") for number in names}
-    motors = [number for number in sorted(names) if functions[number] is None or functions[number] in _MOTORS]
+    motors = [number for number in sorted(names) if functions[number] is None or functions[number] in LIFT_MOTORS]
     pulses = {}
     for number in motors:
         channel = log[names[number]]

@@ -34,8 +34,8 @@ VARIED: tuple[type[MissingEffect], ...] = (
     catalogue.Delay,
 )
 """Effects whose first number may go with a condition."""
-_FEWEST_RUNS = 5
-_ALIKE = 0.98
+FEWEST_RUNS = 5
+ALIKE = 0.98
 """Correlation beyond which two conditions cannot be told apart."""
 _SHARES = (-0.3, -0.1, 0.1, 0.3)
 
@@ -44,9 +44,9 @@ def told_apart(conditions: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     """Conditions from -1 to 1, one of those that vary together; none of too few runs."""
     found: dict[str, FloatArray] = {}
     for name, of in conditions.items():
-        if of.size < _FEWEST_RUNS or not np.all(np.isfinite(of)) or np.ptp(of) == 0.0:
+        if of.size < FEWEST_RUNS or not np.all(np.isfinite(of)) or np.ptp(of) == 0.0:
             continue
-        if all(abs(float(np.corrcoef(of, other)[0, 1])) <= _ALIKE for other in found.values()):
+        if all(abs(float(np.corrcoef(of, other)[0, 1])) <= ALIKE for other in found.values()):
             found[name] = 2.0 * (of - of.min()) / np.ptp(of) - 1.0
     return found
 

@@ -55,8 +55,6 @@ MIXERS: Final[Mapping[str, Mixer]] = {
     ),
 }
 """By name."""
-THROTTLE: Final = 3
-"""Output of the engine."""
 
 _KINDS: Final = ("stuck", "loss_of_effectiveness", "slow", "bias")
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from logparsers.dataflash.encode import Message, encode
-from servofd.simulation.airframe import THROTTLE
 from servofd.simulation.ardupilot import banner
+from servofd.simulation.pulses import THROTTLE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from servofd.wear.follow import FEWEST_FOR_LINE
 from servofd.wear.records import QUANTITIES
 
 if TYPE_CHECKING:
@@ -11,8 +12,6 @@ if TYPE_CHECKING:
     from servofd.wear.follow import QuantityTrend, SurfaceTrend
     from servofd.wear.series import Piece
     from servofd.wear.trend import AircraftTrend
-
-_FEWEST_FOR_LINE = 3
 
 
 def trend_document(seen: AircraftTrend) -> dict[str, Any]:
@@ -88,7 +87,7 @@ def _quantity(one: QuantityTrend) -> dict[str, Any]:
 def _piece(piece: Piece) -> dict[str, Any]:
     """First and last flight, and the line between them."""
     ends = {"first": piece.first, "last": piece.last}
-    if piece.number.size < _FEWEST_FOR_LINE:
+    if piece.number.size < FEWEST_FOR_LINE:
         return ends
     return ends | {"begin": _estimate(piece.line.at(piece.first)), "end": _estimate(piece.line.at(piece.last))}
 

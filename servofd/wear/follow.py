@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 Place = Literal["servo", "linkage"]
 
-_FEWEST_FOR_LINE = 3
+FEWEST_FOR_LINE = 3
 _MOST_EVIDENCE = 20.0
 """That one flight may add: no single one decides."""
 
@@ -165,7 +165,7 @@ def _quantity(name: str, whole: Piece, bounds: Sequence[int], limit: float | Non
     parts = [part for from_, to in _spans(bounds) if (part := _within(whole, from_, to))]
     cut = tuple(piece for part in parts for piece in pieces(part.number, part.value, part.deviation))
     last = cut[-1]
-    has_line = last.number.size >= _FEWEST_FOR_LINE
+    has_line = last.number.size >= FEWEST_FOR_LINE
     now = last.line.at(last.last) if has_line else _last_estimate(last)
     slope = last.line.slope_estimate if has_line else None
     return QuantityTrend(name, whole, cut, now, slope, limit, _forecast(name, last, now.value, limit))
@@ -183,5 +183,5 @@ def _forecast(name: str, last: Piece, now: float, limit: float | None) -> Foreca
     worse = QUANTITIES[name].worse
     if worse != "away":
         return forecast(last, limit, above=worse == "up")
-    rising = now > 0.0 if abs(now) >= limit or last.number.size < _FEWEST_FOR_LINE else last.line.slope > 0.0
+    rising = now > 0.0 if abs(now) >= limit or last.number.size < FEWEST_FOR_LINE else last.line.slope > 0.0
     return forecast(last, limit if rising else -limit, above=rising)

@@ -11,6 +11,7 @@ from servofd.detection.bank.window import noise_deg
 from servofd.detection.residual import ResidualGenerator
 from servofd.detection.simulator import Simulator
 from servofd.estimate.statistics import memory
+from servofd.feedback.fit import POLE_RAD_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -19,8 +20,6 @@ if TYPE_CHECKING:
     from servofd.core.types import BoolArray, FloatArray
     from servofd.wear.servo import FlownServo
 
-_POLE_RAD_S = 30.0
-"""Of a filter that only serves to find gaps and starts: gaps beyond 0.17 s, blanking of 0.27 s."""
 _FORGOTTEN_S = 1.0
 """After a start the servo was somewhere nobody knows; the slowest ones of the library forget it by then."""
 _FORGOTTEN_SHARE = 0.1
@@ -41,7 +40,7 @@ class Motion:
     @classmethod
     def of(cls, flights: Sequence[Flight], servo: FlownServo) -> Motion:
         """Find the rows; they do not depend on the numbers of the servo."""
-        generator = ResidualGenerator(servo.model, _POLE_RAD_S)
+        generator = ResidualGenerator(servo.model, POLE_RAD_S)
         simulators = tuple(Simulator.of(generator, flight.segment) for flight in flights)
         return cls(simulators, tuple(_usable(each) for each in simulators))
 
