@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.aircraft.axis_names import MOST_OF_THE_FLIGHT, SURFACE_AXES
-from servofd.axes.model import covered, distances, flown_of, inputs_of, shares_of, statistic, windows_of
+from servofd.axes.model import covered, distances, flown_of, inputs_of, smallest_of, statistic, windows_of
 from servofd.axes.words import left_out, reason_of
-from servofd.detection.axis_verdict import AxisAudit, AxisEvent, AxisStatus
+from servofd.detection.axis_verdict import AxisAudit, AxisEvent, AxisStatus, Detectable
 from servofd.estimate.axis_windows import Expected, lags, nothing_known, sliding
 from servofd.estimate.statistics import Z_95, Estimate
 
@@ -75,6 +75,8 @@ class _Draft:
     events: tuple[AxisEvent, ...]
     known: BoolArray
     """Where a member that stood still would be told, and lambda is known to less than +-0.3."""
+    shows: FloatArray
+    """Smallest loss, and offset [us], that would have been told at each sample; shape (2, n)."""
     whole: tuple[Estimate, Estimate] | None
 
 
@@ -97,6 +99,11 @@ class _Change:
     from_start: bool
 
 
+def _in_most(least: FloatArray) -> float:
+    """What is told in most of a flight."""
+    return float(np.quantile(least, MOST_OF_THE_FLIGHT, method="higher")) if least.size else math.inf
+
+
 def _members(name: str, axis: AxisModel, motion: Motion) -> tuple[str, ...]:
     """Surfaces of an axis, in this flight or as calibrated."""
     return motion.members.get(name) or axis.members
@@ -113,7 +120,7 @@ def _draft(
         score,
         news,
         tuple(_event(axis, change, motion.time_s, rate_hz) for change in changes),
-        _known(axis, inputs, rate_hz, max(members, 1)),
+        *_known(axis, inputs, rate_hz, max(members, 1)),
         _whole(axis, inputs, flown, rate_hz, model.flights),
     )
 
@@ -365,20 +372,23 @@ def _is_known(whole: tuple[Estimate, Estimate] | None) -> bool:
     return whole is not None and whole[0].high - whole[0].low <= 2.0 * _KNOWN_WITHIN
 
 
-def _known(axis: AxisModel, inputs: Inputs, rate_hz: float, members: int) -> BoolArray:
-    """Where lambda is known to less than +-0.3, in windows in which a member that stood still would be told."""
+def _known(axis: AxisModel, inputs: Inputs, rate_hz: float, members: int) -> tuple[BoolArray, FloatArray]:
+    """Where lambda is known to less than +-0.3, in windows in which a member that stood still would be told.
+
+    And the smallest loss and offset that would be.
+    """
     if not axis.own_command:
-        return np.zeros(inputs.usable.size, dtype=bool)
+        return np.zeros(inputs.usable.size, dtype=bool), np.full((2, inputs.usable.size), np.inf)
     windows = windows_of(axis, inputs, rate_hz)
-    lost = [replace(found, loss=found.loss + 1.0 / members) for found in windows]
-    shares = shares_of(axis, inputs, lost, rate_hz)
+    least = smallest_of(axis, inputs, windows, rate_hz)
     known, told = np.zeros((2, inputs.usable.size), dtype=bool)
-    for found, spread, share in zip(windows, axis.spreads, shares, strict=True):
+    for found, spread, (loss, _) in zip(windows, axis.spreads, least, strict=True):
         variance = np.nan_to_num(found.loss_var, nan=np.inf) + spread.loss_var
         known |= Z_95 * np.sqrt(variance) < _KNOWN_WITHIN
         length = spread.samples(rate_hz)
-        told |= np.convolve(share > axis.suspect, np.ones(length))[length - 1 :] > 0.5  # all of a window that tells
-    return known & told
+        still = loss < 1.0 / members
+        told |= np.convolve(still, np.ones(length))[length - 1 :] > 0.5  # all of a window that tells
+    return known & told, least.min(axis=0)
 
 
 def _whole(
@@ -478,8 +488,12 @@ def _verdict(
     if not axis.own_command:  # which tells nothing of the effect of a microsecond
         lost, offset = None, None
     members = _members(name, axis, motion)
+    shows = [_in_most(least[flown]) for least in draft.shows]
+    detectable = Detectable(shows[0] if shows[0] <= 1.0 else math.inf, shows[1])
     outside = {reason: float((~good & flown).sum()) / seconds for reason, good in inside.items() if flown.any()}
-    reason = reason_of(name, model, members, events, identifiable, outside, lost, status=status, worst=worst)
+    reason = reason_of(
+        name, model, members, events, identifiable, outside, lost, status=status, worst=worst, shows=detectable
+    )
     return AxisAudit(
         axis=name,
         status=status,
@@ -489,6 +503,7 @@ def _verdict(
         offset_us=offset,
         events=events,
         identifiable=identifiable,
+        detectable=detectable,
         judged_share=judged,
         false_alarms_per_hour=axis.false_alarms_per_hour,
         time_s=motion.time_s,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.axes.forms import FORMS, Filtered, Regression
-from servofd.estimate.axis_windows import Inputs, Sliding, distance, expected, lags, sliding
+from servofd.estimate.axis_windows import Inputs, Sliding, distance, expected, lags, sliding, smallest
 
 if TYPE_CHECKING:
     from servofd.aircraft.axes import AxisModel, Regime
@@ -114,6 +114,16 @@ def distances(axis: AxisModel, inputs: Inputs, windows: list[Sliding], rate_hz: 
         known = expected(inputs, spread.samples(rate_hz), axis.noise_var, axis.of_flights(spread), window)
         found.append(distance(estimates, known, window, loss_matters=axis.own_command))
     return found
+
+
+def smallest_of(axis: AxisModel, inputs: Inputs, windows: list[Sliding], rate_hz: float) -> FloatArray:
+    """Smallest loss and offset [us] that the windows of each length would have shown; shape (k, 2, n)."""
+    found = []
+    for estimates, spread in zip(windows, axis.spreads, strict=True):
+        window = spread.covariance
+        known = expected(inputs, spread.samples(rate_hz), axis.noise_var, axis.of_flights(spread), window)
+        found.append(smallest(estimates, known, window, axis.suspect * spread.scale))
+    return np.array(found)
 
 
 def shares_of(axis: AxisModel, inputs: Inputs, windows: list[Sliding], rate_hz: float) -> FloatArray:

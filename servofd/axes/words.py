@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from servofd.aircraft.axes import AxisModel, MotionModel
-    from servofd.detection.axis_verdict import AxisEvent, AxisStatus
+    from servofd.detection.axis_verdict import AxisEvent, AxisStatus, Detectable
     from servofd.estimate.statistics import Estimate
 
 _SURFACES = {"roll": "ailerons", "pitch": "elevator", "side": "rudder", "thrust": "engine"}
@@ -33,7 +33,9 @@ def named(members: Sequence[str], axis: str) -> str:
     Examples
     --------
     >>> named(("aileron_left", "aileron_right"), "roll")
-    'aileron left/right'
+    'ailerons left and right'
+    >>> named(("elevator_2", "elevator_10"), "pitch")
+    'elevators on outputs 2 and 10'
     >>> named((), "pitch")
     'elevator'
     """
@@ -41,8 +43,23 @@ def named(members: Sequence[str], axis: str) -> str:
         return _SURFACES[axis]
     stems = {member.rsplit("_", 1)[0] for member in members}
     if len(members) > 1 and len(stems) == 1 and all("_" in member for member in members):
-        return f"{stems.pop().replace('_', ' ')} {'/'.join(member.rsplit('_', 1)[1] for member in members)}"
+        which = [member.rsplit("_", 1)[1] for member in members]
+        place = "on outputs " if all(one.isdecimal() for one in which) else ""
+        return f"{stems.pop().replace('_', ' ')}s {place}{' and '.join(which)}"
     return " or ".join(member.replace("_", " ") for member in members)
+
+
+def shown(smallest: Detectable) -> str:
+    """Smallest faults that most of a flight would have told; empty if none.
+
+    Examples
+    --------
+    >>> from servofd.detection.axis_verdict import Detectable
+    >>> shown(Detectable(0.31, 44.2)), shown(Detectable(math.inf, 44.2))
+    ('a loss of 31% of its effect, or 44 us away', '44 us away')
+    """
+    loss = [f"a loss of {smallest.loss:.0%} of its effect"] if math.isfinite(smallest.loss) else []
+    return ", or ".join([*loss, *([f"{smallest.offset_us:.0f} us away"] if math.isfinite(smallest.offset_us) else [])])
 
 
 def left_out(lifted_share: float) -> str:
@@ -67,6 +84,7 @@ def reason_of(
     *,
     status: AxisStatus,
     worst: AxisEvent | None,
+    shows: Detectable,
 ) -> str:
     """One sentence for the verdict on an axis.
 
@@ -78,6 +96,8 @@ def reason_of(
         Lost share of the whole flight.
     worst : AxisEvent or None
         The event that the verdict rests on.
+    shows : Detectable
+        What would have been told.
     """
     axis = model.axes[name]
     caused = next((event for event in events if event.cause), None)
@@ -89,7 +109,8 @@ def reason_of(
     elif at_once is not None:
         text = _differs(name, axis, members, at_once)
     elif status == "healthy" and lost is not None:
-        text = f"{_share_lost(lost)}, known in {identifiable:.0%} of the flight{_unusual(lost)}"
+        seen = shown(shows)
+        text = f"{_share_left(lost)}{_unusual(lost)}{f'; {seen} would have been seen' if seen else ''}"
     else:
         text = _not_judged(name, model, members, identifiable, outside, lost)
     if model.days >= _ENOUGH_DAYS:
@@ -98,19 +119,17 @@ def reason_of(
     return f"{text}; calibrated on {days}: about {axis.false_alarms_per_hour:.2g} false alarms an hour of this axis"
 
 
-def _share_lost(lost: Estimate) -> str:
-    """How much of its effect an axis has lost, with a 95 % interval.
+def _share_left(lost: Estimate) -> str:
+    """How much effect an axis had, with a 95 % interval.
 
     Examples
     --------
     >>> from servofd.estimate.statistics import Estimate
-    >>> _share_lost(Estimate(0.02, -0.04, 0.07)), _share_lost(Estimate(0.1, 0.03, 0.17))
-    ('lost nothing for sure (-4 to 7% of its effect)', 'lost 10% of its effect (3 to 17%)')
+    >>> _share_left(Estimate(0.02, -0.04, 0.07))
+    'had 98% of its effect (93 to 104%)'
     """
-    low, value, high = (f"{100.0 * share:z.0f}" for share in (lost.low, lost.value, lost.high))
-    if lost.low <= 0.0 <= lost.high:
-        return f"lost nothing for sure ({low} to {high}% of its effect)"
-    return f"lost {value}% of its effect ({low} to {high}%)"
+    low, value, high = (f"{100.0 * (1.0 - share):z.0f}" for share in (lost.high, lost.value, lost.low))
+    return f"had {value}% of its effect ({low} to {high}%)"
 
 
 def _unusual(lost: Estimate) -> str:
@@ -172,7 +191,9 @@ def _not_judged(
         return f"{named(members, name)} never moved on its own: a surface that does not move would look the same"
     if identifiable >= MOST_OF_THE_FLIGHT and lost is not None:
         half = (lost.high - lost.low) / 2.0
-        return f"lost share {lost.value:+.2f}, known to ±{half:.2f} only: healthy flights of calibration differ as much"
+        return f"had {1.0 - lost.value:.0%} of its effect, known to ±{half:.0%} only: healthy flights differ as much"
+    if name == "thrust":
+        return f"too little change of throttle: in {1.0 - identifiable:.0%} of the flight lost thrust would not show"
     return f"too little motion: in {1.0 - identifiable:.0%} of the flight a stuck surface would have looked the same"
 
 
@@ -181,19 +202,19 @@ def _loss(name: str, axis: AxisModel, members: Sequence[str], event: AxisEvent) 
     lost = event.lost_share
     if name == "thrust":
         return f"thrust is missing ({lost.value:.0%} [{lost.low:.0%}, {lost.high:.0%}])"
-    share = f"lost {lost.value:.0%} [{lost.low:.0%}, {lost.high:.0%}] of its effect"
+    share = f"lost {lost.value:.0%} [{lost.low:.0%}, {lost.high:.0%}] of the effect"
     if not axis.own_command:
-        return f"{surfaces} is not where it was asked, or does not move"
+        return f"{surfaces} did not stand where asked, or did not move"
     if event.lag_s is not None:
         late = event.lag_s
-        text = f"slow: answers {late.value:.2f} s [{late.low:.2f}, {late.high:.2f}] later than calibrated"
+        text = f"answered {late.value:.2f} s [{late.low:.2f}, {late.high:.2f}] later than calibrated: slow"
     elif lost.high < _ALL:
-        text = f"acts as if it stood {event.offset_us.value:+.0f} us away"
+        text = f"acted as if {event.offset_us.value:+.0f} us away"
     elif lost.low <= 0.0:
         away = event.offset_us
         text = (
-            f"does not answer as calibrated: {away.value:+.0f} us [{away.low:+.0f}, {away.high:+.0f}] away, or "
-            f"{lost.value:.0%} [{lost.low:.0%}, {lost.high:.0%}] of its effect lost (this motion hardly tells which)"
+            f"did not answer as calibrated: {away.value:+.0f} us [{away.low:+.0f}, {away.high:+.0f}] away, or "
+            f"{lost.value:.0%} [{lost.low:.0%}, {lost.high:.0%}] of the effect lost (this motion hardly tells which)"
         )
     elif lost.value > _HALF or len(members) == 1:
         text = f"{share}, offset {event.offset_us.value:+.0f} us"

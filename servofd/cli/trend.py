@@ -78,7 +78,14 @@ def _followed(options: argparse.Namespace) -> AircraftTrend:
 
 def _print(document: dict[str, Any]) -> None:
     from servofd.cli.tables import print_table
-    from servofd.outputs.trend_page import number_of_flights, quantity_row, verdict
+    from servofd.outputs.trend_page import (
+        axes_of,
+        effects_of,
+        flight_name,
+        number_of_flights,
+        quantity_row,
+        verdict,
+    )
     from servofd.wear.records import QUANTITIES
 
     print(f"{number_of_flights(document)}, {document['order']['reason']}")
@@ -91,4 +98,8 @@ def _print(document: dict[str, Any]) -> None:
             print(f"{name}: {line}")
         for what, why in surface["missing"].items():
             print(f"{name}: no {QUANTITIES[what].title}: {why}")
+    axes = axes_of(document)
+    if axes:
+        rows = [[str(one["number"]), flight_name(one), *effects_of(document, one)] for one in document["flights"]]
+        print_table(["flight", "log", *axes], rows, "effect that was left in each flight [%]")
     print(verdict(document))

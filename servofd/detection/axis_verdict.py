@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 if TYPE_CHECKING:
     from servofd.aircraft.axes import AxisModel
@@ -59,6 +59,14 @@ class AxisEvent:
         return not self.cause and not self.from_start
 
 
+class Detectable(NamedTuple):
+    """Smallest fault of an axis that most of a flight would have told; inf where none would."""
+
+    loss: float
+    """Share of its effect."""
+    offset_us: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class AxisAudit:
     """Verdict on one axis.
@@ -80,6 +88,8 @@ class AxisAudit:
         In order of time.
     identifiable : float
         Share of the flight in which lambda was known to less than +-0.3.
+    detectable : Detectable
+        What would have been told.
     judged_share : float
         Share of the flight inside the calibrated regime.
     false_alarms_per_hour : float
@@ -100,6 +110,7 @@ class AxisAudit:
     offset_us: Estimate | None
     events: tuple[AxisEvent, ...]
     identifiable: float
+    detectable: Detectable
     judged_share: float
     false_alarms_per_hour: float
     time_s: FloatArray

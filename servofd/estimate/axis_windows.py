@@ -260,16 +260,43 @@ def distance(found: Sliding, known: Expected, window: FloatArray, *, loss_matter
     ndarray, shape (n,)
         Chi-square with two degrees of freedom (one if `loss_matters` is False) in a healthy aircraft.
     """
-    offset = found.offset - known.offset
-    offset_var = found.offset_var + window[1, 1] + known.offset_var
+    offset, offset_var, given, given_var = _away(found, known, window)
     statistic = offset**2 / offset_var
     if loss_matters:
-        cross = found.cross + window[0, 1] + known.cross
-        given = found.loss - known.loss - cross / offset_var * offset
-        given_var = found.loss_var + window[0, 0] + known.loss_var - cross**2 / offset_var
         statistic = statistic + np.maximum(given, 0.0) ** 2 / given_var
     distances: FloatArray = np.nan_to_num(statistic)
     return distances
+
+
+def _away(found: Sliding, known: Expected, window: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Offset beyond what is expected, its variance, the loss beyond what that offset implies, and its variance."""
+    offset = found.offset - known.offset
+    offset_var = found.offset_var + window[1, 1] + known.offset_var
+    cross = found.cross + window[0, 1] + known.cross
+    given = found.loss - known.loss - cross / offset_var * offset
+    return offset, offset_var, given, found.loss_var + window[0, 0] + known.loss_var - cross**2 / offset_var
+
+
+def smallest(found: Sliding, known: Expected, window: FloatArray, level: float) -> tuple[FloatArray, FloatArray]:
+    """Smallest further loss, and smallest offset to either side [us], that lift J of each window to a level.
+
+    Returns
+    -------
+    tuple of ndarray, shape (n,)
+        inf where there is no estimate.
+
+    Examples
+    --------
+    >>> quiet = Sliding(*(np.array([x]) for x in (0.0, 0.0, 0.01, 0.0, 25.0)))
+    >>> loss, offset_us = smallest(quiet, nothing_known(np.zeros((2, 2))), np.zeros((2, 2)), 4.0)
+    >>> round(float(loss[0]), 6), float(offset_us[0])
+    (0.2, 10.0)
+    """
+    offset, offset_var, given, given_var = _away(found, known, window)
+    missing = np.maximum(level - offset**2 / offset_var, 0.0)
+    loss = np.where(missing == 0.0, 0.0, np.maximum(np.sqrt(missing * given_var) - given, 0.0))
+    offset_us = np.sqrt(level * offset_var) + np.abs(offset)
+    return np.nan_to_num(loss, nan=np.inf), np.nan_to_num(offset_us, nan=np.inf)
 
 
 def spread_between(flights: Sequence[Sliding], start: FloatArray) -> FloatArray:

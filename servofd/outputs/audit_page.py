@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from servofd.axes.forms import FORMS
-from servofd.axes.words import named
+from servofd.axes.words import named, shown
 from servofd.detection.advice import meaning, next_step
 from servofd.detection.words import describe
 from servofd.outputs.audit_charts import MOST_FAULTS, fault_charts, flight_chart
@@ -166,7 +166,8 @@ def _axis(axis: AxisAudit, anchor: str) -> dict[str, Any]:
             ("lost share", _estimated(axis.lost_share, 2)),
             ("offset [us]", _estimated(axis.offset_us, 0)),
             ("judged", f"{axis.judged_share:.0%} of the flight"),
-            ("lost share known to +-0.3", f"in {axis.identifiable:.0%} of the flight"),
+            ("would have been seen", shown(axis.detectable) or "nothing"),
+            ("a surface that stood still", f"would have been seen in {axis.identifiable:.0%} of the flight"),
             ("model", f"{axis.model.form.replace('_', ' ')}, explains {axis.model.explained:.0%} on days not seen"),
             ("false alarms", f"about {axis.false_alarms_per_hour:.2g} an hour"),
         ],

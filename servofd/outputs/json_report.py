@@ -87,6 +87,10 @@ def _axis(axis: AxisAudit) -> dict[str, Any]:
         "identifiable": axis.identifiable >= MOST_OF_THE_FLIGHT,
         "identifiable_share": axis.identifiable,
         "judged_share": axis.judged_share,
+        "detectable": {
+            "loss_share": axis.detectable.loss if math.isfinite(axis.detectable.loss) else None,
+            "offset_us": axis.detectable.offset_us if math.isfinite(axis.detectable.offset_us) else None,
+        },
         "events": [
             {
                 "start_s": event.start_s,

@@ -64,7 +64,7 @@ def sentence(surfaces: Sequence[SurfaceAudit]) -> str:
     if faulty:
         return f"{_faults(faulty)}. Do not fly."
     if suspect:
-        return f"{_listed(suspect).upper()} SUSPECT: look at it before the next flight."
+        return f"{_surfaces(suspect).upper()} SUSPECT: look at it before the next flight."
     missing = _missing([s for s in surfaces if s.expected and not s.is_judged])
     if not healthy:
         return f"Could not tell. {missing or 'No surface could be judged.'}"
@@ -92,7 +92,7 @@ def axes_sentence(axes: Sequence[AxisAudit]) -> str:
     }
     healthy = [axis.axis for axis in axes if axis.status == "healthy" and axis.axis not in weaker]
     dark = [axis.axis for axis in axes if axis.status == "unknown" and axis.axis != "thrust"]
-    told = [f"{' and '.join(healthy).capitalize()} answered as on healthy days."] if healthy else []
+    told = [f"{_listed(healthy).capitalize()} answered as on healthy days."] if healthy else []
     told += [_weaker(axis, share) for axis, share in weaker.items()]
     told = told or ["Could not tell."]
     return " ".join([*told, f"No verdict on {', '.join(dark)}."] if dark else told)
@@ -107,7 +107,7 @@ def _weaker(axis: str, lost_share: Estimate) -> str:
 
 def _faults(faulty: Sequence[SurfaceAudit]) -> str:
     if len(faulty) > _MOST_NAMED:
-        return f"{len(faulty)} SERVOS AT FAULT: {_listed(faulty)}"
+        return f"{len(faulty)} SERVOS AT FAULT: {_surfaces(faulty)}"
     return "; ".join(f"{spoken(s.surface).upper()} {_what(_gravest(s.faults))}" for s in faulty)
 
 
@@ -132,11 +132,14 @@ def _missing(surfaces: Sequence[SurfaceAudit]) -> str:
         return ""
     reasons = list(dict.fromkeys(_CLAUSE.split(s.reason, maxsplit=1)[0] for s in surfaces))
     why = f": {reasons[0]}" if len(reasons) == 1 else ""  # each with its numbers stands beside its surface
-    return f"No verdict on {_listed(surfaces)}{why}."
+    return f"No verdict on {_surfaces(surfaces)}{why}."
 
 
-def _listed(surfaces: Sequence[SurfaceAudit]) -> str:
-    names = [spoken(s.surface) for s in surfaces]
+def _surfaces(surfaces: Sequence[SurfaceAudit]) -> str:
+    return _listed([spoken(s.surface) for s in surfaces])
+
+
+def _listed(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 

@@ -16,6 +16,8 @@ from servofd.wear.forecast import TOO_FEW
 from servofd.wear.records import QUANTITIES
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from matplotlib.axes import Axes
 
 _EVENT_STYLES = {"swap": "-", "adjusted": "--", "changed": ":"}
@@ -39,7 +41,8 @@ def trend_page(document: dict[str, Any]) -> str:
     """
     flights = document["flights"]
     aircraft = document["aircraft"] or "aircraft"
-    surfaces = [_surface(name, surface, len(flights)) for name, surface in document["surfaces"].items()]
+    surfaces = [_surface(name, surface, flights) for name, surface in document["surfaces"].items()]
+    axes = axes_of(document)
     surfaces.sort(key=lambda surface: _WORST_FIRST.index(surface["status"]))
     return page(
         "trend.html",
@@ -48,7 +51,18 @@ def trend_page(document: dict[str, Any]) -> str:
         sentence=verdict(document),
         facts=f"{aircraft}: {number_of_flights(document)}, {document['order']['reason']}",
         surfaces=surfaces,
-        flights=[(str(one["number"]), _name(one), (one["start_utc"] or "")[:16].replace("T", " ")) for one in flights],
+        axes=axes,
+        headings=("number", "log", "begun (UTC)", *(f"effect left of {axis} [%]" for axis in axes)),
+        flights=[
+            (
+                str(one["number"]),
+                flight_name(one),
+                (one["start_utc"] or "")[:16].replace("T", " "),
+                *effects_of(document, one),
+            )
+            for one in flights
+        ],
+        alarms=alarms_of(document),
         problems=document["problems"],
     )
 
@@ -67,14 +81,61 @@ def verdict(document: dict[str, Any]) -> str:
         for one in surface["quantities"].values()
         if one["forecast"]["kind"] != "none"
     ]
+    alarms = alarms_of(document)
+    said = f"{'; '.join(limits)}. " if limits else ""
+    if alarms:
+        more = f" (and {len(alarms) - 1} more)" if len(alarms) > 1 else ""
+        return f"{said}{alarms[-1]}{more}."
     if limits:
-        return "; ".join(limits) + "."
+        return said.rstrip()
     reasons = {
         one["forecast"]["reason"] for surface in document["surfaces"].values() for one in surface["quantities"].values()
     }
     if reasons == {TOO_FEW}:
         return f"No limit is exceeded. {number_of_flights(document).capitalize()}: too few for a trend."
     return "No limit is exceeded or in sight."
+
+
+def axes_of(document: dict[str, Any]) -> list[str]:
+    """Axes whose effect is followed by the motion of the aircraft."""
+    return [name for name, surface in document["surfaces"].items() if "effect" in surface["quantities"]]
+
+
+def effects_of(document: dict[str, Any], flight: dict[str, Any]) -> list[str]:
+    """What was left of the effect of each axis in a flight, with its interval, in per cent.
+
+    Examples
+    --------
+    >>> effect = {"flights": [1], "values": [0.5], "deviations": [0.05], "shown": {"scale": 100.0, "digits": 0}}
+    >>> effects_of({"surfaces": {"roll": {"quantities": {"effect": effect}}}}, {"number": 1, "alarms": {"roll": ""}})
+    ['50 [40, 60] alarm']
+    """
+    found = []
+    for axis in axes_of(document):
+        one = document["surfaces"][axis]["quantities"]["effect"]
+        text = "not known"
+        if flight["number"] in one["flights"]:
+            at = one["flights"].index(flight["number"])
+            value, half = one["values"][at], Z_95 * one["deviations"][at]
+            shown = {"value": value, "low": value - half, "high": value + half}
+            text = _interval(shown, one["shown"]["scale"], one["shown"]["digits"])
+        found.append(f"{text} alarm" if axis in flight.get("alarms", {}) else text)
+    return found
+
+
+def alarms_of(document: dict[str, Any]) -> list[str]:
+    """What did not answer as calibrated, in which flight.
+
+    Examples
+    --------
+    >>> alarms_of({"flights": [{"number": 3, "path": "a/jam.bin", "run": None, "alarms": {"roll": "lost half"}}]})
+    ['Flight 3 (jam.bin), roll: lost half']
+    """
+    return [
+        f"Flight {one['number']} ({flight_name(one)}), {axis}: {reason}"
+        for one in document.get("flights", ())
+        for axis, reason in one.get("alarms", {}).items()
+    ]
 
 
 def number_of_flights(document: dict[str, Any]) -> str:
@@ -118,23 +179,28 @@ def _interval(estimate: dict[str, float], scale: float, digits: int) -> str:
     return f"{value} [{low}, {high}]"
 
 
-def _name(flight: dict[str, Any]) -> str:
+def flight_name(flight: dict[str, Any]) -> str:
+    """File of a flight, and its run where there are several."""
     return PurePosixPath(flight["path"].replace("\\", "/")).name + (f" (run {flight['run']})" if flight["run"] else "")
 
 
-def _surface(name: str, surface: dict[str, Any], flights: int) -> dict[str, Any]:
+def _surface(name: str, surface: dict[str, Any], flights: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    alarms = [one["number"] for one in flights if name in one.get("alarms", {})]
     quantities = surface["quantities"]
     kinds = {one["forecast"]["kind"] for one in quantities.values()}
     serials = [f"{one['serial'] or 'number unknown'} since flight {one['from_flight']}" for one in surface["serials"]]
+    status = next(status for kind, status in _WORST.items() if kind in kinds or kind == "none")
+    is_axis = any(QUANTITIES[one].of_axis for one in (*quantities, *surface["missing"]))
     return {
         "name": name,
-        "serials": ", ".join(serials),
-        "status": next(status for kind, status in _WORST.items() if kind in kinds or kind == "none"),
+        "serials": "" if is_axis else ", ".join(serials),
+        "status": "suspect" if alarms and status == "healthy" else status,
+        "alarms": alarms,
         "rows": [quantity_row(one) for one in quantities.values()],
         "events": [event["reason"] for event in surface["events"]],
         "notes": surface["notes"],
         "missing": [(QUANTITIES[what].title, why) for what, why in surface["missing"].items()],
-        "pictures": [_picture(name, surface)] if flights > 1 else [],
+        "pictures": [_picture(name, surface)] if len(flights) > 1 and quantities else [],
     }
 
 

@@ -34,6 +34,7 @@ def trend_document(seen: AircraftTrend) -> dict[str, Any]:
                 "path": log.path,
                 "run": log.run or None,
                 "start_utc": log.start_utc.isoformat() if log.start_utc else None,
+                "alarms": {flight.surface: flight.alarm for flight in log.flights if flight.alarm},
             }
             for number, log in enumerate(seen.order.logs, start=1)
         ],

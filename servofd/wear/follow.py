@@ -105,7 +105,7 @@ def follow(surface: str, flights: Sequence[tuple[int, FlightEstimate]], wear: We
     bounds = sorted({*bounds, *(event.first for event in events if event.kind == "swap")})
     quantities = {name: _quantity(name, one, bounds, wear.limits.get(name)) for name, one in series.items()}
     last = flights[-1][1]
-    of_axis = any(QUANTITIES[name].of_axis for name in series)
+    of_axis = any(QUANTITIES[name].of_axis for name in (*series, *last.missing))
     missing = {
         name: last.missing.get(name, "not in these flights")
         for name, what in QUANTITIES.items()

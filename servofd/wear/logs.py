@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from logparsers import LogError
+from servofd.aircraft.axis_names import SURFACE_AXES
 from servofd.aircraft.segment import cut
 from servofd.batch.fetch import fetched
 from servofd.core.errors import ConfigError, NoMeasurement, ServofdError
@@ -100,6 +101,8 @@ def _axes(log: FlightLog, path: str, motion: MotionModel) -> list[FlightEstimate
 
     found = []
     for audit in judge_motion(motion, motion_of(log, motion.rate_hz, motion.parameters)):
+        if audit.axis not in SURFACE_AXES:
+            continue
         values, missing = {}, {}
         for name, between in (("effect", audit.lost_share), ("offset_us", audit.offset_us)):
             if between is None or not audit.is_expected:
@@ -107,7 +110,10 @@ def _axes(log: FlightLog, path: str, motion: MotionModel) -> list[FlightEstimate
                 continue
             sigma = between.deviation
             values[name] = Estimate.of(1.0 - between.value if name == "effect" else between.value, sigma)
-        found.append(FlightEstimate(path, log.run, audit.axis, log.start_utc, log.duration_s, values, missing))
+        alarm = audit.reason if audit.status in ("suspect", "fault") else ""
+        found.append(
+            FlightEstimate(path, log.run, audit.axis, log.start_utc, log.duration_s, values, missing, alarm=alarm)
+        )
     return found
 
 

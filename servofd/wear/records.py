@@ -66,6 +66,8 @@ class FlightEstimate:
     """What differs if the zone of rest is not the servo's dead band but backlash of the linkage."""
     evidence: float = 0.0
     """Logarithm of how much better backlash explains the flight."""
+    alarm: str = ""
+    """What an axis did not do as calibrated in this flight; empty if it answered."""
 
     @property
     def name(self) -> str:

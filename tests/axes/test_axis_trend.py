@@ -9,6 +9,8 @@ import pytest
 from servofd.aircraft.axes import motion_to_toml
 from servofd.aircraft.schema import load_aircraft
 from servofd.axes.calibrate import calibrate_motion
+from servofd.outputs.trend_page import effects_of, trend_page
+from servofd.wear.document import trend_document
 from servofd.wear.trend import trend_logs
 from tests.axes.flights import flown
 from tests.axes.test_axes import as_table
@@ -23,10 +25,31 @@ def test_an_axis_that_loses_effect_is_followed(tmp_path: Path) -> None:
         as_table(tmp_path, f"2026-06-{k + 1:02d}.csv", flown(70 + k, aileron_share=1.0 - 0.06 * k, from_s=0.0))
         for k in range(9)
     ]
-    (roll,) = trend_logs(logs, load_aircraft(plane), workers=0).surfaces
+    seen = trend_logs(logs, load_aircraft(plane), workers=0)
+    (roll,) = seen.surfaces
     effect = roll.quantities["effect"]
     assert set(roll.quantities) == {"effect", "offset_us"}
     assert effect.now.value == pytest.approx(0.52, abs=0.12)
     assert effect.slope is not None
     assert effect.slope.low < -0.06 < effect.slope.high
     assert effect.limit == 0.75
+    document = trend_document(seen)
+    effects = [effects_of(document, flight)[0] for flight in document["flights"]]
+    assert float(effects[0].split()[0]) == pytest.approx(100.0, abs=15.0)
+    assert float(effects[-1].split()[0]) == pytest.approx(52.0, abs=15.0)
+    document["flights"][-1]["alarms"] = {"roll": "ailerons left and right lost half of the effect"}
+    text = trend_page(document)
+    assert "(2026-06-09.csv), roll: ailerons left and right lost half" in text
+    assert "Servo: " not in text
+
+
+@pytest.mark.slow
+def test_an_axis_that_no_flight_tells_anything_of_has_its_page(tmp_path: Path) -> None:
+    """Its command copied that of another axis: nothing to draw, and no word of servos."""
+    plane, log = tmp_path / "plane.toml", as_table(tmp_path, "2026-06-01.csv", flown(70))
+    model = calibrate_motion([flown(seed, f"2026-05-0{1 + seed % 3}") for seed in range(3)])
+    axes = {name: axis.model_copy(update={"own_command": False}) for name, axis in model.axes.items()}
+    plane.write_text(motion_to_toml(model.model_copy(update={"axes": axes})))
+    seen = trend_logs([log, as_table(tmp_path, "2026-06-02.csv", flown(71))], load_aircraft(plane), workers=0)
+    assert "never moved on its own" in trend_page(trend_document(seen))
+    assert all("dead_band_deg" not in surface.missing for surface in seen.surfaces)
