@@ -8,7 +8,7 @@ import numpy as np
 
 from servofd.aircraft.schema import DEFAULT_SIGMAS
 from servofd.core.types import BoolArray, ComplexArray, FloatArray
-from servofd.servo.state import compiled, inlined
+from servofd.servo.state import compiled, inlined, inner
 
 _PEAK_HOLD_S = 0.15
 """Time constant with which the peaks fade: about as long as the filter remembers."""
@@ -112,16 +112,17 @@ def follow(
     Call again with more samples to go on. The smallest believable noise is that of the position's resolution, which is
     the smallest change of the position so far.
     """
-    slow, x, peak = work.slow, work.x, work.peak
-    peak_rate, unseen, last_s, last_deg, before, before_that, noise, seen = work.state[:8]
-    odds, next_s, last_measured, resolution = work.state[8:]
+    slow, x, peak, kept = work.slow, work.x, work.peak, work.state
+    peak_rate, unseen, last_s, last_deg, before, before_that = kept[0], kept[1], kept[2], kept[3], kept[4], kept[5]
+    noise, seen, odds, next_s, last_measured, resolution = kept[6], kept[7], kept[8], kept[9], kept[10], kept[11]
     for k in range(signals.time_s.size):
         value = signals.immobile_deg[k]
         if not np.isnan(value):
             step_s = signals.time_s[k] - last_s
             if np.isnan(last_deg) or signals.restarted[k]:
                 step_s, last_deg = 0.0, value
-                slow[:] = value
+                for i in range(slow.size):
+                    slow[i] = value
                 before = before_that = np.nan
             last_speed, last_quick = x[1], x[2]
             x[0] = value
@@ -161,10 +162,8 @@ def follow(
         saturated_deg[k] = peak_rate + unseen
         usual = noise if seen >= _NOISE_SAMPLES else max(noise, bounds.noise_deg)
         sigma_deg[k] = bounds.noise_gain * max(usual, _RESOLUTION_TO_SIGMA * resolution if resolution < np.inf else 0.0)
-    for i, value in enumerate((peak_rate, unseen, last_s, last_deg, before, before_that, noise, seen)):
-        work.state[i] = value
-    for i, value in enumerate((odds, next_s, last_measured, resolution)):
-        work.state[8 + i] = value
+    kept[0], kept[1], kept[2], kept[3], kept[4], kept[5] = peak_rate, unseen, last_s, last_deg, before, before_that
+    kept[6], kept[7], kept[8], kept[9], kept[10], kept[11] = noise, seen, odds, next_s, last_measured, resolution
 
 
 @inlined
@@ -209,7 +208,7 @@ def _total(bounds: FloatArray, peak: FloatArray) -> float:
     return total
 
 
-@compiled
+@inner
 def _explained(work: Work, weight: FloatArray, power: float) -> float:
     """How much of the residual they explain, m' (G + p W)^-1 m / p of the normal equations, by Cholesky's factors."""
     gram, factor, solved = work.gram, work.factor, work.solved

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from servofd.detection.running import RunningMedian, new_running_median, with_value
 from servofd.estimate.statistics import MAD_TO_SIGMA
-from servofd.servo.state import compiled
+from servofd.servo.state import compiled, inlined
 
 if TYPE_CHECKING:
     from servofd.core.types import BoolArray, FloatArray
@@ -89,7 +89,7 @@ def decide(
     return k
 
 
-@compiled
+@inlined
 def _width(
     error_deg: FloatArray, restart: NDArray[np.int8], first: int, before: float, noise: float, final: bool
 ) -> int:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from servofd.core.types import ComplexArray, FloatArray
-from servofd.servo.state import SAME_STEP_S, compiled, fixed
+from servofd.servo.state import SAME_STEP_S, compiled, fixed, inner
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -44,14 +44,14 @@ class FilterMemory(NamedTuple):
         )
 
 
-@compiled
+@inner
 def _weigh_lags(residual_filter: FilterParameters, memory: FilterMemory, step_s: float) -> None:
     """Shares of the lags for this step length: the servo's characteristic polynomial written in the lag."""
     lag = math.exp(-residual_filter.pole_rad_s * step_s)
     order = residual_filter.decay_rad_s.size
     polynomial = memory.polynomial
-    polynomial[:] = 0.0
-    polynomial[0] = 1.0
+    for i in range(order + 1):
+        polynomial[i] = 1.0 if i == 0 else 0.0
     free = 1.0 + 0.0j
     for i in range(order):
         factor = np.exp(-residual_filter.decay_rad_s[i] * step_s)
@@ -72,7 +72,7 @@ def _weigh_lags(residual_filter: FilterParameters, memory: FilterMemory, step_s:
 def lag_weights(residual_filter: FilterParameters, step_s: float) -> FloatArray:
     """Shares of the lags in the residual for one step length, of shape (n + 1,)."""
     memory = FilterMemory.of(residual_filter, 1)
-    _weigh_lags(residual_filter, memory, step_s)
+    filtered_rows(residual_filter, memory, np.array([0.0, step_s]), np.zeros(2), np.array([1, 0], dtype=np.int8))
     return memory.weights
 
 
@@ -106,12 +106,14 @@ def _filter(
     for k in range(time_s.size):
         now = time_s[k]
         if math.isnan(rows_deg[0, k]):
-            filtered_deg[:, k] = math.nan
+            for r in range(lags.shape[0]):
+                filtered_deg[r, k] = math.nan
             continue
         if restart[k] != 0:
             memory.step[2] = now
             for r in range(lags.shape[0]):
-                lags[r, :] = rows_deg[r, k]
+                for j in range(lags.shape[1]):
+                    lags[r, j] = rows_deg[r, k]
                 filtered_deg[r, k] = rows_deg[r, k] / residual_filter.dc_gain
             continue
         step_s = now - memory.step[2]

@@ -78,7 +78,8 @@ def _latch(
     clear: BoolArray,
     group: NDArray[np.int64],
 ) -> None:
-    held, travel, loud_travel, row, stands, number = memory.state
+    state = memory.state
+    held, travel, loud_travel, row, stands, number = state[0], state[1], state[2], state[3], state[4], state[5]
     for k in range(residual_deg.size):
         # What a large move is, is told by the usual level so far; and by this one, while the command is lively.
         typical = fixed_deg if not np.isnan(fixed_deg) else with_value(memory.level, level_deg[k])
@@ -100,5 +101,4 @@ def _latch(
         row = row + side if row * side > 0.0 else side
         if abs(row) >= persistence and stands == 0.0:
             alarm[k], stands = True, 1.0
-    state = memory.state
     state[0], state[1], state[2], state[3], state[4], state[5] = held, travel, loud_travel, row, stands, number

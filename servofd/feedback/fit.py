@@ -36,7 +36,7 @@ _MOST_EVALUATIONS = 100
 _NEAR, _NEAR_DEG = 1e-3, 1e-5
 _STARTS = 3
 _REWEIGHTINGS, _NEAR_LINE = 5, (1e-3, 0.5)
-_BANDWIDTH_RANGE_HZ, _DAMPING_RANGE = (0.2, 100.0), (0.2, 10.0)
+_BANDWIDTH_RANGE_HZ, _DAMPING_RANGE, _RATE_RANGE_DEG_S = (0.2, 100.0), (0.2, 10.0), (10.0, 5000.0)
 _FEWEST_ROWS = 30
 _SLOWEST_SHARE = 0.1
 POLE_RAD_S = 30.0
@@ -248,12 +248,12 @@ def _refined(start: RoughFit, judged: Callable[[RoughFit], RoughFit]) -> RoughFi
 
     def at(x: FloatArray) -> RoughFit:
         shape: dict[str, Any] = {
-            "bandwidth_hz": float(np.clip(np.exp(x[0]), *_BANDWIDTH_RANGE_HZ)),
-            "damping": float(np.clip(np.exp(x[1]), *_DAMPING_RANGE)),
+            "bandwidth_hz": _within(float(np.exp(x[0])), _BANDWIDTH_RANGE_HZ),
+            "damping": _within(float(np.exp(x[1])), _DAMPING_RANGE),
             "delay_s": max(float(x[2]), 0.0),
         }
         if x.size > 3:
-            shape["rate_limit_deg_s"] = float(np.clip(np.exp(x[3]), 10.0, 5000.0))
+            shape["rate_limit_deg_s"] = _within(float(np.exp(x[3])), _RATE_RANGE_DEG_S)
         return replace(start, **shape)
 
     begin = np.array([np.log(start.bandwidth_hz), np.log(start.damping), start.delay_s])
@@ -266,6 +266,10 @@ def _refined(start: RoughFit, judged: Callable[[RoughFit], RoughFit]) -> RoughFi
 
     found = _lowest(error_deg, simplex)
     return min(start, judged(at(found)), key=_error)
+
+
+def _within(value: float, limits: tuple[float, float]) -> float:
+    return min(max(value, limits[0]), limits[1])
 
 
 def _lowest(cost: Callable[[FloatArray], float], simplex: FloatArray) -> FloatArray:

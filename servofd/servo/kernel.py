@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.servo.state import SAME_STEP_S, SLOTS, Memory, ServoParameters, compiled, exactly, inlined
+from servofd.servo.state import SAME_STEP_S, SLOTS, Memory, ServoParameters, compiled, inlined, inner
 
 if TYPE_CHECKING:
-    from servofd.core.types import BoolArray, FloatArray
+    from servofd.core.types import BoolArray, ComplexArray, FloatArray
 
 _NO_STEP_S = 1e-12
 _ROUND_OFF_S = 5e-13
@@ -45,64 +45,45 @@ def _slot_for(servo: ServoParameters, memory: Memory, step_s: float) -> int:
     return int(slot)
 
 
-@compiled
-def _linear_position(servo: ServoParameters, memory: Memory, after_s: float) -> float:
-    """Position of the linear dynamics `after_s` into the interval that starts at the memory's time [deg]."""
+@inner
+def _linear(servo: ServoParameters, memory: Memory, after_s: float) -> tuple[float, float]:
+    """Position [deg] and rate [deg/s] of the linear dynamics `after_s` into the interval that begins now."""
     held, slope = memory.motion[1], memory.motion[2]
-    total = 0.0
+    position = rate = 0.0
     for i in range(servo.decay_rad_s.size):
         a = servo.decay_rad_s[i]
         target = held - slope / a
-        mode = target + slope * after_s + np.exp(-a * after_s) * (memory.modes[i] - target)
-        total += (servo.weight[i] * mode).real
-    return total
-
-
-@compiled
-def _linear_rate(servo: ServoParameters, memory: Memory, after_s: float) -> float:
-    """Rate of the same motion [deg/s]."""
-    held, slope = memory.motion[1], memory.motion[2]
-    total = 0.0
-    for i in range(servo.decay_rad_s.size):
-        a = servo.decay_rad_s[i]
-        rate = slope - a * np.exp(-a * after_s) * (memory.modes[i] - held + slope / a)
-        total += (servo.weight[i] * rate).real
-    return total
+        free = np.exp(-a * after_s) * (memory.modes[i] - target)
+        position += (servo.weight[i] * (target + slope * after_s + free)).real
+        rate += (servo.weight[i] * (slope - a * free)).real
+    return position, rate
 
 
 @inlined
-def _fastest_possible(servo: ServoParameters, memory: Memory) -> float:
+def _fastest_possible(servo: ServoParameters, modes: ComplexArray, held: float, slope: float) -> float:
     """Upper bound of the linear rate from now until the next command [deg/s]."""
-    held, slope = memory.motion[1], memory.motion[2]
     bound = 0.0
     for i in range(servo.decay_rad_s.size):
         a = servo.decay_rad_s[i]
-        deviation = a * (memory.modes[i] - held) + slope
+        deviation = a * (modes[i] - held) + slope
         weighted = servo.weight[i] * deviation
         bound += abs(weighted.real) + abs(weighted.imag) + abs(slope * servo.weight[i].real)
     return bound
 
 
-@compiled
-def _excess_rate(servo: ServoParameters, memory: Memory, after_s: float) -> float:
-    """How far the linear rate lies outside the rate limits (positive: outside) [deg/s]."""
-    rate = _linear_rate(servo, memory, after_s)
-    return max(rate - servo.rate_up_deg_s, -rate - servo.rate_down_deg_s)
-
-
-@compiled
+@inner
 def _limited(servo: ServoParameters, memory: Memory, step_s: float) -> tuple[float, float]:
     """Position and limiting direction at the end of an interval in which the rate limit may act."""
     now, position, direction = 0.0, memory.motion[3], memory.motion[4]
     while True:
         if direction == 0.0:
             # The rate of a servo of first order jumps with its command, and may soon have fallen again.
-            if _excess_rate(servo, memory, now) <= 0.0:
+            if _change(servo, memory, now, now, 0.0, 0.0, 0.0) <= 0.0:
                 now = _first_change(servo, memory, now, step_s, 0.0, 0.0, 0.0)
             if now >= step_s:
-                return _linear_position(servo, memory, step_s), 0.0
-            position = _linear_position(servo, memory, now)
-            direction = 1.0 if _linear_rate(servo, memory, now) > 0.0 else -1.0
+                return _linear(servo, memory, step_s)[0], 0.0
+            position, linear_rate = _linear(servo, memory, now)
+            direction = 1.0 if linear_rate > 0.0 else -1.0
         rate = servo.rate_up_deg_s if direction > 0.0 else -servo.rate_down_deg_s
         meet = _first_change(servo, memory, now, step_s, position, rate, direction)
         if meet >= step_s:
@@ -110,7 +91,7 @@ def _limited(servo: ServoParameters, memory: Memory, step_s: float) -> tuple[flo
         now, direction = meet, 0.0
 
 
-@compiled
+@inner
 def _change(
     servo: ServoParameters,
     memory: Memory,
@@ -121,30 +102,31 @@ def _change(
     direction: float,
 ) -> float:
     """Positive once the state has changed: limit exceeded (when following), caught up (when limited)."""
+    linear, linear_rate = _linear(servo, memory, at_s)
     if direction == 0.0:
-        return _excess_rate(servo, memory, at_s)
-    return direction * (position + rate * (at_s - start_s) - _linear_position(servo, memory, at_s))
+        return max(linear_rate - servo.rate_up_deg_s, -linear_rate - servo.rate_down_deg_s)
+    return direction * (position + rate * (at_s - start_s) - linear)
 
 
-@compiled
+@inner
 def _closest(servo: ServoParameters, memory: Memory, low: float, high: float, rate: float, direction: float) -> float:
     """Instant at which the linear motion comes closest to the limited one, if it turns within the interval."""
     if direction == 0.0:
         return high
-    if direction * (rate - _linear_rate(servo, memory, low)) <= 0.0:
+    if direction * (rate - _linear(servo, memory, low)[1]) <= 0.0:
         return high
-    if direction * (rate - _linear_rate(servo, memory, high)) >= 0.0:
+    if direction * (rate - _linear(servo, memory, high)[1]) >= 0.0:
         return high
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
-        if direction * (rate - _linear_rate(servo, memory, middle)) > 0.0:
+        if direction * (rate - _linear(servo, memory, middle)[1]) > 0.0:
             low = middle
         else:
             high = middle
     return low
 
 
-@compiled
+@inner
 def _first_change(
     servo: ServoParameters,
     memory: Memory,
@@ -180,109 +162,95 @@ def _first_change(
 
 
 @inlined
-def _advance(servo: ServoParameters, memory: Memory, until_s: float) -> None:
-    """Move the servo on to `until_s` under the command it holds."""
-    motion = memory.motion
-    step_s = until_s - motion[0]
-    if step_s <= _NO_STEP_S:
-        return
-    limited = motion[4] != 0.0 or motion[5] > min(servo.rate_up_deg_s, servo.rate_down_deg_s)
-    position, direction = _limited(servo, memory, step_s) if limited else (0.0, 0.0)
-    slot = _slot_for(servo, memory, step_s)
-    rest_s = step_s - memory.slot_step_s[slot]
-    held, slope = motion[1], motion[2]
-    total = 0.0
-    for i in range(servo.decay_rad_s.size):
-        factor = memory.slot_factor[slot, i]
-        if abs(rest_s) > _ROUND_OFF_S:
-            x = servo.decay_rad_s[i] * rest_s
-            factor *= 1.0 - x * (1.0 - 0.5 * x)
-        if slope == 0.0:
-            mode = held + factor * (memory.modes[i] - held)
-        else:
-            target = held - slope / servo.decay_rad_s[i]
-            mode = target + slope * step_s + factor * (memory.modes[i] - target)
-        memory.modes[i] = mode
-        total += servo.weight[i].real * mode.real - servo.weight[i].imag * mode.imag
-    motion[0] = until_s
-    motion[1] = held + slope * step_s
-    motion[3], motion[4] = (position, direction) if limited else (total, 0.0)
+def _next_mode(
+    servo: ServoParameters, memory: Memory, i: int, slot: int, step_s: float, held: float, slope: float
+) -> complex:
+    """Where a mode will be a step later [deg]."""
+    factor, rest_s = memory.slot_factor[slot, i], step_s - memory.slot_step_s[slot]
+    if abs(rest_s) > _ROUND_OFF_S:
+        x = servo.decay_rad_s[i] * rest_s
+        factor *= 1.0 - x * (1.0 - 0.5 * x)
+    if slope == 0.0:
+        return held + factor * (memory.modes[i] - held)
+    target = held - slope / servo.decay_rad_s[i]
+    return target + slope * step_s + factor * (memory.modes[i] - target)
+
+
+@inlined
+def _expected(effective_s: FloatArray, c: int, at_s: FloatArray, anew: BoolArray, k: int) -> bool:
+    """Whether a next command is known, and comes before the servo begins anew after `k`."""
+    end = k + 1
+    while end < at_s.size and not anew[end]:
+        end += 1
+    return c < effective_s.size and (end == at_s.size or effective_s[c] <= at_s[end - 1])
 
 
 @compiled
-def run(
+def run(  # noqa: C901, PLR0912 - one function, because its state would be stored and loaded at each call
     servo: ServoParameters,
     memory: Memory,
     effective_s: FloatArray,
     command_deg: FloatArray,
     slope_deg_s: FloatArray,
     at_s: FloatArray,
+    anew: BoolArray,
+    measured_deg: FloatArray,
     position_deg: FloatArray,
 ) -> int:
     """Move the servo on to each of some instants; its positions go into the last array.
 
-    `effective_s` are the instants at which commands reach the servo (logged time plus delay). Call again with later
-    instants, and with the commands from the returned number on, to continue where the memory stands.
+    `effective_s` are the instants at which commands reach the servo (logged time plus delay). At each instant of `anew`
+    it is at rest where it was measured, or where its command wants it if that is NaN; these two may be empty. Call it
+    again with later instants, and with the commands from the returned number on, to continue where the memory stands.
     """
-    motion, c = memory.motion, 0
-    if math.isnan(motion[5]):
-        motion[5] = _fastest_possible(servo, memory)
-    for k in range(at_s.size):
-        while c < effective_s.size and effective_s[c] <= at_s[k]:
-            _advance(servo, memory, effective_s[c])
-            motion[1], motion[2] = command_deg[c], slope_deg_s[c]
-            motion[5] = _fastest_possible(servo, memory)
+    motion, c, k, gain = memory.motion, 0, 0, 0.0
+    now, held, slope, position = motion[0], motion[1], motion[2], motion[3]
+    direction, fastest, commanded = motion[4], motion[5], motion[6]
+    slowest_limit = min(servo.rate_up_deg_s, servo.rate_down_deg_s)
+    for i in range(servo.weight.size):
+        gain += servo.weight[i].real
+    if math.isnan(fastest):
+        fastest = _fastest_possible(servo, memory.modes, held, slope)
+    while k < at_s.size:
+        if k < anew.size and anew[k]:
+            heard = c
+            while c < effective_s.size and effective_s[c] <= at_s[k]:
+                c += 1
+            if c > heard:
+                now, held, slope, commanded = effective_s[c - 1], command_deg[c - 1], slope_deg_s[c - 1], 1.0
+            elif commanded == 0.0 and _expected(effective_s, c, at_s, anew, k):
+                now, held, slope = at_s[k], command_deg[c], 0.0
+            held += slope * (at_s[k] - now)
+            rest_deg = held if math.isnan(measured_deg[k]) else measured_deg[k] / gain
+            if commanded == 0.0:  # what holds it can only have been an earlier command
+                held = rest_deg
+            for i in range(memory.modes.size):
+                memory.modes[i] = rest_deg
+            now, position, direction = at_s[k], gain * rest_deg, 0.0
+            fastest = _fastest_possible(servo, memory.modes, held, slope)
+        is_command = c < effective_s.size and effective_s[c] <= at_s[k]
+        until = effective_s[c] if is_command else at_s[k]
+        step_s = until - now
+        if step_s > _NO_STEP_S:
+            limited = direction != 0.0 or fastest > slowest_limit
+            if limited:
+                motion[1], motion[2], motion[3], motion[4] = held, slope, position, direction
+                position, direction = _limited(servo, memory, step_s)
+            slot, total = _slot_for(servo, memory, step_s), 0.0
+            for i in range(servo.decay_rad_s.size):
+                mode = _next_mode(servo, memory, i, slot, step_s, held, slope)
+                memory.modes[i] = mode
+                total += servo.weight[i].real * mode.real - servo.weight[i].imag * mode.imag
+            now = until
+            held += slope * step_s
+            position = position if limited else total
+        if is_command:
+            held, slope, commanded = command_deg[c], slope_deg_s[c], 1.0
+            fastest = _fastest_possible(servo, memory.modes, held, slope)
             c += 1
-        _advance(servo, memory, at_s[k])
-        position_deg[k] = min(max(motion[3], servo.lower_deg), servo.upper_deg)
+        else:
+            position_deg[k] = min(max(position, servo.lower_deg), servo.upper_deg)
+            k += 1
+    motion[0], motion[1], motion[2], motion[3] = now, held, slope, position
+    motion[4], motion[5], motion[6] = direction, fastest, commanded
     return c
-
-
-@exactly
-def run_from_starts(
-    servo: ServoParameters,
-    memory: Memory,
-    gain: float,
-    effective_s: FloatArray,
-    command_deg: FloatArray,
-    slope_deg_s: FloatArray,
-    at_s: FloatArray,
-    measured_deg: FloatArray,
-    anew: BoolArray,
-    position_deg: FloatArray,
-) -> None:
-    """The same for a whole flight, at rest where it was measured at each instant of `anew`; `gain` is that at rest."""
-    motion, first, last, begin, commanded = memory.motion, 0, 0, 0, False
-    while begin < at_s.size:
-        end = begin + 1
-        while end < at_s.size and not anew[end]:
-            end += 1
-        now_s, heard = at_s[begin], first
-        while last < effective_s.size and effective_s[last] <= at_s[end - 1]:
-            last += 1
-        while first < last and effective_s[first] <= now_s:
-            first += 1
-        if first > heard:
-            motion[0], motion[1], motion[2] = effective_s[first - 1], command_deg[first - 1], slope_deg_s[first - 1]
-            commanded = True
-        elif not commanded and first < last:
-            motion[0], motion[1], motion[2] = now_s, command_deg[first], 0.0
-        motion[1] += motion[2] * (now_s - motion[0])
-        rest_deg = measured_deg[begin] / gain if anew[begin] and not math.isnan(measured_deg[begin]) else motion[1]
-        if not commanded:
-            motion[1] = rest_deg
-        memory.modes[:] = rest_deg
-        motion[0], motion[3], motion[4], motion[5] = now_s, gain * rest_deg, 0.0, math.nan
-        ahead = slice(first, last)
-        done = run(
-            servo,
-            memory,
-            effective_s[ahead],
-            command_deg[ahead],
-            slope_deg_s[ahead],
-            at_s[begin:end],
-            position_deg[begin:end],
-        )
-        first += done
-        commanded = commanded or done > 0
-        begin = end

@@ -88,6 +88,8 @@ AnyServo = ServoParameters | ExtendedServo
 _Commands = tuple[FloatArray, FloatArray, FloatArray]
 """When each reaches the servo [s], what it asks for [deg], and its slope [deg/s]; of shape (n,)."""
 _NOTHING: _Commands = (fixed(np.zeros(0)), fixed(np.zeros(0)), fixed(np.zeros(0)))
+_ANEW, _GOING_ON = fixed(np.ones(1, dtype=bool)), (fixed(np.zeros(0, dtype=bool)), fixed(np.zeros(0)))
+"""At which instants a servo is at rest, and where it was measured there: at the only one, or at none."""
 
 
 def _joined(some: _Commands, more: _Commands) -> _Commands:
@@ -175,8 +177,8 @@ def swung(servo: AnyServo, commands: _Commands, at_s: FloatArray) -> FloatArray:
     memory, position_deg = new_memory(servo), np.empty(at_s.size)
     gain = float(servo.weight.real.sum())
     memory.modes[:] = commands[1][0]
-    memory.motion[:] = commands[0][0], commands[1][0], commands[2][0], gain * commands[1][0], 0.0, math.nan
-    run(servo, memory, *(fixed(each[1:]) for each in commands), fixed(at_s), position_deg)
+    memory.motion[:] = commands[0][0], commands[1][0], commands[2][0], gain * commands[1][0], 0.0, math.nan, 1.0
+    run(servo, memory, *(fixed(each[1:]) for each in commands), fixed(at_s), *_GOING_ON, position_deg)
     return position_deg
 
 
@@ -195,17 +197,22 @@ def started_anew(
     >>> started_anew(servo, commands, at_s, measured_deg, np.array([True, False, True])).round(3)
     array([0., 5., 2.])
     """
-    from servofd.servo.kernel import run_from_starts
+    from servofd.servo.kernel import run
 
-    position_deg, gain = np.empty(at_s.size), float(servo.weight.real.sum())
-    run_from_starts(
+    position_deg = np.empty(at_s.size)
+    if not at_s.size:
+        return position_deg
+    if not anew[0]:
+        anew, measured_deg = anew.copy(), measured_deg.copy()
+        anew[0], measured_deg[0] = True, math.nan
+    heard = int(np.searchsorted(commands[0], at_s[-1], side="right"))
+    run(
         servo,
         new_memory(servo),
-        gain,
-        *map(fixed, commands),
+        *(fixed(each[:heard]) for each in commands),
         fixed(at_s),
-        fixed(measured_deg),
         fixed(anew),
+        fixed(measured_deg),
         position_deg,
     )
     return position_deg
@@ -215,7 +222,6 @@ class PlainMotion(Motion[ServoParameters]):
     """Of a servo without effects."""
 
     _memory: Memory | None = None
-    _commanded = False
 
     def receive(self, effective_s: FloatArray, command_deg: FloatArray, slope_deg_s: FloatArray) -> None:
         """Commands to come, shape (n,), copied once for all the pieces in which they are used."""
@@ -226,42 +232,26 @@ class PlainMotion(Motion[ServoParameters]):
 
     def at(self, at_s: FloatArray) -> FloatArray:
         """Measured position at the next instants [deg], shape (m,)."""
-        from servofd.servo.kernel import run
-
         if at_s.size == 0:
             return np.zeros(0)
         if self._memory is None:
             self.rest(float(at_s[0]), self._start_deg)
-        position_deg = np.empty(at_s.size)
-        done = run(self.servo, self._memory, *self._waiting, fixed(at_s), position_deg)
-        self._commanded |= done > 0
-        self._drop(done)
-        return position_deg
+        return self._moved(at_s, *_GOING_ON)
 
     def rest(self, now_s: float, deflection_deg: float = math.nan) -> None:
         """Go on from rest; before its first command, what holds the surface can only have been an earlier one."""
         if self._memory is None:
             self._memory = new_memory(self.servo)
-        motion = self._memory.motion
-        done = int(np.searchsorted(self._waiting[0], now_s, side="right"))
-        if done:
-            motion[:3] = [each[done - 1] for each in self._waiting]
-        elif not self._commanded and self._waiting[0].size:
-            motion[:3] = now_s, self._waiting[1][0], 0.0
-        self._drop(done)
-        self._commanded |= done > 0
-        gain = float(self.servo.weight.real.sum())
-        motion[1] += motion[2] * (now_s - motion[0])
-        rest_deg = motion[1] if math.isnan(deflection_deg) else deflection_deg / gain
-        if not self._commanded:
-            motion[1] = rest_deg
-        self._memory.modes[:] = rest_deg
-        motion[0], motion[3:] = now_s, (gain * rest_deg, 0.0, math.nan)
+        self._moved(np.array([now_s]), _ANEW, fixed(np.array([deflection_deg])))
 
-    def _drop(self, done: int) -> None:
-        """Forget the first commands."""
+    def _moved(self, at_s: FloatArray, anew: BoolArray, measured_deg: FloatArray) -> FloatArray:
+        from servofd.servo.kernel import run
+
+        position_deg = np.empty(at_s.size)
         effective_s, command_deg, slope_deg_s = self._waiting
+        done = run(self.servo, self._memory, *self._waiting, fixed(at_s), anew, measured_deg, position_deg)
         self._waiting = effective_s[done:], command_deg[done:], slope_deg_s[done:]
+        return position_deg
 
     def become(self, servo: AnyServo) -> None:
         """Go on as another servo with as many modes; each mode starts where it is, so the position does not jump."""

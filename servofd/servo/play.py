@@ -6,6 +6,7 @@ import numpy as np
 
 from logparsers.compiled import compiled
 from servofd.core.types import FloatArray
+from servofd.servo.state import fixed
 
 
 @compiled
@@ -37,5 +38,5 @@ def play(values: FloatArray, width: float, start: float) -> FloatArray:
     array([0., 0., 2., 2., 0.])
     """
     result = np.empty(values.size)
-    _play(np.asarray(values, dtype=float), width / 2.0, start, result)
+    _play(fixed(np.asarray(values, dtype=float)), width / 2.0, start, result)
     return result

@@ -22,9 +22,9 @@ SLOTS = 4
 
 compiled = partial(compiler.compiled, error_model="numpy", fastmath={"contract"}, _nrt=False)
 inlined = partial(compiler.compiled, error_model="numpy", fastmath={"contract"}, _nrt=False, inline="always")
-exactly = partial(compiler.compiled, error_model="numpy", _nrt=False)
-"""No reference counting inside: nothing here allocates, and it would take 9/10 of the time (measured).
-A sum of products is contracted, but in what has to round as Python does."""
+inner = partial(compiled, no_cpython_wrapper=True)
+"""No reference counting inside: nothing here allocates, and it would take 9/10 of the time (measured). What only other
+compiled functions call needs no door for Python, which takes as long to compile as the function."""
 
 
 class ServoParameters(NamedTuple):
@@ -58,8 +58,9 @@ class Memory(NamedTuple):
     modes: ComplexArray
     """Of shape (m,): position each mode would reach [deg]."""
     motion: FloatArray
-    """Of shape (6,): time [s], held command [deg], its slope [deg/s], position [deg], rate-limited (-1, 0, 1), and
-    the fastest that the linear motion can become under this command [deg/s], NaN if that is not known yet."""
+    """Of shape (7,): time [s], held command [deg], its slope [deg/s], position [deg], rate-limited (-1, 0, 1), the
+    fastest that the linear motion can become under this command [deg/s], NaN if that is not known yet, and whether any
+    command came."""
     cursor: np.ndarray[tuple[int], np.dtype[np.int64]]
     """Of shape (1,): next exponential slot to overwrite."""
     slot_step_s: FloatArray
@@ -86,7 +87,7 @@ def new_memory(servo: ServoParameters) -> Memory:
     modes = servo.decay_rad_s.size
     return Memory(
         modes=np.zeros(modes, dtype=np.complex128),
-        motion=np.zeros(6),
+        motion=np.array([0.0, 0.0, 0.0, 0.0, 0.0, np.nan, 0.0]),
         cursor=np.zeros(1, dtype=np.int64),
         slot_step_s=np.full(SLOTS, -1.0),
         slot_factor=np.zeros((SLOTS, modes), dtype=np.complex128),

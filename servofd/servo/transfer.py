@@ -192,22 +192,35 @@ def _modes(transfer: TransferFunction) -> Modes:
     if len(transfer.numerator) >= len(transfer.denominator):
         raise DesignError("a servo's transfer function must have more poles than zeros")
     poles = transfer.poles_rad_s
-    if not np.all(poles.real < 0.0):
+    if not all(pole.real < 0.0 for pole in poles.tolist()):
         raise DesignError(f"a servo's poles must have negative real parts, not {poles}")
-    if np.any(np.abs(poles) < _SLOWEST_RAD_S) or np.any(np.abs(poles.imag) > _FASTEST_RAD_S):
+    if any(abs(pole) < _SLOWEST_RAD_S or abs(pole.imag) > _FASTEST_RAD_S for pole in poles.tolist()):
         raise DesignError(
             f"a servo moves within {1.0 / _SLOWEST_RAD_S:g} s and swings no faster than {_FASTEST_RAD_S:g} rad/s, "
             f"with these poles it would not: {poles}"
         )
     poles = _separated(poles)
     upper = poles[poles.imag >= 0.0]
-    residues = [
-        np.polyval(transfer.numerator, p) / (transfer.denominator[0] * np.prod(p - poles[poles != p])) for p in upper
-    ]
-    if not np.all(np.isfinite(residues)) or np.sum(np.abs(np.array(residues) / upper)) > _LARGEST_CANCELLATION:
+    # Number by number: of so few, arrays would take most of the time of a fit, which asks for modes a thousand times.
+    residues = [_at(transfer.numerator, pole) / (transfer.denominator[0] * _apart(pole, poles)) for pole in upper]
+    shares = [residue / pole for residue, pole in zip(residues, upper, strict=True)]
+    if not sum(map(abs, shares)) <= _LARGEST_CANCELLATION:
         raise DesignError("poles lie too close for so high an order: use a simpler model of this servo")
-    doubled = np.where(upper.imag > 0.0, 2.0, 1.0)
-    return Modes(-upper, doubled * np.array(residues) / -upper)
+    return Modes(-upper, np.where(upper.imag > 0.0, -2.0, -1.0) * np.array(shares))
+
+
+def _at(coefficients: tuple[float, ...], s: complex) -> complex:
+    """A polynomial at a frequency."""
+    value: complex = 0.0 * s
+    for coefficient in coefficients:
+        value = value * s + coefficient
+    return value
+
+
+def _apart(pole: complex, poles: ComplexArray) -> complex:
+    """Product of the distances of a pole from all others."""
+    product: complex = math.prod(pole - other for other in poles if other != pole)
+    return product
 
 
 def _squared_magnitude(coefficients: tuple[float, ...]) -> ComplexArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -82,23 +83,27 @@ class Wandering:
 
 def _smooth(kind: str, window: Window, base_deg: FloatArray) -> Explanation | None:
     """Explain what is beyond the base by cosines, the faster the smaller; their size is chosen by the evidence."""
+    target_deg, found = window.measured_deg - base_deg, []
+    for sized in _cosines(window):
+        fit = sized.fit(target_deg)
+        doubt = (sized.occam + fit.doubt) / COLOUR
+        found.append(Explanation(kind, base_deg + fit.predicted_deg, fit.cost_deg2, 0.0, {}, doubt))
+    return min(found, key=window.score, default=None)
+
+
+@lru_cache(maxsize=4)
+def _cosines(window: Window) -> tuple[Ridge, ...]:
+    """Smooth motions of each size within a window, kept for the next hypothesis; none if the window is too short."""
     count = 1 + int(np.ceil(2.0 * _FASTEST_WIND_HZ * window.duration_s))
     count = min(count, _MOST_COSINES, window.time_s.size // 2)
     if count < 1:
-        return None
+        return ()
     place = (window.time_s - window.time_s[0]) / max(window.duration_s, 1e-9)
     columns = np.cos(np.pi * place[:, None] * np.arange(count))
     frequency_hz = 0.5 * np.arange(count) / max(window.duration_s, 1e-9)
     shape = np.asarray(1.0 / (1.0 + (frequency_hz / _WIND_HZ) ** 2), dtype=np.float64)
-    target_deg = window.measured_deg - base_deg
     ridge = Ridge(columns, _SWINGS_DEG[0] * shape, window.noise_deg)
-    found = []
-    for swing_deg in _SWINGS_DEG:
-        sized = ridge.respread(swing_deg * shape)
-        fit = sized.fit(target_deg)
-        doubt = (sized.occam + fit.doubt) / COLOUR
-        found.append(Explanation(kind, base_deg + fit.predicted_deg, fit.cost_deg2, 0.0, {}, doubt))
-    return min(found, key=window.score)
+    return ridge, *(ridge.respread(swing_deg * shape) for swing_deg in _SWINGS_DEG[1:])
 
 
 def _resting(kind: str, window: Window) -> Explanation:

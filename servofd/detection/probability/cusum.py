@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from logparsers.compiled import compiled
 from servofd.core.numeric import root
 from servofd.core.types import BoolArray, FloatArray
+from servofd.servo.state import compiled, fixed
 
 if TYPE_CHECKING:
     from servofd.detection.probability.noise import Noise
@@ -137,12 +137,13 @@ def cusum(
     restarts = np.zeros(values.size, dtype=bool) if restart is None else np.asarray(restart, dtype=bool)
     if restarts.shape != values.shape:
         raise ValueError(f"restart has shape {restarts.shape}, the residual {values.shape}")
-    return _sums(values, kappa, restarts, np.zeros(2) if memory is None else memory)
+    result = np.empty(values.size)
+    _sums(fixed(values), kappa, fixed(restarts), np.zeros(2) if memory is None else memory, result)
+    return result
 
 
 @compiled
-def _sums(values: FloatArray, kappa: float, restart: BoolArray, memory: FloatArray) -> FloatArray:
-    result = np.empty(values.size)
+def _sums(values: FloatArray, kappa: float, restart: BoolArray, memory: FloatArray, result: FloatArray) -> None:
     high, low = memory[0], memory[1]
     for k in range(values.size):
         if restart[k]:
@@ -152,4 +153,3 @@ def _sums(values: FloatArray, kappa: float, restart: BoolArray, memory: FloatArr
             low = max(0.0, low - values[k] - kappa)
         result[k] = max(high, low)
     memory[0], memory[1] = high, low
-    return result
