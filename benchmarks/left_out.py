@@ -29,7 +29,7 @@ import places
 from hidden_effects import PAIRS
 from hidden_logs import SURFACE, write
 from hidden_physics import CATALOGUE, draw, hidden
-from servofd import explain_log, explain_logs
+from servofd import explain, explain_logs
 from servofd.core.errors import ServofdError
 from servofd.core.types import FloatArray
 from servofd.discrepancy import adequacy, candidates, explanation, fit, search, select
@@ -190,7 +190,7 @@ def _simulated(logs: Sequence[tuple[Path, tuple[str, ...]]]) -> list[Case]:
     cases = []
     for path, names in logs:
         with _caught() as records, contextlib.suppress(ServofdError):
-            explain_log(path, servo=KNOWN, surface=SURFACE)
+            explain(path, servo=KNOWN, surface=SURFACE)
         cases += [Case(record, names, is_known=True) for record in records[:1]]
     return cases
 

@@ -12,8 +12,8 @@ import tempfile
 from pathlib import Path
 
 from servofd.cli import main as servofd
-from servofd.jobs.explaining import explain_log
 from servofd.outputs.explain_figures import explain_figures
+from servofd.results import explain
 
 HERE = Path(__file__).parent
 SAMPLES = HERE.parent / "sample_logs"
@@ -96,7 +96,7 @@ def main(folder: Path) -> None:
         lines = [shown(line[2:]) if line.startswith("@ ") else line for line in TEXT.splitlines()]
         shutil.copy(Path("out", "flight-elevator.png"), pictures)
         shutil.copy(Path("before", HIDDEN.replace(".csv", "-elevator.png")), pictures / "before-elevator.png")
-        for picture in explain_figures(explain_log(HIDDEN, surface="elevator").explanation, "elevator"):
+        for picture in explain_figures(explain(HIDDEN, surface="elevator").explanation, "elevator"):
             name = picture.name.removeprefix("elevator-")
             if f"{name}.png" in TEXT:
                 (pictures / f"{name}.png").write_bytes(picture.png())

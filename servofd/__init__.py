@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from servofd.discrepancy.own import OwnParameter as OwnParameter
     from servofd.fleet.run import audit_logs as audit_logs
     from servofd.identification.result import Identification as Identification
-    from servofd.jobs.explaining import explain_log as explain_log
     from servofd.jobs.explaining import explain_logs as explain_logs
     from servofd.results import Audit as Audit
     from servofd.results import Audits as Audits
@@ -72,7 +71,6 @@ _HOME = {
     "design_pulse_filter": "detection.pulse",
     "explain": "results",
     "explain_gap": "discrepancy.explanation",
-    "explain_log": "jobs.explaining",
     "explain_logs": "jobs.explaining",
     "identify": "results",
     "library": "servo.library",

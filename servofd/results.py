@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import io
 from abc import ABC, abstractmethod
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, overload
 
 from servofd.aircraft.segment import Segment
 from servofd.calibrating.result import Calibration
-from servofd.core.errors import ConfigError, UnknownName, needs, suggest
+from servofd.core.errors import ConfigError, NoMeasurement, UnknownName, needs, suggest
 from servofd.core.files import write_whole
 from servofd.detection.verdict import LogAudit, SurfaceAudit
 from servofd.identification.identify import identify as identify_records
 from servofd.identification.result import Identification
 from servofd.jobs import bench, workflow
-from servofd.jobs.explaining import ExplainedLog, explain_log
+from servofd.jobs.explaining import explain_logs
 from servofd.outputs.sentence import spoken, whole_sentence, worst
 from servofd.wear.trend import AircraftTrend, trend_logs
 
@@ -26,9 +26,11 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
+    from logparsers import FlightLog
     from servofd.aircraft.schema import Aircraft
     from servofd.calibrating.flights import Span
     from servofd.detection.threshold import ThresholdKind
+    from servofd.discrepancy.explanation import Explanation
     from servofd.identification.identify import Method
 
 
@@ -391,11 +393,14 @@ def identify(
     return Identified._of(identify_records(records, method=method, order=order))
 
 
-class Explained(ExplainedLog, Shown):
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Explained(Shown):
     """What the model of a servo lacked, and how the gap shrinks."""
 
-    __slots__ = ()
-    __repr__ = Shown.__repr__
+    explanation: Explanation
+    aircraft: Aircraft
+    source: str
+    logs: tuple[FlightLog, ...]
 
     @property
     def answer(self) -> str:
@@ -468,7 +473,7 @@ def explain(
     surface: str | None = None,
     servo: str | None = None,
 ) -> Explained:
-    """Explain where a servo and its model disagree; parameters as of `servofd.jobs.explaining.explain_log`.
+    """Explain where a servo and its model disagree; parameters as of `servofd.explain_logs`.
 
     Examples
     --------
@@ -478,7 +483,11 @@ def explain(
     >>> found.steps["effect"].tolist()
     ['as it was', 'backlash']
     """
-    return Explained._of(explain_log(logs, aircraft, surface=surface, servo=servo))
+    paths = [logs] if isinstance(logs, str | Path) else logs
+    found = explain_logs(paths, aircraft, surfaces=(surface,) if surface else (), servo=servo, alone=True)
+    if found.failures:
+        raise NoMeasurement(found.failures[0])
+    return Explained(found.explanations[0], found.aircraft, found.source, found.logs)
 
 
 class Calibrated(Calibration, Shown):

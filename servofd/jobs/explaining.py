@@ -53,16 +53,6 @@ _WORSE = 1.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ExplainedLog:
-    """An explanation, and the aircraft it was made for."""
-
-    explanation: Explanation
-    aircraft: Aircraft
-    source: str
-    logs: tuple[FlightLog, ...]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class ExplainedLogs:
     """Explanations of several surfaces."""
 
@@ -75,47 +65,6 @@ class ExplainedLogs:
     """What was explained; `also` is not among them."""
 
 
-def explain_log(
-    path: str | Path | Sequence[str | Path],
-    aircraft: str | Path | Aircraft | None = None,
-    *,
-    surface: str | None = None,
-    servo: str | None = None,
-    progress: Callable[[str], None] = lambda _step: None,
-) -> ExplainedLog:
-    """Explain where logs and the model of one of its servos disagree.
-
-    Parameters
-    ----------
-    path : str, Path or sequence of them
-        The log, or several of the same servo. Of several, and of the runs of a bench record, every other one is held
-        out whole.
-    aircraft : str, Path or Aircraft, optional
-        Aircraft file, or its content; found as for an audit if left out.
-    surface : str, optional
-        Which surface; may be left out if there is only one.
-    servo : str, optional
-        Servo to assume: a name of the library, a servo file, or ``unknown`` for one of second order whose poles are
-        fitted as well. A bench record whose aircraft file names no servo is of an unknown one.
-    progress : callable
-        Called with the name of each effect that was tried.
-
-    Raises
-    ------
-    LogError
-        If a log is of no use.
-    ServofdError
-        If the aircraft is not what it should be, a name is unknown, or the logs cannot show what is missing.
-    """
-    flown = _opened([path] if isinstance(path, str | Path) else path, aircraft, servo)
-    if surface is None and len(flown.surfaces) > 1:
-        raise UnknownName(f"{flown.source}: choose a surface: {', '.join(flown.surfaces)}")
-    found = _explained(flown, (surface,) if surface else flown.surfaces, (), None, progress)
-    if found.failures:
-        raise NoMeasurement(found.failures[0])
-    return ExplainedLog(found.explanations[0], found.aircraft, found.source, found.logs)
-
-
 def explain_logs(
     paths: Sequence[str | Path],
     aircraft: str | Path | Aircraft | None = None,
@@ -124,9 +73,10 @@ def explain_logs(
     servo: str | None = None,
     also: Sequence[str | Path] = (),
     own: OwnEffect | str | Path | None = None,
+    alone: bool = False,
     progress: Callable[[str], None] = lambda _step: None,
 ) -> ExplainedLogs:
-    """Explain several surfaces of an aircraft, from one flight or from several together.
+    """Explain surfaces of an aircraft, from one flight or from several together.
 
     Parameters
     ----------
@@ -137,11 +87,14 @@ def explain_logs(
     surfaces : tuple of str
         Which; all that are measured if empty.
     servo : str, optional
-        Servo to assume, as for `explain_log`.
+        Servo to assume: a name of the library, a servo file, or ``unknown`` for one of second order whose poles are
+        fitted as well. A bench record whose aircraft file names no servo is of an unknown one.
     also : sequence of str or Path
         Further logs of the same aircraft, on which the model that was found is only judged.
     own : OwnEffect, str or Path, optional
         An effect of the user's own, or the file that makes it, tried beside those of the catalogue.
+    alone : bool
+        Whether more than one surface is an error.
     progress : callable
         Called with the name of each effect that was tried.
 
@@ -169,6 +122,8 @@ def explain_logs(
         if name not in flown.aircraft.surfaces:
             raise UnknownName(f"{flown.source}: {suggest('surface', name, flown.aircraft.surfaces)}")
     wanted = tuple(dict.fromkeys(surfaces)) or flown.surfaces
+    if alone and len(wanted) > 1:
+        raise UnknownName(f"{flown.source}: choose a surface: {', '.join(wanted)}")
     others = list(logs_of(also, flown.aircraft))
     judged = [(log.label, {name: _also(log, flown.aircraft, name) for name in wanted}) for log in others]
     return _explained(flown, wanted, judged, effect, progress)

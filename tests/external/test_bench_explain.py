@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from servofd import explain_log, explain_logs
+from servofd import explain, explain_logs
 from servofd.core.errors import NoMeasurement
 from servofd.discrepancy.explanation import Explanation
 from servofd.servo.catalogue import Bias, Gain
@@ -30,7 +30,7 @@ def explained(name: str, folder: Path, where: str) -> Explanation:
         f'[table]\ntime = "t_s"\nrun = "run"\nwhere = {{ {where} }}\n'
         f'[surfaces.servo]\ncommand = {{ channel = "cmd", {DEGREES} }}\nmeasured = {{ channel = "meas", {DEGREES} }}\n'
     )
-    return explain_log(DATA / "bench" / f"{name}.csv", aircraft).explanation
+    return explain(DATA / "bench" / f"{name}.csv", aircraft).explanation
 
 
 def final_deg(found: Explanation) -> float:
@@ -53,7 +53,7 @@ def test_hobby_servo() -> None:
     Its readings are counted from where each run began, anywhere within the dead band to either side; that it is dead
     and does not stick is not told by them.
     """
-    found = explain_log(DATA / "bench" / "hobby_servo_encoder.csv").explanation
+    found = explain(DATA / "bench" / "hobby_servo_encoder.csv").explanation
     assert nominal_deg(found) > 15.0
     assert final_deg(found) <= 2.1
     assert {"rate_limit", "delay", "deadband"} <= told(found)
@@ -66,7 +66,7 @@ def test_hobby_servo() -> None:
 
 def test_play_where_a_servo_rests() -> None:
     """At 10 Hz play of 0.53 deg is told from where the horn rests, and nothing is said of how it moves."""
-    found = explain_log(DATA / "bench" / "smart_servo_play.csv").explanation
+    found = explain(DATA / "bench" / "smart_servo_play.csv").explanation
     assert found.selection.final.names == ("backlash",)
     assert found.selection.final.values[0] == pytest.approx(0.53, abs=0.05)
     assert found.selection.ties == (("backlash", "deadband", "friction"),)
@@ -76,12 +76,12 @@ def test_play_where_a_servo_rests() -> None:
 
 def test_no_play_is_no_play() -> None:
     with pytest.raises(NoMeasurement, match="none is seen"):
-        explain_log(DATA / "bench" / "smart_servo_no_play.csv")
+        explain(DATA / "bench" / "smart_servo_no_play.csv")
 
 
 def test_smart_servo_with_a_weight() -> None:
     """A linear servo fitted by itself takes up much of the weight; what is left of it is more than halved."""
-    found = explain_log(DATA / "bench" / "smart_servo_gravity_load.csv").explanation
+    found = explain(DATA / "bench" / "smart_servo_gravity_load.csv").explanation
     assert final_deg(found) <= 0.17
     assert final_deg(found) < 0.5 * nominal_deg(found)
     assert all(each.held_out_rms_deg < 0.5 * each.nominal_rms_deg for each in found.runs)
@@ -105,7 +105,7 @@ def test_smart_servo_of_low_gain(kp: str, most_deg: float, tmp_path: Path) -> No
 @pytest.mark.nightly
 def test_digital_servo_whose_rate_limit_falls_with_its_load() -> None:
     """Slopes of the steps themselves: 388 deg/s without a load, 303 with 400 g."""
-    found = explain_log(DATA / "bench" / "digital_servo_loads.csv").explanation
+    found = explain(DATA / "bench" / "digital_servo_loads.csv").explanation
     assert set(found.selection.final.names) == {"rate_limit", "supply_coupling"}
     assert final_deg(found) <= 2.6 < 0.5 * nominal_deg(found)
     first = found.varying[0]
@@ -153,7 +153,7 @@ def test_linear_drive() -> None:
 
     Published: 20.39 N and -3.165 N; a position error of 1 m is worth 35.15 * 243.45 * 160.18 N.
     """
-    found = explain_log(DATA / "bench" / "emps_linear_drive.csv").explanation
+    found = explain(DATA / "bench" / "emps_linear_drive.csv").explanation
     steps = {step["effect"]: step["parameters"] for step in found.document()["steps"]}
     assert set(steps) == {"friction", "bias"}
     assert 1e3 * nominal_deg(found) > 6.0

@@ -45,7 +45,7 @@ def audit_text() -> str:
 
 def explain_text() -> str:
     log = SAMPLES / "hidden" / "hidden_03.csv"
-    return explain_page([servofd.explain_log(log, surface="elevator").explanation], log.name)
+    return explain_page([servofd.explain(log, surface="elevator").explanation], log.name)
 
 
 def identify_text() -> str:

@@ -117,7 +117,7 @@ def trend(folder: Path) -> Path:
 
 def explain(folder: Path) -> Path:
     page, log = folder / "explain.html", SAMPLES / "hidden" / "hidden_03.csv"
-    page.write_text(explain_page([servofd.explain_log(log, surface="elevator").explanation], log.name))
+    page.write_text(explain_page([servofd.explain(log, surface="elevator").explanation], log.name))
     return page
 
 

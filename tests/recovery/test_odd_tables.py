@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from servofd import explain_log
+from servofd import explain
 from servofd.core.errors import NoMeasurement
 from servofd.core.types import FloatArray
 
@@ -33,7 +33,7 @@ def written(path: Path, size: float = 8.0, held: int = 1, words: str = "", more:
 @pytest.mark.slow
 def test_positions_held_between_updates_are_judged_once(tmp_path: Path) -> None:
     """Held, they leave 0.48 deg over a noise of 0.00007 deg; each once, the noise of 0.05 deg that they have."""
-    found = explain_log(written(tmp_path / "held.csv", held=10)).explanation
+    found = explain(written(tmp_path / "held.csv", held=10)).explanation
     assert found.conclusion == "nothing_missing"
     assert found.selection.sigma_deg == pytest.approx(0.05, rel=0.1)
     assert any("refreshed every 0.05 s" in note and "600 of 6000 rows" in note for note in found.notes)
@@ -46,7 +46,7 @@ def test_positions_held_between_updates_are_judged_once(tmp_path: Path) -> None:
     ids=["words", "constant", "units of 100"],
 )
 def test_columns_that_say_nothing_change_nothing(tmp_path: Path, words: str, more: str, size: float) -> None:
-    found = explain_log(written(tmp_path / "log.csv", words=words, more=more, size=size)).explanation
+    found = explain(written(tmp_path / "log.csv", words=words, more=more, size=size)).explanation
     assert found.conclusion == "nothing_missing"
     assert "FAULT" not in found.answer
 
@@ -57,4 +57,4 @@ def test_a_log_that_is_too_short_is_one_line(tmp_path: Path, seconds: float) -> 
     short = tmp_path / "short.csv"
     short.write_text("\n".join(lines[: 1 + round(seconds / 0.005)]) + "\n")
     with pytest.raises(NoMeasurement, match="at least"):
-        explain_log(short)
+        explain(short)
