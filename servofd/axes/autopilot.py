@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 _FASTEST_HZ = 25.0
 _OF_AN_OUTPUT = re.compile(r"SERVO\d+_(FUNCTION|TRIM|MIN|MAX|REVERSED)")
 _IDLE_SHARE = 0.05
+_ON_MOTORS = ("multirotor", "helicopter")
 _MEASURES_M_S = 1.0
 _RATES = (
     ("IMU[0].Gyr{}", "IMU.Gyr{}", "XYZ", np.degrees(1.0)),
@@ -57,6 +58,8 @@ def motion_of_autopilot(
     """
     settings = {name: value for name, value in log.parameters.items() if _OF_AN_OUTPUT.fullmatch(name)}
     if not any(name.endswith("_FUNCTION") for name in settings):
+        if log.vehicle in _ON_MOTORS:
+            raise NoMeasurement(_no_surfaces(log, airframe_of({})))
         settings = dict(parameters or {})
     outputs = outputs_of(settings)
     airframe = airframe_of(outputs)
@@ -114,7 +117,7 @@ def _number(parameter: str) -> int:
 
 
 def _no_surfaces(log: FlightLog, airframe: Airframe) -> str:
-    if airframe.lift_motors or log.vehicle in ("multirotor", "helicopter"):
+    if airframe.lift_motors or log.vehicle in _ON_MOTORS:
         kind = log.vehicle or "multirotor"
         return f"{log.label}: a {kind}: no control surfaces to judge; its outputs drive motors"
     return (

@@ -65,6 +65,12 @@ def calibrate_motion(flights: Sequence[Motion], *, false_alarms_per_hour: float 
     flights = [flight for flight in flights if flight.time_s.size > 2]
     if not flights:
         raise CalibrationError("no flight to calibrate motion from")
+    other = next((flight for flight in flights if flight.asked != flights[0].asked), None)
+    if other is not None:
+        raise CalibrationError(
+            f"{other.name}: commands {', '.join(sorted(other.asked))}, {flights[0].name} "
+            f"{', '.join(sorted(flights[0].asked))}: calibrate on flights of one aircraft"
+        )
     reference_m_s = float(np.median(np.concatenate([f.airspeed_m_s[f.present] for f in flights])))
     regime = _regime(flights, reference_m_s)
     usable = [

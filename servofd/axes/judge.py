@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.aircraft.axis_names import MOST_OF_THE_FLIGHT, SURFACE_AXES
+from servofd.axes.forms import FORMS
 from servofd.axes.model import covered, distances, flown_of, inputs_of, smallest_of, statistic, windows_of
 from servofd.axes.words import left_out, reason_of
+from servofd.core.errors import NoMeasurement
 from servofd.detection.axis_verdict import AxisAudit, AxisEvent, AxisStatus, Detectable
 from servofd.estimate.axis_windows import Expected, lags, nothing_known, sliding
 from servofd.estimate.statistics import Z_95, Estimate
@@ -52,6 +54,12 @@ def judge_motion(model: MotionModel, motion: Motion) -> tuple[AxisAudit, ...]:
 
     Everything is causal: the statistic at a sample uses no later one, so that a monitor sees the same alarms.
     """
+    lacking = [name for name, axis in model.axes.items() if FORMS[axis.form].command not in motion.asked]
+    if lacking:
+        raise NoMeasurement(
+            f"{motion.name}: no output commands {' and '.join(lacking)}, as one did in the calibration flights: this "
+            "is another aircraft, or SERVOn_FUNCTION changed; calibrate on flights of its own"
+        )
     inside = covered(model.regime, flown_of(motion, model.reference_m_s))
     usable = motion.present & np.logical_and.reduce(list(inside.values()))
     flown = motion.present & (motion.airspeed_m_s > 0.5 * model.reference_m_s)
@@ -488,7 +496,8 @@ def _verdict(
     if not axis.own_command:  # which tells nothing of the effect of a microsecond
         lost, offset = None, None
     members = _members(name, axis, motion)
-    shows = [_in_most(least[flown]) for least in draft.shows]
+    first_s = min((event.alarm_s for event in events), default=math.inf)  # what came later stood against an alarm
+    shows = [_in_most(least[flown & (motion.time_s < first_s)]) for least in draft.shows]
     detectable = Detectable(shows[0] if shows[0] <= 1.0 else math.inf, shows[1])
     outside = {reason: float((~good & flown).sum()) / seconds for reason, good in inside.items() if flown.any()}
     reason = reason_of(

@@ -67,6 +67,11 @@ class Motion:
     lifted_share: float = 0.0
 
     @property
+    def asked(self) -> frozenset[str]:
+        """What is commanded: axes, and the throttle."""
+        return frozenset((*self.commands_us, "throttle"))
+
+    @property
     def rate_hz(self) -> float:
         """Samples in a second."""
         return (self.time_s.size - 1) / float(self.time_s[-1] - self.time_s[0])

@@ -189,6 +189,14 @@ def test_a_pitot_that_reads_0_is_no_airspeed() -> None:
     assert motion_of_autopilot(replace(blocked, channels=estimated)).airspeed_source == "the autopilot's estimate"
 
 
+def test_an_aircraft_with_other_surfaces_is_one_line() -> None:
+    without = replace(flown(50, OF_THE_DAY), commands_us={})
+    with pytest.raises(NoMeasurement, match="no output commands roll"):
+        judge_motion(calibrated(), without)
+    with pytest.raises(CalibrationError, match="flights of one aircraft"):
+        calibrate_motion([flown(50, OF_THE_DAY), without])
+
+
 def test_one_short_flight_and_no_flight_are_refused() -> None:
     for flights in ([], [flown(1, duration_s=30.0)]):
         with pytest.raises(CalibrationError):
