@@ -124,7 +124,10 @@ def read_all(
     >>> [(log.run, log["meas"].values.size) for log in read_all(bench, TableLayout(time="t_s", run="run"))]
     [('a', 2), ('b', 1)]
     """
-    wanted, at = Only.of(only), Path(path) if isinstance(path, (str, PathLike)) else Path("<file>")
+    wanted, at = (
+        Only.of(only),
+        Path(path) if isinstance(path, (str, PathLike)) else Path(str(getattr(path, "name", "<file>"))),
+    )
     logs: list[FlightLog] = []
     parts: list[Part] = []
     problems: list[LogError] = []

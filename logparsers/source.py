@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import mmap
+import re
 import warnings
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
@@ -27,6 +28,9 @@ LogFile = str | PathLike[str] | BinaryIO
 
 LogBytes = LogFile | bytes
 """Or the content itself."""
+
+_ADDRESS = re.compile(r"\w{2,}:/")
+"""As a path, in which two slashes are one."""
 
 HEAD_BYTES = 4096
 """Bytes from which the format is recognised: room for a HDF5 signature behind a MATLAB header, or for two frames."""
@@ -210,6 +214,10 @@ def _open(path: Path) -> BinaryIO:
             raise MissingLog(f"{path}: is not a regular file; copy the log to one")
         return path.open("rb")
     except FileNotFoundError as error:
+        if _ADDRESS.match(str(path)):
+            raise MissingLog(
+                f"{path}: is an address, which only audit and trend read; copy the log to a file"
+            ) from error
         raise MissingLog(f"{path}: no such file; give the path of a flight log") from error
     except PermissionError as error:
         raise MissingLog(f"{path}: no permission to read it; chmod +r would give it") from error

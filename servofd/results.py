@@ -304,7 +304,9 @@ def _readable(log: str | Path | pd.DataFrame) -> Any:  # noqa: ANN401 - whatever
     if not hasattr(log, "to_csv"):
         raise TypeError(f"a log is a path or a DataFrame, and not of type {type(log).__name__}")
     table = log.reset_index() if log.index.name == "time_s" else log
-    return io.BytesIO(table.to_csv(index=False).encode())
+    content = io.BytesIO(table.to_csv(index=False).encode())
+    content.name = "DataFrame"
+    return content
 
 
 class Identified(Identification, Shown):

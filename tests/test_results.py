@@ -101,3 +101,10 @@ def test_columns_are_the_numbers_of_the_verdict(stuck: servofd.Audit) -> None:
 def test_what_is_no_log_is_refused_by_its_type() -> None:
     with pytest.raises(TypeError, match="a log is a path or a DataFrame, and not of type int"):
         servofd.audit(3)  # type: ignore[arg-type]
+
+
+def test_a_table_is_called_what_it_is() -> None:
+    table = pd.read_csv(ROOT / "sample_logs" / "table_three_faults.csv")
+    assert repr(servofd.audit(table, surfaces=("aileron",))).splitlines()[0].endswith("(DataFrame, table, 40.0 s)")
+    with pytest.raises(LogError, match=r"^DataFrame: "):
+        servofd.audit(table[["elevator_cmd_deg"]])

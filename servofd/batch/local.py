@@ -5,12 +5,14 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections import deque
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import partial
+from types import ModuleType
 from typing import TYPE_CHECKING, TypeVar
 
 from servofd.core.errors import ServofdError
@@ -24,6 +26,10 @@ _Result = TypeVar("_Result")
 _THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
 _AHEAD = 2
 """Items handed out per process: one at work, one waiting, so that none is idle and few are lost with a process."""
+
+
+_SCRIPT = threading.Lock()
+"""Of who hides the user's script: two at once would put the wrong one back."""
 
 
 class WorkerDied(ServofdError):  # noqa: N818 - reads better without "Error"
@@ -144,14 +150,27 @@ def _one_thread_each() -> Iterator[None]:
 @contextmanager
 def interrupts_wait() -> Iterator[None]:
     """Within the block Ctrl-C waits for its end; processes that start in it never hear of it."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    with _without_script():
+        if not hasattr(signal, "pthread_sigmask"):
+            yield
+            return
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def _without_script() -> Iterator[None]:
+    """Processes that start in the block need none of the user's script, and do not run it again, guarded or not."""
+    with _SCRIPT:
+        script = sys.modules["__main__"]
+        sys.modules["__main__"] = ModuleType("__main__")
+        try:
+            yield
+        finally:
+            sys.modules["__main__"] = script
 
 
 def _end_with_parent() -> None:

@@ -17,7 +17,7 @@ def calibration_to_toml(calibration: Calibration) -> str:
     logs = {record.label: None for one in calibration.surfaces for record in one.flights}
     lines = [
         f"# Calibrated by `servofd calibrate` from {', '.join(logs)}: flights taken to be good.",
-        "# Numbers in square brackets behind a # are 95 % intervals.",
+        "# Numbers in square brackets behind a # are 95% intervals.",
         "",
         f"name = {toml_value(aircraft.name)}",
     ]

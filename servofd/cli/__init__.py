@@ -185,6 +185,8 @@ def parsed(words: Sequence[str]) -> argparse.Namespace:
     if words and not verb and not words[0].startswith("-"):
         from servofd.core.errors import suggest
 
+        if words[0] == "compare":
+            parser.error("compare: recordings are compared by: servofd review A.rrd --compare B.rrd")
         parser.error(f"{words[0]}: no such file, and {suggest('verb', words[0], names)}")
     options = parser.parse_args(words)
     if options.verb is None:

@@ -148,9 +148,8 @@ def _say_what_was_skipped(found: Found) -> None:
     if found.skipped:
         some = "; ".join(f"{one.path}: {one.reason}" for one in found.skipped[:_SHOWN])
         more = f"; and {len(found.skipped) - _SHOWN} more" if len(found.skipped) > _SHOWN else ""
-        print(
-            f"servofd: passed over {len(found.skipped)} files that are no logs: {one_line(some)}{more}", file=sys.stderr
-        )
+        what = "1 file that is no log" if len(found.skipped) == 1 else f"{len(found.skipped)} files that are no logs"
+        print(f"servofd: passed over {what}: {one_line(some)}{more}", file=sys.stderr)
 
 
 def _line(judged: JudgedLog) -> str:

@@ -136,7 +136,7 @@ def _print(calibration: Calibration, options: argparse.Namespace) -> None:
 
     headings = ["surface", "delay (ms)", "bandwidth (rad/s)", "speed (deg/s)", "noise (deg)", "held out (deg)"]
     rows = [_row(one) for one in calibration.surfaces]
-    print_table(headings, rows, "fitted, with 95 % intervals; error on what the fit had not seen")
+    print_table(headings, rows, "fitted, with 95% intervals; error on what the fit had not seen")
     headings = ["surface", "offset (deg)", "speed left", "travel lost", "play (deg)", "oscillation (deg)"]
     rows = [_detectable_row(one) for one in calibration.surfaces]
     print_table(headings, rows, "smallest faults that flights like these show, 19 times in 20")

@@ -19,7 +19,7 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
         "identify",
         help="identify a servo from bench tests",
         description="Identifies a servo from chirps, steps or other motion: poles, dc gain, delay, bandwidth, rate "
-        "limits and dead band, with 95 %% intervals. Several logs: tests of one servo, or servos of one kind, which "
+        "limits and dead band, with 95%% intervals. Several logs: tests of one servo, or servos of one kind, which "
         "gives their mean. Exit code 2: the test does not show what the servo is like.",
         epilog="Example: servofd identify chirp.csv step.csv --save my_servo.toml --html my_servo.html",
     )
@@ -118,7 +118,7 @@ def _text(found: Identification) -> str:
     if found.band_rad_s is not None and found.max_normalized_error is not None:
         low, high = found.band_rad_s
         rows.append(("normalised error", f"up to {found.max_normalized_error:.3f}", f"{low:.1f} to {high:.1f} rad/s"))
-    lines = [f"{found.surface}: order {linear.order}, method {found.method}   (in brackets: 95 % intervals)"]
+    lines = [f"{found.surface}: order {linear.order}, method {found.method}   (in brackets: 95% intervals)"]
     lines += [f"  {name:<24} {value:<28} {interval}".rstrip() for name, value, interval in rows]
     return "\n".join([*lines, *(f"  - {note}" for note in found.notes)]) + "\n"
 

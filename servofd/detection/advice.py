@@ -55,6 +55,19 @@ def meaning(fault: Fault) -> str:
     return _MEANING[fault.kind]
 
 
+def gravest(faults: Sequence[Fault]) -> Fault:
+    """The first fault that lasts to the end of the log; the first of all if every one has passed.
+
+    Examples
+    --------
+    >>> from servofd.detection.bank.flight import Fault
+    >>> passed, lasts = (Fault("bias", 1.0, 2.0, 3.0, {}, 1.0, ()), Fault("stuck", 5.0, 6.0, None, {}, 1.0, ()))
+    >>> gravest([passed, lasts]).kind, gravest([passed]).kind
+    ('stuck', 'bias')
+    """
+    return next((fault for fault in faults if fault.end_s is None), faults[0])
+
+
 def next_step(surface: SurfaceAudit) -> str:
     """What to do about a verdict, in a sentence; empty if there is nothing to do.
 
@@ -65,10 +78,10 @@ def next_step(surface: SurfaceAudit) -> str:
     ''
     """
     if surface.status == "fault":
-        check = _CHECK.get(surface.faults[0].kind, _ANYHOW)
+        check = _CHECK.get(gravest(surface.faults).kind, _ANYHOW)
         return f"do not fly; on the ground, {check}; if it moves as asked, its position sensor is at fault"
     if surface.status == "suspect":
-        check = _CHECK.get(surface.suspicions[0].kind, _ANYHOW) if surface.suspicions else _ANYHOW
+        check = _CHECK.get(gravest(surface.suspicions).kind, _ANYHOW) if surface.suspicions else _ANYHOW
         return (
             f"look at another flight; if it happens again, on the ground, {check}; 'servofd explain' says what the "
             "model lacks"

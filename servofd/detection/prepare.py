@@ -31,8 +31,8 @@ class Prepared(NamedTuple):
 def prepared(generator: ResidualGenerator, segment: Segment) -> Prepared:
     """Run the generator, without glitches and with the hold that suits the commands.
 
-    A position that leaves the model for one or two samples and is back is no servo's fault. Commands that were logged at
-    10 to 25 Hz, but given more often, look like steps that nobody commanded: if straight lines between them leave a
+    A position that leaves the model for one or two samples and is back is no servo's fault. Commands that were logged
+    at 10 to 25 Hz, but given more often, look like steps that nobody commanded: if straight lines between them leave a
     clearly smaller residual, that is what they were.
     """
     notes = []

@@ -26,6 +26,15 @@ _SLOW = {
     "rate_limit_deg_s": "slow: no faster than {rate_limit_deg_s:.0f} deg/s",
 }
 _SURE = 0.95
+_PERHAPS = {
+    "bias": "an offset",
+    "hardover": "run to its stop",
+    "oscillation": "oscillating",
+    "deadband": "a dead band",
+    "loss_of_effectiveness": "a loss of travel",
+    "unknown": "something else",
+    "healthy": "within tolerance",
+}
 
 EXPLAINED = {
     "": "the tolerances of a working servo explain it",
@@ -42,7 +51,7 @@ def describe(fault: Fault) -> str:
     >>> from servofd.estimate.statistics import Estimate
     >>> from servofd.detection.bank.flight import Fault
     >>> describe(Fault("stuck", 10.0, 10.4, None, {"position_deg": Estimate(3.1, 3.0, 3.2)}, 0.8, ("deadband",)))
-    'stuck at 3.1 deg since 10.00 s (alarm 10.40 s; or deadband)'
+    'stuck at 3.1 deg since 10.00 s, perhaps a dead band (alarm at 10.40 s)'
     """
     values = {name: estimate.value for name, estimate in fault.parameters.items()}
     text = next((form for name, form in _SLOW.items() if name in values), None) or _NAMES[fault.kind]
@@ -53,12 +62,17 @@ def describe(fault: Fault) -> str:
     )
     doubt = ""
     if fault.kind == "unknown" and fault.alternatives:
-        text, doubt = "at fault, with too little motion to tell which", f"; {' or '.join(fault.alternatives)}"
+        text, doubt = "at fault, with too little motion to tell which", _perhaps(fault)
     elif fault.probability < _SURE and fault.alternatives and fault.kind != "healthy":
-        doubt = "; or " + " or ".join(fault.alternatives)
+        doubt = _perhaps(fault)
     if fault.kind == "healthy" and fault.level == "fault":
         text = "crossed the threshold, but the tolerances of a working servo explain it"
-    return f"{text.format(**values)} {since} (alarm {fault.alarm_s:.2f} s{doubt})"
+    return f"{text.format(**values)} {since}{doubt} (alarm at {fault.alarm_s:.2f} s)"
+
+
+def _perhaps(fault: Fault) -> str:
+    """What else it may be."""
+    return f", perhaps {' or '.join(_PERHAPS.get(kind, kind) for kind in fault.alternatives)}"
 
 
 def too_slow(bandwidth_rad_s: float, position_period_s: float, command_period_s: float) -> str:

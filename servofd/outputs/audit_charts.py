@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.detection.advice import gravest
 from servofd.outputs.chart import Chart, Curve, Mark, Panel, Span, bridged, thinned
 from servofd.outputs.sentence import clock, spoken
 
@@ -37,9 +38,13 @@ def flight_chart(surface: SurfaceAudit) -> Chart:
 
 
 def fault_charts(surface: SurfaceAudit) -> list[Chart]:
-    """The first faults and suspicions of a surface from near."""
-    data = _drawn(surface)
-    return [_near(surface, fault, data) for fault in (*surface.faults, *surface.suspicions)[:MOST_FAULTS]]
+    """Faults and suspicions of a surface from near: that of the headline, then the first ones."""
+    data, found = _drawn(surface), (*surface.faults, *surface.suspicions)
+    if not found:
+        return []
+    first = gravest(surface.faults or surface.suspicions)
+    shown = [first, *(fault for fault in found if fault is not first)]
+    return [_near(surface, fault, data) for fault in shown[:MOST_FAULTS]]
 
 
 def _drawn(surface: SurfaceAudit) -> tuple[Segment, Residuals, Threshold]:
@@ -61,7 +66,7 @@ def _near(surface: SurfaceAudit, fault: Fault, data: tuple[Segment, Residuals, T
         f"It began at {clock(fault.start_s)} ({fault.start_s:.2f} s; shaded from there); in flight the alarm would "
         f"have been raised at {fault.alarm_s:.2f} s (vertical line)."
     )
-    return _chart(f"{_kind(fault).capitalize()} at {clock(fault.start_s)}, from near", text, between_s, surface, data)
+    return _chart(f"{kind_of(fault).capitalize()} at {clock(fault.start_s)}, from near", text, between_s, surface, data)
 
 
 def _chart(
@@ -110,7 +115,7 @@ def _levels(residuals: Residuals, threshold: Threshold) -> list[Curve]:
 
 def _spans(surface: SurfaceAudit, last_s: float) -> tuple[Span, ...]:
     return tuple(
-        Span(role, fault.start_s, last_s if fault.end_s is None else fault.end_s, _kind(fault))
+        Span(role, fault.start_s, last_s if fault.end_s is None else fault.end_s, kind_of(fault))
         for role, found in (("fault", surface.faults), ("suspect", surface.suspicions))
         for fault in found
     )
@@ -124,7 +129,8 @@ def _marks(surface: SurfaceAudit) -> tuple[Mark, ...]:
     )
 
 
-def _kind(fault: Fault) -> str:
+def kind_of(fault: Fault) -> str:
+    """Kind of a fault, as it is read aloud."""
     return "within tolerance" if fault.kind == "healthy" else spoken(fault.kind)
 
 

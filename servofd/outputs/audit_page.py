@@ -10,13 +10,12 @@ import numpy as np
 from servofd.axes.forms import FORMS
 from servofd.axes.words import named, shown
 from servofd.detection.advice import meaning, next_step
-from servofd.detection.words import describe
-from servofd.outputs.audit_charts import MOST_FAULTS, fault_charts, flight_chart
+from servofd.outputs.audit_charts import MOST_FAULTS, fault_charts, flight_chart, kind_of
 from servofd.outputs.chart import Chart, Curve, Mark, Panel, Span
 from servofd.outputs.json_report import FailedLog
 from servofd.outputs.motors import motors_of
 from servofd.outputs.page import page
-from servofd.outputs.sentence import plain_rate, seen, spoken, whole_sentence, worst
+from servofd.outputs.sentence import clock, plain_rate, seen, spoken, whole_sentence, worst
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -77,7 +76,11 @@ def _all_of(logs: Sequence[dict[str, Any]]) -> dict[str, Any]:
     faulty = sum(log["status"] == "fault" for log in logs)
     known = {log["status"] for log in logs}
     status = next((s for s in ("fault", "suspect", "unknown", "no_data", "healthy") if s in known), "no_data")
-    return {"status": status, "sentence": f"{faulty or 'None'} of {len(logs)} logs show a fault.", "facts": ""}
+    return {
+        "status": status,
+        "sentence": f"{faulty or 'None'} of {len(logs)} logs show{'s' * (faulty <= 1)} a fault.",
+        "facts": "",
+    }
 
 
 def _failed(result: FailedLog) -> dict[str, Any]:
@@ -135,7 +138,7 @@ def _surface(aircraft: Aircraft, surface: SurfaceAudit, anchor: str) -> dict[str
         "line": _line(surface),
         "next": next_step(surface),
         "faults": [_fault_row(fault) for fault in found],
-        "meanings": [(describe(fault), meaning(fault)) for fault in found],
+        "meanings": [(f"{kind_of(fault).capitalize()} at {clock(fault.start_s)}", meaning(fault)) for fault in found],
         "charts": charts,
         "statistics": _statistics(surface),
         "quality": quality_rows(surface),
@@ -189,12 +192,12 @@ def _line(surface: SurfaceAudit) -> str:
 
 def _fault_row(fault: Fault) -> tuple[str, ...]:
     return (
-        "within tolerance" if fault.kind == "healthy" else fault.kind.replace("_", " "),
+        kind_of(fault),
         f"{fault.start_s:.2f}",
         f"{fault.alarm_s:.2f}",
         "lasts" if fault.end_s is None else f"{fault.end_s:.2f}",
         "; ".join(f"{quantity(name)} {_interval(estimate)}" for name, estimate in fault.parameters.items()) or _MISSING,
-        f"{100.0 * fault.probability:.3g} %",
+        f"{100.0 * fault.probability:.3g}%",
         ", ".join(fault.alternatives).replace("_", " ") or _MISSING,
     )
 
@@ -321,7 +324,7 @@ def quality_rows(surface: SurfaceAudit) -> list[tuple[str, str]]:
     >>> segment = Segment("rudder", t, 0.0 * t, t, np.where(t < 5.0, 0.0, np.nan))
     >>> rows = dict(quality_rows(SurfaceAudit("rudder", "unknown", "", "x", "constant", 1.5, True, segment=segment)))
     >>> rows["position rate [Hz]"], rows["positions missing [%]"]
-    ('50 (95 % of steps within 1.00 times the median)', '50')
+    ('50 (95% of steps within 1.00 times the median)', '50')
     """
     segment = surface.segment
     if segment is None:
@@ -351,7 +354,7 @@ def _rate(time_s: FloatArray) -> str:
         return "none"
     median_s = float(np.median(step_s))
     jitter = float(np.quantile(step_s, _JITTER_QUANTILE)) / median_s
-    return f"{1.0 / median_s:.4g} (95 % of steps within {jitter:.2f} times the median)"
+    return f"{1.0 / median_s:.4g} (95% of steps within {jitter:.2f} times the median)"
 
 
 def _gap(time_s: FloatArray) -> str:

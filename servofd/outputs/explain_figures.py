@@ -134,7 +134,7 @@ def _maps(found: Explanation, name: str) -> Picture:
     axes[1].set_title("after", fontsize=11)
     finish(*axes)
     text = (
-        "Median error (line) and the middle 90 % of it (shaded) over each quantity; left the model as it was, right "
+        "Median error (line) and the middle 90% of it (shaded) over each quantity; left the model as it was, right "
         "with the effects that were found; the grey band is two standard deviations of the noise floor."
     )
     return Picture(name, "What the error depends on", text, figure)
@@ -213,7 +213,7 @@ def _memory(found: Explanation, name: str) -> Picture:
     finish(left, right, legend="above")
     text = (
         "Left, amplitude spectrum of the error; right, its autocorrelation. An error that is noise only has a flat "
-        "spectrum and no memory, and stays in the grey band in 95 % of all lags."
+        "spectrum and no memory, and stays in the grey band in 95% of all lags."
     )
     return Picture(name, "Spectrum and memory of the error", text, figure)
 

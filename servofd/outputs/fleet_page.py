@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any
 
+from servofd.outputs.audit_page import quantity
 from servofd.outputs.page import page
 from servofd.outputs.sentence import clock, spoken
 
@@ -68,9 +69,10 @@ def fleet_sentence(document: dict[str, Any]) -> str:
     told = document["logs"] - statuses.get("not_judged", 0)
     if not told:
         return "No log was judged."
-    parts = [f"{statuses.get('fault', 0) or 'None'} of {told} judged logs show{'s' * (told == 1)} a fault"]
-    if statuses.get("suspect"):
-        parts.append(f"{statuses['suspect']} are suspect")
+    faulty, suspect = statuses.get("fault", 0), statuses.get("suspect", 0)
+    parts = [f"{faulty or 'None'} of {told} judged logs show{'s' * (faulty <= 1)} a fault"]
+    if suspect:
+        parts.append(f"{suspect} {'is' if suspect == 1 else 'are'} suspect")
     if statuses.get("not_judged"):
         parts.append(f"{statuses['not_judged']} more could not be judged")
     return ", ".join(parts) + "."
@@ -123,7 +125,7 @@ def flight_name(one: dict[str, Any]) -> str:
 def _surface(surface: dict[str, Any]) -> tuple[str, ...]:
     logs, share = surface["logs"], surface["largest_share"]
     return (
-        surface["surface"],
+        spoken(surface["surface"]),
         ", ".join(surface["servos"]),
         *(str(logs.get(status, 0)) for status in _STATUSES),
         str(logs.get("unknown", 0) + logs.get("no_data", 0)),
@@ -137,10 +139,10 @@ def _fault(fault: dict[str, Any]) -> tuple[str, ...]:
     return (
         flight_name(fault),
         (fault["start_utc"] or "")[:16].replace("T", " "),
-        fault["surface"],
+        spoken(fault["surface"]),
         fault["kind"].replace("_", " "),
         f"{fault['start_s']:.1f}",
         "lasts" if end_s is None else f"{end_s:.1f}",
-        ", ".join(f"{name} {value:.3g}" for name, value in fault["parameters"].items()),
+        ", ".join(f"{quantity(name)} {value:.3g}" for name, value in fault["parameters"].items()),
         f"{fault['probability']:.0%}",
     )

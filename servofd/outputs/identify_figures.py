@@ -133,7 +133,7 @@ def _validation(found: Identification) -> Picture:
     lower.set_ylabel("error [deg]")
     lower.set_xlabel("time [s]")
     finish(upper, lower)
-    text = f"Simulation of the whole test: {np.std(error):.3g} deg rms, fit {found.fits_percent[index]:.1f} %."
+    text = f"Simulation of the whole test: {np.std(error):.3g} deg rms, fit {found.fits_percent[index]:.1f}%."
     return Picture("validation", "Validation in time (thesis Fig. 3.9)", text, figure)
 
 
@@ -156,7 +156,7 @@ def _steps(found: Identification) -> Picture:
     axes.set_ylabel("angle [deg]")
     finish(axes)
     text = (
-        f"A step of {step.travel_deg:.1f} deg runs at {abs(step.slope_deg_s):.0f} deg/s between 20 and 80 % of its way."
+        f"A step of {step.travel_deg:.1f} deg runs at {abs(step.slope_deg_s):.0f} deg/s between 20 and 80% of its way."
     )
     return Picture("step", "Step (thesis Fig. 3.3)", text, figure)
 

@@ -54,7 +54,7 @@ def _report(found: Identification, source: str) -> str:
     notes = "\n".join(f"- {note}" for note in found.notes)
     return (
         f"# {source}: {found.surface}\n\n{sentence_of(found)}\n\n"
-        f"| | value | 95 % interval |\n|---|---|---|\n{table}\n\n{notes}\n"
+        f"| | value | 95% interval |\n|---|---|---|\n{table}\n\n{notes}\n"
     )
 
 

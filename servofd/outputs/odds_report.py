@@ -124,7 +124,7 @@ def _column(odds: SurfaceOdds) -> dict[str, str]:
 
 def _seen(operating: Operating, fault_deg: float) -> dict[str, str]:
     rows = {
-        f"  bias seen within {within_s:g} s, 99 % [deg]": f"{size:.2f}"
+        f"  bias seen within {within_s:g} s, 99% [deg]": f"{size:.2f}"
         for within_s, size in operating.smallest_bias_deg.items()
     }
     return rows | {f"  delay for {fault_deg:g} deg [s]": _seconds(operating.delay_s)}

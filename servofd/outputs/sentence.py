@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
+from servofd.detection.advice import gravest
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -101,19 +103,14 @@ def axes_sentence(axes: Sequence[AxisAudit]) -> str:
 def _weaker(axis: str, lost_share: Estimate) -> str:
     """That an axis without an alarm surely lost something, how much, and how rare that is in a healthy flight."""
     value, low, high = (f"{100.0 * share:.0f}" for share in lost_share)
-    size = f"{value} % weaker ({low} to {high} %)"
+    size = f"{value}% weaker ({low} to {high}%)"
     return f"{axis.capitalize()} is probably {size}, as one healthy flight in 40 seems to be: look at the next ones."
 
 
 def _faults(faulty: Sequence[SurfaceAudit]) -> str:
     if len(faulty) > _MOST_NAMED:
         return f"{len(faulty)} SERVOS AT FAULT: {_surfaces(faulty)}"
-    return "; ".join(f"{spoken(s.surface).upper()} {_what(_gravest(s.faults))}" for s in faulty)
-
-
-def _gravest(faults: Sequence[Fault]) -> Fault:
-    """The first fault that lasts to the end of the log; the first of all if every one has passed."""
-    return next((fault for fault in faults if fault.end_s is None), faults[0])
+    return "; ".join(f"{spoken(s.surface).upper()} {_what(gravest(s.faults))}" for s in faulty)
 
 
 def _what(fault: Fault) -> str:
@@ -161,18 +158,18 @@ def seen(detectable: Detectable) -> str:
     --------
     >>> from servofd.core.evidence import Detectable
     >>> seen(Detectable(bias_deg=0.8, loss_share=0.2))
-    'would have seen 0.8 deg, -20 % travel'
+    'would have seen an offset of 0.8 deg, 20% less travel'
     >>> seen(Detectable(bias_deg=0.8, slow_share=0.5, oscillation_deg=0.42))
-    'would have seen 0.8 deg, -50 % speed, ±0.4 deg of oscillation'
+    'would have seen an offset of 0.8 deg, 50% less speed, ±0.4 deg of oscillation'
     """
     sizes = [
-        None if detectable.bias_deg is None else f"{detectable.bias_deg:.1f} deg",
-        None if detectable.loss_share is None else f"-{detectable.loss_share:.0%} travel",
-        None if detectable.slow_share is None else f"-{1.0 - detectable.slow_share:.0%} speed",
+        None if detectable.bias_deg is None else f"an offset of {detectable.bias_deg:.1f} deg",
+        None if detectable.loss_share is None else f"{detectable.loss_share:.0%} less travel",
+        None if detectable.slow_share is None else f"{1.0 - detectable.slow_share:.0%} less speed",
         None if detectable.deadband_deg is None else f"{detectable.deadband_deg:.1f} deg of play",
         None if detectable.oscillation_deg is None else f"±{detectable.oscillation_deg:.1f} deg of oscillation",
     ]
-    known = [size.replace("%", " %") for size in sizes if size is not None]
+    known = [size for size in sizes if size is not None]
     return f"would have seen {', '.join(known)}" if known else ""
 
 

@@ -12,6 +12,7 @@ from servofd.estimate.statistics import Z_95
 from servofd.outputs.page import page
 from servofd.outputs.palette import COLOURS
 from servofd.outputs.picture import Picture, finish, new_figure
+from servofd.outputs.sentence import spoken
 from servofd.wear.forecast import TOO_FEW
 from servofd.wear.records import QUANTITIES
 
@@ -76,7 +77,7 @@ def verdict(document: dict[str, Any]) -> str:
     'No limit is exceeded or in sight.'
     """
     limits = [
-        f"{name}: {one['title']} {_when(one)}"
+        f"{spoken(name)}: {one['title']} {_when(one)}"
         for name, surface in document["surfaces"].items()
         for one in surface["quantities"].values()
         if one["forecast"]["kind"] != "none"
@@ -192,7 +193,7 @@ def _surface(name: str, surface: dict[str, Any], flights: Sequence[dict[str, Any
     status = next(status for kind, status in _WORST.items() if kind in kinds or kind == "none")
     is_axis = any(QUANTITIES[one].of_axis for one in (*quantities, *surface["missing"]))
     return {
-        "name": name,
+        "name": spoken(name),
         "serials": "" if is_axis else ", ".join(serials),
         "status": "suspect" if alarms and status == "healthy" else status,
         "alarms": alarms,
@@ -220,8 +221,8 @@ def _picture(name: str, surface: dict[str, Any]) -> Picture:
     finish(*all_axes)
     return Picture(
         f"trend-{name}",
-        f"{name} over its flights",
-        "Dots are flights with their 95 % intervals, blue lines what they follow since the last change, the dashed "
+        f"{spoken(name)} over its flights",
+        "Dots are flights with their 95% intervals, blue lines what they follow since the last change, the dashed "
         "part what is expected; level lines are limits, vertical lines changes at once (solid: another servo).",
         figure,
     )

@@ -181,7 +181,15 @@ def _forecast(name: str, last: Piece, now: float, limit: float | None) -> Foreca
     if limit is None:
         return Forecast("none", "no limit is set for it")
     worse = QUANTITIES[name].worse
-    if worse != "away":
-        return forecast(last, limit, above=worse == "up")
-    rising = now > 0.0 if abs(now) >= limit or last.number.size < FEWEST_FOR_LINE else last.line.slope > 0.0
-    return forecast(last, limit if rising else -limit, above=rising)
+    lately = _last_estimate(last)
+    if worse == "away":
+        rising = now > 0.0 if abs(now) >= limit or last.number.size < FEWEST_FOR_LINE else last.line.slope > 0.0
+        found = forecast(last, limit if rising else -limit, above=rising)
+        beyond = lately.low > limit or lately.high < -limit
+    else:
+        found = forecast(last, limit, above=worse == "up")
+        beyond = lately.low > limit if worse == "up" else lately.high < limit
+    if beyond and found.kind != "reached" and not QUANTITIES[name].of_axis:  # an axis has alarms of its own
+        # One flight moves no line, and a servo that failed in it is no less at fault.
+        return Forecast("reached", "was beyond its limit in the last flight: audit that flight")
+    return found

@@ -79,3 +79,23 @@ def test_bash_completes(
         check=True,
     )
     assert {word.strip().rstrip("/") for word in result.stdout.splitlines()} == expected
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        (["compare", "a.rrd", "b.rrd"], "servofd review A.rrd --compare B.rrd"),
+        (["info", "s3://bucket/flight.bin"], "is an address, which only audit and trend read"),
+    ],
+)
+def test_what_another_verb_does_is_said_in_one_line(
+    words: list[str], hint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    try:
+        code = main(words)
+    except SystemExit as ended:
+        code = int(str(ended.code))
+    assert code == 2
+    said = capsys.readouterr().err
+    assert hint in said
+    assert said.count("\n") == 1

@@ -59,7 +59,7 @@ def test_a_folder_is_judged_like_its_logs_one_by_one(
     assert main(["audit", *one_by_one, "--json", str(tmp_path / "one.json")]) == 1
     assert json.loads((tmp_path / "fleet.json").read_text()) == json.loads((tmp_path / "one.json").read_text())
     page = (tmp_path / "results" / "fleet.html").read_text()
-    assert "1 of 2 judged logs show a fault" in page
+    assert "1 of 2 judged logs shows a fault" in page
     assert str(logs) not in page
 
 

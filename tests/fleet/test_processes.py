@@ -156,3 +156,10 @@ def test_a_log_that_kills_its_process_is_given_up_and_the_others_are_judged(logs
     document = json.loads((tmp_path / "out.json").read_text())
     assert len(document["logs"]) == 3
     assert sum(log["error"] is None for log in document["logs"]) == 2
+
+
+def test_a_script_needs_no_guard_and_is_not_run_again(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text("from servofd.batch.local import run_local\nprint(sorted(run_local(abs, [-1, 2], workers=2)))\n")
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("[(-1, 1), (2, 2)]\n", "")

@@ -104,7 +104,7 @@ def test_an_audit_begins_with_its_verdict_and_shows_every_fault(audited: str, au
     for words in (
         "do not fly",
         "jammed linkage",
-        "95 % intervals",
+        "95% intervals",
         "less than one in a million hours",
         "position rate",
         "nullspace filter",

@@ -231,3 +231,13 @@ def test_a_swap_is_recognised_and_is_no_wear() -> None:
 def test_healthy_fleets_raise_no_alarm() -> None:
     """Two here; a hundred in benchmarks/trend_fleets.py."""
     assert not any(healthy_fleet(seed, servos=2, flights=12, duration_s=12.0).has_alarm for seed in range(2))
+
+
+@pytest.mark.parametrize("count", [1, 9])
+def test_a_servo_that_failed_in_the_last_flight_is_beyond_its_limit_though_no_line_moves(count: int) -> None:
+    seen = trend_of(logs([*[0.2] * (count - 1), 4.0]), PLANE)
+    assert seen.has_alarm
+    assert "rudder: dead band or backlash, full width was beyond its limit in the last flight" in trend_page(
+        trend_document(seen)
+    )
+    assert not trend_of(logs([*[0.2] * (count - 1), 4.0, 0.2]), PLANE).has_alarm
