@@ -9,6 +9,7 @@ from servofd.aircraft.calibration import DegreeCalibration, NormCalibration, Pul
 from servofd.aircraft.output import output_of
 from servofd.aircraft.outputs import LoggedOutput
 from servofd.aircraft.pairs import find_pairs, pulse_channel
+from servofd.aircraft.schema import plain_channels
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,7 +35,7 @@ def resolved(log: FlightLog, aircraft: Aircraft) -> Aircraft:
     Parameters
     ----------
     log : FlightLog
-        Of an autopilot; the channels of others are those of the file.
+        Of an autopilot, or a plain table whose columns bear the names of the surfaces.
     aircraft : Aircraft
         Whose surfaces name their outputs, or channels from which these can be told.
 
@@ -47,10 +48,13 @@ def resolved(log: FlightLog, aircraft: Aircraft) -> Aircraft:
     >>> rudder.command.channel, rudder.measured.channel
     ('RCOU.C4', 'CSRV[3].Pos')
     """
-    if not log.is_of_autopilot or all(_is_there(log, surface) for surface in aircraft.surfaces.values()):
+    if all(_is_there(log, surface) for surface in aircraft.surfaces.values()):
         return aircraft
-    pairs = _by_output(log, aircraft)
-    surfaces = {name: _resolved(log, surface, pairs) for name, surface in aircraft.surfaces.items()}
+    if log.is_of_autopilot:
+        pairs = _by_output(log, aircraft)
+        surfaces = {name: _resolved(log, surface, pairs) for name, surface in aircraft.surfaces.items()}
+    else:
+        surfaces = {name: _of_table(log, name, surface) for name, surface in aircraft.surfaces.items()}
     return aircraft.model_copy(update={"surfaces": surfaces})
 
 
@@ -125,6 +129,17 @@ def _resolved(log: FlightLog, surface: Surface, pairs: dict[int, Pair]) -> Surfa
         change["measured"] = _measured(log, surface.measured, pair)
         change["alive"] = pair.position.alive
     return _changed(surface, change)
+
+
+def _of_table(log: FlightLog, name: str, surface: Surface) -> Surface:
+    """The same surface in the columns of a plain table, with what calibration found about command and sensor."""
+    command, measured = (
+        DegreeCalibration(channel=channel, unit="deg", correction=known.correction if known else (1.0, 0.0))
+        for channel, known in zip(plain_channels(name), (surface.command, surface.measured), strict=True)
+    )
+    if _is_there(log, surface) or not {command.channel, measured.channel} <= set(log.channels):
+        return surface
+    return _changed(surface, {"command": command, "measured": measured, "alive": ()})
 
 
 def _command(log: FlightLog, known: Calibration, number: int, pair: Pair | None) -> Calibration | None:

@@ -264,6 +264,17 @@ class Aircraft(_Entry):
         return model + Extension(effects_installed(plant_of(model).neutral, entry.effects))
 
 
+def plain_channels(surface: str) -> tuple[str, str]:
+    """Columns of a plain table that hold command and position of a surface.
+
+    Examples
+    --------
+    >>> plain_channels("rudder")
+    ('rudder_cmd_deg', 'rudder_pos_deg')
+    """
+    return f"{surface}_cmd_deg", f"{surface}_pos_deg"
+
+
 def plain_aircraft(surfaces: Iterable[str], servo: str = UNKNOWN_SERVO) -> Aircraft:
     """Aircraft of a plain table: columns ``<surface>_cmd_deg`` and ``<surface>_pos_deg``, one servo for all, if any.
 
@@ -277,10 +288,11 @@ def plain_aircraft(surfaces: Iterable[str], servo: str = UNKNOWN_SERVO) -> Aircr
             "surfaces": {
                 name: {
                     "servo": servo,
-                    "command": DegreeCalibration(channel=f"{name}_cmd_deg", unit="deg"),
-                    "measured": DegreeCalibration(channel=f"{name}_pos_deg", unit="deg"),
+                    "command": DegreeCalibration(channel=command, unit="deg"),
+                    "measured": DegreeCalibration(channel=position, unit="deg"),
                 }
                 for name in surfaces
+                for command, position in [plain_channels(name)]
             }
         },
         "plain table",

@@ -26,8 +26,14 @@ _LARGEST_DEG = 1e6
 """No servo turns so far; a motor drive in millimetres may."""
 
 SURROUNDINGS: Final[Mapping[str, Mapping[str, float]]] = {
-    "airspeed_m_s": {"airspeed_m_s": 1.0, "ARSP.Airspeed": 1.0, "VFR_HUD.airspeed": 1.0},
-    "servo_voltage_v": {"servo_voltage_v": 1.0, "volts": 1.0, "POWR.Vservo": 1.0, "POWER_STATUS.Vservo": 1e-3},
+    "airspeed_m_s": dict.fromkeys(
+        (
+            *("airspeed_m_s", "ARSP[0].Airspeed", "ARSP.Airspeed", "VFR_HUD.airspeed"),
+            *("airspeed_validated[0].calibrated_airspeed_m_s", "airspeed_validated[0].equivalent_airspeed_m_s"),
+        ),
+        1.0,
+    ),
+    "servo_voltage_v": {"servo_voltage_v": 1.0, "volts": 1.0, "POWR.VServo": 1.0, "POWER_STATUS.Vservo": 1e-3},
     "servo_current_a": {"servo_current_a": 1.0, "amps": 1.0},
     "servo_temperature_c": {"servo_temperature_c": 1.0, "temp_c": 1.0},
     "servo_load": dict.fromkeys(

@@ -63,7 +63,7 @@ def bench_tests(
             found.append(_chirp_script(log))
             continue
         try:
-            found.append(_of_surface(log, aircraft or surfaces_of(log), surface))
+            found.append(_of_surface(log, surfaces_of(log, aircraft), surface))
         except NoMeasurement as error:
             if len(logs) == 1:
                 raise

@@ -167,7 +167,7 @@ def _opened(paths: Sequence[str | Path], aircraft: str | Path | Aircraft | None,
     known = known_aircraft(aircraft) or bench_aircraft(paths[0])
     logs = tuple(logs_of(paths, known))
     # The servo of a plain table is fitted along with what it may lack.
-    flown = known or surfaces_of(logs[0])
+    flown = surfaces_of(logs[0], known)
     if servo is not None and servo != UNKNOWN:
         flown = flown.with_servo(servo)
     return _Flown(logs, flown, known is not None, servo, ", ".join(map(str, paths)))
@@ -243,7 +243,7 @@ def _surface(
 def _also(log: FlightLog, aircraft: Aircraft, name: str) -> Segment:
     """A surface in another log of the same aircraft."""
     try:
-        return cut(log, name, aircraft.surfaces[name])
+        return cut(log, name, surfaces_of(log, aircraft).surfaces[name])
     except NoMeasurement as error:
         raise ConfigError(f"--also {log.label}: {name}: {error}; give a log of the same aircraft") from None
 
@@ -262,7 +262,7 @@ def _segments(logs: Sequence[FlightLog], surface: str, aircraft: Aircraft) -> tu
     used, segments, reasons = [], [], []
     for log in logs:
         try:
-            segments.append(cut(log, surface, aircraft.surfaces[surface]))
+            segments.append(cut(log, surface, surfaces_of(log, aircraft).surfaces[surface]))
             used.append(log)
         except NoMeasurement as error:
             reasons.append(str(error))

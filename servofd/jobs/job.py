@@ -74,9 +74,7 @@ def flown_aircraft(log: FlightLog, known: Aircraft | None, servo: str | None = N
     servo : str, optional
         Servo of all surfaces: a name of the library, or a servo file; ``unknown`` fits each servo to the log.
     """
-    from servofd.aircraft.resolve import resolved
-
-    flown = resolved(log, known) if known is not None and known.surfaces else _with_surfaces(log, known, servo)
+    flown = surfaces_of(log, known) if known is not None and known.surfaces else _with_surfaces(log, known, servo)
     unnamed = [name for name, surface in flown.surfaces.items() if servo == UNKNOWN_SERVO or not surface.names_servo]
     if servo in (None, UNKNOWN_SERVO) and known is not None and known.surfaces and unnamed:
         from servofd.feedback.fitted import fitted_aircraft
@@ -113,14 +111,20 @@ def aircraft_for(log: FlightLog, servo: str | None = None) -> Aircraft:
     return fitted_aircraft(log, aircraft)
 
 
-def surfaces_of(log: FlightLog) -> Aircraft:
-    """Surfaces as the channels of a log name them; nothing is said of the servos of a plain table.
+def surfaces_of(log: FlightLog, known: Aircraft | None = None) -> Aircraft:
+    """Surfaces of a known aircraft, or as the channels name them, in the channels of this log.
+
+    Nothing is said of the servos of a plain table.
 
     Examples
     --------
     >>> list(surfaces_of(one_log("sample_logs/table_three_faults.csv")).surfaces)
     ['aileron', 'elevator', 'rudder']
     """
+    if known is not None and known.surfaces:
+        from servofd.aircraft.resolve import resolved
+
+        return resolved(log, known)
     if log.format == "faser":
         faser = load_aircraft("faser")
         logged = {name: s for name, s in faser.surfaces.items() if s.command.channel in log.channels}

@@ -119,7 +119,7 @@ def survey(path: str | Path, aircraft: str | Path | None = None, *, every_channe
 
 def _survey(log: FlightLog, known: Aircraft | None, every_channel: bool) -> Survey:
     try:
-        aircraft: Aircraft | None = known or surfaces_of(log)
+        aircraft: Aircraft | None = surfaces_of(log, known)
     except NoMeasurement:
         aircraft = None
     surfaces = tuple(_surface(log, aircraft, name) for name in aircraft.surfaces) if aircraft else ()

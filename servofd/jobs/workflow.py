@@ -10,7 +10,7 @@ from servofd.aircraft.schema import load_aircraft
 from servofd.aircraft.segment import cut
 from servofd.core.errors import NoMeasurement, UnknownName, suggest
 from servofd.detection.audit import audit_log
-from servofd.jobs.job import aircraft_for, flown_aircraft, known_aircraft, logs_of
+from servofd.jobs.job import aircraft_for, flown_aircraft, known_aircraft, logs_of, surfaces_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -203,7 +203,6 @@ def flights_of(
     runs: tuple[str, ...] = (),
 ) -> dict[str, list[Flight]]:
     """Each surface in each log that measured it."""
-    from servofd.aircraft.resolve import resolved
     from servofd.calibrating.flights import Flight, cropped
 
     flights: dict[str, list[Flight]] = {name: [] for name in surfaces or aircraft.surfaces}
@@ -212,7 +211,7 @@ def flights_of(
         seen.add(log.run)
         if runs and log.run not in runs:
             continue
-        known = resolved(log, aircraft)
+        known = surfaces_of(log, aircraft)
         for name, there in flights.items():
             try:
                 segment = cropped(cut(log, name, known.surfaces[name]), spans)

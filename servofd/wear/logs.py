@@ -14,7 +14,7 @@ from servofd.aircraft.segment import cut
 from servofd.batch.fetch import fetched
 from servofd.core.errors import ConfigError, NoMeasurement, ServofdError
 from servofd.estimate.statistics import Estimate
-from servofd.jobs.job import logs_of
+from servofd.jobs.job import logs_of, surfaces_of
 from servofd.wear.estimate import estimate_flight
 from servofd.wear.records import FlightEstimate
 
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from servofd.aircraft.segment import Segment
     from servofd.batch.find import LogSource
 
-_VOLTAGES = ("servo_voltage_v", "POWR.Vservo")
 _SYSTEM_IDS = ("MAV_SYSID", "SYSID_THISMAV")
 
 
@@ -75,13 +74,14 @@ def estimate_log(source: LogSource, aircraft: Aircraft, surfaces: tuple[str, ...
 
 def _of_run(log: FlightLog, path: str, aircraft: Aircraft, surfaces: tuple[str, ...]) -> FlownLog:
     flights, problems = [], []
+    aircraft = surfaces_of(log, aircraft)
     for name in surfaces or aircraft.surfaces:
         entry = aircraft.surfaces[name]
         if entry.measured is None:
             continue
         try:
             segment = cut(log, name, entry)
-            estimated = estimate_flight(segment, aircraft, _voltage_v(log, segment))
+            estimated = estimate_flight(segment, aircraft, _voltage_v(segment))
         except ServofdError as error:
             problems.append(f"{name}: {error}")
             continue
@@ -117,16 +117,11 @@ def _axes(log: FlightLog, path: str, motion: MotionModel) -> list[FlightEstimate
     return found
 
 
-def _voltage_v(log: FlightLog, segment: Segment) -> float | None:
+def _voltage_v(segment: Segment) -> float | None:
     """Mean supply voltage during the flight [V]; None if it was not logged."""
-    for name in _VOLTAGES:
-        if name in log.channels:
-            channel = log[name]
-            during = (channel.time_s >= segment.measured_s[0]) & (channel.time_s <= segment.measured_s[-1])
-            volts = channel.values[during & np.isfinite(channel.values)]
-            if volts.size and float(np.mean(volts)) > 0.0:
-                return float(np.mean(volts))
-    return None
+    time_s, volts = segment.context.voltage_s, segment.context.voltage_v
+    volts = volts[(time_s >= segment.measured_s[0]) & (time_s <= segment.measured_s[-1])]
+    return float(np.mean(volts)) if volts.size and float(np.mean(volts)) > 0.0 else None
 
 
 def _identity(log: FlightLog) -> str:

@@ -6,16 +6,18 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+import logparsers
 import servofd
-from servofd.aircraft.resolve import streamed
+from servofd.aircraft.resolve import resolved, streamed
 from servofd.aircraft.schema import Surface, load_aircraft
+from servofd.aircraft.segment import cut
 from servofd.cli import main
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 
-@pytest.mark.parametrize("suffix", ["bin", "tlog", "ulg"])
+@pytest.mark.parametrize("suffix", ["csv", "bin", "tlog", "ulg"])
 def test_the_shipped_aircraft_judges_every_log_that_it_flies_alike(suffix: str, tmp_path: Path) -> None:
     path = str(tmp_path / f"flown.{suffix}")
     stuck = ["--fault", "elevator:stuck@20"]
@@ -29,6 +31,31 @@ def test_the_shipped_aircraft_judges_every_log_that_it_flies_alike(suffix: str, 
     }
     (fault,) = verdicts["elevator"].faults
     assert (fault.kind, round(fault.start_s)) == ("stuck", 20)
+
+
+@pytest.mark.parametrize("suffix", ["csv", "bin"])
+def test_every_verb_reads_a_log_with_the_file_of_its_aircraft(
+    suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = str(tmp_path / f"flown.{suffix}")
+    assert main(["simulate", "-c", "simulated", "-o", path, "--duration", "40"]) == 0
+    with_file = [path, "-c", "simulated"]
+    assert main(["info", *with_file]) == 0
+    assert capsys.readouterr().out.count("yes, servos of up to") == 3
+    assert main(["trend", *with_file]) == 0
+    for verb in ("identify", "explain"):
+        assert main([verb, *with_file, "-s", "rudder"]) == 0, verb
+
+
+@pytest.mark.parametrize(("suffix", "supply"), [("bin", True), ("tlog", False)])
+def test_the_log_of_an_autopilot_tells_airspeed_and_supply(suffix: str, supply: bool, tmp_path: Path) -> None:
+    path = str(tmp_path / f"flown.{suffix}")
+    assert main(["simulate", "-c", "simulated", "-o", path, "--duration", "20"]) == 0
+    log = logparsers.read(path)
+    context = cut(log, "rudder", resolved(log, load_aircraft("simulated")).surfaces["rudder"]).context
+    assert 5.0 < float(context.airspeed_m_s.mean()) < 60.0
+    assert context.voltage_v.size == 0 or 4.0 < float(context.voltage_v.mean()) < 9.0
+    assert bool(context.voltage_v.size) is supply
 
 
 @pytest.mark.slow
