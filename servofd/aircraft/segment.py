@@ -293,7 +293,8 @@ def _channel(log: FlightLog, name: str, kind: str) -> Channel:
     try:
         channel = log[name]
     except MissingChannel as error:
-        raise NoMeasurement(f"no {kind}: " + str(error).removeprefix(f"{log.label}: ")) from None
+        draft = f"; 'servofd config {log.source}' drafts a file for such logs" if log.is_of_autopilot else ""
+        raise NoMeasurement(f"no {kind}: " + str(error).removeprefix(f"{log.label}: ") + draft) from None
     if not np.any(np.isfinite(channel.values)):
         raise NoMeasurement(f"{kind} channel {name!r} holds no value")
     return channel

@@ -46,10 +46,9 @@ _WIDENED = 2.0
 _ABSORBED = 1.6
 _FIT_TAKES_SHARE = 0.25
 """A fault of this share of the log or earlier may become part of a servo that is fitted to it, and is not meant."""
-_BENDS = {"bias_deg": 2.5, "loss_share": 1.25, "deadband_deg": 0.85, "oscillation_deg": 0.85}
-"""How much larger these faults have to be where they bend the very servo that is fitted, and widen what is drafted: so
-that 9 in 10 are found, and fewer than 6 in 10 of half the size (75 flights of even seed 1100 to 1248 of
-`benchmarks/detectable.py`)."""
+_BENDS = {"bias_deg": 2.5, "loss_share": 1.25, "oscillation_deg": 0.85}
+"""How much larger these faults have to be where they bend the very servo that is fitted, and widen what is drafted, so
+that 9 in 10 are found (75 flights of even seed 1100 to 1248 of `benchmarks/detectable.py`)."""
 _STILL_FITTED = 1.0
 """An offset or oscillation of more, beside the standard deviation of the motion, may leave no servo to be fitted."""
 _WIDEST_DEG = 20.0
@@ -146,9 +145,7 @@ def detectable(
     reach_deg = min(float(np.ptp(residuals.simulated_deg[use])), _WIDEST_DEG)
     found["slow_share"] = None if own_fit else _bisected(lambda speed: shows(slowed, speed), _LEAST_SPEED, 1.0)
     width_deg = _bisected(lambda width: shows(loose, width), reach_deg, 0.0) if reach_deg > 0.0 else None
-    if width_deg is not None:
-        width_deg *= bends.get("deadband_deg", 1.0)
-    found["deadband_deg"] = width_deg if width_deg is not None and width_deg <= reach_deg else None
+    found["deadband_deg"] = width_deg
     return Detectable(**{name: None if size is None else _rounded(size) for name, size in found.items()})
 
 
