@@ -28,7 +28,7 @@ _LARGEST_DEG = 1e6
 SURROUNDINGS: Final[Mapping[str, Mapping[str, float]]] = {
     "airspeed_m_s": dict.fromkeys(
         (
-            *("airspeed_m_s", "ARSP[0].Airspeed", "ARSP.Airspeed", "VFR_HUD.airspeed"),
+            *("airspeed_m_s", "ARSP[0].Airspeed", "ARSP.Airspeed", "CTUN.As", "VFR_HUD.airspeed"),
             *("airspeed_validated[0].calibrated_airspeed_m_s", "airspeed_validated[0].equivalent_airspeed_m_s"),
         ),
         1.0,

@@ -29,8 +29,8 @@ class Surroundings:
     Examples
     --------
     >>> around = Surroundings({"airspeed_m_s"})
-    >>> around.channels
-    ['airspeed_m_s', 'ARSP.Airspeed', 'VFR_HUD.airspeed']
+    >>> around.channels[:3]
+    ['airspeed_m_s', 'ARSP[0].Airspeed', 'ARSP.Airspeed']
     >>> around.add("VFR_HUD.airspeed", 1.0, 17.0), around.add("VFR_HUD.airspeed", 1.01, 17.1)
     (True, False)
     >>> around.context().airspeed_m_s

@@ -40,7 +40,10 @@ def test_the_good_part_calibrates_and_the_whole_shows_both_jams(config: Path, tm
     (result,) = servofd.audit(LOG, load_aircraft(target))
     verdicts = {verdict.surface: verdict for verdict in result.surfaces}
     assert {name for name, verdict in verdicts.items() if verdict.status == "fault"} == JAMMED
-    assert all(v.status == "healthy" for name, v in verdicts.items() if name not in JAMMED)
+    good = {name: v for name, v in verdicts.items() if name not in JAMMED}
+    assert good["elevator_2"].status == "healthy"
+    # A minute at one airspeed does not tell the load of the air from lost travel where a surface hardly moved.
+    assert all(v.status == "healthy" or v.reason.startswith("too little motion") for v in good.values())
     aileron, elevator = verdicts["aileron_1"].faults[0], verdicts["elevator_10"].faults[0]
     assert (aileron.kind, elevator.kind) == ("stuck", "stuck")
     assert aileron.alarm_s == pytest.approx(93.7, abs=0.5)
