@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from servofd.core.types import FloatArray
-from servofd.servo.loop_steps import compiled, inlined
+from servofd.servo.loop_steps import compiled, inlined, inner
 from servofd.servo.physics import Physics
 
 _KEPT, _FADE = 8, 5
@@ -66,7 +66,7 @@ def _climb(link: FloatArray, played: float, speed: float) -> float:
     return float(link[_GAIN] * steep * speed) if free else 0.0
 
 
-@compiled
+@inner
 def _exactly(link: FloatArray, at: int, h: float) -> None:
     """What a step leaves of a sensor's lag, and cosine and sine of a tip's free swing."""
     if link[_LAG_S] > 0.0:
@@ -163,7 +163,7 @@ def _too_fast(slower: float, bent: float, turned: float) -> float:
     return min(2.0 * slower / (bent + math.sqrt(root)), 2.0)
 
 
-@compiled
+@inner
 def _limited(followed: float, shaft: tuple[float, float, float, float], up: float, down: float) -> float:
     """Where an output is after a step of the shaft that it may be unable to follow, from the instant on that it is.
 

@@ -19,6 +19,7 @@ _NO_LOSS = 1e-6
 """Of the torque [1/s]: below, a step keeps all of it; servos of lower order have none at all."""
 _FAST = {"contract", "nsz", "arcp"}
 compiled = partial(compiler.compiled, error_model="numpy", fastmath=_FAST, _nrt=False)
+inner = partial(compiled, no_cpython_wrapper=True)
 inlined = partial(compiler.compiled, error_model="numpy", fastmath=_FAST, _nrt=False, forceinline=True)
 """No reference counting inside: nothing here allocates, and it would take half of the time (measured). LLVM puts these
 into the loop around them: numba's own inlining made it no faster, and took 5 s more to compile."""
@@ -62,7 +63,7 @@ def step_matrices(rate: FloatArray, grid_s: float, count: int) -> FloatArray:
     return steps
 
 
-@compiled
+@inner
 def _derive(series: FloatArray, rate: FloatArray, h: float) -> None:
     """States after `h`: their derivatives over factorials."""
     for n in range(1, _TERMS):
@@ -80,7 +81,7 @@ def _derive(series: FloatArray, rate: FloatArray, h: float) -> None:
                 series[n, at + 4] += 0.5 * rate[i, 3]
 
 
-@compiled
+@inner
 def _wind_up(series: FloatArray, rate: FloatArray, h: float) -> None:
     """Last column: the torque after `h` without motion, and its derivatives over factorials."""
     q, stiffness = max(-rate[2, 2], _NO_LOSS), rate[2, 5]

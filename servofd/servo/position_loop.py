@@ -19,7 +19,7 @@ import numpy as np
 from logparsers import compiled as compiler
 from servofd.core.types import FloatArray
 from servofd.servo.linkage import LINKAGE, begin_linkage, carried, deflected, rest_linkage
-from servofd.servo.loop_steps import ROW, build, coasted, column, compiled, row, sine
+from servofd.servo.loop_steps import ROW, build, coasted, column, compiled, inner, row, sine
 from servofd.servo.physics import Loop, Physics
 
 _NO_STEP_S = 1e-10
@@ -132,7 +132,7 @@ def _run(
         _run_from(physics, loop, dc_gain, longest_s, inputs, memories[k], table, notes, results[k])
 
 
-@compiled
+@inner
 def _run_from(
     physics: Physics,
     loop: Loop,
@@ -172,7 +172,7 @@ def _run_from(
             result[n] = step_deg * math.floor(result[n] / step_deg + 0.5)
 
 
-@compiled
+@inner
 def _turned(  # noqa: C901, PLR0912, PLR0915 - one function, because calls would take most of its time
     physics: Physics,
     loop: Loop,

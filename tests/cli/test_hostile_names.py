@@ -31,7 +31,7 @@ def flight(path: Path, surface: str) -> str:
 
 def lively(path: Path, surface: str, seed: int) -> str:
     """Motion from which a servo can be identified."""
-    rng, time_s = np.random.default_rng(seed), np.arange(2500) / 50
+    rng, time_s = np.random.default_rng(seed), np.arange(1250) / 50
     walk = np.cumsum(rng.normal(size=time_s.size))
     command = np.clip(1.5 * (walk - np.convolve(walk, np.full(100, 0.01), "same")), -18.0, 18.0)
     command = np.convolve(command, np.full(5, 0.2), "same")

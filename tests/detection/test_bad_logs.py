@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -66,6 +67,7 @@ def test_a_log_without_motion_tells_nothing_and_says_so() -> None:
         assert "command stays within 0 deg" in verdict.reason
 
 
+@pytest.mark.slow
 def test_one_surface_alone_is_judged_as_among_others() -> None:
     frame = table(SEED, "aerobatics")
     alone = judged(frame[["time_s", "elevator_cmd_deg", "elevator_pos_deg"]])
@@ -74,6 +76,7 @@ def test_one_surface_alone_is_judged_as_among_others() -> None:
     assert (alone["elevator"].status, alone["elevator"].reason) == (among.status, among.reason)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "told"),
     [
@@ -95,12 +98,17 @@ def test_what_was_so_from_the_beginning_is_told_and_no_fault_of_all_servos(
 FORMS = ("csv", "bin", pytest.param("tlog", marks=pytest.mark.nightly))
 
 
+@cache
+def _minute(rate_hz: float | None) -> Flight:
+    return fly(stranger(SEED, position_hz=rate_hz), 1, "aerobatics", duration_s=60.0)
+
+
 def in_form(form: str, folder: Path, change: Callable[[Flight], Flight], rate_hz: float | None = None) -> list[Any]:
     """Verdicts on a healthy minute, changed, in a form of its own, without any aircraft file."""
-    flight = fly(stranger(SEED, position_hz=rate_hz), 1, "aerobatics", duration_s=60.0)
-    return list(servofd.audit(change(flight).write(folder / f"flight.{form}"))[0].surfaces)
+    return list(servofd.audit(change(_minute(rate_hz)).write(folder / f"flight.{form}"))[0].surfaces)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize(
     ("change", "told"),

@@ -88,6 +88,7 @@ def by_its_link(by_its_card: Aircraft) -> Aircraft:
     return plane.model_copy(update={"surfaces": {"rudder": heard.model_copy(update=channels)}})
 
 
+@pytest.mark.slow
 def test_times_of_another_path_are_no_fault(by_its_card: Aircraft, by_its_link: Aircraft) -> None:
     flight = link(flown(2))
     blamed, known = (servofd.audit(flight, plane)[0].surfaces[0] for plane in (by_its_card, by_its_link))

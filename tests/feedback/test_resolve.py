@@ -88,6 +88,7 @@ def test_an_output_is_enough(tmp_path: Path) -> None:
     assert streamed(plane).surfaces["rudder"].command.channel == "SERVO_OUTPUT_RAW.servo4_raw"
 
 
+@pytest.mark.slow
 def test_a_file_drafted_from_the_log_of_an_autopilot_watches_its_link(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

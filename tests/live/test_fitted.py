@@ -2,40 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import json
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from strangers import Failure, fly, stranger
 
-import logparsers
 import servofd
-from logparsers.codec import Codec
-from servofd.aircraft.resolve import resolved
 from servofd.aircraft.schema import load_aircraft
 from servofd.cli import main
-from servofd.live.run import Pace, replay_log
 from servofd.live.session import Session
 from servofd.outputs.recording.read import read_recording
 from servofd.outputs.recording.review import rejudged
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    from servofd.detection.events import Event
-
-
-class Noted:
-    """Keeps what it is told."""
-
-    def __init__(self) -> None:
-        self.told: list[Event] = []
-
-    def events(self, events: list[Event], now_s: float) -> None:
-        assert now_s >= 0.0
-        self.told += events
-
-    def tick(self, now_s: float) -> None:
-        assert now_s >= 0.0
 
 
 @pytest.fixture(scope="module")
@@ -64,25 +45,29 @@ def test_it_accuses_of_what_contradicts_any_servo(
     file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], failure: Failure | None, kinds: list[str]
 ) -> None:
     """A jam of more than a minute stays one alarm; what is smaller is not told, and not cleared in the end."""
-    flight = tmp_path / "flight.csv"
+    flight, recording = tmp_path / "flight.csv", tmp_path / "flight.rrd"
     fly(stranger(5), 2, "aerobatics", duration_s=100.0, failure=failure).write(flight)
-    aircraft = load_aircraft(file)
-    (audited,) = servofd.audit(flight, aircraft)
-    log, noted = logparsers.read(flight), Noted()
-    session = Session(Codec(0, 191), {0: resolved(log, aircraft)}, is_stream=False)
-    now_s = replay_log(session, log, noted, Pace(0.0), float("inf"))
-    told = noted.told + session.finish(now_s)
-    assert [event.kind for event in told if event.event == "alarm"] == kinds
-    found = {monitor.name: monitor for _, monitor in session.watched}
+    (audited,) = servofd.audit(flight, load_aircraft(file))
+    sessions: list[Session] = []
+
+    def kept(*arguments: Any, **options: Any) -> Session:
+        sessions.append(Session(*arguments, **options))
+        return sessions[-1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("servofd.live.session.Session", kept)
+        words = ["-c", str(file), "--speed", "0", "--json-lines", "-", "--no-alert", "--rrd", str(recording)]
+        code = main(["monitor", str(flight), *words])
+    said = capsys.readouterr()
+    told = [json.loads(line) for line in said.out.splitlines() if line.startswith("{")]
+    assert [event["kind"] for event in told if event["event"] == "alarm"] == kinds
+    assert ("not cleared" in said.err) == (code == 2)
+    found = {monitor.name: monitor for _, monitor in sessions[0].watched}
     for surface in audited.surfaces:
         monitor = found[surface.surface]
         assert [(f.kind, f.start_s) for f in monitor.faults] == [(f.kind, f.start_s) for f in surface.faults]
         assert bool(monitor.suspicions) == bool(surface.suspicions)
-    recording = tmp_path / "flight.rrd"
-    words = ["-c", str(file), "--speed", "0", "--json-lines", "-", "--no-alert", "--rrd", str(recording)]
-    code = main(["monitor", str(flight), *words])
     assert code == main(["audit", str(flight), "-c", str(file)]) == main(["review", str(recording)])
     assert [
         [(f.kind, f.start_s, f.alarm_s) for f in s.faults] for s in rejudged(read_recording(recording)).audit.surfaces
     ] == [[(f.kind, f.start_s, f.alarm_s) for f in s.faults] for s in audited.surfaces]
-    assert ("not cleared" in capsys.readouterr().err) == (code == 2)

@@ -101,6 +101,7 @@ def test_compare_tells_what_changed_and_where(stuck: Path, tmp_path: Path, capsy
     }
 
 
+@pytest.mark.slow
 def test_compare_refuses_another_flight(stuck: Path, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     capsys.readouterr()
     assert main(["review", str(stuck), "--compare", str(folder / "faser_healthy_flight.rrd")]) == 2

@@ -42,8 +42,12 @@ def test_positions_held_between_updates_are_judged_once(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "more", "size"),
-    [(",load_g", ",heavy", 8.0), (",load_g,servo_current_a", ",200,0.5", 8.0), ("", "", 80.0)],
-    ids=["words", "constant", "units of 100"],
+    [
+        (",load_g,servo_current_a", ",200,0.5", 8.0),
+        pytest.param(",load_g", ",heavy", 8.0, marks=pytest.mark.nightly),
+        pytest.param("", "", 80.0, marks=pytest.mark.nightly),
+    ],
+    ids=["constant", "words", "units of 100"],
 )
 def test_columns_that_say_nothing_change_nothing(tmp_path: Path, words: str, more: str, size: float) -> None:
     found = explain(written(tmp_path / "log.csv", words=words, more=more, size=size)).explanation
