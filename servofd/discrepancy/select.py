@@ -67,11 +67,9 @@ _COLOURLESS = 0.6
 """Share of the samples that count in full where the noise has no colour to speak of."""
 _DECLARED_AT_REST = 0.99
 """The same where only rests are judged, which tell play, dead band and friction apart by their noise alone."""
-_DECLARED, _NEGLIGIBLE = 0.95, 1e-3
+_DECLARED = 0.95
 """Share of the probability that the declared names of one log hold: most logs leave no doubt, so that over all logs
 they hold 99.5 % (251 logs of even seeds, where 8.0 first names should be wrong and 10 are)."""
-_WORSE = 9.0
-"""Times the mean square of a run, and of the noise, that an effect must not leave."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -286,11 +284,11 @@ def _without(search: Search, fit: Fit, k: int) -> Fit:
     return found if known is None or found.misfit < known.misfit else known
 
 
-def _best_of_size(search: Search, size: int, *, harmless: bool = False) -> list[Fit]:
+def _best_of_size(search: Search, size: int) -> list[Fit]:
     """The best fit of each set of names of a size, best first."""
     best: dict[tuple[str, ...], Fit] = {}
     for fit in search.visited.values():
-        if len(fit.effects) == size and search.is_physical(fit) and not (harmless and _harms(search, fit)):
+        if len(fit.effects) == size and search.is_physical(fit):
             key = tuple(sorted(fit.names))
             if key not in best or _cost(search, fit) < _cost(search, best[key]):
                 best[key] = fit
@@ -302,15 +300,6 @@ def _beyond_bounds(search: Search, size: int) -> list[Fit]:
     most_deg2 = _MOST_LEFT * search.visited[((), INSIDE)].run_deg2.sum()
     there = [fit for fit in search.visited.values() if len(fit.effects) == size and fit.run_deg2.sum() < most_deg2]
     return sorted(there, key=lambda fit: _cost(search, fit))[:_BEAM]
-
-
-def _harms(search: Search, fit: Fit) -> bool:
-    """Whether a run is clearly worse with effects than without any."""
-    if fit.run_deg2.size < 2:
-        return False
-    floor = search.fitter._least * 25.0
-    without = search.visited[((), INSIDE)].run_deg2
-    return bool(np.any((fit.run_deg2 > _WORSE * without) & (fit.run_deg2 > _WORSE * floor)))
 
 
 def _cost(search: Search, fit: Fit) -> float:
@@ -367,7 +356,7 @@ def _chosen(search: Search) -> Fit:
     """The best structure of as many names as are needed."""
     best = search.visited[((), INSIDE)]
     for size in range(1, _MOST_ON_BENCH + 1):
-        longer = _best_of_size(search, size, harmless=True)
+        longer = _best_of_size(search, size)
         if _needed(search, best, longer):
             best = longer[0]
     return best
@@ -412,7 +401,7 @@ def _better_linear(search: Search, best: Fit) -> Fit | None:
         return root
     start = fitter.linear().physics
     fits = [fitter.descended(effects, start, LONG) for effects in ((Bias,), (Gain,), (Bias, Gain))]
-    found = [root, *(fit for fit in fits if search.is_physical(fit) and not _harms(search, fit))]
+    found = [root, *(fit for fit in fits if search.is_physical(fit))]
     halves = [fitter.halved(fit) for fit in found]
     least = min(half.held_out for half in halves)
     k = next(k for k, half in enumerate(halves) if _NO_WORSE * half.held_out <= least)
@@ -467,7 +456,7 @@ def _shares(search: Search, best: Fit, nominal: Fit) -> tuple[list[Fit], float]:
     tempered = 1.0 + max(_tolerance(search, best), _tolerance(search, best, nominal)) / OCCAM
     tempered += _MODEL_SHARE * _beyond_noise(search, best) * search.fitter.effective
     for fit in search.visited.values():
-        if len(fit.effects) != size or not search.is_physical(fit) or _harms(search, fit):
+        if len(fit.effects) != size or not search.is_physical(fit):
             continue
         if _siblings_in(fit) > _siblings_in(best):
             continue
@@ -488,7 +477,7 @@ def _shares(search: Search, best: Fit, nominal: Fit) -> tuple[list[Fit], float]:
         return -round(float(np.log(max(weight[key] / most, 1e-300))), 1), late
 
     for key in sorted(weight, key=rank):
-        if names and (reached >= declared * total or weight[key] < _NEGLIGIBLE * total):
+        if reached >= declared * total:
             break
         names.append(first[key])
         reached += weight[key]
