@@ -84,7 +84,6 @@ CONSTANTS = (
         "model", "error of a model, of its misfit", ((select, "_MODEL_SHARE"),), (0.01, select._MODEL_SHARE, 0.04), True
     ),
     Constant("left", "what effects may leave", ((select, "_MOST_LEFT"),), (0.35, select._MOST_LEFT, 0.7), True),
-    Constant("colour", "effective samples of colour", ((select, "_COLOURLESS"),), (0.4, select._COLOURLESS, 0.8)),
     Constant("memory", "memory of the noise at rest", ((adequacy, "_MEMORY"),), (1.3, adequacy._MEMORY, 2.0)),
     Constant(
         "widths", "how servos of a type differ", ((fit, "_OWN"),), (_widths(0.67), fit._OWN, _widths(1.5)), False, True

@@ -72,7 +72,7 @@ second as chosen without the source; the error on data not fitted is over that o
 | held-out misfit of an effect (2, 4, 8) | simulated servos | nothing |
 | how rare effects are (half, as it is, twice) | simulated servos, bench | nothing |
 | gain of an unknown servo (0.02, 0.03, 0.05), error of a model (0.01, 0.02, 0.04), what effects may leave (0.35, 0.5, 0.7) | bench | nothing |
-| samples that count before a colour is looked for (0.4, 0.6, 0.8), memory at rest (1.3, 1.6, 2) | simulated servos | nothing |
+| memory at rest (1.3, 1.6, 2) | simulated servos | nothing |
 | widths of what servos of a type differ by (0.67, 1, 1.5) | a guess at what servos of a type differ by (poles 3 %), which the simulators share | 0.08 names fewer for each with the smaller ones, on one log of 12 |
 
 The samples are small, and constants were varied one at a time: that says that no source hangs on a value, not that the values are

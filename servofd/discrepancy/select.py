@@ -63,8 +63,6 @@ sample: errors that differ by 5 % tell no names apart."""
 _FAR_WORSE, _OF_STEP = 0.75, 0.02
 """Share of what a slow servo leaves beyond the noise that tells a limit of the speed from it by shape, if it is that
 share of a step too: real servos differ from a linear one by as much."""
-_COLOURLESS = 0.6
-"""Share of the samples that count in full where the noise has no colour to speak of."""
 _DECLARED_AT_REST = 0.99
 """The same where only rests are judged, which tell play, dead band and friction apart by their noise alone."""
 _DECLARED = 0.95
@@ -435,7 +433,7 @@ def _recoloured(search: Search, best: Fit) -> None:
     """All that comes into question, judged by the colour of the noise where the best leaves nothing else."""
     fitter = search.fitter
     whole = fitter.judged(best.effects, best.physics)
-    if fitter.effective > _COLOURLESS * fitter._count.sum() or adequacy(fitter.record, whole).reasons:
+    if adequacy(fitter.record, whole).reasons:
         return
     near = [fit for fit in search.visited.values() if _cost(search, fit) < _cost(search, best) + OCCAM]
     if not fitter.recolour(best):
