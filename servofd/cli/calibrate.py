@@ -146,14 +146,17 @@ def _print(calibration: Calibration, options: argparse.Namespace) -> None:
             print(f"{one.surface}: note: {note}")
     for name, reason in calibration.kept.items():
         print(f"{name}: not calibrated: {reason}")
-    print(_rate(calibration.false_alarms_per_hour, len(calibration.surfaces), options.false_alarms_per_hour))
+    print(_rate(calibration, options.false_alarms_per_hour))
     print(f"wrote {options.output}")
 
 
-def _rate(per_hour: float, surfaces: int, wanted: float | None) -> str:
+def _rate(calibration: Calibration, wanted: float | None) -> str:
     """False alarms to expect; a lower rate than was measured is not promised."""
-    of = "this surface" if surfaces == 1 else f"these {surfaces} surfaces"
+    per_hour, surfaces = calibration.false_alarms_per_hour, calibration.surfaces
+    of = "this surface" if len(surfaces) == 1 else f"these {len(surfaces)} surfaces"
     text = f"false alarms to expect: about {per_hour:.2g} an hour of {of}, as measured on simulated aircraft"
+    if not any(one.known.airspeed_m_s for one in surfaces):
+        text += "; more in flight, for these logs tell no airspeed"
     refused = wanted is not None and wanted < per_hour
     return f"{text}; {wanted:g} cannot be promised" if refused else text
 

@@ -96,6 +96,8 @@ def audit_calibrated(
             status, reason = "no_data", "telemetry froze and never came back; before that, " + reason
     if known.airspeed_m_s and not segment.context.airspeed_s.size:
         reason += f"; no airspeed in this log: taken to be about {known.airspeed_m_s:.0f} m/s, as in the good flights"
+    if not known.airspeed_m_s and segment.context.airspeed_s.size:
+        reason += "; its good flights told no airspeed: calibrate it on logs that do, for fewer false alarms"
     return verdict(
         status=status,
         reason=reason,
