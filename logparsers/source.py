@@ -216,7 +216,7 @@ def _open(path: Path) -> BinaryIO:
     except FileNotFoundError as error:
         if _ADDRESS.match(str(path)):
             raise MissingLog(
-                f"{path}: is an address, which only audit and trend read; copy the log to a file"
+                f"{path}: is an address, which only `servofd audit` and `servofd trend` read; copy the log to a file"
             ) from error
         raise MissingLog(f"{path}: no such file; give the path of a flight log") from error
     except PermissionError as error:

@@ -309,6 +309,14 @@ def _readable(log: str | Path | pd.DataFrame) -> Any:  # noqa: ANN401 - whatever
     return content
 
 
+def _each(logs: Any) -> list[Any]:  # noqa: ANN401 - what is no log is refused here
+    """One log or several, as `_readable` gives them; none is an error."""
+    each = list(logs) if isinstance(logs, list | tuple) else [logs]
+    if not each:
+        raise NoMeasurement("no log was named; give at least one")
+    return [_readable(log) for log in each]
+
+
 class Identified(Identification, Shown):
     """A servo, how sure its numbers are, and the evidence."""
 
@@ -351,7 +359,7 @@ class Identified(Identification, Shown):
 
 
 def identify(
-    tests: str | Path | Sequence[str | Path] | Segment | Sequence[Sequence[Segment]],
+    tests: str | Path | pd.DataFrame | Sequence[str | Path | pd.DataFrame] | Segment | Sequence[Sequence[Segment]],
     aircraft: Aircraft | None = None,
     *,
     surface: str | None = None,
@@ -362,7 +370,7 @@ def identify(
 
     Parameters
     ----------
-    tests : str, Path, Segment, or sequence of them
+    tests : str, Path, DataFrame, Segment, or sequence of them
         Logs of bench tests, or what was asked of a servo and what it did.
     aircraft : Aircraft, optional
         Which channels they are, of logs that do not say.
@@ -384,15 +392,12 @@ def identify(
     >>> found.servo.linear.order
     3
     """
-    if isinstance(tests, str | Path):
-        return identify([tests], aircraft, surface=surface, method=method, order=order)
     if isinstance(tests, Segment):
         return Identified._of(identify_records(tests, method=method, order=order))
-    paths = [one for one in tests if isinstance(one, str | Path)]
-    if paths:
-        return Identified._of(bench.identify_logs(paths, aircraft, surface=surface, method=method, order=order))
-    records = [one for one in tests if not isinstance(one, str | Path)]
-    return Identified._of(identify_records(records, method=method, order=order))
+    each: list[Any] = list(tests) if isinstance(tests, list | tuple) else [tests]
+    if each and all(isinstance(one, list | tuple) for one in each):
+        return Identified._of(identify_records(each, method=method, order=order))
+    return Identified._of(bench.identify_logs(_each(each), aircraft, surface=surface, method=method, order=order))
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -469,7 +474,7 @@ class Explained(Shown):
 
 
 def explain(
-    logs: str | Path | Sequence[str | Path],
+    logs: str | Path | pd.DataFrame | Sequence[str | Path | pd.DataFrame],
     aircraft: str | Path | Aircraft | None = None,
     *,
     surface: str | None = None,
@@ -485,8 +490,7 @@ def explain(
     >>> found.steps["effect"].tolist()
     ['as it was', 'backlash']
     """
-    paths = [logs] if isinstance(logs, str | Path) else logs
-    found = explain_logs(paths, aircraft, surfaces=(surface,) if surface else (), servo=servo, alone=True)
+    found = explain_logs(_each(logs), aircraft, surfaces=(surface,) if surface else (), servo=servo, alone=True)
     if found.failures:
         raise NoMeasurement(found.failures[0])
     return Explained(found.explanations[0], found.aircraft, found.source, found.logs)
@@ -581,9 +585,8 @@ def calibrate(
     >>> "[surfaces.elevator" in found.to_toml()
     True
     """
-    each: list[Any] = list(logs) if isinstance(logs, list | tuple) else [logs]
     found = workflow.calibrate(
-        [_readable(log) for log in each],
+        _each(logs),
         aircraft,
         surfaces=surfaces,
         spans=spans,
@@ -616,6 +619,17 @@ class Trend(AircraftTrend, Shown):
         from servofd.outputs.trend_page import trend_page
 
         return trend_page(self._document())
+
+    def plot(self, surface: str | None = None) -> Figure:
+        """Figure of one surface over its flights; of the first that has an alarm, or of the first, if none is named."""
+        needs("matplotlib")
+        from servofd.outputs.trend_page import trend_picture
+
+        known = {one.surface: one for one in self.surfaces}
+        name = surface or next((one.surface for one in self.surfaces if one.alarms), next(iter(known)))
+        if name not in known:
+            raise UnknownName(suggest("surface", name, known))
+        return trend_picture(name, self._document()["surfaces"][name]).figure
 
     def _document(self) -> dict[str, Any]:
         from servofd.wear.document import trend_document

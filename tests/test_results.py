@@ -12,6 +12,7 @@ import pytest
 
 import servofd
 from logparsers import LogError
+from servofd.core.errors import NoMeasurement, UnknownName
 
 ROOT = Path(__file__).parent.parent
 STUCK = ROOT / "sample_logs" / "faser_stuck_flight.mat"
@@ -108,3 +109,20 @@ def test_a_table_is_called_what_it_is() -> None:
     assert repr(servofd.audit(table, surfaces=("aileron",))).splitlines()[0].endswith("(DataFrame, table, 40.0 s)")
     with pytest.raises(LogError, match=r"^DataFrame: "):
         servofd.audit(table[["elevator_cmd_deg"]])
+
+
+def test_a_table_is_a_log_for_every_verb_of_one_flight() -> None:
+    log = ROOT / "sample_logs" / "hidden" / "hidden_07.csv"
+    explained = servofd.explain(pd.read_csv(log), surface="elevator")
+    assert explained.answer == servofd.explain(log, surface="elevator").answer
+    with pytest.raises(TypeError, match="a log is a path or a DataFrame, and not of type int"):
+        servofd.identify([3])  # type: ignore[arg-type]
+    with pytest.raises(NoMeasurement, match="no log was named"):
+        servofd.calibrate([])
+
+
+def test_a_trend_draws_one_surface() -> None:
+    seen = servofd.trend(ROOT / "sample_logs" / "faser_healthy_flight.mat", "faser", surfaces=("rudder",), workers=0)
+    assert len(seen.plot().axes) == len(seen.to_pandas())
+    with pytest.raises(UnknownName, match="unknown surface 'flap'"):
+        seen.plot("flap")

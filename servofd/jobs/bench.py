@@ -100,7 +100,7 @@ def identify_logs(
     True
     """
     tests = [bench_tests(path, aircraft, surface) for path in paths]
-    labels = [str(path) for path in paths]
+    labels = [label_of(path) for path in paths]
     sources = tuple(dict.fromkeys(test.source for one in tests for test in one))
     segments = [[test.segment for test in one] for one in tests]
     result = identify(segments, method=method, order=order, labels=labels, progress=progress)
@@ -114,7 +114,12 @@ def identify_logs(
     return replace(result, notes=(*sources, scale, *result.notes))
 
 
-def bench_aircraft(path: str | Path) -> Aircraft | None:
+def label_of(log: object) -> str:
+    """Path of a log; of an open one its name."""
+    return str(log if isinstance(log, str | Path) else getattr(log, "name", "log"))
+
+
+def bench_aircraft(path: object) -> Aircraft | None:
     """What a plain bench record is: columns ``run``, ``t_s``, ``cmd`` and ``meas`` [deg]; None for any other file.
 
     Examples
@@ -122,6 +127,8 @@ def bench_aircraft(path: str | Path) -> Aircraft | None:
     >>> bench_aircraft("sample_logs/faser_healthy_chirp.mat") is None
     True
     """
+    if not isinstance(path, str | Path):
+        return None
     try:
         first = beginning(Path(path), _LONGEST_HEADER).split(b"\n", 1)[0]
     except OSError:

@@ -19,7 +19,7 @@ from servofd.discrepancy.held import without_held
 from servofd.discrepancy.own import OwnEffect, load_own_effect
 from servofd.discrepancy.validity import Undriven, without_torque
 from servofd.discrepancy.varying import varying
-from servofd.jobs.bench import bench_aircraft
+from servofd.jobs.bench import bench_aircraft, label_of
 from servofd.jobs.job import known_aircraft, logs_of, surfaces_of
 from servofd.servo.library import Servo
 from servofd.servo.physics import scaled_transfer
@@ -170,7 +170,7 @@ def _opened(paths: Sequence[str | Path], aircraft: str | Path | Aircraft | None,
     flown = surfaces_of(logs[0], known)
     if servo is not None and servo != UNKNOWN:
         flown = flown.with_servo(servo)
-    return _Flown(logs, flown, known is not None, servo, ", ".join(map(str, paths)))
+    return _Flown(logs, flown, known is not None, servo, ", ".join(map(label_of, paths)))
 
 
 def _explained(

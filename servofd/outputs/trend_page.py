@@ -201,11 +201,11 @@ def _surface(name: str, surface: dict[str, Any], flights: Sequence[dict[str, Any
         "events": [event["reason"] for event in surface["events"]],
         "notes": surface["notes"],
         "missing": [(QUANTITIES[what].title, why) for what, why in surface["missing"].items()],
-        "pictures": [_picture(name, surface)] if len(flights) > 1 and quantities else [],
+        "pictures": [trend_picture(name, surface)] if len(flights) > 1 and quantities else [],
     }
 
 
-def _picture(name: str, surface: dict[str, Any]) -> Picture:
+def trend_picture(name: str, surface: dict[str, Any]) -> Picture:
     """All quantities over the flights, one below the other."""
     from matplotlib.ticker import MaxNLocator
 

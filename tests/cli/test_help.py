@@ -85,7 +85,7 @@ def test_bash_completes(
     ("words", "hint"),
     [
         (["compare", "a.rrd", "b.rrd"], "servofd review A.rrd --compare B.rrd"),
-        (["info", "s3://bucket/flight.bin"], "is an address, which only audit and trend read"),
+        (["info", "s3://bucket/flight.bin"], "is an address, which only `servofd audit` and `servofd trend` read"),
     ],
 )
 def test_what_another_verb_does_is_said_in_one_line(
