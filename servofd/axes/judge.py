@@ -147,8 +147,8 @@ def _followed(axis: AxisModel, inputs: Inputs, rate_hz: float) -> tuple[FloatArr
     flight, now, states, begin = inputs, inputs, [inputs], 0
     while begin < size:
         back = standing[-1].end if standing else size
-        rest, beyond = _since(axis, now, begin, rate_hz)
-        news[begin:] = beyond[begin:]
+        rest = replace(now, usable=inputs.usable & (np.arange(size) >= begin)) if begin else now
+        news[begin:back] = _beyond(axis, now, begin, back, rate_hz)
         if not standing:
             score[begin:] = news[begin:]
         above = np.flatnonzero(news[begin:back] > axis.suspect)
@@ -158,8 +158,8 @@ def _followed(axis: AxisModel, inputs: Inputs, rate_hz: float) -> tuple[FloatArr
         alarm = begin + int(above[0])
         past = _own_past(axis, rest, alarm, begin, rate_hz)
         start = _onset(axis, rest, alarm, begin, rate_hz, past)
-        others = ((one, _since(axis, one, start, rate_hz)[1]) for one in states if one is not now)
-        again = next((one for one, away in others if away[: alarm + 1].max() <= axis.suspect), None)
+        others = ((one, _beyond(axis, one, start, alarm + 1, rate_hz)) for one in states if one is not now)
+        again = next((one for one, away in others if away.max() <= axis.suspect), None)
         if again is not None:
             begin, now = start, again
             continue
@@ -193,10 +193,10 @@ def _followed(axis: AxisModel, inputs: Inputs, rate_hz: float) -> tuple[FloatArr
     return score, news, changes
 
 
-def _since(axis: AxisModel, state: Inputs, first: int, rate_hz: float) -> tuple[Inputs, FloatArray]:
-    """What is known of an axis from a sample on, and its statistic."""
-    seen = replace(state, usable=state.usable & (np.arange(state.usable.size) >= first))
-    return seen, statistic(axis, seen, windows_of(axis, seen, rate_hz), rate_hz)
+def _beyond(axis: AxisModel, state: Inputs, first: int, last: int, rate_hz: float) -> FloatArray:
+    """Statistic of a part of the flight, of which nothing else is known."""
+    part = state if first == 0 and last == state.usable.size else state.part(first, last)
+    return statistic(axis, part, windows_of(axis, part, rate_hz), rate_hz)
 
 
 def _became(axis: AxisModel, flight: Inputs, start: int, learned: int) -> Inputs:

@@ -79,6 +79,13 @@ class Inputs:
     variance: float = 0.0
     """Of the residual in calibration; 0 takes the calibrated noise for every window as it is."""
 
+    def part(self, first: int, last: int) -> Inputs:
+        """From a sample to another, without what came before."""
+        cut = slice(first, last)
+        return Inputs(
+            self.residual[cut], self.loss[cut], self.offset[cut], self.usable[cut], self.lag[cut], self.variance
+        )
+
     @cached_property
     def sums(self) -> _Sums:
         """Cumulative products."""
