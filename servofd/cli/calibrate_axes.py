@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from servofd.aircraft.axes import MotionModel
 
 _PER_HOUR = 1.0
-_BY_DAYS = "1 day: 17, 2: 6, 3: 1.5 times as many as after four"
+_BY_DAYS = {1: "17", 2: "6", 3: "1.5"}
 
 
 def has_feedback(paths: list[str]) -> bool:
@@ -80,11 +80,12 @@ def _print(model: MotionModel, output: str) -> None:
         "fault",
         "false/h",
     ]
-    title = (
-        f"{model.flights} flights, {model.hours:.2f} h, {model.days} {'day' if model.days == 1 else 'days'}; "
-        "explained: on days not seen; ±: between healthy windows; levels: multiples of the largest seen"
+    days = "1 day" if model.days == 1 else f"{model.days} days"
+    print_table(headings, rows, f"{model.flights} flights, {model.hours:.2f} h, {days}")
+    print(
+        "explained: share of the command's effect, on days that the model had not seen; ±: how far healthy windows "
+        "stray; suspect, fault: from which multiple of the largest value in these flights on"
     )
-    print_table(headings, rows, title)
     low, high = model.regime.airspeed_low_m_s, model.regime.airspeed_high_m_s
     print(f"judged between {low:.0f} and {high:.0f} m/s, with at least {model.regime.throttle_low:.0%} throttle")
     for name in SURFACE_AXES:
@@ -93,6 +94,13 @@ def _print(model: MotionModel, output: str) -> None:
     for name, axis in model.axes.items():
         if not axis.own_command:
             print(f"{name}: its command never moved on its own: fly a wiggle of it alone to have it judged")
-    if model.days < len(_BY_DAYS.split(",")) + 1:
-        print(f"thresholds allow for few days ({_BY_DAYS}): more days make them lower")
-    print(f"wrote {output}")
+    if model.days in _BY_DAYS:
+        print(
+            f"flights of {days} tell little of other days: thresholds allow for {_BY_DAYS[model.days]} times the false "
+            "alarms of four days, and fall with each day more"
+        )
+    if model.days == model.flights > 1:
+        print(
+            "each flight counts as a day of its own; several of one day are told by the date in a log, or in its name"
+        )
+    print(f"wrote {output}; next: servofd FLIGHT -c {output}")
