@@ -74,7 +74,8 @@ def estimate_log(source: LogSource, aircraft: Aircraft, surfaces: tuple[str, ...
 
 def _of_run(log: FlightLog, path: str, aircraft: Aircraft, surfaces: tuple[str, ...]) -> FlownLog:
     flights, problems = [], []
-    aircraft = surfaces_of(log, aircraft)
+    if aircraft.surfaces:
+        aircraft = surfaces_of(log, aircraft)
     for name in surfaces or aircraft.surfaces:
         entry = aircraft.surfaces[name]
         if entry.measured is None:
