@@ -80,7 +80,7 @@ def test_faulty_flights_are_refused_and_their_good_part_is_not(
     error = capsys.readouterr().err
     # Named for certain or not: the jam is among what it may be, and its time is told.
     told = re.search(
-        r"rudder: not a good flight: jammed.csv: (.*) since ([0-9.]+) s (.*?);.* leave that part out", error
+        r"rudder: not a good flight: jammed.csv: (.*) since ([0-9.]+) s(.*?);.* leave that part out", error
     )
     assert told is not None
     assert "stuck" in told[0]
