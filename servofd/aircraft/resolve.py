@@ -137,7 +137,8 @@ def _of_table(log: FlightLog, name: str, surface: Surface) -> Surface:
         DegreeCalibration(channel=channel, unit="deg", correction=known.correction if known else (1.0, 0.0))
         for channel, known in zip(plain_channels(name), (surface.command, surface.measured), strict=True)
     )
-    if _is_there(log, surface) or not {command.channel, measured.channel} <= set(log.channels):
+    own = {known.channel for known in (surface.command, surface.measured) if known}
+    if own & set(log.channels) or not {command.channel, measured.channel} <= set(log.channels):
         return surface
     return _changed(surface, {"command": command, "measured": measured, "alive": ()})
 

@@ -9,6 +9,7 @@ probability of a name is the sum over its places and forms.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,6 +27,7 @@ from servofd.servo.catalogue import (
     RateLimit,
     SlowDynamics,
     TiltedLoad,
+    installed,
 )
 from servofd.servo.laws import VARIED, by_condition, is_law, plain
 from servofd.servo.physics import INSIDE
@@ -128,6 +130,7 @@ def concluded(search: Search) -> Selection:
     """What a search comes to."""
     fitter = search.fitter
     record = fitter.record
+    _grown_again(search)
     best = _chosen(search)
     fitter.remember(best)
     search.look_again()
@@ -160,6 +163,21 @@ def concluded(search: Search) -> Selection:
         found,
         sets,
     )
+
+
+def _grown_again(search: Search) -> None:
+    """What is better than the best but no servo, for an effect shrank to nothing, from usual sizes of its effects.
+
+    Two numbers may have slid along together: a limit of the speed, and friction that nearly stops a motor.
+    """
+    fit = min(search.visited.values(), key=partial(_cost, search))
+    if search.is_physical(fit):
+        return
+    grids = [p.grid for effect in fit.effects for p in effect.parameters]
+    middle = [grid[len(grid) // 2] for grid in grids]
+    for size in grids[0]:
+        start = installed(fit.physics, fit.effects, [size, *middle[1:]])
+        search.keep(search.fitter.descended(fit.effects, start))
 
 
 def _widened(search: Search, root: Fit) -> None:
@@ -454,7 +472,7 @@ def _shares(search: Search, best: Fit, nominal: Fit) -> tuple[list[Fit], float]:
     tempered = 1.0 + max(_tolerance(search, best), _tolerance(search, best, nominal)) / OCCAM
     tempered += _MODEL_SHARE * _beyond_noise(search, best) * search.fitter.effective
     for fit in search.visited.values():
-        if len(fit.effects) != size or not search.is_physical(fit):
+        if fit is not best and (len(fit.effects) != size or not search.is_physical(fit)):
             continue
         if _siblings_in(fit) > _siblings_in(best):
             continue

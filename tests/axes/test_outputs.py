@@ -45,7 +45,7 @@ def test_an_axis_that_is_surely_a_little_weak_is_not_said_to_answer_as_ever() ->
     as_ever = replace(healthy, lost_share=Estimate(0.0, -width / 2.0, width / 2.0))
     weak = replace(healthy, lost_share=Estimate(0.1, 0.03, 0.17))
     assert axes_sentence([as_ever]) == "Roll answered as on healthy days."
-    size = "10 % weaker (3 to 17 %), as one healthy flight in 40 seems to be: look at the next ones."
+    size = "10% weaker (3 to 17%), as one healthy flight in 40 seems to be: look at the next ones."
     assert axes_sentence([weak]) == f"Roll is probably {size}"
     both = axes_sentence([as_ever, replace(weak, axis="pitch")])
     assert both == f"Roll answered as on healthy days. Pitch is probably {size}"

@@ -290,7 +290,7 @@ class Parameters:
     Examples
     --------
     >>> answered = Parameters({"SERVO2_MIN": 1000.0}).read("SERVO2_MIN", -1)[0].fields
-    >>> answered["param_value"], answered["param_type"], answered["param_count"], answered["param_index"]
+    >>> answered["param_value"], int(answered["param_type"]), answered["param_count"], answered["param_index"]
     (1000.0, 4, 1, 0)
     """
 
