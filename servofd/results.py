@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -528,21 +529,32 @@ class Calibrated(Calibration, Shown):
         """The table as a page."""
         from servofd.outputs.page import page
 
-        rows = [list(row.values()) for row in self._rows()]
+        rows = [["none" if value is None else value for value in row.values()] for row in self._rows()]
         return page(
             "table.html",
             status=self.status,
             sentence=self.sentence,
             facts=self._facts(),
-            caption="Surfaces",
+            caption="Surfaces; a smallest fault is one that 19 of 20 such flights show",
             head=[spoken(name) for name in next(iter(self._rows()), {"surface": ""})],
             rows=rows,
         )
+
+    def plot(self) -> Figure:
+        """Figure of the smallest faults that flights like these show."""
+        needs("matplotlib")
+        from servofd.outputs.calibrate_figure import calibrate_figure
+
+        return calibrate_figure(self)
 
     def _rows(self) -> list[dict[str, Any]]:
         return [
             {
                 "surface": one.surface,
+                "delay_ms": round(1e3 * one.estimates["delay_s"].value, 1),
+                "bandwidth_rad_s": round(math.exp(one.estimates["ln_bandwidth"].value), 1),
+                "held_out_rms_deg": round(one.held_out_rms_deg, 3),
+                **{f"smallest_{name}": size for name, size in one.detectable.document().items()},
                 "flights": ", ".join(record.label for record in one.flights),
                 "notes": "; ".join(one.notes),
             }

@@ -24,6 +24,7 @@ ONLY_IN = {
         ),
     },
     "matplotlib": {
+        "servofd/outputs/calibrate_figure.py",
         "servofd/outputs/figure.py",
         "servofd/outputs/explain_figures.py",
         "servofd/outputs/identify_figures.py",

@@ -63,7 +63,7 @@ def test_what_simulate_writes_audit_reads(
     command: str, suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / f"flown.{suffix}"
-    assert main(["simulate", "-o", str(path), "--command", command, "--duration", "75"]) == 0
+    assert main(["simulate", "-o", str(path), "--command", command, "--duration", "60"]) == 0
     capsys.readouterr()
     code, document = audited([str(path)], capsys)
     # A chirp ends in motion so small that a jam in its second half would not show.
@@ -134,7 +134,7 @@ def test_a_surface_without_data_keeps_the_log_from_being_called_healthy(
 @pytest.mark.slow
 def test_damage_is_recorded_and_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "gap.csv"
-    main(["simulate", "-o", str(path), "--duration", "90"])
+    main(["simulate", "-o", str(path)])
     lines = path.read_text().splitlines(keepends=True)
     path.write_text("".join(lines[:2000] + lines[2300:-1]) + lines[-1][:12])
     capsys.readouterr()
