@@ -7,15 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import logparsers
-from servofd.aircraft.schema import UNKNOWN_SERVO, Aircraft, load_aircraft, plain_aircraft
+from servofd.aircraft.schema import UNKNOWN_SERVO, Aircraft, load_aircraft, plain_aircraft, plain_channels
 from servofd.core.errors import ConfigError, NoMeasurement
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from logparsers import FlightLog, LogFile
-
-_COMMAND_SUFFIX, _POSITION_SUFFIX = "_cmd_deg", "_pos_deg"
 
 
 def known_aircraft(aircraft: Aircraft | str | Path | None) -> Aircraft | None:
@@ -139,10 +137,7 @@ def surfaces_of(log: FlightLog, known: Aircraft | None = None) -> Aircraft:
 
         return draft_aircraft(log).aircraft()
     names = dict.fromkeys(
-        name.removesuffix(suffix)
-        for name in log.channels
-        for suffix in (_COMMAND_SUFFIX, _POSITION_SUFFIX)
-        if name.endswith(suffix)
+        name.removesuffix(suffix) for name in log.channels for suffix in plain_channels("") if name.endswith(suffix)
     )
     if not names:
         raise NoMeasurement(
