@@ -162,6 +162,18 @@ def test_rooms_stand_on_those_that_are_named_before_them() -> None:
     assert back == set()
 
 
+def test_the_house_has_at_most_ten_floors() -> None:
+    rooms: dict[str, set[str]] = {}
+    for name, used in arrows().items():
+        rooms.setdefault(room_of(name), set()).update({room_of(one) for one in used} - {room_of(name)})
+
+    @functools.cache
+    def floor(room: str) -> int:
+        return 1 + max((floor(under) for under in rooms.get(room, ())), default=0)
+
+    assert floor("cli") <= 10
+
+
 def room_of(module: str) -> str:
     package, _, rest = module.partition(".")
     return package if package == "logparsers" else rest.partition(".")[0]

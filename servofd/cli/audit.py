@@ -134,7 +134,7 @@ def check(options: argparse.Namespace) -> None:
 def judged(options: argparse.Namespace) -> list[LogAudit | FailedLog]:
     """Every run of every log that was named."""
     from servofd.batch.find import flights_joined
-    from servofd.jobs.job import known_aircraft, layout_of
+    from servofd.feedback.flown import known_aircraft, layout_of
 
     aircraft = known_aircraft(options.config)
     logs = options.logs if layout_of(aircraft) else flights_joined(options.logs)

@@ -47,8 +47,8 @@ def run_fleet(options: argparse.Namespace) -> int:
     from servofd.cli.tables import one_line
     from servofd.cli.targets import give_json
     from servofd.core.errors import ConfigError
+    from servofd.feedback.flown import known_aircraft, layout_of
     from servofd.fleet.store import FleetStore
-    from servofd.jobs.job import known_aircraft, layout_of
 
     if options.rrd:
         raise ConfigError(f"{options.rrd}: --rrd takes one log; judge the one you want to see by itself")

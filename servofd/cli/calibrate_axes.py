@@ -17,7 +17,7 @@ _BY_DAYS = {1: "17", 2: "6", 3: "1.5"}
 def has_feedback(paths: list[str]) -> bool:
     """Whether any of the logs tells where a surface was."""
     from servofd.core.errors import NoMeasurement
-    from servofd.jobs.job import logs_of, surfaces_of
+    from servofd.feedback.flown import logs_of, surfaces_of
 
     for log in logs_of(paths):
         try:

@@ -22,8 +22,8 @@ def run(options: argparse.Namespace) -> int:
     """Print the draft."""
     from servofd.core.errors import NoMeasurement
     from servofd.feedback.draft import draft_aircraft
+    from servofd.feedback.flown import flown_aircraft, one_log
     from servofd.feedback.toml import draft_to_toml, fitted_to_toml
-    from servofd.jobs.job import flown_aircraft, one_log
 
     # Of what was booted more than once, the longest flight tells most.
     log = max(one_log(options.log).by_boots(), key=lambda flight: flight.duration_s)

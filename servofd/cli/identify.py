@@ -47,8 +47,8 @@ def run(options: argparse.Namespace) -> int:
     """Identify, then write all outputs, then print."""
     from servofd.cli.tables import progress_bar
     from servofd.cli.targets import check_targets, give_json
+    from servofd.feedback.flown import known_aircraft
     from servofd.jobs.bench import identify_logs
-    from servofd.jobs.job import known_aircraft
 
     outputs = (options.json, options.save, options.html, options.rrd)
     check_targets(outputs, {"a log": options.logs, "the aircraft file": [options.config]}, folder=options.output)

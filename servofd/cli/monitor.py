@@ -138,7 +138,7 @@ def _replay(options: argparse.Namespace, aircraft: Mapping[int, Aircraft]) -> Se
     from logparsers.codec import Codec
     from servofd.aircraft.resolve import resolved
     from servofd.cli.monitor_outputs import Outputs
-    from servofd.jobs.job import one_log
+    from servofd.feedback.flown import one_log
     from servofd.live.run import Pace, replay_log, replay_telemetry
     from servofd.live.session import Session
     from servofd.live.speaker import Speaker

@@ -32,7 +32,7 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
 def run(options: argparse.Namespace) -> int:
     """Check, then write or print."""
     from servofd.cli.targets import give_json
-    from servofd.jobs.job import flown_aircraft, known_aircraft, one_log
+    from servofd.feedback.flown import flown_aircraft, known_aircraft, one_log
     from servofd.jobs.sweep import check_sweep
 
     known = known_aircraft(options.config)

@@ -1,1 +1,1 @@
-"""Servo feedback in the logs of autopilots: which output each position belongs to, and what it means."""
+"""Which aircraft flew a log: the outputs that its positions belong to, what they mean, and servos fitted to them."""

@@ -10,8 +10,8 @@ from servofd.batch.cluster import run_on_cluster
 from servofd.batch.find import find_logs
 from servofd.batch.key import Job
 from servofd.batch.local import run_local
+from servofd.feedback.flown import known_aircraft, layout_of
 from servofd.fleet.judge import failed, judge_log
-from servofd.jobs.job import known_aircraft, layout_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -13,8 +13,8 @@ from servofd.aircraft.schema import load_aircraft
 from servofd.aircraft.segment import Segment, cut
 from servofd.core.errors import ConfigError, NoMeasurement
 from servofd.core.files import beginning
+from servofd.feedback.flown import logs_of, surfaces_of
 from servofd.identification.identify import Method, identify
-from servofd.jobs.job import logs_of, surfaces_of
 
 if TYPE_CHECKING:
     from logparsers import FlightLog

@@ -19,8 +19,8 @@ from servofd.discrepancy.held import without_held
 from servofd.discrepancy.own import OwnEffect, load_own_effect
 from servofd.discrepancy.validity import Undriven, without_torque
 from servofd.discrepancy.varying import varying
+from servofd.feedback.flown import known_aircraft, logs_of, surfaces_of
 from servofd.jobs.bench import bench_aircraft, label_of
-from servofd.jobs.job import known_aircraft, logs_of, surfaces_of
 from servofd.servo.library import Servo
 from servofd.servo.physics import scaled_transfer
 

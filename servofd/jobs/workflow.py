@@ -10,7 +10,7 @@ from servofd.aircraft.schema import load_aircraft
 from servofd.aircraft.segment import cut
 from servofd.core.errors import NoMeasurement, UnknownName, suggest
 from servofd.detection.audit import audit_log
-from servofd.jobs.job import aircraft_for, flown_aircraft, known_aircraft, logs_of, surfaces_of
+from servofd.feedback.flown import aircraft_for, flown_aircraft, known_aircraft, logs_of, surfaces_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

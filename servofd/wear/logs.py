@@ -14,7 +14,7 @@ from servofd.aircraft.segment import cut
 from servofd.batch.fetch import fetched
 from servofd.core.errors import ConfigError, NoMeasurement, ServofdError
 from servofd.estimate.statistics import Estimate
-from servofd.jobs.job import logs_of, surfaces_of
+from servofd.feedback.flown import logs_of, surfaces_of
 from servofd.wear.estimate import estimate_flight
 from servofd.wear.records import FlightEstimate
 

@@ -15,7 +15,7 @@ from servofd.batch.cluster import run_on_cluster
 from servofd.batch.find import find_logs
 from servofd.batch.local import run_local
 from servofd.core.errors import NoMeasurement
-from servofd.jobs.job import layout_of
+from servofd.feedback.flown import layout_of
 from servofd.wear.follow import SurfaceTrend, Wear, follow
 from servofd.wear.logs import FlownLog, Order, check_one_aircraft, estimate_log, in_order
 
