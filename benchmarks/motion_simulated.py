@@ -27,7 +27,7 @@ from servofd.simulation.airframe_log import airframe_parameters
 if TYPE_CHECKING:
     from servofd.aircraft.axes import MotionModel
     from servofd.axes.motion import Motion
-    from servofd.detection.axis_verdict import AxisEvent
+    from servofd.detection.verdict import AxisEvent
 
 ONSET_S, WITHIN_S = 60.0, 30.0
 DEG_PER_US = 0.05

@@ -27,7 +27,7 @@ from servofd.axes.mixers import airframe_of
 
 if TYPE_CHECKING:
     from servofd.axes.motion import Motion
-    from servofd.detection.axis_verdict import AxisAudit, AxisEvent
+    from servofd.detection.verdict import AxisAudit, AxisEvent
 
 AXES = {"aileron": "roll", "elevator": "pitch", "rudder": "side"}
 DEG_PER_US = 0.2

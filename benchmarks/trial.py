@@ -17,7 +17,7 @@ from servofd.detection.residual import ResidualGenerator, Residuals, commands_at
 
 if TYPE_CHECKING:
     from servofd.core.types import FloatArray
-    from servofd.detection.bank.flight import Fault
+    from servofd.detection.bank.window import Fault
 
 __all__ = ["CONSTANT_DEG", "MOVING_DEG_S", "Case", "Found", "Judged", "Trial", "judged", "trial"]
 

@@ -516,7 +516,7 @@ class Calibrated(Calibration, Shown):
 
     def to_toml(self) -> str:
         """The aircraft file, with its comments."""
-        from servofd.calibrating.toml import calibration_to_toml
+        from servofd.calibrating.result import calibration_to_toml
 
         return calibration_to_toml(self)
 

@@ -13,7 +13,7 @@ from servofd.axes.forms import FORMS
 from servofd.axes.model import covered, distances, flown_of, inputs_of, smallest_of, statistic, windows_of
 from servofd.axes.words import left_out, reason_of
 from servofd.core.errors import NoMeasurement
-from servofd.detection.axis_verdict import AxisAudit, AxisEvent, AxisStatus, Detectable
+from servofd.detection.verdict import AxisAudit, AxisDetectable, AxisEvent, AxisStatus
 from servofd.estimate.axis_windows import Expected, lags, nothing_known, sliding
 from servofd.estimate.statistics import Z_95, Estimate
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from servofd.aircraft.axes import AxisModel, MotionModel
     from servofd.axes.motion import Motion
     from servofd.core.types import BoolArray, FloatArray
-    from servofd.detection.bank.flight import Fault
+    from servofd.detection.bank.window import Fault
     from servofd.detection.verdict import SurfaceAudit
     from servofd.estimate.axis_windows import Inputs
 
@@ -498,7 +498,7 @@ def _verdict(
     members = _members(name, axis, motion)
     first_s = min((event.alarm_s for event in events), default=math.inf)  # what came later stood against an alarm
     shows = [_in_most(least[flown & (motion.time_s < first_s)]) for least in draft.shows]
-    detectable = Detectable(shows[0] if shows[0] <= 1.0 else math.inf, shows[1])
+    detectable = AxisDetectable(shows[0] if shows[0] <= 1.0 else math.inf, shows[1])
     outside = {reason: float((~good & flown).sum()) / seconds for reason, good in inside.items() if flown.any()}
     reason = reason_of(
         name, model, members, events, identifiable, outside, lost, status=status, worst=worst, shows=detectable

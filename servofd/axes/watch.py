@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from servofd.aircraft.axes import MotionModel
-    from servofd.detection.axis_verdict import AxisAudit, AxisEvent
+    from servofd.detection.verdict import AxisAudit, AxisEvent
 
 STREAMED = {
     "SERVO_OUTPUT_RAW": tuple(f"servo{number}_raw" for number in range(1, 17)),

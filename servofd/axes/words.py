@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from servofd.aircraft.axes import AxisModel, MotionModel
-    from servofd.detection.axis_verdict import AxisEvent, AxisStatus, Detectable
+    from servofd.detection.verdict import AxisDetectable, AxisEvent, AxisStatus
     from servofd.estimate.statistics import Estimate
 
 _SURFACES = {"roll": "ailerons", "pitch": "elevator", "side": "rudder", "thrust": "engine"}
@@ -49,13 +49,13 @@ def named(members: Sequence[str], axis: str) -> str:
     return " or ".join(member.replace("_", " ") for member in members)
 
 
-def shown(smallest: Detectable) -> str:
+def shown(smallest: AxisDetectable) -> str:
     """Smallest faults that most of a flight would have told; empty if none.
 
     Examples
     --------
-    >>> from servofd.detection.axis_verdict import Detectable
-    >>> shown(Detectable(0.31, 44.2)), shown(Detectable(math.inf, 44.2))
+    >>> from servofd.detection.verdict import AxisDetectable
+    >>> shown(AxisDetectable(0.31, 44.2)), shown(AxisDetectable(math.inf, 44.2))
     ('a loss of 31% of its effect, or 44 us away', '44 us away')
     """
     loss = [f"a loss of {smallest.loss:.0%} of its effect"] if math.isfinite(smallest.loss) else []
@@ -84,7 +84,7 @@ def reason_of(
     *,
     status: AxisStatus,
     worst: AxisEvent | None,
-    shows: Detectable,
+    shows: AxisDetectable,
 ) -> str:
     """One sentence for the verdict on an axis.
 
@@ -96,7 +96,7 @@ def reason_of(
         Lost share of the whole flight.
     worst : AxisEvent or None
         The event that the verdict rests on.
-    shows : Detectable
+    shows : AxisDetectable
         What would have been told.
     """
     axis = model.axes[name]

@@ -1,25 +1,238 @@
-"""From known-good flights to a calibrated aircraft."""
+"""From known-good flights to a calibrated aircraft: effects of each surface, and how well they predict unseen data."""
 
 from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
+from servofd.aircraft.calibrated import CalibratedServo
+from servofd.aircraft.priors import NAMES, PRIORS
 from servofd.aircraft.schema import Aircraft
-from servofd.calibrating.refusals import hardly_moved
-from servofd.calibrating.result import Calibration
-from servofd.calibrating.surface import calibrate_surface
+from servofd.calibrating.known import (
+    SPOKEN,
+    foreseen,
+    hardly_moved,
+    known_servo,
+    refuse_broken,
+    refuse_mixed,
+    refuse_unlike,
+    thresholds_above,
+)
+from servofd.calibrating.result import CalibratedSurface, Calibration, FlightRecord
 from servofd.core.errors import CalibrationError
 from servofd.core.evidence import ModelOrigin
-from servofd.detection.cleared import is_blind
+from servofd.core.tolerance import Tolerance
+from servofd.detection.audit import USUAL_GAINS
+from servofd.detection.changes import detectable, watched
+from servofd.detection.evidence import is_blind
+from servofd.estimate.family import PRESSURE_PA
+from servofd.estimate.fit import fit, worse_without
+from servofd.estimate.record import Record, fastest_m_s, usual_airspeed_m_s, usual_supply_v
+from servofd.estimate.statistics import Estimate
+from servofd.servo.context import AIR_KG_M3
+from servofd.servo.library import Servo
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from servofd.aircraft.schema import Surface
     from servofd.calibrating.flights import Flight
-    from servofd.calibrating.result import CalibratedSurface
+    from servofd.core.evidence import Detectable
+    from servofd.core.types import FloatArray
+    from servofd.estimate.fit import Fit
+
+_PAYS: Final = 1.01
+_FAST_M_S: Final = 25.0
+
+_WORTH_FLYING: Final = 0.1
+_SLOWER_THAN_FLIGHT_M_S: Final = 8.0
+_VAGUE: Final = 4.0
+"""A parameter is vague if its variance is so many times the usual one between flights."""
+
+_RESTING: Final = {"friction_deg": "friction", "deadband_deg": "dead band", "play_deg": "play"}
+_WIDTHS: Final = {"friction_deg": 0.5, "deadband_deg": 1.0, "play_deg": 1.0}
+"""Friction holds the surface on both sides."""
+_NOTHING: Final = 1e-3
+_FLYING: Final = 0.1
+_LEAST_SHOWN_DEG: Final = 0.02
+
+
+def calibrate_surface(flights: Sequence[Flight], aircraft: Aircraft) -> CalibratedSurface:
+    """Fit the servo of one surface, what it may differ by between flights, and its thresholds."""
+    name = flights[0].segment.surface
+    surface = aircraft.surfaces[name]
+    if surface.measured is None:
+        raise CalibrationError(f"{name}: the aircraft file names no measured channel for it")
+    supply_v = float(np.median([usual_supply_v(flight.segment.context) for flight in flights]))
+    airspeed_m_s = usual_airspeed_m_s([flight.segment.context for flight in flights])
+    records = [Record.of(flight.segment, supply_v, airspeed_m_s) for flight in flights]
+    first = fit(records)
+    gain, offset_deg = first.theta[0], first.theta[1]
+    refuse_unlike(name, first, records, flights, (supply_v, airspeed_m_s))
+    measured = surface.measured.corrected(1.0 / gain, -offset_deg / gain)
+    scale, shift_deg = float(f"{measured.correction[0]:.6g}"), round(measured.correction[1], 4)
+    measured = measured.model_copy(update={"correction": (scale, shift_deg)})
+    refuse_mixed(name, first, records, flights)
+    scaled = [flight.with_scale(gain, offset_deg) for flight in flights]
+    records = [Record.of(flight.segment, supply_v, airspeed_m_s) for flight in scaled]
+    fitted = fit(records, start=_scaled(first.theta))
+    fastest = fastest_m_s([flight.segment.context for flight in flights])
+    known = known_servo(fitted, records, supply_v, airspeed_m_s, fastest_m_s=fastest)
+    refuse_broken(name, known, records, scaled)
+    known = known.model_copy(update={"thresholds": thresholds_above(known, fitted, records)})
+    sizes = detectable([watched(known, record) for record in records])
+    servo = _linear(fitted.theta, flights)
+    estimates = {key: _estimate(fitted, first, place) for place, key in enumerate(NAMES)}
+    return CalibratedSurface(
+        name,
+        known,
+        estimates,
+        _effects(fitted, records, estimates),
+        measured,
+        servo,
+        _tolerance(known),
+        _constant_deg(fitted),
+        fitted.held_out_rms_deg,
+        fitted.explained_share,
+        tuple(FlightRecord(flight.label, flight.segment.duration_s) for flight in flights),
+        sizes,
+        _sharper(known, fitted, records, sizes),
+        _notes(gain, known),
+    )
+
+
+def _scaled(theta: FloatArray) -> FloatArray:
+    """The same servo with a reading in degrees of the command."""
+    gain = theta[0]
+    out = theta.copy()
+    out[0], out[1] = 1.0, 0.0
+    out[5] -= np.log(gain)
+    for place in (6, 7, 8, 10, 11, 12):
+        out[place] /= gain
+    return out
+
+
+def _estimate(fitted: Fit, first: Fit, place: int) -> Estimate:
+    """What the flights say of a parameter; the first fit knows what other servos would have done as well."""
+    value, deviation = fitted.estimates[place].tolist()
+    return Estimate.of(value, max(deviation, float(first.estimates[place, 1])))
+
+
+def _effects(fitted: Fit, records: Sequence[Record], estimates: Mapping[str, Estimate]) -> tuple[str, ...]:
+    """Effects without which what was left out is predicted worse."""
+    flown = float(np.median(np.concatenate([record.load for record in records]))) > _FLYING
+
+    def gained(together: tuple[str, ...]) -> float:
+        if max(abs(float(fitted.theta[NAMES.index(each)])) for each in together) < _NOTHING:
+            return 0.0
+        return worse_without(fitted, records, together)
+
+    def resting(key: str) -> str:
+        return f"{_RESTING[key]} {_shown(estimates[key], least=flown and key == 'play_deg')}"
+
+    found = {resting(key): gained((key,)) for key in _RESTING}
+    if max(found.values()) < _PAYS:  # they may stand for each other
+        widest = max(_RESTING, key=lambda key: estimates[key].value / _WIDTHS[key])
+        others = " or ".join(name for key, name in _RESTING.items() if key != widest)
+        found = {f"{resting(widest)}, which may be {others}": gained(tuple(_RESTING))}
+    reach = max(abs(fitted.reach_deg[0]), abs(fitted.reach_deg[1]))
+    pressure = 0.5 * AIR_KG_M3 * _FAST_M_S**2 / PRESSURE_PA
+    gives = pressure * (abs(estimates["hinge"].value) * reach + abs(estimates["hinge_deg"].value))
+    found[f"gives way {gives:.2g} deg at {reach:.0f} deg and {_FAST_M_S:g} m/s"] = gained(("hinge", "hinge_deg"))
+    bend = max(abs(estimates[each].value) for each in ("bend2_deg", "bend3_deg"))
+    found[f"reading bent by {bend:.2g} deg"] = gained(("bend2_deg", "bend3_deg"))
+    return tuple(text for text, ratio in sorted(found.items(), key=lambda each: -each[1]) if ratio >= _PAYS)
+
+
+def _shown(estimate: Estimate, *, least: bool) -> str:
+    """Size with its interval; play that the air pushes to one side may be wider than it shows."""
+    value, low, high = (max(each, 0.0) for each in estimate)
+    if least:
+        return f"of at least {low:.2g} deg" if low >= _LEAST_SHOWN_DEG else f"of {value:.2g} deg or more"
+    return f"{value:.2g} deg [{low:.2g}, {high:.2g}]"
+
+
+def _linear(theta: FloatArray, flights: Sequence[Flight]) -> Servo:
+    """The servo without its effects."""
+    from servofd.servo.transfer import TransferFunction
+
+    natural, damping = float(np.exp(theta[3])), float(np.exp(theta[4]))
+    transfer = TransferFunction((natural**2,), (1.0, 2.0 * damping * natural, natural**2))
+    logs = ", ".join(f"{flight.label} ({flight.segment.duration_s:.0f} s)" for flight in flights)
+    return Servo.model_validate(
+        {
+            "title": "calibrated servo",
+            "bandwidth_hz": float(f"{transfer.bandwidth_rad_s / (2.0 * np.pi):.6g}"),
+            "damping": float(f"{damping:.6g}"),
+            "delay_s": round(float(theta[2]), 6),
+            "hold": "zoh",
+            "rate_limit_deg_s": float(f"{np.exp(theta[5]):.6g}"),
+            "source": f"fitted to {logs}",
+        }
+    )
+
+
+def _tolerance(known: CalibratedServo) -> Tolerance:
+    """Three standard deviations between flights, and the effects that a linear servo lacks."""
+    deviation = dict(zip(NAMES, 3.0 * np.sqrt(np.diag(known.covariance)), strict=True))
+    lacking = sum(known.parameters[key] for key in ("deadband_deg", "friction_deg", "play_deg")) / 2.0
+
+    def rounded(value: float, most: float = 0.9) -> float:
+        return float(f"{min(value, most):.3g}")
+
+    return Tolerance(
+        gain=rounded(deviation["gain"] + abs(known.parameters["hinge"])),
+        delay_s=rounded(deviation["delay_s"]),
+        bandwidth=rounded(deviation["ln_bandwidth"] + deviation["ln_damping"]),
+        rate=rounded(deviation["ln_rate"] + 0.1),
+        bias_deg=rounded(deviation["bias_deg"] + lacking + abs(known.parameters["hinge_deg"]), 900.0),
+        noise_deg=rounded(known.noise.still_deg, 900.0),
+    )
+
+
+def _constant_deg(fitted: Fit) -> float:
+    largest = max(float(np.nanmax(np.abs(part))) for part in fitted.held_out_deg)
+    return float(f"{max(1.5 * largest, 0.05):.2g}")
+
+
+def _sharper(known: CalibratedServo, fitted: Fit, records: Sequence[Record], now: Detectable) -> str:
+    """What three more flights for each of these would show, if good flights differ by as little as they may."""
+    surer = foreseen(known, fitted)
+    then = detectable([watched(surer, record) for record in records])
+    told = [
+        f"{words.format(after)} ({'none' if before is None else format(before, form)} now)"
+        for words, form, before, after in (
+            ("an offset of {:.2g} deg", ".2g", now.bias_deg, then.bias_deg),
+            ("a servo that keeps {:.0%} of its speed", ".0%", now.slow_share, then.slow_share),
+            ("the loss of {:.0%} of its travel", ".0%", now.loss_share, then.loss_share),
+            ("play of {:.2g} deg", ".2g", now.deadband_deg, then.deadband_deg),
+            ("an oscillation of {:.2g} deg", ".2g", now.oscillation_deg, then.oscillation_deg),
+        )
+        if after is not None and (before is None or abs(after - before) > _WORTH_FLYING * before)
+    ]
+    more = 3 * len(records)
+    text = f"{more} more flights like {'this one' if more == 3 else 'these'} would show "
+    text += f"{', '.join(told)} at best" if told else "hardly less"
+    ratio = np.diag(known.covariance) / np.array([prior.between for prior in PRIORS]) ** 2
+    unsure = [SPOKEN[key] for key, value in zip(NAMES, ratio.tolist(), strict=True) if value > _VAGUE]
+    return f"{text}; livelier ones would tell {', '.join(dict.fromkeys(unsure))} better" if unsure else text
+
+
+def _notes(gain: float, known: CalibratedServo) -> tuple[str, ...]:
+    notes = []
+    if not USUAL_GAINS[0] <= gain <= USUAL_GAINS[1]:
+        notes.append(f"the position moves by {gain:.2f} times the command: check the scale in the aircraft file")
+    if 0.0 < known.fastest_m_s < _SLOWER_THAN_FLIGHT_M_S:
+        notes.append(
+            f"these flights stayed below {known.fastest_m_s:.0f} m/s: what is flown at more than "
+            f"{known.last_judged_m_s:.0f} m/s is not judged"
+        )
+    if known.noise.period_s > 0.06:
+        notes.append(f"positions at {1.0 / known.noise.period_s:.0f} Hz: slow servos show less")
+    return tuple(notes)
 
 
 def calibrate_aircraft(

@@ -1,11 +1,13 @@
-"""What a calibration found, and the aircraft that follows from it."""
+"""What a calibration found, the aircraft that follows from it, and that as a commented TOML file."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from servofd.aircraft.priors import PRIORS
 from servofd.core.evidence import NOTHING_DETECTABLE, Detectable
+from servofd.core.toml_text import toml_key, toml_lines, toml_value
 from servofd.detection.calibrated import FALSE_ALARMS_PER_HOUR
 
 if TYPE_CHECKING:
@@ -75,3 +77,62 @@ class Calibration:
         return len(self.surfaces) * FALSE_ALARMS_PER_HOUR
 
     """Wanted, of all surfaces together."""
+
+
+def calibration_to_toml(calibration: Calibration) -> str:
+    """Text of an aircraft file that `servofd audit -c` accepts, with intervals and provenance as comments."""
+    aircraft = calibration.aircraft
+    logs = {record.label: None for one in calibration.surfaces for record in one.flights}
+    lines = [
+        f"# Calibrated by `servofd calibrate` from {', '.join(logs)}: flights taken to be good.",
+        "# Numbers in square brackets behind a # are 95% intervals.",
+        "",
+        f"name = {toml_value(aircraft.name)}",
+    ]
+    if aircraft.table is not None:
+        lines += ["", "[table]", *toml_lines(aircraft.table.model_dump(exclude_defaults=True))]
+    found = {one.surface: one for one in calibration.surfaces}
+    for name in aircraft.surfaces:
+        lines += ["", *_surface(calibration, name, found.get(name))]
+    for name, servo in aircraft.servos.items():
+        lines += ["", *[f"[servos.{toml_key(name)}]", *toml_lines(servo.model_dump(exclude_defaults=True))]]
+    return "\n".join(lines) + "\n"
+
+
+def _surface(calibration: Calibration, name: str, one: CalibratedSurface | None) -> list[str]:
+    entry = calibration.aircraft.surfaces[name].model_dump(exclude_defaults=True)
+    entry = {"servo": calibration.aircraft.surfaces[name].servo, **entry}
+    known = entry.pop("calibrated", None)
+    lines = [f"[surfaces.{toml_key(name)}]"]
+    if one is None:
+        lines += [f"# not calibrated: {calibration.kept.get(name, 'not asked for')}", *toml_lines(entry)]
+    else:
+        lines += [f"# {effect}" for effect in one.effects]
+        lines += [f"# note: {note}" for note in (*one.notes, one.sharper) if note]
+        comments = {
+            "measured": "position in degrees of the command",
+            "threshold_deg": "for `--threshold constant`",
+            "tolerance": "of the linear servo alone: for the script on board, and for limits of wear",
+        }
+        entry.setdefault("threshold_deg", one.threshold_deg)
+        lines += toml_lines(entry, comments)
+    return lines if known is None else [*lines, *_calibrated(name, known, one)]
+
+
+def _calibrated(name: str, known: dict[str, Any], one: CalibratedSurface | None) -> list[str]:
+    """The fitted servo and its tests."""
+    heading = f"surfaces.{toml_key(name)}.calibrated"
+    parameters, thresholds = known.pop("parameters"), known.pop("thresholds", {})
+    between, noise = known.pop("between"), known.pop("noise")
+    lines = ["", f"[{heading}]", *toml_lines(known), "between = [  # covariance between good flights, lower triangle"]
+    lines += [f"    {toml_value(row)}," for row in between]
+    lines += ["]", "", f"[{heading}.parameters]"]
+    comments = {prior.name: prior.unit for prior in PRIORS}
+    if one is not None:
+        found = {name: one.estimates[name] for name in comments}
+        comments = {name: f"[{e[1]:.4g}, {e[2]:.4g}] {comments[name]}".rstrip() for name, e in found.items()}
+    lines += toml_lines({prior.name: parameters[prior.name] for prior in PRIORS}, comments)
+    lines += ["", f"[{heading}.noise]", *toml_lines(noise)]
+    if thresholds:
+        lines += ["", f"[{heading}.thresholds]", *toml_lines(thresholds)]
+    return lines

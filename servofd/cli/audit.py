@@ -89,7 +89,7 @@ def _plot(results: list[LogAudit | FailedLog]) -> None:
     import numpy as np
 
     from servofd.cli.tables import one_line
-    from servofd.detection.statistics import outline
+    from servofd.detection.verdict import outline
     from servofd.outputs.json_report import FailedLog
     from servofd.outputs.sparkline import sparkline
 

@@ -83,7 +83,7 @@ def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
 def run(options: argparse.Namespace) -> int:
     """Calibrate, write, then print."""
     from servofd.aircraft.schema import load_aircraft
-    from servofd.calibrating.toml import calibration_to_toml
+    from servofd.calibrating.result import calibration_to_toml
     from servofd.cli.calibrate_axes import has_feedback, run_axes
     from servofd.cli.tables import progress_bar
     from servofd.core.errors import ConfigError

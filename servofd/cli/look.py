@@ -119,7 +119,7 @@ def _beside(name: str) -> Path:
 
 def closing_lines(results: Sequence[LogAudit | FailedLog], page: Path | None) -> list[str]:
     """What happened, what to do, what is well, and where the page is: at most four lines."""
-    from servofd.detection.advice import next_step
+    from servofd.detection.words import next_step
     from servofd.outputs.json_report import FailedLog
     from servofd.outputs.motors import motors_of
     from servofd.outputs.sentence import spoken, whole_sentence, worst

@@ -46,7 +46,7 @@ def print_verdicts(audit: LogAudit) -> None:
     from rich.padding import Padding
     from rich.text import Text
 
-    from servofd.detection.advice import headline, next_step
+    from servofd.detection.words import headline, next_step
     from servofd.outputs.sentence import axes_sentence
 
     log, shown = audit.log, _console()

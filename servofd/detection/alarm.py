@@ -1,19 +1,103 @@
-"""From residual to faults: threshold, persistence, suspicion, latching, onset."""
+"""From residual to alarms: persistence, suspicion, latching, onset; sample by sample, in flight and in audits alike."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from servofd.detection.latch import QUIET_SHARE, latch, new_latch_memory
+from servofd.detection.glitches import RunningMedian, new_running_median, with_value
 from servofd.estimate.statistics import MAD_TO_SIGMA
+from servofd.servo.state import compiled
 
 if TYPE_CHECKING:
     from servofd.core.types import BoolArray, FloatArray, IntArray
     from servofd.detection.residual import Residuals
     from servofd.detection.threshold import Threshold
+
+QUIET_SHARE = 0.5
+_TRAVEL_TO_CLEAR = 20.0
+
+
+class LatchMemory(NamedTuple):
+    """What one piece of a stream leaves to the next."""
+
+    level: RunningMedian
+    state: FloatArray
+    """Of shape (6,): play of the immobile residual [deg], travel and travel at the last loud sample [thresholds],
+    samples in a row beyond the level with their sign, whether an alarm stands, and the group of loud samples."""
+
+
+class Latched(NamedTuple):
+    """All of shape (n,), one entry per judged sample."""
+
+    alarm: BoolArray
+    """True where an alarm is raised."""
+    clear: BoolArray
+    """True where the alarm that stands has been disproved."""
+    group: NDArray[np.int64]
+    """Number of the group of loud samples; -1 where it is quiet."""
+
+
+def new_latch_memory() -> LatchMemory:
+    """Memory before the first sample."""
+    return LatchMemory(new_running_median(), np.array([np.nan, 0.0, np.nan, 0.0, 0.0, 0.0]))
+
+
+def latch(
+    memory: LatchMemory,
+    residual_deg: FloatArray,
+    level_deg: FloatArray,
+    immobile_deg: FloatArray,
+    persistence: int,
+    fixed_deg: float,
+) -> Latched:
+    """Follow the next judged samples, each of shape (n,); `fixed_deg` is a constant level, NaN if it varies."""
+    size = residual_deg.size
+    result = Latched(np.zeros(size, dtype=bool), np.zeros(size, dtype=bool), np.full(size, -1, dtype=np.int64))
+    _latch(memory, residual_deg, level_deg, immobile_deg, float(persistence), fixed_deg, *result)
+    return result
+
+
+@compiled
+def _latch(
+    memory: LatchMemory,
+    residual_deg: FloatArray,
+    level_deg: FloatArray,
+    immobile_deg: FloatArray,
+    persistence: float,
+    fixed_deg: float,
+    alarm: BoolArray,
+    clear: BoolArray,
+    group: NDArray[np.int64],
+) -> None:
+    state = memory.state
+    held, travel, loud_travel, row, stands, number = state[0], state[1], state[2], state[3], state[4], state[5]
+    for k in range(residual_deg.size):
+        # What a large move is, is told by the usual level so far; and by this one, while the command is lively.
+        typical = fixed_deg if not np.isnan(fixed_deg) else with_value(memory.level, level_deg[k])
+        typical = max(typical, level_deg[k])
+        moved = held if not np.isnan(held) else immobile_deg[k]
+        moved = min(max(moved, immobile_deg[k] - typical), immobile_deg[k] + typical)
+        travel += abs(moved - held) / typical if not np.isnan(held) else 0.0
+        held = moved
+        size = abs(residual_deg[k])
+        proved = travel - loud_travel >= _TRAVEL_TO_CLEAR
+        if stands != 0.0 and proved:
+            clear[k], stands = True, 0.0
+        if size >= QUIET_SHARE * level_deg[k]:
+            if proved:
+                number += 1.0
+            loud_travel = travel
+            group[k] = int(number)
+        side = 0.0 if size < level_deg[k] else (1.0 if residual_deg[k] > 0.0 else -1.0)
+        row = row + side if row * side > 0.0 else side
+        if abs(row) >= persistence and stands == 0.0:
+            alarm[k], stands = True, 1.0
+    state[0], state[1], state[2], state[3], state[4], state[5] = held, travel, loud_travel, row, stands, number
+
 
 Level = Literal["suspect", "fault"]
 
@@ -28,29 +112,20 @@ _MEMORY_S = 60.0
 
 @dataclass(frozen=True, slots=True)
 class Episode:
-    """A fault, or the suspicion of one, from its onset until the surface has proved to be well again.
-
-    Parameters
-    ----------
-    start_s : float
-        First estimate of when it began to show [s]: the residual leaves its noise and does not come back. Of a
-        suspicion, when it was raised.
-    alarm_s : float
-        First instant at which |residual| >= threshold (thesis Eq. 4.12) for as many samples as asked for, or of a
-        suspicion, when it was raised [s]; uses no later sample.
-    end_s : float or None
-        When it was last seen [s]; None if it lasts to the end of the log.
-    level : {"suspect", "fault"}
-        Whether the threshold was crossed.
-    suspected_s : float or None
-        When a suspicion came before the alarm of a fault [s].
-    """
+    """A fault, or the suspicion of one, from its onset until the surface has proved to be well again."""
 
     start_s: float
+    """First estimate of when it began to show [s]: the residual leaves its noise and does not come back. Of a
+    suspicion, when it was raised."""
     alarm_s: float
+    """First instant at which |residual| >= threshold (thesis Eq. 4.12) for as many samples as asked for, or of a
+    suspicion, when it was raised [s]; uses no later sample."""
     end_s: float | None
+    """When it was last seen [s]; None if it lasts to the end of the log."""
     level: Level = "fault"
+    """Whether the threshold was crossed."""
     suspected_s: float | None = None
+    """When a suspicion came before the alarm of a fault [s]."""
 
 
 def find_episodes(
@@ -65,11 +140,6 @@ def find_episodes(
 
     Suspicions remember: they end when none was raised for 10 s, and what is raised within 10 s after a fault is an
     echo of that.
-
-    Parameters
-    ----------
-    suspicion : ndarray of bool, shape (n,), optional
-        Where something too small for the threshold has lasted too long.
     """
     noticeable = np.abs(residuals.residual_deg) >= QUIET_SHARE * threshold.level_deg
     if not np.any(residuals.settled & (noticeable if suspicion is None else noticeable | suspicion)):

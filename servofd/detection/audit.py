@@ -25,17 +25,14 @@ from servofd.aircraft.segment import (
 from servofd.core.errors import DesignError, NoMeasurement
 from servofd.core.evidence import NOTHING_DETECTABLE
 from servofd.detection.calibrated import MOST_OF_THE_LOG, SHORTEST_JUDGED_S, audit_calibrated
-from servofd.detection.cleared import not_judgeable, why_not_cleared
 from servofd.detection.contradiction import unanswered
-from servofd.detection.coverage import coverage
-from servofd.detection.detectable import detectable
+from servofd.detection.evidence import coverage, detectable, not_judgeable, why_not_cleared
+from servofd.detection.glitches import prepared
 from servofd.detection.judge import Judgement, judge
 from servofd.detection.plausible import wiring_problem
-from servofd.detection.prepare import prepared
 from servofd.detection.probability import false_alarms_per_hour
 from servofd.detection.residual import ResidualGenerator, Residuals
-from servofd.detection.statistics import Statistics, outline
-from servofd.detection.verdict import LogAudit, Status, SurfaceAudit
+from servofd.detection.verdict import LogAudit, Statistics, Status, SurfaceAudit, outline
 from servofd.detection.words import describe
 
 if TYPE_CHECKING:
@@ -44,7 +41,7 @@ if TYPE_CHECKING:
     from logparsers.records import FlightLog
     from servofd.aircraft.schema import Aircraft, Surface
     from servofd.core.evidence import Detectable
-    from servofd.detection.bank.flight import Fault
+    from servofd.detection.bank.window import Fault
     from servofd.detection.threshold import Threshold, ThresholdKind
     from servofd.servo.servo_model import ServoModel
 
@@ -446,14 +443,7 @@ _ASKED_DEG = 0.5
 
 
 def with_common_causes(surfaces: Sequence[SurfaceAudit]) -> tuple[SurfaceAudit, ...]:
-    """Return the same verdicts; faults that most surfaces share from one instant on become one suspicion of them all.
-
-    Examples
-    --------
-    >>> from servofd.detection.verdict import SurfaceAudit
-    >>> with_common_causes([SurfaceAudit("rudder", "healthy", "", "s9254", "constant", 1.5, True)])[0].status
-    'healthy'
-    """
+    """Return the same verdicts; faults that most surfaces share from one instant on become one suspicion of all."""
     judged = [s for s in surfaces if s.is_judged]
     instants_s = sorted(_since_s(s, fault) for s in judged for fault in s.faults)
     result = list(surfaces)

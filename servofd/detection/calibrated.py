@@ -13,14 +13,13 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from servofd.aircraft.segment import Segment
-from servofd.detection.changes import STATISTICS, Memory, follow
-from servofd.detection.cleared import not_judgeable, why_not_cleared
-from servofd.detection.probability.cusum import CusumDesign
+from servofd.detection.changes import STATISTICS, Memory, detectable, exceeded, follow, thresholds_of, watched
+from servofd.detection.evidence import not_judgeable, why_not_cleared
+from servofd.detection.probability import CusumDesign
 from servofd.detection.refit import LOUD, named
 from servofd.detection.residual import Residuals
-from servofd.detection.statistics import Statistics, outline
 from servofd.detection.threshold import Threshold
-from servofd.detection.watch import detectable, exceeded, thresholds_of, watched
+from servofd.detection.verdict import Statistics, outline
 from servofd.detection.words import describe
 from servofd.estimate.record import Record, load_at
 
@@ -31,10 +30,10 @@ if TYPE_CHECKING:
     from servofd.aircraft.schema import Surface
     from servofd.core.evidence import Detectable
     from servofd.core.types import FloatArray
-    from servofd.detection.bank.flight import Fault
+    from servofd.detection.bank.window import Fault
+    from servofd.detection.changes import Watched
     from servofd.detection.residual import Commands
     from servofd.detection.verdict import Status, SurfaceAudit
-    from servofd.detection.watch import Watched
 
 _MOST_FAULTS: Final = 20
 _RESIDUALS: Final = STATISTICS.index("left_2s")

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from servofd.detection.bank.flight import Fault
-from servofd.detection.bank.window import noise_deg
-from servofd.detection.resolution import step_deg
+from servofd.detection.bank.window import Fault, noise_deg
+from servofd.detection.plausible import step_deg
 from servofd.estimate.statistics import Estimate
 from servofd.servo.state import compiled
 

@@ -1,22 +1,63 @@
-"""Positions that jump away and back: no servo moves like that.
+"""What is seen to before a log is judged: positions that jump away and back, and commands that were thinned out.
 
-A sample that leaves its two predecessors by more than ten standard deviations of noise may be a glitch. The next one
-to three samples tell: if they are back where those before it were, it was one. Nothing else waits.
+No servo jumps away and back. A sample that leaves its two predecessors by more than ten standard deviations of noise
+may be a glitch. The next one to three samples tell: if they are back where those before it were, it was one. Nothing
+else waits.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from servofd.detection.running import RunningMedian, new_running_median, with_value
+from servofd.aircraft.segment import pace_steps
 from servofd.estimate.statistics import MAD_TO_SIGMA
 from servofd.servo.state import compiled, inlined
 
 if TYPE_CHECKING:
+    from servofd.aircraft.segment import Segment
     from servofd.core.types import BoolArray, FloatArray
+    from servofd.detection.residual import ResidualGenerator, Residuals
+
+_PER_OCTAVE, _LOWEST_OCTAVE, _BINS = 16, -20, 640
+"""From 1e-6 to 1e6, within 2.2 %."""
+
+
+class RunningMedian(NamedTuple):
+    """A histogram of logarithms, and where its middle is."""
+
+    counts: NDArray[np.int64]
+    place: NDArray[np.int64]
+    """Of shape (3,): bin of the median, how many values lie below that, how many there are."""
+
+
+def new_running_median() -> RunningMedian:
+    """Of nothing yet."""
+    return RunningMedian(np.zeros(_BINS, dtype=np.int64), np.zeros(3, dtype=np.int64))
+
+
+@compiled
+def with_value(median: RunningMedian, value: float) -> float:
+    """Add a value above zero, and tell the median of all."""
+    counts, place = median
+    octave = np.log2(max(value, 1e-300))
+    bin_ = int(min(max((octave - _LOWEST_OCTAVE) * _PER_OCTAVE, 0.0), _BINS - 1.0))
+    counts[bin_] += 1
+    place[2] += 1
+    if bin_ < place[0]:
+        place[1] += 1
+    while place[1] > (place[2] - 1) // 2:
+        place[0] -= 1
+        place[1] -= counts[place[0]]
+    while place[1] + counts[place[0]] <= (place[2] - 1) // 2:
+        place[1] += counts[place[0]]
+        place[0] += 1
+    result: float = 2.0 ** ((place[0] + 0.5) / _PER_OCTAVE + _LOWEST_OCTAVE)
+    return result
+
 
 _AWAY_SIGMAS, _AGREEMENT_SIGMAS = 10.0, 8.0
 _MOST_GLITCHES, _FEW_GLITCHES = 0.02, 2
@@ -115,16 +156,57 @@ def _width(
 
 
 def glitches(error_deg: FloatArray, restart: NDArray[np.int8] | None = None) -> BoolArray:
-    """Samples that jump away from their neighbours, alone or in pairs, while the neighbours agree; shape (n,).
-
-    Examples
-    --------
-    >>> error_deg = np.zeros(20)
-    >>> error_deg[9] = 25.0
-    >>> np.flatnonzero(glitches(error_deg)).tolist()
-    [9]
-    """
+    """Samples that jump away from their neighbours, alone or in pairs, while the neighbours agree; shape (n,)."""
     found = np.zeros(error_deg.size, dtype=bool)
     starts = np.zeros(error_deg.size, dtype=np.int8) if restart is None else restart
     decide(new_glitch_memory(), np.ascontiguousarray(error_deg), starts, found, True)
     return found
+
+
+_THIN_PERIOD_S = 0.039
+"""Logs at up to 25 Hz may hold fewer commands than the servo received; autopilots command at 50 Hz and more."""
+_REAL_PERIOD_S = 0.02
+_CLEARLY_SMALLER = 0.7
+
+
+class Prepared(NamedTuple):
+    """A segment that can be judged, and what was done to it."""
+
+    segment: Segment
+    residuals: Residuals
+    notes: tuple[str, ...]
+
+
+def prepared(generator: ResidualGenerator, segment: Segment) -> Prepared:
+    """Run the generator, without glitches and with the hold that suits the commands.
+
+    A position that leaves the model for one or two samples and is back is no servo's fault. Commands that were logged
+    at 10 to 25 Hz, but given more often, look like steps that nobody commanded: if straight lines between them leave a
+    clearly smaller residual, that is what they were.
+    """
+    notes = []
+    residuals = generator.run(segment)
+    if segment.command_period_s is None and _period_s(segment) >= _THIN_PERIOD_S:
+        straight = replace(segment, command_period_s=_REAL_PERIOD_S)
+        by_lines = generator.run(straight)
+        if _rms_deg(by_lines) < _CLEARLY_SMALLER * _rms_deg(residuals):
+            segment, residuals = straight, by_lines
+            notes.append("commands are logged more thinly than they were given, and taken as straight lines between")
+    jumps = glitches(residuals.error_deg, residuals.restart)
+    if jumps.any():
+        segment = replace(segment, measured_deg=np.where(jumps, np.nan, segment.measured_deg))
+        residuals = generator.without(residuals, jumps)
+        count = int(np.count_nonzero(jumps))
+        notes.append(f"{count} reading{'s' if count > 1 else ''} away from the model for a moment only, not judged")
+    return Prepared(segment, residuals, tuple(notes))
+
+
+def _period_s(segment: Segment) -> float:
+    """Usual time between the samples of the rarer stream [s]."""
+    steps_s = pace_steps(segment.command_s)
+    return max(segment.period_s, float(np.median(steps_s)) if steps_s.size else 0.0)
+
+
+def _rms_deg(residuals: Residuals) -> float:
+    judged = residuals.residual_deg[residuals.settled]
+    return float(np.sqrt(np.mean(judged**2))) if judged.size else float("inf")

@@ -9,10 +9,8 @@ import numpy as np
 
 from servofd.core.frozen import held_rows
 from servofd.detection.alarm import find_episodes
-from servofd.detection.bank.confirm import confirmed, joined
-from servofd.detection.bank.flight import Fault, Flight
-from servofd.detection.bank.isolate import has_recovered, isolate
-from servofd.detection.bank.window import noise_deg
+from servofd.detection.bank.isolate import confirmed, has_recovered, isolate, joined
+from servofd.detection.bank.window import Fault, Flight, noise_deg
 from servofd.detection.contradiction import contradictions
 from servofd.detection.residual import commands_at_servo
 from servofd.detection.threshold import Threshold, constant_threshold, interval_threshold, suspicion

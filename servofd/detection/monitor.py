@@ -25,14 +25,11 @@ from servofd.aircraft.segment import (
 )
 from servofd.core.errors import DesignError
 from servofd.core.frozen import Republished
-from servofd.detection.bank.confirm import SURE
-from servofd.detection.calibrated_stream import CalibratedStream
-from servofd.detection.events import Alarm, Event, Inputs, Look, Reading
+from servofd.detection.bank.isolate import SURE
+from servofd.detection.events import QUIET_S, Alarm, Event, Inputs, JudgedTime, Look, Quiet, Reading
 from servofd.detection.judge import ECHO_S
-from servofd.detection.judged_time import JudgedTime
-from servofd.detection.quiet import QUIET_S, Quiet
 from servofd.detection.residual import ResidualGenerator, rhythm, thinned_rhythm
-from servofd.detection.stream import Stream
+from servofd.detection.stream import CalibratedStream, Stream
 from servofd.detection.words import EXPLAINED, too_slow
 from servofd.servo.context import NO_CONTEXT, Context
 
@@ -41,7 +38,7 @@ if TYPE_CHECKING:
 
     from servofd.aircraft.schema import Surface
     from servofd.core.types import FloatArray
-    from servofd.detection.bank.flight import Fault
+    from servofd.detection.bank.window import Fault
     from servofd.detection.events import EventKind
     from servofd.detection.stream import Piece
     from servofd.servo.servo_model import ServoModel

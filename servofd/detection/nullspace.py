@@ -75,13 +75,7 @@ class NullspaceFilter:
     plant: tuple[tuple[TransferFunction, ...], ...]
 
     def leakage(self, frequencies_rad_s: FloatArray) -> float:
-        """Largest gain from any command to any residual of a healthy plant: the proof of the design.
-
-        Returns
-        -------
-        float
-            Gain [deg/deg]; round-off if the filter keeps its promise (thesis Eq. 4.4).
-        """
+        """Largest gain from any command to any residual of a healthy plant: the proof of the design."""
         s: ComplexArray = 1j * np.asarray(frequencies_rad_s, dtype=float)
         worst = 0.0
         for row in self.rows:
@@ -144,13 +138,7 @@ def design_nullspace_filter(
 
 
 def checked_pole_rad_s(pole_rad_s: float) -> float:
-    """Size of a filter's pole [rad/s].
-
-    Examples
-    --------
-    >>> checked_pole_rad_s(-50.0)
-    50.0
-    """
+    """Size of a filter's pole [rad/s]."""
     pole = abs(pole_rad_s)
     if not _SLOWEST_RAD_S <= pole <= _FASTEST_RAD_S:
         raise DesignError(
@@ -194,14 +182,7 @@ def _row(output: int, entries: tuple[TransferFunction, ...], pole: float) -> Fil
 
 
 def common_denominator(entries: tuple[TransferFunction, ...]) -> tuple[FloatArray, list[FloatArray]]:
-    """Least common denominator of a row, and the numerators over it, highest power first.
-
-    Examples
-    --------
-    >>> first, second = TransferFunction((1.0,), (1.0, 1.0)), TransferFunction((2.0,), (1.0, 2.0))
-    >>> common_denominator((first, second))[0].round(6).tolist()
-    [1.0, 3.0, 2.0]
-    """
+    """Least common denominator of a row, and the numerators over it, highest power first."""
     common = np.array(entries[0].denominator)
     for entry in entries[1:]:
         missing = _roots_not_in(np.roots(entry.denominator), np.roots(common))

@@ -116,20 +116,7 @@ class PulseFilter:
 def pulse_polynomials(
     transfer: TransferFunction, delay_s: float, sample_time_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Exact sampled response of a servo to a held and delayed command (modified z-transform).
-
-    Returns
-    -------
-    b, a : ndarray, shapes (n + k + 2,) and (n + 1,)
-        Polynomials in z⁻¹, lowest power first.
-
-    Examples
-    --------
-    >>> from servofd.servo.transfer import TransferFunction
-    >>> b, a = pulse_polynomials(TransferFunction((1.0,), (1.0, 1.0)), 0.0, np.log(2.0))
-    >>> b.round(6).tolist(), a.round(6).tolist()
-    ([0.0, 0.5, 0.0], [1.0, -0.5])
-    """
+    """Exact sampled response of a servo to a held and delayed command (modified z-transform)."""
     whole, fraction_s = _split_delay(delay_s, sample_time_s)
     poles, residues = _residues(transfer)
     factors = np.exp(poles * sample_time_s)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from servofd.aircraft.priors import FITTED, NAMES
-from servofd.detection.bank.flight import Fault
+from servofd.detection.bank.window import Fault
 from servofd.estimate.family import new_state, sensitivities, simulated, variants
 from servofd.estimate.fit import residual
 from servofd.estimate.statistics import Estimate
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from servofd.core.types import BoolArray, FloatArray
-    from servofd.detection.watch import Watched
+    from servofd.detection.changes import Watched
 
 _WINDOW_S: Final = 20.0
 _SETTLING_S: Final = 0.5
@@ -154,18 +154,7 @@ class _Window:
 
 
 def named(watched: Watched, alarm_s: float, ratio: float, *, earliest_s: float) -> Fault:
-    """Name what an alarm stands for.
-
-    Parameters
-    ----------
-    ratio : float
-        Largest statistic over its threshold at or after the alarm.
-
-    Returns
-    -------
-    Fault
-        `healthy` if a working servo explains it after all.
-    """
+    """Name what an alarm stands for."""
     window = _Window(watched, alarm_s + _SETTLING_S, alarm_s + _WINDOW_S)
     if window.count < max(_FEWEST, 1.5 / watched.record.period_s):
         window = _since_onset(watched, alarm_s, earliest_s)

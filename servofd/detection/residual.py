@@ -28,7 +28,7 @@ from servofd.servo.context import NO_CONTEXT, Context
 if TYPE_CHECKING:
     from servofd.aircraft.segment import Segment
     from servofd.core.types import BoolArray, FloatArray, IntArray
-    from servofd.detection.lags import FilterParameters
+    from servofd.detection.samples import FilterParameters, Starts
     from servofd.servo.motion import AnyServo, ExtendedMotion, PlainMotion
     from servofd.servo.servo_model import ServoModel
 
@@ -148,7 +148,7 @@ class ResidualGenerator:
         DesignError
             If so many digits cancel that it does not: the model's order is too high for this step.
         """
-        from servofd.detection.lags import lag_weights
+        from servofd.detection.samples import lag_weights
 
         parameters = self.filter_parameters()
         total = float(np.sum(lag_weights(parameters, step_s))) * parameters.dc_gain
@@ -170,7 +170,7 @@ class ResidualGenerator:
 
     def filter_parameters(self) -> FilterParameters:
         """The filter as the kernel sees it."""
-        from servofd.detection.lags import FilterParameters
+        from servofd.detection.samples import FilterParameters
 
         decay = self.model.transfer.modes().decay_rad_s
         pairs = decay[decay.imag != 0.0].conj()
@@ -178,7 +178,7 @@ class ResidualGenerator:
 
     def run(self, segment: Segment) -> Residuals:
         """Residual of a whole segment."""
-        from servofd.detection.starts import find_starts
+        from servofd.detection.samples import find_starts
 
         longest_gap_s = self.longest_gap_s(segment)
         starts = find_starts(segment, longest_gap_s, self.blanking_s, rhythm(segment.command_s).longest_s)
@@ -217,7 +217,7 @@ class ResidualGenerator:
 
     def filtered(self, time_s: FloatArray, error_deg: FloatArray, restart: NDArray[np.int8]) -> FloatArray:
         """Residual of one or several simulation errors [deg], shape (n,) or (r, n); anew where `restart` is not 0."""
-        from servofd.detection.lags import FilterMemory, filtered_rows
+        from servofd.detection.samples import FilterMemory, filtered_rows
 
         residual_filter = self.filter_parameters()
         memory = FilterMemory.of(residual_filter, 1 if error_deg.ndim == 1 else len(error_deg))
@@ -231,16 +231,8 @@ def followed(
     measured_deg: FloatArray,
     restart: NDArray[np.int8],
 ) -> FloatArray:
-    """Deflection of a servo [deg], shape (n,), that starts anew where the surface was measured.
-
-    Parameters
-    ----------
-    at_s, measured_deg : ndarray, shape (n,)
-        Where the surface was measured [deg], and when [s].
-    restart : ndarray, shape (n,)
-        2 where the servo has to start anew, as `servofd.detection.starts` marks it.
-    """
-    from servofd.detection.starts import RESTART_ALL
+    """Deflection of a servo [deg], shape (n,), that starts anew where the surface was measured."""
+    from servofd.detection.samples import RESTART_ALL
     from servofd.servo.motion import on_its_way, started_anew
     from servofd.servo.state import ServoParameters
 
@@ -259,7 +251,7 @@ def go_on(
     restart: NDArray[np.int8],
 ) -> FloatArray:
     """The same for the next positions of a flight, shape (n,); `cursor[0]` counts the commands that were heard."""
-    from servofd.detection.starts import RESTART_ALL
+    from servofd.detection.samples import RESTART_ALL
 
     if not at_s.size:
         return np.zeros(0)
@@ -302,13 +294,7 @@ def commands_at_servo(segment: Segment, delay_s: float, longest_gap_s: float) ->
 
 
 def lost_commands(command_s: FloatArray, longest_gap_s: float) -> IntArray:
-    """How many commands a regular log has lost after each of its own, of shape (n,); holes are not counted.
-
-    Examples
-    --------
-    >>> lost_commands(np.array([0.0, 0.01, 0.03, 0.04]), 0.1)
-    array([0, 1, 0, 0])
-    """
+    """How many commands a regular log has lost after each of its own, of shape (n,); holes are not counted."""
     step_s, beat = np.diff(command_s), rhythm(command_s)
     missing = (step_s > beat.longest_s) & (step_s <= longest_gap_s)
     lost = np.zeros(command_s.size, dtype=np.int64)
@@ -362,15 +348,55 @@ def rhythm(command_s: FloatArray) -> Rhythm:
 
 
 def thinned_rhythm(command_s: FloatArray) -> Rhythm:
-    """Rhythm of commands that are sent steadily, and most of which get lost; time stamps [s] of shape (n,).
-
-    Examples
-    --------
-    >>> sent_s = np.arange(400) * 0.02
-    >>> thinned_rhythm(sent_s[np.random.default_rng(1).random(400) < 0.25]).period_s.__round__(3)
-    0.02
-    """
+    """Rhythm of commands that are sent steadily, and most of which get lost; time stamps [s] of shape (n,)."""
     if command_s.size < _FEWEST_COMMANDS:
         return Rhythm(float("inf"), float("inf"))
     period_s = float(np.percentile(pace_steps(command_s), _LOW_QUANTILE_OF_THINNED))
     return Rhythm(period_s, _LOST_SAMPLE[0] * period_s)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Simulator:
+    """Commands and starts of a segment, which do not depend on the servo; the residual, most of the cost, is left out.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from servofd.servo.servo_model import ServoModel
+    >>> from servofd.aircraft.segment import Segment
+    >>> from servofd.servo.library import servo_named
+    >>> model = ServoModel.of(servo_named("hs225bb-eq31"))
+    >>> time_s = np.arange(1000) / 100.0
+    >>> segment = Segment("elevator", time_s, np.sin(time_s), time_s, np.zeros(1000))
+    >>> generator = ResidualGenerator(model, 30.0)
+    >>> simulator = Simulator.of(generator, segment)
+    >>> bool(np.array_equal(simulator.simulated_deg(model), generator.run(segment).simulated_deg))
+    True
+    """
+
+    segment: Segment
+    commands: Commands
+    """As a servo without a delay gets them."""
+    starts: Starts
+    longest_gap_s: float
+    """Longest interval between samples that is bridged."""
+
+    @classmethod
+    def of(cls, generator: ResidualGenerator, segment: Segment) -> Simulator:
+        """Make ready what the generator's filter would take: gaps and starts are found for its pole."""
+        from servofd.detection.samples import find_starts
+
+        gap_s = generator.longest_gap_s(segment)
+        starts = find_starts(segment, gap_s, generator.blanking_s, rhythm(segment.command_s).longest_s)
+        return cls(segment, commands_at_servo(segment, 0.0, gap_s), starts, gap_s)
+
+    def with_commands(self, command_deg: FloatArray) -> Simulator:
+        """The same part of the flight with other commands, shape (n,), at the instants of those that it has."""
+        segment = replace(self.segment, command_deg=command_deg)
+        return replace(self, segment=segment, commands=commands_at_servo(segment, 0.0, self.longest_gap_s))
+
+    def simulated_deg(self, model: ServoModel) -> FloatArray:
+        """Deflection of a servo [deg], shape (n,), as its residual generator would have it."""
+        measured_deg, restart, _ = self.starts
+        commands = replace(self.commands, effective_s=self.commands.effective_s + model.plan.delay_s)
+        return followed(model.servo(self.segment.context), commands, self.segment.measured_s, measured_deg, restart)

@@ -100,21 +100,15 @@ class Inputs:
 
 @dataclass(frozen=True, slots=True)
 class Sliding:
-    """Estimates in the windows that end at each sample; NaN where too little of a window is usable.
-
-    Parameters
-    ----------
-    loss, offset : ndarray, shape (n,)
-        lambda, beta [us].
-    loss_var, cross, offset_var : ndarray, shape (n,)
-        Sigma_n.
-    """
+    """Estimates in the windows that end at each sample; NaN where too little of a window is usable."""
 
     loss: FloatArray
     offset: FloatArray
+    """lambda, beta [us]."""
     loss_var: FloatArray
     cross: FloatArray
     offset_var: FloatArray
+    """Sigma_n."""
 
     def at(self, chosen: IntArray | BoolArray) -> Sliding:
         """Some of the windows."""

@@ -11,7 +11,7 @@ from servofd.aircraft.pairs import Pair, find_pairs, pulse_channel
 from servofd.aircraft.schema import Aircraft
 from servofd.aircraft.segment import Segment, cut
 from servofd.core.errors import NoMeasurement
-from servofd.detection.drafting import PERSISTENCE
+from servofd.detection.plausible import PERSISTENCE
 from servofd.feedback.advice import what_to_log
 from servofd.feedback.fit import RoughFit, fit_roughly
 from servofd.feedback.fitted import LONGEST_PERIOD_S, SHORTEST_PERIOD_S, draft_tolerance

@@ -13,10 +13,9 @@ from servofd.core.evidence import ModelOrigin
 from servofd.core.tolerance import Tolerance
 from servofd.detection.bank.window import noise_deg
 from servofd.detection.contradiction import contradictions
-from servofd.detection.drafting import PERSISTENCE, excess, width
-from servofd.detection.prepare import prepared
+from servofd.detection.glitches import prepared
+from servofd.detection.plausible import PERSISTENCE, excess, step_deg, width
 from servofd.detection.residual import ResidualGenerator
-from servofd.detection.resolution import step_deg
 from servofd.detection.threshold import interval_threshold
 from servofd.detection.words import describe
 from servofd.feedback.fit import RoughFit, fit_roughly

@@ -9,8 +9,7 @@ import numpy as np
 
 from servofd.aircraft.segment import SLOWEST_RATE_HZ, cut
 from servofd.core.errors import DesignError, NoMeasurement
-from servofd.detection.bank.explanation import Ridge
-from servofd.detection.bank.window import Window, noise_deg
+from servofd.detection.bank.window import Ridge, Window, noise_deg
 from servofd.detection.judge import judge
 from servofd.detection.plausible import wiring_problem
 from servofd.detection.residual import ResidualGenerator, commands_at_servo

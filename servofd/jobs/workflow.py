@@ -157,7 +157,7 @@ def calibrate(
     Returns
     -------
     Calibration
-        `servofd.calibrating.toml.calibration_to_toml` makes a file of it.
+        `servofd.calibrating.result.calibration_to_toml` makes a file of it.
 
     Raises
     ------

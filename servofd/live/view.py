@@ -12,9 +12,9 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.text import Text
 
-    from servofd.detection.axis_verdict import AxisAudit
     from servofd.detection.events import Event
     from servofd.detection.monitor import SurfaceMonitor
+    from servofd.detection.verdict import AxisAudit
     from servofd.live.session import Session
     from servofd.live.vehicle import Vehicle
 

@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.detection.advice import gravest
+from servofd.detection.words import gravest
 from servofd.outputs.chart import Chart, Curve, Mark, Panel, Span, bridged, thinned
 from servofd.outputs.sentence import clock, spoken
 
 if TYPE_CHECKING:
     from servofd.aircraft.segment import Segment
     from servofd.core.types import FloatArray
-    from servofd.detection.bank.flight import Fault
+    from servofd.detection.bank.window import Fault
     from servofd.detection.residual import Residuals
     from servofd.detection.threshold import Threshold
     from servofd.detection.verdict import SurfaceAudit

@@ -9,7 +9,7 @@ import numpy as np
 
 from servofd.axes.forms import FORMS
 from servofd.axes.words import named, shown
-from servofd.detection.advice import meaning, next_step
+from servofd.detection.words import meaning, next_step
 from servofd.outputs.audit_charts import MOST_FAULTS, fault_charts, flight_chart, kind_of
 from servofd.outputs.chart import Chart, Curve, Mark, Panel, Span
 from servofd.outputs.json_report import FailedLog
@@ -23,9 +23,8 @@ if TYPE_CHECKING:
     from servofd.aircraft.schema import Aircraft
     from servofd.core.evidence import ModelOrigin
     from servofd.core.types import FloatArray
-    from servofd.detection.axis_verdict import AxisAudit
-    from servofd.detection.bank.flight import Fault
-    from servofd.detection.verdict import LogAudit, SurfaceAudit
+    from servofd.detection.bank.window import Fault
+    from servofd.detection.verdict import AxisAudit, LogAudit, SurfaceAudit
     from servofd.estimate.statistics import Estimate
 
 _UNITS = {"deg_s": "deg/s", "deg": "deg", "hz": "Hz", "s": "s"}

@@ -14,9 +14,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from logparsers.records import Damage, FlightLog
-    from servofd.detection.axis_verdict import AxisAudit
-    from servofd.detection.bank.flight import Fault
-    from servofd.detection.verdict import LogAudit, SurfaceAudit
+    from servofd.detection.bank.window import Fault
+    from servofd.detection.verdict import AxisAudit, LogAudit, SurfaceAudit
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,15 +5,14 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from servofd.detection.advice import gravest
+from servofd.detection.words import gravest
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from servofd.core.evidence import Detectable
-    from servofd.detection.axis_verdict import AxisAudit
-    from servofd.detection.bank.flight import Fault
-    from servofd.detection.verdict import LogAudit, Status, SurfaceAudit
+    from servofd.detection.bank.window import Fault
+    from servofd.detection.verdict import AxisAudit, LogAudit, Status, SurfaceAudit
     from servofd.estimate.statistics import Estimate
 
 _WORST_FIRST: tuple[Status, ...] = ("fault", "suspect", "healthy", "unknown", "no_data")

@@ -19,7 +19,7 @@ import numpy as np
 from servofd.calibrating.flights import Flight, busiest
 from servofd.core.errors import NoMeasurement
 from servofd.detection.bank.window import noise_deg
-from servofd.detection.prepare import prepared
+from servofd.detection.glitches import prepared
 from servofd.detection.residual import ResidualGenerator
 from servofd.detection.threshold import constant_threshold, interval_threshold
 from servofd.estimate.statistics import Estimate, descended, deviations, line, mean_loss, ordinary_deg

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.detection.bank.window import noise_deg
-from servofd.detection.residual import ResidualGenerator
-from servofd.detection.simulator import Simulator
+from servofd.detection.residual import ResidualGenerator, Simulator
 from servofd.estimate.statistics import memory
 from servofd.feedback.fit import POLE_RAD_S
 
@@ -87,7 +86,7 @@ class Motion:
 
 
 def _usable(simulator: Simulator) -> BoolArray:
-    from servofd.detection.starts import RESTART_ALL
+    from servofd.detection.samples import RESTART_ALL
 
     time_s, starts = simulator.segment.measured_s, simulator.starts
     begins = np.flatnonzero(starts.restart == RESTART_ALL)

@@ -19,7 +19,7 @@ from servofd.axes.judge import judge_motion
 from servofd.axes.motion import Motion
 from servofd.core.errors import CalibrationError, NoMeasurement
 from servofd.core.types import FloatArray
-from servofd.detection.axis_verdict import AxisAudit
+from servofd.detection.verdict import AxisAudit
 from tests.axes.flights import flown
 
 OF_THE_DAY = "2026-05-09"

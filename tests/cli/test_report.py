@@ -11,9 +11,9 @@ import servofd
 from servofd.cli import main
 from servofd.cli.tables import print_table, print_verdicts
 from servofd.cli.targets import check_targets
-from servofd.detection.advice import headline, meaning, next_step
-from servofd.detection.bank.flight import Fault
+from servofd.detection.bank.window import Fault
 from servofd.detection.verdict import LogAudit, SurfaceAudit
+from servofd.detection.words import headline, meaning, next_step
 
 SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"
 STUCK = str(SAMPLES / "faser_stuck_flight.mat")

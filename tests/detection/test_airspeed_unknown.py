@@ -15,7 +15,7 @@ from servofd.aircraft.segment import Segment
 from servofd.calibrating.calibrate import calibrate_aircraft
 from servofd.calibrating.flights import Flight
 from servofd.detection.audit import audit_segment
-from servofd.detection.calibrated_stream import CalibratedStream
+from servofd.detection.stream import CalibratedStream
 from servofd.servo.context import NO_CONTEXT, Context
 
 if TYPE_CHECKING:

@@ -11,13 +11,9 @@ import pytest
 
 from servofd.core.types import FloatArray
 from servofd.detection.alarm import Episode
-from servofd.detection.bank.classify import BANK, name_fault, scores
-from servofd.detection.bank.confirm import confirmed, joined
-from servofd.detection.bank.explanation import Ridge
-from servofd.detection.bank.flight import Fault as Found
-from servofd.detection.bank.flight import Flight
-from servofd.detection.bank.isolate import narendra, refine_onset_s
-from servofd.detection.bank.window import Explanation, Window
+from servofd.detection.bank.isolate import BANK, confirmed, joined, name_fault, narendra, refine_onset_s, scores
+from servofd.detection.bank.window import Explanation, Flight, Ridge, Window
+from servofd.detection.bank.window import Fault as Found
 from servofd.detection.plausible import wiring_problem
 from servofd.servo.effects import RateLimit
 from servofd.servo.failing import Fault

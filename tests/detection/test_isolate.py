@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from servofd.detection.bank import isolate
-from servofd.detection.bank.classify import Naming
+from servofd.detection.bank.isolate import Naming
 
 
 class Recorder:

@@ -12,11 +12,10 @@ from servofd.aircraft.priors import PRIORS
 from servofd.aircraft.schema import plain_aircraft
 from servofd.aircraft.segment import Segment, sent_period_s
 from servofd.detection.calibrated import judged
-from servofd.detection.calibrated_stream import CalibratedStream
-from servofd.detection.watch import watched
+from servofd.detection.changes import watched
+from servofd.detection.stream import CalibratedStream
 from servofd.estimate.family import new_state, simulated, variants
-from servofd.estimate.lost import LONGEST_S, new_memory, put_back, unknown_deg
-from servofd.estimate.record import Record
+from servofd.estimate.record import LONGEST_S, Record, new_memory, put_back, unknown_deg
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -13,18 +13,15 @@ from hypothesis import strategies as st
 
 from servofd.aircraft.schema import Surface, plain_aircraft
 from servofd.aircraft.segment import Segment
-from servofd.detection.bank.flight import Fault
+from servofd.detection.alarm import latch, new_latch_memory
+from servofd.detection.bank.window import Fault
 from servofd.detection.events import Event, Look
-from servofd.detection.glitches import glitches
-from servofd.detection.history import CommandBuffer, History
+from servofd.detection.glitches import glitches, new_running_median, prepared, with_value
 from servofd.detection.judge import judge
-from servofd.detection.latch import latch, new_latch_memory
 from servofd.detection.monitor import SurfaceMonitor
-from servofd.detection.prepare import prepared
 from servofd.detection.residual import ResidualGenerator, rhythm
-from servofd.detection.running import new_running_median, with_value
-from servofd.detection.starts import mark_starts, new_starts_memory
-from servofd.detection.stream import Piece, Stream
+from servofd.detection.samples import mark_starts, new_starts_memory
+from servofd.detection.stream import CommandBuffer, History, Piece, Stream
 from servofd.servo.servo_model import ServoModel
 from tests.detection.windows import troubled
 

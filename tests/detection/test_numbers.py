@@ -16,14 +16,13 @@ import pytest
 
 from servofd.aircraft.schema import plain_aircraft
 from servofd.core.types import FloatArray
-from servofd.detection.bank.classify import BANK, name_fault
-from servofd.detection.bank.lost import Wandering
+from servofd.detection.bank.hypotheses import Wandering
+from servofd.detection.bank.isolate import BANK, name_fault
 from servofd.detection.bank.window import Explanation, Window
+from servofd.detection.glitches import prepared
 from servofd.detection.judge import judge
 from servofd.detection.odds import Wish, surface_odds
-from servofd.detection.prepare import prepared
-from servofd.detection.probability.noise import Noise
-from servofd.detection.probability.tail import fit_tail
+from servofd.detection.probability import Noise, fit_tail
 from servofd.detection.pulse import design_pulse_filter
 from servofd.servo.failing import Fault
 from servofd.servo.faults import Bias, DeadBand, Floating, LossOfEffectiveness, Oscillation, Slow, Stuck

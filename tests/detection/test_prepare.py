@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from servofd.aircraft.segment import Segment
-from servofd.detection.prepare import prepared
+from servofd.detection.glitches import prepared
 from servofd.detection.residual import ResidualGenerator, Residuals
 from tests.detection.tolerated import MODEL
 

@@ -13,19 +13,19 @@ from scipy.optimize import minimize_scalar
 from servofd.aircraft.segment import WARM_UP_STEPS
 from servofd.detection.alarm import Level
 from servofd.detection.audit import _odds
-from servofd.detection.bank.altered import _with_interval
-from servofd.detection.bank.classify import BANK
-from servofd.detection.bank.explanation import COLOUR
-from servofd.detection.bank.flight import Fault
-from servofd.detection.bank.oscillation import _cycle
-from servofd.detection.bank.window import Explanation
+from servofd.detection.bank.hypotheses import _cycle, _with_interval
+from servofd.detection.bank.isolate import BANK
+from servofd.detection.bank.window import COLOUR, Explanation, Fault
 from servofd.detection.judge import _held
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.plausible import wiring_problem
-from servofd.detection.probability.cusum import CusumDesign
-from servofd.detection.probability.noise import Noise
-from servofd.detection.probability.persistence import persistent_delay_s, persistent_threshold_deg
-from servofd.detection.probability.upcrossing import false_alarms_per_hour
+from servofd.detection.probability import (
+    CusumDesign,
+    Noise,
+    false_alarms_per_hour,
+    persistent_delay_s,
+    persistent_threshold_deg,
+)
 from servofd.detection.pulse import design_pulse_filter
 from servofd.estimate.statistics import Estimate
 from servofd.servo.faults import Oscillation

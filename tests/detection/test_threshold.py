@@ -10,9 +10,17 @@ from hypothesis import strategies as st
 from servofd.aircraft.segment import Segment
 from servofd.core.tolerance import Tolerance
 from servofd.core.types import FloatArray
-from servofd.detection.allowance import Bounds, Signals, follow, new_work
 from servofd.detection.residual import ResidualGenerator, Residuals
-from servofd.detection.threshold import Threshold, constant_threshold, interval_threshold, suspicion
+from servofd.detection.threshold import (
+    Bounds,
+    Signals,
+    Threshold,
+    constant_threshold,
+    follow,
+    interval_threshold,
+    new_work,
+    suspicion,
+)
 from servofd.simulation.commands import COMMANDS
 from tests.detection.tolerated import MODEL, deviating
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import servofd
-from servofd.detection.cleared import MOST_LOST
+from servofd.detection.evidence import MOST_LOST
 from tests.external.test_bench_tables import DATA
 
 pytestmark = pytest.mark.skipif(

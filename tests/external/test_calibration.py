@@ -8,7 +8,7 @@ import pytest
 
 import servofd
 from servofd.aircraft.schema import Aircraft, load_aircraft
-from servofd.calibrating.toml import calibration_to_toml
+from servofd.calibrating.result import calibration_to_toml
 from servofd.cli import main
 from servofd.core.errors import CalibrationError
 from tests.external.test_bench_tables import DATA

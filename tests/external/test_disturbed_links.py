@@ -13,7 +13,7 @@ import servofd
 from logparsers.codec import Codec
 from logparsers.replay import replayed
 from servofd.aircraft.schema import load_aircraft
-from servofd.calibrating.toml import calibration_to_toml
+from servofd.calibrating.result import calibration_to_toml
 from servofd.feedback.draft import draft_aircraft
 from servofd.feedback.toml import draft_to_toml
 from servofd.live.session import Session, stamped

@@ -23,7 +23,7 @@ from servofd.batch.key import Job
 from servofd.cli import main, manual
 from servofd.core.errors import ConfigError, RecordingError
 from servofd.detection.monitor import SurfaceMonitor
-from servofd.detection.statistics import Statistics
+from servofd.detection.verdict import Statistics
 from servofd.feedback.draft import draft_aircraft
 from servofd.fleet.store import FleetStore, read_table
 from servofd.jobs.workflow import audit

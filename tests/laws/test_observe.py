@@ -11,9 +11,16 @@ from scipy.linalg import expm
 from scipy.signal import tf2ss
 
 from servofd.core.types import FloatArray
-from servofd.detection.lags import FilterMemory, FilterParameters, filtered_rows, lag_weights
 from servofd.detection.residual import Commands, followed
-from servofd.detection.starts import RESTART_ALL, RESTART_FILTER, RESTART_NONE
+from servofd.detection.samples import (
+    RESTART_ALL,
+    RESTART_FILTER,
+    RESTART_NONE,
+    FilterMemory,
+    FilterParameters,
+    filtered_rows,
+    lag_weights,
+)
 from servofd.servo.effects import LinearDynamics, PositionLimit
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel

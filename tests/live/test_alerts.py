@@ -6,7 +6,7 @@ import itertools
 
 import pytest
 
-from servofd.detection.bank.flight import Fault
+from servofd.detection.bank.window import Fault
 from servofd.detection.events import Event
 from servofd.estimate.statistics import Estimate
 from servofd.live.alerts import Alerts

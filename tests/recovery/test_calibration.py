@@ -25,7 +25,7 @@ from servofd.core.errors import CalibrationError
 from servofd.core.frozen import republished_rows
 from servofd.core.types import FloatArray
 from servofd.detection.audit import audit_segment
-from servofd.detection.bank.flight import Fault
+from servofd.detection.bank.window import Fault
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.stream import Piece
 from servofd.detection.verdict import SurfaceAudit

@@ -1,22 +1,97 @@
-"""From an alarm to named faults: which, since when, until when, how large, how sure."""
+"""From an alarm to named faults: the decision between the hypotheses, since when, until when, how large, how sure."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from servofd.detection.bank.classify import BANK, Naming, name_fault
-from servofd.detection.bank.confirm import SURE
-from servofd.detection.bank.flight import Fault, Flight
-from servofd.detection.bank.window import Onset, Window
+from servofd.detection.bank.hypotheses import (
+    Bias,
+    DeadBand,
+    Floating,
+    Hardover,
+    Healthy,
+    LossOfEffectiveness,
+    Oscillation,
+    Slow,
+    Stuck,
+    Wandering,
+)
+from servofd.detection.bank.window import Explanation, Fault, Flight, Onset, Window
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
     from servofd.core.types import FloatArray
     from servofd.detection.alarm import Episode
-    from servofd.detection.bank.window import Explanation
+    from servofd.detection.bank.window import Hypothesis
     from servofd.detection.residual import ResidualGenerator
+
+BANK: tuple[Hypothesis, ...] = (
+    Healthy(),
+    Bias(),
+    Stuck(),
+    Hardover(),
+    Floating(),
+    Oscillation(),
+    DeadBand(),
+    Slow(),
+    LossOfEffectiveness(),
+)
+"""Adding a hypothesis is adding a class and an entry here."""
+
+_UNEXPLAINED_SHARE = 0.25
+_UNKNOWN_FREEDOM = 6.0
+_WORTH_MENTIONING = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Naming:
+    """Which hypothesis explains a window best, and how sure that is."""
+
+    best: Explanation | None
+    """None if the best answer is "none of these"."""
+    probabilities: Mapping[str, float]
+    """Of every kind, `unknown` included, the largest first."""
+
+    @property
+    def kind(self) -> str:
+        """The most probable kind."""
+        return next(iter(self.probabilities))
+
+    @property
+    def probability(self) -> float:
+        """Of that kind."""
+        return next(iter(self.probabilities.values()))
+
+    @property
+    def alternatives(self) -> tuple[str, ...]:
+        """Other kinds that are worth mentioning, the most probable first."""
+        others = list(self.probabilities.items())[1:]
+        return tuple(kind for kind, probability in others if probability >= _WORTH_MENTIONING)
+
+
+def name_fault(window: Window) -> Naming:
+    """Compare all hypotheses on one window."""
+    found = {h.kind: e for h in BANK if (e := h.explain(window)) is not None}
+    marks = scores(window, found)
+    kinds = sorted(marks, key=marks.__getitem__)
+    weights = np.exp(-0.5 * (np.array([marks[kind] for kind in kinds]) - marks[kinds[0]]))
+    shares = weights / weights.sum()
+    return Naming(found.get(kinds[0]), {k: float(s) for k, s in zip(kinds, shares, strict=True)})
+
+
+def scores(window: Window, found: Mapping[str, Explanation]) -> dict[str, float]:
+    """Information criterion of each explanation, and of having none; smaller is better."""
+    gap = float(window.error_deg @ window.error_deg)
+    cost_deg2 = _UNEXPLAINED_SHARE**2 * gap + window.time_s.size * window.noise_deg**2
+    nothing = Explanation("unknown", window.measured_deg, cost_deg2, _UNKNOWN_FREEDOM)
+    wandering = Wandering().explain(window) or nothing
+    unknown = min(window.score(nothing), window.score(wandering))
+    return {**{kind: window.score(e) for kind, e in found.items()}, "unknown": unknown}
+
 
 _SETTLING_S = 0.25
 """Left out after the onset: faults that set in abruptly still move the surface as a healthy servo would."""
@@ -36,14 +111,7 @@ _ONSET_BEFORE_RECORD_S = 0.5
 
 
 def isolate(flight: Flight, episode: Episode) -> tuple[Fault, ...]:
-    """Name what happened during an alarm.
-
-    Returns
-    -------
-    tuple of Fault
-        One; or several, if one turned into another. The kind `healthy` says that the tolerances of a working servo
-        explain the alarm.
-    """
+    """Name what happened during an alarm."""
     until_s = flight.end_s if episode.end_s is None else max(episode.end_s, episode.alarm_s + _SHORT_S)
     onset = _onset(flight, episode.start_s)
     naming, window = _name(flight, episode.start_s + _SETTLING_S, until_s, onset)
@@ -263,11 +331,6 @@ def narendra(residual_deg: FloatArray) -> FloatArray:
     possible while its :math:`\theta` stays within the noise:
 
     .. math:: \theta_k = \frac{\alpha |r_k| + \beta x_k}{\alpha + \beta/(1-\gamma)}, \qquad x_{k+1} = \gamma x_k + |r_k|
-
-    Examples
-    --------
-    >>> float(narendra(np.full(200, -0.5))[-1].round(6))
-    0.5
     """
     size_deg = np.abs(residual_deg)
     # The sum of what came before, forgotten by the power of its age; scipy.signal takes longer to load than all else.
@@ -277,18 +340,7 @@ def narendra(residual_deg: FloatArray) -> FloatArray:
 
 
 def first_signs(window: Window, generator: ResidualGenerator, sigma_deg: float) -> tuple[str, ...]:
-    """Kinds of faults that a short window admits, the likeliest first.
-
-    Parameters
-    ----------
-    window : Window
-        A second or less, from shortly after the onset on.
-
-    Returns
-    -------
-    tuple of str
-        Empty if nothing explains the window.
-    """
+    """Kinds of faults that a short window admits, the likeliest first."""
     restart = np.zeros(window.time_s.size, dtype=np.int8)
     restart[0] = 1
     limit_deg = _QUIET * _MEAN_OF_ABSOLUTE * sigma_deg
@@ -300,3 +352,47 @@ def first_signs(window: Window, generator: ResidualGenerator, sigma_deg: float) 
             if narendra(generator.filtered(window.time_s, misfit_deg, restart))[-1] <= limit_deg:
                 quiet[hypothesis.kind] = window.score(explanation)
     return tuple(sorted(quiet, key=quiet.__getitem__))
+
+
+SURE = 0.95
+"""Probability from which a name counts as certain."""
+
+
+def confirmed(named: tuple[Fault, ...], episode: Episode) -> tuple[Fault, ...]:
+    """Turn a suspicion into an alarm if the bank can name it for sure.
+
+    The alarm is raised when the name is: with the last sample of the window that told it. A crossing of the threshold
+    before that remains the alarm.
+    """
+    first = named[0]
+    if first.named_s is None or first.probability < SURE or first.kind in ("healthy", "unknown"):
+        return named
+    if episode.level == "suspect":
+        return (replace(first, level="fault", alarm_s=first.named_s), *named[1:])
+    return named
+
+
+def joined(flight: Flight, faults: Iterable[Fault]) -> tuple[Fault, ...]:
+    """Join neighbours of one kind unless the surface was healthy in between.
+
+    A small lasting fault may stay below half of its threshold for a while, which looks like an end.
+    """
+    result: list[Fault] = []
+    for fault in faults:
+        if result and _same(result[-1], fault) and not _recovered(flight, result[-1], fault):
+            result[-1] = replace(result[-1], end_s=fault.end_s)
+        else:
+            result.append(fault)
+    return tuple(result)
+
+
+def _same(before: Fault, after: Fault) -> bool:
+    return before.kind == after.kind and before.level == after.level
+
+
+def _recovered(flight: Flight, before: Fault, after: Fault) -> bool:
+    """Whether the surface was healthy between two faults."""
+    if before.end_s is None:
+        return False
+    window = flight.window(before.end_s, after.start_s, None)
+    return window is not None and name_fault(window).kind == "healthy"

@@ -1,7 +1,8 @@
-"""A stretch of flight as the hypotheses of the bank see it."""
+"""A stretch of flight as the hypotheses of the bank see it, and what one of them makes of it."""
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, field
 from operator import itemgetter
 from statistics import median
@@ -9,8 +10,8 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
-from servofd.detection.allowance import CURVATURE_TO_SIGMA
-from servofd.detection.bank.explanation import COLOUR, Ridge
+from servofd.detection.threshold import CURVATURE_TO_SIGMA
+from servofd.estimate.statistics import Estimate
 from servofd.servo.motion import AnyServo, swung
 
 if TYPE_CHECKING:
@@ -18,9 +19,90 @@ if TYPE_CHECKING:
 
     from servofd.core.tolerance import Tolerance
     from servofd.core.types import FloatArray
-    from servofd.detection.residual import Commands, Residuals
-    from servofd.estimate.statistics import Estimate
+    from servofd.detection.alarm import Level
+    from servofd.detection.residual import Commands, ResidualGenerator, Residuals
     from servofd.servo.servo_model import ServoModel
+
+COLOUR = 4.0
+"""Misfits of neighbouring samples are alike: so many samples tell as much as one."""
+
+
+class Regression(NamedTuple):
+    """Outcome of a ridge regression with k regressors on n samples."""
+
+    coefficients: FloatArray
+    """Of shape (k,)."""
+    predicted_deg: FloatArray
+    """Of shape (n,)."""
+    cost_deg2: float
+    """Sum of squared misfits [deg^2]."""
+    doubt: float
+    """Sum of squared coefficients in standard deviations of their priors."""
+
+
+class Ridge:
+    """Least squares with a Gaussian prior of zero mean on each coefficient, for many targets.
+
+    Parameters
+    ----------
+    regressors : ndarray, shape (n, k)
+        By what to explain.
+    spread : ndarray, shape (k,)
+        Standard deviation of each coefficient's prior; infinite for none.
+    noise_deg : float
+        Standard deviation of the noise [deg].
+
+    Examples
+    --------
+    >>> fit = Ridge(np.ones((2, 1)), np.array([np.inf]), 0.1).fit(np.array([1.0, 3.0]))
+    >>> fit.coefficients.round(6), round(fit.cost_deg2, 6)
+    (array([2.]), 2.0)
+    """
+
+    def __init__(self, regressors: FloatArray, spread: FloatArray, noise_deg: float) -> None:
+        self.regressors, self.noise_deg = regressors, noise_deg
+        self.weight = noise_deg**2 / spread**2
+        self.gram = regressors.T @ regressors
+        self.inverse = np.linalg.inv(self.gram + np.diag(self.weight + 1e-12 * len(regressors)))
+
+    def respread(self, spread: FloatArray) -> Ridge:
+        """Return the same regressors with other priors."""
+        other = copy(self)
+        other.weight = self.noise_deg**2 / spread**2
+        other.inverse = np.linalg.inv(self.gram + np.diag(other.weight + 1e-12 * len(self.regressors)))
+        return other
+
+    @property
+    def occam(self) -> float:
+        """Twice the negative logarithm of the share of the prior that fits this well: evidence's price of freedom."""
+        return float(-np.linalg.slogdet(self.inverse)[1] - np.sum(np.log(self.weight)))
+
+    def fit(self, target_deg: FloatArray) -> Regression:
+        """Explain a target of shape (n,) [deg]."""
+        coefficients = self.inverse @ (self.regressors.T @ target_deg)
+        predicted_deg = self.regressors @ coefficients
+        misfit = target_deg - predicted_deg
+        doubt = float(self.weight @ coefficients**2) / self.noise_deg**2
+        return Regression(coefficients, predicted_deg, float(misfit @ misfit), doubt)
+
+    def estimate(
+        self, fit: Regression, target_deg: FloatArray, index: int, offset: float = 0.0, own: float = 0.0
+    ) -> Estimate:
+        """One coefficient with its interval; `own` is the deviation that the servo may have had all along."""
+        doubt = _misfit_deviation(target_deg - fit.predicted_deg, self.noise_deg)
+        deviation = float(np.hypot(doubt * np.sqrt(self.inverse[index, index]), own))
+        return Estimate.of(offset + float(fit.coefficients[index]), deviation)
+
+
+def _misfit_deviation(misfit_deg: FloatArray, noise_deg: float) -> float:
+    """Deviation of the misfit, enlarged for its colour: neighbours that agree tell less than strangers."""
+    deviation = max(noise_deg, float(np.sqrt(np.mean(misfit_deg**2))))
+    if misfit_deg.size < 3:
+        return deviation
+    power = float(misfit_deg @ misfit_deg)
+    likeness = min(max(float(misfit_deg[1:] @ misfit_deg[:-1]) / max(power, 1e-300), 0.0), 0.98)
+    return deviation * float(np.sqrt((1.0 + likeness) / (1.0 - likeness)))
+
 
 _LEAD_S = 1.5
 """Simulations start this long before the window, so that how they start is forgotten (lags are below 0.15 s)."""
@@ -232,3 +314,61 @@ def noise_deg(error_deg: FloatArray) -> float:
     size_deg = np.abs(curvature)
     glitch_deg = _GLITCH * float(np.percentile(size_deg, _MOST))
     return CURVATURE_TO_SIGMA * float(np.mean(np.minimum(size_deg, glitch_deg)))
+
+
+_FEWEST_SAMPLES = 12
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One fault of one surface."""
+
+    kind: str
+    """`unknown` if no hypothesis explains it, or several do alike."""
+    start_s: float
+    """Best estimate of the onset [s]."""
+    alarm_s: float
+    """When the alarm would have been raised in flight [s]."""
+    end_s: float | None
+    """When it was last seen [s]; None if it lasts to the end of the log."""
+    parameters: Mapping[str, Estimate]
+    probability: float
+    """Of that kind; of the likeliest alternative if several do alike."""
+    alternatives: tuple[str, ...]
+    level: Level = "fault"
+    named_s: float | None = None
+    """When there were data enough for this name [s]."""
+    first_signs: tuple[str, ...] = ()
+    """What it could have been for all that was known within its first second."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flight:
+    """All that the bank needs to know of one surface's flight."""
+
+    generator: ResidualGenerator
+    tolerance: Tolerance
+    noise_deg: float
+    """Of the position."""
+    sigma_deg: float
+    """Of the healthy residual."""
+    residuals: Residuals
+    commands: Commands
+    is_report: bool = True
+    """Whether what only reports tell is wanted: the first signs of each fault."""
+
+    def window(self, from_s: float, to_s: float, onset: Onset | None) -> Window | None:
+        """Cut out a stretch; None if it holds too few samples."""
+        time_s = self.residuals.time_s
+        first, last = (int(i) for i in np.searchsorted(time_s, (from_s, to_s + 1e-9)))
+        span = slice(first, last)
+        if np.count_nonzero(self.residuals.settled[span]) < _FEWEST_SAMPLES:
+            return None
+        return Window.of(
+            self.generator.model, self.tolerance, self.noise_deg, self.residuals, self.commands, span, onset
+        )
+
+    @property
+    def end_s(self) -> float:
+        """Last sample [s]."""
+        return float(self.residuals.time_s[-1])

@@ -10,7 +10,7 @@ from servofd.axes.forms import FORMS
 from servofd.outputs.recording.views import curves, lanes, stacked
 
 if TYPE_CHECKING:
-    from servofd.detection.axis_verdict import AxisAudit
+    from servofd.detection.verdict import AxisAudit
     from servofd.outputs.recording.stream import Recorder
 
 

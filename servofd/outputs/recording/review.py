@@ -10,14 +10,14 @@ import numpy as np
 from servofd.aircraft.segment import is_streamed
 from servofd.core.errors import RecordingError
 from servofd.detection.audit import audit_segment, judged_by
-from servofd.detection.statistics import Statistics
+from servofd.detection.verdict import Statistics
 from servofd.outputs.recording.clock import microseconds
 from servofd.outputs.recording.content import Recording
 from servofd.outputs.recording.verdicts import LIVE
 
 if TYPE_CHECKING:
     from servofd.core.types import FloatArray
-    from servofd.detection.bank.flight import Fault
+    from servofd.detection.bank.window import Fault
     from servofd.detection.threshold import ThresholdKind
     from servofd.detection.verdict import Status, SurfaceAudit
     from servofd.outputs.recording.content import Trace

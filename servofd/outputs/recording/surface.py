@@ -12,7 +12,7 @@ from servofd.outputs.recording.stream import STATES, surface_place
 
 if TYPE_CHECKING:
     from servofd.core.types import FloatArray
-    from servofd.detection.bank.flight import Fault
+    from servofd.detection.bank.window import Fault
     from servofd.detection.verdict import SurfaceAudit
     from servofd.onboard.seen import Seen
     from servofd.outputs.recording.content import Trace

@@ -1,4 +1,4 @@
-r"""The smallest fault of each kind that a log would have shown, from its own commands, residual and threshold.
+r"""What a flight would have shown: how much of it was judged, the smallest faults, and whether that clears a surface.
 
 A fault of size :math:`k` that adds :math:`k\,s(t)` to the residual raises an alarm in a log whose residual is :math:`r`
 and whose threshold is :math:`\tau` as soon as :math:`|r + k s| > \tau`: it needs :math:`k(t) = (\tau \mp r) / |s|`, and
@@ -10,13 +10,12 @@ leaves, an oscillation a filtered wave; less speed adds a lag, and play what pla
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from servofd.core.evidence import NOTHING_DETECTABLE, Detectable
-from servofd.detection.allowance import MEMORY_S
-from servofd.detection.threshold import SUSPICIOUS_DRIFT, suspicion
+from servofd.detection.threshold import MEMORY_S, SUSPICIOUS_DRIFT, suspicion
 from servofd.servo.play import play
 from servofd.servo.state import compiled
 
@@ -25,9 +24,157 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from servofd.aircraft.segment import Segment
     from servofd.core.types import BoolArray, FloatArray
     from servofd.detection.residual import ResidualGenerator, Residuals
     from servofd.detection.threshold import Threshold
+
+MOST_LOST = 0.34
+"""A surface that could have lost more than a third of its travel unseen is not called healthy."""
+_THIRD_OF_SPEED, _LIVELIER = 1.0 / 3.0, 1.5
+"""Motion so much larger shows that much less of a loss."""
+_MARGIN = 1.2
+_FARTHEST_DEG = 30.0
+"""No control surface moves much further to either side: one that would have to needs a narrower threshold."""
+_NAMES = {
+    "bias_deg": "offset",
+    "slow_share": "speed",
+    "loss_share": "travel",
+    "deadband_deg": "play",
+    "oscillation_deg": "oscillation",
+}
+
+
+def why_not_cleared(residuals: Residuals, shown: Detectable, level_deg: float) -> str:
+    """Why a log without an alarm does not clear a surface, and what to fly; empty if it does."""
+    if shown.loss_share is not None and shown.loss_share <= MOST_LOST:
+        return ""
+    moved = residuals.simulated_deg[residuals.settled]
+    reach_deg = float(np.ptp(moved)) / 2.0 if moved.size else 0.0
+    unseen = "a jam" if shown.loss_share is None else f"the loss of {shown.loss_share:.0%} of its travel"
+    wanted_deg = max(3.0 * _MARGIN * level_deg, _MARGIN * reach_deg)
+    if wanted_deg > max(_FARTHEST_DEG, _MARGIN * reach_deg):
+        return (
+            f"too little motion for so wide a threshold ({level_deg:.2g} deg): even {unseen} might not have shown; fly "
+            "or bench-test slow movements beside fast ones, or calibrate on a good flight"
+        )
+    return (
+        f"too little motion: even {unseen} might not have shown (threshold {level_deg:.2g} deg); fly or bench-test "
+        f"several movements of ±{wanted_deg:.0f} deg or more, or calibrate on a good flight"
+    )
+
+
+def is_blind(shown: Detectable) -> bool:
+    """Whether a servo at a third of its speed would not show, nor the loss of a third of its travel in livelier flight.
+
+    Examples
+    --------
+    >>> from servofd.core.evidence import Detectable
+    >>> is_blind(Detectable(loss_share=0.6)), is_blind(Detectable(loss_share=0.6, slow_share=0.4))
+    (True, False)
+    """
+    loss_shows = shown.loss_share is not None and shown.loss_share <= _LIVELIER * MOST_LOST
+    speed_shows = shown.slow_share is not None and shown.slow_share >= _THIRD_OF_SPEED
+    return not (loss_shows or speed_shows)
+
+
+def not_judgeable(shown: Detectable, *, own_fit: bool = False) -> str:
+    """Kinds of faults that a log could not have shown, in words; `own_fit` if its servo was fitted to this very log."""
+    missing = [_NAMES[name] for name in shown.missing]
+    if not missing:
+        return ""
+    if own_fit and set(missing) <= {"offset", "speed"}:
+        return f"{_in_words(missing)} not judgeable: fitted to this log"
+    why = ": no brisk motion" if missing == ["speed"] else ""
+    return f"{_in_words(missing)} not judgeable{why}"
+
+
+def _in_words(names: list[str]) -> str:
+    *first, last = names
+    return f"{', '.join(first)} and {last}" if first else last
+
+
+_BIN_S = 1.0
+_MOVES_DEG = 0.5
+_CLEARLY_MOVES_DEG = 2.0
+_JUDGED = 0.4
+"""Share of the usual samples from which on a second counts as judged."""
+_FEWEST_S = 3.0
+_LEAST = 0.5
+_STOPS_S, _STOPS_SHARE = 3.0, 0.1
+
+
+class Coverage(NamedTuple):
+    """What of a flight was judged."""
+
+    moving_share: float
+    """Share of the seconds in which the surface was asked to move, or did, that was judged."""
+    uncommanded_s: float
+    """Time for which the position moved clearly while there was no command [s]."""
+    stopped: str
+    """Which stream stopped long before the other, and when; empty if none did."""
+
+    @property
+    def problem(self) -> str:
+        """Why this is too little to clear a surface; empty if it is not."""
+        if self.stopped:
+            return self.stopped
+        if self.moving_share < _LEAST:
+            return f"judged for only {self.moving_share:.0%} of the time in which it moved or was asked to"
+        return ""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader should know of it."""
+        moved = f"the position moved for {self.uncommanded_s:.0f} s without any command in the log"
+        return (moved,) if self.uncommanded_s >= _FEWEST_S else ()
+
+
+def coverage(segment: Segment, residuals: Residuals) -> Coverage:
+    """What of a flight was judged."""
+    measured = np.isfinite(segment.measured_deg)
+    if not measured.any() or segment.command_s.size == 0:
+        return Coverage(1.0, 0.0, "")
+    first_s = float(min(segment.command_s[0], segment.measured_s[0]))
+    last_s = float(max(segment.command_s[-1], segment.measured_s[-1]))
+    position_s = segment.measured_s[measured]
+    streams = segment.command_s, position_s, residuals.time_s[residuals.settled]
+    bins = [_bins(each, first_s) for each in streams]
+    seconds = np.unique(np.concatenate([each[np.diff(each, prepend=-1) > 0] for each in bins]))
+    command, position, settled = (np.searchsorted(seconds, each) for each in bins)
+    asked = _spans(command, segment.command_deg, seconds.size)
+    moved = _spans(position, segment.measured_deg[measured], seconds.size)
+    is_judged = np.bincount(settled, minlength=seconds.size) >= _JUDGED * _BIN_S / max(segment.period_s, 1e-9)
+    commanded = np.bincount(command, minlength=seconds.size) > 0
+    moving: BoolArray = (asked >= _MOVES_DEG) | (moved >= _CLEARLY_MOVES_DEG)
+    total = int(np.count_nonzero(moving))
+    share = float(np.count_nonzero(moving & is_judged)) / total if total * _BIN_S >= _FEWEST_S else 1.0
+    alone = float(np.count_nonzero(~commanded & (moved >= _CLEARLY_MOVES_DEG))) * _BIN_S
+    return Coverage(share, alone, _stopped(segment, position_s, first_s, last_s))
+
+
+def _stopped(segment: Segment, position_s: FloatArray, first_s: float, last_s: float) -> str:
+    longest_s = max(_STOPS_S, _STOPS_SHARE * (last_s - first_s))
+    for what, time_s in (("command", segment.command_s), ("position", position_s)):
+        if last_s - time_s[-1] > longest_s:
+            return (
+                f"no {what} after {time_s[-1]:.1f} s although the other stream goes on for {last_s - time_s[-1]:.1f} s"
+            )
+    return ""
+
+
+def _bins(time_s: FloatArray, first_s: float) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    return ((time_s - first_s) / _BIN_S).astype(np.int64)
+
+
+def _spans(where: NDArray[np.intp], values_deg: FloatArray, bins: int) -> FloatArray:
+    """How far a stream moves in each second [deg]; what happens from one to the next belongs to the later."""
+    low, high = np.full(bins, np.inf), np.full(bins, -np.inf)
+    for edge, values in ((where, values_deg), (where[1:], values_deg[:-1])):
+        np.minimum.at(low, edge, values)
+        np.maximum.at(high, edge, values)
+    return np.where(high >= low, high - low, 0.0)
+
 
 _POWER = 95.0
 _LATEST_ONSET = 0.5

@@ -1,0 +1,722 @@
+"""How often noise alone raises an alarm, how often a fault is missed, and how long it takes to be seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from math import erfc, sqrt
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from logparsers.records import own
+from servofd.core.errors import DesignError, NoMeasurement
+from servofd.core.numeric import root
+from servofd.core.types import BoolArray, FloatArray
+from servofd.servo.state import compiled, fixed
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from servofd.detection.pulse import PulseFilter
+
+_NODES = 120
+_REACH = 10.0
+_LOWEST_Z = 1.0
+"""The rate falls with the threshold from here on: for white noise it is largest at 0.67, for any other below that."""
+_HIGHEST_Z = 37.0
+"""Beyond it the density of a Gaussian is no longer a normal floating-point number."""
+
+
+def false_alarms_per_hour(threshold_deg: float, sigma_deg: float, correlation: float, sample_time_s: float) -> float:
+    r"""Rate at which a healthy, Gaussian residual crosses its threshold from inside to outside.
+
+    Parameters
+    ----------
+    threshold_deg : float
+        Alarm level, on both sides [deg].
+    correlation : float
+        Correlation of the residual with itself one sample later, between -1 and 1.
+
+    Returns
+    -------
+    float
+        Alarms per flight hour. For a residual with heavier tails than a Gaussian the truth is higher.
+
+    Discrete up-crossings, with :math:`z = \tau/\sigma` and :math:`s = \sqrt{1-\rho_1^2}`:
+
+    .. math:: \nu = \frac{2}{T} \int_z^\infty \varphi(x)
+              \left[\Phi\!\left(\frac{z-\rho_1 x}{s}\right) - \Phi\!\left(\frac{-z-\rho_1 x}{s}\right)\right] dx
+
+    Examples
+    --------
+    >>> rate = false_alarms_per_hour(5.0, 1.0, 0.62066, 0.01)
+    >>> round(float(1.0 - np.exp(-rate)), 3)
+    0.184
+    """
+    if sigma_deg <= 0.0:
+        return 0.0
+    z = threshold_deg / sigma_deg
+    rho = min(max(correlation, -1.0 + 1e-9), 1.0 - 1e-9)
+    spread = np.sqrt(1.0 - rho**2)
+    nodes, weights = _gauss_legendre(_NODES)
+    # The density falls by a factor e within 1/z of the threshold: integrate over ten such lengths.
+    reach = _REACH * min(1.0, 4.0 / max(z, 1e-3))
+    x = z + 0.5 * reach * (nodes + 1.0)
+    # Relative to the tail at z, so that a threshold of many sigma does not underflow before the end.
+    density = np.exp(-0.5 * (x - z) * (x + z))
+    inside = _below((z - rho * x) / spread) - _below((-z - rho * x) / spread)
+    tail = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi)
+    return float(3600.0 * 2.0 / sample_time_s * tail * 0.5 * reach * np.sum(weights * density * inside))
+
+
+def _below(sigmas: FloatArray) -> FloatArray:
+    """Probability of a standard Gaussian below each value; importing `scipy.special` for it takes 0.1 s."""
+    return np.array([0.5 * erfc(-value * sqrt(0.5)) for value in sigmas.tolist()])
+
+
+@cache
+def _gauss_legendre(count: int) -> tuple[FloatArray, FloatArray]:
+    """Nodes and weights; working them out takes a hundred times as long as using them."""
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    return np.asarray(nodes, dtype=float), np.asarray(weights, dtype=float)
+
+
+def threshold_for_rate_deg(rate_per_hour: float, sigma_deg: float, correlation: float, sample_time_s: float) -> float:
+    """Threshold at which a healthy Gaussian residual gives the wanted rate of false alarms.
+
+    Parameters
+    ----------
+    rate_per_hour : float
+        Wanted false alarms per flight hour, of this surface alone; for a fleet, divide by the number of surfaces.
+    sigma_deg : float
+        Standard deviation of the residual [deg], above zero.
+
+    Returns
+    -------
+    float
+        Threshold [deg]; `false_alarms_per_hour` there is the wanted rate to ten digits.
+
+    Examples
+    --------
+    >>> round(threshold_for_rate_deg(1e-6, 0.0418, 0.62066, 0.01), 3)
+    0.292
+    """
+    if not sigma_deg > 0.0:
+        raise DesignError("a residual without noise needs no threshold: the standard deviation must be above zero")
+    z = root_of_rate(lambda level: false_alarms_per_hour(level, 1.0, correlation, sample_time_s), rate_per_hour)
+    return z * sigma_deg
+
+
+def root_of_rate(rate: Callable[[float], float], wanted_per_hour: float) -> float:
+    """Threshold in standard deviations at which a falling rate takes the wanted value."""
+    most, least = rate(_LOWEST_Z), rate(_HIGHEST_Z)
+    if not least <= wanted_per_hour <= most:
+        raise DesignError(
+            f"{wanted_per_hour:g} false alarms per hour: no threshold gives this rate; choose one between "
+            f"{least:.1g} and {most:.2g}"
+        )
+    # Rates span hundreds of powers of ten: only their logarithm is near a straight line.
+    tiny = np.finfo(float).tiny
+    wanted = np.log(max(wanted_per_hour, tiny))
+    return root(lambda level: float(np.log(max(rate(level), tiny)) - wanted), _LOWEST_Z, _HIGHEST_Z)
+
+
+_FEWEST_SAMPLES = 100
+_FEWEST_LAGS = 5
+_AR_ORDER = 30
+_WARM_UP = 1000
+_WHITE_SHARE = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Noise:
+    """Stationary noise of one residual.
+
+    Examples
+    --------
+    >>> from servofd.detection.pulse import design_pulse_filter
+    >>> from servofd.servo.library import servo_named
+    >>> design = design_pulse_filter(servo_named("hs225bb-eq31").printed, 0.004, 0.01, 50.0)
+    >>> noise = Noise.designed(design, noise_deg=0.1)
+    >>> round(noise.sigma_deg, 4), round(noise.correlation, 5), round(noise.long_run_factor, 2)
+    (0.0418, 0.62066, 5.71)
+    """
+
+    sigma_deg: float
+    """Standard deviation [deg], above zero."""
+    autocorrelation: FloatArray
+    """Correlation with itself after 0, 1, ... samples, until it has died out; starts with 1."""
+    sample_time_s: float
+    """Sample time [s]."""
+    mean_deg: float = 0.0
+    """Mean [deg]; it takes its size off the margin to the threshold."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "autocorrelation", own(self.autocorrelation))
+        if not (self.sigma_deg > 0.0 and self.sample_time_s > 0.0 and self.autocorrelation.size > 1):
+            raise ValueError("noise needs a standard deviation, a sample time and at least one lag")
+
+    @classmethod
+    def designed(cls, design: PulseFilter, noise_deg: float) -> Noise:
+        """Noise of a residual whose measured deflection carries white noise of this standard deviation [deg]."""
+        lags = design.impulse_response().size // 2
+        return cls(design.noise_gain * noise_deg, design.autocorrelation(lags), design.sample_time_s)
+
+    @classmethod
+    def measured(cls, residual_deg: FloatArray, sample_time_s: float, lags: int) -> Noise:
+        """Noise of a healthy residual as it was measured.
+
+        Parameters
+        ----------
+        residual_deg : ndarray, shape (n,)
+            Residual [deg]; NaN where it was not judged, and between one log and the next.
+        lags : int
+            Most lags after lag 0 to look at; at least the time in which the filter forgets.
+        """
+        from scipy.signal import correlate
+
+        known = np.isfinite(residual_deg)
+        count = int(np.count_nonzero(known))
+        if count < _FEWEST_SAMPLES:
+            raise NoMeasurement(f"only {count} healthy samples; {_FEWEST_SAMPLES} are needed to tell the noise")
+        mean = float(np.mean(residual_deg[known]))
+        # Zeros for what is missing, and one divisor for all lags: the estimate stays positive definite.
+        centred = np.where(known, residual_deg - mean, 0.0)
+        power = float(centred @ centred)
+        if not power > 0.0:
+            raise NoMeasurement("the residual never changes: there is no noise to judge by")
+        products = correlate(np.append(centred, np.zeros(lags)), centred, mode="valid", method="fft")
+        scaled = products / power
+        scaled[0] = 1.0
+        # From the first correlation that is not positive on there is more estimation error than correlation.
+        end = max(int(np.argmax(np.append(scaled, -1.0) <= 0.0)), _FEWEST_LAGS + 1)
+        return cls(float(np.sqrt(power / count)), scaled[:end], sample_time_s, mean)
+
+    @property
+    def correlation(self) -> float:
+        """Correlation of neighbouring samples."""
+        return float(self.autocorrelation[1])
+
+    @property
+    def long_run_factor(self) -> float:
+        """Variance of a long mean, relative to that of white noise: S = 1 + 2 sum of all correlations; at least 1."""
+        return max(1.0, 1.0 + 2.0 * float(self.autocorrelation[1:].sum()))
+
+    def margin_deg(self, threshold_deg: float) -> float:
+        """What the mean leaves of a threshold, on the side where it leaves less [deg]."""
+        return max(threshold_deg - abs(self.mean_deg), 0.0)
+
+    @property
+    def order(self) -> int:
+        """Number of earlier samples that tell about the next one."""
+        return min(_AR_ORDER, self.autocorrelation.size - 1)
+
+    def prediction(self, known: int) -> tuple[FloatArray, float]:
+        """Best forecast of a sample from those before it (Yule and Walker).
+
+        Parameters
+        ----------
+        known : int
+            How many earlier samples are used, at most `order`.
+
+        Returns
+        -------
+        weights, spread
+            Weights of the earlier samples, latest first, shape (known,), and the standard deviation of what remains,
+            as a share of `sigma_deg`.
+
+        Examples
+        --------
+        >>> weights, spread = Noise(1.0, np.array([1.0, 0.6, 0.5]), 0.01).prediction(2)
+        >>> weights.round(6).tolist(), round(spread, 6)
+        ([0.46875, 0.21875], 0.780625)
+        """
+        from scipy.linalg import solve_toeplitz
+
+        if known == 0:
+            return np.empty(0), 1.0
+        rho = self.autocorrelation[: known + 1]
+        # A trace of white noise keeps the equations of a very smooth residual from being singular.
+        weights: FloatArray = solve_toeplitz(np.append(1.0 + _WHITE_SHARE, rho[1:-1]), rho[1:])
+        return weights, float(np.sqrt(max(1.0 - float(weights @ rho[1:]), 0.0)))
+
+    def sample(self, shape: tuple[int, int], seed: int) -> FloatArray:
+        """Gaussian noise of this size and colour, without mean [deg], shape (runs, samples)."""
+        from scipy.signal import lfilter
+
+        weights, spread = self.prediction(self.order)
+        white = np.random.default_rng(seed).standard_normal((shape[0], shape[1] + _WARM_UP))
+        coloured: FloatArray = lfilter([self.sigma_deg * spread], np.append(1.0, -weights), white)[:, _WARM_UP:]
+        return coloured
+
+
+_OVERSHOOT = 1.166
+"""Mean overshoot of a Gaussian random walk, twice 0.583 (D. Siegmund, Sequential Analysis, 1985)."""
+
+
+@dataclass(frozen=True, slots=True)
+class CusumDesign:
+    """A two-sided cumulative sum with its alarm limit."""
+
+    kappa: float
+    """Reference value [sigma]: what is taken off each sample. Shifts below it are never seen."""
+    limit: float
+    """Alarm limit h [sigma]."""
+    factor: float
+    """Long-run factor S of the noise, 1 if it is white."""
+    sample_time_s: float
+    """Sample time [s]."""
+
+    def mean_delay_s(self, shift_sigma: FloatArray) -> float:
+        r"""Expected time from the fault to the alarm [s].
+
+        Siegmund's formula for a drift :math:`\Delta = \delta - \kappa`, with the variance of the walk multiplied by S,
+
+        .. math:: N = S\,\frac{e^{-2\Delta b/S} + 2\Delta b/S - 1}{2\Delta^2}, \qquad b = h + 1.166\,\sqrt{S}
+
+        and the delay is the time by which the response has gathered as much as N samples of the settled shift would.
+        Within a fifth of simulated delays, or two samples.
+        """
+        drift = abs(float(shift_sigma[-1])) - self.kappa
+        if drift <= 0.0:
+            return float("inf")
+        barrier = self.limit + _OVERSHOOT * np.sqrt(self.factor)
+        x = 2.0 * drift * barrier / self.factor
+        needed = self.factor * (np.expm1(-x) + x) / (2.0 * drift)
+        gathered = np.cumsum(np.sign(shift_sigma[-1]) * shift_sigma - self.kappa)
+        reached = np.flatnonzero(gathered >= needed)
+        samples = float(reached[0]) if reached.size else shift_sigma.size - 1 + (needed - gathered[-1]) / drift
+        return float(samples * self.sample_time_s)
+
+
+def design_cusum(kappa: float, rate_per_hour: float, noise: Noise) -> CusumDesign:
+    r"""Alarm limit for a wanted rate of false alarms.
+
+    For white noise, Siegmund's run length of one side is
+    :math:`(e^{2\kappa b} - 2\kappa b - 1)/(2\kappa^2)`, :math:`b = h + 1.166`; two sides alarm twice as often.
+    """
+    samples = 2.0 * 3600.0 / (rate_per_hour * noise.sample_time_s)
+    wanted = 2.0 * kappa**2 * samples
+    # exp(x) - x - 1 = wanted; it lies below exp(x), and above it by no more than twice near the root.
+    top = float(np.log(wanted + 1.0)) * 2.0 + 4.0
+    x = root(lambda value: np.expm1(value) - value - wanted, 0.0, top)
+    white = max(float(x) / (2.0 * kappa) - _OVERSHOOT, 0.0)
+    return CusumDesign(kappa, noise.long_run_factor * white, noise.long_run_factor, noise.sample_time_s)
+
+
+def cusum(
+    normalised_residual: FloatArray,
+    kappa: float,
+    restart: BoolArray | None = None,
+    memory: FloatArray | None = None,
+) -> FloatArray:
+    """Two-sided cumulative sum of a residual."""
+    values = np.asarray(normalised_residual, dtype=float)
+    restarts = np.zeros(values.size, dtype=bool) if restart is None else np.asarray(restart, dtype=bool)
+    if restarts.shape != values.shape:
+        raise ValueError(f"restart has shape {restarts.shape}, the residual {values.shape}")
+    result = np.empty(values.size)
+    _sums(fixed(values), kappa, fixed(restarts), np.zeros(2) if memory is None else memory, result)
+    return result
+
+
+@compiled
+def _sums(values: FloatArray, kappa: float, restart: BoolArray, memory: FloatArray, result: FloatArray) -> None:
+    high, low = memory[0], memory[1]
+    for k in range(values.size):
+        if restart[k]:
+            high = low = 0.0
+        if not np.isnan(values[k]):
+            high = max(0.0, high + values[k] - kappa)
+            low = max(0.0, low - values[k] - kappa)
+        result[k] = max(high, low)
+    memory[0], memory[1] = high, low
+
+
+_POINTS_LOG2 = 13
+_SHARE_SEEN = 0.95
+_RUNS = 400
+"""Flights to simulate; the standard error is about the delay over their square root."""
+_TRACE_OF_WHITE = 1e-12
+_TINY = np.finfo(float).tiny
+_LARGEST_BELOW_ONE = float(np.nextafter(1.0, 0.0))
+
+
+def persistent_false_alarms_per_hour(threshold_deg: float, noise: Noise, samples: int) -> float:
+    r"""Rate of alarms that ask for several samples in a row over the threshold, all on one side.
+
+    One alarm for each run of at least :math:`n` samples, counted where it has lasted :math:`n`:
+
+    .. math:: \nu_n = \frac{2}{T}\,
+              \left[P(r_1 > \tau, \dots, r_n > \tau) - P(r_1 > \tau, \dots, r_{n+1} > \tau)\right]
+
+    (a run begun is a run ended, so "not before" may be read as "not after"). They are integrals, to 1e-3,
+    over the Cholesky factor of the correlation, each variable drawn from its tail given those before it (A. Genz,
+    1992), on a fixed low-discrepancy net: accurate relative to their own size, and smooth in the threshold.
+    """
+    margin_deg = noise.margin_deg(threshold_deg)
+    if samples == 1:
+        return false_alarms_per_hour(margin_deg, noise.sigma_deg, noise.correlation, noise.sample_time_s)
+    return _rate(margin_deg / noise.sigma_deg, _factor(noise, samples), noise.sample_time_s)
+
+
+def persistent_threshold_deg(rate_per_hour: float, noise: Noise, samples: int) -> float:
+    """Threshold at which this many samples in a row give the wanted rate of false alarms [deg]."""
+    if samples == 1:
+        z = root_of_rate(
+            lambda level: false_alarms_per_hour(level, 1.0, noise.correlation, noise.sample_time_s), rate_per_hour
+        )
+    else:
+        factor = _factor(noise, samples)
+        z = root_of_rate(lambda level: _rate(level, factor, noise.sample_time_s), rate_per_hour)
+    return z * noise.sigma_deg + abs(noise.mean_deg)
+
+
+def persistent_delay_s(
+    response_deg: FloatArray, threshold_deg: float, noise: Noise, samples: int, *, seed: int = 1
+) -> float:
+    """Expected time from a fault to this many samples in a row over the threshold, by simulation [s].
+
+    Parameters
+    ----------
+    response_deg : ndarray, shape (n,)
+        Mean residual that the fault causes [deg], from the sample at which it sets in.
+    threshold_deg : float
+        Alarm level, on both sides [deg].
+
+    Returns
+    -------
+    float
+        Mean delay; infinite if more than one run in twenty saw no alarm within the response.
+    """
+    residual = noise.sample((_RUNS, response_deg.size), seed) + response_deg + noise.mean_deg
+    hit = np.zeros(residual.shape, dtype=bool)
+    for side in (residual >= threshold_deg, residual <= -threshold_deg):
+        held = side.copy()
+        for back in range(1, samples):
+            held[:, back:] &= side[:, :-back]
+            held[:, :back] = False
+        hit |= held
+    seen = hit.any(axis=1)
+    if np.count_nonzero(seen) < _SHARE_SEEN * _RUNS:
+        return float("inf")
+    return float(np.where(seen, hit.argmax(axis=1), response_deg.size).mean()) * noise.sample_time_s
+
+
+def _factor(noise: Noise, samples: int) -> FloatArray:
+    from scipy.linalg import toeplitz
+
+    if not 1 <= samples < noise.autocorrelation.size:
+        raise ValueError(f"{samples} samples in a row: the colour is known for 1 to {noise.autocorrelation.size - 1}")
+    correlation = toeplitz(noise.autocorrelation[: samples + 1])
+    # A trace of white noise keeps the matrix of a very smooth residual from being singular.
+    return np.asarray(np.linalg.cholesky(correlation + _TRACE_OF_WHITE * np.eye(samples + 1)), dtype=np.float64)
+
+
+def _rate(z: float, factor: FloatArray, sample_time_s: float) -> float:
+    """Runs of exactly the first n rows, the last row being inside again; both signs."""
+    from scipy.special import ndtr, ndtri
+
+    size = factor.shape[0]
+    net = _net(size - 1)
+    drawn = np.zeros((size, net.shape[0]))
+    chance = np.ones(net.shape[0])
+    for i in range(size):
+        tail = ndtr(-(z - factor[i, :i] @ drawn[:i]) / factor[i, i])
+        if i == size - 1:
+            chance = chance * (1.0 - tail)
+        else:
+            chance = chance * tail
+            drawn[i] = -ndtri(np.clip(net[:, i] * tail, _TINY, _LARGEST_BELOW_ONE))
+    return float(3600.0 * 2.0 / sample_time_s * chance.mean())
+
+
+@cache
+def _net(dimensions: int) -> FloatArray:
+    """Scrambled Sobol points, shape (8192, dimensions); always the same."""
+    from scipy.stats.qmc import Sobol
+
+    points: FloatArray = Sobol(dimensions, rng=np.random.default_rng(1)).random_base2(_POINTS_LOG2)
+    return points
+
+
+_MOST_DRAWS, _FEWEST_DRAWS, _NUMBERS = 4096, 256, 4_000_000
+_ROUND_OFF = 1e-12
+_RARE = 0.99
+"""With more than this still missed at the end, alarms are too rare for draws: crossings of the settled mean count."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Detection:
+    """Probability that an alarm has been raised by each sample after a fault; arrays of shape (n,)."""
+
+    least: FloatArray
+    """Largest marginal probability so far: the truth is never below it."""
+    likely: FloatArray
+    """The probability itself, with the colour of the noise; its numerical error is about 1 %."""
+    most: FloatArray
+    """As if the samples were independent."""
+    steady_per_s: float
+    """Rate of alarms at the end [1/s], once the response has settled."""
+    sample_time_s: float
+
+    @property
+    def mean_delay_s(self) -> float:
+        """Expected time from the fault to the alarm [s]; after the last sample alarms come at the steady rate."""
+        missed = 1.0 - self.likely
+        seen_s = self.sample_time_s * float(missed[:-1].sum())
+        if missed[-1] == 0.0:
+            return seen_s
+        return seen_s + float(missed[-1]) / self.steady_per_s if self.steady_per_s > 0.0 else float("inf")
+
+    def delay_s(self, probability: float) -> float:
+        """Time by which an alarm has been raised with this probability [s]; infinite if not within the response."""
+        reached = np.flatnonzero(self.likely >= probability)
+        return float(reached[0]) * self.sample_time_s if reached.size else float("inf")
+
+
+def detect(response_deg: FloatArray, threshold_deg: float, noise: Noise) -> Detection:
+    r"""Probability that a fault has raised an alarm, sample by sample.
+
+    Parameters
+    ----------
+    response_deg : ndarray, shape (n,), n at least 2
+        Mean residual that the fault causes [deg], from the sample at which it sets in until it has settled.
+    threshold_deg : float
+        Alarm level, on both sides [deg].
+    noise : Noise
+        Of the healthy residual, taken to be Gaussian. Its mean is added to the response.
+
+    With :math:`p_i = P(|r_i| \ge \tau)` the probability of an alarm by sample k lies between
+    :math:`\max_{i \le k} p_i` and, for positively correlated residuals, :math:`1 - \prod_{i \le k} (1 - p_i)`.
+    The probability itself is :math:`1 - E \prod_{i \le k} P(|r_i| < \tau \mid r_{i-1}, r_{i-2}, \dots)`: each sample is
+    drawn from inside the threshold, given those before it, and weighted with the chance of being there (A. Genz, 1992).
+
+    Examples
+    --------
+    A fault that takes the residual to the threshold at once is seen in half of all cases by its first sample:
+
+    >>> from servofd.detection.probability import Noise
+    >>> noise = Noise(0.1, np.array([1.0, 0.6]), 0.01)
+    >>> detect(np.full(3, 1.0), 1.0, noise).least
+    array([0.5, 0.5, 0.5])
+    """
+    from scipy.special import ndtr
+
+    # Seen from the side to which the fault pushes: small probabilities then keep their digits.
+    mean_deg = response_deg + noise.mean_deg
+    mean_deg = mean_deg * (1.0 if mean_deg[np.argmax(np.abs(mean_deg))] >= 0.0 else -1.0)
+    lower, upper = (-threshold_deg - mean_deg) / noise.sigma_deg, (threshold_deg - mean_deg) / noise.sigma_deg
+    seen = ndtr(-upper) + ndtr(lower)
+    least = np.maximum.accumulate(seen)
+    most = np.maximum(1.0 - np.cumprod(1.0 - seen), least)
+    likely = np.maximum.accumulate(np.clip(1.0 - _never_outside(lower, upper, noise), least, most))
+    steady_per_s = _steady_per_s(likely, float(mean_deg[-1]), threshold_deg, noise)
+    return Detection(least, likely, most, steady_per_s, noise.sample_time_s)
+
+
+def bias_response(design: PulseFilter, duration_s: float) -> FloatArray:
+    """Residual after a step of 1 deg in the measured deflection, from the sample at which it sets in, shape (n,).
+
+    Examples
+    --------
+    >>> from servofd.detection.pulse import design_pulse_filter
+    >>> from servofd.servo.library import servo_named
+    >>> design = design_pulse_filter(servo_named("hs225bb-eq31").transfer, 0.004, 0.01, 50.0)
+    >>> round(float(bias_response(design, 1.0)[-1]), 6)
+    1.0
+    """
+    from scipy.signal import lfilter
+
+    count = int(duration_s / design.sample_time_s + 1e-9) + 1
+    response: FloatArray = lfilter(design.g * design.a, design.md, np.ones(count))
+    return response
+
+
+def smallest_bias_deg(design: PulseFilter, threshold_deg: float, noise: Noise, within_s: float) -> float:
+    """Smallest step of the measured deflection that is sure to be seen in time [deg].
+
+    From the lower bound of the probability: the largest mean residual stands so far beyond the threshold that noise
+    takes it back with the remaining probability only.
+    """
+    from scipy.special import ndtri
+
+    reach = float(np.max(np.abs(bias_response(design, within_s))))
+    # The mean of the noise may work against the fault.
+    return (threshold_deg + abs(noise.mean_deg) + float(ndtri(0.99)) * noise.sigma_deg) / reach
+
+
+def _never_outside(lower: FloatArray, upper: FloatArray, noise: Noise) -> FloatArray:
+    """Probability of having stayed inside the limits [sigma] up to each sample, shape (n,)."""
+    from scipy.special import ndtr, ndtri
+
+    draws = max(_FEWEST_DRAWS, min(_MOST_DRAWS, _NUMBERS // upper.size))
+    random = np.random.default_rng(1).random((upper.size, draws))
+    drawn = np.empty((upper.size, draws))
+    weight, stayed = np.ones(draws), np.empty(upper.size)
+    forecasts = [noise.prediction(known) for known in range(min(noise.order, upper.size - 1) + 1)]
+    for k in range(upper.size):
+        weights, spread = forecasts[min(k, len(forecasts) - 1)]
+        expected = weights @ drawn[k - weights.size : k][::-1]
+        low, high = ndtr((lower[k] - expected) / spread), ndtr((upper[k] - expected) / spread)
+        weight = weight * (high - low)
+        stayed[k] = weight.mean()
+        share = np.clip(low + random[k] * (high - low), _TINY, 1.0 - np.finfo(float).epsneg)
+        drawn[k] = expected + spread * ndtri(share)
+    return stayed
+
+
+def _steady_per_s(likely: FloatArray, mean_deg: float, threshold_deg: float, noise: Noise) -> float:
+    """Rate of alarms at the end of a response [1/s]."""
+    missed = 1.0 - likely
+    half = min(missed.size // 2, missed.size - 2)
+    if missed[-1] > _RARE:
+        near, far = threshold_deg - abs(mean_deg), threshold_deg + abs(mean_deg)
+        both_sides = sum(
+            false_alarms_per_hour(level, noise.sigma_deg, noise.correlation, noise.sample_time_s)
+            for level in (near, far)
+        )
+        return 0.5 * both_sides / 3600.0
+    if not missed[-1] > _ROUND_OFF:
+        return float("inf")
+    return float(np.log(missed[half] / missed[-1])) / ((missed.size - 1 - half) * noise.sample_time_s)
+
+
+HOURS_FOR_TAIL = 2.0
+"""With less healthy data the fitted tail says less than the assumption of a Gaussian one."""
+_LEVEL_QUANTILE = 0.999
+_FEWEST_PEAKS = 200
+_MOST_EXCEEDANCES = 0.05
+_EXTRAPOLATION = 10.0
+_SERIES = 1e-4
+"""Below this the derivative by xi is taken from its limit for xi = 0, before all digits cancel."""
+
+
+class Quoted(NamedTuple):
+    """A number, and whether it lies beyond what the data can vouch for."""
+
+    value: float
+    extrapolated: bool
+
+
+@dataclass(frozen=True, slots=True)
+class TailFit:
+    """Generalised Pareto distribution of the peaks of the residual's size over a level."""
+
+    level_deg: float
+    """Level over which peaks were taken [deg]."""
+    scale_deg: float
+    """Scale beta [deg]."""
+    index: float
+    """Tail index xi: 0 for a Gaussian tail, far out; above 0 for heavier ones; below 0 the tail ends."""
+    index_error: float
+    """Standard error of xi."""
+    peaks: int
+    """Clusters of exceedances."""
+    hours: float
+    """Healthy data behind the fit [h]."""
+
+    @property
+    def peaks_per_hour(self) -> float:
+        """Clusters over the level per hour."""
+        return self.peaks / self.hours
+
+    @property
+    def lowest_rate_per_hour(self) -> float:
+        """Rate below which every number is an extrapolation: one in ten times the hours of data."""
+        return 1.0 / (_EXTRAPOLATION * self.hours)
+
+    def false_alarms_per_hour(self, threshold_deg: float) -> Quoted:
+        r"""Rate of alarms at a threshold.
+
+        Below the level the fit says nothing; the rate at the level is given, and the truth is higher.
+
+        .. math:: \nu(\tau) = \lambda \left(1 + \xi\,(\tau - u)/\beta\right)^{-1/\xi}
+        """
+        from scipy.stats import genpareto
+
+        excess = max(threshold_deg - self.level_deg, 0.0)
+        rate = self.peaks_per_hour * float(genpareto.sf(excess, self.index, scale=self.scale_deg))
+        return Quoted(rate, rate < self.lowest_rate_per_hour)
+
+    def log_rate_error(self, threshold_deg: float) -> float:
+        r"""Standard error of the logarithm of the rate at a threshold: 0.4 means a factor of 1.5 either way.
+
+        First-order propagation of the asymptotic covariance of the fit (R. L. Smith, 1987),
+
+        .. math:: \frac{1+\xi}{n} \begin{pmatrix} 1+\xi & -\beta \\ -\beta & 2\beta^2 \end{pmatrix}
+
+        and of the number of peaks. Beyond the end of a tail with xi < 0 it is infinite.
+        """
+        y = max(threshold_deg - self.level_deg, 0.0) / self.scale_deg
+        stretch = 1.0 + self.index * y
+        if stretch <= 0.0:
+            return float("inf")
+        by_scale = y / (self.scale_deg * stretch)
+        by_index = y**2 / 2.0
+        if abs(self.index) * y > _SERIES:
+            by_index = (np.log(stretch) - self.index * y / stretch) / self.index**2
+        gradient = np.array([by_index, by_scale])
+        one = 1.0 + self.index
+        covariance = one * np.array([[one, -self.scale_deg], [-self.scale_deg, 2.0 * self.scale_deg**2]])
+        return float(np.sqrt((gradient @ covariance @ gradient + 1.0) / self.peaks))
+
+    def threshold_deg(self, rate_per_hour: float) -> Quoted:
+        """Threshold for a wanted rate [deg]; the level itself if more alarms are wanted than it has."""
+        from scipy.stats import genpareto
+
+        share = min(rate_per_hour / self.peaks_per_hour, 1.0)
+        excess = float(genpareto.isf(share, self.index, scale=self.scale_deg))
+        return Quoted(self.level_deg + excess, rate_per_hour < self.lowest_rate_per_hour)
+
+
+def fit_tail(residual_deg: FloatArray, sample_time_s: float, apart_samples: int = 15) -> TailFit:
+    r"""Fit the tail of a healthy residual.
+
+    Parameters
+    ----------
+    residual_deg : ndarray, shape (n,)
+        Residual [deg]; NaN where it was not judged. Put at least `apart_samples` NaN between one log and the next.
+    apart_samples : int
+        Exceedances fewer samples apart than this belong to one peak: 15 at 100 Hz for a filter at 50 rad/s, 7.5
+        time constants, after which the residual has forgotten (its correlation is below 0.01).
+
+    Returns
+    -------
+    TailFit
+        Maximum-likelihood fit. The level is the 99.9 % quantile of the residual's size; lower if that leaves fewer
+        than 200 exceedances, but never below 95 %.
+
+    The standard error of xi is :math:`(1+\xi)/\sqrt{n}` for n peaks (R. L. Smith, 1987).
+    """
+    from scipy.stats import genpareto
+
+    size_deg = np.abs(residual_deg)
+    known = size_deg[np.isfinite(size_deg)]
+    hours = known.size * sample_time_s / 3600.0
+    if hours < HOURS_FOR_TAIL:
+        raise NoMeasurement(f"{hours:.2g} h of healthy data; a fit of the tail needs {HOURS_FOR_TAIL:g} h")
+    share = min(max(1.0 - _LEVEL_QUANTILE, _FEWEST_PEAKS / known.size), _MOST_EXCEEDANCES)
+    level_deg = float(np.quantile(known, 1.0 - share))
+    excess = peaks(size_deg, level_deg, apart_samples) - level_deg
+    mean, variance = (float(excess.mean()), float(excess.var())) if excess.size > 1 else (0.0, 0.0)
+    if not variance > 0.0:
+        raise NoMeasurement("the residual has no tail to fit: its peaks are all the same")
+    # Start from the moments (J. R. M. Hosking and J. R. Wallis, 1987).
+    start = min(0.5 * (1.0 - mean**2 / variance), 0.4)
+    with np.errstate(all="ignore"):
+        # In units of the mean: the search stops at an absolute tolerance.
+        index, _, scale = genpareto.fit(excess / mean, start, floc=0.0, scale=1.0 - start)
+    error = (1.0 + index) / np.sqrt(excess.size)
+    return TailFit(level_deg, float(scale) * mean, float(index), float(error), excess.size, hours)
+
+
+def peaks(size_deg: FloatArray, level_deg: float, apart_samples: int) -> FloatArray:
+    """Largest value of each cluster of exceedances [deg]."""
+    over = np.flatnonzero(size_deg > level_deg)  # a missing value is never over
+    if over.size == 0:
+        return np.empty(0)
+    first = np.flatnonzero(np.diff(over, prepend=-apart_samples - 1) >= apart_samples)
+    peaks: FloatArray = np.maximum.reduceat(size_deg[over], first)
+    return peaks
