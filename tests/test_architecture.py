@@ -134,6 +134,7 @@ def test_circles_are_seen() -> None:
     assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": set()}) == [["b", "c"]]
 
 
+@pytest.mark.slow
 def test_imports_point_one_way() -> None:
     assert not [
         name
@@ -179,6 +180,7 @@ def room_of(module: str) -> str:
     return package if package == "logparsers" else rest.partition(".")[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("package", ONLY_IN)
 def test_heavy_packages_have_one_home(package: str) -> None:
     users = {relative(path) for path in MODULES if package in {name.split(".")[0] for name in imports(path)}}

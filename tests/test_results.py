@@ -26,6 +26,7 @@ def stuck() -> servofd.Audit:
     return found
 
 
+@pytest.mark.slow
 def test_the_page_on_python_runs_and_prints_what_it_shows(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
     page = (ROOT / "docs" / "api.md").read_text()
@@ -71,6 +72,7 @@ def test_a_table_is_judged_as_its_file() -> None:
         pd.testing.assert_frame_equal(of_table.to_pandas(), of_file.to_pandas())
 
 
+@pytest.mark.slow
 def test_runs_come_one_after_the_other(tmp_path: Path) -> None:
     table = pd.read_csv(ROOT / "sample_logs" / "table_three_faults.csv")
     twice = pd.concat([table.assign(run="first"), table.assign(run="second")])
@@ -105,6 +107,7 @@ def test_what_is_no_log_is_refused_by_its_type() -> None:
         servofd.audit(3)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_a_table_is_called_what_it_is() -> None:
     table = pd.read_csv(ROOT / "sample_logs" / "table_three_faults.csv")
     assert repr(servofd.audit(table, surfaces=("aileron",))).splitlines()[0].endswith("(DataFrame, table, 40.0 s)")
@@ -112,6 +115,7 @@ def test_a_table_is_called_what_it_is() -> None:
         servofd.audit(table[["elevator_cmd_deg"]])
 
 
+@pytest.mark.slow
 def test_a_table_is_a_log_for_every_verb_of_one_flight() -> None:
     log = ROOT / "sample_logs" / "hidden" / "hidden_07.csv"
     explained = servofd.explain(pd.read_csv(log), surface="elevator")

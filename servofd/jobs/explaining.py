@@ -110,11 +110,6 @@ def explain_logs(
     ServofdError
         If the aircraft is not what it should be, a name is unknown, or a log of `also` does not hold the surfaces.
 
-    Examples
-    --------
-    >>> found = explain_logs(["sample_logs/hidden/hidden_10.csv"])
-    >>> found.explanations[0].conclusion in ("nothing_missing", "explained", "partly_explained", "unexplained")
-    True
     """
     effect = load_own_effect(own) if isinstance(own, str | Path) else own
     flown = _opened(paths, aircraft, servo)

@@ -56,6 +56,7 @@ def test_more_effect_than_expected_is_no_loss() -> None:
     assert distance(sliding(inputs, 100, 1.0), nothing_known(np.diag([0.01, 1.0])), np.diag([0.01, 1.0])).max() < 0.1
 
 
+@pytest.mark.slow
 def test_the_spread_between_flights_is_found_again() -> None:
     rng = np.random.default_rng(2)
     truth = np.array([[0.01, 0.2], [0.2, 100.0]])

@@ -27,6 +27,7 @@ def audited(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[i
     return code, json.loads(capsys.readouterr().out)
 
 
+@pytest.mark.slow
 def test_the_json_is_what_the_contract_says(capsys: pytest.CaptureFixture[str]) -> None:
     path = str(SAMPLES / "faser_stuck_flight.mat")
     code, document = audited([path], capsys)
@@ -191,6 +192,7 @@ def test_results_go_to_stdout_and_nothing_else_does() -> None:
     assert result.stderr == ""
 
 
+@pytest.mark.slow
 def test_a_reader_that_goes_away_is_no_error() -> None:
     command = f"{sys.executable} -m servofd servos --json | head -n 1"
     result = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=True)  # noqa: S607
@@ -240,6 +242,7 @@ def test_commands_and_positions_in_rows_of_their_own_have_the_verdict_of_one_tab
     assert set(found.values()) == {("fault", "stuck", 40)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", [9.9, 10.0, 10.02])
 def test_ten_positions_a_second_are_judged(rate_hz: float, tmp_path: Path) -> None:
     path = tmp_path / "slow.csv"

@@ -217,6 +217,7 @@ def test_wrong_calls(arguments: list[str], capsys: pytest.CaptureFixture[str]) -
     assert "--help" in one_line(capsys.readouterr().err)
 
 
+@pytest.mark.slow
 def test_one_bad_log_does_not_stop_the_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     good = tmp_path / "good.csv"
     good.write_text(table())

@@ -155,6 +155,7 @@ def test_wrong_options_are_told(words: list[str], config: str) -> None:
     assert stop.value.code == 2
 
 
+@pytest.mark.slow
 def test_a_file_that_would_miss_a_lost_third_is_written_by_force_only(
     tmp_path: Path, config: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

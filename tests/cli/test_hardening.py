@@ -76,6 +76,7 @@ class TestOutputs:
         assert main(["audit", str(log), "--json", str(tmp_path / "z"), "--rrd", str(tmp_path / "z")]) == 2
         assert "another output" in capsys.readouterr().err
 
+    @pytest.mark.slow
     def test_names_that_are_no_file_names(self, tmp_path: Path) -> None:
         text = (tmp_path / "plain.csv").parent / "odd.csv"
         write(text, 5.0 * np.sin(np.arange(600) / 30.0), 5.0 * np.sin(np.arange(600) / 30.0 - 0.19))
@@ -85,6 +86,7 @@ class TestOutputs:
         names = {path.name for path in (tmp_path / "out").iterdir()}
         assert names == {"audit.json", "odd.rrd", "odd-_.._a_b_c.png"}
 
+    @pytest.mark.slow
     def test_a_full_disk_is_told(self) -> None:
         if not Path("/dev/full").exists():
             pytest.skip("no /dev/full on this system")
@@ -109,6 +111,7 @@ class TestOutputs:
 
 
 class TestVerdicts:
+    @pytest.mark.slow
     @pytest.mark.parametrize(("size_deg", "frequency_hz"), [(3.5, 6.0), (8.0, 10.0), (10.0, 12.0)])
     def test_a_stuck_servo_under_fast_commands_is_not_called_healthy(
         self, size_deg: float, frequency_hz: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -18,6 +18,7 @@ from servofd.core.toml_text import toml_inline
 from servofd.outputs.picture import Picture, new_figure
 
 ACTS = [*map(chr, range(8)), "\x1b", "\x7f", "\x80", "\x9b", "\u202e", "\ufeff"]
+HOSTILE = "a<script>alert(1)</script>\x9b31m\u202ex\\1\\g<2>$\\frac$'"
 NAMES = ["a\x1b[31m\x9b2J", "<script>alert(1)</script>", "x\\1\\g<2>$\\frac$\"']]>"]
 
 
@@ -42,8 +43,8 @@ def lively(path: Path, surface: str, seed: int) -> str:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("surface", ["ele\x9b31m\u202evator", "a<script>alert(1)</script>", "x\\1\\g<2>$\\frac$'"])
-def test_an_audit_of_hostile_names(surface: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_audit_of_a_hostile_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    surface = HOSTILE
     bad = b"\xff" if sys.platform == "linux" else b""  # elsewhere no file has such a name
     log = flight(tmp_path / os.fsdecode(b"fl" + bad + b"\x1b[2Jight.csv"), surface)
     page, out = tmp_path / "a.html", tmp_path / "out"
@@ -58,7 +59,7 @@ def test_an_audit_of_hostile_names(surface: str, tmp_path: Path, capsys: pytest.
 
 @pytest.mark.slow
 def test_every_other_page_of_a_hostile_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    surface, plane = "a<script>alert(1)</script>\x9b31m\u202ex\\1\\g<2>$\\frac$'", tmp_path / "plane.toml"
+    surface, plane = HOSTILE, tmp_path / "plane.toml"
     logs = [lively(tmp_path / f"flight{number}.csv", surface, number) for number in range(2)]
     assert main(["config", logs[0]]) == 0
     plane.write_text(capsys.readouterr().out, encoding="utf-8")

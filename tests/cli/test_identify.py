@@ -27,6 +27,7 @@ from tests.recovery.bench import step, sweep, written
 QUICK = sweep("hs225bb-eq31", duration_s=40.0)
 
 
+@pytest.mark.slow
 def test_the_json_is_what_the_contract_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = written(tmp_path / "chirp.csv", QUICK)
     assert main(["identify", str(path), "--json", "-"]) == 0
@@ -92,6 +93,7 @@ def test_every_output_and_the_servo_file_in_an_audit(tmp_path: Path, capsys: pyt
     assert not re.search(r'(src|href)="(?!#)', text)
 
 
+@pytest.mark.slow
 def test_a_reversed_servo_stays_within_its_picture() -> None:
     result = identify(replace(QUICK, measured_deg=-QUICK.measured_deg))
     (bode,) = [picture for picture in identify_figures(result) if picture.name == "response"]
@@ -160,6 +162,7 @@ BAD: dict[str, tuple[Segment, str]] = {
 SLOW = {"saturated", "jammed half way", "two servos"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in BAD])
 def test_what_cannot_be_used_is_told_in_a_sentence(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -27,6 +27,7 @@ def looked(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, lis
     return code, captured.out.splitlines(), captured.err
 
 
+@pytest.mark.slow
 def test_a_log_becomes_a_sentence_and_a_page_beside_it(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, lines, err = looked(capsys, flight)
     page = flight.with_suffix(".html")
@@ -38,6 +39,7 @@ def test_a_log_becomes_a_sentence_and_a_page_beside_it(flight: Path, capsys: pyt
     assert "<h1>ELEVATOR JAMMED at 0:05 (-0.2 deg). Do not fly.</h1>" in page.read_text()
 
 
+@pytest.mark.slow
 def test_it_is_the_audit_with_all_its_options(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["audit", str(flight), "-s", "elevator", "--json", "-"]) == 1
     audited = json.loads(capsys.readouterr().out)
@@ -54,6 +56,7 @@ def test_a_page_of_something_else_is_never_written_over(flight: Path, capsys: py
     assert other.read_text() == "my notes on this flight"
 
 
+@pytest.mark.slow
 def test_a_page_goes_where_it_is_wanted(flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, lines, _ = looked(capsys, flight, "-s", "rudder", "-o", tmp_path / "out")
     assert (code, lines[0].rpartition(" → ")[2]) == (0, str(tmp_path / "out" / "flight.html"))

@@ -49,6 +49,7 @@ def audited(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, d
     return code, log["surfaces"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind_of_threshold", [pytest.param("constant", marks=pytest.mark.slow), "interval"])
 @pytest.mark.parametrize("name", HIDDEN)
 def test_sample_logs_are_named(name: str, kind_of_threshold: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -65,6 +66,7 @@ def test_sample_logs_are_named(name: str, kind_of_threshold: str, capsys: pytest
         assert fault["parameters"][parameter] == pytest.approx(truth, abs=within)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", sorted([*SAMPLES.glob("*.mat"), *SAMPLES.glob("*.csv")]), ids=lambda path: path.stem)
 def test_every_fault_has_what_the_contract_promises(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, surfaces = audited(capsys, str(path))
@@ -95,6 +97,7 @@ def test_healthy_logs_raise_nothing_and_a_small_chirp_clears_nobody(
     assert all(v["faults"] == [] and v["suspicions"] == [] for v in surfaces.values())
 
 
+@pytest.mark.slow
 def test_a_suspect_is_no_fault(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """0.8 deg off: beyond the tolerance of 0.3 deg, within the threshold of 1.5 deg."""
     time_s = np.arange(6000) / 100.0

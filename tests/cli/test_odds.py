@@ -13,6 +13,7 @@ SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"
 HEALTHY, STUCK = str(SAMPLES / "faser_healthy_flight.mat"), str(SAMPLES / "faser_stuck_flight.mat")
 
 
+@pytest.mark.slow
 def test_odds_of_a_design(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     target = tmp_path / "odds.json"
     code = main(["odds", "-c", "faser", "-s", "rudder", "--false-alarms-per-hour", "1e-6", "--json", str(target)])
@@ -30,6 +31,7 @@ def test_odds_of_a_design(capsys: pytest.CaptureFixture[str], tmp_path: Path) ->
     assert "designed for white noise of 0.1 deg, not measured" in printed
 
 
+@pytest.mark.slow
 def test_odds_of_a_servo_scale_with_its_noise(capsys: pytest.CaptureFixture[str]) -> None:
     thresholds = []
     for noise in ("0.1", "0.2"):
@@ -71,6 +73,7 @@ def test_one_bad_log_does_not_stop_the_others(capsys: pytest.CaptureFixture[str]
     assert captured.err.count("\n") == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "reason"),
     [

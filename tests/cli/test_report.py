@@ -85,6 +85,7 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
     return monkeypatch
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("columns", [40, 80, 100, 200])
 def test_no_line_is_wider_than_the_terminal_or_a_hundred_columns(
     columns: int, stuck: LogAudit, terminal: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

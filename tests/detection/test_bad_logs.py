@@ -60,6 +60,7 @@ def noise_deg(like: FloatArray) -> FloatArray:
     return np.random.default_rng(3).normal(0.0, 0.05, like.shape)
 
 
+@pytest.mark.slow
 def test_a_log_without_motion_tells_nothing_and_says_so() -> None:
     frame = changed(table(SEED, "cruise"), lambda asked, seen: (0.0 * asked + 1.0, 1.0 + noise_deg(seen)))
     for verdict in judged(frame).values():
@@ -95,7 +96,8 @@ def test_what_was_so_from_the_beginning_is_told_and_no_fault_of_all_servos(
         assert verdict.status in {"unknown", "suspect"} or "travel lost before this log" in verdict.reason
 
 
-FORMS = ("csv", "bin", pytest.param("tlog", marks=pytest.mark.nightly))
+FORMS = ("bin", *(pytest.param(form, marks=pytest.mark.nightly) for form in ("csv", "tlog")))
+"""Tables go the way of the DataFrames above."""
 
 
 @cache
@@ -167,6 +169,7 @@ def test_three_rows_of_any_form_are_no_flight(form: str, tmp_path: Path) -> None
     assert {verdict.status for verdict in found} <= {"unknown", "no_data"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["bin", "tlog"])
 def test_servos_of_an_autopilot_that_are_jammed_from_the_beginning(
     tmp_path: Path, suffix: str, capsys: pytest.CaptureFixture[str]

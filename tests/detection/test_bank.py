@@ -214,6 +214,7 @@ def only(time_s: FloatArray, command_deg: FloatArray, measured_deg: FloatArray) 
 
 
 class TestFlights:
+    @pytest.mark.slow
     def test_a_jam_while_the_command_stays_within_a_dead_band_has_a_rival(self) -> None:
         """A surface that rests under small commands may be stuck, or play may swallow them."""
         command_deg = 2.2 * np.sin(3.0 * TIME_S)
@@ -277,6 +278,7 @@ class TestFlights:
         measured_deg += NOISE_DEG * rng.standard_normal(TIME_S.size)
         assert len(judged(TIME_S, command_deg, measured_deg, "interval").faults) == 1
 
+    @pytest.mark.slow
     def test_a_fault_of_unknown_kind_is_as_likely_as_its_likeliest_alternative(self) -> None:
         command_deg = 8.0 * np.sin(2.0 * np.pi * 10.0 * TIME_S)
         resting_deg = 0.05 * np.random.default_rng(0).standard_normal(TIME_S.size)

@@ -36,8 +36,14 @@ def cut(flight: Flight, until_s: float) -> Flight:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("suffix", ["csv", "bin"])
-@pytest.mark.parametrize("until_s", [15.0, 60.0])
+@pytest.mark.parametrize(
+    ("until_s", "suffix"),
+    [
+        (15.0, "csv"),
+        (60.0, "bin"),
+        *(pytest.param(*each, marks=pytest.mark.nightly) for each in ((15.0, "bin"), (60.0, "csv"))),
+    ],
+)
 def test_a_sound_aircraft_has_no_fault_however_short_its_log(until_s: float, suffix: str, tmp_path: Path) -> None:
     for seed in (1, 3):
         flight = cut(fly(stranger(seed), 1, "aerobatics", duration_s=60.0), until_s)
@@ -137,6 +143,7 @@ def test_a_fault_of_the_stated_size_in_the_second_quarter_shows(kind: str, share
     assert servofd.audit(tmp_path / "bad.csv")[0].surfaces[0].status in ("suspect", "fault")
 
 
+@pytest.mark.slow
 def test_a_reversed_sign_is_told_and_not_hidden_by_wide_tolerances(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     time_s = np.arange(600) / 10.0
@@ -151,6 +158,7 @@ def test_a_reversed_sign_is_told_and_not_hidden_by_wide_tolerances(tmp_path: Pat
     assert "check the sign" in surface.reason
 
 
+@pytest.mark.slow
 def test_a_file_that_names_no_servo_has_it_fitted(tmp_path: Path) -> None:
     """And of one file, surfaces whose servo is named keep theirs."""
     entry = """[surfaces.{name}]

@@ -77,6 +77,7 @@ def test_a_seed_is_a_flight_and_healthy_until_the_fault(kind: str) -> None:
     assert not np.array_equal(one.command_deg[:900], flight(6, "lively", duration_s=30.0).command_deg[:900])
 
 
+@pytest.mark.slow
 def test_a_large_jam_is_one_with_much_motion_after_it() -> None:
     motion = {
         size: np.median([flight_motion(seed, size) for seed in range(12)]) for size in ("small", "medium", "large")

@@ -60,6 +60,7 @@ def test_a_jam_is_one_all_the_same(seed: int) -> None:
     assert found(command_deg, measured_deg, 100.0)[:1] in (["stuck"], ["hardover"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [0.6, 1.4])
 def test_the_rate_limit_of_a_fitted_servo_is_that_of_the_surface(scale: float) -> None:
     """Whatever degrees a command is in."""

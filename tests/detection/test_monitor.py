@@ -79,6 +79,7 @@ def assert_same_as_offline(generator: ResidualGenerator, raw: Segment, entry: Su
 
 
 class TestTheSameStepAsOffline:
+    @pytest.mark.slow
     @pytest.mark.parametrize("servo", ["hs225bb-eq31", pytest.param("s9254", marks=pytest.mark.slow)])
     @pytest.mark.parametrize("lost", [0.0, pytest.param(0.05, marks=pytest.mark.slow), 0.3])
     @pytest.mark.parametrize("period_s", [None, 0.02])
@@ -97,6 +98,7 @@ class TestTheSameStepAsOffline:
         entry, _ = surface(servo=servo)
         assert_same_as_offline(generator, raw, entry)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("kind", ["interval", pytest.param("constant", marks=pytest.mark.slow)])
     @pytest.mark.parametrize("lost", [pytest.param(0.0, marks=pytest.mark.slow), 0.05])
     def test_alarms_come_at_the_same_times_with_the_same_names(self, kind: str, lost: float) -> None:
@@ -116,6 +118,7 @@ class TestTheSameStepAsOffline:
         assert named[-1].kind == "stuck"
         assert named[0].time_s - alarms[0] < 4.1
 
+    @pytest.mark.slow
     def test_a_healthy_flight_is_quiet(self) -> None:
         entry, model = surface()
         monitor, events = watched(entry, model, flight(5, lost=0.05))
@@ -176,6 +179,7 @@ class TestNoVerdictFromNoMeasurement:
         events += [event for now_s in np.arange(20.0, 40.0, 0.5) for event in monitor.silence(now_s)]
         assert [(event.event, event.time_s) for event in events] == [("no_data", 22.0)]
 
+    @pytest.mark.slow
     def test_a_new_pace_begins_anew(self) -> None:
         entry, model = surface()
         raw = flight(8)
@@ -330,6 +334,7 @@ def test_a_link_that_becomes_too_thin_is_told_once_and_raises_no_alarm() -> None
     assert not monitor.is_watched
 
 
+@pytest.mark.slow
 def test_memory_is_bounded() -> None:
     """Arrays that were made at the start are all there is, however long the flight."""
     entry, model = surface()

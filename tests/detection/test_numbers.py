@@ -164,6 +164,7 @@ def assert_alike(found: Any, stored: Any, where: str) -> None:
         assert found == stored, where
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("what", "case"), CASES)
 def test_numbers_are_those_that_were_recorded(what: str, case: str) -> None:
     assert_alike(plain(RECORDED[what][0](case)), json.loads(STORED.read_text())[what][case], f"{what}/{case}")

@@ -193,6 +193,7 @@ def test_heavy_tails_are_told_from_gaussian_ones() -> None:
     assert 4.0 * heavy.index_error < heavy.index < 0.25
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shift", [2.5, 3.5, 4.5, 6.0])
 def test_the_predicted_delay_is_that_of_a_simulation(shift: float) -> None:
     response = np.append(shift * bias_response(DESIGN, 1.0), np.full(1400, shift))
@@ -238,6 +239,7 @@ def test_what_is_seen_for_sure_in_the_end_has_a_delay() -> None:
     assert detection.mean_delay_s == pytest.approx(0.01 * sum(0.9973002039**k for k in (1, 2, 3)), rel=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("correlations", [(0.9, 0.0), (0.2, 0.9)])
 def test_the_colour_of_the_noise_reaches_as_far_back_as_it_is_known(correlations: tuple[float, float]) -> None:
     """Three samples against the trivariate normal law; the second colour is in the sample before the last."""
@@ -313,6 +315,7 @@ def part(record: np.ndarray[tuple[int, ...], np.dtype[np.float64]], servo: str =
     return Part("elevator", servo, "a.csv", 1.5, DESIGN, record)
 
 
+@pytest.mark.slow
 def test_logs_are_pooled_and_what_is_left_out_is_said() -> None:
     records = NOISE.sample((3, 400_000), seed=11) * 0.05
     parts: list[Part | LeftOut] = [part(records[0]), LeftOut("elevator", "bad.csv", "fault: stuck"), part(records[1])]

@@ -33,6 +33,7 @@ def audited(frozen: dict[str, BoolArray], silent: dict[str, BoolArray]) -> dict[
 FREEZE = (TIME_S >= 20.0) & (TIME_S < 23.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("others", ["stand still", "fall silent"])
 def test_a_frozen_bus_accuses_nobody(others: str) -> None:
     quiet = dict.fromkeys(NAMES[1:], FREEZE)

@@ -98,6 +98,7 @@ def test_times_of_another_path_are_no_fault(by_its_card: Aircraft, by_its_link: 
     assert "calibrated on other messages than this log has" in known.reason
 
 
+@pytest.mark.slow
 def test_a_jam_is_told_and_nothing_after_it(by_its_link: Aircraft) -> None:
     verdict = servofd.audit(link(flown(3, stuck=True)), by_its_link)[0].surfaces[0]
     (fault,) = verdict.faults

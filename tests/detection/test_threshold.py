@@ -93,6 +93,7 @@ class TestAHealthyServoStaysWithinItsTolerance:
         measured_deg = deviating(TIME_S, command_deg, **{name: value})
         assert excess_deg(*judged(TIME_S, command_deg, measured_deg, alone(name, abs(value)))) <= ROUND_OFF_DEG
 
+    @pytest.mark.slow
     @settings(max_examples=40, deadline=None)
     @given(command_deg=commands, off=st.tuples(shares, shares, shares, shares), seed=st.integers(0, 1000))
     def test_all_at_once_on_jittered_stamps_with_noise(

@@ -58,6 +58,7 @@ def assert_earned(verdict: SurfaceAudit, run: str) -> None:
         assert "fly or bench-test" in verdict.reason, run
 
 
+@pytest.mark.slow
 def test_hobby_servo(tmp_path: Path) -> None:
     """A dead zone of about 2 deg and a 5 % gain error are not in this model: the threshold is wide, and hides much."""
     results = audited(
@@ -91,6 +92,7 @@ def test_smart_servo_under_gravity(tmp_path: Path) -> None:
     assert [result.surfaces[0].status for result in results.values()] == ["healthy", "healthy"]
 
 
+@pytest.mark.slow
 def test_digital_servo_under_loads(tmp_path: Path) -> None:
     results = audited(
         tmp_path,

@@ -74,6 +74,7 @@ def test_each_boot_is_a_sweep_of_its_own_and_one_that_is_no_go_counts(
     assert last["duration_s"] < 21.0
 
 
+@pytest.mark.slow
 def test_a_sweep_that_begins_slowly_has_no_servo_of_its_own_there() -> None:
     """An elevator with a little play, which oscillated by the servo of the slow half."""
     (result,) = servofd.audit(Path(__file__).parents[2] / "sample_logs" / "hidden" / "hidden_11.csv")

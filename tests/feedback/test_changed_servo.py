@@ -65,6 +65,7 @@ def test_a_servo_that_becomes_slow_is_fitted_as_it_was_and_named_from_when_it_ch
     assert min(fault.start_s for fault in found) == pytest.approx(from_s, abs=5.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 2])
 def test_an_oscillation_that_the_autopilot_answers_does_not_become_the_servos_resonance(seed: int) -> None:
     """In a closed loop the command leads the oscillation by a quarter of a period, as if it had caused it."""
@@ -80,6 +81,7 @@ def test_an_oscillation_that_the_autopilot_answers_does_not_become_the_servos_re
     assert verdict.faults[0].parameters["frequency_hz"].value == pytest.approx(frequency_hz, abs=0.2)
 
 
+@pytest.mark.slow
 def test_a_servo_that_stays_as_it_is_is_fitted_to_the_whole_log() -> None:
     slow = RoughFit(bandwidth_hz=3.0, damping=1.5, delay_s=0.05, rate_limit_deg_s=150.0)
     for seed, fit in enumerate((AT_FIRST, slow)):
@@ -89,6 +91,7 @@ def test_a_servo_that_stays_as_it_is_is_fitted_to_the_whole_log() -> None:
         assert found.until_s == np.inf
 
 
+@pytest.mark.slow
 def test_a_bus_that_is_late_for_a_fifth_of_a_second_makes_nothing_suspicious() -> None:
     seed = 4
     command_deg = commands(seed)
@@ -101,6 +104,7 @@ def test_a_bus_that_is_late_for_a_fifth_of_a_second_makes_nothing_suspicious() -
     assert (usual.status, late.status) == ("healthy", "healthy")
 
 
+@pytest.mark.slow
 def test_a_surface_that_rests_within_a_small_travel_is_no_surface_at_its_stop() -> None:
     seed = 6
     command_deg = 0.25 * commands(seed)
@@ -113,6 +117,7 @@ def test_a_surface_that_rests_within_a_small_travel_is_no_surface_at_its_stop() 
     assert verdict.faults[0].kind in ("stuck", "hardover")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("origin", ["fitted", "named"])
 def test_nothing_below_a_step_of_the_command_is_named(origin: str) -> None:
     """The servo hears the command before it was rounded to whole microseconds, 0.18 deg each."""

@@ -89,6 +89,7 @@ def test_what_the_servo_says_it_was_told_comes_first() -> None:
     assert [pair.command for pair in pairs] == ["CSRV[0].PosCmd", "CSRV[1].PosCmd"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unit", ["deg", pytest.param("rad", marks=pytest.mark.slow)])
 def test_the_scale_of_pulses_is_found(unit: str) -> None:
     draft = draft_aircraft(log_of([0, 1, 3], base=0, unit=unit))

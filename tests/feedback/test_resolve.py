@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["csv", "bin", "tlog", "ulg"])
 def test_the_shipped_aircraft_judges_every_log_that_it_flies_alike(suffix: str, tmp_path: Path) -> None:
     path = str(tmp_path / f"flown.{suffix}")
@@ -33,6 +34,7 @@ def test_the_shipped_aircraft_judges_every_log_that_it_flies_alike(suffix: str, 
     assert (fault.kind, round(fault.start_s)) == ("stuck", 20)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["csv", "bin"])
 def test_every_verb_reads_a_log_with_the_file_of_its_aircraft(
     suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -205,6 +205,7 @@ def test_parts_without_their_logs_are_removed(logs: Path, tmp_path: Path, capsys
     assert len(pd.read_parquet(tmp_path / "r" / "surfaces")) == 4
 
 
+@pytest.mark.slow
 def test_a_log_that_could_not_be_read_is_tried_again_and_replaced(
     tmp_path: Path, logs: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -265,6 +266,7 @@ def test_the_overview_counts_what_the_logs_say(results: Path, capsys: pytest.Cap
     assert (code, document["schema"], len(document["faults"])) == (1, "servofd.fleet/1", 1)
 
 
+@pytest.mark.slow
 def test_a_table_has_the_same_columns_whatever_it_holds(tmp_path: Path, logs: Path) -> None:
     from servofd.fleet.judge import judge_log
     from servofd.fleet.tables import TABLES

@@ -40,6 +40,7 @@ def withstand(name: str, number: int, folder: Path) -> set[str]:
     return {entered(door, mutant(rng, seeds, door.shape), folder) for _ in range(number)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CHEAP)
 def test_a_door_takes_a_few_broken_inputs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

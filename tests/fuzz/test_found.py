@@ -105,6 +105,7 @@ def results(tmp_path: Path) -> Path:
     return tmp_path / "results"
 
 
+@pytest.mark.slow
 def test_one_wrong_bit_in_a_table_is_told(results: Path) -> None:
     (part,) = (results / "logs").glob("*.parquet")
     content = bytearray(part.read_bytes())
@@ -118,6 +119,7 @@ def test_one_wrong_bit_in_a_table_is_told(results: Path) -> None:
             use()
 
 
+@pytest.mark.slow
 def test_results_name_no_folder_outside(results: Path) -> None:
     meta = results / "fleet.json"
     meta.write_text(meta.read_text().replace(Job().key, "../../elsewhere"))
@@ -211,6 +213,7 @@ def test_a_recording_with_two_schemas() -> None:
         audit_of({"schema": ["servofd.identification/1", "servofd.recording/1"]}, "a.rrd")
 
 
+@pytest.mark.slow
 def test_a_table_without_a_row(tmp_path: Path) -> None:
     """Its column of nothing was no column of truths."""
     seeds.fleet_parts(tmp_path)

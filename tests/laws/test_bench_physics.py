@@ -54,6 +54,7 @@ def integrated(
     return result
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "effects",
     [

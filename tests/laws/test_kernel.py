@@ -79,6 +79,7 @@ def test_repeated_poles_equal_the_reference_twin(multiplicity: int) -> None:
     assert np.max(np.abs(simulated - twin)) < 1e-7
 
 
+@pytest.mark.slow
 @given(poles=poles, seed=seeds)
 @settings(max_examples=60, deadline=None)
 @example(poles=[40.0], seed=69323)  # a limit that lasts 2 ms after a command
@@ -101,6 +102,7 @@ def test_looking_more_often_changes_nothing(poles: list[float], seed: int) -> No
     assert np.max(np.abs(few - often[seldom]), initial=0.0) < 1e-6
 
 
+@pytest.mark.slow
 @given(rate_deg_s=st.floats(20.0, 600.0), seed=seeds)
 @settings(max_examples=60, deadline=None)
 def test_no_servo_is_faster_than_its_rate_limit(rate_deg_s: float, seed: int) -> None:

@@ -148,6 +148,7 @@ def test_a_dataflash_client_is_dropped_after_10_s_without_acknowledgement_until_
     assert client.blocks[0][1] == 0
 
 
+@pytest.mark.slow
 def test_blocks_are_counted_from_0_after_a_reboot_and_come_when_asked_for() -> None:
     with linked(Reboot(8.0, away_s=4.0), duration_s=40.0) as (ground, _, _):
         client = Client(ground)
@@ -164,6 +165,7 @@ def test_blocks_are_counted_from_0_after_a_reboot_and_come_when_asked_for() -> N
     assert any(again[number] != before[number] for number in set(again) & set(before))
 
 
+@pytest.mark.slow
 def test_blocks_stall_at_arming_while_everything_else_comes() -> None:
     with linked(Stall(6.0, for_s=5.0), duration_s=30.0) as (ground, counted, _):
         client = Client(ground)
@@ -176,6 +178,7 @@ def test_blocks_stall_at_arming_while_everything_else_comes() -> None:
     assert np.diff(rows).max() <= 0.1
 
 
+@pytest.mark.slow
 def test_sequence_numbers_jump_and_no_frame_is_missing() -> None:
     heard, _ = listened(Jump(5.0), Jump(10.0, by=100.0))
     steps = np.diff([m.sequence for _, m in heard]) % 256
@@ -183,6 +186,7 @@ def test_sequence_numbers_jump_and_no_frame_is_missing() -> None:
     assert np.diff(stamps_s(heard)).max() <= 0.041
 
 
+@pytest.mark.slow
 def test_a_delay_changes_and_stays() -> None:
     heard, _ = listened(Late(8.0, by_s=8.0))
     late_s = [(1e-6 * m.fields["time_usec"], at_s) for at_s, m in heard if m.name == "SERVO_OUTPUT_RAW"]
@@ -190,6 +194,7 @@ def test_a_delay_changes_and_stays() -> None:
     assert min(at_s - made_s for made_s, at_s in late_s if made_s > 8.1) - early_s == pytest.approx(8.0, abs=2.0)
 
 
+@pytest.mark.slow
 def test_a_burst_comes_after_a_pause_and_nothing_is_lost() -> None:
     heard, _ = listened(Pause(8.0, for_s=6.0))
     arrivals_s = np.array([at_s for at_s, _ in heard])
@@ -197,6 +202,7 @@ def test_a_burst_comes_after_a_pause_and_nothing_is_lost() -> None:
     assert np.diff(stamps_s(heard)).max() <= 0.041
 
 
+@pytest.mark.slow
 def test_a_parameter_is_edited_in_flight_told_and_acted_upon() -> None:
     heard, flight = listened(Edit(8.0, "SERVO2_TRIM", 1560.0))
     (told,) = [m.fields for _, m in heard if m.name == "PARAM_VALUE"]
@@ -209,6 +215,7 @@ def test_a_parameter_is_edited_in_flight_told_and_acted_upon() -> None:
     assert set(moved_us[edited].tolist()) == {60}
 
 
+@pytest.mark.slow
 def test_the_servo_bus_freezes_for_all_servos_at_once() -> None:
     heard, flight = listened(Freeze(8.0, for_s=0.6))
     frozen: dict[str, set[float]] = defaultdict(set)

@@ -43,6 +43,7 @@ def test_a_restart_is_told_however_long_it_flew(up_s: float) -> None:
     assert times[-1] == pytest.approx((up_ms % WRAP_MS) * 1e-3 + 105.45, abs=0.1)
 
 
+@pytest.mark.slow
 def test_microseconds_overflow_every_71_minutes() -> None:
     clock = VehicleClock()
     for k in range(0, 90_000, 5):

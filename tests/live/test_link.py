@@ -16,6 +16,7 @@ from logparsers.link import open_link
 from tests.live.vehicles import free_port, until
 
 
+@pytest.mark.slow
 @given(st.text(max_size=40) | st.from_regex(r"(udp|tcp)(in|out)?:[\w.]*:\d{0,6}|/dev/[\w./]+(,\d+)?", fullmatch=True))
 def test_a_text_is_an_endpoint_or_refused_in_one_line(text: str) -> None:
     try:

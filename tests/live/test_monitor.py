@@ -178,7 +178,7 @@ class TestBadLinks:
         (vehicle,) = session.vehicles.values()
         assert vehicle.losses[1].share < most_lost
 
-    @pytest.mark.slow
+    @pytest.mark.nightly
     def test_a_jam_is_told_through_five_percent_loss(self, log: bytes, aircraft: Aircraft) -> None:
         link = BadLink(loss=0.05, seed=5)
         frames = [(at_s, piece) for at_s, frame in replayed(log) for piece in link.through(frame)]
@@ -188,7 +188,8 @@ class TestBadLinks:
         found = {m.name: [(fault.kind, fault.alarm_s) for fault in m.faults] for _, m in session.watched}
         assert found == audited(stored, aircraft)
 
-    @pytest.mark.parametrize("outage_s", [*(pytest.param(s, marks=pytest.mark.slow) for s in (1.0, 4.0)), 20.0])
+    @pytest.mark.slow
+    @pytest.mark.parametrize("outage_s", [*(pytest.param(s, marks=pytest.mark.nightly) for s in (1.0, 4.0)), 20.0])
     def test_silence_is_a_lost_link_and_no_fault(self, healthy: bytes, aircraft: Aircraft, outage_s: float) -> None:
         all_frames = list(replayed(healthy))
         begin_s = all_frames[0][0] + 15.0
@@ -387,6 +388,7 @@ def test_replay_of_a_signed_log_checks_signatures_and_says_so_in_one_line(
     assert told.err.count("\n") == (code == 2)
 
 
+@pytest.mark.slow
 def test_replay_of_a_signed_log_believes_no_forged_frame_between_its_own(healthy: bytes, aircraft: Aircraft) -> None:
     """Each tenth of the positions is another's: with the key they are as if they had not been sent."""
     ours, theirs = (Signature(signing_key(name), 1.6e9) for name in (b"ours", b"theirs"))

@@ -118,8 +118,13 @@ TROUBLES: dict[str, dict[str, Any]] = {
 }
 
 
+def some(*often: str) -> list[Any]:
+    """All troubles, of which these are met in every run."""
+    return [pytest.param(each, marks=[] if each in often else pytest.mark.nightly) for each in TROUBLES]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("trouble", TROUBLES)
+@pytest.mark.parametrize("trouble", some("none", "30 % lost", "reordered", "everything"))
 def test_a_fault_is_found_and_nothing_else_through_a_bad_link(aircraft: Aircraft, trouble: str) -> None:
     field = Field.of({0: aircraft}, down=BadLink(**TROUBLES[trouble], seed=1), up=BadLink(seed=2))
     field.fly(vehicle(lively(stuck_s=15.0)))
@@ -130,7 +135,7 @@ def test_a_fault_is_found_and_nothing_else_through_a_bad_link(aircraft: Aircraft
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("trouble", TROUBLES)
+@pytest.mark.parametrize("trouble", some("none", "everything"))
 def test_a_healthy_flight_stays_quiet_through_a_bad_link(aircraft: Aircraft, trouble: str) -> None:
     field = Field.of({0: aircraft}, down=BadLink(**TROUBLES[trouble], seed=3), up=BadLink(seed=4))
     field.fly(vehicle(flown(duration_s=30.0)))

@@ -268,6 +268,7 @@ def test_blocks_go_to_the_first_client_until_it_stops() -> None:
     assert fields(plane.turn(2), "REMOTE_LOG_DATA_BLOCK") == []
 
 
+@pytest.mark.slow
 def test_nothing_that_is_said_to_it_brings_it_down() -> None:
     rng = np.random.default_rng(4)
     plane, own = vehicle(), Codec(1, 1)

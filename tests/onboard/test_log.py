@@ -58,12 +58,14 @@ def test_info_shows_what_was_seen_on_board(folder: Path, capsys: pytest.CaptureF
     assert "seen on board" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_log_of_the_script_alone_is_judged_as_well(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["audit", str(folder / "seen.bin"), "--json", "-"]) == 1
     surfaces = json.loads(capsys.readouterr().out)["logs"][0]["surfaces"]
     assert {name: one["status"] for name, one in surfaces.items() if one["status"] == "fault"} == {"elevator": "fault"}
 
 
+@pytest.mark.slow
 def test_a_recording_shows_what_was_seen_on_board(folder: Path) -> None:
     from rerun.chunk import RrdReader
 

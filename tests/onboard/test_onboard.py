@@ -125,6 +125,7 @@ def test_a_jam_while_the_other_servos_rest_is_told_after_a_second(tmp_path: Path
     assert flown.said("ELEVATOR")[0].startswith("ELEVATOR off by")
 
 
+@pytest.mark.slow
 def test_positions_go_to_the_ground_at_the_rate_of_the_parameter(tmp_path: Path) -> None:
     script, flight = watch_script(plan_onboard(SIMULATED)), wiggled(SIMULATED)
     for hz, least, most in ((0, 0, 40), (10, 220, 300), (50, 1100, 1200)):
@@ -141,6 +142,7 @@ def test_six_surfaces_fit_an_autopilot(tmp_path: Path) -> None:
     assert flown.heap_kb <= 80.0, "with pointers and numbers of 64 bits; an autopilot's have 32"
 
 
+@pytest.mark.slow
 def test_whatever_a_surface_is_made_of_it_takes_hardly_more_memory(tmp_path: Path) -> None:
     """A Lua table doubles where it has more than 64 entries: the settings and states of a surface stay below."""
     plane = many(6)
@@ -226,6 +228,7 @@ def test_what_cannot_be_written_is_one_line(
     assert not target.exists()
 
 
+@pytest.mark.slow
 def test_a_px4_is_told_that_it_runs_no_scripts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sample = Path(__file__).parents[2] / "sample_logs" / "px4_stuck.ulg"
     assert main(["config", str(sample)]) == 0

@@ -87,6 +87,7 @@ def furthest_deg(flown: Flown, output: int, residuals: Residuals) -> float:
     return float(np.nanmax(np.abs(rows["residual"] - wanted)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("threshold", ["interval", "constant"])
 def test_residuals_and_thresholds_are_those_of_an_audit(tmp_path: Path, threshold: str) -> None:
     plane = aircraft(threshold)

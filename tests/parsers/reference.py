@@ -8,6 +8,7 @@ import os
 import tempfile
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +55,7 @@ def _dataflash(reader: Any) -> Series:
     return _arrays(rows)
 
 
+@cache
 def dataflash(content: bytes) -> Series:
     """By pymavlink."""
     with stored(content, ".bin") as path:
@@ -74,12 +76,14 @@ def without_stamps(content: bytes) -> Mapping[str, Floats]:
     return {name: np.array(values, np.float64) for name, values in found.items()}
 
 
+@cache
 def dataflash_text(content: bytes) -> Series:
     """By pymavlink."""
     with stored(content, ".log") as path:
         return _dataflash(DFReader.DFReader_text(path))
 
 
+@cache
 def tlog(content: bytes) -> Series:
     """By pymavlink; stamps of the vehicle where there are any, arrival otherwise."""
     os.environ["MAVLINK20"] = "1"
@@ -119,6 +123,7 @@ def tlog(content: bytes) -> Series:
     return _arrays(rows)
 
 
+@cache
 def ulog(content: bytes) -> Series:
     """By pyulog; a topic that several senders share is split by their names."""
     found = {}

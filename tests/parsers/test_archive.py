@@ -72,6 +72,7 @@ def test_the_beginning_of_a_cut_archive_is_kept_and_the_cut_is_on_record() -> No
     assert "the archive is cut" in log.damage[0].note
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pack", [gzip.compress, bz2.compress, lzma.compress, lambda raw: zipped({"a": raw})])
 def test_a_bomb_is_refused_at_the_limit(pack: Callable[[bytes], bytes], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(LIMIT_VARIABLE, "20")

@@ -6,9 +6,10 @@ import dataclasses
 import gzip
 import io
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Generic, TypeVar, cast
 
 import numpy as np
 import pytest
@@ -20,6 +21,22 @@ from tests.parsers import dataflash_writer, export_writer, reference, tlog_write
 from tests.parsers.writers import COMMAND, FLIGHT, POSITION, TIME_S, Floats
 
 MICROSECOND = 1e-6
+
+
+T = TypeVar("T")
+
+
+class _Later(Generic[T]):
+    def __init__(self, make: Callable[[], T]) -> None:
+        self.make = make
+
+    def __get__(self, _: object, owner: type) -> T:
+        return self.make()
+
+
+def later(make: Callable[[], T]) -> T:
+    """An attribute that is made when a test asks for it, and not in every run that merely finds its tests."""
+    return cast("T", _Later(cache(make)))
 
 
 class Conformance:
@@ -299,17 +316,17 @@ class Exported(TestDataFlash):
 
 
 class TestMavlogdumpMat(Exported):
-    content = export_writer.mavlogdump_mat(TestDataFlash.content)
+    content = later(lambda: export_writer.mavlogdump_mat(TestDataFlash.content))
 
 
 class TestMavlogdumpMatCompressed(Exported):
-    content = export_writer.mavlogdump_mat(TestDataFlash.content, "-c")
+    content = later(lambda: export_writer.mavlogdump_mat(TestDataFlash.content, "-c"))
 
 
 class TestMissionPlannerMat(Exported):
     """Texts became zeros, which nobody can tell from numbers."""
 
-    content = export_writer.mission_planner_mat(TestDataFlash.content)
+    content = later(lambda: export_writer.mission_planner_mat(TestDataFlash.content))
 
     def check(self, log: FlightLog) -> None:
         extra = set(log.channels) - set(self.decoder(self.content))
@@ -356,8 +373,8 @@ def of_messages(series: reference.Series, *messages: str) -> reference.Series:
 
 class TestMavlogdumpTable(TableOfMessages):
     kind = "dataflash"
-    content = export_writer.mavlogdump(TestDataFlash.content, "--format", "csv", "--types", "CSRV")
-    truth = of_messages(reference.dataflash(TestDataFlash.content), "CSRV")
+    content = later(lambda: export_writer.mavlogdump(TestDataFlash.content, "--format", "csv", "--types", "CSRV"))
+    truth = later(lambda: of_messages(reference.dataflash(TestDataFlash.content), "CSRV"))
     units: ClassVar[Mapping[str, str]] = {"CSRV[0].Pos": "deg"}
 
 
@@ -379,7 +396,7 @@ class TestOneFrame(Conformance):
 
     kind = "tlog"
     content = tlog_writer.log([(0.0, tlog_writer.frame("ATTITUDE", {"time_boot_ms": 5000, "roll": 0.5}))])
-    expected: ClassVar[Mapping[str, Floats]] = {name: values for name, (_, values) in reference.tlog(content).items()}
+    expected = later(lambda: {name: values for name, (_, values) in reference.tlog(TestOneFrame.content).items()})
     units: ClassVar[Mapping[str, str]] = {"ATTITUDE.roll": "rad"}
     origins: ClassVar[Mapping[str, str]] = {"ATTITUDE.roll": "ATTITUDE.roll"}
 
@@ -394,10 +411,11 @@ class TestOneFrame(Conformance):
 class TestMavlogdumpTelemetryTable(TableOfMessages):
     kind = "tlog"
     messages = ("SERVO_OUTPUT_RAW", "NAMED_VALUE_FLOAT", "ATTITUDE")
-    content = export_writer.mavlogdump(
-        TestTelemetry.content, "--format", "csv", "--types", ",".join(messages), suffix=".tlog"
+    words = ("--format", "csv", "--types", ",".join(messages))
+    content = later(
+        lambda: export_writer.mavlogdump(TestTelemetry.content, *TestMavlogdumpTelemetryTable.words, suffix=".tlog")
     )
-    truth = of_messages(reference.tlog(TestTelemetry.content), *messages)
+    truth = later(lambda: of_messages(reference.tlog(TestTelemetry.content), *TestMavlogdumpTelemetryTable.messages))
     units: ClassVar[Mapping[str, str]] = {"SERVO_OUTPUT_RAW.servo3_raw": "us", "ATTITUDE.roll": "rad"}
 
 
@@ -418,11 +436,13 @@ class TestUlogTable(TableOfMessages):
     """The name of the file is that of the topic."""
 
     kind = "ulog"
-    content = export_writer.ulog2csv(TestUlog.content, "actuator_servos_0")
-    truth: ClassVar[reference.Series] = {
-        name: (time_s, np.array([float(str(value)) for value in values.astype(np.float32)]))
-        for name, (time_s, values) in of_messages(reference.ulog(TestUlog.content), "actuator_servos").items()
-    }
+    content = later(lambda: export_writer.ulog2csv(TestUlog.content, "actuator_servos_0"))
+    truth = later(
+        lambda: {
+            name: (time_s, np.array([float(str(value)) for value in values.astype(np.float32)]))
+            for name, (time_s, values) in of_messages(reference.ulog(TestUlog.content), "actuator_servos").items()
+        }
+    )
     units: ClassVar[Mapping[str, str]] = {}
 
     def named(self, log: FlightLog) -> Mapping[str, str]:

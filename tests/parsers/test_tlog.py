@@ -423,6 +423,7 @@ def use_everything(content: bytes) -> None:
     _ = log.vehicle, log.parameters, log.texts, log.damage
 
 
+@pytest.mark.slow
 def test_forged_but_correct_frames_are_survived() -> None:
     rng = np.random.default_rng(21)
     layouts = list(mavlink.dialect().layouts.values())

@@ -275,6 +275,7 @@ def test_a_compressed_variable_inflates_as_far_as_its_header_promises(promise: i
             read(content)
 
 
+@pytest.mark.slow
 def test_an_hdf5_bomb_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(LIMIT_VARIABLE, "20")
     content = writers.hdf5({"time": np.zeros(8 << 20)}, compression="gzip")

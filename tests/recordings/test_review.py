@@ -43,6 +43,7 @@ def reviewed(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[
     return code, json.loads(shown.out) if shown.out else None, shown.err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["faser_stuck_flight", "table_three_faults", "faser_healthy_flight"])
 def test_review_says_what_the_audit_said(name: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, document, complaints = reviewed([str(folder / f"{name}.rrd")], capsys)
@@ -58,14 +59,16 @@ def test_review_says_what_the_audit_said(name: str, folder: Path, capsys: pytest
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("options", [["--threshold-deg", "0.8"], ["--threshold", "interval"]])
 @pytest.mark.parametrize(
-    "name",
+    ("name", "options"),
     [
-        "table_three_faults.csv",
-        pytest.param("faser_stuck_flight.mat", marks=pytest.mark.slow),
-        pytest.param("ardupilot_volz_stuck.bin", marks=pytest.mark.slow),
-        pytest.param("telemetry_stuck.tlog", marks=pytest.mark.slow),
+        ("table_three_faults.csv", ["--threshold", "interval"]),
+        ("telemetry_stuck.tlog", ["--threshold-deg", "0.8"]),
+        *(
+            pytest.param(name, options, marks=pytest.mark.nightly)
+            for name in ("faser_stuck_flight.mat", "ardupilot_volz_stuck.bin")
+            for options in (["--threshold-deg", "0.8"], ["--threshold", "interval"])
+        ),
     ],
 )
 def test_judging_again_gives_what_an_audit_would(
@@ -84,6 +87,7 @@ def test_judging_again_gives_what_an_audit_would(
     assert "no difference" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_compare_tells_what_changed_and_where(stuck: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     other = tmp_path / "other.rrd"
     assert main(["review", str(stuck), "--threshold-deg", "0.8", "-o", str(other)]) == 1
@@ -108,6 +112,7 @@ def test_compare_refuses_another_flight(stuck: Path, folder: Path, capsys: pytes
     assert "not two recordings of the same log" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("span", "status", "code"), [(("6", "12"), "fault", 1), (("0", "4"), "healthy", 0)])
 def test_an_incident_is_cut_out(
     span: tuple[str, str], status: str, code: int, stuck: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -127,6 +132,7 @@ def test_an_incident_is_cut_out(
     assert found == code
 
 
+@pytest.mark.slow
 def test_a_folder_is_a_fleet(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     capsys.readouterr()
     assert main(["review", str(folder)]) == 1
@@ -305,6 +311,7 @@ def test_view_needs_a_display(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Ca
     assert "no display" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_view_opens_recordings_and_logs(
     stuck: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -320,6 +327,7 @@ def test_view_opens_recordings_and_logs(
     assert main(["view", "no.bin"]) == 2
 
 
+@pytest.mark.slow
 def test_view_gives_the_viewer_names_that_it_can_draw(
     stuck: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

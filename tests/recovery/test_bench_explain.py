@@ -68,6 +68,7 @@ def test_poles_that_nobody_knows_are_found_beside_the_effects() -> None:
     assert model["gravity_load"]["droop_deg"] == pytest.approx(15.0, rel=0.2)
 
 
+@pytest.mark.slow
 def test_a_reading_that_moves_with_the_current_is_not_called_motion() -> None:
     """Spikes of current at each start, on a supply shared with the sensor."""
     plain = run(1, {})

@@ -113,7 +113,7 @@ def test_hidden_numbers_are_found() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize(
     ("effect", "width_deg", "key"),
     [
@@ -201,7 +201,7 @@ def test_what_was_calibrated_on_the_ground_is_not_judged_in_the_air() -> None:
 
 @pytest.mark.slow
 def test_positions_that_pause_are_no_change_of_the_servo() -> None:
-    healthy = flown(FleetServo(noise_deg=0.05, bias_deg=4.0), 0, "lively")
+    healthy = flown(FleetServo(noise_deg=0.05, bias_deg=4.0), 0, "lively", 80.0)
     t = healthy.measured_s
     heard = (t < 40.0) | (t > 47.3)
     paused = replace(healthy, measured_s=t[heard], measured_deg=healthy.measured_deg[heard])
@@ -213,6 +213,7 @@ def test_positions_that_pause_are_no_change_of_the_servo() -> None:
     assert followed(aircraft, paused)[1] == pytest.approx(verdict.residuals.residual_deg, abs=1e-9, nan_ok=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 3])
 def test_a_jam_of_most_of_the_flight_is_refused_with_its_time(seed: int) -> None:
     plane = plain_aircraft(["x"], "s9254")
@@ -250,7 +251,7 @@ def test_more_flights_measure_what_differs_between_them() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("style", ["lively", "calm", "hand_flown"])
-@pytest.mark.parametrize("number", range(2))
+@pytest.mark.parametrize("number", [0, pytest.param(1, marks=pytest.mark.nightly)])
 def test_no_false_alarm_in_fresh_flights(style: str, number: int) -> None:
     servo = flight(100 + number, style).servo
     aircraft = calibrated(flown(servo, 0, style)).aircraft

@@ -106,6 +106,7 @@ def test_a_rate_limit_is_named_in_a_chirp() -> None:
     assert any("cannot be judged: airload, voltage_rate" in note for note in found.notes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_nothing_is_missing_from_a_healthy_servo(seed: int) -> None:
     found = explained(hide(FineServo(), seed=seed))
@@ -114,6 +115,7 @@ def test_nothing_is_missing_from_a_healthy_servo(seed: int) -> None:
     assert found.where[0].startswith("nowhere")
 
 
+@pytest.mark.slow
 def test_lost_rows_and_jitter_are_no_effect() -> None:
     rng = np.random.default_rng(5)
     log = hide(FineServo(), "lively", seed=4)
@@ -138,7 +140,7 @@ def test_a_fault_in_the_middle_is_no_missing_effect() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("command", ["lively", "chirp"])
+@pytest.mark.parametrize("command", ["lively", pytest.param("chirp", marks=pytest.mark.nightly)])
 @pytest.mark.parametrize(
     ("servo", "name", "value", "within"),
     [
@@ -174,7 +176,7 @@ def test_two_effects_are_both_named() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", [*range(4), *(pytest.param(k, marks=pytest.mark.nightly) for k in range(4, 12))])
 def test_healthy_servos_at_several_noises(seed: int) -> None:
     command = ("lively", "chirp", "doublets", "flight")[seed % 4]
     found = explained(hide(FineServo(), command, seed=seed, noise_deg=(0.05, 0.1, 0.2)[seed % 3]))

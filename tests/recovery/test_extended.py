@@ -366,6 +366,7 @@ def test_wrong_effects_are_refused_at_the_door(effects: str, reason: str, tmp_pa
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "effects",
     [{"backlash": {"width_deg": 0.8}}, pytest.param({"pwm_frame": {"period_s": 0.02}}, marks=pytest.mark.slow)],

@@ -81,6 +81,7 @@ def test_it_is_found_beside_friction_in_any_unit(tmp_path: Path) -> None:
     assert model(said)["friction"]["friction_deg"] == pytest.approx(FRICTION_DEG, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_load_that_nobody_logged_is_no_other_effect(tmp_path: Path) -> None:
     time_s, command, position, _ = pushed_servo(0.0, 1)
     said = answer(tmp_path, {"time_s": time_s, "elevator_cmd_deg": command, "elevator_pos_deg": position}, *KNOWN)

@@ -260,6 +260,7 @@ def test_every_effect_changes_the_log_and_nothing_else(name: str) -> None:
         assert effect_rms_deg(record, healthy) > 0.1
 
 
+@pytest.mark.slow
 def test_sizes_rise() -> None:
     healthy = hidden(4, {}, "sweep", duration_s=30.0)
     for name in CATALOGUE:

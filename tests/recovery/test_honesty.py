@@ -71,6 +71,7 @@ def _deviations(effect: type[MissingEffect], values: list[float], command: str) 
     return np.array(away)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "values", "command"),
     [(CurrentLimit, [3.0], "lively"), (Backlash, [1.0], "chirp"), (Delay, [0.02], "chirp")],
@@ -118,6 +119,7 @@ def test_what_the_motion_foretells_is_no_noise_and_noise_with_memory_is_noise() 
     assert left(replace(record, measured_deg=simulated_deg + noise), record.plant.neutral) == ()
 
 
+@pytest.mark.slow
 def test_a_servo_off_by_as_much_as_its_type_differs_lacks_nothing() -> None:
     record = flown((), [], 3)
     other = record.plant.neutral._replace(

@@ -60,8 +60,9 @@ def errors(result: Identification, servo: Servo) -> tuple[float, float, float, f
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("quality", TARGETS, ids=["fine", "coarse"])
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 20))])
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in range(2, 20))])
 def test_the_servo_of_eq_3_1_from_its_chirp(quality: tuple[float, int], seed: int) -> None:
     result = found(quality, seed)
     assert result.servo.linear.order == 3
@@ -73,28 +74,29 @@ def test_the_servo_of_eq_3_1_from_its_chirp(quality: tuple[float, int], seed: in
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("quality", TARGETS, ids=["fine", "coarse"])
+@pytest.mark.parametrize("quality", [FINE, pytest.param(COARSE, marks=pytest.mark.nightly)], ids=["fine", "coarse"])
 @pytest.mark.parametrize("name", TRUTHS)
 def test_intervals_hold_the_truth_in_nine_of_ten_runs(quality: tuple[float, int], name: str) -> None:
     value = TRUTHS[name](truth_of(HS225))
     assert np.mean([found(quality, seed).intervals[name].covers(value) for seed in range(20)]) >= 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["s3151", *(pytest.param(n, marks=pytest.mark.slow) for n in ("s9254", "s9256"))])
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (1, 2))])
 def test_what_is_identifiable_of_the_thesis_servos(name: str, seed: int) -> None:
     check_invariants(name, seed)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["9360th", "hs225bb-fig310"])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (1, 2))])
 def test_what_is_identifiable_of_the_slow_thesis_servos(name: str, seed: int) -> None:
     check_invariants(name, seed)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", [*range(2), *(pytest.param(k, marks=pytest.mark.nightly) for k in range(2, 6))])
 def test_a_second_pole_beyond_the_sweep_is_not_dropped_too_early(seed: int) -> None:
     """With 0.1 deg of noise a first-order S9256 would be 2 % off in bandwidth."""
     linear, truth = identify(sweep("s9256", seed=seed)).servo.linear, truth_of(servo_named("s9256")).linear
@@ -141,6 +143,7 @@ def test_rate_limits_from_a_large_step_and_none_from_a_small_one() -> None:
         assert "too small to reach the rate limit" in small.reason
 
 
+@pytest.mark.slow
 def test_chirp_and_step_together_give_the_whole_servo() -> None:
     result = identify([[sweep("hs225bb-eq31", duration_s=60.0), step(72.0)]])
     assert result.rate_limit_deg_s == pytest.approx(370.0, rel=0.005)
@@ -154,6 +157,7 @@ def test_a_small_step_alone_says_that_no_rate_limit_was_seen() -> None:
     assert any("rate limit not identified" in note for note in result.notes)
 
 
+@pytest.mark.slow
 def test_irregular_stamps_are_used_as_they_are() -> None:
     regular = sweep("hs225bb-eq31", duration_s=60.0)
     rng = np.random.default_rng(0)
@@ -165,6 +169,7 @@ def test_irregular_stamps_are_used_as_they_are() -> None:
     assert any("time stamps are irregular" in note for note in result.notes)
 
 
+@pytest.mark.slow
 def test_offset_gain_and_sign_of_the_position() -> None:
     segment = sweep("hs225bb-eq31", duration_s=60.0)
     result = identify(replace(segment, measured_deg=3.0 - 0.8 * segment.measured_deg))
@@ -182,6 +187,7 @@ def test_three_servos_give_their_mean_and_their_spread() -> None:
     assert any(note.startswith("3 servos: bandwidth 28") for note in result.notes)
 
 
+@pytest.mark.slow
 def test_servos_of_different_kinds_are_not_averaged() -> None:
     with pytest.raises(IdentificationError, match="servos of different kinds"):
         identify([[sweep(name, duration_s=60.0)] for name in ("hs225bb-eq31", "s9254")])

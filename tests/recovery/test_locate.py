@@ -49,6 +49,7 @@ def named(found: tuple[Map, ...]) -> dict[str, Map]:
     return {each.quantity: each for each in found}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("memory", [0.0, 0.9])
 def test_chance_tells_nothing(memory: float) -> None:
     """Noise of which half passes for a gap: at most one log in a hundred may seem to depend on anything."""
@@ -59,6 +60,7 @@ def test_chance_tells_nothing(memory: float) -> None:
     assert wrong <= 1
 
 
+@pytest.mark.slow
 def test_a_distortion_is_told_by_its_symmetry() -> None:
     command_deg, moved_deg = flown()
     signed = command_deg - command_deg.mean()

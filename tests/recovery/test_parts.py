@@ -97,6 +97,7 @@ def test_a_surface_that_never_moves_has_no_speed() -> None:
     assert names[0] == "all"
 
 
+@pytest.mark.slow
 def test_a_frame_is_found_in_a_log_longer_than_the_window_it_was_seen_in() -> None:
     record = flown((), [], 2, duration_s=20.0)
     framed = record.plant.neutral._replace(frame_s=0.047, frame_phase=0.41)
@@ -106,6 +107,7 @@ def test_a_frame_is_found_in_a_log_longer_than_the_window_it_was_seen_in() -> No
     assert period_s == pytest.approx(0.047, rel=3e-4)
 
 
+@pytest.mark.slow
 def test_no_frame_is_proposed_where_something_else_explains_the_error() -> None:
     record = flown((Delay,), [0.04], 2, duration_s=12.0)
     noise_deg = Fitter(record).judged((Delay,), record.plant.neutral._replace(delay_s=0.04)).error_deg

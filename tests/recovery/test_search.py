@@ -39,7 +39,7 @@ def swept(effects: tuple[type[MissingEffect], ...], values: list[float], seed: i
     ("names", "seed"),
     [
         (("resonance", "rate_limit"), 102),
-        (("delay", "rate_limit", "deadband"), 102),
+        pytest.param(("delay", "rate_limit", "deadband"), 102, marks=pytest.mark.nightly),
         pytest.param(("delay", "rate_limit", "backlash"), 101, marks=pytest.mark.nightly),
         pytest.param(("airload", "friction", "delay"), 103, marks=pytest.mark.nightly),
     ],
@@ -56,7 +56,7 @@ def test_several_effects_are_told_in_a_chirp_of_one_amplitude(
     assert one.conclusion == "explained"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_stop_that_is_never_reached_is_not_hidden() -> None:
     one = judge(Case("pair", ("position_limit", "backlash"), "medium", "chirp", 0.1, 101))
     assert one.score.hidden == ("backlash",)

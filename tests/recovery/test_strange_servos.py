@@ -12,8 +12,11 @@ from validity import found_in, lot
 @pytest.mark.parametrize(
     "seed",
     [
-        *(pytest.param(seed, marks=pytest.mark.slow) for seed in (48, 148, 196, 356, 1972)),
-        *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (90, 184, 1436, 1496, 1946, 2166, 2396)),
+        *(pytest.param(seed, marks=pytest.mark.slow) for seed in (48, 196)),
+        *(
+            pytest.param(seed, marks=pytest.mark.nightly)
+            for seed in (90, 148, 184, 356, 1436, 1496, 1946, 1972, 2166, 2396)
+        ),
     ],
 )
 def test_two_effects_at_any_place_of_the_slow_pole_are_told(seed: int) -> None:
@@ -39,7 +42,7 @@ def test_structures_that_are_none_of_the_models() -> None:
 
 @pytest.mark.slow
 def test_lost_torque_is_found_when_it_is_lost_and_a_healthy_run_is_not_accused() -> None:
-    for seed in (2, 4, 6):
+    for seed in (2, 4):
         drawn = lot(seed)
         found = found_in(drawn)
         assert [each.run for each in found] == [drawn.run]

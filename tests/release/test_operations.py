@@ -73,7 +73,10 @@ def usual() -> str:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("locale", ["C", "POSIX", "tr_TR.UTF-8", "xx_XX.none", ""])
+@pytest.mark.parametrize(
+    "locale",
+    ["C", "tr_TR.UTF-8", *(pytest.param(name, marks=pytest.mark.nightly) for name in ("POSIX", "xx_XX.none", ""))],
+)
 def test_every_locale_gives_the_same_numbers(usual: str, locale: str) -> None:
     found = audited(LC_ALL=locale, LANG=locale, PYTHONUTF8="0")
     assert found.returncode == 1, found.stderr

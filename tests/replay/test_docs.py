@@ -39,6 +39,7 @@ def test_the_readme_has_exactly_two_set_up_commands() -> None:
     assert len(README.splitlines()) <= 90
 
 
+@pytest.mark.slow
 def test_the_audit_of_the_readme_prints_what_the_readme_shows(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -59,6 +60,7 @@ def test_the_verbs_of_the_readme_exist() -> None:
             assert callable(parsed(command).run), command
 
 
+@pytest.mark.slow
 def test_the_python_of_the_readme_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
     (code,) = blocks(README, "python")
@@ -74,7 +76,7 @@ def test_links_and_pictures_exist(path: Path) -> None:
         assert (path.parent / target).exists(), target
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_thesis_page_is_what_its_script_writes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     runpy.run_path(str(ROOT / "docs" / "make_thesis.py"))["main"](tmp_path)
     capsys.readouterr()
@@ -82,6 +84,7 @@ def test_the_thesis_page_is_what_its_script_writes(tmp_path: Path, capsys: pytes
     assert {p.name for p in (tmp_path / "images").iterdir()} == {p.name for p in (ROOT / "docs" / "images").iterdir()}
 
 
+@pytest.mark.slow
 def test_the_odds_of_the_documentation_are_printed(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -160,6 +163,7 @@ def test_the_page_about_aircraft_files_names_every_effect_and_parameter() -> Non
             assert f"`{word}`" in page, effect.key()
 
 
+@pytest.mark.slow
 def test_the_page_on_simulation_shows_what_its_commands_print(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -241,7 +245,7 @@ def test_the_bench_output_of_appendix_c_is_audited(tmp_path: Path, capsys: pytes
     assert main(["audit", str(tmp_path / "stuck.txt"), "-c", str(config)]) == 1
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_tutorial_of_explain_is_what_its_script_makes(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

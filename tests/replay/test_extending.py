@@ -103,6 +103,7 @@ def test_a_fault(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest
     assert audit.surfaces[0].faults[0].alarm_s >= 20.0
 
 
+@pytest.mark.slow
 def test_an_output(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
     text = example("An output")["junit"](list(servofd.audit("sample_logs/faser_stuck_flight.mat")))

@@ -39,6 +39,7 @@ AUTOPILOTS: dict[str, tuple[str, str, float, float]] = {
 MAKE = runpy.run_path(str(SAMPLES / "make.py"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", VERDICTS)
 def test_verdicts(name: str) -> None:
     surface, kind, onset_s, alarm_s = VERDICTS[name]
@@ -56,6 +57,7 @@ def test_verdicts(name: str) -> None:
         assert onset_s <= fault.start_s <= fault.alarm_s <= alarm_s
 
 
+@pytest.mark.slow
 def test_one_fault_passes_another_follows_and_a_second_surface_fails_meanwhile() -> None:
     (result,) = servofd.audit(SAMPLES / TABLE, servo="hs225bb-eq31")
     verdicts = {verdict.surface: verdict for verdict in result.surfaces}
@@ -100,6 +102,7 @@ def test_logs_of_autopilots_hold_the_truth(name: str) -> None:
         assert (np.std(late) < 0.15) == ("stuck" in name and output.surface == "elevator")
 
 
+@pytest.mark.slow
 def test_the_script_makes_the_same_bytes(tmp_path: Path) -> None:
     made = MAKE["make"](tmp_path)
     assert {path.name for path in made} == {*(f"{name}.mat" for name in VERDICTS), TABLE, *AUTOPILOTS}

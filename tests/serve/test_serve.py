@@ -149,6 +149,7 @@ def test_a_dropped_log_gets_its_verdict_page_json_and_recording(tmp_path: Path) 
         assert [flight.state for flight in flights.all()] == ["done"]
 
 
+@pytest.mark.slow
 def test_what_is_no_log_says_so_and_tells_no_folder(tmp_path: Path) -> None:
     for name, content, says in (
         ("empty.bin", b"", "empty"),
@@ -330,7 +331,7 @@ def asked(address: str, method: str = "GET", data: bytes | None = None) -> Any:
 
 
 @pytest.mark.parametrize(
-    "each", [pytest.param(2, marks=pytest.mark.slow), pytest.param(100, marks=pytest.mark.nightly)]
+    "each", [pytest.param(2, marks=pytest.mark.nightly), pytest.param(100, marks=pytest.mark.nightly)]
 )
 def test_two_users_with_many_logs_at_once_lose_nothing(each: int, tmp_path: Path) -> None:
     rows = (SAMPLES / "table_three_faults.csv").read_bytes().splitlines(keepends=True)

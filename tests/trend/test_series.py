@@ -35,6 +35,7 @@ def test_a_line_moves_and_scales_with_its_values(slope: float, level: float, see
     assert other.at(7.0).value == pytest.approx(one.at(7.0).value + level + 7.0 * slope, abs=2e-3)
 
 
+@pytest.mark.slow
 def test_the_interval_of_a_slope_holds_it_in_95_of_100() -> None:
     """200 draws with scatter beyond each flight's own interval: 95 % within 3 standard deviations of a binomial."""
     held = 0
@@ -57,6 +58,7 @@ def test_a_jump_is_cut_where_it_is(first: int) -> None:
     assert [(one.first, one.last) for one in pieces(NUMBER, value, np.full(40, 0.01))] == [(1, first - 1), (first, 40)]
 
 
+@pytest.mark.slow
 def test_healthy_numbers_are_not_cut_and_have_no_trend() -> None:
     """The chance of any is 1e-6 each; scatter three times what the flights claim."""
     for seed in range(100):

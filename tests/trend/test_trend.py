@@ -55,6 +55,7 @@ def logs(widths_deg: list[float], start: datetime.datetime | None = None, identi
     return made
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "width_deg", [0.6, *(pytest.param(width, marks=pytest.mark.slow) for width in (0.0, 0.05, 2.5))]
 )
@@ -187,6 +188,7 @@ def test_the_command_line_prints_writes_and_returns_what_it_found(
     assert "crosses its limit at flight" in (tmp_path / "t.html").read_text()
 
 
+@pytest.mark.slow
 def test_the_page_begins_with_the_worst_surface() -> None:
     document = trend_document(trend_of(logs([0.02 * number for number in range(1, 41)], START), PLANE))
     calm = json.loads(json.dumps(document["surfaces"]["rudder"]))
