@@ -400,10 +400,24 @@ def _with_lags(model: AxisModel, flights: Sequence[Inputs], rate_hz: float) -> A
     model = model.model_copy(update={"spreads": tuple(spreads)})
     scales = np.max([[float(j.max()) for j in slowness(model, one, rate_hz)] for one in flights], axis=0)
     scaled = [
-        spread.model_copy(update={"lag_scale": float(scale) if scale > 0.0 else None})
+        spread.model_copy(
+            update={"lag_scale": max(float(scale), _by_chance(flights, spread, rate_hz)) if scale > 0.0 else None}
+        )
         for spread, scale in zip(spreads, scales, strict=True)
     ]
     return model.model_copy(update={"spreads": tuple(scaled)})
+
+
+def _by_chance(flights: Sequence[Inputs], spread: Spread, rate_hz: float) -> float:
+    """Largest statistic of a lag that chance alone lets expect in windows of one length of these flights.
+
+    It is a chi-square. A largest one below this tells that windows were few, or that the variance has seen them, and
+    not that the next flights will stay below it.
+    """
+    from scipy import special  # takes longer to load than a flight to judge
+
+    windows = sum(float(one.usable.sum()) for one in flights) / spread.samples(rate_hz)
+    return float(special.chdtri(1.0, min(1.0 / windows, 0.5)))
 
 
 _LEAST_SPREAD = np.diag([0.03**2, 5.0**2])

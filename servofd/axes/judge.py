@@ -220,14 +220,19 @@ def _event(axis: AxisModel, change: _Change, time_s: FloatArray, rate_hz: float)
         score=float(change.score[change.alarm : change.last].max()),
         lost_share=lost,
         offset_us=offset,
-        lag_s=_late(axis, change.rest, kind, rate_hz),
+        lag_s=_late(axis, _beside(change.rest, change.past), kind, rate_hz),
         from_start=change.from_start,
         known_s=float(time_s[change.learned]) if change.learned < time_s.size else math.inf,
     )
 
 
+def _beside(inputs: Inputs, past: Expected) -> Inputs:
+    """What is left beside the loss and the offset that a flight had of its own, which flights differ by."""
+    return replace(inputs, residual=inputs.residual - past.loss[0] * inputs.loss - past.offset[0] * inputs.offset)
+
+
 def _late(axis: AxisModel, inputs: Inputs, span: slice, rate_hz: float) -> Estimate | None:
-    """Lag in a part of the flight, if a first-order lag of the command explains it better than a lost share does.
+    """Lag in a part of the flight, if a first-order lag of the command explains it better than a loss or an offset.
 
     The lag is simulated, because to first order it holds only while the filter passes nothing as fast as the lag.
     """
@@ -245,10 +250,11 @@ def _late(axis: AxisModel, inputs: Inputs, span: slice, rate_hz: float) -> Estim
         return np.asarray(seen - away * float(away @ seen))
 
     left, lost = beside_offset(inputs.residual), beside_offset(inputs.loss)
+    by_offset = float(away @ inputs.residual[used]) ** 2
     squares = np.array([np.sum((left - beside_offset(lagged(inputs.loss, lag_s, rate_hz))) ** 2) for lag_s in _LAGS_S])
     share = max(float(lost @ left) / max(float(lost @ lost), 1e-300), 0.0)
     best = int(np.argmin(squares))
-    if best == 0 or squares[best] >= np.sum((left - share * lost) ** 2):
+    if best == 0 or squares[best] >= np.sum((left - share * lost) ** 2) or left @ left - squares[best] < by_offset:
         return None
     noise_var = axis.noise_var * max(1.0, float(squares[best]) / (left.size * axis.noise_var))
     believed = _LAGS_S[squares <= squares[best] + Z_95**2 * noise_var]
@@ -306,8 +312,7 @@ def _onset(axis: AxisModel, inputs: Inputs, alarm: int, begin: int, rate_hz: flo
     Before it, if that was long enough to tell, the flight had a loss and an offset of its own, which flights differ by:
     what they explain as well is not the fault's.
     """
-    residual = inputs.residual - past.loss[0] * inputs.loss - past.offset[0] * inputs.offset
-    inputs = replace(inputs, residual=residual)
+    inputs = _beside(inputs, past)
     healthy = np.array([[past.loss_var[0], past.cross[0]], [past.cross[0], past.offset_var[0]]]) / axis.noise_var
     first = max(begin, alarm - round(_ONSET_S * rate_hz))
     a, b, c, d1, d2, count = (total[alarm] - total[first:alarm] for total in inputs.sums[:6])

@@ -102,9 +102,7 @@ def _plot(results: list[LogAudit | FailedLog]) -> None:
                 residuals = one.residuals
                 residual_deg = np.where(residuals.settled, residuals.residual_deg, np.nan)
                 lines.append((one.surface, outline(residuals.time_s, residual_deg, one.threshold.level_deg)))
-        for axis in result.axes:
-            distance = np.where(axis.inputs.usable, np.sqrt(np.maximum(axis.score, 0.0)), np.nan)
-            lines.append((axis.axis, outline(axis.time_s, distance, np.ones(distance.size))))
+        lines += [(axis.axis, axis.outline) for axis in result.axes]
         width = max((len(one_line(name)) for name, _ in lines), default=0)
         for name, shares in lines:
             print(f"{one_line(name):{width}}  {sparkline(shares)}")

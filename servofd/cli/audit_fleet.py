@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -162,8 +162,8 @@ def _line(judged: JudgedLog) -> str:
         document = run.document
         name = document["path"] + (f" (run {document['run']})" if document.get("run") else "")
         bad = [
-            f"{surface} {', '.join(fault['kind'] for fault in entry['faults']) or entry['status']}"
-            for surface, entry in document["surfaces"].items()
+            f"{name} {', '.join(fault['kind'] for fault in entry.get('faults', ())) or entry['status']}"
+            for name, entry in (document["surfaces"] | document.get("axes", {})).items()
             if entry["status"] != "healthy"
         ]
         status = log_status({"document": document, "not_judged": run.not_judged})
@@ -204,17 +204,23 @@ def write_page(seen: Overview, target: str) -> None:
 def print_overview(seen: Overview) -> None:
     """Print what many logs say together."""
     from servofd.cli.tables import print_table
+    from servofd.outputs.fleet_page import effect_left, logs_by_status
 
     counts = ", ".join(f"{number} {status}" for status, number in sorted(seen.statuses.items()))
     rows = [
         [
             count.surface,
-            *(str(count.logs.get(status, 0)) for status in ("healthy", "suspect", "fault")),
-            str(count.logs.get("unknown", 0) + count.logs.get("no_data", 0)),
+            *logs_by_status(count.logs),
             ", ".join(f"{kind} {number}" for kind, number in count.kinds.items()),
             "" if count.largest_share is None else f"{count.largest_share:.0%}",
         ]
         for count in seen.surfaces
     ]
     headings = ["surface", "healthy", "suspect", "fault", "not judged", "faults", "largest residual / threshold"]
-    print_table(headings, rows, f"{seen.logs} logs, {seen.hours:.1f} h: {counts}")
+    title = f"{seen.logs} logs, {seen.hours:.1f} h: {counts}"
+    if rows or not seen.axes:
+        print_table(headings, rows, title)
+        title = ""
+    if seen.axes:
+        moved = [[axis.axis, *logs_by_status(axis.logs), effect_left(asdict(axis))] for axis in seen.axes]
+        print_table(["axis", "healthy", "suspect", "fault", "not judged", "effect left, where healthy"], moved, title)

@@ -177,6 +177,12 @@ class AxisAudit:
         return self.inputs.residual - self.inputs.loss
 
     @property
+    def outline(self) -> tuple[float | None, ...]:
+        """Largest distance from healthy over its threshold in each of equal parts of the flight."""
+        distance = np.where(self.inputs.usable, np.sqrt(np.maximum(self.score, 0.0)), np.nan)
+        return outline(self.time_s, distance, np.ones(distance.size))
+
+    @property
     def since_s(self) -> float | None:
         """Onset of the first event that is the axis' own [s]."""
         return next((event.start_s for event in self.events if event.is_own), None)

@@ -31,8 +31,9 @@ class RunVerdict:
 
     @property
     def has_fault(self) -> bool:
-        """True if any surface is at fault."""
-        return any(surface["status"] == "fault" for surface in self.document["surfaces"].values())
+        """True if any surface or axis is at fault."""
+        every = (*self.document["surfaces"].values(), *self.document.get("axes", {}).values())
+        return any(one["status"] == "fault" for one in every)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from servofd.batch.key import page_name
+from servofd.outputs.json_report import worst_outline
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -30,6 +31,18 @@ class SurfaceCount:
 
 
 @dataclass(frozen=True, slots=True)
+class AxisCount:
+    """What motion told of one axis over all logs that were judged by it."""
+
+    axis: str
+    members: tuple[str, ...]
+    logs: dict[str, int]
+    """Status to number of logs."""
+    effect_left: tuple[float, float] | None
+    """Smallest and largest share of its effect, of the logs in which it was healthy."""
+
+
+@dataclass(frozen=True, slots=True)
 class Overview:
     """A fleet on one page.
 
@@ -44,8 +57,9 @@ class Overview:
     statuses: dict[str, int]
     """Worst status of a log to number of logs; ``not_judged`` where there is no verdict on the log as a whole."""
     surfaces: tuple[SurfaceCount, ...]
+    axes: tuple[AxisCount, ...]
     faults: tuple[dict[str, Any], ...]
-    """One for each fault: path, run, surface, and what servofd.audit/1 says of it."""
+    """One for each fault of a surface: path, run, surface, and what servofd.audit/1 says of it."""
     not_judged: tuple[dict[str, Any], ...]
     """Path, run and reason of each log without a verdict."""
     flights: tuple[dict[str, Any], ...]
@@ -76,11 +90,16 @@ def overview(logs: Sequence[dict[str, Any]]) -> Overview:
     """
     ordered = sorted(logs, key=_place)
     every = [(log, name, entry) for log in ordered for name, entry in log["document"]["surfaces"].items()]
+    moved = [(name, entry) for log in ordered for name, entry in _axes(log).items()]
     return Overview(
         logs=len(ordered),
         hours=sum(log["document"]["duration_s"] or 0.0 for log in ordered) / 3600.0,
         statuses=dict(Counter(log_status(log) for log in ordered)),
         surfaces=tuple(_count(name, every) for name in dict.fromkeys(name for _, name, _ in every)),
+        axes=tuple(
+            _axis_count(name, [entry for axis, entry in moved if axis == name])
+            for name in dict.fromkeys(name for name, _ in moved)
+        ),
         faults=tuple(
             _where(log) | {"surface": name} | fault for log, name, entry in every for fault in entry["faults"]
         ),
@@ -94,11 +113,16 @@ def overview(logs: Sequence[dict[str, Any]]) -> Overview:
 
 
 def log_status(log: dict[str, Any]) -> str:
-    """Worst status of a log's surfaces; ``not_judged`` where there is no verdict on it as a whole."""
-    statuses = {entry["status"] for entry in log["document"]["surfaces"].values()}
+    """Worst status of a log's surfaces and axes; ``not_judged`` where there is no verdict on it as a whole."""
+    statuses = {entry["status"] for entry in (*log["document"]["surfaces"].values(), *_axes(log).values())}
     if log["not_judged"] and "suspect" not in statuses:
         return "not_judged"
     return next((status for status in _WORST_FIRST if status in statuses), "not_judged")
+
+
+def _axes(log: dict[str, Any]) -> dict[str, Any]:
+    """What motion told, if the log was judged by it."""
+    return dict(log["document"].get("axes", {}))
 
 
 def _place(log: dict[str, Any]) -> tuple[str, str, str]:
@@ -112,15 +136,14 @@ def _where(log: dict[str, Any]) -> dict[str, Any]:
 
 def _flight(log: dict[str, Any]) -> dict[str, Any]:
     document = log["document"]
-    entries = document["surfaces"].items()
-    name, worst = max(entries, key=lambda one: _share(one[1]) or 0.0, default=("", None))
+    name, outline = worst_outline(document)
     return _where(log) | {
         "duration_s": document["duration_s"],
         "status": log_status(log),
         "sentence": document.get("sentence") or document["error"] or "",
         "page": page_name(document["path"], log.get("content") or ""),
         "surface": name,
-        "outline": ((worst or {}).get("residual") or {}).get("outline") or [],
+        "outline": outline,
     }
 
 
@@ -133,6 +156,20 @@ def _count(name: str, every: Sequence[tuple[dict[str, Any], str, dict[str, Any]]
         dict(Counter(entry["status"] for entry in entries)),
         dict(Counter(fault["kind"] for entry in entries for fault in entry["faults"])),
         max(shares, default=None),
+    )
+
+
+def _axis_count(name: str, entries: Sequence[dict[str, Any]]) -> AxisCount:
+    left = [
+        1.0 - entry["lost_share"]
+        for entry in entries
+        if entry["status"] == "healthy" and entry["lost_share"] is not None
+    ]
+    return AxisCount(
+        name,
+        tuple(dict.fromkeys(member for entry in entries for member in entry["members"])),
+        dict(Counter(entry["status"] for entry in entries)),
+        (min(left), max(left)) if left else None,
     )
 
 

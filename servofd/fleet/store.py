@@ -1,4 +1,4 @@
-"""A folder of results: three Parquet data sets that grow part by part, so that a run can be broken off and resumed."""
+"""A folder of results: four Parquet data sets that grow part by part, so that a run can be broken off and resumed."""
 
 from __future__ import annotations
 

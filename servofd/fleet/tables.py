@@ -1,4 +1,4 @@
-"""Verdicts as flat tables: one row per log, one per log and surface, one per fault."""
+"""Verdicts as flat tables: one row per log, one per log and surface or axis, one per fault."""
 
 from __future__ import annotations
 
@@ -46,6 +46,18 @@ TABLES: Mapping[str, Mapping[str, str]] = MappingProxyType(
             "faults": "int64",
             "suspicions": "int64",
         },
+        "axes": {
+            **_LOG,
+            "duration_s": "double",
+            "axis": "string",
+            "status": "string",
+            "reason": "string",
+            "members": "string",
+            "lost_share": "double",
+            "offset_us": "double",
+            "since_s": "double",
+            "judged_share": "double",
+        },
         "logs": {
             **_LOG,
             "size_bytes": "int64",
@@ -91,6 +103,12 @@ def rows(judged: JudgedLog) -> dict[str, list[dict[str, Any]]]:
                 "document": json.dumps(document),
             }
         )
+        for name, axis in document.get("axes", {}).items():
+            own = {key: axis[key] for key in ("status", "reason", "lost_share", "offset_us", "since_s", "judged_share")}
+            members = ", ".join(axis["members"])
+            tables["axes"].append(
+                {**log, "duration_s": document["duration_s"], "axis": name, **own, "members": members}
+            )
         for name, surface in document["surfaces"].items():
             tables["surfaces"].append({**log, "duration_s": document["duration_s"], **_surface(name, surface)})
             for level in ("faults", "suspicions"):

@@ -10,7 +10,7 @@ from servofd.outputs.page import page
 from servofd.outputs.sentence import clock, spoken
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
 _MOST_ROWS = 200
 _MOST_FLIGHTS = 2000
@@ -48,6 +48,7 @@ def fleet_page(document: dict[str, Any], pages: frozenset[str] = frozenset()) ->
         flights=[_flight(rank, flight, pages) for rank, flight in enumerate(flights[:_MOST_FLIGHTS])],
         more_flights=max(0, len(flights) - _MOST_FLIGHTS),
         surfaces=[_surface(surface) for surface in document["surfaces"]],
+        axes=[_axis(axis) for axis in document["axes"]],
         faults=[_fault(fault) for fault in faults[:_MOST_ROWS]],
         more_faults=max(0, len(faults) - _MOST_ROWS),
         not_judged=[
@@ -122,13 +123,40 @@ def flight_name(one: dict[str, Any]) -> str:
     return PurePosixPath(one["path"].replace("\\", "/")).name + (f" (run {one['run']})" if one.get("run") else "")
 
 
+def logs_by_status(logs: Mapping[str, int]) -> list[str]:
+    """How many logs were healthy, suspect, at fault and not judged.
+
+    Examples
+    --------
+    >>> logs_by_status({"healthy": 3, "unknown": 1, "no_data": 1})
+    ['3', '0', '0', '2']
+    """
+    return [*(str(logs.get(status, 0)) for status in _STATUSES), str(logs.get("unknown", 0) + logs.get("no_data", 0))]
+
+
+def effect_left(axis: Mapping[str, Any]) -> str:
+    """Smallest and largest effect of an axis in the flights in which it was healthy.
+
+    Examples
+    --------
+    >>> effect_left({"effect_left": (0.93, 1.04)})
+    '93 to 104%'
+    """
+    left = axis["effect_left"]
+    return "" if left is None else f"{100.0 * left[0]:.0f} to {100.0 * left[1]:.0f}%"
+
+
+def _axis(axis: dict[str, Any]) -> tuple[str, ...]:
+    members = ", ".join(spoken(member) for member in axis["members"])
+    return axis["axis"], members, *logs_by_status(axis["logs"]), effect_left(axis)
+
+
 def _surface(surface: dict[str, Any]) -> tuple[str, ...]:
-    logs, share = surface["logs"], surface["largest_share"]
+    share = surface["largest_share"]
     return (
         spoken(surface["surface"]),
         ", ".join(surface["servos"]),
-        *(str(logs.get(status, 0)) for status in _STATUSES),
-        str(logs.get("unknown", 0) + logs.get("no_data", 0)),
+        *logs_by_status(surface["logs"]),
         ", ".join(f"{kind.replace('_', ' ')} {number}" for kind, number in surface["kinds"].items()) or "none",
         "" if share is None else f"{share:.0%}",
     )

@@ -38,6 +38,25 @@ def audit_document(results: Sequence[LogAudit | FailedLog]) -> dict[str, Any]:
     return {"schema": "servofd.audit/1", "logs": [_log(result) for result in results]}
 
 
+def worst_outline(document: dict[str, Any]) -> tuple[str, list[float | None]]:
+    """Surface or axis of a log that came nearest to its threshold, or went furthest beyond it, and its outline.
+
+    Parameters
+    ----------
+    document : dict
+        An entry of ``logs`` in servofd.audit/1.
+
+    Examples
+    --------
+    >>> worst_outline({"surfaces": {"rudder": {"residual": {"outline": [0.2, None, 0.4]}}}, "axes": {}})
+    ('rudder', [0.2, None, 0.4])
+    """
+    outlines = {name: (entry["residual"] or {}).get("outline") or [] for name, entry in document["surfaces"].items()}
+    outlines |= {name: entry["outline"] for name, entry in document.get("axes", {}).items()}
+    name = max(outlines, key=lambda one: max((share or 0.0 for share in outlines[one]), default=-1.0), default="")
+    return (name, outlines[name]) if outlines.get(name) else ("", [])
+
+
 def to_json(document: dict[str, Any]) -> str:
     """Text of a document; values that JSON cannot hold (NaN, infinity) become null."""
     return json.dumps(_finite(document), indent=2, allow_nan=False) + "\n"
@@ -82,6 +101,7 @@ def _axis(axis: AxisAudit) -> dict[str, Any]:
             "offset_us": axis.offset_us and [axis.offset_us.low, axis.offset_us.high],
         },
         "since_s": axis.since_s,
+        "outline": list(axis.outline),
         "false_alarms_per_hour": axis.false_alarms_per_hour,
         "identifiable": axis.identifiable >= MOST_OF_THE_FLIGHT,
         "identifiable_share": axis.identifiable,

@@ -227,5 +227,5 @@ def _entry(entry: dict[str, Any] | None) -> dict[str, Any]:
         "status": entry["status"],
         "reason": entry["reason"],
         "numbers": numbers,
-        "thumbnail": thumbnail(residual["outline"] if residual else ()),
+        "thumbnail": thumbnail((residual or entry).get("outline") or ()),
     }

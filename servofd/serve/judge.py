@@ -14,7 +14,7 @@ from servofd.core.errors import ServofdError
 from servofd.core.files import make_folder, write_whole
 from servofd.jobs.workflow import audit
 from servofd.outputs.audit_page import audit_page
-from servofd.outputs.json_report import FailedLog, audit_document, to_json
+from servofd.outputs.json_report import FailedLog, audit_document, to_json, worst_outline
 from servofd.outputs.sentence import spoken, whole_sentence, worst
 
 if TYPE_CHECKING:
@@ -134,19 +134,14 @@ def _summary(results: list[LogAudit | FailedLog], documents: list[dict[str, Any]
         return Summary("unknown", f"Could not be read: {error.partition(': ')[2] or error}", key=job.key)
     _, shown, document = min(judged, key=lambda one: one[0])
     faults = [fault.alarm_s for surface in shown.surfaces for fault in surface.faults]
-    entries = {name: entry for name, entry in document["surfaces"].items() if entry["residual"]}
-    name = max(entries, key=lambda surface: _share(entries[surface]), default="")
+    name, outline = worst_outline(document)
     return Summary(
         worst((*shown.surfaces, *shown.axes)),
         whole_sentence(shown),
         document["duration_s"],
         document["start_utc"],
         name,
-        tuple(entries[name]["residual"]["outline"]) if name else (),
+        tuple(outline),
         min(faults, default=None),
         job.key,
     )
-
-
-def _share(entry: dict[str, Any]) -> float:
-    return float((entry["residual"]["max_abs_deg"] or 0.0) / (entry["threshold"]["deg"] or 1.0))
