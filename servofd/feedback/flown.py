@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import logparsers
 from servofd.aircraft.schema import UNKNOWN_SERVO, Aircraft, load_aircraft, plain_aircraft, plain_channels
-from servofd.core.errors import ConfigError, NoMeasurement
+from servofd.core.errors import CalibrationError, ConfigError, NoMeasurement
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
     from logparsers import FlightLog, LogFile
 
@@ -46,6 +47,28 @@ def logs_of(paths: LogFile | Sequence[LogFile], aircraft: Aircraft | None = None
     for path in several:
         for log in logparsers.read_all(path, layout_of(aircraft)):
             yield from log.by_boots()
+
+
+def each_once(logs: Iterable[FlightLog]) -> Iterator[FlightLog]:
+    """The same logs; a flight that comes again, packed or under another name, would count twice.
+
+    Raises
+    ------
+    CalibrationError
+        If one does.
+    """
+    seen: dict[tuple[object, ...], str] = {}
+    for log in logs:
+        sizes = {name: channel.time_s.size for name, channel in log.channels.items()}
+        longest = log.channels[max(sizes, key=lambda name: sizes[name])] if sizes else None
+        content = b"" if longest is None else longest.time_s.tobytes() + longest.values.tobytes()
+        key = (log.start_utc, frozenset(sizes.items()), hashlib.blake2b(content).digest())
+        if key in seen:
+            raise CalibrationError(
+                f"{log.label}: the same flight as {seen[key]}, which would count twice; give each flight once"
+            )
+        seen[key] = log.label
+        yield log
 
 
 def one_log(path: str | Path, aircraft: Aircraft | None = None) -> FlightLog:

@@ -10,7 +10,7 @@ from servofd.aircraft.schema import load_aircraft
 from servofd.aircraft.segment import cut
 from servofd.core.errors import NoMeasurement, UnknownName, suggest
 from servofd.detection.audit import audit_log
-from servofd.feedback.flown import aircraft_for, flown_aircraft, known_aircraft, logs_of, surfaces_of
+from servofd.feedback.flown import aircraft_for, each_once, flown_aircraft, known_aircraft, logs_of, surfaces_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -126,7 +126,7 @@ def calibrate_axes(
     from servofd.axes.calibrate import calibrate_motion
     from servofd.axes.read import motion_of
 
-    logs = list(logs_of(paths))
+    logs = list(each_once(logs_of(paths)))
     flights = [motion_of(log) for log in logs]
     rate_hz = min(flight.rate_hz for flight in flights)
     flights = [
@@ -207,7 +207,7 @@ def flights_of(
 
     flights: dict[str, list[Flight]] = {name: [] for name in surfaces or aircraft.surfaces}
     reasons, seen = [], set()
-    for log in logs_of(paths, aircraft):
+    for log in each_once(logs_of(paths, aircraft)):
         seen.add(log.run)
         if runs and log.run not in runs:
             continue

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,8 @@ from servofd.aircraft.axes import motion_to_toml
 from servofd.axes.judge import judge_motion
 from servofd.cli import main
 from servofd.estimate.statistics import Estimate
+from servofd.fleet.overview import overview
+from servofd.fleet.store import read_logs, read_table
 from servofd.outputs.sentence import axes_sentence
 from tests.axes.flights import flown
 from tests.axes.test_axes import as_table
@@ -34,6 +37,47 @@ def test_an_axis_has_its_line_in_the_terminal_and_its_lanes_in_rerun(
     assert set(line[6:20]) <= set("▁▂▃▄·")
     places = {str(chunk.entity_path) for chunk in RrdReader(recording).stream()}
     assert {"/axes/roll/effect", "/axes/roll/distance", "/axes/roll/state"} <= places
+
+
+@pytest.mark.slow
+def test_many_flights_without_feedback_are_judged_by_their_axes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In lines, overview, page, tables and exit code, as flights whose servos report positions are."""
+    plane, flights, results = tmp_path / "plane.toml", tmp_path / "flights", tmp_path / "results"
+    plane.write_text(motion_to_toml(calibrated()))
+    flights.mkdir()
+    as_table(flights, "2026-05-08.csv", flown(50, "2026-05-08"))
+    as_table(flights, "2026-05-09.csv", flown(51, "2026-05-09", aileron_share=0.2, from_s=60.0))
+    code = main(["audit", str(flights), "-c", str(plane), "-o", str(results)])
+    lines = capsys.readouterr().out.splitlines()
+    kept = read_table(results, "axes")
+    assert [row["axis"] for row in kept] == ["roll", "roll"]
+    found = {Path(row["path"]).stem[-1]: row for row in kept}
+    assert found["8"]["status"] == "healthy"
+    assert found["9"]["status"] in ("suspect", "fault")
+    assert found["9"]["lost_share"] == pytest.approx(0.8, abs=0.15)
+    assert code == (1 if found["9"]["status"] == "fault" else 2)
+    assert any(line.endswith(f"2026-05-09.csv: roll {found['9']['status']}") for line in lines)
+    (count,) = overview(read_logs(results)).axes
+    assert count.logs == {"healthy": 1, found["9"]["status"]: 1}
+    assert count.effect_left is not None
+    assert count.effect_left[0] == count.effect_left[1] == pytest.approx(1.0, abs=0.1)
+    page = (results / "fleet.html").read_text()
+    assert "Axes, judged by the motion of the aircraft" in page
+    assert "No log was judged" not in page
+
+
+@pytest.mark.slow
+def test_a_flight_that_comes_again_under_another_name_does_not_calibrate(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first = Path(as_table(tmp_path, "2026-05-08.csv", flown(50, "2026-05-08")))
+    again = tmp_path / "copy.csv.gz"
+    again.write_bytes(gzip.compress(first.read_bytes()))
+    assert main(["calibrate", str(first), str(again), "-o", str(tmp_path / "plane.toml")]) == 2
+    assert "copy.csv.gz: the same flight as " in capsys.readouterr().err
+    assert not (tmp_path / "plane.toml").exists()
 
 
 @pytest.mark.slow
