@@ -110,10 +110,7 @@ def _is_hidden(name: str) -> bool:
 def check_size(path: Path, size: int, most_mb: int = MOST_UNPACKED_MB) -> None:
     """Refuse what unpacks to more than allowed.
 
-    Parameters
-    ----------
-    size : int
-        So far, or as its header promises [bytes].
+    `size`: so far, or as its header promises [bytes].
     """
     text = os.environ.get(LIMIT_VARIABLE, "")
     limit_mb = int(text) if text.isdecimal() else most_mb

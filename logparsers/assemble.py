@@ -26,16 +26,8 @@ if TYPE_CHECKING:
 class Column:
     """One series before its time stamps are put in order.
 
-    Parameters
-    ----------
-    name : str
-        Name of the channel.
-    values : ndarray, shape (n,)
-        One value per row, in `unit`; integers stay integers until the channel is looked up.
-    unit : str
-        Unit of the values.
-    origin : str
-        Where in the file they stand.
+    `name`: name of the channel. `values` (shape (n,)): one value per row, in `unit`; integers stay integers until the
+    channel is looked up. `unit`: unit of the values. `origin`: where in the file they stand.
     """
 
     name: str
@@ -55,20 +47,7 @@ def assemble(
 ) -> FlightLog:
     """Put the rows in order, blank what is not finite, and record both.
 
-    Parameters
-    ----------
-    kind : str
-        Format of the log, ``"faser"`` or ``"table"``.
-    time_s : ndarray, shape (n,)
-        Time stamp of every row [s].
-
-    Examples
-    --------
-    >>> from pathlib import Path
-    >>> stamps = np.arange(3.0)
-    >>> column = Column("de", np.array([0.1, np.inf, 0.3]), "rad", "de")
-    >>> assemble(Path("a.mat"), kind="faser", time_s=stamps, columns=[column])
-    <FlightLog a.mat: faser, 2.0 s, 1 channels, 1 non_finite>
+    `kind`: format of the log, ``"faser"`` or ``"table"``. `time_s` (shape (n,)): time stamp of every row [s].
     """
     label = f"{path} (run {run})" if run else str(path)
     columns = tuple(columns)
@@ -97,19 +76,9 @@ def join_rows(
     Loggers write what comes from several sources in rows of their own, each with the cells of the others left empty:
     such rows may share a stamp, or pass each other by a little.
 
-    Parameters
-    ----------
-    time_s : ndarray, shape (n,)
-        Time stamp of every row [s]; not finite where there is none.
-    columns : tuple of Column
-        Their cells; not finite where there is none.
-
-    Returns
-    -------
-    time_s : ndarray, shape (m,)
-        m <= n.
-    row_of : ndarray of int, shape (m,)
-        The row that each stamp stood in.
+    `time_s` (shape (n,)): time stamp of every row [s]; not finite where there is none. `columns`: their cells; not
+    finite where there is none. Result: `time_s` (shape (m,)): m <= n. `row_of` (shape (m,)): the row that each stamp
+    stood in.
 
     Examples
     --------
@@ -168,14 +137,8 @@ def _repeated(time_s: FloatArray, another: NDArray[np.bool_], row_of: NDArray[np
 class Columns(Mapping[str, Channel]):
     """Channels of rows that share a clock, made of the columns of a file when they are looked up.
 
-    Parameters
-    ----------
-    time_s : ndarray, shape (m,)
-        Stamps of the rows that are kept [s].
-    kept : ndarray of bool, shape (n,), or None
-        Which they are; None: all.
-    columns : Mapping[str, Column]
-        By name, n values each.
+    `time_s` (shape (m,)): stamps of the rows that are kept [s]. `kept` (shape (n,)): which they are; None: all.
+    `columns`: by name, n values each.
     """
 
     def __init__(self, time_s: FloatArray, kept: NDArray[np.bool_] | None, columns: Mapping[str, Column]) -> None:

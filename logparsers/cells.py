@@ -26,18 +26,9 @@ MOST_KNOWN = 10_000
 class Cells:
     """One column.
 
-    Parameters
-    ----------
-    values : ndarray, shape (n,)
-        Numbers; NaN for a missing cell and for text.
-    texts : ndarray of str objects, shape (n,)
-        Every cell as it stands, for columns that were asked for as text; else empty.
-    strange : int
-        How many cells are neither empty nor a number.
-    first_strange : tuple of int and str
-        Row and text of the first of them.
-    has_number : bool
-        True if at least one cell is a number.
+    `values` (shape (n,)): numbers; NaN for a missing cell and for text. `texts` (shape (n,)): every cell as it stands,
+    for columns that were asked for as text; else empty. `strange`: how many cells are neither empty nor a number.
+    `first_strange`: row and text of the first of them. `has_number`: True if at least one cell is a number.
     """
 
     values: FloatArray

@@ -33,16 +33,8 @@ OFTEN = 0.01
 class Series:
     """Where the numbers of a channel are.
 
-    Parameters
-    ----------
-    group : hashable
-        Message and instance: channels of one group share their rows, and so their time stamps.
-    field : str
-        Column of the group.
-    element : int or None
-        Of an array; None for a scalar.
-    unit, origin : str
-        As in `Channel`.
+    `group`: message and instance: channels of one group share their rows, and so their time stamps. `field`: column of
+    the group. `element`: of an array; None for a scalar. `unit`, `origin`: as in `Channel`.
     """
 
     group: Hashable
@@ -68,10 +60,7 @@ class Recording(Protocol):
 def check_names(path: Path, count: int) -> None:
     """Refuse a file of more names than a log has.
 
-    Raises
-    ------
-    UnreadableLog
-        If there are more than `MOST_CHANNELS`.
+    UnreadableLog if there are more than `MOST_CHANNELS`.
 
     Examples
     --------
@@ -117,12 +106,7 @@ class LazyChannels(Mapping[str, Channel]):
 
     Rows that came late are sorted in, rows whose stamps repeat or are wrong are left out: `survey` counts them.
 
-    Parameters
-    ----------
-    recording : Recording
-        The file.
-    names : Mapping[str, Series], optional
-        A choice of its series; all if None.
+    `recording`: the file. `names`: a choice of its series; all if None.
     """
 
     def __init__(self, recording: Recording, names: Mapping[str, Series] | None = None) -> None:
@@ -135,10 +119,7 @@ class LazyChannels(Mapping[str, Channel]):
     def only(self, wanted: Only, path: Path, others: Iterable[str] = ()) -> LazyChannels:
         """Restrict to those that are wanted.
 
-        Parameters
-        ----------
-        others : iterable of str
-            Messages of the file that are not among these channels, because nobody asked for them.
+        `others`: messages of the file that are not among these channels, because nobody asked for them.
         """
         if not self._series and (wanted.patterns is None or not others):
             raise EmptyLog(f"{path}: no message with numbers and a time stamp in it; was the log copied completely?")
@@ -175,11 +156,8 @@ class LazyChannels(Mapping[str, Channel]):
     def survey(self) -> tuple[tuple[Damage, ...], tuple[float, float] | None]:
         """Look at the time stamps of all channels, and at no value.
 
-        Returns
-        -------
-        span_s : tuple of float, or None
-            First and last time stamp of the messages that come often [s]: one of a mission, minutes after the flight,
-            makes it no longer. None if there is none.
+        Result: `span_s`: first and last time stamp of the messages that come often [s]: one of a mission, minutes
+        after the flight, makes it no longer. None if there is none.
         """
         found, spans = [], []
         for group, label in self._groups().items():

@@ -43,27 +43,10 @@ def order(
 ) -> tuple[NDArray[np.bool_], FloatArray, tuple[Damage, ...]]:
     """Choose the rows whose time stamps rise strictly; drop as few rows as possible.
 
-    Parameters
-    ----------
-    time_s : ndarray, shape (n,)
-        Time stamps as they stand in the log [s].
-    row_of : ndarray of int, shape (n,), optional
-        Where each stamp stands in the file, from 0, for messages; as they are counted here if left out.
-
-    Returns
-    -------
-    kept : ndarray of bool, shape (n,)
-        Rows to keep.
-    time_s : ndarray, shape (m,)
-        Their stamps [s], strictly rising, origin untouched.
-    damage : tuple of Damage
-        Rows without a stamp and rows out of order.
-
-    Examples
-    --------
-    >>> kept, time_s, damage = order(np.array([0.0, 1.0, np.nan, 2.0, 1.5, 3.0]), "flight.csv")
-    >>> time_s.tolist(), [d.kind for d in damage]
-    ([0.0, 1.0, 1.5, 3.0], ['non_finite', 'out_of_order'])
+    `time_s` (shape (n,)): time stamps as they stand in the log [s]. `row_of` (shape (n,)): where each stamp stands in
+    the file, from 0, for messages; as they are counted here if left out. Result: `kept` (shape (n,)): rows to keep.
+    `time_s` (shape (m,)): their stamps [s], strictly rising, origin untouched. `damage`: rows without a stamp and rows
+    out of order.
     """
     kept = np.isfinite(time_s)
     places = np.arange(time_s.size) if row_of is None else row_of
@@ -127,25 +110,8 @@ def rise(time_s: FloatArray, sound: NDArray[np.bool_] | None = None) -> tuple[ND
     Links and loggers let messages overtake each other, so that rows which came late are sorted in, unlike those of
     a table (see `order`). Of rows with one stamp the first stays. What is left out is counted.
 
-    Parameters
-    ----------
-    time_s : ndarray, shape (n,)
-        Time stamps in the order of the file [s].
-    sound : ndarray of bool, shape (n,), optional
-        False for rows whose stamp is known to be wrong.
-
-    Returns
-    -------
-    rows : ndarray of int, shape (m,)
-        m <= n.
-    damage : Damage or None
-        Rows that came late or were left out.
-
-    Examples
-    --------
-    >>> rows, damage = rise(np.array([0.0, 2.0, 1.0, 2.0, 3.0]))
-    >>> rows.tolist(), damage.note
-    ([0, 2, 1, 4], '1 row sorted in that came late, 1 row with repeated or wrong stamps left out')
+    `time_s` (shape (n,)): time stamps in the order of the file [s]. `sound` (shape (n,)): False for rows whose stamp
+    is known to be wrong. Result: `rows` (shape (m,)): m <= n. `damage`: rows that came late or were left out.
     """
     usable = np.isfinite(time_s)
     if sound is not None:
@@ -176,21 +142,9 @@ def rise(time_s: FloatArray, sound: NDArray[np.bool_] | None = None) -> tuple[ND
 def gaps(time_s: FloatArray) -> tuple[Damage, ...]:
     """Find where samples are missing.
 
-    Parameters
-    ----------
-    time_s : ndarray, shape (n,)
-        Strictly rising time stamps [s].
-
-    Returns
-    -------
-    tuple of Damage
-        ``"gap"`` or, beyond `CLOCK_JUMP_S`, ``"clock_jump"``, in order of time; `count` is the number of samples that
-        the median period would have put there. Beyond `MOST_GAPS` the shortest are summed up in the last entry.
-
-    Examples
-    --------
-    >>> gaps(np.array([0.0, 0.02, 0.04, 0.06, 1.06, 1.08]))
-    (Damage(kind='gap', note='no samples for 1.000 s', count=49, start_s=0.06, end_s=1.06),)
+    `time_s` (shape (n,)): strictly rising time stamps [s]. Result: ``"gap"`` or, beyond `CLOCK_JUMP_S`,
+    ``"clock_jump"``, in order of time; `count` is the number of samples that the median period would have put there.
+    Beyond `MOST_GAPS` the shortest are summed up in the last entry.
     """
     if time_s.size < 3:
         return ()
@@ -223,15 +177,7 @@ def _samples(missing_s: float, period_s: float) -> int:
 def utc_date(unix_s: float) -> datetime | None:
     """Date of a time since 1970; None if no clock that was set can have shown it.
 
-    Parameters
-    ----------
-    unix_s : float
-        Time since 1970-01-01, UTC [s].
-
-    Examples
-    --------
-    >>> utc_date(1.7e9).isoformat(), utc_date(0.0)
-    ('2023-11-14T22:13:20+00:00', None)
+    `unix_s`: time since 1970-01-01, UTC [s].
     """
     try:
         date = EPOCH + timedelta(seconds=unix_s)

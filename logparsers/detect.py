@@ -39,14 +39,8 @@ FRAMES = 3
 class Format:
     """One format: how it is recognised, and who reads it.
 
-    Parameters
-    ----------
-    name : str
-        What people call it.
-    matches : callable
-        Does a file that starts with these bytes have it?
-    read : callable or str
-        Reader; of a format that is only known well enough to say so, what to give instead.
+    `name`: what people call it. `matches`: does a file that starts with these bytes have it? `read`: reader; of a
+    format that is only known well enough to say so, what to give instead.
     """
 
     name: str

@@ -23,15 +23,8 @@ _USUAL_BAUD: Final = 115_200
 class Socket:
     """A network endpoint.
 
-    Parameters
-    ----------
-    kind : str
-        ``udpin`` waits for datagrams and answers whoever sent one, ``udpout`` sends them, ``tcp`` connects, ``tcpin``
-        waits for connections.
-    host : str
-        Address or name.
-    port : int
-        From 1 to 65535.
+    `kind`: ``udpin`` waits for datagrams and answers whoever sent one, ``udpout`` sends them, ``tcp`` connects,
+    ``tcpin`` waits for connections. `host`: address or name. `port`: from 1 to 65535.
     """
 
     kind: Literal["udpin", "udpout", "tcp", "tcpin"]
@@ -46,12 +39,7 @@ class Socket:
 class Serial:
     """A serial device.
 
-    Parameters
-    ----------
-    device : str
-        ``/dev/...`` or ``COMn``.
-    baud : int
-        Bits per second.
+    `device`: ``/dev/...`` or ``COMn``. `baud`: bits per second.
     """
 
     device: str

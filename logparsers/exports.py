@@ -58,18 +58,9 @@ _CLOCKS: Final = "time_boot_ms", "time_usec"
 class Part:
     """One exported table.
 
-    Parameters
-    ----------
-    kind : str
-        ``"dataflash"``, ``"tlog"``, ``"ulog"`` or ``"ros"``.
-    path : Path
-        The file; its name tells flight and message.
-    columns : dict of str to ndarray, shape (n,)
-        Numbers or text; whoever makes a log of them takes them away.
-    damage : tuple of Damage
-        What is wrong with the table.
-    flight : str
-        Beginning of the file's name that the other tables of its flight share.
+    `kind`: ``"dataflash"``, ``"tlog"``, ``"ulog"`` or ``"ros"``. `path`: the file; its name tells flight and message.
+    `columns` (shape (n,)): numbers or text; whoever makes a log of them takes them away. `damage`: what is wrong with
+    the table. `flight`: beginning of the file's name that the other tables of its flight share.
     """
 
     kind: str
@@ -125,10 +116,7 @@ def flight_of(path: Path, kind: str) -> str:
 def read_part(source: Source, beginning: str = "") -> Part:
     """Read an exported table; text columns stay text.
 
-    Parameters
-    ----------
-    beginning : str
-        Of the names of its flight, if that is known.
+    `beginning`: of the names of its flight, if that is known.
     """
     grid = read_grid(source.path, source.content())
     with decoding(source, "table of messages"):
@@ -154,12 +142,7 @@ def read_part(source: Source, beginning: str = "") -> Part:
 def flights(parts: Iterable[Part], path: Path, only: Only) -> tuple[FlightLog, ...]:
     """Join the tables of each flight.
 
-    Parameters
-    ----------
-    parts : iterable of Part
-        Tables of one folder, archive or file.
-    path : Path
-        Where they come from.
+    `parts`: tables of one folder, archive or file. `path`: where they come from.
     """
     together: dict[tuple[str, str], list[Part]] = {}
     for part in parts:
@@ -321,10 +304,7 @@ def labelled_messages(variables: Mapping[str, Any]) -> dict[str, dict[str, NDArr
     mavlogdump makes a structure of each message. Mission Planner makes a matrix ``RCOU`` and a cell ``RCOU_label`` with
     the names of its columns, a cell ``PARM`` of names and values, and ``MSG1`` of cells with a text each.
 
-    Parameters
-    ----------
-    variables : mapping of str to ndarray, list or dict
-        As `logparsers.mat.level5` reads them.
+    `variables`: as `logparsers.mat.level5` reads them.
 
     Examples
     --------
@@ -359,12 +339,7 @@ def labelled_messages(variables: Mapping[str, Any]) -> dict[str, dict[str, NDArr
 def dataflash_log(messages: Mapping[str, Mapping[str, NDArray[Any]]], path: Path, only: Only) -> FlightLog:
     """Make a log of exported DataFlash messages.
 
-    Parameters
-    ----------
-    messages : mapping of str to mapping of str to ndarray, shape (n,)
-        Columns of each message.
-    path : Path
-        Where they come from.
+    `messages` (shape (n,)): columns of each message. `path`: where they come from.
     """
     from logparsers.dataflash import DataFlashFile, flight_log
     from logparsers.dataflash.exported import ExportedStore

@@ -28,21 +28,7 @@ BEST_COMPRESSION = 1100
 def arrays(source: Source) -> dict[str, NDArray[Any]]:
     """Read all numeric vectors and matrices.
 
-    Returns
-    -------
-    dict of str to ndarray
-        By path, ``"/Control/cmdElev_rad"``, in the type and shape of the file.
-
-    Examples
-    --------
-    >>> import io, h5py
-    >>> from logparsers.source import opened
-    >>> file = io.BytesIO()
-    >>> with h5py.File(file, "w") as h5:
-    ...     h5["Control/cmdElev_rad"] = np.array([[0.5], [0.25]])
-    >>> with opened(file) as source:
-    ...     arrays(source)["/Control/cmdElev_rad"].tolist()
-    [[0.5], [0.25]]
+    Result: by path, ``"/Control/cmdElev_rad"``, in the type and shape of the file.
     """
     try:
         import h5py

@@ -15,25 +15,9 @@ if TYPE_CHECKING:
 def places(times: Sequence[ArrayLike], lengths: Sequence[ArrayLike]) -> tuple[list[NDArray[np.int64]], int]:
     """Where each record begins in the file.
 
-    Parameters
-    ----------
-    times : sequence of array_like, each of shape (n_i,)
-        When each record of a stream was written; records of equal time keep the order of the streams.
-    lengths : sequence of array_like, each of shape (n_i,)
-        Their sizes [bytes].
-
-    Returns
-    -------
-    starts : list of ndarray of int64, each of shape (n_i,)
-        First byte of each record.
-    size : int
-        Of all records together [bytes].
-
-    Examples
-    --------
-    >>> starts, size = places([[0, 20], [10]], [[3, 3], [5]])
-    >>> [s.tolist() for s in starts], size
-    ([[0, 8], [3]], 11)
+    `times` (shape (n_i,)): when each record of a stream was written; records of equal time keep the order of the
+    streams. `lengths` (shape (n_i,)): their sizes [bytes]. Result: `starts` (shape (n_i,)): first byte of each record.
+    `size`: of all records together [bytes].
     """
     counts = [np.size(t) for t in times]
     if not sum(counts):
@@ -48,12 +32,8 @@ def places(times: Sequence[ArrayLike], lengths: Sequence[ArrayLike]) -> tuple[li
 def interleave(times: Sequence[ArrayLike], records: Sequence[NDArray[Any]]) -> bytes:
     """Write packed records of equal size per stream.
 
-    Parameters
-    ----------
-    times : sequence of array_like, each of shape (n_i,)
-        When each record was written.
-    records : sequence of structured ndarray, each of shape (n_i,)
-        The records of each stream, as they shall stand in the file.
+    `times` (shape (n_i,)): when each record was written. `records` (shape (n_i,)): the records of each stream, as they
+    shall stand in the file.
 
     Examples
     --------

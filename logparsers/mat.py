@@ -40,18 +40,9 @@ MOST_PARTS: Final = 200_000
 class Header4:
     """Header of one level-4 variable.
 
-    Parameters
-    ----------
-    dtype : str
-        Byte order and type of the values, as numpy writes them.
-    numeric : bool
-        False for text and sparse matrices.
-    shape : tuple of int
-        Rows and columns.
-    parts : int
-        2 if an imaginary part follows the real one.
-    name_bytes : int
-        Length of the name with its closing NUL.
+    `dtype`: byte order and type of the values, as numpy writes them. `numeric`: False for text and sparse matrices.
+    `shape`: rows and columns. `parts`: 2 if an imaginary part follows the real one. `name_bytes`: length of the name
+    with its closing NUL.
     """
 
     dtype: str
@@ -64,10 +55,7 @@ class Header4:
 def header4(head: bytes) -> Header4 | None:
     """Read a level-4 header in whichever byte order makes sense, or None if neither does.
 
-    Parameters
-    ----------
-    head : bytes
-        At least 20 bytes.
+    `head`: at least 20 bytes.
 
     Examples
     --------
@@ -88,17 +76,7 @@ def header4(head: bytes) -> Header4 | None:
 def level4(path: Path, content: memoryview) -> dict[str, Any]:
     r"""Decode every real array of a level-4 file.
 
-    Returns
-    -------
-    dict of str to ndarray, shape (rows, columns)
-        By name, in the order of the file, in the type of the file.
-
-    Examples
-    --------
-    >>> from pathlib import Path
-    >>> file = struct.pack(">5i", 1030, 2, 1, 0, 3) + b"de\0" + struct.pack(">2h", 7, 8)
-    >>> level4(Path("a.mat"), memoryview(file))["de"].tolist()
-    [[7], [8]]
+    Result (shape (rows, columns)): by name, in the order of the file, in the type of the file.
     """
     found = {}
     at = 0
@@ -124,22 +102,8 @@ def level4(path: Path, content: memoryview) -> dict[str, Any]:
 def level5(path: Path, content: memoryview) -> dict[str, Any]:
     """Decode every real array of a level-5 file, its texts, and the cells and structures that hold them.
 
-    Returns
-    -------
-    dict of str to ndarray, list or dict
-        By name, in the order of the file: numbers in the type of the file, texts as str, a cell as a list (column after
-        column), a structure by the names of its fields.
-
-    Examples
-    --------
-    >>> import io
-    >>> from pathlib import Path
-    >>> from scipy.io import savemat
-    >>> file = io.BytesIO()
-    >>> savemat(file, {"flight": {"de": np.array([0.5, 0.25])}, "pilot": ["ann", "bo"]})
-    >>> found = level5(Path("a.mat"), memoryview(file.getvalue()))
-    >>> found["flight"]["de"].tolist(), found["pilot"].tolist()
-    ([[0.5, 0.25]], ['ann', 'bo'])
+    Result: by name, in the order of the file: numbers in the type of the file, texts as str, a cell as a list (column
+    after column), a structure by the names of its fields.
     """
     reading = _Level5(path, "<" if bytes(content[126:128]) == b"IM" else ">")
     found: dict[str, Any] = {}

@@ -62,20 +62,9 @@ _TICK_S = {"us": 1e-6, "ms": 1e-3}
 class Field:
     """One field of a message, where it lies in the payload.
 
-    Parameters
-    ----------
-    name : str
-        Name, for example ``"servo3_raw"``.
-    dtype : numpy.dtype
-        Of one element, little-endian as on the wire.
-    length : int
-        Elements of an array; 0 for a scalar.
-    offset : int
-        First byte within the payload [bytes].
-    unit : str
-        As the protocol states it, for example ``"us"``; empty if it states none.
-    is_text : bool
-        True for characters.
+    `name`: name, for example ``"servo3_raw"``. `dtype`: of one element, little-endian as on the wire. `length`:
+    elements of an array; 0 for a scalar. `offset`: first byte within the payload [bytes]. `unit`: as the protocol
+    states it, for example ``"us"``; empty if it states none. `is_text`: True for characters.
     """
 
     name: str
@@ -95,20 +84,10 @@ class Field:
 class Layout:
     """One message type.
 
-    Parameters
-    ----------
-    id, name : int, str
-        Number and name of the message.
-    fields : Mapping[str, Field]
-        In the order in which the protocol declares them.
-    size : int
-        Full payload, extension fields included [bytes].
-    base_size : int
-        Payload without extension fields: what MAVLink 1 sends [bytes].
-    seed : int
-        The byte that ends its check-sum (``crc_extra``).
-    instance : str
-        Field that tells several sources within one component apart; empty if there is none.
+    `id`, `name`: number and name of the message. `fields`: in the order in which the protocol declares them. `size`:
+    full payload, extension fields included [bytes]. `base_size`: payload without extension fields: what MAVLink 1
+    sends [bytes]. `seed`: the byte that ends its check-sum (``crc_extra``). `instance`: field that tells several
+    sources within one component apart; empty if there is none.
     """
 
     id: int
@@ -136,16 +115,9 @@ class Layout:
 class Dialect:
     """A set of message types.
 
-    Parameters
-    ----------
-    name : str
-        As pymavlink calls it, for example ``"ardupilotmega"``.
-    layouts : Mapping[str, Layout]
-        By name, in the order of their ids.
-    slots : ndarray of int32, shape (highest id + 1,)
-        Position of an id in `layouts`; -1 where the id is unknown.
-    seeds : ndarray of uint8, shape (n,)
-        Check-sum seed per position.
+    `name`: as pymavlink calls it, for example ``"ardupilotmega"``. `layouts`: by name, in the order of their ids.
+    `slots` (shape (highest id + 1,)): position of an id in `layouts`; -1 where the id is unknown. `seeds` (shape
+    (n,)): check-sum seed per position.
     """
 
     name: str
@@ -266,15 +238,7 @@ _NEWER_NAMES = {
 def enum_name(enum: str, value: int) -> str:
     """Name of an enumerated value, without its prefix and in lower case.
 
-    Parameters
-    ----------
-    enum : str
-        For example ``"MAV_TYPE"``.
-
-    Returns
-    -------
-    str
-        Words in lower case; ``"<enum> <value>"`` if the value has no name.
+    `enum`: for example ``"MAV_TYPE"``. Result: words in lower case; ``"<enum> <value>"`` if the value has no name.
 
     Examples
     --------
@@ -318,17 +282,8 @@ def version_text(number: int) -> str:
 def pack(name: str, values: Mapping[str, Any], *, dialect_name: str = DEFAULT_DIALECT) -> bytes:
     """Full payload of one message, in wire order: what a writer puts into a frame.
 
-    Parameters
-    ----------
-    values : Mapping[str, object]
-        Numbers, sequences of numbers, or text for character arrays; a field left out is zero.
-    dialect_name : str
-        One of `dialect_names`.
-
-    Examples
-    --------
-    >>> pack("NAMED_VALUE_FLOAT", {"time_boot_ms": 1, "name": "POS", "value": 1.0}).hex(" ", 4)
-    '0100 00000000 803f504f 53000000 00000000'
+    `values`: numbers, sequences of numbers, or text for character arrays; a field left out is zero. `dialect_name`:
+    one of `dialect_names`.
     """
     layout = dialect(dialect_name).layouts[name]
     payload = bytearray(layout.size)

@@ -18,19 +18,9 @@ SENDER = r"(?:\d+/\d+:)?"
 class Only:
     """A choice of channels.
 
-    Parameters
-    ----------
-    patterns : tuple of str or None
-        ``"RCOU"`` is every channel of that message, ``"CSRV[0]"`` every one of that instance, ``"CSRV[0].Pos"`` one;
-        ``*`` stands for any characters and ``?`` for one, brackets for themselves. None is everything.
-
-    Examples
-    --------
-    >>> names = ["RCOU.C1", "RCOU.C10", "CSRV[0].Pos", "CSRV[1].Pos", "CSRV[1].V"]
-    >>> Only.of(["RCOU.C1", "CSRV[*].Pos"]).pick(names)
-    ['RCOU.C1', 'CSRV[0].Pos', 'CSRV[1].Pos']
-    >>> Only.of("CSRV[1]").pick(names)
-    ['CSRV[1].Pos', 'CSRV[1].V']
+    `patterns`: ``"RCOU"`` is every channel of that message, ``"CSRV[0]"`` every one of that instance,
+    ``"CSRV[0].Pos"`` one; ``*`` stands for any characters and ``?`` for one, brackets for themselves. None is
+    everything.
     """
 
     patterns: tuple[str, ...] | None = None

@@ -40,25 +40,9 @@ HEAD_BYTES = 4096
 class Source:
     """One open log.
 
-    Parameters
-    ----------
-    path : Path
-        Its name, for messages; ``<file>`` if it has none.
-    file : BinaryIO
-        The open file.
-    head : bytes
-        Its first `HEAD_BYTES` bytes.
-    archive : Path or None
-        Where it came from, if that holds several: then `path` is that name, and its own behind it.
-    damage : tuple of Damage
-        What is wrong with that archive.
-
-    Examples
-    --------
-    >>> import io
-    >>> with opened(io.BytesIO(b"time_s")) as source:
-    ...     source.content()
-    b'time_s'
+    `path`: its name, for messages; ``<file>`` if it has none. `file`: the open file. `head`: its first `HEAD_BYTES`
+    bytes. `archive`: where it came from, if that holds several: then `path` is that name, and its own behind it.
+    `damage`: what is wrong with that archive.
     """
 
     path: Path
@@ -97,16 +81,7 @@ class Source:
 def mapped(file: LogBytes) -> tuple[NDArray[np.uint8], str]:
     """All bytes of a log, and what to call it.
 
-    Returns
-    -------
-    content : ndarray of uint8, shape (n,), n > 0
-        Read only.
-
-    Examples
-    --------
-    >>> content, label = mapped(b"ULog")
-    >>> content.tolist(), label
-    ([85, 76, 111, 103], '<4 bytes>')
+    Result: `content` (shape (n,)): read only.
     """
     if isinstance(file, bytes):
         if not file:
@@ -118,15 +93,7 @@ def mapped(file: LogBytes) -> tuple[NDArray[np.uint8], str]:
 
 @contextmanager
 def opened(file: LogFile) -> Iterator[Source]:
-    """Open a log, packed or not; one that was open already is read from its beginning and stays open.
-
-    Examples
-    --------
-    >>> with opened("no/such.csv") as source:
-    ...     pass
-    Traceback (most recent call last):
-    logparsers.errors.MissingLog: no/such.csv: no such file; give the path of a flight log
-    """
+    """Open a log, packed or not; one that was open already is read from its beginning and stays open."""
     with closing(sources(file)) as found:
         source = next(found)
         if source.archive:
@@ -137,15 +104,8 @@ def opened(file: LogFile) -> Iterator[Source]:
 def sources(file: LogFile) -> Generator[Source]:
     """Open a log, or one file of an archive after the other: each is closed when the next is asked for.
 
-    Parameters
-    ----------
-    file : str, PathLike or BinaryIO
-        A path, or a binary file that can seek; it is read from its beginning and left open.
-
-    Yields
-    ------
-    Source
-        At least one; those of an archive of several have the archive's name before theirs.
+    `file`: a path, or a binary file that can seek; it is read from its beginning and left open. Result: at least one;
+    those of an archive of several have the archive's name before theirs.
     """
     with _raw(file) as source:
         if not is_packed(source.head):

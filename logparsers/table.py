@@ -86,18 +86,7 @@ class TableLayout:
 def read_table(source: Source, layout: TableLayout | None = None) -> tuple[FlightLog, ...]:
     r"""Read a text table, one log per run.
 
-    Parameters
-    ----------
-    layout : TableLayout, optional
-        How to read it; without one the header has ``time_s`` and perhaps ``run``, or the names of a FASER log.
-
-    Examples
-    --------
-    >>> import io
-    >>> from logparsers.source import opened
-    >>> with opened(io.BytesIO(b"time_s,elevator_cmd_deg\n0,1\n0.02,2\n")) as source:
-    ...     read_table(source)
-    (<FlightLog <file>: table, 0.0 s, 1 channels, no damage>,)
+    `layout`: how to read it; without one the header has ``time_s`` and perhaps ``run``, or the names of a FASER log.
     """
     grid = read_grid(source.path, source.content(), layout.columns if layout else ())
     kind = "table"

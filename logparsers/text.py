@@ -41,24 +41,11 @@ SAMPLE_BYTES = 1 << 16
 class Grid:
     """A table of text.
 
-    Parameters
-    ----------
-    names : tuple of str
-        Names of the columns.
-    blocks : tuple of bytes or memoryview
-        Rows, one per line, without quotes: about `BLOCK_BYTES` in each.
-    delimiter, decimal : str
-        What separates cells, and what separates the fraction.
-    size : int
-        How many rows.
-    first_line : int
-        Line of the file in which the rows begin, from 1.
-    solid : ndarray of int32, shape (m,), or None
-        Lines that are not blank, counted from there; None: the first `size`, and all are whole.
-    whole : ndarray of bool, shape (m,), or None
-        Which of them have all their cells.
-    damage : tuple of Damage
-        Rows that were cut.
+    `names`: names of the columns. `blocks`: rows, one per line, without quotes: about `BLOCK_BYTES` in each.
+    `delimiter`, `decimal`: what separates cells, and what separates the fraction. `size`: how many rows. `first_line`:
+    line of the file in which the rows begin, from 1. `solid` (shape (m,)): lines that are not blank, counted from
+    there; None: the first `size`, and all are whole. `whole` (shape (m,)): which of them have all their cells.
+    `damage`: rows that were cut.
     """
 
     names: tuple[str, ...]
@@ -158,10 +145,7 @@ def _blocks(content: bytes) -> Iterator[bytes | memoryview]:
 def _header(path: Path, blocks: Iterator[bytes | memoryview]) -> tuple[int, int, bytes, bytes | memoryview]:
     """Find the first line that is neither blank nor a comment.
 
-    Returns
-    -------
-    start, skipped : int
-        Where in its block it begins, and how many lines stand before it.
+    Result: `start`, `skipped`: where in its block it begins, and how many lines stand before it.
     """
     skipped = 0
     for block in blocks:

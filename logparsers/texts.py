@@ -15,17 +15,8 @@ if TYPE_CHECKING:
 def distinct_texts(raw: NDArray[np.uint8], most: int | None = None) -> tuple[list[str], NDArray[np.int64]]:
     r"""Find the distinct texts among rows of characters. By sorting: no choice of texts can make it slow.
 
-    Parameters
-    ----------
-    raw : ndarray of uint8, shape (n, width)
-        ASCII, ended by a NUL or by the last column.
-    most : int, optional
-        Of more texts than that, only so many; rows of the others have the code behind them.
-
-    Returns
-    -------
-    codes : ndarray of int64, shape (n,)
-        Which text each row is.
+    `raw` (shape (n, width)): ASCII, ended by a NUL or by the last column. `most`: of more texts than that, only so
+    many; rows of the others have the code behind them. Result: `codes` (shape (n,)): which text each row is.
 
     Examples
     --------
@@ -60,12 +51,8 @@ def distinct_texts(raw: NDArray[np.uint8], most: int | None = None) -> tuple[lis
 def split_rows(values: Sequence[Any], codes: NDArray[Any]) -> dict[Any, NDArray[np.intp]]:
     """Rows of each value, by one sort however many values there are.
 
-    Parameters
-    ----------
-    values : sequence of k
-        What the codes stand for; more codes than values are left out.
-    codes : ndarray of int, shape (n,)
-        Which value each row has; every value has a row.
+    `values`: what the codes stand for; more codes than values are left out. `codes` (shape (n,)): which value each row
+    has; every value has a row.
 
     Examples
     --------
@@ -82,12 +69,7 @@ def split_rows(values: Sequence[Any], codes: NDArray[Any]) -> dict[Any, NDArray[
 def rows_by_text(texts: NDArray[Any], most: int) -> dict[str, NDArray[np.intp]]:
     """Rows of each text, which takes less than three numbers a row.
 
-    Parameters
-    ----------
-    texts : ndarray of str, shape (n,)
-        One for each row.
-    most : int
-        Of more texts than that, only so many.
+    `texts` (shape (n,)): one for each row. `most`: of more texts than that, only so many.
 
     Examples
     --------

@@ -66,13 +66,8 @@ def read_hdf5(source: Source, layout: TableLayout | None, only: Only) -> tuple[F
 def from_variables(path: Path, variables: Mapping[str, Any], layout: TableLayout | None = None) -> FlightLog:
     """Make a log from vectors and the columns of matrices: each beside the clock of its own structure, or the main one.
 
-    Parameters
-    ----------
-    variables : mapping of str to ndarray, list or dict
-        By path; the last component becomes the name of the channel, unless an earlier one has it. A column of a matrix
-        has its number behind that, as in ``pos[2]``.
-    layout : TableLayout, optional
-        Name and unit of the clock, or a rate without one.
+    `variables`: by path; the last component becomes the name of the channel, unless an earlier one has it. A column of
+    a matrix has its number behind that, as in ``pos[2]``. `layout`: name and unit of the clock, or a rate without one.
 
     Examples
     --------

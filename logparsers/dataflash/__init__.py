@@ -28,10 +28,7 @@ def read_dataflash(source: Source, only: Only) -> FlightLog:
 def flight_log(file: DataFlashFile, path: Path, only: Only) -> FlightLog:
     """Make a log of a file, or of what another tool exported of one.
 
-    Parameters
-    ----------
-    path : Path
-        Where they come from.
+    `path`: where they come from.
     """
     channels = LazyChannels(DataFlashRecording(file)).only(only, path)
     disorder, span_s = channels.survey()

@@ -25,17 +25,8 @@ LAYOUT_LIMIT: Final = 2048  # a log has at most 255 types; forged ones could def
 class BinaryStore:
     """Index of a binary DataFlash log.
 
-    Parameters
-    ----------
-    data : memoryview
-        The log; it is kept, and read from when columns are asked for.
-    compiled : bool or None
-        Whether to compile the walk over the records; None decides by size.
-
-    Examples
-    --------
-    >>> BinaryStore(memoryview(bytes(100))).stretches
-    [Stretch(offset=0, length=100, kind='zeros', before_us=None, after_us=None)]
+    `data`: the log; it is kept, and read from when columns are asked for. `compiled`: whether to compile the walk over
+    the records; None decides by size.
     """
 
     def __init__(self, data: memoryview, compiled: bool | None = None) -> None:
@@ -61,20 +52,14 @@ class BinaryStore:
     def count(self, name: str) -> int:
         """Count the rows of a message.
 
-        Returns
-        -------
-        int
-            0 for a message that is defined and never logged.
+        Result: 0 for a message that is defined and never logged.
         """
         return sum(len(p) for p in self._pieces.get(name, ()))
 
     def offsets(self, name: str) -> NDArray[Any]:
         """Where the rows of a message begin.
 
-        Returns
-        -------
-        ndarray of uint32 or int64, shape (n,)
-            Byte offsets in the order of the file.
+        Result (shape (n,)): byte offsets in the order of the file.
         """
         pieces = self._pieces.get(name, [])
         if len(pieces) != 1:
@@ -86,10 +71,7 @@ class BinaryStore:
     def read(self, name: str, fields: Sequence[str], rows: NDArray[np.intp] | None = None) -> dict[str, NDArray[Any]]:
         """Gather and decode columns of one message.
 
-        Returns
-        -------
-        dict of str to ndarray, shape (n,) each
-            In the order asked for. The arrays are copies: they outlive the file.
+        Result (shape (n,)): in the order asked for. The arrays are copies: they outlive the file.
         """
         layout = self.layouts[name]
         offsets = self.offsets(name) if rows is None else self.offsets(name)[rows]
@@ -111,10 +93,7 @@ class BinaryStore:
     def suspect(self, name: str) -> NDArray[np.bool_]:
         """Rows whose time stamp contradicts the records around them: damaged inside.
 
-        Returns
-        -------
-        ndarray of bool, shape (n,)
-            All False if most rows would be meant: then the message simply keeps another clock.
+        Result (shape (n,)): all False if most rows would be meant: then the message simply keeps another clock.
         """
         offsets = self.offsets(name)
         mask = np.isin(offsets, np.frombuffer(self._odd, np.int64)) if self._odd else np.zeros(len(offsets), np.bool_)

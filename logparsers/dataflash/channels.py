@@ -17,16 +17,7 @@ if TYPE_CHECKING:
 
 
 class DataFlashRecording:
-    r"""The numeric columns of a log that carry a time stamp.
-
-    Examples
-    --------
-    >>> from logparsers.channels import LazyChannels
-    >>> from logparsers.dataflash import DataFlashFile
-    >>> log = DataFlashFile.open(b"FMT,7,13,RCOU,QH,TimeUS,C1\nRCOU,1000000,1500\nRCOU,1040000,1512\n")
-    >>> LazyChannels(DataFlashRecording(log))["RCOU.C1"].values
-    array([1500., 1512.])
-    """
+    r"""The numeric columns of a log that carry a time stamp."""
 
     def __init__(self, file: DataFlashFile) -> None:
         self._file = file

@@ -45,10 +45,7 @@ def is_exported(messages: Mapping[str, Mapping[str, Any]]) -> bool:
 class ExportedStore:
     """Index of exported messages, in the order of their time, or of the lines they had.
 
-    Parameters
-    ----------
-    messages : Mapping[str, Mapping[str, ndarray of shape (n,)]]
-        Columns of each message, numbers or text, n of that message.
+    `messages` (shape (n,)): columns of each message, numbers or text, n of that message.
 
     Examples
     --------

@@ -59,14 +59,7 @@ FIRST_WEEK: Final = 1000  # before 1999 there was no autopilot
 class ParameterChange:
     """A parameter got a value: at the start of the log, or later.
 
-    Parameters
-    ----------
-    time_s : float
-        Since boot [s]; NaN if the log does not say.
-    name : str
-        For example ``"SERVO1_TRIM"``.
-    value : float
-        As logged.
+    `time_s`: since boot [s]; NaN if the log does not say. `name`: for example ``"SERVO1_TRIM"``. `value`: as logged.
     """
 
     time_s: float
@@ -84,16 +77,7 @@ class DataFlashFile:
     The file is mapped, not loaded; only its records are located when it is opened. Every array that is
     handed out is a copy that outlives the file.
 
-    Attributes
-    ----------
-    stretches : sequence of Stretch
-        Bytes that belong to no sound record, with place, length and kind.
-
-    Examples
-    --------
-    >>> log = DataFlashFile.open(b"FMT,7,13,RCOU,QH,TimeUS,C1\nRCOU,1000000,1500\nRCOU,1040000,1512\n")
-    >>> log.column("RCOU", "C1").tolist(), log.times_s("RCOU").tolist()
-    ([1500, 1512], [1.0, 1.04])
+    `stretches`: bytes that belong to no sound record, with place, length and kind.
     """
 
     def __init__(self, source: str, store: Store) -> None:
@@ -111,10 +95,7 @@ class DataFlashFile:
     def of(cls, content: NDArray[np.uint8], label: str) -> Self:
         """Locate the records of a log.
 
-        Parameters
-        ----------
-        content : ndarray of uint8, shape (n,)
-            The file; kept, not copied.
+        `content` (shape (n,)): the file; kept, not copied.
         """
         data = content.data
         form: Callable[[memoryview], Store] = TextStore if _is_text(bytes(data[:HEAD_SIZE])) else BinaryStore
@@ -141,37 +122,22 @@ class DataFlashFile:
     def count(self, name: str) -> int:
         """Count the rows of a message.
 
-        Returns
-        -------
-        int
-            0 if it was never logged, or is not known.
+        Result: 0 if it was never logged, or is not known.
         """
         return self._store.count(name)
 
     def instances(self, name: str) -> tuple[Any, ...]:
         """Which sensors, servos or names a message speaks of.
 
-        Returns
-        -------
-        tuple of int or of str
-            Sorted; empty if the message has no instances.
+        Result: sorted; empty if the message has no instances.
         """
         return tuple(self._instance_rows(name))
 
     def column(self, name: str, field: str, instance: int | str | None = None) -> NDArray[Any]:
         """One column of a message.
 
-        Parameters
-        ----------
-        name, field : str
-            For example ``"CSRV"``, ``"Pos"``.
-        instance : int, str or None
-            Only the rows of this instance; None for all.
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            Scaled to the unit in `formats`. Bytes of ``a`` columns have shape (n, 32).
+        `name`, `field`: for example ``"CSRV"``, ``"Pos"``. `instance`: only the rows of this instance; None for all.
+        Result (shape (n,)): scaled to the unit in `formats`. Bytes of ``a`` columns have shape (n, 32).
         """
         return self.table(name, (field,), instance)[field]
 
@@ -180,17 +146,8 @@ class DataFlashFile:
     ) -> dict[str, NDArray[Any]]:
         """Several columns of a message in one pass: faster than one by one.
 
-        Parameters
-        ----------
-        fields : iterable of str or None
-            Which columns; None for all.
-        instance : int, str or None
-            Only the rows of this instance; None for all.
-
-        Returns
-        -------
-        dict of str to ndarray, shape (n,) each
-            In the order asked for.
+        `fields`: which columns; None for all. `instance`: only the rows of this instance; None for all. Result (shape
+        (n,)): in the order asked for.
         """
         known = self._layout(name).fields
         wanted = tuple(known) if fields is None else tuple(fields)
@@ -201,10 +158,7 @@ class DataFlashFile:
     def times_us(self, name: str, instance: int | str | None = None) -> NDArray[np.int64]:
         """When each row was logged, exactly as the vehicle's clock had it.
 
-        Returns
-        -------
-        ndarray of int64, shape (n,)
-            Microseconds since boot.
+        Result (shape (n,)): microseconds since boot.
         """
         clock = self._layout(name).clock
         if clock is None:
@@ -222,11 +176,8 @@ class DataFlashFile:
     def times_s(self, name: str, instance: int | str | None = None) -> NDArray[np.float64]:
         """When each row was logged.
 
-        Returns
-        -------
-        ndarray, shape (n,)
-            Since boot [s]; NaN if the message carries no time. If the vehicle rebooted within the file, its
-            clock continues one second after the last record before (`damage` says so).
+        Result (shape (n,)): since boot [s]; NaN if the message carries no time. If the vehicle rebooted within the
+        file, its clock continues one second after the last record before (`damage` says so).
         """
         return self._times_s(name, self._rows(name, instance))
 
@@ -242,10 +193,7 @@ class DataFlashFile:
     def suspect(self, name: str, instance: int | str | None = None) -> NDArray[np.bool_]:
         """Rows whose time stamp contradicts their neighbours: nothing in them can be trusted.
 
-        Returns
-        -------
-        ndarray of bool, shape (n,)
-            True where suspect.
+        Result (shape (n,)): True where suspect.
         """
         if name not in self._suspect:
             self._suspect[name] = self._store.suspect(name)

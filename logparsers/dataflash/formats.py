@@ -68,20 +68,9 @@ INSTANCE_FIELDS: Final[Mapping[str, str]] = {
 class Field:
     """One column of a message.
 
-    Parameters
-    ----------
-    name : str
-        As logged, for example ``"PosCmd"``.
-    character : str
-        Format character; fixes storage and scaling.
-    dtype : numpy.dtype
-        How the value is stored in the record.
-    offset : int
-        Where it begins within the record, the 3 header bytes included [bytes].
-    position : int
-        Which column it is, counted from 0.
-    unit : str
-        From FMTU, ``""`` if unknown.
+    `name`: as logged, for example ``"PosCmd"``. `character`: format character; fixes storage and scaling. `dtype`: how
+    the value is stored in the record. `offset`: where it begins within the record, the 3 header bytes included
+    [bytes]. `position`: which column it is, counted from 0. `unit`: from FMTU, ``""`` if unknown.
     """
 
     name: str
@@ -118,26 +107,10 @@ class Field:
 class Layout:
     """One message type of one log.
 
-    Parameters
-    ----------
-    type : int
-        Third byte of its records.
-    name : str
-        For example ``"RCOU"``. If a log defines the name again with other columns, that is ``"RCOU~2"``.
-    length : int
-        Of a record, header included [bytes].
-    format, columns : str, tuple of str
-        As the log defines them.
-    fields : Mapping[str, Field]
-        The columns that can be read.
-    instance : str or None
-        The column that tells instances apart (unit id ``#``).
-
-    Examples
-    --------
-    >>> rcou = define(type=150, name="RCOU", length=15, format="QHH", columns="TimeUS,C1,C2")
-    >>> rcou.fields["C2"].offset, rcou.clock
-    (13, ('TimeUS', 1))
+    `type`: third byte of its records. `name`: for example ``"RCOU"``. If a log defines the name again with other
+    columns, that is ``"RCOU~2"``. `length`: of a record, header included [bytes]. `format`, `columns`: as the log
+    defines them. `fields`: the columns that can be read. `instance`: the column that tells instances apart (unit id
+    ``#``).
     """
 
     type: int
@@ -151,15 +124,7 @@ class Layout:
     def has(self, wanted: Mapping[str, bool]) -> bool:
         """Tell whether it has these columns, and they hold numbers or words as they should.
 
-        Parameters
-        ----------
-        wanted : Mapping[str, bool]
-            `NUMBER` or `WORDS` by name.
-
-        Examples
-        --------
-        >>> FMT.has({"Type": NUMBER, "Name": WORDS}), FMT.has({"Type": WORDS}), FMT.has({"Unit": WORDS})
-        (True, False, False)
+        `wanted`: `NUMBER` or `WORDS` by name.
         """
         fields = self.fields
         return all(f in fields and (fields[f].is_number if n else fields[f].is_text) for f, n in wanted.items())
@@ -187,10 +152,7 @@ def define(*, type: int, name: str, length: int, format: str, columns: str) -> L
 
     Unknown format characters end the readable part; what is behind them cannot be placed.
 
-    Parameters
-    ----------
-    type, name, length, format, columns : int, str, int, str, str
-        The columns of a FMT record; `columns` separated by commas.
+    `type`, `name`, `length`, `format`, `columns`: the columns of a FMT record; `columns` separated by commas.
     """
     names = tuple(columns.split(",")) if columns else ()
     fields: dict[str, Field] = {}
@@ -229,15 +191,7 @@ def parse_fmt(record: bytes) -> Layout | None:
     Where the length contradicts format characters and column names that agree with each other, they are
     believed and it is not: one flipped bit must not cost a whole message type.
 
-    Parameters
-    ----------
-    record : bytes
-        89 bytes, header included.
-
-    Returns
-    -------
-    Layout or None
-        None if this cannot be a definition.
+    `record`: 89 bytes, header included. Result: None if this cannot be a definition.
 
     Examples
     --------
@@ -263,15 +217,7 @@ def parse_fmt(record: bytes) -> Layout | None:
 def decode_text(stored: NDArray[Any]) -> NDArray[np.str_]:
     r"""Text up to its first NUL; UTF-8, or Latin-1 where it is not UTF-8.
 
-    Parameters
-    ----------
-    stored : ndarray of bytes, shape (n,)
-        Padded with NUL.
-
-    Returns
-    -------
-    ndarray of str, shape (n,)
-        Only as wide as the longest text.
+    `stored` (shape (n,)): padded with NUL. Result (shape (n,)): only as wide as the longest text.
 
     Examples
     --------
@@ -302,15 +248,8 @@ def with_units(
     The position in CSRV is in degrees from ArduPilot 4.7 on, which says so; up to 4.6 it is the radians of
     DroneCAN's actuator status, logged without a unit (``-``).
 
-    Parameters
-    ----------
-    units, multipliers : Mapping
-        What the characters mean, from UNIT and MULT.
-
-    Returns
-    -------
-    Layout
-        The same with units, and with the instance column (``#``) marked.
+    `units`, `multipliers`: what the characters mean, from UNIT and MULT. Result: the same with units, and with the
+    instance column (``#``) marked.
     """
     fields = {}
     for name, column in layout.fields.items():

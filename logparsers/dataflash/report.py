@@ -36,11 +36,8 @@ WORDS: Final = {
 def describe(store: Store, boots: Boots) -> tuple[Damage, ...]:
     """List everything that is wrong with a log.
 
-    Returns
-    -------
-    tuple of Damage
-        Kind ``"corrupt"`` or ``"truncated"`` (`count`: bytes), ``"gap"``, ``"reboot"``, and
-        ``"bad_format"``. Unused space at the end of the last flash page is not damage.
+    Result: kind ``"corrupt"`` or ``"truncated"`` (`count`: bytes), ``"gap"``, ``"reboot"``, and ``"bad_format"``.
+    Unused space at the end of the last flash page is not damage.
     """
     damage = [_stretch(s, boots) for s in store.stretches if not _is_padding(s, store.size)]
     number, size = store.more_stretches

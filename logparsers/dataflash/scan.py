@@ -157,18 +157,11 @@ def walk(
 ) -> tuple[int, int]:  # fmt: skip
     """Walk on from ``state[AT]``; return why it stopped and how many records it put into `offsets`.
 
-    Parameters
-    ----------
-    data : bytes or ndarray of uint8, shape (size,)
-        The log.
-    length, clock, defined : buffer of int64, shape (256,)
-        Per type: length of a record [bytes] (0: unknown), kind of time stamp (0: none), and where the
-        definition in force stands.
-    offsets, types : buffer of int64 and of uint8, shape (BATCH,)
-        Filled with the beginning and the type of each record.
-    bad, odd, steps : buffer of int64
-        Filled, four numbers each, with damaged stretches (start, end, kind, clock), records with a
-        wrong time stamp (start) and steps of the clock (start, from, to).
+    `data` (shape (size,)): the log. `length`, `clock`, `defined` (shape (256,)): per type: length of a record [bytes]
+    (0: unknown), kind of time stamp (0: none), and where the definition in force stands. `offsets`, `types` (shape
+    (BATCH,)): filled with the beginning and the type of each record. `bad`, `odd`, `steps`: filled, four numbers each,
+    with damaged stretches (start, end, kind, clock), records with a wrong time stamp (start) and steps of the clock
+    (start, from, to).
     """
     size, at, n = len(data), state[AT], 0
     room = len(bad) - 8
@@ -215,15 +208,7 @@ def walk(
 def follow(times_us: Sequence[int], offsets: Sequence[int]) -> tuple[list[int], list[tuple[int, int, int]]]:
     """Follow a clock that was read already; for logs that are not walked byte by byte.
 
-    Parameters
-    ----------
-    times_us, offsets : sequence of int
-        Time stamp [us] or `NO_TIME`, and place [bytes], of each record in the order of the file.
-
-    Examples
-    --------
-    >>> follow([10, 20, 30, 40, 10**12, 50, 60], [0, 1, 2, 3, 4, 5, 6])
-    ([4], [])
+    `times_us`, `offsets`: time stamp [us] or `NO_TIME`, and place [bytes], of each record in the order of the file.
     """
     state = array("q", bytes(8 * STATE_SIZE))
     state[CLOCK] = NO_TIME
@@ -250,15 +235,8 @@ def clock_steps(
 ) -> tuple[NDArray[np.int64], list[tuple[int, int, int]]]:
     """Find gaps and jumps of a clock that several messages share, and records whose time stamp is wrong.
 
-    Parameters
-    ----------
-    times_us, offsets : sequence of ndarray of int64, each of shape (n_i,)
-        Time stamps [us] or `NO_TIME`, and places, of the records of each message.
-
-    Returns
-    -------
-    odd, steps
-        As of `follow`.
+    `times_us`, `offsets` (shape (n_i,)): time stamps [us] or `NO_TIME`, and places, of the records of each message.
+    Result: as of `follow`.
     """
     if not times_us:
         return np.zeros(0, np.int64), []
@@ -287,12 +265,7 @@ def compiled_walk() -> Callable[..., tuple[int, int]]:
 class Walk:
     """One walk over one log: its tables, its buffers, and where it stands.
 
-    Parameters
-    ----------
-    data : memoryview
-        The log.
-    compiled : bool or None
-        Whether to use the compiled walk; None decides by size.
+    `data`: the log. `compiled`: whether to use the compiled walk; None decides by size.
     """
 
     data: memoryview

@@ -18,16 +18,9 @@ if TYPE_CHECKING:
 class Stretch:
     """Bytes of a log that belong to no sound record.
 
-    Parameters
-    ----------
-    offset, length : int
-        Where, and how many [bytes].
-    kind : str
-        ``"zeros"``, ``"erased"`` (all FF), ``"garbage"``, ``"cut_record"`` (shorter than its type, or
-        a header that never was one), ``"unknown_type"``, ``"truncated"`` (the file ends inside it) or
-        ``"bad_line"``.
-    before_us, after_us : int or None
-        The vehicle's time before and after it [us].
+    `offset`, `length`: where, and how many [bytes]. `kind`: ``"zeros"``, ``"erased"`` (all FF), ``"garbage"``,
+    ``"cut_record"`` (shorter than its type, or a header that never was one), ``"unknown_type"``, ``"truncated"`` (the
+    file ends inside it) or ``"bad_line"``. `before_us`, `after_us`: the vehicle's time before and after it [us].
     """
 
     offset: int
@@ -41,12 +34,7 @@ class Stretch:
 class Step:
     """The clock went from one time to another without passing between.
 
-    Parameters
-    ----------
-    offset : int
-        First record after it [bytes].
-    before_us, after_us : int
-        The vehicle's time before and after it [us].
+    `offset`: first record after it [bytes]. `before_us`, `after_us`: the vehicle's time before and after it [us].
     """
 
     offset: int

@@ -70,10 +70,7 @@ class TextStore:
     def offsets(self, name: str) -> NDArray[Any]:
         """Where the lines of a message begin.
 
-        Returns
-        -------
-        ndarray of int64, shape (n,)
-            Byte offsets.
+        Result (shape (n,)): byte offsets.
         """
         lines = self._lines.get(name, np.zeros(0, np.int64))
         offsets: NDArray[np.int64] = self._starts[lines]
@@ -82,10 +79,7 @@ class TextStore:
     def read(self, name: str, fields: Sequence[str], rows: NDArray[np.intp] | None = None) -> dict[str, NDArray[Any]]:
         """Parse columns of one message.
 
-        Returns
-        -------
-        dict of str to ndarray, shape (n,) each
-            Whole numbers as int64, others as float64, NaN where a cell is not a number; text as str.
+        Result (shape (n,)): whole numbers as int64, others as float64, NaN where a cell is not a number; text as str.
         """
         layout = self.layouts[name]
         lines = self._lines.get(name, np.zeros(0, np.int64))
@@ -106,10 +100,7 @@ class TextStore:
     def suspect(self, name: str) -> NDArray[np.bool_]:
         """Rows whose time stamp contradicts the lines around them.
 
-        Returns
-        -------
-        ndarray of bool, shape (n,)
-            All False if most rows would be meant: then the message simply keeps another clock.
+        Result (shape (n,)): all False if most rows would be meant: then the message simply keeps another clock.
         """
         mask = np.isin(self.offsets(name), self._odd)
         return mask if 2 * np.count_nonzero(mask) <= mask.size else np.zeros(mask.size, np.bool_)

@@ -30,23 +30,12 @@ class Stream(NamedTuple):
 class TelemetryRecording:
     """Every numeric series of a telemetry log.
 
-    Notes
-    -----
     A name is ``MESSAGE.field``; the elements of an array ``MESSAGE.field[0]`` and on. A message that comes in
     several instances has its value in brackets, ``NAMED_VALUE_FLOAT[SRVP1].value``; the number 0 is left out
     (``SERVO_OUTPUT_RAW.servo3_raw`` is port 0, ``SERVO_OUTPUT_RAW[1].servo3_raw`` port 1). ``1/1:`` stands
     before it, system and component, where several sources send that message (named values: that name). Where
     instances are numbered and named (``DEBUG_FLOAT_ARRAY``), the name stands in the channel's origin. Lists, files and
     words (parameters, missions, texts) are no channels.
-
-    Examples
-    --------
-    >>> from logparsers.channels import LazyChannels
-    >>> from logparsers.telemetry import TelemetryFile
-    >>> frame = bytes.fromhex("fe 09 00 01 01 00 00 00 00 00 01 0c 00 00 03 30 11")
-    >>> log = TelemetryFile.open((1_700_000_000_000_000).to_bytes(8, "big") + frame)
-    >>> LazyChannels(TelemetryRecording(log))["HEARTBEAT.type"].values
-    array([1.])
     """
 
     def __init__(self, file: TelemetryFile) -> None:

@@ -34,12 +34,7 @@ _RELAYED = ("NAMED_VALUE", "DEBUG", "SET_", "HIL_", "VISION", "TIMESYNC")  # oft
 class TelemetryClock:
     """Time of every message on one base: seconds since the vehicle's first boot.
 
-    Parameters
-    ----------
-    table : MessageTable
-        The messages.
-    bare : bool
-        True for a stream of frames that was stored without arrival times.
+    `table`: the messages. `bare`: True for a stream of frames that was stored without arrival times.
     """
 
     def __init__(self, table: MessageTable, *, bare: bool) -> None:

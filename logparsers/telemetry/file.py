@@ -51,16 +51,9 @@ _KINDS = {
 class Vehicle:
     """The aircraft, as its autopilot introduces itself.
 
-    Parameters
-    ----------
-    type : str
-        For example ``"fixed wing"``.
-    autopilot : str
-        For example ``"ardupilotmega"`` or ``"px4"``.
-    firmware : str
-        Version, for example ``"4.7.0-dev"`` or a line of text; empty if it never said.
-    system, component : int
-        Its MAVLink address; 0 where the log has none.
+    `type`: for example ``"fixed wing"``. `autopilot`: for example ``"ardupilotmega"`` or ``"px4"``. `firmware`:
+    version, for example ``"4.7.0-dev"`` or a line of text; empty if it never said. `system`, `component`: its MAVLink
+    address; 0 where the log has none.
     """
 
     type: str
@@ -73,36 +66,10 @@ class Vehicle:
 class TelemetryFile(MessageTable):
     """One telemetry log.
 
-    Parameters
-    ----------
-    data : ndarray of uint8, shape (n,)
-        The file; kept, not copied.
-    name : str
-        What to call it in messages.
-    dialect : str or None
-        Dialect to read it with. None: the one that knows all messages, unless another reads more of the file.
-
-    Attributes
-    ----------
-    dialect : str
-        The dialect in use.
-    size : int
-        Length of the file [bytes].
-    lost_bytes : int
-        Of these, how many belong to no good message.
-    unknown : int
-        Frames of messages the dialect does not know: kept in step, never decoded.
-
-    Examples
-    --------
-    A heartbeat of a PX4 aeroplane, as MAVLink 1, after its arrival time:
-
-    >>> frame = bytes.fromhex("fe 09 00 01 01 00 00 00 00 00 01 0c 00 00 03 30 11")
-    >>> log = TelemetryFile.open((1_700_000_000_000_000).to_bytes(8, "big") + frame)
-    >>> log.count("HEARTBEAT"), log.sources("HEARTBEAT"), int(log.column("HEARTBEAT", "autopilot")[0])
-    (1, (Sender(system=1, component=1),), 12)
-    >>> log.vehicle.type
-    'fixed wing'
+    `data` (shape (n,)): the file; kept, not copied. `name`: what to call it in messages. `dialect`: dialect to read it
+    with. None: the one that knows all messages, unless another reads more of the file. `dialect`: the dialect in use.
+    `size`: length of the file [bytes]. `lost_bytes`: of these, how many belong to no good message. `unknown`: frames
+    of messages the dialect does not know: kept in step, never decoded.
     """
 
     def __init__(self, data: NDArray[np.uint8], name: str, dialect: str | None = None) -> None:
@@ -123,12 +90,8 @@ class TelemetryFile(MessageTable):
     def open(cls, source: LogBytes, *, dialect: str | None = None) -> TelemetryFile:
         """Map a file, or take bytes, and find its messages.
 
-        Parameters
-        ----------
-        source : str, PathLike, bytes or BinaryIO
-            A path, the content itself, or an open binary file.
-        dialect : str, optional
-            One of `logparsers.mavlink.dialect_names`.
+        `source`: a path, the content itself, or an open binary file. `dialect`: one of
+        `logparsers.mavlink.dialect_names`.
         """
         return cls(*mapped(source), dialect)
 
@@ -140,17 +103,10 @@ class TelemetryFile(MessageTable):
     def time_s(self, message: str, *, source: Sender | None = None, instance: object = None) -> FloatArray:
         """When each message was made, on the time base of the file.
 
-        Parameters
-        ----------
-        source, instance : optional
-            As for `column`.
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            Seconds since the vehicle's first boot [s], in the order of the file (not always rising: messages
-            overtake each other). From the message's own clock, overflows added; from its arrival time,
-            mapped onto the vehicle's clock, if it has none. Without a vehicle clock: since the first message.
+        `source`, `instance`: as for `column`. Result (shape (n,)): seconds since the vehicle's first boot [s], in the
+        order of the file (not always rising: messages overtake each other). From the message's own clock, overflows
+        added; from its arrival time, mapped onto the vehicle's clock, if it has none. Without a vehicle clock: since
+        the first message.
         """
         self.layout(message)
         time = self._clock.time_s(message, source)

@@ -44,13 +44,7 @@ _CRC = _crc_table()
 
 @compiled
 def check_sum(data: Bytes, start: int, stop: int, seed: int) -> int:
-    """Check-sum of MAVLink (CRC-16/MCRF4XX) over ``data[start:stop]`` and the seed of the message.
-
-    Examples
-    --------
-    >>> hex(check_sum(np.frombuffer(b"12345678", np.uint8), 0, 8, ord("9")))
-    '0x6f91'
-    """
+    """Check-sum of MAVLink (CRC-16/MCRF4XX) over ``data[start:stop]`` and the seed of the message."""
     crc = 0xFFFF
     for i in range(start, stop):
         crc = (crc >> 8) ^ _CRC[(crc ^ data[i]) & 0xFF]
@@ -199,23 +193,10 @@ def scan(
 ) -> tuple[NDArray[Any], NDArray[np.uint16], NDArray[np.int64], NDArray[Any], int, int]:
     """Find every good frame.
 
-    Parameters
-    ----------
-    data : ndarray of uint8, shape (n,)
-        The file.
-    slots, seeds : ndarray
-        Of the dialect.
-
-    Returns
-    -------
-    markers : ndarray of uint32 or int64, shape (m,)
-        Position of each frame [bytes], rising.
-    kinds : ndarray of uint16, shape (m,)
-        Slot of its message; ``len(seeds)`` for messages the dialect does not know.
-    unstamped : ndarray of int64
-        Positions of frames whose arrival time is lost.
-    spans : ndarray of SPAN
-        Damaged stretches, at most 1000; further ones are only counted.
+    `data` (shape (n,)): the file. `slots`, `seeds`: of the dialect. Result: `markers` (shape (m,)): position of each
+    frame [bytes], rising. `kinds` (shape (m,)): slot of its message; ``len(seeds)`` for messages the dialect does not
+    know. `unstamped`: positions of frames whose arrival time is lost. `spans`: damaged stretches, at most 1000;
+    further ones are only counted.
 
     Examples
     --------
@@ -235,13 +216,7 @@ def scan(
 
 
 def group(markers: NDArray[Any], kinds: NDArray[np.uint16], count: int) -> list[NDArray[Any]]:
-    """Positions of the frames of each of `count` kinds, in the order of the file.
-
-    Examples
-    --------
-    >>> [list(map(int, g)) for g in group(np.array([8, 40, 90]), np.array([1, 0, 1], np.uint16), 2)]
-    [[40], [8, 90]]
-    """
+    """Positions of the frames of each of `count` kinds, in the order of the file."""
     starts = np.zeros(count + 1, dtype=np.int64)
     grouped = np.empty_like(markers)
     _group(markers, kinds, starts, grouped)
@@ -251,10 +226,7 @@ def group(markers: NDArray[Any], kinds: NDArray[np.uint16], count: int) -> list[
 def gather(data: Bytes, markers: NDArray[Any], offset: int, width: int) -> Bytes:
     """Copy `width` payload bytes of each frame, from `offset` on; bytes the sender cut off are zero.
 
-    Returns
-    -------
-    ndarray of uint8, shape (m, width)
-        One row per frame.
+    Result (shape (m, width)): one row per frame.
     """
     out = np.empty((markers.size, width), dtype=np.uint8)
     _gather(data, markers, offset, out)

@@ -30,18 +30,9 @@ class Sender(NamedTuple):
 class MessageTable:
     """Messages by type, each a list of positions in the file.
 
-    Parameters
-    ----------
-    name : str
-        What to call the file in messages.
-    data : ndarray of uint8, shape (n,)
-        The file; kept, not copied.
-    positions : Mapping[str, ndarray]
-        Markers of the frames of each type, in the order of the file [bytes].
-    layouts : Mapping[str, Layout]
-        Of every message of `positions`, at least.
-    unstamped : ndarray of int64
-        Markers of frames that have no arrival time.
+    `name`: what to call the file in messages. `data` (shape (n,)): the file; kept, not copied. `positions`: markers of
+    the frames of each type, in the order of the file [bytes]. `layouts`: of every message of `positions`, at least.
+    `unstamped`: markers of frames that have no arrival time.
     """
 
     def __init__(
@@ -93,22 +84,10 @@ class MessageTable:
     ) -> NDArray[Any]:
         """Values of one field, in the order of the file.
 
-        Parameters
-        ----------
-        message, field : str
-            For example ``"SERVO_OUTPUT_RAW"``, ``"servo3_raw"``.
-        source : Sender, optional
-            Only from this system and component; from all if None.
-        instance : str or int, optional
-            Only with this value of the message's instance field; all if None.
-        element : int, optional
-            Only this element of an array; all if None.
-
-        Returns
-        -------
-        ndarray, shape (n,) or (n, length)
-            Of the field's own type, in the unit of the protocol; texts as ``str``, cut at the first NUL.
-            Extension fields that were not sent are zero.
+        `message`, `field`: for example ``"SERVO_OUTPUT_RAW"``, ``"servo3_raw"``. `source`: only from this system and
+        component; from all if None. `instance`: only with this value of the message's instance field; all if None.
+        `element`: only this element of an array; all if None. Result (shape (n,)): of the field's own type, in the
+        unit of the protocol; texts as ``str``, cut at the first NUL. Extension fields that were not sent are zero.
         """
         layout = self.layout(message)
         if field not in layout.fields:

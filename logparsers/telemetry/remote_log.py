@@ -48,15 +48,8 @@ class RemoteLogs(NamedTuple):
 def remote_logs(file: TelemetryFile) -> RemoteLogs:
     """Put the blocks of a telemetry log together.
 
-    Parameters
-    ----------
-    file : TelemetryFile
-        With messages of the kind `BLOCKS`; of several vehicles the one that sent most is taken.
-
-    Returns
-    -------
-    RemoteLogs
-        Whole records only: what stands at the edge of a lost block is left out, and the block recorded as damage.
+    `file`: with messages of the kind `BLOCKS`; of several vehicles the one that sent most is taken. Result: whole
+    records only: what stands at the edge of a lost block is left out, and the block recorded as damage.
     """
     sender = max(file.sources(BLOCKS), key=lambda each: file.stream(BLOCKS, each).size)
     markers = file.stream(BLOCKS, sender)
@@ -89,12 +82,7 @@ def remote_logs(file: TelemetryFile) -> RemoteLogs:
 class WithRemoteLog:
     """Channels of a telemetry log, and those of the log that came with it, on one time base.
 
-    Parameters
-    ----------
-    telemetry : Recording
-        Its channels come first, and keep their names.
-    logs : RemoteLogs
-        Part by part.
+    `telemetry`: its channels come first, and keep their names. `logs`: part by part.
     """
 
     def __init__(self, telemetry: Recording, logs: RemoteLogs) -> None:

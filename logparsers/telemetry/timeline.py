@@ -36,13 +36,8 @@ _YOUNG_S = 120.0  # a vehicle is heard again within two minutes of its restart; 
 class Break:
     """A place where clocks do not run on.
 
-    Parameters
-    ----------
-    kind : str
-        ``"reboot"`` (the counter restarted), ``"clock_jump"`` (it was set, either way) or
-        ``"arrival_jump"`` (the receiver's clock was set).
-    index : int
-        First sample after it.
+    `kind`: ``"reboot"`` (the counter restarted), ``"clock_jump"`` (it was set, either way) or ``"arrival_jump"`` (the
+    receiver's clock was set). `index`: first sample after it.
     """
 
     kind: str
@@ -52,10 +47,7 @@ class Break:
 def find_breaks(stamp_s: FloatArray, arrival_s: FloatArray) -> list[Break]:
     """Restarts and jumps of two clocks that should advance together.
 
-    Parameters
-    ----------
-    stamp_s, arrival_s : ndarray, shape (n,)
-        Unwrapped device time and despiked arrival time, in the order of the file [s].
+    `stamp_s`, `arrival_s` (shape (n,)): unwrapped device time and despiked arrival time, in the order of the file [s].
     """
     if stamp_s.size < 2:
         return []
@@ -94,14 +86,9 @@ def _best_of(lead_s: FloatArray) -> FloatArray:
 class Timeline:
     """One time base for a whole log: seconds since the vehicle's first boot.
 
-    Parameters
-    ----------
-    positions : ndarray of int64, shape (k,)
-        File position at which each part begins [bytes]; the first is 0.
-    shift_s : ndarray, shape (k,)
-        What to add to a device stamp of that part [s]: 0 until the first restart.
-    offset_s, drift : ndarray, shape (k,)
-        A message stamped ``t`` on the timeline arrives at ``t + offset_s + drift * t`` or later [s], [s/s].
+    `positions` (shape (k,)): file position at which each part begins [bytes]; the first is 0. `shift_s` (shape (k,)):
+    what to add to a device stamp of that part [s]: 0 until the first restart. `offset_s`, `drift` (shape (k,)): a
+    message stamped ``t`` on the timeline arrives at ``t + offset_s + drift * t`` or later [s], [s/s].
     """
 
     positions: IntArray
@@ -117,15 +104,8 @@ class Timeline:
     def from_arrival(self, arrival_s: ArrayLike, positions: ArrayLike) -> FloatArray:
         """Arrival times put on the timeline; each is late by what its frame waited.
 
-        Parameters
-        ----------
-        arrival_s, positions : array_like, shape (n,)
-            Arrival time [s] and file position [bytes].
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            Time on the timeline [s].
+        `arrival_s`, `positions` (shape (n,)): arrival time [s] and file position [bytes]. Result (shape (n,)): time on
+        the timeline [s].
         """
         part = self.part(positions)
         late: FloatArray = np.asarray(arrival_s, dtype=np.float64) - self.offset_s[part]
@@ -135,23 +115,8 @@ class Timeline:
 def build_timeline(stamp_s: ArrayLike, arrival_s: ArrayLike, positions: ArrayLike) -> tuple[Timeline, list[Break]]:
     """Timeline of a log from the messages of its vehicle that carry time since boot.
 
-    Parameters
-    ----------
-    stamp_s : array_like, shape (n,)
-        Unwrapped device time in the order of the file [s]; n may be 0.
-    arrival_s : array_like, shape (n,)
-        Despiked arrival time [s].
-    positions : array_like, shape (n,)
-        File positions, rising [bytes].
-
-    Examples
-    --------
-    A vehicle that restarts after 100 s; time runs on:
-
-    >>> stamp = np.concatenate([np.arange(100.0), np.arange(50.0)])
-    >>> line, breaks = build_timeline(stamp, 1e9 + np.arange(150.0), np.arange(150))
-    >>> breaks[0].kind, float(line.from_arrival([1e9 + 120.0], [120])[0])
-    ('reboot', 120.0)
+    `stamp_s` (shape (n,)): unwrapped device time in the order of the file [s]; n may be 0. `arrival_s` (shape (n,)):
+    despiked arrival time [s]. `positions` (shape (n,)): file positions, rising [bytes].
     """
     stamp, arrival = np.asarray(stamp_s, dtype=np.float64), np.asarray(arrival_s, dtype=np.float64)
     where = np.asarray(positions, dtype=np.int64)
@@ -189,29 +154,11 @@ def place(
 ) -> FloatArray:
     """Put the stamped messages of one stream on the timeline.
 
-    Parameters
-    ----------
-    counter : array_like of unsigned integers, shape (n,)
-        Raw stamps.
-    bits : int
-        Width of the counter: 32 or 64.
-    arrival_s, positions : array_like, shape (n,)
-        Despiked arrival time [s] and file position [bytes].
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Stamps of the vehicle's own clock are kept exactly (whole overflows and restarts added). A clock of
-        its own is shifted, so that the fastest message of the stream took as long as the vehicle's. A stamp
-        of 0, or stamps that never move, were not filled in and give arrival time.
-
-    Examples
-    --------
-    >>> line, _ = build_timeline(np.arange(5000.0), np.arange(5000.0), np.arange(5000))
-    >>> stamps = np.array([4294000000, 32704], dtype=np.uint32)
-    >>> [float(t) for t in place(stamps, 1e-6, bits=32, arrival_s=[4294.0, 4295.0],
-    ...                          positions=[4294, 4295], timeline=line)]
-    [4294.0, 4295.0]
+    `counter` (shape (n,)): raw stamps. `bits`: width of the counter: 32 or 64. `arrival_s`, `positions` (shape (n,)):
+    despiked arrival time [s] and file position [bytes]. Result (shape (n,)): stamps of the vehicle's own clock are
+    kept exactly (whole overflows and restarts added). A clock of its own is shifted, so that the fastest message of
+    the stream took as long as the vehicle's. A stamp of 0, or stamps that never move, were not filled in and give
+    arrival time.
     """
     raw, where = np.asarray(counter), np.asarray(positions)
     expected = timeline.from_arrival(arrival_s, where)

@@ -22,20 +22,8 @@ _DRIFT_SPAN_S = 60.0  # below this, drift cannot be distinguished from delay
 def despike(time_s: ArrayLike) -> FloatArray:
     """Replace time stamps that stand out by more than 5 s from both neighbours by one of these.
 
-    Parameters
-    ----------
-    time_s : array_like, shape (n,)
-        Arrival times in the order of the file [s]; NaN where unknown.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Finite unless nothing is known.
-
-    Examples
-    --------
-    >>> [float(t) for t in despike([1.0, 2.0, 9e9, 4.0, float("nan"), 5.0])]
-    [1.0, 2.0, 4.0, 4.0, 4.0, 5.0]
+    `time_s` (shape (n,)): arrival times in the order of the file [s]; NaN where unknown. Result (shape (n,)): finite
+    unless nothing is known.
     """
     time = np.array(time_s, dtype=np.float64)
     known = np.flatnonzero(np.isfinite(time))
@@ -57,27 +45,10 @@ def despike(time_s: ArrayLike) -> FloatArray:
 def unwrap(counter: ArrayLike, *, bits: int = 32, elapsed: ArrayLike | None = None) -> IntArray:
     """Count on where a counter overflowed.
 
-    Parameters
-    ----------
-    counter : array_like of unsigned integers, shape (n,)
-        Raw counts in the order of the file.
-    bits : int
-        Width of the counter; 64 never overflows.
-    elapsed : array_like, shape (n,), optional
-        Another clock in the same ticks, of any offset: tells how often the counter overflowed in a gap.
-
-    Returns
-    -------
-    ndarray of int64, shape (n,)
-        Equal to `counter` modulo ``2**bits``, and to its first value at the start; small steps back
-        (messages that overtook each other) stay steps back.
-
-    Examples
-    --------
-    >>> [int(n) for n in unwrap(np.array([4294967290, 4294967288, 4, 10], dtype=np.uint32))]
-    [4294967290, 4294967288, 4294967300, 4294967306]
-    >>> [int(n) for n in unwrap(np.array([10, 20], dtype=np.uint32), elapsed=[0, 2**33])]
-    [10, 8589934612]
+    `counter` (shape (n,)): raw counts in the order of the file. `bits`: width of the counter; 64 never overflows.
+    `elapsed` (shape (n,)): another clock in the same ticks, of any offset: tells how often the counter overflowed in a
+    gap. Result (shape (n,)): equal to `counter` modulo ``2**bits``, and to its first value at the start; small steps
+    back (messages that overtook each other) stay steps back.
     """
     raw = np.asarray(counter)
     if bits >= 64 or raw.size == 0:
@@ -95,30 +66,13 @@ def unwrap(counter: ArrayLike, *, bits: int = 32, elapsed: ArrayLike | None = No
 def lower_line(x: ArrayLike, y: ArrayLike) -> tuple[float, float]:
     """Line under all points, as close to them as one line can be: the fastest link, not the average one.
 
-    Parameters
-    ----------
-    x, y : array_like, shape (n,)
-        Device time [s], and how much later than it each message arrived [s]; n > 0.
-
-    Returns
-    -------
-    offset : float
-        Height of the line at ``x = 0`` [s].
-    slope : float
-        Drift of one clock against the other [s/s]; 0 where less than a minute is known.
-
-    Notes
-    -----
     The edge of the lower convex hull above the mean of `x` minimises the summed distance to the points
     among all lines below them (Moon, Skelly and Towsley, INFOCOM 1999). Delays are never negative, so that
     edge is not moved by congestion.
 
-    Examples
-    --------
-    >>> x = np.arange(1000.0)
-    >>> offset, slope = lower_line(x, 3.0 + 2e-5 * x + (x % 7) * 0.1)
-    >>> round(offset, 6), round(slope * 1e6, 3)
-    (3.0, 20.0)
+    `x`, `y` (shape (n,)): device time [s], and how much later than it each message arrived [s]; n > 0. Result:
+    `offset`: height of the line at ``x = 0`` [s]. `slope`: drift of one clock against the other [s/s]; 0 where less
+    than a minute is known.
     """
     x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
     span = float(np.ptp(x))

@@ -141,17 +141,8 @@ def load(
 ) -> tuple[Reader, tuple[str, ...], str]:
     """Read the chosen topics of a log.
 
-    Parameters
-    ----------
-    data : ndarray of uint8, shape (n,)
-        The file.
-    samples : Samples, optional
-        Those that were set aside before.
-
-    Returns
-    -------
-    stopped : str
-        Why reading was given up early; empty if it was not.
+    `data` (shape (n,)): the file. `samples`: those that were set aside before. Result: `stopped`: why reading was
+    given up early; empty if it was not.
     """
     reader, handle = Reader(), _Whole(data.tobytes())
     try:

@@ -59,8 +59,6 @@ def unit_of(field: str) -> str:
 class UlogRecording:
     """Every numeric series of a PX4 log.
 
-    Notes
-    -----
     A name is ``topic[instance].field``, as in ``actuator_servos[0].control[3]``. Where a topic carries named
     values of several senders, the name follows: ``debug_array[0][SRVP].data[2]``.
     """

@@ -40,14 +40,7 @@ _CLOCK_TOPICS = ("vehicle_gps_position", "sensor_gps", "vehicle_global_position"
 class UlogFile:
     """One PX4 log.
 
-    Parameters
-    ----------
-    data : ndarray of uint8, shape (n,)
-        The file.
-    name : str
-        What to call it in messages.
-    only : Only
-        Topics to read.
+    `data` (shape (n,)): the file. `name`: what to call it in messages. `only`: topics to read.
     """
 
     def __init__(self, data: NDArray[np.uint8], name: str, only: Only) -> None:
@@ -70,12 +63,8 @@ class UlogFile:
     def open(cls, source: LogBytes, *, only: Sequence[str] | None = None) -> UlogFile:
         """Read the chosen topics of a file, or of bytes.
 
-        Parameters
-        ----------
-        source : str, PathLike, bytes or BinaryIO
-            A path, the content itself, or an open binary file.
-        only : sequence of str, optional
-            Topics to read, with ``*`` and ``?`` as in file names; all if None.
+        `source`: a path, the content itself, or an open binary file. `only`: topics to read, with ``*`` and ``?`` as
+        in file names; all if None.
         """
         return cls(*mapped(source), Only.of(only))
 

@@ -62,16 +62,8 @@ def chain(data: Bytes) -> int:
 def sieve(data: Bytes, wanted: Container[str]) -> Bytes | None:
     """Copy a log without the samples of unwanted topics.
 
-    Parameters
-    ----------
-    data : ndarray of uint8, shape (n,)
-        The file.
-
-    Returns
-    -------
-    ndarray of uint8 or None
-        A log in the same format; all else is kept, also the start of a last message that was cut. None if
-        the file is damaged, or has parts appended by position: then only the whole of it will do.
+    `data` (shape (n,)): the file. Result: a log in the same format; all else is kept, also the start of a last message
+    that was cut. None if the file is damaged, or has parts appended by position: then only the whole of it will do.
     """
     if data.size < _HEADER + 43 or (data[_HEADER + 2] == ord("B") and data[_HEADER + 11] & _APPENDED):
         return None
@@ -99,18 +91,9 @@ class NotPlain(Exception):  # noqa: N818 - no error of the file: another way has
 class Samples:
     """Samples of the wanted topics of a sound log, and how late it was when something else was logged.
 
-    Parameters
-    ----------
-    data : ndarray of uint8, shape (n,)
-        The file.
-    places : ndarray of int64, shape (m,)
-        Where each sample begins.
-    numbers : ndarray of int64, shape (m,)
-        Of their topics.
-    sizes : ndarray of int64, shape (2, 65536)
-        Least and most bytes of a sample of each topic.
-    dropouts_us, parameters_us : ndarray of int64
-        Newest stamp before each dropout, and before each change of a parameter [us].
+    `data` (shape (n,)): the file. `places` (shape (m,)): where each sample begins. `numbers` (shape (m,)): of their
+    topics. `sizes` (shape (2, 65536)): least and most bytes of a sample of each topic. `dropouts_us`, `parameters_us`:
+    newest stamp before each dropout, and before each change of a parameter [us].
     """
 
     def __init__(

@@ -46,13 +46,7 @@ class _Channel(BaseModel, ABC):
         return self._restore((np.asarray(deflection_deg) - offset_deg) / scale)
 
     def corrected(self, scale: float, offset_deg: float) -> Self:
-        """Return the same calibration with its result scaled, then shifted [deg].
-
-        Examples
-        --------
-        >>> DegreeCalibration(channel="x", unit="deg").corrected(2.0, 1.0).to_deg(np.array([3.0]))
-        array([7.])
-        """
+        """Return the same calibration with its result scaled, then shifted [deg]."""
         first, shift_deg = self.correction
         return self.model_copy(update={"correction": (scale * first, scale * shift_deg + offset_deg)})
 
@@ -194,13 +188,6 @@ class RadianOrCountCalibration(_Scaled):
     """The FASER position columns: documented in radians, written as raw converter counts.
 
     Values that mostly lie beyond any angle in radians are counts; everything else is taken as radians.
-
-    Examples
-    --------
-    >>> faser = RadianOrCountCalibration(
-    ...     channel="de_pos", unit="rad_or_count", trim_count=2048.0, slope_deg_per_count=0.05)
-    >>> faser.to_deg(np.array([2048.0, 2068.0])), faser.to_deg(np.radians([1.0]))
-    (array([0., 1.]), array([1.]))
     """
 
     unit: Literal["rad_or_count"]

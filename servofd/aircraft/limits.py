@@ -11,13 +11,7 @@ _Share = Annotated[float, Field(ge=0.0, lt=1.0, strict=True)]
 
 
 class Limits(BaseModel):
-    """Limits of what `servofd trend` follows; what is left out follows from the surface's tolerances.
-
-    Examples
-    --------
-    >>> Limits().dead_band_deg
-    2.0
-    """
+    """Limits of what `servofd trend` follows; what is left out follows from the surface's tolerances."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

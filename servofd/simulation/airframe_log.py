@@ -22,14 +22,7 @@ _VERSION: Final = "4.6.0"
 
 
 def airframe_parameters(flight: AirframeFlight) -> dict[str, float]:
-    """What the autopilot knows of its outputs.
-
-    Examples
-    --------
-    >>> from servofd.simulation.airframe import fly_airframe
-    >>> airframe_parameters(fly_airframe(1, mixer="elevon", duration_s=10.0))["SERVO1_FUNCTION"]
-    77.0
-    """
+    """What the autopilot knows of its outputs."""
     functions = {number: float(function) for number, (function, _, _) in flight.mixer.outputs.items()}
     found: dict[str, float] = {}
     for number, function in sorted((functions | {THROTTLE: 70.0}).items()):

@@ -38,10 +38,7 @@ def rate_hz(flight: SimulatedFlight) -> float:
 def parameters(flight: SimulatedFlight, aircraft: Aircraft, feedback: str) -> dict[str, float]:
     """Settings of an ArduPlane that flies these outputs.
 
-    Parameters
-    ----------
-    feedback : str
-        How: ``"volz"``, ``"dronecan"`` or ``"script"``.
+    `feedback`: how: ``"volz"``, ``"dronecan"`` or ``"script"``.
     """
     loop_hz = float(max(50, math.ceil(rate_hz(flight) / 0.8 - 1e-6)))  # a message is sent at 0.8 of it at most
     known = {

@@ -37,15 +37,7 @@ def flight(time_s: FloatArray, rng: np.random.Generator) -> FloatArray:
     0.3 s, the pace of a pilot (at most about 200 deg/s); slower ones could not be detected within the thesis'
     0.08 s.
 
-    Parameters
-    ----------
-    time_s : ndarray, shape (n,)
-        Uniform times [s].
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Command [deg].
+    `time_s` (shape (n,)): uniform times [s]. Result (shape (n,)): command [deg].
     """
     return _pattern(time_s, rng, _Style())
 

@@ -64,21 +64,10 @@ def dataflash_messages(
 ) -> list[Message]:
     """Rows of each message, in the units a reader shall see.
 
-    Parameters
-    ----------
-    flight : SimulatedFlight
-        With outputs; flight time 0 is when the autopilot was booted.
-    aircraft : Aircraft
-        A surface without a measured channel has a servo that reports nothing.
-    generation : Generation
-        One of `GENERATIONS`.
-    settings : mapping of str to float, optional
-        The vehicle's parameters; those of `servofd.simulation.ardupilot.parameters` if left out.
-
-    Returns
-    -------
-    list of Message
-        RCOU and one CSRV row per reporting servo at the rate of the flight; ARSP, ATT, POWR and GPS more seldom.
+    `flight`: with outputs; flight time 0 is when the autopilot was booted. `aircraft`: a surface without a measured
+    channel has a servo that reports nothing. `generation`: one of `GENERATIONS`. `settings`: the vehicle's parameters;
+    those of `servofd.simulation.ardupilot.parameters` if left out. Result: RCOU and one CSRV row per reporting servo
+    at the rate of the flight; ARSP, ATT, POWR and GPS more seldom.
     """
     outputs_needed(flight)
     known = parameters(flight, aircraft, generation.name) if settings is None else settings

@@ -55,28 +55,10 @@ _NUMBERED: Final = re.compile(r"(?:RCOU\.C|\.servo)(\d+)(?:_raw)?$")
 class Output:
     """One output of an autopilot, as the parameters SERVOn_* describe it.
 
-    Parameters
-    ----------
-    surface : str
-        What its servo turns.
-    number : int
-        Counted from 1: the n of SERVOn.
-    function : int
-        SERVOn_FUNCTION.
-    min_us, trim_us, max_us : int
-        SERVOn_MIN, _TRIM and _MAX [us].
-    travel_deg : float
-        Deflection at MAX, and with the other sign at MIN [deg].
-    reversed : bool
-        SERVOn_REVERSED: a positive deflection takes a shorter pulse, and the servo's arm turns the other way.
-
-    Examples
-    --------
-    >>> elevator = Output("elevator", number=2, function=19)
-    >>> elevator.pulse_us(np.array([0.0, 10.0, -10.0, 60.0]))
-    array([1500, 1611, 1389, 2000])
-    >>> elevator.deflection_deg(np.array([1611])).round(3)
-    array([9.99])
+    `surface`: what its servo turns. `number`: counted from 1: the n of SERVOn. `function`: SERVOn_FUNCTION. `min_us`,
+    `trim_us`, `max_us`: SERVOn_MIN, _TRIM and _MAX [us]. `travel_deg`: deflection at MAX, and with the other sign at
+    MIN [deg]. `reversed`: SERVOn_REVERSED: a positive deflection takes a shorter pulse, and the servo's arm turns the
+    other way.
     """
 
     surface: str

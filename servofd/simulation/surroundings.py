@@ -52,15 +52,7 @@ class ServoState:
 def surroundings(time_s: FloatArray, seed: int) -> Surroundings:
     """Circle over a field at 22 m/s, with a little noise.
 
-    Parameters
-    ----------
-    time_s : ndarray, shape (n,)
-        When [s].
-
-    Examples
-    --------
-    >>> surroundings(np.array([0.0, 45.0]), seed=0).yaw_deg.round().tolist()
-    [0.0, 180.0]
+    `time_s` (shape (n,)): when [s].
     """
     rng = np.random.default_rng([seed, 1000])
 
@@ -85,12 +77,7 @@ def surroundings(time_s: FloatArray, seed: int) -> Surroundings:
 def acting(time_s: FloatArray, *, pushed: bool = False) -> Context:
     """What servos may feel: airspeed and supply that vary enough to be told from a gain and a rate limit, and gusts.
 
-    Parameters
-    ----------
-    time_s : ndarray, shape (n,)
-        When [s].
-    pushed : bool
-        Whether a load of 0.05 N m comes and goes.
+    `time_s` (shape (n,)): when [s]. `pushed`: whether a load of 0.05 N m comes and goes.
 
     Examples
     --------
@@ -118,10 +105,7 @@ def current_a(speed_deg_s: FloatArray, rng: np.random.Generator) -> FloatArray:
 def servo_state(time_s: FloatArray, measured_deg: FloatArray, rng: np.random.Generator) -> ServoState:
     """Electrical and thermal state of a servo: it draws current as it turns, and it is never perfectly still.
 
-    Parameters
-    ----------
-    time_s, measured_deg : ndarray of shape (n,)
-        Its motion [s], [deg].
+    `time_s`, `measured_deg` (shape (n,)): its motion [s], [deg].
     """
     speed_deg_s = np.gradient(measured_deg, time_s)
     drawn_a = current_a(speed_deg_s, rng)
@@ -136,13 +120,7 @@ def servo_state(time_s: FloatArray, measured_deg: FloatArray, rng: np.random.Gen
 
 
 def sparse(time_s: FloatArray, rate_hz: float) -> IntArray:
-    """Indices of the samples that a slower message would hold, shape (m,).
-
-    Examples
-    --------
-    >>> sparse(np.arange(10) / 10.0, 2.5).tolist()
-    [0, 4, 8]
-    """
+    """Indices of the samples that a slower message would hold, shape (m,)."""
     at_s = np.arange(time_s[0], time_s[-1] + 1e-9, 1.0 / rate_hz)
     return np.unique(np.searchsorted(time_s, at_s - 1e-9)).astype(np.int64)
 

@@ -44,20 +44,11 @@ def telemetry_log(flight: SimulatedFlight, aircraft: Aircraft) -> bytes:
 def telemetry_messages(flight: SimulatedFlight, aircraft: Aircraft) -> list[Message]:
     """Frames of each message, with the times at which a ground station received them.
 
-    Parameters
-    ----------
-    flight : SimulatedFlight
-        With outputs; flight time 0 is when the autopilot was booted. Its clocks overflow after 71.6 minutes
-        (``time_usec``) and 49.7 days (``time_boot_ms``), as those of the real one do.
-    aircraft : Aircraft
-        A surface without a measured channel has a servo that reports nothing.
-
-    Returns
-    -------
-    list of Message
-        ``SERVO_OUTPUT_RAW``, and ``NAMED_VALUE_FLOAT`` named ``SRVP<n>`` for the arm of the servo on output n [deg],
-        at the rate of the flight; HEARTBEAT, SYSTEM_TIME, ATTITUDE and VFR_HUD more seldom; parameters and words
-        at the beginning.
+    `flight`: with outputs; flight time 0 is when the autopilot was booted. Its clocks overflow after 71.6 minutes
+    (``time_usec``) and 49.7 days (``time_boot_ms``), as those of the real one do. `aircraft`: a surface without a
+    measured channel has a servo that reports nothing. Result: ``SERVO_OUTPUT_RAW``, and ``NAMED_VALUE_FLOAT`` named
+    ``SRVP<n>`` for the arm of the servo on output n [deg], at the rate of the flight; HEARTBEAT, SYSTEM_TIME, ATTITUDE
+    and VFR_HUD more seldom; parameters and words at the beginning.
     """
     outputs_needed(flight)
     beat, time = beats(flight)
@@ -96,15 +87,10 @@ def _words(flight: SimulatedFlight, aircraft: Aircraft) -> list[Sent]:
 def servo_rows(flight: SimulatedFlight, aircraft: Aircraft, feedback: str = "named") -> list[Sent]:
     """Pulses and positions of all outputs.
 
-    Parameters
-    ----------
-    aircraft : Aircraft
-        A surface without a measured channel has a servo that reports nothing.
-    feedback : str
-        How the position of the servo on output n is told: ``"named"``, NAMED_VALUE_FLOAT ``SRVP<n>``, angle of the
-        arm [deg]; ``"array"``, the same in element n - 1 of a DEBUG_FLOAT_ARRAY named ``SRVP``; or ``"port"``, the
-        pulse that would ask for it [us], rounded, as ``servo<n>_raw`` of a SERVO_OUTPUT_RAW with port 2 (port 1 is
-        the outputs from 17 on).
+    `aircraft`: a surface without a measured channel has a servo that reports nothing. `feedback`: how the position of
+    the servo on output n is told: ``"named"``, NAMED_VALUE_FLOAT ``SRVP<n>``, angle of the arm [deg]; ``"array"``, the
+    same in element n - 1 of a DEBUG_FLOAT_ARRAY named ``SRVP``; or ``"port"``, the pulse that would ask for it [us],
+    rounded, as ``servo<n>_raw`` of a SERVO_OUTPUT_RAW with port 2 (port 1 is the outputs from 17 on).
     """
     made_us = microseconds(flight.time_s)
     stamp = {"time_usec": made_us % _WRAP}

@@ -48,20 +48,11 @@ def ulog_log(flight: SimulatedFlight, aircraft: Aircraft) -> bytes:
 def ulog_topics(flight: SimulatedFlight, aircraft: Aircraft) -> list[Topic]:
     """Samples of each topic.
 
-    Parameters
-    ----------
-    flight : SimulatedFlight
-        With outputs; flight time 0 is when the autopilot was booted.
-    aircraft : Aircraft
-        A surface without a measured channel has a servo that reports nothing.
-
-    Returns
-    -------
-    list of Topic
-        ``actuator_servos`` (``control[k]``: -1 to 1 is the whole travel of servo k + 1, the surfaces in order) and
-        ``debug_array`` named SRVP (``data[k]``: arm of the same servo [deg]; NaN: it reports nothing) at the rate of
-        the flight; ``actuator_outputs`` (pulses [us] by output), ``airspeed``, ``system_power`` and
-        ``vehicle_gps_position`` more seldom.
+    `flight`: with outputs; flight time 0 is when the autopilot was booted. `aircraft`: a surface without a measured
+    channel has a servo that reports nothing. Result: ``actuator_servos`` (``control[k]``: -1 to 1 is the whole travel
+    of servo k + 1, the surfaces in order) and ``debug_array`` named SRVP (``data[k]``: arm of the same servo [deg];
+    NaN: it reports nothing) at the rate of the flight; ``actuator_outputs`` (pulses [us] by output), ``airspeed``,
+    ``system_power`` and ``vehicle_gps_position`` more seldom.
     """
     outputs_needed(flight)
     if len(flight.outputs) > MOST_SERVOS:

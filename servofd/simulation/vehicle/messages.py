@@ -29,14 +29,8 @@ class Send(NamedTuple):
 class Telemetry:
     """Rows of a flight, in the numbers that its ``.tlog`` would hold.
 
-    Parameters
-    ----------
-    flight : SimulatedFlight
-        With outputs.
-    aircraft : Aircraft
-        Tells which servos report their positions.
-    feedback : str
-        How, as in `servofd.simulation.telemetry_writer.servo_rows`.
+    `flight`: with outputs. `aircraft`: tells which servos report their positions. `feedback`: how, as in
+    `servofd.simulation.telemetry_writer.servo_rows`.
     """
 
     def __init__(self, flight: SimulatedFlight, aircraft: Aircraft, feedback: str) -> None:
@@ -52,15 +46,7 @@ class Telemetry:
     def newest(self, name: str, now_us: int, *, again: bool = False) -> list[Send]:
         """Latest row of each source of a message.
 
-        Parameters
-        ----------
-        again : bool
-            Also if it was given before.
-
-        Returns
-        -------
-        list of Send
-            None that is yet to be made.
+        `again`: also if it was given before. Result: None that is yet to be made.
         """
         return [Send(name, row) for series in self._series[name] if (row := series.row(now_us, again)) is not None]
 

@@ -33,14 +33,9 @@ class RemoteLog:
     Definitions, parameters and words wait for room in the buffer; other rows that find it full are dropped. A block
     that is not acknowledged is sent again after 0.1 s; a client that is silent for 10 s is given up.
 
-    Parameters
-    ----------
-    rows : Rows
-        Of the whole flight; each is written at its time.
-    speed : float
-        How much faster than real time the vehicle's clock runs: buffer and patience grow with it.
-    stalls_us : sequence of (int, int)
-        When nothing is sent, from and until [us]; what finds no room meanwhile is dropped.
+    `rows`: of the whole flight; each is written at its time. `speed`: how much faster than real time the vehicle's
+    clock runs: buffer and patience grow with it. `stalls_us`: when nothing is sent, from and until [us]; what finds no
+    room meanwhile is dropped.
     """
 
     def __init__(self, rows: Rows, speed: float = 1.0, stalls_us: Sequence[tuple[int, int]] = ()) -> None:
@@ -54,12 +49,8 @@ class RemoteLog:
     def hear(self, client: Client, seqno: int, *, arrived: bool, now_us: int) -> None:
         """Take a REMOTE_LOG_BLOCK_STATUS.
 
-        Parameters
-        ----------
-        client : tuple of int
-            System and component that sent it; the first to begin gets the log.
-        seqno : int
-            Number of a block, one of `RemoteLogCommand`.
+        `client`: system and component that sent it; the first to begin gets the log. `seqno`: number of a block, one
+        of `RemoteLogCommand`.
         """
         if arrived and seqno == RemoteLogCommand.START:
             if self._session is None:

@@ -176,10 +176,7 @@ class Air:
 def troubled_flight(flight: SimulatedFlight, aircraft: Aircraft, troubles: Sequence[Trouble]) -> SimulatedFlight:
     """The flight as the servos fly it and the autopilot sees it.
 
-    Parameters
-    ----------
-    troubles : sequence of Trouble
-        `Edit` changes pulses and motion, `Freeze` the readings.
+    `troubles`: `Edit` changes pulses and motion, `Freeze` the readings.
     """
     begun_s, end_s = float(flight.time_s[0]), float(flight.time_s[-1])
     for trouble in troubles:

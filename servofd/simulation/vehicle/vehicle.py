@@ -79,29 +79,8 @@ class Settings:
 class Vehicle:
     """A simulated flight that is sent as it happens.
 
-    Parameters
-    ----------
-    flight : SimulatedFlight
-        With outputs; each sample is one turn of the autopilot's main loop.
-    aircraft : Aircraft
-        A surface without a measured channel has a servo that reports nothing.
-    settings : Settings
-        How it speaks.
-
-    Examples
-    --------
-    >>> from servofd.aircraft.schema import plain_aircraft
-    >>> from servofd.simulation.flight import simulate_flight
-    >>> from servofd.simulation.pulses import outputs_of
-    >>> plane = plain_aircraft(["elevator"], "hs225bb-eq31")
-    >>> flown = simulate_flight(plane, duration_s=2.0, rate_hz=50.0, outputs=outputs_of(plane))
-    >>> vehicle = Vehicle(flown, plane)
-    >>> [message.name for message in vehicle.turn(0)]
-    ['STATUSTEXT', 'HEARTBEAT', 'SYSTEM_TIME', 'SERVO_OUTPUT_RAW', 'NAMED_VALUE_FLOAT', 'ATTITUDE', 'VFR_HUD']
-    >>> [message.name for message in vehicle.turn(1)]
-    []
-    >>> [message.name for message in vehicle.turn(2)]
-    ['NAMED_VALUE_FLOAT']
+    `flight`: with outputs; each sample is one turn of the autopilot's main loop. `aircraft`: a surface without a
+    measured channel has a servo that reports nothing. `settings`: how it speaks.
     """
 
     def __init__(self, flight: SimulatedFlight, aircraft: Aircraft, settings: Settings | None = None) -> None:
@@ -285,14 +264,7 @@ _WHOLE: Final = (
 
 
 class Parameters:
-    """Answers what a ground station asks about parameters; it can change none.
-
-    Examples
-    --------
-    >>> answered = Parameters({"SERVO2_MIN": 1000.0}).read("SERVO2_MIN", -1)[0].fields
-    >>> answered["param_value"], int(answered["param_type"]), answered["param_count"], answered["param_index"]
-    (1000.0, 4, 1, 0)
-    """
+    """Answers what a ground station asks about parameters; it can change none."""
 
     def __init__(self, known: Mapping[str, float]) -> None:
         self._known = dict(known)
@@ -348,21 +320,8 @@ class Schedule:
     A message leaves at a turn of the main loop, so that 40 Hz of a 50 Hz loop are gaps of 20 and 40 ms, as in real
     logs.
 
-    Parameters
-    ----------
-    usual_ms : Mapping[str, int]
-        Interval of each message before anybody asks for another [ms]; 0 for one that is not sent.
-    loop_us : int
-        Period of the main loop [us].
-    any_rate : bool
-        Grant whatever is asked for, up to the rate of the loop.
-
-    Examples
-    --------
-    >>> schedule = Schedule({"SERVO_OUTPUT_RAW": 1000}, loop_us=20_000)
-    >>> schedule.ask("SERVO_OUTPUT_RAW", 25_000)
-    >>> [at_ms for at_ms in range(0, 200, 20) if schedule.due(1000 * at_ms)]
-    [0, 40, 60, 80, 100, 140, 160, 180]
+    `usual_ms`: interval of each message before anybody asks for another [ms]; 0 for one that is not sent. `loop_us`:
+    period of the main loop [us]. `any_rate`: grant whatever is asked for, up to the rate of the loop.
     """
 
     def __init__(self, usual_ms: Mapping[str, int], *, loop_us: int, any_rate: bool = False) -> None:
