@@ -6,110 +6,31 @@ says why).
 
 from __future__ import annotations
 
-import argparse
+import _thread
 import atexit
 import gc
 import io
 import os
+import pydoc
 import signal
 import sys
-from contextlib import suppress
+import threading
+from contextlib import contextmanager, suppress
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from servofd.cli import (
-    audit,
-    calibrate,
-    config,
-    design,
-    explain,
-    fleet,
-    identify,
-    info,
-    look,
-    manual,
-    monitor,
-    odds,
-    onboard,
-    review,
-    serve,
-    servos,
-    simulate,
-    sweep,
-    trend,
-    view,
-)
-from servofd.cli.completion import SHELLS, PrintCompletion
-from servofd.cli.interrupt import interruptible
-from servofd.cli.parser import COULD_NOT_TELL, OneLineParser
-from servofd.cli.tables import one_line
-from servofd.cli.terminal import plain_streams
-from servofd.version import __version__
+from servofd.cli.options import COULD_NOT_TELL, VERBS, Options, build_parser, look_parser
+from servofd.cli.terminal import complain, plain_streams
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from types import ModuleType
+    from collections.abc import Iterator, Sequence
 
-__all__ = ["main", "parsed"]
-
-_GROUPS = {
-    "look at flights": (audit, info, explain, view, review, fleet, trend, serve),
-    "model an aircraft": (config, calibrate, identify, sweep, servos, odds, design),
-    "fly": (monitor, onboard, simulate),
-    "more": (manual,),
-}
-"""In the order in which the help shows them."""
-_VERBS = tuple(verb for group in _GROUPS.values() for verb in group)
+__all__ = ["build_parser", "interruptible", "main", "parsed"]
 
 _INTERRUPTED = 128 + signal.SIGINT
 _OBJECTS_BETWEEN_SEARCHES = 100_000
-
-
-class _WholeParser(OneLineParser):
-    """Its help lists the verbs by what one wants to do."""
-
-    def format_help(self) -> str:
-        """What to type first, then the verbs in their groups."""
-        (verbs,) = (action for action in self._actions if isinstance(action, argparse._SubParsersAction))
-        says = {action.dest: action.help or "" for action in verbs._choices_actions}
-        lines = [
-            "usage: servofd LOG... [-c AIRCRAFT.toml] [options]     judge, and open the page",
-            "       servofd VERB ...",
-            "",
-            str(self.description),
-            "",
-            "LOG is a flight log (.bin, .log, .tlog, .ulg, .mat, .csv, ...), a folder of them, a recording (.rrd), or",
-            "the endpoint of a flying aircraft (udpin:127.0.0.1:14550).",
-        ]
-        for title, group in _GROUPS.items():
-            lines += ["", f"{title}:", *(f"  {name:<12}{says[name]}" for name in map(_name, group))]
-        lines += [
-            "",
-            "servofd help VERB tells its options, servofd LOG --help those of the first form.",
-            str(self.epilog),
-        ]
-        return "\n".join(lines) + "\n"
-
-
-def build_parser() -> argparse.ArgumentParser:
-    """All verbs and their options."""
-    parser = _WholeParser(
-        prog="servofd",
-        description="Tells which servo of an aircraft is lying, from its flight log.",
-        epilog="Example: servofd sample_logs/faser_stuck_flight.mat",
-    )
-    parser.add_argument("--version", action="version", version=f"servofd {__version__}")
-    parser.add_argument(
-        "--print-completion",
-        action=PrintCompletion,
-        choices=SHELLS,
-        help="print what lets the tabulator key complete verbs, options and files: eval it in your shell's start file",
-    )
-    verbs = parser.add_subparsers(dest="verb", metavar="VERB", parser_class=OneLineParser)
-    for verb in _VERBS:
-        verb.add_parser(verbs)
-    parser.set_defaults(whole=parser)  # whose page `servofd help` shows
-    return parser
+_AGAIN_S = 0.01
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -145,41 +66,41 @@ def _main(arguments: Sequence[str] | None) -> int:
 
     try:
         with interruptible():
-            code: int = options.run(options)
+            verb = _show_help if options.verb == "help" else import_module(f"servofd.cli.{options.verb}").run
+            code: int = verb(options)
             if sys.stdout is not None:
                 sys.stdout.flush()
     except (LogError, ServofdError) as error:
-        print(f"servofd: {one_line(error)}", file=sys.stderr)
+        complain(error)
         return COULD_NOT_TELL
     except ModuleNotFoundError as error:
         package = (error.name or "").partition(".")[0]
         if package not in EXTRAS:
             raise
-        print(f"servofd: {without(package)}", file=sys.stderr)
+        complain(without(package))
         return COULD_NOT_TELL
     except KeyboardInterrupt:
-        print("servofd: interrupted; nothing half-written was left behind", file=sys.stderr)
+        complain("interrupted; nothing half-written was left behind")
         return _INTERRUPTED
     except BrokenPipeError:
         # The reader of our output has gone (`servofd ... | head`); keep Python from complaining at exit.
         _silence()
         return COULD_NOT_TELL
     except OSError as error:
-        print(f"servofd: cannot write the result: {error.strerror or error}", file=sys.stderr)
+        complain(f"cannot write the result: {error.strerror or error}")
         _silence()
         return COULD_NOT_TELL
     return code
 
 
-def parsed(words: Sequence[str]) -> argparse.Namespace:
+def parsed(words: Sequence[str]) -> Options:
     """Options of a verb, or of the logs, the recording or the endpoint that stand in its place."""
     parser = build_parser()
     if any("\0" in word for word in words):
         parser.error("a word with a NUL in it, which is in no file's name")
-    names = [_name(verb) for verb in _VERBS]
-    verb = look.verb_for(words, names) if words else ""
+    verb = _verb_for(words) if words else ""
     if verb == "look":
-        return look.look_parser().parse_args(words)
+        return look_parser().parse_args(words)
     if verb and verb != words[0]:
         return parser.parse_args([verb, *words])
     if words and not verb and not words[0].startswith("-"):
@@ -187,16 +108,98 @@ def parsed(words: Sequence[str]) -> argparse.Namespace:
 
         if words[0] == "compare":
             parser.error("compare: recordings are compared by: servofd review A.rrd --compare B.rrd")
-        parser.error(f"{words[0]}: no such file, and {suggest('verb', words[0], names)}")
+        parser.error(f"{words[0]}: no such file, and {suggest('verb', words[0], VERBS)}")
     options = parser.parse_args(words)
     if options.verb is None:
         parser.error("a log or a verb is needed: servofd flight.bin judges a flight")
     return options
 
 
-def _name(verb: ModuleType) -> str:
-    """What the user types for a verb."""
-    return "help" if verb is manual else verb.__name__.rpartition(".")[2]
+def _verb_for(words: Sequence[str]) -> str:
+    """What the words ask for: a verb, ``look`` at logs, or nothing where they name neither.
+
+    Examples
+    --------
+    >>> [_verb_for([word]) for word in ("flight.bin", "udpin:127.0.0.1:14550", "audti", "audit")]
+    ['look', 'monitor', '', 'audit']
+    """
+    first = words[0]
+    if first.startswith("-"):
+        of_the_program = first.partition("=")[0] in ("-h", "--help", "--version", "--print-completion")
+        return "look" if not of_the_program and any(not word.startswith("-") for word in words[1:]) else ""
+    if first in VERBS:
+        return first
+    if Path(first).exists():
+        return "review" if _is_recording(Path(first)) else "look"
+    if _is_endpoint(first):
+        return "monitor"
+    return "look" if set("./\\*?") & set(first) else ""
+
+
+def _is_recording(path: Path) -> bool:
+    from logparsers.detect import RECORDING
+    from servofd.core.files import beginning
+
+    try:
+        return beginning(path, 4).startswith(RECORDING)
+    except OSError:  # a folder, or a file that the audit tells what is wrong with
+        return False
+
+
+def _is_endpoint(word: str) -> bool:
+    from logparsers.endpoint import parse_endpoint
+    from logparsers.errors import LinkError
+
+    try:
+        parse_endpoint(word)
+    except LinkError:
+        return word.partition(":")[0] in ("udpin", "udpout", "tcp", "tcpin")
+    return True
+
+
+def _show_help(options: Options) -> int:
+    """The manual of a verb, or the list of them, page by page on a terminal."""
+    if options.about is None:
+        page = options.whole.format_help()
+    elif options.about in options.manuals:
+        page = options.manuals[options.about].format_help()
+    else:
+        from servofd.core.errors import UnknownName, suggest
+
+        raise UnknownName(suggest("verb", options.about, VERBS))
+    if sys.stdout.isatty():
+        pydoc.pager(page)
+    else:
+        print(page, end="")
+    return 0
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """Within the block, a termination raises `KeyboardInterrupt` like Ctrl-C, and no interrupt gets lost.
+
+    Python ignores an exception that strikes inside a finaliser or a weak reference's callback: the run would go
+    on, with a traceback on the screen. Such an interrupt is raised once more, a moment later.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    terminate, unraisable = signal.getsignal(signal.SIGTERM), sys.unraisablehook
+
+    def ignored(event: sys.UnraisableHookArgs) -> None:
+        if issubclass(event.exc_type, KeyboardInterrupt):
+            # Not from here: this hook may not raise either.
+            threading.Timer(_AGAIN_S, _thread.interrupt_main).start()
+        else:
+            unraisable(event)
+
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    sys.unraisablehook = ignored
+    try:
+        yield
+    finally:
+        sys.unraisablehook = unraisable
+        signal.signal(signal.SIGTERM, terminate)
 
 
 def _silence() -> None:

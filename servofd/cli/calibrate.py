@@ -2,112 +2,51 @@
 
 from __future__ import annotations
 
-import argparse
+from math import exp
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from servofd.cli.parser import number
+from servofd.aircraft.axes import motion_to_toml
+from servofd.aircraft.axis_names import SURFACE_AXES
+from servofd.aircraft.schema import load_aircraft
+from servofd.calibrating.result import calibration_to_toml
+from servofd.cli.terminal import check_targets, print_table, progress
+from servofd.core.errors import ConfigError, NoMeasurement
+from servofd.core.files import write_whole
+from servofd.feedback.flown import logs_of, surfaces_of
+from servofd.jobs.workflow import calibrate, calibrate_axes, drafted_aircraft
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from servofd.aircraft.axes import MotionModel
     from servofd.calibrating.result import CalibratedSurface, Calibration
+    from servofd.cli.options import Options
 
 _MILLI = 1e3
 _NOT_REACHED = 0.5
 """Deviation of the logarithm of the largest speed from which on flights do not tell it."""
+_PER_HOUR = 1.0
+_BY_DAYS = {1: "17", 2: "6", 3: "1.5"}
 
 
-_RATE = number("a number of false alarms per hour between 1e-12 and 1000", 1e-12, 1e3)
-_SECONDS = number("a time in seconds", -1e12, 1e12)
-
-
-def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
-    """Declare the verb."""
-    parser = verbs.add_parser(
-        "calibrate",
-        help="fit an aircraft file to flights that are known to be good",
-        description="Fits each servo with its effects (scale, offset, delay, bandwidth, largest speed, dead band, "
-        "friction, play, load of the air) to flights that are known to be good, and what it may differ by between "
-        "flights, and writes a new aircraft file. Flights that look faulty are refused. Exit code 0: written; 2: not.",
-        epilog="Example: servofd calibrate good1.bin good2.bin -o plane.toml",
-    )
-    parser.add_argument("logs", nargs="+", metavar="LOG", help="flights of one aircraft, all of them good")
-    parser.add_argument(
-        "-c", "--config", metavar="AIRCRAFT.toml", help="what is known of it so far (default: drafted from the logs)"
-    )
-    parser.add_argument(
-        "--motion",
-        action="store_true",
-        help="calibrate what the aircraft's motion tells of its axes (which is what happens where no servo reports)",
-    )
-    parser.add_argument(
-        "--own-days",
-        action="store_true",
-        help="of motion: flights of one date differ as days do, in payload, trim or wind",
-    )
-    parser.add_argument("-o", "--output", required=True, metavar="CALIBRATED.toml", help="aircraft file to write")
-    parser.add_argument(
-        "--false-alarms-per-hour",
-        type=_RATE,
-        metavar="X",
-        help="wanted of all axes together, where motion is calibrated (default: 1); of servos that report their "
-        "position the measured rate is told",
-    )
-    parser.add_argument("-s", "--surface", action="append", default=[], metavar="NAME", help="calibrate only this one")
-    parser.add_argument("--until", type=_SECONDS, metavar="S", help="use each log up to this time [s] only")
-    parser.add_argument(
-        "--between",
-        type=_span,
-        action="append",
-        default=[],
-        metavar="A:B",
-        help="use this part [s] only; may be repeated",
-    )
-    parser.add_argument(
-        "--run",
-        dest="runs",
-        action="append",
-        default=[],
-        metavar="NAME",
-        help="of a table of several runs, use only this",
-    )
-    parser.add_argument(
-        "--force",
-        action="store_true",
-        help="calibrate also where the loss of a third of travel and of two thirds of speed would not show",
-    )
-    parser.set_defaults(run=run)
-
-
-def run(options: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """Calibrate, write, then print."""
-    from servofd.aircraft.schema import load_aircraft
-    from servofd.calibrating.result import calibration_to_toml
-    from servofd.cli.calibrate_axes import has_feedback, run_axes
-    from servofd.cli.tables import progress_bar
-    from servofd.core.errors import ConfigError
-    from servofd.core.files import write_whole
-    from servofd.jobs.workflow import calibrate, drafted_aircraft
-
-    _check_output(options)
-    if options.config is None:
-        if options.motion or not has_feedback(options.logs):
-            return run_axes(options)
-        aircraft = drafted_aircraft(options.logs)
-    else:
+    check_targets([options.output], {"a log": options.logs})
+    if options.config is not None:
         aircraft = load_aircraft(options.config)
+    elif options.motion or not _has_feedback(options.logs):
+        return _run_axes(options)
+    else:
+        aircraft = drafted_aircraft(options.logs)
     if not aircraft.surfaces:
         raise ConfigError(f"{options.config}: no surface in it to calibrate; leave -c out to calibrate motion anew")
-    spans = tuple(options.between)
-    if options.until is not None:
-        spans = (*spans, (float("-inf"), options.until))
-    with progress_bar("calibrate", len(options.surface or aircraft.surfaces)) as step:
+    with progress("calibrate", len(options.surface or aircraft.surfaces)) as step:
         calibration = calibrate(
             options.logs,
             aircraft,
             surfaces=tuple(options.surface),
-            spans=spans,
+            spans=_spans(options),
             runs=tuple(options.runs),
             force=options.force,
             progress=step,
@@ -115,30 +54,30 @@ def run(options: argparse.Namespace) -> int:
     text = calibration_to_toml(calibration)
     write_whole(options.output, text.encode())
     _print(calibration, options)
-    if options.motion:
-        return run_axes(options, text)
-    return 0
+    return _run_axes(options, text) if options.motion else 0
 
 
-def _check_output(options: argparse.Namespace) -> None:
-    """Refuse to overwrite what the numbers come from."""
-    from servofd.core.errors import ConfigError
-
-    target = Path(options.output).resolve()
-    if not target.parent.is_dir():
-        raise ConfigError(f"{options.output}: the folder {target.parent} does not exist")
-    if target in {Path(log).resolve() for log in options.logs}:
-        raise ConfigError(f"{options.output}: is a log already; choose another file for the calibrated aircraft")
+def _spans(options: Options) -> tuple[tuple[float, float], ...]:
+    until = [] if options.until is None else [(float("-inf"), options.until)]
+    return (*options.between, *until)
 
 
-def _print(calibration: Calibration, options: argparse.Namespace) -> None:
-    from servofd.cli.tables import print_table
-
+def _print(calibration: Calibration, options: Options) -> None:
     headings = ["surface", "delay (ms)", "bandwidth (rad/s)", "speed (deg/s)", "noise (deg)", "held out (deg)"]
     rows = [_row(one) for one in calibration.surfaces]
     print_table(headings, rows, "fitted, with 95% intervals; error on what the fit had not seen")
     headings = ["surface", "offset (deg)", "speed left", "travel lost", "play (deg)", "oscillation (deg)"]
-    rows = [_detectable_row(one) for one in calibration.surfaces]
+    kinds = {
+        "bias_deg": ".2g",
+        "slow_share": ".0%",
+        "loss_share": ".0%",
+        "deadband_deg": ".2g",
+        "oscillation_deg": ".2g",
+    }
+    rows = []
+    for one in calibration.surfaces:
+        sizes = ((getattr(one.detectable, kind), form) for kind, form in kinds.items())
+        rows.append([one.surface, *("none" if size is None else format(size, form) for size, form in sizes)])
     print_table(headings, rows, "smallest faults that flights like these show, 19 times in 20")
     for one in calibration.surfaces:
         print(f"{one.surface}: {', '.join(one.effects) or 'no effect beyond a linear servo pays'}")
@@ -162,8 +101,6 @@ def _rate(calibration: Calibration, wanted: float | None) -> str:
 
 
 def _row(one: CalibratedSurface) -> list[str]:
-    from math import exp
-
     delay, bandwidth, rate = (one.estimates[key] for key in ("delay_s", "ln_bandwidth", "ln_rate"))
     return [
         one.surface,
@@ -180,27 +117,76 @@ def _interval(estimate: Iterable[float], digits: int, scale: float = 1.0) -> str
     return f"{value:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
 
 
-def _detectable_row(one: CalibratedSurface) -> list[str]:
-    sizes = one.detectable
+def _has_feedback(paths: list[str]) -> bool:
+    """Whether any of the logs tells where a surface was."""
+    for log in logs_of(paths):
+        try:
+            surfaces_of(log)
+        except NoMeasurement:
+            continue
+        return True
+    return False
 
-    def shown(value: float | None, form: str) -> str:
-        return "none" if value is None else format(value, form)
 
-    return [
-        one.surface,
-        shown(sizes.bias_deg, ".2g"),
-        shown(sizes.slow_share, ".0%"),
-        shown(sizes.loss_share, ".0%"),
-        shown(sizes.deadband_deg, ".2g"),
-        shown(sizes.oscillation_deg, ".2g"),
+def _run_axes(options: Options, text: str = "") -> int:
+    """Calibrate what motion tells of axes, write it after what is known already, then print."""
+    per_hour = _PER_HOUR if options.false_alarms_per_hour is None else options.false_alarms_per_hour
+    model = calibrate_axes(
+        options.logs, false_alarms_per_hour=per_hour, spans=_spans(options), own_days=options.own_days
+    )
+    head = text or f'name = "{Path(options.output).stem}"\n'
+    write_whole(options.output, f"{head.rstrip()}\n\n{motion_to_toml(model)}".encode())
+    _print_axes(model, options.output)
+    return 0
+
+
+def _print_axes(model: MotionModel, output: str) -> None:
+    rows = [
+        [
+            name,
+            axis.form.replace("_", " "),
+            f"{axis.explained:.0%}",
+            f"{axis.delay_s:.2f}",
+            f"{axis.spreads[-1].loss_var ** 0.5:.2f}",
+            f"{axis.spreads[-1].offset_var_us2 ** 0.5:.1f}",
+            f"{axis.suspect:.2g}",
+            "never" if axis.fault is None else f"{axis.fault:.2g}",
+            f"{axis.false_alarms_per_hour:.2g}",
+        ]
+        for name, axis in model.axes.items()
     ]
-
-
-def _span(text: str) -> tuple[float, float]:
-    first, colon, last = text.partition(":")
-    if not colon:
-        raise argparse.ArgumentTypeError(f"must be two times in seconds such as 10:93.5, not {text}")
-    from_s, to_s = _SECONDS(first), _SECONDS(last)
-    if not from_s < to_s:
-        raise argparse.ArgumentTypeError(f"must be an earlier and a later time such as 10:93.5, not {text}")
-    return from_s, to_s
+    headings = [
+        "axis",
+        "form",
+        "explained",
+        "delay (s)",
+        "lost share ±",
+        "offset ± (us)",
+        "suspect",
+        "fault",
+        "false/h",
+    ]
+    days = "1 day" if model.days == 1 else f"{model.days} days"
+    print_table(headings, rows, f"{model.flights} flights, {model.hours:.2f} h, {days}")
+    print(
+        "explained: share of the command's effect, on days that the model had not seen; ±: how far healthy windows "
+        "stray; suspect, fault: from which multiple of the largest value in these flights on"
+    )
+    low, high = model.regime.airspeed_low_m_s, model.regime.airspeed_high_m_s
+    print(f"judged between {low:.0f} and {high:.0f} m/s, with at least {model.regime.throttle_low:.0%} throttle")
+    for name in SURFACE_AXES:
+        if name not in model.axes:
+            print(f"{name}: not judged: its command is not logged, or explains nothing of the motion of other days")
+    for name, axis in model.axes.items():
+        if not axis.own_command:
+            print(f"{name}: its command never moved on its own: fly a wiggle of it alone to have it judged")
+    if model.days in _BY_DAYS:
+        print(
+            f"flights of {days} tell little of other days: thresholds allow for {_BY_DAYS[model.days]} times the false "
+            "alarms of four days, and fall with each day more"
+        )
+    if model.days == model.flights > 1:
+        print(
+            "each flight counts as a day of its own; several of one day are told by the date in a log, or in its name"
+        )
+    print(f"wrote {output}; next: servofd FLIGHT -c {output}")

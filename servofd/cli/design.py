@@ -2,40 +2,24 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from servofd.core.errors import ConfigError, DesignError
+from servofd.core.files import whole_file
+from servofd.detection.nullspace import design_nullspace_filter
+from servofd.detection.pulse import design_pulse_filter, fastest_pole_rad_s
+from servofd.servo.library import servo_named
 
 if TYPE_CHECKING:
+    from servofd.cli.options import Options
     from servofd.detection.pulse import PulseFilter
     from servofd.servo.library import Servo
 
 
-def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
-    """Declare the verb."""
-    parser = verbs.add_parser(
-        "design",
-        help="design the residual filter of a servo",
-        description="Prints the nullspace filter of a servo: Q in continuous time (thesis Eq. 4.10), its poles, "
-        "gains and noise gain, and how a fault shows in the residual.",
-        epilog="Example: servofd design hs225bb-eq31 --plot fault_step.png",
-    )
-    parser.add_argument("servo", metavar="SERVO", help="name from 'servofd servos'")
-    parser.add_argument("--pole", type=float, metavar="RAD_S", help="filter pole (default: fastest, noise gain <= 0.5)")
-    parser.add_argument("--rate-hz", type=float, default=100.0, metavar="HZ", help="sample rate (default: 100)")
-    parser.add_argument("--printed-gain", action="store_true", help="keep the dc gain as printed, do not scale it to 1")
-    parser.add_argument("--plot", metavar="FILE.png", help="draw the residual after a fault of 1 deg")
-    parser.set_defaults(run=run)
-
-
-def run(options: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """Print the design."""
     import numpy as np
-
-    from servofd.core.errors import DesignError
-    from servofd.detection.nullspace import design_nullspace_filter
-    from servofd.detection.pulse import design_pulse_filter, fastest_pole_rad_s
-    from servofd.servo.library import servo_named
 
     servo = servo_named(options.servo)
     if not 1e-3 <= options.rate_hz <= 1e6:
@@ -85,9 +69,6 @@ def _plot(servo: Servo, sampled: PulseFilter, path: Path) -> None:
     import numpy as np
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
-
-    from servofd.core.errors import ConfigError
-    from servofd.core.files import whole_file
 
     if path.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise ConfigError(f"{path}: draws .png, .svg or .pdf, not {path.suffix or 'a file without suffix'}")

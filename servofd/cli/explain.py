@@ -2,58 +2,34 @@
 
 from __future__ import annotations
 
-import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from servofd.cli.terminal import check_targets, complain, give_json, one_line, progress
+from servofd.core.errors import ConfigError
+from servofd.core.files import write_whole
+from servofd.jobs.explaining import explain_logs
+from servofd.outputs.explain_page import explain_page
+from servofd.outputs.explain_recording import save_explanation
+from servofd.outputs.model_file import model_file
+
 if TYPE_CHECKING:
+    from servofd.cli.options import Options
     from servofd.jobs.explaining import ExplainedLogs
 
 _STEPS = 30
 """Effects in the catalogue, for the progress bar."""
 
 
-def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
-    """Declare the verb."""
-    parser = verbs.add_parser(
-        "explain",
-        help="name the effect that a servo's model lacks",
-        description="Finds where simulation and measurement disagree on a servo that is well, names the missing "
-        "effect, adds it and shows the gap shrink on data that it was not fitted to. Exit code 0: nothing is missing, "
-        "or it was found; 1: something stays unexplained; 2: could not tell.",
-        epilog="Example: servofd explain flight.csv -s elevator --save better.toml",
-    )
-    parser.add_argument("logs", nargs="+", metavar="LOG", help="any log that audit reads; several are fitted together")
-    parser.add_argument(
-        "-s", "--surface", action="append", default=[], metavar="SURFACE", help="only this surface (default: all)"
-    )
-    parser.add_argument("-c", "--config", metavar="AIRCRAFT.toml", help="aircraft file, or the name of a shipped one")
-    parser.add_argument("--servo", metavar="NAME", help="servo: of the library, FILE.toml, or unknown (fitted)")
-    parser.add_argument("--effect", metavar="FILE.py", help="try an effect of your own as well (docs/explain.md)")
-    parser.add_argument(
-        "--also", nargs="+", default=[], metavar="FILE", help="judge the model on these flights, too, fitting nothing"
-    )
-    parser.add_argument("--json", metavar="FILE", help="write the result as JSON; - prints it instead of the text")
-    parser.add_argument("--save", metavar="MODEL.toml", help="write the aircraft with the better model, for audit -c")
-    parser.add_argument("--rrd", metavar="FILE", help="write a Rerun recording of both simulations (of one surface)")
-    parser.add_argument("--html", metavar="FILE", help="write a page: the gap before and after")
-    parser.set_defaults(run=run)
-
-
-def run(options: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """Explain, write what was asked for, print."""
-    from servofd.cli.tables import one_line, progress_bar
-    from servofd.cli.targets import check_targets
-    from servofd.jobs.explaining import explain_logs
-
     inputs = {
         "a log": [*options.logs, *options.also],
         "the aircraft file": [options.config],
         "an effect": [options.effect],
     }
     check_targets((options.json, options.save, options.rrd, options.html), inputs)
-    with progress_bar("explain", _STEPS) as step:
+    with progress("explain", _STEPS) as step:
         found = explain_logs(
             options.logs,
             options.config,
@@ -66,7 +42,7 @@ def run(options: argparse.Namespace) -> int:
     if found.explanations:
         _write(options, found)
     for failure in found.failures:
-        print(f"servofd: {one_line(failure)}", file=sys.stderr)
+        complain(failure)
     if found.explanations and options.save:
         _save(options, found)
     if found.failures:
@@ -75,19 +51,14 @@ def run(options: argparse.Namespace) -> int:
     return int(any(one.conclusion in left or one.fault_s is not None for one in found.explanations))
 
 
-def _write(options: argparse.Namespace, found: ExplainedLogs) -> None:
+def _write(options: Options, found: ExplainedLogs) -> None:
     """Results to the files that were asked for, and to stdout."""
-    from servofd.cli.targets import give_json
-    from servofd.core.errors import ConfigError
-
     documents = {one.surface: one.document() for one in found.explanations}
     single = len(found.explanations) == 1 and not found.failures
     whole = {"schema": "servofd.explain/1", "surfaces": documents}
     if options.rrd and len(found.explanations) > 1:
         raise ConfigError(f"{options.rrd}: --rrd takes one surface at a time: choose it with -s")
     if options.rrd:
-        from servofd.outputs.explain_recording import save_explanation
-
         save_explanation(found.explanations[0], options.rrd, _names(options))
     if options.html:
         _write_page(options, found)
@@ -95,27 +66,20 @@ def _write(options: argparse.Namespace, found: ExplainedLogs) -> None:
         print("\n".join(explanation_text(found.source, each) for each in documents.values()), end="")
 
 
-def _write_page(options: argparse.Namespace, found: ExplainedLogs) -> None:
-    from servofd.core.files import write_whole
-    from servofd.outputs.explain_page import explain_page
-
+def _write_page(options: Options, found: ExplainedLogs) -> None:
     gains = {one.surface: audit_rows(one.gain.document()) for one in found.explanations if one.gain}
     write_whole(options.html, explain_page(found.explanations, _names(options), thresholds=gains).encode())
 
 
-def _names(options: argparse.Namespace) -> str:
+def _names(options: Options) -> str:
     """Of the logs, without their folders: what leaves the machine tells nothing of it."""
     return ", ".join(Path(log).name for log in options.logs)
 
 
-def _save(options: argparse.Namespace, found: ExplainedLogs) -> None:
-    from servofd.cli.tables import one_line
-    from servofd.core.files import write_whole
-    from servofd.outputs.model_file import model_file
-
+def _save(options: Options, found: ExplainedLogs) -> None:
     text, kept = model_file(found.explanations, found.aircraft, found.source, found.logs)
     for surface, reason in kept.items():
-        print(f"servofd: {options.save}: {surface} stays as it was: {one_line(reason)}", file=sys.stderr)
+        complain(f"{options.save}: {surface} stays as it was: {one_line(reason)}")
     write_whole(options.save, text.encode())
 
 

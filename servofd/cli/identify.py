@@ -2,58 +2,32 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from servofd.cli.terminal import check_targets, give_json, progress
+from servofd.core.files import make_folder, write_whole
+from servofd.feedback.flown import known_aircraft
+from servofd.jobs.bench import identify_logs
+from servofd.outputs.identify_figures import identify_figures
+from servofd.outputs.identify_page import identify_page
+from servofd.outputs.identify_recording import save_identification
+from servofd.outputs.servo_file import servo_file
 
 if TYPE_CHECKING:
+    from servofd.cli.options import Options
     from servofd.identification.result import Identification
 
 _STEPS = 3
 """That `identify_logs` tells of."""
 
 
-def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
-    """Declare the verb."""
-    parser = verbs.add_parser(
-        "identify",
-        help="identify a servo from bench tests",
-        description="Identifies a servo from chirps, steps or other motion: poles, dc gain, delay, bandwidth, rate "
-        "limits and dead band, with 95%% intervals. Several logs: tests of one servo, or servos of one kind, which "
-        "gives their mean. Exit code 2: the test does not show what the servo is like.",
-        epilog="Example: servofd identify chirp.csv step.csv --save my_servo.toml --html my_servo.html",
-    )
-    parser.add_argument(
-        "logs", nargs="+", metavar="LOG", help="table, FASER log, or DataFlash log (chirp applet: SCRP)"
-    )
-    parser.add_argument("-s", "--surface", metavar="SURFACE", help="which servo, if the logs hold several")
-    parser.add_argument("-c", "--config", metavar="AIRCRAFT.toml", help="aircraft file: columns, calibration")
-    parser.add_argument(
-        "--method",
-        choices=["response", "magnitude"],
-        default="response",
-        help="response: exact hold and delay, refined on the motion (default); magnitude: the thesis' fit",
-    )
-    parser.add_argument("--order", type=int, choices=[1, 2, 3], help="number of poles (default: the data choose)")
-    parser.add_argument("--json", metavar="FILE", help="write the result as JSON; - prints it instead of the text")
-    parser.add_argument("--save", metavar="SERVO.toml", help="write a servo file, for --servo and aircraft files")
-    parser.add_argument("--html", metavar="FILE", help="write a page with all figures")
-    parser.add_argument("--rrd", metavar="FILE", help="write a Rerun recording of the tests and of the servo simulated")
-    parser.add_argument("-o", "--output", metavar="DIR", help="write figures (PNG) and identify.json to a folder")
-    parser.set_defaults(run=run)
-
-
-def run(options: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """Identify, then write all outputs, then print."""
-    from servofd.cli.tables import progress_bar
-    from servofd.cli.targets import check_targets, give_json
-    from servofd.feedback.flown import known_aircraft
-    from servofd.jobs.bench import identify_logs
-
     outputs = (options.json, options.save, options.html, options.rrd)
     check_targets(outputs, {"a log": options.logs, "the aircraft file": [options.config]}, folder=options.output)
     aircraft = known_aircraft(options.config)
-    with progress_bar("identify", _STEPS) as step:
+    with progress("identify", _STEPS) as step:
         found = identify_logs(
             options.logs, aircraft, surface=options.surface, method=options.method, order=options.order, progress=step
         )
@@ -63,31 +37,19 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _write(options: argparse.Namespace, found: Identification) -> None:
-    from servofd.core.files import write_whole
-
+def _write(options: Options, found: Identification) -> None:
     source = ", ".join(Path(log).name for log in options.logs)
     if options.save:
-        from servofd.outputs.servo_file import servo_file
-
         write_whole(options.save, servo_file(found, Path(options.save).stem, source).encode())
     if options.html:
-        from servofd.outputs.identify_page import identify_page
-
         write_whole(options.html, identify_page(found, source).encode())
     if options.rrd:
-        from servofd.outputs.identify_recording import save_identification
-
         save_identification(found, options.rrd, source)
     if options.output:
         _write_folder(Path(options.output), found)
 
 
 def _write_folder(folder: Path, found: Identification) -> None:
-    from servofd.cli.targets import give_json
-    from servofd.core.files import make_folder, write_whole
-    from servofd.outputs.identify_figures import identify_figures
-
     make_folder(folder)
     for picture in identify_figures(found):
         write_whole(folder / f"{picture.name}.png", picture.png())

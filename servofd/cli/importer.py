@@ -52,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return NOT_MINE
     # Only now: these imports take a second, and the viewer asks for every picture that it opens.
     from logparsers import LogError
-    from servofd.cli.tables import one_line
+    from servofd.cli.terminal import complain
     from servofd.core.errors import ServofdError
     from servofd.jobs.workflow import audit
 
@@ -61,7 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (LogError, ServofdError) as error:
         if suffix in _SOMETIMES_LOGS:
             return NOT_MINE
-        print(f"servofd: {one_line(error)}", file=sys.stderr)
+        complain(error)
         return 1
     _send(found, options)
     return 0

@@ -2,34 +2,19 @@
 
 from __future__ import annotations
 
-import argparse
 import json
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from servofd.cli.terminal import print_table
+from servofd.jobs.survey import survey
 
 if TYPE_CHECKING:
+    from servofd.cli.options import Options
     from servofd.jobs.survey import Survey
 
 
-def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
-    """Declare the verb."""
-    parser = verbs.add_parser(
-        "info",
-        help="what is in a log, and can it be audited?",
-        description="Prints format, duration, damage, vehicle, the rate and gaps of the channels that matter, which "
-        "surfaces can be audited, and for the others what would have to be logged.",
-        epilog="Example: servofd info flight.bin",
-    )
-    parser.add_argument("log", metavar="LOG")
-    parser.add_argument("-c", "--config", metavar="AIRCRAFT.toml", help="aircraft file, or the name of a shipped one")
-    parser.add_argument("--channels", action="store_true", help="list every channel, not only those of surfaces")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of text")
-    parser.set_defaults(run=run)
-
-
-def run(options: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """Survey the log and print."""
-    from servofd.jobs.survey import survey
-
     surveys = survey(options.log, options.config, every_channel=options.channels)
     if options.json:
         print(json.dumps({"schema": "servofd.info/1", "logs": [s.as_dict() for s in surveys]}, indent=2))
@@ -40,8 +25,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _print(found: Survey) -> None:
-    from servofd.cli.tables import print_table
-
     log = found.log
     many = "" if len(log.channels) == 1 else "s"
     print(f"{log.label}: {log.format}, {log.duration_s:.1f} s, {len(log.channels)} channel{many}")

@@ -9,19 +9,24 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
+import numpy as np
+
+from servofd.cli.terminal import complain, console
 from servofd.core.errors import ConfigError
+from servofd.live.threads import Worker
 from servofd.live.view import View, event_line
+from servofd.outputs.live_recording import LiveRecording, Samples
+from servofd.outputs.recording.verdicts import live_verdicts
 
 if TYPE_CHECKING:
-    import argparse
     from collections.abc import Iterator, Mapping
 
     from servofd.aircraft.schema import Aircraft
+    from servofd.cli.options import Options
     from servofd.detection.events import Event, Inputs
     from servofd.detection.stream import Piece
     from servofd.live.session import Session
-    from servofd.live.threads import Receiver, Worker
-    from servofd.outputs.live_recording import LiveRecording
+    from servofd.live.threads import Receiver
 
 _DRAW_S, _LINES_S = 0.1, 5.0
 
@@ -43,9 +48,7 @@ class Outputs:
 
     @classmethod
     @contextlib.contextmanager
-    def of(
-        cls, options: argparse.Namespace, session: Session, title: str, aircraft: Mapping[int, Aircraft]
-    ) -> Iterator[Self]:
+    def of(cls, options: Options, session: Session, title: str, aircraft: Mapping[int, Aircraft]) -> Iterator[Self]:
         """Open what the options ask for, and close it however the monitor ends."""
         made = cls(session, title)
         with contextlib.ExitStack() as open_:
@@ -62,8 +65,6 @@ class Outputs:
             if made._prints and not options.plain and sys.stdout.isatty():
                 from rich.live import Live
 
-                from servofd.cli.terminal import console
-
                 made._screen = open_.enter_context(Live(made._view.drawn(0.0), console=console(), auto_refresh=False))
             yield made
             if made._screen is not None:
@@ -74,9 +75,9 @@ class Outputs:
         for event in events:
             vehicle = self._owner(event)
             if self._lines is not None:
-                self._lines.put(event_json(event, vehicle).encode() + b"\n")
+                self._lines.put(json.dumps(event_document(event, vehicle), allow_nan=False).encode() + b"\n")
             if not self._prints:
-                print(event_json(event, vehicle), flush=True)
+                print(json.dumps(event_document(event, vehicle), allow_nan=False), flush=True)
             self._note(event_line(event))
             if self._recording is not None:
                 self._recording.add(event)
@@ -126,16 +127,9 @@ class Outputs:
         for what, error in errors.items():
             if what not in self._failed:
                 self._failed.add(what)
-                print(f"servofd: {what}: no more is written: {error}", file=sys.stderr)
+                complain(f"{what}: no more is written: {error}")
 
-    def _record(
-        self, options: argparse.Namespace, aircraft: Mapping[int, Aircraft], open_: contextlib.ExitStack
-    ) -> None:
-        import numpy as np
-
-        from servofd.outputs.live_recording import LiveRecording, Samples
-        from servofd.outputs.recording.verdicts import live_verdicts
-
+    def _record(self, options: Options, aircraft: Mapping[int, Aircraft], open_: contextlib.ExitStack) -> None:
         first = next(iter(aircraft.values()))
         surfaces = list(dict.fromkeys(name for craft in aircraft.values() for name in craft.surfaces))
         port = options.viewer_port if options.serve else None
@@ -146,7 +140,7 @@ class Outputs:
         open_.callback(recording.close)
         self._recording = recording
         if options.serve:
-            print(f"servofd: rerun rerun+http://127.0.0.1:{port}/proxy shows it live", file=sys.stderr)
+            complain(f"rerun rerun+http://127.0.0.1:{port}/proxy shows it live")
 
         def listen(surface: str, piece: Piece, inputs: Inputs) -> None:
             r = piece.residuals
@@ -162,8 +156,6 @@ class Outputs:
 
 
 def _writer(name: str, mode: str, open_: contextlib.ExitStack) -> Worker:
-    from servofd.live.threads import Worker
-
     try:
         file = Path(name).open(mode, buffering=0)  # noqa: SIM115 - closed by the worker
     except OSError as error:
@@ -174,14 +166,7 @@ def _writer(name: str, mode: str, open_: contextlib.ExitStack) -> Worker:
 
 
 def event_document(event: Event, vehicle: int | None = None) -> dict[str, Any]:
-    """The event as other tools read it; what is not known is null.
-
-    Examples
-    --------
-    >>> from servofd.detection.events import Event
-    >>> event_document(Event(30.41, "elevator", "alarm", "unknown", -2.1, 1.5), 1)["residual_deg"]
-    -2.1
-    """
+    """The event as other tools read it; what is not known is null."""
     document: dict[str, Any] = {
         "schema": "servofd.event/1",
         "time_s": _number(event.time_s),
@@ -206,18 +191,6 @@ def event_document(event: Event, vehicle: int | None = None) -> dict[str, Any]:
             "alternatives": list(fault.alternatives),
         }
     return document
-
-
-def event_json(event: Event, vehicle: int | None = None) -> str:
-    """One line of JSON, without its end.
-
-    Examples
-    --------
-    >>> from servofd.detection.events import Event
-    >>> event_json(Event(1.0, "", "link_lost"))[:60]
-    '{"schema": "servofd.event/1", "time_s": 1.0, "surface": null'
-    """
-    return json.dumps(event_document(event, vehicle), allow_nan=False)
 
 
 def _number(value: float) -> float | None:

@@ -2,40 +2,27 @@
 
 from __future__ import annotations
 
-import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from servofd.cli.audit import DEGREES
-from servofd.cli.exit_codes import worst
+from servofd.cli.terminal import check_targets, complain, give_json, print_table, worst
+from servofd.core.errors import ConfigError, RecordingError
+from servofd.detection.words import describe
+from servofd.jobs.workflow import FailedLog
+from servofd.outputs.json_report import audit_document
+from servofd.outputs.recording.read import read_recording, repair_recording
+from servofd.outputs.recording.review import between, compared, contradictions, rejudged
+from servofd.outputs.recording.states import events
+from servofd.outputs.recording.verdicts import LIVE
+from servofd.outputs.recording.write import write_recording
 
 if TYPE_CHECKING:
+    from servofd.cli.options import Options
     from servofd.outputs.recording.content import Recording
     from servofd.outputs.recording.review import Change
 
 
-def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
-    """Declare the verb."""
-    parser = verbs.add_parser(
-        "review",
-        help="read recordings back: verdicts, events, statistics",
-        description="Reads recordings (.rrd) of servofd back, without the logs. Exit code 0: healthy; 1: a fault is "
-        "recorded; 2: could not tell.",
-        epilog="Example: servofd review flight.rrd --between 20 40 -o incident.rrd",
-    )
-    parser.add_argument("recordings", nargs="+", metavar="RECORDING", help="an .rrd file, or a folder of them")
-    parser.add_argument("--json", metavar="FILE", help="write the result as JSON; - prints it instead of the text")
-    parser.add_argument("--threshold-deg", type=DEGREES, metavar="X", help="judge again, with this alarm level [deg]")
-    parser.add_argument("--threshold", choices=["constant", "interval"], help="judge again, with this kind")
-    parser.add_argument("--between", nargs=2, type=float, metavar=("A", "B"), help="only from A to B [s]")
-    parser.add_argument("--compare", metavar="OTHER.rrd", help="tell what is different in a recording of the same log")
-    parser.add_argument("--repair", action="store_true", help="save what is whole of a recording that was cut short")
-    parser.add_argument("-o", "--output", metavar="FILE", help="write what --between, --repair or a new threshold gave")
-    parser.set_defaults(run=run)
-
-
-def run(options: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """Read, change what was asked for, write, print."""
     paths = _paths(options.recordings)
     _check(options, paths)
@@ -48,23 +35,17 @@ def run(options: argparse.Namespace) -> int:
         except _errors() as error:
             failed.append((path, str(error)))
     if options.output and found and not options.repair:
-        from servofd.outputs.recording.write import write_recording
-
         write_recording(found[0][1], options.output)
     _show(options, found, failed)
     return worst([*(_exit_code(recording) for _, recording in found), *(2 for _ in failed)])
 
 
 def _errors() -> tuple[type[Exception], ...]:
-    from servofd.core.errors import RecordingError
-
     return (RecordingError,)
 
 
 def _paths(given: list[str]) -> list[Path]:
     """All recordings, those of folders in alphabetical order."""
-    from servofd.core.errors import RecordingError
-
     paths = []
     for name in given:
         folder = Path(name)
@@ -77,11 +58,8 @@ def _paths(given: list[str]) -> list[Path]:
     return paths
 
 
-def _check(options: argparse.Namespace, paths: list[Path]) -> None:
+def _check(options: Options, paths: list[Path]) -> None:
     """Refuse what cannot be done, before anything is done."""
-    from servofd.cli.targets import check_targets
-    from servofd.core.errors import ConfigError
-
     changes = options.between or options.repair or options.threshold_deg is not None or options.threshold
     if options.threshold == "interval" and options.threshold_deg is not None:
         raise ConfigError("--threshold-deg gives a constant threshold; leave it out, or leave out --threshold interval")
@@ -94,24 +72,15 @@ def _check(options: argparse.Namespace, paths: list[Path]) -> None:
     check_targets((options.output, options.json), {"a recording": [str(path) for path in paths]})
 
 
-def _read(path: Path, options: argparse.Namespace) -> Recording:
+def _read(path: Path, options: Options) -> Recording:
     """Read one recording and change it as was asked for."""
-    from servofd.outputs.recording.read import read_recording
-    from servofd.outputs.recording.verdicts import LIVE
-
     if options.repair:
-        from servofd.outputs.recording.read import repair_recording
-
         repair_recording(path, options.output)
         path = Path(options.output)
     recording = read_recording(path)
     if options.threshold_deg is not None or options.threshold or LIVE in recording.notes:
-        from servofd.outputs.recording.review import rejudged
-
         recording = rejudged(recording, threshold_deg=options.threshold_deg, threshold=options.threshold)
     if options.between:
-        from servofd.outputs.recording.review import between
-
         recording = between(recording, *options.between)
     return recording
 
@@ -122,18 +91,14 @@ def _exit_code(recording: Recording) -> int:
     return 2 if recording.audit.not_judged else 0
 
 
-def _show(options: argparse.Namespace, found: list[tuple[Path, Recording]], failed: list[tuple[Path, str]]) -> None:
-    from servofd.cli.tables import one_line
-    from servofd.cli.targets import give_json
-    from servofd.outputs.recording.review import contradictions
-
+def _show(options: Options, found: list[tuple[Path, Recording]], failed: list[tuple[Path, str]]) -> None:
     for path, recording in found:
         for sentence in contradictions(recording):
-            print(f"servofd: {path}: {one_line(sentence)}", file=sys.stderr)
+            complain(sentence, path)
         if recording.audit.not_judged:
-            print(f"servofd: {path}: {one_line(recording.audit.not_judged)}", file=sys.stderr)
+            complain(recording.audit.not_judged, path)
     for _, error in failed:
-        print(f"servofd: {one_line(error)}", file=sys.stderr)
+        complain(error)
     if options.json and give_json(options.json, _document(found, failed)):
         return
     if len(found) == 1 and not failed:
@@ -144,9 +109,6 @@ def _show(options: argparse.Namespace, found: list[tuple[Path, Recording]], fail
 
 def _document(found: list[tuple[Path, Recording]], failed: list[tuple[Path, str]]) -> dict[str, Any]:
     """Schema servofd.audit/1, as the audit wrote it, and which recording it was read from."""
-    from servofd.outputs.json_report import FailedLog, audit_document
-    from servofd.outputs.recording.states import events
-
     document = audit_document([*(r.audit for _, r in found), *(FailedLog(str(p), e) for p, e in failed)])
     for entry, (path, recording) in zip(document["logs"], found, strict=False):
         lines = [
@@ -161,9 +123,6 @@ def _document(found: list[tuple[Path, Recording]], failed: list[tuple[Path, str]
 
 
 def _print_one(path: Path, recording: Recording) -> None:
-    from servofd.cli.tables import print_table
-    from servofd.outputs.recording.states import events
-
     audit = recording.audit
     rows = []
     for s in audit.surfaces:
@@ -183,9 +142,6 @@ def _print_one(path: Path, recording: Recording) -> None:
 
 def _print_fleet(found: list[tuple[Path, Recording]]) -> None:
     """One line for each flight, the worst status and all faults."""
-    from servofd.cli.tables import print_table
-    from servofd.detection.words import describe
-
     rows = []
     for path, recording in found:
         audit = recording.audit
@@ -206,13 +162,8 @@ def _print_fleet(found: list[tuple[Path, Recording]]) -> None:
     print_table(["recording", "aircraft", "length", "judged", "status", "faults"], rows, f"{len(rows)} recordings")
 
 
-def _compare(options: argparse.Namespace, path: Path) -> int:
+def _compare(options: Options, path: Path) -> int:
     """Print what differs between two recordings; a fault in either of them is one."""
-    from servofd.cli.tables import print_table
-    from servofd.cli.targets import give_json
-    from servofd.outputs.recording.read import read_recording
-    from servofd.outputs.recording.review import compared
-
     before, after = _read(path, options), read_recording(options.compare)
     changes = compared(before, after)
     document = {

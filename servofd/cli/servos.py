@@ -2,34 +2,21 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 from typing import TYPE_CHECKING, Any
 
+from servofd.cli.terminal import print_table
+from servofd.servo.library import library
+
 if TYPE_CHECKING:
+    from servofd.cli.options import Options
     from servofd.core.types import ComplexArray
     from servofd.servo.library import Servo
 
 
-def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
-    """Declare the verb."""
-    parser = verbs.add_parser(
-        "servos",
-        help="print the servo library",
-        description="Prints the servos that can be used by name: poles, bandwidth, rate limit, delay, source.",
-        epilog="Example: servofd servos --notes",
-    )
-    parser.add_argument("--notes", action="store_true", help="corrections and cautions for each servo")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
-    parser.set_defaults(run=run)
-
-
-def run(options: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """Print the table."""
-    from servofd.cli.tables import print_table
-    from servofd.servo.library import library
-
     servos = library()
     if options.json:
         print(json.dumps({name: _record(servo) for name, servo in servos.items()}, indent=2))

@@ -1,118 +1,69 @@
-"""``servofd simulate``: flights with known truth."""
+"""``servofd simulate``: flights with known truth, as a log or as a vehicle on a live link."""
 
 from __future__ import annotations
 
-import argparse
+import dataclasses
 import math
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from servofd.cli import stream
+from logparsers.codec import Codec
+from logparsers.endpoint import parse_endpoint
+from logparsers.link import open_link
+from servofd.aircraft.schema import UNKNOWN_SERVO, load_aircraft, plain_aircraft
+from servofd.cli.terminal import complain
+from servofd.core.errors import ConfigError, ServofdError, UnknownName, suggest
+from servofd.core.files import write_whole
+from servofd.live.speaker import signature_of
+from servofd.servo.effect_table import TabledEffect
+from servofd.servo.effects import Plan
+from servofd.servo.failing import in_order
+from servofd.servo.faults import FAULTS
+from servofd.servo.library import servo_named
+from servofd.simulation.airframe import AirframeFault, fly_airframe
+from servofd.simulation.airframe_log import airframe_log
+from servofd.simulation.ardupilot import rate_hz as rate_of
+from servofd.simulation.flight import simulate_flight
+from servofd.simulation.pulses import outputs_of
+from servofd.simulation.vehicle.fly import fly, legs
+from servofd.simulation.vehicle.troubles import TROUBLES, Air
+from servofd.simulation.vehicle.vehicle import Settings
+from servofd.simulation.writers import write_flight, writer_for
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from servofd.aircraft.schema import Aircraft
+    from servofd.cli.options import Options
     from servofd.servo.effects import Effect
     from servofd.servo.failing import Fault
-
-OUTPUTS = ".csv (plain table), .mat (FASER), .bin (ArduPilot DataFlash), .tlog (MAVLink) or .ulg (PX4)"
+    from servofd.simulation.flight import SimulatedFlight
+    from servofd.simulation.vehicle.troubles import Trouble
 
 _LOOP_HZ = 50.0
 _LIVE_S = 600.0
 _AIRFRAME_S, _STORM = 180.0, 10.0
+_MOST_CLOCK_S = 1e7
+_OF_STREAM = (
+    *("speed", "wait", "system", "feedback", "message_hz", "any_rate"),
+    *("mavlink1", "signing_key", "clock_s", "trouble"),
+)
+"""Options of a live link, which make no sense for a file."""
 
 _Made = TypeVar("_Made")
 
 
-def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
-    """Declare the verb."""
-    parser = verbs.add_parser(
-        "simulate",
-        help="write a log of a simulated flight, or fly it live",
-        description="Simulates an aircraft's servos, healthy or with faults, and writes the log of the flight, or "
-        "flies it as a vehicle on a MAVLink link.",
-        epilog="Example: servofd simulate -o flight.csv --fault elevator:deadband@20:width_deg=3",
-    )
-    where = parser.add_mutually_exclusive_group(required=True)
-    where.add_argument("-o", "--output", metavar="FILE", help=OUTPUTS)
-    where.add_argument(
-        "--stream",
-        metavar="ENDPOINT",
-        help="udpout:HOST:PORT, udpin:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT or a serial device: be an ArduPlane "
-        "there, in real time",
-    )
-    parser.add_argument("-c", "--config", metavar="AIRCRAFT.toml", help="aircraft file, or the name of a shipped one")
-    parser.add_argument(
-        "--servo",
-        metavar="NAME",
-        help="library servo of all surfaces; default: as in the shipped simulated",
-    )
-    parser.add_argument("--duration", type=float, metavar="S", help="length [s] (default: 60; of a stream 600)")
-    parser.add_argument(
-        "--rate-hz",
-        type=float,
-        metavar="HZ",
-        help="sample rate (default: 100; in a .tlog 40; of a stream 50, the main loop of an ArduPlane)",
-    )
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="the same seed gives the same flight")
-    parser.add_argument(
-        "--command",
-        default="flight",
-        help="flight, calm, lively, cruise or hand_flown; on the bench chirp, steps or doublets (default: flight)",
-    )
-    parser.add_argument(
-        "--noise-deg", type=float, default=0.1, metavar="X", help="noise of the position (default: 0.1)"
-    )
-    parser.add_argument(
-        "--fault",
-        action="append",
-        default=[],
-        metavar="SURFACE:KIND@START[:KEY=VALUE]",
-        help="stuck, bias, hardover, floating, oscillation, deadband, slow or loss_of_effectiveness, from START [s] on "
-        "(until end_s=... if it passes); may be given again, on one surface for a later time",
-    )
-    parser.add_argument(
-        "--effect",
-        action="append",
-        default=[],
-        metavar="SURFACE:EFFECT[:KEY=VALUE]",
-        help="anything that explain can find, in its words, e.g. elevator:backlash:width_deg=1; delay is the total, "
-        "limits replace those of the servo; form=... as in an aircraft file",
-    )
-    parser.add_argument(
-        "--generation",
-        metavar="NAME",
-        help="servo telemetry of a .bin: volz (ArduPilot 4.7: degrees, with the command; default) or dronecan "
-        "(up to 4.6: radians)",
-    )
-    parser.add_argument(
-        "--airframe",
-        metavar="MIXER",
-        help="an aeroplane without servo feedback that answers its surfaces, into a .bin: plain, elevon or vtail; "
-        "faults stuck, loss_of_effectiveness, slow and bias, each with value=... (deg, share left, s, deg)",
-    )
-    parser.add_argument(
-        "--turbulence", type=float, metavar="X", help="of an airframe: 1 is gusts of 1.5 m/s (default: 1)"
-    )
-    parser.add_argument("--engine-cut", type=float, metavar="S", help="of an airframe: from when on it glides [s]")
-    stream.add_options(parser)
-    parser.set_defaults(run=run)
-
-
-def run(options: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """Simulate, and write or fly."""
     if options.airframe is not None or options.turbulence is not None or options.engine_cut is not None:
         return _run_airframe(options)
-    from servofd.aircraft.schema import UNKNOWN_SERVO, load_aircraft, plain_aircraft
-    from servofd.core.errors import ConfigError
-    from servofd.servo.library import servo_named
-    from servofd.simulation.flight import simulate_flight
-    from servofd.simulation.pulses import outputs_of
-    from servofd.simulation.writers import Writer, write_flight, writer_for
 
     if options.stream is None:
-        stream.refuse_options(options)
-        writer: Writer | None = writer_for(options.output, options.generation)
+        for name in _OF_STREAM:
+            if getattr(options, name) is not None:
+                raise ConfigError(f"--{name.replace('_', '-')} belongs to --stream; {options.output} is a file")
+        writer = writer_for(options.output, options.generation)
     elif options.generation is None:
         writer = None
     else:
@@ -128,7 +79,8 @@ def run(options: argparse.Namespace) -> int:
     shipped = "faser" if writer and Path(options.output).suffix.lower() == ".mat" else None
     config = options.config or shipped
     surfaces = ("elevator", "aileron", "rudder")
-    aircraft = load_aircraft(config) if config else plain_aircraft(surfaces, _simulated_servo())
+    simulated = next(iter(load_aircraft("simulated").surfaces.values()))
+    aircraft = load_aircraft(config) if config else plain_aircraft(surfaces, simulated.servo)
     if servo is not None:
         aircraft = aircraft.with_servo(servo)
     effects: dict[str, list[Effect]] = {}
@@ -151,26 +103,14 @@ def run(options: argparse.Namespace) -> int:
             raise ConfigError(
                 "--stream: an effect depends on the air or the supply, which a stream does not tell: use -o"
             )
-        return stream.stream(options, flown, aircraft)
+        return _stream(options, flown, aircraft)
     write_flight(options.output, flown, aircraft, generation=options.generation)
     print(f"{options.output}: {duration_s:g} s at {rate_hz:g} Hz, {', '.join(flown.surfaces)}")
     return 0
 
 
-def _simulated_servo() -> str:
-    """Servo of the aircraft that comes with servofd to be simulated."""
-    from servofd.aircraft.schema import load_aircraft
-
-    return next(iter(load_aircraft("simulated").surfaces.values())).servo
-
-
-def _run_airframe(options: argparse.Namespace) -> int:
+def _run_airframe(options: Options) -> int:
     """An aeroplane that answers its surfaces, as the log of its autopilot."""
-    from servofd.core.errors import ConfigError
-    from servofd.core.files import write_whole
-    from servofd.simulation.airframe import AirframeFault, fly_airframe
-    from servofd.simulation.airframe_log import airframe_log
-
     if options.airframe is None:
         raise ConfigError("--turbulence and --engine-cut are of an airframe: --airframe plain")
     if not options.output or Path(options.output).suffix.lower() != ".bin":
@@ -206,9 +146,6 @@ def _run_airframe(options: argparse.Namespace) -> int:
 
 def _faults(texts: list[str], duration_s: float) -> dict[str, tuple[Fault, ...]]:
     """Faults of each surface, within the flight and one at a time."""
-    from servofd.core.errors import ConfigError
-    from servofd.servo.failing import in_order
-
     faults: dict[str, tuple[Fault, ...]] = {}
     for text in texts:
         surface, fault = _fault(text)
@@ -225,9 +162,6 @@ def _faults(texts: list[str], duration_s: float) -> dict[str, tuple[Fault, ...]]
 
 def _fault(text: str) -> tuple[str, Fault]:
     """Read ``surface:kind@start:key=value``."""
-    from servofd.core.errors import ConfigError, UnknownName, suggest
-    from servofd.servo.faults import FAULTS
-
     surface, _, rest = text.partition(":")
     what, *pairs = rest.split(":")
     kind, at, start = what.partition("@")
@@ -244,10 +178,6 @@ def _fault(text: str) -> tuple[str, Fault]:
 
 def _effect(text: str) -> tuple[str, Effect]:
     """Read ``surface:effect:key=value``."""
-    from servofd.core.errors import ConfigError, ServofdError
-    from servofd.servo.effect_table import TabledEffect
-    from servofd.servo.effects import Plan
-
     where = f"--effect {text}"
     surface, _, rest = text.partition(":")
     name, *pairs = rest.split(":")
@@ -266,8 +196,6 @@ def _effect(text: str) -> tuple[str, Effect]:
 
 
 def _numbers(where: str, pairs: list[str]) -> dict[str, float]:
-    from servofd.core.errors import ConfigError
-
     values = {}
     for pair in pairs:
         key, _, number = pair.partition("=")
@@ -282,10 +210,6 @@ def _numbers(where: str, pairs: list[str]) -> dict[str, float]:
 
 def _made(kind: Callable[..., _Made], values: dict[str, float], where: str) -> _Made:
     """Instance of a small dataclass from its numbers."""
-    import dataclasses
-
-    from servofd.core.errors import ConfigError
-
     fields = {f.name: f for f in dataclasses.fields(kind) if f.init}  # type: ignore[arg-type]
     required = {n for n, f in fields.items() if f.default is dataclasses.MISSING}
     if set(values) - set(fields) or required - set(values):
@@ -294,3 +218,53 @@ def _made(kind: Callable[..., _Made], values: dict[str, float], where: str) -> _
         return kind(**values)
     except ConfigError as error:
         raise ConfigError(f"{where}: {error}") from None
+
+
+def _stream(options: Options, flight: SimulatedFlight, aircraft: Aircraft) -> int:
+    """Fly live, and tell about it."""
+    if options.mavlink1 and options.signing_key is not None:
+        raise ConfigError("--signing-key: frames of MAVLink 1 cannot be signed; leave --mavlink1 out")
+    endpoint = parse_endpoint(options.stream)
+    names = ("system", "feedback", "message_hz", "any_rate", "speed")
+    given: dict[str, Any] = {n: getattr(options, n) for n in names if getattr(options, n) is not None}
+    settings = Settings(**given, troubles=tuple(_trouble(text) for text in options.trouble or ()))
+    flown_legs = legs(_shifted(flight, options.clock_s), aircraft, settings)
+    codec = Codec(settings.system, 1, version=1 if options.mavlink1 else 2, signature=signature_of(options.signing_key))
+    link = open_link(endpoint)
+    try:
+        length_s = flight.time_s.size / rate_of(flight)
+        print(f"{endpoint}: system {settings.system}, {', '.join(flight.surfaces)}, {length_s:g} s; Ctrl-C ends it")
+        sys.stdout.flush()
+        flown = fly(flown_legs, link, codec, wait=bool(options.wait), air=Air(settings.troubles))
+    finally:
+        link.close()
+    dropped = sum(leg.vehicle.dropped_rows for leg in flown_legs)
+    if dropped:
+        complain(f"{dropped} rows of the streamed log found its buffer full")
+    print(f"{endpoint}: flew {flown.turns} turns of the main loop, sent {flown.sent} messages, heard {flown.heard}")
+    return 0
+
+
+def _trouble(text: str) -> Trouble:
+    """Read ``kind@start:key=value``."""
+    what, *pairs = text.split(":")
+    kind, _, start = what.partition("@")
+    if kind not in TROUBLES:
+        raise UnknownName(f"--trouble {text}: {suggest('trouble', kind, TROUBLES)}")
+    values: dict[str, Any] = dict(pair.partition("=")[::2] for pair in (f"start_s={start}", *pairs))
+    known = TROUBLES[kind].__dataclass_fields__
+    if set(values) - set(known):
+        raise ConfigError(f"--trouble {text}: takes {', '.join(known)}; the start stands after the @")
+    try:
+        return TROUBLES[kind](**{key: value if key == "name" else float(value) for key, value in values.items()})
+    except ValueError as error:
+        raise ConfigError(f"--trouble {text}: write KIND@START:KEY=NUMBER ({error})") from None
+
+
+def _shifted(flight: SimulatedFlight, clock_s: float | None) -> SimulatedFlight:
+    """The same flight of an autopilot that was booted earlier."""
+    if clock_s is None:
+        return flight
+    if not (math.isfinite(clock_s) and 0.0 <= clock_s <= _MOST_CLOCK_S):
+        raise ConfigError(f"--clock-s {clock_s:g}: give seconds from 0 to {_MOST_CLOCK_S:g}")
+    return dataclasses.replace(flight, time_s=(flight.time_s + clock_s).round(6))

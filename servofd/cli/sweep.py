@@ -2,39 +2,23 @@
 
 from __future__ import annotations
 
-import argparse
 from typing import TYPE_CHECKING, Any
+
+from servofd.cli.terminal import give_json, print_table
+from servofd.feedback.flown import flown_aircraft, known_aircraft, one_log
+from servofd.jobs.sweep import check_sweep
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from logparsers.records import FlightLog
+    from servofd.cli.options import Options
     from servofd.estimate.statistics import Estimate
     from servofd.jobs.sweep import SurfaceSweep, SweepNumbers
 
 
-def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
-    """Declare the verb."""
-    parser = verbs.add_parser(
-        "sweep",
-        help="pre-flight check: go or no-go from a short sweep on the ground",
-        description="Judges a log in which each surface was moved to both sides on the ground, by a script or with the "
-        "sticks. Exit code 0: go for all; 1: at least one no-go; 2: could not tell.",
-        epilog="Example: servofd sweep ground_check.bin -c calibrated.toml",
-    )
-    parser.add_argument("log", metavar="LOG", help="log of the sweep")
-    parser.add_argument("-c", "--config", metavar="AIRCRAFT.toml", help="aircraft file, or the name of a shipped one")
-    parser.add_argument("-s", "--surface", action="append", default=[], metavar="NAME", help="judge only this surface")
-    parser.add_argument("--json", metavar="FILE", help="write the result as JSON; - prints it instead of the table")
-    parser.set_defaults(run=run)
-
-
-def run(options: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """Check, then write or print."""
-    from servofd.cli.targets import give_json
-    from servofd.feedback.flown import flown_aircraft, known_aircraft, one_log
-    from servofd.jobs.sweep import check_sweep
-
     known = known_aircraft(options.config)
     sweeps = []
     for log in one_log(options.log, known).by_boots():
@@ -56,8 +40,6 @@ def _exit_code(found: Sequence[SurfaceSweep]) -> int:
 
 
 def _print(found: tuple[SurfaceSweep, ...], title: str) -> None:
-    from servofd.cli.tables import print_table
-
     words = {"go": "go", "no_go": "NO-GO", "unknown": "cannot tell"}
     headings = ["surface", "verdict", "travel", "gain", "extra lag (ms)", "bias", "play", "fastest", "residual", "why"]
     rows = []

@@ -1,17 +1,28 @@
-"""What reaches a terminal: no control character that a file, a link or an aircraft brought with it."""
+"""The terminal: tables, messages and progress, in which nothing acts that a file brought; and where results go."""
 
 from __future__ import annotations
 
+import os
 import sys
 from contextlib import contextmanager
+from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
+from servofd.core.errors import ConfigError
+from servofd.core.files import write_whole
 from servofd.outputs.plain import plain
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from rich.console import Console
+
+    from servofd.detection.verdict import LogAudit
+
+_WIDEST = 100
+"""Columns of a terminal that a table of sentences uses: longer lines are hard to read."""
+_NARROWEST = 64
+"""Below this a table of sentences becomes a list."""
 
 
 class _Plain:
@@ -44,13 +55,7 @@ def plain_streams() -> Iterator[None]:
 
 
 def console(**options: Any) -> Console:  # noqa: ANN401 - those of rich
-    """Console that shows text as it is: no markup, no emoji, nothing that acts.
-
-    Parameters
-    ----------
-    **options
-        Of `rich.console.Console`.
-    """
+    """Console that shows text as it is: no markup, no emoji, nothing that acts."""
     from rich.console import Console
     from rich.segment import Segment
 
@@ -60,3 +65,187 @@ def console(**options: Any) -> Console:  # noqa: ANN401 - those of rich
                 yield segment if segment.control else Segment(plain(segment.text), segment.style)
 
     return Plain(highlight=False, markup=False, emoji=False, **options)
+
+
+def one_line(message: object) -> str:
+    r"""Text of a message on one line, whatever a file name brought into it.
+
+    Examples
+    --------
+    >>> one_line("a\nb.csv: empty")
+    'a b.csv: empty'
+    """
+    return " ".join(str(message).split())
+
+
+def complain(message: object, about: object = "") -> None:
+    """Say on stderr, in one line, what could not be done, and of what."""
+    print(f"servofd: {f'{about}: ' if about else ''}{one_line(message)}", file=sys.stderr)
+
+
+def worst(codes: Iterable[int]) -> int:
+    """Exit code of several results: a fault anywhere outranks what could not be judged.
+
+    Examples
+    --------
+    >>> worst([0, 2, 1]), worst([0, 2]), worst([0])
+    (1, 2, 0)
+    """
+    return max(codes, key=(0, 2, 1).index, default=2)
+
+
+def print_table(
+    headings: Sequence[str], rows: Sequence[Sequence[str]], title: str = "", shown: Console | None = None
+) -> None:
+    """Print rows under headings as a table, on a narrow terminal as a list; coloured by status where a cell is one."""
+    from rich import box
+    from rich.padding import Padding
+    from rich.table import Table
+    from rich.text import Text
+
+    shown = shown or _console()
+    if shown.width >= _NARROWEST:
+        table = Table(*headings, title=title or None, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+        for row in rows:
+            table.add_row(*(Text(cell, style=_style(cell)) for cell in row))
+        shown.print(table)
+        return
+    if title:
+        shown.print(Text(title, style="bold"))
+    for row in rows:  # its first two cells on a line, numbers with their headings below, and the last cell as it is
+        shown.print(Text.assemble(f"{row[0]}: ", (row[1], _style(row[1]))))
+        named = [f"{heading} {cell}" for heading, cell in zip(headings[2:-1], row[2:-1], strict=True) if cell]
+        for line in filter(None, (", ".join(named), *row[2:][-1:])):
+            shown.print(Padding(Text(line), (0, 0, 0, 2), expand=False))
+
+
+def print_verdicts(audit: LogAudit) -> None:
+    """Print the verdict on each surface of a log in a sentence, the whole in another, and what to do next.
+
+    At most 100 columns of a terminal are used; in less than 64 the table becomes a list. A file or a pipe has no width:
+    there no line is folded.
+    """
+    from rich.padding import Padding
+    from rich.text import Text
+
+    from servofd.detection.words import headline, next_step
+    from servofd.outputs.sentence import axes_sentence, seen
+
+    log, shown = audit.log, _console()
+    if shown.is_terminal:
+        shown.width = min(shown.width, _WIDEST)
+    title = f"{log.label}   {log.format}, {log.duration_s:.1f} s"
+    rows = []
+    for s in audit.surfaces:
+        sizes = seen(s.detectable) if s.status == "healthy" else ""
+        rows.append([s.surface, s.status, s.model.origin, "; ".join(filter(None, (s.reason, sizes)))])
+    if rows:
+        print_table(["surface", "status", "model", "why"], rows, title, shown)
+    if audit.axes:
+        rows = [[axis.axis, axis.status, axis.reason] for axis in audit.axes]
+        print_table(["axis", "status", "what the motion tells"], rows, "" if audit.surfaces else title, shown)
+    for damage in log.damage_summary:
+        shown.print(Text(f"damage: {damage.kind}: {damage.note}"))
+    shown.print(Text(headline(audit.surfaces) if audit.surfaces else axes_sentence(audit.axes), style="bold"))
+    for surface in audit.surfaces:
+        if next_step(surface):
+            step = Text(f"{surface.surface}: {next_step(surface)}")
+            shown.print(Padding(step, (0, 0, 0, 2), expand=False))
+
+
+def _console() -> Console:
+    shown = console()
+    return shown if shown.is_terminal else console(width=400)
+
+
+def _style(cell: str) -> str:
+    """Colour of a cell that is a status; none of any other."""
+    from servofd.outputs.palette import STATUS_COLOURS
+
+    colour = STATUS_COLOURS.get(cell, "")
+    return f"bold {colour}" if cell == "fault" else colour
+
+
+@contextmanager
+def progress(what: str, total: int, done: int | None = None) -> Iterator[Callable[..., None]]:
+    """Show how far a job is, on stderr and only if somebody looks; gives the function to call after each step.
+
+    Of many items, some of which are done, it shows how many they are and how long the rest will take.
+    """
+    if not sys.stderr.isatty():
+        yield lambda *_step: None
+        return
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        ProgressColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns: list[ProgressColumn] = [TextColumn("{task.description}", markup=False), BarColumn()]
+    if done is not None:
+        columns += [MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left:"), TimeRemainingColumn()]
+    # Lines on stdout go above the bar if both are on the same terminal, and past it if not.
+    above = done is None or sys.stdout.isatty()
+    with Progress(*columns, console=console(stderr=True), transient=True, redirect_stdout=above) as shown:
+        task = shown.add_task(what, total=total, completed=done or 0)
+        yield lambda *step: shown.update(task, advance=1, description=": ".join((what, *step)))
+
+
+def give_json(target: str | None, document: dict[str, Any]) -> bool:
+    """Write a document to the file that ``--json`` names; or print it, where that is ``-``, and tell so.
+
+    Examples
+    --------
+    >>> give_json(None, {"schema": "servofd.audit/1"})
+    False
+    """
+    from servofd.outputs.json_report import to_json
+
+    if target and target != "-":
+        write_whole(target, to_json(document).encode())
+    elif target:
+        print(to_json(document), end="")
+    return target == "-"
+
+
+def check_targets(
+    outputs: Iterable[str | None], inputs: Mapping[str, Iterable[str | None]], *, folder: str | None = None
+) -> None:
+    """Refuse outputs that cannot be written, or would overwrite an input or each other.
+
+    Parameters
+    ----------
+    outputs : iterable of str or None
+        Files to be written; ``None`` and ``-`` are none.
+    inputs : mapping of str to iterable of str or None
+        What each kind of input is called (``"a log"``), and the files of that kind.
+    folder : str, optional
+        Folder that will be made if it is not there.
+
+    Examples
+    --------
+    >>> check_targets(["-", None], {"a log": ["flight.csv"]})
+    >>> check_targets(["flight.csv"], {"a log": ["flight.csv"]})
+    Traceback (most recent call last):
+    servofd.core.errors.ConfigError: flight.csv: is a log already; choose another file for this output
+    """
+    taken = {Path(name).resolve(): what for what, names in inputs.items() for name in names if name}
+    for name in outputs:
+        if name is None or name == "-":
+            continue
+        target = Path(name).resolve()
+        if not target.parent.is_dir():
+            raise ConfigError(f"{name}: the folder {target.parent} does not exist")
+        if target.is_dir():
+            raise ConfigError(f"{name}: is a folder; give the name of a file in it")
+        if not os.access(target if target.exists() else target.parent, os.W_OK):
+            raise ConfigError(f"{name}: cannot write here: permission denied")
+        if target in taken:
+            raise ConfigError(f"{name}: is {taken[target]} already; choose another file for this output")
+        taken[target] = "another output"
+    if folder is not None and Path(folder).exists() and not Path(folder).is_dir():
+        raise ConfigError(f"{folder}: is a file; give the name of a folder")

@@ -2,69 +2,48 @@
 
 from __future__ import annotations
 
-import sys
 from typing import TYPE_CHECKING, Any
 
-from servofd.cli.audit_fleet import add_options
-from servofd.cli.exit_codes import worst
+from servofd.cli.terminal import check_targets, complain, give_json, print_table, progress, worst
+from servofd.core.files import write_whole
+from servofd.outputs.trend_page import (
+    axes_of,
+    effects_of,
+    flight_name,
+    number_of_flights,
+    quantity_row,
+    trend_page,
+    verdict,
+)
+from servofd.wear.document import trend_document
+from servofd.wear.records import QUANTITIES
+from servofd.wear.trend import trend_logs
 
 if TYPE_CHECKING:
-    import argparse
-
+    from servofd.cli.options import Options
     from servofd.wear.trend import AircraftTrend
 
 _SHOWN = 5
 
 
-def add_parser(verbs: argparse._SubParsersAction[Any]) -> None:
-    """Declare the verb."""
-    parser = verbs.add_parser(
-        "trend",
-        help="follow the servos of one aircraft over many flights",
-        description="Estimates bias, dead band, delay, bandwidth, rate limit, noise and margin of each servo in each "
-        "flight, finds what changes, tells wear from a swap, and forecasts when a limit is crossed. Exit code 0: no "
-        "limit in sight; 1: one is exceeded or will be; 2: some logs tell nothing.",
-        epilog="Example: servofd trend flights/ -c my_plane.toml --html trend.html",
-    )
-    parser.add_argument("logs", nargs="+", metavar="LOG", help="logs, folders, patterns or addresses")
-    parser.add_argument(
-        "-c", "--config", required=True, metavar="AIRCRAFT.toml", help="aircraft file, or a shipped one"
-    )
-    parser.add_argument("-s", "--surface", action="append", default=[], metavar="NAME", help="follow only this surface")
-    parser.add_argument("--json", metavar="FILE", help="write the result as JSON; - prints it instead of the tables")
-    parser.add_argument("--html", metavar="FILE", help="write a page that can be sent by mail")
-    add_options(parser)
-    parser.set_defaults(run=run)
-
-
-def run(options: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """Follow, write what was asked for, print."""
-    from servofd.cli.tables import one_line
-    from servofd.cli.targets import check_targets, give_json
-    from servofd.core.files import write_whole
-    from servofd.wear.document import trend_document
-
     check_targets((options.json, options.html), {"a log": options.logs, "the aircraft file": [options.config]})
     seen = _followed(options)
     document = trend_document(seen)
     if options.html:
-        from servofd.outputs.trend_page import trend_page
-
         write_whole(options.html, trend_page(document).encode())
     if not give_json(options.json, document):
         _print(document)
     for problem in seen.problems[:_SHOWN]:
-        print(f"servofd: {one_line(problem)}", file=sys.stderr)
+        complain(problem)
     if len(seen.problems) > _SHOWN:
-        print(f"servofd: and {len(seen.problems) - _SHOWN} more like these", file=sys.stderr)
+        complain(f"and {len(seen.problems) - _SHOWN} more like these")
     return worst([int(seen.has_alarm), 2 if seen.not_judged else 0])
 
 
-def _followed(options: argparse.Namespace) -> AircraftTrend:
+def _followed(options: Options) -> AircraftTrend:
     from functools import partial
-
-    from servofd.cli.tables import progress_with_estimate
-    from servofd.wear.trend import trend_logs
 
     return trend_logs(
         options.logs,
@@ -72,22 +51,11 @@ def _followed(options: argparse.Namespace) -> AircraftTrend:
         surfaces=tuple(options.surface),
         cluster=options.cluster,
         workers=options.workers,
-        progress=partial(progress_with_estimate, "trend"),
+        progress=partial(progress, "trend"),
     )
 
 
 def _print(document: dict[str, Any]) -> None:
-    from servofd.cli.tables import print_table
-    from servofd.outputs.trend_page import (
-        axes_of,
-        effects_of,
-        flight_name,
-        number_of_flights,
-        quantity_row,
-        verdict,
-    )
-    from servofd.wear.records import QUANTITIES
-
     print(f"{number_of_flights(document)}, {document['order']['reason']}")
     for name, surface in document["surfaces"].items():
         serial = surface["serials"][-1]["serial"]

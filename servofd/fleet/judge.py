@@ -5,20 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from logparsers import LogError
 from servofd.batch.fetch import fetched
 from servofd.batch.key import content_key
-from servofd.core.errors import ConfigError, ServofdError
-from servofd.jobs.workflow import audit
-from servofd.outputs.json_report import FailedLog, audit_document
+from servofd.core.errors import ConfigError
+from servofd.jobs.workflow import FailedLog, judged
+from servofd.outputs.audit_page import audit_page
+from servofd.outputs.json_report import audit_document
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from logparsers import FlightLog
     from servofd.batch.find import LogSource
     from servofd.batch.key import Job
-    from servofd.detection.verdict import LogAudit
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +30,11 @@ class RunVerdict:
         """True if any surface or axis is at fault."""
         every = (*self.document["surfaces"].values(), *self.document.get("axes", {}).values())
         return any(one["status"] == "fault" for one in every)
+
+    @property
+    def row(self) -> dict[str, Any]:
+        """As a row of the table of logs."""
+        return {"document": self.document, "not_judged": self.not_judged}
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,52 +63,28 @@ def judge_log(source: LogSource, job: Job) -> JudgedLog:
         content = content_key(source.path)
     except OSError:
         content = ""  # reading it tells what is wrong, in its own words
+    audits, runs = [], []
     try:
         with fetched(source.path) as local:
-            results: list[LogAudit] = []
-            runs = tuple(_verdicts(local, source.path, job, results))
-            return JudgedLog(source, content, runs, _page(results) if job.pages and results else "")
+            for result in judged(local, job, threads=1):  # the logs run side by side already
+                if isinstance(result, FailedLog):
+                    failure = FailedLog(source.path, result.error.replace(local, source.path), result.log)
+                    runs.append(_not_judged(failure))
+                    continue
+                if job.pages:
+                    audits.append(result)
+                (document,) = audit_document([result])["logs"]
+                why = result.not_judged and f"{result.log.label.replace(local, source.path)}: {result.not_judged}"
+                runs.append(RunVerdict(document | {"path": source.path}, why))
+            return JudgedLog(source, content, tuple(runs), audit_page(audits) if audits else "")
     except ConfigError as error:
         return failed(source, str(error), content)
 
 
 def failed(source: LogSource, reason: str, content: str = "") -> JudgedLog:
     """Result of a log that could not be judged at all."""
-    return JudgedLog(source, content, (_not_judged(source.path, reason),))
+    return JudgedLog(source, content, (_not_judged(FailedLog(source.path, reason)),))
 
 
-def _not_judged(path: str, reason: str, log: FlightLog | None = None) -> RunVerdict:
-    return RunVerdict(audit_document([FailedLog(path, reason, log)])["logs"][0], reason)
-
-
-def _page(results: list[LogAudit]) -> str:
-    from servofd.outputs.audit_page import audit_page
-
-    return audit_page(results)
-
-
-def _verdicts(local: str, path: str, job: Job, seen: list[LogAudit]) -> Iterator[RunVerdict]:
-    """One for each run, kept in `seen` if the job wants pages; what stops the reading comes last."""
-    options: dict[str, Any] = {
-        "servo": job.servo,
-        "threshold_deg": job.threshold_deg,
-        "threshold": job.threshold,
-        "surfaces": job.surfaces,
-        "threads": 1,  # the logs run side by side already
-    }
-    try:
-        for result in audit(local, job.aircraft, **options):
-            if job.pages:
-                seen.append(result)
-            yield _verdict(result, local, path)
-    except (LogError, ServofdError) as error:
-        yield _not_judged(path, str(error).replace(local, path), getattr(error, "log", None))
-    except MemoryError:
-        yield _not_judged(path, f"{path}: does not fit into the memory of the process that read it")
-
-
-def _verdict(result: LogAudit, local: str, path: str) -> RunVerdict:
-    document = audit_document([result])["logs"][0]
-    document["path"] = path
-    not_judged = result.not_judged
-    return RunVerdict(document, f"{result.log.label.replace(local, path)}: {not_judged}" if not_judged else "")
+def _not_judged(failure: FailedLog) -> RunVerdict:
+    return RunVerdict(audit_document([failure])["logs"][0], failure.error)

@@ -176,6 +176,11 @@ def read_logs(folder: Path) -> list[dict[str, Any]]:
         }
         for row in read_table(folder, "logs", ["document", "not_judged", "content"])
     ]
+    return by_path(logs)
+
+
+def by_path(logs: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Logs as `read_logs` gives them, in order."""
     return sorted(logs, key=lambda log: (log["document"]["path"], log["document"].get("run") or ""))
 
 

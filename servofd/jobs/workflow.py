@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from logparsers import LogError
 from servofd.aircraft.schema import load_aircraft
 from servofd.aircraft.segment import cut
-from servofd.core.errors import NoMeasurement, UnknownName, suggest
+from servofd.core.errors import NoMeasurement, ServofdError, UnknownName, suggest
 from servofd.detection.audit import audit_log
 from servofd.feedback.flown import aircraft_for, each_once, flown_aircraft, known_aircraft, logs_of, surfaces_of
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from logparsers.records import FlightLog
     from servofd.aircraft.axes import MotionModel
     from servofd.aircraft.schema import Aircraft
+    from servofd.batch.key import Job
     from servofd.calibrating.flights import Flight, Span
     from servofd.calibrating.result import Calibration
     from servofd.detection.threshold import ThresholdKind
@@ -86,6 +88,36 @@ def audit(
         yield result if flown.motion is None else _with_axes(result, flown.motion)
     if nothing is not None:
         raise nothing
+
+
+@dataclass(frozen=True, slots=True)
+class FailedLog:
+    """A log that could not be judged, and why; the log itself if it could be read."""
+
+    path: str
+    error: str
+    log: FlightLog | None = None
+
+
+def judged(
+    path: str, job: Job, *, threads: int | None = None, progress: Callable[[str], None] = lambda _surface: None
+) -> Iterator[LogAudit | FailedLog]:
+    """Every run of a log; what is wrong with the log comes last, and stops nothing else."""
+    try:
+        yield from audit(
+            path,
+            job.aircraft,
+            servo=job.servo,
+            threshold_deg=job.threshold_deg,
+            threshold=job.threshold,
+            surfaces=job.surfaces,
+            threads=threads,
+            progress=progress,
+        )
+    except (LogError, ServofdError) as error:
+        yield FailedLog(path, str(error), getattr(error, "log", None))
+    except MemoryError:
+        yield FailedLog(path, f"{path}: does not fit into the memory of the process that read it")
 
 
 def _with_axes(result: LogAudit, motion: MotionModel) -> LogAudit:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import time
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from logparsers.codec import Codec
+from logparsers.codec import Codec, Signature, signing_key
 from logparsers.protocol import Command
+from servofd.core.errors import ConfigError
 from servofd.live.threads import Worker
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from logparsers.codec import Signature
     from logparsers.link import Link
 
 ALLOWED = frozenset(
@@ -68,3 +70,16 @@ class Speaker:
             yield send
         finally:
             worker.close()
+
+
+def signature_of(name: str | None) -> Signature | None:
+    """Signature with the key in a file, from now on; none without a file."""
+    if name is None:
+        return None
+    try:
+        content = Path(name).read_bytes()
+    except OSError as error:
+        raise ConfigError(f"--signing-key {name}: cannot read it ({error.strerror or error})") from None
+    if not content.strip():
+        raise ConfigError(f"--signing-key {name}: holds no key; give 32 bytes, 64 hex digits, or a passphrase")
+    return Signature(signing_key(content), time.time())

@@ -10,9 +10,9 @@ import numpy as np
 from servofd.axes.forms import FORMS
 from servofd.axes.words import named, shown
 from servofd.detection.words import meaning, next_step
+from servofd.jobs.workflow import FailedLog
 from servofd.outputs.audit_charts import MOST_FAULTS, fault_charts, flight_chart, kind_of
 from servofd.outputs.chart import Chart, Curve, Mark, Panel, Span
-from servofd.outputs.json_report import FailedLog
 from servofd.outputs.motors import motors_of
 from servofd.outputs.page import page
 from servofd.outputs.sentence import clock, plain_rate, seen, spoken, whole_sentence, worst

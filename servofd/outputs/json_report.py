@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from servofd.aircraft.axis_names import MOST_OF_THE_FLIGHT
+from servofd.jobs.workflow import FailedLog
 from servofd.outputs.sentence import whole_sentence
 
 if TYPE_CHECKING:
@@ -16,15 +16,6 @@ if TYPE_CHECKING:
     from logparsers.records import Damage, FlightLog
     from servofd.detection.bank.window import Fault
     from servofd.detection.verdict import AxisAudit, LogAudit, SurfaceAudit
-
-
-@dataclass(frozen=True, slots=True)
-class FailedLog:
-    """A log that could not be judged, and why; the log itself if it could be read."""
-
-    path: str
-    error: str
-    log: FlightLog | None = None
 
 
 def audit_document(results: Sequence[LogAudit | FailedLog]) -> dict[str, Any]:

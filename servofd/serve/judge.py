@@ -9,18 +9,14 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from logparsers import LogError
-from servofd.core.errors import ServofdError
+from servofd.batch.key import Job
 from servofd.core.files import make_folder, write_whole
-from servofd.jobs.workflow import audit
+from servofd.jobs.workflow import FailedLog, judged
 from servofd.outputs.audit_page import audit_page
-from servofd.outputs.json_report import FailedLog, audit_document, to_json, worst_outline
+from servofd.outputs.json_report import audit_document, to_json, worst_outline
 from servofd.outputs.sentence import spoken, whole_sentence, worst
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from servofd.batch.key import Job
     from servofd.detection.verdict import LogAudit
 
 AUDIT, PAGE, RECORDING, SUMMARY = "audit.json", "page.html", "recording.rrd", "summary.json"
@@ -69,7 +65,7 @@ def judge(log: str, folder: str, job: Job) -> Summary:
     make_folder(target)
     tell = partial(_tell, target / _PROGRESS, [])
     tell("")
-    results = _judged(log, job, tell)
+    results = list(judged(log, job, threads=1, progress=tell))  # flights are judged side by side already
     document = json.loads(
         to_json(audit_document(results)).replace(json.dumps(log)[1:-1], json.dumps(Path(log).name)[1:-1])
     )
@@ -103,22 +99,6 @@ def _tell(path: Path, done: list[str], surface: str) -> None:
 
 def _positions(audit: LogAudit) -> int:
     return sum(surface.segment.measured_s.size for surface in audit.surfaces if surface.segment is not None)
-
-
-def _judged(log: str, job: Job, tell: Callable[[str], None]) -> list[LogAudit | FailedLog]:
-    results: list[LogAudit | FailedLog] = []
-    options: dict[str, Any] = {
-        "servo": job.servo,
-        "threads": 1,
-        "progress": tell,
-    }  # flights are judged side by side already
-    try:
-        results.extend(audit(log, job.aircraft, **options))
-    except (LogError, ServofdError) as error:
-        results.append(FailedLog(log, str(error)))
-    except MemoryError:
-        results.append(FailedLog(log, f"{log}: does not fit into the memory of this machine"))
-    return results
 
 
 def _summary(results: list[LogAudit | FailedLog], documents: list[dict[str, Any]], job: Job) -> Summary:

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from logparsers.records import Channel, FlightLog
+from servofd.jobs.workflow import FailedLog
 from servofd.outputs.audit_page import audit_page
-from servofd.outputs.json_report import FailedLog
 from servofd.outputs.motors import motors_of
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from servofd.cli import _VERBS, build_parser, main
-from servofd.cli.completion import SHELLS
+from servofd.cli import build_parser, main
+from servofd.cli.options import SHELLS, VERBS
 
 
 def script(shell: str, capsys: pytest.CaptureFixture[str]) -> str:
@@ -41,8 +41,7 @@ def test_an_unknown_verb_is_one_line_with_the_nearest(capsys: pytest.CaptureFixt
 @pytest.mark.parametrize("shell", SHELLS)
 def test_a_completion_knows_every_verb(shell: str, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     text = script(shell, capsys)
-    verbs = {verb.__name__.rpartition(".")[2] for verb in _VERBS} - {"manual"} | {"help"}
-    assert all(verb in text for verb in verbs)
+    assert all(verb in text for verb in VERBS)
     assert "threshold-deg" in text
     if shutil.which(shell):
         path = tmp_path / "completion"

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from servofd.cli.interrupt import interruptible
+from servofd.cli import interruptible
 
 
 class Finaliser:

@@ -9,8 +9,7 @@ import pytest
 
 import servofd
 from servofd.cli import main
-from servofd.cli.tables import print_table, print_verdicts
-from servofd.cli.targets import check_targets
+from servofd.cli.terminal import check_targets, print_table, print_verdicts
 from servofd.detection.bank.window import Fault
 from servofd.detection.verdict import LogAudit, SurfaceAudit
 from servofd.detection.words import headline, meaning, next_step

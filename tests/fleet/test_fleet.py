@@ -177,18 +177,18 @@ def test_another_version_judges_again(
 def test_an_interrupt_keeps_what_was_done(
     logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, judged: list[str]
 ) -> None:
-    from servofd.cli import audit_fleet
+    from servofd.cli import fleet
 
-    real = audit_fleet._line
+    real = fleet._line
 
     def struck(one: Any) -> str:
         if len(judged) == 3:
             raise KeyboardInterrupt
         return real(one)
 
-    monkeypatch.setattr(audit_fleet, "_line", struck)
+    monkeypatch.setattr(fleet, "_line", struck)
     assert main(["audit", str(logs), "-o", str(tmp_path / "r")]) == 130
-    monkeypatch.setattr(audit_fleet, "_line", real)
+    monkeypatch.setattr(fleet, "_line", real)
     capsys.readouterr()
     _, _, err = run(capsys, "audit", logs, "-o", tmp_path / "r")
     assert "3 of 6 logs are done already" in err

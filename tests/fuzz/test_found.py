@@ -15,12 +15,13 @@ import logparsers
 from logparsers import Channel, FlightLog
 from logparsers.endpoint import parse_endpoint
 from logparsers.errors import LinkError
+from servofd import cli
 from servofd.aircraft.outputs import outputs_of
 from servofd.aircraft.pairs import find_pairs
 from servofd.aircraft.schema import load_aircraft, plain_aircraft
 from servofd.aircraft.segment import pace_steps
 from servofd.batch.key import Job
-from servofd.cli import main, manual
+from servofd.cli import main
 from servofd.core.errors import ConfigError, RecordingError
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.verdict import Statistics
@@ -321,7 +322,7 @@ def test_a_port_of_thousands_of_digits(text: str) -> None:
 def test_a_program_that_cannot_write_leaves_no_file_open(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(manual, "run", _full)
+    monkeypatch.setattr(cli, "_show_help", _full)
     before = len(list(Path("/dev/fd").iterdir()))
     assert main(["help"]) == 2
     assert len(list(Path("/dev/fd").iterdir())) == before

@@ -55,7 +55,7 @@ def test_it_accuses_of_what_contradicts_any_servo(
         return sessions[-1]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("servofd.live.session.Session", kept)
+        patch.setattr("servofd.cli.monitor.Session", kept)
         words = ["-c", str(file), "--speed", "0", "--json-lines", "-", "--no-alert", "--rrd", str(recording)]
         code = main(["monitor", str(flight), *words])
     said = capsys.readouterr()

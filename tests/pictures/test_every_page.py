@@ -10,11 +10,11 @@ import pytest
 
 import servofd
 from servofd.cli import main
-from servofd.cli.audit_fleet import PAGE
+from servofd.cli.options import FLEET_PAGE as PAGE
+from servofd.jobs.workflow import FailedLog
 from servofd.outputs.audit_page import audit_page
 from servofd.outputs.explain_page import explain_page
 from servofd.outputs.identify_page import identify_page
-from servofd.outputs.json_report import FailedLog
 from servofd.simulation.airframe import fly_airframe
 from servofd.simulation.airframe_log import airframe_log
 from tests.pictures.browser import BROWSER, Browser

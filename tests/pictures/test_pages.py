@@ -14,9 +14,9 @@ import servofd
 from servofd.aircraft.segment import Segment
 from servofd.detection.verdict import LogAudit
 from servofd.discrepancy.explanation import Explanation, explain_gap
+from servofd.jobs.workflow import FailedLog
 from servofd.outputs.audit_page import audit_page
 from servofd.outputs.explain_page import explain_page
-from servofd.outputs.json_report import FailedLog
 from servofd.outputs.palette import BANNER_COLOURS
 from servofd.servo.effects import RateLimit
 from servofd.servo.library import servo_named

@@ -48,7 +48,7 @@ def commands(text: str) -> list[str]:
 def test_every_command_is_valid(path: Path) -> None:
     for command in commands(path.read_text()):
         options = parsed(shlex.split(command.partition(" > ")[0], comments=True))
-        assert callable(options.run), command
+        assert options.verb, command
 
 
 def test_the_pages_hold_commands() -> None:

@@ -267,7 +267,7 @@ def test_what_is_at_work_says_how_far_it_is(tmp_path: Path, monkeypatch: pytest.
         raise EmptyLog("no rows")
 
     flights._set(flight.id, "at work", None)
-    monkeypatch.setattr("servofd.serve.judge.audit", audit)
+    monkeypatch.setattr("servofd.jobs.workflow.audit", audit)
     judge(str(flight.log), str(flights.results(flight.id)), flights.job)
     assert told == ["Being read.", "Judged so far: aileron left.", "Judged so far: aileron left, rudder."]
 

@@ -174,7 +174,7 @@ def test_the_command_line_prints_writes_and_returns_what_it_found(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen = trend_of(logs([0.02 * number for number in range(1, 41)], START), PLANE)
-    monkeypatch.setattr("servofd.wear.trend.trend_logs", lambda *_, **__: seen)
+    monkeypatch.setattr("servofd.cli.trend.trend_logs", lambda *_, **__: seen)
     words = ["trend", "flights", "-c", "faser", "--json", str(tmp_path / "t.json"), "--html", str(tmp_path / "t.html")]
     assert main(words) == 1
     printed = capsys.readouterr().out

@@ -1,0 +1,630 @@
+"""What can be typed: verbs, their options, how a wrong call is reported. What a verb does is in its own file."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from servofd.version import __version__
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+Options = argparse.Namespace
+"""Of one call; a verb's function takes them."""
+COULD_NOT_TELL = 2
+FLEET_PAGE = "fleet.html"
+SERVE_PORT, MOST_MB = 8787, 4096
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
+SHELLS = ("bash", "zsh", "tcsh")
+SIMULATED = ".csv (plain table), .mat (FASER), .bin (ArduPilot DataFlash), .tlog (MAVLink) or .ulg (PX4)"
+_LARGEST, _SMALLEST = 1.7e308, 5e-324
+"""Of the numbers that are finite, and of those above zero."""
+_DIGITS = 10
+_FILE = re.compile(r"LOG|FILE|RECORDING|\.(?:toml|rrd|py|png)\b")
+"""Words of the help that stand for a file."""
+_JUDGED = "Exit code 0: healthy; 1: a fault was found; 2: could not tell."
+_AIRCRAFT, _SERVO = (
+    "aircraft file, or the name of a shipped one",
+    "servo of all surfaces: of the library, FILE.toml, or ",
+)
+
+
+class Parser(argparse.ArgumentParser):
+    """Reports a wrong call in one line; options must be spelt out."""
+
+    def __init__(self, **options: Any) -> None:  # noqa: ANN401 - whatever argparse takes
+        super().__init__(**(options | {"allow_abbrev": False}))
+
+    def error(self, message: str) -> NoReturn:
+        """End with one line on stderr."""
+        self.exit(COULD_NOT_TELL, f"{self.prog}: {message} (see '{self.prog} --help')\n")
+
+    def config(self, metavar: str = "AIRCRAFT.toml", **more: Any) -> None:  # noqa: ANN401 - of argparse
+        """Declare the aircraft file."""
+        self.add_argument("-c", "--config", metavar=metavar, **({"help": _AIRCRAFT} | more))
+
+    def servo(self, about: str = f"{_SERVO}unknown (fitted)") -> None:
+        """Declare the servo to assume."""
+        self.add_argument("--servo", metavar="NAME", help=about)
+
+    def surface(self, about: str, metavar: str = "NAME") -> None:
+        """Declare the surfaces to look at; all if none is named."""
+        self.add_argument("-s", "--surface", action="append", default=[], metavar=metavar, help=about)
+
+    def json(self, what: str = "result", instead: str = "table") -> None:
+        """Declare where the result goes as JSON."""
+        self.file("--json", f"write the {what} as JSON; - prints it instead of the {instead}")
+
+    def file(self, name: str, about: str, metavar: str = "FILE") -> None:
+        """Declare a file that is written or read."""
+        self.add_argument(name, metavar=metavar, help=about)
+
+    def folder(self, about: str) -> None:
+        """Declare the folder for all results."""
+        self.add_argument("-o", "--output", metavar="DIR", help=about)
+
+    def flag(self, name: str, about: str, **more: Any) -> None:  # noqa: ANN401 - of argparse
+        """Declare what is on or off."""
+        self.add_argument(name, action="store_true", help=about, **more)
+
+    def kind_of_threshold(self, level: str, kind: str) -> None:
+        """Declare when to alarm."""
+        self.add_argument("--threshold-deg", type=_DEGREES, metavar="X", help=level)
+        self.add_argument("--threshold", choices=["constant", "interval"], help=kind)
+
+    def workers(self) -> None:
+        """Declare who works on many logs."""
+        about = "processes for many logs (default: one per core)"
+        self.add_argument("--workers", type=_WORKERS, metavar="N", help=about)
+        self.add_argument("--cluster", metavar="tcp://HOST:8786", help="judge many logs on this Dask cluster")
+
+
+def _number(what: str, least: float, most: float = math.inf) -> Callable[[str], float]:
+    """Reader of an option that takes a number within bounds, which it calls so."""
+
+    def read(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not least <= value <= most:
+            raise argparse.ArgumentTypeError(f"must be {what}, not {text}")
+        return value
+
+    return read
+
+
+def _whole(what: str, least: int, most: int) -> Callable[[str], int]:
+    """The same for a whole number of at most nine digits."""
+
+    def read(text: str) -> int:
+        if not (text.isascii() and text.isdigit() and len(text) < _DIGITS and least <= int(text) <= most):
+            raise argparse.ArgumentTypeError(f"must be {what}, not {text}")
+        return int(text)
+
+    return read
+
+
+def _span(text: str) -> tuple[float, float]:
+    first, colon, last = text.partition(":")
+    if not colon:
+        raise argparse.ArgumentTypeError(f"must be two times in seconds such as 10:93.5, not {text}")
+    from_s, to_s = _SECONDS(first), _SECONDS(last)
+    if not from_s < to_s:
+        raise argparse.ArgumentTypeError(f"must be an earlier and a later time such as 10:93.5, not {text}")
+    return from_s, to_s
+
+
+_DEGREES = _number("a positive number of degrees", _SMALLEST, _LARGEST)
+_POSITIVE, _SECONDS = _number("a positive number", _SMALLEST, _LARGEST), _number("a time in seconds", -1e12, 1e12)
+_LASTING, _SPEED = _number("a positive number of seconds", _SMALLEST), _number("a positive number, or 0", 0.0, _LARGEST)
+_PER_HOUR = _number("a number of false alarms per hour between 1e-12 and 1000", 1e-12, 1e3)
+_WORKERS = _whole("a number of processes from 1 to 1024", 1, 1024)
+_ADDRESS, _PORT = _whole("an id from 1 to 255", 1, 255), _whole("a port from 1 to 65535", 1, 65_535)
+_FREE_PORT, _SIZE = _whole("a port from 0 to 65535", 0, 65_535), _whole("a number from 1 to 1000000", 1, 1_000_000)
+
+
+def _audit(parser: Parser) -> None:
+    logs = (
+        "flight log, recognised by its content; or many of them: folders, patterns, addresses such as s3://bucket/logs"
+    )
+    parser.add_argument("logs", nargs="+", metavar="LOG", help=logs)
+    parser.config()
+    parser.servo()
+    parser.surface("judge only this surface")
+    parser.kind_of_threshold("alarm level [deg] (default: 1.5)", "kind (default: constant)")
+    parser.json()
+    parser.file("--html", "write a page that can be sent by mail")
+    parser.flag("--plot", "draw each residual against its threshold in the terminal")
+    parser.file("--rrd", "write a Rerun recording (of one log)")
+    parser.flag("--include-position", "tell in the recording where it flew")
+    parser.flag("--map", "show it there on a map from openstreetmap.org")
+    parser.folder(
+        "write figures, recordings and audit.json to a folder; "
+        "of many logs, tables (Parquet) and a page, to which the next call adds what is new"
+    )
+    parser.workers()
+    parser.set_defaults(pages=None)
+
+
+def _info(parser: Parser) -> None:
+    parser.add_argument("log", metavar="LOG")
+    parser.config()
+    parser.flag("--channels", "list every channel, not only those of surfaces")
+    parser.flag("--json", "print JSON instead of text")
+
+
+def _explain(parser: Parser) -> None:
+    parser.add_argument("logs", nargs="+", metavar="LOG", help="any log that audit reads; several are fitted together")
+    parser.surface("only this surface (default: all)", "SURFACE")
+    parser.config()
+    parser.servo("servo: of the library, FILE.toml, or unknown (fitted)")
+    parser.file("--effect", "try an effect of your own as well (docs/explain.md)", "FILE.py")
+    also = "judge the model on these flights, too, fitting nothing"
+    parser.add_argument("--also", nargs="+", default=[], metavar="FILE", help=also)
+    parser.json(instead="text")
+    parser.file("--save", "write the aircraft with the better model, for audit -c", "MODEL.toml")
+    parser.file("--rrd", "write a Rerun recording of both simulations (of one surface)")
+    parser.file("--html", "write a page: the gap before and after")
+
+
+def _view(parser: Parser) -> None:
+    parser.add_argument("file", metavar="LOG|RECORDING", help="a log that audit reads, or an .rrd file")
+    parser.config()
+    parser.servo()
+    parser.flag("--include-position", "show where the aircraft flew")
+    parser.flag("--map", "show it on a map, which the viewer loads from openstreetmap.org")
+
+
+def _review(parser: Parser) -> None:
+    parser.add_argument("recordings", nargs="+", metavar="RECORDING", help="an .rrd file, or a folder of them")
+    parser.json(instead="text")
+    parser.kind_of_threshold("judge again, with this alarm level [deg]", "judge again, with this kind")
+    parser.add_argument("--between", nargs=2, type=float, metavar=("A", "B"), help="only from A to B [s]")
+    parser.file("--compare", "tell what is different in a recording of the same log", "OTHER.rrd")
+    parser.flag("--repair", "save what is whole of a recording that was cut short")
+    about = "write what --between, --repair or a new threshold gave"
+    parser.add_argument("-o", "--output", metavar="FILE", help=about)
+
+
+def _fleet(parser: Parser) -> None:
+    parser.add_argument("folder", metavar="DIR", help="folder of results")
+    parser.file("--html", f"page to write (default: {FLEET_PAGE} in the folder)")
+    parser.json("overview")
+
+
+def _trend(parser: Parser) -> None:
+    parser.add_argument("logs", nargs="+", metavar="LOG", help="logs, folders, patterns or addresses")
+    parser.config(required=True, help="aircraft file, or a shipped one")
+    parser.surface("follow only this surface")
+    parser.json(instead="tables")
+    parser.file("--html", "write a page that can be sent by mail")
+    parser.workers()
+
+
+def _serve(parser: Parser) -> None:
+    parser.add_argument("--folder", default="flights", metavar="DIR", help="folder of logs (default: flights)")
+    parser.config()
+    parser.servo()
+    port = f"(default: {SERVE_PORT}; 0: a free one)"
+    parser.add_argument("--port", type=_FREE_PORT, default=SERVE_PORT, metavar="PORT", help=port)
+    host = "address to listen on (default: this computer only); for any other a link with a token is printed"
+    parser.add_argument("--host", default=LOOPBACK[0], metavar="ADDRESS", help=host)
+    most = f"largest log that is taken (default: {MOST_MB})"
+    parser.add_argument("--most-mb", type=_SIZE, default=MOST_MB, metavar="MB", help=most)
+    parser.add_argument("--workers", type=_SIZE, metavar="N", help="processes (default: one per core)")
+    parser.flag("--no-open", "do not open the page")
+
+
+def _config(parser: Parser) -> None:
+    parser.add_argument("log", metavar="LOG", help="ArduPilot .bin or .log, MAVLink .tlog, PX4 .ulg, or a plain table")
+
+
+def _calibrate(parser: Parser) -> None:
+    parser.add_argument("logs", nargs="+", metavar="LOG", help="flights of one aircraft, all of them good")
+    parser.config(help="what is known of it so far (default: drafted from the logs)")
+    parser.flag(
+        "--motion",
+        "calibrate what the aircraft's motion tells of its axes (which is what happens where no servo reports)",
+    )
+    parser.flag("--own-days", "of motion: flights of one date differ as days do, in payload, trim or wind")
+    parser.add_argument("-o", "--output", required=True, metavar="CALIBRATED.toml", help="aircraft file to write")
+    rate = (
+        "wanted of all axes together, where motion is calibrated (default: 1); of servos that report their "
+        "position the measured rate is told"
+    )
+    parser.add_argument("--false-alarms-per-hour", type=_PER_HOUR, metavar="X", help=rate)
+    parser.surface("calibrate only this one")
+    parser.add_argument("--until", type=_SECONDS, metavar="S", help="use each log up to this time [s] only")
+    between = "use this part [s] only; may be repeated"
+    parser.add_argument("--between", type=_span, action="append", default=[], metavar="A:B", help=between)
+    run = "of a table of several runs, use only this"
+    parser.add_argument("--run", dest="runs", action="append", default=[], metavar="NAME", help=run)
+    parser.flag(
+        "--force", "calibrate also where the loss of a third of travel and of two thirds of speed would not show"
+    )
+
+
+def _identify(parser: Parser) -> None:
+    logs = "table, FASER log, or DataFlash log (chirp applet: SCRP)"
+    parser.add_argument("logs", nargs="+", metavar="LOG", help=logs)
+    parser.add_argument("-s", "--surface", metavar="SURFACE", help="which servo, if the logs hold several")
+    parser.config(help="aircraft file: columns, calibration")
+    method = "response: exact hold and delay, refined on the motion (default); magnitude: the thesis' fit"
+    parser.add_argument("--method", choices=["response", "magnitude"], default="response", help=method)
+    parser.add_argument("--order", type=int, choices=[1, 2, 3], help="number of poles (default: the data choose)")
+    parser.json(instead="text")
+    parser.file("--save", "write a servo file, for --servo and aircraft files", "SERVO.toml")
+    parser.file("--html", "write a page with all figures")
+    parser.file("--rrd", "write a Rerun recording of the tests and of the servo simulated")
+    parser.folder("write figures (PNG) and identify.json to a folder")
+
+
+def _sweep(parser: Parser) -> None:
+    parser.add_argument("log", metavar="LOG", help="log of the sweep")
+    parser.config()
+    parser.surface("judge only this surface")
+    parser.json()
+
+
+def _servos(parser: Parser) -> None:
+    parser.flag("--notes", "corrections and cautions for each servo")
+    parser.flag("--json", "print JSON instead of a table")
+
+
+def _odds(parser: Parser) -> None:
+    parser.config()
+    parser.add_argument("--log", nargs="+", action="extend", default=[], metavar="LOG", help="healthy flights")
+    parser.servo("library servo of all surfaces; unknown: fitted to the flights")
+    parser.surface("only this surface")
+    for name, default, unit, about in (
+        ("--false-alarms-per-hour", 1e-3, "X", "wanted rate (default: 1e-3)"),
+        ("--fault-deg", 2.0, "X", "bias whose delay is printed [deg] (default: 2)"),
+        ("--noise-deg", None, "X", "noise of the position [deg], without logs (default: 0.1)"),
+        ("--rate-hz", None, "HZ", "sample rate of the position, without logs (default: 100)"),
+    ):
+        parser.add_argument(name, type=_POSITIVE, default=default, metavar=unit, help=about)
+    parser.json()
+    parser.folder("write a figure per surface and odds.json to a folder")
+
+
+def _design(parser: Parser) -> None:
+    parser.add_argument("servo", metavar="SERVO", help="name from 'servofd servos'")
+    parser.add_argument("--pole", type=float, metavar="RAD_S", help="filter pole (default: fastest, noise gain <= 0.5)")
+    parser.add_argument("--rate-hz", type=float, default=100.0, metavar="HZ", help="sample rate (default: 100)")
+    parser.flag("--printed-gain", "keep the dc gain as printed, do not scale it to 1")
+    parser.file("--plot", "draw the residual after a fault of 1 deg", "FILE.png")
+
+
+def _monitor(parser: Parser) -> None:
+    endpoint = "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT, a serial device, or a log file"
+    parser.add_argument("endpoint", metavar="ENDPOINT", help=endpoint)
+    config = "aircraft file; of several vehicles one for each system id"
+    parser.config("[ID=]AIRCRAFT.toml", action="append", required=True, help=config)
+    parser.add_argument("--duration", type=_LASTING, default=float("inf"), metavar="S", help="end after so long [s]")
+    parser.add_argument("--speed", type=_SPEED, metavar="X", help="of a replay; 0: as fast as it goes (default: 1)")
+    parser.file("--rrd", "write a Rerun recording")
+    parser.flag("--serve", "let Rerun viewers on this machine connect")
+    parser.add_argument("--viewer-port", type=_PORT, default=9876, metavar="PORT", help="(default: 9876)")
+    parser.file("--tlog", "write all that is received as a telemetry log")
+    parser.file("--alert-to", "send alerts there (default: back to the stream)", "ENDPOINT")
+    parser.flag("--no-alert", "send no alerts")
+    parser.flag("--no-request", "send nothing at all to the stream")
+    parser.flag("--dataflash", "ask for the autopilot's own log (CSRV, RCOU) as well")
+    parser.add_argument("--system", type=_ADDRESS, metavar="ID", help="system id to speak as (default: the vehicle's)")
+    parser.add_argument("--component", type=_ADDRESS, default=191, metavar="ID", help="component id (default: 191)")
+    parser.file("--signing-key", "file with the key that frames are signed with")
+    parser.file("--json-lines", "write each event as a line of JSON; - prints them")
+    parser.flag("--plain", "print lines instead of a changing picture")
+
+
+def _onboard(parser: Parser) -> None:
+    aircraft = "aircraft file, best a calibrated one; --stream-only does without"
+    parser.add_argument("aircraft", metavar="AIRCRAFT.toml", nargs="?", help=aircraft)
+    parser.add_argument("-o", "--output", required=True, metavar="FILE.lua", help="the script")
+    parser.surface("watch only this surface")
+    parser.flag("--stream-only", "only send measured positions, for a log or a monitor on the ground")
+    rate = "how often each servo is looked at (default: 50)"
+    parser.add_argument("--rate-hz", type=float, default=50.0, metavar="HZ", help=rate)
+    count = "SCR_VM_I_COUNT of the autopilot, the instructions of one call (default: 10000, as ArduPilot's)"
+    parser.add_argument("--instructions", type=int, default=10_000, metavar="N", help=count)
+
+
+def _simulate(parser: Parser) -> None:
+    where = parser.add_mutually_exclusive_group(required=True)
+    where.add_argument("-o", "--output", metavar="FILE", help=SIMULATED)
+    stream = (
+        "udpout:HOST:PORT, udpin:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT or a serial device: be an ArduPlane "
+        "there, in real time"
+    )
+    where.add_argument("--stream", metavar="ENDPOINT", help=stream)
+    parser.config()
+    parser.servo("library servo of all surfaces; default: as in the shipped simulated")
+    length = "length [s] (default: 60; of a stream 600)"
+    parser.add_argument("--duration", type=float, metavar="S", help=length)
+    rate = "sample rate (default: 100; in a .tlog 40; of a stream 50, the main loop of an ArduPlane)"
+    parser.add_argument("--rate-hz", type=float, metavar="HZ", help=rate)
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="the same seed gives the same flight")
+    command = "flight, calm, lively, cruise or hand_flown; on the bench chirp, steps or doublets (default: flight)"
+    parser.add_argument("--command", default="flight", help=command)
+    noise = "noise of the position (default: 0.1)"
+    parser.add_argument("--noise-deg", type=float, default=0.1, metavar="X", help=noise)
+    fault = (
+        "stuck, bias, hardover, floating, oscillation, deadband, slow or loss_of_effectiveness, from START [s] on "
+        "(until end_s=... if it passes); may be given again, on one surface for a later time"
+    )
+    parser.add_argument("--fault", action="append", default=[], metavar="SURFACE:KIND@START[:KEY=VALUE]", help=fault)
+    effect = (
+        "anything that explain can find, in its words, e.g. elevator:backlash:width_deg=1; delay is the total, "
+        "limits replace those of the servo; form=... as in an aircraft file"
+    )
+    parser.add_argument("--effect", action="append", default=[], metavar="SURFACE:EFFECT[:KEY=VALUE]", help=effect)
+    generation = (
+        "servo telemetry of a .bin: volz (ArduPilot 4.7: degrees, with the command; default) or dronecan "
+        "(up to 4.6: radians)"
+    )
+    parser.add_argument("--generation", metavar="NAME", help=generation)
+    airframe = (
+        "an aeroplane without servo feedback that answers its surfaces, into a .bin: plain, elevon or vtail; "
+        "faults stuck, loss_of_effectiveness, slow and bias, each with value=... (deg, share left, s, deg)"
+    )
+    parser.add_argument("--airframe", metavar="MIXER", help=airframe)
+    gusts = "of an airframe: 1 is gusts of 1.5 m/s (default: 1)"
+    parser.add_argument("--turbulence", type=float, metavar="X", help=gusts)
+    glides = "of an airframe: from when on it glides [s]"
+    parser.add_argument("--engine-cut", type=float, metavar="S", help=glides)
+    _stream(parser.add_argument_group("with --stream"))
+
+
+def _stream(live: argparse._ArgumentGroup) -> None:
+    """Options of a vehicle that is simulated live; none has a default, so that they can be refused for a file."""
+    live.add_argument("--speed", type=float, metavar="X", help="seconds of flight per second (default: 1)")
+    live.add_argument("--wait", action="store_true", default=None, help="take off when somebody has said something")
+    live.add_argument("--system", type=int, metavar="N", help="number of the vehicle, 1 to 255 (default: 1)")
+    feedback = (
+        "how it tells positions: named (NAMED_VALUE_FLOAT, default), port (SERVO_OUTPUT_RAW, port 2) or array "
+        "(DEBUG_FLOAT_ARRAY); DataFlash over MAVLink, for whoever asks, is there in each case"
+    )
+    live.add_argument("--feedback", metavar="NAME", help=feedback)
+    rate = "rate of SERVO_OUTPUT_RAW until somebody asks for another (default: 1, as ArduPlane)"
+    live.add_argument("--message-hz", type=float, metavar="HZ", help=rate)
+    grant = "grant rates up to that of the main loop; ArduPlane gives 0.8 of it"
+    live.add_argument("--any-rate", action="store_true", default=None, help=grant)
+    live.add_argument("--mavlink1", action="store_true", default=None, help="send frames of MAVLink 1")
+    key = "sign with this key (32 bytes, 64 hex digits, or a passphrase)"
+    live.add_argument("--signing-key", metavar="FILE", help=key)
+    trouble = (
+        "late, pause, silence, sequence, reboot, stall, freeze or parameter, from START [s] on, as seen on a real "
+        "ArduPilot, e.g. late@30:by_s=4 or parameter@60:name=SERVO_VOLZ_RANGE:value=160; may be given again"
+    )
+    live.add_argument("--trouble", action="append", metavar="KIND@START[:KEY=VALUE]", help=trouble)
+    clock = "what its clock shows at the start [s]; 4290 wraps after 5 s"
+    live.add_argument("--clock-s", type=float, metavar="S", help=clock)
+
+
+def _help(parser: Parser) -> None:
+    parser.add_argument("about", nargs="?", metavar="VERB", help="verb to tell of (default: all of them)")
+
+
+_GROUPS: dict[str, dict[Callable[[Parser], None], tuple[str, str, str]]] = {
+    "look at flights": {
+        _audit: (
+            "judge every surface of a flight log",
+            f"Judges every surface of one or more flight logs. {_JUDGED}",
+            "audit flight.mat -c configs/faser.toml -o report/",
+        ),
+        _info: (
+            "what is in a log, and can it be audited?",
+            "Prints format, duration, damage, vehicle, the rate and gaps of the channels that matter, which "
+            "surfaces can be audited, and for the others what would have to be logged.",
+            "info flight.bin",
+        ),
+        _explain: (
+            "name the effect that a servo's model lacks",
+            "Finds where simulation and measurement disagree on a servo that is well, names the missing "
+            "effect, adds it and shows the gap shrink on data that it was not fitted to. Exit code 0: nothing is "
+            "missing, or it was found; 1: something stays unexplained; 2: could not tell.",
+            "explain flight.csv -s elevator --save better.toml",
+        ),
+        _view: (
+            "look at a flight in the Rerun viewer",
+            "Audits a log, if it is given one, and opens the Rerun viewer on the recording.",
+            "view sample_logs/faser_stuck_flight.mat",
+        ),
+        _review: (
+            "read recordings back: verdicts, events, statistics",
+            "Reads recordings (.rrd) of servofd back, without the logs. Exit code 0: healthy; 1: a fault is "
+            "recorded; 2: could not tell.",
+            "review flight.rrd --between 20 40 -o incident.rrd",
+        ),
+        _fleet: (
+            "show what an audit of many logs found",
+            "Prints the overview of a folder of results that servofd audit LOGS/ -o DIR made, and writes it "
+            "as a page. Exit code 0: all healthy; 1: a fault was found; 2: some logs could not be judged.",
+            "audit flights/ -o results && servofd fleet results",
+        ),
+        _trend: (
+            "follow the servos of one aircraft over many flights",
+            "Estimates bias, dead band, delay, bandwidth, rate limit, noise and margin of each servo in each "
+            "flight, finds what changes, tells wear from a swap, and forecasts when a limit is crossed. Exit code 0: "
+            "no limit in sight; 1: one is exceeded or will be; 2: some logs tell nothing.",
+            "trend flights/ -c my_plane.toml --html trend.html",
+        ),
+        _serve: (
+            "a local page: drop logs on it, see their verdicts",
+            "Serves a page on this computer: logs that are dropped on it, or lie in its folder, are judged one "
+            "after the other; each gets its page, JSON and recording. Ctrl-C ends it.",
+            "serve --folder flights",
+        ),
+    },
+    "model an aircraft": {
+        _config: (
+            "draft an aircraft file from a log",
+            "Prints a commented aircraft file: the surfaces of the log, each with a servo fitted to it.",
+            "config flight.bin > my_plane.toml && servofd audit flight.bin -c my_plane.toml",
+        ),
+        _calibrate: (
+            "fit an aircraft file to flights that are known to be good",
+            "Fits each servo with its effects (scale, offset, delay, bandwidth, largest speed, dead band, "
+            "friction, play, load of the air) to flights that are known to be good, and what it may differ by between "
+            "flights, and writes a new aircraft file. Flights that look faulty are refused. Exit code 0: written; "
+            "2: not.",
+            "calibrate good1.bin good2.bin -o plane.toml",
+        ),
+        _identify: (
+            "identify a servo from bench tests",
+            "Identifies a servo from chirps, steps or other motion: poles, dc gain, delay, bandwidth, rate "
+            "limits and dead band, with 95%% intervals. Several logs: tests of one servo, or servos of one kind, which "
+            "gives their mean. Exit code 2: the test does not show what the servo is like.",
+            "identify chirp.csv step.csv --save my_servo.toml --html my_servo.html",
+        ),
+        _sweep: (
+            "pre-flight check: go or no-go from a short sweep on the ground",
+            "Judges a log in which each surface was moved to both sides on the ground, by a script or with the "
+            "sticks. Exit code 0: go for all; 1: at least one no-go; 2: could not tell.",
+            "sweep ground_check.bin -c calibrated.toml",
+        ),
+        _servos: (
+            "print the servo library",
+            "Prints the servos that can be used by name: poles, bandwidth, rate limit, delay, source.",
+            "servos --notes",
+        ),
+        _odds: (
+            "false alarms per flight hour, missed faults, delays",
+            "Tells how often noise alone would raise an alarm, which faults are seen how soon, and which "
+            "threshold gives a wanted rate of false alarms: from the design alone, or from healthy flights. "
+            "Exit code 0: done; 2: could not tell.",
+            "odds -c faser --log flight1.mat flight2.mat --false-alarms-per-hour 1e-3 -o odds/",
+        ),
+        _design: (
+            "design the residual filter of a servo",
+            "Prints the nullspace filter of a servo: Q in continuous time (thesis Eq. 4.10), its poles, "
+            "gains and noise gain, and how a fault shows in the residual.",
+            "design hs225bb-eq31 --plot fault_step.png",
+        ),
+    },
+    "fly": {
+        _monitor: (
+            "watch the servos of a flying aircraft on its MAVLink stream",
+            f"Watches the servos of a flying aircraft and raises alarms. Never commands the vehicle. {_JUDGED}",
+            "monitor udpin:127.0.0.1:14550 -c my_plane.toml",
+        ),
+        _onboard: (
+            "write the surveillance as a script that runs on an ArduPilot autopilot",
+            "Writes one Lua script for ArduPilot 4.6 or newer: it watches the servos of an aircraft file on "
+            "the autopilot itself, tells the ground station which one fails, logs what it saw and sends the positions.",
+            "onboard plane.toml -o servofd.lua; then copy it to APM/scripts and set SCR_ENABLE = 1",
+        ),
+        _simulate: (
+            "write a log of a simulated flight, or fly it live",
+            "Simulates an aircraft's servos, healthy or with faults, and writes the log of the flight, or "
+            "flies it as a vehicle on a MAVLink link.",
+            "simulate -o flight.csv --fault elevator:deadband@20:width_deg=3",
+        ),
+    },
+    "more": {
+        _help: (
+            "show the manual of a verb",
+            "Shows the options of a verb, or the list of verbs, with a pager where stdout is a terminal.",
+            "help audit",
+        ),
+    },
+}
+"""In the order in which the help shows them: what declares a verb's options; its help, description and example."""
+VERBS = tuple(declare.__name__[1:] for group in _GROUPS.values() for declare in group)
+
+
+class _WholeParser(Parser):
+    """Its help lists the verbs by what one wants to do."""
+
+    def format_help(self) -> str:
+        """What to type first, then the verbs in their groups."""
+        lines = [
+            "usage: servofd LOG... [-c AIRCRAFT.toml] [options]     judge, and open the page",
+            "       servofd VERB ...",
+            "",
+            str(self.description),
+            "",
+            "LOG is a flight log (.bin, .log, .tlog, .ulg, .mat, .csv, ...), a folder of them, a recording (.rrd), or",
+            "the endpoint of a flying aircraft (udpin:127.0.0.1:14550).",
+        ]
+        for title, group in _GROUPS.items():
+            lines += ["", f"{title}:", *(f"  {one.__name__[1:]:<12}{about}" for one, (about, _, _) in group.items())]
+        lines += [
+            "",
+            "servofd help VERB tells its options, servofd LOG --help those of the first form.",
+            str(self.epilog),
+        ]
+        return "\n".join(lines) + "\n"
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """All verbs and their options."""
+    parser = _WholeParser(
+        prog="servofd",
+        description="Tells which servo of an aircraft is lying, from its flight log.",
+        epilog="Example: servofd sample_logs/faser_stuck_flight.mat",
+    )
+    parser.add_argument("--version", action="version", version=f"servofd {__version__}")
+    parser.add_argument(
+        "--print-completion",
+        action=_PrintCompletion,
+        choices=SHELLS,
+        help="print what lets the tabulator key complete verbs, options and files: eval it in your shell's start file",
+    )
+    verbs = parser.add_subparsers(dest="verb", metavar="VERB", parser_class=Parser)
+    for group in _GROUPS.values():
+        for declare, (about, description, example) in group.items():
+            name = declare.__name__[1:]
+            declare(verbs.add_parser(name, help=about, description=description, epilog=f"Example: servofd {example}"))
+    parser.set_defaults(whole=parser, manuals=verbs.choices)  # of which `servofd help` shows one
+    return parser
+
+
+def look_parser() -> argparse.ArgumentParser:
+    """Options of ``servofd FILE``: those of an audit, and whether to open the page."""
+    parser = Parser(
+        prog="servofd",
+        description="Judges every surface of a flight log, writes a page beside it (or into -o DIR) and opens it. "
+        f"A folder is many logs, an endpoint such as udpin:127.0.0.1:14550 a flying aircraft. {_JUDGED}",
+        epilog="All verbs: servofd --help",
+    )
+    _audit(parser)
+    parser.flag("--no-open", "write the page, and do not open it")
+    parser.set_defaults(verb="look")
+    return parser
+
+
+class _PrintCompletion(argparse.Action):
+    """Prints the script that completes the whole command line, and ends, as ``--version`` does."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,  # noqa: ARG002 - argparse prescribes these
+        values: object,
+        option_string: str | None = None,  # noqa: ARG002
+    ) -> None:
+        """Write the script to stdout."""
+        import shtab
+
+        for action in _actions(parser):
+            if action.metavar == "DIR":
+                action.complete = shtab.DIRECTORY  # type: ignore[attr-defined] # where shtab looks for it
+            elif isinstance(action.metavar, str) and _FILE.search(action.metavar):
+                action.complete = shtab.FILE  # type: ignore[attr-defined]
+        print(shtab.complete(parser, str(values)))
+        parser.exit()
+
+
+def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
+    """Every option and argument of a program and of its verbs."""
+    for action in parser._actions:  # argparse has no other way to them
+        yield action
+        if isinstance(action, argparse._SubParsersAction):
+            inner: Iterable[argparse.ArgumentParser] = dict.fromkeys(action.choices.values())
+            for verb in inner:
+                yield from _actions(verb)
