@@ -13,9 +13,18 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from servofd.aircraft.segment import Segment
-from servofd.detection.changes import STATISTICS, Memory, detectable, exceeded, follow, thresholds_of, watched
+from servofd.detection.changes import (
+    STATISTICS,
+    Memory,
+    detectable,
+    exceeded,
+    follow,
+    no_sum,
+    shown,
+    thresholds_of,
+    watched,
+)
 from servofd.detection.evidence import not_judgeable, why_not_cleared
-from servofd.detection.probability import CusumDesign
 from servofd.detection.refit import LOUD, named
 from servofd.detection.residual import Residuals
 from servofd.detection.threshold import Threshold
@@ -78,7 +87,7 @@ def audit_calibrated(
     if judged_s < SHORTEST_JUDGED_S:
         reason = f"only {judged_s:.1f} s of command and position together; {SHORTEST_JUDGED_S:g} s are needed"
         return verdict(status="unknown", reason=reason, segment=segment)
-    residuals, threshold = shown(flight)
+    residuals, threshold = _shown(flight)
     found = judged(flight)
     sizes = detectable([flight])
     error_deg = flight.error_deg[rows]
@@ -233,22 +242,16 @@ def _watched(known: CalibratedServo, segment: Segment) -> Watched:
     return watched(known if has_airspeed else known.without_airspeed(), record)
 
 
-def shown(flight: Watched) -> tuple[Residuals, Threshold]:
-    """The residual, and the level that three samples in a row would have to pass, for plots and streams."""
+def _shown(flight: Watched) -> tuple[Residuals, Threshold]:
     record = flight.record
-    level_deg = thresholds_of(flight.known)[0] * flight.sigma_deg
-    rest = np.zeros(record.time_s.size)
-    residuals = Residuals(
-        record.time_s,
-        flight.reading_deg,
-        record.measured_deg,
-        np.where(flight.judged, flight.error_deg, np.nan),
+    return shown(
+        (record.time_s, flight.reading_deg, record.measured_deg, flight.error_deg),
         flight.judged,
-        -flight.reading_deg,
-        np.isfinite(record.start_deg).astype(np.int8),
+        np.isfinite(record.start_deg),
+        thresholds_of(flight.known)[0],
+        flight.sigma_deg,
+        no_sum(record.period_s),
     )
-    no_sum = CusumDesign(1.0, np.inf, 1.0, record.period_s)
-    return residuals, Threshold("interval", level_deg, rest, rest, flight.sigma_deg, no_sum, rest)
 
 
 def _verdict(
@@ -258,7 +261,7 @@ def _verdict(
         return "fault", f"servo or its feedback: {'; then '.join(describe(fault) for fault in faults)}"
     if suspicions:
         return "suspect", f"no alarm stands, but look at it: {'; '.join(describe(fault) for fault in suspicions)}"
-    residuals, threshold = shown(flight)
+    residuals, threshold = _shown(flight)
     problem = why_not_cleared(residuals, sizes, threshold.typical_deg)
     if problem:
         return "unknown", problem

@@ -28,6 +28,9 @@ from logparsers.compiled import compiled
 from servofd.aircraft.priors import FITTED, NAMES, PRIORS
 from servofd.core.evidence import Detectable
 from servofd.detection.glitches import decide, new_glitch_memory
+from servofd.detection.probability import CusumDesign
+from servofd.detection.residual import Residuals
+from servofd.detection.threshold import Threshold
 from servofd.estimate.family import PATTERNS, new_state, sensitivities, simulated, variants
 from servofd.estimate.fit import peaks, residual
 from servofd.estimate.record import load_at
@@ -452,3 +455,26 @@ def _within(value: float, most: float) -> float | None:
 
 def _rounded(value: float) -> float:
     return float(f"{value:.2g}")
+
+
+def no_sum(period_s: float) -> CusumDesign:
+    """The cumulative sum of a surface that has better tests: it never alarms."""
+    return CusumDesign(1.0, np.inf, 1.0, period_s)
+
+
+def shown(
+    signals: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    judged: BoolArray,
+    begins: BoolArray,
+    limit: float,
+    sigma_deg: FloatArray,
+    cusum: CusumDesign,
+) -> tuple[Residuals, Threshold]:
+    """Residual, and the level that three samples in a row would have to pass, for plots and streams; shape (m,) each.
+
+    `signals` are time [s], reading of the healthy servo, position and residual [deg], NaN where it is not judged.
+    """
+    time_s, reading_deg, measured_deg, error_deg = signals
+    rest = np.zeros(time_s.size)
+    residuals = Residuals(time_s, reading_deg, measured_deg, error_deg, judged, -reading_deg, begins.astype(np.int8))
+    return residuals, Threshold("interval", limit * sigma_deg, rest, rest, sigma_deg, cusum, rest)

@@ -650,7 +650,7 @@ class SurfaceMonitor:
         kind = self.surface.threshold
         history, in_flight = self._stream.history, self._is_fitted and not whole
         since_s = history.last_s - _LOOKED_AT_S if in_flight else -np.inf
-        residuals, threshold, suspicious = history.snapshot(kind, self._stream.evaluation.cusum, since_s)
+        residuals, threshold, suspicious = history.snapshot(kind, self._stream.cusum, since_s)
         copied = self._stream.effective.copied()
         residuals = replace(residuals, context=self._context)
         at_s = float(residuals.time_s[-1])

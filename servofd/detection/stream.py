@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from servofd.detection.alarm import latch, new_latch_memory
-from servofd.detection.changes import STATISTICS, Memory, Tests, exceeded, follow, thresholds_of
+from servofd.detection.changes import STATISTICS, Memory, Tests, exceeded, follow, no_sum, shown, thresholds_of
 from servofd.detection.glitches import decide, new_glitch_memory
 from servofd.detection.probability import CusumDesign
 from servofd.detection.residual import Commands, Residuals, go_on
@@ -181,8 +181,6 @@ MEMORY_S = 600.0
 _SURELY_NEXT = 0.75
 """Share of the command period within which no made-up command lies: between 1.5 and 2 periods, halved."""
 FASTEST_COMMANDS_S = 0.005
-_PENDING_ROWS = 7
-_NOTHING_READY = np.zeros((2, 0))
 
 
 class Piece(NamedTuple):
@@ -197,51 +195,18 @@ class Piece(NamedTuple):
     """True where the alarm that stands has been disproved."""
 
 
-class Stream:
-    """One surface."""
+class _Waiting:
+    """What both kinds of surfaces do with positions until they are decided."""
 
-    def __init__(self, generator: ResidualGenerator, surface: Surface, period_s: float, beat: Rhythm) -> None:
-        self._generator, self._surface, self._beat = generator, surface, beat
-        self.longest_gap_s = generator.longest_gap_s_at(period_s)
-        self.evaluation = Evaluation(generator, surface.tolerances, period_s)
-        self._filter = generator.filter_parameters()
-        self._delay_s = generator.model.plan.delay_s
-        slower = slower_generator(generator, surface.tolerances.rate)
-        self._motions = [on_its_way(each.model.servo()) for each in (generator, slower) if each is not None]
-        self._cursors = [np.zeros(1, dtype=np.int64) for _ in self._motions]
-        self._passed = PEAK_OF_LAGS * generator.pole_rad_s * period_s
-        seconds = int(MEMORY_S / max(period_s, 1e-3))
-        self.history = History(seconds)
-        period_s = min(period_s, beat.period_s)
-        room = int(MEMORY_S / max(period_s, FASTEST_COMMANDS_S))
-        self.logged, self.effective = CommandBuffer(4096), CommandBuffer(room)
-        self._starts, self._glitch, self._latch = new_starts_memory(), new_glitch_memory(), new_latch_memory()
-        self._cusum = np.zeros(2)
-        self._lags = FilterMemory.of(self._filter, 3)
-        self._positions: list[tuple[float, float]] = []
-        self._pending = np.zeros((_PENDING_ROWS, 0))
-        self._unseen: list[tuple[float, float]] = []
-        self._newest_s = -np.inf
+    def __init__(self, surface: Surface, period_s: float, longest_gap_s: float, cusum: CusumDesign) -> None:
+        self.surface, self.longest_gap_s, self.cusum = surface, longest_gap_s, cusum
+        self.history = History(int(MEMORY_S / max(period_s, 1e-3)))
         self.latest_s = -np.inf
-
-    def surroundings(self, context: Context) -> None:
-        """Airspeed and supply, as far as they are known by now; effects of the servo may depend on them."""
-        for motion in self._motions:
-            motion.context = context
-
-    def command(self, time_s: float, command_deg: float) -> None:
-        """Add a command [deg]; one that is no later than the one before is left out."""
-        if not time_s > self._newest_s:
-            return
-        shift_s = self._delay_s
-        if self._surface.command_period_s is not None:
-            self._straight(time_s, command_deg, shift_s + self._surface.command_period_s / 2.0)
-        else:
-            self._put_back(time_s, command_deg, shift_s)
-            self._add(time_s + shift_s, command_deg, 0.0)
-        self._newest_s = time_s
-        dropped = self.logged.append(time_s, command_deg, 0.0)
-        self._starts.cursor[0] = max(self._starts.cursor[0] - dropped, 0)
+        self._newest: tuple[float, float] = (-np.inf, 0.0)
+        """The latest command, when [s] and what [deg]."""
+        self._positions: list[tuple[float, float]] = []
+        self._pending: list[FloatArray] = []
+        self._glitch = new_glitch_memory()
 
     def position(self, time_s: float, measured_deg: float) -> None:
         """Add a position [deg], NaN where there is none; one that is no later than the one before is left out."""
@@ -254,26 +219,84 @@ class Stream:
         """Whether any position waits for a command."""
         return bool(self._positions)
 
+    def evaluate(self, *, final: bool = False) -> Piece | None:
+        """Evaluate what can be decided by now; everything if nothing more will come. None if that is nothing."""
+        known_s, patience_s = self._known()
+        if final or self.latest_s - self._newest[0] > patience_s:
+            known_s = np.inf
+        count = sum(1 for time_s, _ in self._positions if time_s <= known_s)
+        if count:
+            ready, self._positions = self._positions[:count], self._positions[count:]
+            self._pending += self._simulated(np.array(ready, dtype=float).T.copy())
+        elif not final:
+            return None  # what waits behind a jump waits for a position
+        if not self._pending:
+            return None
+        rows = np.concatenate(self._pending, axis=1) if len(self._pending) > 1 else self._pending[0]
+        glitch = np.zeros(rows.shape[1], dtype=bool)
+        error_deg = self._error_deg(rows)
+        decided = decide(self._glitch, error_deg, rows[4].astype(np.int8), glitch, final)
+        self._pending = [rows[:, decided:]] if decided < rows.shape[1] else []
+        return self._judged(rows[:, :decided], error_deg[:decided], glitch[:decided]) if decided else None
+
+    def _known(self) -> tuple[float, float]:
+        """Until when no command can come any more [s], and for how long one is waited for [s]."""
+        raise NotImplementedError
+
+    def _simulated(self, ready: FloatArray) -> list[FloatArray]:
+        """Rows of what is ready (2, n): time, simulated, measured, whether to judge, where to start anew; then more."""
+        raise NotImplementedError
+
+    def _error_deg(self, rows: FloatArray) -> FloatArray:
+        raise NotImplementedError
+
+    def _judged(self, rows: FloatArray, error_deg: FloatArray, glitch: BoolArray) -> Piece:
+        """Residual, threshold and alarms of what was decided."""
+        raise NotImplementedError
+
+
+class Stream(_Waiting):
+    """A surface whose servo is named, or was fitted to a log."""
+
+    def __init__(self, generator: ResidualGenerator, surface: Surface, period_s: float, beat: Rhythm) -> None:
+        self._evaluation = Evaluation(generator, surface.tolerances, period_s)
+        super().__init__(surface, period_s, generator.longest_gap_s_at(period_s), self._evaluation.cusum)
+        self._generator, self._beat = generator, beat
+        self._filter = generator.filter_parameters()
+        self._delay_s = generator.model.plan.delay_s
+        slower = slower_generator(generator, surface.tolerances.rate)
+        self._motions = [on_its_way(each.model.servo()) for each in (generator, slower) if each is not None]
+        self._cursors = [np.zeros(1, dtype=np.int64) for _ in self._motions]
+        self._passed = PEAK_OF_LAGS * generator.pole_rad_s * period_s
+        room = int(MEMORY_S / max(min(period_s, beat.period_s), FASTEST_COMMANDS_S))
+        self.logged, self.effective = CommandBuffer(4096), CommandBuffer(room)
+        self._starts, self._latch = new_starts_memory(), new_latch_memory()
+        self._sums = np.zeros(2)
+        self._lags = FilterMemory.of(self._filter, 3)
+        self._unseen: list[tuple[float, float]] = []
+
+    def surroundings(self, context: Context) -> None:
+        """Airspeed and supply, as far as they are known by now; effects of the servo may depend on them."""
+        for motion in self._motions:
+            motion.context = context
+
+    def command(self, time_s: float, command_deg: float) -> None:
+        """Add a command [deg]; one that is no later than the one before is left out."""
+        if not time_s > self._newest[0]:
+            return
+        shift_s = self._delay_s
+        if self.surface.command_period_s is not None:
+            self._straight(time_s, command_deg, shift_s + self.surface.command_period_s / 2.0)
+        else:
+            self._put_back(time_s, command_deg, shift_s)
+            self._add(time_s + shift_s, command_deg, 0.0)
+        self._newest = (time_s, command_deg)
+        dropped = self.logged.append(time_s, command_deg, 0.0)
+        self._starts.cursor[0] = max(self._starts.cursor[0] - dropped, 0)
+
     def again(self) -> None:
         """The alarm that stood is over."""
         self._latch.state[3:5] = 0.0
-
-    def evaluate(self, *, final: bool = False) -> Piece | None:
-        """Evaluate what can be decided by now; everything if nothing more will come. None if that is nothing."""
-        ready = self._ready(final=final)
-        if ready.size == 0 and not final:
-            return None  # what waits behind a jump waits for a position
-        self._simulate(ready)
-        pending = self._pending
-        if pending.shape[1] == 0:
-            return None
-        glitch = np.zeros(pending.shape[1], dtype=bool)
-        error_deg = np.ascontiguousarray(pending[2] - pending[1])
-        count = decide(self._glitch, error_deg, pending[4].astype(np.int8), glitch, final)
-        self._pending = pending[:, count:]
-        if count == 0:
-            return None
-        return self._judged(pending[:, :count], glitch[:count])
 
     def _add(self, effective_s: float, command_deg: float, slope_deg_s: float) -> None:
         dropped = self.effective.append(effective_s, command_deg, slope_deg_s)
@@ -282,42 +305,36 @@ class Stream:
 
     def _straight(self, time_s: float, command_deg: float, shift_s: float) -> None:
         """Thinned commands run straight to the next one; no position is evaluated until that is known."""
-        step_s = time_s - self._newest_s
+        step_s = time_s - self._newest[0]
         if step_s <= self.longest_gap_s:
             self.effective.bend(command_deg, step_s)
         self._add(time_s + shift_s, command_deg, 0.0)
 
     def _put_back(self, time_s: float, command_deg: float, shift_s: float) -> None:
         """Commands that were lost, on the straight line between their neighbours."""
-        step_s, before_s = time_s - self._newest_s, self._newest_s
+        step_s, (before_s, before_deg) = time_s - self._newest[0], self._newest
         if not self._beat.longest_s < step_s <= self.longest_gap_s:
             return
         recent_deg = self.logged.commands().command_deg[-RECENT_COMMANDS - 1 :]
         pieces = int(np.round(step_s / self._beat.period_s))
         for place in range(1, pieces):
             share = place / pieces
-            self._add(before_s + share * step_s + shift_s, recent_deg[-1] + share * (command_deg - recent_deg[-1]), 0.0)
+            self._add(before_s + share * step_s + shift_s, before_deg + share * (command_deg - before_deg), 0.0)
         size_deg = self._passed * unseen_deg(recent_deg, pieces - 1)
         self._unseen.append((before_s + step_s / pieces + shift_s, size_deg))
 
-    def _ready(self, *, final: bool) -> FloatArray:
-        """Positions that no later command can change, of shape (2, n)."""
-        known_s = self._newest_s
-        if self._surface.command_period_s is None and np.isfinite(self._beat.period_s):
+    def _known(self) -> tuple[float, float]:
+        known_s = self._newest[0]
+        if self.surface.command_period_s is None and np.isfinite(self._beat.period_s):
             known_s += _SURELY_NEXT * self._beat.period_s
-        if final or self.latest_s - self._newest_s > self.longest_gap_s:
-            known_s = np.inf
-        count = sum(1 for time_s, _ in self._positions if time_s <= known_s)
-        if count == 0:
-            return _NOTHING_READY
-        ready, self._positions = self._positions[:count], self._positions[count:]
-        return np.array(ready, dtype=float).reshape(-1, 2).T.copy()
+        return known_s, self.longest_gap_s
 
-    def _simulate(self, ready: FloatArray) -> None:
-        """Add what a healthy servo, and the slowest one tolerated, would have done."""
+    def _error_deg(self, rows: FloatArray) -> FloatArray:
+        return np.ascontiguousarray(rows[2] - rows[1])
+
+    def _simulated(self, ready: FloatArray) -> list[FloatArray]:
+        """What a healthy servo would have done; then the slowest one tolerated, and what lost commands may add."""
         time_s, measured_deg = ready
-        if time_s.size == 0:
-            return
         starts = mark_starts(
             self._starts,
             self.logged.time_s,
@@ -332,67 +349,50 @@ class Stream:
             go_on(motion, commands, cursor, time_s, starts.measured_deg, starts.restart)
             for motion, cursor in zip(self._motions, self._cursors, strict=True)
         ]
-        simulated_deg, slower_deg = moved[0], moved[-1]
         added_deg = np.zeros(time_s.size)
         while self._unseen and self._unseen[0][0] <= time_s[-1]:
             at_s, size_deg = self._unseen.pop(0)
             added_deg[np.searchsorted(time_s, at_s)] += size_deg
-        rows = [time_s, simulated_deg, starts.measured_deg, starts.settled, starts.restart, slower_deg, added_deg]
-        waiting = self._pending.shape[1]
-        pending = np.empty((_PENDING_ROWS, waiting + time_s.size))
-        pending[:, :waiting] = self._pending
-        for place, row in enumerate(rows):
-            pending[place, waiting:] = row
-        self._pending = pending
+        return [np.stack([time_s, moved[0], starts.measured_deg, starts.settled, starts.restart, moved[-1], added_deg])]
 
-    def _judged(self, rows: FloatArray, glitch: BoolArray) -> Piece:
-        """Residual, threshold and alarms of what was decided."""
+    def _judged(self, rows: FloatArray, error_deg: FloatArray, glitch: BoolArray) -> Piece:
         time_s, simulated_deg, measured_deg = rows[0].copy(), rows[1].copy(), np.where(glitch, np.nan, rows[2])
         restart = rows[4].astype(np.int8)
-        inputs = np.empty((3, time_s.size))
-        inputs[0] = measured_deg - simulated_deg
-        inputs[1] = -simulated_deg
-        inputs[2] = rows[5] - simulated_deg
+        inputs = np.stack([np.where(glitch, np.nan, error_deg), -simulated_deg, rows[5] - simulated_deg])
         outputs = filtered_rows(self._filter, self._lags, time_s, inputs, restart)
         settled = (rows[3] != 0.0) & ~glitch
         residuals = Residuals(time_s, simulated_deg, measured_deg, outputs[0], settled, outputs[1], restart)
         rate_error_deg = outputs[2] if len(self._motions) > 1 else np.zeros(0)
-        sigmas = self._surface.threshold_sigmas
-        threshold = self.evaluation.threshold(residuals, rate_error_deg, rows[6].copy(), sigmas)
-        if self._surface.threshold == "constant":
-            threshold = constant_threshold(threshold, self._surface.threshold_deg)
-        suspicious = suspicion(residuals, threshold, self._cusum)
-        alarm, clear = self._latched(residuals, threshold)
-        self.history.append(History.packed(residuals, threshold, suspicious))
-        return Piece(residuals, threshold, suspicious, alarm, clear)
-
-    def _latched(self, residuals: Residuals, threshold: Threshold) -> tuple[BoolArray, BoolArray]:
+        sigmas = self.surface.threshold_sigmas
+        threshold = self._evaluation.threshold(residuals, rate_error_deg, rows[6].copy(), sigmas)
+        if self.surface.threshold == "constant":
+            threshold = constant_threshold(threshold, self.surface.threshold_deg)
+        suspicious = suspicion(residuals, threshold, self._sums)
         judged = residuals.settled
         found = latch(
             self._latch,
             residuals.residual_deg[judged],
             threshold.level_deg[judged],
             residuals.immobile_deg[judged],
-            self._surface.persistence,
-            self._surface.threshold_deg if self._surface.threshold == "constant" else np.nan,
+            self.surface.persistence,
+            self.surface.threshold_deg if self.surface.threshold == "constant" else np.nan,
         )
         alarm, clear = np.zeros(judged.size, dtype=bool), np.zeros(judged.size, dtype=bool)
         alarm[judged], clear[judged] = found.alarm, found.clear
-        return alarm, clear
+        self.history.append(History.packed(residuals, threshold, suspicious))
+        return Piece(residuals, threshold, suspicious, alarm, clear)
 
 
 _BACK_S: Final = 3.0
 _LATE: Final = 2.0
 
 
-class _Evaluation(NamedTuple):
-    """What a snapshot needs beside the history."""
+class CalibratedStream(_Waiting):
+    """A calibrated surface.
 
-    cusum: CusumDesign
-
-
-class CalibratedStream:
-    """One surface."""
+    `command_s` are the times of the first commands, for their rhythm, and `sent_period_s` what passes between commands
+    as they were sent, where most of them get lost [s].
+    """
 
     def __init__(
         self,
@@ -402,34 +402,25 @@ class CalibratedStream:
         command_s: FloatArray,
         sent_period_s: float | None = None,
     ) -> None:
-        self._known, self._surface = known, surface
-        self._gap_s = gap_s(command_s) if sent_period_s is None else LONGEST_S
-        self.longest_gap_s = self._gap_s
+        longest_gap_s = gap_s(command_s) if sent_period_s is None else LONGEST_S
+        super().__init__(surface, period_s, longest_gap_s, no_sum(period_s))
+        self._known_servo, self.sent_period_s, self._period_s = known, sent_period_s, period_s
         self._limits = thresholds_of(known)
-        self.sent_period_s = sent_period_s
         self._noise = known.noise.noise.at(period_s)
-        self._period_s = period_s
         self._context = NO_CONTEXT
         self._begin_tests()
         self._table = variants(known.theta)
         self._state = new_state(self._table.shape[0])
-        self._glitch = new_glitch_memory()
         self._peak = np.array([0.0, np.nan])
-        self.evaluation = _Evaluation(CusumDesign(1.0, np.inf, 1.0, period_s))
-        self.history = History(int(MEMORY_S / max(period_s, 1e-3)))
         fastest_s = FINE_S if surface.command_period_s is not None else FASTEST_COMMANDS_S
         self.logged = CommandBuffer(int(MEMORY_S / fastest_s))
         self.effective = self.logged
         self._filled = self.logged if sent_period_s is None else CommandBuffer(int(MEMORY_S / fastest_s))
         self._unknown = new_memory()
-        self._positions: list[tuple[float, float]] = []
         self._seen = np.zeros((2, 0))
         self._begun_s = np.nan
-        self._newest: tuple[float, float] = (-np.inf, 0.0)
-        self._pending: list[FloatArray] = []
         self._before = np.zeros(len(STATISTICS))
         self.latched = False
-        self.latest_s = -np.inf
 
     def surroundings(self, context: Context) -> None:
         """Airspeed and supply, as far as they are known by now."""
@@ -440,7 +431,7 @@ class CalibratedStream:
 
     def _begin_tests(self) -> None:
         """Without airspeed more is unknown."""
-        known = self._known if self._context.airspeed_s.size else self._known.without_airspeed()
+        known = self._known_servo if self._context.airspeed_s.size else self._known_servo.without_airspeed()
         is_lossy = self.sent_period_s is not None
         self._tests = Tests.of(known.noise.noise, known.covariance, self._period_s, is_lossy=is_lossy)
         self._memory = Memory(self._tests)
@@ -452,7 +443,7 @@ class CalibratedStream:
             return
         if self.sent_period_s is not None:
             self._fill(time_s, command_deg)
-        elif self._surface.command_period_s is not None and time_s - before_s < 1.0:
+        elif self.surface.command_period_s is not None and time_s - before_s < 1.0:
             pieces = max(round((time_s - before_s) / FINE_S), 1)
             for place in range(1, pieces):
                 share = place / pieces
@@ -462,32 +453,13 @@ class CalibratedStream:
 
     def position(self, time_s: float, measured_deg: float) -> None:
         """Add a position [deg]; one that is no later than the one before, or none, is left out."""
-        if time_s > self.latest_s and np.isfinite(measured_deg):
-            self.latest_s = time_s
-            self._positions.append((time_s, measured_deg))
+        if np.isfinite(measured_deg):
+            super().position(time_s, measured_deg)
 
     def again(self) -> None:
         """Begin the tests anew, because the alarm that stood is over."""
         self._memory, self.latched = Memory(self._tests), False
         self._before = np.zeros(len(STATISTICS))
-
-    @property
-    def is_waiting(self) -> bool:
-        """Whether any position waits for a command."""
-        return bool(self._positions)
-
-    def evaluate(self, *, final: bool = False) -> Piece | None:
-        """Evaluate what can be decided by now; everything if nothing more will come. None if that is nothing."""
-        self._simulate(self._ready(final=final))
-        if not self._pending:
-            return None
-        rows = np.concatenate(self._pending, axis=1) if len(self._pending) > 1 else self._pending[0]
-        glitch = np.zeros(rows.shape[1], dtype=bool)
-        error_deg, _ = residual(rows[2], rows[1], self._known.reach_deg)
-        error_deg = np.where(rows[3] != 0.0, error_deg, np.nan)
-        count = decide(self._glitch, error_deg, rows[4].astype(np.int8), glitch, final)
-        self._pending = [rows[:, count:]] if count < rows.shape[1] else []
-        return self._judged(rows[:, :count], error_deg[:count], glitch[:count]) if count else None
 
     def _add(self, time_s: float, command_deg: float) -> None:
         dropped = self.logged.append(time_s, command_deg, 0.0)
@@ -506,46 +478,46 @@ class CalibratedStream:
             dropped = self._filled.append(at_s, asked_deg, 0.0)
             self._state[0, 1] = max(self._state[0, 1] - dropped, 0.0)
 
-    def _ready(self, *, final: bool) -> FloatArray:
-        known_s = self._newest[0]
-        if final or self.latest_s - known_s > _LATE * self._gap_s:
-            known_s = np.inf
-        count = sum(1 for time_s, _ in self._positions if time_s <= known_s)
-        ready, self._positions = self._positions[:count], self._positions[count:]
-        return np.array(ready, dtype=float).reshape(-1, 2).T.copy()
+    def _known(self) -> tuple[float, float]:
+        return self._newest[0], _LATE * self.longest_gap_s
 
-    def _simulate(self, ready: FloatArray) -> None:
-        count = ready.shape[1]
-        if count == 0 or self.logged.size == 0:
-            return
+    def _error_deg(self, rows: FloatArray) -> FloatArray:
+        error_deg, _ = residual(rows[2], rows[1], self._known_servo.reach_deg)
+        return np.where(rows[3] != 0.0, error_deg, np.nan)
+
+    def _simulated(self, ready: FloatArray) -> list[FloatArray]:
+        """What the servo would have done; then its noise, sensitivities and patterns. Nothing before any command."""
+        if self.logged.size == 0:
+            return []
+        known = self._known_servo
         start_deg, usable = self._starts(ready)
         time_s, measured_deg = ready
-        load = loads(self._context, time_s, self._known.airspeed_m_s)
-        usable = usable & (load <= load_at(self._known.last_judged_m_s))
-        power = powers(self._context, time_s, self._known.supply_v)
+        load = loads(self._context, time_s, known.airspeed_m_s)
+        usable = usable & (load <= load_at(known.last_judged_m_s))
+        power = powers(self._context, time_s, known.supply_v)
         commands = self._filled.commands()
         position_deg, speed_deg_s = simulated(
             self._table, self._state, (commands.effective_s, commands.command_deg), time_s, load, power, start_deg
         )
-        reading_deg, slopes = sensitivities(position_deg, speed_deg_s, self._known.theta, self._known.reach_deg)
+        reading_deg, slopes = sensitivities(position_deg, speed_deg_s, known.theta, known.reach_deg)
         noise_deg = self._noise.sigma_deg(peaks(speed_deg_s, time_s, self._peak))
         if self.sent_period_s is not None:
             arrived = self.logged.commands()
             asked = arrived.effective_s, arrived.command_deg
-            lost = unknown_deg(asked, self.sent_period_s, self._known.theta, time_s, self._unknown)
+            lost = unknown_deg(asked, self.sent_period_s, known.theta, time_s, self._unknown)
             noise_deg = np.hypot(noise_deg, lost)
         rows = [time_s, reading_deg, measured_deg, usable, np.isfinite(start_deg), noise_deg]
-        self._pending.append(np.concatenate([np.stack(rows), slopes.T]))
+        return [np.concatenate([np.stack(rows), slopes.T])]
 
     def _starts(self, ready: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Where to begin anew and what to judge, from the last seconds and what is ready."""
         self._seen = np.concatenate([self._seen, ready], axis=1)
         time_s, measured_deg = self._seen
         commands = self.logged.commands()
-        first = max(int(np.searchsorted(commands.effective_s, time_s[0] - self._gap_s)) - 1, 0)
+        first = max(int(np.searchsorted(commands.effective_s, time_s[0] - self.longest_gap_s)) - 1, 0)
         command_s = commands.effective_s[first:]
         held_s = None if self.sent_period_s is None else HOLDS * self.sent_period_s
-        start_deg, usable = starts(command_s, time_s, measured_deg, self._gap_s, self._begun_s, held_s)
+        start_deg, usable = starts(command_s, time_s, measured_deg, self.longest_gap_s, self._begun_s, held_s)
         if not np.isfinite(self._begun_s):
             begun = np.flatnonzero(np.isfinite(start_deg))
             if begun.size:
@@ -562,12 +534,14 @@ class CalibratedStream:
         sigma_deg, triple, grid_s, table = follow(
             self._tests, self._memory, time_s, error_deg, rows[6:].T.copy(), rows[5].copy()
         )
-        rest = np.zeros(time_s.size)
-        residuals = Residuals(
-            time_s, reading_deg, measured_deg, error_deg, usable, -reading_deg, rows[4].astype(np.int8)
+        residuals, threshold = shown(
+            (time_s, reading_deg, measured_deg, error_deg),
+            usable,
+            rows[4] != 0.0,
+            self._limits[0],
+            sigma_deg,
+            self.cusum,
         )
-        level_deg = self._limits[0] * sigma_deg
-        threshold = Threshold("interval", level_deg, rest, rest, sigma_deg, self.evaluation.cusum, rest)
         raised = np.zeros(time_s.size, dtype=bool)
         at_s = self._alarm_s(time_s, triple, grid_s, table[:, : len(STATISTICS)])
         if np.isfinite(at_s):

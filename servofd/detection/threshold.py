@@ -20,14 +20,14 @@ it passes the filter's four or so lags (the peak of :math:`p\,(pt)^3 e^{-pt}/6`)
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from servofd.aircraft.schema import DEFAULT_SIGMAS
 from servofd.core.types import BoolArray, ComplexArray, FloatArray
 from servofd.detection.samples import RESTART_ALL
-from servofd.servo.state import compiled, inlined, inner
+from servofd.servo.state import compiled, inner
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -53,100 +53,58 @@ _SMALLEST_NOISE_DEG = 1e-3
 _RESOLUTION_TO_SIGMA = float(1.0 / np.sqrt(12.0))
 _TRIFLE = 0.1
 """Unusual deviations that leave less than this share of the tolerated bias are of no interest, however sure."""
-_ANYTHING = np.array([1.0, 0.1, 1.0, 10.0])
+_LARGEST = (1.0, 0.1, 1.0, 10.0)
 """Deviations of gain, delay [s], bandwidth and bias [deg] that no fault exceeds by much."""
+_X, _PEAK, _MOMENT, _HEALTHY, _ANYTHING, _SOLVED, _GRAM, _FACTOR = 0, 1, 2, 3, 4, 5, 6, 10
 
 
-class Signals(NamedTuple):
-    """Of one surface; all of shape (n,), but for the last two, which may be empty."""
+def new_state(tolerated: FloatArray, noise_deg: float) -> tuple[FloatArray, FloatArray]:
+    """Memory of `follow`: what it hands on from one piece to the next (12,), and rows of four (14, 4).
 
-    time_s: FloatArray
-    immobile_deg: FloatArray
-    error_deg: FloatArray
-    measured_deg: FloatArray
-    judged_deg: FloatArray
-    """Residual; NaN where it is not judged."""
-    restarted: BoolArray
-    rate_error_deg: FloatArray
-    """Residual that a rate limit at the edge of its tolerance would leave."""
-    unseen_deg: FloatArray
-    """What commands that were lost from the log add from each sample on."""
-
-
-class Bounds(NamedTuple):
-    """Tolerances and noise."""
-
-    tolerated: FloatArray
-    """Of gain, delay [s], bandwidth and bias [deg], of shape (4,)."""
-    noise_deg: float
-    noise_gain: float
-    colour: float
-    """Sum of the residual's autocorrelation over all lags."""
-
-
-class Work(NamedTuple):
-    """Room for `follow`, which allocates nothing."""
-
-    slow: ComplexArray
-    """Low passes of the immobile residual, one for each mode."""
-    x: FloatArray
-    """What deviations of gain, delay, bandwidth and bias by one would add."""
-    peak: FloatArray
-    gram: FloatArray
-    moment: FloatArray
-    healthy: FloatArray
-    """Prior weights of healthy deviations, per power of the noise."""
-    anything: FloatArray
-    """Those of any deviations."""
-    factor: FloatArray
-    solved: FloatArray
-    state: FloatArray
-    """Of shape (12,): what `follow` hands on from one piece to the next, see there."""
-
-
-def new_work(bounds: Bounds, modes: int) -> Work:
-    """Room for a servo with so many modes."""
-    noise_deg = max(bounds.noise_deg, _SMALLEST_NOISE_DEG)
-    return Work(
-        slow=np.zeros(modes, dtype=np.complex128),
-        x=np.ones(4),
-        peak=np.array([0.0, 0.0, 0.0, 1.0]),
-        gram=np.zeros((4, 4)),
-        moment=np.zeros(4),
-        # Uniform within its bounds, a deviation has a third of their square as variance.
-        healthy=3.0 / np.maximum(bounds.tolerated, 1e-9) ** 2,
-        anything=1.0 / _ANYTHING**2,
-        factor=np.zeros((4, 4)),
-        solved=np.zeros(4),
-        state=np.array([0.0, 0.0, *[np.nan] * 4, noise_deg, 0.0, 0.0, -np.inf, np.nan, np.inf]),
+    Those are what deviations of gain, delay, bandwidth and bias by one would add, their recent peaks, moments, prior
+    weights of healthy and of any deviations, room for a solution, and the normal equations and their factor.
+    """
+    numbers = np.array(
+        [0.0, 0.0, *[np.nan] * 4, max(noise_deg, _SMALLEST_NOISE_DEG), 0.0, 0.0, -np.inf, np.nan, np.inf]
     )
+    rows = np.zeros((14, 4))
+    rows[_X], rows[_PEAK] = 1.0, (0.0, 0.0, 0.0, 1.0)
+    # Uniform within its bounds, a deviation has a third of their square as variance.
+    rows[_HEALTHY], rows[_ANYTHING] = 3.0 / np.maximum(tolerated, 1e-9) ** 2, 1.0 / np.array(_LARGEST) ** 2
+    return numbers, rows
 
 
 @compiled
-def follow(
-    signals: Signals,
-    bounds: Bounds,
-    work: Work,
+def follow(  # noqa: C901, PLR0912, PLR0915 - one loop over time; functions of its own would take as long to compile
+    signals: FloatArray,
+    bounds: FloatArray,
+    kept: FloatArray,
+    rows: FloatArray,
+    slow: ComplexArray,
     decay_rad_s: ComplexArray,
-    tolerated_deg: FloatArray,
-    saturated_deg: FloatArray,
-    sigma_deg: FloatArray,
-    drift: FloatArray,
+    out: FloatArray,
 ) -> None:
-    """Fill the last four arrays, each of shape (n,).
+    """Fill the last array, of shape (4, n); call again with more samples to go on.
 
-    They are the tolerance, the rate limit's part of it, the noise of the residual, and evidence of unusual deviations.
-    Call again with more samples to go on. The smallest believable noise is that of the position's resolution, which is
-    the smallest change of the position so far.
+    It is the tolerance, the rate limit's part of it, the noise of the residual, and evidence of unusual deviations. The
+    smallest believable noise is that of the position's resolution, which is the smallest change of the position so far.
+    `signals` (8, n) are time, residual of an immobile surface, simulation error, position, residual where it is judged,
+    where it starts anew, what a rate limit at the edge of its tolerance would leave, what lost commands add; `bounds`
+    the tolerated gain, delay [s], bandwidth and bias [deg], noise [deg], its gain, and the sum of the residual's
+    autocorrelation over all lags. `slow` are low passes of the immobile residual, one for each mode.
     """
-    slow, x, peak, kept = work.slow, work.x, work.peak, work.state
+    x, peak, moment = rows[_X], rows[_PEAK], rows[_MOMENT]
+    noise_deg, noise_gain, colour = bounds[4], bounds[5], bounds[6]
     peak_rate, unseen, last_s, last_deg, before, before_that = kept[0], kept[1], kept[2], kept[3], kept[4], kept[5]
     noise, seen, odds, next_s, last_measured, resolution = kept[6], kept[7], kept[8], kept[9], kept[10], kept[11]
-    for k in range(signals.time_s.size):
-        value = signals.immobile_deg[k]
+    tolerated = 0.0
+    for i in range(4):
+        tolerated += bounds[i] * peak[i]
+    for k in range(signals.shape[1]):
+        value = signals[1, k]
         if not np.isnan(value):
-            step_s = signals.time_s[k] - last_s
-            if np.isnan(last_deg) or signals.restarted[k]:
+            step_s = signals[0, k] - last_s
+            if np.isnan(last_deg) or signals[5, k] != 0.0:
                 step_s, last_deg = 0.0, value
                 for i in range(slow.size):
                     slow[i] = value
@@ -154,105 +112,76 @@ def follow(
             last_speed, last_quick = x[1], x[2]
             x[0] = value
             x[1] = (value - last_deg) / step_s if step_s > 0.0 else 0.0
-            x[2] = _quick(slow, decay_rad_s, value, last_deg, step_s)
+            x[2] = 0.0
+            for i in range(slow.size):  # the sum of high passes s / (s + a), by the trapezoidal rule: a bound is enough
+                half = 0.5 * decay_rad_s[i] * step_s
+                slow[i] = ((1.0 - half) * slow[i] + half * (value + last_deg)) / (1.0 + half)
+                share = value - slow[i]
+                x[2] += share.real if decay_rad_s[i].imag == 0.0 else 2.0 * share.real
             fade = 1.0 / (1.0 + step_s / _PEAK_HOLD_S)
             peak[0] = max(abs(value), fade * peak[0])
             # A difference over a step lags by half of it, and an early servo is ahead by its advance.
-            ahead = 0.5 * (1.0 + bounds.tolerated[1] / step_s) if step_s > 0.0 else 0.0
+            ahead = 0.5 * (1.0 + bounds[1] / step_s) if step_s > 0.0 else 0.0
             peak[1] = max(abs(x[1]) + ahead * abs(x[1] - last_speed), fade * peak[1])
             peak[2] = max(abs(x[2]) + ahead * abs(x[2] - last_quick), fade * peak[2])
             unseen *= fade
-            if signals.unseen_deg.size > 0:
-                unseen += signals.unseen_deg[k]
-            if signals.rate_error_deg.size > 0:
-                peak_rate = max(abs(signals.rate_error_deg[k]), fade * peak_rate)
-            resolution = _finer(resolution, abs(signals.measured_deg[k] - last_measured))
-            last_measured = signals.measured_deg[k]
-            curvature = signals.error_deg[k] - 2.0 * before + before_that
+            unseen += signals[7, k]
+            peak_rate = max(abs(signals[6, k]), fade * peak_rate)
+            change = abs(signals[3, k] - last_measured)
+            if 0.0 < change < resolution:
+                resolution = change
+            last_measured = signals[3, k]
+            curvature = signals[2, k] - 2.0 * before + before_that
             if not np.isnan(curvature):
                 seen += 1.0
-                noise = max(_nearer(noise, abs(curvature), seen), _SMALLEST_NOISE_DEG)
+                shown = min(abs(curvature) * CURVATURE_TO_SIGMA, _GLITCH * noise)
+                noise += max(1.0 / (1.0 + seen / _FASTEST_SAMPLES), 1.0 / _NOISE_MEMORY) * (shown - noise)
+                noise = max(noise, _SMALLEST_NOISE_DEG)
             believed = max(noise, _RESOLUTION_TO_SIGMA * resolution) if resolution < np.inf else noise
-            before_that, before = before, signals.error_deg[k]
-            last_s, last_deg = signals.time_s[k], value
-            residual = signals.judged_deg[k]
+            before_that, before = before, signals[2, k]
+            last_s, last_deg = signals[0, k], value
+            residual = signals[4, k]
             # Neither made-up commands nor a saturated servo show deviations; what is beyond all tolerance is none.
-            allowed = _total(bounds.tolerated, peak) + peak_rate + DEFAULT_SIGMAS * bounds.noise_gain * believed
-            if abs(residual) <= allowed and unseen + peak_rate < bounds.noise_gain * believed:
-                _learn(work.gram, work.moment, x, residual, 1.0 / (1.0 + step_s / MEMORY_S))
+            tolerated = 0.0
+            for i in range(4):
+                tolerated += bounds[i] * peak[i]
+            allowed = tolerated + peak_rate + DEFAULT_SIGMAS * noise_gain * believed
+            if abs(residual) <= allowed and unseen + peak_rate < noise_gain * believed:
+                keep = 1.0 / (1.0 + step_s / MEMORY_S)  # normal equations of the residual on what deviations would add
+                for i in range(4):
+                    moment[i] = keep * moment[i] + x[i] * residual
+                    for j in range(i + 1):
+                        rows[_GRAM + i, j] = keep * rows[_GRAM + i, j] + x[i] * x[j]
                 if last_s >= next_s:
-                    power = bounds.colour * max(bounds.noise_gain * believed, _TRIFLE * bounds.tolerated[3]) ** 2
-                    odds = _explained(work, work.anything, power) - _explained(work, work.healthy, power)
+                    power = colour * max(noise_gain * believed, _TRIFLE * bounds[3]) ** 2
+                    odds = _explained(rows, _ANYTHING, power) - _explained(rows, _HEALTHY, power)
                     next_s = last_s + _EVERY_S
-        drift[k] = odds
-        tolerated_deg[k] = _total(bounds.tolerated, peak) + peak_rate + unseen
-        saturated_deg[k] = peak_rate + unseen
-        usual = noise if seen >= _NOISE_SAMPLES else max(noise, bounds.noise_deg)
-        sigma_deg[k] = bounds.noise_gain * max(usual, _RESOLUTION_TO_SIGMA * resolution if resolution < np.inf else 0.0)
+        out[3, k] = odds
+        out[0, k] = tolerated + peak_rate + unseen
+        out[1, k] = peak_rate + unseen
+        usual = noise if seen >= _NOISE_SAMPLES else max(noise, noise_deg)
+        out[2, k] = noise_gain * max(usual, _RESOLUTION_TO_SIGMA * resolution if resolution < np.inf else 0.0)
     kept[0], kept[1], kept[2], kept[3], kept[4], kept[5] = peak_rate, unseen, last_s, last_deg, before, before_that
     kept[6], kept[7], kept[8], kept[9], kept[10], kept[11] = noise, seen, odds, next_s, last_measured, resolution
 
 
-@inlined
-def _quick(slow: ComplexArray, decay_rad_s: ComplexArray, value: float, last: float, step_s: float) -> float:
-    """Sum of the high passes s / (s + a), by the trapezoidal rule: a bound needs no exponential."""
-    quick = 0.0
-    for i in range(decay_rad_s.size):
-        half = 0.5 * decay_rad_s[i] * step_s
-        slow[i] = ((1.0 - half) * slow[i] + half * (value + last)) / (1.0 + half)
-        share = value - slow[i]
-        quick += share.real if decay_rad_s[i].imag == 0.0 else 2.0 * share.real
-    return quick
-
-
-@inlined
-def _finer(resolution: float, change: float) -> float:
-    """Smallest change of the position so far."""
-    return change if 0.0 < change < resolution else resolution
-
-
-@inlined
-def _nearer(noise: float, curvature: float, seen: float) -> float:
-    """Move the noise towards the mean that second differences of the simulation error speak for."""
-    change = max(1.0 / (1.0 + seen / _FASTEST_SAMPLES), 1.0 / _NOISE_MEMORY)
-    return noise + change * (min(curvature * CURVATURE_TO_SIGMA, _GLITCH * noise) - noise)
-
-
-@inlined
-def _learn(gram: FloatArray, moment: FloatArray, x: FloatArray, residual: float, keep: float) -> None:
-    """Normal equations of the residual on what deviations would add, the past fading away."""
-    for i in range(4):
-        moment[i] = keep * moment[i] + x[i] * residual
-        for j in range(i + 1):
-            gram[i, j] = keep * gram[i, j] + x[i] * x[j]
-
-
-@inlined
-def _total(bounds: FloatArray, peak: FloatArray) -> float:
-    total = 0.0
-    for i in range(4):
-        total += bounds[i] * peak[i]
-    return total
-
-
 @inner
-def _explained(work: Work, weight: FloatArray, power: float) -> float:
+def _explained(rows: FloatArray, prior: int, power: float) -> float:
     """How much of the residual they explain, m' (G + p W)^-1 m / p of the normal equations, by Cholesky's factors."""
-    gram, factor, solved = work.gram, work.factor, work.solved
     total = 0.0
     for i in range(4):
         for j in range(i + 1):
-            rest = gram[i, j]
+            rest = rows[_GRAM + i, j]
             if i == j:
-                rest += power * weight[i]
+                rest += power * rows[prior, i]
             for m in range(j):
-                rest -= factor[i, m] * factor[j, m]
-            factor[i, j] = np.sqrt(max(rest, 1e-300)) if i == j else rest / factor[j, j]
-        rest = work.moment[i]
+                rest -= rows[_FACTOR + i, m] * rows[_FACTOR + j, m]
+            rows[_FACTOR + i, j] = np.sqrt(max(rest, 1e-300)) if i == j else rest / rows[_FACTOR + j, j]
+        rest = rows[_MOMENT, i]
         for m in range(i):
-            rest -= factor[i, m] * solved[m]
-        solved[i] = rest / factor[i, i]
-        total += solved[i] ** 2
+            rest -= rows[_FACTOR + i, m] * rows[_SOLVED, m]
+        rows[_SOLVED, i] = rest / rows[_FACTOR + i, i]
+        total += rows[_SOLVED, i] ** 2
     return total / power
 
 
@@ -306,8 +235,11 @@ class Evaluation:
         pulse = design_pulse_filter(generator.model.transfer, 0.0, period_s, generator.pole_rad_s)
         self.cusum = design_cusum(_KAPPA, _SUSPICIONS_PER_HOUR, Noise.designed(pulse, 1.0))
         self._generator, self._decay_rad_s = generator, generator.model.parameters().decay_rad_s
-        self.bounds = Bounds(tolerated_parameters(tolerance), tolerance.noise_deg, pulse.noise_gain, self.cusum.factor)
-        self._work, self._loose = new_work(self.bounds, self._decay_rad_s.size), new_loose_memory()
+        tolerated = tolerated_parameters(tolerance)
+        self.bounds = np.array([*tolerated, tolerance.noise_deg, pulse.noise_gain, self.cusum.factor])
+        self._memory = new_state(tolerated, tolerance.noise_deg)
+        self._slow = np.zeros(self._decay_rad_s.size, dtype=np.complex128)
+        self._loose = new_loose_memory()
 
     def threshold(
         self, residuals: Residuals, rate_error_deg: FloatArray, added_deg: FloatArray, sigmas: float
@@ -320,18 +252,16 @@ class Evaluation:
             What a rate limit that is lower by its tolerance would leave, and what lost commands may add [deg]; empty
             where there is nothing of it.
         """
-        tolerated, saturated, sigma, drift = (np.zeros(residuals.time_s.size) for _ in range(4))
-        signals = Signals(
-            residuals.time_s,
-            residuals.immobile_deg,
-            residuals.error_deg,
-            residuals.measured_deg,
-            np.where(residuals.settled, residuals.residual_deg, np.nan),
-            residuals.restart != 0,
-            rate_error_deg,
-            added_deg,
-        )
-        follow(signals, self.bounds, self._work, self._decay_rad_s, tolerated, saturated, sigma, drift)
+        signals = np.zeros((8, residuals.time_s.size))
+        signals[:4] = residuals.time_s, residuals.immobile_deg, residuals.error_deg, residuals.measured_deg
+        signals[4] = np.where(residuals.settled, residuals.residual_deg, np.nan)
+        signals[5] = residuals.restart != 0
+        for place, added in ((6, rate_error_deg), (7, added_deg)):
+            if added.size:
+                signals[place] = added
+        out = np.zeros((4, residuals.time_s.size))
+        follow(signals, self.bounds, *self._memory, self._slow, self._decay_rad_s, out)
+        tolerated, saturated, sigma, drift = out
         tolerated += loose_deg(self._generator, residuals.simulated_deg, residuals.restart, self._loose)
         return Threshold("interval", tolerated + sigmas * sigma, tolerated, saturated, sigma, self.cusum, drift)
 

@@ -12,13 +12,11 @@ from servofd.core.tolerance import Tolerance
 from servofd.core.types import FloatArray
 from servofd.detection.residual import ResidualGenerator, Residuals
 from servofd.detection.threshold import (
-    Bounds,
-    Signals,
     Threshold,
     constant_threshold,
     follow,
     interval_threshold,
-    new_work,
+    new_state,
     suspicion,
 )
 from servofd.simulation.commands import COMMANDS
@@ -201,22 +199,17 @@ class TestToleranceByHand:
         decay_rad_s: complex = 10.0,
         **others: list[float],
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        size, nothing = len(immobile_deg), np.zeros(0)
-        given = {name: np.array(values) for name, values in others.items()}
-        signals = Signals(
-            step_s * np.arange(size, dtype=float),
-            np.array(immobile_deg),
-            np.full(size, np.nan),
-            given.get("measured_deg", np.zeros(size)),
-            given.get("judged_deg", np.full(size, np.nan)),
-            given.get("restarted", np.zeros(size)) != 0.0,
-            given.get("rate_error_deg", nothing),
-            given.get("unseen_deg", nothing),
-        )
-        bounds = Bounds(np.array(parameters), 0.1, 2.0, 3.0)
-        tolerated, saturated, sigma, drift = (np.zeros(size) for _ in range(4))
-        poles = np.array([decay_rad_s], dtype=complex)
-        follow(signals, bounds, new_work(bounds, 1), poles, tolerated, saturated, sigma, drift)
+        size = len(immobile_deg)
+        signals = np.zeros((8, size))
+        signals[:2] = step_s * np.arange(size), immobile_deg
+        signals[2] = signals[4] = np.nan
+        rows = {"measured_deg": 3, "judged_deg": 4, "restarted": 5, "rate_error_deg": 6, "unseen_deg": 7}
+        for name, values in others.items():
+            signals[rows[name]] = values
+        poles, out = np.array([decay_rad_s], dtype=complex), np.zeros((4, size))
+        memory = new_state(np.array(parameters), 0.1)
+        follow(signals, np.array([*parameters, 0.1, 2.0, 3.0]), *memory, np.zeros(1, dtype=complex), poles, out)
+        tolerated, saturated, sigma, drift = out
         return tolerated, saturated, sigma, drift
 
     @pytest.mark.slow
