@@ -18,17 +18,8 @@ from detection import calibration, delays, false_alarms, fly, limits, onsets, sh
 from detection_pictures import draw
 from servofd.aircraft.schema import DEFAULT_SIGMAS
 from servofd.core.tolerance import Tolerance
-from servofd.detection import alarm, allowance, judge, latch, threshold
-from servofd.detection.bank import (
-    classify,
-    confirm,
-    explanation,
-    following,
-    isolate,
-    lost,
-    oscillation,
-    window,
-)
+from servofd.detection import alarm, judge, threshold
+from servofd.detection.bank import hypotheses, isolate, window
 from trial import CONSTANT_DEG, Trial
 
 HERE = Path(__file__).parent
@@ -101,7 +92,7 @@ compares D2 with servos that are simulated with these errors.)
 | dw | bandwidth | {tolerance.bandwidth:.0%} |
 | r_sat | residual of a servo whose rate limit is lower by its tolerance, while the model runs at it | {tolerance.rate:.0%} |
 | lost | commands that never reached the log: half their recent curvature, times what the filter lets pass of one sample, {threshold.PEAK_OF_LAGS:g} \\|p\\| T | |
-| [x] | peak hold: max(\\|x\\|, the last peak / (1 + T/{allowance._PEAK_HOLD_S:g} s)) | |
+| [x] | peak hold: max(\\|x\\|, the last peak / (1 + T/{threshold._PEAK_HOLD_S:g} s)) | |
 | sigma_r | noise gain of the filter times the noise of the position, measured as the flight goes on (starts at {tolerance.noise_deg:g} deg) | |
 
 It uses no later sample. At rest it is lower than {CONSTANT_DEG:g} deg and sees small faults; in a brisk manoeuvre it is higher
@@ -123,15 +114,15 @@ on either side, so that oscillations add up, less one standard deviation, so tha
     z(k) = max(|r| - T - sigma_r, 0) / sigma_r,     S(k) = max(0, S(k-1) + z(k) - {threshold._KAPPA:g}),                         (D5)
 
 It is beyond its limit when it has gathered what noise without tolerance would {threshold._SUSPICIONS_PER_HOUR:g} times an hour (Siegmund's run
-length, multiplied by the long-run factor of the residual's colour). And the servo's deviations of the last {allowance.MEMORY_S:g} s are fitted
+length, multiplied by the long-run factor of the residual's colour). And the servo's deviations of the last {threshold.MEMORY_S:g} s are fitted
 to the residual by the terms x = [r0, dr0/dt, sum_i ..., 1] of D2, once with what tolerances allow and once freely:
 
     H = min_tight - min_free,  min = min over theta of sum (r - x theta)² / (S sigma_r²) + sum theta_j² / s_j²,   (D6)
 
-S being the long-run factor, and sigma_r no less than {allowance._TRIFLE:g} of the tolerated bias; what is beyond all tolerance, or rests on lost commands, teaches no deviations.
+S being the long-run factor, and sigma_r no less than {threshold._TRIFLE:g} of the tolerated bias; what is beyond all tolerance, or rests on lost commands, teaches no deviations.
 H >= {threshold.SUSPICIOUS_DRIFT:g} means that gain, delay, bandwidth or bias is not that of a healthy servo. Both raise a *suspicion*, which ends when
 none was raised for {alarm._SUSPICION_LASTS_S:g} s. It goes through the bank like an alarm; under an interval threshold it becomes a fault if the
-bank is sure of its name (P >= {confirm.SURE:g}), and its alarm is raised when the name is; else the surface is *suspect*. Rough models (drafts with a
+bank is sure of its name (P >= {isolate.SURE:g}), and its alarm is raised when the name is; else the surface is *suspect*. Rough models (drafts with a
 wider threshold and no tolerances of their own) raise none.
 """
 
@@ -140,9 +131,9 @@ def latching() -> str:
     return f"""## Latching
 
 An alarm lasts until the surface has *proved* to be well. A jammed servo between two manoeuvres has no residual. So an
-episode ends only if |r| stayed below {latch.QUIET_SHARE:g} tau while the residual of an immobile surface would have travelled
+episode ends only if |r| stayed below {alarm.QUIET_SHARE:g} tau while the residual of an immobile surface would have travelled
 
-    sum |d play(r0, 2 tau)| >= {latch._TRAVEL_TO_CLEAR:g} tau                                                           (D7)
+    sum |d play(r0, 2 tau)| >= {alarm._TRAVEL_TO_CLEAR:g} tau                                                           (D7)
 
 (play: motion within a zone of twice the usual threshold so far, its median, does not count), and then at the last sample at which it was louder.
 
@@ -152,7 +143,7 @@ from a constant threshold within the noise, where a name for each would say noth
 
 
 def bank() -> str:
-    names = ", ".join(h.kind for h in classify.BANK)
+    names = ", ".join(hypotheses.BANK)
     return f"""## The bank
 
 Each alarm is handed to a bank of hypotheses: {names}.
@@ -166,30 +157,30 @@ J is the sum of squared misfits that remains, and the second sum goes into the d
 | hypothesis | f, and what is free in it |
 |---|---|
 | healthy | f = ŷ |
-| bias | the same, with a spread of {following._LARGEST_BIAS_DEG:g} deg for the constant, which stays or grows by up to about {following._FASTEST_GROWTH_DEG_S:g} deg/s; it must be beyond the tolerance |
-| loss_of_effectiveness | the same, with a spread of 1 for the gain, about zero or about another trim; gain between {following._STUCK_GAIN:g} and 1 less its tolerance |
-| oscillation | ŷ, or a constant, and a sine from {oscillation._SLOWEST_HZ:g} Hz on, {oscillation._FEWEST_CYCLES:g} cycles or more |
+| bias | the same, with a spread of {hypotheses._LARGEST_BIAS_DEG:g} deg for the constant, which stays or grows by up to about {hypotheses._FASTEST_GROWTH_DEG_S:g} deg/s; it must be beyond the tolerance |
+| loss_of_effectiveness | the same, with a spread of 1 for the gain, about zero or about another trim; gain between {hypotheses._STUCK_GAIN:g} and 1 less its tolerance |
+| oscillation | ŷ, or a constant, and a sine from {hypotheses._SLOWEST_HZ:g} Hz on, {hypotheses._FEWEST_CYCLES:g} cycles or more |
 | stuck | a constant where commands have led |
-| hardover | a constant where none has: at a stop, {lost._OUT_OF_REACH_DEG:g} deg beyond the range of ŷ so far, or {lost._UNCOMMANDED_RUN_DEG:g} deg away from where the onset and the command would have left it |
-| floating | cosines of up to {lost._FASTEST_WIND_HZ:g} Hz, whose spread falls with the square of the frequency beyond {lost._WIND_HZ:g} Hz |
+| hardover | a constant where none has: at a stop, {hypotheses._OUT_OF_REACH_DEG:g} deg beyond the range of ŷ so far, or {hypotheses._UNCOMMANDED_RUN_DEG:g} deg away from where the onset and the command would have left it |
+| floating | cosines of up to {hypotheses._FASTEST_WIND_HZ:g} Hz, whose spread falls with the square of the frequency beyond {hypotheses._WIND_HZ:g} Hz |
 | deadband | play before or behind the servo, or stiction; its width on a grid, then by golden section |
 | slow | every pole scaled, or a lower rate limit; the same search |
-| unknown | whatever removes all but {classify._UNEXPLAINED_SHARE:.0%} of the simulation error, at the price of {classify._UNKNOWN_FREEDOM:g} parameters; or ŷ with a smooth error, by the same cosines as floating |
+| unknown | whatever removes all but {isolate._UNEXPLAINED_SHARE:.0%} of the simulation error, at the price of {isolate._UNKNOWN_FREEDOM:g} parameters; or ŷ with a smooth error, by the same cosines as floating |
 
-**Score.** With n samples, of which {explanation.COLOUR:g} in a row tell as much as one, p free parameters and a doubt D (twice the negative
+**Score.** With n samples, of which {window.COLOUR:g} in a row tell as much as one, p free parameters and a doubt D (twice the negative
 logarithm of how plausible the parameters are in themselves: a servo's deviations are within its tolerances, wide dead bands
 are rare, smooth wind is what the priors of its cosines expect),
 
-    B = n/{explanation.COLOUR:g} ln(max(J/n, {window._FLOOR:g} sigma²)) + {window._PENALTY:g} p ln(n/{explanation.COLOUR:g}) + D                                        (D9)
+    B = n/{window.COLOUR:g} ln(max(J/n, {window._FLOOR:g} sigma²)) + {window._PENALTY:g} p ln(n/{window.COLOUR:g}) + D                                        (D9)
 
 after Schwarz; smaller is better. The probability of hypothesis i, all being equally likely before, is
 
     P_i = exp(-B_i/2) / sum_j exp(-B_j/2).                                                            (D10)
 
 **How long to look.** Windows begin {isolate._SETTLING_S:g} s after the onset and last {", ".join(f"{length_s:g}" for length_s in isolate._WINDOWS_S)} s; the first in which a hypothesis has
-P >= {confirm.SURE:g} *and* the healthy deflection covers {isolate._ENOUGH_MOTION_DEG:g} deg decides. **Not enough motion**: a jam and a dead band, a bias and a jam,
+P >= {isolate.SURE:g} *and* the healthy deflection covers {isolate._ENOUGH_MOTION_DEG:g} deg decides. **Not enough motion**: a jam and a dead band, a bias and a jam,
 differ only in motion. If no window has enough of it the longest decides, with the probability that it gives, and names the
-alternatives of {classify._WORTH_MENTIONING:.0%} and more; below {isolate._LIKELY:g} the name is `unknown` and all that can be said is "at fault, with too little
+alternatives of {isolate._WORTH_MENTIONING:.0%} and more; below {isolate._LIKELY:g} the name is `unknown` and all that can be said is "at fault, with too little
 motion to tell which". If the winner is *healthy*, the tolerances of a working servo explain the alarm: it is dismissed
 and listed as a suspicion.
 

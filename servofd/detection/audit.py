@@ -131,12 +131,7 @@ def audit_segment(
 ) -> SurfaceAudit:
     """Judge one surface.
 
-    Parameters
-    ----------
-    threshold_deg : float, optional
-        Constant alarm level [deg]; the aircraft has one.
-    threshold : {"constant", "interval"}, optional
-        Kind of threshold; the aircraft has one.
+    Threshold and its kind are those of the aircraft, unless others are asked for.
 
     Examples
     --------

@@ -125,12 +125,7 @@ def contradictions(
 ) -> tuple[Fault, ...]:
     """Find what no servo does, whatever its numbers, in order of time.
 
-    Parameters
-    ----------
-    generator : ResidualGenerator
-        With the servo that was fitted to this log, or to another of the same aircraft.
-    earlier_deg : ndarray, optional
-        Positions before those of the residuals, which tell how far the surface can go [deg].
+    `earlier_deg` are positions before those of the residuals, which tell how far the surface can go.
 
     Examples
     --------
@@ -149,7 +144,7 @@ def contradictions(
     flight = _flight(generator, residuals, earlier_deg)
     if flight is None:
         return ()
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         found = [*_resting(flight), *_moving(flight)]
     return _as_faults(found, float(residuals.time_s[-1]), flight.usual_s)
 
@@ -159,7 +154,7 @@ def unanswered(generator: ResidualGenerator, residuals: Residuals) -> tuple[Faul
     flight = _flight(generator, residuals)
     if flight is None:
         return ()
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         found = list(_resting(flight))
     elsewhere = np.ones(flight.time_s.size, dtype=bool)
     for stretch in found:
@@ -306,7 +301,7 @@ def _stopped_s(flight: _Flight, begin: int, latest: int, at_deg: float, width_de
 
 def _moving(flight: _Flight) -> Iterator[_Stretch]:
     """Windows in which it moves as nobody asked it to, or far too late."""
-    time_s, error_deg = flight.time_s, flight.error_deg
+    time_s = flight.time_s
     hops = np.floor((time_s - time_s[0]) / _HOP_S)
     hops = hops[np.diff(hops, prepend=-1.0) > 0.0]  # a damaged clock leaves more silence than can be counted
     if hops[-1] >= hops.size:
@@ -315,18 +310,17 @@ def _moving(flight: _Flight) -> Iterator[_Stretch]:
     starts = starts[starts <= time_s[-1] - _WINDOW_S]
     firsts = np.searchsorted(time_s, starts)
     lasts = np.searchsorted(time_s, starts + _WINDOW_S)
-    total, power = (np.concatenate([[0.0], np.cumsum(x)]) for x in (error_deg, error_deg**2))
-    count = np.maximum(lasts - firsts, 1)
-    spread = (power[lasts] - power[firsts]) / count - ((total[lasts] - total[firsts]) / count) ** 2
-    fewest = 0.6 * _WINDOW_S / max(float(np.median(np.diff(time_s))), 1e-9)
+    enough = lasts - firsts >= max(0.6 * _WINDOW_S / max(float(np.median(np.diff(time_s))), 1e-9), 2.0)
+    firsts, lasts = firsts[enough], lasts[enough]
+    power, common, error_power = _spread_of_rate(flight, firsts, lasts)
     brisk: list[_Stretch] = []
-    for k in np.flatnonzero(count >= fewest).tolist():
+    for k in range(firsts.size):
         rows = slice(int(firsts[k]), int(lasts[k]))
-        found = _strange(flight, rows) if spread[k] > _WRONG_DEG**2 else None
+        found = _strange(flight, rows) if error_power[k] > _WRONG_DEG**2 else None
         if found is not None:
             yield found
             continue
-        behind = _behind(flight, rows)
+        behind = _behind(flight, rows, float(power[k]), float(common[k]), float(error_power[k]))
         if behind is not None:
             brisk.append(behind)
     yield from _lasting(brisk)
@@ -428,11 +422,8 @@ def _turns(values: FloatArray, least: float) -> int:
     return int(np.count_nonzero(np.diff(sides)))
 
 
-def _behind(flight: _Flight, rows: slice) -> _Stretch | None:
+def _behind(flight: _Flight, rows: slice, power: float, common: float, error_power: float) -> _Stretch | None:
     """A window brisk enough to tell whether it lags behind more than it does as a rule; its scale is 1 where not."""
-    power, common, error_power = _spread_of_rate(
-        flight.time_s, flight.healthy_deg, flight.error_deg, rows.start, rows.stop
-    )
     enough_s = max(_LAG_SHARE * flight.lag_s, _LAG_S)
     brisk = enough_s * np.sqrt(power) >= _LAG_DEG
     if not brisk:
@@ -445,32 +436,29 @@ def _behind(flight: _Flight, rows: slice) -> _Stretch | None:
     return _Stretch("slow", first_s, last_s, last_s, {"bandwidth_scale": scale})
 
 
-@compiled
-def _spread_of_rate(
-    time_s: FloatArray, values: FloatArray, error: FloatArray, first: int, end: int
-) -> tuple[float, float, float]:
-    """Variance of the rate of some values, its covariance with an error, and the error's variance."""
-    count, last = end - first, end - 1
-    mean_rate = mean_error = power = common = error_power = 0.0
-    if count < 2:
-        return power, common, error_power
-    for turn in range(2):
-        for k in range(first, end):
-            if k in (first, last):
-                a = min(k, last - 1)
-                rate = (values[a + 1] - values[a]) / (time_s[a + 1] - time_s[a])
-            else:  # the parabola through three points
-                before_s, after_s = time_s[k] - time_s[k - 1], time_s[k + 1] - time_s[k]
-                left, right = (values[k] - values[k - 1]) / before_s, (values[k + 1] - values[k]) / after_s
-                rate = (after_s * left + before_s * right) / (before_s + after_s)
-            if turn == 0:
-                mean_rate += rate / count
-                mean_error += error[k] / count
-            else:
-                power += (rate - mean_rate) ** 2 / count
-                common += (rate - mean_rate) * (error[k] - mean_error) / count
-                error_power += (error[k] - mean_error) ** 2 / count
-    return power, common, error_power
+def _spread_of_rate(flight: _Flight, firsts: IntArray, lasts: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Of each window: variance of the healthy rate, its covariance with the error, and the error's variance.
+
+    A rate is that of the parabola through three points, and at the ends of a window that of a line.
+    """
+    if not firsts.size:
+        return np.zeros(0), np.zeros(0), np.zeros(0)
+    error, rate = flight.error_deg, np.gradient(flight.healthy_deg, flight.time_s)
+    straight = np.diff(flight.healthy_deg) / np.diff(flight.time_s)
+    ends = ((firsts, straight[firsts]), (lasts - 1, straight[lasts - 2]))
+    edges, count = np.stack([firsts, lasts], axis=1).ravel(), lasts - firsts
+
+    def mean(values: FloatArray, power: int, weight: FloatArray) -> FloatArray:
+        """Of a power of the rate, weighted."""
+        total = np.add.reduceat(np.append(values**power * weight, 0.0), edges)[::2]
+        if power:
+            total = total + sum((own**power - values[at] ** power) * weight[at] for at, own in ends)
+        return np.asarray(total / count, dtype=np.float64)
+
+    one = np.ones(error.size)
+    mean_rate, mean_error = mean(rate, 1, one), mean(rate, 0, error)
+    variance = mean(rate, 0, error**2) - mean_error**2
+    return mean(rate, 2, one) - mean_rate**2, mean(rate, 1, error) - mean_rate * mean_error, variance
 
 
 def _lasting(brisk: list[_Stretch]) -> Iterator[_Stretch]:

@@ -214,15 +214,11 @@ def detectable(
 ) -> Detectable:
     """Smallest faults that this log would have shown, 19 times in 20.
 
-    Parameters
-    ----------
-    suspicions : bool
-        Whether what stays below the threshold may be suspect, if it lasts.
-    own_fit : bool
-        Whether servo and threshold come from this very log: a fault would have widened the threshold, and a servo that
-        was slow is what was fitted, so that a loss of speed is not judgeable (of 16 brisk flights of strangers at a
-        third of their speed, one was healthy and said that 9 % would have been seen). Sizes are then those of faults
-        that set in after the first quarter of the log.
+    With `suspicions` what stays below the threshold counts as well, if it lasts. `own_fit`: servo and threshold
+    come from this very log, where a fault would have widened the threshold, and a servo that was slow is what was
+    fitted, so that a loss of speed is not judgeable (of 16 brisk flights of strangers at a third of their speed,
+    one was healthy and said that 9 % would have been seen); sizes are then those of faults that set in after the
+    first quarter of the log.
 
     Examples
     --------

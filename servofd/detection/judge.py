@@ -50,10 +50,7 @@ def judge(
 ) -> Judgement:
     """Compare the residual with its threshold, and name each alarm.
 
-    Parameters
-    ----------
-    dismiss : bool
-        Whether an alarm that the tolerances of a working servo explain is only a suspicion.
+    Unless told not to, it dismisses an alarm that the tolerances of a working servo explain: that is a suspicion.
     """
     threshold = interval_threshold(generator, segment, residuals, surface.tolerances, surface.threshold_sigmas)
     if surface.threshold == "constant":
@@ -81,20 +78,26 @@ def judge_evaluated(
     reports tell may be left out. In flight an alarm that stands is over where the servo has surely moved as a healthy
     one since it became quiet [s].
     """
-    if surface.model.origin == "fitted":
-        return _by_fitted(generator, surface, residuals, threshold, commands)
+    is_fitted = surface.model.origin == "fitted"
+    contradicted = contradictions(generator, residuals) if is_fitted else ()
     suspects = None
-    if surface.tells_small_faults:
+    if is_fitted:  # readings that are merely held are no ground for a suspicion
+        residuals = _of_a_bus_in_time(generator, residuals)
+    elif surface.tells_small_faults:
         suspects = suspicion(residuals, threshold) if suspicious is None else suspicious
     episodes = find_episodes(residuals, threshold, persistence=surface.persistence, suspicion=suspects)
+    episodes = tuple(e for e in episodes if not any(_belongs(e, fault) for fault in contradicted))
     if not episodes:
-        return Judgement(threshold, (), ())
+        return Judgement(threshold, contradicted, ())
     unnamed = max(len(episodes) - _MOST_EPISODES, 0)
     if unnamed:
         episodes = _largest(episodes, residuals, threshold)
     noise = noise_deg(residuals.error_deg[residuals.settled])
     sigma_deg = float(np.median(threshold.sigma_deg))
-    flight = Flight(generator, surface.tolerances, noise, sigma_deg, residuals, commands, is_report)
+    flight = Flight(generator, surface.tolerances, noise, sigma_deg, residuals, commands, is_report or is_fitted)
+    if is_fitted:
+        named = joined(flight, (replace(f, level="suspect") for e in episodes for f in isolate(flight, e)))
+        return Judgement(threshold, contradicted, tuple(f for f in named if f.kind != "healthy"), unnamed)
     named = joined(flight, (fault for episode in episodes for fault in _named(flight, episode, threshold)))
     if not dismiss:
         named = tuple(_held(fault) for fault in named)
@@ -102,27 +105,6 @@ def judge_evaluated(
         named = (*named[:-1], replace(named[-1], end_s=quiet_s))
     faults = tuple(fault for fault in named if fault.level == "fault" and fault.kind != "healthy")
     return Judgement(threshold, faults, tuple(fault for fault in named if fault not in faults), unnamed)
-
-
-def _by_fitted(
-    generator: ResidualGenerator, surface: Surface, residuals: Residuals, threshold: Threshold, commands: Commands
-) -> Judgement:
-    """What a model says that was fitted to the log; readings that are merely held are no ground for a suspicion."""
-    faults = contradictions(generator, residuals)
-    residuals = _of_a_bus_in_time(generator, residuals)
-    episodes = tuple(
-        episode
-        for episode in find_episodes(residuals, threshold, persistence=surface.persistence)
-        if not any(_belongs(episode, fault) for fault in faults)
-    )
-    unnamed = max(len(episodes) - _MOST_EPISODES, 0)
-    if unnamed:
-        episodes = _largest(episodes, residuals, threshold)
-    noise = noise_deg(residuals.error_deg[residuals.settled])
-    sigma_deg = float(np.median(threshold.sigma_deg))
-    flight = Flight(generator, surface.tolerances, noise, sigma_deg, residuals, commands)
-    named = joined(flight, (replace(f, level="suspect") for e in episodes for f in isolate(flight, e)))
-    return Judgement(threshold, faults, tuple(fault for fault in named if fault.kind != "healthy"), unnamed)
 
 
 def _of_a_bus_in_time(generator: ResidualGenerator, residuals: Residuals) -> Residuals:

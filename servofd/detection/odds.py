@@ -98,16 +98,8 @@ def surface_odds(
 ) -> SurfaceOdds:
     """Work out the odds of one surface.
 
-    Parameters
-    ----------
-    noise : Noise
-        Of its healthy residual, measured or designed.
-    tail : TailFit, optional
-        Measured tail of the residual.
-    hours : float
-        Healthy data behind noise and tail [h].
-    notes : tuple of str
-        What the reader of these numbers must know.
+    The noise is that of its healthy residual, measured or designed; `hours` of healthy data stand behind it and the
+    tail, and `notes` are what the reader must know.
 
     Examples
     --------

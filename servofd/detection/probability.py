@@ -31,22 +31,8 @@ _HIGHEST_Z = 37.0
 def false_alarms_per_hour(threshold_deg: float, sigma_deg: float, correlation: float, sample_time_s: float) -> float:
     r"""Rate at which a healthy, Gaussian residual crosses its threshold from inside to outside.
 
-    Parameters
-    ----------
-    threshold_deg : float
-        Alarm level, on both sides [deg].
-    correlation : float
-        Correlation of the residual with itself one sample later, between -1 and 1.
-
-    Returns
-    -------
-    float
-        Alarms per flight hour. For a residual with heavier tails than a Gaussian the truth is higher.
-
-    Discrete up-crossings, with :math:`z = \tau/\sigma` and :math:`s = \sqrt{1-\rho_1^2}`:
-
-    .. math:: \nu = \frac{2}{T} \int_z^\infty \varphi(x)
-              \left[\Phi\!\left(\frac{z-\rho_1 x}{s}\right) - \Phi\!\left(\frac{-z-\rho_1 x}{s}\right)\right] dx
+    `correlation` is that of the residual with itself one sample later. With heavier tails than a Gaussian the truth
+    is higher.
 
     Examples
     --------
@@ -85,17 +71,7 @@ def _gauss_legendre(count: int) -> tuple[FloatArray, FloatArray]:
 def threshold_for_rate_deg(rate_per_hour: float, sigma_deg: float, correlation: float, sample_time_s: float) -> float:
     """Threshold at which a healthy Gaussian residual gives the wanted rate of false alarms.
 
-    Parameters
-    ----------
-    rate_per_hour : float
-        Wanted false alarms per flight hour, of this surface alone; for a fleet, divide by the number of surfaces.
-    sigma_deg : float
-        Standard deviation of the residual [deg], above zero.
-
-    Returns
-    -------
-    float
-        Threshold [deg]; `false_alarms_per_hour` there is the wanted rate to ten digits.
+    Of this surface alone: for a fleet, divide the rate by the number of surfaces. Right to ten digits of the rate.
 
     Examples
     --------
@@ -167,12 +143,8 @@ class Noise:
     def measured(cls, residual_deg: FloatArray, sample_time_s: float, lags: int) -> Noise:
         """Noise of a healthy residual as it was measured.
 
-        Parameters
-        ----------
-        residual_deg : ndarray, shape (n,)
-            Residual [deg]; NaN where it was not judged, and between one log and the next.
-        lags : int
-            Most lags after lag 0 to look at; at least the time in which the filter forgets.
+        The residual (n,) is NaN where it was not judged, and between one log and the next; `lags` is at least
+        the time in which the filter forgets.
         """
         from scipy.signal import correlate
 
@@ -215,16 +187,8 @@ class Noise:
     def prediction(self, known: int) -> tuple[FloatArray, float]:
         """Best forecast of a sample from those before it (Yule and Walker).
 
-        Parameters
-        ----------
-        known : int
-            How many earlier samples are used, at most `order`.
-
-        Returns
-        -------
-        weights, spread
-            Weights of the earlier samples, latest first, shape (known,), and the standard deviation of what remains,
-            as a share of `sigma_deg`.
+        Weights of the earlier samples, latest first, shape (known,), and the standard deviation of what remains
+        as a share of `sigma_deg`.
 
         Examples
         --------
@@ -378,17 +342,8 @@ def persistent_delay_s(
 ) -> float:
     """Expected time from a fault to this many samples in a row over the threshold, by simulation [s].
 
-    Parameters
-    ----------
-    response_deg : ndarray, shape (n,)
-        Mean residual that the fault causes [deg], from the sample at which it sets in.
-    threshold_deg : float
-        Alarm level, on both sides [deg].
-
-    Returns
-    -------
-    float
-        Mean delay; infinite if more than one run in twenty saw no alarm within the response.
+    `response_deg` (n,) is the mean residual from the sample at which the fault sets in; infinite if more than one
+    run in twenty saw no alarm within it.
     """
     residual = noise.sample((_RUNS, response_deg.size), seed) + response_deg + noise.mean_deg
     hit = np.zeros(residual.shape, dtype=bool)
@@ -479,19 +434,8 @@ class Detection:
 def detect(response_deg: FloatArray, threshold_deg: float, noise: Noise) -> Detection:
     r"""Probability that a fault has raised an alarm, sample by sample.
 
-    Parameters
-    ----------
-    response_deg : ndarray, shape (n,), n at least 2
-        Mean residual that the fault causes [deg], from the sample at which it sets in until it has settled.
-    threshold_deg : float
-        Alarm level, on both sides [deg].
-    noise : Noise
-        Of the healthy residual, taken to be Gaussian. Its mean is added to the response.
-
-    With :math:`p_i = P(|r_i| \ge \tau)` the probability of an alarm by sample k lies between
-    :math:`\max_{i \le k} p_i` and, for positively correlated residuals, :math:`1 - \prod_{i \le k} (1 - p_i)`.
-    The probability itself is :math:`1 - E \prod_{i \le k} P(|r_i| < \tau \mid r_{i-1}, r_{i-2}, \dots)`: each sample is
-    drawn from inside the threshold, given those before it, and weighted with the chance of being there (A. Genz, 1992).
+    `response_deg` (n,), two samples at least, is the mean residual from the sample at which the fault sets in until
+    it has settled; the mean of the noise is added to it.
 
     Examples
     --------
@@ -674,21 +618,10 @@ class TailFit:
 def fit_tail(residual_deg: FloatArray, sample_time_s: float, apart_samples: int = 15) -> TailFit:
     r"""Fit the tail of a healthy residual.
 
-    Parameters
-    ----------
-    residual_deg : ndarray, shape (n,)
-        Residual [deg]; NaN where it was not judged. Put at least `apart_samples` NaN between one log and the next.
-    apart_samples : int
-        Exceedances fewer samples apart than this belong to one peak: 15 at 100 Hz for a filter at 50 rad/s, 7.5
-        time constants, after which the residual has forgotten (its correlation is below 0.01).
-
-    Returns
-    -------
-    TailFit
-        Maximum-likelihood fit. The level is the 99.9 % quantile of the residual's size; lower if that leaves fewer
-        than 200 exceedances, but never below 95 %.
-
-    The standard error of xi is :math:`(1+\xi)/\sqrt{n}` for n peaks (R. L. Smith, 1987).
+    Of healthy residuals (n,), NaN where not judged and, for at least `apart_samples`, between one log and the next;
+    exceedances that are closer belong to one peak: 15 at 100 Hz for a filter at 50 rad/s, 7.5 time constants, after
+    which the residual has forgotten (its correlation is below 0.01). The level is the 99.9 % quantile of its size;
+    lower if that leaves fewer than 200 exceedances, but never below 95 %.
     """
     from scipy.stats import genpareto
 

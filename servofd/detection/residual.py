@@ -143,10 +143,7 @@ class ResidualGenerator:
     def check(self, step_s: float) -> None:
         """Certify that the filter passes a constant error with the inverse dc gain, up to round-off.
 
-        Raises
-        ------
-        DesignError
-            If so many digits cancel that it does not: the model's order is too high for this step.
+        It does not if so many digits cancel that the order of the model is too high for this step.
         """
         from servofd.detection.samples import lag_weights
 

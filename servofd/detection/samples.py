@@ -17,18 +17,9 @@ if TYPE_CHECKING:
 RESTART_NONE, RESTART_FILTER, RESTART_ALL = 0, 1, 2
 
 
-class StartsMemory(NamedTuple):
-    """What one piece of a stream leaves to the next."""
-
-    state: FloatArray
-    """Of shape (4,): whether servo and filter have started, the last position that was used [s], the last start [s]."""
-    cursor: NDArray[np.int64]
-    """Of shape (1,): next command."""
-
-
-def new_starts_memory() -> StartsMemory:
-    """Memory before the first sample."""
-    return StartsMemory(np.array([0.0, 0.0, -np.inf, -np.inf]), np.zeros(1, dtype=np.int64))
+def new_starts_memory() -> FloatArray:
+    """Whether servo and filter have started, the last position used [s], the last start [s], and the next command."""
+    return np.array([0.0, 0.0, -np.inf, -np.inf, 0.0])
 
 
 class Starts(NamedTuple):
@@ -44,63 +35,43 @@ class Starts(NamedTuple):
 
 def find_starts(segment: Segment, longest_gap_s: float, blanking_s: float, fresh_s: float = np.inf) -> Starts:
     """Mark the samples of a segment."""
-    return mark_starts(
-        new_starts_memory(),
-        segment.command_s,
-        segment.measured_s,
-        segment.measured_deg,
-        longest_gap_s,
-        fresh_s,
-        blanking_s,
-    )
+    commands = segment.command_s, segment.measured_s, segment.measured_deg
+    return mark_starts(new_starts_memory(), *commands, (longest_gap_s, fresh_s, blanking_s))
 
 
 def mark_starts(
-    memory: StartsMemory,
+    memory: FloatArray,
     command_s: FloatArray,
     measured_s: FloatArray,
     measured_deg: FloatArray,
-    longest_gap_s: float,
-    fresh_s: float,
-    blanking_s: float,
+    limits_s: tuple[float, float, float],
 ) -> Starts:
-    """Mark the next samples, of shape (n,); the memory moves on with them, `command_s` are all commands so far."""
-    state, cursor = memory
+    """Mark the next samples, of shape (n,); the memory moves on with them, `command_s` are all commands so far.
+
+    Limits are the longest interval without commands or positions that is bridged, the age of a command beyond which
+    the next one is known to have been lost, and for how long after a start nothing is judged.
+    """
     size = measured_s.size
     starts = Starts(np.empty(size), np.empty(size, dtype=np.int8), np.empty(size, dtype=bool))
-    _mark(
-        command_s,
-        measured_s,
-        measured_deg,
-        longest_gap_s,
-        fresh_s,
-        blanking_s,
-        state,
-        cursor,
-        starts.measured_deg,
-        starts.restart,
-        starts.settled,
-    )
+    _mark(memory, command_s, measured_s, measured_deg, limits_s, *starts)
     return starts
 
 
 @compiled
 def _mark(
+    memory: FloatArray,
     command_s: FloatArray,
     measured_s: FloatArray,
     measured_deg: FloatArray,
-    longest_gap_s: float,
-    fresh_s: float,
-    blanking_s: float,
-    state: FloatArray,
-    cursor: NDArray[np.int64],
+    limits_s: tuple[float, float, float],
     usable_deg: FloatArray,
     restart: NDArray[np.int8],
     settled: BoolArray,
 ) -> None:
-    c = cursor[0]
-    servo_known, filter_known = state[0] != 0.0, state[1] != 0.0
-    last_used_s, last_start_s = state[2], state[3]
+    longest_gap_s, fresh_s, blanking_s = limits_s
+    c = int(memory[4])
+    servo_known, filter_known = memory[0] != 0.0, memory[1] != 0.0
+    last_used_s, last_start_s = memory[2], memory[3]
     for k in range(measured_s.size):
         now = measured_s[k]
         while c < command_s.size and command_s[c] <= now:
@@ -125,8 +96,7 @@ def _mark(
         # Inside a hole the command is made up from the one after it; at the end of a log there is none.
         made_up = c > 0 and now - command_s[c - 1] > fresh_s
         settled[k] = usable and now - last_start_s >= blanking_s and not made_up
-    state[0], state[1], state[2], state[3] = servo_known, filter_known, last_used_s, last_start_s
-    cursor[0] = c
+    memory[0], memory[1], memory[2], memory[3], memory[4] = servo_known, filter_known, last_used_s, last_start_s, c
 
 
 class FilterParameters(NamedTuple):

@@ -292,7 +292,7 @@ class Stream(_Waiting):
             self._add(time_s + shift_s, command_deg, 0.0)
         self._newest = (time_s, command_deg)
         dropped = self.logged.append(time_s, command_deg, 0.0)
-        self._starts.cursor[0] = max(self._starts.cursor[0] - dropped, 0)
+        self._starts[4] = max(self._starts[4] - dropped, 0.0)
 
     def again(self) -> None:
         """The alarm that stood is over."""
@@ -335,15 +335,8 @@ class Stream(_Waiting):
     def _simulated(self, ready: FloatArray) -> list[FloatArray]:
         """What a healthy servo would have done; then the slowest one tolerated, and what lost commands may add."""
         time_s, measured_deg = ready
-        starts = mark_starts(
-            self._starts,
-            self.logged.time_s,
-            time_s,
-            measured_deg,
-            self.longest_gap_s,
-            self._beat.longest_s,
-            self._generator.blanking_s,
-        )
+        limits_s = self.longest_gap_s, self._beat.longest_s, self._generator.blanking_s
+        starts = mark_starts(self._starts, self.logged.time_s, time_s, measured_deg, limits_s)
         commands = self.effective.commands()
         moved = [
             go_on(motion, commands, cursor, time_s, starts.measured_deg, starts.restart)

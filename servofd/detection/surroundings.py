@@ -21,10 +21,7 @@ _PERIOD_S = 0.1
 class Surroundings:
     """What was heard of them lately; of several channels with the same news, the one that audits would take.
 
-    Parameters
-    ----------
-    needs : iterable of str
-        What the models need: of ``airspeed_m_s`` and ``servo_voltage_v``.
+    `needs` are those of the models, of ``airspeed_m_s`` and ``servo_voltage_v``.
 
     Examples
     --------

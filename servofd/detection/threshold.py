@@ -235,9 +235,9 @@ class Evaluation:
         pulse = design_pulse_filter(generator.model.transfer, 0.0, period_s, generator.pole_rad_s)
         self.cusum = design_cusum(_KAPPA, _SUSPICIONS_PER_HOUR, Noise.designed(pulse, 1.0))
         self._generator, self._decay_rad_s = generator, generator.model.parameters().decay_rad_s
-        tolerated = tolerated_parameters(tolerance)
-        self.bounds = np.array([*tolerated, tolerance.noise_deg, pulse.noise_gain, self.cusum.factor])
-        self._memory = new_state(tolerated, tolerance.noise_deg)
+        self.tolerated, self.noise_gain = tolerated_parameters(tolerance), pulse.noise_gain
+        self._bounds = np.array([*self.tolerated, tolerance.noise_deg, pulse.noise_gain, self.cusum.factor])
+        self._memory = new_state(self.tolerated, tolerance.noise_deg)
         self._slow = np.zeros(self._decay_rad_s.size, dtype=np.complex128)
         self._loose = new_loose_memory()
 
@@ -246,11 +246,8 @@ class Evaluation:
     ) -> Threshold:
         """Threshold of the next samples, of shape (n,).
 
-        Parameters
-        ----------
-        rate_error_deg, added_deg : ndarray, shape (n,)
-            What a rate limit that is lower by its tolerance would leave, and what lost commands may add [deg]; empty
-            where there is nothing of it.
+        `rate_error_deg` is what a rate limit lower by its tolerance would leave, `added_deg` what lost commands
+        may add; both (n,), or empty where there is nothing of it.
         """
         signals = np.zeros((8, residuals.time_s.size))
         signals[:4] = residuals.time_s, residuals.immobile_deg, residuals.error_deg, residuals.measured_deg
@@ -260,7 +257,7 @@ class Evaluation:
             if added.size:
                 signals[place] = added
         out = np.zeros((4, residuals.time_s.size))
-        follow(signals, self.bounds, *self._memory, self._slow, self._decay_rad_s, out)
+        follow(signals, self._bounds, *self._memory, self._slow, self._decay_rad_s, out)
         tolerated, saturated, sigma, drift = out
         tolerated += loose_deg(self._generator, residuals.simulated_deg, residuals.restart, self._loose)
         return Threshold("interval", tolerated + sigmas * sigma, tolerated, saturated, sigma, self.cusum, drift)
@@ -280,15 +277,7 @@ def interval_threshold(
 ) -> Threshold:
     """Largest residual that a healthy servo may have under the commands that it gets.
 
-    Parameters
-    ----------
-    tolerance : Tolerance
-        How far a healthy servo may differ from the model.
-
-    Returns
-    -------
-    Threshold
-        Causal: no level uses a later sample, but for the usual sample time.
+    Causal: no level uses a later sample, but for the usual sample time.
 
     Examples
     --------

@@ -57,14 +57,7 @@ class Statistics:
 def outline(time_s: FloatArray, residual_deg: FloatArray, level_deg: FloatArray) -> tuple[float | None, ...]:
     """Largest residual over its threshold in each of equal parts of the flight; None where nothing was judged.
 
-    Parameters
-    ----------
-    time_s : ndarray, shape (n,)
-        Rising [s].
-    residual_deg : ndarray, shape (n,)
-        NaN where it was not judged.
-    level_deg : ndarray, shape (n,)
-        Threshold.
+    Of shape (n,) each; the residual is NaN where it was not judged.
 
     Examples
     --------

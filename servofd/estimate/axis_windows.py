@@ -214,15 +214,7 @@ def expected(inputs: Inputs, length: int, noise_var: float, flight: FloatArray, 
 
     The past counts as one window's worth of knowledge however long it is, because windows of one flight differ.
 
-    Parameters
-    ----------
-    flight, window : ndarray, shape (2, 2)
-        P_flight and P_window.
-
-    Returns
-    -------
-    Expected
-        theta0 and P0.
+    theta0 and P0, by P_flight and P_window (2, 2).
     """
     a, b, c, d1, d2 = (_before(total, length) / noise_var for total in inputs.sums[:5])
     w11, w12, w22 = window[0, 0], window[0, 1], window[1, 1]
@@ -247,19 +239,8 @@ def expected(inputs: Inputs, length: int, noise_var: float, flight: FloatArray, 
 def distance(found: Sliding, known: Expected, window: FloatArray, *, loss_matters: bool = True) -> FloatArray:
     """J of each window; 0 where there is none.
 
-    Parameters
-    ----------
-    known : Expected
-        theta0 and P0.
-    window : ndarray, shape (2, 2)
-        P_window.
-    loss_matters : bool
-        False where the command cannot be told from another axis' command: then lambda is free.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Chi-square with two degrees of freedom (one if `loss_matters` is False) in a healthy aircraft.
+    In a healthy aircraft chi-square with two degrees of freedom; with one where the loss does not matter, because
+    the command cannot be told from that of another axis. Shape (n,); `known` is theta0 and P0, `window` P_window.
     """
     offset, offset_var, given, given_var = _away(found, known, window)
     statistic = offset**2 / offset_var
@@ -281,10 +262,7 @@ def _away(found: Sliding, known: Expected, window: FloatArray) -> tuple[FloatArr
 def smallest(found: Sliding, known: Expected, window: FloatArray, level: float) -> tuple[FloatArray, FloatArray]:
     """Smallest further loss, and smallest offset to either side [us], that lift J of each window to a level.
 
-    Returns
-    -------
-    tuple of ndarray, shape (n,)
-        inf where there is no estimate.
+    Shape (n,) each; inf where there is no estimate.
 
     Examples
     --------
@@ -306,17 +284,7 @@ def spread_between(flights: Sequence[Sliding], start: FloatArray) -> FloatArray:
     Maximum likelihood by expectation and maximization (Dempster, Laird and Rubin 1977), theta around zero; each
     flight has the same weight, however long it is.
 
-    Parameters
-    ----------
-    flights : sequence of Sliding
-        Windows of each healthy flight, or that flight as one, with a model that has not seen its day; theta around 0.
-    start : ndarray, shape (2, 2)
-        First guess.
-
-    Returns
-    -------
-    ndarray, shape (2, 2)
-        P_flight, or P_window.
+    From the windows of each healthy flight, or that flight as one, with a model that has not seen its day.
     """
     between = start
     seen = [found for found in flights if found.loss.size]

@@ -203,14 +203,7 @@ def sensitivities(
 ) -> tuple[FloatArray, FloatArray]:
     """Reading of the servo (m,) [deg], and what a unit of each parameter, then each pattern, adds to it (m, 13 + p).
 
-    Parameters
-    ----------
-    position_deg : ndarray, shape (m, V)
-        Of `variants`.
-    speed_deg_s : ndarray, shape (m, 2)
-        Of the first of them.
-    theta : ndarray, shape (13,)
-        Parameters.
+    From positions (m, V) of `variants`, and speeds (m, 2) of the first of them.
     """
     base = position_deg[:, 0]
     added, shapes = bent(base, theta, reach_deg)

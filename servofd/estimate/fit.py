@@ -106,10 +106,7 @@ class Fit:
 def fit(records: Sequence[Record], *, start: FloatArray | None = None) -> Fit:
     """Fit one servo to records of it.
 
-    Parameters
-    ----------
-    start : ndarray, shape (13,), optional
-        Where to begin; else some delays are tried.
+    It begins at `start` (13,); else some delays are tried.
     """
     seen = np.concatenate([r.measured_deg[r.usable] for r in records])
     reach_deg = (float(np.quantile(seen, _SELDOM)), float(np.quantile(seen, 1.0 - _SELDOM)))

@@ -73,16 +73,8 @@ def unknown_deg(
 ) -> FloatArray:
     """Standard deviation of where a servo stands, for the commands that were lost, shape (m,) [deg].
 
-    Parameters
-    ----------
-    commands : (command_s, command_deg)
-        Those that arrived, up to the first after the last of the times, each of shape (n,).
-    theta : ndarray, shape (13,)
-        The servo.
-    time_s : ndarray, shape (m,)
-        When [s].
-    memory : ndarray, shape (4,)
-        From `new_memory`; is carried on.
+    Commands are those that arrived, up to the first after the last of the times; `theta` (13,) is the servo,
+    `memory` from `new_memory` and carried on.
 
     Examples
     --------
@@ -169,12 +161,8 @@ class Record:
     def of(cls, segment: Segment, supply_v: float | None = None, airspeed_m_s: float | None = None) -> Record:
         """Prepare a segment.
 
-        Parameters
-        ----------
-        supply_v : float, optional
-            Usual supply; that of this segment if None.
-        airspeed_m_s : float, optional
-            Usual airspeed, for flights that logged none; 0 if nobody knew any when the servo was fitted.
+        By the usual supply and airspeed, for flights that logged none: that of this segment if None; 0 if
+        nobody knew any.
         """
         commands = segment.command_s, segment.command_deg
         sent = None if segment.sent_period_s is None else (*commands, segment.sent_period_s)

@@ -136,18 +136,8 @@ def descended(
 ) -> tuple[FloatArray, FloatArray]:
     """Numbers at the foot of the slope on which a descent begins, shape (k,), and the derivatives there, (n, k).
 
-    Parameters
-    ----------
-    error, slopes : callable
-        From numbers of shape (k,) to errors [deg], shape (n,), and to their derivatives, shape (n, k).
-    begin : ndarray, shape (k,)
-        First numbers.
-    bounds : tuple of ndarray, shape (k,)
-        Least and largest numbers.
-    evaluations : int
-        Of the errors, at most.
-    scale_deg : float, optional
-        Size from which an error is out of the ordinary and counts by its size [deg]; all by their squares if left out.
+    From `begin` within the bounds; `slopes` gives derivatives (n, k) of the errors [deg] (n,). An error beyond
+    `scale_deg` is out of the ordinary and counts by its size; all count by their squares if that is left out.
 
     Examples
     --------

@@ -248,7 +248,7 @@ def _planned(aircraft: Aircraft, name: str, short: str, period_s: float) -> Onbo
     weak = (1.0 - surface.tolerances.rate) * min(limit)
     scale, offset_deg = _straight(surface)
     width_deg = sum(share * getattr(physics, field) for field, share in _WIDTHS.items())
-    tolerated = [float(value) for value in evaluation.bounds.tolerated]
+    tolerated = [float(value) for value in evaluation.tolerated]
     return OnboardSurface(
         name=short,
         surface=name,
@@ -268,7 +268,7 @@ def _planned(aircraft: Aircraft, name: str, short: str, period_s: float) -> Onbo
         threshold_deg=surface.threshold_deg + width_deg if surface.threshold == "constant" else None,
         tolerances=(tolerated[0], tolerated[1], tolerated[2], tolerated[3] + width_deg),
         noise_deg=max(surface.tolerances.noise_deg, 1e-3),
-        noise_gain=float(evaluation.bounds.noise_gain),
+        noise_gain=float(evaluation.noise_gain),
         sigmas=surface.threshold_sigmas,
         persistence=surface.persistence,
     )

@@ -11,7 +11,8 @@ import pytest
 
 from servofd.core.types import FloatArray
 from servofd.detection.alarm import Episode
-from servofd.detection.bank.isolate import BANK, confirmed, joined, name_fault, narendra, refine_onset_s, scores
+from servofd.detection.bank.hypotheses import BANK
+from servofd.detection.bank.isolate import confirmed, joined, name_fault, narendra, refine_onset_s, scores
 from servofd.detection.bank.window import Explanation, Flight, Ridge, Window
 from servofd.detection.bank.window import Fault as Found
 from servofd.detection.plausible import wiring_problem
@@ -23,7 +24,7 @@ from servofd.simulation.commands import COMMANDS
 from tests.detection.tolerated import MODEL, deviating
 from tests.detection.windows import NOISE_DEG, command, flown, judged, residuals_of, window
 
-HYPOTHESES = {hypothesis.kind: hypothesis for hypothesis in BANK}
+HYPOTHESES = BANK
 GROSS: dict[str, Fault] = {
     "bias": Bias(2.0, bias_deg=2.0),
     "stuck": Stuck(2.0, position_deg=1.0),
@@ -54,7 +55,7 @@ TIME_S = np.arange(6000) / 100.0
 def test_each_fault_is_recovered_within_its_interval(kind: str, name: str, truth: float) -> None:
     hits = 0
     for seed in SEEDS:
-        explanation = HYPOTHESES[kind].explain(window(seed, GROSS[kind]))
+        explanation = HYPOTHESES[kind](window(seed, GROSS[kind]))
         assert explanation is not None
         estimate = explanation.parameters[name]
         assert estimate.value == pytest.approx(truth, rel=0.05)
@@ -66,7 +67,7 @@ def test_each_fault_is_recovered_within_its_interval(kind: str, name: str, truth
 
 def test_the_frequency_of_a_limit_cycle_is_as_sure_as_cramer_and_rao_allow() -> None:
     one = window(0, GROSS["oscillation"])
-    found = HYPOTHESES["oscillation"].explain(one)
+    found = HYPOTHESES["oscillation"](one)
     assert found is not None
     size, frequency = found.parameters["amplitude_deg"], found.parameters["frequency_hz"]
     # In n samples of white noise sigma a sine is known to sigma sqrt(2 / n), its tone to sqrt(6 / n) sigma / (pi T A).
@@ -114,7 +115,7 @@ def test_what_nothing_explains_is_unknown() -> None:
     rng = np.random.default_rng(5)
     wild = one.healthy_deg + 8.0 * np.sign(rng.standard_normal(one.time_s.size))
     object.__setattr__(one, "measured_deg", wild)
-    found = {kind: e for kind, h in HYPOTHESES.items() if (e := h.explain(one)) is not None}
+    found = {kind: e for kind, explain in HYPOTHESES.items() if (e := explain(one)) is not None}
     marks = scores(one, found)
     assert min(marks, key=marks.__getitem__) == "unknown"
     assert name_fault(one).best is None
@@ -335,7 +336,7 @@ class TestVariants:
 
     def test_play_behind_the_servo(self) -> None:
         healthy_deg = MODEL.simulate(self.time_s, command(0, self.time_s), self.time_s)
-        found = HYPOTHESES["deadband"].explain(self.window(play(healthy_deg, 3.0, 0.0)))
+        found = HYPOTHESES["deadband"](self.window(play(healthy_deg, 3.0, 0.0)))
         assert found is not None
         assert found.parameters["width_deg"].value == pytest.approx(3.0, abs=0.15)
 
@@ -344,7 +345,7 @@ class TestVariants:
         healthy_deg = MODEL.simulate(self.time_s, command(0, self.time_s), self.time_s)
         for growth_deg_s, freedom in ((0.0, 1.0), (0.3, 2.0)):
             biased_deg = healthy_deg + 2.0 + growth_deg_s * (self.time_s - 19.99)
-            found = HYPOTHESES["bias"].explain(self.window(biased_deg))
+            found = HYPOTHESES["bias"](self.window(biased_deg))
             assert found is not None
             assert found.freedom == freedom
             assert found.parameters["bias_deg"].value == pytest.approx(2.0, abs=0.1)
@@ -353,7 +354,7 @@ class TestVariants:
         asked_deg = command(0, self.time_s)
         fastest_deg_s = float(np.abs(np.gradient(window(0, None).healthy_deg, 0.01)).max())
         weak = (MODEL + RateLimit(0.4 * fastest_deg_s)).simulate(self.time_s, asked_deg, self.time_s)
-        found = HYPOTHESES["slow"].explain(self.window(weak))
+        found = HYPOTHESES["slow"](self.window(weak))
         assert found is not None
         limit = found.parameters["rate_limit_deg_s"]
         assert limit.value == pytest.approx(0.4 * fastest_deg_s, rel=0.05)

@@ -363,7 +363,7 @@ class TestStarts:
         memory, found = new_starts_memory(), []
         for first in range(0, 12, cut):
             here = slice(first, first + cut)
-            found.append(mark_starts(memory, self.command_s, measured_s[here], measured_deg[here], 0.3, 0.18, 0.125))
+            found.append(mark_starts(memory, self.command_s, measured_s[here], measured_deg[here], (0.3, 0.18, 0.125)))
         restart, settled, usable_deg = (
             np.concatenate([getattr(piece, name) for piece in found]) for name in ("restart", "settled", "measured_deg")
         )

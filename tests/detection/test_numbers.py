@@ -16,8 +16,8 @@ import pytest
 
 from servofd.aircraft.schema import plain_aircraft
 from servofd.core.types import FloatArray
-from servofd.detection.bank.hypotheses import Wandering
-from servofd.detection.bank.isolate import BANK, name_fault
+from servofd.detection.bank.hypotheses import BANK, wandering
+from servofd.detection.bank.isolate import name_fault
 from servofd.detection.bank.window import Explanation, Window
 from servofd.detection.glitches import prepared
 from servofd.detection.judge import judge
@@ -72,7 +72,7 @@ def told(window: Window, other: Window, found: Explanation) -> dict[str, Any]:
 def named(fault: str) -> dict[str, Any]:
     """What the bank makes of eight seconds of a fault."""
     seen, other = window(3, FAULTS[fault]), window(4, FAULTS[fault])
-    found = {type(h).__name__: e for h in (*BANK, Wandering()) if (e := h.explain(seen)) is not None}
+    found = {kind: e for kind, explain in {**BANK, "wandering": wandering}.items() if (e := explain(seen)) is not None}
     numbers: dict[str, Any] = {kind: told(seen, other, explanation) for kind, explanation in found.items()}
     numbers["probabilities"] = {k: p for k, p in name_fault(seen).probabilities.items() if p > 1e-3}
     return numbers

@@ -13,8 +13,7 @@ from scipy.optimize import minimize_scalar
 from servofd.aircraft.segment import WARM_UP_STEPS
 from servofd.detection.alarm import Level
 from servofd.detection.audit import _odds
-from servofd.detection.bank.hypotheses import _cycle, _with_interval
-from servofd.detection.bank.isolate import BANK
+from servofd.detection.bank.hypotheses import BANK, _cycle, _with_interval
 from servofd.detection.bank.window import COLOUR, Explanation, Fault
 from servofd.detection.judge import _held
 from servofd.detection.monitor import SurfaceMonitor
@@ -64,8 +63,8 @@ def test_the_frequency_of_a_limit_cycle_minimizes_misfit_and_prior(
 @pytest.mark.parametrize("fault", FAULTS)
 def test_what_a_hypothesis_says_of_its_own_window_is_what_it_predicts_for_any(fault: str) -> None:
     seen = window(5, FAULTS[fault])
-    for hypothesis in BANK:
-        found = hypothesis.explain(seen)
+    for explain in BANK.values():
+        found = explain(seen)
         if found is not None and found.predict is not None:
             np.testing.assert_allclose(found.predict(seen), found.predicted_deg, rtol=0.0, atol=1e-9)
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -34,49 +34,35 @@ _WELL_EXPLAINED = 1.2
 _GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
 
 
-@dataclass(frozen=True, slots=True)
-class DeadBand:
-    """Increased dead band, stiction or play: the surface rests until it is half the width off."""
+def deadband(window: Window) -> Explanation | None:
+    """Increased dead band, stiction or play: the surface rests until it is half the width off.
 
-    kind: ClassVar[str] = "deadband"
-
-    def explain(self, window: Window) -> Explanation | None:
-        """Fit the width: before the servo, smooth or jerky, or behind it."""
-        reach_deg = float(np.ptp(window.commands.command_deg))
-        widest_deg = 2.0 * max(reach_deg, float(np.max(np.abs(window.error_deg))))
-        if widest_deg <= _NARROWEST_DEG:
-            return None
-        grid = np.geomspace(_NARROWEST_DEG, widest_deg, _GRID)
-        ways = [_before, _sticking, _behind] + ([_before_since_onset] if window.onset else [])
-        searches = [_Search(self.kind, window, way, grid, "width_deg") for way in ways]
-        most_deg2 = _HOPELESS * min(search.best.cost_deg2 for search in searches)
-        return min((s.refined() for s in searches if s.best.cost_deg2 <= most_deg2), key=window.score)
-
-
-@dataclass(frozen=True, slots=True)
-class Slow:
-    """The servo has lost bandwidth, or speed."""
-
-    kind: ClassVar[str] = "slow"
-
-    def explain(self, window: Window) -> Explanation | None:
-        """Fit the share of the bandwidth that is left, or a new rate limit."""
-        scales = np.geomspace(_SLOWEST, 1.0 - window.tolerance.bandwidth, _GRID)
-        slower = _Search(self.kind, window, _slower, scales, "bandwidth_scale").refined()
-        fastest_deg_s = float(np.max(np.abs(window.rate_deg_s)))
-        explained = slower.cost_deg2 <= _WELL_EXPLAINED * window.time_s.size * window.noise_deg**2
-        if not fastest_deg_s > 0.0 or explained:
-            return slower
-        rates = fastest_deg_s * np.geomspace(_SLOWEST_RATE, 1.0 - window.tolerance.rate, _GRID // 2)
-        return min(slower, _Search(self.kind, window, _limited, rates, "rate_limit_deg_s").refined(), key=window.score)
-
-
-def reduced_command(window: Window) -> Explanation | None:
-    """Less than what was asked reaches a servo with effects, whose play and friction do not shrink along with it."""
-    if not isinstance(window.servo, ExtendedServo):
+    Before the servo, smooth or jerky, or behind it.
+    """
+    reach_deg = float(np.ptp(window.commands.command_deg))
+    widest_deg = 2.0 * max(reach_deg, float(np.max(np.abs(window.error_deg))))
+    if widest_deg <= _NARROWEST_DEG:
         return None
-    gains = np.linspace(_LEAST_GAIN, 1.0 - window.tolerance.gain, _GRID)
-    return _Search("loss_of_effectiveness", window, _heard, gains, "gain").refined()
+    grid = np.geomspace(_NARROWEST_DEG, widest_deg, _GRID)
+    ways = [_before, _sticking, _behind] + ([_before_since_onset] if window.onset else [])
+    searches = [_Search("deadband", window, way, grid, "width_deg") for way in ways]
+    most_deg2 = _HOPELESS * min(search.best.cost_deg2 for search in searches)
+    return min((s.refined() for s in searches if s.best.cost_deg2 <= most_deg2), key=window.score)
+
+
+def slow(window: Window) -> Explanation:
+    """The servo has lost bandwidth, or speed: the share of it that is left, or a new rate limit."""
+    scales = np.geomspace(_SLOWEST, 1.0 - window.tolerance.bandwidth, _GRID)
+    slower = _Search(
+        "slow", window, lambda w, scale: w.simulate(w.servo.slower(scale)), scales, "bandwidth_scale"
+    ).refined()
+    fastest_deg_s = float(np.max(np.abs(window.rate_deg_s)))
+    explained = slower.cost_deg2 <= _WELL_EXPLAINED * window.time_s.size * window.noise_deg**2
+    if not fastest_deg_s > 0.0 or explained:
+        return slower
+    rates = fastest_deg_s * np.geomspace(_SLOWEST_RATE, 1.0 - window.tolerance.rate, _GRID // 2)
+    limited = _Search("slow", window, lambda w, rate: w.simulate(w.servo.limited(rate)), rates, "rate_limit_deg_s")
+    return min(slower, limited.refined(), key=window.score)
 
 
 class _Search:
@@ -125,24 +111,34 @@ class _Search:
 def _fit(
     kind: str, window: Window, predict: Callable[[Window, float], FloatArray], name: str, value: float
 ) -> Explanation:
-    """A prediction with the nuisances of a working servo upon it."""
-    predicted_deg = predict(window, value)
-    fit = window.ridge.fit(window.measured_deg - predicted_deg)
-    parameters = {name: Estimate(value, value, value)}
-    return Explanation(
-        kind,
-        predicted_deg + fit.predicted_deg,
-        fit.cost_deg2,
-        1.0,
-        parameters,
-        _doubt(name, value) + fit.doubt,
-        lambda other: predict(other, value) + other.nuisances @ fit.coefficients,
-    )
+    """A prediction with the nuisances of a working servo upon it; dead bands of more than a few degrees are rare."""
+    found = _regressed(
+        kind, window, lambda other: (predict(other, value), other.nuisances), window.ridge, 1.0,
+        lambda *_: {name: Estimate(value, value, value)},
+    )  # fmt: skip
+    return replace(found, doubt=((value / _WIDE_DEG) ** 2 if name == "width_deg" else 0.0) + found.doubt)
 
 
-def _doubt(name: str, value: float) -> float:
-    """Dead bands of more than a few degrees are rare."""
-    return (value / _WIDE_DEG) ** 2 if name == "width_deg" else 0.0
+def _regressed(
+    kind: str,
+    window: Window,
+    model: Callable[[Window], tuple[FloatArray, FloatArray]],
+    ridge: Ridge,
+    freedom: float,
+    sizes: Callable[[Ridge, Regression, FloatArray], dict[str, Estimate]],
+) -> Explanation:
+    """Explain a window by a model of it: a base (n,) and regressors (n, k) upon that; `sizes` are its parameters."""
+    base_deg, _ = model(window)
+    target_deg = window.measured_deg - base_deg
+    fit = ridge.fit(target_deg)
+
+    def predict(other: Window) -> FloatArray:
+        base_deg, regressors = model(other)
+        predicted_deg: FloatArray = base_deg + regressors @ fit.coefficients
+        return predicted_deg
+
+    parameters = sizes(ridge, fit, target_deg)
+    return Explanation(kind, base_deg + fit.predicted_deg, fit.cost_deg2, freedom, parameters, fit.doubt, predict)
 
 
 def _with_interval(best: Explanation, tried: dict[float, Explanation], window: Window, name: str) -> Explanation:
@@ -194,18 +190,6 @@ def _behind(window: Window, width_deg: float) -> FloatArray:
     return play(window.healthy_deg, width_deg, window.start_deg)
 
 
-def _heard(window: Window, gain: float) -> FloatArray:
-    return window.simulate(window.servo, gain * window.commands.command_deg)
-
-
-def _slower(window: Window, bandwidth_scale: float) -> FloatArray:
-    return window.simulate(window.servo.slower(bandwidth_scale))
-
-
-def _limited(window: Window, rate_deg_s: float) -> FloatArray:
-    return window.simulate(window.servo.limited(rate_deg_s))
-
-
 @compiled
 def _stick(command_deg: FloatArray, half_width_deg: float, held_deg: float) -> None:
     """Hold until the command is half a width away, then go all the way."""
@@ -224,96 +208,60 @@ _STUCK_GAIN = 0.1
 """A servo that moves less is called stuck."""
 
 
-@dataclass(frozen=True, slots=True)
-class Healthy:
+def healthy(window: Window) -> Explanation:
     """The model, within the tolerances of a working servo."""
-
-    kind: ClassVar[str] = "healthy"
-
-    def explain(self, window: Window) -> Explanation:
-        """Fit the nuisances."""
-        fit = window.ridge.fit(window.error_deg)
-        return Explanation(self.kind, window.healthy_deg + fit.predicted_deg, fit.cost_deg2, 0.0, doubt=fit.doubt)
+    fit = window.ridge.fit(window.error_deg)
+    return Explanation("healthy", window.healthy_deg + fit.predicted_deg, fit.cost_deg2, 0.0, doubt=fit.doubt)
 
 
-@dataclass(frozen=True, slots=True)
-class Bias:
-    """The surface is off by a constant angle: a slipped arm, a bent rod, a shifted potentiometer."""
+def bias(window: Window) -> Explanation | None:
+    """The surface is off by a constant angle: a slipped arm, a bent rod, a shifted potentiometer.
 
-    kind: ClassVar[str] = "bias"
-
-    def explain(self, window: Window) -> Explanation | None:
-        """Fit an offset larger than a healthy servo may have, that stays or grows; it is given at the window's end."""
-        fits = (self._fit(window, growing=growing) for growing in (False, True))
-        return min((fit for fit in fits if fit is not None), key=window.score, default=None)
-
-    def _fit(self, window: Window, *, growing: bool) -> Explanation | None:
-        wide = window.spread.copy()
-        wide[_BIAS] = _LARGEST_BIAS_DEG
-        end_s = float(window.time_s[-1])
-        spread = np.append(wide, _FASTEST_GROWTH_DEG_S) if growing else wide
-
-        def columns(other: Window) -> FloatArray:
-            return np.column_stack([other.nuisances, other.time_s - end_s]) if growing else other.nuisances
-
-        ridge = Ridge(columns(window), spread, window.noise_deg)
-        fit = ridge.fit(window.error_deg)
-        bias = ridge.estimate(fit, window.error_deg, _BIAS, own=window.spread[_BIAS])
-        if abs(bias.value) <= window.tolerance.bias_deg:
-            return None
-        return Explanation(
-            self.kind,
-            window.healthy_deg + fit.predicted_deg,
-            fit.cost_deg2,
-            2.0 if growing else 1.0,
-            {"bias_deg": bias},
-            fit.doubt,
-            predict=lambda other: other.healthy_deg + columns(other) @ fit.coefficients,
-        )
+    An offset larger than a healthy servo may have, that stays or grows; it is given at the window's end.
+    """
+    fits = (_offset(window, growing=growing) for growing in (False, True))
+    large = (fit for fit in fits if abs(fit.parameters["bias_deg"].value) > window.tolerance.bias_deg)
+    return min(large, key=window.score, default=None)
 
 
-@dataclass(frozen=True, slots=True)
-class LossOfEffectiveness:
-    """The surface moves by a share of what was asked: a slipping horn, a loose linkage, a weak servo."""
-
-    kind: ClassVar[str] = "loss_of_effectiveness"
-
-    def explain(self, window: Window) -> Explanation | None:
-        """Fit a gain below that of a healthy servo, about zero or about another trim."""
-        fits = []
-        for spread, freedom in (({_GAIN: 1.0}, 1.0), ({_GAIN: 1.0, _BIAS: _LARGEST_TRIM_DEG}, 2.0)):
-            ridge = _widened(window, spread)
-            fit = ridge.fit(window.error_deg)
-            gain = ridge.estimate(fit, window.error_deg, _GAIN, offset=1.0, own=window.spread[_GAIN])
-            if _STUCK_GAIN < gain.value < 1.0 - window.tolerance.gain:
-                predicted_deg = window.healthy_deg + fit.predicted_deg
-                fits.append(
-                    Explanation(
-                        self.kind,
-                        predicted_deg,
-                        fit.cost_deg2,
-                        freedom,
-                        {"gain": gain},
-                        fit.doubt,
-                        partial(_with, fit.coefficients),
-                    )
-                )
-        heard = reduced_command(window)
-        if heard is not None and heard.parameters["gain"].value < 1.0 - window.tolerance.gain:
-            fits.append(heard)
-        return min(fits, key=window.score, default=None)
-
-
-def _with(coefficients: FloatArray, window: Window) -> FloatArray:
-    """Healthy deflection with these nuisances."""
-    return window.healthy_deg + window.nuisances @ coefficients
-
-
-def _widened(window: Window, spread: dict[int, float]) -> Ridge:
-    """Nuisances of a working servo, some of them beyond what is healthy."""
+def _offset(window: Window, *, growing: bool) -> Explanation:
     wide = window.spread.copy()
-    wide[list(spread)] = list(spread.values())
-    return Ridge(window.nuisances, wide, window.noise_deg)
+    wide[_BIAS] = _LARGEST_BIAS_DEG
+    end_s = float(window.time_s[-1])
+
+    def model(other: Window) -> tuple[FloatArray, FloatArray]:
+        drift = [other.time_s - end_s] if growing else []
+        return other.healthy_deg, np.column_stack([other.nuisances, *drift])
+
+    ridge = Ridge(model(window)[1], np.append(wide, [_FASTEST_GROWTH_DEG_S] * growing), window.noise_deg)
+    own_deg = window.spread[_BIAS]
+    return _regressed(
+        "bias", window, model, ridge, 2.0 if growing else 1.0,
+        lambda ridge, fit, target: {"bias_deg": ridge.estimate(fit, target, _BIAS, own=own_deg)},
+    )  # fmt: skip
+
+
+def loss_of_effectiveness(window: Window) -> Explanation | None:
+    """The surface moves by a share of what was asked: a slipping horn, a loose linkage, a weak servo.
+
+    A gain below that of a healthy servo, about zero or about another trim. Of a servo with effects, less than what was
+    asked may reach it, and its play and friction do not shrink along with that.
+    """
+    kind, most, own = "loss_of_effectiveness", 1.0 - window.tolerance.gain, window.spread[_GAIN]
+    fits = []
+    for trim_deg, freedom in ((window.spread[_BIAS], 1.0), (_LARGEST_TRIM_DEG, 2.0)):
+        wide = window.spread.copy()
+        wide[[_GAIN, _BIAS]] = 1.0, trim_deg
+        found = _regressed(
+            kind, window, lambda w: (w.healthy_deg, w.nuisances), Ridge(window.nuisances, wide, window.noise_deg),
+            freedom, lambda ridge, fit, target: {"gain": ridge.estimate(fit, target, _GAIN, offset=1.0, own=own)},
+        )  # fmt: skip
+        fits += [found] if found.parameters["gain"].value > _STUCK_GAIN else []
+    if isinstance(window.servo, ExtendedServo):
+        gains = np.linspace(_LEAST_GAIN, most, _GRID)
+        heard = _Search(kind, window, lambda w, gain: w.simulate(w.servo, gain * w.commands.command_deg), gains, "gain")
+        fits.append(heard.refined())
+    return min((fit for fit in fits if fit.parameters["gain"].value < most), key=window.score, default=None)
 
 
 _OUT_OF_REACH_DEG = 2.0
@@ -327,58 +275,34 @@ _UNHEARD_OF = 6.0
 """Where nothing was commanded, loose and wandering surfaces look alike: then it is called floating, 20 to 1."""
 
 
-@dataclass(frozen=True, slots=True)
-class Stuck:
-    """The shaft jams where the servo has brought it."""
-
-    kind: ClassVar[str] = "stuck"
-
-    def explain(self, window: Window) -> Explanation | None:
-        """Fit a constant, within reach of the commands."""
-        rest = _resting(self.kind, window)
-        return None if _ran_away(window, rest.parameters["position_deg"].value) else rest
+def stuck(window: Window) -> Explanation | None:
+    """The shaft jams where the servo has brought it, within reach of the commands."""
+    rest = _resting("stuck", window)
+    return None if _ran_away(window, rest.parameters["position_deg"].value) else rest
 
 
-@dataclass(frozen=True, slots=True)
-class Hardover:
+def hardover(window: Window) -> Explanation | None:
     """The servo runs to one end, uncommanded, and stays there."""
-
-    kind: ClassVar[str] = "hardover"
-
-    def explain(self, window: Window) -> Explanation | None:
-        """Fit a constant, where no command has led."""
-        rest = _resting(self.kind, window)
-        return rest if _ran_away(window, rest.parameters["position_deg"].value) else None
+    rest = _resting("hardover", window)
+    return rest if _ran_away(window, rest.parameters["position_deg"].value) else None
 
 
-@dataclass(frozen=True, slots=True)
-class Floating:
-    """The surface is loose, and the air moves it: smooth motion that has nothing to do with the command."""
-
-    kind: ClassVar[str] = "floating"
-
-    def explain(self, window: Window) -> Explanation | None:
-        """Fit a random smooth motion."""
-        found = _smooth(self.kind, window, np.zeros(window.time_s.size))
-        if found is None:
-            return None
-        swing = Estimate.of(float(np.ptp(found.predicted_deg)) / 2.0, window.noise_deg)
-        return replace(found, parameters={"amplitude_deg": swing})
+def floating(window: Window) -> Explanation | None:
+    """The surface is loose, and the air moves it: random smooth motion that has nothing to do with the command."""
+    found = _smooth("floating", window, np.zeros(window.time_s.size))
+    if found is None:
+        return None
+    swing = Estimate.of(float(np.ptp(found.predicted_deg)) / 2.0, window.noise_deg)
+    return replace(found, parameters={"amplitude_deg": swing})
 
 
-@dataclass(frozen=True, slots=True)
-class Wandering:
+def wandering(window: Window) -> Explanation | None:
     """The surface follows its command, but for a smooth error that no fault of the bank explains.
 
     Without it, everything that is smooth would be called floating.
     """
-
-    kind: ClassVar[str] = "unknown"
-
-    def explain(self, window: Window) -> Explanation | None:
-        """Fit a random smooth error."""
-        found = _smooth(self.kind, window, window.healthy_deg)
-        return None if found is None else replace(found, doubt=found.doubt + _UNHEARD_OF)
+    found = _smooth("unknown", window, window.healthy_deg)
+    return None if found is None else replace(found, doubt=found.doubt + _UNHEARD_OF)
 
 
 def _smooth(kind: str, window: Window, base_deg: FloatArray) -> Explanation | None:
@@ -447,87 +371,59 @@ _FREEDOM = 3.0
 _SEARCH_STEPS = 12
 
 
-class _Rest(NamedTuple):
-    """What the surface does besides oscillating: a base, and regressors with their spread."""
-
-    base_deg: FloatArray
-    regressors: FloatArray
-    spread: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
-class Oscillation:
-    """A limit cycle."""
-
-    kind: ClassVar[str] = "oscillation"
-
-    def explain(self, window: Window) -> Explanation | None:
-        """Find frequency and amplitude, upon the motion and instead of it."""
-        found = (_cycle(window, commanded=commanded) for commanded in (True, False))
-        return min((fit for fit in found if fit is not None), key=window.score, default=None)
-
-
-def _rest(window: Window, *, commanded: bool) -> _Rest:
-    if commanded:
-        return _Rest(window.healthy_deg, window.nuisances, window.spread)
-    size = window.time_s.size
-    return _Rest(np.zeros(size), np.ones((size, 1)), np.array([_LARGEST_DEG]))
+def oscillation(window: Window) -> Explanation | None:
+    """A limit cycle, upon the motion or instead of it."""
+    found = (_cycle(window, commanded=commanded) for commanded in (True, False))
+    return min((fit for fit in found if fit is not None), key=window.score, default=None)
 
 
 def _cycle(window: Window, *, commanded: bool) -> Explanation | None:
     """Explain the window by one sine and the rest."""
     start_s, duration_s = float(window.time_s[0]), max(window.duration_s, 1e-9)
-    rest = _rest(window, commanded=commanded)
-    target_deg = window.measured_deg - rest.base_deg
-    still = Ridge(rest.regressors, rest.spread, window.noise_deg).fit(target_deg)
+    spread = window.spread if commanded else np.array([_LARGEST_DEG])
+
+    def rest(other: Window) -> tuple[FloatArray, FloatArray]:
+        size = other.time_s.size
+        return (other.healthy_deg, other.nuisances) if commanded else (np.zeros(size), np.ones((size, 1)))
+
+    def model(other: Window, frequency_hz: float) -> tuple[FloatArray, FloatArray]:
+        base_deg, regressors = rest(other)
+        phase = 2.0 * np.pi * frequency_hz * (other.time_s - start_s)
+        return base_deg, np.column_stack([regressors, np.sin(phase), np.cos(phase)])
+
+    base_deg, regressors = rest(window)
+    target_deg = window.measured_deg - base_deg
+    still = Ridge(regressors, spread, window.noise_deg).fit(target_deg)
     lowest_hz = max(_SLOWEST_HZ, _FEWEST_CYCLES / duration_s)
     start_hz = _strongest_hz(window.time_s, target_deg - still.predicted_deg, lowest_hz)
     if start_hz is None:
         return None
 
     def ridge(frequency_hz: float) -> Ridge:
-        columns = np.column_stack([rest.regressors, _sine(window.time_s - start_s, frequency_hz)])
-        return Ridge(columns, np.append(rest.spread, [_LARGEST_DEG, _LARGEST_DEG]), window.noise_deg)
+        return Ridge(model(window, frequency_hz)[1], np.append(spread, [_LARGEST_DEG] * 2), window.noise_deg)
 
-    def objective(fit: Regression) -> float:
+    def objective(frequency_hz: float) -> float:
+        fit = ridge(frequency_hz).fit(target_deg)
         return fit.cost_deg2 + window.noise_deg**2 * fit.doubt
 
     # The cost has one minimum within half a line width of the spectrum's peak.
     near_hz = (max(start_hz - 0.5 / duration_s, 0.1 * start_hz), start_hz + 0.5 / duration_s)
-    frequency_hz = least(lambda f: objective(ridge(f).fit(target_deg)), *near_hz, steps=_SEARCH_STEPS)
-    fitted = ridge(frequency_hz)
-    fit = fitted.fit(target_deg)
-    sine, cosine = (fitted.estimate(fit, target_deg, index) for index in (-2, -1))
-    amplitude_deg, doubt_deg = float(np.hypot(sine.value, cosine.value)), sine.deviation
-    if amplitude_deg < _NOTICEABLE_SIGMAS * window.noise_deg:
-        return None
-    # Cramer and Rao: for a sine of amplitude A known to s, the frequency is known to sqrt(3) s / (pi T A).
-    doubt_hz = float(np.sqrt(3.0) / (np.pi * duration_s) * doubt_deg / amplitude_deg)
+    frequency_hz = least(objective, *near_hz, steps=_SEARCH_STEPS)
 
-    def predict(other: Window) -> FloatArray:
-        around = _rest(other, commanded=commanded)
-        columns = np.column_stack([around.regressors, _sine(other.time_s - start_s, frequency_hz)])
-        predicted_deg: FloatArray = around.base_deg + columns @ fit.coefficients
-        return predicted_deg
-
-    return Explanation(
-        "oscillation",
-        rest.base_deg + fit.predicted_deg,
-        fit.cost_deg2,
-        _FREEDOM,
-        {
+    def sizes(ridge: Ridge, fit: Regression, target_deg: FloatArray) -> dict[str, Estimate]:
+        sine, cosine = (ridge.estimate(fit, target_deg, index) for index in (-2, -1))
+        amplitude_deg, doubt_deg = float(np.hypot(sine.value, cosine.value)), sine.deviation
+        # Cramer and Rao: for a sine of amplitude A known to s, the frequency is known to sqrt(3) s / (pi T A).
+        doubt_hz = float(np.sqrt(3.0) / (np.pi * duration_s) * doubt_deg / max(amplitude_deg, 1e-300))
+        return {
             "amplitude_deg": Estimate.of(amplitude_deg, doubt_deg),
             "frequency_hz": Estimate.of(frequency_hz, doubt_hz),
-        },
-        fit.doubt,
-        predict,
+        }
+
+    found = _regressed(
+        "oscillation", window, lambda other: model(other, frequency_hz), ridge(frequency_hz), _FREEDOM, sizes
     )
-
-
-def _sine(time_s: FloatArray, frequency_hz: float) -> FloatArray:
-    """Sine and cosine, of shape (n, 2)."""
-    phase = 2.0 * np.pi * frequency_hz * time_s
-    return np.column_stack([np.sin(phase), np.cos(phase)])
+    return found if found.parameters["amplitude_deg"].value >= _NOTICEABLE_SIGMAS * window.noise_deg else None
 
 
 def _strongest_hz(time_s: FloatArray, values_deg: FloatArray, lowest_hz: float) -> float | None:
@@ -542,3 +438,17 @@ def _strongest_hz(time_s: FloatArray, values_deg: FloatArray, lowest_hz: float) 
     power = np.abs(np.fft.rfft(np.interp(even_s, time_s, values_deg), points))
     power *= (frequency_hz >= lowest_hz) & (frequency_hz <= highest_hz)
     return float(frequency_hz[np.argmax(power)])
+
+
+BANK: dict[str, Callable[[Window], Explanation | None]] = {
+    "healthy": healthy,
+    "bias": bias,
+    "stuck": stuck,
+    "hardover": hardover,
+    "floating": floating,
+    "oscillation": oscillation,
+    "deadband": deadband,
+    "slow": slow,
+    "loss_of_effectiveness": loss_of_effectiveness,
+}
+"""Each fits a window, or gives None if this cannot be it; adding one is adding a function and an entry here."""

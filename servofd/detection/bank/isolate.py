@@ -7,18 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from servofd.detection.bank.hypotheses import (
-    Bias,
-    DeadBand,
-    Floating,
-    Hardover,
-    Healthy,
-    LossOfEffectiveness,
-    Oscillation,
-    Slow,
-    Stuck,
-    Wandering,
-)
+from servofd.detection.bank.hypotheses import BANK, wandering
 from servofd.detection.bank.window import Explanation, Fault, Flight, Onset, Window
 
 if TYPE_CHECKING:
@@ -26,21 +15,7 @@ if TYPE_CHECKING:
 
     from servofd.core.types import FloatArray
     from servofd.detection.alarm import Episode
-    from servofd.detection.bank.window import Hypothesis
     from servofd.detection.residual import ResidualGenerator
-
-BANK: tuple[Hypothesis, ...] = (
-    Healthy(),
-    Bias(),
-    Stuck(),
-    Hardover(),
-    Floating(),
-    Oscillation(),
-    DeadBand(),
-    Slow(),
-    LossOfEffectiveness(),
-)
-"""Adding a hypothesis is adding a class and an entry here."""
 
 _UNEXPLAINED_SHARE = 0.25
 _UNKNOWN_FREEDOM = 6.0
@@ -75,7 +50,7 @@ class Naming:
 
 def name_fault(window: Window) -> Naming:
     """Compare all hypotheses on one window."""
-    found = {h.kind: e for h in BANK if (e := h.explain(window)) is not None}
+    found = {kind: e for kind, explain in BANK.items() if (e := explain(window)) is not None}
     marks = scores(window, found)
     kinds = sorted(marks, key=marks.__getitem__)
     weights = np.exp(-0.5 * (np.array([marks[kind] for kind in kinds]) - marks[kinds[0]]))
@@ -88,8 +63,7 @@ def scores(window: Window, found: Mapping[str, Explanation]) -> dict[str, float]
     gap = float(window.error_deg @ window.error_deg)
     cost_deg2 = _UNEXPLAINED_SHARE**2 * gap + window.time_s.size * window.noise_deg**2
     nothing = Explanation("unknown", window.measured_deg, cost_deg2, _UNKNOWN_FREEDOM)
-    wandering = Wandering().explain(window) or nothing
-    unknown = min(window.score(nothing), window.score(wandering))
+    unknown = min(window.score(nothing), window.score(wandering(window) or nothing))
     return {**{kind: window.score(e) for kind, e in found.items()}, "unknown": unknown}
 
 
@@ -345,12 +319,12 @@ def first_signs(window: Window, generator: ResidualGenerator, sigma_deg: float) 
     restart[0] = 1
     limit_deg = _QUIET * _MEAN_OF_ABSOLUTE * sigma_deg
     quiet = {}
-    for hypothesis in BANK:
-        explanation = hypothesis.explain(window)
-        if explanation is not None and hypothesis.kind != "healthy":
+    for kind, explain in BANK.items():
+        explanation = explain(window) if kind != "healthy" else None
+        if explanation is not None:
             misfit_deg = window.measured_deg - explanation.predicted_deg
             if narendra(generator.filtered(window.time_s, misfit_deg, restart))[-1] <= limit_deg:
-                quiet[hypothesis.kind] = window.score(explanation)
+                quiet[kind] = window.score(explanation)
     return tuple(sorted(quiet, key=quiet.__getitem__))
 
 

@@ -6,7 +6,7 @@ from copy import copy
 from dataclasses import dataclass, field
 from operator import itemgetter
 from statistics import median
-from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -43,14 +43,7 @@ class Regression(NamedTuple):
 class Ridge:
     """Least squares with a Gaussian prior of zero mean on each coefficient, for many targets.
 
-    Parameters
-    ----------
-    regressors : ndarray, shape (n, k)
-        By what to explain.
-    spread : ndarray, shape (k,)
-        Standard deviation of each coefficient's prior; infinite for none.
-    noise_deg : float
-        Standard deviation of the noise [deg].
+    The regressors are of shape (n, k), the standard deviations of their priors (k,), infinite for none.
 
     Examples
     --------
@@ -145,15 +138,6 @@ class Explanation:
     """Twice the negative logarithm of how plausible the parameters are in themselves."""
     predict: Callable[[Window], FloatArray] | None = None
     """Deflection that this fault would cause in another window [deg], shape (n,)."""
-
-
-class Hypothesis(Protocol):
-    """One way in which a servo may behave."""
-
-    kind: ClassVar[str]
-
-    def explain(self, window: Window) -> Explanation | None:
-        """Fit the window; None if this cannot be it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
