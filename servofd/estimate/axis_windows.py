@@ -288,17 +288,17 @@ def spread_between(flights: Sequence[Sliding], start: FloatArray) -> FloatArray:
     """
     between = start
     seen = [found for found in flights if found.loss.size]
+    if not seen:
+        return np.zeros((2, 2))
+    theta = np.hstack([(found.loss, found.offset) for found in seen])
+    loss_var, cross, offset_var = np.hstack([(found.loss_var, found.cross, found.offset_var) for found in seen])
+    weights = np.concatenate([np.full(found.loss.size, 1.0 / (found.loss.size * len(seen))) for found in seen])
     for _ in range(_ROUNDS):
-        moments = np.zeros((2, 2))
-        for found in seen:
-            theta = np.stack([found.loss, found.offset], axis=-1)
-            noise = np.stack(
-                [np.stack([found.loss_var, found.cross], -1), np.stack([found.cross, found.offset_var], -1)], axis=-2
-            )
-            gain = between @ np.linalg.inv(noise + between)
-            mean = np.einsum("nij,nj->ni", gain, theta)
-            moments += (np.einsum("ni,nj->nij", mean, mean) + between - gain @ between).mean(axis=0)
-        renewed = moments / max(len(seen), 1)
+        first, both, second = loss_var + between[0, 0], cross + between[0, 1], offset_var + between[1, 1]
+        adjugate = np.array([[second, -both], [-both, first]])
+        gain = np.einsum("ij,jkn->ikn", between, adjugate) / (first * second - both**2)
+        mean = np.einsum("ijn,jn->in", gain, theta)
+        renewed = between + (mean * weights) @ mean.T - (gain @ weights) @ between
         settled = np.allclose(renewed, between, rtol=1e-3)
         between = (renewed + renewed.T) / 2.0
         if settled:
