@@ -32,7 +32,7 @@ from hidden_physics import CATALOGUE, draw, hidden
 from servofd import explain, explain_logs
 from servofd.core.errors import ServofdError
 from servofd.core.types import FloatArray
-from servofd.discrepancy import adequacy, candidates, explanation, fit, search, select
+from servofd.discrepancy import adequacy, explanation, fit, search, select
 from servofd.discrepancy.record import Record
 from servofd.discrepancy.search import Search
 from servofd.discrepancy.select import Selection
@@ -77,7 +77,7 @@ CONSTANTS = (
         "surprise",
         "how rare effects are",
         ((select, "SURPRISE"),),
-        (_scaled(candidates.SURPRISE, 0.5), candidates.SURPRISE, _scaled(candidates.SURPRISE, 2.0)),
+        (_scaled(search.SURPRISE, 0.5), search.SURPRISE, _scaled(search.SURPRISE, 2.0)),
     ),
     Constant("gain", "gain of an unknown servo", ((select, "_GAIN_SHARE"),), (0.02, select._GAIN_SHARE, 0.05), True),
     Constant(

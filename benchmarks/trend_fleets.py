@@ -19,10 +19,8 @@ from fleet import FleetServo, Truth, deflection
 from servofd.aircraft.schema import plain_aircraft
 from servofd.aircraft.segment import Segment
 from servofd.simulation.commands import COMMANDS
-from servofd.wear.estimate import estimate_flight
-from servofd.wear.logs import FlownLog
-from servofd.wear.records import FlightEstimate
-from servofd.wear.trend import trend_of
+from servofd.wear.estimate import FlightEstimate, estimate_flight
+from servofd.wear.trend import FlownLog, trend_of
 
 if TYPE_CHECKING:
     from servofd.wear.estimate import ServoEstimate

@@ -17,8 +17,7 @@ from servofd.identification.identify import identify
 from servofd.outputs.figure import save_figure
 from servofd.outputs.identify_figures import identify_figures
 from servofd.servo.effects import Delay, LinearDynamics
-from servofd.servo.failing import Fault
-from servofd.servo.faults import DeadBand, Stuck
+from servofd.servo.faults import DeadBand, Fault, Stuck
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel
 from servofd.servo.transfer import TransferFunction

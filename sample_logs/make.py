@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from servofd.aircraft.schema import Aircraft, load_aircraft, plain_aircraft
-from servofd.servo.failing import Fault
+from servofd.servo.faults import Fault
 from servofd.servo.faults import Bias, DeadBand, Floating, HardOver, LossOfEffectiveness, Oscillation, Slow, Stuck
 from servofd.simulation.flight import SimulatedFlight, simulate_flight
 from servofd.simulation.pulses import outputs_of

@@ -644,7 +644,7 @@ class Trend(AircraftTrend, Shown):
         return trend_picture(name, self._document()["surfaces"][name]).figure
 
     def _document(self) -> dict[str, Any]:
-        from servofd.wear.document import trend_document
+        from servofd.wear.trend import trend_document
 
         return trend_document(self)
 

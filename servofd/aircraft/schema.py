@@ -19,7 +19,7 @@ from servofd.core.errors import ConfigError, DesignError, ServofdError, UnknownN
 from servofd.core.evidence import ModelOrigin
 from servofd.core.tolerance import Tolerance
 from servofd.core.toml_text import read_toml
-from servofd.servo.effect_table import EffectTable, effects_installed
+from servofd.servo.catalogue import EffectTable, effects_installed
 from servofd.servo.effects import Extension, PositionLimit
 from servofd.servo.library import Positive, Servo, find_servo, levels_in, library
 from servofd.servo.physics import Physics

@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from servofd.core.errors import NoMeasurement
-from servofd.feedback.draft import draft_aircraft
+from servofd.feedback.draft import draft_aircraft, draft_to_toml, fitted_to_toml
 from servofd.feedback.flown import flown_aircraft, one_log
-from servofd.feedback.toml import draft_to_toml, fitted_to_toml
 
 if TYPE_CHECKING:
     from servofd.cli.options import Options

@@ -16,10 +16,9 @@ from servofd.cli.terminal import complain
 from servofd.core.errors import ConfigError, ServofdError, UnknownName, suggest
 from servofd.core.files import write_whole
 from servofd.live.speaker import signature_of
-from servofd.servo.effect_table import TabledEffect
+from servofd.servo.catalogue import TabledEffect
 from servofd.servo.effects import Plan
-from servofd.servo.failing import in_order
-from servofd.servo.faults import FAULTS
+from servofd.servo.faults import FAULTS, in_order
 from servofd.servo.library import servo_named
 from servofd.simulation.airframe import AirframeFault, fly_airframe
 from servofd.simulation.airframe_log import airframe_log
@@ -37,7 +36,7 @@ if TYPE_CHECKING:
     from servofd.aircraft.schema import Aircraft
     from servofd.cli.options import Options
     from servofd.servo.effects import Effect
-    from servofd.servo.failing import Fault
+    from servofd.servo.faults import Fault
     from servofd.simulation.flight import SimulatedFlight
     from servofd.simulation.vehicle.troubles import Trouble
 

@@ -15,9 +15,8 @@ from servofd.outputs.trend_page import (
     trend_page,
     verdict,
 )
-from servofd.wear.document import trend_document
-from servofd.wear.records import QUANTITIES
-from servofd.wear.trend import trend_logs
+from servofd.wear.estimate import QUANTITIES
+from servofd.wear.trend import trend_document, trend_logs
 
 if TYPE_CHECKING:
     from servofd.cli.options import Options

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from servofd.detection.glitches import RunningMedian, new_running_median, with_value
 from servofd.estimate.statistics import MAD_TO_SIGMA
-from servofd.servo.state import compiled
+from servofd.servo.kernel import compiled
 
 if TYPE_CHECKING:
     from servofd.core.types import BoolArray, FloatArray, IntArray

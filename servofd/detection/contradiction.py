@@ -16,7 +16,7 @@ import numpy as np
 from servofd.detection.bank.window import Fault, noise_deg
 from servofd.detection.plausible import step_deg
 from servofd.estimate.statistics import Estimate
-from servofd.servo.state import compiled
+from servofd.servo.kernel import compiled
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -16,8 +16,7 @@ import numpy as np
 
 from servofd.core.evidence import NOTHING_DETECTABLE, Detectable
 from servofd.detection.threshold import MEMORY_S, SUSPICIOUS_DRIFT, suspicion
-from servofd.servo.play import play
-from servofd.servo.state import compiled
+from servofd.servo.kernel import compiled, play
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from servofd.aircraft.segment import pace_steps
 from servofd.estimate.statistics import MAD_TO_SIGMA
-from servofd.servo.state import compiled, inlined
+from servofd.servo.kernel import compiled, inlined
 
 if TYPE_CHECKING:
     from servofd.aircraft.segment import Segment

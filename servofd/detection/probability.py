@@ -13,7 +13,7 @@ from logparsers.records import own
 from servofd.core.errors import DesignError, NoMeasurement
 from servofd.core.numeric import root
 from servofd.core.types import BoolArray, FloatArray
-from servofd.servo.state import compiled, fixed
+from servofd.servo.kernel import compiled, fixed
 
 if TYPE_CHECKING:
     from collections.abc import Callable

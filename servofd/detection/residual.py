@@ -230,8 +230,8 @@ def followed(
 ) -> FloatArray:
     """Deflection of a servo [deg], shape (n,), that starts anew where the surface was measured."""
     from servofd.detection.samples import RESTART_ALL
+    from servofd.servo.kernel import ServoParameters
     from servofd.servo.motion import on_its_way, started_anew
-    from servofd.servo.state import ServoParameters
 
     if isinstance(servo, ServoParameters):
         signal = commands.effective_s, commands.command_deg, commands.slope_deg_s

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servofd.core.types import BoolArray, ComplexArray, FloatArray
-from servofd.servo.state import SAME_STEP_S, compiled, fixed, inner
+from servofd.servo.kernel import SAME_STEP_S, compiled, fixed, inner
 
 if TYPE_CHECKING:
     from servofd.aircraft.segment import Segment

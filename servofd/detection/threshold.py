@@ -27,7 +27,7 @@ import numpy as np
 from servofd.aircraft.schema import DEFAULT_SIGMAS
 from servofd.core.types import BoolArray, ComplexArray, FloatArray
 from servofd.detection.samples import RESTART_ALL
-from servofd.servo.state import compiled, inner
+from servofd.servo.kernel import compiled, inner
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -7,8 +7,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.discrepancy.noise import SMALLEST_DEG, floor_uncertainty, long_run_factor, noise_floor_deg
-from servofd.discrepancy.steps import COARSE_STEP_DEG, noise_below_deg, noise_within_deg, stepped_noise_deg
+from servofd.discrepancy.noise import (
+    COARSE_STEP_DEG,
+    SMALLEST_DEG,
+    floor_uncertainty,
+    long_run_factor,
+    noise_below_deg,
+    noise_floor_deg,
+    noise_within_deg,
+    stepped_noise_deg,
+)
 from servofd.servo.catalogue import Quantization
 
 if TYPE_CHECKING:

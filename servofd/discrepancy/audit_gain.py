@@ -66,25 +66,7 @@ class AuditGain:
 def audit_gain(
     segments: Sequence[Segment], known: ServoModel, better: ServoModel, until_s: float = float("inf")
 ) -> AuditGain | None:
-    """Compare two models on the same flights; None if these are too short to tell the noise.
-
-    Examples
-    --------
-    >>> from servofd.servo.effects import Delay
-    >>> from servofd.servo.servo_model import ServoModel
-    >>> from servofd.aircraft.segment import Segment
-    >>> from servofd.servo.library import servo_named
-    >>> known = ServoModel.of(servo_named("hs225bb-eq31"))
-    >>> t = np.arange(0.0, 60.0, 0.01)
-    >>> command = 5.0 * np.sin(2.0 * t)
-    >>> noise = 0.1 * np.random.default_rng(0).standard_normal(t.size)
-    >>> flown = Segment("x", t, command, t, (known + Delay(0.05)).simulate(t, command, t) + noise)
-    >>> gain = audit_gain([flown], known, known + Delay(0.05))
-    >>> round(gain.before.residual_std_deg, 2), round(gain.after.residual_std_deg, 2)
-    (0.36, 0.04)
-    >>> round(gain.before.threshold_deg, 1), round(gain.after.threshold_deg, 1)
-    (0.7, 0.2)
-    """
+    """Compare two models on the same flights; None if these are too short to tell the noise."""
     try:
         before, after = (_watch(segments, model, better, until_s) for model in (known, better))
     except NoMeasurement:

@@ -2,41 +2,40 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
 from servofd.aircraft.segment import Segment
-from servofd.discrepancy.answer import Found, answer
-from servofd.discrepancy.at_rest import at_rest
-from servofd.discrepancy.audit_gain import AuditGain, audit_gain
-from servofd.discrepancy.break_point import fault_start_s
-from servofd.discrepancy.checks import check
-from servofd.discrepancy.fit import Fitter
-from servofd.discrepancy.locate import Block, blocks, sentences
-from servofd.discrepancy.one_size import STEPS_OF_TWO_SIZES, step_size_deg
-from servofd.discrepancy.record import joined, record_of, simulate
-from servofd.discrepancy.run_by_run import RunErrors, run_errors
-from servofd.discrepancy.select import Selection, select
-from servofd.discrepancy.separate import Separation, separations
-from servofd.discrepancy.validity import clear_of, driven, share_followed
-from servofd.discrepancy.words import (
+from servofd.core.errors import NoMeasurement
+from servofd.core.series import rms
+from servofd.detection.residual import Commands
+from servofd.discrepancy.answer import (
+    Found,
+    answer,
     effect_values,
     form_of,
     linear_sentence,
     only_rests_sentence,
     unjudged_sentence,
 )
-from servofd.servo.catalogue import CATALOGUE
+from servofd.discrepancy.audit_gain import AuditGain, audit_gain
+from servofd.discrepancy.fit import Fitter
+from servofd.discrepancy.locate import Block, blocks, sentences
+from servofd.discrepancy.noise import at_rest, noise_floor_deg, rest_sentence
+from servofd.discrepancy.record import SLOWEST_RATE_HZ, joined, record_of, simulate
+from servofd.discrepancy.search import STEPS_OF_TWO_SIZES, step_size_deg
+from servofd.discrepancy.select import Selection, select
+from servofd.discrepancy.separate import Separation, separations
+from servofd.discrepancy.validity import clear_of, driven, share_followed
+from servofd.servo.catalogue import CATALOGUE, plain, told_apart
 from servofd.servo.effects import Extension
-from servofd.servo.laws import plain, told_apart
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from servofd.core.types import BoolArray, FloatArray
-    from servofd.discrepancy.elsewhere import Elsewhere
     from servofd.discrepancy.fit import Fit
     from servofd.discrepancy.own import OwnEffect
     from servofd.discrepancy.record import Record
@@ -44,6 +43,195 @@ if TYPE_CHECKING:
     from servofd.discrepancy.varying import Varying
     from servofd.servo.physics import Physics
     from servofd.servo.servo_model import ServoModel
+
+_SHORTEST_S, _SHORTEST_ON_BENCH_S = 4.0, 1.0
+"""The shorter one for runs that begin at rest with a step, of which nothing is lost."""
+_MOTION_OF_NOISE, _SMALLEST_MOTION_DEG = 2.0, 0.1
+_SAME, _SHIFT_S = 0.9, 0.1
+"""Share of the position that a multiple of what was asked tells, by so much earlier or later: of another servo. Of one
+that is too slow for its command (25 to 70 deg/s, 200 logs) none is told by more than 0.7 and a multiple below 0.5."""
+_GAINS, _LATE_GAINS = (0.3, 1.7), (0.15, 3.4)
+"""A servo of low gain that lags behind a large command moves by 0.29 of it (a smart servo under a weight)."""
+_SWAPPED = 0.5
+_STANDS, _FOLLOWS, _CLEARLY_DEG = 0.12, 0.05, 0.5
+"""Swing of a servo that stands (that of its noise) and the share that it follows, both over what it was asked, which
+must be so much [deg]."""
+
+
+def check(record: Record) -> None:
+    """Refuse what cannot show an effect."""
+    rate_hz = min(1.0 / each.period_s for each in record.runs or (record,))
+    if rate_hz < SLOWEST_RATE_HZ and not (record.side is not None and record.side.any()):
+        rested = f" ({rest_sentence(record)})" if record.counts.any() else ""
+        raise NoMeasurement(
+            f"position comes at {rate_hz:.3g} Hz; what a model lacks cannot be told below 20 Hz, but for play where "
+            f"the surface rests, and none is seen{rested}: log faster"
+        )
+    seconds = float(record.counts.sum()) * record.period_s
+    shortest_s = _SHORTEST_ON_BENCH_S if record.runs else _SHORTEST_S
+    if seconds < shortest_s:
+        raise NoMeasurement(
+            f"only {seconds:.1f} s of command and position together; at least {shortest_s:g} s are needed, and "
+            "30 s with brisk inputs are better"
+        )
+    simulated = simulate(record, record.plant.neutral)
+    error = record.measured_deg - simulated
+    asked, measured = simulated[record.counts], record.measured_deg[record.counts]
+    # First, for noise that is scaled, too, hides the motion that was asked for.
+    _check_scale(asked, measured, round(_SHIFT_S / record.period_s))
+    if record.side is not None:
+        return
+    noise = noise_floor_deg(record, error)
+    if float(np.std(asked)) < max(_MOTION_OF_NOISE * noise, _SMALLEST_MOTION_DEG):
+        raise NoMeasurement(
+            f"hardly asked to move ({float(np.std(asked)):.2g} deg rms, noise {noise:.2g} deg): no effect can show; "
+            "fly doublets of several degrees"
+        )
+    _check_motion(asked, measured)
+    _check_order(record, error)
+
+
+def _check_motion(asked: FloatArray, measured: FloatArray) -> None:
+    """Refuse a position that stands still all along though the servo was clearly asked to move."""
+    asked_deg, moved_deg = float(np.std(asked)), float(np.std(measured))
+    followed = abs(float(np.cov(asked, measured)[0, 1])) / max(asked_deg, _CLEARLY_DEG) ** 2
+    if asked_deg > _CLEARLY_DEG and moved_deg < _STANDS * asked_deg and followed < _FOLLOWS:
+        raise NoMeasurement(
+            f"position stands still ({moved_deg:.2g} deg rms) where {asked_deg:.2g} deg rms were asked: jammed, "
+            "without power, or no reading of this servo; no effect can show"
+        )
+
+
+def _check_scale(asked: FloatArray, measured: FloatArray, shift: int) -> None:
+    """Refuse a position that is another multiple of what was asked, so many samples early or late at most."""
+    shift = min(shift, asked.size // 4)
+    at = measured[shift : measured.size - shift]
+    for late in sorted(range(-shift, shift + 1), key=abs):
+        spread = np.cov(asked[shift - late : shift - late + at.size], at)
+        gain = float(spread[0, 1] / max(spread[0, 0], 1e-300))
+        likeness = float(spread[0, 1] ** 2 / max(spread[0, 0] * spread[1, 1], 1e-300))
+        low, high = _LATE_GAINS if late else _GAINS
+        if likeness > _SAME and not low <= gain <= high:
+            what = "sign" if gain < 0.0 else "scale"
+            raise NoMeasurement(f"position is {gain:.3g}x the command throughout: check the {what} of the calibration")
+
+
+def _check_order(record: Record, error_deg: FloatArray) -> None:
+    """Refuse a position that a servo would have had to follow, and better than the other way round."""
+    known, command_deg = np.isfinite(record.measured_deg), record.commands.at(record.time_s)
+    given = Commands(record.time_s[known], record.measured_deg[known], np.zeros(int(known.sum())))
+    swapped = replace(record, commands=given, measured_deg=command_deg, own=None)
+    wrong_deg = command_deg - simulate(swapped, record.plant.neutral)
+    if np.std(wrong_deg[record.counts]) < _SWAPPED * np.std(error_deg[record.counts]):
+        raise NoMeasurement(
+            "the command follows the position, as a servo follows its command: are the two columns swapped?"
+        )
+
+
+_HEALTHY_S = 3.0
+_RATIO = 3.0
+_BEYOND = 6.0
+"""A sample this many noise floors away is no noise: one in a billion."""
+
+
+def fault_start_s(record: Record, selection: Selection) -> float | None:
+    """Where the error of the nominal servo grows [s]; None if it does nowhere.
+
+    The split into two stretches of constant variance that is most likely for Gaussian errors, taken second by second,
+    of those after which it is larger: a jam that passes leaves a servo that is well behind it, too.
+    """
+    error = selection.nominal.error_deg
+    start_s = float(record.time_s[0])
+    second = (record.time_s - start_s).astype(np.int64)[record.counts]
+    count = np.bincount(second).astype(float)
+    energy = np.bincount(second, weights=error[record.counts] ** 2)
+    sums, counts = np.cumsum(energy), np.cumsum(count)
+    edge = np.arange(int(_HEALTHY_S) - 1, sums.size - 2)
+    if not edge.size:
+        return None
+    floor = selection.sigma_deg**2
+    before = np.maximum(sums[edge] / np.maximum(counts[edge], 1.0), floor)
+    after = np.maximum((sums[-1] - sums[edge]) / np.maximum(counts[-1] - counts[edge], 1.0), floor)
+    likely = counts[edge] * np.log(before) + (counts[-1] - counts[edge]) * np.log(after)
+    grows = after >= _RATIO * before
+    if not grows.any():
+        return None
+    best = int(np.argmin(np.where(grows, likely, np.inf)))
+    from_s = start_s + float(edge[best]) - 1.0
+    limit = _BEYOND * float(np.sqrt(before[best]))
+    late = record.counts & (record.time_s >= from_s) & (np.abs(error) > limit)
+    return float(record.time_s[late][0]) if late.any() else start_s + float(edge[best]) + 1.0
+
+
+_MOST_FOLDS = 8
+"""Runs that are held out at the same time, where there are many."""
+
+
+class RunErrors(NamedTuple):
+    """Error of one run, by models that were fitted to other runs."""
+
+    run: int
+    nominal_rms_deg: float
+    held_out_rms_deg: float
+
+
+def run_errors(fitter: Fitter, final: Fit) -> tuple[RunErrors, ...]:
+    """Fit the servo with its effects again without each run, and judge that run; empty for a single run."""
+    record = fitter.record
+    if not record.runs:
+        return ()
+    errors_deg = [_foreseen_deg(fitter, fit) for fit in (fitter.nominal(), final)]
+    return tuple(
+        RunErrors(k, *(rms(error[(record.run == k) & record.counts]) for error in errors_deg))
+        for k in range(len(record.runs))
+    )
+
+
+def _foreseen_deg(fitter: Fitter, fit: Fit) -> FloatArray:
+    """Error of each run, with the servo fitted again to the others, shape (n,)."""
+    record = fitter.record
+    error_deg = np.full(record.time_s.size, np.nan)
+    for fold in range(min(len(record.runs), _MOST_FOLDS)):
+        left_out = record.run % _MOST_FOLDS == fold
+        physics = fit.physics
+        if fit.effects or record.free_poles:
+            physics = (
+                Fitter(replace(record, counts=record.counts & ~left_out)).descended(fit.effects, physics, 4).physics
+            )
+        error_deg[left_out] = fitter.judged(fit.effects, physics).error_deg[left_out]
+    return error_deg
+
+
+@dataclass(frozen=True, slots=True)
+class Elsewhere:
+    """Errors on a flight to which nothing was fitted [deg]."""
+
+    path: str
+    nominal_rms_deg: float
+    extended_rms_deg: float
+    noise_floor_rms_deg: float
+
+    def document(self) -> dict[str, Any]:
+        """Plain dictionary."""
+        return asdict(self)
+
+
+def judged_elsewhere(
+    path: str, segment: Segment, model: ServoModel, physics: Physics, own: OwnEffect | None = None
+) -> Elsewhere:
+    """Errors of the servo as it was known, and with the effects that were found in another flight.
+
+    Parameters
+    ----------
+    own : OwnEffect, optional
+        An effect of the user's own that is among them.
+    """
+    record = record_of(segment, model, own=own)
+    before, after = (record.measured_deg - simulate(record, each) for each in (record.plant.neutral, physics))
+    floor_deg = noise_floor_deg(record, after)
+    before_deg, after_deg = rms(before[record.counts]), rms(after[record.counts])
+    return Elsewhere(path, before_deg, after_deg, min(floor_deg, after_deg))
+
 
 Conclusion = Literal["nothing_missing", "explained", "partly_explained", "unexplained"]
 
@@ -54,7 +242,7 @@ _AT_ONCE_S, _SOON_S, _FAR_WORSE, _NOT_BUSIER, _MOST_OF_IT = 5.0, 15.0, 25.0, 2.0
 """Where the healthy part is not explained to the noise either, a fault must stand out from what stays of it: at once,
 though no more is asked, or soon and nearly as large as the motion (variances). A gap that drifts, or grows with motion,
 is no fault."""
-_FOLLOWS = 0.2
+_STILL_FOLLOWS = 0.2
 """Share of the position that the command tells, beyond which a servo that nobody knows still follows it."""
 _MARGINS_S = (0.0, 1.0, 2.5, 5.0)
 """How long before a change of the error's size a fault may have begun without much to do."""
@@ -362,7 +550,7 @@ def _healthy_part(
 def _follows(record: Record, start_s: float) -> bool:
     """Whether a servo still moves with its command after a time."""
     there = record.counts & (record.time_s >= start_s) & (record.time_s < start_s + _SOON_S)
-    return share_followed(record, simulate(record, record.plant.neutral), there) > _FOLLOWS
+    return share_followed(record, simulate(record, record.plant.neutral), there) > _STILL_FOLLOWS
 
 
 def _stands_out(before: Record, later: BoolArray, final: Fit) -> bool:

@@ -19,15 +19,20 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from servofd.core.types import FloatArray, IntArray
-from servofd.discrepancy.noise import long_run_factor, noise_floor_deg
+from servofd.discrepancy.noise import (
+    COARSE_STEP_DEG,
+    long_run_factor,
+    mean_reading_deg,
+    noise_below_deg,
+    noise_floor_deg,
+)
 from servofd.discrepancy.record import Record, simulate, thinned
-from servofd.discrepancy.steps import COARSE_STEP_DEG, mean_reading_deg, noise_below_deg
+from servofd.estimate.statistics import bounded_step
 from servofd.servo.catalogue import Bias, Gain, Quantization, installed
 from servofd.servo.physics import Physics, split
 
 if TYPE_CHECKING:
-    from servofd.discrepancy.candidates import Candidate
-    from servofd.servo.missing_effect import MissingEffect, Parameter
+    from servofd.servo.effects import MissingEffect, Parameter
 
 _ITERATIONS, _GAIN_OVER = 8, 0.3
 """A descent ends where a step improves the misfit by less."""
@@ -337,12 +342,13 @@ class Fitter:
             slow_scale=fast, pair_scale=total / product / max(by_pair_s + by_slow_s, 0.5 * by_pair_s), damping_scale=1.0
         )
 
-    def screened(self, base: Fit, slopes: FloatArray, candidate: Candidate) -> tuple[float, Physics]:
+    def screened(
+        self, base: Fit, slopes: FloatArray, effect: type[MissingEffect], place: float
+    ) -> tuple[float, Physics]:
         """Best misfit that a coarse grid of one more effect reaches, and the servo there.
 
         What is fitted already gives way as far as its slopes tell.
         """
-        effect, place = candidate
         grids = [self._sized(p, p.grid if not p.aside else p.grid[:1]) for p in effect.parameters]
         if effect is Quantization:
             grids = [[self.record.step_deg or 0.0]]
@@ -586,17 +592,8 @@ class Fitter:
         curvature = slopes.T @ weighted + np.diag(prior)
         curvature += np.diag(damping * np.diag(curvature) + 1e-12)
         down = -(weighted.T @ error + prior * x)
-        low, high = (np.array([n.x(each) for n, each in zip(numbers, ends, strict=True)]) for ends in _ends(numbers))
-        free = np.ones(x.size, dtype=np.bool_)
-        step: FloatArray = np.zeros(x.size)
-        for _ in range(x.size):  # what stands at its bound and is driven against it stays there
-            step = np.zeros(x.size)
-            step[free] = np.linalg.solve(curvature[np.ix_(free, free)], down[free])
-            stopped = free & (((x <= low + _SAME) & (step < 0.0)) | ((x >= high - _SAME) & (step > 0.0)))
-            if not stopped.any():
-                break
-            free &= ~stopped
-        return step
+        low, high = np.array([n.x(n.low) for n in numbers]), np.array([n.x(n.high) for n in numbers])
+        return bounded_step(curvature, down, low - x, high - x)
 
     def _given_way(self, error: FloatArray, slopes: FloatArray) -> float:
         """Misfit after a step of the numbers that are fitted already."""
@@ -619,11 +616,6 @@ class Fitter:
         if parameter.fields[0] == "load_deg" and self.record.pushed is not None:
             return 1.0 / float(np.sqrt(np.mean(self.record.pushed.load**2)))
         return self._size if (parameter.neutral == 0.0 and parameter.name.endswith("_deg")) else 1.0
-
-
-def _ends(numbers: list[_Number]) -> tuple[list[float], list[float]]:
-    """Bounds of the values."""
-    return [n.low for n in numbers], [n.high for n in numbers]
 
 
 def _idle(effects: tuple[type[MissingEffect], ...], slopes: FloatArray) -> tuple[int, ...]:

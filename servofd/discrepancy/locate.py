@@ -6,14 +6,452 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from servofd.discrepancy.maps import EVEN, LINEAR, ODD, maps, since_reversal_s
-from servofd.discrepancy.regimes import AFTER_REVERSAL_S
-from servofd.discrepancy.spectrum import coherent_to_hz, excess_band_hz, spectrum
+from servofd.core.series import rms
 
 if TYPE_CHECKING:
-    from servofd.core.types import FloatArray
-    from servofd.discrepancy.maps import Map
+    from collections.abc import Sequence
+
+    from servofd.core.types import BoolArray, FloatArray, IntArray
     from servofd.discrepancy.record import Record
+
+_BINS, _FEWEST_PER_BIN = 14, 12
+_SWING_S = 0.5
+REST, FAST = 0.3, 0.8
+"""Quantiles of the speed below which a servo is taken to rest, and above which it is fast."""
+AFTER_REVERSAL_S = 0.3
+_CHANGES = 0.05
+"""What surrounds the aircraft is a condition only if it changes by this share."""
+_BAND = (5.0, 50.0, 95.0)
+_STANDS_STILL = 1e-6
+"""In the unit of a quantity: less is rounding."""
+
+
+class Quantity(NamedTuple):
+    """Something that an error may depend on."""
+
+    name: str
+    unit: str
+    values: FloatArray
+    """Shape (n,), for all samples of the record."""
+
+
+class Bins(NamedTuple):
+    """Distribution of an error over a quantity; all of shape (k,)."""
+
+    centre: FloatArray
+    low_deg: FloatArray
+    """5 % quantile."""
+    median_deg: FloatArray
+    high_deg: FloatArray
+    """95 % quantile."""
+
+
+class RegimeError(NamedTuple):
+    """Error under one condition."""
+
+    name: str
+    share: float
+    """Of the samples that count."""
+    before_deg: float
+    """Root mean square of the model's error as it was."""
+    after_deg: float
+
+
+def quantities(record: Record, simulated_deg: FloatArray) -> tuple[Quantity, ...]:
+    """What an error is drawn over: command rate, deflection, speed, amplitude, time, and the context that was logged.
+
+    Parameters
+    ----------
+    simulated_deg : ndarray, shape (n,)
+        Position of the better model, which knows the motion without the noise of the measurement [deg].
+
+    Examples
+    --------
+    >>> from servofd.discrepancy.record import record_of, simulate
+    >>> from servofd.servo.servo_model import ServoModel
+    >>> from servofd.aircraft.segment import Segment
+    >>> from servofd.servo.library import servo_named
+    >>> t = np.arange(0.0, 10.0, 0.01)
+    >>> model = ServoModel.of(servo_named("hs225bb-eq31"))
+    >>> record = record_of(Segment("x", t, 5.0 * np.sin(t), t, np.zeros(t.size)), model)
+    >>> found = {q.name: q for q in quantities(record, simulate(record, record.plant.neutral))}
+    >>> round(float(found["command rate"].values[:300].max()), 1)
+    5.0
+    """
+    time_s = record.time_s
+    command = np.interp(time_s, record.commands.effective_s, record.commands.command_deg)
+    speed = np.gradient(simulated_deg, time_s)
+    found = [
+        Quantity("command rate", "deg/s", np.gradient(smooth(command), time_s)),
+        Quantity("deflection", "deg", simulated_deg),
+        Quantity("speed", "deg/s", speed),
+        Quantity("amplitude of the command", "deg", _swing(command, max(1, round(_SWING_S / record.period_s)))),
+        Quantity("time", "s", time_s),
+    ]
+    for name, unit, values in (
+        ("dynamic pressure", "Pa", record.pressure_pa),
+        ("supply voltage", "V", record.voltage_v),
+        ("temperature", "°C", record.temperature_c),
+    ):
+        if values is not None and np.ptp(values[record.counts]) > _CHANGES * np.abs(values[record.counts]).max():
+            found.append(Quantity(name, unit, values))
+    return tuple(q for q in found if np.ptp(q.values[record.counts]) > _STANDS_STILL)
+
+
+def binned(quantity: Quantity, error_deg: FloatArray, counts: BoolArray) -> Bins:
+    """Quantiles of an error in bins of a quantity; bins of equal numbers of samples, of time equal lengths.
+
+    Examples
+    --------
+    >>> x = np.linspace(0.0, 1.0, 1000)
+    >>> found = binned(Quantity("x", "deg", x), 2.0 * x, np.ones(1000, dtype=bool))
+    >>> bool(np.allclose(found.median_deg, 2.0 * found.centre, atol=0.01))
+    True
+    """
+    values, error = quantity.values[counts], error_deg[counts]
+    if quantity.name == "time":
+        edges = np.linspace(values.min(), values.max(), 4 * _BINS + 1)
+    else:
+        edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _BINS + 1)))
+    index = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, edges.size - 2)
+    rows = [
+        (float(np.median(values[index == k])), *np.percentile(error[index == k], _BAND))
+        for k in range(edges.size - 1)
+        if np.count_nonzero(index == k) >= _FEWEST_PER_BIN
+    ]
+    return Bins(*np.array(rows).reshape(-1, 4).T)
+
+
+def errors_by_regime(
+    record: Record, before_deg: FloatArray, after_deg: FloatArray, simulated_deg: FloatArray
+) -> tuple[RegimeError, ...]:
+    """Error before and after under conditions that have a name.
+
+    Parameters
+    ----------
+    before_deg, after_deg : ndarray, shape (n,)
+        Error of the model as it was, and of the better one [deg].
+    simulated_deg : ndarray, shape (n,)
+        Position of the better model [deg].
+    """
+    speed = np.gradient(simulated_deg, record.time_s)
+    size = np.abs(speed)
+    rest, fast = np.quantile(size[record.counts], [REST, FAST])
+    turned = np.flatnonzero(np.diff(np.sign(np.where(size > rest, speed, 0.0)), prepend=0.0) != 0.0)
+    last = np.searchsorted(turned, np.arange(speed.size), side="right") - 1
+    since_s = np.full(speed.size, np.inf)
+    if turned.size:
+        since_s[last >= 0] = (record.time_s - record.time_s[turned[np.maximum(last, 0)]])[last >= 0]
+    outer = np.quantile(np.abs(simulated_deg[record.counts]), FAST)
+    half_s = float(np.median(record.time_s[record.counts]))
+    moving = {
+        f"at rest (below {rest:.3g} deg/s)": size <= rest,
+        f"fast (above {fast:.3g} deg/s)": size > fast,
+        "moving up": (speed > 0.0) & (size > rest),
+        "moving down": (speed < 0.0) & (size > rest),
+        f"within {AFTER_REVERSAL_S:g} s after it starts, stops or turns": since_s < AFTER_REVERSAL_S,
+    }
+    regimes = {
+        "all": np.ones(speed.size, dtype=bool),
+        **(moving if fast > _STANDS_STILL else {}),
+        f"far out (beyond ±{outer:.3g} deg)": np.abs(simulated_deg) > outer,
+        f"first half (to {half_s:.1f} s)": record.time_s <= half_s,
+        f"second half (from {half_s:.1f} s)": record.time_s > half_s,
+    }
+    total = max(int(record.counts.sum()), 1)
+    return tuple(
+        RegimeError(name, int(chosen.sum()) / total, rms(before_deg[chosen]), rms(after_deg[chosen]))
+        for name, chosen in ((name, inside & record.counts) for name, inside in regimes.items())
+        if chosen.any()
+    )
+
+
+def smooth(values: FloatArray) -> FloatArray:
+    """Mean of each value and the two on either side."""
+    smoothed: FloatArray = np.convolve(np.pad(values, 2, mode="edge"), np.full(5, 0.2), mode="valid")
+    return smoothed
+
+
+def _swing(values: FloatArray, width: int) -> FloatArray:
+    """Half of the range of the last `width` values."""
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(values, (width, 0), mode="edge"), width + 1)
+    swing: FloatArray = 0.5 * np.ptp(windows, axis=1)
+    return swing
+
+
+_PIECE_S, _PIECES, _FEWEST_SAMPLES = 4.0, 5.5, 32
+"""Length of what is transformed at once; the record is at least so many times as long, which makes ten of them, half
+over half."""
+_TAIL = 0.1
+"""Share of the excess left out at either end of its band."""
+_COHERENT, _ASKED = 0.9, 1e-2
+"""Below the first the command tells less than nine tenths of the position; where its power is less than the second of
+its largest, nothing was asked."""
+
+
+class Spectrum(NamedTuple):
+    """Densities over frequency; all of shape (k,)."""
+
+    frequency_hz: FloatArray
+    command_deg2_hz: FloatArray
+    error_deg2_hz: FloatArray
+    coherence: FloatArray
+    """Of command and position: 1 where the position follows linearly and without noise, whatever the servo."""
+
+
+def spectrum(record: Record, error_deg: FloatArray) -> Spectrum | None:
+    """Welch's estimates, on evenly spaced samples; None if the record is too short for an average.
+
+    Parameters
+    ----------
+    error_deg : ndarray, shape (n,)
+        Measured minus simulated position [deg].
+
+    Examples
+    --------
+    >>> from servofd.discrepancy.record import record_of
+    >>> from servofd.servo.servo_model import ServoModel
+    >>> from servofd.aircraft.segment import Segment
+    >>> from servofd.servo.library import servo_named
+    >>> rng, t = np.random.default_rng(0), np.arange(0.0, 60.0, 0.01)
+    >>> asked = np.repeat(rng.standard_normal(1500), 4)
+    >>> error = 0.5 * np.sin(2.0 * np.pi * 3.0 * t)
+    >>> record = record_of(Segment("x", t, asked, t, asked + error), ServoModel.of(servo_named("s9254")))
+    >>> low_hz, high_hz = excess_band_hz(spectrum(record, error), 0.0)
+    >>> 2.5 < low_hz <= high_hz < 3.5
+    True
+    """
+    from scipy.signal import coherence, welch
+
+    known = np.flatnonzero(np.isfinite(record.measured_deg))
+    period_s = record.period_s
+    time_s = np.arange(record.time_s[known[0]], record.time_s[known[-1]], period_s)
+    count = min(round(_PIECE_S / period_s), int(time_s.size / _PIECES))
+    if count < _FEWEST_SAMPLES:
+        return None
+    command_deg = record.commands.at(time_s)
+    measured_deg = np.interp(time_s, record.time_s[known], record.measured_deg[known])
+    wrong_deg = np.interp(time_s, record.time_s, np.where(record.counts, np.nan_to_num(error_deg), 0.0))
+    rate_hz = 1.0 / period_s
+    frequency_hz, command = welch(command_deg, rate_hz, nperseg=count)
+    _, error = welch(wrong_deg, rate_hz, nperseg=count)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        _, follows = coherence(command_deg, measured_deg, rate_hz, nperseg=count)
+    return Spectrum(frequency_hz, command, error, np.nan_to_num(follows))
+
+
+def excess_band_hz(found: Spectrum, sigma_deg: float) -> tuple[float, float] | None:
+    """Frequencies between which four fifths of what is more than white noise lie [Hz]; None if there is no more."""
+    width_hz = found.frequency_hz[1]
+    floor = sigma_deg**2 / (found.frequency_hz[-1] + 0.5 * width_hz)
+    more = np.cumsum(np.maximum(found.error_deg2_hz - floor, 0.0)[1:])
+    if more[-1] <= 0.0:
+        return None
+    low, high = np.searchsorted(more, [_TAIL * more[-1], (1.0 - _TAIL) * more[-1]]) + 1
+    return float(found.frequency_hz[low] - 0.5 * width_hz), float(found.frequency_hz[high] + 0.5 * width_hz)
+
+
+def coherent_to_hz(found: Spectrum) -> float | None:
+    """Up to where command and position are coherent [Hz]; None if they are wherever anything was asked."""
+    asked = found.command_deg2_hz >= _ASKED * found.command_deg2_hz[1:].max()
+    asked[0] = False
+    lost = np.flatnonzero(asked & (found.coherence < _COHERENT))
+    return float(found.frequency_hz[lost[0]]) if lost.size else None
+
+
+LINEAR, ODD, EVEN = "linear filter of the command", "odd distortion of the command", "even distortion of the command"
+"""The second is the same up and down (a limit, friction, dead band), the third is not (a curved linkage)."""
+_BINS_OF_MAP, _FEWEST_IN_MAP = 12, 30
+_LAGS, _MEMORY_S = 25, 0.25
+_FEWER_LAGS = 12
+"""Of each of two distorted commands."""
+_FOLDS = 2
+_CHUNK = 20_000
+_DRAWS, _MOST_GROUPS = 2000, 300
+_FALSE_ALARMS = 0.01
+"""Share of healthy logs in which any of the quantities may seem to matter, however many there are."""
+
+
+class Map(NamedTuple):
+    """How much of the disagreement one quantity tells."""
+
+    quantity: str
+    unit: str
+    share: float
+    """Of the variance above the noise floor, predicted for samples that were not used: 1 is all of it."""
+    low: float
+    """What chance would make of the share lies between this and the next, in all but one of a hundred logs for all
+    quantities together (block bootstrap)."""
+    high: float
+    above: float
+    """The quantity's size that 20 % of the samples exceed."""
+    concentration: float
+    """Share of the excess energy that lies in those samples."""
+
+
+def maps(record: Record, error_deg: FloatArray, sigma_deg: float) -> tuple[Map, ...]:
+    """What the disagreement depends on, most telling first.
+
+    Parameters
+    ----------
+    error_deg : ndarray, shape (n,)
+        Measured minus simulated position [deg].
+    """
+    where = record.counts
+    error = error_deg[where]
+    excess = max(float(np.mean(error**2)) - sigma_deg**2, 1e-12)
+    found = []
+    for name, unit, values, signed in _quantities(record, error_deg):
+        size = np.abs(values) if signed else values
+        above = float(np.quantile(size, FAST))
+        top = size > above
+        share = float(np.sum(error[top] ** 2 - sigma_deg**2)) / (excess * error.size) if top.any() else 0.0
+        found.append((name, unit, _binned(values, error, record.block[where]), above, share))
+    found += [(name, "", saved, 0.0, 0.0) for name, saved in _filtered(record, error_deg)]
+    total, drawn = excess * error.size, _Drawn(record.block[where], _FALSE_ALARMS / len(found))
+    result = [
+        Map(name, unit, max(float(saved.sum()) / total, 0.0), *drawn.bounds(saved / total), above, concentration)
+        for name, unit, saved, above, concentration in found
+    ]
+    return tuple(sorted(result, key=lambda m: -m.share))
+
+
+def speed_deg_s(record: Record, error_deg: FloatArray) -> FloatArray:
+    """Speed of the simulation that leaves this error [deg/s], shape (n,)."""
+    known = np.isfinite(error_deg)
+    moved = np.interp(record.time_s, record.time_s[known], (record.measured_deg - error_deg)[known])
+    speed: FloatArray = np.asarray(np.gradient(moved, record.time_s), dtype=float)
+    return speed
+
+
+def since_reversal_s(time_s: FloatArray, moved_deg: FloatArray, least_deg: float) -> FloatArray:
+    """Time since a motion last turned after a swing of at least so much [s], shape (n,); infinite before the first."""
+    since = np.full(time_s.size, np.inf)
+    if not time_s.size:
+        return since
+    turns, low, high, rising = [], 0, 0, 0
+    for k in range(time_s.size):
+        if moved_deg[k] > moved_deg[high]:
+            high = k
+        if moved_deg[k] < moved_deg[low]:
+            low = k
+        if rising >= 0 and moved_deg[high] - moved_deg[k] >= least_deg:
+            turns += [high] if rising else []
+            rising, low = -1, k
+        elif rising <= 0 and moved_deg[k] - moved_deg[low] >= least_deg:
+            turns += [low] if rising else []
+            rising, high = 1, k
+    if turns:
+        last = np.searchsorted(turns, np.arange(time_s.size), side="right") - 1
+        since[last >= 0] = (time_s - time_s[np.array(turns)[np.maximum(last, 0)]])[last >= 0]
+    return since
+
+
+def _quantities(record: Record, error_deg: FloatArray) -> list[tuple[str, str, FloatArray, bool]]:
+    """Name, unit, values where they count, and whether they have a sign."""
+    where = record.counts
+    simulated = (record.measured_deg - error_deg)[where]
+    command = record.commands.at(record.time_s)
+    speed = speed_deg_s(record, error_deg)[where]
+    rate = np.gradient(smooth(command), record.time_s)[where]
+    found: list[tuple[str, str, FloatArray, bool]] = [
+        ("command rate", "deg/s", rate, True),
+        ("speed", "deg/s", speed, True),
+        ("deflection", "deg", simulated, True),
+        ("lag behind the command", "deg", command[where] - simulated, True),
+        ("time", "s", record.time_s[where] - record.time_s[where][0], False),
+        ("direction of motion", "", np.sign(speed) * (np.abs(speed) > np.quantile(np.abs(speed), REST)), True),
+    ]
+    if record.pressure_pa is not None:
+        found.append(("deflection times dynamic pressure", "deg Pa", simulated * record.pressure_pa[where], True))
+    if record.voltage_v is not None:
+        found.append(("supply voltage", "V", record.voltage_v[where], False))
+    if record.temperature_c is not None:
+        found.append(("temperature", "°C", record.temperature_c[where], False))
+    return found
+
+
+def _binned(values: FloatArray, error: FloatArray, block: IntArray) -> FloatArray:
+    """Squared error that the means of bins save, in blocks from which they were not taken [deg^2], shape (m,)."""
+    edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _BINS_OF_MAP + 1)[1:-1]))
+    index = np.searchsorted(edges, values)
+    saved = np.zeros(error.size)
+    for fold in range(_FOLDS):
+        known = block % _FOLDS == fold
+        count = np.bincount(index[known], minlength=edges.size + 1)
+        mean = np.bincount(index[known], weights=error[known], minlength=edges.size + 1) / np.maximum(count, 1)
+        mean[count < _FEWEST_IN_MAP] = 0.0
+        other = ~known
+        saved[other] = error[other] ** 2 - (error[other] - mean[index[other]]) ** 2
+    return saved
+
+
+def _filtered(record: Record, error_deg: FloatArray) -> list[tuple[str, FloatArray]]:
+    """The same for a finite response to the last quarter of a second of commands, and to distorted ones beside them."""
+    command = record.commands.at(record.time_s)
+    command = command - float(np.mean(command[record.counts]))
+    rate = np.gradient(smooth(command), record.time_s)
+    linear = _response([(command, _LAGS)], record, error_deg)
+    distorted = {
+        ODD: (command * np.abs(command), np.sign(rate)),
+        EVEN: (np.abs(command), np.abs(rate)),
+    }
+    return [
+        (LINEAR, linear),
+        *(
+            (name, _response([(command, _LAGS), *((s, _FEWER_LAGS) for s in signals)], record, error_deg) - linear)
+            for name, signals in distorted.items()
+        ),
+    ]
+
+
+def _response(signals: Sequence[tuple[FloatArray, int]], record: Record, error_deg: FloatArray) -> FloatArray:
+    """Squared error that a finite response to signals saves, in blocks that it was not fitted to, shape (m,)."""
+    places = np.flatnonzero(record.counts)
+    step = max(1, round(_MEMORY_S / _LAGS / record.period_s))
+    scaled = [(signal / max(float(np.std(signal[places])), 1e-9), lags) for signal, lags in signals]
+    # With so few lags of a signal, each as much further apart.
+    shifts = [(signal, step * k * (_LAGS // lags)) for signal, lags in scaled for k in range(lags)]
+    error, fold = error_deg[places], record.block[places] % _FOLDS
+
+    def features(rows: IntArray) -> FloatArray:
+        return np.column_stack([signal[np.maximum(rows - shift, 0)] for signal, shift in shifts])
+
+    size = len(shifts)
+    normal, right = np.zeros((_FOLDS, size, size)), np.zeros((_FOLDS, size))
+    chunks = [slice(k, k + _CHUNK) for k in range(0, places.size, _CHUNK)]
+    for chunk in chunks:
+        x = features(places[chunk])
+        for k in range(_FOLDS):
+            mine = fold[chunk] == k
+            normal[k] += np.einsum("ni,nj->ij", x[mine], x[mine])  # too small for threads
+            right[k] += x[mine].T @ error[chunk][mine]
+    ridge = 1e-6 * np.trace(normal, axis1=1, axis2=2) / size + 1e-9
+    weights = np.linalg.solve(normal + ridge[:, None, None] * np.eye(size), right[..., None])[..., 0]
+    saved = np.empty(error.size)
+    for chunk in chunks:
+        foretold = np.sum(features(places[chunk]) * weights[1 - fold[chunk]], axis=1)
+        saved[chunk] = error[chunk] ** 2 - (error[chunk] - foretold) ** 2
+    return saved
+
+
+class _Drawn:
+    """Blocks of a record, neighbours together, drawn anew again and again: what chance makes of a sum over them."""
+
+    def __init__(self, block: IntArray, chance: float) -> None:
+        number = np.cumsum(np.diff(block, prepend=block[:1]) != 0)
+        self._group = number // max(1, -(-int(number[-1] + 1) // _MOST_GROUPS))
+        count = int(self._group[-1]) + 1
+        # The same draws each time: the same log is told in the same words.
+        self._times = np.random.default_rng(0).multinomial(count, np.full(count, 1.0 / count), size=_DRAWS)
+        self._chance = chance
+
+    def bounds(self, values: FloatArray) -> tuple[float, float]:
+        """Of the sum of values of shape (m,), each passed with half of the chance."""
+        sums = self._times @ np.bincount(self._group, weights=values)
+        low, high = np.quantile(sums, [0.5 * self._chance, 1.0 - 0.5 * self._chance])
+        return float(low), float(high)
+
 
 _FALSE_DISCOVERIES = 0.01
 _SHOWN_SHARE, _NO_SHARE = 0.25, 0.05

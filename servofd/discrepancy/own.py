@@ -13,8 +13,7 @@ import numpy as np
 from servofd.core.errors import ConfigError
 from servofd.core.types import FloatArray
 from servofd.servo.catalogue import CATALOGUE
-from servofd.servo.effects import Place
-from servofd.servo.missing_effect import MissingEffect, Parameter
+from servofd.servo.effects import MissingEffect, Parameter, Place
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from servofd.detection.residual import Commands, commands_at_servo
-from servofd.discrepancy.lost import after_lost_commands
-from servofd.discrepancy.steps import comb_step_deg
+from servofd.detection.residual import Commands, commands_at_servo, rhythm
+from servofd.servo.catalogue import at_run
 from servofd.servo.context import Context
-from servofd.servo.laws import at_run
 from servofd.servo.physics import LOOSE_FIELDS, Physics, Plant, longest_step_s
 from servofd.servo.servo_model import plant_of
 
@@ -22,6 +20,110 @@ if TYPE_CHECKING:
     from servofd.core.types import BoolArray, FloatArray, IntArray
     from servofd.discrepancy.own import OwnEffect
     from servofd.servo.servo_model import ServoModel
+
+_DOUBTFUL = 1.45
+"""Times the usual interval, from which on a lost command may hide among time stamps that jitter."""
+_LARGEST_GUESS_DEG, _FORGOTTEN_S = 0.25, 0.16
+"""A lost command off by this much moves an HS-225BB by 0.04 deg, for four of its time constants."""
+_SPANS, _NEAR = (3, 10, 50), 25
+"""Commands over which the period is measured, ever better, and to either side of those whose beat is heard."""
+_ON_BEAT, _STEADY = 0.4, 0.3
+"""Share of a period by which a command may be off its beat (half of one is where the count goes wrong), and length of
+the mean of the commands' turns on the clock: 0.5 if they are off by up to 0.3 periods, evenly; of 51 that come as they
+please more than 0.3 in one of a hundred."""
+
+
+def after_lost_commands(command_s: FloatArray, command_deg: FloatArray, hole_s: float, time_s: FloatArray) -> BoolArray:
+    """Samples that follow a lost command that lies on no line with those around it, shape (n,).
+
+    Commands that keep to a beat, each a little early or late, say how many were lost: the beat goes on. Where there
+    is none, a lost command may hide in every interval that is merely long.
+    """
+    after = np.zeros(time_s.size, dtype=bool)
+    if command_s.size < 4:
+        return after
+    step_s, period_s = np.diff(command_s), rhythm(command_s).period_s
+    lost = step_s > _DOUBTFUL * period_s
+    if np.isfinite(period_s):
+        beats, sure = _beats(command_s, period_s)
+        lost = np.where(sure, beats > 1.0, lost)
+    lost &= step_s <= hole_s
+    bend = np.abs(np.diff(command_deg, 2, prepend=command_deg[:1], append=command_deg[-1:]))
+    for k in np.flatnonzero(lost & (np.maximum(bend[:-1], bend[1:]) > _LARGEST_GUESS_DEG)):
+        first, last = np.searchsorted(time_s, (command_s[k], command_s[k + 1] + _FORGOTTEN_S))
+        after[first:last] = True
+    return after
+
+
+def _beats(command_s: FloatArray, period_s: float) -> tuple[FloatArray, BoolArray]:
+    """How many beats each interval is long, shape (m - 1,), and whether that is sure."""
+    if command_s.size <= 2 * _NEAR + _SPANS[-1]:
+        return np.ones(command_s.size - 1), np.zeros(command_s.size - 1, dtype=bool)
+    for span in _SPANS:
+        span_s = command_s[span:] - command_s[:-span]
+        period_s = float(np.median(span_s / np.maximum(np.round(span_s / period_s), 1.0)))
+    turns = np.exp(2j * np.pi * command_s / period_s)
+    mean = np.convolve(turns, np.ones(2 * _NEAR + 1), "same") / np.convolve(
+        np.ones(turns.size), np.ones(2 * _NEAR + 1), "same"
+    )
+    off = np.angle(turns * np.conj(mean)) / (2.0 * np.pi)
+    fits = (np.abs(off) < _ON_BEAT) & (np.abs(mean) > _STEADY)
+    beats = np.round(np.diff(command_s) / period_s - np.diff(off))
+    return beats, fits[:-1] & fits[1:]
+
+
+_CLEAR, _SMALLEST = 3.0, 0.02
+"""A jump of so many steps of the readings is motion or noise, which goes on; that quantile of all jumps is a step."""
+_FEWEST, _ROWS = 30, 1.5
+"""Jumps that tell, and rows from one to the next beyond which readings are held."""
+_REGULAR = 0.6
+"""Share of the jumps that follow the one before at the usual time, to a third of it or a multiple."""
+
+
+def without_held(segment: Segment) -> tuple[Segment, str | None]:
+    """A segment with each reading once, and a sentence about it if readings were held.
+
+    Examples
+    --------
+    >>> from servofd.aircraft.segment import Segment
+    >>> t = np.arange(0.0, 10.0, 0.01)
+    >>> moved = np.sin(3.0 * t)
+    >>> held = moved[5 * (np.arange(t.size) // 5)]
+    >>> without_held(Segment("x", t, moved, t, held))[1]
+    'positions are refreshed every 0.05 s and held in between: each is judged once (200 of 1000 rows)'
+    >>> without_held(Segment("x", t, moved, t, np.round(moved, 1)))[1] is None
+    True
+    """
+    known = np.isfinite(segment.measured_deg)
+    time_s, deg = segment.measured_s[known], segment.measured_deg[known]
+    jumps_deg = np.abs(np.diff(deg, prepend=np.nan))
+    moved = np.flatnonzero(jumps_deg > 0.0)
+    if moved.size < _FEWEST:
+        return segment, None
+    step_deg = float(np.quantile(jumps_deg[moved], _SMALLEST))
+    clear = jumps_deg[moved] > _CLEAR * step_deg
+    rows = np.diff(moved)[clear[1:] & clear[:-1]]
+    if rows.size < _FEWEST or np.median(rows) <= _ROWS:
+        return segment, None
+    usual = float(np.median(rows))
+    ratio = rows / usual
+    if np.mean(np.abs(ratio - np.maximum(np.round(ratio), 1.0)) < 1.0 / 3.0) < _REGULAR:
+        return segment, None
+    # At rest a reading that stays is new as often as any.
+    period_s = usual * float(np.median(np.diff(time_s)))
+    kept = np.zeros(time_s.size, dtype=np.bool_)
+    ends = np.append(moved, time_s.size)
+    for first, last in zip(np.append(0, moved), ends, strict=True):
+        if last > first:
+            again_s = np.arange(time_s[first], time_s[last - 1] + 1e-9, period_s)
+            again = np.minimum(np.searchsorted(time_s, again_s - 1e-9), last - 1)
+            kept[again[:-1] if again.size > 1 and last - again[-1] < 0.5 * usual else again] = True
+    said = f"positions are refreshed every {period_s:.3g} s and held in between: each is judged once"
+    return (
+        replace(segment, measured_s=time_s[kept], measured_deg=deg[kept]),
+        f"{said} ({int(kept.sum())} of {time_s.size} rows)",
+    )
+
 
 SLOWEST_RATE_HZ = 19.0
 """Below this the effects of a servo fall between the samples: HS-225BB, time constants 15 to 40 ms."""
@@ -49,6 +151,9 @@ _ENOUGH, _FASTEST_HZ = 6000, 100.0
 """Samples that are fitted, and the rate below which none is left out."""
 _FEW_NEW = 0.25
 """Share of new commands from which on it takes no less time to leave the others out."""
+_PER_SAMPLE = ("time_s", "measured_deg", "counts")
+_LOGGED = ("pressure_pa", "voltage_v", "current_a", "temperature_c", "side")
+"""What a record has of each sample always, and what it may have."""
 _FARTHEST_DEG = 1e6
 """As wrong as a servo can be: squares of more could not be summed up."""
 
@@ -133,17 +238,7 @@ def record_of(
     free_poles: bool = False,
     own: OwnEffect | None = None,
 ) -> Record:
-    """Prepare a segment for comparison.
-
-    Parameters
-    ----------
-    at_rest : bool
-        Whether the servo rested before the first sample, as on a bench: then all of it counts.
-    free_poles : bool
-        Whether the poles of the servo are not known.
-    own : OwnEffect, optional
-        An effect of the user's own, tried beside those of the catalogue.
-    """
+    """Prepare a segment for comparison."""
     time_s, measured_deg = segment.measured_s, segment.measured_deg
     plant = plant_of(model)
     hole_s = max(_HOLE_PERIODS * segment.period_s, _SHORTEST_HOLE_S)
@@ -190,11 +285,6 @@ def joined(records: Sequence[Record]) -> Record:
     """Several runs of one servo as one record, each from its own rest.
 
     Of many, every other one is held out whole; of a few, every other block of each, as in a single one.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        The runs, at least one; a single one comes back as it is.
     """
     if len(records) == 1:
         return records[0]
@@ -208,28 +298,21 @@ def joined(records: Sequence[Record]) -> Record:
         blocks.append(2 * number + k % 2 if len(records) >= FEW_RUNS else number)
         count += int(each.block[-1]) + 1
         later_s = float(runs[-1].time_s[-1]) + _BETWEEN_RUNS_S
-    return Record(
-        records[0].plant,
-        Commands(
+    every: dict[str, Any] = {name: np.concatenate([getattr(each, name) for each in runs]) for name in _PER_SAMPLE}
+    every |= {name: _context([getattr(each, name) for each in runs]) for name in _LOGGED}
+    return replace(
+        records[0],
+        commands=Commands(
             np.concatenate([each.commands.effective_s for each in runs]),
             np.concatenate([each.commands.command_deg for each in runs]),
             np.concatenate([each.commands.slope_deg_s for each in runs]),
         ),
-        np.concatenate([each.time_s for each in runs]),
-        np.concatenate([each.measured_deg for each in runs]),
-        np.concatenate([each.counts for each in runs]),
-        np.concatenate(blocks),
-        _context([each.pressure_pa for each in runs]),
-        _context([each.voltage_v for each in runs]),
-        _context([each.current_a for each in runs]),
-        _context([each.temperature_c for each in runs]),
-        _joined_load([each.pushed for each in runs]),
-        comb_step_deg(np.concatenate([each.measured_deg for each in runs])),
-        tuple(runs),
-        records[0].free_poles,
-        records[0].own,
-        _context([each.side for each in runs]),
-        condition_names=records[0].condition_names,
+        **every,
+        block=np.concatenate(blocks),
+        pushed=_joined_load([each.pushed for each in runs]),
+        step_deg=comb_step_deg(np.concatenate([each.measured_deg for each in runs])),
+        runs=tuple(runs),
+        conditions=(),
     )
 
 
@@ -250,7 +333,7 @@ def thinned(record: Record) -> Record:
         kept.append(np.arange(first, first + run.time_s.size, stride))
         first += run.time_s.size
     where = np.concatenate(kept)
-    return record if where.size == total else _only(record, where)
+    return record if where.size == total else only(record, where)
 
 
 def _is_new(commands: Commands) -> BoolArray:
@@ -275,7 +358,7 @@ def liveliest(record: Record, error_deg: FloatArray) -> Record:
             record.run[record.counts], weights=error_deg[record.counts] ** 2, minlength=len(record.runs)
         )
         chosen = np.argsort(-energy)[:: -(-len(record.runs) // _FEW_PARTS)]
-        return _only(record, np.flatnonzero(np.isin(record.run, chosen)))
+        return only(record, np.flatnonzero(np.isin(record.run, chosen)))
     if record.time_s[-1] - record.time_s[0] < 1.5 * _PART_S:
         return record
     second = (record.time_s - record.time_s[0]).astype(np.int64)
@@ -283,32 +366,19 @@ def liveliest(record: Record, error_deg: FloatArray) -> Record:
     sums = np.concatenate([[0.0], np.cumsum(energy)])
     length = round(_PART_S)
     first = int(np.argmax(sums[length:] - sums[:-length]))
-    part = _only(record, np.flatnonzero((second >= first) & (second < first + length)))
+    part = only(record, np.flatnonzero((second >= first) & (second < first + length)))
     return replace(part, counts=part.counts & (part.time_s >= part.time_s[0] + _SETTLED_S))
 
 
-def _only(record: Record, where: IntArray) -> Record:
+def only(record: Record, where: IntArray) -> Record:
     """Some of the samples of a record, and what of its runs they are."""
     run = record.run[where]
     first = np.cumsum([0, *(each.time_s.size for each in record.runs)])
-    runs = tuple(_only(each, where[run == k] - first[k]) for k, each in enumerate(record.runs) if np.any(run == k))
+    runs = tuple(only(each, where[run == k] - first[k]) for k, each in enumerate(record.runs) if np.any(run == k))
 
-    def of(values: FloatArray | None) -> FloatArray | None:
-        return None if values is None else values[where]
-
-    return replace(
-        record,
-        time_s=record.time_s[where],
-        measured_deg=record.measured_deg[where],
-        counts=record.counts[where],
-        block=record.block[where],
-        pressure_pa=of(record.pressure_pa),
-        voltage_v=of(record.voltage_v),
-        current_a=of(record.current_a),
-        temperature_c=of(record.temperature_c),
-        side=of(record.side),
-        runs=runs,
-    )
+    there: dict[str, Any] = {name: getattr(record, name)[where] for name in (*_PER_SAMPLE, "block")}
+    there |= {name: values[where] for name in _LOGGED if (values := getattr(record, name)) is not None}
+    return replace(record, **there, runs=runs)
 
 
 def _joined_load(loads: Sequence[Context | None]) -> Context | None:
@@ -331,18 +401,6 @@ def simulate(record: Record, physics: Physics, finer: float = 1.0) -> FloatArray
     """Position that a servo with these effects would show [deg], shape (n,).
 
     `finer` divides the steps that are taken where something switches.
-
-    Examples
-    --------
-    >>> from servofd.servo.servo_model import ServoModel
-    >>> from servofd.aircraft.segment import Segment
-    >>> from servofd.servo.library import servo_named
-    >>> t = np.arange(0.0, 5.0, 0.01)
-    >>> model = ServoModel.of(servo_named("hs225bb-eq31"))
-    >>> record = record_of(Segment("x", t, 5.0 * np.sin(t**2), t, np.zeros(t.size)), model)
-    >>> moved = simulate(record, record.plant.neutral) - model.simulate(t, 5.0 * np.sin(t**2), t)
-    >>> bool(np.abs(moved).max() < 1e-6)
-    True
     """
     if not record.runs:
         physics = at_run(physics, record.conditions)
@@ -422,3 +480,29 @@ def _from_where_it_lay(run: Record, physics: Physics, finer: float) -> FloatArra
     errors = (run.measured_deg - readings)[:, run.counts]
     best_deg: FloatArray = readings[int(np.argmin(np.sum(errors * errors, axis=1)))]
     return best_deg
+
+
+_OFF_COMB, _FEWEST_VALUES = 0.1, 3
+
+
+_NO_CHANCE = 20.0
+
+
+def comb_step_deg(values_deg: FloatArray) -> float | None:
+    """Step of the converter that made some values [deg], wherever its zero is; None if they lie on no comb."""
+    known = values_deg[np.isfinite(values_deg)]
+    unique = np.unique(np.round(known, 6))
+    if not _FEWEST_VALUES <= unique.size <= known.size / 2:
+        return None
+    apart = np.diff(unique)
+    # Files round each value; most of the smallest differences are one step all the same.
+    step_deg = float(np.median(apart[apart < 1.5 * apart.min()]))
+    # Of n values without a converter the two closest are the n-th part of the mean distance apart.
+    if unique.size > known.size / 4 and step_deg < _NO_CHANCE * (unique[-1] - unique[0]) / unique.size**2:
+        return None
+    # Gaps are rounded by the file; numbered one after the other, all values together are not.
+    tooth = np.concatenate([[0.0], np.cumsum(np.round(apart / step_deg))])
+    tooth -= tooth.mean()
+    step_deg = float(unique @ tooth / (tooth @ tooth))
+    off = np.abs(unique - unique.mean() - tooth * step_deg).max()
+    return round(step_deg, 6) if off < _OFF_COMB * step_deg else None

@@ -3,23 +3,315 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from servofd.discrepancy.candidates import SMALLEST, candidates, common_places, excluded
+from servofd.detection.residual import Commands
 from servofd.discrepancy.fit import OWN_FIELDS, Fit, Fitter
-from servofd.discrepancy.frames import best_frame, frames_like
-from servofd.discrepancy.record import liveliest
-from servofd.servo.catalogue import ClockOffset, Delay, PwmFrame, SensorLag, SlowDynamics, TiltedLoad, installed
-from servofd.servo.physics import INSIDE, RATE_FIELDS
+from servofd.discrepancy.noise import AT_REST, COARSE_STEP_DEG
+from servofd.discrepancy.record import liveliest, only, simulate
+from servofd.servo import catalogue
+from servofd.servo.catalogue import (
+    CATALOGUE,
+    ClockOffset,
+    Delay,
+    PwmFrame,
+    SensorLag,
+    SlowDynamics,
+    TiltedLoad,
+    installed,
+    plain,
+)
+from servofd.servo.physics import AFTER, BEFORE, INSIDE, RATE_FIELDS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
+    from servofd.core.types import FloatArray
     from servofd.discrepancy.record import Record
-    from servofd.servo.missing_effect import MissingEffect
+    from servofd.servo.effects import MissingEffect
     from servofd.servo.physics import Physics
+
+_PLACES: dict[type[MissingEffect], tuple[float, ...]] = {
+    catalogue.DeadBand: (BEFORE, INSIDE, AFTER),
+    catalogue.InsensitiveBand: (BEFORE, INSIDE),
+    catalogue.Friction: (BEFORE, INSIDE, AFTER),
+    catalogue.StribeckFriction: (BEFORE, INSIDE, AFTER),
+    catalogue.RateLimit: (BEFORE, INSIDE, AFTER),
+    catalogue.AsymmetricRate: (BEFORE, INSIDE),
+    catalogue.ShaftSpeed: (BEFORE, AFTER, INSIDE),
+    catalogue.VoltageRate: (BEFORE, INSIDE, AFTER),
+    catalogue.ShaftSpeedBySupply: (BEFORE, AFTER, INSIDE),
+    catalogue.AirLoad: (BEFORE, INSIDE),
+    catalogue.GravityLoad: (BEFORE, INSIDE),
+    catalogue.TiltedLoad: (BEFORE, INSIDE),
+    catalogue.ExternalLoad: (BEFORE, INSIDE),
+    catalogue.LoadFriction: (BEFORE, INSIDE),
+    catalogue.CurrentLimit: (BEFORE, INSIDE),
+    catalogue.Backlash: (INSIDE, BEFORE, AFTER),
+}
+"""Effects that act within the loop, or before what may follow it, and so differ with the place of the slow pole."""
+_BEYOND_LOOP = (catalogue.Backlash,)
+"""Of these, what acts on what the loop moves: a slow pole before the loop is then one inside it, unless something
+within the loop tells them apart."""
+
+
+def places_of(effect: type[MissingEffect]) -> tuple[float, ...]:
+    """Where the slow pole may lie with this effect; empty if it does not matter."""
+    return _PLACES.get(plain(effect), ())
+
+
+def common_places(effects: tuple[type[MissingEffect], ...]) -> tuple[float, ...]:
+    """Where the slow pole may lie with all of some effects; empty if it does not matter to any."""
+    placed = [effect for effect in effects if places_of(effect)]
+    if not placed:
+        return ()
+    same = {BEFORE} if all(plain(effect) in _BEYOND_LOOP for effect in placed) else set()
+    if catalogue.SensorLag in effects:  # that and a slow pole after the loop are one thing
+        same.add(AFTER)
+    return tuple(
+        each for each in places_of(placed[0]) if each not in same and all(each in places_of(other) for other in placed)
+    )
+
+
+SMALLEST = {
+    "gain": 0.02,
+    "bandwidth_scale": 0.08,
+    "damping_scale": 0.2,
+    "delay_s": 0.004,
+    "offset_s": 0.004,
+    "lag_s": 0.004,
+    "deadband_deg": 0.15,
+    "insensitive_deg": 0.15,
+    "friction_deg": 0.08,
+    "backlash_deg": 0.12,
+    "bias_deg": 0.2,
+    "droop_deg": 0.1,
+    "load_friction": 0.03,
+}
+"""What is smaller is the difference between two servos of a type, or no servo's at all; by field of `Physics`.
+
+A weight that turns the shaft by less than the least step of its pulses (1 us: 0.1 deg) can be nobody's finding."""
+SURPRISE = {
+    "clock_offset": 4.0,
+    "damping": 8.0,
+    "quantization": 24.0,
+    "supply_coupling": 8.0,
+    "load_friction": 8.0,
+    "current_limit": 8.0,
+    "linkage_nonlinearity": 12.0,
+    "resonance": 8.0,
+}
+"""Minus twice the logarithm of how much rarer than the others an effect is, or how much more it can pass for."""
+
+
+_EITHER = (
+    ("rate_limit", "voltage_rate"),
+    ("delay", "clock_offset"),
+    ("friction", "load_friction"),
+    ("gravity_load", "linkage_nonlinearity"),
+)
+"""Two forms of one thing, or one that bends the position much as the other does."""
+
+
+class Candidate(NamedTuple):
+    """An effect, and where the slow pole lies."""
+
+    effect: type[MissingEffect]
+    place: float
+
+
+def judgeable(record: Record) -> tuple[list[type[MissingEffect]], list[type[MissingEffect]]]:
+    """Effects that this record can judge, and those that need something it does not hold."""
+    held = {
+        name
+        for name, values in (
+            ("airspeed_m_s", record.pressure_pa),
+            ("servo_voltage_v", record.voltage_v),
+            ("servo_current_a", record.current_a),
+            ("servo_load", record.pushed),
+        )
+        if values is not None
+    }
+    if record.side is not None:
+        return list(AT_REST), [effect for effect in CATALOGUE if effect not in AT_REST]
+    own = (record.own.missing_effect(),) if record.own else ()
+    able = [effect for effect in (*CATALOGUE, *own) if set(effect.needs) <= held]
+    unable = [effect for effect in CATALOGUE if effect not in able and effect is not catalogue.ExternalLoad]
+    linear: set[type[MissingEffect]] = {
+        catalogue.SlowDynamics,
+        catalogue.Damping,
+        catalogue.SensorLag,
+        catalogue.ClockOffset,
+    }
+    fitted: set[type[MissingEffect]] = linear if record.free_poles else set()
+    # A surface's weight is balanced about its hinge, and a bench's horn hangs at zero; an arm's joint hangs anywhere.
+    is_arm = record.free_poles and not record.runs and record.pressure_pa is None
+    fitted |= set() if is_arm else {catalogue.TiltedLoad}
+    # Frames run on between separate runs, so that nobody knows when each of them began.
+    fitted |= {catalogue.PwmFrame} if record.runs or record.free_poles else set()
+    # A converter whose steps do not show in the readings has none that matter.
+    fitted |= {catalogue.CommandSteps} if (record.step_deg or 0.0) >= COARSE_STEP_DEG else {catalogue.Quantization}
+    return [effect for effect in able if effect not in fitted], unable
+
+
+def excluded(known: tuple[type[MissingEffect], ...]) -> set[str]:
+    """Names that cannot come on top of known effects: they are there already, in this form or another."""
+    names = {effect.name for effect in known}
+    return names | {other for pair in _EITHER for name in pair if name in names for other in pair}
+
+
+def candidates(
+    record: Record, able: list[type[MissingEffect]], known: tuple[type[MissingEffect], ...], place: float
+) -> list[Candidate]:
+    """What may come on top of known effects; a servo has one slow pole, in one place."""
+    names = excluded(known)
+    found = []
+    for effect in able:
+        if effect.name in names or effect is catalogue.PwmFrame:
+            continue
+        where: tuple[float, ...] = (place,)
+        if places_of(effect) and record.plant.has_places and record.side is None:
+            where = common_places((*known, effect))
+        found += [Candidate(effect, each) for each in where]
+    if catalogue.SensorLag in known:
+        return [each for each in found if each.place != AFTER]
+    return [each for each in found if each != Candidate(catalogue.SensorLag, AFTER)]
+
+
+_SHORTEST_S, _LONGEST_S = 0.01, 0.055
+_WINDOW_S = 4.0
+_REMEMBERED_S = 1.5
+"""Longest time that a command takes to the surface, with the longest frame before it."""
+_ROUGHLY_S, _NEARLY_S, _PRECISELY_S = 3e-3, 1.5e-3, 4e-4
+"""Between the phases that are tried in a window, for usual periods, and for one that is known: frames
+that pick other commands are far off."""
+_SHARE_OF_BEAT = 0.4
+"""Of the change of period that moves the last frame of a window by one period."""
+_ZOOM, _KEPT, _LIKELY = 3.0, 27, 24
+_WORSE_AT_FIRST, _WORSE = 100.0, 10.0
+"""Squared noise by which frames may be worse than what is no frame: true ones, not yet met exactly, were better by 10
+and 89 in the two windows where they were hardest to see, and where there were none, worse by 1300 and 2600."""
+_SHIFTS = (-0.1, -0.04, 0.0, 0.04, 0.1)
+_FINER = (0.5, 0.2, 0.08, 0.03, 0.01)
+_USUAL_S = (*(k / 1000.0 for k in range(10, 26)), 0.004, 0.005, 0.03, 0.04, 0.05, 1 / 70, 1 / 60, 1 / 45, 1 / 150)
+"""Whole milliseconds, and common frame rates that are not."""
+
+
+def frames_like(
+    record: Record, physics: Physics, rival_deg: FloatArray | None = None, sigma_deg: float = 0.0
+) -> list[tuple[float, float]]:
+    """Frames that explain lively seconds of a record best; none where a rival's error [deg] is clearly smaller there.
+
+    A window of length L tells periods T apart that differ by T²/L. They are tried at that spacing in a short window,
+    and those around the best in one three times as long.
+    """
+    longer_s, centre_s = _WINDOW_S * _ZOOM, _liveliest_s(record, _WINDOW_S)
+    best = _grid(_SHORTEST_S, _LONGEST_S, _WINDOW_S, _ROUGHLY_S)
+    part = _window(record, centre_s, _WINDOW_S)
+    best = _best(part, physics, best, _KEPT, _rival_loss(record, part, rival_deg) + _WORSE_AT_FIRST * sigma_deg**2)
+    near = [frame for one in best for frame in _around(one, centre_s, longer_s)]
+    part = _window(record, centre_s, longer_s)
+    return _best(part, physics, near, _KEPT // 3, _rival_loss(record, part, rival_deg) + _WORSE * sigma_deg**2)
+
+
+def _grid(shortest_s: float, longest_s: float, window_s: float, apart_s: float) -> list[tuple[float, float]]:
+    """Periods that a window tells apart, each with phases so far apart."""
+    periods = [shortest_s]
+    while periods[-1] < longest_s:
+        periods.append(periods[-1] * (1.0 + _SHARE_OF_BEAT * periods[-1] / window_s))
+    return [(period, phase) for period in periods for phase in _phases(period, apart_s)]
+
+
+def _best(
+    part: Record, physics: Physics, frames: list[tuple[float, float]], kept: int, most: float
+) -> list[tuple[float, float]]:
+    """Those that explain a part of a record best, if any leaves no more than that."""
+    losses = [_loss(part, physics, frame) for frame in frames]
+    return [frames[k] for k in np.argsort(losses, kind="stable")[:kept]] if min(losses, default=np.inf) <= most else []
+
+
+def _rival_loss(record: Record, part: Record, rival_deg: FloatArray | None) -> float:
+    there = np.isin(record.time_s, part.time_s[part.counts])
+    return np.inf if rival_deg is None else float(rival_deg[there] @ rival_deg[there])
+
+
+def best_frame(record: Record, physics: Physics, begin: Sequence[tuple[float, float]] = ()) -> tuple[float, float]:
+    """Period [s] and phase of the frames that explain a record best, from those that explain lively seconds of it.
+
+    The window that told these apart is widened step by step around the best.
+    """
+    window_s, kept = _WINDOW_S * _ZOOM, _KEPT // 3
+    best = list(begin) or frames_like(record, physics)
+    centre_s = _liveliest_s(record, _WINDOW_S)
+    total_s = float(record.time_s[-1] - record.time_s[0])
+    part = _window(record, centre_s, window_s)
+    usual = sorted(_usual(0.0, np.inf), key=lambda frame: _loss(part, physics, frame))
+    while window_s < total_s:
+        window_s, kept = window_s * _ZOOM, max(kept // 3, 1)
+        part = _window(record, centre_s, window_s)
+        near = [frame for one in best for frame in _around(one, centre_s, window_s)]
+        best = sorted(near, key=lambda frame: _loss(part, physics, frame))[:kept]
+    found = min([best[0], *usual[:_LIKELY]], key=lambda frame: _loss(record, physics, frame))
+    for finer in _FINER:
+        found = min(_around(found, centre_s, window_s, finer), key=lambda frame: _loss(record, physics, frame))
+    # Half a frame later nearly the same commands are picked, where two come in a frame: that is another hill.
+    turned = [(found[0], phase) for phase in _phases(found[0], _PRECISELY_S)]
+    found = min([found, *turned], key=lambda frame: _loss(record, physics, frame))
+    for finer in _FINER if found in turned else ():
+        found = min(_around(found, centre_s, window_s, finer), key=lambda frame: _loss(record, physics, frame))
+    return found
+
+
+def _usual(low_s: float, high_s: float) -> list[tuple[float, float]]:
+    usual_s = [period_s for period_s in _USUAL_S if low_s <= period_s <= high_s]
+    return [(period_s, phase) for period_s in usual_s for phase in _phases(period_s, _NEARLY_S)]
+
+
+def _phases(period_s: float, step_s: float) -> list[float]:
+    """Evenly over a period, as shares of it."""
+    count = int(np.ceil(period_s / step_s))
+    phases: list[float] = ((np.arange(count) + 0.5) / count).tolist()
+    return phases
+
+
+def _around(
+    frame: tuple[float, float], centre_s: float, window_s: float, finer: float = 1.0
+) -> list[tuple[float, float]]:
+    """Frames nearby; they are counted from 0 s, so that another period turns the phase in mid-window as well."""
+    period, phase = frame
+    frames = []
+    for step in (period**2 / window_s * _SHARE_OF_BEAT * finer * np.arange(-4, 5)).tolist():
+        turned = phase - centre_s / period + centre_s / (period + step)
+        frames += [(period + step, (turned + finer * shift) % 1.0) for shift in _SHIFTS]
+    return frames
+
+
+def _liveliest_s(record: Record, window_s: float) -> float:
+    """Middle of the window in which the position moves fastest [s]."""
+    speed = np.gradient(simulate(record, record.plant.neutral), record.time_s)
+    moved = np.where(record.counts, speed, np.nan)
+    number = ((record.time_s - record.time_s[0]) / window_s).astype(int)
+    spread = [np.nanstd(moved[number == k]) if np.isfinite(moved[number == k]).sum() > 50 else 0.0 for k in set(number)]
+    return float(record.time_s[0] + (int(np.argmax(spread)) + 0.5) * window_s)
+
+
+def _window(record: Record, centre_s: float, window_s: float) -> Record:
+    inside = np.abs(record.time_s - centre_s) <= window_s / 2.0
+    inside &= np.isfinite(record.measured_deg)
+    counts = record.counts & (record.time_s >= record.time_s[inside][0] + 0.3)
+    sent_s = record.commands.effective_s
+    heard = slice(*np.searchsorted(sent_s, (record.time_s[inside][0] - _REMEMBERED_S, record.time_s[inside][-1])))
+    commands = Commands(sent_s[heard], record.commands.command_deg[heard], record.commands.slope_deg_s[heard])
+    commands = commands if commands.effective_s.size else record.commands
+    return only(replace(record, commands=commands, counts=counts), np.flatnonzero(inside))
+
+
+def _loss(part: Record, physics: Physics, frame: tuple[float, float]) -> float:
+    error = (part.measured_deg - simulate(part, physics._replace(frame_s=frame[0], frame_phase=frame[1])))[part.counts]
+    return float(error @ error)
+
 
 OCCAM = 30.0
 """By how much a further name must improve the misfit."""
@@ -107,7 +399,6 @@ class Search:
         loose = [fit for fit in fits if fit.effects[-1].family == "hysteresis"]
         if loose and self.fitter.record.free_poles:
             self.exchange(min(loose, key=lambda fit: fit.misfit), enough, len(base.effects))
-        fits += self._twins(base, fits, enough)
         if framed and PwmFrame in self.able and PwmFrame.name not in base.names:
             fits += self._framed(base, fits)
         return fits
@@ -121,7 +412,7 @@ class Search:
             if self.fitter.is_own(candidate.effect):
                 continue
             self.progress(candidate.effect.key())
-            misfit, physics = self.part.screened(start, slopes, candidate)
+            misfit, physics = self.part.screened(start, slopes, *candidate)
             screened.append((misfit, candidate.effect, physics))
         screened.sort(key=lambda each: each[0])
         best_of: dict[str, float] = {}
@@ -195,25 +486,6 @@ class Search:
         more = {name: more_deg_s / (supply_v if name in _PER_V else 1.0) for name in limits}
         return start._replace(**{n: max(v + more[n], _SLOWEST * v) for n, v in limits.items() if v < np.inf})
 
-    def _twins(self, base: Fit, fits: list[Fit], enough: float) -> list[Fit]:
-        """What moves nearly alike, started from what the other came to: late commands and late readings."""
-        best = {
-            twin: min((fit for fit in fits if fit.effects[-1] is twin), key=lambda fit: fit.misfit, default=None)
-            for twin in (Delay, ClockOffset)
-        }
-        found, neutral = [], self.fitter.record.plant.neutral
-        for twin, other in ((Delay, best[ClockOffset]), (ClockOffset, best[Delay])):
-            if twin not in self.able or other is None or ((own := best[twin]) and own.misfit < other.misfit):
-                continue
-            at = other.physics
-            late_s = at.delay_s + at.offset_s - neutral.delay_s
-            if twin is Delay:
-                start = at._replace(delay_s=max(neutral.delay_s + late_s, 0.0), offset_s=neutral.offset_s)
-            else:
-                start = at._replace(delay_s=neutral.delay_s, offset_s=late_s)
-            found.append(self._fitted((*base.effects, twin), start, enough))
-        return found
-
     def _framed(self, base: Fit, fits: list[Fit]) -> list[Fit]:
         """The base with pulse frames, if a delay or what passes for one helps it."""
         late = [fit for fit in fits if fit.effects[-1] in _LATE]
@@ -271,3 +543,39 @@ def _is_like(effect: type[MissingEffect], other: type[MissingEffect]) -> bool:
 def hanging(record: Record, fit: Fit) -> float:
     """Cosine of how far from where its load hangs a servo works: how steeply the load changes there."""
     return float(np.cos(np.radians(np.nanmean(record.measured_deg) - fit.physics.hangs_deg)))
+
+
+STEPS_OF_TWO_SIZES = "steps of two sizes, such as 5 and 20 deg"
+
+
+_HOLDS_S, _MOSTLY = 0.15, 0.8
+"""How long a command stands between steps, and for how much of its time it does."""
+
+
+_ALIKE, _SMALLEST_SHARE = 1.3, 0.02
+"""Ratio of the largest step to the smallest; what is smaller than that share of the largest is none."""
+
+
+def step_size_deg(record: Record) -> float | None:
+    """Size of the steps, if all that was asked is steps, each as large as any other."""
+    found = [_steps(run.commands, float(run.time_s[-1])) for run in record.runs or (record,)]
+    if any(sizes is None for sizes in found):
+        return None
+    sizes_deg = np.concatenate([sizes for sizes in found if sizes is not None])
+    sizes_deg = sizes_deg[sizes_deg > _SMALLEST_SHARE * np.max(sizes_deg, initial=0.0)]
+    alike = sizes_deg.size > 0 and float(sizes_deg.max()) < _ALIKE * float(sizes_deg.min())
+    return float(np.median(sizes_deg)) if alike else None
+
+
+def _steps(commands: Commands, end_s: float) -> FloatArray | None:
+    """Sizes of the steps between the places where a command stands [deg]; None if it mostly moves."""
+    if commands.slope_deg_s.any():
+        return None
+    first = np.flatnonzero(np.diff(commands.command_deg, prepend=np.nan) != 0.0)
+    times_s, levels_deg = commands.effective_s[first], commands.command_deg[first]
+    lasts_s = np.diff(np.append(times_s, max(end_s, float(commands.effective_s[-1]))))
+    stands = lasts_s > _HOLDS_S
+    if float(lasts_s[stands].sum()) < _MOSTLY * float(lasts_s.sum()):
+        return None
+    sizes_deg: FloatArray = np.abs(np.diff(levels_deg[stands]))
+    return sizes_deg

@@ -15,11 +15,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.discrepancy.adequacy import Adequacy, adequacy, floor_of
-from servofd.discrepancy.candidates import SURPRISE, common_places, judgeable
 from servofd.discrepancy.fit import LONG, OWN_FIELDS, Fit, Fitter
-from servofd.discrepancy.one_size import step_size_deg
-from servofd.discrepancy.search import FITS, LIMITS, NAMES, OCCAM, Search, fields_of, hanging
+from servofd.discrepancy.search import (
+    FITS,
+    LIMITS,
+    NAMES,
+    OCCAM,
+    SURPRISE,
+    Search,
+    common_places,
+    fields_of,
+    hanging,
+    judgeable,
+    step_size_deg,
+)
 from servofd.servo.catalogue import (
+    VARIED,
     AirLoad,
     Bias,
     Gain,
@@ -27,9 +38,11 @@ from servofd.servo.catalogue import (
     RateLimit,
     SlowDynamics,
     TiltedLoad,
+    by_condition,
     installed,
+    is_law,
+    plain,
 )
-from servofd.servo.laws import VARIED, by_condition, is_law, plain
 from servofd.servo.physics import INSIDE
 
 if TYPE_CHECKING:
@@ -37,7 +50,7 @@ if TYPE_CHECKING:
 
     from servofd.core.types import FloatArray
     from servofd.discrepancy.record import Record
-    from servofd.servo.missing_effect import MissingEffect
+    from servofd.servo.effects import MissingEffect
 
 _MOST, _MOST_ON_BENCH = 3, 4
 """Effects; one more where whole runs are held out, which no flexible combination survives for long."""

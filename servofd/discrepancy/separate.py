@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from servofd.detection.residual import Commands
-from servofd.discrepancy.one_size import STEPS_OF_TWO_SIZES
 from servofd.discrepancy.record import simulate
-from servofd.discrepancy.search import LIMITS
+from servofd.discrepancy.search import LIMITS, STEPS_OF_TWO_SIZES
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,6 +18,7 @@ if TYPE_CHECKING:
     from servofd.discrepancy.fit import Fit, Fitter
     from servofd.discrepancy.record import Record
     from servofd.discrepancy.select import Selection
+
 
 _RATE_HZ, _DURATION_S = 100.0, 24.0
 _SETTLING_S = 0.5

@@ -80,13 +80,7 @@ def without_torque(log: FlightLog, segment: Segment, run: int) -> tuple[Segment,
 
 
 def driven(records: Sequence[Record], physics: Physics) -> tuple[list[Record], list[Undriven]]:
-    """Runs in which only what was driven counts, and where that was not so.
-
-    Parameters
-    ----------
-    physics : Physics
-        The servo as it is known, or as well as a linear one fits.
-    """
+    """Runs in which only what was driven counts, and where that was not so."""
     moved = [simulate(each, physics) for each in records]
     # Without evidence that the model tells how this servo moves when it is driven, nothing can be said.
     shares = [share_followed(each, sim, each.counts) for each, sim in zip(records, moved, strict=True)]

@@ -13,7 +13,8 @@ import numpy as np
 
 from servofd.discrepancy.noise import long_run_factor
 from servofd.discrepancy.record import simulate
-from servofd.servo.laws import ALIKE, FEWEST_RUNS, VARIED, is_law
+from servofd.estimate.statistics import descended, deviations
+from servofd.servo.catalogue import ALIKE, FEWEST_RUNS, VARIED, is_law
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -21,11 +22,12 @@ if TYPE_CHECKING:
     from servofd.core.types import BoolArray, FloatArray
     from servofd.discrepancy.record import Record
     from servofd.discrepancy.select import Selection
-    from servofd.servo.missing_effect import MissingEffect
+    from servofd.servo.effects import MissingEffect, Parameter
 
-_SHARES = tuple(np.geomspace(0.5, 2.0, 13).tolist())
-"""Of the value that is common to all runs; where a run's best is the first or the last of these, it has none."""
-_SURE_CHI_SQUARED = 9.0
+_LEAST_SHARE, _SIGMAS = 0.5, 3.0
+"""Of the value that is common to all runs, the least that a run may have, and the inverse of the most; a run tells its
+own if it is so many standard deviations from both."""
+_STEP_SHARE, _EVALUATIONS = 0.02, 15
 _LEAST_DETERMINED, _LEAST_GAIN = 0.7, 0.8
 """Share of the spread of the values that the line tells, and of the error of held-out runs that it may leave."""
 _LEAST_CHANGE = 0.05
@@ -109,7 +111,7 @@ def varying(selection: Selection, conditions: Mapping[str, FloatArray]) -> tuple
     for k, (effect, parameter) in enumerate(names):
         if parameter.kinked or parameter.aside:
             continue
-        values = np.array([_own_value(selection, run, k, parameter.low, parameter.high) for run in record.runs])
+        values = np.array([_own_value(selection, run, k, parameter) for run in record.runs])
         shown = np.isfinite(values)
         if is_law(effect) and parameter is effect.parameters[0]:
             found += _law(selection, k, effect, known, values)
@@ -172,26 +174,28 @@ def _error_deg(selection: Selection, run: Record, index: int, value: float) -> F
     return error_deg
 
 
-def _own_value(selection: Selection, run: Record, index: int, low: float, high: float) -> float:
-    """Best for one run; NaN where the run does not show it on both sides."""
-    from scipy.optimize import minimize_scalar
-
-    def loss(value: float) -> float:
-        error_deg = _error_deg(selection, run, index, value)
-        return float(error_deg @ error_deg)
-
+def _own_value(selection: Selection, run: Record, index: int, parameter: Parameter) -> float:
+    """Best for one run; NaN where the run does not tell it from half and from twice the common value."""
     common = float(selection.final.values[index])
-    tried = [value for value in (common * share for share in _SHARES) if low <= value <= high]
-    losses = [loss(value) for value in tried]
-    best = int(np.argmin(losses)) if losses else 0
-    if not 0 < best < len(tried) - 1:
+    ends = sorted((_LEAST_SHARE * common, common / _LEAST_SHARE))
+    low, high = max(ends[0], parameter.low), min(ends[1], parameter.high)
+    step = _STEP_SHARE * abs(common)
+    if not low + step < high:
         return float("nan")
-    around = min(tried[best - 1], tried[best + 1]), max(tried[best - 1], tried[best + 1])
-    value = float(minimize_scalar(loss, bounds=around, method="bounded", options={"xatol": 1e-3 * abs(common)}).x)
-    error_deg = _error_deg(selection, run, index, value)
-    chance = float(error_deg @ error_deg) / error_deg.size * long_run_factor(error_deg)
-    shows = min(losses[0], losses[-1]) - float(error_deg @ error_deg) > _SURE_CHI_SQUARED * chance
-    return value if shows else float("nan")
+
+    def error_deg(x: FloatArray) -> FloatArray:
+        return _error_deg(selection, run, index, float(x[0]))
+
+    def slopes(x: FloatArray) -> FloatArray:
+        there = x + (step if x[0] + step < high else -step)
+        slope: FloatArray = ((error_deg(there) - error_deg(x)) / (there - x))[:, None]
+        return slope
+
+    bounds = np.array([low]), np.array([high])
+    found, slope = descended(error_deg, slopes, np.array([common]), bounds, evaluations=_EVALUATIONS)
+    left_deg, value = error_deg(found), float(found[0])
+    surely = _SIGMAS * float(deviations(slope, left_deg, long_run_factor(left_deg))[0])
+    return value if value - low > surely and high - value > surely else float("nan")
 
 
 def _determined(condition: FloatArray, values: FloatArray) -> float:

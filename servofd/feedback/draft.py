@@ -11,8 +11,8 @@ from servofd.aircraft.pairs import Pair, find_pairs, pulse_channel
 from servofd.aircraft.schema import Aircraft
 from servofd.aircraft.segment import Segment, cut
 from servofd.core.errors import NoMeasurement
+from servofd.core.toml_text import toml_key, toml_lines, toml_value
 from servofd.detection.plausible import PERSISTENCE
-from servofd.feedback.advice import what_to_log
 from servofd.feedback.fit import RoughFit, fit_roughly
 from servofd.feedback.fitted import LONGEST_PERIOD_S, SHORTEST_PERIOD_S, draft_tolerance
 
@@ -20,6 +20,47 @@ if TYPE_CHECKING:
     from logparsers.records import FlightLog
     from servofd.core.evidence import ModelOrigin
     from servofd.feedback.fitted import Drafted
+
+_ROTORCRAFT = frozenset(
+    {"multirotor", "quadrotor", "hexarotor", "octorotor", "tricopter", "decarotor", "dodecarotor", "coaxial"}
+)
+
+
+_MOTION = (
+    "healthy flights of four days tell what each axis loses: `servofd calibrate DAY1 DAY2 DAY3 DAY4 -o plane.toml`, "
+    "then `servofd FLIGHT -c plane.toml`; for a verdict on each servo "
+)
+
+
+def what_to_log(log: FlightLog) -> str:
+    """One sentence: how this kind of autopilot gets servo positions into its logs.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from logparsers import FlightLog
+    >>> what_to_log(FlightLog(Path("a.ulg"), "ulog", {}))[:30]
+    'send the positions as DEBUG_FL'
+    """
+    if log.vehicle in _ROTORCRAFT:
+        return f"it is of a {log.vehicle}, which has no control surfaces: its outputs turn motors"
+    if log.format == "ulog":
+        return (
+            "send the positions as DEBUG_FLOAT_ARRAY (name SRVP) and log debug topics (SDLOG_PROFILE bit 5); "
+            "actuator_outputs and actuator_servos are commands"
+        )
+    motion = _MOTION if log.vehicle == "fixed wing" else ""
+    if log.format == "tlog":
+        return motion + (
+            "send the positions as NAMED_VALUE_FLOAT SRVP1, SRVP2, ... in degrees: `servofd onboard --stream-only -o "
+            "servofd.lua` writes the script, copy it to APM/scripts and set SCR_ENABLE = 1; or audit the autopilot's "
+            "own .bin log; SERVO_OUTPUT_RAW is a command"
+        )
+    return motion + (
+        "log its position: RCOU is a command; servos with feedback write CSRV: Volz (SERIALn_PROTOCOL = 14, "
+        "SERVO_VOLZ_MASK) or DroneCAN (CAN_D1_PROTOCOL = 1, CAN_D1_UC_SRV_BM), with LOG_BITMASK including RC output"
+    )
+
 
 _FULL_NORM_DEG = 25.0
 _ANGLES = {"deg", "rad"}
@@ -210,3 +251,108 @@ def _rescaled(command: dict[str, Any], fit: RoughFit) -> dict[str, Any]:
     sign = int(np.sign(fit.gain)) * command.get("sign", 1)
     trim = command[trim_key] - fit.bias_deg / (fit.gain * command.get("sign", 1) * slope)
     return {**command, "sign": sign, trim_key: round(float(trim), 4), slope_key: round(abs(fit.gain) * slope, 6)}
+
+
+_ENTRIES = ("servo", "output", "threshold", "threshold_deg", "tolerance", "persistence", "suspicions", "model")
+
+
+def draft_to_toml(draft: Draft) -> str:
+    """Text of an aircraft file that `servofd audit -c` accepts as it is."""
+    log = draft.log
+    lines = [
+        f"# Drafted from {log.source.name} ({', '.join(filter(None, (log.firmware, log.vehicle)))}).",
+        "# The servos below were fitted roughly to this one log: a starting point, no calibration. Check the names and",
+        "# signs, replace the servos by identified ones (`servofd servos` lists known types), and set thresholds from",
+        "# flights that you know to be good. If this flight had a faulty servo, its numbers are wrong.",
+        "#",
+        *_on_board(log.format),
+        "# Tolerances are so wide that this log raises no alarm, but where it contradicts any servo.",
+        "",
+        f"name = {toml_value(log.vehicle or log.format)}",
+    ]
+    for surface in draft.surfaces:
+        lines += ["", *_surface_lines(surface)]
+    return "\n".join(lines) + "\n"
+
+
+def fitted_to_toml(log: FlightLog, aircraft: Aircraft) -> str:
+    """Text of an aircraft file with the servos that were fitted to a table.
+
+    Examples
+    --------
+    >>> from servofd.feedback.flown import flown_aircraft, one_log
+    >>> log = one_log("sample_logs/table_three_faults.csv")
+    >>> fitted_to_toml(log, flown_aircraft(log, None)).splitlines()[6]
+    '[surfaces.aileron]'
+    """
+    lines = [
+        f"# Drafted from {log.source.name}: each servo is fitted to this one log, a starting point and no calibration.",
+        "# If a servo was faulty in it, its numbers are wrong: calibrate on flights that you know to be good.",
+        "# Tolerances are so wide that this log raises no alarm, but where it contradicts any servo.",
+        "",
+        f"name = {toml_value(aircraft.name or log.source.stem)}",
+    ]
+    for name, surface in aircraft.surfaces.items():
+        servo = aircraft.servos[surface.servo].model_copy(update={"source": f"fitted to {log.source.name}"})
+        entry = _rounded(surface.model_dump(exclude_defaults=True, exclude_none=True, mode="json"))
+        order = {key: entry[key] for key in _ENTRIES if key in entry} | entry
+        lines += ["", f"[surfaces.{toml_key(name)}]", *toml_lines(order)]
+        servo_table = servo.model_dump(exclude_defaults=True, exclude_none=True, mode="json")
+        lines += ["", f"[servos.{toml_key(surface.servo)}]", *toml_lines(servo_table)]
+    return "\n".join(lines) + "\n"
+
+
+def _rounded(value: Any) -> Any:  # noqa: ANN401 - whatever a TOML file holds
+    """Numbers with six digits."""
+    if isinstance(value, dict):
+        return {key: _rounded(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return [_rounded(each) for each in value]
+    return float(f"{value:.6g}") if isinstance(value, float) else value
+
+
+def _peak(surface: DraftedSurface) -> str:
+    return f"largest residual in this log: {surface.drafted.peak_deg:.1f} deg" if surface.drafted else ""
+
+
+def _predicts(surface: DraftedSurface) -> str:
+    return "" if surface.drafted else "no servo predicts what this surface did"
+
+
+def _on_board(format_name: str) -> list[str]:
+    """How an ArduPilot watches these servos itself."""
+    if format_name not in ("dataflash", "tlog"):
+        return []
+    return [
+        "# Once calibrated, `servofd onboard THIS_FILE.toml -o servofd.lua` makes the autopilot watch these servos",
+        "# itself: copy the script to APM/scripts on its SD card and set SCR_ENABLE = 1.",
+        "#",
+    ]
+
+
+def _surface_lines(surface: DraftedSurface) -> list[str]:
+    pair, output, key = surface.pair, surface.pair.output, toml_key(surface.pair.surface)
+    function = "function unknown" if output.function is None else f"SERVO{output.number}_FUNCTION = {output.function}"
+    scale = (
+        ""
+        if pair.command == pair.position.command
+        else f"output {output.number}: pulses of {output.min_us:g} to {output.max_us:g} us; scale fitted"
+    )
+    entry = surface_entry(surface)
+    table = {name: entry[name] for name in _ENTRIES if name in entry}
+    if pair.position.alive:
+        table["alive"] = list(pair.position.alive)
+    table |= {"command": surface.command, "measured": surface.measured}
+    notes = {
+        "threshold_deg": _peak(surface),
+        "model": _predicts(surface),
+        "alive": "all still, and the position too: dead telemetry",
+        "command": scale,
+    }
+    return [
+        f"[surfaces.{key}]  # output {output.number}, {function}",
+        *toml_lines(table, notes),
+        "",
+        f"[servos.{toml_key(f'{pair.surface}-draft')}]",
+        *toml_lines(servo_entry(surface)),
+    ]

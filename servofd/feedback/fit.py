@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import TYPE_CHECKING, Any
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,14 +14,12 @@ from servofd.core.evidence import ModelOrigin
 from servofd.detection.contradiction import resting_runs, resting_width_deg
 from servofd.detection.plausible import step_deg
 from servofd.detection.residual import ResidualGenerator, Simulator
-from servofd.estimate.statistics import line
+from servofd.estimate.statistics import descended, line
 from servofd.servo.effects import Delay, LinearDynamics, RateLimit
 from servofd.servo.library import second_order
 from servofd.servo.servo_model import ServoModel
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from servofd.core.types import BoolArray, FloatArray, IntArray
 
 _MOST_SAMPLES = 4_000
@@ -31,11 +29,17 @@ _DAMPINGS = (0.7, 2.0)
 _DELAYS_S = (0.0, 0.015, 0.03, 0.05, 0.08, 0.12)
 _RATES_DEG_S = (600.0, 400.0, 250.0, 150.0, 100.0, 60.0)
 _WORTH_A_LIMIT = 0.95
-_MOST_EVALUATIONS = 100
-_NEAR, _NEAR_DEG = 1e-3, 1e-5
+_MOST_EVALUATIONS = 25
 _STARTS = 3
 _REWEIGHTINGS, _NEAR_LINE = 5, (1e-3, 0.5)
-_BANDWIDTH_RANGE_HZ, _DAMPING_RANGE, _RATE_RANGE_DEG_S = (0.2, 100.0), (0.2, 10.0), (10.0, 5000.0)
+_RANGES = {
+    "bandwidth_hz": (0.2, 100.0),
+    "damping": (0.2, 10.0),
+    "delay_s": (0.0, 1.0),
+    "rate_limit_deg_s": (10.0, 5000.0),
+}
+_DELAY_UNIT_S, _STEP = 0.03, 0.01
+"""Delays are fitted as log(delay + unit); of derivatives."""
 _FEWEST_ROWS = 30
 _SLOWEST_SHARE = 0.1
 POLE_RAD_S = 30.0
@@ -86,13 +90,7 @@ class RoughFit:
 
     @property
     def of_position(self) -> RoughFit:
-        """The same servo for a command in degrees of the position: its rate limit is that of the surface.
-
-        Examples
-        --------
-        >>> RoughFit(rate_limit_deg_s=100.0, gain=-2.0, bias_deg=1.0).of_position.rate_limit_deg_s
-        200.0
-        """
+        """The same servo for a command in degrees of the position: its rate limit is that of the surface."""
         return replace(self, gain=1.0, bias_deg=0.0, rate_limit_deg_s=abs(self.gain) * self.rate_limit_deg_s)
 
 
@@ -120,22 +118,6 @@ def fit_roughly(segment: Segment, *, free_scale: bool) -> RoughFit:
     A servo that fails in flight may bend the model all the same: an autopilot answers an oscillation, and then a servo
     with a resonance explains both. So what is fitted to the whole log has to hold in its beginning. If a servo that is
     fitted to a beginning alone explains that far better, the servo changed, and the one it was at first is returned.
-
-    Parameters
-    ----------
-    segment : Segment
-        Command, converted with the best guess there is, and position [deg].
-
-    Examples
-    --------
-    >>> from servofd.simulation.commands import doublets
-    >>> time_s = np.arange(3000) / 100.0
-    >>> command_deg = doublets(time_s, np.random.default_rng(0))
-    >>> truth = RoughFit(bandwidth_hz=5.0, delay_s=0.03)
-    >>> measured_deg = 0.8 * truth.model.simulate(time_s, command_deg, time_s)
-    >>> fit = fit_roughly(Segment("x", time_s, command_deg, time_s, measured_deg), free_scale=True)
-    >>> abs(fit.bandwidth_hz - 5.0) < 0.3, abs(fit.delay_s - 0.03) < 0.003, round(fit.gain, 1)
-    (True, True, 0.8)
     """
     whole = _fitted(segment, free_scale=free_scale)
     duration_s = float(np.ptp(segment.measured_s)) if segment.measured_s.size else 0.0
@@ -179,7 +161,7 @@ def _of_its_own(beginning: Segment, whole: RoughFit, *, free_scale: bool) -> Rou
     if np.count_nonzero(moving) < _FEWEST_ROWS:
         return None
     off_deg = _off_deg(whole, simulator, moving)
-    coarse = min(map(_judging(simulator, moving, free_scale=free_scale), _GRID), key=_error)
+    coarse = min(map(_Judging(simulator, moving, free_scale), _GRID), key=_error)
     if _off_deg(coarse, simulator, moving) > off_deg:
         return None
     early = _fitted(beginning, free_scale=free_scale)
@@ -205,13 +187,13 @@ def _fitted(segment: Segment, *, free_scale: bool) -> RoughFit:
     held_out = np.zeros(moving.size, dtype=bool)
     held_out[rows[block % 2 == 1]] = True
 
-    train = _judging(simulator, moving & ~held_out, free_scale=free_scale)
+    train = _Judging(simulator, moving & ~held_out, free_scale)
     coarse = [train(start) for start in _GRID]
     found = min((_refined(start, train) for start in sorted(coarse, key=_error)[:_STARTS]), key=_error)
     limited = min((train(replace(found, rate_limit_deg_s=rate)) for rate in _RATES_DEG_S), key=_error)
     if limited.error_deg < _WORTH_A_LIMIT * found.error_deg:
         found = _refined(limited, train)
-    everything = _judging(simulator, moving, free_scale=free_scale)
+    everything = _Judging(simulator, moving, free_scale)
     origin = _origin(found, simulator, held_out, block[block % 2 == 1] // 2)
     best = replace(_refined(everything(found), everything), origin=origin)
     return _centred(best, simulator) if free_scale else best
@@ -242,66 +224,29 @@ def _origin(fit: RoughFit, simulator: Simulator, held_out: BoolArray, block: Int
     )
 
 
-def _refined(start: RoughFit, judged: Callable[[RoughFit], RoughFit]) -> RoughFit:
+def _refined(start: RoughFit, judging: _Judging) -> RoughFit:
     """Downhill from a point of the grid, in logarithms of what must stay positive."""
+    names = list(_RANGES) if np.isfinite(start.rate_limit_deg_s) else list(_RANGES)[:-1]
+    low, high = np.array([_RANGES[name] for name in names]).T
+    shift = np.array([_DELAY_UNIT_S if name == "delay_s" else 0.0 for name in names])
 
     def at(x: FloatArray) -> RoughFit:
-        shape: dict[str, Any] = {
-            "bandwidth_hz": _within(float(np.exp(x[0])), _BANDWIDTH_RANGE_HZ),
-            "damping": _within(float(np.exp(x[1])), _DAMPING_RANGE),
-            "delay_s": max(float(x[2]), 0.0),
-        }
-        if x.size > 3:
-            shape["rate_limit_deg_s"] = _within(float(np.exp(x[3])), _RATE_RANGE_DEG_S)
-        return replace(start, **shape)
+        return replace(start, **dict(zip(names, np.clip(np.exp(x) - shift, low, high).tolist(), strict=True)))
 
-    begin = np.array([np.log(start.bandwidth_hz), np.log(start.damping), start.delay_s])
-    if np.isfinite(start.rate_limit_deg_s):
-        begin = np.append(begin, np.log(start.rate_limit_deg_s))
-    simplex = begin + np.vstack([np.zeros(begin.size), np.diag([0.3, 0.4, 0.01, 0.3])[: begin.size, : begin.size]])
+    def error_deg(x: FloatArray) -> FloatArray:
+        return judging.left(at(x))[1]
 
-    def error_deg(x: FloatArray) -> float:
-        return judged(at(x)).error_deg
+    def slopes(x: FloatArray) -> FloatArray:
+        here = error_deg(x)
+        return np.column_stack([(error_deg(x + _STEP * unit) - here) / _STEP for unit in np.eye(x.size)])
 
-    found = _lowest(error_deg, simplex)
-    return min(start, judged(at(found)), key=_error)
-
-
-def _within(value: float, limits: tuple[float, float]) -> float:
-    return min(max(value, limits[0]), limits[1])
-
-
-def _lowest(cost: Callable[[FloatArray], float], simplex: FloatArray) -> FloatArray:
-    """Where a cost is lowest, from a simplex downhill (Nelder and Mead, 1965; Lagarias et al., 1998).
-
-    The same steps as those of scipy, whose package of optimisers takes half a second to load.
-    """
-    size = simplex.shape[1]
-    costs = np.array([cost(x) for x in simplex])
-    spent = size + 1
-    while spent < _MOST_EVALUATIONS:
-        order = np.argsort(costs)
-        simplex, costs = simplex[order], costs[order]
-        if np.abs(simplex[1:] - simplex[0]).max() <= _NEAR and np.abs(costs[1:] - costs[0]).max() <= _NEAR_DEG:
-            break
-        centre = simplex[:-1].mean(axis=0)
-        away = centre - simplex[-1]
-        tried = centre + away
-        found, spent = cost(tried), spent + 1
-        if found >= costs[-2] or found < costs[0]:  # further, or back, and how far
-            is_best, is_bad = found < costs[0], found >= costs[-1]
-            other = centre + (2.0 if is_best else -0.5 if is_bad else 0.5) * away
-            there, spent = cost(other), spent + 1
-            if there < found if is_best else there < costs[-1] if is_bad else there <= found:
-                tried, found = other, there
-            elif not is_best:
-                simplex[1:] = simplex[0] + 0.5 * (simplex[1:] - simplex[0])
-                costs[1:] = [cost(x) for x in simplex[1:]]
-                spent += size
-                continue
-        simplex[-1], costs[-1] = tried, found
-    best: FloatArray = simplex[costs.argmin()]
-    return best
+    begin = np.log(np.array([getattr(start, name) for name in names]) + shift)
+    bounds = np.log(low + shift), np.log(high + shift)
+    scale_deg = judging.ordinary_deg
+    found, _ = descended(
+        error_deg, slopes, begin, bounds, evaluations=_MOST_EVALUATIONS, scale_deg=scale_deg, flat=True
+    )
+    return min(start, judging(at(found)), key=_error)
 
 
 def _error(fit: RoughFit) -> float:
@@ -371,24 +316,36 @@ def _moving_rows(simulator: Simulator) -> BoolArray:
     return moving
 
 
-def _judging(simulator: Simulator, rows: BoolArray, *, free_scale: bool) -> Callable[[RoughFit], RoughFit]:
-    """How well fits suit some rows."""
-    low_deg, high_deg = np.percentile(simulator.starts.measured_deg[rows], [2.0, 98.0])
-    ordinary_deg = max(_ORDINARY_SHARE * float(high_deg - low_deg), 1e-9)
-    return partial(_judged, simulator=simulator, moving=rows, ordinary_deg=ordinary_deg, free_scale=free_scale)
+@dataclass(frozen=True, eq=False)
+class _Judging:
+    """How well fits suit some rows, beside what is ordinary."""
 
+    simulator: Simulator
+    rows: BoolArray
+    free_scale: bool
 
-def _judged(
-    fit: RoughFit, simulator: Simulator, moving: BoolArray, ordinary_deg: float, *, free_scale: bool
-) -> RoughFit:
-    """Same fit with its scale, if that is free, and its error, beside what is ordinary."""
-    simulated, measured = simulator.simulated_deg(fit.model)[moving], simulator.starts.measured_deg[moving]
-    gain, bias_deg = line(simulated, measured, near=_NEAR_LINE, rounds=_REWEIGHTINGS) if free_scale else (1.0, 0.0)
-    error = measured - gain * simulated - bias_deg
-    # Cauchy's cost: quadratic for errors of a working servo, nearly flat for those of a jammed one.
-    if free_scale and not _SCALES[0] <= abs(gain) <= _SCALES[1]:
-        return replace(fit, gain=gain, bias_deg=bias_deg, error_deg=_NOTHING_DEG)
-    cost = float(np.expm1(np.mean(np.log1p((error / ordinary_deg) ** 2))))
-    # In a closed loop an aircraft that is pushed over is answered by commands the other way.
-    error_deg = ordinary_deg * float(np.sqrt(cost)) * (_REVERSED if gain < 0.0 and free_scale else 1.0)
-    return replace(fit, gain=gain, bias_deg=bias_deg, error_deg=error_deg)
+    @cached_property
+    def ordinary_deg(self) -> float:
+        """Error that is nothing special: a share of the travel [deg]."""
+        low_deg, high_deg = np.percentile(self.simulator.starts.measured_deg[self.rows], [2.0, 98.0])
+        return max(_ORDINARY_SHARE * float(high_deg - low_deg), 1e-9)
+
+    def left(self, fit: RoughFit) -> tuple[RoughFit, FloatArray]:
+        """The same fit with its scale, if that is free, and the errors that it leaves [deg]."""
+        simulated = self.simulator.simulated_deg(fit.model)[self.rows]
+        measured = self.simulator.starts.measured_deg[self.rows]
+        gain, bias_deg = 1.0, 0.0
+        if self.free_scale:
+            gain, bias_deg = line(simulated, measured, near=_NEAR_LINE, rounds=_REWEIGHTINGS)
+        return replace(fit, gain=gain, bias_deg=bias_deg), measured - gain * simulated - bias_deg
+
+    def __call__(self, fit: RoughFit) -> RoughFit:
+        """The same fit with its scale and its error."""
+        fit, error_deg = self.left(fit)
+        if self.free_scale and not _SCALES[0] <= abs(fit.gain) <= _SCALES[1]:
+            return replace(fit, error_deg=_NOTHING_DEG)
+        # Cauchy's cost: quadratic for errors of a working servo, nearly flat for those of a jammed one.
+        cost = float(np.expm1(np.mean(np.log1p((error_deg / self.ordinary_deg) ** 2))))
+        # In a closed loop an aircraft that is pushed over is answered by commands the other way.
+        reversed_ = _REVERSED if self.free_scale and fit.gain < 0.0 else 1.0
+        return replace(fit, error_deg=self.ordinary_deg * float(np.sqrt(cost)) * reversed_)

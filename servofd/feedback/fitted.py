@@ -176,13 +176,6 @@ def draft_tolerance(
 
     No threshold that follows from them lies below the largest residual of the blocks that are alike, nor below one step
     of the command and one of the reading together; the fewer blocks there are, the wider they become.
-
-    Parameters
-    ----------
-    all_of_it : bool
-        Whether the log is known to be good, and blocks that stand out count as well.
-    until_s : float
-        When the servo ceased to be like the model: what comes later is left out [s].
     """
     try:
         generator = ResidualGenerator.fitting(model, segment)

@@ -11,13 +11,26 @@ import numpy as np
 
 from servofd.core.errors import IdentificationError
 from servofd.estimate.statistics import Estimate
-from servofd.identification import checks
-from servofd.identification.choice import Choice, choose_linear, choose_nonlinear, with_unity_gain
-from servofd.identification.frequency_response import LAGS_S, FrequencyResponse, average, estimate
-from servofd.identification.magnitude import fit_magnitude
-from servofd.identification.output_error import MotionFit, ServoCandidate, evaluated, fit_motion
-from servofd.identification.rate import RateLimits, rate_limits
-from servofd.identification.records import Run, Uniform, longest_uniform, prepared
+from servofd.identification.choice import (
+    Choice,
+    RateLimits,
+    choose_linear,
+    choose_nonlinear,
+    rate_limits,
+    with_unity_gain,
+)
+from servofd.identification.motion import MotionFit, ServoCandidate, check_saturation, evaluated, fit_motion
+from servofd.identification.records import (
+    Run,
+    Uniform,
+    check_clipping,
+    check_drift,
+    check_order_of_columns,
+    check_segment,
+    longest_uniform,
+    prepared,
+)
+from servofd.identification.response import LAGS_S, FrequencyResponse, average, estimate, fit_magnitude
 from servofd.identification.result import Identification
 from servofd.identification.summary import intervals_of, notes_on_servo, notes_on_spread
 
@@ -133,7 +146,7 @@ def identify(
     _check_explained(result, tests)
     if not any(_is_stepwise(run) for run in tests.runs):
         named = [(run, tests.names[run.servo]) for run in tests.runs]
-        _refuse_most(named, lambda run, label: checks.check_saturation(run, final, label))
+        _refuse_most(named, lambda run, label: check_saturation(run, final, label))
     return result
 
 
@@ -158,7 +171,7 @@ class _Tests:
         for servo, (segments, name) in enumerate(zip(sets, names, strict=True)):
             for segment in segments:
                 if len(segments) == 1 or _is_usable(segment):
-                    checks.check_segment(segment, name)
+                    check_segment(segment, name)
                     runs.append(prepared(segment, servo))
                     labels.append(name)
         if not runs:
@@ -204,7 +217,7 @@ class _Tests:
 def _is_usable(segment: Segment) -> bool:
     """False for runs of a file with many that hold no test, such as those without motion."""
     try:
-        checks.check_segment(segment, segment.surface)
+        check_segment(segment, segment.surface)
     except IdentificationError:
         return False
     return True
@@ -214,8 +227,8 @@ def _check_all(runs: Sequence[Run], uniform: Sequence[Uniform], labels: Sequence
     """Refuse what most runs refuse; among many runs a single one may be odd."""
     moving = [k for k, u in enumerate(uniform) if np.ptp(u.command_deg) > 0.0]
     smooth = [k for k in moving if not _is_stepwise(runs[k])]
-    _refuse_most([(uniform[k], labels[k]) for k in moving], checks.check_order_of_columns)
-    _refuse_most([(runs[k], labels[k]) for k in smooth], checks.check_clipping)
+    _refuse_most([(uniform[k], labels[k]) for k in moving], check_order_of_columns)
+    _refuse_most([(runs[k], labels[k]) for k in smooth], check_clipping)
 
 
 def _refuse_most(tests: Sequence[tuple[_T, str]], check: Callable[[_T, str], None]) -> None:
@@ -274,7 +287,7 @@ def _check_drift(fit: MotionFit, tests: _Tests) -> None:
         for run, error in zip(tests.fitted(fit), fit.errors_deg, strict=True)
         if not _is_stepwise(run)
     ]
-    _refuse_most(swept, lambda pair, label: checks.check_drift(*pair, label))
+    _refuse_most(swept, lambda pair, label: check_drift(*pair, label))
 
 
 def _check_explained(result: Identification, tests: _Tests) -> None:

@@ -12,9 +12,9 @@ if TYPE_CHECKING:
     from servofd.aircraft.segment import Segment
     from servofd.core.types import ComplexArray, FloatArray
     from servofd.estimate.statistics import Estimate
-    from servofd.identification.frequency_response import FrequencyResponse, Spread
-    from servofd.identification.output_error import ServoCandidate
+    from servofd.identification.motion import ServoCandidate
     from servofd.identification.records import Run
+    from servofd.identification.response import FrequencyResponse, Spread
 
 
 @dataclass(frozen=True, slots=True, eq=False)

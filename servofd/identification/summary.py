@@ -11,16 +11,22 @@ import numpy as np
 
 from servofd.core.errors import IdentificationError
 from servofd.estimate.statistics import Estimate
-from servofd.identification.fit import fit_response
-from servofd.identification.output_error import MotionFit, ServoCandidate, evaluated, fit_motion
-from servofd.identification.shape import HIGHEST_ORDER, LONGEST_DELAY_S, LinearServo
+from servofd.identification.motion import (
+    HIGHEST_ORDER,
+    LONGEST_DELAY_S,
+    LinearServo,
+    MotionFit,
+    ServoCandidate,
+    evaluated,
+    fit_motion,
+)
+from servofd.identification.response import fit_response
 
 if TYPE_CHECKING:
     from servofd.core.types import FloatArray
-    from servofd.identification.choice import Choice
-    from servofd.identification.frequency_response import FrequencyResponse
-    from servofd.identification.rate import RateLimits
+    from servofd.identification.choice import Choice, RateLimits
     from servofd.identification.records import Run
+    from servofd.identification.response import FrequencyResponse
 
 _UNIDENTIFIABLE = 1.0
 """Standard deviation of the logarithm of a pole: a factor of e either way is no knowledge."""
@@ -40,11 +46,6 @@ def intervals_of(runs: Sequence[Run], choice: Choice, servo: ServoCandidate, lim
     """95 % intervals of everything that is reported, about the values of `servo`.
 
     Where one more pole fits as well, nobody knows which model is true: the intervals embrace both.
-
-    Parameters
-    ----------
-    choice : Choice
-        Fits with the dc gain free: what is fixed afterwards makes nothing more certain.
     """
     fit = choice.fit
     quantities: dict[str, Callable[[ServoCandidate], float]] = {
@@ -94,13 +95,7 @@ def _bounded(interval: Estimate, value: float, *, positive: bool) -> Estimate:
 def notes_on_servo(
     choice: Choice, runs: Sequence[Run], intervals: dict[str, Estimate], highest_rad_s: float | None
 ) -> list[str]:
-    """What must be said about the numbers.
-
-    Parameters
-    ----------
-    highest_rad_s : float or None
-        Highest frequency with coherence [rad/s].
-    """
+    """What must be said about the numbers."""
     notes, linear = [], choice.fit.servo.linear
     if not choice.fit.is_white:
         notes.append(
@@ -190,11 +185,6 @@ def lowest_delay_s(runs: Sequence[Run], fit: MotionFit) -> float:
 
     For each of many positions of that pole the other numbers are corrected by one Gauss-Newton step; those that raise
     the squared error by more than chance would are rejected.
-
-    Returns
-    -------
-    float
-        Delay [s]; that of the fit if every further pole is rejected.
     """
     linear = fit.servo.linear
     if linear.order >= HIGHEST_ORDER:

@@ -13,10 +13,9 @@ from servofd.aircraft.segment import cut
 from servofd.core.errors import ConfigError, DesignError, NoMeasurement, UnknownName, suggest
 from servofd.detection.audit import audit_log
 from servofd.detection.words import describe
-from servofd.discrepancy.elsewhere import judged_elsewhere
-from servofd.discrepancy.explanation import Explanation, explain_gap
-from servofd.discrepancy.held import without_held
+from servofd.discrepancy.explanation import Explanation, explain_gap, judged_elsewhere
 from servofd.discrepancy.own import OwnEffect, load_own_effect
+from servofd.discrepancy.record import without_held
 from servofd.discrepancy.validity import Undriven, without_torque
 from servofd.discrepancy.varying import varying
 from servofd.feedback.flown import known_aircraft, logs_of, surfaces_of

@@ -11,7 +11,7 @@ from servofd.aircraft.output import output_of
 from servofd.aircraft.schema import Aircraft
 from servofd.aircraft.segment import SLOWEST_RATE_HZ, cut
 from servofd.core.errors import NoMeasurement
-from servofd.feedback.advice import what_to_log
+from servofd.feedback.draft import what_to_log
 from servofd.feedback.flown import known_aircraft, logs_of, surfaces_of
 from servofd.onboard.seen import seen_on_board
 

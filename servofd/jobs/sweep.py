@@ -15,7 +15,7 @@ from servofd.detection.plausible import wiring_problem
 from servofd.detection.residual import ResidualGenerator, commands_at_servo
 from servofd.detection.words import describe
 from servofd.estimate.statistics import Estimate
-from servofd.servo.play import play
+from servofd.servo.kernel import play
 
 if TYPE_CHECKING:
     from logparsers.records import FlightLog

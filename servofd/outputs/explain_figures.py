@@ -6,9 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.discrepancy.maps import maps
-from servofd.discrepancy.regimes import binned, quantities
-from servofd.discrepancy.spectrum import spectrum
+from servofd.discrepancy.locate import binned, maps, quantities, spectrum
 from servofd.estimate.statistics import Z_95
 from servofd.outputs.palette import COLOURS
 from servofd.outputs.picture import Picture, finish, new_figure
@@ -18,7 +16,7 @@ if TYPE_CHECKING:
 
     from servofd.core.types import FloatArray
     from servofd.discrepancy.explanation import Explanation
-    from servofd.discrepancy.regimes import Quantity
+    from servofd.discrepancy.locate import Quantity
     from servofd.discrepancy.varying import Varying
 
 _EXCERPT_S = 6.0

@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from servofd.discrepancy.regimes import errors_by_regime
+from servofd.discrepancy.locate import errors_by_regime
 from servofd.outputs.audit_page import quantity
 from servofd.outputs.explain_figures import explain_figures
 from servofd.outputs.page import page

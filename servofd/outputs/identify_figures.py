@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from servofd.core.series import latest
-from servofd.identification.frequency_response import raw_response
-from servofd.identification.rate import step_slopes
+from servofd.identification.choice import step_slopes
 from servofd.identification.records import longest_uniform
+from servofd.identification.response import raw_response
 from servofd.outputs.palette import COLOURS
 from servofd.outputs.picture import Picture, finish, new_figure
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from servofd.core.types import FloatArray
-    from servofd.identification.frequency_response import FrequencyResponse
+    from servofd.identification.response import FrequencyResponse
     from servofd.identification.result import Identification
 
 _EXCERPT_S = 4.0

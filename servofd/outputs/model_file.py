@@ -9,9 +9,7 @@ import numpy as np
 from servofd.core.errors import CalibrationError
 from servofd.core.toml_text import toml_key, toml_lines
 from servofd.feedback.fitted import good_levels
-from servofd.servo.catalogue import CATALOGUE, OWN, Bias, Delay, Gain
-from servofd.servo.effect_table import table_of
-from servofd.servo.laws import plain
+from servofd.servo.catalogue import CATALOGUE, OWN, Bias, Delay, Gain, plain, table_of
 from servofd.servo.physics import INSIDE
 
 if TYPE_CHECKING:
@@ -20,8 +18,8 @@ if TYPE_CHECKING:
     from logparsers.records import FlightLog
     from servofd.aircraft.schema import Aircraft
     from servofd.discrepancy.explanation import Explanation
-    from servofd.servo.effect_table import EffectTable
-    from servofd.servo.missing_effect import MissingEffect
+    from servofd.servo.catalogue import EffectTable
+    from servofd.servo.effects import MissingEffect
     from servofd.servo.physics import Physics
 
 _WORTH_SAVING = 0.9

@@ -13,8 +13,8 @@ from servofd.outputs.page import page
 from servofd.outputs.palette import COLOURS
 from servofd.outputs.picture import Picture, finish, new_figure
 from servofd.outputs.sentence import spoken
-from servofd.wear.forecast import TOO_FEW
-from servofd.wear.records import QUANTITIES
+from servofd.wear.estimate import QUANTITIES
+from servofd.wear.series import TOO_FEW
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

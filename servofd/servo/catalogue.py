@@ -7,27 +7,26 @@ a healthy servo, and what the log must hold to judge it. A parameter names the f
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
 
-from servofd.servo.effects import Place
-from servofd.servo.missing_effect import MissingEffect, Parameter
+import numpy as np
+
+from servofd.core.errors import ConfigError, UnknownName, suggest
+from servofd.servo.effects import Extension, MissingEffect, Parameter, Place, Plan, neutral_of
 from servofd.servo.physics import AFTER, BEFORE, INSIDE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from servofd.core.types import FloatArray
     from servofd.servo.physics import Physics
 
 
 def installed(physics: Physics, effects: Sequence[type[MissingEffect]], values: Sequence[float]) -> Physics:
-    """Servo with these effects, their parameters given in order.
-
-    Examples
-    --------
-    >>> from servofd.servo.physics import Physics
-    >>> installed(Physics(), [Backlash, Gain], [0.5, 0.9]).backlash_deg
-    0.5
-    """
+    """Servo with these effects, their parameters given in order."""
     changes: dict[str, float] = {}
     for effect in effects:
         changes |= effect.fixed
@@ -430,11 +429,191 @@ OWN: tuple[type[MissingEffect], ...] = (Poles, PolesBefore, PolesAfter)
 
 
 def effects_named(name: str) -> tuple[type[MissingEffect], ...]:
-    """All forms of an effect.
+    """All forms of an effect."""
+    return tuple(effect for effect in (*CATALOGUE, *OWN) if effect.name == name)
+
+
+VARIED: tuple[type[MissingEffect], ...] = (
+    RateLimit,
+    ShaftSpeed,
+    FollowedRate,
+    SetPointRate,
+    GravityLoad,
+    Friction,
+    StribeckFriction,
+    DeadBand,
+    Backlash,
+    CurrentLimit,
+    Gain,
+    Bias,
+    Delay,
+)
+"""Effects whose first number may go with a condition."""
+FEWEST_RUNS = 5
+ALIKE = 0.98
+"""Correlation beyond which two conditions cannot be told apart."""
+_SHARES = (-0.3, -0.1, 0.1, 0.3)
+
+
+def told_apart(conditions: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """Conditions from -1 to 1, one of those that vary together; none of too few runs."""
+    found: dict[str, FloatArray] = {}
+    for name, of in conditions.items():
+        if of.size < FEWEST_RUNS or not np.all(np.isfinite(of)) or np.ptp(of) == 0.0:
+            continue
+        if all(abs(float(np.corrcoef(of, other)[0, 1])) <= ALIKE for other in found.values()):
+            found[name] = 2.0 * (of - of.min()) / np.ptp(of) - 1.0
+    return found
+
+
+_LAWS: dict[tuple[str, int, str], type[MissingEffect]] = {}
+
+
+def by_condition(effect: type[MissingEffect], number: int, condition: str) -> type[MissingEffect]:
+    """The effect, its first number a line over a condition of the runs."""
+    key = effect.__name__, number, condition
+    if key in _LAWS:
+        return _LAWS[key]
+    first = effect.parameters[0]
+    most = first.high - first.low
+    grid = tuple(share * (first.typical if first.low < 0.0 else 1.0) for share in _SHARES)
+    slope = Parameter(f"{first.name}_by_run", ("run_slope",), -most, most, 0.0, first.typical, grid, aside=True)
+    members = {
+        "parameters": (*effect.parameters, slope),
+        "fixed": {**effect.fixed, "run_field": float(VARIED.index(effect)), "run_condition": float(number)},
+        "form": ", ".join(filter(None, (effect.form, f"by {condition}"))),
+    }
+    return _LAWS.setdefault(key, type(f"{effect.__name__}By{number}", (effect,), members))
+
+
+def is_law(effect: type[MissingEffect]) -> bool:
+    """Whether its size goes with a condition."""
+    return any(p.fields == ("run_slope",) for p in effect.parameters)
+
+
+def plain(effect: type[MissingEffect]) -> type[MissingEffect]:
+    """The effect as it is with one size for all runs."""
+    return VARIED[int(effect.fixed["run_field"])] if is_law(effect) else effect
+
+
+def at_run(physics: Physics, conditions: Sequence[float]) -> Physics:
+    """The servo as it is in a run."""
+    if physics.run_slope == 0.0 or not conditions:
+        return physics
+    parameter = VARIED[int(physics.run_field)].parameters[0]
+    value = getattr(physics, parameter.fields[0]) + physics.run_slope * conditions[int(physics.run_condition)]
+    return physics._replace(**dict.fromkeys(parameter.fields, min(max(value, parameter.low), parameter.high)))
+
+
+EffectTable = dict[str, dict[str, float | str]]
+"""Effect name to its parameters, and its ``form`` where several machines go by one name."""
+
+_OPTIONAL = ("phase",)
+"""When pulse frames begin is another matter in each log."""
+
+
+def effects_installed(physics: Physics, table: Mapping[str, Mapping[str, float | str]]) -> Physics:
+    """Servo with the effects of a table.
 
     Examples
     --------
-    >>> [effect.form for effect in effects_named("rate_limit")]
-    ['motor', 'output', 'set point', 'shaft', 'motor, asymmetric']
+    >>> from servofd.servo.physics import Physics
+    >>> effects_installed(Physics(), {"backlash": {"width_deg": 0.8}}).backlash_deg
+    0.8
+    >>> effects_installed(Physics(), {"backlash": {"width": 0.8}})
+    Traceback (most recent call last):
+        ...
+    servofd.core.errors.UnknownName: effects.backlash: unknown parameter 'width'; did you mean width_deg? known: ...
     """
-    return tuple(effect for effect in (*CATALOGUE, *OWN) if effect.name == name)
+    for name, given in table.items():
+        effect = _effect(name, given)
+        values = [_value(name, parameter, given) for parameter in effect.parameters]
+        physics = installed(physics, [effect], values)
+    if not physics.lower_deg < physics.upper_deg or not physics.stop_lower_deg < physics.stop_upper_deg:
+        raise ConfigError("effects.position_limit: lower_deg must be below upper_deg")
+    return physics
+
+
+@dataclass(frozen=True, slots=True)
+class TabledEffect:
+    """One effect of such a table, as a part of a servo model.
+
+    Examples
+    --------
+    >>> TabledEffect("backlash", {"width_deg": 0.8}).install(Plan(delay_s=0.01)).physics.backlash_deg
+    0.8
+    """
+
+    effect: str
+    parameters: Mapping[str, float | str]
+    name: ClassVar[str] = "tabled"
+    place: ClassVar[Place] = Place.WHOLE
+
+    def install(self, plan: Plan) -> Plan:
+        """Add the effect to those that are there."""
+        return Extension(effects_installed(neutral_of(plan), {self.effect: self.parameters})).install(plan)
+
+
+def table_of(effects: Sequence[type[MissingEffect]], values: FloatArray) -> EffectTable:
+    """Table of effects that were found, their parameters in order; the inverse of `effects_installed`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from servofd.servo.catalogue import FollowedRate
+    >>> table_of([FollowedRate], np.array([88.1234567]))
+    {'rate_limit': {'form': 'output', 'rate_limit_deg_s': 88.12346}}
+    """
+    numbers = iter(values.tolist())
+    table: EffectTable = {}
+    for effect in effects:
+        entry: dict[str, float | str] = {}
+        if _default(effect.name, {p.name for p in effect.parameters}) is not effect:
+            entry["form"] = effect.form
+        digits = 10 if effect.name == "pwm_frame" else 7  # a period off by 1e-9 s is off by a frame after a day
+        for parameter in effect.parameters:
+            entry[parameter.name] = float(f"{next(numbers):.{digits}g}")
+        table[effect.name] = entry
+    return table
+
+
+def _default(name: str, given: set[str]) -> type[MissingEffect] | None:
+    """The first form that has the parameters that are given."""
+    forms = [e for e in effects_named(name) if given <= {p.name for p in e.parameters}]
+    return forms[0] if forms else None
+
+
+def _effect(name: str, given: Mapping[str, float | str]) -> type[MissingEffect]:
+    forms = effects_named(name)
+    if not forms:
+        raise UnknownName("effects: " + suggest("effect", name, dict.fromkeys(effect.name for effect in CATALOGUE)))
+    wanted = set(given) - {"form"}
+    for key in sorted(wanted):
+        known = dict.fromkeys(parameter.name for effect in forms for parameter in effect.parameters)
+        if key not in known:
+            raise UnknownName(f"effects.{name}: " + suggest("parameter", key, known))
+    if "form" in given:
+        by_form = {effect.form: effect for effect in forms}
+        if given["form"] not in by_form:
+            raise UnknownName(f"effects.{name}: " + suggest("form", str(given["form"]), filter(None, by_form)))
+        return by_form[str(given["form"])]
+    chosen = _default(name, wanted)
+    if chosen is None:
+        raise ConfigError(f"effects.{name}: {' and '.join(sorted(wanted))} do not go together")
+    return chosen
+
+
+def _value(name: str, parameter: Parameter, given: Mapping[str, float | str]) -> float:
+    where = f"effects.{name}.{parameter.name}"
+    if parameter.name not in given:
+        if parameter.aside or parameter.name in _OPTIONAL:
+            return parameter.neutral
+        raise ConfigError(f"{where}: this key is missing")
+    value = given[parameter.name]
+    # Just outside counts as on the bound: files hold rounded numbers.
+    margin = 1e-6 * (parameter.high - parameter.low)
+    if isinstance(value, str | bool) or not math.isfinite(value):
+        raise ConfigError(f"{where}: must be a number from {parameter.low:g} to {parameter.high:g}, not {value!r}")
+    if not parameter.low - margin <= value <= parameter.high + margin:
+        raise ConfigError(f"{where}: must lie between {parameter.low:g} and {parameter.high:g}, not {value:g}")
+    return float(value)

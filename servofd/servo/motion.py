@@ -16,11 +16,11 @@ import numpy as np
 
 from servofd.core.types import BoolArray, FloatArray
 from servofd.servo.context import NO_CONTEXT, Context
+from servofd.servo.kernel import ServoParameters, fixed, new_memory
 from servofd.servo.physics import LOOSE_FIELDS, RATE_FIELDS, Physics, Plant, longest_step_s
-from servofd.servo.state import ServoParameters, fixed, new_memory
 
 if TYPE_CHECKING:
-    from servofd.servo.state import Memory
+    from servofd.servo.kernel import Memory
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,18 +117,6 @@ class Motion(ABC, Generic[Kind]):
         The servo.
     start_deg : float
         Where the surface was measured at the first instant [deg]; NaN: where its first command wants it.
-
-    Examples
-    --------
-    >>> from servofd.servo.servo_model import ServoModel
-    >>> from servofd.servo.library import servo_named
-    >>> motion = on_its_way(ServoModel.of(servo_named("s9254")).parameters())
-    >>> motion.receive(np.array([0.0, 0.1]), np.array([0.0, 5.0]), np.zeros(2))
-    >>> motion.at(np.array([0.0, 0.1, 0.5])).round(3)
-    array([0., 0., 5.])
-    >>> motion.rest(0.6, -2.0)
-    >>> motion.at(np.array([0.6, 1.0])).round(3)
-    array([-2.,  5.])
     """
 
     def __init__(self, servo: Kind, start_deg: float = math.nan) -> None:

@@ -127,7 +127,7 @@ class Physics(NamedTuple):
     """How much later it acts than it is stamped."""
     run_slope: float = 0.0
     """By how much a size is larger in the run with the largest value of a condition than in the mean one; the kernel
-    knows nothing of it, nor of the next two (`servofd.servo.laws`)."""
+    knows nothing of it, nor of the next two (`servofd.servo.catalogue`)."""
     run_field: float = 0.0
     """Which size."""
     run_condition: float = 0.0
@@ -266,14 +266,7 @@ def _polynomial(denominator: tuple[float, ...], scales: tuple[float, float, floa
 
 
 def split(monic: FloatArray) -> tuple[float, tuple[float, float]]:
-    """Slow pole of a monic polynomial of three [rad/s], and what the other two leave: s^2 + sum s + product.
-
-    Examples
-    --------
-    >>> slow, pair = split(np.poly([-24.84, -30.0, -40.0]))
-    >>> round(slow, 2), [round(each, 2) for each in pair]
-    (24.84, [70.0, 1200.0])
-    """
+    """Slow pole of a monic polynomial of three [rad/s], and what the other two leave: s^2 + sum s + product."""
     roots = np.roots(monic)
     real = roots[np.abs(roots.imag) <= _TIED * np.abs(roots)].real
     slow = float(-real[np.argmin(np.abs(real))])

@@ -16,9 +16,9 @@ from servofd.servo.physics import RATE_FIELDS, Physics, Plant
 if TYPE_CHECKING:
     from servofd.core.types import FloatArray
     from servofd.servo.context import Context
+    from servofd.servo.kernel import ServoParameters
     from servofd.servo.library import Servo
     from servofd.servo.motion import AnyServo, ExtendedMotion, ExtendedServo, PlainMotion
-    from servofd.servo.state import ServoParameters
     from servofd.servo.transfer import TransferFunction
 
 
@@ -122,7 +122,7 @@ class ServoModel:
 
     def parameters(self) -> ServoParameters:
         """The model as the kernel sees it."""
-        from servofd.servo.state import ServoParameters
+        from servofd.servo.kernel import ServoParameters
 
         plan, modes = self.plan, self.transfer.modes()
         return ServoParameters(

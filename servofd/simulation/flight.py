@@ -9,7 +9,7 @@ import numpy as np
 
 from servofd.core.errors import ConfigError, UnknownName, suggest
 from servofd.servo.context import NO_CONTEXT, Context
-from servofd.servo.failing import Fault, failing_deflection, in_order
+from servofd.servo.faults import Fault, failing_deflection, in_order
 from servofd.simulation.commands import COMMANDS
 from servofd.simulation.surroundings import acting, current_a
 

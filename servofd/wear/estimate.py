@@ -1,4 +1,4 @@
-r"""What one flight tells of one servo: one output-error fit, and the residual of the model as it stands.
+"""What one flight tells of one servo: one output-error fit, and the residual of the model as it stands.
 
 The model is the aircraft file's servo with a zone of width :math:`w` in which the surface rests: before the servo (dead
 band, thesis 4.2.1) or behind it (backlash of the linkage). A single flight may not tell which; all flights of a surface
@@ -11,8 +11,11 @@ backlash the same with the servo's deflection), which continues :math:`P_w u` sm
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -20,19 +23,270 @@ from servofd.calibrating.flights import Flight, busiest
 from servofd.core.errors import NoMeasurement
 from servofd.detection.bank.window import noise_deg
 from servofd.detection.glitches import prepared
-from servofd.detection.residual import ResidualGenerator
+from servofd.detection.residual import ResidualGenerator, Simulator
 from servofd.detection.threshold import constant_threshold, interval_threshold
-from servofd.estimate.statistics import Estimate, descended, deviations, line, mean_loss, ordinary_deg
-from servofd.servo.play import play
-from servofd.wear.motion import Motion, noise_of
-from servofd.wear.records import QUANTITIES
-from servofd.wear.servo import FlownServo
+from servofd.estimate.statistics import Estimate, descended, deviations, line, mean_loss, memory, ordinary_deg
+from servofd.feedback.fit import POLE_RAD_S
+from servofd.servo.effects import Delay, Effect, LinearDynamics, PositionLimit, RateLimit
+from servofd.servo.kernel import play
+from servofd.servo.library import Servo, second_order
+from servofd.servo.servo_model import ServoModel
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
     from servofd.aircraft.schema import Aircraft
     from servofd.aircraft.segment import Segment
-    from servofd.core.types import FloatArray
+    from servofd.core.types import BoolArray, FloatArray
     from servofd.detection.residual import Residuals
+    from servofd.servo.transfer import TransferFunction
+
+NUMBERS = ("bandwidth_hz", "damping", "delay_s", "rate_limit_deg_s")
+"""What is fitted beside scale and offset of the position, in this order."""
+
+_MILLISECOND_S = 1e-3
+_LONGEST_DELAY_S = 0.5
+_BANDWIDTHS_HZ, _DAMPINGS, _RATES_DEG_S = (0.1, 200.0), (0.2, 10.0), (5.0, 1e4)
+
+
+@dataclass(frozen=True, slots=True)
+class FlownServo:
+    """A servo of an aircraft file, with numbers of its own.
+
+    Parameters
+    ----------
+    prior : Servo
+        As the aircraft file describes it.
+    bandwidth_hz : float
+        3.00 dB below dc [Hz]; a servo given by polynomials has its poles and zeros scaled.
+    damping : float or None
+        Of a servo given by bandwidth and damping; None for one given by polynomials.
+    delay_s : float
+        Transport delay [s].
+    rate_limit_deg_s : float or None
+        [deg/s]; None if it has none.
+    stops_deg : tuple of float, optional
+        Of the linkage [deg].
+    """
+
+    prior: Servo
+    bandwidth_hz: float
+    damping: float | None
+    delay_s: float
+    rate_limit_deg_s: float | None
+    stops_deg: tuple[float, float] | None = None
+
+    @classmethod
+    def of(cls, servo: Servo, stops_deg: tuple[float, float] | None = None) -> FlownServo:
+        """The servo as described."""
+        return cls(
+            servo,
+            servo.transfer.bandwidth_rad_s / (2.0 * np.pi),
+            servo.damping,
+            servo.transport_delay_s,
+            servo.rate_limit_deg_s,
+            stops_deg,
+        )
+
+    @classmethod
+    def on(cls, aircraft: Aircraft, surface: str) -> FlownServo:
+        """The servo that turns a surface."""
+        return cls.of(aircraft.servo(surface), aircraft.surfaces[surface].position_limit_deg)
+
+    @property
+    def numbers(self) -> tuple[str, ...]:
+        """Names of the numbers that this servo has, of `NUMBERS`."""
+        return tuple(name for name in NUMBERS if getattr(self, name) is not None)
+
+    @property
+    def transfer(self) -> TransferFunction:
+        """Linear dynamics."""
+        if self.damping is not None:
+            return second_order(2.0 * np.pi * self.bandwidth_hz, self.damping)
+        return self.prior.transfer.with_bandwidth_scaled(self.bandwidth_scale)
+
+    @property
+    def bandwidth_scale(self) -> float:
+        """Bandwidth over that of the description."""
+        return 2.0 * np.pi * self.bandwidth_hz / self.prior.transfer.bandwidth_rad_s
+
+    @property
+    def model(self) -> ServoModel:
+        """Healthy model with these numbers."""
+        effects: list[Effect] = [Delay(self.delay_s), LinearDynamics(self.transfer)]
+        if self.rate_limit_deg_s is not None:
+            effects.append(RateLimit(self.rate_limit_deg_s))
+        if self.stops_deg is not None:
+            effects.append(PositionLimit(*self.stops_deg))
+        return ServoModel(tuple(effects))
+
+    def vector(self, names: tuple[str, ...]) -> FloatArray:
+        """Some numbers as they are fitted: logarithms of what must stay positive, delays in milliseconds."""
+        values = {name: float(getattr(self, name)) for name in names}
+        return np.array([v / _MILLISECOND_S if name == "delay_s" else np.log(v) for name, v in values.items()])
+
+    def with_vector(self, names: tuple[str, ...], x: FloatArray) -> FlownServo:
+        """The same servo with other numbers; those beyond any servo are brought back."""
+        limits = {"bandwidth_hz": _BANDWIDTHS_HZ, "damping": _DAMPINGS, "rate_limit_deg_s": _RATES_DEG_S}
+        changed: dict[str, Any] = {
+            name: float(np.clip(_MILLISECOND_S * value, 0.0, _LONGEST_DELAY_S))
+            if name == "delay_s"
+            else float(np.exp(np.clip(value, *np.log(limits[name]))))
+            for name, value in zip(names, x.tolist(), strict=True)
+        }
+        return replace(self, **changed)
+
+
+_FORGOTTEN_S = 1.0
+"""After a start the servo was somewhere nobody knows; the slowest ones of the library forget it by then."""
+_FORGOTTEN_SHARE = 0.1
+"""Of a short test, which begins at rest."""
+_MEMORY_S = 1.0
+_NEVER = 0.999
+"""Share of the speeds among which the largest is looked for: single samples are left out."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """Flights of one surface, ready to be compared with a simulation."""
+
+    simulators: tuple[Simulator, ...]
+    used: tuple[BoolArray, ...]
+    """Rows of each flight with a position that a simulation can be held against."""
+
+    @classmethod
+    def of(cls, flights: Sequence[Flight], servo: FlownServo) -> Motion:
+        """Find the rows; they do not depend on the numbers of the servo."""
+        generator = ResidualGenerator(servo.model, POLE_RAD_S)
+        simulators = tuple(Simulator.of(generator, flight.segment) for flight in flights)
+        return cls(simulators, tuple(_usable(each) for each in simulators))
+
+    @property
+    def measured_deg(self) -> FloatArray:
+        """Position in all used rows [deg], shape (n,)."""
+        return np.concatenate([each.segment.measured_deg[rows] for each, rows in self._pairs()])
+
+    def with_commands(self, changed: Callable[[FloatArray], FloatArray]) -> Motion:
+        """The same flights with commands [deg] that a function has changed."""
+        return replace(self, simulators=tuple(r.with_commands(changed(r.segment.command_deg)) for r in self.simulators))
+
+    def simulated_deg(self, servo: FlownServo) -> FloatArray:
+        """Deflection of a servo in all used rows [deg], shape (n,)."""
+        model = servo.model
+        return np.concatenate([each.simulated_deg(model)[rows] for each, rows in self._pairs()])
+
+    def split(self, values: FloatArray) -> list[FloatArray]:
+        """What belongs to each flight of an array of shape (n,)."""
+        return np.split(values, np.cumsum([np.count_nonzero(rows) for rows in self.used])[:-1])
+
+    def top_speed_deg_s(self, servo: FlownServo) -> float:
+        """Largest speed that a servo without its rate limit would have [deg/s], single samples left out."""
+        parts = self.split(self.simulated_deg(replace(servo, rate_limit_deg_s=None)))
+        speeds = [
+            np.abs(np.diff(part) / np.diff(each.segment.measured_s[rows]))
+            for part, (each, rows) in zip(parts, self._pairs(), strict=True)
+        ]
+        every = np.concatenate(speeds)
+        return float(np.quantile(every, _NEVER)) if every.size else 0.0
+
+    @property
+    def period_s(self) -> float:
+        """Median sample time of the first flight [s]."""
+        return self.simulators[0].segment.period_s
+
+    def memory(self, error_deg: FloatArray) -> float:
+        """Long-run variance of an error over its variance, at least 1."""
+        return memory(self.split(error_deg), max(1, round(_MEMORY_S / self.period_s)))
+
+    def _pairs(self) -> Iterable[tuple[Simulator, BoolArray]]:
+        """Each flight with its rows."""
+        return zip(self.simulators, self.used, strict=True)
+
+
+def _usable(simulator: Simulator) -> BoolArray:
+    from servofd.detection.samples import RESTART_ALL
+
+    time_s, starts = simulator.segment.measured_s, simulator.starts
+    begins = np.flatnonzero(starts.restart == RESTART_ALL)
+    if begins.size == 0:
+        return np.zeros(time_s.size, dtype=bool)
+    last = np.searchsorted(begins, np.arange(time_s.size), side="right") - 1
+    since_s = time_s - time_s[begins[np.maximum(last, 0)]]
+    forgotten_s = min(_FORGOTTEN_S, _FORGOTTEN_SHARE * simulator.segment.duration_s)
+    usable: BoolArray = starts.settled & (last >= 0) & (since_s >= forgotten_s)
+    return usable
+
+
+def noise_of(measured_deg: FloatArray, error_deg: FloatArray) -> float:
+    """Standard deviation of the measurement noise [deg], that of rounding included."""
+    steps = np.diff(np.unique(measured_deg))
+    step_deg = float(np.median(steps)) if steps.size > 1 else 0.0
+    return float(max(noise_deg(error_deg), step_deg / np.sqrt(12.0)))
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """One number of a servo."""
+
+    name: str
+    """With its unit as the last word."""
+    title: str
+    unit: str
+    worse: Literal["up", "down", "away"]
+    """Which way wear goes; ``away`` from zero to either side."""
+    scale: float = 1.0
+    """From the number to what is shown in `unit`."""
+    digits: int = 2
+    of_axis: bool = False
+    """Told by the motion of an aircraft whose servos report nothing."""
+
+
+QUANTITIES: Mapping[str, Quantity] = MappingProxyType(
+    {
+        one.name: one
+        for one in (
+            Quantity("dead_band_deg", "dead band or backlash, full width", "deg", "up"),
+            Quantity("bias_deg", "bias", "deg", "away"),
+            Quantity("delay_s", "delay", "ms", "up", 1e3, 1),
+            Quantity("bandwidth_hz", "bandwidth", "Hz", "down"),
+            Quantity("rate_limit_deg_s", "rate limit", "deg/s", "down", digits=0),
+            Quantity("rate_per_volt_deg_s_v", "rate limit per volt", "deg/s/V", "down", digits=1),
+            Quantity("noise_deg", "noise of the position", "deg", "up", digits=3),
+            Quantity("residual_p95_deg", "residual, 95th percentile", "deg", "up", digits=3),
+            Quantity("margin", "threshold margin", "%", "down", 100.0, 0),
+            Quantity("effect", "effect that is left", "%", "down", 100.0, 0, of_axis=True),
+            Quantity("offset_us", "offset", "us", "away", digits=0, of_axis=True),
+        )
+    }
+)
+"""By name, in the order in which they are shown."""
+
+
+@dataclass(frozen=True, slots=True)
+class FlightEstimate:
+    """One servo in one flight."""
+
+    path: str
+    run: str
+    surface: str
+    start_utc: datetime | None
+    duration_s: float
+    values: Mapping[str, Estimate]
+    """Of `QUANTITIES`, with 95 % intervals; what the flight does not show is left out."""
+    missing: Mapping[str, str]
+    """Why, for those that are left out."""
+    linkage: Mapping[str, Estimate] = field(default_factory=dict)
+    """What differs if the zone of rest is not the servo's dead band but backlash of the linkage."""
+    evidence: float = 0.0
+    """Logarithm of how much better backlash explains the flight."""
+    alarm: str = ""
+    """What an axis did not do as calibrated in this flight; empty if it answered."""
+
+    @property
+    def name(self) -> str:
+        """Path, and the run where there are several."""
+        return f"{self.path} (run {self.run})" if self.run else self.path
+
 
 _MOST_SAMPLES = 12_000
 """Two minutes at 100 Hz tell the width to 0.01 deg, which is less than it varies from flight to flight."""
@@ -66,7 +320,7 @@ class ServoEstimate(NamedTuple):
     """What a flight tells of a servo, with 95 % intervals."""
 
     values: dict[str, Estimate]
-    """Of `servofd.wear.records.QUANTITIES`, if the zone of rest is a dead band."""
+    """Of `servofd.wear.estimate.QUANTITIES`, if the zone of rest is a dead band."""
     missing: dict[str, str]
     """Why others are not among them."""
     linkage: dict[str, Estimate]
@@ -76,31 +330,7 @@ class ServoEstimate(NamedTuple):
 
 
 def estimate_flight(segment: Segment, aircraft: Aircraft, voltage_v: float | None = None) -> ServoEstimate:
-    """Estimate what `servofd.wear.records.QUANTITIES` lists, as far as the flight shows it.
-
-    Parameters
-    ----------
-    voltage_v : float, optional
-        Mean supply voltage of the servos [V], if it was logged.
-
-    Returns
-    -------
-    ServoEstimate
-        What the flight shows, and why it does not show the rest.
-
-    Examples
-    --------
-    >>> from servofd.aircraft.schema import plain_aircraft
-    >>> from servofd.servo.faults import DeadBand
-    >>> from servofd.aircraft.segment import Segment
-    >>> from servofd.simulation.flight import simulate_flight
-    >>> plane = plain_aircraft(["rudder"], "hs225bb-eq31")
-    >>> flown = simulate_flight(plane, seed=1, faults={"rudder": DeadBand(0.0, width_deg=0.8)})
-    >>> segment = Segment("rudder", flown.time_s, flown.command_deg[:, 0], flown.time_s, flown.measured_deg[:, 0])
-    >>> values = estimate_flight(segment, plane).values
-    >>> values["dead_band_deg"].low < 0.8 < values["dead_band_deg"].high
-    True
-    """
+    """Estimate what `servofd.wear.estimate.QUANTITIES` lists, as far as the flight shows it."""
     surface = aircraft.surfaces[segment.surface]
     generator = ResidualGenerator.fitting(aircraft.model(segment.surface), segment, surface.filter_pole_rad_s)
     segment, residuals, _ = prepared(generator, segment)

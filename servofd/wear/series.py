@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import itertools
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from servofd.estimate.statistics import MAD_TO_SIGMA, Estimate
+from servofd.wear.estimate import QUANTITIES
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from datetime import date
+
     from servofd.core.types import FloatArray
+    from servofd.wear.estimate import FlightEstimate
 
 CHANCE = 1e-6
 """Of a change where there is none: six surfaces with nine numbers, in a hundred fleets, are 5400 chances for one."""
@@ -110,18 +118,6 @@ def fit_line(number: FloatArray, value: FloatArray, deviation: FloatArray) -> Li
     Least squares, weighted by the variance of each flight (its own, and the scatter from flight to flight, which is
     found such that the clipped squares of the errors have their expectation); flights beyond three deviations count
     as at three (Huber). It starts from the median of all slopes (Theil and Sen).
-
-    Parameters
-    ----------
-    number, value, deviation : ndarray, shape (k,), k > 2
-        Flight numbers, what the flights tell, and its standard deviation.
-
-    Examples
-    --------
-    >>> number = np.arange(1.0, 21.0)
-    >>> value = 0.02 * number + np.where(number == 7.0, 5.0, 0.0)
-    >>> round(fit_line(number, value, np.full(20, 0.01)).slope, 3)
-    0.02
     """
     from scipy.stats import theilslopes
 
@@ -162,14 +158,6 @@ def pieces(number: FloatArray, value: FloatArray, deviation: FloatArray) -> tupl
 
     A cut must be less likely by chance than `CHANCE`, by the F test of two lines against one with clipped squares,
     times the number of places where it could be; then both parts are looked at again.
-
-    Examples
-    --------
-    >>> rng = np.random.default_rng(0)
-    >>> number = np.arange(1.0, 41.0)
-    >>> value = 0.02 * number - 0.5 * (number > 20) + 0.01 * rng.standard_normal(40)
-    >>> [(piece.first, piece.last) for piece in pieces(number, value, np.full(40, 0.01))]
-    [(1, 20), (21, 40)]
     """
     whole = Piece(number, value, deviation)
     cut = _best_cut(whole)
@@ -222,3 +210,338 @@ def _costs(number: FloatArray, value: FloatArray, weight: FloatArray) -> FloatAr
     spread = np.maximum(wxx - wx**2 / w, _SMALLEST)
     costs: FloatArray = np.maximum(wyy - wy**2 / w - (wxy - wx * wy / w) ** 2 / spread, 0.0)
     return costs
+
+
+EventKind = Literal["swap", "adjusted", "changed"]
+
+_SIGMAS = 4.0
+_OF_THE_SERVO = ("dead_band_deg", "delay_s", "bandwidth_hz", "rate_limit_deg_s", "bias_deg", "noise_deg")
+"""What another servo brings along; size of residual and margin follow from these."""
+_SAME_EVENT = 1
+"""Cuts that lie no further apart are one: the best place to cut differs by a flight with the scatter."""
+_NUMBERS_OF_ANOTHER_SERVO = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Jump:
+    """One number before and after."""
+
+    before: float
+    after: float
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something was done to the servo, or happened to it, between two flights."""
+
+    kind: EventKind
+    first: int
+    """Number of the first flight after it."""
+    jumps: Mapping[str, Jump]
+    """What changed, by name of the quantity."""
+    reason: str
+    """In words."""
+
+
+def find_events(series: Mapping[str, Piece], telling: Mapping[str, float]) -> tuple[Event, ...]:
+    """Find when numbers of a servo changed at once."""
+    found: list[tuple[int, str, Jump]] = []
+    for name in _OF_THE_SERVO:
+        if name in series:
+            one = series[name]
+            cut = pieces(one.number, one.value, one.deviation)
+            found += [(b.first, name, jump) for a, b in itertools.pairwise(cut) if (jump := _jump(a, b, telling[name]))]
+    groups: list[list[tuple[int, str, Jump]]] = []
+    for one_cut in sorted(found, key=lambda cut: cut[0]):
+        if groups and one_cut[0] - groups[-1][-1][0] <= _SAME_EVENT:
+            groups[-1].append(one_cut)
+        else:
+            groups.append([one_cut])
+    return tuple(_event(group) for group in groups)
+
+
+def _jump(before: Piece, after: Piece, telling: float) -> Jump | None:
+    """The step between two pieces; None if there is none, only another slope."""
+    middle = (before.last + after.first) / 2.0
+    left, right = _end(before, middle), _end(after, middle)
+    size = right[0] - left[0]
+    if abs(size) < max(telling, _SIGMAS * float(np.hypot(left[1], right[1]))):
+        return None
+    return Jump(left[0], right[0])
+
+
+def _end(piece: Piece, number: float) -> tuple[float, float]:
+    """Value and deviation of a piece's line where it ends; of its median, if it is too short for a slope."""
+    line = piece.line
+    if piece.number.size <= 4:
+        return float(np.median(piece.value)), float(np.max(piece.deviation) + np.std(piece.value))
+    away = np.array([1.0, number - line.centre])
+    return line.level + line.slope * float(away[1]), float(np.sqrt(away @ line.covariance @ away))
+
+
+def _event(group: Sequence[tuple[int, str, Jump]]) -> Event:
+    first = int(np.median([cut[0] for cut in group]))
+    jumps = {name: jump for _, name, jump in group}
+    changes = ", ".join(_change(name, jump) for name, jump in jumps.items())
+    dead_band = jumps.get("dead_band_deg")
+    if len(jumps) >= _NUMBERS_OF_ANOTHER_SERVO or (dead_band and dead_band.after < dead_band.before):
+        return Event("swap", first, jumps, f"another servo or linkage since flight {first}: {changes}")
+    if "bias_deg" in jumps:
+        return Event("adjusted", first, jumps, f"trimmed, or the horn moved, before flight {first}: {changes}")
+    return Event(
+        "changed", first, jumps, f"changed at once before flight {first}, by damage or repair, not wear: {changes}"
+    )
+
+
+def _change(name: str, jump: Jump) -> str:
+    what = QUANTITIES[name]
+    before, after = (f"{what.scale * value:z.{what.digits}f}" for value in (jump.before, jump.after))
+    return f"{what.title} {before} to {after} {what.unit}"
+
+
+FEWEST_FLIGHTS = 8
+"""Six degrees of freedom: a 95 % interval of 2.4 deviations."""
+TOO_FEW = "too few flights for a trend"
+"""Reason of a forecast that only more flights can bring."""
+HORIZON = 4.0
+"""Nobody knows what happens after four times as many flights as were seen."""
+
+
+@dataclass(frozen=True, slots=True)
+class Forecast:
+    """When, or why not.
+
+    Parameters
+    ----------
+    kind : {"reached", "crossing", "none"}
+        The limit is exceeded; it will be; nothing can be said, or nothing happens.
+    reason : str
+        In words.
+    flight, low, high : float, optional
+        Number of the flight at which the line crosses the limit, with its 95 % interval.
+    """
+
+    kind: Literal["reached", "crossing", "none"]
+    reason: str
+    flight: float | None = None
+    low: float | None = None
+    high: float | None = None
+
+    @property
+    def is_alarm(self) -> bool:
+        """Whether somebody should do something."""
+        return self.kind != "none"
+
+
+def forecast(piece: Piece, limit: float, *, above: bool) -> Forecast:
+    """Extrapolate the line of the last flights to a limit.
+
+    The interval is Fieller's: all flights at which the limit lies within the 95 % interval of the line.
+    """
+    sign = 1.0 if above else -1.0
+    count = piece.number.size
+    if count <= 2:
+        return Forecast("none", TOO_FEW)
+    line = piece.line
+    now = line.at(piece.last)
+    if sign * (now.value - limit) >= 0.0 and (
+        count < FEWEST_FLIGHTS or min(sign * now.low, sign * now.high) >= sign * limit
+    ):
+        return Forecast("reached", "is beyond its limit")
+    if count < FEWEST_FLIGHTS:
+        return Forecast(
+            "none", f"only {count} flights since the last change; {FEWEST_FLIGHTS} are needed for a forecast"
+        )
+    if line.chance > CHANCE:
+        return Forecast("none", "no trend that chance does not explain")
+    if sign * line.slope <= 0.0:
+        return Forecast("none", "moves away from its limit")
+    return _crossing(line, piece, limit)
+
+
+def _crossing(line: Line, piece: Piece, limit: float) -> Forecast:
+    flight = line.centre + (limit - line.level) / line.slope
+    span = piece.last - piece.first + 1
+    low, high = _fieller(line, limit)
+    if flight > piece.last + HORIZON * span:
+        return Forecast("none", f"not within the next {HORIZON * span:.0f} flights; further on nothing can be said")
+    if not math.isfinite(high):
+        return Forecast("none", "rises, but too uncertainly to say when it crosses its limit")
+    return Forecast("crossing", "crosses its limit", flight, max(low, float(piece.first)), high)
+
+
+def _fieller(line: Line, limit: float) -> tuple[float, float]:
+    """Flights between which the interval of the line holds the limit.
+
+    Solutions of (level + slope d - limit)^2 = t^2 (c11 + 2 c12 d + c22 d^2) for the distance d from the centre.
+    """
+    t2, away = line.student**2, line.level - limit
+    c11, c12, c22 = line.covariance[0, 0], line.covariance[0, 1], line.covariance[1, 1]
+    a, b, c = line.slope**2 - t2 * c22, 2.0 * (line.slope * away - t2 * c12), away**2 - t2 * c11
+    inside = b * b - 4.0 * a * c
+    if a <= 0.0 or inside < 0.0:
+        return -math.inf, math.inf
+    ends = sorted((-b + side * math.sqrt(inside)) / (2.0 * a) for side in (-1.0, 1.0))
+    return float(line.centre + ends[0]), float(line.centre + ends[1])
+
+
+Place = Literal["servo", "linkage"]
+
+FEWEST_FOR_LINE = 3
+_MOST_EVIDENCE = 20.0
+"""That one flight may add: no single one decides."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wear:
+    """What a servo may come to, and what counts as a change."""
+
+    limits: Mapping[str, float]
+    telling: Mapping[str, float]
+    """Smallest sudden change that is reported, of each quantity."""
+    serial: str = ""
+    swaps: tuple[tuple[date, str], ...] = ()
+    """When servos were replaced, and the serial numbers of those that were taken out."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class QuantityTrend:
+    """One number of one servo."""
+
+    name: str
+    flights: Piece
+    """All flights that tell it."""
+    pieces: tuple[Piece, ...]
+    """The same, cut where it changed."""
+    now: Estimate
+    """As of the last flight."""
+    slope: Estimate | None
+    """Change per flight since the last break; None of fewer than three flights."""
+    limit: float | None
+    forecast: Forecast
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfaceTrend:
+    """One surface over all flights."""
+
+    surface: str
+    place: Place
+    """Where the zone of rest is: a dead band of the servo, or backlash of the linkage; the flights together tell."""
+    serials: tuple[tuple[int, str], ...]
+    """Number of the first flight of each servo, and its serial number; empty where it is not known."""
+    quantities: Mapping[str, QuantityTrend]
+    events: tuple[Event, ...]
+    missing: Mapping[str, str]
+    """Why some quantities are not followed."""
+    notes: tuple[str, ...]
+
+    @property
+    def alarms(self) -> tuple[QuantityTrend, ...]:
+        """What is beyond its limit, or will be."""
+        return tuple(one for one in self.quantities.values() if one.forecast.is_alarm)
+
+
+def follow(surface: str, flights: Sequence[tuple[int, FlightEstimate]], wear: Wear) -> SurfaceTrend:
+    """Follow one surface."""
+    known, notes = _known_swaps(flights, wear)
+    in_linkage = sum(np.clip(flight.evidence, -_MOST_EVIDENCE, _MOST_EVIDENCE) for _, flight in flights) > 0.0
+    if in_linkage:
+        flights = [(number, replace(one, values={**one.values, **one.linkage})) for number, one in flights]
+    series = {name: one for name in QUANTITIES if (one := _series(name, flights)) is not None}
+    bounds = [number for number, _ in known]
+    events: list[Event] = []
+    for from_, to in _spans(bounds):
+        parts = {name: _within(one, from_, to) for name, one in series.items()}
+        events += find_events({name: part for name, part in parts.items() if part is not None}, wear.telling)
+    bounds = sorted({*bounds, *(event.first for event in events if event.kind == "swap")})
+    quantities = {name: _quantity(name, one, bounds, wear.limits.get(name)) for name, one in series.items()}
+    last = flights[-1][1]
+    of_axis = any(QUANTITIES[name].of_axis for name in (*series, *last.missing))
+    missing = {
+        name: last.missing.get(name, "not in these flights")
+        for name, what in QUANTITIES.items()
+        if name not in series and what.of_axis == of_axis
+    }
+    serials = _serials(bounds, dict(known), wear)
+    place: Place = "linkage" if in_linkage else "servo"
+    return SurfaceTrend(surface, place, serials, quantities, tuple(events), missing, notes)
+
+
+def _known_swaps(
+    flights: Sequence[tuple[int, FlightEstimate]], wear: Wear
+) -> tuple[tuple[tuple[int, str], ...], tuple[str, ...]]:
+    """First flight of each new servo and its serial number, by the dates in the aircraft file."""
+    if not wear.swaps:
+        return (), ()
+    if any(flight.start_utc is None for _, flight in flights):
+        return (), ("the swaps of the aircraft file are not used: not every log tells when it was flown",)
+    after = [*(removed for _, removed in wear.swaps[1:]), wear.serial]
+    found = []
+    for (day, _), serial in zip(wear.swaps, after, strict=True):
+        later = [number for number, flight in flights if flight.start_utc and flight.start_utc.date() >= day]
+        if later:
+            found.append((later[0], serial))
+    return tuple(found), ()
+
+
+def _serials(bounds: Sequence[int], known: Mapping[int, str], wear: Wear) -> tuple[tuple[int, str], ...]:
+    """First flight and serial number of each servo; of a swap that only the data show, the number before is unknown."""
+    if not bounds:
+        return ((1, wear.serial),)
+    first = wear.swaps[0][1] if known else ""
+    between = [(number, known.get(number, "")) for number in bounds[:-1]]
+    return ((1, first), *between, (bounds[-1], wear.serial))
+
+
+def _spans(bounds: Sequence[int]) -> list[tuple[float, float]]:
+    return list(itertools.pairwise([-np.inf, *bounds, np.inf]))
+
+
+def _series(name: str, flights: Sequence[tuple[int, FlightEstimate]]) -> Piece | None:
+    known = [(number, flight.values[name]) for number, flight in flights if name in flight.values]
+    known = [(number, estimate) for number, estimate in known if np.all(np.isfinite(estimate))]
+    if not known:
+        return None
+    numbers, estimates = zip(*known, strict=True)
+    values, deviations = [e.value for e in estimates], [e.deviation for e in estimates]
+    return Piece(np.array(numbers, dtype=float), np.array(values), np.array(deviations))
+
+
+def _within(whole: Piece, from_: float, to: float) -> Piece | None:
+    inside = (whole.number >= from_) & (whole.number < to)
+    return Piece(whole.number[inside], whole.value[inside], whole.deviation[inside]) if inside.any() else None
+
+
+def _quantity(name: str, whole: Piece, bounds: Sequence[int], limit: float | None) -> QuantityTrend:
+    parts = [part for from_, to in _spans(bounds) if (part := _within(whole, from_, to))]
+    cut = tuple(piece for part in parts for piece in pieces(part.number, part.value, part.deviation))
+    last = cut[-1]
+    has_line = last.number.size >= FEWEST_FOR_LINE
+    now = last.line.at(last.last) if has_line else _last_estimate(last)
+    slope = last.line.slope_estimate if has_line else None
+    return QuantityTrend(name, whole, cut, now, slope, limit, _forecast(name, last, now.value, limit))
+
+
+def _last_estimate(piece: Piece) -> Estimate:
+    from servofd.estimate.statistics import Estimate
+
+    return Estimate.of(float(piece.value[-1]), float(piece.deviation[-1]))
+
+
+def _forecast(name: str, last: Piece, now: float, limit: float | None) -> Forecast:
+    if limit is None:
+        return Forecast("none", "no limit is set for it")
+    worse = QUANTITIES[name].worse
+    lately = _last_estimate(last)
+    if worse == "away":
+        rising = now > 0.0 if abs(now) >= limit or last.number.size < FEWEST_FOR_LINE else last.line.slope > 0.0
+        found = forecast(last, limit if rising else -limit, above=rising)
+        beyond = lately.low > limit or lately.high < -limit
+    else:
+        found = forecast(last, limit, above=worse == "up")
+        beyond = lately.low > limit if worse == "up" else lately.high < limit
+    if beyond and found.kind != "reached" and not QUANTITIES[name].of_axis:  # an axis has alarms of its own
+        # One flight moves no line, and a servo that failed in it is no less at fault.
+        return Forecast("reached", "was beyond its limit in the last flight: audit that flight")
+    return found

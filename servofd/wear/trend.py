@@ -2,28 +2,164 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from logparsers import LogError
+from servofd.aircraft.axis_names import SURFACE_AXES
 from servofd.aircraft.schema import Aircraft, load_aircraft
+from servofd.aircraft.segment import cut
 from servofd.batch.cluster import run_on_cluster
+from servofd.batch.fetch import fetched
 from servofd.batch.find import find_logs
 from servofd.batch.local import run_local
-from servofd.core.errors import NoMeasurement
-from servofd.feedback.flown import layout_of
-from servofd.wear.follow import SurfaceTrend, Wear, follow
-from servofd.wear.logs import FlownLog, Order, check_one_aircraft, estimate_log, in_order
+from servofd.core.errors import ConfigError, NoMeasurement, ServofdError
+from servofd.estimate.statistics import Estimate
+from servofd.feedback.flown import layout_of, logs_of, surfaces_of
+from servofd.wear.estimate import QUANTITIES, FlightEstimate, estimate_flight
+from servofd.wear.series import FEWEST_FOR_LINE, SurfaceTrend, Wear, follow
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
+    from datetime import datetime
     from pathlib import Path
 
-    from servofd.batch.find import Skipped
+    from logparsers import FlightLog
+    from servofd.aircraft.axes import MotionModel
+    from servofd.aircraft.segment import Segment
+    from servofd.batch.find import LogSource, Skipped
+    from servofd.wear.series import Piece, QuantityTrend
+
+_SYSTEM_IDS = ("MAV_SYSID", "SYSID_THISMAV")
+
+
+@dataclass(frozen=True, slots=True)
+class FlownLog:
+    """One run of one log: what it tells of each surface."""
+
+    path: str
+    run: str
+    start_utc: datetime | None
+    identity: str
+    """What the log says of the vehicle it comes from; empty if nothing."""
+    flights: tuple[FlightEstimate, ...]
+    problems: tuple[str, ...]
+    """Why it tells nothing of some surfaces, a line each."""
+
+
+class Order(NamedTuple):
+    """Logs in the order in which they were flown, and how that is known."""
+
+    logs: tuple[FlownLog, ...]
+    by: str
+    """``time`` or ``name``."""
+    reason: str
+
+
+def estimate_log(source: LogSource, aircraft: Aircraft, surfaces: tuple[str, ...] = ()) -> tuple[FlownLog, ...]:
+    """Estimate every surface of a log; one result for each run; what cannot be read becomes a problem."""
+    try:
+        with fetched(source.path) as local:
+            return tuple(_of_run(log, source.path, aircraft, surfaces) for log in logs_of(local, aircraft))
+    except (LogError, ServofdError, OSError) as error:
+        return (FlownLog(source.path, "", None, "", (), (str(error).removeprefix(f"{source.path}: "),)),)
+
+
+def _of_run(log: FlightLog, path: str, aircraft: Aircraft, surfaces: tuple[str, ...]) -> FlownLog:
+    flights, problems = [], []
+    if aircraft.surfaces:
+        aircraft = surfaces_of(log, aircraft)
+    for name in surfaces or aircraft.surfaces:
+        entry = aircraft.surfaces[name]
+        if entry.measured is None:
+            continue
+        try:
+            segment = cut(log, name, entry)
+            estimated = estimate_flight(segment, aircraft, _voltage_v(segment))
+        except ServofdError as error:
+            problems.append(f"{name}: {error}")
+            continue
+        flights.append(FlightEstimate(path, log.run, name, log.start_utc, log.duration_s, *estimated))
+    if aircraft.motion is not None and not surfaces:
+        try:
+            flights += _axes(log, path, aircraft.motion)
+        except NoMeasurement as error:
+            problems.append(f"axes: {error}")
+    return FlownLog(path, log.run, log.start_utc, _identity(log), tuple(flights), tuple(problems))
+
+
+def _axes(log: FlightLog, path: str, motion: MotionModel) -> list[FlightEstimate]:
+    """What the motion of a flight tells of each axis: the effect that was left, and where it stood."""
+    from servofd.axes.judge import judge_motion
+    from servofd.axes.read import motion_of
+
+    found = []
+    for audit in judge_motion(motion, motion_of(log, motion.rate_hz, motion.parameters)):
+        if audit.axis not in SURFACE_AXES:
+            continue
+        values, missing = {}, {}
+        for name, between in (("effect", audit.lost_share), ("offset_us", audit.offset_us)):
+            if between is None or not audit.is_expected:
+                missing[name] = audit.reason
+                continue
+            sigma = between.deviation
+            values[name] = Estimate.of(1.0 - between.value if name == "effect" else between.value, sigma)
+        alarm = audit.reason if audit.status in ("suspect", "fault") else ""
+        found.append(
+            FlightEstimate(path, log.run, audit.axis, log.start_utc, log.duration_s, values, missing, alarm=alarm)
+        )
+    return found
+
+
+def _voltage_v(segment: Segment) -> float | None:
+    """Mean supply voltage during the flight [V]; None if it was not logged."""
+    time_s, volts = segment.context.voltage_s, segment.context.voltage_v
+    volts = volts[(time_s >= segment.measured_s[0]) & (time_s <= segment.measured_s[-1])]
+    return float(np.mean(volts)) if volts.size and float(np.mean(volts)) > 0.0 else None
+
+
+def _identity(log: FlightLog) -> str:
+    number = next((f"{log.parameters[name]:.0f}" for name in _SYSTEM_IDS if name in log.parameters), "")
+    return ", ".join(filter(None, (log.vehicle, f"system {number}" if number else "")))
+
+
+def check_one_aircraft(logs: Iterable[FlownLog]) -> None:
+    """Refuse logs that say they come from different vehicles."""
+    first: dict[str, str] = {}
+    for log in logs:
+        if log.identity:
+            first.setdefault(log.identity, log.path)
+    if len(first) > 1:
+        vehicles = "; ".join(f"{path}: {identity}" for identity, path in list(first.items())[:3])
+        raise ConfigError(f"these logs come from {len(first)} vehicles, a trend follows one: {vehicles}")
+
+
+def in_order(logs: Sequence[FlownLog]) -> Order:
+    """By when they were flown, if all of them tell; else by name, numbers in it by their size.
+
+    Examples
+    --------
+    >>> some = [FlownLog(f"f{k}.csv", "", None, "", (), ()) for k in (10, 9)]
+    >>> [log.path for log in in_order(some).logs], in_order(some).by
+    (['f9.csv', 'f10.csv'], 'name')
+    """
+    silent = [log for log in logs if log.start_utc is None]
+    if not silent:
+        ordered = sorted(logs, key=lambda log: (log.start_utc.timestamp() if log.start_utc else 0.0, log.path))
+        return Order(tuple(ordered), "time", "by the UTC time at which each log begins")
+    why = "none tells" if len(silent) == len(logs) else f"{len(silent)} of {len(logs)} do not tell"
+    return Order(tuple(sorted(logs, key=_natural)), "name", f"by name of the logs, as {why} when it was flown")
+
+
+def _natural(log: FlownLog) -> tuple[list[tuple[int, str]], str]:
+    parts = re.split(r"(\d+)", log.path)
+    return [(int(part) if part.isdecimal() else -1, part) for part in parts], log.run
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,15 +280,7 @@ AXIS_LIMITS = {"effect": 0.75, "offset_us": 60.0}
 
 
 def limits_of(aircraft: Aircraft, surface: str) -> dict[str, float]:
-    """Limit of each quantity of `servofd.wear.records.QUANTITIES` that has one.
-
-    Examples
-    --------
-    >>> from servofd.aircraft.schema import plain_aircraft
-    >>> limits = limits_of(plain_aircraft(["rudder"], "hs225bb-eq31"), "rudder")
-    >>> limits["dead_band_deg"], round(limits["delay_s"], 4), round(limits["bandwidth_hz"], 2)
-    (2.0, 0.019, 3.17)
-    """
+    """Limit of each quantity of `servofd.wear.estimate.QUANTITIES` that has one."""
     entry, servo = aircraft.surfaces[surface], aircraft.servo(surface)
     tolerance, given = entry.tolerances, entry.limits.model_dump(exclude_none=True)
     derived = {
@@ -180,3 +308,86 @@ def telling_steps(aircraft: Aircraft, surface: str) -> dict[str, float]:
         "rate_limit_deg_s": _TELLING * tolerance.rate * rate_deg_s,
         "noise_deg": _TELLING * tolerance.noise_deg,
     }
+
+
+def trend_document(seen: AircraftTrend) -> dict[str, Any]:
+    """Everything that a trend found.
+
+    Examples
+    --------
+    >>> from servofd.wear.trend import trend_logs
+    >>> seen = trend_logs(["sample_logs/faser_healthy_flight.mat"], "faser", surfaces=("rudder",), workers=0)
+    >>> trend_document(seen)["surfaces"]["rudder"]["quantities"]["dead_band_deg"]["forecast"]["reason"]
+    'too few flights for a trend'
+    """
+    return {
+        "schema": "servofd.trend/1",
+        "aircraft": seen.aircraft or None,
+        "order": {"by": seen.order.by, "reason": seen.order.reason},
+        "flights": [
+            {
+                "number": number,
+                "path": log.path,
+                "run": log.run or None,
+                "start_utc": log.start_utc.isoformat() if log.start_utc else None,
+                "alarms": {flight.surface: flight.alarm for flight in log.flights if flight.alarm},
+            }
+            for number, log in enumerate(seen.order.logs, start=1)
+        ],
+        "surfaces": {surface.surface: _surface(surface) for surface in seen.surfaces},
+        "problems": list(seen.problems),
+    }
+
+
+def _surface(surface: SurfaceTrend) -> dict[str, Any]:
+    return {
+        "serials": [{"from_flight": number, "serial": serial or None} for number, serial in surface.serials],
+        "rests_in": surface.place,
+        "events": [
+            {
+                "kind": event.kind,
+                "flight": event.first,
+                "reason": event.reason,
+                "changes": {name: {"before": j.before, "after": j.after} for name, j in event.jumps.items()},
+            }
+            for event in surface.events
+        ],
+        "quantities": {name: _quantity(one) for name, one in surface.quantities.items()},
+        "missing": dict(surface.missing),
+        "notes": list(surface.notes),
+    }
+
+
+def _quantity(one: QuantityTrend) -> dict[str, Any]:
+    what, forecast = QUANTITIES[one.name], one.forecast
+    return {
+        "title": what.title,
+        "shown": {"unit": what.unit, "scale": what.scale, "digits": what.digits},
+        "worse": what.worse,
+        "flights": [int(number) for number in one.flights.number],
+        "values": one.flights.value.tolist(),
+        "deviations": one.flights.deviation.tolist(),
+        "pieces": [_piece(piece) for piece in one.pieces],
+        "now": _estimate(one.now),
+        "per_flight": None if one.slope is None else _estimate(one.slope),
+        "limit": one.limit,
+        "forecast": {
+            "kind": forecast.kind,
+            "reason": forecast.reason,
+            "flight": forecast.flight,
+            "low": forecast.low,
+            "high": forecast.high,
+        },
+    }
+
+
+def _piece(piece: Piece) -> dict[str, Any]:
+    """First and last flight, and the line between them."""
+    ends = {"first": piece.first, "last": piece.last}
+    if piece.number.size < FEWEST_FOR_LINE:
+        return ends
+    return ends | {"begin": _estimate(piece.line.at(piece.first)), "end": _estimate(piece.line.at(piece.last))}
+
+
+def _estimate(estimate: Estimate) -> dict[str, float]:
+    return {"value": estimate.value, "low": estimate.low, "high": estimate.high}

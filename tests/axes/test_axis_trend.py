@@ -10,8 +10,7 @@ from servofd.aircraft.axes import motion_to_toml
 from servofd.aircraft.schema import load_aircraft
 from servofd.axes.calibrate import calibrate_motion
 from servofd.outputs.trend_page import effects_of, trend_page
-from servofd.wear.document import trend_document
-from servofd.wear.trend import trend_logs
+from servofd.wear.trend import trend_document, trend_logs
 from tests.axes.flights import flown
 from tests.axes.test_axes import as_table
 

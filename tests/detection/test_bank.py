@@ -17,9 +17,18 @@ from servofd.detection.bank.window import Explanation, Flight, Ridge, Window
 from servofd.detection.bank.window import Fault as Found
 from servofd.detection.plausible import wiring_problem
 from servofd.servo.effects import RateLimit
-from servofd.servo.failing import Fault
-from servofd.servo.faults import Bias, DeadBand, Floating, HardOver, LossOfEffectiveness, Oscillation, Slow, Stuck
-from servofd.servo.play import play
+from servofd.servo.faults import (
+    Bias,
+    DeadBand,
+    Fault,
+    Floating,
+    HardOver,
+    LossOfEffectiveness,
+    Oscillation,
+    Slow,
+    Stuck,
+)
+from servofd.servo.kernel import play
 from servofd.simulation.commands import COMMANDS
 from tests.detection.tolerated import MODEL, deviating
 from tests.detection.windows import NOISE_DEG, command, flown, judged, residuals_of, window

@@ -11,8 +11,7 @@ from servofd.core.types import FloatArray
 from servofd.detection.alarm import Episode, find_episodes
 from servofd.detection.residual import ResidualGenerator, Residuals
 from servofd.detection.threshold import constant_threshold, interval_threshold
-from servofd.servo.failing import Fault
-from servofd.servo.faults import DeadBand, Stuck
+from servofd.servo.faults import DeadBand, Fault, Stuck
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel
 

@@ -15,8 +15,7 @@ from servofd.detection.audit import audit_segment
 from servofd.detection.judge import _largest
 from servofd.detection.threshold import constant_threshold, interval_threshold
 from servofd.detection.verdict import SurfaceAudit
-from servofd.servo.failing import failing_deflection
-from servofd.servo.faults import Bias, HardOver, Stuck
+from servofd.servo.faults import Bias, HardOver, Stuck, failing_deflection
 from tests.detection.tolerated import MODEL
 from tests.detection.windows import GENERATOR, command, flown, judged, residuals_of
 

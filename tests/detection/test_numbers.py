@@ -24,8 +24,7 @@ from servofd.detection.judge import judge
 from servofd.detection.odds import Wish, surface_odds
 from servofd.detection.probability import Noise, fit_tail
 from servofd.detection.pulse import design_pulse_filter
-from servofd.servo.failing import Fault
-from servofd.servo.faults import Bias, DeadBand, Floating, LossOfEffectiveness, Oscillation, Slow, Stuck
+from servofd.servo.faults import Bias, DeadBand, Fault, Floating, LossOfEffectiveness, Oscillation, Slow, Stuck
 from servofd.servo.library import servo_named
 from tests.detection.windows import NOISE_DEG, troubled, window
 

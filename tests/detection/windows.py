@@ -12,7 +12,7 @@ from servofd.detection.bank.window import Window
 from servofd.detection.judge import Judgement, judge
 from servofd.detection.residual import ResidualGenerator, Residuals, commands_at_servo
 from servofd.detection.threshold import ThresholdKind
-from servofd.servo.failing import Fault
+from servofd.servo.faults import Fault
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel
 from servofd.simulation.commands import COMMANDS

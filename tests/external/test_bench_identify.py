@@ -9,8 +9,8 @@ import pytest
 
 from logparsers import FlightLog
 from servofd.aircraft.segment import Segment
+from servofd.identification.choice import step_slopes
 from servofd.identification.identify import identify
-from servofd.identification.rate import step_slopes
 from servofd.identification.records import prepared
 from tests.external.test_bench_tables import DATA, logs_of
 

@@ -12,8 +12,7 @@ from logparsers.codec import Codec
 from logparsers.replay import replayed
 from servofd.aircraft.schema import load_aircraft
 from servofd.calibrating.result import calibration_to_toml
-from servofd.feedback.draft import draft_aircraft
-from servofd.feedback.toml import draft_to_toml
+from servofd.feedback.draft import draft_aircraft, draft_to_toml
 from servofd.live.session import Session
 from tests.external.test_bench_tables import DATA
 

@@ -12,8 +12,7 @@ import servofd
 from logparsers.codec import Codec
 from servofd.aircraft.schema import load_aircraft
 from servofd.calibrating.result import calibration_to_toml
-from servofd.feedback.draft import draft_aircraft
-from servofd.feedback.toml import draft_to_toml
+from servofd.feedback.draft import draft_aircraft, draft_to_toml
 from servofd.live.session import stamped
 from tests.external.test_bench_tables import DATA
 from tests.external.test_disturbed_links import LINKS, alarms, most_outages, same, silent, thinned, told

@@ -15,9 +15,7 @@ from logparsers.telemetry.encode import Message, encode
 from servofd.aircraft.pairs import find_pairs, find_positions
 from servofd.aircraft.schema import load_aircraft
 from servofd.core.errors import NoMeasurement
-from servofd.feedback.advice import what_to_log
-from servofd.feedback.draft import draft_aircraft
-from servofd.feedback.toml import draft_to_toml
+from servofd.feedback.draft import draft_aircraft, draft_to_toml, what_to_log
 from servofd.jobs.workflow import audit
 from servofd.servo.faults import Stuck
 from servofd.servo.library import servo_named

@@ -20,8 +20,7 @@ from logparsers.replay import replayed
 from servofd.aircraft.schema import plain_aircraft
 from servofd.batch.find import find_logs
 from servofd.batch.key import Job
-from servofd.feedback.draft import draft_aircraft
-from servofd.feedback.toml import draft_to_toml
+from servofd.feedback.draft import draft_aircraft, draft_to_toml
 from servofd.fleet.run import audit_fleet
 from servofd.fleet.store import FleetStore
 from servofd.jobs.workflow import audit

@@ -8,7 +8,7 @@ from itertools import pairwise
 import pytest
 
 from servofd.servo.catalogue import CATALOGUE, installed
-from servofd.servo.missing_effect import MissingEffect
+from servofd.servo.effects import MissingEffect
 from servofd.servo.physics import Physics
 
 every_effect = pytest.mark.parametrize("effect", CATALOGUE, ids=lambda effect: effect.key())

@@ -12,17 +12,19 @@ from hypothesis import strategies as st
 
 from servofd.core.errors import ConfigError
 from servofd.servo.effects import Delay, LinearDynamics, PositionLimit, RateLimit
-from servofd.servo.failing import Fault, failing_deflection, in_order
 from servofd.servo.faults import (
     FAULTS,
     Bias,
     DeadBand,
+    Fault,
     Floating,
     HardOver,
     LossOfEffectiveness,
     Oscillation,
     Slow,
     Stuck,
+    failing_deflection,
+    in_order,
 )
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from servofd.core.errors import DesignError
 from servofd.servo.effects import Delay, LinearDynamics, PositionLimit, RateLimit
+from servofd.servo.kernel import play
 from servofd.servo.library import library, servo_named
-from servofd.servo.play import play
 from servofd.servo.servo_model import ServoModel
 from servofd.servo.transfer import TransferFunction
 from tests.laws.reference_twin import limited_deflection, linear_deflection

@@ -19,8 +19,7 @@ import servofd
 from servofd.aircraft.schema import plain_aircraft
 from servofd.core.types import FloatArray
 from servofd.detection.verdict import SurfaceAudit
-from servofd.servo.failing import Fault
-from servofd.servo.faults import Bias, HardOver, LossOfEffectiveness, Stuck
+from servofd.servo.faults import Bias, Fault, HardOver, LossOfEffectiveness, Stuck
 from servofd.simulation.flight import SimulatedFlight, simulate_flight
 
 SURFACES = ("aileron", "elevator", "rudder")

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from servofd.core.errors import ConfigError
-from servofd.servo.catalogue import CATALOGUE
-from servofd.servo.effect_table import effects_installed, table_of
-from servofd.servo.missing_effect import MissingEffect, Parameter
+from servofd.servo.catalogue import CATALOGUE, effects_installed, table_of
+from servofd.servo.effects import MissingEffect, Parameter
 from servofd.servo.physics import Physics
 
 NUMBERS = [(effect, parameter) for effect in CATALOGUE for parameter in effect.parameters]

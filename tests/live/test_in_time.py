@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from servofd.detection.events import Event
     from servofd.detection.stream import Piece
-    from servofd.servo.failing import Fault
+    from servofd.servo.faults import Fault
 
 EPOCH_S = 1.7e9
 BEGUN_S, OVER_S = 14.0, 28.0

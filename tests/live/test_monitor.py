@@ -20,8 +20,7 @@ from logparsers.replay import replayed
 from servofd.aircraft.schema import load_aircraft
 from servofd.cli import main
 from servofd.detection.audit import audit_log
-from servofd.feedback.draft import draft_aircraft
-from servofd.feedback.toml import draft_to_toml
+from servofd.feedback.draft import draft_aircraft, draft_to_toml
 from servofd.live.session import Session, stamped
 from servofd.live.speaker import ALLOWED
 from servofd.servo.faults import Bias, Stuck

@@ -30,8 +30,8 @@ from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.stream import Piece
 from servofd.detection.verdict import SurfaceAudit
 from servofd.estimate.family import new_state, simulated, variants
+from servofd.servo.catalogue import TabledEffect
 from servofd.servo.context import Context
-from servofd.servo.effect_table import TabledEffect
 from servofd.servo.faults import Stuck
 from servofd.simulation.commands import COMMANDS
 from servofd.simulation.flight import simulate_flight

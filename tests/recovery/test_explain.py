@@ -10,8 +10,7 @@ import pytest
 from servofd.aircraft.segment import Segment
 from servofd.discrepancy.explanation import Explanation, explain_gap
 from servofd.discrepancy.locate import bad_seconds, blocks
-from servofd.discrepancy.record import record_of, simulate
-from servofd.discrepancy.steps import comb_step_deg
+from servofd.discrepancy.record import comb_step_deg, record_of, simulate
 from servofd.servo.context import Context
 from servofd.servo.library import library, servo_named
 from servofd.servo.physics import Physics

@@ -22,12 +22,10 @@ from servofd.detection.stream import Stream
 from servofd.detection.threshold import interval_threshold
 from servofd.detection.verdict import SurfaceAudit
 from servofd.discrepancy.record import record_of, simulate
-from servofd.servo.catalogue import CATALOGUE, installed
+from servofd.servo.catalogue import CATALOGUE, effects_installed, installed, table_of
 from servofd.servo.context import Context
-from servofd.servo.effect_table import effects_installed, table_of
 from servofd.servo.effects import Extension
-from servofd.servo.failing import Fault
-from servofd.servo.faults import Bias, HardOver, LossOfEffectiveness, Slow, Stuck
+from servofd.servo.faults import Bias, Fault, HardOver, LossOfEffectiveness, Slow, Stuck
 from servofd.servo.library import servo_named
 from servofd.servo.motion import ExtendedMotion, ExtendedServo
 from servofd.servo.physics import Physics, longest_step_s, scaled_transfer

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from hidden_physics import Air, deflection
+from servofd.servo.catalogue import effects_installed
 from servofd.servo.context import Context
-from servofd.servo.effect_table import effects_installed
 from servofd.servo.effects import RateLimit
 from servofd.servo.library import servo_named
 from servofd.servo.motion import ExtendedMotion, ExtendedServo

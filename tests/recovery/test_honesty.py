@@ -11,14 +11,13 @@ from servofd.aircraft.segment import Segment
 from servofd.core.types import FloatArray
 from servofd.discrepancy.adequacy import adequacy
 from servofd.discrepancy.fit import Fitter
-from servofd.discrepancy.frames import best_frame
 from servofd.discrepancy.noise import noise_floor_deg
-from servofd.discrepancy.record import Record, record_of, simulate
+from servofd.discrepancy.record import Record, comb_step_deg, record_of, simulate
+from servofd.discrepancy.search import best_frame
 from servofd.discrepancy.select import select
-from servofd.discrepancy.steps import comb_step_deg
 from servofd.servo.catalogue import Backlash, CurrentLimit, Delay, installed
+from servofd.servo.effects import MissingEffect
 from servofd.servo.library import servo_named
-from servofd.servo.missing_effect import MissingEffect
 from servofd.servo.physics import AFTER, BEFORE, Physics
 from servofd.servo.servo_model import ServoModel
 from servofd.simulation.commands import COMMANDS

@@ -11,15 +11,14 @@ import pytest
 
 from servofd.aircraft.segment import Segment
 from servofd.core.errors import IdentificationError
-from servofd.identification.frequency_response import average, estimate
+from servofd.identification.choice import rate_limits
 from servofd.identification.identify import identify
-from servofd.identification.output_error import ServoCandidate
-from servofd.identification.rate import rate_limits
+from servofd.identification.motion import LinearServo, ServoCandidate
 from servofd.identification.records import prepared
+from servofd.identification.response import average, estimate
 from servofd.identification.result import Identification
-from servofd.identification.shape import LinearServo
+from servofd.servo.kernel import play
 from servofd.servo.library import Servo, servo_named
-from servofd.servo.play import play
 from servofd.servo.servo_model import ServoModel
 from tests.recovery.bench import step, sweep
 

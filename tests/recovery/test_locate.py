@@ -10,10 +10,19 @@ from scipy.signal import lfilter
 
 from servofd.aircraft.segment import Segment
 from servofd.core.types import FloatArray
-from servofd.discrepancy.locate import sentences
-from servofd.discrepancy.maps import EVEN, LINEAR, ODD, Map, maps, since_reversal_s
+from servofd.discrepancy.locate import (
+    EVEN,
+    LINEAR,
+    ODD,
+    Map,
+    coherent_to_hz,
+    excess_band_hz,
+    maps,
+    sentences,
+    since_reversal_s,
+    spectrum,
+)
 from servofd.discrepancy.record import Record, record_of, simulate
-from servofd.discrepancy.spectrum import coherent_to_hz, excess_band_hz, spectrum
 from servofd.servo.context import Context
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel

@@ -7,7 +7,7 @@ import pytest
 
 from servofd.core.types import FloatArray
 from servofd.detection.residual import rhythm
-from servofd.discrepancy.lost import after_lost_commands
+from servofd.discrepancy.record import after_lost_commands
 
 PERIOD_S, HOLE_S = 0.01, 0.1
 

@@ -13,13 +13,12 @@ import pytest
 
 from servofd.aircraft.segment import Segment
 from servofd.core.errors import ConfigError
-from servofd.discrepancy.break_point import fault_start_s
-from servofd.discrepancy.explanation import explain_gap
+from servofd.discrepancy.explanation import explain_gap, fault_start_s
 from servofd.discrepancy.fit import Fitter
-from servofd.discrepancy.frames import best_frame, frames_like
+from servofd.discrepancy.locate import errors_by_regime
 from servofd.discrepancy.own import OwnEffect, OwnParameter, load_own_effect
 from servofd.discrepancy.record import simulate
-from servofd.discrepancy.regimes import errors_by_regime
+from servofd.discrepancy.search import best_frame, frames_like
 from servofd.servo.catalogue import Delay
 from servofd.servo.physics import Physics
 from tests.recovery.test_honesty import KNOWN, flown

@@ -15,8 +15,8 @@ from hidden_score import ask, score
 from servofd.aircraft.segment import Segment
 from servofd.discrepancy.record import Record, record_of, simulate
 from servofd.servo.catalogue import CurrentLimit, RateLimit, installed
+from servofd.servo.effects import MissingEffect
 from servofd.servo.library import servo_named
-from servofd.servo.missing_effect import MissingEffect
 from servofd.servo.servo_model import ServoModel
 from servofd.simulation.commands import COMMANDS
 

@@ -12,8 +12,8 @@ from servofd.discrepancy.record import Record, record_of
 from servofd.discrepancy.select import Rung, Selection
 from servofd.discrepancy.separate import MANOEUVRES, separations
 from servofd.servo.catalogue import effects_named
+from servofd.servo.effects import MissingEffect
 from servofd.servo.library import servo_named
-from servofd.servo.missing_effect import MissingEffect
 from servofd.servo.servo_model import ServoModel
 
 NOISE_DEG = 0.1

@@ -16,10 +16,9 @@ import servofd
 from servofd.aircraft.schema import plain_aircraft
 from servofd.cli import main
 from servofd.servo import catalogue
-from servofd.servo.effect_table import effects_installed
+from servofd.servo.catalogue import effects_installed
 from servofd.servo.effects import Extension
-from servofd.servo.failing import Fault
-from servofd.servo.faults import FAULTS, Stuck
+from servofd.servo.faults import FAULTS, Fault, Stuck
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel, plant_of
 from servofd.simulation.commands import lively

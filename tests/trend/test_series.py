@@ -7,9 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from servofd.wear.events import find_events
-from servofd.wear.forecast import FEWEST_FLIGHTS, forecast
-from servofd.wear.series import Piece, fit_line, pieces
+from servofd.wear.series import FEWEST_FLIGHTS, Piece, find_events, fit_line, forecast, pieces
 
 TELLING = dict.fromkeys(("dead_band_deg", "bias_deg", "delay_s", "bandwidth_hz", "noise_deg"), 0.1)
 

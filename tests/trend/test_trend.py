@@ -16,13 +16,10 @@ from servofd.core.errors import ConfigError, NoMeasurement
 from servofd.estimate.statistics import Estimate
 from servofd.outputs.trend_page import trend_page
 from servofd.servo.faults import DeadBand
-from servofd.servo.play import play
+from servofd.servo.kernel import play
 from servofd.simulation.flight import simulate_flight
-from servofd.wear.document import trend_document
-from servofd.wear.estimate import estimate_flight
-from servofd.wear.logs import FlownLog, in_order
-from servofd.wear.records import FlightEstimate
-from servofd.wear.trend import trend_of
+from servofd.wear.estimate import FlightEstimate, estimate_flight
+from servofd.wear.trend import FlownLog, in_order, trend_document, trend_of
 from trend_fleets import crossing_at, healthy_fleet, widths_trend
 
 if TYPE_CHECKING:

@@ -13,8 +13,8 @@ from servofd.core.numeric import least
 from servofd.core.types import FloatArray
 from servofd.detection.bank.window import COLOUR, Explanation, Regression, Ridge
 from servofd.estimate.statistics import Estimate
+from servofd.servo.kernel import play
 from servofd.servo.motion import ExtendedServo
-from servofd.servo.play import play
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Fit of a servo to its motion: simulate, compare, correct, on true time stamps."""
+"""Shape of an all-pole servo, in parameters that cannot go wrong, and its exact response to held commands."""
 
 from __future__ import annotations
 
@@ -8,16 +8,117 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.core.errors import DesignError
+from servofd.core.errors import DesignError, IdentificationError
 from servofd.estimate.statistics import Estimate, descended, memory
-from servofd.identification.shape import LARGEST_LOG_GAIN, LONGEST_DELAY_S, LinearServo, shape_bounds
 from servofd.servo.effects import Delay, Effect, LinearDynamics, RateLimit
-from servofd.servo.play import play
+from servofd.servo.kernel import play
 from servofd.servo.servo_model import ServoModel
+from servofd.servo.transfer import TransferFunction
 
 if TYPE_CHECKING:
-    from servofd.core.types import FloatArray
+    from servofd.core.types import ComplexArray, FloatArray
     from servofd.identification.records import Run
+
+HIGHEST_ORDER = 3
+"""Of thesis Fig. 3.10."""
+LARGEST_LOG_GAIN = 14.0
+"""Logarithm: a dc gain is within 1e-6 and 1e6, whatever the units."""
+LONGEST_DELAY_S = 0.2
+"""Of a servo with its link: the slowest that was measured needs 0.06 s."""
+_SLOWEST_RAD_S, _NYQUIST_FREQUENCIES = 0.01, 20.0
+"""Poles that a test can show: a slower one does not move within it, a faster one has come to rest before the next
+sample (the fastest of thesis Fig. 3.10, 5074 rad/s, is 16 times the Nyquist frequency of its 100 Hz)."""
+_LOG_RANGE = 14.0
+"""Poles are kept within 1e-6 and 1e6 rad/s."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinearServo:
+    r"""Servo :math:`g\,a_0 e^{-\tau s} / (s^n + \dots + a_0)`, driven through a zero-order hold.
+
+    Parameters
+    ----------
+    shape : tuple of float
+        Logarithms: of the pole p (order 1), of wn² and 2 zeta wn of a second-order factor (order 2), of all three
+        (order 3). Every value is a stable servo; a real pair of poles needs no other form than a complex one.
+    delay_s : float
+        Transport delay without the hold [s].
+    gain : float
+        dc gain [deg/deg]; negative if the position runs against the command.
+    """
+
+    shape: tuple[float, ...]
+    delay_s: float
+    gain: float = 1.0
+
+    @classmethod
+    def of(cls, transfer: TransferFunction, delay_s: float) -> LinearServo:
+        """From a transfer function without zeros, of order 1 to 3."""
+        denominator = np.array(transfer.denominator) / transfer.denominator[0]
+        order = denominator.size - 1
+        if order == 3:
+            real = float(min(transfer.poles_rad_s, key=lambda p: (abs(p.imag), abs(p))).real)
+            (_, a1, a0), _ = np.polydiv(denominator, [1.0, -real])
+            shape = (np.log(-real), np.log(a0), np.log(a1))
+        else:
+            shape = tuple(np.log(denominator[:0:-1]))
+        return cls(tuple(float(value) for value in shape), delay_s, transfer.dc_gain)
+
+    @property
+    def order(self) -> int:
+        """Number of poles."""
+        return len(self.shape)
+
+    @property
+    def transfer(self) -> TransferFunction:
+        """Linear dynamics with the dc gain, without the delay."""
+        values = np.exp(np.clip(self.shape, -_LOG_RANGE, 2.0 * _LOG_RANGE))
+        if self.order == 1:
+            denominator = np.array([1.0, values[0]])
+        elif self.order == 2:
+            denominator = np.array([1.0, values[1], values[0]])
+        else:
+            denominator = np.convolve([1.0, values[0]], [1.0, values[2], values[1]])
+        return TransferFunction((self.gain * float(denominator[-1]),), tuple(denominator.tolist()))
+
+    @property
+    def poles_rad_s(self) -> ComplexArray:
+        """Poles [rad/s], shape (order,)."""
+        return self.transfer.poles_rad_s
+
+    @property
+    def lag_s(self) -> float:
+        """Delay and a1/a0 together: how late a slow ramp is followed [s]; known even where its parts are not."""
+        denominator = self.transfer.denominator
+        return self.delay_s + denominator[-2] / denominator[-1]
+
+    def sampled_response(self, frequency_rad_s: FloatArray, sample_time_s: float) -> ComplexArray:
+        """Exact response of sampled position to sampled, held command (modified z-transform)."""
+        poles = self._distinct_poles()
+        transfer = self.transfer
+        residues = transfer.numerator[0] / np.array([np.prod(p - poles[poles != p]) for p in poles])
+        whole = np.floor(max(self.delay_s, 0.0) / sample_time_s)
+        rest_s = self.delay_s - whole * sample_time_s
+        z = np.exp(1j * frequency_rad_s * sample_time_s)[:, np.newaxis]
+        late, full = np.exp(poles * (sample_time_s - rest_s)), np.exp(poles * sample_time_s)
+        parts = residues / poles * ((late - 1.0) + (full - late) / z) / (z - full)
+        response: ComplexArray = parts.sum(axis=1) * z[:, 0] ** -whole
+        return response
+
+    def _distinct_poles(self) -> ComplexArray:
+        """Poles moved apart by a thousandth where they coincide; the response changes by a millionth."""
+        poles = self.poles_rad_s.copy()
+        for k in range(1, poles.size):
+            if np.min(np.abs(poles[:k] - poles[k])) < 1e-3 * abs(poles[k]):
+                poles[k] *= 1.0 + 1e-3 * k
+        return poles
+
+
+def shape_bounds(order: int, sample_time_s: float) -> tuple[FloatArray, FloatArray]:
+    """Smallest and largest `LinearServo.shape` whose poles a test can show."""
+    powers = np.array({1: [1.0], 2: [2.0, 1.0], 3: [1.0, 2.0, 1.0]}[order])
+    return powers * np.log(_SLOWEST_RAD_S), powers * np.log(_NYQUIST_FREQUENCIES * np.pi / sample_time_s)
+
 
 _OUT_OF_REACH_DEG = 1e4
 _DEVIATION_LAGS = 20
@@ -133,15 +234,7 @@ class MotionFit:
         return self.whiteness > _WHITE
 
     def interval(self, quantity: Callable[[ServoCandidate], float]) -> Estimate:
-        """95 % interval of anything that follows from the servo, from the linear part of its dependence.
-
-        Examples
-        --------
-        >>> servo = ServoCandidate(LinearServo((3.4,), 0.004))
-        >>> fit = MotionFit(servo, np.zeros(1), (np.ones(3),), np.diag([0.0, 1e-4, 0.0]))
-        >>> fit.interval(lambda servo: servo.linear.delay_s).high.__round__(7)
-        0.0040196
-        """
+        """95 % interval of anything that follows from the servo, from the linear part of its dependence."""
         x = self.servo.vector()
         value = quantity(self.servo)
         scales = np.sqrt(np.diag(self.covariance))
@@ -161,25 +254,6 @@ def fit_motion(runs: Sequence[Run], start: ServoCandidate, *, evaluations: int =
 
     The mean error of each servo is its offset. The covariance takes the memory of the errors into account, so that
     intervals stay honest where the model is not the whole truth.
-
-    Parameters
-    ----------
-    start : ServoCandidate
-        Where to begin; what is None in it is not fitted.
-    evaluations : int
-        Most simulations for the descent, those of derivatives not counted.
-
-    Examples
-    --------
-    >>> from servofd.identification.records import prepared
-    >>> from servofd.aircraft.segment import Segment
-    >>> t = np.arange(500) / 100.0
-    >>> truth = ServoCandidate(LinearServo((3.4,), 0.004))
-    >>> command = np.sign(np.sin(3.0 * t**2))
-    >>> measured = truth.simulate(prepared(Segment("x", t, command, t, 0.0 * t)))
-    >>> fit = fit_motion([prepared(Segment("x", t, command, t, measured))], ServoCandidate(LinearServo((3.0,), 0.01)))
-    >>> round(1e3 * fit.servo.linear.delay_s, 4)
-    4.0
     """
     lower, upper = _bounds(runs, start)
     kinked = start.dead_band_deg is not None or start.rate_up_deg_s is not None
@@ -254,3 +328,21 @@ def _covariance(jacobian: FloatArray, errors: Sequence[FloatArray]) -> FloatArra
 def _von_neumann(errors: Sequence[FloatArray]) -> float:
     long = [error for error in errors if error.size > 2]
     return float(sum(np.sum(np.diff(e) ** 2) for e in long) / max(sum(np.sum(e**2) for e in long), 1e-300))
+
+
+_AT_LIMIT, _SATURATED_TIME, _DENSE_S = 0.97, 0.8, 2e-3
+
+
+def check_saturation(run: Run, servo: ServoCandidate, label: str) -> None:
+    """Refuse a servo that runs at its rate limit all the time: a triangle shows no dynamics."""
+    if servo.rate_up_deg_s is None:
+        return
+    slowest_deg_s = min(servo.rate_up_deg_s, servo.rate_down_deg_s or servo.rate_up_deg_s)
+    dense_s = np.arange(run.measured_s[0], run.measured_s[-1], _DENSE_S)
+    speed_deg_s = np.abs(np.diff(servo.simulate(replace(run, measured_s=dense_s, measured_deg=dense_s)))) / _DENSE_S
+    share = float(np.mean(speed_deg_s > _AT_LIMIT * slowest_deg_s))
+    if share > _SATURATED_TIME:
+        raise IdentificationError(
+            f"{label}: the servo moves at its rate limit of about {slowest_deg_s:.0f} deg/s for {share:.0%} of the "
+            "time, which hides its dynamics; use a smaller amplitude"
+        )

@@ -1,0 +1,356 @@
+"""Smoothed frequency response of a servo from a sweep: Blackman and Tukey's method, MATLAB's ``spa`` (thesis 3.3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servofd.core.errors import IdentificationError
+from servofd.core.series import stretches
+from servofd.estimate.statistics import descended, mean_loss
+from servofd.identification.motion import LARGEST_LOG_GAIN, LONGEST_DELAY_S, LinearServo, shape_bounds
+from servofd.servo.transfer import TransferFunction
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from servofd.core.types import BoolArray, ComplexArray, FloatArray
+
+LAGS_S = 4.0
+"""Reach of the lag window: 400 lags at 100 Hz. With 100 (thesis Appendix A) poles come out four times as wrong,
+because a narrow window smears the resonance; with more the estimate is no longer smooth (measured)."""
+
+LOWEST_COHERENCE = 0.8
+"""Below this the response says nothing (thesis 3.4)."""
+
+_EXCITED_SHARE = 0.1
+"""Of the strongest power of the command, per hertz or per octave: linear and exponential sweeps count as a whole."""
+_UPPER_SHARE = 0.8
+"""Of the highest excited frequency: the thesis sweeps to 25 Hz and fits to 20 Hz (Appendix A)."""
+_FREQUENCIES = 4096
+_LEAST_POWER = 1e-100
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrequencyResponse:
+    """Response of sampled position to sampled command; it contains the hold of the command.
+
+    Parameters
+    ----------
+    frequency_rad_s : ndarray, shape (m,)
+        Rising, above zero [rad/s].
+    response : ndarray, shape (m,)
+        Complex gain [deg/deg].
+    coherence : ndarray, shape (m,)
+        Between 0 and 1: share of the position's power that a linear servo explains.
+    command_power : ndarray, shape (m,)
+        Spectral density of the command, of any scale.
+    sample_time_s : float
+        Period of the samples and of the hold [s].
+    """
+
+    frequency_rad_s: FloatArray
+    response: ComplexArray
+    coherence: FloatArray
+    command_power: FloatArray
+    sample_time_s: float
+
+    @property
+    def phase_rad(self) -> FloatArray:
+        """Unwrapped phase, shape (m,)."""
+        phase: FloatArray = np.unwrap(np.angle(self.response))
+        return phase
+
+    def band_rad_s(self) -> tuple[float, float] | None:
+        """Range of frequencies that were excited and in which the position follows the command.
+
+        Returns
+        -------
+        tuple of float, or None
+            Lowest and highest frequency [rad/s]; None if the coherence is nowhere above 0.8.
+        """
+        per_octave = self.frequency_rad_s * self.command_power
+        excited = (self.command_power >= _EXCITED_SHARE * self.command_power.max()) | (
+            per_octave >= _EXCITED_SHARE * per_octave.max()
+        )
+        highest = _UPPER_SHARE * self.frequency_rad_s[excited][-1]
+        good = excited & (self.frequency_rad_s <= highest) & (self.coherence > LOWEST_COHERENCE)
+        first, last = _longest_run(good)
+        return (float(self.frequency_rad_s[first]), float(self.frequency_rad_s[last])) if last > first else None
+
+    def within(self, band_rad_s: tuple[float, float]) -> FrequencyResponse:
+        """About 150 frequencies of a band, evenly spaced on a logarithmic scale, for a fit."""
+        wanted = np.geomspace(*band_rad_s, 150)
+        return self._at(np.unique(np.searchsorted(self.frequency_rad_s, wanted * (1.0 - 1e-12))))
+
+    def _at(self, index: np.ndarray[tuple[int], np.dtype[np.int64]]) -> FrequencyResponse:
+        return FrequencyResponse(
+            self.frequency_rad_s[index],
+            self.response[index],
+            self.coherence[index],
+            self.command_power[index],
+            self.sample_time_s,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spread:
+    """How far servos of one kind differ: standard deviations at each frequency, shape (m,)."""
+
+    log_magnitude: FloatArray
+    phase_rad: FloatArray
+
+
+def estimate(
+    command_deg: FloatArray, measured_deg: FloatArray, sample_time_s: float, lags: int | None = None
+) -> FrequencyResponse:
+    """Estimate the response from uniform samples.
+
+    Biased covariances up to `lags`, a Hann window over them, and their Fourier transforms: the ratio of the cross
+    to the command's spectrum is the response, what remains of the position's spectrum sets the coherence.
+    """
+    reach = min(round(LAGS_S / sample_time_s), command_deg.size // 4) if lags is None else lags
+    window = 0.5 * (1.0 + np.cos(np.pi * np.arange(-reach, reach + 1) / reach))
+    u, y = command_deg - command_deg.mean(), measured_deg - measured_deg.mean()
+    size = 2 * max(_FREQUENCIES, 1 << int(np.ceil(np.log2(2 * reach + 1))))
+    spectra = [_spectrum(window * _covariance(a, b, reach), reach, size) for a, b in ((y, u), (u, u), (y, y))]
+    cross, command, position = spectra[0], *(np.maximum(s.real, _LEAST_POWER) for s in spectra[1:])
+    frequency_rad_s: FloatArray = np.arange(size // 2 + 1, dtype=float) * (2.0 * np.pi / (size * sample_time_s))
+    coherence = np.minimum(np.abs(cross) ** 2 / (command * position), 1.0)
+    inner = slice(1, -1)
+    return FrequencyResponse(
+        frequency_rad_s[inner], (cross / command)[inner], coherence[inner], command[inner], sample_time_s
+    )
+
+
+def raw_response(command_deg: FloatArray, measured_deg: FloatArray) -> ComplexArray:
+    """Ratio of the plain Fourier transforms, the thesis' "raw" response, shape (n // 2 + 1,); NaN where unexcited.
+
+    Examples
+    --------
+    >>> bool(np.allclose(raw_response(np.array([2.0, 0.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0])), 0.5))
+    True
+    """
+    command, measured = np.fft.rfft(command_deg), np.fft.rfft(measured_deg)
+    excited = np.abs(command) > 1e-12 * np.abs(command).max()
+    ratio: ComplexArray = np.full(command.size, np.nan, dtype=complex)
+    ratio[excited] = measured[excited] / command[excited]
+    return ratio
+
+
+def average(responses: Sequence[FrequencyResponse]) -> tuple[FrequencyResponse, Spread]:
+    """Average servos of one kind: logarithm of magnitude and unwrapped phase, weighted by coherence (thesis 3.3)."""
+    grid = responses[0].frequency_rad_s
+    rows = [
+        [np.interp(grid, r.frequency_rad_s, v) for v in (np.log(np.abs(r.response)), r.phase_rad, r.coherence)]
+        for r in responses
+    ]
+    magnitudes, phases, coherences = (np.array(values) for values in zip(*rows, strict=True))
+    weights = coherences + 1e-12
+    weights /= weights.sum(axis=0)
+    magnitude, phase = (weights * magnitudes).sum(axis=0), (weights * phases).sum(axis=0)
+    spread = Spread(
+        np.sqrt((weights * (magnitudes - magnitude) ** 2).sum(axis=0)),
+        np.sqrt((weights * (phases - phase) ** 2).sum(axis=0)),
+    )
+    power = np.mean([np.interp(grid, r.frequency_rad_s, r.command_power) for r in responses], axis=0)
+    nominal = FrequencyResponse(
+        grid, np.exp(magnitude + 1j * phase), (weights * coherences).sum(axis=0), power, responses[0].sample_time_s
+    )
+    return nominal, spread
+
+
+def _covariance(a: FloatArray, b: FloatArray, reach: int) -> FloatArray:
+    """Biased covariance of a(t + k) and b(t) for k from -reach to reach."""
+    from scipy.fft import irfft, next_fast_len, rfft
+
+    size = next_fast_len(a.size + reach, real=True)
+    circular = irfft(rfft(a, size) * np.conj(rfft(b, size)), size)
+    covariance: FloatArray = np.concatenate([circular[-reach:], circular[: reach + 1]]) / a.size
+    return covariance
+
+
+def _spectrum(covariance: FloatArray, reach: int, size: int) -> ComplexArray:
+    """Fourier transform of a windowed covariance, lag zero in the middle."""
+    folded = np.zeros(size)
+    folded[: reach + 1], folded[-reach:] = covariance[reach:], covariance[:reach]
+    spectrum: ComplexArray = np.fft.rfft(folded)
+    return spectrum
+
+
+def _longest_run(flags: BoolArray) -> tuple[int, int]:
+    """First and last index of the longest stretch of true flags; a hole of one tenth of it may be bridged."""
+    merged: list[tuple[int, int]] = []
+    for first, last in ((a, b - 1) for a, b in stretches(flags)):
+        if merged and first - merged[-1][1] <= 0.1 * (merged[-1][1] - merged[-1][0]):
+            merged[-1] = (merged[-1][0], last)
+        else:
+            merged.append((first, last))
+    return max(merged, key=lambda run: run[1] - run[0], default=(0, -1))
+
+
+_DELAY_STEP_S, _LONGEST_DELAY_S = 1e-3, 0.08
+_ITERATIONS = 8
+_LARGEST_WEIGHT = 10.0
+_STEP = 1e-6
+"""Of derivatives, in logarithms and milliseconds."""
+FAR_POLES = (3.0, 8.0, 20.0)
+"""Starts for a second pole, in multiples of the first: far poles and delay trade off, one start is not enough."""
+
+
+def start_value(response: FrequencyResponse, order: int) -> LinearServo:
+    """All-pole servo near a response.
+
+    The hold is divided out, then for delays of 0, 1, 2 ... ms the linear least-squares problem of Sanathanan and
+    Koerner is iterated; the delay with the smallest error wins. Free zeros would eat the delay, so there are none.
+    """
+    w, half = response.frequency_rad_s, 0.5 * response.sample_time_s
+    plain = response.response / (np.sinc(w * half / np.pi) * np.exp(-1j * w * half))
+    scale = float(np.sqrt(w[0] * w[-1]))
+    s, weight = np.asarray(1j * w / scale, dtype=complex), _weights(response)
+    best, smallest = None, np.inf
+    for delay_s in np.arange(0.0, _LONGEST_DELAY_S, _DELAY_STEP_S):
+        denominator, gain, error = _all_pole(s, plain * np.exp(1j * w * delay_s), weight, order)
+        if error < smallest:
+            best, smallest = (float(delay_s), denominator, gain), error
+    if best is None:
+        return LinearServo(tuple([np.log(scale)] * order), 0.0)
+    delay_s, denominator, gain = best
+    return _stable(denominator * scale ** np.arange(order + 1), gain, delay_s)
+
+
+def fit_response(response: FrequencyResponse, order: int) -> LinearServo:
+    """Fit an all-pole servo, with the hold and the fractional delay exact.
+
+    Least squares on the logarithm of the ratio of response and model, which weighs magnitude and phase alike at all
+    frequencies, with weights sqrt(c / (1 - c)) from the coherence c.
+    """
+    fits = [_refine(response, start) for start in _starts(response, order)]
+    return min(fits, key=lambda pair: pair[1])[0]
+
+
+def _starts(response: FrequencyResponse, order: int) -> list[LinearServo]:
+    starts = [start_value(response, order)]
+    if order == 2:
+        one = start_value(response, 1)
+        pole = float(np.exp(one.shape[0]))
+        starts += [
+            LinearServo((np.log(far * pole**2), np.log((1.0 + far) * pole)), one.delay_s, one.gain) for far in FAR_POLES
+        ]
+    return starts
+
+
+def _refine(response: FrequencyResponse, start: LinearServo) -> tuple[LinearServo, float]:
+    """The servo at the foot of the slope, and its robust cost."""
+    sign = np.sign(start.gain) or 1.0
+    weight = _weights(response)
+
+    def servo(x: FloatArray) -> LinearServo:
+        return LinearServo(tuple(x[:-2]), float(x[-2]) * 1e-3, float(sign * np.exp(x[-1])))
+
+    def residual(x: FloatArray) -> FloatArray:
+        model = servo(x).sampled_response(response.frequency_rad_s, response.sample_time_s)
+        ratio = np.log(response.response / model) * weight
+        return np.concatenate([ratio.real, ratio.imag])
+
+    def slopes(x: FloatArray) -> FloatArray:
+        here = residual(x)
+        return np.column_stack([(residual(x + _STEP * unit) - here) / _STEP for unit in np.eye(x.size)])
+
+    x0 = np.array([*start.shape, 1e3 * start.delay_s, np.log(abs(start.gain))])
+    slowest, fastest = shape_bounds(start.order, response.sample_time_s)
+    lower = np.array([*slowest, 0.0, -LARGEST_LOG_GAIN])
+    upper = np.array([*fastest, 1e3 * LONGEST_DELAY_S, LARGEST_LOG_GAIN])
+    x0 = np.clip(x0, lower + 1e-3, upper - 1e-3)
+    with np.errstate(all="ignore"):
+        if not np.all(np.isfinite(residual(x0))):
+            return start, np.inf
+        found, _ = descended(residual, slopes, x0, (lower, upper), evaluations=50, scale_deg=1.0)
+        return servo(found), mean_loss(residual(found), 1.0)
+
+
+def _weights(response: FrequencyResponse) -> FloatArray:
+    coherence = np.clip(response.coherence, 0.0, 1.0 - 1e-9)
+    weights: FloatArray = np.minimum(np.sqrt(coherence / (1.0 - coherence)), _LARGEST_WEIGHT)
+    return weights
+
+
+def _all_pole(
+    s: ComplexArray, response: ComplexArray, weight: FloatArray, order: int
+) -> tuple[FloatArray, float, float]:
+    """Denominator, dc gain and error of one iteration sequence, on scaled frequencies."""
+    powers = s[:, np.newaxis] ** np.arange(order - 1, -1, -1)
+    size, denominator, error = np.ones(s.size), np.zeros(order + 1), np.inf
+    for _ in range(_ITERATIONS):
+        factor = (weight / size / np.abs(response))[:, np.newaxis]
+        matrix = np.hstack([response[:, np.newaxis] * powers, -np.ones((s.size, 1))]) * factor
+        target = -(response * s**order) * factor[:, 0]
+        solution = np.linalg.lstsq(
+            np.vstack([matrix.real, matrix.imag]), np.concatenate([target.real, target.imag]), rcond=None
+        )[0]
+        denominator = np.concatenate([[1.0], solution[:-1]])
+        values = np.polyval(denominator, s)
+        size = np.maximum(np.abs(values), 1e-12)
+        error = float(np.sum(np.abs(weight * (solution[-1] / values / response - 1.0)) ** 2))
+    stable = bool(np.all(np.roots(denominator).real < 0.0))
+    gain = float(solution[-1] / denominator[-1]) if denominator[-1] else 1.0
+    return denominator, gain, error if stable else np.inf
+
+
+def _stable(denominator: FloatArray, gain: float, delay_s: float) -> LinearServo:
+    return LinearServo.of(TransferFunction((gain * denominator[-1],), tuple(denominator.tolist())), delay_s)
+
+
+_LARGEST_RIPPLE = 3.0
+"""Of the logarithm of the magnitude: a factor of 20 is no fit."""
+_LOWEST = 1e-9
+_FAR = 1e3
+"""The squared magnitude must stay positive up to so many times the highest frequency of the fit."""
+
+
+def fit_magnitude(response: FrequencyResponse, order: int) -> LinearServo:
+    r"""Fit the magnitude as MATLAB's ``fitmagfrd`` does, then the delay to the phase.
+
+    With :math:`x = (w/w_g)^2` an all-pole servo has :math:`|G|^2 = 1 / A(x)`. The smallest g for which a polynomial
+    with :math:`e^{-2g} \le |G_{sm}|^2 A \le e^{2g}` exists is found by a linear programme (HiGHS); the roots of A give
+    the poles, :math:`s = -\sqrt{-x}`. Unlike the thesis, the hold is divided out first, so that neither the magnitude
+    nor the delay contains it. Fragile where poles lie far beyond the band.
+    """
+    w, half = response.frequency_rad_s, 0.5 * response.sample_time_s
+    plain = response.response / (np.sinc(w * half / np.pi) * np.exp(-1j * w * half))
+    scale = float(np.sqrt(w[0] * w[-1]))
+    polynomial = _smallest_ripple((w / scale) ** 2, np.abs(plain) ** 2, order)
+    poles = -np.sqrt(-np.roots(polynomial).astype(complex)) * scale
+    if poles.size < order or not np.all(poles.real < 0.0):
+        raise IdentificationError(
+            f"no stable servo of order {order} has this magnitude; try a lower --order, or --method response"
+        )
+    denominator = np.poly(poles).real
+    gain = float(1.0 / np.sqrt(polynomial[-1]))
+    transfer = TransferFunction((gain * float(denominator[-1]),), tuple(denominator.tolist()))
+    phase_rad = np.unwrap(np.angle(plain / transfer.at(np.asarray(1j * w, dtype=complex))))
+    phase_rad -= 2.0 * np.pi * np.round(phase_rad[0] / (2.0 * np.pi))
+    return LinearServo.of(transfer, float(-(phase_rad @ w) / (w @ w)))
+
+
+def _smallest_ripple(x: FloatArray, power: FloatArray, order: int) -> FloatArray:
+    """Coefficients of A, highest power first: exp(2 g) A and exp(4 g) are the unknowns of one linear programme."""
+    from scipy.optimize import linprog
+
+    rows = power[:, np.newaxis] * np.vander(x, order + 1)
+    far = np.vander(np.geomspace(x[-1], x[-1] * _FAR, 30), order + 1)
+    far /= far.max(axis=1, keepdims=True)
+    one, none = np.ones((x.size, 1)), np.zeros((x.size, 1))
+    result = linprog(
+        np.append(np.zeros(order + 1), 1.0),
+        A_ub=np.vstack([np.hstack([rows, -one]), np.hstack([-rows, none]), np.pad(-far, ((0, 0), (0, 1)))]),
+        b_ub=np.concatenate([np.zeros(x.size), -np.ones(x.size), np.full(len(far), -_LOWEST)]),
+        bounds=[(None, None)] * order + [(_LOWEST, None), (1.0, np.exp(4.0 * _LARGEST_RIPPLE))],
+        method="highs",
+    )
+    if result.status != 0 or result.x is None:
+        raise IdentificationError(f"no servo of order {order} comes near this magnitude")
+    coefficients: FloatArray = result.x[:-1] / np.sqrt(result.x[-1])
+    return coefficients
