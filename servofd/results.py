@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, overload
 
 from servofd.aircraft.segment import Segment
-from servofd.calibrating.result import Calibration
+from servofd.calibrating.result import Calibration, calibration_to_toml
 from servofd.core.errors import ConfigError, NoMeasurement, UnknownName, needs, suggest
 from servofd.core.files import write_whole
 from servofd.detection.verdict import LogAudit, SurfaceAudit
@@ -18,8 +18,17 @@ from servofd.identification.identify import identify as identify_records
 from servofd.identification.result import Identification
 from servofd.jobs import bench, workflow
 from servofd.jobs.explaining import explain_logs
+from servofd.outputs.audit_page import audit_page
+from servofd.outputs.explain_page import explain_figures, explain_page
+from servofd.outputs.figure import audit_figure
+from servofd.outputs.identify_page import identified, identify_figures, identify_page, sentence_of
+from servofd.outputs.json_report import audit_document
+from servofd.outputs.model_file import model_file
+from servofd.outputs.odds_figure import calibrate_figure
+from servofd.outputs.page import page
 from servofd.outputs.sentence import spoken, whole_sentence, worst
-from servofd.wear.trend import AircraftTrend, trend_logs
+from servofd.outputs.trend_page import quantity_row, trend_page, trend_picture, verdict
+from servofd.wear.trend import AircraftTrend, trend_document, trend_logs
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -87,8 +96,6 @@ class Shown(ABC):
         return "\n".join([head, *(f"  {line}" for line in lines)])
 
     def _repr_html_(self) -> str:
-        from servofd.outputs.page import page
-
         rows = self._rows()
         return page(
             "cell.html",
@@ -144,14 +151,10 @@ class Audit(LogAudit, Shown):
 
     def to_html(self) -> str:
         """Text of the page that ``servofd LOG`` writes."""
-        from servofd.outputs.audit_page import audit_page
-
         return audit_page([self])
 
     def to_dict(self) -> dict[str, Any]:
         """As in JSON, schema servofd.audit/1."""
-        from servofd.outputs.json_report import audit_document
-
         return audit_document([self])
 
     def series(self, surface: str) -> pd.DataFrame:
@@ -176,8 +179,6 @@ class Audit(LogAudit, Shown):
     def plot(self, surface: str | None = None) -> Figure:
         """Figure of one surface; of the worst that could be judged if none is named."""
         needs("matplotlib")
-        from servofd.outputs.figure import audit_figure
-
         drawn = [one for one in self.surfaces if one.residuals is not None and one.threshold is not None]
         if surface is None and not drawn:
             raise ConfigError(f"nothing to draw: {self.sentence}")
@@ -237,8 +238,6 @@ class Audits(tuple[Audit, ...]):
 
     def save_html(self, path: str | Path) -> Path:
         """Write the page of all runs, and give the path."""
-        from servofd.outputs.audit_page import audit_page
-
         write_whole(path, audit_page(self).encode())
         return Path(path)
 
@@ -327,8 +326,6 @@ class Identified(Identification, Shown):
     @property
     def sentence(self) -> str:
         """What was identified."""
-        from servofd.outputs.identify_page import sentence_of
-
         return f"{spoken(self.surface)}: {sentence_of(self)}"
 
     @property
@@ -339,20 +336,14 @@ class Identified(Identification, Shown):
     def to_html(self) -> str:
         """Text of the page that ``servofd identify --html`` writes."""
         needs("matplotlib")
-        from servofd.outputs.identify_page import identify_page
-
         return identify_page(self, self._facts())
 
     def plot(self) -> Figure:
         """Figure of the frequency response, or of the motion where there is none."""
         needs("matplotlib")
-        from servofd.outputs.identify_figures import identify_figures
-
         return identify_figures(self)[0].figure
 
     def _rows(self) -> list[dict[str, Any]]:
-        from servofd.outputs.identify_page import identified
-
         return [dict(zip(("quantity", "value", "interval"), row, strict=True)) for row in identified(self)]
 
     def _facts(self) -> str:
@@ -436,14 +427,10 @@ class Explained(Shown):
     def plot(self) -> Figure:
         """Figure of the motion where the models differ most."""
         needs("matplotlib")
-        from servofd.outputs.explain_figures import explain_figures
-
         return explain_figures(self.explanation, "explain")[0].figure
 
     def save(self, path: str | Path) -> Path:
         """Write the aircraft file with the better model, and give the path."""
-        from servofd.outputs.model_file import model_file
-
         text, _ = model_file([self.explanation], self.aircraft, self.source, self.logs)
         write_whole(path, text.encode())
         return Path(path)
@@ -451,8 +438,6 @@ class Explained(Shown):
     def to_html(self) -> str:
         """Text of the page that ``servofd explain --html`` writes."""
         needs("matplotlib")
-        from servofd.outputs.explain_page import explain_page
-
         return explain_page([self.explanation], self.source)
 
     def _rows(self) -> list[dict[str, Any]]:
@@ -516,8 +501,6 @@ class Calibrated(Calibration, Shown):
 
     def to_toml(self) -> str:
         """The aircraft file, with its comments."""
-        from servofd.calibrating.result import calibration_to_toml
-
         return calibration_to_toml(self)
 
     def save(self, path: str | Path) -> Path:
@@ -527,8 +510,6 @@ class Calibrated(Calibration, Shown):
 
     def to_html(self) -> str:
         """The table as a page."""
-        from servofd.outputs.page import page
-
         rows = [["none" if value is None else value for value in row.values()] for row in self._rows()]
         return page(
             "table.html",
@@ -543,8 +524,6 @@ class Calibrated(Calibration, Shown):
     def plot(self) -> Figure:
         """Figure of the smallest faults that flights like these show."""
         needs("matplotlib")
-        from servofd.outputs.calibrate_figure import calibrate_figure
-
         return calibrate_figure(self)
 
     def _rows(self) -> list[dict[str, Any]]:
@@ -617,8 +596,6 @@ class Trend(AircraftTrend, Shown):
     @property
     def sentence(self) -> str:
         """Which limit is exceeded or in sight."""
-        from servofd.outputs.trend_page import verdict
-
         return verdict(self._document())
 
     @property
@@ -628,15 +605,11 @@ class Trend(AircraftTrend, Shown):
 
     def to_html(self) -> str:
         """Text of the page that ``servofd trend --html`` writes."""
-        from servofd.outputs.trend_page import trend_page
-
         return trend_page(self._document())
 
     def plot(self, surface: str | None = None) -> Figure:
         """Figure of one surface over its flights; of the first that has an alarm, or of the first, if none is named."""
         needs("matplotlib")
-        from servofd.outputs.trend_page import trend_picture
-
         known = {one.surface: one for one in self.surfaces}
         name = surface or next((one.surface for one in self.surfaces if one.alarms), next(iter(known)))
         if name not in known:
@@ -644,13 +617,9 @@ class Trend(AircraftTrend, Shown):
         return trend_picture(name, self._document()["surfaces"][name]).figure
 
     def _document(self) -> dict[str, Any]:
-        from servofd.wear.trend import trend_document
-
         return trend_document(self)
 
     def _rows(self) -> list[dict[str, Any]]:
-        from servofd.outputs.trend_page import quantity_row
-
         names = ("quantity", "now", "per_flight", "limit", "forecast")
         return [
             {"surface": name} | dict(zip(names, quantity_row(one), strict=True))

@@ -18,20 +18,15 @@ MODULES = sorted([*ROOT.glob("servofd/**/*.py"), *ROOT.glob("logparsers/**/*.py"
 ONLY_IN = {
     "rerun": {
         "servofd/outputs/live_recording.py",
-        *(
-            f"servofd/outputs/recording/{name}.py"
-            for name in ("clock", "layout", "read", "scene", "stream", "views", "write")
-        ),
+        *(f"servofd/outputs/recording/{name}.py" for name in ("layout", "read", "scene", "stream", "write")),
     },
     "matplotlib": {
-        "servofd/outputs/calibrate_figure.py",
-        "servofd/outputs/figure.py",
-        "servofd/outputs/explain_figures.py",
-        "servofd/outputs/identify_figures.py",
         "servofd/outputs/odds_figure.py",
+        "servofd/outputs/figure.py",
+        "servofd/outputs/explain_page.py",
+        "servofd/outputs/identify_page.py",
         "servofd/outputs/picture.py",
         "servofd/outputs/trend_page.py",
-        "servofd/cli/design.py",
         "servofd/results.py",
     },
     "jinja2": {"servofd/outputs/page.py", "servofd/onboard/script.py"},
@@ -43,9 +38,9 @@ ONLY_IN = {
     "pyulog": {"logparsers/ulog/bounded.py"},
     "h5py": {"logparsers/hdf5.py"},
     "control": {"servofd/servo/transfer.py"},
-    "starlette": {f"servofd/serve/{name}.py" for name in ("app", "guard", "server")},
-    "uvicorn": {"servofd/serve/server.py"},
-    "distributed": {"servofd/batch/cluster.py"},
+    "starlette": {f"servofd/serve/{name}.py" for name in ("app", "guard")},
+    "uvicorn": {"servofd/serve/guard.py"},
+    "distributed": {"servofd/batch/local.py"},
 }
 
 

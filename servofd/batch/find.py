@@ -1,4 +1,4 @@
-"""Which logs there are: files, folders, patterns and addresses, recognised by their content."""
+"""Which logs there are: files, folders, patterns and addresses, recognised by their content, and brought here."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ import glob
 import io
 import os
 import re
+import shutil
+import tempfile
 from collections import Counter
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +19,7 @@ from logparsers import EmptyLog, LogError
 from logparsers.detect import detect
 from logparsers.exports import flight_of, kind_of
 from logparsers.source import HEAD_BYTES, files_of, heads
-from servofd.core.errors import ConfigError, without
+from servofd.core.errors import ConfigError, needs, without
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -97,13 +100,7 @@ def find_logs(inputs: Sequence[str], layout: TableLayout | None = None) -> Found
 
 
 def is_address(text: str) -> bool:
-    """Whether fsspec opens it, such as ``s3://bucket/flight.bin``.
-
-    Examples
-    --------
-    >>> is_address("s3://bucket/logs"), is_address("logs/a.csv")
-    (True, False)
-    """
+    """Whether fsspec opens it, such as ``s3://bucket/flight.bin``."""
     return "://" in text
 
 
@@ -294,3 +291,29 @@ def _remote_files(address: str) -> Iterator[tuple[str, int, Any]]:
         hidden = Path(name).name.startswith(".")
         if info.get("type") == "file" and not hidden:
             yield system.unstrip_protocol(name), int(info.get("size") or 0), remote_heads
+
+
+@contextmanager
+def fetched(path: str) -> Iterator[str]:
+    """Give a local file: the log itself, or a copy of the same name that is gone afterwards.
+
+    Examples
+    --------
+    >>> with fetched("a.csv") as local:
+    ...     local
+    'a.csv'
+    """
+    if not is_address(path):
+        yield path
+        return
+    with tempfile.TemporaryDirectory(prefix="servofd-") as folder:
+        target = Path(folder, Path(path).name or "log")
+        needs("fsspec")
+        import fsspec
+
+        try:
+            with fsspec.open(path, "rb") as remote, target.open("wb") as file:
+                shutil.copyfileobj(remote, file)
+        except (OSError, ImportError, ValueError) as error:
+            raise ConfigError(f"{path}: cannot be fetched: {error}") from None
+        yield str(target)

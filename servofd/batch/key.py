@@ -87,13 +87,7 @@ def page_name(path: str, content: str) -> str:
 
 
 def content_key(path: str) -> str:
-    """Digest of a log's bytes; of a remote one what its store tells of them (an ETag or time stamp), unread.
-
-    Examples
-    --------
-    >>> len(content_key("sample_logs/faser_healthy_flight.mat"))
-    32
-    """
+    """Digest of a log's bytes; of a remote one what its store tells of them (an ETag or time stamp), unread."""
     if is_address(path):
         from fsspec.core import url_to_fs
 

@@ -116,13 +116,7 @@ def parsed(words: Sequence[str]) -> Options:
 
 
 def _verb_for(words: Sequence[str]) -> str:
-    """What the words ask for: a verb, ``look`` at logs, or nothing where they name neither.
-
-    Examples
-    --------
-    >>> [_verb_for([word]) for word in ("flight.bin", "udpin:127.0.0.1:14550", "audti", "audit")]
-    ['look', 'monitor', '', 'audit']
-    """
+    """What the words ask for: a verb, ``look`` at logs, or nothing where they name neither."""
     first = words[0]
     if first.startswith("-"):
         of_the_program = first.partition("=")[0] in ("-h", "--help", "--version", "--print-completion")

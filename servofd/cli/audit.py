@@ -17,7 +17,7 @@ from servofd.detection.verdict import outline
 from servofd.feedback.flown import known_aircraft, layout_of
 from servofd.jobs.workflow import FailedLog, judged
 from servofd.outputs.json_report import audit_document
-from servofd.outputs.sparkline import sparkline
+from servofd.outputs.sentence import sparkline
 from servofd.servo.library import find_servo
 
 if TYPE_CHECKING:

@@ -5,10 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from servofd.core.errors import ConfigError, DesignError
-from servofd.core.files import whole_file
+from servofd.core.files import write_whole
 from servofd.detection.nullspace import design_nullspace_filter
 from servofd.detection.pulse import design_pulse_filter, fastest_pole_rad_s
+from servofd.outputs.picture import new_figure, saved
 from servofd.servo.library import servo_named
 
 if TYPE_CHECKING:
@@ -19,8 +22,6 @@ if TYPE_CHECKING:
 
 def run(options: Options) -> int:
     """Print the design."""
-    import numpy as np
-
     servo = servo_named(options.servo)
     if not 1e-3 <= options.rate_hz <= 1e6:
         raise DesignError(f"--rate-hz {options.rate_hz}: give a rate between 0.001 and 1e6 Hz")
@@ -66,16 +67,10 @@ def _print_step(sampled: PulseFilter) -> None:
 
 
 def _plot(servo: Servo, sampled: PulseFilter, path: Path) -> None:
-    import numpy as np
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     if path.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise ConfigError(f"{path}: draws .png, .svg or .pdf, not {path.suffix or 'a file without suffix'}")
     count = max(2, round(0.3 / sampled.sample_time_s)) + 1
-    figure = Figure(figsize=(8, 4.5), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots()
+    figure, (axes,) = new_figure(height=4.5, width=8.0)
     time_ms = 1e3 * sampled.sample_time_s * np.arange(count)
     axes.plot(time_ms, sampled.fault_step(count), marker=".", label="residual")
     axes.axhline(1.0, color="0.6", lw=0.8, ls="--", label="fault on the command")
@@ -84,5 +79,4 @@ def _plot(servo: Servo, sampled: PulseFilter, path: Path) -> None:
     axes.set_ylabel("residual [deg]")
     axes.grid(visible=True, color="0.9")
     axes.legend(frameon=False)
-    with whole_file(path) as temporary:
-        figure.savefig(temporary, dpi=110)
+    write_whole(path, saved(figure, path.suffix.lower().lstrip(".")))

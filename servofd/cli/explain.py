@@ -10,7 +10,7 @@ from servofd.core.errors import ConfigError
 from servofd.core.files import write_whole
 from servofd.jobs.explaining import explain_logs
 from servofd.outputs.explain_page import explain_page
-from servofd.outputs.explain_recording import save_explanation
+from servofd.outputs.identify_recording import save_explanation
 from servofd.outputs.model_file import model_file
 
 if TYPE_CHECKING:

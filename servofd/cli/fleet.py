@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from servofd.batch.find import Found, LogSource
     from servofd.batch.key import Job
     from servofd.cli.options import Options
-    from servofd.fleet.judge import JudgedLog
+    from servofd.fleet.run import JudgedLog
 
 _SHOWN = 3
 

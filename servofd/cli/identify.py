@@ -9,10 +9,9 @@ from servofd.cli.terminal import check_targets, give_json, progress
 from servofd.core.files import make_folder, write_whole
 from servofd.feedback.flown import known_aircraft
 from servofd.jobs.bench import identify_logs
-from servofd.outputs.identify_figures import identify_figures
-from servofd.outputs.identify_page import identify_page
+from servofd.outputs.identify_page import identify_figures, identify_page
 from servofd.outputs.identify_recording import save_identification
-from servofd.outputs.servo_file import servo_file
+from servofd.outputs.model_file import servo_file
 
 if TYPE_CHECKING:
     from servofd.cli.options import Options

@@ -14,8 +14,7 @@ from servofd.cli.terminal import give_json, one_line
 from servofd.core.files import beginning, distinct_file_names, write_whole
 from servofd.detection.words import next_step
 from servofd.jobs.workflow import FailedLog
-from servofd.outputs.audit_page import audit_page
-from servofd.outputs.motors import motors_of
+from servofd.outputs.audit_page import audit_page, motors_of
 from servofd.outputs.page import source_tag
 from servofd.outputs.sentence import spoken, whole_sentence, worst
 

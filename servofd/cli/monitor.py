@@ -20,8 +20,7 @@ from servofd.feedback.flown import one_log
 from servofd.live.channels import ChannelTable
 from servofd.live.run import Pace, replay_log, replay_telemetry, watch_link
 from servofd.live.session import Session
-from servofd.live.speaker import Speaker, signature_of
-from servofd.live.threads import Receiver
+from servofd.live.threads import Receiver, Speaker, signature_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
     from servofd.aircraft.schema import Aircraft
     from servofd.cli.options import Options
     from servofd.live.session import Session
-    from servofd.live.speaker import Speaker, signature_of
+    from servofd.live.threads import Speaker, signature_of
 
 _ON_THE_CARD, _HEAD_BYTES = b"CSRV", 16_000_000
 """A log that holds what ArduPilot writes on its card names this message in its beginning."""

@@ -13,7 +13,7 @@ from servofd.cli.options import LOOPBACK
 from servofd.core.errors import ConfigError
 from servofd.serve.app import application
 from servofd.serve.flights import Flights
-from servofd.serve.server import listening, serve
+from servofd.serve.guard import listening, serve
 from servofd.servo.library import find_servo
 
 if TYPE_CHECKING:

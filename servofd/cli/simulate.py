@@ -15,7 +15,7 @@ from servofd.aircraft.schema import UNKNOWN_SERVO, load_aircraft, plain_aircraft
 from servofd.cli.terminal import complain
 from servofd.core.errors import ConfigError, ServofdError, UnknownName, suggest
 from servofd.core.files import write_whole
-from servofd.live.speaker import signature_of
+from servofd.live.threads import signature_of
 from servofd.servo.catalogue import TabledEffect
 from servofd.servo.effects import Plan
 from servofd.servo.faults import FAULTS, in_order

@@ -61,18 +61,7 @@ def _print(found: tuple[SurfaceSweep, ...], title: str) -> None:
 
 
 def sweep_document(log: FlightLog, surfaces: Sequence[SurfaceSweep]) -> dict[str, Any]:
-    """All numbers of one sweep.
-
-    Examples
-    --------
-    >>> import logparsers
-    >>> from servofd.aircraft.schema import load_aircraft
-    >>> from servofd.jobs.sweep import check_sweep
-    >>> log = logparsers.read("sample_logs/faser_healthy_chirp.mat")
-    >>> document = sweep_document(log, check_sweep(log, load_aircraft("faser"), ("aileron_right",)))
-    >>> document["schema"], document["surfaces"]["aileron_right"]["status"]
-    ('servofd.sweep/1', 'go')
-    """
+    """All numbers of one sweep."""
     return {
         "schema": "servofd.sweep/1",
         "path": str(log.source),

@@ -196,13 +196,7 @@ def progress(what: str, total: int, done: int | None = None) -> Iterator[Callabl
 
 
 def give_json(target: str | None, document: dict[str, Any]) -> bool:
-    """Write a document to the file that ``--json`` names; or print it, where that is ``-``, and tell so.
-
-    Examples
-    --------
-    >>> give_json(None, {"schema": "servofd.audit/1"})
-    False
-    """
+    """Write a document to the file that ``--json`` names; or print it, where that is ``-``, and tell so."""
     from servofd.outputs.json_report import to_json
 
     if target and target != "-":
@@ -216,15 +210,6 @@ def check_targets(
     outputs: Iterable[str | None], inputs: Mapping[str, Iterable[str | None]], *, folder: str | None = None
 ) -> None:
     """Refuse outputs that cannot be written, or would overwrite an input or each other.
-
-    Parameters
-    ----------
-    outputs : iterable of str or None
-        Files to be written; ``None`` and ``-`` are none.
-    inputs : mapping of str to iterable of str or None
-        What each kind of input is called (``"a log"``), and the files of that kind.
-    folder : str, optional
-        Folder that will be made if it is not there.
 
     Examples
     --------

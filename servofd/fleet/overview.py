@@ -81,13 +81,7 @@ class Overview:
 
 
 def overview(logs: Sequence[dict[str, Any]]) -> Overview:
-    """Sum up.
-
-    Parameters
-    ----------
-    logs : sequence of dict
-        Rows of the table ``logs`` with their ``document`` as an entry of servofd.audit/1, and ``not_judged``.
-    """
+    """Sum up."""
     ordered = sorted(logs, key=_place)
     every = [(log, name, entry) for log in ordered for name, entry in log["document"]["surfaces"].items()]
     moved = [(name, entry) for log in ordered for name, entry in _axes(log).items()]

@@ -44,17 +44,7 @@ class BenchTest:
 def bench_tests(
     path: str | Path, aircraft: Aircraft | None = None, surface: str | None = None
 ) -> tuple[BenchTest, ...]:
-    """Take the tests of one servo out of a log; several if the file holds several runs.
-
-    Parameters
-    ----------
-    path : str or Path
-        Plain table, FASER log, autopilot log, or anything that an aircraft file explains.
-    aircraft : Aircraft, optional
-        What the channels are; left out, it is found as for an audit.
-    surface : str, optional
-        Which servo; may be left out if only one was measured.
-    """
+    """Take the tests of one servo out of a log; several if the file holds several runs."""
     logs = tuple(logs_of(path, aircraft))
     found: list[BenchTest] = []
     reasons: list[str] = []
@@ -120,13 +110,7 @@ def label_of(log: object) -> str:
 
 
 def bench_aircraft(path: object) -> Aircraft | None:
-    """What a plain bench record is: columns ``run``, ``t_s``, ``cmd`` and ``meas`` [deg]; None for any other file.
-
-    Examples
-    --------
-    >>> bench_aircraft("sample_logs/faser_healthy_chirp.mat") is None
-    True
-    """
+    """What a plain bench record is: columns ``run``, ``t_s``, ``cmd`` and ``meas`` [deg]; None for any other file."""
     if not isinstance(path, str | Path):
         return None
     try:

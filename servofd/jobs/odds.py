@@ -58,15 +58,7 @@ class LeftOut:
 
 
 def parts_of(audit: LogAudit) -> list[Part | LeftOut]:
-    """What one audited log can say about its healthy surfaces.
-
-    Examples
-    --------
-    >>> import servofd
-    >>> (audit,) = servofd.audit("sample_logs/faser_stuck_flight.mat")
-    >>> [type(part).__name__ for part in parts_of(audit)][:2]
-    ['LeftOut', 'Part']
-    """
+    """What one audited log can say about its healthy surfaces."""
     log = audit.log.source.name
     parts: list[Part | LeftOut] = []
     for surface in audit.surfaces:

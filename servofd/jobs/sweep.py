@@ -163,13 +163,7 @@ def check_sweep(log: FlightLog, aircraft: Aircraft, surfaces: tuple[str, ...] = 
 
 
 def check_segment(segment: Segment, surface: Surface, model: ServoModel) -> SurfaceSweep:
-    """Judge one surface: what a live check calls with the last seconds of its stream.
-
-    Returns
-    -------
-    SurfaceSweep
-        ``go`` only if the surface was moved enough, to both sides, for a stuck one to have shown.
-    """
+    """Judge one surface: what a live check calls with the last seconds of its stream."""
     name = segment.surface
     rate_hz = 1.0 / segment.period_s if segment.period_s > 0.0 else 0.0
     if rate_hz < SLOWEST_RATE_HZ:

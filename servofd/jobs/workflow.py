@@ -141,20 +141,7 @@ def calibrate_axes(
     spans: tuple[Span, ...] = (),
     own_days: bool = False,
 ) -> MotionModel:
-    """Calibrate what an aircraft's motion tells of its axes, on flights that are known to be good.
-
-    Parameters
-    ----------
-    spans : tuple of (from_s, to_s)
-        Which parts of each log are good [s]; all of it if empty.
-    own_days : bool
-        Whether flights of one date differ as days do: in payload, trim or wind.
-
-    Returns
-    -------
-    MotionModel
-        `servofd.aircraft.axes.motion_to_toml` makes a part of an aircraft file of it.
-    """
+    """Calibrate what an aircraft's motion tells of its axes, on flights that are known to be good."""
     from servofd.axes.calibrate import calibrate_motion
     from servofd.axes.read import motion_of
 

@@ -133,13 +133,7 @@ _STAMPS: dict[str, Stamp | None] = {}
 
 
 def stamp_of(message: str) -> Stamp | None:
-    """Time stamp of a message; None if it carries none.
-
-    Examples
-    --------
-    >>> stamp_of("SERVO_OUTPUT_RAW"), stamp_of("HEARTBEAT")
-    (Stamp(field='time_usec', tick_s=1e-06, bits=32), None)
-    """
+    """Time stamp of a message; None if it carries none."""
     if message not in _STAMPS:
         clock = dialect().layouts[message].clock if message in dialect().layouts else None
         _STAMPS[message] = Stamp(clock[0].name, clock[1], 8 * clock[0].dtype.itemsize) if clock else None

@@ -17,8 +17,7 @@ from servofd.aircraft.schema import plain_aircraft
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.live.alerts import Alerts
 from servofd.live.channels import ChannelTable
-from servofd.live.remote_log import RemoteLog
-from servofd.live.requests import Requests
+from servofd.live.requests import RemoteLog, Requests
 from servofd.live.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -38,13 +37,7 @@ _LATEST_US = 2**64 - 1
 
 
 def stamped(arrival_s: float, frame: bytes) -> bytes:
-    """A frame as a telemetry log holds it: after its arrival time in microseconds.
-
-    Examples
-    --------
-    >>> stamped(1.5, b"frame").hex()
-    '000000000016e3606672616d65'
-    """
+    """A frame as a telemetry log holds it: after its arrival time in microseconds."""
     return struct.pack(">Q", min(round(arrival_s * 1e6), _LATEST_US)) + frame
 
 

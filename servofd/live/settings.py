@@ -38,13 +38,7 @@ class Change(NamedTuple):
 
 
 def output_of(channel: str) -> int | None:
-    """Number of the autopilot's output that a channel belongs to; None if its name does not tell.
-
-    Examples
-    --------
-    >>> output_of("SERVO_OUTPUT_RAW.servo12_raw"), output_of("RCOU.C3"), output_of("CSRV[0].PosCmd"), output_of("x")
-    (12, 3, 1, None)
-    """
+    """Number of the autopilot's output that a channel belongs to; None if its name does not tell."""
     found = _OUTPUT.search(channel)
     if found is None:
         return None
@@ -52,15 +46,7 @@ def output_of(channel: str) -> int | None:
 
 
 def rescaled(command: Calibration, scale: float) -> Calibration | None:
-    """Calibration of a command whose pulses ask for so many times as much; None if that cannot be told.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> pulse = PulseCalibration(channel="pwm", unit="us", trim_us=1510.0, slope_deg_per_us=0.2)
-    >>> rescaled(pulse, 0.5).to_deg(np.array([1500.0, 1600.0])), pulse.to_deg(np.array([1500.0, 1600.0]))
-    (array([-2.,  8.]), array([-2., 18.]))
-    """
+    """Calibration of a command whose pulses ask for so many times as much; None if that cannot be told."""
     if not isinstance(command, PulseCalibration):
         return command  # degrees, as the driver computes them with that parameter
     if command.slope_deg_per_us is None:

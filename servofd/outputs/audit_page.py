@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from servofd.axes.forms import FORMS
+from servofd.axes.mixers import LIFT_MOTORS
 from servofd.axes.words import named, shown
 from servofd.detection.words import meaning, next_step
 from servofd.jobs.workflow import FailedLog
-from servofd.outputs.audit_charts import MOST_FAULTS, fault_charts, flight_chart, kind_of
-from servofd.outputs.chart import Chart, Curve, Mark, Panel, Span
-from servofd.outputs.motors import motors_of
+from servofd.outputs.chart import MOST_FAULTS, Chart, Curve, Mark, Panel, Span, fault_charts, flight_chart, kind_of
 from servofd.outputs.page import page
 from servofd.outputs.sentence import clock, plain_rate, seen, spoken, whole_sentence, worst
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
+    from logparsers.records import FlightLog
     from servofd.aircraft.schema import Aircraft
     from servofd.core.evidence import ModelOrigin
     from servofd.core.types import FloatArray
@@ -42,17 +43,6 @@ def audit_page(results: Sequence[LogAudit | FailedLog]) -> str:
     """Text of the page, for one or more logs, those with a fault first.
 
     It names files without their folders, and tells nothing else of the machine, its user, or where the aircraft flew.
-
-    Parameters
-    ----------
-    results : sequence of LogAudit or FailedLog
-        What was audited, and what could not be read.
-
-    Examples
-    --------
-    >>> text = audit_page([FailedLog("/home/me/a.csv", "/home/me/a.csv: no such file")])
-    >>> "a.csv: no such file" in text, "/home/me" in text
-    (True, False)
     """
     logs = [
         _failed(result) if isinstance(result, FailedLog) else _log(result, f"log-{k}")
@@ -202,13 +192,7 @@ def _fault_row(fault: Fault) -> tuple[str, ...]:
 
 
 def quantity(name: str) -> str:
-    """Name of a parameter in words, with its unit.
-
-    Examples
-    --------
-    >>> quantity("rate_limit_deg_s"), quantity("gain")
-    ('rate limit [deg/s]', 'gain')
-    """
+    """Name of a parameter in words, with its unit."""
     for suffix, unit in _UNITS.items():
         if name.endswith(f"_{suffix}"):
             return f"{name.removesuffix(f'_{suffix}').replace('_', ' ')} [{unit}]"
@@ -310,11 +294,6 @@ _JITTER_QUANTILE = 0.95
 def quality_rows(surface: SurfaceAudit) -> list[tuple[str, str]]:
     """Rows of a table: quantity with unit, and its value.
 
-    Parameters
-    ----------
-    surface : SurfaceAudit
-        Judged or not; without a segment there is nothing to tell.
-
     Examples
     --------
     >>> from servofd.detection.verdict import SurfaceAudit
@@ -362,3 +341,72 @@ def _gap(time_s: FloatArray) -> str:
         return "-"
     longest = int(np.argmax(step_s))
     return f"{step_s[longest]:.3g} (at {time_s[longest]:.2f} s)"
+
+
+_NO_SURFACES = frozenset(
+    {
+        *("multirotor", "quadrotor", "hexarotor", "octorotor", "tricopter", "decarotor", "dodecarotor", "coaxial"),
+        "helicopter",
+    }
+)
+_OUTPUT = re.compile(r"(?:RCOU|RCO2|SERVO_OUTPUT_RAW)\.(?:C|Ch|servo)(\d+)(?:_raw)?")
+_LEAST_US, _MOST_US = 900.0, 2200.0
+_LOWEST_US, _HIGHEST_US = 1000.0, 2000.0
+_AT_LIMIT_US = 5.0
+"""Nearer to its end an output is saturated: nothing is left for control."""
+_RUNS_SHARE = 0.05
+
+
+def motors_of(log: FlightLog) -> dict[str, Any] | None:
+    """Commands and saturation of the motors, for a page; None if the aircraft is none without surfaces."""
+    if log.vehicle not in _NO_SURFACES:
+        return None
+    names = {int(found[1]): name for name in log.channels if (found := _OUTPUT.fullmatch(name))}
+    functions = {number: log.parameters.get(f"SERVO{number}_FUNCTION") for number in names}
+    motors = [number for number in sorted(names) if functions[number] is None or functions[number] in LIFT_MOTORS]
+    pulses = {}
+    for number in motors:
+        channel = log[names[number]]
+        good = (channel.values > _LEAST_US) & (channel.values < _MOST_US)
+        if np.count_nonzero(good) > 1 and np.ptp(channel.values[good]) > 0.0:
+            pulses[number] = (channel.time_s[good], channel.values[good])
+    if not pulses:
+        return {"kind": log.vehicle, "rows": [], "chart": None}
+    low, high = _range_us(log.parameters)
+    rows, running = [], []
+    for number, (_, values) in pulses.items():
+        runs = values > low + _RUNS_SHARE * (high - low)
+        flown = values[runs] if runs.any() else values
+        running.append(float(np.mean(flown)))
+        top, bottom = np.mean(flown > high - _AT_LIMIT_US), np.mean(flown < low + _AT_LIMIT_US)
+        rows.append((f"output {number}", f"{np.mean(flown):.0f}", f"{flown.max():.0f}", f"{top:.1%}", f"{bottom:.1%}"))
+    return {
+        "kind": log.vehicle,
+        "rows": rows,
+        "chart": _chart(pulses, low, high),
+        "uneven_us": f"{np.ptp(running):.0f}",
+    }
+
+
+def _range_us(parameters: Mapping[str, float]) -> tuple[float, float]:
+    low, high = parameters.get("MOT_PWM_MIN", 0.0), parameters.get("MOT_PWM_MAX", 0.0)
+    return (low, high) if 0.0 < low < high else (_LOWEST_US, _HIGHEST_US)
+
+
+def _chart(pulses: Mapping[int, tuple[Any, Any]], low: float, high: float) -> Chart:
+    time_s = next(iter(pulses.values()))[0]
+    every = np.array([np.interp(time_s, *one) for one in pulses.values()])
+    panel = Panel(
+        "motor commands",
+        "us",
+        (
+            Curve("the most of any motor", "measured", time_s, every.max(axis=0)),
+            Curve("mean", "simulated", time_s, every.mean(axis=0)),
+            Curve("the least of any motor", "command", time_s, every.min(axis=0)),
+            Curve("full", "threshold", time_s[[0, -1]], np.full(2, high)),
+        ),
+        low - 50.0,
+        high + 50.0,
+    )
+    text = "Where the upper line reaches its end, a motor has nothing left to hold the attitude with."
+    return Chart("What was asked of the motors", text, float(time_s[0]), float(time_s[-1]), (panel,))

@@ -1,4 +1,4 @@
-"""Explanations as one HTML page: what is missing, in words, and the gap before and after."""
+"""Explanations as one HTML page: what is missing, in words and pictures, and the gap before and after."""
 
 from __future__ import annotations
 
@@ -6,15 +6,235 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from servofd.discrepancy.locate import errors_by_regime
+import numpy as np
+
+from servofd.discrepancy.locate import binned, errors_by_regime, maps, quantities, spectrum
+from servofd.estimate.statistics import Z_95
 from servofd.outputs.audit_page import quantity
-from servofd.outputs.explain_figures import explain_figures
 from servofd.outputs.page import page
+from servofd.outputs.palette import COLOURS
+from servofd.outputs.picture import Picture, finish, new_figure
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from matplotlib.axes import Axes
+
+    from servofd.core.types import FloatArray
     from servofd.discrepancy.explanation import Explanation
+    from servofd.discrepancy.locate import Quantity
+    from servofd.discrepancy.varying import Varying
+
+_EXCERPT_S = 6.0
+_BEFORE, _AFTER, _FLOOR = COLOURS["fault"], COLOURS["simulated"], COLOURS["command"]
+_LAG_S = 1.0
+_SEGMENT_S = 4.0
+
+
+def explain_figures(found: Explanation, name: str) -> list[Picture]:
+    """All pictures of one explanation."""
+    return [
+        _traces(found, f"{name}-traces"),
+        _ladder(found, f"{name}-ladder"),
+        _foretold(found, f"{name}-foretold"),
+        _maps(found, f"{name}-maps"),
+        _memory(found, f"{name}-memory"),
+        *(_varying(each, f"{name}-varying-{k}") for k, each in enumerate(found.varying, start=1)),
+    ]
+
+
+def _traces(found: Explanation, name: str) -> Picture:
+    """Seconds around the block that disagrees most."""
+    record, selection = found.record, found.selection
+    begins = np.diff(record.run, prepend=0) != 0  # nothing joins a run to the next
+    not_judged = begins | ~record.counts if record.side is not None else begins
+    before, after = (np.where(not_judged, np.nan, fit.error_deg) for fit in (selection.nominal, selection.final))
+    squared = np.where(record.counts, np.nan_to_num(before) ** 2, 0.0)
+    worst = int(np.argmax(np.bincount(record.block, weights=squared)))
+    middle_s = float(np.median(record.time_s[record.block == worst]))
+    inside = np.abs(record.time_s - middle_s) <= 0.5 * _EXCERPT_S
+    time_s, measured = record.time_s[inside], np.where(begins, np.nan, record.measured_deg)[inside]
+    commands = record.commands
+    asked = np.abs(commands.effective_s - middle_s) <= 0.5 * _EXCERPT_S
+    figure, (upper, lower) = new_figure(2, height=5.6, ratios=(3, 2))
+    upper.plot(
+        commands.effective_s[asked],
+        commands.command_deg[asked],
+        color=COLOURS["command"],
+        lw=0.9,
+        drawstyle="steps-post",
+        label="command",
+    )
+    upper.plot(time_s, measured, color=COLOURS["measured"], lw=2.2, label="measured")
+    upper.plot(time_s, measured - before[inside], color=_BEFORE, lw=1.1, ls="--", label="model before")
+    if selection.rungs:
+        upper.plot(time_s, measured - after[inside], color=_AFTER, lw=1.1, label="model after")
+    _draw_floor(lower, selection.sigma_deg)
+    lower.plot(time_s, before[inside], color=_BEFORE, lw=1.0, ls="--", label="error before")
+    if selection.rungs:
+        lower.plot(time_s, after[inside], color=_AFTER, lw=1.0, label="error after")
+    upper.set_ylabel("deflection [deg]")
+    lower.set_ylabel("error [deg]")
+    lower.set_xlabel("time [s]")
+    finish(upper, lower, legend="above")
+    largest = [float(np.nanmax(np.abs(error[inside & record.counts]))) for error in (before, after)]
+    text = (
+        f"The seconds around {middle_s:.1f} s, where model and measurement differ most: by up to {largest[0]:.2f} deg "
+        f"before, {largest[1]:.2f} deg after. The band is two standard deviations of the noise floor."
+    )
+    return Picture(name, "Where they differ most", text, figure)
+
+
+def _ladder(found: Explanation, name: str) -> Picture:
+    """Error on fitted and on held-out samples after each step."""
+    selection = found.selection
+    fits = [selection.nominal, *(rung.fit for rung in selection.rungs)]
+    labels = ["as it was", *(f"+ {rung.fit.names[-1].replace('_', ' ')}" for rung in selection.rungs)]
+    errors = [found.rms_deg(fit) for fit in fits]
+    figure, (axes,) = new_figure(height=1.4 + 0.5 * len(fits))
+    place = np.arange(len(fits), dtype=float)
+    for offset, key, colour, label in (
+        (-0.19, "train_rms_deg", COLOURS["no_data"], "fitted samples"),
+        (0.19, "held_out_rms_deg", _AFTER, "held-out samples"),
+    ):
+        values = [each[key] for each in errors]
+        axes.barh(place + offset, values, height=0.36, color=colour, label=label)
+        for y, value in zip(place + offset, values, strict=True):
+            axes.text(value, y, f" {value:.3g}", va="center", fontsize=9)
+    axes.axvline(selection.sigma_deg, color=COLOURS["fault"], ls="--", lw=1.0, label="noise floor")
+    axes.set_yticks(place, labels)
+    axes.invert_yaxis()
+    axes.set_xlabel("error [deg rms]")
+    finish(axes, legend="above")
+    last = errors[-1]["held_out_rms_deg"]
+    falls = f"falls from {errors[0]['held_out_rms_deg']:.3g} to" if selection.rungs else "is"
+    text = (
+        f"On samples that were not fitted the error {falls} {last:.3g} deg rms; the noise floor is "
+        f"{selection.sigma_deg:.3g} deg."
+    )
+    return Picture(name, "How the gap shrinks" if selection.rungs else "What is left", text, figure)
+
+
+def _maps(found: Explanation, name: str) -> Picture:
+    record, selection = found.record, found.selection
+    chosen = quantities(record, record.measured_deg - selection.final.error_deg)
+    figure, axes = new_figure(len(chosen), 2, height=0.6 + 1.75 * len(chosen), share_x=False)
+    for row, each in enumerate(chosen):
+        left, right = axes[2 * row], axes[2 * row + 1]
+        right.sharey(left)
+        for panel, error, colour in (
+            (left, selection.nominal.error_deg, _BEFORE),
+            (right, selection.final.error_deg, _AFTER),
+        ):
+            _draw_map(panel, each, error, found, colour)
+        left.set_ylabel("error [deg]")
+    axes[0].set_title("before", fontsize=11)
+    axes[1].set_title("after", fontsize=11)
+    finish(*axes)
+    text = (
+        "Median error (line) and the middle 90% of it (shaded) over each quantity; left the model as it was, right "
+        "with the effects that were found; the grey band is two standard deviations of the noise floor."
+    )
+    return Picture(name, "What the error depends on", text, figure)
+
+
+def _draw_map(axes: Axes, quantity: Quantity, error_deg: FloatArray, found: Explanation, colour: str) -> None:
+    bins = binned(quantity, error_deg, found.record.counts)
+    _draw_floor(axes, found.selection.sigma_deg)
+    axes.fill_between(bins.centre, bins.low_deg, bins.high_deg, color=colour, alpha=0.3, lw=0)
+    axes.plot(bins.centre, bins.median_deg, color=colour, lw=1.4, marker=".", ms=4)
+    axes.set_xlabel(f"{quantity.name} [{quantity.unit}]", fontsize=9)
+
+
+def _foretold(found: Explanation, name: str) -> Picture:
+    """How much of the gap each quantity tells, and how linearly the position follows."""
+    record, nominal = found.record, found.selection.nominal
+    shares = [each for each in maps(record, nominal.error_deg, found.selection.sigma_deg) if each.quantity != "time"]
+    figure, (left, right) = new_figure(1, 2, height=1.2 + 0.24 * len(shares), share_x=False)
+    place = np.arange(len(shares), dtype=float)
+    told = np.array([each.share for each in shares])
+    reach = np.abs(np.array([[each.low, each.high] for each in shares]).T - told)
+    left.barh(place, told, xerr=reach, color=_BEFORE, ecolor="0.4", error_kw={"lw": 1.0})
+    left.set_yticks(place, [each.quantity for each in shares], fontsize=8)
+    left.invert_yaxis()
+    left.set_xlim(0.0, 1.05)
+    left.set_xlabel("share of the gap")
+    linear = spectrum(record, nominal.error_deg)
+    if linear is not None:
+        right.semilogx(linear.frequency_hz[1:], linear.coherence[1:], color=COLOURS["measured"])
+    right.xaxis.set_minor_formatter("")
+    right.set_ylim(0.0, 1.02)
+    right.set_xlabel("frequency [Hz]")
+    right.set_ylabel("coherence")
+    finish(left, right)
+    text = (
+        "Left, the share of the gap that each quantity foretells in blocks from which it was not learnt; the lines are "
+        "what chance makes of it in 99 of 100 logs, all quantities together. Right, coherence of command and position: "
+        "1 where the position follows linearly, whatever the servo; it also falls where nothing was asked."
+    )
+    return Picture(name, "What foretells the gap", text, figure)
+
+
+def _memory(found: Explanation, name: str) -> Picture:
+    """Spectrum and autocorrelation of the error."""
+    from scipy.signal import welch
+
+    record, selection = found.record, found.selection
+    period_s = record.period_s
+    uniform_s = np.arange(record.time_s[0], record.time_s[-1], period_s)
+    figure, (left, right) = new_figure(1, 2, height=3.4, share_x=False)
+    lags = round(_LAG_S / period_s)
+    for error_deg, colour, style, label in (
+        (selection.nominal.error_deg, _BEFORE, "--", "before"),
+        (selection.final.error_deg, _AFTER, "-", "after"),
+    ):
+        counted = np.where(record.counts, np.nan_to_num(error_deg), 0.0)
+        error = np.interp(uniform_s, record.time_s, counted)
+        frequency_hz, power = welch(error, 1.0 / period_s, nperseg=min(error.size, round(_SEGMENT_S / period_s)))
+        left.loglog(frequency_hz[1:], np.sqrt(power[1:]), color=colour, ls=style, label=label)
+        centred = error - error.mean()
+        kept = min(lags, centred.size - 1)
+        power = np.abs(np.fft.rfft(centred, 2 * centred.size)) ** 2
+        correlation = np.fft.irfft(power)[: kept + 1]
+        right.plot(period_s * np.arange(kept + 1), correlation / correlation[0], color=colour, ls=style, label=label)
+    floor = selection.sigma_deg * np.sqrt(2.0 * period_s)
+    left.axhline(floor, color=_FLOOR, lw=1.0, label="noise floor")
+    bound = Z_95 / np.sqrt(max(int(record.counts.sum()), 1))
+    right.axhspan(-bound, bound, color=_FLOOR, alpha=0.35, lw=0, label="white noise")
+    for axis in (left.xaxis, left.yaxis):
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter("")
+    left.set_xlabel("frequency [Hz]")
+    left.set_ylabel("error [deg/√Hz]")
+    right.set_xlabel("lag [s]")
+    right.set_ylabel("autocorrelation")
+    finish(left, right, legend="above")
+    text = (
+        "Left, amplitude spectrum of the error; right, its autocorrelation. An error that is noise only has a flat "
+        "spectrum and no memory, and stays in the grey band in 95% of all lags."
+    )
+    return Picture(name, "Spectrum and memory of the error", text, figure)
+
+
+def _varying(each: Varying, name: str) -> Picture:
+    """A value of each run over the condition that it goes with."""
+    figure, (axes,) = new_figure(1, height=3.2)
+    axes.plot(each.condition, each.values, "o", color=_BEFORE, ms=4, label="each run by itself")
+    axes.plot(*zip(*each.ends, strict=True), color=_AFTER, label="line through the runs that were fitted")
+    axes.set_xlabel(each.conditions[0])
+    axes.set_ylabel(each.parameter)
+    finish(axes, legend="above")
+    text = (
+        f"The value of {each.parameter} that suits each run best, where the run shows it, over {each.conditions[0]} as "
+        "it was logged. With one value for all, the runs that were held out are off by "
+        f"{each.common_rms_deg:.3g} deg rms; with the line, by {each.line_rms_deg:.3g}."
+    )
+    return Picture(name, f"{each.parameter} over {each.conditions[0]}", text, figure)
+
+
+def _draw_floor(axes: Axes, sigma_deg: float) -> None:
+    axes.axhspan(-2.0 * sigma_deg, 2.0 * sigma_deg, color=_FLOOR, alpha=0.25, lw=0)
+
 
 _MOST_RIVALS = 5
 _STATUS = {"nothing_missing": "healthy", "explained": "healthy", "partly_explained": "suspect", "unexplained": "fault"}
@@ -23,15 +243,7 @@ _STATUS = {"nothing_missing": "healthy", "explained": "healthy", "partly_explain
 def explain_page(
     found: Sequence[Explanation], source: str, *, thresholds: Mapping[str, Sequence[tuple[str, str, str]]] | None = None
 ) -> str:
-    """Text of the page.
-
-    Parameters
-    ----------
-    source : str
-        Name of the log, without its folder.
-    thresholds : mapping of str to sequence of (quantity, before, after), optional
-        By surface: what the audit's residual and threshold are with the old and the new model.
-    """
+    """Text of the page; `thresholds` tells by surface what an audit's residual and threshold are with either model."""
     known = thresholds or {}
     surfaces = [_surface(one, f"surface-{k}", known.get(one.surface, ())) for k, one in enumerate(found, start=1)]
     return page("explain.html", source=source, surfaces=surfaces)

@@ -24,19 +24,6 @@ def fleet_page(document: dict[str, Any], pages: frozenset[str] = frozenset()) ->
     """Text of the page.
 
     It names files without their folders, and tells nothing else of the machine or its user.
-
-    Parameters
-    ----------
-    document : dict
-        Overview of a fleet, schema servofd.fleet/1.
-    pages : frozenset of str
-        Names of the pages of flights that stand beside this one, to be linked to.
-
-    Examples
-    --------
-    >>> from servofd.fleet.overview import overview
-    >>> "No log was judged." in fleet_page(overview([]).document())
-    True
     """
     faults, not_judged, flights = document["faults"], document["not_judged"], document["flights"]
     known = {flight["status"] for flight in flights}
@@ -113,35 +100,17 @@ def thumbnail(outline: Sequence[float | None]) -> tuple[int, str, str]:
 
 
 def flight_name(one: dict[str, Any]) -> str:
-    """Name of a log without its folders, and of its run.
-
-    Examples
-    --------
-    >>> flight_name({"path": "flights/today/a.csv", "run": "2"})
-    'a.csv (run 2)'
-    """
+    """Name of a log without its folders, and of its run."""
     return PurePosixPath(one["path"].replace("\\", "/")).name + (f" (run {one['run']})" if one.get("run") else "")
 
 
 def logs_by_status(logs: Mapping[str, int]) -> list[str]:
-    """How many logs were healthy, suspect, at fault and not judged.
-
-    Examples
-    --------
-    >>> logs_by_status({"healthy": 3, "unknown": 1, "no_data": 1})
-    ['3', '0', '0', '2']
-    """
+    """How many logs were healthy, suspect, at fault and not judged."""
     return [*(str(logs.get(status, 0)) for status in _STATUSES), str(logs.get("unknown", 0) + logs.get("no_data", 0))]
 
 
 def effect_left(axis: Mapping[str, Any]) -> str:
-    """Smallest and largest effect of an axis in the flights in which it was healthy.
-
-    Examples
-    --------
-    >>> effect_left({"effect_left": (0.93, 1.04)})
-    '93 to 104%'
-    """
+    """Smallest and largest effect of an axis in the flights in which it was healthy."""
     left = axis["effect_left"]
     return "" if left is None else f"{100.0 * left[0]:.0f} to {100.0 * left[1]:.0f}%"
 

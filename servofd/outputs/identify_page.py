@@ -1,25 +1,202 @@
-"""An identification as one HTML page that needs nothing else: no network, no script."""
+"""An identification as one HTML page that needs nothing else, with pictures after thesis Figs 3.3 to 3.9."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from servofd.outputs.identify_figures import identify_figures
+import numpy as np
+
+from servofd.core.series import latest
+from servofd.identification.choice import step_slopes
+from servofd.identification.records import longest_uniform
+from servofd.identification.response import raw_response
 from servofd.outputs.page import page
+from servofd.outputs.palette import COLOURS
+from servofd.outputs.picture import Picture, finish, new_figure
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from servofd.core.types import FloatArray
+    from servofd.identification.response import FrequencyResponse
     from servofd.identification.result import Identification
+
+_EXCERPT_S = 4.0
+_STEP_S = 0.6
+_RAW_POINTS = 3000
+_SERVOS = ("#0072b2", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442")
+
+
+def identify_figures(found: Identification) -> tuple[Picture, ...]:
+    """All figures that the tests allow: response, coherence, normalised error, steps, motion."""
+    pictures = []
+    if step_slopes(found.runs):
+        pictures.append(_steps(found))
+    pictures.append(_motion(found))
+    if found.response is not None:
+        pictures += [_bode(found), _coherence(found), _error(found)]
+    pictures.append(_validation(found))
+    return tuple(pictures)
+
+
+def _bode(found: Identification) -> Picture:
+    figure, (upper, lower) = new_figure(2, height=6.0)
+    run = next(r for r in found.runs if r.command_s.size > 2)
+    uniform = longest_uniform(run)
+    raw = raw_response(
+        uniform.command_deg - uniform.command_deg.mean(), uniform.measured_deg - uniform.measured_deg.mean()
+    )
+    w_raw = np.asarray(2.0 * np.pi * np.fft.rfftfreq(uniform.command_deg.size, uniform.sample_time_s), dtype=float)
+    chosen = (w_raw > 0.0) & np.isfinite(raw)
+    stride = max(1, int(np.count_nonzero(chosen)) // _RAW_POINTS)
+    w_raw, raw = w_raw[chosen][::stride], raw[chosen][::stride]
+    upper.plot(w_raw, _decibels(raw), ".", ms=1.5, color="0.75", label="raw")
+    nominal = found.responses[0]
+    inside = _shown(found, nominal)
+    fit = found.servo.linear.sampled_response(nominal.frequency_rad_s, nominal.sample_time_s)
+    fit_phase_rad = np.unwrap(np.angle(fit))
+    for k, response in enumerate(found.responses):
+        style: dict[str, Any] = {
+            "color": _SERVOS[k % len(_SERVOS)],
+            "lw": 1.2,
+            "ls": ":" if len(found.responses) > 1 else "-",
+        }
+        label = f"smoothed, servo {k + 1}" if len(found.responses) > 1 else "smoothed"
+        upper.plot(response.frequency_rad_s, _decibels(response.response), label=label, **style)
+        ahead_rad = response.phase_rad - np.interp(response.frequency_rad_s, nominal.frequency_rad_s, fit_phase_rad)
+        turns = np.round(np.median(ahead_rad[_shown(found, response)]) / (2.0 * np.pi))
+        lower.plot(response.frequency_rad_s, np.degrees(response.phase_rad - 2.0 * np.pi * turns), **style)
+    at_raw = found.servo.linear.sampled_response(w_raw, nominal.sample_time_s)
+    near = np.unwrap(np.angle(at_raw)) + np.angle(raw / at_raw)  # on the branch of the fit
+    lower.plot(w_raw, np.degrees(near), ".", ms=1.5, color="0.75", zorder=0)
+    upper.plot(nominal.frequency_rad_s, _decibels(fit), color=COLOURS["measured"], lw=2, ls="--", label="fit")
+    lower.plot(nominal.frequency_rad_s, np.degrees(fit_phase_rad), color=COLOURS["measured"], lw=2, ls="--")
+    upper.set_ylabel("magnitude [dB]")
+    lower.set_ylabel("phase [deg]")
+    upper.set_ylim(float(_decibels(fit[inside]).min()) - 12.0, max(6.0, float(_decibels(fit[inside]).max()) + 4.0))
+    phase_deg = np.degrees(fit_phase_rad[inside])
+    # A servo that runs against its command begins at half a turn.
+    lower.set_ylim(float(phase_deg.min()) - 60.0, float(phase_deg.max()) + 60.0)
+    _frequency_axis(found, upper, lower)
+    low, high = found.band_rad_s or (0.0, 0.0)
+    text = f"The fit follows the smoothed response between {low:.1f} and {high:.1f} rad/s (shaded); hold included."
+    return Picture("response", "Frequency response", text, figure)
+
+
+def _coherence(found: Identification) -> Picture:
+    figure, (axes,) = new_figure()
+    for k, response in enumerate(found.responses):
+        label = f"servo {k + 1}" if len(found.responses) > 1 else "command to position"
+        axes.plot(response.frequency_rad_s, response.coherence, color=_SERVOS[k % len(_SERVOS)], label=label)
+    axes.axhline(0.8, color=COLOURS["fault"], lw=1.0, ls="--", label="0.8")
+    axes.set_ylim(0.0, 1.05)
+    axes.set_ylabel("coherence")
+    _frequency_axis(found, axes)
+    low, high = found.band_rad_s or (0.0, 0.0)
+    text = f"Coherence is above 0.8 from {low:.1f} to {high:.1f} rad/s, the band of the fit."
+    return Picture("coherence", "Coherence (thesis Fig. 3.7)", text, figure)
+
+
+def _error(found: Identification) -> Picture:
+    figure, (axes,) = new_figure()
+    for k, (response, error) in enumerate(zip(found.responses, found.normalized_errors(), strict=True)):
+        label = f"servo {k + 1}" if len(found.responses) > 1 else "|G smoothed - G fit| / |G fit|"
+        axes.semilogy(response.frequency_rad_s, error, color=_SERVOS[k % len(_SERVOS)], label=label)
+    axes.set_ylim(1e-4, 10.0)
+    axes.set_ylabel("normalised error")
+    _frequency_axis(found, axes)
+    text = f"Normalised error of Eq. 3.2: at most {found.max_normalized_error or 0.0:.3f} within the band."
+    return Picture("normalised_error", "Normalised error (thesis Fig. 3.8, Eq. 3.2)", text, figure)
+
+
+def _motion(found: Identification) -> Picture:
+    """First seconds of the first test, thesis Fig. 3.4."""
+    run, error = found.runs[0], found.errors_deg[0]
+    begin_s = float(run.measured_s[0])
+    figure, (axes,) = new_figure()
+    inside = run.measured_s <= begin_s + _EXCERPT_S
+    _draw(axes, found, 0, inside)
+    axes.set_xlabel("time [s]")
+    axes.set_ylabel("angle [deg]")
+    finish(axes)
+    text = f"Command, measured and simulated position; the error is {np.std(error[inside]):.3g} deg rms here."
+    return Picture("motion", f"First {_EXCERPT_S:g} s of the test (thesis Fig. 3.4)", text, figure)
+
+
+def _validation(found: Identification) -> Picture:
+    """All of the longest test, thesis Fig. 3.9."""
+    index = int(np.argmax([run.measured_s.size for run in found.runs]))
+    run, error = found.runs[index], found.errors_deg[index]
+    figure, (upper, lower) = new_figure(2, height=5.0)
+    _draw(upper, found, index, np.ones(run.measured_s.size, dtype=bool))
+    lower.plot(run.measured_s, error, color="black", lw=0.6, label="measured - simulated")
+    upper.set_ylabel("angle [deg]")
+    lower.set_ylabel("error [deg]")
+    lower.set_xlabel("time [s]")
+    finish(upper, lower)
+    text = f"Simulation of the whole test: {np.std(error):.3g} deg rms, fit {found.fits_percent[index]:.1f}%."
+    return Picture("validation", "Validation in time (thesis Fig. 3.9)", text, figure)
+
+
+def _steps(found: Identification) -> Picture:
+    """Largest step with the line whose slope is the rate limit, thesis Fig. 3.3."""
+    step = max(step_slopes(found.runs), key=lambda one: abs(one.travel_deg))
+    run = found.runs[step.run]
+    figure, (axes,) = new_figure()
+    inside = (run.measured_s >= step.start_s - 0.1) & (run.measured_s <= min(step.start_s + _STEP_S, step.end_s))
+    _draw(axes, found, step.run, inside)
+    after = (run.measured_s >= step.start_s) & inside
+    begin_deg = float(run.measured_deg[after][0])
+    way = (run.measured_deg[after] - begin_deg) / step.travel_deg
+    middle_s = float(np.interp(0.5, np.maximum.accumulate(way), run.measured_s[after]))
+    half_s = 0.4 * abs(step.travel_deg / step.slope_deg_s)
+    line_s = middle_s + np.array([-half_s, half_s])
+    line_deg = begin_deg + 0.5 * step.travel_deg + step.slope_deg_s * (line_s - middle_s)
+    axes.plot(line_s, line_deg, color=COLOURS["fault"], lw=2.5, ls="--", label=f"{abs(step.slope_deg_s):.0f} deg/s")
+    axes.set_xlabel("time [s]")
+    axes.set_ylabel("angle [deg]")
+    finish(axes)
+    text = (
+        f"A step of {step.travel_deg:.1f} deg runs at {abs(step.slope_deg_s):.0f} deg/s between 20 and 80% of its way."
+    )
+    return Picture("step", "Step (thesis Fig. 3.3)", text, figure)
+
+
+def _draw(axes: Axes, found: Identification, index: int, inside: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> None:
+    run = found.runs[index]
+    time_s, measured_deg = run.measured_s[inside], run.measured_deg[inside]
+    command_deg = latest(run.command_s, run.command_deg, time_s)
+    axes.plot(time_s, command_deg, color=COLOURS["command"], lw=0.9, drawstyle="steps-post", label="command")
+    axes.plot(time_s, measured_deg, color=COLOURS["measured"], lw=2.0, label="measured")
+    simulated_deg = measured_deg - found.errors_deg[index][inside]
+    axes.plot(time_s, simulated_deg, color=COLOURS["simulated"], lw=0.9, label="simulated")
+
+
+def _decibels(response: np.ndarray[tuple[int], np.dtype[np.complex128]]) -> FloatArray:
+    decibels: FloatArray = 20.0 * np.log10(np.maximum(np.abs(response), 1e-9))
+    return decibels
+
+
+def _shown(found: Identification, response: FrequencyResponse) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    low, high = found.band_rad_s or (1.0, 100.0)
+    w = response.frequency_rad_s
+    shown: np.ndarray[tuple[int], np.dtype[np.bool_]] = (w >= 0.5 * low) & (w <= 1.6 * high)
+    return shown
+
+
+def _frequency_axis(found: Identification, *all_axes: Axes) -> None:
+    low, high = found.band_rad_s or (1.0, 100.0)
+    for axes in all_axes:
+        axes.set_xscale("log")
+        axes.set_xlim(0.5 * low, 1.6 * high)
+        axes.axvspan(low, high, color=COLOURS["ok"], alpha=0.08, lw=0)
+    all_axes[-1].set_xlabel("frequency [rad/s]")
+    finish(*all_axes)
 
 
 def identify_page(found: Identification, source: str) -> str:
-    """Text of the page.
-
-    Parameters
-    ----------
-    source : str
-        Where the data came from.
-    """
+    """Text of the page."""
     return page(
         "identify.html",
         surface=found.surface,

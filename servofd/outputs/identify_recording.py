@@ -1,7 +1,8 @@
-"""An identification as a Rerun recording: the servo that was found, simulated beside each test, and what it misses.
+"""Explanations and identifications as Rerun recordings: simulations beside the measurement, and what they miss.
 
-Entities below ``/surfaces/<name>``, or ``/surfaces/<name> 2`` and on for further tests: ``deflection`` (command,
-simulated, measured [deg]) and ``error`` (measured minus simulated [deg]); ``/report``.
+Entities below ``/surfaces/<name>`` (of further tests ``<name> 2`` and on): ``deflection`` (command, simulated, measured
+[deg]), ``error`` (measured minus simulated [deg]); of an explanation both before and after, and the lanes ``before``
+and ``after`` (seconds that disagree by more than noise); ``/report``.
 """
 
 from __future__ import annotations
@@ -11,17 +12,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.core.series import latest
+from servofd.discrepancy.locate import bad_seconds
 from servofd.outputs.identify_page import identified, sentence_of
-from servofd.outputs.recording.layout import REPORT
+from servofd.outputs.recording.layout import REPORT, blueprint, curves, document, lanes, stacked
 from servofd.outputs.recording.stream import application_name, recording_file, shown, surface_place
 from servofd.outputs.recording.surface import DEFLECTIONS, WIDTHS
-from servofd.outputs.recording.views import blueprint, curves, document, stacked
 
 if TYPE_CHECKING:
     from pathlib import Path
     from typing import Any
 
     from servofd.core.types import FloatArray
+    from servofd.discrepancy.explanation import Explanation
     from servofd.identification.records import Run
     from servofd.identification.result import Identification
     from servofd.outputs.recording.stream import Recorder
@@ -65,3 +67,77 @@ def _tab(name: str) -> Any:  # noqa: ANN401 - rerun is untyped
         curves(f"{name}: measured minus simulated [deg]", [f"{place}/error"], origin=place),
     ]
     return stacked(name, views, [4, 3])
+
+
+_AROUND_S = 10.0
+"""That a layout shows before and after the worst second."""
+_LANES = ("before", "after")
+_AGREES, _DIFFERS = "noise only", "disagrees"
+_STATES = {_AGREES: "ok", _DIFFERS: "fault"}
+
+
+def save_explanation(found: Explanation, path: str | Path, source: str) -> None:
+    """Write nominal and extended simulation, residuals and bad blocks into one .rrd file, with its layout inside."""
+    place = surface_place(found.surface)
+    with recording_file(path, application_name("explain", found.surface, source), _layout(place, found)) as recorder:
+        whole = {"schema": "servofd.explain/1", "surface": shown(found.surface), "conclusion": found.conclusion}
+        recorder.properties(source, whole)
+        recorder.document(REPORT, _report_of_gap(found, source))
+        _send_curves(recorder, place, found)
+        _send_lanes(recorder, place, found)
+
+
+def _send_curves(recorder: Recorder, place: str, found: Explanation) -> None:
+    record, nominal, final = found.record, found.selection.nominal.error_deg, found.selection.final.error_deg
+    latest = np.searchsorted(record.commands.effective_s, record.time_s, side="right") - 1
+    command_deg = np.where(latest >= 0, record.commands.command_deg[np.maximum(latest, 0)], np.nan)
+    measured_deg = record.measured_deg
+    deflections = np.column_stack([command_deg, measured_deg - nominal, measured_deg - final, measured_deg])
+    errors = np.where(record.counts[:, None], np.column_stack([nominal, final]), np.nan)
+    names = ["command", "as it was", "with what was found", "measured"]
+    recorder.lines(f"{place}/deflection", names, ["command", "fault", "simulated", "measured"])
+    recorder.scalars(f"{place}/deflection", record.time_s, deflections)
+    recorder.lines(f"{place}/error", _LANES, ["fault", "simulated"])
+    recorder.scalars(f"{place}/error", record.time_s, errors)
+
+
+def _send_lanes(recorder: Recorder, place: str, found: Explanation) -> None:
+    for lane, fit in zip(_LANES, (found.selection.nominal, found.selection.final), strict=True):
+        changes = {float(found.record.time_s[0]): _AGREES}
+        for begin_s, end_s in bad_seconds(found.record, fit.error_deg, found.selection.sigma_deg):
+            changes |= {begin_s: _DIFFERS, end_s: _AGREES}
+        recorder.states(f"{place}/{lane}", sorted(changes.items()), _STATES)
+
+
+def _report_of_gap(found: Explanation, source: str) -> str:
+    told = found.document()
+    rows = [("as it was", told["nominal"])]
+    rows += [(f"+ {step['effect']} {step['form'] or ''}", step) for step in told["steps"]]
+    table = "\n".join(f"| {name} | {e['train_rms_deg']:.4f} | {e['held_out_rms_deg']:.4f} |" for name, e in rows)
+    where = "\n".join(f"- {sentence.replace('|', chr(92) + '|')}" for sentence in told["where"])
+    notes = "\n".join(f"- {note}" for note in told["notes"])
+    return (
+        f"# {source}: {found.surface}: {found.conclusion.replace('_', ' ')}\n\n{where}\n\n"
+        f"| model | fitted [deg rms] | held out [deg rms] |\n|---|---|---|\n{table}\n\n"
+        f"Noise floor: {told['noise_floor_rms_deg']:.3g} deg\n\n{notes}\n"
+    )
+
+
+def _worst(found: Explanation) -> tuple[float, float] | None:
+    """Stretch around the second that the servo as it was disagrees with most [s]; None for the whole of a short log."""
+    time_s, rows = found.record.time_s, found.record.counts
+    if time_s[-1] - time_s[0] <= 2.0 * _AROUND_S or not rows.any():
+        return None
+    second = np.floor(time_s[rows] - time_s[0]).astype(np.int64)
+    power = np.bincount(second, found.selection.nominal.error_deg[rows] ** 2)
+    middle_s = float(time_s[0]) + int(power.argmax()) + 0.5
+    return max(middle_s - _AROUND_S, float(time_s[0])), min(middle_s + _AROUND_S, float(time_s[-1]))
+
+
+def _layout(place: str, found: Explanation) -> Any:  # noqa: ANN401 - rerun is untyped
+    views = [
+        curves("Deflection [deg]", [f"{place}/deflection"], origin=place),
+        curves("Measured minus simulated [deg]", [f"{place}/error"], origin=place),
+        lanes("Seconds that disagree by more than noise", [f"{place}/{lane}" for lane in _LANES], origin=place),
+    ]
+    return blueprint([stacked("Curves", views, [4, 3, 1.6]), document("Report", REPORT)], around_s=_worst(found))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from servofd.aircraft.axis_names import MOST_OF_THE_FLIGHT
@@ -13,35 +14,18 @@ from servofd.outputs.sentence import whole_sentence
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from logparsers.records import Damage, FlightLog
+    from logparsers.records import FlightLog
     from servofd.detection.bank.window import Fault
     from servofd.detection.verdict import AxisAudit, LogAudit, SurfaceAudit
 
 
 def audit_document(results: Sequence[LogAudit | FailedLog]) -> dict[str, Any]:
-    """Everything an audit found, as plain dictionaries and lists.
-
-    Examples
-    --------
-    >>> audit_document([FailedLog("a.csv", "a.csv: no such file")])["logs"][0]["error"]
-    'a.csv: no such file'
-    """
+    """Everything an audit found, as plain dictionaries and lists."""
     return {"schema": "servofd.audit/1", "logs": [_log(result) for result in results]}
 
 
 def worst_outline(document: dict[str, Any]) -> tuple[str, list[float | None]]:
-    """Surface or axis of a log that came nearest to its threshold, or went furthest beyond it, and its outline.
-
-    Parameters
-    ----------
-    document : dict
-        An entry of ``logs`` in servofd.audit/1.
-
-    Examples
-    --------
-    >>> worst_outline({"surfaces": {"rudder": {"residual": {"outline": [0.2, None, 0.4]}}}, "axes": {}})
-    ('rudder', [0.2, None, 0.4])
-    """
+    """Surface or axis of a log that came nearest to its threshold, or went furthest beyond it, and its outline."""
     outlines = {name: (entry["residual"] or {}).get("outline") or [] for name, entry in document["surfaces"].items()}
     outlines |= {name: entry["outline"] for name, entry in document.get("axes", {}).items()}
     name = max(outlines, key=lambda one: max((share or 0.0 for share in outlines[one]), default=-1.0), default="")
@@ -76,7 +60,7 @@ def _about(log: FlightLog) -> dict[str, Any]:
         "format": log.format,
         "start_utc": log.start_utc.isoformat() if log.start_utc else None,
         "duration_s": log.duration_s,
-        "damage": [_damage(damage) for damage in log.damage_summary],
+        "damage": [asdict(damage) for damage in log.damage_summary],
     }
 
 
@@ -155,16 +139,6 @@ def _fault(fault: Fault) -> dict[str, Any]:
         "alternatives": list(fault.alternatives),
         "named_s": fault.named_s,
         "first_signs": list(fault.first_signs),
-    }
-
-
-def _damage(damage: Damage) -> dict[str, Any]:
-    return {
-        "kind": damage.kind,
-        "note": damage.note,
-        "count": damage.count,
-        "start_s": damage.start_s,
-        "end_s": damage.end_s,
     }
 
 

@@ -16,18 +16,7 @@ _SHORTEST_S, _LONGEST_S = 1e-4, 3600.0
 
 
 def odds_document(odds: Sequence[SurfaceOdds], missing: dict[str, str]) -> dict[str, Any]:
-    """Everything that is known about the odds, as plain dictionaries and lists.
-
-    Parameters
-    ----------
-    missing : dict of str to str
-        Surfaces or logs that could not be judged, and why.
-
-    Examples
-    --------
-    >>> odds_document([], {"elevator": "fault"})["missing"]
-    {'elevator': 'fault'}
-    """
+    """Everything that is known about the odds, as plain dictionaries and lists."""
     return {"schema": "servofd.odds/1", "surfaces": {o.surface: _surface(o) for o in odds}, "missing": missing}
 
 

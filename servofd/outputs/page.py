@@ -46,13 +46,7 @@ def page(template: str, **values: Any) -> str:  # noqa: ANN401 - whatever the te
 
 
 def source_tag(log: str) -> str:
-    """What stands in the head of the page of one log, so that the page of another is never written over.
-
-    Examples
-    --------
-    >>> source_tag("flight.bin")
-    '<meta name="servofd-log" content="flight.bin">'
-    """
+    """What stands in the head of the page of one log, so that the page of another is never written over."""
     from markupsafe import escape
 
     return f'<meta name="servofd-log" content="{escape(log)}">'

@@ -52,11 +52,5 @@ BANNER_COLOURS: Mapping[str, str] = MappingProxyType(
 
 
 def rgba(name: str, opacity: float = 1.0) -> int:
-    """Colour as one number 0xRRGGBBAA, as Rerun takes it.
-
-    Examples
-    --------
-    >>> hex(rgba("fault")), hex(rgba("fault", 0.25))
-    ('0xd55e00ff', '0xd55e0040')
-    """
+    """Colour as one number 0xRRGGBBAA, as Rerun takes it."""
     return (int(COLOURS[name][1:], 16) << 8) | round(255 * opacity)

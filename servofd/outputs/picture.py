@@ -62,15 +62,7 @@ class Picture:
 
 
 def saved(figure: Figure, kind: str = "png") -> bytes:
-    r"""Picture of a figure, the same bytes for the same data, whatever names from outside stand in it.
-
-    Examples
-    --------
-    >>> figure, (axes,) = new_figure()
-    >>> _ = axes.set_title("a\udcff.csv")
-    >>> saved(figure)[:4]
-    b'\x89PNG'
-    """
+    r"""Picture of a figure, the same bytes for the same data, whatever names from outside stand in it."""
     from matplotlib.text import Text
 
     for text in figure.findobj(Text):
@@ -91,14 +83,7 @@ def new_figure(
     share_x: bool = True,
     ratios: tuple[float, ...] | None = None,
 ) -> tuple[Figure, tuple[Axes, ...]]:
-    """Figure with its axes, row by row; sizes in inches, `ratios` those of the rows' heights.
-
-    Examples
-    --------
-    >>> figure, axes = new_figure(2, height=5.0)
-    >>> len(axes)
-    2
-    """
+    """Figure with its axes, row by row; sizes in inches, `ratios` those of the rows' heights."""
     from matplotlib import rcParams
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure as NewFigure

@@ -140,13 +140,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def spoken(name: str) -> str:
-    """Name of a surface, a status or a fault as it is read aloud.
-
-    Examples
-    --------
-    >>> spoken("aileron_left")
-    'aileron left'
-    """
+    """Name of a surface, a status or a fault as it is read aloud."""
     return name.replace("_", " ")
 
 
@@ -202,3 +196,28 @@ def plain_rate(per_hour: float) -> str:
         scale = 10.0 ** (len(str(int(hours))) - 1 - digits)
         return f"one in {round(hours / scale) * scale:,.0f} hours"
     return f"{per_hour:.2g} an hour"
+
+
+_BELOW, _ABOVE = "▁▂▃▄", "▅▆▇█"
+_WIDTH = 64
+
+
+def sparkline(shares: Sequence[float | None]) -> str:
+    """Largest share of the threshold in each part of a flight, as blocks: the lower four below it, the upper above.
+
+    None where nothing was judged.
+
+    Examples
+    --------
+    >>> sparkline([0.1, 0.3, None, 0.99, 1.0, 1.6, 9.0])
+    '▁▂·▄▅▇█'
+    """
+    step = max(1, -(-len(shares) // _WIDTH))
+    parts = [[s for s in shares[k : k + step] if s is not None] for k in range(0, len(shares), step)]
+    return "".join(_block(max(part)) if part else "·" for part in parts)
+
+
+def _block(share: float) -> str:
+    if share < 1.0:
+        return _BELOW[min(int(4.0 * share), 3)]
+    return _ABOVE[min(int(4.0 * (share - 1.0)), 3)]

@@ -27,19 +27,7 @@ _WORST = {"reached": "fault", "crossing": "suspect", "none": "healthy"}
 
 
 def trend_page(document: dict[str, Any]) -> str:
-    """Text of the page.
-
-    Parameters
-    ----------
-    document : dict
-        Schema servofd.trend/1.
-
-    Examples
-    --------
-    >>> empty = {"aircraft": None, "order": {"reason": ""}, "flights": [], "surfaces": {}, "problems": []}
-    >>> "No limit is exceeded or in sight" in trend_page(empty)
-    True
-    """
+    """Text of the page."""
     flights = document["flights"]
     aircraft = document["aircraft"] or "aircraft"
     surfaces = [_surface(name, surface, flights) for name, surface in document["surfaces"].items()]
@@ -69,13 +57,7 @@ def trend_page(document: dict[str, Any]) -> str:
 
 
 def verdict(document: dict[str, Any]) -> str:
-    """The whole trend in a sentence or two.
-
-    Examples
-    --------
-    >>> verdict({"surfaces": {}})
-    'No limit is exceeded or in sight.'
-    """
+    """The whole trend in a sentence or two."""
     limits = [
         f"{spoken(name)}: {one['title']} {_when(one)}"
         for name, surface in document["surfaces"].items()
@@ -125,13 +107,7 @@ def effects_of(document: dict[str, Any], flight: dict[str, Any]) -> list[str]:
 
 
 def alarms_of(document: dict[str, Any]) -> list[str]:
-    """What did not answer as calibrated, in which flight.
-
-    Examples
-    --------
-    >>> alarms_of({"flights": [{"number": 3, "path": "a/jam.bin", "run": None, "alarms": {"roll": "lost half"}}]})
-    ['Flight 3 (jam.bin), roll: lost half']
-    """
+    """What did not answer as calibrated, in which flight."""
     return [
         f"Flight {one['number']} ({flight_name(one)}), {axis}: {reason}"
         for one in document.get("flights", ())
@@ -140,13 +116,7 @@ def alarms_of(document: dict[str, Any]) -> list[str]:
 
 
 def number_of_flights(document: dict[str, Any]) -> str:
-    """How many flights were followed.
-
-    Examples
-    --------
-    >>> number_of_flights({"flights": [{}]})
-    '1 flight'
-    """
+    """How many flights were followed."""
     count = len(document["flights"])
     return f"{count} {'flight' if count == 1 else 'flights'}"
 

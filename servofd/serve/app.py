@@ -33,13 +33,7 @@ _COMPARED = 2
 
 
 def application(flights: Flights, token: str = "") -> ASGIApp:
-    """The page as an ASGI application.
-
-    Parameters
-    ----------
-    token : str
-        What everybody must bring; empty: only this machine comes in.
-    """
+    """The page as an ASGI application."""
     routes = _Routes(flights)
     app = Starlette(
         routes=[

@@ -1,12 +1,18 @@
-"""Who may talk to the page, and what browsers may do with it."""
+"""Who may talk to the page, what browsers may do with it, and the server, whose socket is open before it is told."""
 
 from __future__ import annotations
 
 import hmac
+import os
+import socket
+import sys
+import webbrowser
+from contextlib import suppress
 from http.cookies import CookieError, SimpleCookie
 from typing import TYPE_CHECKING
 from urllib.parse import parse_qsl, urlencode, urlsplit
 
+import uvicorn
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import PlainTextResponse, RedirectResponse
 
@@ -91,3 +97,21 @@ def _with_headers(send: Send) -> Send:
         await send(message)
 
     return sent
+
+
+def listening(host: str, port: int) -> socket.socket:
+    """A socket that listens."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    return socket.create_server((host, port), family=family)
+
+
+def serve(app: ASGIApp, listening_socket: socket.socket, link: str = "") -> None:
+    """Answer until Ctrl-C or termination."""
+    config = uvicorn.Config(
+        app, log_level="error", access_log=False, server_header=False, timeout_graceful_shutdown=1, lifespan="off"
+    )
+    display = not sys.platform.startswith("linux") or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    if link and display and sys.stdout.isatty():
+        webbrowser.open(link)
+    with suppress(KeyboardInterrupt):
+        uvicorn.Server(config).run([listening_socket])

@@ -54,13 +54,7 @@ class Summary:
 
 
 def judge(log: str, folder: str, job: Job) -> Summary:
-    """Judge a log, and write what was found; what is wrong with the log is part of the result.
-
-    Parameters
-    ----------
-    folder : str
-        Where its results go; made if it is not there. None of them tells where the log lies.
-    """
+    """Judge a log, and write what was found; what is wrong with the log is part of the result."""
     target = Path(folder)
     make_folder(target)
     tell = partial(_tell, target / _PROGRESS, [])

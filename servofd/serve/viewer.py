@@ -34,11 +34,6 @@ def viewer_files(folder: Path) -> Path | None:
 
     The program would serve them itself, but to everybody and without end: it runs on this machine's own address for the
     seconds that this takes.
-
-    Returns
-    -------
-    Path or None
-        None if Rerun is not installed, or has no such viewer.
     """
     package = find_spec("rerun_cli")
     program = Path(package.origin or "").with_name("rerun") if package is not None else Path()

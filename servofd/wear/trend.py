@@ -15,10 +15,8 @@ from logparsers import LogError
 from servofd.aircraft.axis_names import SURFACE_AXES
 from servofd.aircraft.schema import Aircraft, load_aircraft
 from servofd.aircraft.segment import cut
-from servofd.batch.cluster import run_on_cluster
-from servofd.batch.fetch import fetched
-from servofd.batch.find import find_logs
-from servofd.batch.local import run_local
+from servofd.batch.find import fetched, find_logs
+from servofd.batch.local import run_local, run_on_cluster
 from servofd.core.errors import ConfigError, NoMeasurement, ServofdError
 from servofd.estimate.statistics import Estimate
 from servofd.feedback.flown import layout_of, logs_of, surfaces_of

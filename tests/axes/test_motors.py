@@ -8,8 +8,7 @@ import numpy as np
 
 from logparsers.records import Channel, FlightLog
 from servofd.jobs.workflow import FailedLog
-from servofd.outputs.audit_page import audit_page
-from servofd.outputs.motors import motors_of
+from servofd.outputs.audit_page import audit_page, motors_of
 
 
 def quad(vehicle: str = "quadrotor") -> FlightLog:

@@ -268,8 +268,8 @@ def test_the_overview_counts_what_the_logs_say(results: Path, capsys: pytest.Cap
 
 @pytest.mark.slow
 def test_a_table_has_the_same_columns_whatever_it_holds(tmp_path: Path, logs: Path) -> None:
-    from servofd.fleet.judge import judge_log
-    from servofd.fleet.tables import TABLES
+    from servofd.fleet.run import judge_log
+    from servofd.fleet.store import TABLES
 
     with FleetStore(tmp_path, Job().key) as store:
         for source in find_logs([str(logs / "flight0.csv"), "no_such.csv"]).logs:

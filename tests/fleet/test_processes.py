@@ -18,7 +18,7 @@ from servofd.batch.find import find_logs
 from servofd.batch.key import Job
 from servofd.cli import main
 from servofd.fleet.run import audit_fleet
-from servofd.fleet.tables import rows
+from servofd.fleet.store import rows
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -89,7 +89,7 @@ def test_a_cluster_that_is_not_there_is_told_in_one_line(
     logs: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("distributed")
-    monkeypatch.setattr("servofd.batch.cluster._PATIENCE_S", 0.5)
+    monkeypatch.setattr("servofd.batch.local._PATIENCE_S", 0.5)
     for address, why in (("tcp://127.0.0.1:9", "no Dask scheduler answers"), ("nonsense", "is no address")):
         assert main(["audit", str(logs), "--cluster", address]) == 2
         assert why in capsys.readouterr().err.splitlines()[-1]

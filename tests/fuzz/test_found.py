@@ -31,10 +31,10 @@ from servofd.jobs.workflow import audit
 from servofd.live.session import stamped
 from servofd.outputs.recording import read
 from servofd.outputs.recording.content import Trace
-from servofd.outputs.recording.program import run_rerun
 from servofd.outputs.recording.review import rejudged, statistics_of
 from servofd.outputs.recording.stream import recording_file
 from servofd.outputs.recording.verdicts import audit_of
+from servofd.outputs.recording.viewer import run_rerun
 from servofd.outputs.recording.write import recording_of
 from servofd.servo.library import find_servo
 from tests.fuzz import seeds

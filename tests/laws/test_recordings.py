@@ -18,11 +18,11 @@ from servofd.core.types import FloatArray
 from servofd.detection.bank.window import Fault
 from servofd.detection.verdict import LogAudit, Status, SurfaceAudit
 from servofd.estimate.statistics import Estimate
-from servofd.outputs.recording.clock import microseconds, seconds
 from servofd.outputs.recording.content import Recording, Trace
 from servofd.outputs.recording.read import read_recording
 from servofd.outputs.recording.review import between, compared, statistics_of
 from servofd.outputs.recording.states import breaks_s
+from servofd.outputs.recording.stream import microseconds, seconds
 from servofd.outputs.recording.write import write_recording
 from tests.recordings.inside import everything
 

@@ -9,8 +9,7 @@ import pytest
 from servofd.detection.bank.window import Fault
 from servofd.detection.events import Event
 from servofd.estimate.statistics import Estimate
-from servofd.live.alerts import Alerts
-from servofd.live.names import short_names
+from servofd.live.alerts import Alerts, short_names
 
 NAMES = ["aileron_1", "aileron_9", "servo_1", "servo_10", "servo_3", "outer_flaperon_left", "outer_flaperon_right"]
 ODD = [

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from servofd.aircraft.calibration import PulseCalibration
-from servofd.live.bus import ServoBus
+from servofd.live.vehicle import ServoBus
 
 NAMES = ("aileron_1", "elevator_2", "rudder_4", "aileron_9")
 PULSE = PulseCalibration(channel="x", unit="us", trim_us=1500.0, slope_deg_per_us=0.2)

@@ -8,8 +8,7 @@ import pytest
 
 from logparsers.codec import Codec, Heard
 from servofd.aircraft.schema import Aircraft, load_aircraft
-from servofd.live.clock import VehicleClock
-from servofd.live.latency import Latency
+from servofd.live.clock import Latency, VehicleClock
 from servofd.live.session import Session
 from tests.live.test_troubles import Field, kinds, lively
 from tests.live.vehicles import flown, plane_file, vehicle

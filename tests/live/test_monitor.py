@@ -22,7 +22,7 @@ from servofd.cli import main
 from servofd.detection.audit import audit_log
 from servofd.feedback.draft import draft_aircraft, draft_to_toml
 from servofd.live.session import Session, stamped
-from servofd.live.speaker import ALLOWED
+from servofd.live.threads import ALLOWED
 from servofd.servo.faults import Bias, Stuck
 from servofd.simulation.telemetry_writer import telemetry_log
 from tests.live.relay import BadLink, relayed

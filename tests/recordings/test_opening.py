@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from servofd.outputs.explain_recording import _worst
+from servofd.outputs.identify_recording import _worst
 from servofd.outputs.recording.layout import _first_alarm
 
 

@@ -223,7 +223,7 @@ def test_a_recording_of_a_killed_process_is_read_and_repaired(tmp_path: Path) ->
     path, fixed = tmp_path / "killed.rrd", tmp_path / "fixed.rrd"
     code = f"""
 import os, signal, servofd
-from servofd.outputs.recording.clock import Clock
+from servofd.outputs.recording.stream import Clock
 from servofd.outputs.recording.stream import Recorder
 from servofd.outputs.recording.write import fill, recording_of
 import rerun as rr

@@ -13,12 +13,11 @@ import numpy as np
 from logparsers.detect import RECORDING
 from servofd.core.errors import RecordingError
 from servofd.core.files import beginning, whole_file
-from servofd.outputs.recording.clock import TIME_BOOT, seconds
 from servofd.outputs.recording.content import Recording, Trace
-from servofd.outputs.recording.program import run_rerun
 from servofd.outputs.recording.scene import AIRSPEED, ATTITUDE, GEO, LOCAL, SUPPLY
-from servofd.outputs.recording.stream import PROPERTIES, surface_place
+from servofd.outputs.recording.stream import PROPERTIES, TIME_BOOT, seconds, surface_place
 from servofd.outputs.recording.verdicts import audit_of
+from servofd.outputs.recording.viewer import run_rerun
 from servofd.servo.context import Context
 
 if TYPE_CHECKING:

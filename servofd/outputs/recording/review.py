@@ -11,8 +11,8 @@ from servofd.aircraft.segment import is_streamed
 from servofd.core.errors import RecordingError
 from servofd.detection.audit import audit_segment, judged_by
 from servofd.detection.verdict import Statistics
-from servofd.outputs.recording.clock import microseconds
 from servofd.outputs.recording.content import Recording
+from servofd.outputs.recording.stream import microseconds
 from servofd.outputs.recording.verdicts import LIVE
 
 if TYPE_CHECKING:
@@ -45,11 +45,6 @@ class Change:
 
 def compared(before: Recording, after: Recording) -> list[Change]:
     """Everything in which two recordings of the same log differ; empty if they agree to the last bit.
-
-    Parameters
-    ----------
-    before, after : Recording
-        Two audits of one log: by other thresholds, models, or versions of servofd.
 
     Examples
     --------
@@ -146,15 +141,7 @@ def _fault(fault: Fault) -> str:
 
 
 def statistics_of(trace: Trace) -> Statistics | None:
-    """Size of the residual while it was judged, from the recorded curves; None if it never was.
-
-    Examples
-    --------
-    >>> from servofd.outputs.recording.content import Trace
-    >>> t, r = np.arange(3.0), np.array([np.nan, 1.0, -3.0])
-    >>> statistics_of(Trace(t, t, t, t + 0.5, r, t, t, t)).max_abs_deg
-    3.0
-    """
+    """Size of the residual while it was judged, from the recorded curves; None if it never was."""
     judged = np.isfinite(trace.residual_deg)
     if not judged.any():
         return None
@@ -190,22 +177,6 @@ def rejudged(
     """Judge the recorded commands and deflections again, as an audit of the log would.
 
     The recording has the aircraft's models and tolerances, so that new alarms get names as well.
-
-    Parameters
-    ----------
-    threshold_deg : float, optional
-        Constant alarm level for all surfaces [deg].
-    threshold : {"constant", "interval"}, optional
-        Kind of threshold for all surfaces.
-
-    Examples
-    --------
-    >>> from servofd.outputs.recording.write import recording_of
-    >>> from servofd.jobs.workflow import audit
-    >>> (found,) = audit("sample_logs/faser_stuck_flight.mat", surfaces=("elevator",))
-    >>> [s.faults[0].alarm_s < found.surfaces[0].faults[0].alarm_s
-    ...  for s in rejudged(recording_of(found), threshold_deg=0.8).audit.surfaces]
-    [True]
     """
     audit = recording.audit
     if LIVE in recording.notes:

@@ -173,25 +173,13 @@ def hinges(names: list[str]) -> dict[str, Hinge]:
 
 
 def turned(axis: tuple[float, float, float], angle_deg: FloatArray) -> FloatArray:
-    """Rotations by angles of shape (n,) about one axis, as quaternions (x, y, z, w) of shape (n, 4).
-
-    Examples
-    --------
-    >>> turned((0.0, 1.0, 0.0), np.array([180.0])).round(6).tolist()
-    [[0.0, 1.0, 0.0, 0.0]]
-    """
+    """Rotations by angles of shape (n,) about one axis, as quaternions (x, y, z, w) of shape (n, 4)."""
     half = np.radians(angle_deg) / 2.0
     return np.column_stack([np.outer(np.sin(half), axis), np.cos(half)])
 
 
 def turned_by_euler(euler_deg: FloatArray) -> FloatArray:
-    """Roll, pitch and yaw of shape (n, 3) [deg] to quaternions (x, y, z, w) of shape (n, 4): yaw first, roll last.
-
-    Examples
-    --------
-    >>> turned_by_euler(np.array([[0.0, 0.0, 180.0]])).round(6).tolist()
-    [[0.0, 0.0, 1.0, 0.0]]
-    """
+    """Roll, pitch and yaw of shape (n, 3) [deg] to quaternions (x, y, z, w) of shape (n, 4): yaw first, roll last."""
     from scipy.spatial.transform import Rotation
 
     quaternions: FloatArray = Rotation.from_euler("ZYX", euler_deg[:, ::-1], degrees=True).as_quat()

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.detection.words import describe
-from servofd.outputs.recording.clock import microseconds, seconds
+from servofd.outputs.recording.stream import microseconds, seconds
 
 if TYPE_CHECKING:
     from servofd.core.types import BoolArray, FloatArray, IntArray

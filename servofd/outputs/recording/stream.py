@@ -1,4 +1,4 @@
-"""A recording while it is written: large columns, static styles, states, texts, markers.
+"""A recording while it is written: large columns, static styles, states, texts, markers, on exact times.
 
 What audit, explain and monitor record, they record through this; each passes its own Rerun stream.
 """
@@ -14,15 +14,63 @@ import numpy as np
 
 from servofd.core.files import whole_file
 from servofd.outputs.palette import rgba
-from servofd.outputs.recording.clock import Clock
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
+    from datetime import datetime
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from servofd.core.types import FloatArray
+    from servofd.core.types import FloatArray, IntArray
+
+TIME_BOOT, TIME_UTC = "time_boot", "time_utc"
+
+
+def microseconds(time_s: FloatArray) -> IntArray:
+    """Seconds to the nearest microsecond."""
+    return np.rint(np.asarray(time_s) * 1e6).astype(np.int64)
+
+
+def seconds(time_us: IntArray) -> FloatArray:
+    """Microseconds to seconds: the same number that a log's own microseconds give."""
+    converted: FloatArray = np.asarray(time_us) / 1e6
+    return converted
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """What the time lines of a recording are.
+
+    Parameters
+    ----------
+    start_utc : datetime or None
+        When ``time_s`` was 0; None if the log does not say, and there is no time of the day then.
+    """
+
+    start_utc: datetime | None = None
+
+    def columns(self, time_s: FloatArray) -> list[Any]:
+        """Time columns for Rerun, from times of shape (n,) [s].
+
+        Floats of seconds would be off by a nanosecond here and there; whole microseconds are exact.
+        """
+        import rerun as rr
+
+        time_us = microseconds(time_s)
+        columns = [rr.TimeColumn(TIME_BOOT, duration=time_us.astype("timedelta64[us]"))]
+        if self.start_utc is not None:
+            utc_us = time_us + self.start_us
+            columns.append(rr.TimeColumn(TIME_UTC, timestamp=utc_us.astype("datetime64[us]")))
+        return columns
+
+    @property
+    def start_us(self) -> int:
+        """Microseconds from 1970 to the start; 0 if it is not known."""
+        if self.start_utc is None:
+            return 0
+        return int(np.datetime64(self.start_utc.replace(tzinfo=None), "us").astype(np.int64))
+
 
 CHUNK_ROWS = 65_536
 """Rows in one chunk: smaller ones cost space, larger ones memory (measured: 22.3 B/scalar at 65 536, 22.5 at 4 096)."""
@@ -39,13 +87,7 @@ _UNDRAWN = re.compile(r"[^\t\n\x20-\x7e\xa0-\xff\u0391-\u03c9\u0400-\u045f\u2013
 
 
 def shown(text: str) -> str:
-    """Text that the viewer can draw: it crashes at a character that its font lacks.
-
-    Examples
-    --------
-    >>> shown("Höhenruder \N{AIRPLANE}")
-    'Höhenruder U+2708'
-    """
+    """Text that the viewer can draw: it crashes at a character that its font lacks."""
     return _UNDRAWN.sub(lambda found: f"U+{ord(found.group()):04X}", text)
 
 
@@ -184,18 +226,8 @@ def application_name(*parts: str) -> str:
 
 
 @contextmanager
-def recording_file(path: str | Path, application: str, layout: Any, clock: Clock = Clock()) -> Iterator[Recorder]:  # noqa: ANN401, B008 - frozen
-    """Write a recording whole or not at all.
-
-    Parameters
-    ----------
-    path : str or Path
-        File to write; `ConfigError` if it cannot be.
-    application : str
-        Name under which the viewer keeps the layout; recordings that share it share the layout.
-    clock : Clock
-        What time it is at ``time_s = 0``.
-    """
+def recording_file(path: str | Path, application: str, layout: Any, clock: Clock = Clock()) -> Iterator[Recorder]:  # noqa: ANN401 - frozen
+    """Write a recording whole or not at all; those of one `application` share its layout in the viewer."""
     import rerun as rr
 
     with whole_file(path) as temporary, rr.RecordingStream(application, send_properties=False) as stream:

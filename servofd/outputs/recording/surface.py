@@ -1,4 +1,4 @@
-"""One surface in a recording: curves, states, shaded faults, markers, events."""
+"""One surface or axis in a recording: curves, states, shaded faults, markers, events."""
 
 from __future__ import annotations
 
@@ -6,14 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.outputs.recording.clock import microseconds, seconds
 from servofd.outputs.recording.states import breaks_s, events, ratio, states
-from servofd.outputs.recording.stream import STATES, surface_place
+from servofd.outputs.recording.stream import STATES, microseconds, seconds, surface_place
 
 if TYPE_CHECKING:
     from servofd.core.types import FloatArray
     from servofd.detection.bank.window import Fault
-    from servofd.detection.verdict import SurfaceAudit
+    from servofd.detection.verdict import AxisAudit, SurfaceAudit
     from servofd.onboard.seen import Seen
     from servofd.outputs.recording.content import Trace
     from servofd.outputs.recording.stream import Recorder
@@ -29,13 +28,7 @@ _MARGIN = 1.12
 
 
 def plot_range(values: FloatArray, least: float) -> tuple[float, float]:
-    """Bottom and top of a plot that shows all values and as much as `least` around them.
-
-    Examples
-    --------
-    >>> plot_range(np.array([np.nan, -1.0, 3.0]), 1.0)
-    (-1.24, 3.24)
-    """
+    """Bottom and top of a plot that shows all values and as much as `least` around them."""
     known = values[np.isfinite(values)]
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
     middle, half = (low + high) / 2.0, max(_MARGIN * (high - low) / 2.0, least)
@@ -55,13 +48,7 @@ def residual_range(trace: Trace) -> tuple[float, float]:
 def send_surface(
     recorder: Recorder, surface: SurfaceAudit, trace: Trace | None, start_s: float, tint: str = "simulated"
 ) -> None:
-    """Send everything that an audit found about a surface, and looked at.
-
-    Parameters
-    ----------
-    trace : Trace or None
-        The curves.
-    """
+    """Send everything that an audit found about a surface, and looked at."""
     place = surface_place(surface.surface)
     recorder.texts(f"{place}/events", events(trace, surface, start_s))
     if trace is None or not trace.time_s.size:
@@ -140,3 +127,33 @@ def _send_overview(recorder: Recorder, place: str, surface: SurfaceAudit, trace:
 def _span(fault: Fault, trace: Trace) -> tuple[float, float]:
     last_s = float(trace.time_s[-1])
     return fault.start_s, last_s if fault.end_s is None else fault.end_s
+
+
+def axis_place(axis: AxisAudit) -> str:
+    """Entity path of an axis."""
+    return f"/axes/{axis.axis}"
+
+
+def send_axis(recorder: Recorder, axis: AxisAudit) -> None:
+    """Send what the motion tells of an axis."""
+    place, usable = axis_place(axis), axis.inputs.usable
+    effect = np.column_stack([axis.asked, axis.shown])
+    recorder.lines(f"{place}/effect", ["expected", "seen"], ["simulated", "measured"])
+    recorder.scalars(f"{place}/effect", axis.time_s, np.where(usable[:, np.newaxis], effect, np.nan))
+    recorder.lines(f"{place}/distance", ["distance from healthy", "threshold"], ["residual", "threshold"])
+    distance = np.column_stack([np.sqrt(np.maximum(axis.score, 0.0)), np.ones(axis.time_s.size)])
+    recorder.scalars(f"{place}/distance", axis.time_s, np.where(usable[:, np.newaxis], distance, np.nan))
+    recorder.states(f"{place}/state", _states(axis))
+
+
+def _states(axis: AxisAudit) -> list[tuple[float, str]]:
+    """When the state changes: what was judged, and what is told of it."""
+    usable = axis.inputs.usable
+    words = np.where(usable, "OK", "NO DATA")
+    said = "FAULT" if axis.status == "fault" else "SUSPECT"
+    for event in axis.events:
+        if event.is_own:
+            until_s = np.inf if event.end_s is None else event.end_s
+            words[(axis.time_s >= event.start_s) & (axis.time_s < until_s)] = said
+    first = np.flatnonzero(np.concatenate(([True], words[1:] != words[:-1])))
+    return [(float(axis.time_s[k]), str(words[k])) for k in first]

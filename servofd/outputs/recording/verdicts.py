@@ -98,13 +98,7 @@ def live_verdicts(aircraft: Aircraft, surfaces: Sequence[str], name: str) -> dic
 
 
 def audit_of(properties: Mapping[str, Any], name: str) -> Verdicts:
-    """Verdicts of a recording, and what its reader should know.
-
-    Parameters
-    ----------
-    properties : Mapping
-        As `verdicts_of` made them.
-    """
+    """Verdicts of a recording, and what its reader should know."""
     schema = properties.get("schema")
     if isinstance(schema, str) and schema in _WITHOUT_VERDICTS:
         raise RecordingError(

@@ -17,14 +17,11 @@ import numpy as np
 
 from servofd.onboard.seen import seen_of
 from servofd.outputs.palette import SERIES
-from servofd.outputs.recording.axes import send_axis
-from servofd.outputs.recording.clock import Clock
-from servofd.outputs.recording.content import Recording
+from servofd.outputs.recording.content import Recording, attitude_of, geo_of, local_of
 from servofd.outputs.recording.layout import ALARM_LINE, REPORT, audit_layout
-from servofd.outputs.recording.motion import attitude_of, geo_of, local_of
 from servofd.outputs.recording.scene import send_scene
-from servofd.outputs.recording.stream import Recorder, application_name, recording_file
-from servofd.outputs.recording.surface import send_on_board, send_surface
+from servofd.outputs.recording.stream import Clock, Recorder, application_name, recording_file
+from servofd.outputs.recording.surface import send_axis, send_on_board, send_surface
 from servofd.outputs.recording.verdicts import verdicts_of
 
 if TYPE_CHECKING:
