@@ -44,7 +44,10 @@ def run(options: Options) -> int:
     for failure in found.failures:
         complain(failure)
     if found.explanations and options.save:
-        _save(options, found)
+        text, kept = model_file(found.explanations, found.aircraft, found.source, found.logs)
+        for surface, reason in kept.items():
+            complain(f"{options.save}: {surface} stays as it was: {one_line(reason)}")
+        write_whole(options.save, text.encode())
     if found.failures:
         return 2
     left = ("partly_explained", "unexplained")
@@ -61,26 +64,15 @@ def _write(options: Options, found: ExplainedLogs) -> None:
     if options.rrd:
         save_explanation(found.explanations[0], options.rrd, _names(options))
     if options.html:
-        _write_page(options, found)
+        gains = {one.surface: audit_rows(one.gain.document()) for one in found.explanations if one.gain}
+        write_whole(options.html, explain_page(found.explanations, _names(options), thresholds=gains).encode())
     if not give_json(options.json, documents[found.explanations[0].surface] if single else whole):
         print("\n".join(explanation_text(found.source, each) for each in documents.values()), end="")
-
-
-def _write_page(options: Options, found: ExplainedLogs) -> None:
-    gains = {one.surface: audit_rows(one.gain.document()) for one in found.explanations if one.gain}
-    write_whole(options.html, explain_page(found.explanations, _names(options), thresholds=gains).encode())
 
 
 def _names(options: Options) -> str:
     """Of the logs, without their folders: what leaves the machine tells nothing of it."""
     return ", ".join(Path(log).name for log in options.logs)
-
-
-def _save(options: Options, found: ExplainedLogs) -> None:
-    text, kept = model_file(found.explanations, found.aircraft, found.source, found.logs)
-    for surface, reason in kept.items():
-        complain(f"{options.save}: {surface} stays as it was: {one_line(reason)}")
-    write_whole(options.save, text.encode())
 
 
 def explanation_text(source: str, document: dict[str, Any]) -> str:

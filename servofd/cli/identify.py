@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from servofd.cli.servos import poles_text
 from servofd.cli.terminal import check_targets, give_json, progress
 from servofd.core.files import make_folder, write_whole
 from servofd.feedback.flown import known_aircraft
@@ -60,7 +61,7 @@ def _text(found: Identification) -> str:
     linear, servo = found.servo.linear, found.servo
     bandwidth = linear.transfer.bandwidth_rad_s
     rows = [
-        ("poles [rad/s]", _poles(found), _of_poles(found)),
+        ("poles [rad/s]", poles_text(found.poles_rad_s), _of_poles(found)),
         ("dc gain", f"{linear.gain:.5g}", _interval(found, "dc_gain")),
         ("delay [ms], hold apart", f"{1e3 * linear.delay_s:.3f}", _interval(found, "delay_s", 1e3)),
         ("total lag [ms]", f"{1e3 * linear.lag_s:.2f}", _interval(found, "lag_s", 1e3)),
@@ -82,12 +83,6 @@ def _text(found: Identification) -> str:
     lines = [f"{found.surface}: order {linear.order}, method {found.method}   (in brackets: 95% intervals)"]
     lines += [f"  {name:<24} {value:<28} {interval}".rstrip() for name, value, interval in rows]
     return "\n".join([*lines, *(f"  - {note}" for note in found.notes)]) + "\n"
-
-
-def _poles(found: Identification) -> str:
-    poles = found.poles_rad_s
-    real = [f"{p.real:.2f}" for p in poles if p.imag == 0.0]
-    return ", ".join(real + [f"{p.real:.2f} ± {p.imag:.2f}i" for p in poles if p.imag > 0.0])
 
 
 def _of_poles(found: Identification) -> str:

@@ -32,16 +32,12 @@ def run(options: Options) -> int:
     for path in paths:
         try:
             found.append((path, _read(path, options)))
-        except _errors() as error:
+        except RecordingError as error:
             failed.append((path, str(error)))
     if options.output and found and not options.repair:
         write_recording(found[0][1], options.output)
     _show(options, found, failed)
     return worst([*(_exit_code(recording) for _, recording in found), *(2 for _ in failed)])
-
-
-def _errors() -> tuple[type[Exception], ...]:
-    return (RecordingError,)
 
 
 def _paths(given: list[str]) -> list[Path]:

@@ -50,7 +50,7 @@ def _row(servo: Servo) -> list[str]:
     bandwidth_rad_s = servo.printed.bandwidth_rad_s
     delay = f"{1e3 * servo.transport_delay_s:g}"
     return [
-        _poles(servo.printed.poles_rad_s),
+        poles_text(servo.printed.poles_rad_s),
         f"{servo.printed.dc_gain:.5f}",
         f"{bandwidth_rad_s:.2f}  {bandwidth_rad_s / (2 * math.pi):.2f}",
         f"{servo.rate_limit_deg_s:g}" if servo.rate_limit_deg_s else "-",
@@ -59,7 +59,8 @@ def _row(servo: Servo) -> list[str]:
     ]
 
 
-def _poles(poles_rad_s: ComplexArray) -> str:
+def poles_text(poles_rad_s: ComplexArray) -> str:
+    """Real poles, then pairs, of which each is told once [rad/s]."""
     real = [f"{p.real:.2f}" for p in poles_rad_s if p.imag == 0.0]
     pairs = [f"{p.real:.2f} ± {p.imag:.2f}i" for p in poles_rad_s if p.imag > 0.0]
     return ", ".join(real + pairs)

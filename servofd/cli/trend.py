@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from servofd.cli.terminal import check_targets, complain, give_json, print_table, progress, worst
 from servofd.core.files import write_whole
+from servofd.outputs.fleet_page import flight_name
 from servofd.outputs.trend_page import (
     axes_of,
     effects_of,
-    flight_name,
     number_of_flights,
     quantity_row,
     trend_page,
@@ -20,7 +21,6 @@ from servofd.wear.trend import trend_document, trend_logs
 
 if TYPE_CHECKING:
     from servofd.cli.options import Options
-    from servofd.wear.trend import AircraftTrend
 
 _SHOWN = 5
 
@@ -28,7 +28,14 @@ _SHOWN = 5
 def run(options: Options) -> int:
     """Follow, write what was asked for, print."""
     check_targets((options.json, options.html), {"a log": options.logs, "the aircraft file": [options.config]})
-    seen = _followed(options)
+    seen = trend_logs(
+        options.logs,
+        options.config,
+        surfaces=tuple(options.surface),
+        cluster=options.cluster,
+        workers=options.workers,
+        progress=partial(progress, "trend"),
+    )
     document = trend_document(seen)
     if options.html:
         write_whole(options.html, trend_page(document).encode())
@@ -39,19 +46,6 @@ def run(options: Options) -> int:
     if len(seen.problems) > _SHOWN:
         complain(f"and {len(seen.problems) - _SHOWN} more like these")
     return worst([int(seen.has_alarm), 2 if seen.not_judged else 0])
-
-
-def _followed(options: Options) -> AircraftTrend:
-    from functools import partial
-
-    return trend_logs(
-        options.logs,
-        options.config,
-        surfaces=tuple(options.surface),
-        cluster=options.cluster,
-        workers=options.workers,
-        progress=partial(progress, "trend"),
-    )
 
 
 def _print(document: dict[str, Any]) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from servofd.outputs.audit_page import quantity
 from servofd.outputs.page import page
-from servofd.outputs.sentence import clock, spoken
+from servofd.outputs.sentence import clock, minute_of, spoken
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -73,7 +73,7 @@ def _flight(rank: int, flight: dict[str, Any], pages: frozenset[str]) -> dict[st
         "status": _OF_PAGE.get(flight["status"], flight["status"]),
         "name": name,
         "page": flight["page"] if flight["page"] in pages else "",
-        "begun": (flight["start_utc"] or "")[:16].replace("T", " "),
+        "begun": minute_of(flight["start_utc"]),
         "duration_s": flight["duration_s"] or 0.0,
         "duration": clock(flight["duration_s"] or 0.0),
         "sentence": flight["sentence"].replace(flight["path"], name),
@@ -135,7 +135,7 @@ def _fault(fault: dict[str, Any]) -> tuple[str, ...]:
     end_s = fault["end_s"]
     return (
         flight_name(fault),
-        (fault["start_utc"] or "")[:16].replace("T", " "),
+        minute_of(fault["start_utc"]),
         spoken(fault["surface"]),
         fault["kind"].replace("_", " "),
         f"{fault['start_s']:.1f}",

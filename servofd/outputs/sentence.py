@@ -180,6 +180,11 @@ def clock(time_s: float) -> str:
     return f"-{text}" if time_s <= -0.5 else text
 
 
+def minute_of(start_utc: str | None) -> str:
+    """Day and minute of a time stamp as JSON tells it; empty if there is none."""
+    return (start_utc or "")[:16].replace("T", " ")
+
+
 def plain_rate(per_hour: float) -> str:
     """How often something happens, as somebody would say it who does not count in powers of ten.
 

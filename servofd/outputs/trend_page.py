@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from servofd.estimate.statistics import Z_95
+from servofd.outputs.fleet_page import flight_name
 from servofd.outputs.page import page
 from servofd.outputs.palette import COLOURS
 from servofd.outputs.picture import Picture, finish, new_figure
-from servofd.outputs.sentence import spoken
+from servofd.outputs.sentence import minute_of, spoken
 from servofd.wear.estimate import QUANTITIES
 from servofd.wear.series import TOO_FEW
 
@@ -46,7 +46,7 @@ def trend_page(document: dict[str, Any]) -> str:
             (
                 str(one["number"]),
                 flight_name(one),
-                (one["start_utc"] or "")[:16].replace("T", " "),
+                minute_of(one["start_utc"]),
                 *effects_of(document, one),
             )
             for one in flights
@@ -148,11 +148,6 @@ def _interval(estimate: dict[str, float], scale: float, digits: int) -> str:
         digits = min(digits, max(1 - math.floor(math.log10(width)), 0))
     value, low, high = (f"{scale * estimate[key]:z.{digits}f}" for key in ("value", "low", "high"))
     return f"{value} [{low}, {high}]"
-
-
-def flight_name(flight: dict[str, Any]) -> str:
-    """File of a flight, and its run where there are several."""
-    return PurePosixPath(flight["path"].replace("\\", "/")).name + (f" (run {flight['run']})" if flight["run"] else "")
 
 
 def _surface(name: str, surface: dict[str, Any], flights: Sequence[dict[str, Any]]) -> dict[str, Any]:

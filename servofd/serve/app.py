@@ -15,7 +15,7 @@ from starlette.routing import Route
 
 from servofd.outputs.fleet_page import thumbnail
 from servofd.outputs.page import page
-from servofd.outputs.sentence import clock, spoken
+from servofd.outputs.sentence import clock, minute_of, spoken
 from servofd.serve.flights import RESULTS, TooLarge
 from servofd.serve.guard import Guard
 from servofd.serve.judge import AUDIT, PAGE, RECORDING, progress_in
@@ -170,7 +170,7 @@ def _row(flight: Flight) -> dict[str, Any]:
         "state": flight.state,
         "status": summary.status if summary else "",
         "sentence": summary.sentence if summary else "",
-        "begun": (summary.start_utc or "")[:16].replace("T", " ") if summary else "",
+        "begun": minute_of(summary.start_utc if summary else None),
         "duration": clock(summary.duration_s) if summary and summary.duration_s else "",
         "surface": spoken(summary.surface) if summary else "",
         "too_long": summary.too_long if summary else False,
