@@ -534,7 +534,7 @@ class Calibrated(Calibration, Shown):
                 "bandwidth_rad_s": round(math.exp(one.estimates["ln_bandwidth"].value), 1),
                 "held_out_rms_deg": round(one.held_out_rms_deg, 3),
                 **{f"smallest_{name}": size for name, size in one.detectable.document().items()},
-                "flights": ", ".join(record.label for record in one.flights),
+                "flights": ", ".join(one.flights),
                 "notes": "; ".join(one.notes),
             }
             for one in self.surfaces

@@ -457,7 +457,7 @@ def _noise_var(flights: Sequence[Inputs]) -> float:
 def _lost_half(model: AxisModel, inputs: Inputs, windows: Sequence[Sliding], rate_hz: float) -> FloatArray:
     """J / scale if half of the axis were lost (if a copied command: if it stood far away), where it is judged."""
     shifted = [
-        replace(found, loss=found.loss + 0.5) if model.own_command else replace(found, offset=found.offset + _AWAY_US)
+        found._replace(loss=found.loss + 0.5) if model.own_command else found._replace(offset=found.offset + _AWAY_US)
         for found in windows
     ]
     return np.asarray(shares_of(model, inputs, shifted, rate_hz)[:, inputs.usable])

@@ -14,7 +14,7 @@ from servofd.axes.model import covered, distances, flown_of, inputs_of, smallest
 from servofd.axes.words import left_out, reason_of
 from servofd.core.errors import NoMeasurement
 from servofd.detection.verdict import AxisAudit, AxisDetectable, AxisEvent, AxisStatus
-from servofd.estimate.axis_windows import Expected, lags, nothing_known, sliding
+from servofd.estimate.axis_windows import Sliding, lags, nothing_known, sliding
 from servofd.estimate.statistics import Z_95, Estimate
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ class _Change:
     end: int
     before: Inputs
     """Of the flight before it and any event that still lasts."""
-    past: Expected
+    past: Sliding
     rest: Inputs
     """Beyond what still lasts."""
     score: FloatArray
@@ -226,7 +226,7 @@ def _event(axis: AxisModel, change: _Change, time_s: FloatArray, rate_hz: float)
     )
 
 
-def _beside(inputs: Inputs, past: Expected) -> Inputs:
+def _beside(inputs: Inputs, past: Sliding) -> Inputs:
     """What is left beside the loss and the offset that a flight had of its own, which flights differ by."""
     return replace(inputs, residual=inputs.residual - past.loss[0] * inputs.loss - past.offset[0] * inputs.offset)
 
@@ -306,7 +306,7 @@ def _recovered(axis: AxisModel, inputs: Inputs, alarm: int, rate_hz: float) -> i
     return int(found[0]) if found.size else None
 
 
-def _onset(axis: AxisModel, inputs: Inputs, alarm: int, begin: int, rate_hz: float, past: Expected) -> int:
+def _onset(axis: AxisModel, inputs: Inputs, alarm: int, begin: int, rate_hz: float, past: Sliding) -> int:
     """Where a fault must have begun to explain most of the residual up to its alarm.
 
     Before it, if that was long enough to tell, the flight had a loss and an offset of its own, which flights differ by:
@@ -328,14 +328,14 @@ def _onset(axis: AxisModel, inputs: Inputs, alarm: int, begin: int, rate_hz: flo
     return first + int(np.argmax(explained)) if good.any() else alarm
 
 
-def _own_past(axis: AxisModel, inputs: Inputs, alarm: int, begin: int, rate_hz: float) -> Expected:
+def _own_past(axis: AxisModel, inputs: Inputs, alarm: int, begin: int, rate_hz: float) -> Sliding:
     """What the flight was like before the longest window that ends with the alarm, if it was judged for long enough."""
     spread = axis.spreads[-1]
     before = alarm - spread.samples(rate_hz)
     found = sliding(inputs, inputs.usable.size, axis.noise_var, enough=0.0)
     if int(inputs.usable[begin : max(before, begin)].sum()) < _OWN_PAST_S * rate_hz or not found.known[before]:
         return nothing_known(axis.of_flights(spread))
-    return Expected(
+    return Sliding(
         found.loss[[before]],
         found.offset[[before]],
         found.loss_var[[before]] + spread.loss_var,
@@ -345,7 +345,7 @@ def _own_past(axis: AxisModel, inputs: Inputs, alarm: int, begin: int, rate_hz: 
 
 
 def _estimate(
-    axis: AxisModel, inputs: Inputs, start: int, last: int, rate_hz: float, past: Expected
+    axis: AxisModel, inputs: Inputs, start: int, last: int, rate_hz: float, past: Sliding
 ) -> tuple[Estimate, Estimate]:
     """Loss and offset from an onset on, beyond what the flight was like before; healthy flights differ as well.
 

@@ -21,7 +21,7 @@ from servofd.calibrating.known import (
     refuse_unlike,
     thresholds_above,
 )
-from servofd.calibrating.result import CalibratedSurface, Calibration, FlightRecord
+from servofd.calibrating.result import CalibratedSurface, Calibration
 from servofd.core.errors import CalibrationError
 from servofd.core.evidence import ModelOrigin
 from servofd.core.tolerance import Tolerance
@@ -97,7 +97,7 @@ def calibrate_surface(flights: Sequence[Flight], aircraft: Aircraft) -> Calibrat
         _constant_deg(fitted),
         fitted.held_out_rms_deg,
         fitted.explained_share,
-        tuple(FlightRecord(flight.label, flight.segment.duration_s) for flight in flights),
+        tuple(flight.label for flight in flights),
         sizes,
         _sharper(known, fitted, records, sizes),
         _notes(gain, known),

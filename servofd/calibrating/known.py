@@ -14,7 +14,7 @@ from servofd.detection.calibrated import judged
 from servofd.detection.changes import FLOORS, MARGIN, STATISTICS, statistics_of, watched
 from servofd.detection.plausible import ENOUGH_MOTION_DEG
 from servofd.detection.words import describe
-from servofd.estimate.fit import FAMILY, fit, residual
+from servofd.estimate.fit import fit, predicted, residual
 from servofd.estimate.record import Record
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ def changes_of(fitted: Fit, records: Sequence[Record]) -> FloatArray:
     between = np.array([prior.between for prior in PRIORS])
     out = []
     for record in records:
-        reading_deg, slopes, speed = FAMILY.predicted(fitted.theta, record, fitted.reach_deg)
+        reading_deg, slopes, speed = predicted(fitted.theta, record, fitted.reach_deg)
         error_deg, inside = residual(record.measured_deg, reading_deg, fitted.reach_deg)
         rows = record.usable & inside
         sigma = fitted.noise.sigma_deg(speed[rows])

@@ -21,16 +21,6 @@ if TYPE_CHECKING:
     from servofd.servo.library import Servo
 
 
-@dataclass(frozen=True, slots=True)
-class FlightRecord:
-    """Where numbers come from."""
-
-    label: str
-    """Name of the log, without folders."""
-    used_s: float
-    """How much of it was used [s]."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibratedSurface:
     """One surface, fitted."""
@@ -52,7 +42,8 @@ class CalibratedSurface:
     """Constant threshold that the flights stayed below, with a margin [deg]."""
     held_out_rms_deg: float
     explained_share: float
-    flights: tuple[FlightRecord, ...]
+    flights: tuple[str, ...]
+    """Names of the logs, without folders."""
     detectable: Detectable = NOTHING_DETECTABLE
     """What these flights would have shown."""
     sharper: str = ""
@@ -76,13 +67,11 @@ class Calibration:
         """Of all surfaces that were calibrated, in flights like those of simulated aircraft of other physics."""
         return len(self.surfaces) * FALSE_ALARMS_PER_HOUR
 
-    """Wanted, of all surfaces together."""
-
 
 def calibration_to_toml(calibration: Calibration) -> str:
     """Text of an aircraft file that `servofd audit -c` accepts, with intervals and provenance as comments."""
     aircraft = calibration.aircraft
-    logs = {record.label: None for one in calibration.surfaces for record in one.flights}
+    logs = {label: None for one in calibration.surfaces for label in one.flights}
     lines = [
         f"# Calibrated by `servofd calibrate` from {', '.join(logs)}: flights taken to be good.",
         "# Numbers in square brackets behind a # are 95% intervals.",

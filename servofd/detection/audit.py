@@ -24,15 +24,15 @@ from servofd.aircraft.segment import (
 )
 from servofd.core.errors import DesignError, NoMeasurement
 from servofd.core.evidence import NOTHING_DETECTABLE
-from servofd.detection.calibrated import MOST_OF_THE_LOG, SHORTEST_JUDGED_S, audit_calibrated
+from servofd.detection.calibrated import audit_calibrated
 from servofd.detection.contradiction import unanswered
-from servofd.detection.evidence import coverage, detectable, not_judgeable, why_not_cleared
+from servofd.detection.evidence import coverage, detectable, reported, status_of, too_short
 from servofd.detection.glitches import prepared
 from servofd.detection.judge import Judgement, judge
 from servofd.detection.plausible import wiring_problem
 from servofd.detection.probability import false_alarms_per_hour
 from servofd.detection.residual import ResidualGenerator, Residuals
-from servofd.detection.verdict import LogAudit, Statistics, Status, SurfaceAudit, outline
+from servofd.detection.verdict import LogAudit, Statistics, SurfaceAudit
 from servofd.detection.words import describe
 
 if TYPE_CHECKING:
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
 
     from logparsers.records import FlightLog
     from servofd.aircraft.schema import Aircraft, Surface
-    from servofd.core.evidence import Detectable
     from servofd.detection.bank.window import Fault
     from servofd.detection.threshold import Threshold, ThresholdKind
     from servofd.servo.servo_model import ServoModel
@@ -159,22 +158,14 @@ def audit_segment(
     segment, residuals, notes = prepared(generator, segment)
     notes = (*notes, *_left_out(generator.model, segment), *_unusual_scale(surface), *_by_other_messages(surface))
     judged_s = _judged_s(residuals, generator.longest_gap_s(segment))
-    problem = _not_judged(judged_s, residuals)
+    is_number = np.isfinite(residuals.residual_deg[residuals.settled]).all()
+    problem = too_short(judged_s) or ("" if is_number else "the residual is not a number: check model and units")
     if problem:
         return verdict(status="unknown", reason=problem, segment=segment, residuals=residuals)
     statistics = Statistics.of(residuals.residual_deg[residuals.settled], residuals.error_deg[residuals.settled])
     # Whoever names a level wants to know what reaches it.
     judgement = judge(generator, segment, residuals, surface, dismiss=threshold_deg is None)
     level, faults, suspicions = judgement.threshold, judgement.faults, judgement.suspicions
-    verdict = partial(
-        verdict,
-        statistics=statistics,
-        segment=segment,
-        residuals=residuals,
-        threshold=level,
-        threshold_deg=level.typical_deg,
-        outline=outline(residuals.time_s, np.where(residuals.settled, residuals.residual_deg, np.nan), level.level_deg),
-    )
     # Tolerances that were drafted from a log hide a reversed sign.
     problem = _miswired(residuals, faults, surface) if faults or suspicions or surface.model.origin == "fitted" else ""
     if problem:
@@ -189,26 +180,29 @@ def audit_segment(
             own_fit=own_fit,
             persistence=surface.persistence,
         )
-    status, reason_text = _verdict(residuals, statistics, faults, suspicions, level, problem or shown, own_fit=own_fit)
+        status, reason = status_of(
+            residuals, level, faults, suspicions, shown, _well(residuals, statistics, level), own_fit=own_fit
+        )
+    else:
+        status, reason = "unknown", problem
     judged_share = min(judged_s / max(duration_s, 1e-9), 1.0)
     covered = coverage(segment, residuals)
     problem = covered.problem or ("judged for too little of the log" if judged_share < _LEAST_OF_THE_LOG else "")
     if status == "healthy" and problem:
-        status, reason_text = "unknown", f"{problem}; as far as it was judged, {reason_text}"
-    reason_text = "; ".join((reason_text, *covered.notes, *_too_many(judgement), *notes))
-    verdict = partial(verdict, judged_share=judged_share, detectable=shown)
-    if judged_share < MOST_OF_THE_LOG:
-        reason_text += f"; judged for {judged_share:.0%} of the log"
-    if segment.frozen_s > 0.0:
-        reason_text += f"; {segment.frozen_s:.1f} s of frozen telemetry not judged"
-        if segment.frozen_to_end and status != "fault":
-            status, reason_text = "no_data", "telemetry froze and never came back; before that, " + reason_text
-    return verdict(
-        status=status,
-        reason=reason_text,
+        status, reason = "unknown", f"{problem}; as far as it was judged, {reason}"
+    return reported(
+        verdict,
+        segment,
+        residuals,
+        level,
+        judged_share,
+        status,
+        "; ".join((reason, *covered.notes, *_too_many(judgement), *notes)),
         faults=faults,
         suspicions=suspicions,
+        statistics=statistics,
         false_alarms_per_hour=_odds(residuals, faults + suspicions, segment.period_s, level.typical_deg),
+        detectable=shown,
     )
 
 
@@ -315,14 +309,6 @@ def _miswired(residuals: Residuals, faults: tuple[Fault, ...], surface: Surface)
     return wiring_problem(replace(residuals, settled=before))
 
 
-def _not_judged(judged_s: float, residuals: Residuals) -> str:
-    """Why residuals are no ground for a verdict, or nothing."""
-    if judged_s < SHORTEST_JUDGED_S:
-        return f"only {judged_s:.1f} s of command and position together; {SHORTEST_JUDGED_S:g} s are needed"
-    is_number = np.isfinite(residuals.residual_deg[residuals.settled]).all()
-    return "" if is_number else "the residual is not a number: check model and units"
-
-
 def _without_model(
     generator: ResidualGenerator, segment: Segment, surface: Surface, verdict: partial[SurfaceAudit]
 ) -> SurfaceAudit:
@@ -364,35 +350,12 @@ def _unpredicted(surface: Surface, segment: Segment) -> str:
     )
 
 
-def _verdict(
-    residuals: Residuals,
-    statistics: Statistics,
-    faults: tuple[Fault, ...],
-    suspicions: tuple[Fault, ...],
-    threshold: Threshold,
-    shown: Detectable | str,
-    *,
-    own_fit: bool,
-) -> tuple[Status, str]:
-    """Status and reason; `shown` is what the log would have shown, or why nothing of it can be believed."""
-    if isinstance(shown, str):
-        return "unknown", shown
-    if faults:
-        found = "; then ".join(describe(fault) for fault in faults)
-        return "fault", f"servo or its feedback: {found}"
-    if suspicions:
-        found = "; ".join(describe(fault) for fault in suspicions)
-        return "suspect", f"no alarm stands, but look at it: {found}"
-    problem = why_not_cleared(residuals, shown, threshold.typical_deg)
-    if problem:
-        return "unknown", problem
+def _well(residuals: Residuals, statistics: Statistics, threshold: Threshold) -> str:
     above = np.abs(residuals.residual_deg[residuals.settled]) > threshold.level_deg[residuals.settled]
     passed = ", which single readings passed" if above.any() else ""
-    limits = not_judgeable(shown, own_fit=own_fit)
     return (
-        "healthy",
         f"followed its command as its servo should, within {statistics.max_abs_deg:.2f} deg"
-        f" (threshold {threshold.typical_deg:.2g} deg{passed})" + (f"; {limits}" if limits else ""),
+        f" (threshold {threshold.typical_deg:.2g} deg{passed})"
     )
 
 

@@ -24,12 +24,11 @@ from servofd.detection.changes import (
     thresholds_of,
     watched,
 )
-from servofd.detection.evidence import not_judgeable, why_not_cleared
+from servofd.detection.evidence import reported, status_of, too_short
 from servofd.detection.refit import LOUD, named
 from servofd.detection.residual import Residuals
 from servofd.detection.threshold import Threshold
-from servofd.detection.verdict import Statistics, outline
-from servofd.detection.words import describe
+from servofd.detection.verdict import Statistics
 from servofd.estimate.record import Record, load_at
 
 if TYPE_CHECKING:
@@ -37,12 +36,11 @@ if TYPE_CHECKING:
 
     from servofd.aircraft.calibrated import CalibratedServo
     from servofd.aircraft.schema import Surface
-    from servofd.core.evidence import Detectable
     from servofd.core.types import FloatArray
     from servofd.detection.bank.window import Fault
     from servofd.detection.changes import Watched
     from servofd.detection.residual import Commands
-    from servofd.detection.verdict import Status, SurfaceAudit
+    from servofd.detection.verdict import SurfaceAudit
 
 _MOST_FAULTS: Final = 20
 _RESIDUALS: Final = STATISTICS.index("left_2s")
@@ -60,8 +58,6 @@ _LEAST_DEG: Final = {"oscillation": ("amplitude_deg", 0.2), "deadband": ("width_
 _SHORTEST_WEAR_S: Final = 2.0
 _SAME_S: Final = 5.0
 """What is raised so soon after the end of a fault belongs to it."""
-MOST_OF_THE_LOG: Final = 0.9
-SHORTEST_JUDGED_S: Final = 0.25
 _LITTLE_KNOWN: Final = 5.0
 """Times its usual deviation a residual may reach where a servo moves as it never did in its good flights."""
 _OFTEN_BEYOND: Final = 0.2
@@ -82,46 +78,37 @@ def audit_calibrated(
     steps_s = np.minimum(np.diff(flight.record.time_s, append=np.nan), 3.0 * segment.period_s)
     judged_s = float(np.nansum(steps_s[rows]))
     beyond = _beyond(flight)
-    if judged_s < SHORTEST_JUDGED_S and beyond:
-        return verdict(status="unknown", reason=beyond, segment=segment)
-    if judged_s < SHORTEST_JUDGED_S:
-        reason = f"only {judged_s:.1f} s of command and position together; {SHORTEST_JUDGED_S:g} s are needed"
-        return verdict(status="unknown", reason=reason, segment=segment)
+    short = too_short(judged_s)
+    if short:
+        return verdict(status="unknown", reason=beyond or short, segment=segment)
     residuals, threshold = _shown(flight)
     found = judged(flight)
     sizes = detectable([flight])
     error_deg = flight.error_deg[rows]
     statistics = Statistics.of(error_deg, (flight.record.measured_deg - flight.reading_deg)[rows])
-    status, reason = _verdict(flight, found.faults, found.suspicions, sizes, statistics.max_abs_deg)
-    judged_share = min(judged_s / max(duration_s, 1e-9), 1.0)
+    well = f"as in its good flights (largest residual {statistics.max_abs_deg:.2f} deg{_untold(flight)})"
+    status, reason = status_of(residuals, threshold, found.faults, found.suspicions, sizes, well)
     if beyond:
         status, reason = ("unknown" if status == "healthy" else status), f"{reason}; {beyond}"
-    if judged_share < MOST_OF_THE_LOG:
-        reason += f"; judged for {judged_share:.0%} of the log"
-    if segment.frozen_s > 0.0:
-        reason += f"; {segment.frozen_s:.1f} s of frozen telemetry not judged"
-        if segment.frozen_to_end and status != "fault":
-            status, reason = "no_data", "telemetry froze and never came back; before that, " + reason
+    after = []
     if known.airspeed_m_s and not segment.context.airspeed_s.size:
-        reason += f"; no airspeed in this log: taken to be about {known.airspeed_m_s:.0f} m/s, as in the good flights"
+        after.append(f"no airspeed in this log: taken to be about {known.airspeed_m_s:.0f} m/s, as in the good flights")
     if not known.airspeed_m_s and segment.context.airspeed_s.size:
-        reason += "; its good flights told no airspeed: calibrate it on logs that do, for fewer false alarms"
-    return verdict(
-        status=status,
-        reason=reason,
+        after.append("its good flights told no airspeed: calibrate it on logs that do, for fewer false alarms")
+    return reported(
+        verdict,
+        segment,
+        residuals,
+        threshold,
+        min(judged_s / max(duration_s, 1e-9), 1.0),
+        status,
+        reason,
+        after,
         faults=found.faults,
         suspicions=found.suspicions,
         statistics=statistics,
         false_alarms_per_hour=FALSE_ALARMS_PER_HOUR,
-        segment=segment,
-        residuals=residuals,
-        threshold=threshold,
-        threshold_deg=threshold.typical_deg,
         detectable=sizes,
-        judged_share=judged_share,
-        outline=outline(
-            residuals.time_s, np.where(residuals.settled, residuals.residual_deg, np.nan), threshold.level_deg
-        ),
     )
 
 
@@ -252,21 +239,6 @@ def _shown(flight: Watched) -> tuple[Residuals, Threshold]:
         flight.sigma_deg,
         no_sum(record.period_s),
     )
-
-
-def _verdict(
-    flight: Watched, faults: tuple[Fault, ...], suspicions: tuple[Fault, ...], sizes: Detectable, largest_deg: float
-) -> tuple[Status, str]:
-    if faults:
-        return "fault", f"servo or its feedback: {'; then '.join(describe(fault) for fault in faults)}"
-    if suspicions:
-        return "suspect", f"no alarm stands, but look at it: {'; '.join(describe(fault) for fault in suspicions)}"
-    residuals, threshold = _shown(flight)
-    problem = why_not_cleared(residuals, sizes, threshold.typical_deg)
-    if problem:
-        return "unknown", problem
-    reason = f"as in its good flights (largest residual {largest_deg:.2f} deg{_untold(flight)})"
-    return "healthy", "; ".join(filter(None, (reason, not_judgeable(sizes))))
 
 
 def _beyond(flight: Watched) -> str:

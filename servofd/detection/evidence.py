@@ -16,18 +16,25 @@ import numpy as np
 
 from servofd.core.evidence import NOTHING_DETECTABLE, Detectable
 from servofd.detection.threshold import MEMORY_S, SUSPICIOUS_DRIFT, suspicion
+from servofd.detection.verdict import outline
+from servofd.detection.words import describe
 from servofd.servo.kernel import compiled, play
+from servofd.servo.play import play
+from servofd.servo.state import compiled
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
     from servofd.aircraft.segment import Segment
     from servofd.core.types import BoolArray, FloatArray
+    from servofd.detection.bank.window import Fault
     from servofd.detection.residual import ResidualGenerator, Residuals
     from servofd.detection.threshold import Threshold
+    from servofd.detection.verdict import Status, SurfaceAudit
 
+MOST_OF_THE_LOG, SHORTEST_JUDGED_S = 0.9, 0.25
 MOST_LOST = 0.34
 """A surface that could have lost more than a third of its travel unseen is not called healthy."""
 _THIRD_OF_SPEED, _LIVELIER = 1.0 / 3.0, 1.5
@@ -391,3 +398,64 @@ def _lag(time_s: FloatArray, values: FloatArray, lag_s: float, result: FloatArra
 def _rounded(size: float) -> float:
     """Two digits: nobody knows more."""
     return float(f"{size:.2g}")
+
+
+def status_of(
+    residuals: Residuals,
+    threshold: Threshold,
+    faults: Sequence[Fault],
+    suspicions: Sequence[Fault],
+    shown: Detectable,
+    well: str,
+    *,
+    own_fit: bool = False,
+) -> tuple[Status, str]:
+    """What a surface has earned, and why; `well` says in which way it is healthy, if it is."""
+    if faults:
+        return "fault", f"servo or its feedback: {'; then '.join(describe(fault) for fault in faults)}"
+    if suspicions:
+        return "suspect", f"no alarm stands, but look at it: {'; '.join(describe(fault) for fault in suspicions)}"
+    problem = why_not_cleared(residuals, shown, threshold.typical_deg)
+    if problem:
+        return "unknown", problem
+    return "healthy", "; ".join(filter(None, (well, not_judgeable(shown, own_fit=own_fit))))
+
+
+def reported(
+    verdict: Callable[..., SurfaceAudit],
+    segment: Segment,
+    residuals: Residuals,
+    threshold: Threshold,
+    judged_share: float,
+    status: Status,
+    reason: str,
+    after: Sequence[str] = (),
+    **found: Any,  # noqa: ANN401 - fields of the verdict
+) -> SurfaceAudit:
+    """The verdict with what was seen of the flight, and what was not."""
+    if judged_share < MOST_OF_THE_LOG:
+        reason += f"; judged for {judged_share:.0%} of the log"
+    if segment.frozen_s > 0.0:
+        reason += f"; {segment.frozen_s:.1f} s of frozen telemetry not judged"
+        if segment.frozen_to_end and status != "fault":
+            status, reason = "no_data", "telemetry froze and never came back; before that, " + reason
+    return verdict(
+        status=status,
+        reason="; ".join((reason, *after)),
+        segment=segment,
+        residuals=residuals,
+        threshold=threshold,
+        threshold_deg=threshold.typical_deg,
+        judged_share=judged_share,
+        outline=outline(
+            residuals.time_s, np.where(residuals.settled, residuals.residual_deg, np.nan), threshold.level_deg
+        ),
+        **found,
+    )
+
+
+def too_short(judged_s: float) -> str:
+    """Why so much of a flight [s] is no ground for a verdict; empty if it is."""
+    if judged_s >= SHORTEST_JUDGED_S:
+        return ""
+    return f"only {judged_s:.1f} s of command and position together; {SHORTEST_JUDGED_S:g} s are needed"

@@ -217,31 +217,32 @@ def _guesses(window: _Window) -> Iterator[_Guess]:
     one = np.ones((error_deg.size, 1))
     cost, best, covariance = window.reduced(error_deg, slopes, one)
     bias = Estimate.of(best[FITTED], float(np.sqrt(covariance[FITTED, FITTED])))
-    changed = theta.copy()
-    changed[1] += best[FITTED]
-    yield _Guess("bias", cost, 1, {"bias_deg": bias}, changed)
+    yield _Guess("bias", cost, 1, {"bias_deg": bias}, _with(theta, bias_deg=theta[1] + best[FITTED]))
     for scale in _SCALES:
-        changed = theta.copy()
-        changed[0] = theta[0] * scale
-        yield _sized(window, "loss_of_effectiveness", changed, 0, {"gain": (theta[0], 0.0)})
+        yield _sized(window, "loss_of_effectiveness", _with(theta, gain=theta[0] * scale), 0, {"gain": (theta[0], 0.0)})
     for speed in _SPEEDS:
-        changed = theta.copy()
-        yield _sized(window, "slow", changed, None, {"bandwidth_scale": (speed, 0.1 * speed)}, float(np.log(speed)))
-        changed = theta.copy()
-        changed[3] += np.log(speed)
-        changed[5] += np.log(speed)
-        yield _sized(window, "slow", changed, None, {"bandwidth_scale": (speed, 0.1 * speed)})
+        share, less = {"bandwidth_scale": (speed, 0.1 * speed)}, float(np.log(speed))
+        yield _sized(window, "slow", theta, None, share, less)
+        slower = _with(theta, ln_bandwidth=theta[3] + less, ln_rate=theta[5] + less)
+        yield _sized(window, "slow", slower, None, share)
     for width in _WIDTHS_DEG:
-        for place in (NAMES.index("deadband_deg"), NAMES.index("play_deg")):
-            changed = theta.copy()
-            changed[place] = theta[place] + width
-            yield _sized(window, "deadband", changed, place, {"width_deg": (1.0, 0.0)})
+        for name in ("deadband_deg", "play_deg"):
+            place = NAMES.index(name)
+            yield _sized(
+                window, "deadband", _with(theta, **{name: theta[place] + width}), place, {"width_deg": (1.0, 0.0)}
+            )
         if width <= 4.0:
-            changed = theta.copy()
-            changed[NAMES.index("friction_deg")] += 0.5 * width
-            yield _sized(window, "deadband", changed, None, {"width_deg": (width, 0.25 * width)})
+            sticking = _with(theta, friction_deg=theta[NAMES.index("friction_deg")] + 0.5 * width)
+            yield _sized(window, "deadband", sticking, None, {"width_deg": (width, 0.25 * width)})
     yield from _oscillating(window, error_deg, slopes)
     yield from _immobile(window)
+
+
+def _with(theta: FloatArray, **changes: float) -> FloatArray:
+    """The same servo with some parameters changed, by their names."""
+    changed = theta.copy()
+    changed[[NAMES.index(name) for name in changes]] = list(changes.values())
+    return changed
 
 
 def _sized(
@@ -277,8 +278,7 @@ def _oscillating(window: _Window, error_deg: FloatArray, slopes: FloatArray) -> 
     used = window.used
     t = window.time_s - window.time_s[0]
     span_s = max(float(np.ptp(window.time_s)), 1.0)
-    free = window.theta.copy()
-    free[[NAMES.index("deadband_deg"), NAMES.index("friction_deg")]] = 0.0
+    free = _with(window.theta, deadband_deg=0.0, friction_deg=0.0)
     reading_deg, free_slopes = window.reading(free)
     kinds = ((error_deg, slopes), (residual(window.measured_deg, reading_deg, window.known.reach_deg)[0], free_slopes))
     best: _Guess | None = None

@@ -68,8 +68,6 @@ class History:
     def __init__(self, capacity: int) -> None:
         self._rows = np.zeros((self.ROWS, capacity))
         self.size = 0
-        self.is_whole = True
-        """False once something had to be dropped."""
 
     def append(self, rows: FloatArray) -> None:
         """Add samples, of shape (`ROWS`, n)."""
@@ -77,15 +75,10 @@ class History:
         if self.size + count > capacity:
             kept = max(min(self.size, capacity - capacity // _DROPPED - count), 0)
             self._rows[:, :kept] = self._rows[:, self.size - kept : self.size].copy()
-            self.size, self.is_whole = kept, False
+            self.size = kept
         count = min(count, capacity)
         self._rows[:, self.size : self.size + count] = rows[:, rows.shape[1] - count :]
         self.size += count
-
-    @property
-    def first_s(self) -> float:
-        """Time of the oldest sample [s]; NaN without any."""
-        return float(self._rows[0, 0]) if self.size else float("nan")
 
     @property
     def last_s(self) -> float:

@@ -98,23 +98,21 @@ class Inputs:
         return _Sums(*(np.cumsum(product) for product in products))
 
 
-@dataclass(frozen=True, slots=True)
-class Sliding:
-    """Estimates in the windows that end at each sample; NaN where too little of a window is usable."""
+class Sliding(NamedTuple):
+    """lambda and beta [us] with their covariance, shape (n,) each: estimates, or what the flight so far lets expect.
+
+    Of estimates one for the window that ends at each sample; NaN where too little of a window is usable.
+    """
 
     loss: FloatArray
     offset: FloatArray
-    """lambda, beta [us]."""
     loss_var: FloatArray
     cross: FloatArray
     offset_var: FloatArray
-    """Sigma_n."""
 
     def at(self, chosen: IntArray | BoolArray) -> Sliding:
         """Some of the windows."""
-        return Sliding(
-            self.loss[chosen], self.offset[chosen], self.loss_var[chosen], self.cross[chosen], self.offset_var[chosen]
-        )
+        return Sliding(*(each[chosen] for each in self))
 
     @property
     def known(self) -> BoolArray:
@@ -122,21 +120,10 @@ class Sliding:
         return np.isfinite(self.loss)
 
 
-@dataclass(frozen=True, slots=True)
-class Expected:
-    """What the flight so far lets expect: theta0 and P0, shape (n,) each."""
-
-    loss: FloatArray
-    offset: FloatArray
-    loss_var: FloatArray
-    cross: FloatArray
-    offset_var: FloatArray
-
-
-def nothing_known(flight: FloatArray) -> Expected:
+def nothing_known(flight: FloatArray) -> Sliding:
     """Before anything was seen of a flight: what flights differ by."""
     zero = np.zeros(1)
-    return Expected(zero, zero, flight[:1, 0], flight[:1, 1], flight[1:, 1])
+    return Sliding(zero, zero, flight[:1, 0], flight[:1, 1], flight[1:, 1])
 
 
 def sliding(inputs: Inputs, length: int, noise_var: float, *, enough: float = _ENOUGH) -> Sliding:
@@ -209,7 +196,7 @@ def _before(total: FloatArray, length: int) -> FloatArray:
     return earlier
 
 
-def expected(inputs: Inputs, length: int, noise_var: float, flight: FloatArray, window: FloatArray) -> Expected:
+def expected(inputs: Inputs, length: int, noise_var: float, flight: FloatArray, window: FloatArray) -> Sliding:
     """What to expect of the window that ends at each sample, from the flight before that window.
 
     The past counts as one window's worth of knowledge however long it is, because windows of one flight differ.
@@ -233,10 +220,10 @@ def expected(inputs: Inputs, length: int, noise_var: float, flight: FloatArray, 
     loss, offset = c11 * h1 + c12 * h2, c12 * h1 + c22 * h2
     away = np.sqrt(prior[0, 0] * loss**2 + 2.0 * prior[0, 1] * loss * offset + prior[1, 1] * offset**2)
     held = np.minimum(1.0, _LEARNED_SIGMAS / np.maximum(away, 1e-12))
-    return Expected(loss * held, offset * held, c11, c12, c22)
+    return Sliding(loss * held, offset * held, c11, c12, c22)
 
 
-def distance(found: Sliding, known: Expected, window: FloatArray, *, loss_matters: bool = True) -> FloatArray:
+def distance(found: Sliding, known: Sliding, window: FloatArray, *, loss_matters: bool = True) -> FloatArray:
     """J of each window; 0 where there is none.
 
     In a healthy aircraft chi-square with two degrees of freedom; with one where the loss does not matter, because
@@ -250,7 +237,7 @@ def distance(found: Sliding, known: Expected, window: FloatArray, *, loss_matter
     return distances
 
 
-def _away(found: Sliding, known: Expected, window: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def _away(found: Sliding, known: Sliding, window: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Offset beyond what is expected, its variance, the loss beyond what that offset implies, and its variance."""
     offset = found.offset - known.offset
     offset_var = found.offset_var + window[1, 1] + known.offset_var
@@ -259,7 +246,7 @@ def _away(found: Sliding, known: Expected, window: FloatArray) -> tuple[FloatArr
     return offset, offset_var, given, found.loss_var + window[0, 0] + known.loss_var - cross**2 / offset_var
 
 
-def smallest(found: Sliding, known: Expected, window: FloatArray, level: float) -> tuple[FloatArray, FloatArray]:
+def smallest(found: Sliding, known: Sliding, window: FloatArray, level: float) -> tuple[FloatArray, FloatArray]:
     """Smallest further loss, and smallest offset to either side [us], that lift J of each window to a level.
 
     Shape (n,) each; inf where there is no estimate.

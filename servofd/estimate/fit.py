@@ -44,23 +44,17 @@ _NONE_HELD: Final = np.zeros(FITTED, dtype=bool)
 _LOWS, _HIGHS = np.array([prior.low for prior in PRIORS]), np.array([prior.high for prior in PRIORS])
 
 
-class Family:
-    """How well parameters predict records, and how that changes with them."""
-
-    def predicted(
-        self, theta: FloatArray, record: Record, reach_deg: tuple[float, float]
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Reading (m,) [deg], sensitivities (m, 13), largest speed (m,) [deg/s]."""
-        table = variants(theta, patterns=False)
-        state = new_state(table.shape[0])
-        position_deg, speed_deg_s = simulated(
-            table, state, record.commands, record.time_s, record.load, record.power, record.start_deg
-        )
-        reading_deg, slopes = sensitivities(position_deg, speed_deg_s, theta, reach_deg)
-        return reading_deg, slopes, peaks(speed_deg_s, record.time_s)
-
-
-FAMILY: Final = Family()
+def predicted(
+    theta: FloatArray, record: Record, reach_deg: tuple[float, float]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """How well parameters predict a record: reading (m,) [deg], sensitivities (m, 13), largest speed (m,) [deg/s]."""
+    table = variants(theta, patterns=False)
+    state = new_state(table.shape[0])
+    position_deg, speed_deg_s = simulated(
+        table, state, record.commands, record.time_s, record.load, record.power, record.start_deg
+    )
+    reading_deg, slopes = sensitivities(position_deg, speed_deg_s, theta, reach_deg)
+    return reading_deg, slopes, peaks(speed_deg_s, record.time_s)
 
 
 def peaks(speed_deg_s: FloatArray, time_s: FloatArray, memory: FloatArray | None = None) -> FloatArray:
@@ -185,7 +179,7 @@ def _evaluated(
     errors, slopes, speeds = [], [], []
     for record in records:
         with np.errstate(over="ignore", invalid="ignore"):  # a servo that runs away is none, and its cost says so
-            reading_deg, slope, speed = FAMILY.predicted(theta, record, reach_deg)
+            reading_deg, slope, speed = predicted(theta, record, reach_deg)
             error, inside = residual(record.measured_deg, reading_deg, reach_deg)
             slopes.append((slope * inside[:, None])[record.usable])
         errors.append(error[record.usable])

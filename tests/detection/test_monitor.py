@@ -379,12 +379,12 @@ class TestMemory:
         history = History(8)
         rows = np.tile(np.arange(8.0), (History.ROWS, 1))
         history.append(rows)
-        assert (history.size, history.first_s, history.last_s, history.is_whole) == (8, 0.0, 7.0, True)
+        assert (history.size, history.last_s) == (8, 7.0)
         history.append(rows[:, :1] + 8.0)
-        assert (history.size, history.first_s, history.last_s, history.is_whole) == (6, 3.0, 8.0, False)
+        assert (history.size, history.last_s) == (6, 8.0)
         history.append(np.tile(np.arange(9.0, 29.0), (History.ROWS, 1)))
-        assert (history.size, history.first_s, history.last_s) == (8, 21.0, 28.0)
-        assert np.isnan([History(4).first_s, History(4).last_s]).all()
+        assert (history.size, history.last_s) == (8, 28.0)
+        assert np.isnan(History(4).last_s)
 
     def test_a_full_buffer_of_commands_drops_a_quarter_and_bends_the_last(self) -> None:
         buffer = CommandBuffer(8)
