@@ -58,7 +58,11 @@ def known_servo(
     fastest_m_s: float = 0.0,
     pushed: float = _NEVER_LOGGED,
 ) -> CalibratedServo:
-    """What goes into the file, with the usual thresholds."""
+    """What goes into the file, with the usual thresholds.
+
+    Usual supply and airspeed, and the largest one, are 0 where nobody logged them; `pushed` is the share of what the
+    usual air does that differs between flights then.
+    """
     spread = np.array([prior.between for prior in PRIORS]) ** 2
     if not airspeed_m_s:
         for key, amount in _PUSHED.items():

@@ -109,7 +109,13 @@ class Memory:
 def follow(
     tests: Tests, memory: Memory, time_s: FloatArray, error_deg: FloatArray, slopes: FloatArray, noise_deg: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Take the next samples."""
+    """Take the next samples: times [s], residuals [deg], NaN where none is judged, and sigma of their noise, (m,) each.
+
+    `slopes` (m, 17) are sensitivities and patterns. Gives the total sigma and the least of three residuals in a row on
+    one side over it (m,); the times at which a block of a quarter second was complete (g,); and `STATISTICS` at these
+    times (g, 75), behind which stand what information each test had of a unit of its change, and of narrow bands the
+    number of samples and the sum of one over the total sigma.
+    """
     m = time_s.size
     if not m:
         return np.empty(0), np.empty(0), np.empty(0), np.empty((0, _COLUMNS))

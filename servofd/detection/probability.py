@@ -275,7 +275,10 @@ def cusum(
     restart: BoolArray | None = None,
     memory: FloatArray | None = None,
 ) -> FloatArray:
-    """Two-sided cumulative sum of a residual."""
+    """The larger sum [sigma] of a residual (n,) less its healthy mean [sigma], above and below, never below zero.
+
+    It begins anew before a sample of `restart`, holds over a NaN, and goes on from `memory` (2,), which is carried on.
+    """
     values = np.asarray(normalised_residual, dtype=float)
     restarts = np.zeros(values.size, dtype=bool) if restart is None else np.asarray(restart, dtype=bool)
     if restarts.shape != values.shape:
@@ -308,7 +311,7 @@ _LARGEST_BELOW_ONE = float(np.nextafter(1.0, 0.0))
 
 
 def persistent_false_alarms_per_hour(threshold_deg: float, noise: Noise, samples: int) -> float:
-    r"""Rate of alarms that ask for several samples in a row over the threshold, all on one side.
+    r"""Rate of alarms that ask for several samples in a row over the threshold, all on one side; no more than lags.
 
     One alarm for each run of at least :math:`n` samples, counted where it has lasted :math:`n`:
 

@@ -154,7 +154,10 @@ class _Window:
 
 
 def named(watched: Watched, alarm_s: float, ratio: float, *, earliest_s: float) -> Fault:
-    """Name what an alarm stands for."""
+    """Name what an alarm stands for; `healthy` if a working servo explains it after all.
+
+    `ratio` is the largest statistic over its threshold at or after the alarm.
+    """
     window = _Window(watched, alarm_s + _SETTLING_S, alarm_s + _WINDOW_S)
     if window.count < max(_FEWEST, 1.5 / watched.record.period_s):
         window = _since_onset(watched, alarm_s, earliest_s)

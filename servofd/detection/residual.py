@@ -228,7 +228,7 @@ def followed(
     measured_deg: FloatArray,
     restart: NDArray[np.int8],
 ) -> FloatArray:
-    """Deflection of a servo [deg], shape (n,), that starts anew where the surface was measured."""
+    """Deflection of a servo [deg], shape (n,), that starts anew where the surface was measured and `restart` is 2."""
     from servofd.detection.samples import RESTART_ALL
     from servofd.servo.kernel import ServoParameters
     from servofd.servo.motion import on_its_way, started_anew

@@ -34,7 +34,7 @@ class Starts(NamedTuple):
 
 
 def find_starts(segment: Segment, longest_gap_s: float, blanking_s: float, fresh_s: float = np.inf) -> Starts:
-    """Mark the samples of a segment."""
+    """Mark the samples of a segment; what limits [s] mean is told by `mark_starts`."""
     commands = segment.command_s, segment.measured_s, segment.measured_deg
     return mark_starts(new_starts_memory(), *commands, (longest_gap_s, fresh_s, blanking_s))
 

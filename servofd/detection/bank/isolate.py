@@ -85,7 +85,10 @@ _ONSET_BEFORE_RECORD_S = 0.5
 
 
 def isolate(flight: Flight, episode: Episode) -> tuple[Fault, ...]:
-    """Name what happened during an alarm."""
+    """Name what happened during an alarm: one fault, or several, if one turned into another.
+
+    The kind `healthy` says that the tolerances of a working servo explain the alarm.
+    """
     until_s = flight.end_s if episode.end_s is None else max(episode.end_s, episode.alarm_s + _SHORT_S)
     onset = _onset(flight, episode.start_s)
     naming, window = _name(flight, episode.start_s + _SETTLING_S, until_s, onset)
@@ -314,7 +317,7 @@ def narendra(residual_deg: FloatArray) -> FloatArray:
 
 
 def first_signs(window: Window, generator: ResidualGenerator, sigma_deg: float) -> tuple[str, ...]:
-    """Kinds of faults that a short window admits, the likeliest first."""
+    """Kinds of faults that a second or less from shortly after the onset on admits, the likeliest first."""
     restart = np.zeros(window.time_s.size, dtype=np.int8)
     restart[0] = 1
     limit_deg = _QUIET * _MEAN_OF_ABSOLUTE * sigma_deg
