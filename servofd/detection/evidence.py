@@ -19,8 +19,6 @@ from servofd.detection.threshold import MEMORY_S, SUSPICIOUS_DRIFT, suspicion
 from servofd.detection.verdict import outline
 from servofd.detection.words import describe
 from servofd.servo.kernel import compiled, play
-from servofd.servo.play import play
-from servofd.servo.state import compiled
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
