@@ -136,13 +136,12 @@ def descended(
     *,
     evaluations: int,
     scale_deg: float | None = None,
-    flat: bool = False,
 ) -> tuple[FloatArray, FloatArray]:
     """Numbers at the foot of the slope on which a descent begins, shape (k,), and the derivatives there, (n, k).
 
     Levenberg and Marquardt, by numpy alone: scipy's optimisers take half a second to load. From `begin` within the
-    bounds; `slopes` gives derivatives (n, k) of the errors [deg] (n,). An error beyond `scale_deg` counts by its size,
-    or, if `flat`, hardly at all (Cauchy); all count by their squares if that is left out.
+    bounds; `slopes` gives derivatives (n, k) of the errors [deg] (n,). An error beyond `scale_deg` counts by its size;
+    all count by their squares if that is left out.
 
     Examples
     --------
@@ -159,10 +158,7 @@ def descended(
         """Cost of some errors, and how much each of them counts."""
         if scale_deg is None:
             return float(left @ left), np.ones(left.size)
-        beyond = (left / scale_deg) ** 2
-        if flat:
-            return float(np.log1p(beyond).sum()), 1.0 / (1.0 + beyond)
-        root = np.sqrt(1.0 + beyond)
+        root = np.sqrt(1.0 + (left / scale_deg) ** 2)
         return float((root - 1.0).sum()), 1.0 / root
 
     low, high = bounds

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,12 +14,14 @@ from servofd.core.evidence import ModelOrigin
 from servofd.detection.contradiction import resting_runs, resting_width_deg
 from servofd.detection.plausible import step_deg
 from servofd.detection.residual import ResidualGenerator, Simulator
-from servofd.estimate.statistics import descended, line
+from servofd.estimate.statistics import line
 from servofd.servo.effects import Delay, LinearDynamics, RateLimit
 from servofd.servo.library import second_order
 from servofd.servo.servo_model import ServoModel
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from servofd.core.types import BoolArray, FloatArray, IntArray
 
 _MOST_SAMPLES = 4_000
@@ -29,17 +31,11 @@ _DAMPINGS = (0.7, 2.0)
 _DELAYS_S = (0.0, 0.015, 0.03, 0.05, 0.08, 0.12)
 _RATES_DEG_S = (600.0, 400.0, 250.0, 150.0, 100.0, 60.0)
 _WORTH_A_LIMIT = 0.95
-_MOST_EVALUATIONS = 25
+_MOST_EVALUATIONS = 100
+_NEAR, _NEAR_DEG = 1e-3, 1e-5
 _STARTS = 3
 _REWEIGHTINGS, _NEAR_LINE = 5, (1e-3, 0.5)
-_RANGES = {
-    "bandwidth_hz": (0.2, 100.0),
-    "damping": (0.2, 10.0),
-    "delay_s": (0.0, 1.0),
-    "rate_limit_deg_s": (10.0, 5000.0),
-}
-_DELAY_UNIT_S, _STEP = 0.03, 0.01
-"""Delays are fitted as log(delay + unit); of derivatives."""
+_BANDWIDTH_RANGE_HZ, _DAMPING_RANGE, _RATE_RANGE_DEG_S = (0.2, 100.0), (0.2, 10.0), (10.0, 5000.0)
 _FEWEST_ROWS = 30
 _SLOWEST_SHARE = 0.1
 POLE_RAD_S = 30.0
@@ -226,27 +222,64 @@ def _origin(fit: RoughFit, simulator: Simulator, held_out: BoolArray, block: Int
 
 def _refined(start: RoughFit, judging: _Judging) -> RoughFit:
     """Downhill from a point of the grid, in logarithms of what must stay positive."""
-    names = list(_RANGES) if np.isfinite(start.rate_limit_deg_s) else list(_RANGES)[:-1]
-    low, high = np.array([_RANGES[name] for name in names]).T
-    shift = np.array([_DELAY_UNIT_S if name == "delay_s" else 0.0 for name in names])
 
     def at(x: FloatArray) -> RoughFit:
-        return replace(start, **dict(zip(names, np.clip(np.exp(x) - shift, low, high).tolist(), strict=True)))
+        shape: dict[str, Any] = {
+            "bandwidth_hz": _within(float(np.exp(x[0])), _BANDWIDTH_RANGE_HZ),
+            "damping": _within(float(np.exp(x[1])), _DAMPING_RANGE),
+            "delay_s": max(float(x[2]), 0.0),
+        }
+        if x.size > 3:
+            shape["rate_limit_deg_s"] = _within(float(np.exp(x[3])), _RATE_RANGE_DEG_S)
+        return replace(start, **shape)
 
-    def error_deg(x: FloatArray) -> FloatArray:
-        return judging.left(at(x))[1]
+    begin = np.array([np.log(start.bandwidth_hz), np.log(start.damping), start.delay_s])
+    if np.isfinite(start.rate_limit_deg_s):
+        begin = np.append(begin, np.log(start.rate_limit_deg_s))
+    simplex = begin + np.vstack([np.zeros(begin.size), np.diag([0.3, 0.4, 0.01, 0.3])[: begin.size, : begin.size]])
 
-    def slopes(x: FloatArray) -> FloatArray:
-        here = error_deg(x)
-        return np.column_stack([(error_deg(x + _STEP * unit) - here) / _STEP for unit in np.eye(x.size)])
+    def error_deg(x: FloatArray) -> float:
+        return judging(at(x)).error_deg
 
-    begin = np.log(np.array([getattr(start, name) for name in names]) + shift)
-    bounds = np.log(low + shift), np.log(high + shift)
-    scale_deg = judging.ordinary_deg
-    found, _ = descended(
-        error_deg, slopes, begin, bounds, evaluations=_MOST_EVALUATIONS, scale_deg=scale_deg, flat=True
-    )
+    found = _lowest(error_deg, simplex)
     return min(start, judging(at(found)), key=_error)
+
+
+def _within(value: float, limits: tuple[float, float]) -> float:
+    return min(max(value, limits[0]), limits[1])
+
+
+def _lowest(cost: Callable[[FloatArray], float], simplex: FloatArray) -> FloatArray:
+    """Where a cost is lowest, from a simplex downhill (Nelder and Mead, 1965; Lagarias et al., 1998).
+
+    The same steps as those of scipy, whose package of optimisers takes half a second to load.
+    """
+    size = simplex.shape[1]
+    costs = np.array([cost(x) for x in simplex])
+    spent = size + 1
+    while spent < _MOST_EVALUATIONS:
+        order = np.argsort(costs)
+        simplex, costs = simplex[order], costs[order]
+        if np.abs(simplex[1:] - simplex[0]).max() <= _NEAR and np.abs(costs[1:] - costs[0]).max() <= _NEAR_DEG:
+            break
+        centre = simplex[:-1].mean(axis=0)
+        away = centre - simplex[-1]
+        tried = centre + away
+        found, spent = cost(tried), spent + 1
+        if found >= costs[-2] or found < costs[0]:  # further, or back, and how far
+            is_best, is_bad = found < costs[0], found >= costs[-1]
+            other = centre + (2.0 if is_best else -0.5 if is_bad else 0.5) * away
+            there, spent = cost(other), spent + 1
+            if there < found if is_best else there < costs[-1] if is_bad else there <= found:
+                tried, found = other, there
+            elif not is_best:
+                simplex[1:] = simplex[0] + 0.5 * (simplex[1:] - simplex[0])
+                costs[1:] = [cost(x) for x in simplex[1:]]
+                spent += size
+                continue
+        simplex[-1], costs[-1] = tried, found
+    best: FloatArray = simplex[costs.argmin()]
+    return best
 
 
 def _error(fit: RoughFit) -> float:
@@ -330,18 +363,14 @@ class _Judging:
         low_deg, high_deg = np.percentile(self.simulator.starts.measured_deg[self.rows], [2.0, 98.0])
         return max(_ORDINARY_SHARE * float(high_deg - low_deg), 1e-9)
 
-    def left(self, fit: RoughFit) -> tuple[RoughFit, FloatArray]:
-        """The same fit with its scale, if that is free, and the errors that it leaves [deg]."""
+    def __call__(self, fit: RoughFit) -> RoughFit:
+        """The same fit with its scale, if that is free, and its error."""
         simulated = self.simulator.simulated_deg(fit.model)[self.rows]
         measured = self.simulator.starts.measured_deg[self.rows]
         gain, bias_deg = 1.0, 0.0
         if self.free_scale:
             gain, bias_deg = line(simulated, measured, near=_NEAR_LINE, rounds=_REWEIGHTINGS)
-        return replace(fit, gain=gain, bias_deg=bias_deg), measured - gain * simulated - bias_deg
-
-    def __call__(self, fit: RoughFit) -> RoughFit:
-        """The same fit with its scale and its error."""
-        fit, error_deg = self.left(fit)
+        fit, error_deg = replace(fit, gain=gain, bias_deg=bias_deg), measured - gain * simulated - bias_deg
         if self.free_scale and not _SCALES[0] <= abs(fit.gain) <= _SCALES[1]:
             return replace(fit, error_deg=_NOTHING_DEG)
         # Cauchy's cost: quadratic for errors of a working servo, nearly flat for those of a jammed one.

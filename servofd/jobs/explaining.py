@@ -227,7 +227,7 @@ def _surface(
         found = _with_kind(found, found.fault_s, flown.logs[0], aircraft)
     judged = tuple(judged_elsewhere(label, there[name], model, found.physics, own) for label, there in also)
     worse = [
-        f"{there.path}: the model does worse there than without what was found: is it the same servo?"
+        f"{Path(there.path).name}: the model does worse there than without what was found: is it the same servo?"
         for there in judged
         if there.extended_rms_deg > _WORSE * max(there.nominal_rms_deg, there.noise_floor_rms_deg)
     ]
