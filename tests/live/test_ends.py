@@ -78,6 +78,7 @@ def test_a_killed_monitor_leaves_all_but_the_last_flush(folder: Path, capsys: py
     assert log["duration_s"] > float(str(alarm["time_s"])) - 0.5
 
 
+@pytest.mark.nightly
 def test_a_viewer_that_dies_stops_no_alarm(folder: Path) -> None:
     port = free_port(socket.SOCK_STREAM)
     running = monitor(folder, "--speed", f"{_SPEED:g}", "--serve", "--viewer-port", str(port))

@@ -34,7 +34,7 @@ def test_the_commands_and_the_python_of_the_page_run(
     assert capsys.readouterr().out == "4000 samples\n"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.skipif(VIEWER is None, reason="the rerun command is not installed")
 def test_the_pictures_of_the_page_are_what_their_script_draws(tmp_path: Path) -> None:
     try:
