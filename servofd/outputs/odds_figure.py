@@ -82,6 +82,7 @@ def _draw_characteristic(axes: Axes, odds: SurfaceOdds) -> None:
     axes.set_xscale("log")
     axes.set_xlim(_LOWEST_RATE, _HIGHEST_RATE)
     axes.set_ylim(-0.02, 1.02)
+    axes.xaxis.set_major_formatter("{x:g}")  # the usual one writes formulas
     axes.set_xlabel("false alarms per flight hour")
     axes.set_ylabel(f"probability of detection within {WITHIN_S[0]:g} s")
     axes.legend(frameon=False, title="bias of", loc="upper left", bbox_to_anchor=(1.0, 1.0))
