@@ -77,17 +77,21 @@ def sentence(surfaces: Sequence[SurfaceAudit]) -> str:
 
 
 def whole_sentence(audit: LogAudit) -> str:
-    """What happened to surfaces and axes, and whether to fly."""
+    """What happened to surfaces and axes, and whether to fly, once."""
     parts = [sentence(audit.surfaces)] if audit.surfaces else []
-    return " ".join([*parts, *([axes_sentence(audit.axes)] if audit.axes else [])]) or sentence(())
+    advised = worst(audit.surfaces)
+    return " ".join([*parts, *([axes_sentence(audit.axes, advised)] if audit.axes else [])]) or sentence(())
 
 
-def axes_sentence(axes: Sequence[AxisAudit]) -> str:
-    """What motion tells of the axes."""
+def axes_sentence(axes: Sequence[AxisAudit], advised: Status = "no_data") -> str:
+    """What motion tells of the axes; whether to fly only if that is graver than what a status has `advised` already."""
     lost = [axis for axis in axes if axis.status in ("fault", "suspect")]
     if lost:
         named = "; ".join(f"{axis.axis.upper()}: {axis.reason}" for axis in lost)
-        return f"{named}. {'Do not fly.' if lost[0].status == 'fault' else 'Look at it before the next flight.'}"
+        gravest_status = worst(lost)
+        if _WORST_FIRST.index(gravest_status) >= _WORST_FIRST.index(advised):
+            return f"{named}."
+        return f"{named}. {'Do not fly.' if gravest_status == 'fault' else 'Look at it before the next flight.'}"
     weaker = {
         axis.axis: axis.lost_share for axis in axes if axis.status == "healthy" and axis.is_weaker and axis.lost_share
     }

@@ -96,6 +96,17 @@ def test_an_axis_that_is_surely_a_little_weak_is_not_said_to_answer_as_ever() ->
 
 
 @pytest.mark.slow
+def test_the_gravest_axis_decides_whether_to_fly_and_that_is_said_once() -> None:
+    flight = roll_of(flown(50, "2026-05-09"))
+    roll, pitch = replace(flight, status="suspect", reason="lost a half"), replace(flight, axis="pitch", status="fault")
+    assert axes_sentence([roll]) == "ROLL: lost a half. Look at it before the next flight."
+    assert axes_sentence([roll, pitch]).endswith("Do not fly.")
+    assert axes_sentence([roll], "fault") == axes_sentence([roll], "suspect") == "ROLL: lost a half."
+    assert axes_sentence([roll, pitch], "suspect").endswith("Do not fly.")
+    assert not axes_sentence([roll, pitch], "fault").endswith("fly.")
+
+
+@pytest.mark.slow
 def test_the_reason_of_a_weak_axis_says_how_rare_that_is() -> None:
     """A fifth less: its interval excludes nothing lost in some of these flights, and all of those say so."""
     found = [roll_of(flown(seed, "2026-05-09", aileron_share=0.82, from_s=0.0)) for seed in range(60, 63)]
