@@ -18,7 +18,7 @@ from servofd.batch.find import find_logs
 from servofd.batch.key import Job
 from servofd.cli import main
 from servofd.fleet.run import audit_fleet
-from servofd.fleet.store import rows
+from servofd.fleet.store import TABLES, rows
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -35,7 +35,7 @@ ROOT = Path(__file__).parent.parent.parent
 
 def tables(logs: Path, cluster: str | None = None) -> dict[str, list[str]]:
     """Every row of every table, in an order of its own."""
-    merged: dict[str, list[str]] = {"logs": [], "surfaces": [], "faults": []}
+    merged: dict[str, list[str]] = {name: [] for name in TABLES}
     for judged in audit_fleet(find_logs([str(logs)]).logs, Job(), cluster=cluster):
         for name, content in rows(judged).items():
             merged[name] += [json.dumps(row, sort_keys=True, default=str) for row in content]
@@ -72,7 +72,7 @@ def test_a_cluster_gives_the_same_tables_and_survives_the_death_of_a_worker(
 ) -> None:
     """Killed for good after the first result: no nanny brings it back."""
     assert tables(logs, cluster.scheduler_address) == expected
-    merged: dict[str, list[str]] = {"logs": [], "surfaces": [], "faults": []}
+    merged: dict[str, list[str]] = {name: [] for name in TABLES}
     workers = list(cluster.workers.values())
     for judged in audit_fleet(find_logs([str(logs)]).logs, Job(), cluster=cluster.scheduler_address):
         if not merged["logs"]:
