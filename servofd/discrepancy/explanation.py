@@ -117,12 +117,18 @@ def _check_scale(asked: FloatArray, measured: FloatArray, shift: int) -> None:
 
 
 def _check_order(record: Record, error_deg: FloatArray) -> None:
-    """Refuse a position that a servo would have had to follow, and better than the other way round."""
+    """Refuse a position ahead of its command that explains the command better than the other way round.
+
+    A servo of low gain under a weight is far from what was asked, but late; nothing moves before it is told to.
+    """
     known, command_deg = np.isfinite(record.measured_deg), record.commands.at(record.time_s)
     given = Commands(record.time_s[known], record.measured_deg[known], np.zeros(int(known.sum())))
     swapped = replace(record, commands=given, measured_deg=command_deg, own=None)
     wrong_deg = command_deg - simulate(swapped, record.plant.neutral)
-    if np.std(wrong_deg[record.counts]) < _SWAPPED * np.std(error_deg[record.counts]):
+    asked, measured = command_deg[record.counts], record.measured_deg[record.counts]
+    shift = min(max(round(_SHIFT_S / record.period_s), 1), asked.size // 4)
+    is_late = np.corrcoef(asked[:-shift], measured[shift:])[0, 1] > np.corrcoef(asked[shift:], measured[:-shift])[0, 1]
+    if not is_late and np.std(wrong_deg[record.counts]) < _SWAPPED * np.std(error_deg[record.counts]):
         raise NoMeasurement(
             "the command follows the position, as a servo follows its command: are the two columns swapped?"
         )

@@ -13,7 +13,7 @@ from servofd.core.errors import IdentificationError
 from servofd.estimate.statistics import Estimate
 from servofd.identification.motion import HIGHEST_ORDER, LinearServo, MotionFit, ServoCandidate, fit_motion
 from servofd.identification.records import Run
-from servofd.identification.response import fit_response
+from servofd.identification.response import FAR_POLES, fit_response, with_second_pole
 from servofd.servo.library import second_order
 
 if TYPE_CHECKING:
@@ -183,7 +183,11 @@ def choose_linear(runs: Sequence[Run], response: FrequencyResponse | None, order
     fits: dict[int, MotionFit] = {}
     for n in orders:
         if response is not None:
-            fits[n] = fit_motion(runs, ServoCandidate(fit_response(response, n)))
+            starts = [fit_response(response, n)]
+            if n == 2 and 1 in fits:
+                # The response of a far pole is hardly told from that of a delay: motion is asked for a near one, too.
+                starts.append(with_second_pole(fits[1].servo.linear, FAR_POLES[0]))
+            fits[n] = min((fit_motion(runs, ServoCandidate(each)) for each in starts), key=lambda fit: fit.rms_deg)
         else:
             fits[n] = _best_of(runs, [ServoCandidate(start) for start in _grid(n)])
     best = min(fits, key=lambda n: _criterion(runs, fits[n]))

@@ -234,12 +234,14 @@ def fit_response(response: FrequencyResponse, order: int) -> LinearServo:
 def _starts(response: FrequencyResponse, order: int) -> list[LinearServo]:
     starts = [start_value(response, order)]
     if order == 2:
-        one = start_value(response, 1)
-        pole = float(np.exp(one.shape[0]))
-        starts += [
-            LinearServo((np.log(far * pole**2), np.log((1.0 + far) * pole)), one.delay_s, one.gain) for far in FAR_POLES
-        ]
+        starts += [with_second_pole(start_value(response, 1), far) for far in FAR_POLES]
     return starts
+
+
+def with_second_pole(one: LinearServo, far: float) -> LinearServo:
+    """A servo of one pole with another, so many times as fast."""
+    pole = float(np.exp(one.shape[0]))
+    return LinearServo((np.log(far * pole**2), np.log((1.0 + far) * pole)), one.delay_s, one.gain)
 
 
 def _refine(response: FrequencyResponse, start: LinearServo) -> tuple[LinearServo, float]:
