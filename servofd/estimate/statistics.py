@@ -98,12 +98,8 @@ def memory(errors: Sequence[FloatArray], lags: int) -> float:
 
 
 def _products(error: FloatArray, lags: int) -> FloatArray:
-    """Sums of products with itself a number of samples later, shape (lags,), by way of the spectrum."""
-    from scipy.fft import irfft, next_fast_len, rfft
-
-    size = next_fast_len(error.size + lags, real=True)
-    products: FloatArray = irfft(np.abs(rfft(error, size)) ** 2, size)[1 : lags + 1]
-    return products
+    """Sums of products with itself a number of samples later, shape (lags,); a spectrum pays from 100 lags on."""
+    return np.array([float(error[lag:] @ error[:-lag]) if lag < error.size else 0.0 for lag in range(1, lags + 1)])
 
 
 def ordinary_deg(median_deg: float) -> float:
