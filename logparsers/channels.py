@@ -11,7 +11,7 @@ import numpy as np
 
 from logparsers import clock
 from logparsers.errors import EmptyLog, MissingChannel, UnreadableLog
-from logparsers.records import Channel, Damage, own
+from logparsers.records import Channel, Damage, FlightLog, own
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -189,3 +189,22 @@ class LazyChannels(Mapping[str, Channel]):
             rows, damage = clock.rise(time_s, sound)
             self._clocks[group] = (own(time_s), None, None) if damage is None else (own(time_s[rows]), rows, damage)
         return self._clocks[group]
+
+
+def recorded_log(
+    recording: Recording,
+    path: Path,
+    kind: str,
+    only: Only,
+    *,
+    damage: Iterable[Damage] = (),
+    others: Iterable[str] = (),
+    **said: Any,  # noqa: ANN401 - fields of a log
+) -> FlightLog:
+    """Log of a recording, whose channels are decoded when they are looked up.
+
+    `path`, `kind`, `damage`, `said`: as in `FlightLog`. `others`: as for `LazyChannels.only`.
+    """
+    channels = LazyChannels(recording).only(only, path, others)
+    disorder, span_s = channels.survey()
+    return FlightLog(path, kind, channels, (*damage, *disorder), span_s=span_s, **said)

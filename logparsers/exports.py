@@ -17,7 +17,7 @@ import numpy as np
 
 from logparsers.assemble import Column, assemble
 from logparsers.cells import convert, texts_of
-from logparsers.channels import MOST_CHANNELS, LazyChannels, Series, Together
+from logparsers.channels import MOST_CHANNELS, Series, Together, recorded_log
 from logparsers.errors import MissingChannel, UnreadableLog
 from logparsers.records import Damage, FlightLog
 from logparsers.source import decoding
@@ -293,9 +293,7 @@ class _Tables:
         return values
 
     def log(self, path: Path, kind: str, only: Only) -> FlightLog:
-        channels = LazyChannels(self).only(only, path)
-        disorder, span_s = channels.survey()
-        return FlightLog(path, kind, channels, disorder, span_s=span_s)
+        return recorded_log(self, path, kind, only)
 
 
 def labelled_messages(variables: Mapping[str, Any]) -> dict[str, dict[str, NDArray[Any]]]:
@@ -341,10 +339,10 @@ def dataflash_log(messages: Mapping[str, Mapping[str, NDArray[Any]]], path: Path
 
     `messages` (shape (n,)): columns of each message. `path`: where they come from.
     """
-    from logparsers.dataflash import DataFlashFile, flight_log
+    from logparsers.dataflash import DataFlashFile
     from logparsers.dataflash.exported import ExportedStore
 
-    return flight_log(DataFlashFile(str(path), ExportedStore(messages)), path, only)
+    return DataFlashFile(str(path), ExportedStore(messages)).log(path, only)
 
 
 def _word(cell: object) -> str:

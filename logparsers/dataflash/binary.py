@@ -10,7 +10,7 @@ import numpy as np
 
 from logparsers.dataflash import scan
 from logparsers.dataflash.formats import FMT, Field, Layout, decode_text, is_consistent, parse_fmt
-from logparsers.dataflash.store import Step, Stretch
+from logparsers.dataflash.store import LISTED, Step, Store, Stretch
 from logparsers.dataflash.units import apply_units
 
 if TYPE_CHECKING:
@@ -18,11 +18,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-LISTED_STRETCHES: Final = 1000
 LAYOUT_LIMIT: Final = 2048  # a log has at most 255 types; forged ones could define a new one every 89 bytes
 
 
-class BinaryStore:
+class BinaryStore(Store):
     """Index of a binary DataFlash log.
 
     `data`: the log; it is kept, and read from when columns are asked for. `compiled`: whether to compile the walk over
@@ -30,12 +29,7 @@ class BinaryStore:
     """
 
     def __init__(self, data: memoryview, compiled: bool | None = None) -> None:
-        self.size = len(data)
-        self.layouts: dict[str, Layout] = {}
-        self.stretches: list[Stretch] = []
-        self.more_stretches = (0, 0)
-        self.steps: list[Step] = []
-        self.notes: list[str] = []
+        super().__init__(len(data))
         self._data = data
         self._pieces: dict[str, list[NDArray[Any]]] = {}
         self._names: dict[int, str] = {}
@@ -50,17 +44,11 @@ class BinaryStore:
         del self._walk  # its buffers are large
 
     def count(self, name: str) -> int:
-        """Count the rows of a message.
-
-        Result: 0 for a message that is defined and never logged.
-        """
+        """As of `Store`."""
         return sum(len(p) for p in self._pieces.get(name, ()))
 
     def offsets(self, name: str) -> NDArray[Any]:
-        """Where the rows of a message begin.
-
-        Result (shape (n,)): byte offsets in the order of the file.
-        """
+        """As of `Store`."""
         pieces = self._pieces.get(name, [])
         if len(pieces) != 1:
             pieces = [np.concatenate(pieces) if pieces else np.zeros(0, np.uint32)]
@@ -69,10 +57,7 @@ class BinaryStore:
         return pieces[0]
 
     def read(self, name: str, fields: Sequence[str], rows: NDArray[np.intp] | None = None) -> dict[str, NDArray[Any]]:
-        """Gather and decode columns of one message.
-
-        Result (shape (n,)): in the order asked for. The arrays are copies: they outlive the file.
-        """
+        """As of `Store`."""
         layout = self.layouts[name]
         offsets = self.offsets(name) if rows is None else self.offsets(name)[rows]
         return {f: _finish(layout, layout.fields[f], self._gathered(layout.fields[f], offsets)) for f in fields}
@@ -90,15 +75,6 @@ class BinaryStore:
             scaled: NDArray[Any] = values if column.divisor is None else values / column.divisor
             return scaled.astype(column.decoded, copy=False)
 
-    def suspect(self, name: str) -> NDArray[np.bool_]:
-        """Rows whose time stamp contradicts the records around them: damaged inside.
-
-        Result (shape (n,)): all False if most rows would be meant: then the message simply keeps another clock.
-        """
-        offsets = self.offsets(name)
-        mask = np.isin(offsets, np.frombuffer(self._odd, np.int64)) if self._odd else np.zeros(len(offsets), np.bool_)
-        return mask if 2 * np.count_nonzero(mask) <= len(mask) else np.zeros(len(mask), np.bool_)
-
     def _index(self) -> None:
         why = scan.FULL
         while why != scan.END:
@@ -108,6 +84,7 @@ class BinaryStore:
                 self._redefine(self._walk.state[scan.AT])
         scan.finish(self._walk.state, self._walk.odd, self._walk.steps)
         self._take_events()
+        self.odd = np.array(self._odd, np.int64)
 
     def _collect(self, n: int) -> None:
         """Sort a batch of records by message."""
@@ -126,7 +103,7 @@ class BinaryStore:
 
     def _take_events(self) -> None:
         walk = self._walk
-        room = LISTED_STRETCHES - len(self._bad)
+        room = LISTED - len(self._bad)
         bad = _fours(walk.bad)
         more, size = self.more_stretches
         for start, stop, kind, before in bad:
@@ -141,7 +118,7 @@ class BinaryStore:
         self.more_stretches = (more, size)
         self._odd.extend(four[0] for four in _fours(walk.odd))
         for at, before, after, _ in _fours(walk.steps):
-            if len(self.steps) < LISTED_STRETCHES:
+            if len(self.steps) < LISTED:
                 self.steps.append(Step(at, before, after))
         for events in (walk.bad, walk.odd, walk.steps):
             events[0] = 0
@@ -185,7 +162,7 @@ class BinaryStore:
         return name
 
     def _note(self, text: str) -> None:
-        if len(self.notes) < LISTED_STRETCHES:
+        if len(self.notes) < LISTED:
             self.notes.append(text)
 
     def _describe_stretches(self) -> None:

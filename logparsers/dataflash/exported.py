@@ -9,15 +9,13 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from logparsers.dataflash.formats import Layout, define
-from logparsers.dataflash.scan import BACK_US, clock_steps
-from logparsers.dataflash.store import Step
+from logparsers.dataflash.scan import BACK_US
+from logparsers.dataflash.store import Store
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
-
-    from logparsers.dataflash.store import Stretch
 
 CLOCKS: Final = {"TimeUS": "Q", "TimeMS": "I"}
 INSTANCES: Final = ("I", "Id", "Inst", "Instance", "C", "IMU", "chan", "Type")
@@ -42,7 +40,7 @@ def is_exported(messages: Mapping[str, Mapping[str, Any]]) -> bool:
     return any("TimeUS" in columns for columns in messages.values())
 
 
-class ExportedStore:
+class ExportedStore(Store):
     """Index of exported messages, in the order of their time, or of the lines they had.
 
     `messages` (shape (n,)): columns of each message, numbers or text, n of that message.
@@ -55,29 +53,25 @@ class ExportedStore:
     """
 
     def __init__(self, messages: Mapping[str, Mapping[str, NDArray[Any]]]) -> None:
+        super().__init__(0)
         self._columns = {name: {k: v for k, v in c.items() if k != LINE} for name, c in messages.items() if c}
         self.layouts = {name: _layout(k, name, c) for k, (name, c) in enumerate(self._columns.items())}
-        self.stretches: Sequence[Stretch] = ()
-        self.more_stretches = (0, 0)
-        self.notes: Sequence[str] = ()
         self.size = sum(self.count(name) for name in self._columns)
         self._offsets = self._in_order({name: c[LINE].astype(np.int64) for name, c in messages.items() if LINE in c})
         timed = [name for name, layout in self.layouts.items() if layout.clock and self.count(name)]
-        times = [self._times_us(name) for name in timed]
-        self._odd, steps = clock_steps(times, [self._offsets[name] for name in timed])
-        self.steps = [Step(*step) for step in steps]
+        self.follow_clock(timed)
         self._give_csrv_its_unit()
 
     def count(self, name: str) -> int:
-        """Count the rows of a message."""
+        """As of `Store`."""
         return next((len(v) for v in self._columns.get(name, {}).values()), 0)
 
     def offsets(self, name: str) -> NDArray[np.int64]:
-        """Where each row of a message stood among all rows, shape (n,)."""
+        """Where each row stood among all rows."""
         return self._offsets.get(name, np.zeros(self.count(name), np.int64))
 
     def read(self, name: str, fields: Sequence[str], rows: NDArray[np.intp] | None = None) -> dict[str, NDArray[Any]]:
-        """Columns of a message, of all rows or of some."""
+        """As of `Store`."""
         found = {}
         for field in fields:
             values = self._columns[name][field]
@@ -89,18 +83,13 @@ class ExportedStore:
             found[field] = values
         return found
 
-    def suspect(self, name: str) -> NDArray[np.bool_]:
-        """Mark rows whose time stamp contradicts the rows around them; none if it would be most."""
-        mask = np.isin(self.offsets(name), self._odd)
-        return mask if 2 * np.count_nonzero(mask) <= mask.size else np.zeros(mask.size, np.bool_)
-
     def _in_order(self, lines: Mapping[str, NDArray[np.int64]]) -> dict[str, NDArray[np.int64]]:
         """Place of each row: its line, or its time since the boot before it; those without a time come first."""
         if all(name in lines for name, layout in self.layouts.items() if layout.clock):
             return dict(lines)
         names, times, boots = [], [], []
         for name, layout in self.layouts.items():
-            time_us = self._times_us(name) if layout.clock else np.zeros(self.count(name), np.int64)
+            time_us = self.times_us(name) if layout.clock else np.zeros(self.count(name), np.int64)
             back = np.diff(time_us, prepend=time_us[:1]) < -BACK_US
             names.append(name)
             times.append(time_us)
@@ -109,11 +98,6 @@ class ExportedStore:
         place = np.empty(order.size, np.int64)
         place[order] = np.arange(order.size)
         return dict(zip(names, np.split(place, np.cumsum([len(t) for t in times])[:-1]), strict=True))
-
-    def _times_us(self, name: str) -> NDArray[np.int64]:
-        field, scale = self.layouts[name].clock or ("", 1)
-        time_us: NDArray[np.int64] = self.read(name, [field])[field] * scale
-        return time_us
 
     def _give_csrv_its_unit(self) -> None:
         layout = self.layouts.get("CSRV")

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from logparsers.channels import MOST_CHANNELS, Series, recorded_log
 from logparsers.dataflash.binary import BinaryStore
-from logparsers.dataflash.formats import NUMBER, WORDS
+from logparsers.dataflash.formats import DICTIONARY, NUMBER, WORDS
 from logparsers.dataflash.report import Boots, describe
 from logparsers.dataflash.text import TextStore
 from logparsers.errors import MissingChannel, UnreadableLog
@@ -23,14 +24,19 @@ from logparsers.texts import split_rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
+    from pathlib import Path
     from typing import Self
 
     from numpy.typing import NDArray
 
     from logparsers.dataflash.formats import Layout
     from logparsers.dataflash.store import Store, Stretch
-    from logparsers.records import Damage
+    from logparsers.only import Only
+    from logparsers.records import Damage, FlightLog
     from logparsers.source import LogBytes
+
+    Group = tuple[str, Any]
+    """Message and instance."""
 
 HEAD_SIZE: Final = 8192
 GPS_EPOCH: Final = datetime(1980, 1, 6, tzinfo=UTC)
@@ -75,7 +81,8 @@ class DataFlashFile:
     r"""An ArduPilot DataFlash log, binary (``.bin``) or text (``.log``), read column by column.
 
     The file is mapped, not loaded; only its records are located when it is opened. Every array that is
-    handed out is a copy that outlives the file.
+    handed out is a copy that outlives the file. Its channels are the numeric columns that carry a time stamp:
+    ``"RCOU.C1"``, ``"CSRV[0].Pos"``, ``"NVF[UMPOS_1].Value"``.
 
     `stretches`: bytes that belong to no sound record, with place, length and kind.
     """
@@ -103,6 +110,49 @@ class DataFlashFile:
         if not any(name != "FMT" for name in store.layouts):
             raise UnreadableLog(f"{label}: no DataFlash message definition (FMT) in it; copy the log again")
         return cls(label, store)
+
+    def log(self, path: Path, only: Only) -> FlightLog:
+        """The log as any other; `path`: where it comes from."""
+        return recorded_log(
+            self,
+            path,
+            "dataflash",
+            only,
+            damage=self.damage,
+            parameters=self.parameters,
+            texts=self.texts,
+            vehicle=self.vehicle,
+            firmware=self.firmware,
+            start_utc=self.start_utc,
+        )
+
+    def series(self) -> dict[str, Series]:
+        """Every series by the name of its channel."""
+        found: dict[str, Series] = {}
+        for message in self.names:
+            layout = self.formats[message]
+            if message in DICTIONARY or layout.clock is None:
+                continue
+            skipped = (layout.clock[0], layout.instance)
+            fields = [f for f in layout.fields.values() if f.is_number and f.name not in skipped]
+            for instance in self.instances(message) if layout.instance is not None else (None,):
+                if len(found) > MOST_CHANNELS:
+                    return found
+                which = "" if instance is None else f"[{instance}]"
+                for field in fields:
+                    series = Series((message, instance), field.name, None, field.unit, f"{message}.{field.name}")
+                    found[f"{message}{which}.{field.name}"] = series
+        return found
+
+    def stamps(self, group: Group) -> tuple[NDArray[np.float64], NDArray[np.bool_] | None]:
+        """Time of each row [s], and whether it agrees with the rows around it (None: all do)."""
+        suspect = self.suspect(*group)
+        return self.times_s(*group), ~suspect if suspect.any() else None
+
+    def values(self, series: Series) -> NDArray[Any]:
+        """Numbers of a series in the order of the file."""
+        group: Group = series.group  # type: ignore[assignment]
+        return self.column(group[0], series.field, group[1])
 
     @property
     def formats(self) -> Mapping[str, Layout]:

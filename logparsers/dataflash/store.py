@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from logparsers.dataflash.scan import NO_TIME, clock_steps
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
-    import numpy as np
     from numpy.typing import NDArray
 
     from logparsers.dataflash.formats import Layout
+
+MOST_US: Final = 2**48  # more than eight years
+LISTED: Final = 1000  # stretches, steps and notes that are listed one by one
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,41 +49,53 @@ class Step:
     after_us: int
 
 
-class Store(Protocol):
-    """Where the columns come from."""
+class Store(ABC):
+    """Where the columns come from, and what is wrong with it."""
 
-    @property
-    def size(self) -> int:
-        """Bytes in the file."""
-
-    @property
-    def layouts(self) -> Mapping[str, Layout]:
-        """Every message that is defined."""
-
-    @property
-    def stretches(self) -> Sequence[Stretch]:
+    def __init__(self, size: int) -> None:
+        self.size = size
+        """Bytes of the file, or rows where there is none."""
+        self.layouts: dict[str, Layout] = {}
+        """Every message that is defined, by name."""
+        self.stretches: list[Stretch] = []
         """Damaged bytes, up to a limit."""
-
-    @property
-    def more_stretches(self) -> tuple[int, int]:
+        self.more_stretches = (0, 0)
         """Stretches beyond that limit: how many, how many bytes."""
-
-    @property
-    def steps(self) -> Sequence[Step]:
+        self.steps: list[Step] = []
         """Gaps and jumps of the clock."""
-
-    @property
-    def notes(self) -> Sequence[str]:
+        self.notes: list[str] = []
         """What is odd about the definitions."""
+        self.odd: NDArray[np.int64] = np.zeros(0, np.int64)
+        """Where rows begin whose time stamp contradicts the rows around them."""
 
+    @abstractmethod
     def count(self, name: str) -> int:
-        """Count the rows of a message."""
+        """Count the rows of a message; 0 for one that is defined and never logged."""
 
+    @abstractmethod
     def offsets(self, name: str) -> NDArray[Any]:
-        """Where in the file each row begins [bytes]."""
+        """Where in the file each row begins, in its order, shape (n,) [bytes]."""
 
+    @abstractmethod
     def read(self, name: str, fields: Sequence[str], rows: NDArray[np.intp] | None = None) -> dict[str, NDArray[Any]]:
-        """Decode columns, of all rows or of some."""
+        """Decode columns, of all rows or of some; the arrays are copies and outlive the file."""
 
     def suspect(self, name: str) -> NDArray[np.bool_]:
-        """Mark rows whose time stamp contradicts the rows around them."""
+        """Mark rows whose time stamp contradicts the rows around them: damaged inside.
+
+        None if it would be most rows: then the message simply keeps another clock.
+        """
+        mask = np.isin(self.offsets(name), self.odd)
+        return mask if 2 * np.count_nonzero(mask) <= mask.size else np.zeros(mask.size, np.bool_)
+
+    def follow_clock(self, names: Sequence[str]) -> None:
+        """Find gaps and jumps of the clock that these messages share, and rows whose time stamp is wrong."""
+        self.odd, steps = clock_steps([self.times_us(name) for name in names], [self.offsets(name) for name in names])
+        self.steps = [Step(*found) for found in steps[:LISTED]]
+
+    def times_us(self, name: str) -> NDArray[np.int64]:
+        """Time stamps of a message by its own clock, as far as they are possible [us]; else `NO_TIME`."""
+        field, scale = self.layouts[name].clock or ("", 1)
+        times = self.read(name, [field])[field].astype(np.float64) * scale
+        known = (times >= 0.0) & (times < MOST_US)  # NaN is not
+        return np.where(known, times, NO_TIME).astype(np.int64)

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from logparsers.dataflash.formats import DICTIONARY, FMT, Layout, define
-from logparsers.dataflash.scan import NO_TIME, clock_steps
-from logparsers.dataflash.store import Step, Stretch
+from logparsers.dataflash.store import LISTED, MOST_US, Store, Stretch
 from logparsers.dataflash.units import apply_units
 
 if TYPE_CHECKING:
@@ -22,9 +21,7 @@ if TYPE_CHECKING:
 NAME_SIZE: Final = 4
 BYTES_AT_ONCE: Final = 1 << 20
 LINES_AT_ONCE: Final = 1 << 13
-LISTED: Final = 1000
 BAD: Final = -1
-MOST_US: Final = 2**48  # more than eight years
 LOOP_US: Final = 100_000
 """ArduPilot of 2012 to 2014 logged attitude from its loop of 10 Hz unless it was told otherwise."""
 GPS_CLOCKS: Final = ("T", "TimeMS", "Time")
@@ -35,7 +32,7 @@ STAMP: Final = "TimeUS"
 COMMA, NEWLINE = ord(","), ord("\n")
 
 
-class TextStore:
+class TextStore(Store):
     r"""Index of a text DataFlash log: which lines belong to which message.
 
     Examples
@@ -46,12 +43,8 @@ class TextStore:
     """
 
     def __init__(self, data: memoryview) -> None:
-        self.size = len(data)
-        self.layouts: dict[str, Layout] = {"FMT": FMT}
-        self.stretches: list[Stretch] = []
-        self.more_stretches = (0, 0)
-        self.steps: list[Step] = []
-        self.notes: list[str] = []
+        super().__init__(len(data))
+        self.layouts["FMT"] = FMT
         self._data = data
         self._lines: dict[str, NDArray[np.int64]] = {}
         starts, commas, names = _lines(np.frombuffer(data, np.uint8))
@@ -61,26 +54,20 @@ class TextStore:
         self._spread: frozenset[str] = frozenset()
         self._give_stamps()
         apply_units(self.layouts, self.read)
-        self._follow_clock()
+        self.follow_clock([name for name, layout in self.layouts.items() if self.count(name) and _is_timed(layout)])
 
     def count(self, name: str) -> int:
-        """Count the rows of a message."""
+        """As of `Store`."""
         return len(self._lines.get(name, ()))
 
     def offsets(self, name: str) -> NDArray[Any]:
-        """Where the lines of a message begin.
-
-        Result (shape (n,)): byte offsets.
-        """
+        """As of `Store`."""
         lines = self._lines.get(name, np.zeros(0, np.int64))
         offsets: NDArray[np.int64] = self._starts[lines]
         return offsets
 
     def read(self, name: str, fields: Sequence[str], rows: NDArray[np.intp] | None = None) -> dict[str, NDArray[Any]]:
-        """Parse columns of one message.
-
-        Result (shape (n,)): whole numbers as int64, others as float64, NaN where a cell is not a number; text as str.
-        """
+        """As of `Store`."""
         layout = self.layouts[name]
         lines = self._lines.get(name, np.zeros(0, np.int64))
         lines = lines if rows is None else lines[rows]
@@ -96,14 +83,6 @@ class TextStore:
                 into.append(parts[column.position + 1 - given].strip())
         found |= {c.name: _parse(c, column) for c, column in zip(wanted, cells, strict=True)}
         return {field: found[field] for field in fields}
-
-    def suspect(self, name: str) -> NDArray[np.bool_]:
-        """Rows whose time stamp contradicts the lines around them.
-
-        Result (shape (n,)): all False if most rows would be meant: then the message simply keeps another clock.
-        """
-        mask = np.isin(self.offsets(name), self._odd)
-        return mask if 2 * np.count_nonzero(mask) <= mask.size else np.zeros(mask.size, np.bool_)
 
     def _line(self, line: int) -> bytes:
         stop = self._starts[line + 1] if line + 1 < len(self._starts) else self.size
@@ -201,18 +180,6 @@ class TextStore:
         time_us = (1000.0 * ms[rows]).astype(np.int64)
         lines: NDArray[np.int64] = self._lines["GPS"][rows]
         return lines, time_us if clock == "T" or not rows.size else time_us - time_us[0]
-
-    def _follow_clock(self) -> None:
-        """Find gaps and jumps of the clock, and lines whose time stamp is wrong."""
-        timed = [name for name, layout in self.layouts.items() if self.count(name) and _is_timed(layout)]
-        self._odd, steps = clock_steps([self._times_us(name) for name in timed], [self.offsets(name) for name in timed])
-        self.steps += [Step(*found) for found in steps[:LISTED]]
-
-    def _times_us(self, name: str) -> NDArray[np.int64]:
-        field, scale = self.layouts[name].clock or ("", 1)
-        times = self.read(name, [field])[field].astype(np.float64) * scale
-        known = (times >= 0.0) & (times < MOST_US)  # NaN is not
-        return np.where(known, times, NO_TIME).astype(np.int64)
 
 
 def _is_timed(layout: Layout) -> bool:

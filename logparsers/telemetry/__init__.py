@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from logparsers.channels import LazyChannels
-from logparsers.records import FlightLog
-from logparsers.telemetry.channels import TelemetryRecording
+from logparsers.channels import recorded_log
 from logparsers.telemetry.file import TelemetryFile, Vehicle
 from logparsers.telemetry.messages import Sender
 from logparsers.telemetry.remote_log import BLOCKS, RemoteLogs, WithRemoteLog, remote_logs
 
 if TYPE_CHECKING:
-    from logparsers.channels import Recording
     from logparsers.only import Only
+    from logparsers.records import FlightLog
     from logparsers.source import Source
 
 __all__ = ["Sender", "TelemetryFile", "Vehicle", "read_telemetry"]
@@ -24,24 +22,19 @@ _AUTOPILOTS = {"ardupilotmega": "ArduPilot", "px4": "PX4"}
 def read_telemetry(source: Source, only: Only) -> FlightLog:
     """Read a telemetry log; channels are decoded when they are looked up."""
     file = TelemetryFile(source.mapped(), str(source.path))
-    recording: Recording = TelemetryRecording(file)
     logs = remote_logs(file) if BLOCKS in file.messages else RemoteLogs((), ())
-    if logs.parts:
-        recording = WithRemoteLog(recording, logs)
-    channels = LazyChannels(recording).only(only, source.path)
     craft = file.vehicle
-    disorder, span_s = channels.survey()
-    return FlightLog(
+    return recorded_log(
+        WithRemoteLog(file, logs) if logs.parts else file,
         source.path,
         "tlog",
-        channels,
-        (*file.damage, *logs.damage, *disorder),
+        only,
+        damage=(*file.damage, *logs.damage),
         parameters={**logs.parameters, **file.parameters},
         texts=file.texts,
         vehicle=craft.type if craft else "",
         firmware=_firmware(craft) if craft else "",
         start_utc=file.start_utc,
-        span_s=span_s,
     )
 
 

@@ -7,14 +7,15 @@ of the mapped file when it is asked for, bit for bit as pymavlink decodes it. Da
 from __future__ import annotations
 
 import re
+from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from logparsers.channels import as_float
+from logparsers.channels import MOST_CHANNELS, Series, as_float
 from logparsers.errors import UnreadableLog
 from logparsers.mavlink import DEFAULT_DIALECT, Dialect, enum_name, rival_names, version_text
 from logparsers.mavlink import dialect as dialect_called
@@ -26,7 +27,7 @@ from logparsers.telemetry.clock import TelemetryClock
 from logparsers.telemetry.messages import MessageTable
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Collection, Mapping
     from datetime import datetime
 
     from numpy.typing import NDArray
@@ -40,6 +41,10 @@ if TYPE_CHECKING:
 _SAMPLE_BYTES = 1 << 17  # read again in other dialects, where something cannot be read in the default one
 _INTEGERS = {1: "u1", 2: "i1", 3: "<u2", 4: "<i2", 5: "<u4", 6: "<i4"}  # MAV_PARAM_TYPE
 _BANNER = re.compile(r"(Ardu\w+|APM:\w+|PX4|Rover|Blimp|AntennaTracker)[ -]?V?\d")
+_NO_SERIES = ("PARAM_", "MISSION_", "STATUSTEXT", "FILE_TRANSFER", "LOG_", "REMOTE_LOG", "TERRAIN_DATA")
+"""Messages that carry lists, files or words: their numbers are no signal over time."""
+
+
 _KINDS = {
     frames.BAD_CHECKSUM: ("bad_checksum", "a message with a wrong check-sum"),
     frames.LOST_SYNC: ("corrupt", "no message can be read"),
@@ -63,8 +68,23 @@ class Vehicle:
     component: int = 0
 
 
+class Stream(NamedTuple):
+    """Messages that share a clock: one type, from one sender, of one instance."""
+
+    message: str
+    source: Sender | None
+    instance: object
+
+
 class TelemetryFile(MessageTable):
     """One telemetry log.
+
+    A name is ``MESSAGE.field``; the elements of an array ``MESSAGE.field[0]`` and on. A message that comes in
+    several instances has its value in brackets, ``NAMED_VALUE_FLOAT[SRVP1].value``; the number 0 is left out
+    (``SERVO_OUTPUT_RAW.servo3_raw`` is port 0, ``SERVO_OUTPUT_RAW[1].servo3_raw`` port 1). ``1/1:`` stands
+    before it, system and component, where several sources send that message (named values: that name). Where
+    instances are numbered and named (``DEBUG_FLOAT_ARRAY``), the name stands in the channel's origin. Lists, files and
+    words (parameters, missions, texts) are no channels.
 
     `data` (shape (n,)): the file; kept, not copied. `name`: what to call it in messages. `dialect`: dialect to read it
     with. None: the one that knows all messages, unless another reads more of the file. `dialect`: the dialect in use.
@@ -112,6 +132,61 @@ class TelemetryFile(MessageTable):
         time = self._clock.time_s(message, source)
         chosen: FloatArray = time[self.pick(message, source, instance)]
         return chosen
+
+    def series(self) -> dict[str, Series]:
+        """Every series by the name of its channel."""
+        found: dict[str, Series] = {}
+        for message in self.messages:
+            if message.startswith(_NO_SERIES):
+                continue
+            senders: tuple[Sender | None, ...] = self.sources(message)
+            alone = self._of_one_sender(message)
+            for sender in senders if len(senders) > 1 else (None,):
+                if len(found) > MOST_CHANNELS:
+                    return found
+                prefix = f"{sender.system}/{sender.component}:" if sender else ""
+                found.update(self._of(message, sender, prefix, alone))
+        return found
+
+    def stamps(self, group: Stream) -> tuple[NDArray[Any], None]:
+        """Time of each message [s]; those that could not be placed have their arrival time."""
+        return self.time_s(group.message, source=group.source, instance=group.instance), None
+
+    def values(self, series: Series) -> NDArray[Any]:
+        """Numbers of a series in the order of the file."""
+        of: Stream = series.group  # type: ignore[assignment]
+        return self.column(of.message, series.field, source=of.source, instance=of.instance, element=series.element)
+
+    def _of_one_sender(self, message: str) -> set[object]:
+        """Names that a single sender gives to values, such as those of a monitor beside those of the autopilot."""
+        layout = self.layout(message)
+        if not layout.instance or not layout.fields[layout.instance].is_text:
+            return set()
+        given = Counter(name for sender in self.sources(message) for name in self.instances(message, sender))
+        return {name for name, count in given.items() if count == 1}
+
+    def _of(self, message: str, source: Sender | None, prefix: str, alone: Collection[object]) -> dict[str, Series]:
+        """Series of one sender's messages of one type; no prefix for names that nobody else gives."""
+        layout = self.layout(message)
+        clock = layout.clock[0].name if layout.clock else ""
+        fields = [f for f in layout.fields.values() if not f.is_text and f.name not in (clock, layout.instance)]
+        named = layout.instance != "name" and "name" in layout.fields and layout.fields["name"].is_text
+        found: dict[str, Series] = {}
+        for instance in self.instances(message, source) or (None,):
+            if len(found) > MOST_CHANNELS:
+                break
+            bracket = "" if instance is None or instance == 0 else f"[{instance}]"
+            stream = Stream(message, source, instance)
+            titles = set(self.column(message, "name", source=source, instance=instance)) if named else ()
+            title = f"[{next(iter(titles))}]" if len(titles) == 1 and "" not in titles else ""
+            for field in fields:
+                sender = "" if instance in alone else prefix
+                stem, origin = f"{sender}{message}{bracket}.{field.name}", f"{message}{title}.{field.name}"
+                if not field.length:
+                    found[stem] = Series(stream, field.name, None, field.unit, origin)
+                for k in range(field.length):
+                    found[f"{stem}[{k}]"] = Series(stream, field.name, k, field.unit, f"{origin}[{k}]")
+        return found
 
     @property
     def timeline(self) -> Timeline:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from logparsers.dataflash.channels import DataFlashRecording
 from logparsers.dataflash.file import DataFlashFile
 from logparsers.dataflash.live import BlockStream, RowDecoder
 from logparsers.errors import LogError
@@ -28,7 +27,6 @@ class _Part(NamedTuple):
     """What was logged between two restarts of the vehicle."""
 
     file: DataFlashFile
-    recording: DataFlashRecording
     shift_s: float
     """From time since that boot to the time of the telemetry log."""
 
@@ -72,7 +70,7 @@ def remote_logs(file: TelemetryFile) -> RemoteLogs:
             log = DataFlashFile.of(np.frombuffer(b"".join(records), dtype=np.uint8), file.name)
         except LogError:
             continue  # a few blocks that define nothing
-        parts.append(_Part(log, DataFlashRecording(log), shift_s))
+        parts.append(_Part(log, shift_s))
     damage = []
     if blocks.lost:
         damage.append(Damage("corrupt", f"{blocks.lost} blocks of the log over MAVLink never came", blocks.lost))
@@ -87,7 +85,7 @@ class WithRemoteLog:
 
     def __init__(self, telemetry: Recording, logs: RemoteLogs) -> None:
         self._telemetry, self._parts = telemetry, logs.parts
-        self._logged = [part.recording.series() for part in logs.parts]
+        self._logged = [part.file.series() for part in logs.parts]
 
     def series(self) -> Mapping[str, Series]:
         """Every series by the name of its channel."""
@@ -103,7 +101,7 @@ class WithRemoteLog:
             return self._telemetry.stamps(group)
         times, sound = [], []
         for part in self._having(group):
-            time_s, good = part.recording.stamps(group.group)
+            time_s, good = part.file.stamps(group.group)
             times.append(time_s + part.shift_s)
             sound.append(np.ones(time_s.size, np.bool_) if good is None else good)
         return np.concatenate(times), np.concatenate(sound)
@@ -113,7 +111,7 @@ class WithRemoteLog:
         if not isinstance(series.group, _Logged):
             return self._telemetry.values(series)
         inner = replace(series, group=series.group.group)
-        return np.concatenate([part.recording.values(inner) for part in self._having(series.group)])
+        return np.concatenate([part.file.values(inner) for part in self._having(series.group)])
 
     def _having(self, group: _Logged) -> list[_Part]:
         """Parts with rows of a message."""

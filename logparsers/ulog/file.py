@@ -9,16 +9,18 @@ import contextlib
 import math
 from functools import cached_property
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from logparsers.channels import Series
 from logparsers.clock import utc_date
 from logparsers.errors import EmptyLog, MissingChannel
 from logparsers.mavlink import enum_name, version_text
 from logparsers.only import Only
 from logparsers.records import Damage, Text
 from logparsers.source import mapped
+from logparsers.texts import distinct_texts, split_rows
 from logparsers.ulog.bounded import load
 from logparsers.ulog.sieve import NotPlain, chain, set_aside, sieve
 
@@ -36,9 +38,53 @@ if TYPE_CHECKING:
 _CLOCK_TOPICS = ("vehicle_gps_position", "sensor_gps", "vehicle_global_position")
 """Small topics that know the date; always read, shown only if they are asked for."""
 
+_NAME_FIELDS = {"debug_key_value": "key", "debug_vect": "name", "debug_array": "name"}
+"""Topics that several senders share, and the text that tells them apart."""
+
+_UNITS = {
+    "_m_s2": "m/s/s",
+    "_m_s": "m/s",
+    "_rad_s": "rad/s",
+    "_celsius": "degC",
+    "_celcius": "degC",
+    "_rad": "rad",
+    "_deg": "deg",
+    "_rpm": "rpm",
+    "_pa": "Pa",
+    "_hz": "Hz",
+    "_us": "us",
+    "_ms": "ms",
+    "_v": "V",
+    "_a": "A",
+}
+"""Endings by which PX4 names units, longer ones first; the log itself has none."""
+
+
+class Topic(NamedTuple):
+    """Rows that share a clock: one topic, one instance, and one sender where the topic names them."""
+
+    name: str
+    instance: int
+    label: str
+
+
+def unit_of(field: str) -> str:
+    """Read the unit off the end of a field's name; empty if there is none.
+
+    Examples
+    --------
+    >>> unit_of("true_airspeed_m_s"), unit_of("voltage5v_v"), unit_of("control[3]")
+    ('m/s', 'V', '')
+    """
+    stem = field.partition("[")[0]
+    return next((unit for ending, unit in _UNITS.items() if stem.endswith(ending)), "")
+
 
 class UlogFile:
     """One PX4 log.
+
+    Names of its channels are ``topic[instance].field``, as in ``actuator_servos[0].control[3]``. Where a topic carries
+    named values of several senders, the name follows: ``debug_array[0][SRVP].data[2]``.
 
     `data` (shape (n,)): the file. `name`: what to call it in messages. `only`: topics to read.
     """
@@ -51,6 +97,7 @@ class UlogFile:
         self._tail = int(data.size - chain(data)) if is_sound else 0
         self._topics: dict[tuple[str, int], list[Any]] = {}
         self._extra: dict[str, list[Any]] = {}
+        self._named: dict[tuple[str, int], dict[str, NDArray[np.intp]]] = {}
         for found in self._log.data_list:
             if "timestamp" not in found.data:
                 continue
@@ -106,6 +153,46 @@ class UlogFile:
         """Time stamps of a topic [s since boot], shape (n,), in the order of the file."""
         time: FloatArray = self.column(topic, "timestamp", instance=instance) * 1e-6
         return time
+
+    def series(self) -> dict[str, Series]:
+        """Every series by the name of its channel."""
+        found: dict[str, Series] = {}
+        for topic, instance in self.topics:
+            labels = self._labels(topic, instance)
+            for field, kind in self.fields(topic, instance).items():
+                if field == "timestamp" or kind == "char":
+                    continue
+                for label in labels:
+                    bracket = f"[{label}]" if label else ""
+                    group, origin = Topic(topic, instance, label), f"{topic}.{field}"
+                    found[f"{topic}[{instance}]{bracket}.{field}"] = Series(group, field, None, unit_of(field), origin)
+        return found
+
+    def stamps(self, group: Topic) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
+        """Time of each row [s since boot]; 0 was not filled in, unless the log begins at 0."""
+        time_s = self._of(group, self.time_s(group.name, instance=group.instance))
+        return time_s, time_s > 0.0 if self.begin_s > 0.0 else None
+
+    def values(self, series: Series) -> NDArray[Any]:
+        """Numbers of a series in the order of the file."""
+        group: Topic = series.group  # type: ignore[assignment]
+        return self._of(group, self.column(group.name, series.field, instance=group.instance))
+
+    def _of(self, group: Topic, values: NDArray[Any]) -> NDArray[Any]:
+        return values[self._labels(group.name, group.instance)[group.label]] if group.label else values
+
+    def _labels(self, topic: str, instance: int) -> dict[str, NDArray[np.intp]]:
+        """Names that share a topic, and whose each row is."""
+        key = (topic, instance)
+        if key not in self._named:
+            stem = _NAME_FIELDS.get(topic)
+            fields = [f for f in self.fields(topic, instance) if stem and f.startswith(f"{stem}[")]
+            if fields and self.count(topic, instance):
+                raw = np.stack([self.column(topic, f, instance=instance) for f in fields], axis=1)
+                self._named[key] = split_rows(*distinct_texts(raw.astype(np.uint8)))
+            else:
+                self._named[key] = {"": np.zeros(0, dtype=np.intp)}
+        return self._named[key]
 
     @cached_property
     def parameters(self) -> Mapping[str, float]:

@@ -22,7 +22,6 @@ import logparsers
 from logparsers.channels import LazyChannels
 from logparsers.dataflash import DataFlashFile
 from logparsers.dataflash.binary import BinaryStore
-from logparsers.dataflash.channels import DataFlashRecording
 from logparsers.dataflash.encode import Message, encode
 from logparsers.errors import EmptyLog, LogError, MissingChannel, MissingLog, UnreadableLog
 from tests.fuzz.mutate import mutated
@@ -87,7 +86,7 @@ def assert_equal_to_pymavlink(path: Path) -> None:
 
 
 def channels(log: DataFlashFile) -> LazyChannels:
-    return LazyChannels(DataFlashRecording(log))
+    return LazyChannels(log)
 
 
 def use_up(log: DataFlashFile) -> None:

@@ -20,7 +20,6 @@ from logparsers import mavlink, protocol
 from logparsers.channels import LazyChannels
 from logparsers.errors import EmptyLog, LogError, MissingChannel, MissingLog, UnreadableLog
 from logparsers.telemetry import Sender, TelemetryFile
-from logparsers.telemetry.channels import TelemetryRecording
 from logparsers.telemetry.clock import TelemetryClock
 from tests.parsers import tlog_writer as writer
 from tests.parsers.external import real_logs
@@ -33,7 +32,7 @@ CRAFT, COMPANION, STATION = Sender(1, 1), Sender(1, 191), Sender(255, 190)
 
 
 def channels(log: TelemetryFile) -> LazyChannels:
-    return LazyChannels(TelemetryRecording(log))
+    return LazyChannels(log)
 
 
 def pymavlink_reads(path: Path, dialect: str = "all") -> list[Any]:

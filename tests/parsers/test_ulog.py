@@ -19,7 +19,6 @@ from logparsers.channels import LazyChannels
 from logparsers.errors import EmptyLog, LogError, MissingChannel, MissingLog, UnreadableLog
 from logparsers.ulog import UlogFile
 from logparsers.ulog.bounded import load
-from logparsers.ulog.channels import UlogRecording
 from logparsers.ulog.encode import Topic, encode
 from logparsers.ulog.sieve import set_aside
 from tests.parsers import ulog_writer as writer
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
 
 
 def channels(log: UlogFile) -> LazyChannels:
-    return LazyChannels(UlogRecording(log))
+    return LazyChannels(log)
 
 
 def test_every_value_of_real_logs_equals_pyulogs() -> None:
