@@ -7,14 +7,13 @@ import struct
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+
+from logparsers.dataflash.formats import CHARACTERS, FMT, HEADER_SIZE, Layout, is_consistent, parse_fmt, with_units
+
 _HEAD: Final = b"\xa3\x95"
-_FMT, _FMT_SIZE, _HEAD_SIZE = 128, 89, 3
-_CODES: Final = {
-    "a": "64s", "b": "b", "B": "B", "h": "h", "H": "H", "i": "i", "I": "I", "f": "f", "d": "d", "g": "e",
-    "n": "4s", "N": "16s", "Z": "64s", "c": "h", "C": "H", "e": "i", "E": "I", "L": "i", "M": "B", "q": "q", "Q": "Q",
-}  # fmt: skip
-_SCALES: Final = dict.fromkeys("cCeE", 0.01) | {"L": 1e-7}
-_INSTANCE: Final = "#"
+_FMTU: Final = "QBNN"
+_WIDE: Final = {"d": "d", "q": "q", "Q": "Q"}
 _PATIENCE_S, _AGAIN_S = 2.0, 0.2
 _MOST_AHEAD: Final = 2_000
 _MOST_NACKS: Final = 20
@@ -33,15 +32,6 @@ class LiveRow:
     values: dict[str, float]
 
 
-@dataclass(slots=True)
-class _Format:
-    name: str
-    layout: struct.Struct
-    columns: list[str]
-    codes: str
-    instance: int | None = None
-
-
 class RowDecoder:
     r"""Decodes rows as bytes come in; skips what is no row.
 
@@ -54,38 +44,34 @@ class RowDecoder:
     """
 
     def __init__(self) -> None:
-        self._formats: dict[int, _Format] = {}
-        self._instances: dict[int, int] = {}
+        self._layouts: dict[int, Layout] = {FMT.type: FMT}
+        self._cells: dict[int, tuple[struct.Struct, list[tuple[str, int, float]]]] = {}
+        """How to take a record apart, and which cells are numbers: name, place, and what they are divided by."""
+        self._units: dict[int, tuple[str, str]] = {}
+        """What FMTU says of the columns of each type of message, be it defined before or after."""
         self._rest = b""
 
     def feed(self, data: bytes) -> list[LiveRow]:
         """Rows that these bytes complete."""
-        rows = []
-        for record in self.records(data):
-            known = self._formats.get(record[2])
-            row = self._row(known, record[_HEAD_SIZE:]) if known is not None and record[2] != _FMT else None
-            rows += [row] if row is not None else []
-        return rows
+        return [row for record in self.records(data) if (row := self._row(record)) is not None]
 
     def records(self, data: bytes) -> list[bytes]:
         """Whole records that these bytes complete, as they are."""
         data, at, found = self._rest + data, 0, []
         while True:
             at = data.find(_HEAD, at)
-            if at < 0 or at + _HEAD_SIZE > len(data):
+            if at < 0 or at + HEADER_SIZE > len(data):
                 break
-            kind = data[at + 2]
-            known = self._formats.get(kind)
-            size = _FMT_SIZE if kind == _FMT else (_HEAD_SIZE + known.layout.size if known else 0)
-            if size == 0:
-                at += 2
+            known = self._layouts.get(data[at + 2])
+            if known is None:
+                at += len(_HEAD)
                 continue
-            if at + size > len(data):
+            if at + known.length > len(data):
                 break
-            if kind == _FMT:
-                self._learn(data[at + _HEAD_SIZE : at + size])
-            found.append(data[at : at + size])
-            at += size
+            found.append(data[at : at + known.length])
+            if known is FMT:
+                self._learn(parse_fmt(found[-1]))
+            at += known.length
         self._rest = data[at:] if at >= 0 else data[-1:]
         return found
 
@@ -93,37 +79,38 @@ class RowDecoder:
         """Bytes are missing here."""
         self._rest = b""
 
-    def _learn(self, body: bytes) -> None:
-        number, size, name, codes, columns = struct.unpack("<BB4s16s64s", body)
-        text = _text(codes)
-        if any(code not in _CODES for code in text):
-            return
-        layout = struct.Struct("<" + "".join(_CODES[code] for code in text))
-        if layout.size + _HEAD_SIZE == size:
-            names = _text(columns).split(",")
-            self._formats[number] = _Format(_text(name), layout, names, text, self._instances.get(number))
+    def _learn(self, layout: Layout | None) -> None:
+        if layout is not None and layout.type != FMT.type and is_consistent(layout):
+            layout = with_units(layout, *self._units.get(layout.type, ("", "")), {}, {})
+            fields = [f for f in layout.fields.values() if f.is_number and f.position and f.name != layout.instance]
+            numbers = [(f.name, f.position, f.divisor or 1.0) for f in fields]
+            self._layouts[layout.type] = layout
+            self._cells[layout.type] = struct.Struct("<" + "".join(map(_struct_code, layout.format))), numbers
 
-    def _row(self, known: _Format, body: bytes) -> LiveRow | None:
-        fields = known.layout.unpack(body)
-        if known.name == "FMTU":
-            units = _text(fields[2])
-            if _INSTANCE in units:
-                self._instances[fields[1]] = units.index(_INSTANCE)
-                if fields[1] in self._formats:
-                    self._formats[fields[1]].instance = units.index(_INSTANCE)
+    def _row(self, record: bytes) -> LiveRow | None:
+        layout = self._layouts[record[2]]
+        if layout is FMT:
             return None
-        if known.columns[0] != "TimeUS" or known.codes[0] != "Q":
+        unpacker, numbers = self._cells[layout.type]
+        cells = unpacker.unpack_from(record, HEADER_SIZE)
+        if layout.name == "FMTU" and layout.format == _FMTU:
+            _, kind, units, multipliers = cells
+            self._units[kind] = _text(units), _text(multipliers)
+            self._learn(self._layouts.get(kind))
+        if layout.clock != ("TimeUS", 1):
             return None
-        which = ""
-        if known.instance is not None and known.instance < len(fields):
-            value = fields[known.instance]
-            which = f"[{_text(value) if isinstance(value, bytes) else value}]"
-        values = {
-            f"{known.name}{which}.{column}": float(value) * _SCALES.get(code, 1.0)
-            for column, code, value in list(zip(known.columns, known.codes, fields, strict=False))[1:]
-            if not isinstance(value, bytes)
-        }
-        return LiveRow(fields[0] / 1e6, values)
+        head = layout.name
+        if layout.instance is not None:
+            of = layout.fields[layout.instance]
+            head += f"[{_text(cells[of.position]) if of.is_text else cells[of.position]}]"
+        values = {f"{head}.{name}": cells[place] / divisor for name, place, divisor in numbers}
+        return LiveRow(cells[0] / 1e6, values)
+
+
+def _struct_code(character: str) -> str:
+    """How `struct` takes a column from the bytes of a record."""
+    stored = np.dtype(CHARACTERS[character][0])
+    return stored.char if stored.kind in "iuf" and stored.itemsize < 8 else _WIDE.get(character, f"{stored.itemsize}s")
 
 
 class BlockStream:
