@@ -17,10 +17,9 @@ from fleet import KINDS, flight
 from servofd.aircraft.schema import plain_aircraft
 from servofd.aircraft.segment import Segment
 from servofd.core.tolerance import Tolerance
-from servofd.detection.bank.isolate import name_fault
-from servofd.detection.bank.window import Onset, Window, noise_deg
-from servofd.detection.judge import judge
-from servofd.detection.residual import ResidualGenerator, commands_at_servo
+from servofd.detection.bank import Onset, Window
+from servofd.detection.judge import judge, name_fault
+from servofd.detection.residual import ResidualGenerator, commands_at_servo, noise_deg
 from servofd.simulation.commands import COMMANDS
 from trial import judged
 

@@ -29,7 +29,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from servofd.core.types import FloatArray
-    from servofd.detection.bank.window import Window
+    from servofd.detection.bank import Window
 
 __all__ = ["KNOWN_ONSET", "UNKNOWN_ONSET", "log_likelihood_ratio"]
 

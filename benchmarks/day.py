@@ -39,7 +39,7 @@ from servofd.simulation.writers import write_flight
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from servofd.detection.events import Event
+    from servofd.detection.monitor import Event
 
 NOISE_DEG = 0.1
 _WRAP = 2**32

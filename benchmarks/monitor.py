@@ -38,7 +38,7 @@ from servofd.simulation.pulses import MOST_OUTPUTS, outputs_of
 from servofd.simulation.telemetry_writer import telemetry_log
 
 if TYPE_CHECKING:
-    from servofd.detection.events import Event
+    from servofd.detection.monitor import Event
 
 _STARTED_S = 10.0
 _BATCH = 100

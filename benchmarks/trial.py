@@ -11,13 +11,13 @@ from bound import log_likelihood_ratio
 from fleet import FleetFlight, flight
 from servofd.aircraft.schema import plain_aircraft
 from servofd.aircraft.segment import Segment
-from servofd.detection.bank.window import Window
+from servofd.detection.bank import Window
 from servofd.detection.judge import Judgement, judge
 from servofd.detection.residual import ResidualGenerator, Residuals, commands_at_servo
 
 if TYPE_CHECKING:
     from servofd.core.types import FloatArray
-    from servofd.detection.bank.window import Fault
+    from servofd.detection.verdict import Fault
 
 __all__ = ["CONSTANT_DEG", "MOVING_DEG_S", "Case", "Found", "Judged", "Trial", "judged", "trial"]
 

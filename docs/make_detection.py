@@ -18,8 +18,8 @@ from detection import calibration, delays, false_alarms, fly, limits, onsets, sh
 from detection_pictures import draw
 from servofd.aircraft.schema import DEFAULT_SIGMAS
 from servofd.core.tolerance import Tolerance
-from servofd.detection import alarm, judge, threshold
-from servofd.detection.bank import hypotheses, isolate, window
+from servofd.detection import bank as hypotheses
+from servofd.detection import judge, threshold
 from trial import CONSTANT_DEG, Trial
 
 HERE = Path(__file__).parent
@@ -121,8 +121,8 @@ to the residual by the terms x = [r0, dr0/dt, sum_i ..., 1] of D2, once with wha
 
 S being the long-run factor, and sigma_r no less than {threshold._TRIFLE:g} of the tolerated bias; what is beyond all tolerance, or rests on lost commands, teaches no deviations.
 H >= {threshold.SUSPICIOUS_DRIFT:g} means that gain, delay, bandwidth or bias is not that of a healthy servo. Both raise a *suspicion*, which ends when
-none was raised for {alarm._SUSPICION_LASTS_S:g} s. It goes through the bank like an alarm; under an interval threshold it becomes a fault if the
-bank is sure of its name (P >= {isolate.SURE:g}), and its alarm is raised when the name is; else the surface is *suspect*. Rough models (drafts with a
+none was raised for {threshold._SUSPICION_LASTS_S:g} s. It goes through the bank like an alarm; under an interval threshold it becomes a fault if the
+bank is sure of its name (P >= {judge.SURE:g}), and its alarm is raised when the name is; else the surface is *suspect*. Rough models (drafts with a
 wider threshold and no tolerances of their own) raise none.
 """
 
@@ -131,9 +131,9 @@ def latching() -> str:
     return f"""## Latching
 
 An alarm lasts until the surface has *proved* to be well. A jammed servo between two manoeuvres has no residual. So an
-episode ends only if |r| stayed below {alarm.QUIET_SHARE:g} tau while the residual of an immobile surface would have travelled
+episode ends only if |r| stayed below {threshold.QUIET_SHARE:g} tau while the residual of an immobile surface would have travelled
 
-    sum |d play(r0, 2 tau)| >= {alarm._TRAVEL_TO_CLEAR:g} tau                                                           (D7)
+    sum |d play(r0, 2 tau)| >= {threshold._TRAVEL_TO_CLEAR:g} tau                                                           (D7)
 
 (play: motion within a zone of twice the usual threshold so far, its median, does not count), and then at the last sample at which it was louder.
 
@@ -165,34 +165,34 @@ J is the sum of squared misfits that remains, and the second sum goes into the d
 | floating | cosines of up to {hypotheses._FASTEST_WIND_HZ:g} Hz, whose spread falls with the square of the frequency beyond {hypotheses._WIND_HZ:g} Hz |
 | deadband | play before or behind the servo, or stiction; its width on a grid, then by golden section |
 | slow | every pole scaled, or a lower rate limit; the same search |
-| unknown | whatever removes all but {isolate._UNEXPLAINED_SHARE:.0%} of the simulation error, at the price of {isolate._UNKNOWN_FREEDOM:g} parameters; or ŷ with a smooth error, by the same cosines as floating |
+| unknown | whatever removes all but {judge._UNEXPLAINED_SHARE:.0%} of the simulation error, at the price of {judge._UNKNOWN_FREEDOM:g} parameters; or ŷ with a smooth error, by the same cosines as floating |
 
-**Score.** With n samples, of which {window.COLOUR:g} in a row tell as much as one, p free parameters and a doubt D (twice the negative
+**Score.** With n samples, of which {hypotheses.COLOUR:g} in a row tell as much as one, p free parameters and a doubt D (twice the negative
 logarithm of how plausible the parameters are in themselves: a servo's deviations are within its tolerances, wide dead bands
 are rare, smooth wind is what the priors of its cosines expect),
 
-    B = n/{window.COLOUR:g} ln(max(J/n, {window._FLOOR:g} sigma²)) + {window._PENALTY:g} p ln(n/{window.COLOUR:g}) + D                                        (D9)
+    B = n/{hypotheses.COLOUR:g} ln(max(J/n, {hypotheses._FLOOR:g} sigma²)) + {hypotheses._PENALTY:g} p ln(n/{hypotheses.COLOUR:g}) + D                                        (D9)
 
 after Schwarz; smaller is better. The probability of hypothesis i, all being equally likely before, is
 
     P_i = exp(-B_i/2) / sum_j exp(-B_j/2).                                                            (D10)
 
-**How long to look.** Windows begin {isolate._SETTLING_S:g} s after the onset and last {", ".join(f"{length_s:g}" for length_s in isolate._WINDOWS_S)} s; the first in which a hypothesis has
-P >= {isolate.SURE:g} *and* the healthy deflection covers {isolate._ENOUGH_MOTION_DEG:g} deg decides. **Not enough motion**: a jam and a dead band, a bias and a jam,
+**How long to look.** Windows begin {judge._SETTLING_S:g} s after the onset and last {", ".join(f"{length_s:g}" for length_s in judge._WINDOWS_S)} s; the first in which a hypothesis has
+P >= {judge.SURE:g} *and* the healthy deflection covers {judge._ENOUGH_MOTION_DEG:g} deg decides. **Not enough motion**: a jam and a dead band, a bias and a jam,
 differ only in motion. If no window has enough of it the longest decides, with the probability that it gives, and names the
-alternatives of {isolate._WORTH_MENTIONING:.0%} and more; below {isolate._LIKELY:g} the name is `unknown` and all that can be said is "at fault, with too little
+alternatives of {judge._WORTH_MENTIONING:.0%} and more; below {judge._LIKELY:g} the name is `unknown` and all that can be said is "at fault, with too little
 motion to tell which". If the winner is *healthy*, the tolerances of a working servo explain the alarm: it is dismissed
 and listed as a suspicion.
 
-**Floating and unknown** explain anything. Before they are believed, a window that begins {2.0 * isolate._SETTLING_S:g} s after the alarm is named as well:
+**Floating and unknown** explain anything. Before they are believed, a window that begins {2.0 * judge._SETTLING_S:g} s after the alarm is named as well:
 the first may have held the transition, and if another hypothesis is sure of the second, it wins.
 
 **First signs.** What a fault could have been for all that was known within its first second: the hypotheses that are silent,
 each by a residual of its own, r_i = Qy (y - y_i), evaluated by Narendra's filter with Varga's defaults,
 
-    x(k+1) = {isolate._GAMMA:g} x(k) + |r_i(k)|,     {1.0 - isolate._GAMMA:.2g} x <= {isolate._QUIET:g} sqrt(2/pi) sigma_r.                              (D11)
+    x(k+1) = {judge._GAMMA:g} x(k) + |r_i(k)|,     {1.0 - judge._GAMMA:.2g} x <= {judge._QUIET:g} sqrt(2/pi) sigma_r.                              (D11)
 
-**Faults that change.** The end of an episode is judged once more, in blocks of {isolate._BLOCK_S:g} s (up to {isolate._LONGEST_BLOCK_S:g} s until there is motion). If
+**Faults that change.** The end of an episode is judged once more, in blocks of {judge._BLOCK_S:g} s (up to {judge._LONGEST_BLOCK_S:g} s until there is motion). If
 another hypothesis is sure of it, and of the block before, the instant of the change is found by bisection.
 """
 
@@ -200,13 +200,13 @@ another hypothesis is sure of it, and of the block before, the instant of the ch
 def onsets_text() -> str:
     return f"""## Onset
 
-First estimate: the first sample with |r| beyond the tolerance T and {alarm._ONSET_SIGMAS:g} standard deviations after the last quiet
-{alarm._QUIET_BEFORE_ONSET_S:g} s before the alarm. Then, with the winner's prediction f, the split that makes the data most likely,
+First estimate: the first sample with |r| beyond the tolerance T and {threshold._ONSET_SIGMAS:g} standard deviations after the last quiet
+{threshold._QUIET_BEFORE_ONSET_S:g} s before the alarm. Then, with the winner's prediction f, the split that makes the data most likely,
 
     k* = argmin sum_(j<k) min(e_j², 16 sigma²) + sum_(j>=k) min((y_j - f_j)², 16 sigma²),                (D12)
 
-from {isolate.BEFORE_S:g} s before that estimate ({isolate._SUSPICION_LASTS_S:g} s for a suspicion) to the end of the window, e being the simulation
-error less the servo's deviations (N theta, fitted to what was surely healthy). Splits within {isolate._UNDECIDED:g} sigma² of the best are
+from {judge.BEFORE_S:g} s before that estimate ({judge._SUSPICION_LASTS_S:g} s for a suspicion) to the end of the window, e being the simulation
+error less the servo's deviations (N theta, fitted to what was surely healthy). Splits within {judge._UNDECIDED:g} sigma² of the best are
 equally good, for instance because the surface did not move; the last of them is taken, which is the first motion that the fault spoils. The onset of a jam can be no earlier than
 that: it is when the fault began to *show*.
 """

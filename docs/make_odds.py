@@ -9,7 +9,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from servofd.aircraft.schema import plain_aircraft
-from servofd.detection.odds import SurfaceOdds, Wish
+from servofd.detection.probability import SurfaceOdds, Wish
 from servofd.detection.pulse import design_pulse_filter
 from servofd.jobs.odds import Part, odds_from_design, odds_from_logs
 from servofd.outputs.odds_figure import save_odds_figure

@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     from servofd.aircraft.axes import AxisModel, MotionModel
     from servofd.axes.motion import Motion
     from servofd.core.types import BoolArray, FloatArray
-    from servofd.detection.bank.window import Fault
-    from servofd.detection.verdict import SurfaceAudit
+    from servofd.detection.verdict import Fault, SurfaceAudit
     from servofd.estimate.axis_windows import Inputs
 
 _KNOWN_WITHIN = 0.3

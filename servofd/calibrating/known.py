@@ -12,8 +12,8 @@ from servofd.calibrating.flights import Flight, asked_deg, cropped
 from servofd.core.errors import CalibrationError
 from servofd.detection.calibrated import judged
 from servofd.detection.changes import FLOORS, MARGIN, STATISTICS, statistics_of, watched
-from servofd.detection.plausible import ENOUGH_MOTION_DEG
-from servofd.detection.words import describe
+from servofd.detection.contradiction import ENOUGH_MOTION_DEG
+from servofd.detection.verdict import describe
 from servofd.estimate.fit import fit, predicted, residual
 from servofd.estimate.record import Record
 

@@ -12,7 +12,7 @@ from servofd.cli import audit
 from servofd.cli.options import FLEET_PAGE
 from servofd.cli.terminal import give_json, one_line
 from servofd.core.files import beginning, distinct_file_names, write_whole
-from servofd.detection.words import next_step
+from servofd.detection.verdict import next_step
 from servofd.jobs.workflow import FailedLog
 from servofd.outputs.audit_page import audit_page, motors_of
 from servofd.outputs.page import source_tag

@@ -15,7 +15,7 @@ from servofd.cli.monitor_outputs import Outputs
 from servofd.cli.terminal import complain
 from servofd.core.errors import ConfigError
 from servofd.core.files import beginning
-from servofd.detection.words import describe
+from servofd.detection.verdict import describe
 from servofd.feedback.flown import one_log
 from servofd.live.channels import ChannelTable
 from servofd.live.run import Pace, replay_log, replay_telemetry, watch_link

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from servofd.aircraft.schema import Aircraft
     from servofd.cli.options import Options
-    from servofd.detection.events import Event, Inputs
+    from servofd.detection.monitor import Event, Inputs
     from servofd.detection.stream import Piece
     from servofd.live.session import Session
     from servofd.live.threads import Receiver

@@ -10,7 +10,7 @@ from servofd.batch.key import Job
 from servofd.cli.terminal import complain, give_json, one_line, print_table, progress
 from servofd.core.errors import ConfigError, NoMeasurement
 from servofd.core.files import distinct_file_names, make_folder
-from servofd.detection.odds import Wish
+from servofd.detection.probability import Wish
 from servofd.feedback.flown import known_aircraft
 from servofd.jobs.odds import LeftOut, odds_from_design, odds_from_logs, parts_of
 from servofd.jobs.workflow import FailedLog, judged
@@ -20,7 +20,7 @@ from servofd.servo.library import servo_named
 
 if TYPE_CHECKING:
     from servofd.cli.options import Options
-    from servofd.detection.odds import SurfaceOdds, Wish
+    from servofd.detection.probability import SurfaceOdds, Wish
     from servofd.jobs.odds import LeftOut, Part
 
 _PLAIN_SURFACE = "surface"

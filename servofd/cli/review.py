@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from servofd.cli.terminal import check_targets, complain, give_json, print_table, worst
 from servofd.core.errors import ConfigError, RecordingError
-from servofd.detection.words import describe
+from servofd.detection.verdict import describe
 from servofd.jobs.workflow import FailedLog
 from servofd.outputs.json_report import audit_document
 from servofd.outputs.recording.read import read_recording, repair_recording

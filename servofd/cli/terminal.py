@@ -128,7 +128,7 @@ def print_verdicts(audit: LogAudit) -> None:
     from rich.padding import Padding
     from rich.text import Text
 
-    from servofd.detection.words import headline, next_step
+    from servofd.detection.verdict import headline, next_step
     from servofd.outputs.sentence import axes_sentence, seen
 
     log, shown = audit.log, _console()

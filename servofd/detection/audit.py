@@ -25,23 +25,20 @@ from servofd.aircraft.segment import (
 from servofd.core.errors import DesignError, NoMeasurement
 from servofd.core.evidence import NOTHING_DETECTABLE
 from servofd.detection.calibrated import audit_calibrated
-from servofd.detection.contradiction import unanswered
+from servofd.detection.contradiction import unanswered, wiring_problem
 from servofd.detection.evidence import coverage, detectable, reported, status_of, too_short
-from servofd.detection.glitches import prepared
 from servofd.detection.judge import Judgement, judge
-from servofd.detection.plausible import wiring_problem
 from servofd.detection.probability import false_alarms_per_hour
-from servofd.detection.residual import ResidualGenerator, Residuals
-from servofd.detection.verdict import LogAudit, Statistics, SurfaceAudit
-from servofd.detection.words import describe
+from servofd.detection.residual import ResidualGenerator, Residuals, prepared
+from servofd.detection.verdict import LogAudit, Statistics, SurfaceAudit, describe
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from logparsers.records import FlightLog
     from servofd.aircraft.schema import Aircraft, Surface
-    from servofd.detection.bank.window import Fault
     from servofd.detection.threshold import Threshold, ThresholdKind
+    from servofd.detection.verdict import Fault
     from servofd.servo.servo_model import ServoModel
 
 _SECONDS_FOR_ODDS = 10.0

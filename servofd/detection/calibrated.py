@@ -1,17 +1,24 @@
 """The verdict on a surface whose servo was fitted to good flights.
 
 An alarm is raised where a statistic stays above its threshold twice in a row or passes it by far, or three residuals in
-a row on one side pass theirs; its name and times come from `servofd.detection.refit`, and the tests begin anew where it
-ended.
+a row on one side pass theirs. Each fault is refitted to what the surface did since, the other parameters free as they
+are between flights; the tests begin anew where it ended.
+
+A hypothesis is a servo of the family with one thing changed, or no servo at all. Its misfit is what of the whitened
+residual no allowed change of the other parameters explains; the best size is found on a grid and refined by the linear
+estimate around it. The family is not the servo: where even the best hypothesis leaves more than the noise, that is
+taken for noise of unknown size (n ln misfit), and every other sample counts. Probabilities follow from this, from how
+far the other parameters had to go, and from the number of free sizes (BIC).
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from servofd.aircraft.priors import FITTED, NAMES
 from servofd.aircraft.segment import Segment
 from servofd.detection.changes import (
     STATISTICS,
@@ -25,22 +32,426 @@ from servofd.detection.changes import (
     watched,
 )
 from servofd.detection.evidence import reported, status_of, too_short
-from servofd.detection.refit import LOUD, named
 from servofd.detection.residual import Residuals
 from servofd.detection.threshold import Threshold
-from servofd.detection.verdict import Statistics
+from servofd.detection.verdict import Fault, Statistics
+from servofd.estimate.family import new_state, sensitivities, simulated, variants
+from servofd.estimate.fit import residual
 from servofd.estimate.record import Record, load_at
+from servofd.estimate.statistics import Estimate
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from functools import partial
 
     from servofd.aircraft.calibrated import CalibratedServo
     from servofd.aircraft.schema import Surface
-    from servofd.core.types import FloatArray
-    from servofd.detection.bank.window import Fault
+    from servofd.core.types import BoolArray, FloatArray
     from servofd.detection.changes import Watched
     from servofd.detection.residual import Commands
-    from servofd.detection.verdict import SurfaceAudit
+    from servofd.detection.verdict import Fault, SurfaceAudit
+
+_WINDOW_S: Final = 20.0
+_SETTLING_S: Final = 0.5
+_LEAD_S: Final = 1.0
+_BEFORE_S: Final = 62.0
+_LATELY_S: Final = 1.5
+_FEWEST: Final = 12
+_COUNTED: Final = 0.5
+_ALARMED: Final = 3.0
+"""Logarithm of how much less likely a good servo is to be looked at than a faulty one: an alarm was raised."""
+_SCALES = (0.05, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.93)
+_SPEEDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+_WIDTHS_DEG = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0)
+_LEAST_LOSS: Final = 0.95
+_FLAT = 1e-8
+_LOST_GAIN = 0.12
+_AT_STOP_DEG = 1.5
+_SURE = 0.3
+_HALF: Final = 0.5
+LOUD: Final = 1.5
+"""A good servo that passes its thresholds by so much is none."""
+_WORTH_TELLING: Final = 0.02
+_TWINS: Final = (
+    ("stuck", "floating", 0.1),
+    ("floating", "stuck", 0.3),
+    ("bias", "deadband", 0.25),
+    ("loss_of_effectiveness", "deadband", 0.1),
+)
+"""Faults that look like others: a geared servo without power stays where it is, air pushes play to one side, or back by
+more the further the surface is out."""
+_FLYING: Final = 0.1
+_WIDEST_PLAY_DEG: Final = 8.0
+_USUAL_WIDTH_DEG: Final = 2.0
+"""Wider play is rarer, by e for each of these: a surface that never moved is stuck, not loose by all that was asked."""
+_USUAL_BIAS_DEG: Final = 3.0
+_MOVING, _MOVING_DEG = 3.0, 0.3
+"""A surface that moves by so many sigma of the reading, and so much, is not stuck."""
+_LOOSE: Final = 0.3
+_LEAST_STILL_DEG: Final = 0.05
+_STRANGE, _UNEXPLAINED = 2.0, 0.55
+"""Misfit for each sample, and the share of what a good servo does not do, that no hypothesis may leave."""
+_ENDED = 1.0
+"""Seconds of one standard deviation by which the healthy servo must explain better what comes after an end."""
+_AFTER_END_S = 3.0
+_SURELY_ENDED, _SOON_S = 5.0, 0.5
+"""So much better it need do for no longer than this."""
+_LOG_CLIP = 25.0
+_NO_NEWS = 0.01
+"""By so little a fault may explain a sample better, and yet not have begun."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Guess:
+    """What one hypothesis makes of the window."""
+
+    kind: str
+    cost: tuple[float, float]
+    """Misfit, and how far the other parameters had to go."""
+    freedom: int
+    parameters: dict[str, Estimate] = field(default_factory=dict)
+    theta: FloatArray | None = None
+    power: float = 0.0
+    added: tuple[str, FloatArray] | None = None
+
+
+class _Window:
+    """Samples of a stretch, and what servos of the family do there."""
+
+    def __init__(self, watched: Watched, from_s: float, to_s: float) -> None:
+        record, known = watched.record, watched.known
+        first, last = np.searchsorted(record.time_s, (from_s - _LEAD_S, to_s))
+        self.rows = slice(int(first), int(last))
+        self.time_s = record.time_s[self.rows]
+        self.measured_deg = record.measured_deg[self.rows]
+        self.used: BoolArray = watched.judged[self.rows] & (self.time_s >= from_s)
+        self.sigma_deg = watched.noise_deg[self.rows]
+        self.total_deg = watched.sigma_deg[self.rows]
+        self.record, self.known, self.theta = record, known, known.theta
+        self.precision = np.linalg.inv(known.covariance)
+        self.noise = watched.noise
+        start_deg = record.start_deg[self.rows].copy()
+        good = np.flatnonzero(np.isfinite(self.measured_deg))
+        if good.size and not np.isfinite(start_deg[0]):
+            start_deg[0] = self.measured_deg[good[0]]
+        self.start_deg = start_deg
+
+    @property
+    def count(self) -> int:
+        return int(np.count_nonzero(self.used))
+
+    def reading(self, theta: FloatArray, power: float = 0.0) -> tuple[FloatArray, FloatArray]:
+        """Reading and sensitivities of a servo, shapes (m,) and (m, 13)."""
+        table = variants(theta, patterns=False)
+        table[:, FITTED] = power
+        record = self.record
+        position_deg, speed_deg_s = simulated(
+            table, new_state(table.shape[0]), record.commands, self.time_s, record.load[self.rows],
+            record.power[self.rows], self.start_deg,
+        )  # fmt: skip
+        return sensitivities(position_deg, speed_deg_s, theta, self.known.reach_deg)
+
+    def whitened(self, values: FloatArray) -> FloatArray:
+        """Rows over the noise's sigma, without its colour; shape (k, ...) of used rows."""
+        scaled = values[self.used] / (self.sigma_deg[self.used, None] if values.ndim > 1 else self.sigma_deg[self.used])
+        first, second = self.noise.colour
+        out: FloatArray = (scaled[2:] - first * scaled[1:-1] - second * scaled[:-2]) / self.noise.innovation
+        return out
+
+    def reduced(
+        self, error_deg: FloatArray, slopes: FloatArray, free: FloatArray | None = None
+    ) -> tuple[tuple[float, float], FloatArray, FloatArray]:
+        """Costs of an error once parameters (and free columns) have done their best; these, and their covariance.
+
+        The costs are its misfit, and how far the parameters had to go for it: sums of squares over their variances.
+        """
+        columns = slopes if free is None else np.concatenate([slopes, free], axis=1)
+        precision = np.full(columns.shape[1], _FLAT)
+        w, e = self.whitened(columns), self.whitened(error_deg)
+        block = w.T @ w
+        block[:FITTED, :FITTED] += self.precision
+        block[np.diag_indices(columns.shape[1])] += np.where(np.arange(columns.shape[1]) < FITTED, 0.0, precision)
+        covariance: FloatArray = np.asarray(np.linalg.inv(block), dtype=np.float64)
+        best = covariance @ (w.T @ e)
+        apart = best[:FITTED]
+        left = e - w @ best
+        return (float(left @ left), float(apart @ self.precision @ apart)), best, covariance
+
+
+def named(watched: Watched, alarm_s: float, ratio: float, *, earliest_s: float) -> Fault:
+    """Name what an alarm stands for; `healthy` if a working servo explains it after all.
+
+    `ratio` is the largest statistic over its threshold at or after the alarm.
+    """
+    window = _Window(watched, alarm_s + _SETTLING_S, alarm_s + _WINDOW_S)
+    if window.count < max(_FEWEST, 1.5 / watched.record.period_s):
+        window = _since_onset(watched, alarm_s, earliest_s)
+    if window.count < _FEWEST:
+        return Fault("unknown", alarm_s, alarm_s, None, {}, 0.5, ())
+    guesses = _ranked(window)
+    end_s = _end_s(watched, guesses[0], alarm_s)
+    if end_s is not None and alarm_s + 1.5 < end_s < alarm_s + _WINDOW_S - 2.0:
+        shorter = _Window(watched, alarm_s + min(_SETTLING_S, 0.2 * (end_s - alarm_s)), end_s)
+        if shorter.count >= _FEWEST:
+            window, guesses = shorter, _ranked(shorter)
+            end_s = _end_s(watched, guesses[0], alarm_s)
+    kind, probability, alternatives, parameters = _verdict(window, guesses, ratio)
+    start_s = _start_s(watched, guesses[0], alarm_s, earliest_s)
+    return Fault(
+        kind, start_s, alarm_s, end_s, parameters, probability, alternatives,
+        named_s=float(min(window.time_s[-1], alarm_s + _WINDOW_S)),
+    )  # fmt: skip
+
+
+def _since_onset(watched: Watched, alarm_s: float, earliest_s: float) -> _Window:
+    """What an alarm of a moment ago leaves to judge: since the healthy servo was last right, if that is enough."""
+    first, last = np.searchsorted(watched.record.time_s, (max(alarm_s - _LATELY_S, earliest_s), alarm_s))
+    lately = slice(int(first), int(last))
+    right = np.flatnonzero(np.abs(watched.error_deg[lately]) < watched.sigma_deg[lately])
+    if right.size:
+        since = _Window(watched, float(watched.record.time_s[lately][right[-1]]) + 1e-9, alarm_s + _WINDOW_S)
+        if since.count >= _FEWEST:
+            return since
+    return _Window(watched, max(alarm_s - _LATELY_S, earliest_s), alarm_s + _WINDOW_S)
+
+
+def _ranked(window: _Window) -> list[_Guess]:
+    guesses = list(_guesses(window))
+    best: dict[str, _Guess] = {}
+    for guess in sorted(guesses, key=lambda each: sum(each.cost)):
+        best.setdefault(guess.kind, guess)
+    return sorted(best.values(), key=lambda guess: _score(window, guess))
+
+
+def _score(window: _Window, guess: _Guess) -> float:
+    """Minus the logarithm of how likely it is."""
+    counted = max(_COUNTED * window.count, 2.0)
+    misfit, apart = guess.cost
+    doubt = _ALARMED if guess.kind == "healthy" else 0.0
+    if guess.kind == "deadband":
+        doubt = guess.parameters["width_deg"].value / _USUAL_WIDTH_DEG
+    if guess.kind == "bias":
+        doubt = abs(guess.parameters["bias_deg"].value) / _USUAL_BIAS_DEG
+    each = max(misfit / max(window.count - 2, 1), 1.0)
+    return 0.5 * (counted * float(np.log(each)) + apart) + 0.5 * guess.freedom * float(np.log(counted)) + doubt
+
+
+def _guesses(window: _Window) -> Iterator[_Guess]:
+    theta = window.theta
+    nominal_deg, slopes = window.reading(theta)
+    error_deg, _ = residual(window.measured_deg, nominal_deg, window.known.reach_deg)
+    cost, _, _ = window.reduced(error_deg, slopes)
+    yield _Guess("healthy", cost, 0, theta=theta)
+    one = np.ones((error_deg.size, 1))
+    cost, best, covariance = window.reduced(error_deg, slopes, one)
+    bias = Estimate.of(best[FITTED], float(np.sqrt(covariance[FITTED, FITTED])))
+    yield _Guess("bias", cost, 1, {"bias_deg": bias}, _with(theta, bias_deg=theta[1] + best[FITTED]))
+    for scale in _SCALES:
+        yield _sized(window, "loss_of_effectiveness", _with(theta, gain=theta[0] * scale), 0, {"gain": (theta[0], 0.0)})
+    for speed in _SPEEDS:
+        share, less = {"bandwidth_scale": (speed, 0.1 * speed)}, float(np.log(speed))
+        yield _sized(window, "slow", theta, None, share, less)
+        slower = _with(theta, ln_bandwidth=theta[3] + less, ln_rate=theta[5] + less)
+        yield _sized(window, "slow", slower, None, share)
+    for width in _WIDTHS_DEG:
+        for name in ("deadband_deg", "play_deg"):
+            place = NAMES.index(name)
+            yield _sized(
+                window, "deadband", _with(theta, **{name: theta[place] + width}), place, {"width_deg": (1.0, 0.0)}
+            )
+        if width <= 4.0:
+            sticking = _with(theta, friction_deg=theta[NAMES.index("friction_deg")] + 0.5 * width)
+            yield _sized(window, "deadband", sticking, None, {"width_deg": (width, 0.25 * width)})
+    yield from _oscillating(window, error_deg, slopes)
+    yield from _immobile(window)
+
+
+def _with(theta: FloatArray, **changes: float) -> FloatArray:
+    """The same servo with some parameters changed, by their names."""
+    changed = theta.copy()
+    changed[[NAMES.index(name) for name in changes]] = list(changes.values())
+    return changed
+
+
+def _sized(
+    window: _Window, kind: str, theta: FloatArray, place: int | None, size: dict[str, tuple[float, float]],
+    power: float = 0.0,
+) -> _Guess:  # fmt: skip
+    """A servo with one parameter changed; that one is free around its new value."""
+    reading_deg, slopes = window.reading(theta, power)
+    error_deg, _ = residual(window.measured_deg, reading_deg, window.known.reach_deg)
+    name, (reference, spread) = next(iter(size.items()))
+    if place is None:
+        cost, _, _ = window.reduced(error_deg, slopes)
+        return _Guess(kind, cost, 1, {name: Estimate.of(reference, spread)}, theta, power)
+    cost, best, covariance = window.reduced(error_deg, slopes, slopes[:, [place]])
+    moved = theta.copy()
+    allowed = 0.35 * abs(theta[place]) + 0.3 * (kind == "deadband")
+    change = float(np.clip(best[FITTED], -allowed, allowed))
+    moved[place] += change
+    if change != best[FITTED]:
+        cost, *_ = window.reduced(error_deg - change * slopes[:, place], slopes)
+    if kind == "loss_of_effectiveness" and moved[place] > _LEAST_LOSS * window.theta[place]:
+        moved = theta
+        cost, *_ = window.reduced(error_deg, slopes)
+    deviation = float(np.sqrt(covariance[FITTED, FITTED]))
+    if kind == "deadband":
+        value = moved[place] - window.theta[place]
+        return _Guess(kind, cost, 1, {name: Estimate.of(max(value, 0.0), deviation)}, moved)
+    return _Guess(kind, cost, 1, {name: Estimate.of(moved[place] / reference, deviation / abs(reference))}, moved)
+
+
+def _oscillating(window: _Window, error_deg: FloatArray, slopes: FloatArray) -> Iterator[_Guess]:
+    """A sine at the strongest frequency, on the healthy servo, and on one that it keeps from sticking."""
+    used = window.used
+    t = window.time_s - window.time_s[0]
+    span_s = max(float(np.ptp(window.time_s)), 1.0)
+    free = _with(window.theta, deadband_deg=0.0, friction_deg=0.0)
+    reading_deg, free_slopes = window.reading(free)
+    kinds = ((error_deg, slopes), (residual(window.measured_deg, reading_deg, window.known.reach_deg)[0], free_slopes))
+    best: _Guess | None = None
+    for left_deg, columns in kinds:
+        scaled = (left_deg[used] - np.median(left_deg[used])) / window.total_deg[used]
+        hz = np.arange(0.5, min(12.0, 0.4 / window.record.period_s), 0.2 / span_s)
+        for _ in range(2):
+            power = np.abs(np.exp(-2j * np.pi * np.outer(hz, t[used])) @ scaled)
+            middle = float(hz[np.argmax(power)])
+            hz = middle + np.linspace(-0.2, 0.2, 17) / span_s
+        waves = np.stack([np.cos(2.0 * np.pi * middle * t), np.sin(2.0 * np.pi * middle * t)], axis=1)
+        cost, found, covariance = window.reduced(left_deg, columns, waves)
+        size = float(np.hypot(*found[FITTED:]))
+        deviation = float(np.sqrt(np.trace(covariance[FITTED:, FITTED:]) / 2.0))
+        parameters = {
+            "amplitude_deg": Estimate.of(size, deviation),
+            "frequency_hz": Estimate.of(middle, 0.1 / span_s),
+        }
+        if size > 0.0 and (best is None or sum(cost) < sum(best.cost)):
+            best = _Guess("oscillation", cost, 3, parameters, window.theta)
+    if best is not None:
+        yield best
+
+
+def _immobile(window: _Window) -> Iterator[_Guess]:
+    """The command means nothing: at rest, at an end, or moved by the air alone."""
+    used = window.used
+    measured_deg = window.measured_deg
+    known = window.known
+    value = float(np.median(measured_deg[used]))
+    still = np.hypot(known.noise.still_deg, _LOOSE * known.parameters["play_deg"])
+    ratio = float(np.median(window.sigma_deg[used])) / float(np.hypot(still, _LEAST_STILL_DEG))
+    low, high = known.reach_deg
+    at_stop = value > high - _AT_STOP_DEG or value < low + _AT_STOP_DEG
+    rest = window.whitened(measured_deg - value) * min(ratio, 1.0)
+    moved = {"position_deg": Estimate.of(value, float(still) / np.sqrt(window.count) / window.noise.innovation)}
+    constant = ("constant", np.array([value]))
+    if at_stop or float(np.std(measured_deg[used])) < _MOVING * float(still) + _MOVING_DEG:
+        yield _Guess("hardover" if at_stop else "stuck", (float(rest @ rest), 0.0), 1, moved, added=constant)
+    span_s = max(float(np.ptp(window.time_s)), 1.0)
+    share = (window.time_s - window.time_s.mean()) / span_s
+    basis = np.stack([np.ones(share.size), share, share**2, share**3, window.record.load[window.rows]], axis=1)
+    best = np.linalg.lstsq(basis[used], measured_deg[used], rcond=None)[0]
+    rest = window.whitened(measured_deg - basis @ best) * min(ratio, 1.0)
+    amplitude = max(1.4 * float(np.std(measured_deg[used])), float(still))
+    size = {"amplitude_deg": Estimate.of(amplitude, 0.3 * amplitude)}
+    if at_stop and amplitude < _AT_STOP_DEG:  # the air does not hold a surface at its stop
+        yield _Guess("hardover", (float(rest @ rest), 0.0), 5, moved, added=constant)
+    else:
+        yield _Guess("floating", (float(rest @ rest), 0.0), 5, size, added=constant)
+
+
+def _verdict(
+    window: _Window, guesses: list[_Guess], ratio: float
+) -> tuple[str, float, tuple[str, ...], dict[str, Estimate]]:
+    """Kind, probability, alternatives and sizes."""
+    scores = np.array([_score(window, guess) for guess in guesses])
+    odds = np.exp(-(scores - scores.min()))
+    shares = {guess.kind: float(share) for guess, share in zip(guesses, odds / odds.sum(), strict=True)}
+    best = guesses[0]
+    kind = best.kind
+    if kind == "loss_of_effectiveness" and "floating" in shares and best.parameters["gain"].value < _LOST_GAIN:
+        shares["floating"] += _HALF * shares[kind]
+        shares["stuck"] = shares.get("stuck", 0.0) + (1.0 - _HALF) * shares.pop(kind)
+        kind = "floating"
+    for one, twin, share in _TWINS:
+        if one == kind and (twin != "deadband" or _may_be_play(window, best)):
+            given = share * shares[one]
+            shares[one] -= given
+            shares[twin] = shares.get(twin, 0.0) + given
+    healthy = next(guess for guess in guesses if guess.kind == "healthy")
+    alternatives = tuple(
+        name
+        for name, share in sorted(shares.items(), key=lambda item: -item[1])
+        if share > _WORTH_TELLING and name not in (kind, "healthy")
+    )[:3]
+    probability = shares[kind]
+    excess = sum(healthy.cost) - window.count
+    gained = sum(healthy.cost) - sum(best.cost)
+    if kind != "healthy" and best.cost[0] > _STRANGE * window.count and gained < (1.0 - _UNEXPLAINED) * excess:
+        if ratio < LOUD:
+            return "unknown", max(0.5, 1.0 - probability), (kind, *alternatives)[:3], {}
+        probability = min(probability, 0.5)
+    if kind == "healthy":
+        return "healthy" if ratio < LOUD else "unknown", probability, alternatives, {}
+    if probability < _SURE:
+        return "unknown", probability, (kind, *alternatives)[:3], {}
+    sizes = next(guess.parameters for guess in guesses if guess.kind == kind)
+    return kind, probability, alternatives, sizes
+
+
+def _may_be_play(window: _Window, guess: _Guess) -> bool:
+    """Whether an offset, or what is lost of the travel, may be play that the air pushes: in flight, up to so much."""
+    pushed = float(np.median(window.record.load[window.rows])) > _FLYING
+    if guess.kind == "bias":
+        away_deg = abs(guess.parameters["bias_deg"].value)
+    else:
+        travel_deg = 0.5 * float(np.ptp(np.quantile(window.measured_deg[window.used], (0.02, 0.98))))
+        gain = guess.parameters["gain"].value
+        away_deg = travel_deg * (1.0 / max(gain, _LOST_GAIN) - 1.0)
+    return pushed and 2.0 * away_deg < _WIDEST_PLAY_DEG
+
+
+def _likelier(watched: Watched, guess: _Guess, from_s: float, to_s: float) -> tuple[FloatArray, FloatArray]:
+    """Sample times, and by how much the guess explains each better than the healthy servo (twice the log odds)."""
+    stretch = _Window(watched, from_s, to_s)
+    used = stretch.used
+    healthy = watched.error_deg[stretch.rows]
+    if guess.added is not None:
+        other = stretch.measured_deg - guess.added[1][0]
+    elif guess.theta is not None and guess.kind != "oscillation":
+        other = stretch.measured_deg - stretch.reading(guess.theta, guess.power)[0]
+    else:
+        other = np.full(healthy.size, 1.5) * stretch.total_deg
+    total = stretch.total_deg
+    gain = np.minimum((healthy / total) ** 2, _LOG_CLIP) - np.minimum((other / total) ** 2, _LOG_CLIP)
+    return stretch.time_s[used], gain[used]
+
+
+def _start_s(watched: Watched, guess: _Guess, alarm_s: float, earliest_s: float) -> float:
+    """When the fault became the better explanation."""
+    time_s, gain = _likelier(watched, guess, max(alarm_s - _BEFORE_S, earliest_s), alarm_s + 1.0)
+    if time_s.size == 0:
+        return alarm_s
+    since = np.cumsum((gain - _NO_NEWS)[::-1])[::-1]
+    if since.max() <= 0.0:
+        return alarm_s
+    return float(min(time_s[int(np.argmax(since))], alarm_s))
+
+
+def _end_s(watched: Watched, guess: _Guess, alarm_s: float) -> float | None:
+    """When the healthy servo became the better explanation again; None if it never did."""
+    last_s = float(watched.record.time_s[-1])
+    time_s, gain = _likelier(watched, guess, alarm_s, last_s + 1.0)
+    if time_s.size < _FEWEST:
+        return None
+    so_far = np.cumsum(gain)
+    top = int(np.argmax(so_far))
+    per_second = 1.0 / watched.record.period_s
+    fell = (so_far[top] - so_far[-1]) / per_second
+    after_s = time_s[-1] - time_s[top]
+    if (fell > _ENDED and after_s > _AFTER_END_S) or (fell > _SURELY_ENDED and after_s > _SOON_S):
+        return float(time_s[top])
+    return None
+
 
 _MOST_FAULTS: Final = 20
 _RESIDUALS: Final = STATISTICS.index("left_2s")

@@ -16,8 +16,7 @@ import numpy as np
 
 from servofd.core.evidence import NOTHING_DETECTABLE, Detectable
 from servofd.detection.threshold import MEMORY_S, SUSPICIOUS_DRIFT, suspicion
-from servofd.detection.verdict import outline
-from servofd.detection.words import describe
+from servofd.detection.verdict import describe, outline
 from servofd.servo.kernel import compiled, play
 
 if TYPE_CHECKING:
@@ -27,10 +26,9 @@ if TYPE_CHECKING:
 
     from servofd.aircraft.segment import Segment
     from servofd.core.types import BoolArray, FloatArray
-    from servofd.detection.bank.window import Fault
     from servofd.detection.residual import ResidualGenerator, Residuals
     from servofd.detection.threshold import Threshold
-    from servofd.detection.verdict import Status, SurfaceAudit
+    from servofd.detection.verdict import Fault, Status, SurfaceAudit
 
 MOST_OF_THE_LOG, SHORTEST_JUDGED_S = 0.9, 0.25
 MOST_LOST = 0.34

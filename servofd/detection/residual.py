@@ -8,10 +8,15 @@ its rate limit, and it needs no resampling.
 it becomes a weighted sum of :math:`L \dots L^{n+1}` whose weights are closed-form functions of the step
 :math:`\Delta t`: this form carries over to irregular steps, has the right dc gain on every one of them, and has
 no step length at which it fails.
+
+Before a log is judged, commands that were thinned out are taken as straight lines, and positions that jump away and
+back are left out: no servo does. A sample that leaves its two predecessors by more than ten standard deviations of
+noise may be a glitch. The next one to three samples tell: if they are back where those before it were, it was one.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -22,13 +27,15 @@ from logparsers.records import own
 from servofd.aircraft.segment import pace_steps
 from servofd.core.errors import DesignError
 from servofd.core.series import latest
+from servofd.core.types import BoolArray, ComplexArray, FloatArray
 from servofd.detection.pulse import fastest_pole_rad_s
+from servofd.estimate.statistics import MAD_TO_SIGMA
 from servofd.servo.context import NO_CONTEXT, Context
+from servofd.servo.kernel import SAME_STEP_S, compiled, fixed, inlined, inner
 
 if TYPE_CHECKING:
     from servofd.aircraft.segment import Segment
     from servofd.core.types import BoolArray, FloatArray, IntArray
-    from servofd.detection.samples import FilterParameters, Starts
     from servofd.servo.motion import AnyServo, ExtendedMotion, PlainMotion
     from servofd.servo.servo_model import ServoModel
 
@@ -145,8 +152,6 @@ class ResidualGenerator:
 
         It does not if so many digits cancel that the order of the model is too high for this step.
         """
-        from servofd.detection.samples import lag_weights
-
         parameters = self.filter_parameters()
         total = float(np.sum(lag_weights(parameters, step_s))) * parameters.dc_gain
         if not abs(total - 1.0) < _LARGEST_GAIN_ERROR:
@@ -167,16 +172,12 @@ class ResidualGenerator:
 
     def filter_parameters(self) -> FilterParameters:
         """The filter as the kernel sees it."""
-        from servofd.detection.samples import FilterParameters
-
         decay = self.model.transfer.modes().decay_rad_s
         pairs = decay[decay.imag != 0.0].conj()
         return FilterParameters(self.pole_rad_s, np.concatenate([decay, pairs]), self.model.transfer.dc_gain)
 
     def run(self, segment: Segment) -> Residuals:
         """Residual of a whole segment."""
-        from servofd.detection.samples import find_starts
-
         longest_gap_s = self.longest_gap_s(segment)
         starts = find_starts(segment, longest_gap_s, self.blanking_s, rhythm(segment.command_s).longest_s)
         commands = commands_at_servo(segment, self.model.plan.delay_s, longest_gap_s)
@@ -214,8 +215,6 @@ class ResidualGenerator:
 
     def filtered(self, time_s: FloatArray, error_deg: FloatArray, restart: NDArray[np.int8]) -> FloatArray:
         """Residual of one or several simulation errors [deg], shape (n,) or (r, n); anew where `restart` is not 0."""
-        from servofd.detection.samples import FilterMemory, filtered_rows
-
         residual_filter = self.filter_parameters()
         memory = FilterMemory.of(residual_filter, 1 if error_deg.ndim == 1 else len(error_deg))
         return filtered_rows(residual_filter, memory, time_s, error_deg, restart)
@@ -229,7 +228,6 @@ def followed(
     restart: NDArray[np.int8],
 ) -> FloatArray:
     """Deflection of a servo [deg], shape (n,), that starts anew where the surface was measured and `restart` is 2."""
-    from servofd.detection.samples import RESTART_ALL
     from servofd.servo.kernel import ServoParameters
     from servofd.servo.motion import on_its_way, started_anew
 
@@ -248,8 +246,6 @@ def go_on(
     restart: NDArray[np.int8],
 ) -> FloatArray:
     """The same for the next positions of a flight, shape (n,); `cursor[0]` counts the commands that were heard."""
-    from servofd.detection.samples import RESTART_ALL
-
     if not at_s.size:
         return np.zeros(0)
     begins, pieces = np.union1d(np.flatnonzero(restart == RESTART_ALL), [0]), []
@@ -381,8 +377,6 @@ class Simulator:
     @classmethod
     def of(cls, generator: ResidualGenerator, segment: Segment) -> Simulator:
         """Make ready what the generator's filter would take: gaps and starts are found for its pole."""
-        from servofd.detection.samples import find_starts
-
         gap_s = generator.longest_gap_s(segment)
         starts = find_starts(segment, gap_s, generator.blanking_s, rhythm(segment.command_s).longest_s)
         return cls(segment, commands_at_servo(segment, 0.0, gap_s), starts, gap_s)
@@ -397,3 +391,417 @@ class Simulator:
         measured_deg, restart, _ = self.starts
         commands = replace(self.commands, effective_s=self.commands.effective_s + model.plan.delay_s)
         return followed(model.servo(self.segment.context), commands, self.segment.measured_s, measured_deg, restart)
+
+
+CURVATURE_TO_SIGMA = float(np.sqrt(np.pi / 2.0 / 6.0))
+"""Mean absolute second difference of white noise to its standard deviation. The median would fail on coarse steps."""
+_MOST, _GLITCH = 90.0, 3.0
+"""Second differences count as no more than this many times the ninth decile, 5 standard deviations of white noise."""
+
+
+def noise_deg(error_deg: FloatArray) -> float:
+    """Standard deviation of white measurement noise in a simulation error, whatever moves slowly in it [deg].
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> round(noise_deg(0.1 * rng.standard_normal(100_000) + np.sin(np.arange(1e5) / 100.0)), 2)
+    0.1
+    """
+    curvature = np.diff(error_deg[np.isfinite(error_deg)], 2)
+    if curvature.size == 0:
+        return 0.0
+    size_deg = np.abs(curvature)
+    glitch_deg = _GLITCH * float(np.percentile(size_deg, _MOST))
+    return CURVATURE_TO_SIGMA * float(np.mean(np.minimum(size_deg, glitch_deg)))
+
+
+RESTART_NONE, RESTART_FILTER, RESTART_ALL = 0, 1, 2
+
+
+def new_starts_memory() -> FloatArray:
+    """Whether servo and filter have started, the last position used [s], the last start [s], and the next command."""
+    return np.array([0.0, 0.0, -np.inf, -np.inf, 0.0])
+
+
+class Starts(NamedTuple):
+    """All arrays of shape (n,), one entry per measurement time."""
+
+    measured_deg: FloatArray
+    """NaN where there was no position, or no recent command to judge it by."""
+    restart: NDArray[np.int8]
+    """What has to start anew at this sample: nothing, the filter, or model and filter."""
+    settled: BoolArray
+    """True where a position is there and the last start lies far enough back."""
+
+
+def find_starts(segment: Segment, longest_gap_s: float, blanking_s: float, fresh_s: float = np.inf) -> Starts:
+    """Mark the samples of a segment; what limits [s] mean is told by `mark_starts`."""
+    commands = segment.command_s, segment.measured_s, segment.measured_deg
+    return mark_starts(new_starts_memory(), *commands, (longest_gap_s, fresh_s, blanking_s))
+
+
+def mark_starts(
+    memory: FloatArray,
+    command_s: FloatArray,
+    measured_s: FloatArray,
+    measured_deg: FloatArray,
+    limits_s: tuple[float, float, float],
+) -> Starts:
+    """Mark the next samples, of shape (n,); the memory moves on with them, `command_s` are all commands so far.
+
+    Limits are the longest interval without commands or positions that is bridged, the age of a command beyond which
+    the next one is known to have been lost, and for how long after a start nothing is judged.
+    """
+    size = measured_s.size
+    starts = Starts(np.empty(size), np.empty(size, dtype=np.int8), np.empty(size, dtype=bool))
+    _mark(memory, command_s, measured_s, measured_deg, limits_s, *starts)
+    return starts
+
+
+@compiled
+def _mark(
+    memory: FloatArray,
+    command_s: FloatArray,
+    measured_s: FloatArray,
+    measured_deg: FloatArray,
+    limits_s: tuple[float, float, float],
+    usable_deg: FloatArray,
+    restart: NDArray[np.int8],
+    settled: BoolArray,
+) -> None:
+    longest_gap_s, fresh_s, blanking_s = limits_s
+    c = int(memory[4])
+    servo_known, filter_known = memory[0] != 0.0, memory[1] != 0.0
+    last_used_s, last_start_s = memory[2], memory[3]
+    for k in range(measured_s.size):
+        now = measured_s[k]
+        while c < command_s.size and command_s[c] <= now:
+            # What the servo did while no command was logged for long, nobody knows.
+            if c > 0 and command_s[c] - command_s[c - 1] > longest_gap_s:
+                servo_known = False
+            c += 1
+        commanded = c > 0 and now - command_s[c - 1] <= longest_gap_s
+        usable = commanded and np.isfinite(measured_deg[k])
+        restart[k] = RESTART_NONE
+        if commanded and not servo_known:
+            restart[k] = RESTART_ALL
+            servo_known, filter_known = True, usable
+        elif usable and (not filter_known or now - last_used_s > longest_gap_s):
+            restart[k] = RESTART_FILTER
+            filter_known = True
+        if restart[k] != RESTART_NONE:
+            last_start_s = now
+        if usable:
+            last_used_s = now
+        usable_deg[k] = measured_deg[k] if usable else np.nan
+        # Inside a hole the command is made up from the one after it; at the end of a log there is none.
+        made_up = c > 0 and now - command_s[c - 1] > fresh_s
+        settled[k] = usable and now - last_start_s >= blanking_s and not made_up
+    memory[0], memory[1], memory[2], memory[3], memory[4] = servo_known, filter_known, last_used_s, last_start_s, c
+
+
+class FilterParameters(NamedTuple):
+    """The measured branch ``Qy`` of a nullspace filter."""
+
+    pole_rad_s: float
+    decay_rad_s: ComplexArray
+    """All poles of the servo, negated, both members of each pair, of shape (n,)."""
+    dc_gain: float
+
+
+class FilterMemory(NamedTuple):
+    """What changes from sample to sample while several signals of the same instants are filtered."""
+
+    lags: FloatArray
+    """Of shape (r, n + 1): successive lags of each signal [deg]."""
+    weights: FloatArray
+    """Of shape (n + 1,): shares of the lags in the residual for the step length below."""
+    step: FloatArray
+    """Of shape (3,): step length [s] of the weights, its lag factor, time of the last filtered sample [s]."""
+    polynomial: ComplexArray
+    """Of shape (n + 1,): room for the calculation of the weights."""
+
+    @classmethod
+    def of(cls, residual_filter: FilterParameters, signals: int) -> FilterMemory:
+        """Memory before the first sample."""
+        lags = residual_filter.decay_rad_s.size + 1
+        return cls(
+            np.zeros((signals, lags)), np.zeros(lags), np.array([-1.0, 0.0, 0.0]), np.zeros(lags, dtype=np.complex128)
+        )
+
+
+@inner
+def _weigh_lags(residual_filter: FilterParameters, memory: FilterMemory, step_s: float) -> None:
+    """Shares of the lags for this step length: the servo's characteristic polynomial written in the lag."""
+    lag = math.exp(-residual_filter.pole_rad_s * step_s)
+    order = residual_filter.decay_rad_s.size
+    polynomial = memory.polynomial
+    for i in range(order + 1):
+        polynomial[i] = 1.0 if i == 0 else 0.0
+    free = 1.0 + 0.0j
+    for i in range(order):
+        factor = np.exp(-residual_filter.decay_rad_s[i] * step_s)
+        ratio = np.exp((residual_filter.pole_rad_s - residual_filter.decay_rad_s[i]) * step_s)
+        for j in range(i + 1, 0, -1):
+            polynomial[j] = (1.0 - ratio) * polynomial[j] + ratio * polynomial[j - 1]
+        polynomial[0] *= 1.0 - ratio
+        free *= 1.0 - factor
+    scale = 1.0 / (residual_filter.dc_gain * free.real)
+    for j in range(order + 1):
+        # Entry j multiplies the lag of order n + 1 - j; the lags are stored by rising order.
+        memory.weights[order - j] = polynomial[j].real * scale
+        scale *= 1.0 - lag
+    memory.step[0] = step_s
+    memory.step[1] = lag
+
+
+def lag_weights(residual_filter: FilterParameters, step_s: float) -> FloatArray:
+    """Shares of the lags in the residual for one step length, of shape (n + 1,)."""
+    memory = FilterMemory.of(residual_filter, 1)
+    filtered_rows(residual_filter, memory, np.array([0.0, step_s]), np.zeros(2), np.array([1, 0], dtype=np.int8))
+    return memory.weights
+
+
+def filtered_rows(
+    residual_filter: FilterParameters,
+    memory: FilterMemory,
+    time_s: FloatArray,
+    rows_deg: FloatArray,
+    restart: NDArray[np.int8],
+) -> FloatArray:
+    """Residuals of one or several signals of the same instants [deg], shape (n,) or (r, n); the memory moves on.
+
+    A sample that is NaN in the first row is left out in all of them; the filter starts anew where `restart` is not 0.
+    """
+    result, shape = np.empty(rows_deg.shape), (memory.lags.shape[0], time_s.size)
+    rows = fixed(rows_deg.reshape(shape))
+    _filter(residual_filter, memory, fixed(time_s), rows, fixed(restart), result.reshape(shape))
+    return result
+
+
+@compiled
+def _filter(
+    residual_filter: FilterParameters,
+    memory: FilterMemory,
+    time_s: FloatArray,
+    rows_deg: FloatArray,
+    restart: NDArray[np.int8],
+    filtered_deg: FloatArray,
+) -> None:
+    lags = memory.lags
+    for k in range(time_s.size):
+        now = time_s[k]
+        if math.isnan(rows_deg[0, k]):
+            for r in range(lags.shape[0]):
+                filtered_deg[r, k] = math.nan
+            continue
+        if restart[k] != 0:
+            memory.step[2] = now
+            for r in range(lags.shape[0]):
+                for j in range(lags.shape[1]):
+                    lags[r, j] = rows_deg[r, k]
+                filtered_deg[r, k] = rows_deg[r, k] / residual_filter.dc_gain
+            continue
+        step_s = now - memory.step[2]
+        memory.step[2] = now
+        if abs(step_s - memory.step[0]) > SAME_STEP_S:
+            _weigh_lags(residual_filter, memory, step_s)
+        lag = memory.step[1]
+        for r in range(lags.shape[0]):
+            value, residual = rows_deg[r, k], 0.0
+            for j in range(lags.shape[1]):
+                value = lag * lags[r, j] + (1.0 - lag) * value
+                lags[r, j] = value
+                residual += memory.weights[j] * value
+            filtered_deg[r, k] = residual
+
+
+_PER_OCTAVE, _LOWEST_OCTAVE, _BINS = 16, -20, 640
+"""From 1e-6 to 1e6, within 2.2 %."""
+
+
+class RunningMedian(NamedTuple):
+    """A histogram of logarithms, and where its middle is."""
+
+    counts: NDArray[np.int64]
+    place: NDArray[np.int64]
+    """Of shape (3,): bin of the median, how many values lie below that, how many there are."""
+
+
+def new_running_median() -> RunningMedian:
+    """Of nothing yet."""
+    return RunningMedian(np.zeros(_BINS, dtype=np.int64), np.zeros(3, dtype=np.int64))
+
+
+@compiled
+def with_value(median: RunningMedian, value: float) -> float:
+    """Add a value above zero, and tell the median of all."""
+    counts, place = median
+    octave = np.log2(max(value, 1e-300))
+    bin_ = int(min(max((octave - _LOWEST_OCTAVE) * _PER_OCTAVE, 0.0), _BINS - 1.0))
+    counts[bin_] += 1
+    place[2] += 1
+    if bin_ < place[0]:
+        place[1] += 1
+    while place[1] > (place[2] - 1) // 2:
+        place[0] -= 1
+        place[1] -= counts[place[0]]
+    while place[1] + counts[place[0]] <= (place[2] - 1) // 2:
+        place[1] += counts[place[0]]
+        place[0] += 1
+    result: float = 2.0 ** ((place[0] + 0.5) / _PER_OCTAVE + _LOWEST_OCTAVE)
+    return result
+
+
+_AWAY_SIGMAS, _AGREEMENT_SIGMAS = 10.0, 8.0
+_MOST_GLITCHES, _FEW_GLITCHES = 0.02, 2
+"""Where more than this share of the positions so far jump, jumping is what this position does."""
+_LEAST_NOISE_DEG = 0.05
+_MEDIAN_TO_SIGMA = float(MAD_TO_SIGMA / np.sqrt(6.0))
+"""Median absolute second difference of white noise to its standard deviation."""
+_FEWEST_BEFORE_GLITCH = 8
+_WIDEST = 2
+
+
+class GlitchMemory(NamedTuple):
+    """What one piece of a stream leaves to the next."""
+
+    curvature: RunningMedian
+    state: FloatArray
+    """Of shape (5,): the last two errors [deg], the noise [deg], how many samples were seen, how many were glitches."""
+
+
+def new_glitch_memory() -> GlitchMemory:
+    """Memory before the first sample."""
+    return GlitchMemory(new_running_median(), np.array([np.nan, np.nan, _LEAST_NOISE_DEG, 0.0, 0.0]))
+
+
+@compiled
+def decide(
+    memory: GlitchMemory, error_deg: FloatArray, restart: NDArray[np.int8], glitch: BoolArray, final: bool
+) -> int:
+    """Mark the glitches among the next samples in the last array but one, and tell how many samples are decided.
+
+    The rest, three at most, waits for what comes after it, unless this is the end. A NaN is no sample; where `restart`
+    is not zero, what was before does not count.
+    """
+    state = memory.state
+    size, k = error_deg.size, 0
+    while k < size:
+        glitch[k] = False
+        value = error_deg[k]
+        if restart[k] != 0:
+            state[0] = state[1] = np.nan
+        if np.isnan(value):
+            k += 1
+            continue
+        before_that, before, noise = state[0], state[1], state[2]
+        if (
+            state[3] >= _FEWEST_BEFORE_GLITCH
+            and abs(value - before) > _AWAY_SIGMAS * noise
+            and abs(before - before_that) <= _AGREEMENT_SIGMAS * noise
+            and state[4] < max(_MOST_GLITCHES * state[3], float(_FEW_GLITCHES))
+        ):
+            width = _width(error_deg, restart, k, before, noise, final)
+            if width < 0:
+                return k
+            if width > 0:
+                marked, j = 0, k
+                while marked < width:
+                    glitch[j] = not np.isnan(error_deg[j])
+                    marked += glitch[j]
+                    j += 1
+                state[3] += width
+                state[4] += width
+                k = j
+                continue
+        curvature = abs(value - 2.0 * before + before_that)
+        if not np.isnan(curvature):
+            state[2] = max(_MEDIAN_TO_SIGMA * with_value(memory.curvature, curvature), _LEAST_NOISE_DEG)
+        state[0], state[1] = before, value
+        state[3] += 1.0
+        k += 1
+    return k
+
+
+@inlined
+def _width(
+    error_deg: FloatArray, restart: NDArray[np.int8], first: int, before: float, noise: float, final: bool
+) -> int:
+    """Samples that are away, 0 if they do not come back as they should, -1 if that is not known yet."""
+    away = back = 0
+    for k in range(first, error_deg.size):
+        if k > first and restart[k] != 0:
+            return 0
+        distance = abs(error_deg[k] - before)
+        if np.isnan(distance):
+            continue
+        if back == 0 and distance > _AWAY_SIGMAS * noise:
+            away += 1
+            if away > _WIDEST:
+                return 0
+        elif distance <= _AGREEMENT_SIGMAS * noise:
+            back += 1
+            if back == 2:
+                return away
+        else:
+            return 0
+    return 0 if final else -1
+
+
+def glitches(error_deg: FloatArray, restart: NDArray[np.int8] | None = None) -> BoolArray:
+    """Samples that jump away from their neighbours, alone or in pairs, while the neighbours agree; shape (n,)."""
+    found = np.zeros(error_deg.size, dtype=bool)
+    starts = np.zeros(error_deg.size, dtype=np.int8) if restart is None else restart
+    decide(new_glitch_memory(), np.ascontiguousarray(error_deg), starts, found, True)
+    return found
+
+
+_THIN_PERIOD_S = 0.039
+"""Logs at up to 25 Hz may hold fewer commands than the servo received; autopilots command at 50 Hz and more."""
+_REAL_PERIOD_S = 0.02
+_CLEARLY_SMALLER = 0.7
+
+
+class Prepared(NamedTuple):
+    """A segment that can be judged, and what was done to it."""
+
+    segment: Segment
+    residuals: Residuals
+    notes: tuple[str, ...]
+
+
+def prepared(generator: ResidualGenerator, segment: Segment) -> Prepared:
+    """Run the generator, without glitches and with the hold that suits the commands.
+
+    A position that leaves the model for one or two samples and is back is no servo's fault. Commands that were logged
+    at 10 to 25 Hz, but given more often, look like steps that nobody commanded: if straight lines between them leave a
+    clearly smaller residual, that is what they were.
+    """
+    notes = []
+    residuals = generator.run(segment)
+    if segment.command_period_s is None and _period_s(segment) >= _THIN_PERIOD_S:
+        straight = replace(segment, command_period_s=_REAL_PERIOD_S)
+        by_lines = generator.run(straight)
+        if _rms_deg(by_lines) < _CLEARLY_SMALLER * _rms_deg(residuals):
+            segment, residuals = straight, by_lines
+            notes.append("commands are logged more thinly than they were given, and taken as straight lines between")
+    jumps = glitches(residuals.error_deg, residuals.restart)
+    if jumps.any():
+        segment = replace(segment, measured_deg=np.where(jumps, np.nan, segment.measured_deg))
+        residuals = generator.without(residuals, jumps)
+        count = int(np.count_nonzero(jumps))
+        notes.append(f"{count} reading{'s' if count > 1 else ''} away from the model for a moment only, not judged")
+    return Prepared(segment, residuals, tuple(notes))
+
+
+def _period_s(segment: Segment) -> float:
+    """Usual time between the samples of the rarer stream [s]."""
+    steps_s = pace_steps(segment.command_s)
+    return max(segment.period_s, float(np.median(steps_s)) if steps_s.size else 0.0)
+
+
+def _rms_deg(residuals: Residuals) -> float:
+    judged = residuals.residual_deg[residuals.settled]
+    return float(np.sqrt(np.mean(judged**2))) if judged.size else float("inf")

@@ -1,6 +1,6 @@
 """Residual and threshold of one surface, piece by piece as commands and positions come in, and what is remembered.
 
-The steps are those of an audit (`servofd.detection.glitches`, `servofd.detection.threshold`, or for a calibrated
+The steps are those of an audit (`servofd.detection.residual`, `servofd.detection.threshold`, or for a calibrated
 surface `servofd.detection.changes`); each carries its memory from one piece to the next, so that it does not matter
 how a stream is cut. A position waits until no command can come any more that it depends on: for the next command where
 that is overdue, since what was lost is put back on the straight line between both; and for up to three positions after
@@ -13,18 +13,27 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from servofd.detection.alarm import latch, new_latch_memory
 from servofd.detection.changes import STATISTICS, Memory, Tests, exceeded, follow, no_sum, shown, thresholds_of
-from servofd.detection.glitches import decide, new_glitch_memory
 from servofd.detection.probability import CusumDesign
-from servofd.detection.residual import Commands, Residuals, go_on
-from servofd.detection.samples import FilterMemory, filtered_rows, mark_starts, new_starts_memory
+from servofd.detection.residual import (
+    Commands,
+    FilterMemory,
+    Residuals,
+    decide,
+    filtered_rows,
+    go_on,
+    mark_starts,
+    new_glitch_memory,
+    new_starts_memory,
+)
 from servofd.detection.threshold import (
     PEAK_OF_LAGS,
     RECENT_COMMANDS,
     Evaluation,
     Threshold,
     constant_threshold,
+    latch,
+    new_latch_memory,
     slower_generator,
     suspicion,
     unseen_deg,

@@ -11,8 +11,7 @@ import numpy as np
 
 from servofd.aircraft.segment import Segment
 from servofd.core.evidence import ModelOrigin
-from servofd.detection.contradiction import resting_runs, resting_width_deg
-from servofd.detection.plausible import step_deg
+from servofd.detection.contradiction import resting_runs, resting_width_deg, step_deg
 from servofd.detection.residual import ResidualGenerator, Simulator
 from servofd.estimate.statistics import line
 from servofd.servo.effects import Delay, LinearDynamics, RateLimit

@@ -11,13 +11,10 @@ from servofd.aircraft.segment import cut
 from servofd.core.errors import CalibrationError, DesignError, NoMeasurement
 from servofd.core.evidence import ModelOrigin
 from servofd.core.tolerance import Tolerance
-from servofd.detection.bank.window import noise_deg
-from servofd.detection.contradiction import contradictions
-from servofd.detection.glitches import prepared
-from servofd.detection.plausible import PERSISTENCE, excess, step_deg, width
-from servofd.detection.residual import ResidualGenerator
+from servofd.detection.contradiction import PERSISTENCE, contradictions, excess, step_deg, width
+from servofd.detection.residual import ResidualGenerator, noise_deg, prepared
 from servofd.detection.threshold import interval_threshold
-from servofd.detection.words import describe
+from servofd.detection.verdict import describe
 from servofd.feedback.fit import RoughFit, fit_roughly
 from servofd.servo.library import Servo
 

@@ -12,7 +12,7 @@ from servofd.aircraft.schema import Aircraft, Surface
 from servofd.aircraft.segment import cut
 from servofd.core.errors import ConfigError, DesignError, NoMeasurement, UnknownName, suggest
 from servofd.detection.audit import audit_log
-from servofd.detection.words import describe
+from servofd.detection.verdict import describe
 from servofd.discrepancy.explanation import Explanation, explain_gap, judged_elsewhere
 from servofd.discrepancy.own import OwnEffect, load_own_effect
 from servofd.discrepancy.record import without_held

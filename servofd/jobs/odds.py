@@ -10,8 +10,7 @@ import numpy as np
 
 from servofd.aircraft.segment import SLOWEST_RATE_HZ
 from servofd.core.errors import ConfigError, NoMeasurement
-from servofd.detection.odds import SurfaceOdds, Wish, surface_odds
-from servofd.detection.probability import Noise, fit_tail
+from servofd.detection.probability import Noise, SurfaceOdds, Wish, fit_tail, surface_odds
 from servofd.detection.pulse import PulseFilter, design_pulse_filter, fastest_pole_rad_s
 
 if TYPE_CHECKING:

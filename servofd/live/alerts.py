@@ -18,8 +18,7 @@ from logparsers.protocol import LONGEST_TEXT, Autopilot, Kind, Severity, State
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from servofd.detection.events import Event
-    from servofd.detection.monitor import SurfaceMonitor
+    from servofd.detection.monitor import Event, SurfaceMonitor
 
 _WORDS = {
     "AILERON": "AIL",
@@ -130,7 +129,7 @@ class Alerts:
 
     Examples
     --------
-    >>> from servofd.detection.events import Event
+    >>> from servofd.detection.monitor import Event
     >>> alerts = Alerts(["elevator", "rudder"])
     >>> alerts.take(Event(30.4, "elevator", "alarm", "unknown", -2.1, 1.5), 1000.0)
     >>> [(name, fields["text"]) for name, fields in alerts.due(1000.0)]

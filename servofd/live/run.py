@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from logparsers import FlightLog
-    from servofd.detection.events import Event
+    from servofd.detection.monitor import Event
     from servofd.live.session import Session
     from servofd.live.threads import Receiver
 

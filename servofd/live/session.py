@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from logparsers.codec import Codec, Heard
     from servofd.aircraft.schema import Aircraft
-    from servofd.detection.events import Event, Inputs, Look
+    from servofd.detection.monitor import Event, Inputs, Look
     from servofd.detection.stream import Piece
 
 _GROUND_SYSTEM = 255

@@ -12,10 +12,8 @@ import numpy as np
 
 from logparsers.protocol import NO_INDEX, Component
 from servofd.core.errors import ConfigError
-from servofd.detection.events import Event, Look
-from servofd.detection.monitor import SurfaceMonitor
-from servofd.detection.surroundings import Surroundings
-from servofd.live.channels import ChannelTable
+from servofd.detection.monitor import Event, Look, SurfaceMonitor
+from servofd.live.channels import ChannelTable, Surroundings
 from servofd.live.clock import VehicleClock
 from servofd.live.requests import LOG_SILENCE_S, RemoteLog
 from servofd.live.settings import Settings, rescaled

@@ -12,8 +12,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.text import Text
 
-    from servofd.detection.events import Event
-    from servofd.detection.monitor import SurfaceMonitor
+    from servofd.detection.monitor import Event, SurfaceMonitor
     from servofd.detection.verdict import AxisAudit
     from servofd.live.session import Session
     from servofd.live.vehicle import Vehicle
@@ -35,7 +34,7 @@ def event_line(event: Event) -> str:
 
     Examples
     --------
-    >>> from servofd.detection.events import Event
+    >>> from servofd.detection.monitor import Event
     >>> event_line(Event(30.41, "elevator", "alarm", "unknown", -2.1, 1.5))
     '  30.41 s  elevator: ALARM, residual -2.10 deg, threshold 1.50 deg'
     """
@@ -50,7 +49,7 @@ def event_line(event: Event) -> str:
     }[event.event]
     more = f": {event.text}" if event.text else ""
     if event.fault is not None and event.event == "named":
-        from servofd.detection.words import describe
+        from servofd.detection.verdict import describe
 
         what, more = describe(event.fault), ""
     return f"{event.time_s:7.2f} s  {who}{what}{more}"

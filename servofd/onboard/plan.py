@@ -379,7 +379,7 @@ def _modes(model: ServoModel, gain: float) -> tuple[Mode, ...]:
 
 def _cancellation(modes: tuple[Mode, ...], generator: ResidualGenerator, period_s: float) -> float:
     """How many times larger than the result the terms are that it is the sum of."""
-    from servofd.detection.samples import lag_weights
+    from servofd.detection.residual import lag_weights
 
     weights: FloatArray = lag_weights(generator.filter_parameters(), period_s)
     total = sum(math.hypot(mode.weight, mode.weight_turn) for mode in modes) / abs(sum(mode.weight for mode in modes))

@@ -11,7 +11,7 @@ import numpy as np
 from servofd.axes.forms import FORMS
 from servofd.axes.mixers import LIFT_MOTORS
 from servofd.axes.words import named, shown
-from servofd.detection.words import meaning, next_step
+from servofd.detection.verdict import meaning, next_step
 from servofd.jobs.workflow import FailedLog
 from servofd.outputs.chart import MOST_FAULTS, Chart, Curve, Mark, Panel, Span, fault_charts, flight_chart, kind_of
 from servofd.outputs.page import page
@@ -24,8 +24,7 @@ if TYPE_CHECKING:
     from servofd.aircraft.schema import Aircraft
     from servofd.core.evidence import ModelOrigin
     from servofd.core.types import FloatArray
-    from servofd.detection.bank.window import Fault
-    from servofd.detection.verdict import AxisAudit, LogAudit, SurfaceAudit
+    from servofd.detection.verdict import AxisAudit, Fault, LogAudit, SurfaceAudit
     from servofd.estimate.statistics import Estimate
 
 _UNITS = {"deg_s": "deg/s", "deg": "deg", "hz": "Hz", "s": "s"}

@@ -14,16 +14,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.detection.words import gravest
+from servofd.detection.verdict import gravest
 from servofd.outputs.sentence import clock, spoken
 
 if TYPE_CHECKING:
     from servofd.aircraft.segment import Segment
     from servofd.core.types import FloatArray
-    from servofd.detection.bank.window import Fault
     from servofd.detection.residual import Residuals
     from servofd.detection.threshold import Threshold
-    from servofd.detection.verdict import SurfaceAudit
+    from servofd.detection.verdict import Fault, SurfaceAudit
 
 WIDTH, HEIGHT = 4000, 1000
 """Units of the drawing: four to a column of pixels of a wide screen, four to a row of a tall panel."""

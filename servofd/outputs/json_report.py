@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from logparsers.records import FlightLog
-    from servofd.detection.bank.window import Fault
-    from servofd.detection.verdict import AxisAudit, LogAudit, SurfaceAudit
+    from servofd.detection.verdict import AxisAudit, Fault, LogAudit, SurfaceAudit
 
 
 def audit_document(results: Sequence[LogAudit | FailedLog]) -> dict[str, Any]:

@@ -8,8 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.core.files import write_whole
-from servofd.detection.odds import WITHIN_S, settled_bias
-from servofd.detection.probability import bias_response, detect, false_alarms_per_hour, persistent_delay_s
+from servofd.detection.probability import (
+    WITHIN_S,
+    bias_response,
+    detect,
+    false_alarms_per_hour,
+    persistent_delay_s,
+    settled_bias,
+)
 from servofd.outputs.picture import finish, new_figure, saved
 from servofd.outputs.sentence import spoken
 
@@ -19,7 +25,7 @@ if TYPE_CHECKING:
 
     from servofd.calibrating.result import Calibration
     from servofd.core.types import FloatArray
-    from servofd.detection.odds import SurfaceOdds
+    from servofd.detection.probability import SurfaceOdds
 
 _COLOURS = ("#0072b2", "#009e73", "#e69f00", "#d55e00", "#cc79a7")
 """Okabe and Ito's palette."""

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from servofd.detection.odds import SurfaceOdds
+from servofd.detection.probability import SurfaceOdds
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servofd.detection.odds import Operating
-    from servofd.detection.probability import Quoted
+    from servofd.detection.probability import Operating, Quoted
 
 _SHORTEST_S, _LONGEST_S = 1e-4, 3600.0
 

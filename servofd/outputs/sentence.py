@@ -5,14 +5,13 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from servofd.detection.words import gravest
+from servofd.detection.verdict import gravest
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from servofd.core.evidence import Detectable
-    from servofd.detection.bank.window import Fault
-    from servofd.detection.verdict import AxisAudit, LogAudit, Status, SurfaceAudit
+    from servofd.detection.verdict import AxisAudit, Fault, LogAudit, Status, SurfaceAudit
     from servofd.estimate.statistics import Estimate
 
 _WORST_FIRST: tuple[Status, ...] = ("fault", "suspect", "healthy", "unknown", "no_data")

@@ -21,9 +21,7 @@ import numpy as np
 
 from servofd.calibrating.flights import Flight, busiest
 from servofd.core.errors import NoMeasurement
-from servofd.detection.bank.window import noise_deg
-from servofd.detection.glitches import prepared
-from servofd.detection.residual import ResidualGenerator, Simulator
+from servofd.detection.residual import ResidualGenerator, Simulator, noise_deg, prepared
 from servofd.detection.threshold import constant_threshold, interval_threshold
 from servofd.estimate.statistics import Estimate, descended, deviations, line, mean_loss, memory, ordinary_deg
 from servofd.feedback.fit import POLE_RAD_S
@@ -204,7 +202,7 @@ class Motion:
 
 
 def _usable(simulator: Simulator) -> BoolArray:
-    from servofd.detection.samples import RESTART_ALL
+    from servofd.detection.residual import RESTART_ALL
 
     time_s, starts = simulator.segment.measured_s, simulator.starts
     begins = np.flatnonzero(starts.restart == RESTART_ALL)

@@ -15,7 +15,7 @@ from servofd.aircraft.schema import Aircraft
 from servofd.axes.calibrate import calibrate_motion
 from servofd.axes.motion import Motion
 from servofd.axes.watch import AxisWatch
-from servofd.detection.events import Event
+from servofd.detection.monitor import Event
 from servofd.live.session import Session
 from servofd.live.vehicle import Vehicle
 from servofd.live.view import View

@@ -146,7 +146,7 @@ class TestVerdicts:
 
     def test_positions_inside_a_hole_of_the_commands_are_not_judged(self) -> None:
         from servofd.aircraft.segment import Segment
-        from servofd.detection.samples import find_starts
+        from servofd.detection.residual import find_starts
 
         time_s = np.arange(200) / 100.0
         kept = (time_s <= 1.0) | (time_s >= 1.04)

@@ -10,9 +10,7 @@ import pytest
 import servofd
 from servofd.cli import main
 from servofd.cli.terminal import check_targets, print_table, print_verdicts
-from servofd.detection.bank.window import Fault
-from servofd.detection.verdict import LogAudit, SurfaceAudit
-from servofd.detection.words import headline, meaning, next_step
+from servofd.detection.verdict import Fault, LogAudit, SurfaceAudit, headline, meaning, next_step
 
 SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"
 STUCK = str(SAMPLES / "faser_stuck_flight.mat")

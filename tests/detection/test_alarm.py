@@ -8,10 +8,18 @@ import pytest
 from servofd.aircraft.segment import Segment
 from servofd.core.tolerance import Tolerance
 from servofd.core.types import FloatArray
-from servofd.detection.alarm import Episode, find_episodes, latch, new_latch_memory
 from servofd.detection.probability import Noise, design_cusum
 from servofd.detection.residual import ResidualGenerator, Residuals
-from servofd.detection.threshold import Threshold, constant_threshold, interval_threshold, suspicion
+from servofd.detection.threshold import (
+    Episode,
+    Threshold,
+    constant_threshold,
+    find_episodes,
+    interval_threshold,
+    latch,
+    new_latch_memory,
+    suspicion,
+)
 from servofd.simulation.commands import COMMANDS
 from tests.detection.tolerated import MODEL, deviating
 

@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 
 from servofd.core.types import FloatArray
-from servofd.detection.alarm import Episode
-from servofd.detection.bank.hypotheses import BANK
-from servofd.detection.bank.isolate import confirmed, joined, name_fault, narendra, refine_onset_s, scores
-from servofd.detection.bank.window import Explanation, Flight, Ridge, Window
-from servofd.detection.bank.window import Fault as Found
-from servofd.detection.plausible import wiring_problem
+from servofd.detection.bank import BANK, Explanation, Flight, Ridge, Window
+from servofd.detection.contradiction import wiring_problem
+from servofd.detection.judge import confirmed, joined, name_fault, narendra, refine_onset_s, scores
+from servofd.detection.threshold import Episode
+from servofd.detection.verdict import Fault as Found
 from servofd.servo.effects import RateLimit
 from servofd.servo.faults import (
     Bias,

@@ -8,7 +8,7 @@ from typing import cast
 import numpy as np
 
 from bound import KNOWN_ONSET, log_likelihood_ratio
-from servofd.detection.bank.window import Window
+from servofd.detection.bank import Window
 
 RNG = np.random.default_rng(1)
 SIZE, NOISE_DEG = 40, 0.3

@@ -8,9 +8,8 @@ import pytest
 from servofd.aircraft.segment import Segment
 from servofd.core.tolerance import Tolerance
 from servofd.core.types import FloatArray
-from servofd.detection.alarm import Episode, find_episodes
 from servofd.detection.residual import ResidualGenerator, Residuals
-from servofd.detection.threshold import constant_threshold, interval_threshold
+from servofd.detection.threshold import Episode, constant_threshold, find_episodes, interval_threshold
 from servofd.servo.faults import DeadBand, Fault, Stuck
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel

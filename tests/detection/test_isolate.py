@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from servofd.detection.bank import isolate
-from servofd.detection.bank.isolate import Naming
+from servofd.detection import judge
+from servofd.detection.judge import Naming
 
 
 class Recorder:
@@ -39,7 +39,7 @@ def names(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     def name_fault(window: object) -> Any:
         return naming["of"](window)
 
-    monkeypatch.setattr(isolate, "name_fault", name_fault)
+    monkeypatch.setattr(judge, "name_fault", name_fault)
     return naming
 
 
@@ -55,7 +55,7 @@ def names(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 @pytest.mark.usefixtures("names")
 def test_a_block_grows_until_there_is_motion(deg_per_s: float, asked: list[tuple[float, float]]) -> None:
     flight: Any = Recorder(deg_per_s)
-    block = isolate._block(flight, 10.0, 0.0, 60.0)
+    block = judge._block(flight, 10.0, 0.0, 60.0)
     assert flight.asked == asked
     assert (block is None) == (deg_per_s == 0.3)
 
@@ -64,7 +64,7 @@ def test_a_block_grows_until_there_is_motion(deg_per_s: float, asked: list[tuple
 @pytest.mark.usefixtures("names")
 def test_a_block_lies_within_the_episode(begin_s: float, asked: tuple[float, float]) -> None:
     flight: Any = Recorder(2.0)
-    block = isolate._block(flight, begin_s, 8.0, 60.0)
+    block = judge._block(flight, begin_s, 8.0, 60.0)
     assert flight.asked == [asked]
     assert block is not None
     assert block.begin_s == asked[0]
@@ -74,7 +74,7 @@ def test_a_block_lies_within_the_episode(begin_s: float, asked: tuple[float, flo
 def test_a_fault_that_becomes_another_is_followed_to_when_it_did(names: dict[str, Any], changed_s: float) -> None:
     names["of"] = lambda window: called("bias" if window.begin_s >= changed_s else "slow")
     flight: Any = Recorder(2.0)
-    change = isolate._change(flight, "slow", 5.0, 60.0)
+    change = judge._change(flight, "slow", 5.0, 60.0)
     assert change is not None
     found_s, then = change
     assert then.kind == "bias"
@@ -84,7 +84,7 @@ def test_a_fault_that_becomes_another_is_followed_to_when_it_did(names: dict[str
 def test_one_block_alone_is_no_change(names: dict[str, Any]) -> None:
     names["of"] = lambda window: called("bias" if window.begin_s >= 57.0 else "slow")
     flight: Any = Recorder(2.0)
-    assert isolate._change(flight, "slow", 5.0, 60.0) is None
+    assert judge._change(flight, "slow", 5.0, 60.0) is None
 
 
 @pytest.mark.parametrize(
@@ -102,7 +102,7 @@ def test_one_block_alone_is_no_change(names: dict[str, Any]) -> None:
     ],
 )
 def test_what_differs_for_sure(named: Naming, before: str, *, differs: bool) -> None:
-    assert isolate._differs(named, before) == differs
+    assert judge._differs(named, before) == differs
 
 
 def test_an_onset_is_where_the_surface_was_and_how_far_it_would_have_moved_until_it_was_looked_at() -> None:
@@ -113,11 +113,11 @@ def test_an_onset_is_where_the_surface_was_and_how_far_it_would_have_moved_until
         time_s=time_s, settled=time_s >= 1.0, measured_deg=measured_deg, simulated_deg=20.0 * time_s
     )
     flight: Any = SimpleNamespace(residuals=residuals)
-    onset = isolate._onset(flight, 4.0)
+    onset = judge._onset(flight, 4.0)
     assert onset is not None
     assert onset.time_s == 4.0
     assert onset.low_deg == pytest.approx(80.0)
     assert onset.position_deg == pytest.approx(10.0 * (4.0 - 0.03))  # median of the last four
     assert onset.high_deg == pytest.approx(20.0 * 4.26)  # the first sample a quarter of a second later
-    assert isolate._onset(flight, 1.49) is None
-    assert isolate._onset(flight, 1.51) is not None
+    assert judge._onset(flight, 1.49) is None
+    assert judge._onset(flight, 1.51) is not None

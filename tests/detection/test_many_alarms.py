@@ -10,10 +10,9 @@ import pytest
 from servofd.aircraft.schema import plain_aircraft
 from servofd.aircraft.segment import Segment
 from servofd.core.tolerance import Tolerance
-from servofd.detection.alarm import Episode, find_episodes
 from servofd.detection.audit import audit_segment
 from servofd.detection.judge import _largest
-from servofd.detection.threshold import constant_threshold, interval_threshold
+from servofd.detection.threshold import Episode, constant_threshold, find_episodes, interval_threshold
 from servofd.detection.verdict import SurfaceAudit
 from servofd.servo.faults import Bias, HardOver, Stuck, failing_deflection
 from tests.detection.tolerated import MODEL

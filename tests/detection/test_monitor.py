@@ -13,15 +13,21 @@ from hypothesis import strategies as st
 
 from servofd.aircraft.schema import Surface, plain_aircraft
 from servofd.aircraft.segment import Segment
-from servofd.detection.alarm import latch, new_latch_memory
-from servofd.detection.bank.window import Fault
-from servofd.detection.events import Event, Look
-from servofd.detection.glitches import glitches, new_running_median, prepared, with_value
 from servofd.detection.judge import judge
-from servofd.detection.monitor import SurfaceMonitor
-from servofd.detection.residual import ResidualGenerator, rhythm
-from servofd.detection.samples import mark_starts, new_starts_memory
+from servofd.detection.monitor import Event, Look, SurfaceMonitor
+from servofd.detection.residual import (
+    ResidualGenerator,
+    glitches,
+    mark_starts,
+    new_running_median,
+    new_starts_memory,
+    prepared,
+    rhythm,
+    with_value,
+)
 from servofd.detection.stream import CommandBuffer, History, Piece, Stream
+from servofd.detection.threshold import latch, new_latch_memory
+from servofd.detection.verdict import Fault
 from servofd.servo.servo_model import ServoModel
 from tests.detection.windows import troubled
 

@@ -16,14 +16,11 @@ import pytest
 
 from servofd.aircraft.schema import plain_aircraft
 from servofd.core.types import FloatArray
-from servofd.detection.bank.hypotheses import BANK, wandering
-from servofd.detection.bank.isolate import name_fault
-from servofd.detection.bank.window import Explanation, Window
-from servofd.detection.glitches import prepared
-from servofd.detection.judge import judge
-from servofd.detection.odds import Wish, surface_odds
-from servofd.detection.probability import Noise, fit_tail
+from servofd.detection.bank import BANK, Explanation, Window, wandering
+from servofd.detection.judge import judge, name_fault
+from servofd.detection.probability import Noise, Wish, fit_tail, surface_odds
 from servofd.detection.pulse import design_pulse_filter
+from servofd.detection.residual import prepared
 from servofd.servo.faults import Bias, DeadBand, Fault, Floating, LossOfEffectiveness, Oscillation, Slow, Stuck
 from servofd.servo.library import servo_named
 from tests.detection.windows import NOISE_DEG, troubled, window

@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from servofd.core.errors import DesignError, NoMeasurement
-from servofd.detection.odds import Wish
 from servofd.detection.probability import (
     Noise,
     TailFit,
+    Wish,
     bias_response,
     cusum,
     design_cusum,

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from servofd.aircraft.segment import Segment
-from servofd.detection.glitches import prepared
-from servofd.detection.residual import ResidualGenerator, Residuals
+from servofd.detection.residual import ResidualGenerator, Residuals, prepared
 from tests.detection.tolerated import MODEL
 
 TIME_S = np.arange(1000) / 50.0

@@ -10,8 +10,7 @@ from servofd.aircraft.segment import Segment
 from servofd.calibrating.calibrate import calibrate_aircraft
 from servofd.calibrating.flights import Flight
 from servofd.core.types import FloatArray
-from servofd.detection.events import Event, Quiet
-from servofd.detection.monitor import SurfaceMonitor
+from servofd.detection.monitor import Event, Quiet, SurfaceMonitor
 
 BEGINS_S, ENDS_S, LAST_S = 20.0, 32.0, 44.0
 WITHIN_S = 2.0

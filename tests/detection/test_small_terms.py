@@ -11,13 +11,11 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from servofd.aircraft.segment import WARM_UP_STEPS
-from servofd.detection.alarm import Level
 from servofd.detection.audit import _odds
-from servofd.detection.bank.hypotheses import BANK, _cycle, _with_interval
-from servofd.detection.bank.window import COLOUR, Explanation, Fault
+from servofd.detection.bank import BANK, COLOUR, Explanation, _cycle, _with_interval
+from servofd.detection.contradiction import wiring_problem
 from servofd.detection.judge import _held
 from servofd.detection.monitor import SurfaceMonitor
-from servofd.detection.plausible import wiring_problem
 from servofd.detection.probability import (
     CusumDesign,
     Noise,
@@ -26,6 +24,8 @@ from servofd.detection.probability import (
     persistent_threshold_deg,
 )
 from servofd.detection.pulse import design_pulse_filter
+from servofd.detection.threshold import Level
+from servofd.detection.verdict import Fault
 from servofd.estimate.statistics import Estimate
 from servofd.servo.faults import Oscillation
 from servofd.servo.library import servo_named

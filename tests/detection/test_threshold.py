@@ -11,14 +11,7 @@ from servofd.aircraft.segment import Segment
 from servofd.core.tolerance import Tolerance
 from servofd.core.types import FloatArray
 from servofd.detection.residual import ResidualGenerator, Residuals
-from servofd.detection.threshold import (
-    Threshold,
-    constant_threshold,
-    follow,
-    interval_threshold,
-    new_state,
-    suspicion,
-)
+from servofd.detection.threshold import Threshold, constant_threshold, follow, interval_threshold, new_state, suspicion
 from servofd.simulation.commands import COMMANDS
 from tests.detection.tolerated import MODEL, deviating
 

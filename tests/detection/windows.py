@@ -8,7 +8,7 @@ from servofd.aircraft.schema import plain_aircraft
 from servofd.aircraft.segment import Segment
 from servofd.core.tolerance import Tolerance
 from servofd.core.types import FloatArray
-from servofd.detection.bank.window import Window
+from servofd.detection.bank import Window
 from servofd.detection.judge import Judgement, judge
 from servofd.detection.residual import ResidualGenerator, Residuals, commands_at_servo
 from servofd.detection.threshold import ThresholdKind

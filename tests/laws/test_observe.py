@@ -11,14 +11,15 @@ from scipy.linalg import expm
 from scipy.signal import tf2ss
 
 from servofd.core.types import FloatArray
-from servofd.detection.residual import Commands, followed
-from servofd.detection.samples import (
+from servofd.detection.residual import (
     RESTART_ALL,
     RESTART_FILTER,
     RESTART_NONE,
+    Commands,
     FilterMemory,
     FilterParameters,
     filtered_rows,
+    followed,
     lag_weights,
 )
 from servofd.servo.effects import LinearDynamics, PositionLimit

@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 from logparsers.records import Damage, FlightLog
 from servofd.aircraft.schema import plain_aircraft
 from servofd.core.types import FloatArray
-from servofd.detection.bank.window import Fault
-from servofd.detection.verdict import LogAudit, Status, SurfaceAudit
+from servofd.detection.verdict import Fault, LogAudit, Status, SurfaceAudit
 from servofd.estimate.statistics import Estimate
 from servofd.outputs.recording.content import Recording, Trace
 from servofd.outputs.recording.read import read_recording

@@ -6,8 +6,8 @@ import itertools
 
 import pytest
 
-from servofd.detection.bank.window import Fault
-from servofd.detection.events import Event
+from servofd.detection.monitor import Event
+from servofd.detection.verdict import Fault
 from servofd.estimate.statistics import Estimate
 from servofd.live.alerts import Alerts, short_names
 

@@ -20,7 +20,7 @@ from tests.live.vehicles import PLANE, ask, command, plane_file, said, vehicle
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from servofd.detection.events import Event
+    from servofd.detection.monitor import Event
 
 EPOCH_S = 1.7e9
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from servofd.detection.events import Event
+    from servofd.detection.monitor import Event
 
 
 @pytest.fixture(scope="module")

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from servofd.aircraft.schema import Aircraft
-    from servofd.detection.events import Event
+    from servofd.detection.monitor import Event
     from servofd.detection.stream import Piece
 
 SECONDS = 40.0

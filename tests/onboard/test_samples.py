@@ -9,7 +9,7 @@ import pytest
 
 import servofd
 from servofd.aircraft.schema import load_aircraft
-from servofd.detection.alarm import find_episodes
+from servofd.detection.threshold import find_episodes
 from servofd.onboard.plan import plan_onboard
 from servofd.onboard.script import watch_script
 from tests.onboard.autopilot import fly

@@ -25,10 +25,9 @@ from servofd.core.errors import CalibrationError
 from servofd.core.frozen import republished_rows
 from servofd.core.types import FloatArray
 from servofd.detection.audit import audit_segment
-from servofd.detection.bank.window import Fault
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.stream import Piece
-from servofd.detection.verdict import SurfaceAudit
+from servofd.detection.verdict import Fault, SurfaceAudit
 from servofd.estimate.family import new_state, simulated, variants
 from servofd.servo.catalogue import TabledEffect
 from servofd.servo.context import Context

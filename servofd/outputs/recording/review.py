@@ -17,9 +17,8 @@ from servofd.outputs.recording.verdicts import LIVE
 
 if TYPE_CHECKING:
     from servofd.core.types import FloatArray
-    from servofd.detection.bank.window import Fault
     from servofd.detection.threshold import ThresholdKind
-    from servofd.detection.verdict import Status, SurfaceAudit
+    from servofd.detection.verdict import Fault, Status, SurfaceAudit
     from servofd.outputs.recording.content import Trace
 
 _CURVES = (("simulated", "simulated_deg"), ("residual", "residual_deg"), ("threshold", "threshold_deg"))

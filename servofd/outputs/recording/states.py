@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.detection.words import describe
+from servofd.detection.verdict import describe
 from servofd.outputs.recording.stream import microseconds, seconds
 
 if TYPE_CHECKING:

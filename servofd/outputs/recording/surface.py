@@ -11,8 +11,7 @@ from servofd.outputs.recording.stream import STATES, microseconds, seconds, surf
 
 if TYPE_CHECKING:
     from servofd.core.types import FloatArray
-    from servofd.detection.bank.window import Fault
-    from servofd.detection.verdict import AxisAudit, SurfaceAudit
+    from servofd.detection.verdict import AxisAudit, Fault, SurfaceAudit
     from servofd.onboard.seen import Seen
     from servofd.outputs.recording.content import Trace
     from servofd.outputs.recording.stream import Recorder
