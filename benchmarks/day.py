@@ -26,9 +26,9 @@ import numpy as np
 import logparsers
 from logparsers.codec import Codec
 from logparsers.telemetry.encode import encode
+from servofd import audit
 from servofd.aircraft.schema import plain_aircraft
 from servofd.feedback.draft import draft_aircraft
-from servofd.jobs.workflow import audit
 from servofd.live.run import Pace, replay_telemetry
 from servofd.live.session import Session
 from servofd.simulation.flight import simulate_flight
@@ -102,7 +102,7 @@ def telemetry_audit(folder: Path) -> dict[str, Any]:
 
 def _audited(path: Path) -> dict[str, Any]:
     before_mb = resident_mb()
-    (found,) = audit(path, threads=1)
+    (found,) = audit(path)
     log = logparsers.read(path)
     return {
         "log_h": log.duration_s / 3600.0,

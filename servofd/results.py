@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import io
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self, overload
+from typing import TYPE_CHECKING, Any, ParamSpec, Self, TypeVar, overload
 
-from servofd.aircraft.segment import Segment
+from servofd.batch.key import Job
 from servofd.calibrating.result import Calibration, calibration_to_toml
 from servofd.core.errors import ConfigError, NoMeasurement, UnknownName, needs, suggest
 from servofd.core.files import write_whole
 from servofd.detection.verdict import LogAudit, SurfaceAudit
-from servofd.identification.identify import identify as identify_records
+from servofd.feedback.flown import known_aircraft, log_files
 from servofd.identification.result import Identification
 from servofd.jobs import bench, workflow
 from servofd.jobs.explaining import explain_logs
@@ -31,17 +31,15 @@ from servofd.outputs.trend_page import quantity_row, trend_page, trend_picture, 
 from servofd.wear.trend import AircraftTrend, trend_document, trend_logs
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     import pandas as pd
     from matplotlib.figure import Figure
 
     from logparsers import FlightLog
     from servofd.aircraft.schema import Aircraft
-    from servofd.calibrating.flights import Span
     from servofd.detection.threshold import ThresholdKind
     from servofd.discrepancy.explanation import Explanation
-    from servofd.identification.identify import Method
 
 
 class Shown(ABC):
@@ -109,6 +107,20 @@ class Shown(ABC):
 
 _SHORT, _SHOWN = 3, 6
 """Columns of a row in a terminal, and in a notebook."""
+
+P = ParamSpec("P")
+Result = TypeVar("Result", bound=Shown)
+
+
+def _shown(name: str, verb: Callable[P, object], kind: type[Result]) -> Callable[P, Result]:
+    """The verb as the command line calls it, with a result that shows itself."""
+
+    @wraps(verb)
+    def call(*args: P.args, **options: P.kwargs) -> Result:
+        return kind._of(verb(*args, **options))
+
+    call.__name__ = call.__qualname__ = name
+    return call
 
 
 class Audit(LogAudit, Shown):
@@ -290,31 +302,9 @@ def audit(
     >>> found.to_pandas()[["surface", "status"]].values.tolist()
     [['elevator', 'fault'], ['rudder', 'healthy']]
     """
-    results = workflow.audit(
-        _readable(log), aircraft, servo=servo, threshold_deg=threshold_deg, threshold=threshold, surfaces=surfaces
-    )
-    found = [Audit._of(result) for result in results]
+    job = Job(known_aircraft(aircraft), servo, threshold_deg, threshold, surfaces)
+    found = [Audit._of(result) for result in workflow.audit(log, job)]
     return found[0] if len(found) == 1 else Audits(found)
-
-
-def _readable(log: str | Path | pd.DataFrame) -> Any:  # noqa: ANN401 - whatever the readers take
-    """A table as the bytes of a file; a path as it is."""
-    if isinstance(log, str | Path):
-        return log
-    if not hasattr(log, "to_csv"):
-        raise TypeError(f"a log is a path or a DataFrame, and not of type {type(log).__name__}")
-    table = log.reset_index() if log.index.name == "time_s" else log
-    content = io.BytesIO(table.to_csv(index=False).encode())
-    content.name = "DataFrame"
-    return content
-
-
-def _each(logs: Any) -> list[Any]:  # noqa: ANN401 - what is no log is refused here
-    """One log or several, as `_readable` gives them; none is an error."""
-    each = list(logs) if isinstance(logs, list | tuple) else [logs]
-    if not each:
-        raise NoMeasurement("no log was named; give at least one")
-    return [_readable(log) for log in each]
 
 
 class Identified(Identification, Shown):
@@ -350,46 +340,7 @@ class Identified(Identification, Shown):
         return f"{len(self.runs)} {'test' if len(self.runs) == 1 else 'tests'}"
 
 
-def identify(
-    tests: str | Path | pd.DataFrame | Sequence[str | Path | pd.DataFrame] | Segment | Sequence[Sequence[Segment]],
-    aircraft: Aircraft | None = None,
-    *,
-    surface: str | None = None,
-    method: Method = "response",
-    order: int | None = None,
-) -> Identified:
-    """Identify a servo from chirps, steps or other motion.
-
-    Parameters
-    ----------
-    tests : str, Path, DataFrame, Segment, or sequence of them
-        Logs of bench tests, or what was asked of a servo and what it did.
-    aircraft : Aircraft, optional
-        Which channels they are, of logs that do not say.
-    surface : str, optional
-        Which surface of the logs.
-    method : {"response", "motion", "magnitude"}
-        As of ``servofd identify --method``.
-    order : int, optional
-        Number of poles; as many as the data tell if None.
-
-    Raises
-    ------
-    IdentificationError
-        If a test does not show what a servo is like.
-
-    Examples
-    --------
-    >>> found = identify("sample_logs/faser_healthy_chirp.mat", surface="aileron_right")
-    >>> found.servo.linear.order
-    3
-    """
-    if isinstance(tests, Segment):
-        return Identified._of(identify_records(tests, method=method, order=order))
-    each: list[Any] = list(tests) if isinstance(tests, list | tuple) else [tests]
-    if each and all(isinstance(one, list | tuple) for one in each):
-        return Identified._of(identify_records(each, method=method, order=order))
-    return Identified._of(bench.identify_logs(_each(each), aircraft, surface=surface, method=method, order=order))
+identify = _shown("identify", bench.identify, Identified)
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -476,7 +427,7 @@ def explain(
     >>> found.steps["effect"].tolist()
     ['as it was', 'backlash']
     """
-    found = explain_logs(_each(logs), aircraft, surfaces=(surface,) if surface else (), servo=servo, alone=True)
+    found = explain_logs(log_files(logs), aircraft, surfaces=(surface,) if surface else (), servo=servo, alone=True)
     if found.failures:
         raise NoMeasurement(found.failures[0])
     return Explained(found.explanations[0], found.aircraft, found.source, found.logs)
@@ -544,47 +495,7 @@ class Calibrated(Calibration, Shown):
         return f"about {self.false_alarms_per_hour:.2g} false alarms an hour to expect"
 
 
-def calibrate(
-    logs: str | Path | pd.DataFrame | Sequence[str | Path | pd.DataFrame],
-    aircraft: Aircraft | str | Path | None = None,
-    *,
-    surfaces: tuple[str, ...] = (),
-    spans: tuple[Span, ...] = (),
-    runs: tuple[str, ...] = (),
-    force: bool = False,
-) -> Calibrated:
-    """Calibrate an aircraft on flights that are known to be good.
-
-    Parameters
-    ----------
-    logs : str, Path, DataFrame or sequence of them
-        Logs of the same aircraft.
-    aircraft : Aircraft, str or Path
-        What is known of it, its file, or the name of one that comes with servofd; drafted from the logs if left out.
-    surfaces : tuple of str
-        Which to calibrate; all that were measured if empty.
-    spans : tuple of (from_s, to_s)
-        Which parts of each log are good [s]; all of it if empty.
-    runs : tuple of str
-        Which runs of a file that holds several; all if empty.
-    force : bool
-        Calibrate also where the loss of a third of travel and of two thirds of speed would not show.
-
-    Examples
-    --------
-    >>> found = calibrate("sample_logs/faser_healthy_flight.mat", "faser", surfaces=("elevator",))
-    >>> "[surfaces.elevator" in found.to_toml()
-    True
-    """
-    found = workflow.calibrate(
-        _each(logs),
-        aircraft,
-        surfaces=surfaces,
-        spans=spans,
-        runs=runs,
-        force=force,
-    )
-    return Calibrated._of(found)
+calibrate = _shown("calibrate", workflow.calibrate, Calibrated)
 
 
 class Trend(AircraftTrend, Shown):
@@ -631,20 +542,4 @@ class Trend(AircraftTrend, Shown):
         return f"{len(self._document()['flights'])} flights, {self.order.reason}"
 
 
-def trend(
-    logs: str | Path | Sequence[str | Path],
-    aircraft: Aircraft | str | Path,
-    *,
-    surfaces: tuple[str, ...] = (),
-    workers: int | None = None,
-) -> Trend:
-    """Follow the servos of one aircraft over many flights; parameters as of `servofd.wear.trend.trend_logs`.
-
-    Examples
-    --------
-    >>> seen = trend("sample_logs/faser_healthy_flight.mat", "faser", surfaces=("rudder",), workers=0)
-    >>> seen.sentence
-    'No limit is exceeded. 1 flight: too few for a trend.'
-    """
-    paths = [logs] if isinstance(logs, str | Path) else logs
-    return Trend._of(trend_logs(paths, aircraft, surfaces=surfaces, workers=workers))
+trend = _shown("trend", trend_logs, Trend)

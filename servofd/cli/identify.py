@@ -9,7 +9,7 @@ from servofd.cli.servos import poles_text
 from servofd.cli.terminal import check_targets, give_json, progress
 from servofd.core.files import make_folder, write_whole
 from servofd.feedback.flown import known_aircraft
-from servofd.jobs.bench import identify_logs
+from servofd.jobs.bench import identify
 from servofd.outputs.identify_page import identify_figures, identify_page
 from servofd.outputs.identify_recording import save_identification
 from servofd.outputs.model_file import servo_file
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from servofd.identification.result import Identification
 
 _STEPS = 3
-"""That `identify_logs` tells of."""
+"""That `identify` tells of."""
 
 
 def run(options: Options) -> int:
@@ -28,7 +28,7 @@ def run(options: Options) -> int:
     check_targets(outputs, {"a log": options.logs, "the aircraft file": [options.config]}, folder=options.output)
     aircraft = known_aircraft(options.config)
     with progress("identify", _STEPS) as step:
-        found = identify_logs(
+        found = identify(
             options.logs, aircraft, surface=options.surface, method=options.method, order=options.order, progress=step
         )
     _write(options, found)

@@ -6,7 +6,9 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from servofd.batch.key import Job
 from servofd.cli.terminal import print_verdicts, progress
+from servofd.feedback.flown import known_aircraft
 from servofd.jobs.workflow import audit
 from servofd.outputs.recording import save_recording
 from servofd.outputs.recording.read import is_recording
@@ -39,6 +41,6 @@ def run(options: Options) -> int:
 def _audit(options: Options, target: Path) -> None:
     """Write the recording of the first run of a log, and print its verdicts."""
     with progress(Path(options.file).name, 1) as step:
-        found = next(audit(options.file, options.config, servo=options.servo, progress=step))
+        found = next(audit(options.file, Job(known_aircraft(options.config), options.servo), progress=step))
     save_recording(found, target, include_position=options.include_position, online_map=options.map)
     print_verdicts(found)

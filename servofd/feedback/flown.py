@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import io
 from collections.abc import Sequence
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import logparsers
 from servofd.aircraft.schema import UNKNOWN_SERVO, Aircraft, load_aircraft, plain_aircraft, plain_channels
@@ -14,7 +16,11 @@ from servofd.core.errors import CalibrationError, ConfigError, NoMeasurement
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
+    import pandas as pd
+
     from logparsers import FlightLog, LogFile
+
+    Log = LogFile | pd.DataFrame
 
 
 def known_aircraft(aircraft: Aircraft | str | Path | None) -> Aircraft | None:
@@ -30,11 +36,36 @@ def known_aircraft(aircraft: Aircraft | str | Path | None) -> Aircraft | None:
     return aircraft
 
 
-def logs_of(paths: LogFile | Sequence[LogFile], aircraft: Aircraft | None = None) -> Iterator[FlightLog]:
+def log_files(logs: Log | Sequence[Log]) -> list[LogFile]:
+    """One log or several; a table becomes the file that holds it.
+
+    Raises
+    ------
+    NoMeasurement
+        If there is none.
+    """
+    each: list[Any] = list(logs) if isinstance(logs, list | tuple) else [logs]
+    if not each:
+        raise NoMeasurement("no log was named; give at least one")
+    return [log if isinstance(log, str | PathLike) or hasattr(log, "read") else _table_file(log) for log in each]
+
+
+def _table_file(table: pd.DataFrame) -> LogFile:
+    if not hasattr(table, "to_csv"):
+        raise TypeError(f"a log is a path or a DataFrame, and not of type {type(table).__name__}")
+    table = table.reset_index() if table.index.name == "time_s" else table
+    content = io.BytesIO(table.to_csv(index=False).encode())
+    content.name = "DataFrame"
+    return content
+
+
+def logs_of(logs: Log | Sequence[Log], aircraft: Aircraft | None = None) -> Iterator[FlightLog]:
     """Every run of every log of an aircraft, in order; what follows a reboot is another flight.
 
     Parameters
     ----------
+    logs : str, Path, binary file, DataFrame, or sequence of them
+        A table has ``time_s`` (a column, or the index) and the columns of a plain table.
     aircraft : Aircraft, optional
         Tells how its tables are to be read.
 
@@ -43,9 +74,8 @@ def logs_of(paths: LogFile | Sequence[LogFile], aircraft: Aircraft | None = None
     >>> [round(log.duration_s) for log in logs_of("sample_logs/faser_healthy_flight.mat")]
     [40]
     """
-    several = paths if isinstance(paths, Sequence) and not isinstance(paths, str) else [paths]
-    for path in several:
-        for log in logparsers.read_all(path, layout_of(aircraft)):
+    for file in log_files(logs):
+        for log in logparsers.read_all(file, layout_of(aircraft)):
             yield from log.by_boots()
 
 

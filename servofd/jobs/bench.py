@@ -13,13 +13,17 @@ from servofd.aircraft.schema import load_aircraft
 from servofd.aircraft.segment import Segment, cut
 from servofd.core.errors import ConfigError, NoMeasurement
 from servofd.core.files import beginning
-from servofd.feedback.flown import logs_of, surfaces_of
-from servofd.identification.identify import Method, identify
+from servofd.feedback.flown import log_files, logs_of, surfaces_of
+from servofd.identification.identify import Method
+from servofd.identification.identify import identify as identify_records
 
 if TYPE_CHECKING:
-    from logparsers import FlightLog
+    from typing_extensions import TypeIs
+
+    from logparsers import FlightLog, LogFile
     from servofd.aircraft.schema import Aircraft
     from servofd.core.types import FloatArray
+    from servofd.feedback.flown import Log
     from servofd.identification.result import Identification
 
 _CHIRP_COMMAND, _CHIRP_POSITION = "SCRP.PWM", "SCRP.Pos"
@@ -41,9 +45,7 @@ class BenchTest:
     """Commands as pulses [us], shape (n,), if nobody knows how many degrees one asks for."""
 
 
-def bench_tests(
-    path: str | Path, aircraft: Aircraft | None = None, surface: str | None = None
-) -> tuple[BenchTest, ...]:
+def bench_tests(path: LogFile, aircraft: Aircraft | None = None, surface: str | None = None) -> tuple[BenchTest, ...]:
     """Take the tests of one servo out of a log; several if the file holds several runs."""
     logs = tuple(logs_of(path, aircraft))
     found: list[BenchTest] = []
@@ -63,8 +65,8 @@ def bench_tests(
     return tuple(found)
 
 
-def identify_logs(
-    paths: Sequence[str | Path],
+def identify(
+    tests: Log | Sequence[Log] | Segment | Sequence[Sequence[Segment]],
     aircraft: Aircraft | None = None,
     *,
     surface: str | None = None,
@@ -72,36 +74,50 @@ def identify_logs(
     order: int | None = None,
     progress: Callable[[str], object] = str,
 ) -> Identification:
-    """Identify a servo from one log, or the mean of several servos of one kind from a log of each.
+    """Identify a servo from chirps, steps or other motion; of several of one kind, their mean.
 
     Parameters
     ----------
+    tests : str, Path, DataFrame, Segment, or sequence of them
+        Logs of bench tests, or what was asked of a servo and what it did: of one, or of each servo a sequence.
     aircraft : Aircraft, optional
-        What the channels are.
+        Which channels they are, of logs that do not say.
     surface : str, optional
-        Which servo of the logs.
+        Which surface of the logs.
     method, order, progress
-        As in `servofd.identification.identify.identify`.
+        As of `servofd.identification.identify.identify`.
+
+    Raises
+    ------
+    IdentificationError
+        If a test does not show what a servo is like.
 
     Examples
     --------
-    >>> found = identify_logs(["sample_logs/faser_healthy_chirp.mat"], surface="aileron_right")
-    >>> abs(found.servo.linear.transfer.bandwidth_rad_s / 28.49 - 1.0) < 0.05
-    True
+    >>> found = identify("sample_logs/faser_healthy_chirp.mat", surface="aileron_right")
+    >>> found.servo.linear.order, abs(found.servo.linear.transfer.bandwidth_rad_s / 28.49 - 1.0) < 0.05
+    (3, True)
     """
-    tests = [bench_tests(path, aircraft, surface) for path in paths]
+    if isinstance(tests, Segment) or _are_segments(tests):
+        return identify_records(tests, method=method, order=order, progress=progress)
+    paths = log_files(tests)
+    found = [bench_tests(path, aircraft, surface) for path in paths]
     labels = [label_of(path) for path in paths]
-    sources = tuple(dict.fromkeys(test.source for one in tests for test in one))
-    segments = [[test.segment for test in one] for one in tests]
-    result = identify(segments, method=method, order=order, labels=labels, progress=progress)
-    if not any(test.pulse_us is not None for one in tests for test in one):
+    sources = tuple(dict.fromkeys(test.source for one in found for test in one))
+    segments = [[test.segment for test in one] for one in found]
+    result = identify_records(segments, method=method, order=order, labels=labels, progress=progress)
+    if not any(test.pulse_us is not None for one in found for test in one):
         return replace(result, notes=(*sources, *result.notes))
     gain = result.servo.linear.gain
-    scaled = [[_rescaled(test.segment, gain, result.offset_deg) for test in one] for one in tests]
-    slope = gain * _slope_deg_per_us(tests[0][0])
-    result = identify(scaled, method=method, order=order, labels=labels)
+    scaled = [[_rescaled(test.segment, gain, result.offset_deg) for test in one] for one in found]
+    slope = gain * _slope_deg_per_us(found[0][0])
+    result = identify_records(scaled, method=method, order=order, labels=labels)
     scale = f"pulses were converted with the scale that gives a dc gain of 1: {slope:.5f} deg/us"
     return replace(result, notes=(*sources, scale, *result.notes))
+
+
+def _are_segments(tests: object) -> TypeIs[Sequence[Sequence[Segment]]]:
+    return isinstance(tests, list | tuple) and bool(tests) and all(isinstance(one, list | tuple) for one in tests)
 
 
 def label_of(log: object) -> str:

@@ -26,7 +26,7 @@ from servofd.servo.physics import scaled_transfer
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from logparsers import FlightLog
+    from logparsers import FlightLog, LogFile
     from servofd.aircraft.segment import Segment
     from servofd.core.types import FloatArray
 
@@ -65,7 +65,7 @@ class ExplainedLogs:
 
 
 def explain_logs(
-    paths: Sequence[str | Path],
+    paths: Sequence[LogFile],
     aircraft: str | Path | Aircraft | None = None,
     *,
     surfaces: tuple[str, ...] = (),
@@ -118,7 +118,7 @@ def explain_logs(
     wanted = tuple(dict.fromkeys(surfaces)) or flown.surfaces
     if alone and len(wanted) > 1:
         raise UnknownName(f"{flown.source}: choose a surface: {', '.join(wanted)}")
-    others = list(logs_of(also, flown.aircraft))
+    others = list(logs_of(also, flown.aircraft)) if also else []
     judged = [(log.label, {name: _also(log, flown.aircraft, name) for name in wanted}) for log in others]
     return _explained(flown, wanted, judged, effect, progress)
 
@@ -157,7 +157,7 @@ class _Flown:
         return self.servo == UNKNOWN
 
 
-def _opened(paths: Sequence[str | Path], aircraft: str | Path | Aircraft | None, servo: str | None) -> _Flown:
+def _opened(paths: Sequence[LogFile], aircraft: str | Path | Aircraft | None, servo: str | None) -> _Flown:
     known = known_aircraft(aircraft) or bench_aircraft(paths[0])
     logs = tuple(logs_of(paths, known))
     # The servo of a plain table is fitted along with what it may lack.

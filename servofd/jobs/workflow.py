@@ -1,4 +1,4 @@
-"""What the command line does, as functions for a notebook."""
+"""What the verbs do with flights: audit, calibrate, and what motion tells of axes."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from logparsers import LogError
-from servofd.aircraft.schema import load_aircraft
 from servofd.aircraft.segment import cut
+from servofd.batch.key import Job
 from servofd.core.errors import NoMeasurement, ServofdError, UnknownName, suggest
 from servofd.detection.audit import audit_log
 from servofd.feedback.flown import aircraft_for, each_once, flown_aircraft, known_aircraft, logs_of, surfaces_of
@@ -19,11 +19,10 @@ if TYPE_CHECKING:
     from logparsers.records import FlightLog
     from servofd.aircraft.axes import MotionModel
     from servofd.aircraft.schema import Aircraft
-    from servofd.batch.key import Job
     from servofd.calibrating.flights import Flight, Span
     from servofd.calibrating.result import Calibration
-    from servofd.detection.threshold import ThresholdKind
     from servofd.detection.verdict import LogAudit
+    from servofd.feedback.flown import Log
 
 _SAME_RATE = 1.01
 
@@ -37,51 +36,27 @@ class UnmeasuredLog(NoMeasurement):
 
 
 def audit(
-    path: str | Path,
-    aircraft: Aircraft | str | Path | None = None,
+    log: Log,
+    job: Job = Job(),  # noqa: B008 - frozen
     *,
-    servo: str | None = None,
-    threshold_deg: float | None = None,
-    threshold: ThresholdKind | None = None,
-    surfaces: tuple[str, ...] = (),
     threads: int | None = None,
     progress: Callable[[str], None] = lambda _surface: None,
 ) -> Iterator[LogAudit]:
-    """Judge every surface of a log; one result for each run that the file holds.
-
-    `servofd.audit` describes the parameters.
-
-    Yields
-    ------
-    LogAudit
-        Verdicts on the surfaces of one run.
-
-    Raises
-    ------
-    LogError
-        If the log is of no use.
-    ServofdError
-        If the aircraft is not what it should be, or a name is unknown.
-
-    Examples
-    --------
-    >>> [result.has_fault for result in audit("sample_logs/faser_healthy_flight.mat")]
-    [False]
-    """
-    known, nothing = known_aircraft(aircraft), None
-    for log in logs_of(path, known):
+    """Judge every surface of a log; one result for each run that the file holds, as `servofd.audit` describes it."""
+    nothing = None
+    for run in logs_of(log, job.aircraft):
         try:
-            flown = flown_aircraft(log, known, servo)
+            flown = flown_aircraft(run, job.aircraft, job.servo)
         except NoMeasurement as error:  # the other runs are judged first
-            nothing = nothing or UnmeasuredLog(str(error), log)
+            nothing = nothing or UnmeasuredLog(str(error), run)
             continue
-        flown.check_names(surfaces, log.label)
+        flown.check_names(job.surfaces, run.label)
         result = audit_log(
-            log,
+            run,
             flown,
-            threshold_deg=threshold_deg,
-            threshold=threshold,
-            surfaces=surfaces,
+            threshold_deg=job.threshold_deg,
+            threshold=job.threshold,
+            surfaces=job.surfaces,
             threads=threads,
             progress=progress,
         )
@@ -104,16 +79,7 @@ def judged(
 ) -> Iterator[LogAudit | FailedLog]:
     """Every run of a log; what is wrong with the log comes last, and stops nothing else."""
     try:
-        yield from audit(
-            path,
-            job.aircraft,
-            servo=job.servo,
-            threshold_deg=job.threshold_deg,
-            threshold=job.threshold,
-            surfaces=job.surfaces,
-            threads=threads,
-            progress=progress,
-        )
+        yield from audit(path, job, threads=threads, progress=progress)
     except (LogError, ServofdError) as error:
         yield FailedLog(path, str(error), getattr(error, "log", None))
     except MemoryError:
@@ -135,7 +101,7 @@ def _with_axes(result: LogAudit, motion: MotionModel) -> LogAudit:
 
 
 def calibrate_axes(
-    paths: Sequence[str | Path],
+    paths: Log | Sequence[Log],
     *,
     false_alarms_per_hour: float = 1.0,
     spans: tuple[Span, ...] = (),
@@ -160,7 +126,7 @@ def calibrate_axes(
 
 
 def calibrate(
-    paths: Sequence[str | Path],
+    logs: Log | Sequence[Log],
     aircraft: Aircraft | str | Path | None = None,
     *,
     surfaces: tuple[str, ...] = (),
@@ -171,12 +137,22 @@ def calibrate(
 ) -> Calibration:
     """Calibrate an aircraft on flights that are known to be good.
 
-    `servofd.calibrate` describes the parameters.
-
-    Returns
-    -------
-    Calibration
-        `servofd.calibrating.result.calibration_to_toml` makes a file of it.
+    Parameters
+    ----------
+    logs : str, Path, DataFrame or sequence of them
+        Logs of the same aircraft.
+    aircraft : Aircraft, str or Path
+        What is known of it, its file, or the name of one that comes with servofd; drafted from the logs if left out.
+    surfaces : tuple of str
+        Which to calibrate; all that were measured if empty.
+    spans : tuple of (from_s, to_s)
+        Which parts of each log are good [s]; all of it if empty.
+    runs : tuple of str
+        Which runs of a file that holds several; all if empty.
+    force : bool
+        Calibrate also where the loss of a third of travel and of two thirds of speed would not show.
+    progress : callable
+        Called with the name of each surface that is done.
 
     Raises
     ------
@@ -187,22 +163,20 @@ def calibrate(
 
     Examples
     --------
-    >>> found = calibrate(["sample_logs/faser_healthy_flight.mat"], "faser", surfaces=("elevator",))
-    >>> found.surfaces[0].held_out_rms_deg < 0.2
-    True
+    >>> import servofd
+    >>> found = servofd.calibrate("sample_logs/faser_healthy_flight.mat", "faser", surfaces=("elevator",))
+    >>> found.surfaces[0].held_out_rms_deg < 0.2, "[surfaces.elevator" in found.to_toml()
+    (True, True)
     """
     from servofd.calibrating.calibrate import calibrate_aircraft
 
-    if aircraft is None:
-        known = drafted_aircraft(paths)
-    else:
-        known = load_aircraft(aircraft) if isinstance(aircraft, str | Path) else aircraft
+    known = known_aircraft(aircraft) or drafted_aircraft(logs)
     known.check_names(surfaces)
-    flights = flights_of(paths, known, surfaces=surfaces, spans=spans, runs=runs)
+    flights = flights_of(logs, known, surfaces=surfaces, spans=spans, runs=runs)
     return calibrate_aircraft(known, flights, force=force, progress=progress)
 
 
-def drafted_aircraft(paths: Sequence[str | Path]) -> Aircraft:
+def drafted_aircraft(paths: Log | Sequence[Log]) -> Aircraft:
     """The aircraft as the first log that tells of servos describes it."""
     reason = ""
     for log in logs_of(paths):
@@ -214,7 +188,7 @@ def drafted_aircraft(paths: Sequence[str | Path]) -> Aircraft:
 
 
 def flights_of(
-    paths: Sequence[str | Path],
+    paths: Log | Sequence[Log],
     aircraft: Aircraft,
     *,
     surfaces: tuple[str, ...] = (),

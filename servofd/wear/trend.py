@@ -7,6 +7,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -26,7 +27,6 @@ from servofd.wear.series import FEWEST_FOR_LINE, SurfaceTrend, Wear, follow
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from datetime import datetime
-    from pathlib import Path
 
     from logparsers import FlightLog
     from servofd.aircraft.axes import MotionModel
@@ -185,7 +185,7 @@ def _no_progress(_count: int) -> AbstractContextManager[Callable[[], None]]:
 
 
 def trend_logs(
-    paths: Sequence[str | Path],
+    logs: str | Path | Sequence[str | Path],
     aircraft: Aircraft | str | Path,
     *,
     surfaces: tuple[str, ...] = (),
@@ -197,7 +197,7 @@ def trend_logs(
 
     Parameters
     ----------
-    paths : sequence of str or Path
+    logs : str, Path or sequence of them
         Logs, folders, patterns or addresses.
     aircraft : Aircraft, str or Path
         The aircraft or its file, with serial numbers, swaps and limits where there are any.
@@ -218,9 +218,10 @@ def trend_logs(
     """
     known = aircraft if isinstance(aircraft, Aircraft) else load_aircraft(aircraft)
     known.check_names(surfaces)
+    paths = [logs] if isinstance(logs, str | Path) else logs
     there = find_logs([str(path) for path in paths], layout_of(known))
     task = partial(estimate_log, aircraft=known, surfaces=surfaces)
-    logs: list[FlownLog] = []
+    flown: list[FlownLog] = []
     problems = list(there.problems)
     outcomes = run_on_cluster(cluster, task, there.logs) if cluster else run_local(task, there.logs, workers)
     with progress(len(there.logs)) as step:
@@ -228,9 +229,9 @@ def trend_logs(
             if isinstance(outcome, Exception):
                 problems.append(f"{source.path}: {outcome}")
             else:
-                logs += outcome
+                flown += outcome
             step()
-    return trend_of(logs, known, problems=problems, skipped=there.skipped)
+    return trend_of(flown, known, problems=problems, skipped=there.skipped)
 
 
 def trend_of(

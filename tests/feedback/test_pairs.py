@@ -12,11 +12,11 @@ import pytest
 import logparsers
 from logparsers import Channel, FlightLog
 from logparsers.telemetry.encode import Message, encode
+from servofd import audit
 from servofd.aircraft.pairs import find_pairs, find_positions
 from servofd.aircraft.schema import load_aircraft
 from servofd.core.errors import NoMeasurement
 from servofd.feedback.draft import draft_aircraft, draft_to_toml, what_to_log
-from servofd.jobs.workflow import audit
 from servofd.servo.faults import Stuck
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel
@@ -155,7 +155,7 @@ def test_arrays_and_vectors_of_telemetry_tell_positions(message: str, tmp_path: 
     for name, messages in {"named": named, "together": [other, rig]}.items():
         path = tmp_path / f"{name}.tlog"
         path.write_bytes(encode([*others, *messages]))
-        (result,) = audit(path, plane, threads=1)
+        (result,) = audit(path, plane)
         found[name] = {
             s.surface: (s.status, [(f.kind, round(f.start_s, 1)) for f in s.faults]) for s in result.surfaces
         }

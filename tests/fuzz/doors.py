@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 from logparsers import LogError
 from logparsers.codec import Codec, signing_key
 from logparsers.endpoint import parse_endpoint
+from servofd import audit
 from servofd.aircraft.schema import load_aircraft
 from servofd.batch.find import find_logs
 from servofd.batch.key import Job
@@ -28,7 +29,6 @@ from servofd.cli import main
 from servofd.core.errors import ServofdError
 from servofd.fleet.overview import overview
 from servofd.fleet.store import FleetStore, read_logs
-from servofd.jobs.workflow import audit
 from servofd.live.session import Session
 from servofd.outputs.fleet_page import fleet_page
 from servofd.outputs.json_report import audit_document, to_json
@@ -102,7 +102,7 @@ def _log(content: bytes, folder: Path) -> str:
     path = folder / "log"
     path.write_bytes(content)
     plane = folder / "plane.toml"
-    results = list(audit(path, plane if plane.exists() and chance % _DRAFTED else None, threads=1))
+    results: list[LogAudit] = list(audit(path, plane if plane.exists() and chance % _DRAFTED else None))
     return _told(results)
 
 
@@ -134,7 +134,7 @@ def _aircraft(content: bytes, folder: Path) -> str:
         aircraft.model(name)
     if zlib.crc32(content) % _USED:
         return "loaded"
-    results = list(audit(folder / "flight.csv", aircraft, threads=1))
+    results: list[LogAudit] = list(audit(folder / "flight.csv", aircraft))
     return _told(results)
 
 
@@ -149,7 +149,7 @@ def _servo(content: bytes, folder: Path) -> str:
     find_servo(str(path))
     if zlib.crc32(content) % _USED:
         return "loaded"
-    results = list(audit(folder / "flight.csv", servo=str(path), threads=1))
+    results: list[LogAudit] = list(audit(folder / "flight.csv", servo=str(path)))
     return _told(results)
 
 

@@ -17,13 +17,13 @@ import logparsers
 from logparsers.codec import Codec
 from logparsers.dataflash.encode import encode
 from logparsers.replay import replayed
+from servofd import audit
 from servofd.aircraft.schema import plain_aircraft
 from servofd.batch.find import find_logs
 from servofd.batch.key import Job
 from servofd.feedback.draft import draft_aircraft, draft_to_toml
 from servofd.fleet.run import audit_fleet
 from servofd.fleet.store import FleetStore
-from servofd.jobs.workflow import audit
 from servofd.outputs.recording.scene import ATTITUDE, send_context
 from servofd.outputs.recording.stream import recording_file
 from servofd.outputs.recording.surface import send_surface
@@ -281,7 +281,7 @@ def recordings(folder: Path) -> list[bytes]:
     times as long and which nobody reads back."""
     log, path = folder / "flight.csv", folder / "audit.rrd"
     log.write_bytes(_written(".csv"))
-    (found,) = audit(log, PLANE, threads=1, surfaces=("rudder",))
+    (found,) = audit(log, PLANE, surfaces=("rudder",))
     recording, time_s = recording_of(found), np.arange(0.0, SECONDS, 0.5)
     with recording_file(path, "servofd", None) as recorder:
         recorder.properties(log.name, verdicts_of(recording))

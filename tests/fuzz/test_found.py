@@ -15,7 +15,7 @@ import logparsers
 from logparsers import Channel, FlightLog
 from logparsers.endpoint import parse_endpoint
 from logparsers.errors import LinkError
-from servofd import cli
+from servofd import audit, cli
 from servofd.aircraft.outputs import outputs_of
 from servofd.aircraft.pairs import find_pairs
 from servofd.aircraft.schema import load_aircraft, plain_aircraft
@@ -27,7 +27,6 @@ from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.verdict import Statistics
 from servofd.feedback.draft import draft_aircraft
 from servofd.fleet.store import FleetStore, read_table
-from servofd.jobs.workflow import audit
 from servofd.live.session import stamped
 from servofd.outputs.recording import read
 from servofd.outputs.recording.content import Trace
@@ -381,5 +380,5 @@ def test_stamps_of_damaged_records_that_lie_centuries_apart(tmp_path: Path) -> N
     rows = "".join(f"{t:.2f},{deg:.3f},{deg:.3f}\n" for t, deg in zip(time_s, motion_deg, strict=True))
     path = tmp_path / "flight.csv"
     path.write_text("time_s,elevator_cmd_deg,elevator_pos_deg\n" + rows)
-    (result,) = audit(path, threads=1)
+    (result,) = audit(path)
     assert [surface.surface for surface in result.surfaces] == ["elevator"]

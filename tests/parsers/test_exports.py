@@ -18,8 +18,8 @@ import logparsers
 from logparsers import FlightLog, LogError, MissingChannel, TableLayout
 from logparsers.dataflash import DataFlashFile
 from logparsers.dataflash.encode import Message, encode
+from servofd import audit
 from servofd.batch.find import find_logs, flights_joined
-from servofd.jobs.workflow import audit
 from tests.parsers import dataflash_writer, export_writer, tlog_writer
 
 SAMPLES = Path(__file__).parents[2] / "sample_logs"
@@ -74,7 +74,7 @@ def test_tables_of_one_flight_are_the_log(sample: Path) -> None:
 def test_the_same_flight_in_every_form_has_the_same_verdicts(sample: Path) -> None:
     found = {}
     for path in ("a.bin", "b.mat", "c.mat", "d.bin.gz", "e_*.csv", "f.zip", "g.log"):
-        (result,) = audit(sample / path, threads=1)
+        (result,) = audit(sample / path)
         found[path] = [
             (s.surface, s.status, s.reason, [(f.kind, f.start_s, f.end_s) for f in s.faults]) for s in result.surfaces
         ]
@@ -161,8 +161,8 @@ def test_tables_of_ulog2csv_are_the_log(tmp_path: Path) -> None:
     assert log.format == "ulog"
     assert set(log.channels) == set(whole.channels)
     assert_same(log, whole, single=True)
-    (result,) = audit(found.path, threads=1)
-    (truth,) = audit(source, threads=1)
+    (result,) = audit(found.path)
+    (truth,) = audit(source)
     assert [(s.surface, s.status) for s in result.surfaces] == [(s.surface, s.status) for s in truth.surfaces]
 
 

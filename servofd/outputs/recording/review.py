@@ -49,7 +49,7 @@ def compared(before: Recording, after: Recording) -> list[Change]:
     --------
     >>> from servofd.outputs.recording.write import recording_of
     >>> from servofd.outputs.recording.review import rejudged
-    >>> from servofd.jobs.workflow import audit
+    >>> from servofd import audit
     >>> (found,) = audit("sample_logs/faser_stuck_flight.mat", surfaces=("rudder",))
     >>> one = recording_of(found)
     >>> compared(one, one), [c.what for c in compared(one, rejudged(one, threshold_deg=2.0))]
@@ -220,7 +220,7 @@ def between(recording: Recording, from_s: float, to_s: float) -> Recording:
     Examples
     --------
     >>> from servofd.outputs.recording.write import recording_of
-    >>> from servofd.jobs.workflow import audit
+    >>> from servofd import audit
     >>> (found,) = audit("sample_logs/faser_stuck_flight.mat")
     >>> cut = between(recording_of(found), 0.0, 4.0)
     >>> cut.audit.has_fault, cut.audit.surfaces[0].reason
