@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import logparsers
-from servofd.aircraft.outputs import outputs_of
-from servofd.aircraft.pairs import pulse_channel
+from servofd.aircraft.outputs import outputs_of, pulse_channel
 from servofd.axes.autopilot import motion_of_autopilot
 from servofd.axes.calibrate import calibrate_motion
 from servofd.axes.judge import judge_motion

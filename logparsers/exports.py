@@ -16,12 +16,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from logparsers.assemble import Column, assemble
-from logparsers.cells import convert, texts_of
 from logparsers.channels import MOST_CHANNELS, Series, Together, recorded_log
 from logparsers.errors import MissingChannel, UnreadableLog
 from logparsers.records import Damage, FlightLog
 from logparsers.source import decoding
-from logparsers.text import header_cells, read_grid
+from logparsers.text import convert, header_cells, read_grid, texts_of
 from logparsers.texts import rows_by_text
 from logparsers.units import suffix_unit
 

@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from logparsers.assemble import Column, assemble
-from logparsers.cells import convert
 from logparsers.errors import EmptyLog, MissingChannel, UnreadableLog
 from logparsers.records import Damage
 from logparsers.source import decoding
-from logparsers.text import read_grid
+from logparsers.text import convert, read_grid
 from logparsers.texts import split_rows
 from logparsers.units import COMMANDS, SECONDS, faser_unit, is_faser, suffix_unit
 
@@ -22,10 +21,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from logparsers.cells import Cells
     from logparsers.records import FlightLog, FloatArray
     from logparsers.source import Source
-    from logparsers.text import Grid
+    from logparsers.text import Cells, Grid
 
 MOST_RUNS = 10_000
 """A column that tells more experiments apart holds measurements."""

@@ -1,13 +1,52 @@
-"""What an autopilot's parameters say about its servo outputs."""
+"""Outputs of an autopilot: which turns which surface, and which channels tell what was asked of it and where it was."""
 
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from servofd.aircraft.calibration import DegreeCalibration, NormCalibration, PulseCalibration, RadianCalibration
+from servofd.aircraft.schema import plain_channels
+
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
+
+    from logparsers.records import Channel, FlightLog
+    from servofd.aircraft.calibration import Calibration
+    from servofd.aircraft.schema import Aircraft, Surface
+
+
+_COMMANDS_OF_OUTPUT = re.compile(r"(?:.*:)?(?:RCOU\.C|RCO2\.C|RCO3\.C|SERVO_OUTPUT_RAW\.servo)(\d+)(?:_raw)?")
+COMMANDS_OF_SERVO = re.compile(r"CSRV\[(\d+)\]\.PosCmd")
+POSITIONS_FROM_0 = re.compile(r"CSRV\[(\d+)\]\.Pos")
+POSITIONS_FROM_1 = re.compile(r"(?:.*:)?(?:NAMED_VALUE_FLOAT|NVF|NVAL)\[SRVP(\d+)\]\.[vV]alue")
+
+
+def output_of(surface: Surface) -> int | None:
+    """Number of the output that turns a surface, from 1, as it says or its channels tell; None if they do not.
+
+    Examples
+    --------
+    >>> from servofd.aircraft.schema import load_aircraft
+    >>> output_of(load_aircraft("simulated").surfaces["rudder"]), output_of(load_aircraft("faser").surfaces["rudder"])
+    (4, None)
+    """
+    if surface.output is not None:
+        return surface.output
+    places = [(_COMMANDS_OF_OUTPUT, surface.command.channel, 0), (COMMANDS_OF_SERVO, surface.command.channel, 1)]
+    if surface.measured is not None:
+        places += [(POSITIONS_FROM_0, surface.measured.channel, 1), (POSITIONS_FROM_1, surface.measured.channel, 0)]
+    for pattern, channel, base in places:
+        match = pattern.fullmatch(channel)
+        if match:
+            return int(match[1]) + base
+    return None
+
 
 SURFACE_FUNCTIONS = {
     2: "flap",
@@ -123,3 +162,388 @@ def named_outputs(outputs: Mapping[int, LoggedOutput], numbers: list[int]) -> di
         plain[number] = SURFACE_FUNCTIONS.get(function or 0, "servo")
     shared = {name for name in plain.values() if name == "servo" or list(plain.values()).count(name) > 1}
     return {number: f"{name}_{number}" if name in shared else name for number, name in plain.items()}
+
+
+_POSITION_PATTERNS = (
+    # pattern of the channel's name, field with the command beside it, fields that a living telemetry changes
+    (re.compile(r"CSRV\[(\d+)\]\.Pos"), "PosCmd", ("V", "A", "MotT", "PCBT", "Force", "Speed")),
+    (re.compile(r"VOLZ\[(\d+)\]\.ang"), "Dang", ("pc", "sc", "pv", "sv", "mt", "pt")),
+    (re.compile(r"CVOL\[(\d+)\]\.Pos"), "", ("Cur", "V", "T")),
+    (re.compile(r"UMSV\[(\d+)\]\.Pos"), "", ("Curr", "Temp")),
+    (re.compile(r"(?:NVF|NVAL)\[(?:SRVP|UMPOS_|SERVO|POS)_?(\d+)\]\.Value"), "", ()),
+    (re.compile(r"(?:.*:)?NAMED_VALUE_FLOAT\[(?:SRVP|UMPOS_|SERVO|POS)_?(\d+)\]\.value"), "", ()),
+    (re.compile(r"SFD\[(\d+)\]\.Pos"), "Cmd", ()),
+    (re.compile(r"debug_key_value\[\d+\]\[(?:SRVP|UMPOS_|SERVO|POS)_?(\d+)\]\.value"), "", ()),
+    (re.compile(r"debug_array\[\d+\](?:\[SRVP\])?\.data\[(\d+)\]"), "", ()),
+    (re.compile(r"(?:.*:)?DEBUG_FLOAT_ARRAY(?:\[\d+\])?\.data\[(\d+)\]"), "", ()),
+    (re.compile(r"(?:(?:.*:)?DEBUG_VECT|debug_vect\[\d+\])\[SRVP_?(\d*)\]\.([xyz])"), "", ()),
+)
+_ARRAY_ORIGIN = re.compile(r"DEBUG_FLOAT_ARRAY\[SRVP\]\.data\[\d+\]")
+"""Of a numbered array its origin tells the name: another one's elements are no positions."""
+_MOVES = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Position:
+    """A channel that tells where a servo is."""
+
+    channel: str
+    id: int
+    """Number in its name."""
+    command: str
+    """Channel in which the servo repeats its command; empty if there is none."""
+    alive: tuple[str, ...]
+    """Channels that change as long as the telemetry lives."""
+
+    @property
+    def group(self) -> str:
+        """Message it belongs to; ids of one message share their base."""
+        return re.split(r"[\[.]", self.channel.rsplit(":", 1)[-1])[0]
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """One servo: its command and its position."""
+
+    surface: str
+    output: LoggedOutput
+    command: str
+    position: Position
+
+
+def find_positions(log: FlightLog) -> tuple[Position, ...]:
+    """All channels of a log that carry the measured position of a servo, in the order of the log."""
+    found = []
+    for name in log.channels:
+        for pattern, command_field, alive_fields in _POSITION_PATTERNS:
+            match = pattern.fullmatch(name)
+            if match and _is_told(log, name):
+                stem = name.rsplit(".", 1)[0]
+                command = f"{stem}.{command_field}"
+                alive = tuple(f"{stem}.{field}" for field in alive_fields if f"{stem}.{field}" in log.channels)
+                known = command if command_field and command in log.channels else ""
+                place = "xyz".index(match[2]) if match.lastindex == 2 else 0
+                found.append(Position(name, int(match[1] or 0) + place, known, alive))
+    return tuple(found)
+
+
+def _is_told(log: FlightLog, name: str) -> bool:
+    """Whether an array of telemetry is that of positions."""
+    return "DEBUG_FLOAT_ARRAY" not in name or _ARRAY_ORIGIN.fullmatch(log[name].origin) is not None
+
+
+def find_pairs(log: FlightLog) -> tuple[Pair, ...]:
+    """Pair each position with the command of its output.
+
+    Ids start at 0 or at 1, depending on the servo's bus. Parameters tell which (the bit masks of the drivers);
+    without them the base is the one under which positions go with the commands.
+
+    Returns
+    -------
+    tuple of Pair
+        By output number; motors are left out.
+    """
+    outputs = outputs_of(log.parameters)
+    numbered: dict[int, Position] = {}
+    positions = find_positions(log)
+    # What a script on board saw is what the servos said before.
+    for group in sorted(dict.fromkeys(position.group for position in positions), key="SFD".__eq__):
+        members = [position for position in positions if position.group == group]
+        base = _first_output(log, members)
+        for position in members:
+            number = position.id + base
+            if (outputs.get(number) or LoggedOutput(number)).turns_something:
+                numbered.setdefault(number, position)
+    names = named_outputs(outputs, sorted(numbered))
+    pairs = []
+    for number in sorted(numbered):
+        position = numbered[number]
+        command = _command_channel(log, number, position)
+        if command and _says_something(log[command]) and _says_something(log[position.channel]):
+            pairs.append(Pair(names[number], outputs.get(number, LoggedOutput(number)), command, position))
+    return tuple(pairs)
+
+
+def _says_something(channel: Channel) -> bool:
+    """False for the unused places of an array: no value at all, or zero throughout."""
+    finite = channel.values[np.isfinite(channel.values)]
+    return bool(finite.size and np.any(finite != 0.0))
+
+
+def _first_output(log: FlightLog, members: list[Position]) -> int:
+    """LoggedOutput number of id 0: 1 where ids start at 0, and 0 where they start at 1."""
+    ids = {position.id for position in members}
+    if members[0].group == "SFD":
+        return 0
+    if 0 in ids:
+        return 1
+    volz = int(np.nan_to_num(log.parameters.get("SERVO_VOLZ_MASK", 0.0)))
+    if members[0].group == "CSRV" and volz and all(volz >> i & 1 for i in ids):
+        return 1
+    dronecan = 0
+    for name, value in log.parameters.items():
+        if re.fullmatch(r"CAN_D\d_UC_SRV_BM", name):
+            dronecan |= int(value)
+    if dronecan and all(dronecan >> (i - 1) & 1 for i in ids):
+        return 0
+    return max((0, 1), key=lambda base: (_agreement(log, members, base), -base))
+
+
+def _agreement(log: FlightLog, members: list[Position], base: int) -> float:
+    """Mean correlation of positions with the pulses of the outputs that this base gives them."""
+    values = []
+    for position in members:
+        pulses = pulse_channel(log.channels, position.id + base)
+        if pulses:
+            values.append(_correlation(log[pulses], log[position.channel]))
+    return float(np.mean(values)) if values else -1.0
+
+
+def _correlation(command: Channel, position: Channel) -> float:
+    good = np.isfinite(position.values)
+    if command.time_s.size < 3 or np.count_nonzero(good) < 3:
+        return 0.0
+    asked = np.interp(position.time_s[good], command.time_s, np.nan_to_num(command.values))
+    reported = position.values[good]
+    with np.errstate(over="ignore", invalid="ignore"):
+        spread = np.array([np.std(asked), np.std(reported)])
+    if not np.all(np.isfinite(spread)) or spread.min() < _MOVES:  # squares of forged numbers are none
+        return 0.0
+    return float(abs(np.corrcoef(asked, reported)[0, 1]))
+
+
+def _command_channel(log: FlightLog, number: int, position: Position) -> str:
+    """The command as the servo repeats it, if it does; else the pulse on its output."""
+    if position.command:
+        repeated = log[position.command]
+        if np.any(np.isfinite(repeated.values)) and not repeated.is_constant:
+            return position.command
+    return pulse_channel(log.channels, number)
+
+
+def pulse_channel(channels: Mapping[str, object], number: int) -> str:
+    """Channel with the command of an output, in whatever message this log has it; empty if nowhere."""
+    names = (
+        f"RCOU.C{number}",
+        f"RCO2.C{number}",
+        f"RCO3.C{number}",
+        f"SERVO_OUTPUT_RAW.servo{number}_raw",
+        f"SERVO_OUTPUT_RAW[1].servo{number - 16}_raw",
+        f"1/1:SERVO_OUTPUT_RAW.servo{number}_raw",
+        f"actuator_servos[0].control[{number - 1}]",
+        f"actuator_servos.control[{number - 1}]",
+        f"actuator_outputs[0].output[{number - 1}]",
+    )
+    return next((name for name in names if name in channels), "")
+
+
+_HALF_TRAVEL_US = 500.0
+"""Pulses of 1000 to 2000 us are what an autopilot that speaks of -1 to 1 sends by default."""
+_OUTPUTS_OF_A_MESSAGE = 16
+_OF_A_LOG = re.compile(r"RCOU|RCO[23]|CSRV\[|NVF\[")
+"""Channels that autopilots write into their own logs and do not send."""
+_OTHER_PATH_S = 0.06
+"""On the link of an ArduPlane, from its pulses to the positions that a script sends, six servos on one bus were 45 to
+73 ms later than in its log, from the command that a servo repeats to its position (software in the loop)."""
+
+
+def resolved(log: FlightLog, aircraft: Aircraft) -> Aircraft:
+    """Return the same aircraft with the channels of a log, where its own are not in it.
+
+    Parameters
+    ----------
+    log : FlightLog
+        Of an autopilot, or a plain table whose columns bear the names of the surfaces.
+    aircraft : Aircraft
+        Whose surfaces name their outputs, or channels from which these can be told.
+
+    Examples
+    --------
+    >>> import logparsers
+    >>> from servofd.aircraft.schema import load_aircraft
+    >>> log = logparsers.read("sample_logs/ardupilot_volz_stuck.bin")
+    >>> rudder = resolved(log, load_aircraft("simulated")).surfaces["rudder"]
+    >>> rudder.command.channel, rudder.measured.channel
+    ('RCOU.C4', 'CSRV[3].Pos')
+    """
+    if all(_is_there(log, surface) for surface in aircraft.surfaces.values()):
+        return aircraft
+    if log.is_of_autopilot:
+        pairs = _by_output(log, aircraft)
+        surfaces = {name: _resolved(log, surface, pairs) for name, surface in aircraft.surfaces.items()}
+    else:
+        surfaces = {name: _of_table(log, name, surface) for name, surface in aircraft.surfaces.items()}
+    return aircraft.model_copy(update={"surfaces": surfaces})
+
+
+def streamed(aircraft: Aircraft, *, has_card: bool = False) -> Aircraft:
+    """Return the same aircraft with the channels of telemetry, where a surface names its output or channels of a log.
+
+    A command that servos repeat in degrees becomes the pulse that asks for it; without that pulse it stays. Where the
+    log on the card comes as well (`has_card`), its channels stay.
+
+    Examples
+    --------
+    >>> from servofd.aircraft.schema import Surface, load_aircraft
+    >>> angle = {"channel": "CSRV[3].PosCmd", "unit": "deg", "pulse": [1500.0, 0.2]}
+    >>> rudder = Surface.model_validate(
+    ...     {"servo": "s9254", "command": angle, "measured": {"channel": "CSRV[3].Pos", "unit": "deg"}}
+    ... )
+    >>> plane = load_aircraft("simulated").model_copy(update={"surfaces": {"rudder": rudder}})
+    >>> rudder = streamed(plane).surfaces["rudder"]
+    >>> rudder.command.channel, rudder.command.slope_deg_per_us, rudder.measured.channel
+    ('SERVO_OUTPUT_RAW.servo4_raw', 0.2, 'NAMED_VALUE_FLOAT[SRVP4].value')
+    """
+    surfaces = {name: _streamed(surface, has_card=has_card) for name, surface in aircraft.surfaces.items()}
+    return aircraft.model_copy(update={"surfaces": surfaces})
+
+
+def of_other_messages(names: Sequence[str]) -> str:
+    """Say what a calibration on other messages is worth for these surfaces; nothing if there are none.
+
+    Examples
+    --------
+    >>> of_other_messages(["rudder"])[:73]
+    'rudder: calibrated on other messages than these, which have delays of the'
+    """
+    if not names:
+        return ""
+    return (
+        f"{', '.join(names)}: calibrated on other messages than these, which have delays of their own: judged within "
+        "wide tolerances; a file that 'servofd calibrate' makes of such a log would show smaller faults"
+    )
+
+
+def _by_output(log: FlightLog, aircraft: Aircraft) -> dict[int, Pair]:
+    """What a log has of each output of the aircraft.
+
+    PX4 numbers its servos one after the other, whatever the outputs that they are on.
+    """
+    found = {pair.output.number: pair for pair in find_pairs(log)}
+    numbers = sorted(n for n in map(output_of, aircraft.surfaces.values()) if n is not None)
+    if log.format == "ulog" and len(numbers) == len(found) and not set(numbers) <= set(found):
+        return dict(zip(numbers, (found[number] for number in sorted(found)), strict=True))
+    return found
+
+
+def _is_there(log: FlightLog, surface: Surface) -> bool:
+    """Whether a log holds the channels of a surface."""
+    if surface.measured is None and surface.output is None:
+        return True
+    return surface.measured is not None and {surface.command.channel, surface.measured.channel} <= set(log.channels)
+
+
+def _resolved(log: FlightLog, surface: Surface, pairs: dict[int, Pair]) -> Surface:
+    number = output_of(surface)
+    if number is None or _is_there(log, surface):
+        return surface
+    pair = pairs.get(number)
+    change: dict[str, object] = {}
+    if surface.command.channel not in log.channels:
+        command = _command(log, surface.command, number, pair)
+        if command is not None:
+            change["command"] = command
+    if pair is not None and (surface.measured is None or surface.measured.channel not in log.channels):
+        change["measured"] = _measured(log, surface.measured, pair)
+        change["alive"] = pair.position.alive
+    return _changed(surface, change)
+
+
+def _of_table(log: FlightLog, name: str, surface: Surface) -> Surface:
+    """The same surface in the columns of a plain table, with what calibration found about command and sensor."""
+    command, measured = (
+        DegreeCalibration(channel=channel, unit="deg", correction=known.correction if known else (1.0, 0.0))
+        for channel, known in zip(plain_channels(name), (surface.command, surface.measured), strict=True)
+    )
+    own = {known.channel for known in (surface.command, surface.measured) if known}
+    if own & set(log.channels) or not {command.channel, measured.channel} <= set(log.channels):
+        return surface
+    return _changed(surface, {"command": command, "measured": measured, "alive": ()})
+
+
+def _command(log: FlightLog, known: Calibration, number: int, pair: Pair | None) -> Calibration | None:
+    """The same command in the words of a log: as pulses if it has them, else as the autopilot gives it."""
+    channel = pulse_channel(log.channels, pair.output.number if pair is not None else number)
+    if isinstance(known, PulseCalibration):
+        if not channel:
+            return None
+        if log[channel].unit in ("us", "") and "actuator_servos" not in channel:
+            return known.model_copy(update={"channel": channel})
+        if known.slope_deg_per_us is None:
+            return None
+        return NormCalibration(
+            channel=channel,
+            unit="norm",
+            sign=known.sign,
+            correction=known.correction,
+            trim=(known.trim_us - LoggedOutput(number).trim_us) / _HALF_TRAVEL_US,
+            slope_deg=known.slope_deg_per_us * _HALF_TRAVEL_US,
+        )
+    return _angle(log, known, number, pair) if isinstance(known, DegreeCalibration) else None
+
+
+def _angle(log: FlightLog, known: DegreeCalibration, number: int, pair: Pair | None) -> Calibration | None:
+    """A command in degrees: as the servo repeats it, or as the pulse that asks for it."""
+    if pair is not None and pair.command == pair.position.command:
+        return known.model_copy(update={"channel": pair.command})
+    pulse = _pulse(known)
+    return _command(log, pulse, number, pair) if pulse is not None else None
+
+
+def _pulse(known: DegreeCalibration) -> PulseCalibration | None:
+    """The pulse that asks for a command in degrees, if it is known."""
+    if known.pulse is None or not known.pulse[1]:
+        return None
+    zero_us, slope = known.pulse
+    return PulseCalibration(
+        channel="pulse",
+        unit="us",
+        sign=known.sign if slope > 0.0 else -known.sign,
+        correction=known.correction,
+        trim_us=zero_us + known.trim_deg / slope,
+        slope_deg_per_us=abs(slope),
+    )
+
+
+def _measured(log: FlightLog, known: Calibration | None, pair: Pair) -> Calibration:
+    """The position that a log has of an output, with what calibration found about the sensor."""
+    channel = pair.position.channel
+    correction = known.correction if known is not None else (1.0, 0.0)
+    sign = known.sign if known is not None else 1
+    if log[channel].unit == "rad":
+        return RadianCalibration(channel=channel, unit="rad", sign=sign, correction=correction)
+    trim_deg = known.trim_deg if isinstance(known, DegreeCalibration) else 0.0
+    return DegreeCalibration(channel=channel, unit="deg", sign=sign, correction=correction, trim_deg=trim_deg)
+
+
+def _streamed(surface: Surface, *, has_card: bool) -> Surface:
+    number = output_of(surface)
+    if number is None:
+        return surface
+    command, measured = surface.command, surface.measured
+    change: dict[str, object] = {}
+    if not command.channel or (not has_card and _OF_A_LOG.match(command.channel)):
+        pulse = _pulse(command) if isinstance(command, DegreeCalibration) else command
+        if pulse is not None:
+            message, rest = divmod(number - 1, _OUTPUTS_OF_A_MESSAGE)
+            name = "SERVO_OUTPUT_RAW" + (f"[{message}]" if message else "")
+            change["command"] = pulse.model_copy(update={"channel": f"{name}.servo{rest + 1}_raw"})
+    channel = f"NAMED_VALUE_FLOAT[SRVP{number}].value"
+    if measured is None and surface.output is not None:
+        change["measured"] = DegreeCalibration(channel=channel, unit="deg")
+    elif not has_card and isinstance(measured, DegreeCalibration) and _OF_A_LOG.match(measured.channel):
+        change["measured"] = measured.model_copy(update={"channel": channel})
+        change["alive"] = ()
+    return _changed(surface, change)
+
+
+def _changed(surface: Surface, change: dict[str, object]) -> Surface:
+    """The same surface by other messages, which tell of the same motion at times of their own.
+
+    What its good flights were like says nothing of these times: its linear servo judges it, within wide tolerances.
+    """
+    if change and surface.calibrated is not None:
+        known = surface.tolerances
+        change |= {"calibrated": None, "by_other_messages": True, "suspicions": False}
+        change["tolerance"] = known.model_copy(update={"delay_s": known.delay_s + _OTHER_PATH_S})
+    return surface.model_copy(update=change)

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.aircraft.outputs import outputs_of
-from servofd.aircraft.pairs import pulse_channel
+from servofd.aircraft.outputs import outputs_of, pulse_channel
 from servofd.axes.grid import LARGEST_GAP_S, Series, day_of, grid_rate, present_on
 from servofd.axes.mixers import airframe_of
 from servofd.axes.motion import Motion

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from logparsers.codec import Codec
 from logparsers.endpoint import parse_endpoint
 from logparsers.link import open_link
-from servofd.aircraft.resolve import resolved, streamed
+from servofd.aircraft.outputs import resolved, streamed
 from servofd.aircraft.schema import load_aircraft
 from servofd.cli.monitor_outputs import Outputs
 from servofd.cli.terminal import complain

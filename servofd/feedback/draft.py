@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from servofd.aircraft.pairs import Pair, find_pairs, pulse_channel
+from servofd.aircraft.outputs import Pair, find_pairs, pulse_channel
 from servofd.aircraft.schema import Aircraft
 from servofd.aircraft.segment import Segment, cut
 from servofd.core.errors import NoMeasurement

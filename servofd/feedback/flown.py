@@ -173,7 +173,7 @@ def surfaces_of(log: FlightLog, known: Aircraft | None = None) -> Aircraft:
     ['aileron', 'elevator', 'rudder']
     """
     if known is not None and known.surfaces:
-        from servofd.aircraft.resolve import resolved
+        from servofd.aircraft.outputs import resolved
 
         return resolved(log, known)
     if log.format == "faser":

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from servofd.aircraft.output import output_of
+from servofd.aircraft.outputs import output_of
 from servofd.aircraft.schema import Aircraft
 from servofd.aircraft.segment import SLOWEST_RATE_HZ, cut
 from servofd.core.errors import NoMeasurement

@@ -12,7 +12,7 @@ import numpy as np
 
 from logparsers.codec import is_signed
 from logparsers.protocol import Autopilot, Component
-from servofd.aircraft.resolve import of_other_messages
+from servofd.aircraft.outputs import of_other_messages
 from servofd.aircraft.schema import plain_aircraft
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.live.alerts import Alerts

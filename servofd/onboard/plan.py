@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.aircraft.calibration import DegreeCalibration, PulseCalibration, RadianCalibration
-from servofd.aircraft.output import COMMANDS_OF_SERVO, POSITIONS_FROM_0, POSITIONS_FROM_1, output_of
+from servofd.aircraft.outputs import COMMANDS_OF_SERVO, POSITIONS_FROM_0, POSITIONS_FROM_1, output_of
 from servofd.core.errors import ConfigError, DesignError
 from servofd.detection.residual import ResidualGenerator
 from servofd.detection.threshold import Evaluation

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.aircraft.output import output_of
+from servofd.aircraft.outputs import output_of
 
 if TYPE_CHECKING:
     from logparsers.records import FlightLog

@@ -14,7 +14,7 @@ import pytest
 
 import servofd
 from servofd.aircraft.calibration import DegreeCalibration
-from servofd.aircraft.resolve import streamed
+from servofd.aircraft.outputs import streamed
 from servofd.aircraft.schema import Aircraft
 from servofd.core.types import FloatArray
 

@@ -13,7 +13,7 @@ import logparsers
 from logparsers import Channel, FlightLog
 from logparsers.telemetry.encode import Message, encode
 from servofd import audit
-from servofd.aircraft.pairs import find_pairs, find_positions
+from servofd.aircraft.outputs import find_pairs, find_positions
 from servofd.aircraft.schema import load_aircraft
 from servofd.core.errors import NoMeasurement
 from servofd.feedback.draft import draft_aircraft, draft_to_toml, what_to_log

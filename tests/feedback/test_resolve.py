@@ -8,7 +8,7 @@ import pytest
 
 import logparsers
 import servofd
-from servofd.aircraft.resolve import resolved, streamed
+from servofd.aircraft.outputs import resolved, streamed
 from servofd.aircraft.schema import Surface, load_aircraft
 from servofd.aircraft.segment import cut
 from servofd.cli import main

@@ -16,8 +16,7 @@ from logparsers import Channel, FlightLog
 from logparsers.endpoint import parse_endpoint
 from logparsers.errors import LinkError
 from servofd import audit, cli
-from servofd.aircraft.outputs import outputs_of
-from servofd.aircraft.pairs import find_pairs
+from servofd.aircraft.outputs import find_pairs, outputs_of
 from servofd.aircraft.schema import load_aircraft, plain_aircraft
 from servofd.aircraft.segment import pace_steps
 from servofd.batch.key import Job
