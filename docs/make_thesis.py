@@ -15,7 +15,7 @@ from servofd.detection.pulse import design_pulse_filter
 from servofd.detection.residual import ResidualGenerator
 from servofd.identification.identify import identify
 from servofd.outputs.figure import save_figure
-from servofd.outputs.identify_page import identify_figures
+from servofd.outputs.identify_report import identify_figures
 from servofd.servo.effects import Delay, LinearDynamics
 from servofd.servo.faults import DeadBand, Fault, Stuck
 from servofd.servo.library import servo_named

@@ -19,15 +19,16 @@ from servofd.identification.result import Identification
 from servofd.jobs import bench, workflow
 from servofd.jobs.explaining import explain_logs
 from servofd.outputs.audit_page import audit_page
+from servofd.outputs.document import Table
 from servofd.outputs.explain_page import explain_figures, explain_page
 from servofd.outputs.figure import audit_figure
-from servofd.outputs.identify_page import identified, identify_figures, identify_page, sentence_of
+from servofd.outputs.identify_report import identify_figures, identify_report
 from servofd.outputs.json_report import audit_document
 from servofd.outputs.model_file import model_file
 from servofd.outputs.odds_figure import calibrate_figure
-from servofd.outputs.page import page
+from servofd.outputs.page import html_page, page
 from servofd.outputs.sentence import spoken, whole_sentence, worst
-from servofd.outputs.trend_page import quantity_row, trend_page, trend_picture, verdict
+from servofd.outputs.trend_report import quantity_row, trend_picture, trend_report
 from servofd.wear.trend import AircraftTrend, trend_document, trend_logs
 
 if TYPE_CHECKING:
@@ -316,7 +317,7 @@ class Identified(Identification, Shown):
     @property
     def sentence(self) -> str:
         """What was identified."""
-        return f"{spoken(self.surface)}: {sentence_of(self)}"
+        return identify_report(self, self._facts()).sentence
 
     @property
     def status(self) -> str:
@@ -325,8 +326,7 @@ class Identified(Identification, Shown):
 
     def to_html(self) -> str:
         """Text of the page that ``servofd identify --html`` writes."""
-        needs("matplotlib")
-        return identify_page(self, self._facts())
+        return html_page(identify_report(self, self._facts()))
 
     def plot(self) -> Figure:
         """Figure of the frequency response, or of the motion where there is none."""
@@ -334,7 +334,8 @@ class Identified(Identification, Shown):
         return identify_figures(self)[0].figure
 
     def _rows(self) -> list[dict[str, Any]]:
-        return [dict(zip(("quantity", "value", "interval"), row, strict=True)) for row in identified(self)]
+        (table,) = (part for part in identify_report(self, "").parts if isinstance(part, Table))
+        return [dict(zip(table.head, row, strict=True)) for row in table.rows]
 
     def _facts(self) -> str:
         return f"{len(self.runs)} {'test' if len(self.runs) == 1 else 'tests'}"
@@ -507,7 +508,7 @@ class Trend(AircraftTrend, Shown):
     @property
     def sentence(self) -> str:
         """Which limit is exceeded or in sight."""
-        return verdict(self._document())
+        return trend_report(self._document()).sentence
 
     @property
     def status(self) -> str:
@@ -516,7 +517,7 @@ class Trend(AircraftTrend, Shown):
 
     def to_html(self) -> str:
         """Text of the page that ``servofd trend --html`` writes."""
-        return trend_page(self._document())
+        return html_page(trend_report(self._document()))
 
     def plot(self, surface: str | None = None) -> Figure:
         """Figure of one surface over its flights; of the first that has an alarm, or of the first, if none is named."""

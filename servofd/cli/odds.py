@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from servofd.aircraft.schema import UNKNOWN_SERVO, plain_aircraft
 from servofd.batch.key import Job
-from servofd.cli.terminal import complain, give_json, one_line, print_table, progress
+from servofd.cli.terminal import complain, give_json, progress, show
 from servofd.core.errors import ConfigError, NoMeasurement
 from servofd.core.files import distinct_file_names, make_folder
 from servofd.detection.probability import Wish
@@ -15,12 +15,12 @@ from servofd.feedback.flown import known_aircraft
 from servofd.jobs.odds import LeftOut, odds_from_design, odds_from_logs, parts_of
 from servofd.jobs.workflow import FailedLog, judged
 from servofd.outputs.odds_figure import save_odds_figure
-from servofd.outputs.odds_report import odds_document, odds_rows
+from servofd.outputs.odds_report import odds_report
 from servofd.servo.library import servo_named
 
 if TYPE_CHECKING:
     from servofd.cli.options import Options
-    from servofd.detection.probability import SurfaceOdds, Wish
+    from servofd.detection.probability import SurfaceOdds
     from servofd.jobs.odds import LeftOut, Part
 
 _PLAIN_SURFACE = "surface"
@@ -34,12 +34,16 @@ def run(options: Options) -> int:
     if options.servo not in (None, UNKNOWN_SERVO):
         servo_named(options.servo)
     odds, left_out, failed = _from_logs(options, wish) if options.log else (_from_design(options, wish), [], {})
-    missing = failed | {part.surface: part.reason for part in left_out}
-    document = odds_document(odds, missing)
+    report = odds_report(odds, {part.surface: part.reason for part in left_out}, failed)
     if odds and options.output:
-        _write_folder(Path(options.output), odds, document)
-    if not ((odds or options.json == "-") and give_json(options.json, document)):
-        _print(odds, left_out)
+        folder = Path(options.output)
+        make_folder(folder)
+        with progress("figures", len(odds)) as step:
+            for surface, name in zip(odds, distinct_file_names([o.surface for o in odds]), strict=True):
+                save_odds_figure(surface, folder / f"odds-{name}.png")
+                step(surface.surface)
+        give_json(str(folder / "odds.json"), report.data)
+    show(report, json=options.json if odds or options.json == "-" else None)
     for error in failed.values():
         complain(error)
     if not odds and not failed:
@@ -83,22 +87,3 @@ def _from_logs(options: Options, wish: Wish) -> tuple[list[SurfaceOdds], list[Le
     results = odds_from_logs(parts, wish)
     left_out = [result for result in results if isinstance(result, LeftOut)]
     return [result for result in results if not isinstance(result, LeftOut)], left_out, failed
-
-
-def _write_folder(folder: Path, odds: list[SurfaceOdds], document: dict[str, Any]) -> None:
-    make_folder(folder)
-    with progress("figures", len(odds)) as step:
-        for surface, name in zip(odds, distinct_file_names([o.surface for o in odds]), strict=True):
-            save_odds_figure(surface, folder / f"odds-{name}.png")
-            step(surface.surface)
-    give_json(str(folder / "odds.json"), document)
-
-
-def _print(odds: list[SurfaceOdds], left_out: list[LeftOut]) -> None:
-    if odds:
-        print_table(["", *(o.surface for o in odds)], odds_rows(odds))
-    for surface in odds:
-        for note in surface.notes:
-            print(f"  {surface.surface}: {one_line(note)}")
-    for part in left_out:
-        print(f"  {part.surface}: nothing healthy to learn from: {one_line(part.reason)}")

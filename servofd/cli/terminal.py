@@ -10,6 +10,7 @@ from typing import IO, TYPE_CHECKING, Any
 
 from servofd.core.errors import ConfigError
 from servofd.core.files import write_whole
+from servofd.outputs.document import Bullets, Items, Section, Table, Words
 from servofd.outputs.plain import plain
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from servofd.detection.verdict import LogAudit
+    from servofd.outputs.document import Document, Part
 
 _WIDEST = 100
 """Columns of a terminal that a table of sentences uses: longer lines are hard to read."""
@@ -100,12 +102,12 @@ def print_table(
     """Print rows under headings as a table, on a narrow terminal as a list; coloured by status where a cell is one."""
     from rich import box
     from rich.padding import Padding
-    from rich.table import Table
+    from rich.table import Table as Grid
     from rich.text import Text
 
     shown = shown or _console()
     if shown.width >= _NARROWEST:
-        table = Table(*headings, title=title or None, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+        table = Grid(*headings, title=title or None, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
         for row in rows:
             table.add_row(*(Text(cell, style=_style(cell)) for cell in row))
         shown.print(table)
@@ -153,9 +155,61 @@ def print_verdicts(audit: LogAudit) -> None:
             shown.print(Padding(step, (0, 0, 0, 2), expand=False))
 
 
-def _console() -> Console:
+def show(document: Document, *, json: str | None = None, html: str | None = None) -> None:
+    """Write the page and the JSON that were asked for, and print the rest: tables and words, what it comes to last."""
+    if html:
+        from servofd.outputs.page import html_page
+
+        write_whole(html, html_page(document).encode())
+    if not give_json(json, document.data):
+        print_document(document)
+
+
+def print_document(document: Document) -> None:
+    """Print facts, tables and words, what they come to last; pictures, and what is folded, are for pages.
+
+    Of a table of sentences at most 100 columns of a terminal are used; in less than 64 every table becomes a list. A
+    file or a pipe has no width: there no line is folded.
+    """
+    from rich.text import Text
+
+    shown = _console()
+    if document.facts:
+        shown.print(Text(one_line(document.facts)))
+    _print_parts(document.parts, shown)
+    if document.sentence:
+        shown.print(Text(document.sentence, style="bold"))
+
+
+def _print_parts(parts: Sequence[Part], shown: Console) -> None:
+    from rich.padding import Padding
+    from rich.text import Text
+
+    for part in parts:
+        lines: Sequence[str] = ()
+        if isinstance(part, Words):
+            shown.print(Text(f"{part.lead} {part.text}".strip(), style="bold" if part.style == "verdict" else ""))
+        elif isinstance(part, Bullets):
+            lines = part.lines
+        elif isinstance(part, Table) and part.rows:
+            print_table(part.head, [[str(cell) for cell in row] for row in part.rows], part.caption, shown)
+        elif isinstance(part, Items) and part.items:
+            rows = [[one.name, one.status, *filter(None, [one.beside]), one.words] for one in part.items]
+            print_table(part.head, rows, "", _console(_WIDEST))
+            lines = [f"{one.name}: {one.advice}" for one in part.items if one.advice]
+        elif isinstance(part, Section) and not part.folded:
+            shown.print(Text(": ".join(filter(None, (part.title, part.badge or part.status))), style="bold"))
+            _print_parts(part.parts, shown)
+        for line in lines:
+            shown.print(Padding(Text(one_line(line)), (0, 0, 0, 2), expand=False))
+
+
+def _console(widest: int | None = None) -> Console:
     shown = console()
-    return shown if shown.is_terminal else console(width=400)
+    if not shown.is_terminal:
+        return console(width=400)
+    shown.width = min(shown.width, widest or shown.width)
+    return shown
 
 
 def _style(cell: str) -> str:
@@ -195,7 +249,7 @@ def progress(what: str, total: int, done: int | None = None) -> Iterator[Callabl
         yield lambda *step: shown.update(task, advance=1, description=": ".join((what, *step)))
 
 
-def give_json(target: str | None, document: dict[str, Any]) -> bool:
+def give_json(target: str | None, document: Mapping[str, Any]) -> bool:
     """Write a document to the file that ``--json`` names; or print it, where that is ``-``, and tell so."""
     from servofd.outputs.json_report import to_json
 

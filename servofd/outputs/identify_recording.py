@@ -13,7 +13,8 @@ import numpy as np
 
 from servofd.core.series import latest
 from servofd.discrepancy.locate import bad_seconds
-from servofd.outputs.identify_page import identified, sentence_of
+from servofd.outputs.document import markdown
+from servofd.outputs.identify_report import identify_report
 from servofd.outputs.recording.layout import REPORT, blueprint, curves, document, lanes, stacked
 from servofd.outputs.recording.stream import application_name, recording_file, shown, surface_place
 from servofd.outputs.recording.surface import DEFLECTIONS, WIDTHS
@@ -35,7 +36,7 @@ def save_identification(found: Identification, path: str | Path, source: str) ->
     tabs = [*map(_tab, names), document("Report", REPORT)]
     with recording_file(path, application_name("identify", found.surface, source), blueprint(tabs)) as recorder:
         recorder.properties(source, {"schema": "servofd.identify/1", "surface": shown(found.surface)})
-        recorder.document(REPORT, _report(found, source))
+        recorder.document(REPORT, markdown(identify_report(found, source)))
         for name, run, error_deg in zip(names, found.runs, found.errors_deg, strict=True):
             _send_run(recorder, surface_place(name), run, error_deg)
 
@@ -49,15 +50,6 @@ def _send_run(recorder: Recorder, place: str, run: Run, error_deg: FloatArray) -
     recorder.scalars(f"{place}/deflection", run.measured_s, deflections)
     recorder.lines(f"{place}/error", ["measured - simulated"], ["residual"])
     recorder.scalars(f"{place}/error", run.measured_s, error_deg)
-
-
-def _report(found: Identification, source: str) -> str:
-    table = "\n".join(f"| {name} | {value} | {interval} |" for name, value, interval in identified(found))
-    notes = "\n".join(f"- {note}" for note in found.notes)
-    return (
-        f"# {source}: {found.surface}\n\n{sentence_of(found)}\n\n"
-        f"| | value | 95% interval |\n|---|---|---|\n{table}\n\n{notes}\n"
-    )
 
 
 def _tab(name: str) -> Any:  # noqa: ANN401 - rerun is untyped

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -31,7 +32,7 @@ def worst_outline(document: dict[str, Any]) -> tuple[str, list[float | None]]:
     return (name, outlines[name]) if outlines.get(name) else ("", [])
 
 
-def to_json(document: dict[str, Any]) -> str:
+def to_json(document: Mapping[str, Any]) -> str:
     """Text of a document; values that JSON cannot hold (NaN, infinity) become null."""
     return json.dumps(_finite(document), indent=2, allow_nan=False) + "\n"
 
@@ -144,7 +145,7 @@ def _fault(fault: Fault) -> dict[str, Any]:
 def _finite(value: Any) -> Any:  # noqa: ANN401 - any JSON value
     if isinstance(value, float):
         return value if math.isfinite(value) else None
-    if isinstance(value, dict):
+    if isinstance(value, Mapping):
         return {key: _finite(item) for key, item in value.items()}
     if isinstance(value, list):
         return [_finite(item) for item in value]

@@ -1,22 +1,37 @@
-"""The odds as JSON, schema servofd.odds/1, and as rows of a table."""
+"""The odds of an alarm: false ones, missed ones, late ones (schema servofd.odds/1)."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
 from servofd.detection.probability import SurfaceOdds
+from servofd.outputs.document import Bullets, Document, Table
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from servofd.detection.probability import Operating, Quoted
 
 _SHORTEST_S, _LONGEST_S = 1e-4, 3600.0
 
 
-def odds_document(odds: Sequence[SurfaceOdds], missing: dict[str, str]) -> dict[str, Any]:
-    """Everything that is known about the odds, as plain dictionaries and lists."""
-    return {"schema": "servofd.odds/1", "surfaces": {o.surface: _surface(o) for o in odds}, "missing": missing}
+def odds_report(odds: Sequence[SurfaceOdds], left_out: Mapping[str, str], failed: Mapping[str, str]) -> Document:
+    """One column per surface; why surfaces were left out and logs failed, by their names."""
+    columns = [_column(one) for one in odds]
+    rows = [[name, *(column[name] for column in columns)] for name in columns[0]] if columns else []
+    notes = [f"{one.surface}: {note}" for one in odds for note in one.notes]
+    notes += [f"{name}: nothing healthy to learn from: {reason}" for name, reason in left_out.items()]
+    return Document(
+        "Odds",
+        "no_data",
+        "",
+        parts=[Table("", ["", *(one.surface for one in odds)], rows), Bullets(notes)],
+        data={
+            "schema": "servofd.odds/1",
+            "surfaces": {one.surface: _surface(one) for one in odds},
+            "missing": {**failed, **left_out},
+        },
+    )
 
 
 def _surface(odds: SurfaceOdds) -> dict[str, Any]:
@@ -74,12 +89,6 @@ def _operating(operating: Operating) -> dict[str, Any]:
 
 def _quoted(quoted: Quoted | None) -> dict[str, Any] | None:
     return None if quoted is None else {"value": quoted.value, "extrapolation": quoted.extrapolated}
-
-
-def odds_rows(odds: Sequence[SurfaceOdds]) -> list[list[str]]:
-    """Rows of a table with one column per surface; the first cell of each names the quantity and its unit."""
-    columns = [_column(o) for o in odds]
-    return [[name, *(column[name] for column in columns)] for name in columns[0]] if columns else []
 
 
 def _column(odds: SurfaceOdds) -> dict[str, str]:

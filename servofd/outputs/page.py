@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import platform
+import re
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from servofd.outputs.palette import BANNER_COLOURS, STATUS_COLOURS
 from servofd.outputs.plain import plain
 
+if TYPE_CHECKING:
+    from servofd.outputs.document import Document
+
+_TYPED = re.compile("`(.*?)`")
 _PACKAGES = ("numpy", "scipy", "numba")
 
 
@@ -23,18 +28,15 @@ def page(template: str, **values: Any) -> str:  # noqa: ANN401 - whatever the te
     **values
         What it shows; text is escaped, whatever a log or a file name brought into it.
 
-    Examples
-    --------
-    >>> values = dict.fromkeys(("sentence", "source", "method"), "")
-    >>> "&lt;b&gt;" in page("identify.html", surface="<b>", rows=[], notes=[], pictures=[], **values)
-    True
     """
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
-    from markupsafe import Markup
+    from markupsafe import Markup, escape
 
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent / "templates"), autoescape=True, undefined=StrictUndefined
     )
+    environment.filters["kind"] = lambda part: type(part).__name__
+    environment.filters["typed"] = lambda text: Markup(_TYPED.sub(r"<code>\1</code>", str(escape(text))))  # noqa: S704
     text = environment.get_template(template).render(
         versions=_versions(),
         status_colours=STATUS_COLOURS,
@@ -43,6 +45,18 @@ def page(template: str, **values: Any) -> str:  # noqa: ANN401 - whatever the te
         **values,
     )
     return plain(text)
+
+
+def html_page(document: Document, template: str = "document.html", **values: Any) -> str:  # noqa: ANN401
+    """Text of the page of a result; text is escaped, whatever a log or a file name brought into it.
+
+    Examples
+    --------
+    >>> from servofd.outputs.document import Document
+    >>> "&lt;b&gt;" in html_page(Document("audit", "fault", "<b> is stuck."))
+    True
+    """
+    return page(template, document=document, **values)
 
 
 def source_tag(log: str) -> str:

@@ -10,9 +10,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.core.errors import needs
 from servofd.outputs.plain import plain
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -84,6 +87,7 @@ def new_figure(
     ratios: tuple[float, ...] | None = None,
 ) -> tuple[Figure, tuple[Axes, ...]]:
     """Figure with its axes, row by row; sizes in inches, `ratios` those of the rows' heights."""
+    needs("matplotlib")
     from matplotlib import rcParams
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure as NewFigure
@@ -95,8 +99,12 @@ def new_figure(
     return figure, tuple(np.atleast_1d(all_axes).ravel())
 
 
-def finish(*all_axes: Axes, legend: str = "beside") -> None:
-    """Grid, and the legend beside or above the axes, where it hides nothing."""
+def finish(*all_axes: Axes, x: str = "", y: Sequence[str] = (), legend: str = "beside") -> None:
+    """Names of the axes, that of `x` below the last; grid; and the legend beside or above, where it hides nothing."""
+    if x:
+        all_axes[-1].set_xlabel(x)
+    for axes, name in zip(all_axes, y, strict=False):
+        axes.set_ylabel(name)
     for axes in all_axes:
         axes.grid(visible=True, color="0.9")
         axes.spines[["top", "right"]].set_visible(False)

@@ -9,7 +9,9 @@ import pytest
 from servofd.aircraft.axes import motion_to_toml
 from servofd.aircraft.schema import load_aircraft
 from servofd.axes.calibrate import calibrate_motion
-from servofd.outputs.trend_page import effects_of, trend_page
+from servofd.outputs.document import Section, Table
+from servofd.outputs.page import html_page
+from servofd.outputs.trend_report import trend_report
 from servofd.wear.trend import trend_document, trend_logs
 from tests.axes.flights import flown
 from tests.axes.test_axes import as_table
@@ -33,11 +35,15 @@ def test_an_axis_that_loses_effect_is_followed(tmp_path: Path) -> None:
     assert effect.slope.low < -0.06 < effect.slope.high
     assert effect.limit == 0.75
     document = trend_document(seen)
-    effects = [effects_of(document, flight)[0] for flight in document["flights"]]
+    (flights,) = [
+        part for part in trend_report(document).parts if isinstance(part, Section) and part.title == "Flights"
+    ]
+    (table,) = [part for part in flights.parts if isinstance(part, Table)]
+    effects = [str(row[-1]) for row in table.rows]
     assert float(effects[0].split()[0]) == pytest.approx(100.0, abs=15.0)
     assert float(effects[-1].split()[0]) == pytest.approx(52.0, abs=15.0)
     document["flights"][-1]["alarms"] = {"roll": "ailerons left and right lost half of the effect"}
-    text = trend_page(document)
+    text = html_page(trend_report(document))
     assert "(2026-06-09.csv), roll: ailerons left and right lost half" in text
     assert "Servo: " not in text
 
@@ -50,5 +56,5 @@ def test_an_axis_that_no_flight_tells_anything_of_has_its_page(tmp_path: Path) -
     axes = {name: axis.model_copy(update={"own_command": False}) for name, axis in model.axes.items()}
     plane.write_text(motion_to_toml(model.model_copy(update={"axes": axes})))
     seen = trend_logs([log, as_table(tmp_path, "2026-06-02.csv", flown(71))], load_aircraft(plane), workers=0)
-    assert "never moved on its own" in trend_page(trend_document(seen))
+    assert "never moved on its own" in html_page(trend_report(trend_document(seen)))
     assert all("dead_band_deg" not in surface.missing for surface in seen.surfaces)

@@ -17,7 +17,7 @@ from logparsers.dataflash.encode import Message, encode
 from servofd.aircraft.segment import Segment
 from servofd.cli import main
 from servofd.identification.identify import identify
-from servofd.outputs.identify_page import identify_figures
+from servofd.outputs.identify_report import identify_figures
 from servofd.servo.effects import Delay, LinearDynamics, RateLimit
 from servofd.servo.library import find_servo, servo_named
 from servofd.servo.servo_model import ServoModel

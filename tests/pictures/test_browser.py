@@ -14,7 +14,8 @@ import pytest
 import servofd
 from servofd.outputs.audit_page import audit_page
 from servofd.outputs.explain_page import explain_page
-from servofd.outputs.identify_page import identify_page
+from servofd.outputs.identify_report import identify_report
+from servofd.outputs.page import html_page
 from servofd.outputs.palette import COLOURS
 from tests.pictures.browser import BROWSER, FLAGS, Browser, wait_for
 
@@ -50,7 +51,7 @@ def explain_text() -> str:
 
 def identify_text() -> str:
     log = SAMPLES / "faser_healthy_chirp.mat"
-    return identify_page(servofd.identify(log, surface="aileron_right"), log.name)
+    return html_page(identify_report(servofd.identify(log, surface="aileron_right"), log.name))
 
 
 @pytest.mark.parametrize("write", [audit_text, explain_text, identify_text])

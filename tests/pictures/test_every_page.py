@@ -14,7 +14,8 @@ from servofd.cli.options import FLEET_PAGE as PAGE
 from servofd.jobs.workflow import FailedLog
 from servofd.outputs.audit_page import audit_page
 from servofd.outputs.explain_page import explain_page
-from servofd.outputs.identify_page import identify_page
+from servofd.outputs.identify_report import identify_report
+from servofd.outputs.page import html_page
 from servofd.simulation.airframe import fly_airframe
 from servofd.simulation.airframe_log import airframe_log
 from tests.pictures.browser import BROWSER, Browser
@@ -123,7 +124,7 @@ def explain(folder: Path) -> Path:
 
 def identify(folder: Path) -> Path:
     page, log = folder / "identify.html", SAMPLES / "faser_healthy_chirp.mat"
-    page.write_text(identify_page(servofd.identify(log, surface="aileron_right"), log.name))
+    page.write_text(html_page(identify_report(servofd.identify(log, surface="aileron_right"), log.name)))
     return page
 
 

@@ -14,7 +14,8 @@ from servofd.aircraft.segment import Segment
 from servofd.cli import main
 from servofd.core.errors import ConfigError, NoMeasurement
 from servofd.estimate.statistics import Estimate
-from servofd.outputs.trend_page import trend_page
+from servofd.outputs.page import html_page
+from servofd.outputs.trend_report import trend_report
 from servofd.servo.faults import DeadBand
 from servofd.servo.kernel import play
 from servofd.simulation.flight import simulate_flight
@@ -192,7 +193,7 @@ def test_the_page_begins_with_the_worst_surface() -> None:
     for quantity in calm["quantities"].values():
         quantity["forecast"] = {"kind": "none", "reason": "no trend"}
     document["surfaces"] = {"aileron": calm, "rudder": document["surfaces"]["rudder"]}
-    text = trend_page(document)
+    text = html_page(trend_report(document))
     assert 0 < text.index("<h2>rudder ") < text.index("<h2>aileron ")
 
 
@@ -236,7 +237,7 @@ def test_healthy_fleets_raise_no_alarm() -> None:
 def test_a_servo_that_failed_in_the_last_flight_is_beyond_its_limit_though_no_line_moves(count: int) -> None:
     seen = trend_of(logs([*[0.2] * (count - 1), 4.0]), PLANE)
     assert seen.has_alarm
-    assert "rudder: dead band or backlash, full width was beyond its limit in the last flight" in trend_page(
-        trend_document(seen)
+    assert "rudder: dead band or backlash, full width was beyond its limit in the last flight" in html_page(
+        trend_report(trend_document(seen))
     )
     assert not trend_of(logs([*[0.2] * (count - 1), 4.0, 0.2]), PLANE).has_alarm

@@ -1,4 +1,4 @@
-"""An identification as one HTML page that needs nothing else, with pictures after thesis Figs 3.3 to 3.9."""
+"""An identification: its numbers, and pictures after thesis Figs 3.3 to 3.9."""
 
 from __future__ import annotations
 
@@ -11,11 +11,14 @@ from servofd.core.series import latest
 from servofd.identification.choice import step_slopes
 from servofd.identification.records import longest_uniform
 from servofd.identification.response import raw_response
-from servofd.outputs.page import page
+from servofd.outputs.document import Bullets, Document, Figures, Table
 from servofd.outputs.palette import COLOURS
 from servofd.outputs.picture import Picture, finish, new_figure
+from servofd.outputs.sentence import spoken
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from matplotlib.axes import Axes
 
     from servofd.core.types import FloatArray
@@ -72,13 +75,11 @@ def _bode(found: Identification) -> Picture:
     lower.plot(w_raw, np.degrees(near), ".", ms=1.5, color="0.75", zorder=0)
     upper.plot(nominal.frequency_rad_s, _decibels(fit), color=COLOURS["measured"], lw=2, ls="--", label="fit")
     lower.plot(nominal.frequency_rad_s, np.degrees(fit_phase_rad), color=COLOURS["measured"], lw=2, ls="--")
-    upper.set_ylabel("magnitude [dB]")
-    lower.set_ylabel("phase [deg]")
     upper.set_ylim(float(_decibels(fit[inside]).min()) - 12.0, max(6.0, float(_decibels(fit[inside]).max()) + 4.0))
     phase_deg = np.degrees(fit_phase_rad[inside])
     # A servo that runs against its command begins at half a turn.
     lower.set_ylim(float(phase_deg.min()) - 60.0, float(phase_deg.max()) + 60.0)
-    _frequency_axis(found, upper, lower)
+    _finish(found, upper, lower, y=["magnitude [dB]", "phase [deg]"])
     low, high = found.band_rad_s or (0.0, 0.0)
     text = f"The fit follows the smoothed response between {low:.1f} and {high:.1f} rad/s (shaded); hold included."
     return Picture("response", "Frequency response", text, figure)
@@ -91,8 +92,7 @@ def _coherence(found: Identification) -> Picture:
         axes.plot(response.frequency_rad_s, response.coherence, color=_SERVOS[k % len(_SERVOS)], label=label)
     axes.axhline(0.8, color=COLOURS["fault"], lw=1.0, ls="--", label="0.8")
     axes.set_ylim(0.0, 1.05)
-    axes.set_ylabel("coherence")
-    _frequency_axis(found, axes)
+    _finish(found, axes, y=["coherence"])
     low, high = found.band_rad_s or (0.0, 0.0)
     text = f"Coherence is above 0.8 from {low:.1f} to {high:.1f} rad/s, the band of the fit."
     return Picture("coherence", "Coherence (thesis Fig. 3.7)", text, figure)
@@ -104,8 +104,7 @@ def _error(found: Identification) -> Picture:
         label = f"servo {k + 1}" if len(found.responses) > 1 else "|G smoothed - G fit| / |G fit|"
         axes.semilogy(response.frequency_rad_s, error, color=_SERVOS[k % len(_SERVOS)], label=label)
     axes.set_ylim(1e-4, 10.0)
-    axes.set_ylabel("normalised error")
-    _frequency_axis(found, axes)
+    _finish(found, axes, y=["normalised error"])
     text = f"Normalised error of Eq. 3.2: at most {found.max_normalized_error or 0.0:.3f} within the band."
     return Picture("normalised_error", "Normalised error (thesis Fig. 3.8, Eq. 3.2)", text, figure)
 
@@ -117,9 +116,7 @@ def _motion(found: Identification) -> Picture:
     figure, (axes,) = new_figure()
     inside = run.measured_s <= begin_s + _EXCERPT_S
     _draw(axes, found, 0, inside)
-    axes.set_xlabel("time [s]")
-    axes.set_ylabel("angle [deg]")
-    finish(axes)
+    finish(axes, x="time [s]", y=["angle [deg]"])
     text = f"Command, measured and simulated position; the error is {np.std(error[inside]):.3g} deg rms here."
     return Picture("motion", f"First {_EXCERPT_S:g} s of the test (thesis Fig. 3.4)", text, figure)
 
@@ -131,10 +128,7 @@ def _validation(found: Identification) -> Picture:
     figure, (upper, lower) = new_figure(2, height=5.0)
     _draw(upper, found, index, np.ones(run.measured_s.size, dtype=bool))
     lower.plot(run.measured_s, error, color="black", lw=0.6, label="measured - simulated")
-    upper.set_ylabel("angle [deg]")
-    lower.set_ylabel("error [deg]")
-    lower.set_xlabel("time [s]")
-    finish(upper, lower)
+    finish(upper, lower, x="time [s]", y=["angle [deg]", "error [deg]"])
     text = f"Simulation of the whole test: {np.std(error):.3g} deg rms, fit {found.fits_percent[index]:.1f}%."
     return Picture("validation", "Validation in time (thesis Fig. 3.9)", text, figure)
 
@@ -154,9 +148,7 @@ def _steps(found: Identification) -> Picture:
     line_s = middle_s + np.array([-half_s, half_s])
     line_deg = begin_deg + 0.5 * step.travel_deg + step.slope_deg_s * (line_s - middle_s)
     axes.plot(line_s, line_deg, color=COLOURS["fault"], lw=2.5, ls="--", label=f"{abs(step.slope_deg_s):.0f} deg/s")
-    axes.set_xlabel("time [s]")
-    axes.set_ylabel("angle [deg]")
-    finish(axes)
+    finish(axes, x="time [s]", y=["angle [deg]"])
     text = (
         f"A step of {step.travel_deg:.1f} deg runs at {abs(step.slope_deg_s):.0f} deg/s between 20 and 80% of its way."
     )
@@ -185,60 +177,60 @@ def _shown(found: Identification, response: FrequencyResponse) -> np.ndarray[tup
     return shown
 
 
-def _frequency_axis(found: Identification, *all_axes: Axes) -> None:
+def _finish(found: Identification, *all_axes: Axes, y: Sequence[str]) -> None:
+    """Over frequency, with the band of the fit shaded."""
     low, high = found.band_rad_s or (1.0, 100.0)
     for axes in all_axes:
         axes.set_xscale("log")
         axes.set_xlim(0.5 * low, 1.6 * high)
         axes.axvspan(low, high, color=COLOURS["ok"], alpha=0.08, lw=0)
-    all_axes[-1].set_xlabel("frequency [rad/s]")
-    finish(*all_axes)
+    finish(*all_axes, x="frequency [rad/s]", y=y)
 
 
-def identify_page(found: Identification, source: str) -> str:
-    """Text of the page."""
-    return page(
-        "identify.html",
-        surface=found.surface,
-        sentence=sentence_of(found),
-        method=found.method,
-        source=source,
-        rows=identified(found),
-        notes=found.notes,
-        pictures=identify_figures(found),
-    )
-
-
-def sentence_of(found: Identification) -> str:
-    """What was identified, in a sentence."""
-    linear = found.servo.linear
+def identify_report(found: Identification, source: str) -> Document:
+    """The numbers of the servo with their 95 % intervals, and the figures of the evidence."""
+    linear, servo = found.servo.linear, found.servo
     bandwidth = linear.transfer.bandwidth_rad_s
-    sentence = f"a servo of order {linear.order}, delay {1e3 * linear.delay_s:.3g} ms"
+    sentence = f"{spoken(found.surface)}: a servo of order {linear.order}, delay {1e3 * linear.delay_s:.3g} ms"
     if math.isfinite(bandwidth):
         sentence += f", bandwidth {bandwidth:.3g} rad/s"
-    return f"{sentence}; the fit leaves {found.rms_deg:.3g} deg rms"
-
-
-def identified(found: Identification) -> list[tuple[str, str, str]]:
-    """Each number, its value, and its 95 % interval if it has one."""
-    linear, servo = found.servo.linear, found.servo
     values: dict[str, tuple[str, float | None, float]] = {
         "dc_gain": ("dc gain", linear.gain, 1.0),
-        "delay_s": ("delay [ms]", linear.delay_s, 1e3),
+        "delay_s": ("delay [ms], hold apart", linear.delay_s, 1e3),
         "lag_s": ("total lag [ms]", linear.lag_s, 1e3),
-        "bandwidth_rad_s": ("bandwidth [rad/s]", linear.transfer.bandwidth_rad_s, 1.0),
+        "bandwidth_rad_s": ("bandwidth [rad/s]", bandwidth, 1.0),
         "rate_up_deg_s": ("rate limit up [deg/s]", servo.rate_up_deg_s, 1.0),
         "rate_down_deg_s": ("rate limit down [deg/s]", servo.rate_down_deg_s, 1.0),
         "dead_band_deg": ("dead band [deg]", servo.dead_band_deg, 1.0),
     }
     for k, pole in enumerate(found.poles_rad_s):
-        values[f"pole_{k}_real_rad_s"] = (f"pole {k + 1}, real part [rad/s]", pole.real, 1.0)
-        if pole.imag:
-            values[f"pole_{k}_imag_rad_s"] = (f"pole {k + 1}, imaginary part [rad/s]", pole.imag, 1.0)
+        if pole.imag >= 0.0:
+            values[f"pole_{k}_real_rad_s"] = (
+                "pair, real part [rad/s]" if pole.imag else "pole [rad/s]",
+                pole.real,
+                1.0,
+            )
+        if pole.imag > 0.0:
+            values[f"pole_{k}_imag_rad_s"] = ("pair, imaginary part ± [rad/s]", pole.imag, 1.0)
     rows = []
     for name, (label, value, scale) in values.items():
         if value is not None and math.isfinite(value):
             interval = found.intervals.get(name)
             shown = "" if interval is None else f"{scale * interval.low:.5g} to {scale * interval.high:.5g}"
             rows.append((label, f"{scale * value:.5g}", shown))
-    return [*rows, ("rms error [deg]", f"{found.rms_deg:.4g}", "")]
+    rows.append(("rms error [deg]", f"{found.rms_deg:.4g}", ""))
+    if found.band_rad_s is not None:
+        low, high = found.band_rad_s
+        rows.append(("normalised error", f"up to {found.max_normalized_error:.3f}", f"{low:.1f} to {high:.1f} rad/s"))
+    return Document(
+        title=f"Identification of {spoken(found.surface)}",
+        status="healthy",
+        sentence=f"{sentence}; the fit leaves {found.rms_deg:.3g} deg rms",
+        facts=f"{source}, method {found.method}",
+        parts=[
+            Table("Numbers and their 95% intervals", ("quantity", "value", "interval"), rows),
+            Bullets(found.notes),
+            Figures(lambda: identify_figures(found)),
+        ],
+        data=found.document(),
+    )

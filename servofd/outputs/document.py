@@ -1,0 +1,177 @@
+"""What a verb found, said once: the terminal, pages, notebooks and recordings each show it in their own way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from servofd.outputs.chart import Chart
+    from servofd.outputs.picture import Picture
+
+_TALLEST, _AT_THRESHOLD = 24, 12
+"""Of a thumbnail: units of its height, and how high the threshold stands; what is twice as large is cut."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """What stands in a table, where it is more than text."""
+
+    text: str = ""
+    status: str = ""
+    """Shown as a badge before the text."""
+    link: str = ""
+    outline: Sequence[float | None] = ()
+    """Largest share of the threshold in each part of a flight, drawn small."""
+    soft: str = ""
+    order: float | None = None
+    """By which a column is sorted, if not by its text."""
+
+    def __str__(self) -> str:
+        return self.text or self.status
+
+    @property
+    def thumbnail(self) -> tuple[str, str]:
+        """Outlines of the parts of a flight that stay below the threshold, and of the others.
+
+        Examples
+        --------
+        >>> Cell(outline=[0.5, None, 1.5]).thumbnail
+        ('M0 24v-6', 'M2 24v-18')
+        """
+        paths = ["", ""]
+        for k, share in enumerate(self.outline):
+            if share is not None:
+                height = round(min(max(share * _AT_THRESHOLD, 1), _TALLEST))
+                paths[share >= 1.0] += f"M{k} {_TALLEST}v-{height}"
+        return paths[0], paths[1]
+
+
+@dataclass(frozen=True, slots=True)
+class Words:
+    """A paragraph; what stands between backticks is to be typed."""
+
+    text: str
+    lead: str = ""
+    """Its first words, in bold."""
+    status: str = ""
+    """Colour of its margin."""
+    style: str = ""
+    """``soft`` for what is beside the point, ``verdict`` for what is the point."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bullets:
+    """Sentences one below the other."""
+
+    lines: Sequence[str]
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Rows under headings, with units in these; not shown without rows."""
+
+    caption: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[str | Cell]]
+    sortable: bool = False
+    id: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """Pictures, drawn only where somebody can see them."""
+
+    draw: Callable[[], Sequence[Picture | Chart]]
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """One surface, axis or log: its status, why, what to do, and what that rests on."""
+
+    name: str
+    status: str
+    words: str
+    advice: str = ""
+    beside: str = ""
+    """One more word on a terminal, under the third heading."""
+    parts: Sequence[Part] = ()
+    """On pages only; of what is well, folded."""
+    anchor: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Items:
+    """What is judged alike: a table on the terminal, panels and lines on a page."""
+
+    title: str
+    head: Sequence[str]
+    items: Sequence[Item]
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """Parts under a heading."""
+
+    title: str
+    parts: Sequence[Part]
+    status: str = ""
+    badge: str = ""
+    """Words of the badge, if not the status."""
+    folded: bool = False
+    """Opened by who wants it; not shown on a terminal."""
+    anchor: str = ""
+
+
+Part = Words | Bullets | Table | Figures | Items | Section
+
+
+@dataclass(frozen=True, slots=True)
+class Document:
+    """The result of a verb."""
+
+    title: str
+    status: str
+    """``healthy``, ``suspect``, ``fault``, ``unknown`` or ``no_data``: the colour of its banner."""
+    sentence: str
+    """What it comes to."""
+    facts: str = ""
+    """Where it comes from."""
+    parts: Sequence[Part] = ()
+    evidence: Sequence[Part] = ()
+    """What a terminal has no room for: method, whole lists."""
+    data: Mapping[str, Any] = field(default_factory=dict)
+    """The same for machines."""
+    log: str = ""
+    """File that a page is of, so that the page of another is never written over."""
+
+
+def markdown(document: Document) -> str:
+    """Words and tables, as the viewer of recordings shows them."""
+    return "\n\n".join([f"# {document.facts}", document.sentence, *_marked(document.parts)]) + "\n"
+
+
+def _marked(parts: Sequence[Part]) -> list[str]:
+    texts: list[str] = []
+    for part in parts:
+        if isinstance(part, Words):
+            texts.append(f"{part.lead} {part.text}".strip())
+        elif isinstance(part, Bullets):
+            texts.append("\n".join(f"- {_cell(line)}" for line in part.lines))
+        elif isinstance(part, Table):
+            texts.append(_rows(part.head, part.rows))
+        elif isinstance(part, Items):
+            texts.append(_rows(part.head, [(one.name, one.status, one.words) for one in part.items]))
+        elif isinstance(part, Section) and not part.folded:
+            texts += [f"## {part.title}", *_marked(part.parts)]
+    return [text for text in texts if text]
+
+
+def _rows(head: Sequence[str], rows: Sequence[Sequence[str | Cell]]) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join(f"| {' | '.join(_cell(str(cell)) for cell in line)} |" for line in lines) if rows else ""
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|").replace("\n", " ")

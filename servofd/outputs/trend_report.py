@@ -1,0 +1,196 @@
+"""A trend in tables and figures: what wears, since when, and when it will be too much."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from servofd.estimate.statistics import Z_95
+from servofd.outputs.document import Bullets, Document, Figures, Section, Table, Words
+from servofd.outputs.fleet_page import flight_name
+from servofd.outputs.palette import COLOURS
+from servofd.outputs.picture import Picture, finish, new_figure
+from servofd.outputs.sentence import minute_of, spoken
+from servofd.wear.estimate import QUANTITIES
+from servofd.wear.series import TOO_FEW
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.axes import Axes
+
+    from servofd.outputs.document import Part
+
+_EVENT_STYLES = {"swap": "-", "adjusted": "--", "changed": ":"}
+_STATUSES = {"reached": "fault", "crossing": "suspect", "none": "healthy"}
+"""By the forecast, the worst first."""
+_BADGES = {"fault": "beyond its limit", "suspect": "wears"}
+_HEAD = ("quantity", "now", "change per flight", "limit", "forecast")
+_MOTION = """Of each flight the motion tells how much effect its commands had, beside that of the calibration flights,
+and how far from its usual place each axis stood. Of a flight with an alarm it is the effect after its onset."""
+_FITTED = """Each flight is fitted by the model of the aircraft file, simulated on the commands that were logged, with
+delay, bandwidth, rate limit, gain, offset and a zone of rest (dead band or backlash) of its own."""
+_LINES = """A line is drawn through the flights since the last change, by least squares that single flights cannot
+mislead; another line is begun only where chance would do so less than once in a million. A change at once is no wear.
+A forecast is made from eight flights on, if the trend is no chance, and for no more than four times as many flights as
+were seen."""
+
+
+def trend_report(document: dict[str, Any]) -> Document:
+    """What wears, since when, and when it will be too much; the worst surface first."""
+    flights, aircraft = document["flights"], document["aircraft"] or "aircraft"
+    surfaces = [_surface(name, surface, flights) for name, surface in document["surfaces"].items()]
+    surfaces.sort(key=lambda surface: [*_STATUSES.values()].index(surface.status))
+    axes = [name for name, surface in document["surfaces"].items() if "effect" in surface["quantities"]]
+    alarms = [
+        f"Flight {one['number']} ({flight_name(one)}), {axis}: {reason}"
+        for one in flights
+        for axis, reason in one["alarms"].items()
+    ]
+    method = [Words(_MOTION)] if axes else []
+    method += [Words(_FITTED)] if len(surfaces) > len(axes) else []
+    rows = [
+        [str(one["number"]), flight_name(one), minute_of(one["start_utc"])]
+        + [_effect(document["surfaces"][axis]["quantities"]["effect"], one, axis) for axis in axes]
+        for one in flights
+    ]
+    heading = ("number", "log", "begun (UTC)", *(f"effect left of {axis} [%]" for axis in axes))
+    warnings = [Words(f"{alarm}.", status="suspect") for alarm in alarms]
+    flown = Section("Flights", [*warnings, Table("In the order in which they were taken", heading, rows)])
+    count = f"{len(flights)} {'flight' if len(flights) == 1 else 'flights'}"
+    return Document(
+        title=f"Trend of {aircraft}",
+        status=surfaces[0].status if surfaces else "unknown",
+        sentence=_verdict(document, alarms, count),
+        facts=f"{aircraft}: {count}, {document['order']['reason']}",
+        parts=[*surfaces, *([flown] if axes else [])],
+        evidence=[
+            *([] if axes else [flown]),
+            *([Section("Not used", [Bullets(document["problems"])])] if document["problems"] else []),
+            Section("Method", [*method, Words(_LINES)]),
+        ],
+        data=document,
+    )
+
+
+def _verdict(document: dict[str, Any], alarms: list[str], count: str) -> str:
+    """The whole trend in a sentence or two."""
+    found = [(name, one) for name, all_of in document["surfaces"].items() for one in all_of["quantities"].values()]
+    limits = [
+        f"{spoken(name)}: {one['title']} {_when(one)}" for name, one in found if one["forecast"]["kind"] != "none"
+    ]
+    said = [f"{'; '.join(limits)}."] if limits else []
+    if alarms:
+        more = f" (and {len(alarms) - 1} more)" if len(alarms) > 1 else ""
+        said.append(f"{alarms[-1]}{more}.")
+    if said:
+        return " ".join(said)
+    if {one["forecast"]["reason"] for _, one in found} == {TOO_FEW}:
+        return f"No limit is exceeded. {count.capitalize()}: too few for a trend."
+    return "No limit is exceeded or in sight."
+
+
+def _effect(effect: dict[str, Any], flight: dict[str, Any], axis: str) -> str:
+    """What was left of the effect of an axis in a flight, with its interval, in per cent."""
+    text = "not known"
+    if flight["number"] in effect["flights"]:
+        at = effect["flights"].index(flight["number"])
+        value, half = effect["values"][at], Z_95 * effect["deviations"][at]
+        shown = {"value": value, "low": value - half, "high": value + half}
+        text = _interval(shown, effect["shown"]["scale"], effect["shown"]["digits"])
+    return f"{text} alarm" if axis in flight["alarms"] else text
+
+
+def quantity_row(one: dict[str, Any]) -> tuple[str, str, str, str, str]:
+    """Title with unit, value now, change per flight, limit, and what is to be expected."""
+    scale, digits = one["shown"]["scale"], one["shown"]["digits"]
+    slope = one["per_flight"]
+    return (
+        f"{one['title']} [{one['shown']['unit']}]",
+        _interval(one["now"], scale, digits),
+        "" if slope is None else _interval(slope, scale, digits + 2),
+        "" if one["limit"] is None else f"{scale * one['limit']:.{digits}f}",
+        _when(one),
+    )
+
+
+def _when(one: dict[str, Any]) -> str:
+    forecast = one["forecast"]
+    if forecast["kind"] == "crossing":
+        return f"crosses its limit at flight {forecast['flight']:.0f} [{forecast['low']:.0f}, {forecast['high']:.0f}]"
+    return str(forecast["reason"])
+
+
+def _interval(estimate: dict[str, float], scale: float, digits: int) -> str:
+    """As many decimals as are known: two of the width of the interval, at most."""
+    width = scale * (estimate["high"] - estimate["low"])
+    if math.isfinite(width) and width > 0.0:
+        digits = min(digits, max(1 - math.floor(math.log10(width)), 0))
+    value, low, high = (f"{scale * estimate[key]:z.{digits}f}" for key in ("value", "low", "high"))
+    return f"{value} [{low}, {high}]"
+
+
+def _surface(name: str, surface: dict[str, Any], flights: Sequence[dict[str, Any]]) -> Section:
+    alarms = [str(one["number"]) for one in flights if name in one["alarms"]]
+    quantities = surface["quantities"]
+    kinds = {one["forecast"]["kind"] for one in quantities.values()}
+    status = next(status for kind, status in _STATUSES.items() if kind in kinds or kind == "none")
+    badge = _BADGES.get(status, "")
+    if alarms and status == "healthy":
+        status, badge = "suspect", f"alarm in flight {', '.join(alarms)}"
+    parts: list[Part] = []
+    if not any(QUANTITIES[one].of_axis for one in (*quantities, *surface["missing"])):
+        serials = [
+            f"{one['serial'] or 'number unknown'} since flight {one['from_flight']}" for one in surface["serials"]
+        ]
+        parts.append(Words(f"Servo: {', '.join(serials)}.", style="soft"))
+    parts += [Words(f"{event['reason']}.", status="suspect") for event in surface["events"]]
+    parts += [Words(f"{note}.") for note in surface["notes"]]
+    parts.append(Table("Now, with 95% intervals", _HEAD, [quantity_row(one) for one in quantities.values()]))
+    if len(flights) > 1 and quantities:
+        parts.append(Figures(lambda: [trend_picture(name, surface)]))
+    parts.append(Bullets([f"{QUANTITIES[what].title} not followed: {why}" for what, why in surface["missing"].items()]))
+    return Section(spoken(name), parts, status, badge)
+
+
+def trend_picture(name: str, surface: dict[str, Any]) -> Picture:
+    """All quantities over the flights, one below the other."""
+    from matplotlib.ticker import MaxNLocator
+
+    quantities = surface["quantities"]
+    figure, all_axes = new_figure(len(quantities), height=0.6 + 1.55 * len(quantities))
+    for one, axes in zip(quantities.values(), all_axes, strict=True):
+        _draw(one, axes)
+        for event in surface["events"]:
+            axes.axvline(event["flight"] - 0.5, color="0.3", linestyle=_EVENT_STYLES[event["kind"]], linewidth=1.0)
+        axes.set_ylabel(f"{one['title'].replace(', ', chr(10))}\n[{one['shown']['unit']}]", fontsize=8)
+    all_axes[-1].set_xlabel("flight")
+    all_axes[-1].xaxis.set_major_locator(MaxNLocator(integer=True))
+    finish(*all_axes)
+    return Picture(
+        f"trend-{name}",
+        f"{spoken(name)} over its flights",
+        "Dots are flights with their 95% intervals, blue lines what they follow since the last change, the dashed "
+        "part what is expected; level lines are limits, vertical lines changes at once (solid: another servo).",
+        figure,
+    )
+
+
+def _draw(one: dict[str, Any], axes: Axes) -> None:
+    scale, forecast = one["shown"]["scale"], one["forecast"]
+    values, spread = scale * np.array(one["values"]), scale * Z_95 * np.array(one["deviations"])
+    axes.errorbar(one["flights"], values, spread, fmt="o", markersize=3, color=COLOURS["measured"], elinewidth=1.0)
+    lines = [piece for piece in one["pieces"] if "begin" in piece]
+    for piece in lines:
+        ends = scale * np.array([piece["begin"]["value"], piece["end"]["value"]])
+        axes.plot([piece["first"], piece["last"]], ends, color=COLOURS["simulated"], linewidth=1.5)
+    if one["limit"] is None:
+        return
+    limit = scale * one["limit"] * (np.sign(one["now"]["value"]) if one["worse"] == "away" else 1.0)
+    axes.axhline(limit, color=COLOURS["threshold"], linewidth=1.5)
+    if forecast["kind"] == "crossing":
+        begin, now = lines[-1]["last"], scale * one["now"]["value"]
+        axes.plot([begin, forecast["flight"]], [now, limit], "--", color=COLOURS["simulated"], linewidth=1.5)
+        axes.plot([forecast["low"], forecast["high"]], [limit, limit], color=COLOURS["fault"], linewidth=4.0, zorder=3)
