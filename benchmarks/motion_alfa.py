@@ -19,7 +19,7 @@ from scipy import stats
 import logparsers
 from servofd.axes.calibrate import calibrate_motion
 from servofd.axes.judge import judge_motion
-from servofd.axes.read import motion_of_table
+from servofd.axes.motion import motion_of_table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

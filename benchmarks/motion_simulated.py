@@ -18,16 +18,16 @@ import numpy as np
 
 from logparsers.records import Channel, FlightLog
 from servofd.aircraft.axis_names import SURFACE_AXES
-from servofd.axes.autopilot import motion_of_autopilot
 from servofd.axes.calibrate import calibrate_motion
 from servofd.axes.judge import judge_motion
+from servofd.axes.motion import motion_of_autopilot
 from servofd.simulation.airframe import AirframeFault, AirframeFlight, fly_airframe
 from servofd.simulation.airframe_log import airframe_parameters
 
 if TYPE_CHECKING:
     from servofd.aircraft.axes import MotionModel
     from servofd.axes.motion import Motion
-    from servofd.detection.verdict import AxisEvent
+    from servofd.axes.verdict import AxisEvent
 
 ONSET_S, WITHIN_S = 60.0, 30.0
 DEG_PER_US = 0.05

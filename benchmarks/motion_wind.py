@@ -19,14 +19,13 @@ import numpy as np
 
 import logparsers
 from servofd.aircraft.outputs import outputs_of, pulse_channel
-from servofd.axes.autopilot import motion_of_autopilot
 from servofd.axes.calibrate import calibrate_motion
 from servofd.axes.judge import judge_motion
-from servofd.axes.mixers import airframe_of
+from servofd.axes.motion import airframe_of, motion_of_autopilot
 
 if TYPE_CHECKING:
     from servofd.axes.motion import Motion
-    from servofd.detection.verdict import AxisAudit, AxisEvent
+    from servofd.axes.verdict import AxisAudit, AxisEvent
 
 AXES = {"aileron": "roll", "elevator": "pitch", "rudder": "side"}
 DEG_PER_US = 0.2

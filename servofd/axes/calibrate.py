@@ -10,21 +10,28 @@ import numpy as np
 
 from servofd.aircraft.axes import AxisModel, MotionModel, Regime, Spread
 from servofd.aircraft.axis_names import AXES, SURFACE_AXES
-from servofd.axes.forms import FORMS, Filtered, Form, Regression
 from servofd.axes.model import (
+    FORMS,
+    Filtered,
+    Form,
+    Inputs,
+    Regression,
+    Sliding,
     covered,
     distances,
     flown_of,
+    lags,
     residual_of,
     settled,
     shares_of,
+    sliding,
     slowness,
+    spread_between,
     statistic,
     whitened,
     windows_of,
 )
 from servofd.core.errors import CalibrationError
-from servofd.estimate.axis_windows import Inputs, Sliding, lags, sliding, spread_between
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

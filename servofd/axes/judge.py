@@ -9,22 +9,29 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.aircraft.axis_names import MOST_OF_THE_FLIGHT, SURFACE_AXES
-from servofd.axes.forms import FORMS
-from servofd.axes.model import covered, distances, flown_of, inputs_of, smallest_of, statistic, windows_of
-from servofd.axes.words import left_out, reason_of
+from servofd.axes.model import (
+    FORMS,
+    Sliding,
+    covered,
+    distances,
+    flown_of,
+    inputs_of,
+    lags,
+    nothing_known,
+    sliding,
+    smallest_of,
+    statistic,
+    windows_of,
+)
+from servofd.axes.verdict import AxisAudit, AxisDetectable, AxisEvent, AxisStatus, left_out, reason_of
 from servofd.core.errors import NoMeasurement
-from servofd.detection.verdict import AxisAudit, AxisDetectable, AxisEvent, AxisStatus
-from servofd.estimate.axis_windows import Sliding, lags, nothing_known, sliding
-from servofd.estimate.statistics import Z_95, Estimate
+from servofd.core.statistics import Z_95, Estimate
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from servofd.aircraft.axes import AxisModel, MotionModel
+    from servofd.axes.model import Inputs
     from servofd.axes.motion import Motion
     from servofd.core.types import BoolArray, FloatArray
-    from servofd.detection.verdict import Fault, SurfaceAudit
-    from servofd.estimate.axis_windows import Inputs
 
 _KNOWN_WITHIN = 0.3
 """Half width of the 95 % interval of lambda beyond which an axis is never called healthy."""
@@ -524,43 +531,3 @@ def _verdict(
         inputs=draft.inputs,
         model=axis,
     )
-
-
-_STILL = ("stuck", "hardover", "floating")
-_MOTIONS = {"roll": "rolls", "pitch": "pitches", "side": "yaws"}
-
-
-def compared(surfaces: Sequence[SurfaceAudit], axes: Sequence[AxisAudit]) -> tuple[SurfaceAudit, ...]:
-    """Say of each surface at fault what the aircraft's motion tells of it.
-
-    A servo that stands still takes its share of the axis' effect away; a sensor that does not takes nothing. Where the
-    motion of that time could tell neither, nothing is added.
-    """
-    return tuple(_with_motion(surface, axes) for surface in surfaces)
-
-
-def _with_motion(surface: SurfaceAudit, axes: Sequence[AxisAudit]) -> SurfaceAudit:
-    still = [fault for fault in (*surface.faults, *surface.suspicions) if fault.kind in _STILL]
-    axis = next((axis for axis in axes if surface.surface in axis.members), None)
-    if axis is None or not still:
-        return surface
-    said = [text for text in (_sentence(fault, axis) for fault in still) if text]
-    return replace(surface, reason=f"{surface.reason}; {said[0]}") if said else surface
-
-
-def _sentence(fault: Fault, axis: AxisAudit) -> str:
-    end_s = math.inf if fault.end_s is None else fault.end_s
-    lost = lost_between(axis, fault.start_s, end_s)
-    share = 1.0 / len(axis.members)
-    if lost is None:
-        return ""
-    shown = f"lost share of {axis.axis} {lost.value:.2f} [{lost.low:.2f}, {lost.high:.2f}]"
-    if _holds(lost, 0.0) and not _holds(lost, share):
-        return f"the aircraft {_MOTIONS.get(axis.axis, 'moves')} as commanded ({shown}): the sensor, not the servo"
-    if _holds(lost, share) and not _holds(lost, 0.0):
-        return f"the aircraft's motion confirms it ({shown}): the servo, not its sensor"
-    return ""
-
-
-def _holds(lost: Estimate, value: float) -> bool:
-    return lost.low <= value <= lost.high

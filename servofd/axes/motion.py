@@ -1,15 +1,21 @@
-"""One flight as an axis model sees it: commands and motion on one uniform grid of time."""
+"""Motion of an aircraft without servo feedback, from any log: which channel is which, all on one grid of time."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+from servofd.aircraft.outputs import named_outputs, outputs_of, pulse_channel
+from servofd.core.errors import NoMeasurement
 
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from logparsers.records import Channel, FlightLog
+    from servofd.aircraft.outputs import LoggedOutput
     from servofd.core.types import BoolArray, FloatArray
 
 
@@ -98,3 +104,481 @@ class Motion:
             throttle=self.throttle[:last],
             present=self.present[:last],
         )
+
+
+LARGEST_GAP_S = 1.0
+"""Channels of an autopilot come every 0.25 s at the slowest; nothing is guessed across more than four of them."""
+
+
+_SLOWER = 1.5
+_SLOWEST_HZ = 10.0
+"""What comes more seldom is judged on a grid as fast, that of ALFA, whose commands come at 3 Hz: a command holds until
+the next, and the filters of the axes need some samples in a period of their corner."""
+
+
+def grid_rate(label: str, native_hz: float, rate_hz: float | None) -> float:
+    """Rate of the grid for commands and motion of some rate.
+
+    Those that come much more seldom than those of the calibration are refused: they are late and coarse.
+
+    Examples
+    --------
+    >>> grid_rate("flight.bin", 25.0, None), grid_rate("flight.tlog", 3.0, None)
+    (25.0, 10.0)
+    """
+    if rate_hz is None:
+        return max(native_hz, _SLOWEST_HZ)
+    if rate_hz > max(_SLOWER * native_hz, _SLOWEST_HZ):
+        raise NoMeasurement(
+            f"{label}: commands and motion come at {native_hz:.3g} Hz, those of the calibration at {rate_hz:.3g} Hz; "
+            "calibrate on logs of the same kind, or log faster"
+        )
+    return rate_hz
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """Finite values of a channel at their own times, shape (n,) each."""
+
+    time_s: FloatArray
+    values: FloatArray
+
+    @classmethod
+    def of(cls, channel: Channel) -> Self:
+        """What a channel holds."""
+        good = np.isfinite(channel.values)
+        return cls(channel.time_s[good], channel.values[good])
+
+    @property
+    def rate_hz(self) -> float:
+        """Typical rate of samples."""
+        return 1.0 / float(np.median(np.diff(self.time_s)))
+
+    def on(self, grid_s: FloatArray, *, held: bool = False) -> FloatArray:
+        """Means over the cells of a grid."""
+        return cell_means(grid_s, self.time_s, self.values, held=held)
+
+
+def day_of(log: FlightLog) -> str:
+    """Day of a flight: what the log says, else a date in its name, else the name: a day of its own."""
+    if log.start_utc is not None:
+        return log.start_utc.date().isoformat()
+    dated = re.search(r"(20\d\d)[-_]?(\d\d)[-_]?(\d\d)", log.source.name)
+    return "-".join(dated.groups()) if dated else log.source.name
+
+
+def present_on(grid_s: FloatArray, channels: Sequence[Series]) -> BoolArray:
+    """Where no channel has a gap."""
+    present = np.ones(grid_s.size, dtype=bool)
+    for channel in channels:
+        time_s = channel.time_s
+        after = np.clip(np.searchsorted(time_s, grid_s), 1, time_s.size - 1)
+        gap_s = time_s[after] - time_s[after - 1]
+        present &= (gap_s <= LARGEST_GAP_S) & (grid_s >= time_s[0]) & (grid_s <= time_s[-1])
+    return present
+
+
+def cell_means(grid_s: FloatArray, time_s: FloatArray, values: FloatArray, *, held: bool = False) -> FloatArray:
+    """Mean of a channel over the cell that ends at each point of a uniform grid.
+
+    A faster channel is averaged, which keeps what it has above half the grid's rate from folding down; of a slower
+    one the straight line between samples is taken, or what was held.
+
+    Parameters
+    ----------
+    grid_s : ndarray, shape (n,)
+        Uniform times [s], n >= 2.
+    time_s, values : ndarray, shape (m,)
+        The channel; its times rise strictly and its values are finite.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Means, in the unit of `values`.
+
+    Examples
+    --------
+    >>> cell_means(np.array([0.0, 1.0, 2.0]), np.array([0.0, 0.5, 1.0, 1.5, 2.0]), np.array([0.0, 1, 2, 3, 4]))
+    array([0., 1., 3.])
+    """
+    step_s = float(grid_s[1] - grid_s[0])
+    edges = np.concatenate(([grid_s[0] - step_s], grid_s))
+    if time_s.size < 2:
+        return np.full(grid_s.size, values[0])
+    spans = np.diff(time_s)
+    pieces = (values[:-1] if held else (values[:-1] + values[1:]) / 2.0) * spans
+    areas = np.concatenate(([0.0], np.cumsum(pieces)))
+    inside = np.clip(edges, time_s[0], time_s[-1])
+    place = np.clip(np.searchsorted(time_s, inside, side="right") - 1, 0, time_s.size - 2)
+    ahead = inside - time_s[place]
+    slope = 0.0 if held else (values[place + 1] - values[place]) / spans[place]
+    area = areas[place] + values[place] * ahead + slope * ahead**2 / 2.0
+    area += np.where(edges < time_s[0], values[0], values[-1]) * (edges - inside)
+    means: FloatArray = np.diff(area) / step_s
+    return means
+
+
+_SHARES: Mapping[int, tuple[tuple[str, float], ...]] = {
+    4: (("roll", 1.0),),
+    19: (("pitch", 1.0),),
+    21: (("yaw", 1.0),),
+    24: (("roll", -1.0),),
+    25: (("roll", 1.0),),
+    77: (("pitch", 1.0), ("roll", -1.0)),
+    78: (("pitch", 1.0), ("roll", 1.0)),
+    79: (("pitch", 1.0), ("yaw", -1.0)),
+    80: (("pitch", 1.0), ("yaw", 1.0)),
+}
+"""SERVOn_FUNCTION to what a surface does, with the signs of ArduPlane's mixers (left is the difference)."""
+
+_THROTTLES = frozenset({70, 73, 74})
+LIFT_MOTORS = frozenset({*range(33, 41), *range(82, 86), 160})
+_AXES = {"roll": "roll", "pitch": "pitch", "yaw": "side"}
+
+
+@dataclass(frozen=True, slots=True)
+class Share:
+    """What one output adds to the command of an axis."""
+
+    output: LoggedOutput
+    weight: float
+
+
+@dataclass(frozen=True, slots=True)
+class Airframe:
+    """Outputs by what they serve.
+
+    Parameters
+    ----------
+    commands : mapping of str to tuple of Share
+        For ``"roll"``, ``"pitch"``, ``"yaw"``.
+    throttles, lift_motors : tuple of LoggedOutput
+        Engines that pull forward, and motors that lift.
+    members : mapping of str to tuple of str
+        Surfaces of each axis; one that serves two axes stands in both.
+    """
+
+    commands: Mapping[str, tuple[Share, ...]]
+    throttles: tuple[LoggedOutput, ...]
+    lift_motors: tuple[LoggedOutput, ...]
+    members: Mapping[str, tuple[str, ...]]
+
+    @property
+    def has_surfaces(self) -> bool:
+        """False for a multirotor or a helicopter."""
+        return bool(self.commands)
+
+
+def airframe_of(outputs: Mapping[int, LoggedOutput]) -> Airframe:
+    """Sort outputs by what they serve.
+
+    Examples
+    --------
+    >>> from servofd.aircraft.outputs import LoggedOutput
+    >>> wing = airframe_of({1: LoggedOutput(1, 77), 2: LoggedOutput(2, 78), 3: LoggedOutput(3, 70)})
+    >>> wing.members["roll"], [share.weight for share in wing.commands["roll"]]
+    (('elevon_left', 'elevon_right'), [-0.5, 0.5])
+    """
+    served: dict[str, list[tuple[LoggedOutput, float]]] = {}
+    for output in outputs.values():
+        for axis, sign in _SHARES.get(output.function or 0, ()):
+            served.setdefault(axis, []).append((output, sign))
+    surfaces = sorted({output.number for parts in served.values() for output, _ in parts})
+    names = named_outputs(outputs, surfaces)
+    return Airframe(
+        commands={
+            axis: tuple(Share(output, sign / len(parts)) for output, sign in parts) for axis, parts in served.items()
+        },
+        throttles=tuple(output for output in outputs.values() if output.function in _THROTTLES),
+        lift_motors=tuple(output for output in outputs.values() if output.function in LIFT_MOTORS),
+        members={
+            _AXES[axis]: tuple(names[output.number] for output, _ in sorted(parts, key=lambda p: p[0].number))
+            for axis, parts in served.items()
+        }
+        | {"thrust": ("engine",)},
+    )
+
+
+_FASTEST_HZ = 25.0
+_OF_AN_OUTPUT = re.compile(r"SERVO\d+_(FUNCTION|TRIM|MIN|MAX|REVERSED)")
+_IDLE_SHARE = 0.05
+_ON_MOTORS = ("multirotor", "helicopter")
+_MEASURES_M_S = 1.0
+_RATES = (
+    ("IMU[0].Gyr{}", "IMU.Gyr{}", "XYZ", np.degrees(1.0)),
+    ("RAW_IMU.{}gyro", "SCALED_IMU2.{}gyro", "xyz", 1e-3 * np.degrees(1.0)),
+)
+_FORCES = (
+    ("IMU[0].Acc{}", "IMU.Acc{}", "XYZ", 1.0),
+    ("RAW_IMU.{}acc", "SCALED_IMU2.{}acc", "xyz", 9.80665e-3),
+)
+_ATTITUDES = (("ATT.Roll", "ATT.Pitch", 1.0), ("ATTITUDE.roll", "ATTITUDE.pitch", float(np.degrees(1.0))))
+_WINDS = (
+    ("XKF1[0].VN", "XKF1[0].VE", "XKF1[0].VD", "XKF2[0].VWN", "XKF2[0].VWE"),
+    ("NKF1[0].VN", "NKF1[0].VE", "NKF1[0].VD", "NKF2[0].VWN", "NKF2[0].VWE"),
+)
+
+
+def motion_of_autopilot(
+    log: FlightLog, rate_hz: float | None = None, parameters: Mapping[str, float] | None = None
+) -> Motion:
+    """Motion of an ArduPilot log, from flash or telemetry.
+
+    Parameters
+    ----------
+    log : FlightLog
+        With ``SERVOn_FUNCTION`` among its parameters, outputs, gyros, accelerometers, attitude and an airspeed.
+    rate_hz : float, optional
+        Of the grid; None: that of the outputs, from 10 to 25 Hz.
+    parameters : mapping of str to float, optional
+        SERVOn_... to assume where the log has none.
+    """
+    settings = {name: value for name, value in log.parameters.items() if _OF_AN_OUTPUT.fullmatch(name)}
+    if not any(name.endswith("_FUNCTION") for name in settings):
+        if log.vehicle in _ON_MOTORS:
+            raise NoMeasurement(_no_surfaces(log, airframe_of({})))
+        settings = dict(parameters or {})
+    outputs = outputs_of(settings)
+    airframe = airframe_of(outputs)
+    if not airframe.has_surfaces:
+        raise NoMeasurement(_no_surfaces(log, airframe))
+    pulses = {number: _series(log, pulse_channel(log.channels, number)) for number in outputs}
+    needed = {share.output.number for parts in airframe.commands.values() for share in parts}
+    silent = sorted(number for number in needed if pulses[number] is None)
+    if silent:
+        raise NoMeasurement(f"{log.label}: no commands of output {silent[0]} (RCOU or SERVO_OUTPUT_RAW)")
+    rates, forces = _triple(log, _RATES, "body rates (IMU)"), _triple(log, _FORCES, "specific forces (IMU)")
+    roll, pitch = _attitude(log)
+    airspeed, source = _airspeed(log)
+    first = next(series for number in needed if (series := pulses[number]) is not None)
+    native_hz = min(_FASTEST_HZ, *(one.rate_hz for one in (first, rates[0], forces[0])))
+    rate_hz = grid_rate(log.label, native_hz, rate_hz)
+    start_s = max(one.time_s[0] for one in (first, rates[0], forces[0], roll, airspeed))
+    end_s = min(one.time_s[-1] for one in (first, rates[0], forces[0], roll, airspeed))
+    if end_s - start_s < LARGEST_GAP_S:
+        raise NoMeasurement(f"{log.label}: commands and motion share no time")
+    grid_s = start_s + np.arange(1, int((end_s - start_s) * rate_hz) + 1) / rate_hz
+
+    def of_output(output: LoggedOutput) -> FloatArray:
+        series = pulses.get(output.number)
+        return np.zeros(grid_s.size) if series is None else series.on(grid_s, held=True)
+
+    commands = {}
+    for axis, parts in airframe.commands.items():
+        asked = [part.weight * part.output.sign * (of_output(part.output) - part.output.trim_us) for part in parts]
+        commands[axis] = np.sum(asked, axis=0)
+    served = needed | {output.number for output in (*airframe.throttles, *airframe.lift_motors)}
+    lifting = _lifting(airframe, of_output, grid_s)
+    every = [first, *rates, *forces, roll, pitch, airspeed]
+    return Motion(
+        name=log.source.name,
+        day=day_of(log),
+        time_s=grid_s,
+        commands_us=commands,
+        rates_deg_s=np.array([one.on(grid_s) for one in rates]),
+        accelerations_m_s2=np.array([one.on(grid_s) for one in forces]),
+        roll_deg=roll.on(grid_s),
+        pitch_deg=pitch.on(grid_s),
+        airspeed_m_s=airspeed.on(grid_s),
+        throttle=_throttle(airframe, of_output, grid_s),
+        present=present_on(grid_s, every) & ~lifting,
+        airspeed_source=source,
+        members=airframe.members,
+        parameters={name: value for name, value in settings.items() if _number(name) in served},
+        lifted_share=float(lifting.mean()),
+    )
+
+
+def _number(parameter: str) -> int:
+    return int(parameter.removeprefix("SERVO").partition("_")[0])
+
+
+def _no_surfaces(log: FlightLog, airframe: Airframe) -> str:
+    if airframe.lift_motors or log.vehicle in _ON_MOTORS:
+        kind = log.vehicle or "multirotor"
+        return f"{log.label}: a {kind}: no control surfaces to judge; its outputs drive motors"
+    return (
+        f"{log.label}: no output with the function of a control surface; SERVOn_FUNCTION must be among the log's "
+        "parameters (a log that begins at boot has them)"
+    )
+
+
+def _series(log: FlightLog, name: str, scale: float = 1.0) -> Series | None:
+    if not name or name not in log.channels:
+        return None
+    channel = log[name]
+    good = np.isfinite(channel.values)
+    return Series(channel.time_s[good], scale * channel.values[good]) if np.count_nonzero(good) > 1 else None
+
+
+def _triple(log: FlightLog, choices: tuple[tuple[str, str, str, float], ...], what: str) -> list[Series]:
+    for *names, letters, scale in choices:
+        for name in names:
+            found = [_series(log, str(name).format(letter), float(scale)) for letter in str(letters)]
+            if all(one is not None for one in found):
+                return [one for one in found if one is not None]
+    raise NoMeasurement(f"{log.label}: no {what}: motion cannot be judged without")
+
+
+def _attitude(log: FlightLog) -> tuple[Series, Series]:
+    for roll, pitch, scale in _ATTITUDES:
+        one, other = _series(log, roll, scale), _series(log, pitch, scale)
+        if one is not None and other is not None:
+            return one, other
+    raise NoMeasurement(f"{log.label}: no attitude (ATT): motion cannot be judged without")
+
+
+def _airspeed(log: FlightLog) -> tuple[Series, str]:
+    """A sensor that measures something; else ground speed less wind; else the autopilot's own estimate."""
+    for name in ("ARSP[0].Airspeed", "ARSP.Airspeed"):
+        sensor = _series(log, name)
+        if sensor is not None and float(np.max(sensor.values)) > _MEASURES_M_S:
+            return sensor, "sensor"
+    for north, east, down, wind_north, wind_east in _WINDS:
+        parts = [_series(log, name) for name in (north, east, down, wind_north, wind_east)]
+        vn, ve, vd, wn, we = parts
+        if vn is not None and ve is not None and vd is not None and wn is not None and we is not None:
+            wind = [np.interp(vn.time_s, one.time_s, one.values) for one in (wn, we)]
+            speed = np.sqrt((vn.values - wind[0]) ** 2 + (ve.values - wind[1]) ** 2 + vd.values**2)
+            return Series(vn.time_s, speed), "GPS and wind"
+    for name in ("CTUN.As", "VFR_HUD.airspeed"):
+        estimate = _series(log, name)
+        if estimate is not None and float(np.max(estimate.values)) > _MEASURES_M_S:
+            return estimate, "the autopilot's estimate"
+    raise NoMeasurement(
+        f"{log.label}: no airspeed that measures anything: the effect of a surface grows with its square; log a sensor "
+        "(ARSP), or the estimator's velocity and wind (XKF1, XKF2)"
+    )
+
+
+def _throttle(airframe: Airframe, of_output: Callable[[LoggedOutput], FloatArray], grid_s: FloatArray) -> FloatArray:
+    shares = [_share(output, of_output(output)) for output in airframe.throttles]
+    return np.mean(shares, axis=0) if shares else np.zeros(grid_s.size)
+
+
+def _share(output: LoggedOutput, pulses_us: FloatArray) -> FloatArray:
+    share = (pulses_us - output.min_us) / max(output.max_us - output.min_us, 1.0)
+    return np.clip(1.0 - share if output.reversed else share, 0.0, 1.0)
+
+
+def _lifting(airframe: Airframe, of_output: Callable[[LoggedOutput], FloatArray], grid_s: FloatArray) -> BoolArray:
+    """Where a motor of a VTOL aircraft lifts: surfaces do not fly it alone then."""
+    lifting = np.zeros(grid_s.size, dtype=bool)
+    for output in airframe.lift_motors:
+        lifting |= _share(output, of_output(output)) > _IDLE_SHARE
+    return lifting
+
+
+def motion_of(log: FlightLog, rate_hz: float | None = None, parameters: Mapping[str, float] | None = None) -> Motion:
+    """Commands and motion of a log on one grid of time.
+
+    Parameters
+    ----------
+    log : FlightLog
+        Of an autopilot, or a table with the columns of `servofd.axes.motion`.
+    rate_hz : float, optional
+        Of the grid; None: what the log has.
+    parameters : mapping of str to float, optional
+        SERVOn_... of an autopilot, to assume where the log has none.
+    """
+    if log.is_of_autopilot:
+        return motion_of_autopilot(log, rate_hz, parameters)
+    return motion_of_table(log, rate_hz)
+
+
+_COMMANDS = {
+    "roll": ("ail_cmd_us", "aileron_cmd_us", "roll_cmd_us"),
+    "pitch": ("ele_cmd_us", "elevator_cmd_us", "pitch_cmd_us"),
+    "yaw": ("rud_cmd_us", "rudder_cmd_us", "yaw_cmd_us"),
+}
+_MEMBERS = {
+    "roll": ("aileron_left", "aileron_right"),
+    "pitch": ("elevator",),
+    "side": ("rudder",),
+    "thrust": ("engine",),
+}
+_AIRSPEEDS = (("airspeed_m_s", "sensor"), ("airspeed_est_m_s", "GPS and wind"), ("airspeed_pitot_m_s", "sensor"))
+
+
+def motion_of_table(log: FlightLog, rate_hz: float | None = None) -> Motion:
+    """Motion of a table with plain columns.
+
+    Commands ``ail_cmd_us``, ``ele_cmd_us``, ``rud_cmd_us`` (about trim), ``thr_us``; body rates ``p_rad_s`` ... (or
+    ``_deg_s``), specific forces ``ax_m_s2`` ..., attitude ``phi_rad``, ``theta_rad`` (or ``roll_deg``, ``pitch_deg``)
+    and an airspeed (``airspeed_m_s``, ``airspeed_est_m_s`` or ``airspeed_pitot_m_s``). What a servo received
+    (``*_out_us``) is never read: a fault freezes it.
+    """
+    commands = {axis: _first(log, names) for axis, names in _COMMANDS.items()}
+    given = {axis: channel for axis, channel in commands.items() if channel is not None}
+    throttle = _first(log, ("thr_us", "throttle_us", "throttle"))
+    rates = [_in_degrees(log, f"{name}_rad_s", f"{name}_deg_s") for name in ("p", "q", "r")]
+    forces = [_needed(log, (f"{name}_m_s2",)) for name in ("ax", "ay", "az")]
+    roll, pitch = _in_degrees(log, "phi_rad", "roll_deg"), _in_degrees(log, "theta_rad", "pitch_deg")
+    airspeed, source = _airspeed_of_table(log)
+    first = next(iter(given.values()), forces[0])
+    time_s = first.time_s
+    native_hz = _rate(time_s)
+    rate_hz = grid_rate(log.label, native_hz, rate_hz)
+    grid_s = time_s[0] + np.arange(int((time_s[-1] - time_s[0]) * rate_hz) + 1) / rate_hz
+
+    def means(channel: Channel, *, held: bool = False) -> FloatArray:
+        return Series.of(channel).on(grid_s, held=held)
+
+    asked = np.zeros(grid_s.size) if throttle is None else means(throttle)
+    if throttle is not None and throttle.name.endswith("_us"):
+        asked = (asked - 1000.0) / 1000.0
+    every = [*given.values(), *forces, airspeed, *(channel for channel, _ in (*rates, roll, pitch))]
+    return Motion(
+        name=log.source.name,
+        day=day_of(log),
+        time_s=grid_s,
+        commands_us={axis: means(channel, held=native_hz < rate_hz) for axis, channel in given.items()},
+        rates_deg_s=np.array([scale * means(channel) for channel, scale in rates]),
+        accelerations_m_s2=np.array([means(channel) for channel in forces]),
+        roll_deg=roll[1] * means(roll[0]),
+        pitch_deg=pitch[1] * means(pitch[0]),
+        airspeed_m_s=means(airspeed),
+        throttle=asked,
+        present=present_on(grid_s, [Series.of(channel) for channel in every]),
+        airspeed_source=source,
+        members=_MEMBERS,
+    )
+
+
+def _rate(time_s: FloatArray) -> float:
+    step_s = float(np.median(np.diff(time_s)))
+    return round(1.0 / step_s, 3)
+
+
+def _first(log: FlightLog, names: tuple[str, ...]) -> Channel | None:
+    for name in names:
+        if name in log.channels and np.count_nonzero(np.isfinite(log[name].values)) > 1:
+            return log[name]
+    return None
+
+
+def _needed(log: FlightLog, names: tuple[str, ...]) -> Channel:
+    found = _first(log, names)
+    if found is None:
+        raise NoMeasurement(
+            f"{log.label}: no {names[0]}: motion needs body rates, specific forces, attitude and an airspeed beside "
+            "the commands"
+        )
+    return found
+
+
+def _in_degrees(log: FlightLog, radians: str, degrees: str) -> tuple[Channel, float]:
+    channel = _needed(log, (degrees, radians))
+    return channel, 1.0 if channel.name == degrees else float(np.degrees(1.0))
+
+
+def _airspeed_of_table(log: FlightLog) -> tuple[Channel, str]:
+    """First airspeed that measures something: a pitot that reads 0 does not."""
+    for name, source in _AIRSPEEDS:
+        channel = _first(log, (name,))
+        if channel is not None and float(np.nanmedian(channel.values)) > 1.0:
+            return channel, source
+    raise NoMeasurement(
+        f"{log.label}: no airspeed that measures anything (airspeed_m_s, airspeed_est_m_s or airspeed_pitot_m_s): the "
+        "effect of a surface grows with its square; log a sensor, or GPS velocity and the autopilot's wind"
+    )

@@ -24,6 +24,7 @@ from servofd.calibrating.known import (
 from servofd.calibrating.result import CalibratedSurface, Calibration
 from servofd.core.errors import CalibrationError
 from servofd.core.evidence import ModelOrigin
+from servofd.core.statistics import Estimate
 from servofd.core.tolerance import Tolerance
 from servofd.detection.audit import USUAL_GAINS
 from servofd.detection.changes import detectable, watched
@@ -31,7 +32,6 @@ from servofd.detection.evidence import is_blind
 from servofd.estimate.family import PRESSURE_PA
 from servofd.estimate.fit import fit, worse_without
 from servofd.estimate.record import Record, fastest_m_s, usual_airspeed_m_s, usual_supply_v
-from servofd.estimate.statistics import Estimate
 from servofd.servo.context import AIR_KG_M3
 from servofd.servo.library import Servo
 

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from servofd.aircraft.calibrated import CalibratedServo
     from servofd.aircraft.calibration import Calibration as Scale
     from servofd.aircraft.schema import Aircraft
+    from servofd.core.statistics import Estimate
     from servofd.core.tolerance import Tolerance
-    from servofd.estimate.statistics import Estimate
     from servofd.servo.library import Servo
 
 

@@ -13,7 +13,7 @@ from servofd.batch.key import Job
 from servofd.cli.terminal import check_targets, complain, give_json, one_line, print_verdicts, progress, worst
 from servofd.core.errors import ConfigError, needs
 from servofd.core.files import distinct_file_names, make_folder, write_whole
-from servofd.detection.verdict import outline
+from servofd.core.series import outline
 from servofd.feedback.flown import known_aircraft, layout_of
 from servofd.jobs.workflow import FailedLog, judged
 from servofd.outputs.json_report import audit_document

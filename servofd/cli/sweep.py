@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from logparsers.records import FlightLog
     from servofd.cli.options import Options
-    from servofd.estimate.statistics import Estimate
+    from servofd.core.statistics import Estimate
     from servofd.jobs.sweep import SurfaceSweep, SweepNumbers
 
 

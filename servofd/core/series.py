@@ -37,3 +37,25 @@ def stretches(flags: BoolArray) -> list[tuple[int, int]]:
 def rms(values: FloatArray) -> float:
     """Root mean square; NaN of nothing."""
     return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")
+
+
+_OUTLINE_PARTS = 60
+
+
+def outline(time_s: FloatArray, residual_deg: FloatArray, level_deg: FloatArray) -> tuple[float | None, ...]:
+    """Largest residual over its threshold in each of equal parts of the flight; None where nothing was judged.
+
+    Of shape (n,) each; the residual is NaN where it was not judged.
+
+    Examples
+    --------
+    >>> time_s = np.arange(600.0)
+    >>> outline(time_s, np.where(time_s < 10.0, np.nan, time_s), np.full(600, 100.0))[:3]
+    (None, 0.19, 0.29)
+    """
+    if time_s.size < 2:
+        return ()
+    share = np.abs(residual_deg) / level_deg
+    edges_s = np.linspace(time_s[0], time_s[-1], _OUTLINE_PARTS + 1)[:-1]
+    parts = np.split(share, np.searchsorted(time_s, edges_s)[1:])
+    return tuple(round(float(np.nanmax(part)), 3) if np.isfinite(part).any() else None for part in parts)

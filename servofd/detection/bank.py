@@ -13,8 +13,8 @@ import numpy as np
 
 from logparsers.compiled import compiled
 from servofd.core.numeric import least
+from servofd.core.statistics import Estimate
 from servofd.core.types import FloatArray
-from servofd.estimate.statistics import Estimate
 from servofd.servo.kernel import play
 from servofd.servo.motion import AnyServo, ExtendedServo, swung
 

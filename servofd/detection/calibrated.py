@@ -20,6 +20,7 @@ import numpy as np
 
 from servofd.aircraft.priors import FITTED, NAMES
 from servofd.aircraft.segment import Segment
+from servofd.core.statistics import Estimate
 from servofd.detection.changes import (
     STATISTICS,
     Memory,
@@ -38,7 +39,6 @@ from servofd.detection.verdict import Fault, Statistics
 from servofd.estimate.family import new_state, sensitivities, simulated, variants
 from servofd.estimate.fit import residual
 from servofd.estimate.record import Record, load_at
-from servofd.estimate.statistics import Estimate
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

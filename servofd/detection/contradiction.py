@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from servofd.core.statistics import Estimate
 from servofd.detection.residual import noise_deg
 from servofd.detection.verdict import Fault
-from servofd.estimate.statistics import Estimate
 from servofd.servo.kernel import compiled
 
 if TYPE_CHECKING:

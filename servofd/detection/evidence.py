@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from servofd.core.evidence import NOTHING_DETECTABLE, Detectable
+from servofd.core.series import outline
 from servofd.detection.threshold import MEMORY_S, SUSPICIOUS_DRIFT, suspicion
-from servofd.detection.verdict import describe, outline
+from servofd.detection.verdict import describe
 from servofd.servo.kernel import compiled, play
 
 if TYPE_CHECKING:

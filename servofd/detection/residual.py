@@ -27,9 +27,9 @@ from logparsers.records import own
 from servofd.aircraft.segment import pace_steps
 from servofd.core.errors import DesignError
 from servofd.core.series import latest
+from servofd.core.statistics import MAD_TO_SIGMA
 from servofd.core.types import BoolArray, ComplexArray, FloatArray
 from servofd.detection.pulse import fastest_pole_rad_s
-from servofd.estimate.statistics import MAD_TO_SIGMA
 from servofd.servo.context import NO_CONTEXT, Context
 from servofd.servo.kernel import SAME_STEP_S, compiled, fixed, inlined, inner
 

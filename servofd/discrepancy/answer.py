@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.core.statistics import Z_95
 from servofd.discrepancy.noise import rest_sentence
 from servofd.discrepancy.search import places_of
-from servofd.estimate.statistics import Z_95
 from servofd.servo.physics import AFTER, BEFORE, scaled_transfer, split
 
 if TYPE_CHECKING:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from servofd.core.statistics import bounded_step
 from servofd.core.types import FloatArray, IntArray
 from servofd.discrepancy.noise import (
     COARSE_STEP_DEG,
@@ -27,7 +28,6 @@ from servofd.discrepancy.noise import (
     noise_floor_deg,
 )
 from servofd.discrepancy.record import Record, simulate, thinned
-from servofd.estimate.statistics import bounded_step
 from servofd.servo.catalogue import Bias, Gain, Quantization, installed
 from servofd.servo.physics import Physics, split
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.core.statistics import MAD_TO_SIGMA, memory
 from servofd.discrepancy.record import SLOWEST_RATE_HZ, comb_step_deg
-from servofd.estimate.statistics import MAD_TO_SIGMA, memory
 from servofd.servo.catalogue import Backlash, Bias, DeadBand, Friction, Gain, InsensitiveBand
 
 if TYPE_CHECKING:

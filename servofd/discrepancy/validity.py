@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from servofd.core.series import latest, stretches
+from servofd.core.statistics import MAD_TO_SIGMA
 from servofd.discrepancy.noise import noise_floor_deg
 from servofd.discrepancy.record import simulate
-from servofd.estimate.statistics import MAD_TO_SIGMA
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

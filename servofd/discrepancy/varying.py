@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.core.statistics import descended, deviations
 from servofd.discrepancy.noise import long_run_factor
 from servofd.discrepancy.record import simulate
-from servofd.estimate.statistics import descended, deviations
 from servofd.servo.catalogue import ALIKE, FEWEST_RUNS, VARIED, is_law
 
 if TYPE_CHECKING:

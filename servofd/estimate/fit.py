@@ -9,8 +9,8 @@ import numpy as np
 
 from servofd.aircraft.noise import Noise
 from servofd.aircraft.priors import FITTED, NAMES, PRIORS
+from servofd.core.statistics import MAD_TO_SIGMA
 from servofd.estimate.family import new_state, sensitivities, simulated, variants
-from servofd.estimate.statistics import MAD_TO_SIGMA
 from servofd.servo.kernel import compiled
 
 if TYPE_CHECKING:

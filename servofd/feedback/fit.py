@@ -11,9 +11,9 @@ import numpy as np
 
 from servofd.aircraft.segment import Segment
 from servofd.core.evidence import ModelOrigin
+from servofd.core.statistics import line
 from servofd.detection.contradiction import resting_runs, resting_width_deg, step_deg
 from servofd.detection.residual import ResidualGenerator, Simulator
-from servofd.estimate.statistics import line
 from servofd.servo.effects import Delay, LinearDynamics, RateLimit
 from servofd.servo.library import second_order
 from servofd.servo.servo_model import ServoModel

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.core.errors import IdentificationError
-from servofd.estimate.statistics import Estimate
+from servofd.core.statistics import Estimate
 from servofd.identification.motion import HIGHEST_ORDER, LinearServo, MotionFit, ServoCandidate, fit_motion
 from servofd.identification.records import Run
 from servofd.identification.response import FAR_POLES, fit_response, with_second_pole

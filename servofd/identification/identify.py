@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal, TypeVar
 import numpy as np
 
 from servofd.core.errors import IdentificationError
-from servofd.estimate.statistics import Estimate
+from servofd.core.statistics import Estimate
 from servofd.identification.choice import (
     Choice,
     RateLimits,

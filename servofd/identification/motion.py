@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.core.errors import DesignError, IdentificationError
-from servofd.estimate.statistics import Estimate, descended, memory
+from servofd.core.statistics import Estimate, descended, memory
 from servofd.servo.effects import Delay, Effect, LinearDynamics, RateLimit
 from servofd.servo.kernel import play
 from servofd.servo.servo_model import ServoModel

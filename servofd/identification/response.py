@@ -9,7 +9,7 @@ import numpy as np
 
 from servofd.core.errors import IdentificationError
 from servofd.core.series import stretches
-from servofd.estimate.statistics import descended, mean_loss
+from servofd.core.statistics import descended, mean_loss
 from servofd.identification.motion import LARGEST_LOG_GAIN, LONGEST_DELAY_S, LinearServo, shape_bounds
 from servofd.servo.transfer import TransferFunction
 

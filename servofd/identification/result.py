@@ -10,8 +10,8 @@ import numpy as np
 
 if TYPE_CHECKING:
     from servofd.aircraft.segment import Segment
+    from servofd.core.statistics import Estimate
     from servofd.core.types import ComplexArray, FloatArray
-    from servofd.estimate.statistics import Estimate
     from servofd.identification.motion import ServoCandidate
     from servofd.identification.records import Run
     from servofd.identification.response import FrequencyResponse, Spread

@@ -9,12 +9,12 @@ import numpy as np
 
 from servofd.aircraft.segment import SLOWEST_RATE_HZ, cut
 from servofd.core.errors import DesignError, NoMeasurement
+from servofd.core.statistics import Estimate
 from servofd.detection.bank import Ridge, Window
 from servofd.detection.contradiction import wiring_problem
 from servofd.detection.judge import judge
 from servofd.detection.residual import ResidualGenerator, commands_at_servo, noise_deg
 from servofd.detection.verdict import describe
-from servofd.estimate.statistics import Estimate
 from servofd.servo.kernel import play
 
 if TYPE_CHECKING:

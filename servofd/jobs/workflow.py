@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,9 +20,10 @@ if TYPE_CHECKING:
     from logparsers.records import FlightLog
     from servofd.aircraft.axes import MotionModel
     from servofd.aircraft.schema import Aircraft
+    from servofd.axes.verdict import AxisAudit
     from servofd.calibrating.flights import Flight, Span
     from servofd.calibrating.result import Calibration
-    from servofd.detection.verdict import LogAudit
+    from servofd.detection.verdict import Fault, LogAudit, SurfaceAudit
     from servofd.feedback.flown import Log
 
 _SAME_RATE = 1.01
@@ -88,8 +90,8 @@ def judged(
 
 def _with_axes(result: LogAudit, motion: MotionModel) -> LogAudit:
     """The same audit, with what motion tells of axes and of faulty surfaces; a log without motion stays as it is."""
-    from servofd.axes.judge import compared, judge_motion
-    from servofd.axes.read import motion_of
+    from servofd.axes.judge import judge_motion
+    from servofd.axes.motion import motion_of
 
     try:
         axes = judge_motion(motion, motion_of(result.log, motion.rate_hz, motion.parameters))
@@ -97,7 +99,40 @@ def _with_axes(result: LogAudit, motion: MotionModel) -> LogAudit:
         if not result.surfaces:
             raise
         return result
-    return replace(result, surfaces=compared(result.surfaces, axes), axes=axes)
+    surfaces = tuple(_compared(surface, axes) for surface in result.surfaces)
+    return replace(result, surfaces=surfaces, axes=axes)
+
+
+_STILL = ("stuck", "hardover", "floating")
+_MOTIONS = {"roll": "rolls", "pitch": "pitches", "side": "yaws"}
+
+
+def _compared(surface: SurfaceAudit, axes: Sequence[AxisAudit]) -> SurfaceAudit:
+    """A surface at fault, with what the aircraft's motion tells of it.
+
+    A servo that stands still takes its share of the axis' effect away; a sensor that does not takes nothing. Where the
+    motion of that time could tell neither, nothing is added.
+    """
+    axis = next((axis for axis in axes if surface.surface in axis.members), None)
+    still = [fault for fault in (*surface.faults, *surface.suspicions) if fault.kind in _STILL]
+    said = filter(None, (_seen_in_motion(fault, axis) for fault in still)) if axis is not None else iter(())
+    text = next(said, "")
+    return replace(surface, reason=f"{surface.reason}; {text}") if text else surface
+
+
+def _seen_in_motion(fault: Fault, axis: AxisAudit) -> str:
+    from servofd.axes.judge import lost_between
+
+    lost = lost_between(axis, fault.start_s, math.inf if fault.end_s is None else fault.end_s)
+    if lost is None:
+        return ""
+    moved, stood = (lost.low <= value <= lost.high for value in (0.0, 1.0 / len(axis.members)))
+    shown = f"lost share of {axis.axis} {lost.value:.2f} [{lost.low:.2f}, {lost.high:.2f}]"
+    if moved and not stood:
+        return f"the aircraft {_MOTIONS.get(axis.axis, 'moves')} as commanded ({shown}): the sensor, not the servo"
+    if stood and not moved:
+        return f"the aircraft's motion confirms it ({shown}): the servo, not its sensor"
+    return ""
 
 
 def calibrate_axes(
@@ -109,7 +144,7 @@ def calibrate_axes(
 ) -> MotionModel:
     """Calibrate what an aircraft's motion tells of its axes, on flights that are known to be good."""
     from servofd.axes.calibrate import calibrate_motion
-    from servofd.axes.read import motion_of
+    from servofd.axes.motion import motion_of
 
     logs = list(each_once(logs_of(paths)))
     flights = [motion_of(log) for log in logs]

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from logparsers.codec import Heard
     from servofd.aircraft.calibration import Calibration
     from servofd.aircraft.schema import Aircraft
-    from servofd.axes.watch import AxisWatch
     from servofd.core.types import FloatArray
+    from servofd.live.axes import AxisWatch
 
 _FEWEST_SURFACES: Final = 3
 _FEWEST_ASKED: Final = 2
@@ -277,7 +277,7 @@ class Vehicle:
         self._bus = ServoBus.of({name: monitor.surface.command for name, monitor in self.monitors.items()})
         streamed: set[str] = set()
         if self.aircraft.motion is not None:
-            from servofd.axes.watch import STREAMED, AxisWatch
+            from servofd.live.axes import STREAMED, AxisWatch
 
             self.axes, streamed = AxisWatch(self.aircraft.motion), set(STREAMED)
         if not self.monitors and self.axes is None:

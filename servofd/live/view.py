@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.text import Text
 
+    from servofd.axes.verdict import AxisAudit
     from servofd.detection.monitor import Event, SurfaceMonitor
-    from servofd.detection.verdict import AxisAudit
     from servofd.live.session import Session
     from servofd.live.vehicle import Vehicle
 
@@ -149,7 +149,7 @@ class View:
         return table
 
     def _axis_name(self, vehicle: Vehicle, audit: AxisAudit) -> str:
-        from servofd.axes.words import named
+        from servofd.axes.verdict import named
 
         where = "" if len(self._session.vehicles) == 1 else f"{vehicle.system}/"
         return f"{where}{audit.axis} ({named(audit.members, audit.axis)})"

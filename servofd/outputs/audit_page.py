@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from servofd.axes.forms import FORMS
-from servofd.axes.mixers import LIFT_MOTORS
-from servofd.axes.words import named, shown
+from servofd.axes.model import FORMS
+from servofd.axes.motion import LIFT_MOTORS
+from servofd.axes.verdict import named, shown
 from servofd.detection.verdict import meaning, next_step
 from servofd.jobs.workflow import FailedLog
 from servofd.outputs.chart import MOST_FAULTS, Chart, Curve, Mark, Panel, Span, fault_charts, flight_chart, kind_of
@@ -22,10 +22,11 @@ if TYPE_CHECKING:
 
     from logparsers.records import FlightLog
     from servofd.aircraft.schema import Aircraft
+    from servofd.axes.verdict import AxisAudit
     from servofd.core.evidence import ModelOrigin
+    from servofd.core.statistics import Estimate
     from servofd.core.types import FloatArray
-    from servofd.detection.verdict import AxisAudit, Fault, LogAudit, SurfaceAudit
-    from servofd.estimate.statistics import Estimate
+    from servofd.detection.verdict import Fault, LogAudit, SurfaceAudit
 
 _UNITS = {"deg_s": "deg/s", "deg": "deg", "hz": "Hz", "s": "s"}
 _MISSING = "none"

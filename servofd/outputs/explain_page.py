@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from servofd.core.statistics import Z_95
 from servofd.discrepancy.locate import binned, errors_by_regime, maps, quantities, spectrum
-from servofd.estimate.statistics import Z_95
 from servofd.outputs.audit_page import quantity
 from servofd.outputs.page import page
 from servofd.outputs.palette import COLOURS

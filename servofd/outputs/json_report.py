@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from logparsers.records import FlightLog
-    from servofd.detection.verdict import AxisAudit, Fault, LogAudit, SurfaceAudit
+    from servofd.axes.verdict import AxisAudit
+    from servofd.detection.verdict import Fault, LogAudit, SurfaceAudit
 
 
 def audit_document(results: Sequence[LogAudit | FailedLog]) -> dict[str, Any]:

@@ -10,9 +10,10 @@ from servofd.detection.verdict import gravest
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from servofd.axes.verdict import AxisAudit
     from servofd.core.evidence import Detectable
-    from servofd.detection.verdict import AxisAudit, Fault, LogAudit, Status, SurfaceAudit
-    from servofd.estimate.statistics import Estimate
+    from servofd.core.statistics import Estimate
+    from servofd.detection.verdict import Fault, LogAudit, Status, SurfaceAudit
 
 _WORST_FIRST: tuple[Status, ...] = ("fault", "suspect", "healthy", "unknown", "no_data")
 _WHAT = {

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from servofd.estimate.statistics import Z_95
+from servofd.core.statistics import Z_95
 from servofd.outputs.document import Bullets, Document, Figures, Section, Table, Words
 from servofd.outputs.fleet_page import flight_name
 from servofd.outputs.palette import COLOURS

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from servofd.estimate.statistics import MAD_TO_SIGMA, Estimate
+from servofd.core.statistics import MAD_TO_SIGMA, Estimate
 from servofd.wear.estimate import QUANTITIES
 
 if TYPE_CHECKING:
@@ -524,7 +524,7 @@ def _quantity(name: str, whole: Piece, bounds: Sequence[int], limit: float | Non
 
 
 def _last_estimate(piece: Piece) -> Estimate:
-    from servofd.estimate.statistics import Estimate
+    from servofd.core.statistics import Estimate
 
     return Estimate.of(float(piece.value[-1]), float(piece.deviation[-1]))
 

@@ -19,7 +19,7 @@ from servofd.aircraft.segment import cut
 from servofd.batch.find import fetched, find_logs
 from servofd.batch.local import run_local, run_on_cluster
 from servofd.core.errors import ConfigError, NoMeasurement, ServofdError
-from servofd.estimate.statistics import Estimate
+from servofd.core.statistics import Estimate
 from servofd.feedback.flown import layout_of, logs_of, surfaces_of
 from servofd.wear.estimate import QUANTITIES, FlightEstimate, estimate_flight
 from servofd.wear.series import FEWEST_FOR_LINE, SurfaceTrend, Wear, follow
@@ -95,7 +95,7 @@ def _of_run(log: FlightLog, path: str, aircraft: Aircraft, surfaces: tuple[str, 
 def _axes(log: FlightLog, path: str, motion: MotionModel) -> list[FlightEstimate]:
     """What the motion of a flight tells of each axis: the effect that was left, and where it stood."""
     from servofd.axes.judge import judge_motion
-    from servofd.axes.read import motion_of
+    from servofd.axes.motion import motion_of
 
     found = []
     for audit in judge_motion(motion, motion_of(log, motion.rate_hz, motion.parameters)):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import logparsers
-from servofd.axes.autopilot import motion_of_autopilot
+from servofd.axes.motion import motion_of_autopilot
 from servofd.cli import main
 from servofd.simulation.airframe import MIXERS, AirframeFault, fly_airframe
 

@@ -15,14 +15,11 @@ from servofd.aircraft.axes import MotionModel, motion_to_toml
 from servofd.aircraft.outputs import outputs_of
 from servofd.aircraft.schema import load_aircraft
 from servofd.axes.calibrate import calibrate_motion, tail_of
-from servofd.axes.grid import cell_means
 from servofd.axes.judge import judge_motion
-from servofd.axes.mixers import airframe_of
-from servofd.axes.motion import Motion
-from servofd.axes.read import motion_of_table
+from servofd.axes.model import Inputs, distance, nothing_known, sliding, spread_between
+from servofd.axes.motion import Motion, airframe_of, cell_means, motion_of_table
 from servofd.cli import main
 from servofd.core.errors import CalibrationError, ConfigError, NoMeasurement
-from servofd.estimate.axis_windows import Inputs, distance, nothing_known, sliding, spread_between
 from tests.axes.flights import flown
 
 DAYS = ("2026-05-01", "2026-05-02", "2026-05-03")

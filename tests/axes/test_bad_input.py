@@ -13,13 +13,12 @@ import pytest
 
 from logparsers.records import Channel, FlightLog
 from servofd.aircraft.axes import MotionModel
-from servofd.axes.autopilot import motion_of_autopilot
 from servofd.axes.calibrate import calibrate_motion
 from servofd.axes.judge import judge_motion
-from servofd.axes.motion import Motion
+from servofd.axes.motion import Motion, motion_of_autopilot
+from servofd.axes.verdict import AxisAudit
 from servofd.core.errors import CalibrationError, NoMeasurement
 from servofd.core.types import FloatArray
-from servofd.detection.verdict import AxisAudit
 from tests.axes.flights import flown
 
 OF_THE_DAY = "2026-05-09"

@@ -12,7 +12,7 @@ from scipy import stats
 from servofd.aircraft.axes import motion_to_toml
 from servofd.axes.judge import judge_motion
 from servofd.cli import main
-from servofd.estimate.statistics import Estimate
+from servofd.core.statistics import Estimate
 from servofd.fleet.overview import overview
 from servofd.fleet.store import read_logs, read_table
 from servofd.outputs.sentence import axes_sentence

@@ -11,6 +11,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from servofd.aircraft.segment import WARM_UP_STEPS
+from servofd.core.statistics import Estimate
 from servofd.detection.audit import _odds
 from servofd.detection.bank import BANK, COLOUR, Explanation, _cycle, _with_interval
 from servofd.detection.contradiction import wiring_problem
@@ -26,7 +27,6 @@ from servofd.detection.probability import (
 from servofd.detection.pulse import design_pulse_filter
 from servofd.detection.threshold import Level
 from servofd.detection.verdict import Fault
-from servofd.estimate.statistics import Estimate
 from servofd.servo.faults import Oscillation
 from servofd.servo.library import servo_named
 from servofd.servo.transfer import TransferFunction

@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 
 from logparsers.records import Damage, FlightLog
 from servofd.aircraft.schema import plain_aircraft
+from servofd.core.statistics import Estimate
 from servofd.core.types import FloatArray
 from servofd.detection.verdict import Fault, LogAudit, Status, SurfaceAudit
-from servofd.estimate.statistics import Estimate
 from servofd.outputs.recording.content import Recording, Trace
 from servofd.outputs.recording.read import read_recording
 from servofd.outputs.recording.review import between, compared, statistics_of

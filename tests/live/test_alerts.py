@@ -6,9 +6,9 @@ import itertools
 
 import pytest
 
+from servofd.core.statistics import Estimate
 from servofd.detection.monitor import Event
 from servofd.detection.verdict import Fault
-from servofd.estimate.statistics import Estimate
 from servofd.live.alerts import Alerts, short_names
 
 NAMES = ["aileron_1", "aileron_9", "servo_1", "servo_10", "servo_3", "outer_flaperon_left", "outer_flaperon_right"]

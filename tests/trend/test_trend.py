@@ -13,7 +13,7 @@ from servofd.aircraft.schema import Aircraft, load_aircraft, plain_aircraft
 from servofd.aircraft.segment import Segment
 from servofd.cli import main
 from servofd.core.errors import ConfigError, NoMeasurement
-from servofd.estimate.statistics import Estimate
+from servofd.core.statistics import Estimate
 from servofd.outputs.page import html_page
 from servofd.outputs.trend_report import trend_report
 from servofd.servo.faults import DeadBand

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from servofd.axes.forms import FORMS
+from servofd.axes.model import FORMS
 from servofd.outputs.recording.scene import GEO
 from servofd.outputs.recording.stream import TIME_BOOT, shown, surface_place
 from servofd.outputs.recording.surface import axis_place, deflection_range, residual_range
@@ -17,8 +17,8 @@ from servofd.outputs.recording.surface import axis_place, deflection_range, resi
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from servofd.axes.verdict import AxisAudit
     from servofd.core.types import FloatArray
-    from servofd.detection.verdict import AxisAudit
     from servofd.outputs.recording.content import Recording
 
 _ALL_AXES = "view/5c0dca6a-e63f-9cf7-f657-2602590474cc/TimeAxis"

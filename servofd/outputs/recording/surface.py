@@ -10,8 +10,9 @@ from servofd.outputs.recording.states import breaks_s, events, ratio, states
 from servofd.outputs.recording.stream import STATES, microseconds, seconds, surface_place
 
 if TYPE_CHECKING:
+    from servofd.axes.verdict import AxisAudit
     from servofd.core.types import FloatArray
-    from servofd.detection.verdict import AxisAudit, Fault, SurfaceAudit
+    from servofd.detection.verdict import Fault, SurfaceAudit
     from servofd.onboard.seen import Seen
     from servofd.outputs.recording.content import Trace
     from servofd.outputs.recording.stream import Recorder

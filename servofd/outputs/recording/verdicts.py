@@ -13,8 +13,8 @@ from logparsers.records import Damage, FlightLog
 from servofd.aircraft.schema import Aircraft
 from servofd.core.errors import RecordingError
 from servofd.core.evidence import Detectable, ModelOrigin
+from servofd.core.statistics import Estimate
 from servofd.detection.verdict import Fault, LogAudit, Statistics, SurfaceAudit
-from servofd.estimate.statistics import Estimate
 from servofd.outputs.json_report import audit_document
 from servofd.outputs.recording.stream import shown
 

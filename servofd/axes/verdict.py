@@ -1,18 +1,134 @@
-"""What motion can and cannot tell of an axis, in one sentence."""
+"""Verdict on an axis, and what motion can and cannot tell of it in one sentence."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import numpy as np
 
 from servofd.aircraft.axis_names import MOST_OF_THE_FLIGHT
+from servofd.core.series import outline
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from servofd.aircraft.axes import AxisModel, MotionModel
-    from servofd.detection.verdict import AxisDetectable, AxisEvent, AxisStatus
-    from servofd.estimate.statistics import Estimate
+    from servofd.axes.model import Inputs
+    from servofd.core.statistics import Estimate
+    from servofd.core.types import FloatArray
+
+AxisStatus = Literal["healthy", "suspect", "fault", "unknown"]
+
+
+@dataclass(frozen=True, slots=True)
+class AxisEvent:
+    """A time in which an axis did not answer as it should."""
+
+    start_s: float
+    alarm_s: float
+    """Best estimate of the onset, and when it would have been told in flight [s]."""
+    end_s: float | None
+    """When the axis answered again [s]; None if it never did."""
+    score: float
+    """Largest statistic, as a multiple of the calibration flights' largest."""
+    lost_share: Estimate
+    """lambda."""
+    offset_us: Estimate
+    """beta [us]."""
+    cause: str = ""
+    """Another axis whose event explains this one; empty if this is the cause."""
+    lag_s: Estimate | None = None
+    """tau [s], if the axis answers late rather than too little."""
+    from_start: bool = False
+    """Whether the flight differed from its first judged seconds on: another trim, payload or aircraft, or a failure
+    before take-off. What comes later is judged beyond it."""
+    known_s: float = math.inf
+    """From when on what the axis became is known, and what comes is judged beyond it; inf if it never was [s]."""
+
+    @property
+    def is_own(self) -> bool:
+        """Whether something happened to this axis in flight."""
+        return not self.cause and not self.from_start
+
+
+class AxisDetectable(NamedTuple):
+    """Smallest fault of an axis that most of a flight would have told; inf where none would."""
+
+    loss: float
+    """Share of its effect."""
+    offset_us: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AxisAudit:
+    """Verdict on one axis."""
+
+    axis: str
+    """``"roll"``, ``"pitch"``, ``"side"`` or ``"thrust"``."""
+    status: AxisStatus
+    """`fault` only beyond the multiple of the threshold that the calibrated hours support."""
+    reason: str
+    """One sentence."""
+    members: tuple[str, ...]
+    """Surfaces that serve it; which of them failed cannot be told."""
+    lost_share: Estimate | None
+    offset_us: Estimate | None
+    """Of the worst event; of the whole flight without one; None if nothing could be estimated, or where the command
+    never moved on its own, which tells nothing of its effect."""
+    events: tuple[AxisEvent, ...]
+    """In order of time."""
+    identifiable: float
+    """Share of the flight in which lambda was known to less than +-0.3."""
+    detectable: AxisDetectable
+    """What would have been told."""
+    judged_share: float
+    """Share of the flight inside the calibrated regime."""
+    false_alarms_per_hour: float
+    """To expect of this axis at its threshold."""
+    time_s: FloatArray
+    score: FloatArray
+    """Statistic over its threshold."""
+    inputs: Inputs
+    """Residual, and what a loss and an offset would leave in it."""
+    model: AxisModel
+    """By which it was judged."""
+
+    @property
+    def is_expected(self) -> bool:
+        """Whether a verdict can be expected: not of a command that copies another, nor of the engine."""
+        return self.axis != "thrust" and self.model.own_command
+
+    @property
+    def is_weaker(self) -> bool:
+        """Whether it surely lost some of its effect (95 %), though no more than healthy flights may."""
+        return self.lost_share is not None and self.lost_share.low > 0.0
+
+    @property
+    def asked(self) -> FloatArray:
+        """Effect of the command that the model expects, in the unit of its form."""
+        return -self.inputs.loss
+
+    @property
+    def shown(self) -> FloatArray:
+        """What the motion shows of it."""
+        return self.inputs.residual - self.inputs.loss
+
+    @property
+    def outline(self) -> tuple[float | None, ...]:
+        """Largest distance from healthy over its threshold in each of equal parts of the flight."""
+        distance = np.where(self.inputs.usable, np.sqrt(np.maximum(self.score, 0.0)), np.nan)
+        return outline(self.time_s, distance, np.ones(distance.size))
+
+    @property
+    def since_s(self) -> float | None:
+        """Onset of the first event that is the axis' own [s]."""
+        return next((event.start_s for event in self.events if event.is_own), None)
+
+
+Status = Literal["healthy", "suspect", "fault", "no_data", "unknown"]
+
 
 _SURFACES = {"roll": "ailerons", "pitch": "elevator", "side": "rudder", "thrust": "engine"}
 _OUTSIDE = {
@@ -54,7 +170,7 @@ def shown(smallest: AxisDetectable) -> str:
 
     Examples
     --------
-    >>> from servofd.detection.verdict import AxisDetectable
+    >>> from servofd.axes.verdict import AxisDetectable
     >>> shown(AxisDetectable(0.31, 44.2)), shown(AxisDetectable(math.inf, 44.2))
     ('a loss of 31% of its effect, or 44 us away', '44 us away')
     """
@@ -124,7 +240,7 @@ def _share_left(lost: Estimate) -> str:
 
     Examples
     --------
-    >>> from servofd.estimate.statistics import Estimate
+    >>> from servofd.core.statistics import Estimate
     >>> _share_left(Estimate(0.02, -0.04, 0.07))
     'had 98% of its effect (93 to 104%)'
     """
@@ -137,7 +253,7 @@ def _unusual(lost: Estimate) -> str:
 
     Examples
     --------
-    >>> from servofd.estimate.statistics import Estimate
+    >>> from servofd.core.statistics import Estimate
     >>> _unusual(Estimate(0.1, 0.03, 0.17))
     '; weaker than in its good flights, as one healthy flight in 40 seems: look whether the next ones are as well'
     """

@@ -11,8 +11,8 @@ import numpy as np
 
 from logparsers.records import Channel, FlightLog
 from servofd.axes.judge import judge_motion
-from servofd.axes.read import motion_of
-from servofd.axes.words import named
+from servofd.axes.motion import motion_of
+from servofd.axes.verdict import named
 from servofd.core.errors import NoMeasurement
 from servofd.detection.monitor import Event
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from servofd.aircraft.axes import MotionModel
-    from servofd.detection.verdict import AxisAudit, AxisEvent
+    from servofd.axes.verdict import AxisAudit, AxisEvent
 
 STREAMED = {
     "SERVO_OUTPUT_RAW": tuple(f"servo{number}_raw" for number in range(1, 17)),
