@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from logparsers import clock
-from logparsers.errors import EmptyLog, MissingChannel, UnreadableLog
+from logparsers.errors import EmptyLog, MissingChannel
 from logparsers.records import Channel, Damage, FlightLog, own
 
 if TYPE_CHECKING:
@@ -55,20 +55,6 @@ class Recording(Protocol):
 
     def values(self, series: Series) -> NDArray[Any]:
         """Numbers of a series in the order of the file, shape (n,)."""
-
-
-def check_names(path: Path, count: int) -> None:
-    """Refuse a file of more names than a log has.
-
-    UnreadableLog if there are more than `MOST_CHANNELS`.
-
-    Examples
-    --------
-    >>> from pathlib import Path
-    >>> check_names(Path("a.csv"), 12)
-    """
-    if count > MOST_CHANNELS:
-        raise UnreadableLog(f"{path}: {count} columns, and a log has at most {MOST_CHANNELS}; export fewer")
 
 
 def as_float(values: NDArray[Any]) -> FloatArray:

@@ -16,6 +16,14 @@
 
 from __future__ import annotations
 
+import warnings
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
 
 class LogError(Exception):
     """A log is of no use as a whole; the message says what, where, and what would have worked."""
@@ -55,3 +63,22 @@ class LinkError(LogError):
 
 class SeveralRuns(LogError):  # noqa: N818
     """One log was asked for, but the file holds several experiments."""
+
+
+@contextmanager
+def decoding(path: Path, what: str) -> Iterator[None]:
+    """Run a decoder made by others: whatever it throws at damaged bytes becomes one line; its warnings are muted."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    except LogError:
+        raise
+    except Exception as error:  # decoders throw anything from struct.error to RecursionError
+        raise UnreadableLog(f"{path}: not a sound {what}: {reason_of(error)}; copy or export it again") from error
+
+
+def reason_of(error: BaseException) -> str:
+    """What went wrong, in one line."""
+    text = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return text.strip().splitlines()[0][:200]

@@ -17,9 +17,8 @@ import numpy as np
 
 from logparsers.assemble import Column, assemble
 from logparsers.channels import MOST_CHANNELS, Series, Together, recorded_log
-from logparsers.errors import MissingChannel, UnreadableLog
+from logparsers.errors import MissingChannel, UnreadableLog, decoding
 from logparsers.records import Damage, FlightLog
-from logparsers.source import decoding
 from logparsers.text import convert, header_cells, read_grid, texts_of
 from logparsers.texts import rows_by_text
 from logparsers.units import suffix_unit
@@ -118,7 +117,7 @@ def read_part(source: Source, beginning: str = "") -> Part:
     `beginning`: of the names of its flight, if that is known.
     """
     grid = read_grid(source.path, source.content())
-    with decoding(source, "table of messages"):
+    with decoding(source.path, "table of messages"):
         cells = convert(grid)
         words = {name for name, column in cells.items() if 2 * column.strange > np.isfinite(column.values).sum()}
         texts = texts_of(grid, words)

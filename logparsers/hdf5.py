@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from logparsers.archive import IN_MEMORY_MB, check_size
-from logparsers.errors import UnreadableLog
-from logparsers.source import decoding
+from logparsers.errors import UnreadableLog, decoding
 
 if TYPE_CHECKING:
     import h5py
@@ -47,7 +46,7 @@ def arrays(source: Source) -> dict[str, NDArray[Any]]:
             check_size(source.path, sizes[-1], IN_MEMORY_MB)
             found["/" + name] = np.asarray(item[()])
 
-    with decoding(source, "HDF5 file"):
+    with decoding(source.path, "HDF5 file"):
         if _has_endless_tree(source.mapped().data):
             raise UnreadableLog(f"{source.path}: not a sound HDF5 file: its index runs in circles; copy it again")
         with h5py.File(source.file, "r") as file:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import mmap
 import re
-import warnings
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from os import PathLike
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING, BinaryIO
 import numpy as np
 
 from logparsers.archive import beginning, inflated, is_packed, members
-from logparsers.errors import EmptyLog, LogError, MissingLog, SeveralRuns, UnreadableLog
+from logparsers.errors import EmptyLog, MissingLog, SeveralRuns, UnreadableLog, reason_of
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator
@@ -57,7 +56,7 @@ class Source:
             self.file.seek(0)
             return self.file.read()
         except (OSError, MemoryError) as error:
-            raise UnreadableLog(f"{self.path}: cannot be read to its end: {_reason(error)}") from error
+            raise UnreadableLog(f"{self.path}: cannot be read to its end: {reason_of(error)}") from error
 
     def packed(self, log: FlightLog) -> FlightLog:
         """Add to a log what archive it came from, and what is wrong with that."""
@@ -182,7 +181,7 @@ def _open(path: Path) -> BinaryIO:
     except PermissionError as error:
         raise MissingLog(f"{path}: no permission to read it; chmod +r would give it") from error
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
-        raise MissingLog(f"{str(path)!r}: cannot be opened: {_reason(error)}; give a readable file") from error
+        raise MissingLog(f"{str(path)!r}: cannot be opened: {reason_of(error)}; give a readable file") from error
 
 
 def _source(path: Path, file: BinaryIO) -> Source:
@@ -190,27 +189,9 @@ def _source(path: Path, file: BinaryIO) -> Source:
         file.seek(0)
         head = file.read(HEAD_BYTES)
     except OSError as error:
-        raise MissingLog(f"{path}: cannot be read: {_reason(error)}; give a file that can seek") from error
+        raise MissingLog(f"{path}: cannot be read: {reason_of(error)}; give a file that can seek") from error
     if not isinstance(head, bytes):
         raise TypeError(f"{path}: a text file object; open it with mode 'rb'")
     if not head:
         raise EmptyLog(f"{path}: the file is empty (0 bytes); was the log copied completely?")
     return Source(path, file, head)
-
-
-@contextmanager
-def decoding(source: Source, what: str) -> Iterator[None]:
-    """Run a decoder made by others: whatever it throws at damaged bytes becomes one line; its warnings are muted."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    except LogError:
-        raise
-    except Exception as error:  # decoders throw anything from struct.error to RecursionError
-        raise UnreadableLog(f"{source.path}: not a sound {what}: {_reason(error)}; copy or export it again") from error
-
-
-def _reason(error: BaseException) -> str:
-    text = getattr(error, "strerror", None) or str(error) or type(error).__name__
-    return text.strip().splitlines()[0][:200]

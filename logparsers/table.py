@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from logparsers.assemble import Column, assemble
-from logparsers.errors import EmptyLog, MissingChannel, UnreadableLog
+from logparsers.errors import EmptyLog, MissingChannel, UnreadableLog, decoding
 from logparsers.records import Damage
-from logparsers.source import decoding
 from logparsers.text import convert, read_grid
 from logparsers.texts import split_rows
 from logparsers.units import COMMANDS, SECONDS, faser_unit, is_faser, suffix_unit
@@ -94,7 +93,7 @@ def read_table(source: Source, layout: TableLayout | None = None) -> tuple[Fligh
         run = "run" if kind == "table" and "run" in grid.names else ""
         layout = TableLayout(time="time" if kind == "faser" else clock, run=run)
     _check_names(source.path, grid, layout)
-    with decoding(source, "text table"):
+    with decoding(source.path, "text table"):
         cells = convert(grid, {*layout.where, layout.run} - {""})
     return _Reading(source.path, grid, layout, kind, cells).logs()
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from logparsers.channels import check_names
+from logparsers.channels import MOST_CHANNELS
 from logparsers.errors import EmptyLog, LogError, MissingChannel, UnreadableLog
 from logparsers.records import Damage, rows_text
 
@@ -176,6 +176,20 @@ def _names(path: Path, header: bytes, delimiter: str, line: int) -> tuple[str, .
     if twice is not None:
         raise UnreadableLog(f"{path}: line {line}: the header has two columns {twice!r}; give each a name of its own")
     return names
+
+
+def check_names(path: Path, count: int) -> None:
+    """Refuse a file of more names than a log has.
+
+    UnreadableLog if there are more than `MOST_CHANNELS`.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> check_names(Path("a.csv"), 12)
+    """
+    if count > MOST_CHANNELS:
+        raise UnreadableLog(f"{path}: {count} columns, and a log has at most {MOST_CHANNELS}; export fewer")
 
 
 def _is_number(cell: str) -> bool:

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from logparsers.assemble import Column, assemble
-from logparsers.channels import Together, check_names
+from logparsers.channels import Together
 from logparsers.dataflash.exported import is_exported
-from logparsers.errors import MissingChannel
+from logparsers.errors import MissingChannel, decoding
 from logparsers.exports import dataflash_log, labelled_messages
 from logparsers.mat import level4, level5
 from logparsers.records import Damage, FlightLog
-from logparsers.source import decoding
+from logparsers.text import check_names
 from logparsers.units import SECONDS, faser_unit, is_faser, suffix_unit
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def read_level4(source: Source, layout: TableLayout | None, only: Only) -> tuple
 
 def read_level5(source: Source, layout: TableLayout | None, only: Only) -> tuple[FlightLog, ...]:
     """Read a MATLAB level-5 or level-7 file: plain variables, structures, or messages of an autopilot."""
-    with decoding(source, "MATLAB level-5 file"):
+    with decoding(source.path, "MATLAB level-5 file"):
         variables = level5(source.path, source.mapped().data)
         messages = labelled_messages(variables)
         if layout is None and is_exported(messages):
