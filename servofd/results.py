@@ -18,7 +18,7 @@ from servofd.feedback.flown import known_aircraft, log_files
 from servofd.identification.result import Identification
 from servofd.jobs import bench, workflow
 from servofd.jobs.explaining import explain_logs
-from servofd.outputs.audit_page import audit_page
+from servofd.outputs.audit_report import audit_report
 from servofd.outputs.document import Table
 from servofd.outputs.explain_page import explain_figures, explain_page
 from servofd.outputs.figure import audit_figure
@@ -164,7 +164,7 @@ class Audit(LogAudit, Shown):
 
     def to_html(self) -> str:
         """Text of the page that ``servofd LOG`` writes."""
-        return audit_page([self])
+        return html_page(audit_report([self]))
 
     def to_dict(self) -> dict[str, Any]:
         """As in JSON, schema servofd.audit/1."""
@@ -251,7 +251,7 @@ class Audits(tuple[Audit, ...]):
 
     def save_html(self, path: str | Path) -> Path:
         """Write the page of all runs, and give the path."""
-        write_whole(path, audit_page(self).encode())
+        write_whole(path, html_page(audit_report(self)).encode())
         return Path(path)
 
 

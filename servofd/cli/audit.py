@@ -10,19 +10,31 @@ import numpy as np
 from servofd.aircraft.schema import UNKNOWN_SERVO
 from servofd.batch.find import flights_joined, is_address, is_folder, is_pattern
 from servofd.batch.key import Job
-from servofd.cli.terminal import check_targets, complain, give_json, one_line, print_verdicts, progress, worst
+from servofd.cli.terminal import (
+    check_targets,
+    complain,
+    give_json,
+    one_line,
+    print_document,
+    progress,
+    worst,
+    write_page,
+)
 from servofd.core.errors import ConfigError, needs
-from servofd.core.files import distinct_file_names, make_folder, write_whole
+from servofd.core.files import distinct_file_names, make_folder
 from servofd.core.series import outline
 from servofd.feedback.flown import known_aircraft, layout_of
 from servofd.jobs.workflow import FailedLog, judged
-from servofd.outputs.json_report import audit_document
+from servofd.outputs.audit_report import audit_report
 from servofd.outputs.sentence import sparkline
 from servofd.servo.library import find_servo
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from servofd.cli.options import Options
     from servofd.detection.verdict import LogAudit
+    from servofd.outputs.document import Document
 
 _A_FEW = 16
 
@@ -35,16 +47,13 @@ def run(options: Options) -> int:
 
         return run_fleet(options, job_of(options))
     results = judged_logs(options)
-    document = write(options, results)
-    if options.json == "-":
-        give_json("-", document)
-    else:
-        for result in results:
-            if not isinstance(result, FailedLog):
-                print_verdicts(result)
-        for result in results if options.plot else ():
-            if not isinstance(result, FailedLog):
-                _plot(result)
+    write(options, results, audit_report(results))
+    audits = [result for result in results if not isinstance(result, FailedLog)]
+    if options.json != "-":
+        for audit in audits:
+            print_document(audit_report([audit]))
+        for audit in audits if options.plot else ():
+            _plot(audit)
     return exit_code(results)
 
 
@@ -115,23 +124,18 @@ def exit_code(results: list[LogAudit | FailedLog]) -> int:
     return worst(codes)
 
 
-def write(options: Options, results: list[LogAudit | FailedLog]) -> dict[str, Any]:
-    """Write the files that were asked for, and give what JSON says."""
+def write(options: Options, results: list[LogAudit | FailedLog], report: Document) -> None:
+    """Write the files that were asked for, and JSON to stdout if that was."""
     audits = [result for result in results if not isinstance(result, FailedLog)]
     if options.rrd and len(audits) > 1:
         raise ConfigError(f"{options.rrd}: --rrd takes one log at a time; -o DIR writes a recording for each")
-    document = audit_document(results) if options.json or options.output else {}
-    if options.json != "-":
-        give_json(options.json, document)
+    give_json(options.json, report.data)
     if options.html:
-        from servofd.outputs.audit_page import audit_page
-
-        write_whole(options.html, audit_page(results).encode())
+        write_page(report, options.html)
     if options.rrd and audits:
         _record(options, audits[0], options.rrd)
     if options.output:
-        _write_folder(options, audits, document)
-    return document
+        _write_folder(options, audits, report.data)
 
 
 def _record(options: Options, audit: LogAudit, path: str | Path) -> None:
@@ -140,7 +144,7 @@ def _record(options: Options, audit: LogAudit, path: str | Path) -> None:
     save_recording(audit, path, include_position=options.include_position, online_map=options.map)
 
 
-def _write_folder(options: Options, audits: list[LogAudit], document: dict[str, Any]) -> None:
+def _write_folder(options: Options, audits: list[LogAudit], document: Mapping[str, Any]) -> None:
     folder = Path(options.output)
     make_folder(folder)
     give_json(str(folder / "audit.json"), document)

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 
 from servofd.cli import audit
 from servofd.cli.options import FLEET_PAGE
-from servofd.cli.terminal import give_json, one_line
-from servofd.core.files import beginning, distinct_file_names, write_whole
+from servofd.cli.terminal import one_line, write_page
+from servofd.core.files import beginning, distinct_file_names
 from servofd.detection.verdict import next_step
 from servofd.jobs.workflow import FailedLog
-from servofd.outputs.audit_page import audit_page, motors_of
+from servofd.outputs.audit_report import audit_report
 from servofd.outputs.page import source_tag
 from servofd.outputs.sentence import spoken, whole_sentence, worst
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from servofd.cli.options import Options
     from servofd.detection.verdict import LogAudit
+    from servofd.outputs.document import Document
 
 _PACKED = (".gz", ".zip", ".bz2", ".xz")
 _HEAD_BYTES = 2000
@@ -35,12 +36,11 @@ def run(options: Options) -> int:
     if audit.is_fleet(options) or len(options.logs) > 1:
         return _many(options)
     results = audit.judged_logs(options)
-    document = audit.write(options, results)
-    page = Path(options.html) if options.html else _written(options, results)
-    if options.json == "-":
-        give_json("-", document)
-    else:
-        for line in _closing_lines(results, page):
+    report = audit_report(results)
+    audit.write(options, results, report)
+    page = Path(options.html) if options.html else _written(options, report)
+    if options.json != "-":
+        for line in _closing_lines(results, report.sentence, page):
             print(one_line(line))
     _open(page, options)
     return audit.exit_code(results)
@@ -59,14 +59,12 @@ def _many(options: Options) -> int:
     return code
 
 
-def _closing_lines(results: Sequence[LogAudit | FailedLog], page: Path | None) -> list[str]:
+def _closing_lines(results: Sequence[LogAudit | FailedLog], sentence: str, page: Path | None) -> list[str]:
     """What happened, what to do, what is well, and where the page is: at most four lines."""
     where = f" → {page}" if page else ""
     audits = [result for result in results if not isinstance(result, FailedLog)]
     if not audits:
-        failed = next((one.log for one in results if isinstance(one, FailedLog) and one.log is not None), None)
-        motors = None if failed is None else motors_of(failed)
-        return [f"Could not tell.{where}" if motors is None else f"No control surfaces: a {motors['kind']}.{where}"]
+        return [f"{sentence}{where}"]
     shown = min(audits, key=lambda audit: _WORST_FIRST.index(worst((*audit.surfaces, *audit.axes))))
     run_name = f"Run {shown.log.run}: " if shown.log.run else ""
     lines = [f"{run_name}{whole_sentence(shown)}{where}"]
@@ -85,10 +83,9 @@ def _closing_lines(results: Sequence[LogAudit | FailedLog], page: Path | None) -
     return lines
 
 
-def _written(options: Options, results: Sequence[LogAudit | FailedLog]) -> Path | None:
+def _written(options: Options, report: Document) -> Path | None:
     """Write the page into ``-o``, else beside the log, else where the user is; None if there is nothing to show."""
-    failed = [result for result in results if isinstance(result, FailedLog)]
-    if len(failed) == len(results) and not any(one.log is not None and motors_of(one.log) for one in failed):
+    if not report.parts:
         return None
     log = Path(options.logs[0])
     folder = Path(options.output) if options.output else log.parent if os.access(log.parent, os.W_OK) else Path()
@@ -97,7 +94,7 @@ def _written(options: Options, results: Sequence[LogAudit | FailedLog]) -> Path 
         target = folder / f"{stem}.html"
         if not target.exists() or _is_of(target, log.name):
             break
-    write_whole(target, audit_page(results).encode())
+    write_page(report, target)
     return target
 
 

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from servofd.detection.verdict import LogAudit
     from servofd.outputs.document import Document, Part
 
 _WIDEST = 100
@@ -121,48 +120,19 @@ def print_table(
             shown.print(Padding(Text(line), (0, 0, 0, 2), expand=False))
 
 
-def print_verdicts(audit: LogAudit) -> None:
-    """Print the verdict on each surface of a log in a sentence, the whole in another, and what to do next.
-
-    At most 100 columns of a terminal are used; in less than 64 the table becomes a list. A file or a pipe has no width:
-    there no line is folded.
-    """
-    from rich.padding import Padding
-    from rich.text import Text
-
-    from servofd.detection.verdict import headline, next_step
-    from servofd.outputs.sentence import axes_sentence, seen
-
-    log, shown = audit.log, _console()
-    if shown.is_terminal:
-        shown.width = min(shown.width, _WIDEST)
-    title = f"{log.label}   {log.format}, {log.duration_s:.1f} s"
-    rows = []
-    for s in audit.surfaces:
-        sizes = seen(s.detectable) if s.status == "healthy" else ""
-        rows.append([s.surface, s.status, s.model.origin, "; ".join(filter(None, (s.reason, sizes)))])
-    if rows:
-        print_table(["surface", "status", "model", "why"], rows, title, shown)
-    if audit.axes:
-        rows = [[axis.axis, axis.status, axis.reason] for axis in audit.axes]
-        print_table(["axis", "status", "what the motion tells"], rows, "" if audit.surfaces else title, shown)
-    for damage in log.damage_summary:
-        shown.print(Text(f"damage: {damage.kind}: {damage.note}"))
-    shown.print(Text(headline(audit.surfaces) if audit.surfaces else axes_sentence(audit.axes), style="bold"))
-    for surface in audit.surfaces:
-        if next_step(surface):
-            step = Text(f"{surface.surface}: {next_step(surface)}")
-            shown.print(Padding(step, (0, 0, 0, 2), expand=False))
-
-
 def show(document: Document, *, json: str | None = None, html: str | None = None) -> None:
     """Write the page and the JSON that were asked for, and print the rest: tables and words, what it comes to last."""
     if html:
-        from servofd.outputs.page import html_page
-
-        write_whole(html, html_page(document).encode())
+        write_page(document, html)
     if not give_json(json, document.data):
         print_document(document)
+
+
+def write_page(document: Document, path: str | Path) -> None:
+    """Write the page of a result."""
+    from servofd.outputs.page import html_page
+
+    write_whole(path, html_page(document).encode())
 
 
 def print_document(document: Document) -> None:
@@ -173,7 +143,7 @@ def print_document(document: Document) -> None:
     """
     from rich.text import Text
 
-    shown = _console()
+    shown = _console(_WIDEST)
     if document.facts:
         shown.print(Text(one_line(document.facts)))
     _print_parts(document.parts, shown)
@@ -192,10 +162,10 @@ def _print_parts(parts: Sequence[Part], shown: Console) -> None:
         elif isinstance(part, Bullets):
             lines = part.lines
         elif isinstance(part, Table) and part.rows:
-            print_table(part.head, [[str(cell) for cell in row] for row in part.rows], part.caption, shown)
+            print_table(part.head, [[str(cell) for cell in row] for row in part.rows], part.caption)
         elif isinstance(part, Items) and part.items:
             rows = [[one.name, one.status, *filter(None, [one.beside]), one.words] for one in part.items]
-            print_table(part.head, rows, "", _console(_WIDEST))
+            print_table(part.head, rows, "", shown)
             lines = [f"{one.name}: {one.advice}" for one in part.items if one.advice]
         elif isinstance(part, Section) and not part.folded:
             shown.print(Text(": ".join(filter(None, (part.title, part.badge or part.status))), style="bold"))

@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from servofd.batch.key import Job
-from servofd.cli.terminal import print_verdicts, progress
+from servofd.cli.terminal import print_document, progress
 from servofd.feedback.flown import known_aircraft
 from servofd.jobs.workflow import audit
+from servofd.outputs.audit_report import audit_report
 from servofd.outputs.recording import save_recording
 from servofd.outputs.recording.read import is_recording
 from servofd.outputs.recording.stream import shown
@@ -43,4 +44,4 @@ def _audit(options: Options, target: Path) -> None:
     with progress(Path(options.file).name, 1) as step:
         found = next(audit(options.file, Job(known_aircraft(options.config), options.servo), progress=step))
     save_recording(found, target, include_position=options.include_position, online_map=options.map)
-    print_verdicts(found)
+    print_document(audit_report([found]))

@@ -13,8 +13,9 @@ from servofd.batch.local import run_local, run_on_cluster
 from servofd.core.errors import ConfigError
 from servofd.feedback.flown import known_aircraft, layout_of
 from servofd.jobs.workflow import FailedLog, judged
-from servofd.outputs.audit_page import audit_page
+from servofd.outputs.audit_report import audit_report
 from servofd.outputs.json_report import audit_document
+from servofd.outputs.page import html_page
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -83,7 +84,7 @@ def judge_log(source: LogSource, job: Job) -> JudgedLog:
                 (document,) = audit_document([result])["logs"]
                 why = result.not_judged and f"{result.log.label.replace(local, source.path)}: {result.not_judged}"
                 runs.append(RunVerdict(document | {"path": source.path}, why))
-            return JudgedLog(source, content, tuple(runs), audit_page(audits) if audits else "")
+            return JudgedLog(source, content, tuple(runs), html_page(audit_report(audits)) if audits else "")
     except ConfigError as error:
         return failed(source, str(error), content)
 

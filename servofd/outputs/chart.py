@@ -18,10 +18,7 @@ from servofd.detection.verdict import gravest
 from servofd.outputs.sentence import clock, spoken
 
 if TYPE_CHECKING:
-    from servofd.aircraft.segment import Segment
     from servofd.core.types import FloatArray
-    from servofd.detection.residual import Residuals
-    from servofd.detection.threshold import Threshold
     from servofd.detection.verdict import Fault, SurfaceAudit
 
 WIDTH, HEIGHT = 4000, 1000
@@ -230,116 +227,88 @@ _SLACK = 0.06
 
 def flight_chart(surface: SurfaceAudit) -> Chart:
     """The whole flight of one surface."""
-    segment, residuals, threshold = _drawn(surface)
     largest = "" if surface.statistics is None else f", at most {surface.statistics.max_abs_deg:.2f} deg"
     text = (
         f"Above, what {spoken(surface.surface)} was asked, what a healthy servo would have done, and what was "
         f"measured. Below, the residual{largest}, and its threshold, {surface.threshold_deg:.3g} deg."
     )
-    first_s, last_s = float(residuals.time_s[0]), float(residuals.time_s[-1])
-    return _chart("Whole flight", text, (first_s, last_s), surface, (segment, residuals, threshold))
+    return _chart("Whole flight", text, surface, -math.inf, math.inf)
 
 
 def fault_charts(surface: SurfaceAudit) -> list[Chart]:
     """Faults and suspicions of a surface from near: that of the headline, then the first ones."""
-    data, found = _drawn(surface), (*surface.faults, *surface.suspicions)
-    if not found:
-        return []
-    first = gravest(surface.faults or surface.suspicions)
-    shown = [first, *(fault for fault in found if fault is not first)]
-    return [_near(surface, fault, data) for fault in shown[:MOST_FAULTS]]
+    found = (*surface.faults, *surface.suspicions)
+    first = gravest(surface.faults or surface.suspicions) if found else None
+    ordered = sorted(found, key=lambda fault: fault is not first)
+    charts = []
+    for fault in ordered[:MOST_FAULTS]:
+        margin_s = max(_MARGIN_S, _MARGIN * (fault.alarm_s - fault.start_s))
+        last_s = max(fault.alarm_s, fault.start_s) + margin_s
+        if fault.end_s is not None and fault.end_s < last_s + margin_s:
+            last_s = fault.end_s + margin_s
+        text = (
+            f"It began at {clock(fault.start_s)} ({fault.start_s:.2f} s; shaded from there); in flight the alarm would "
+            f"have been raised at {fault.alarm_s:.2f} s (vertical line)."
+        )
+        title = f"{kind_of(fault).capitalize()} at {clock(fault.start_s)}, from near"
+        charts.append(_chart(title, text, surface, fault.start_s - margin_s, last_s))
+    return charts
 
 
-def _drawn(surface: SurfaceAudit) -> tuple[Segment, Residuals, Threshold]:
-    if surface.segment is None or surface.residuals is None or surface.threshold is None:
+def _chart(title: str, text: str, surface: SurfaceAudit, from_s: float, to_s: float) -> Chart:
+    """What was asked and done above; below, what is left of it, its threshold, and where it was beyond that."""
+    segment, residuals, threshold = surface.segment, surface.residuals, surface.threshold
+    if segment is None or residuals is None or threshold is None:
         raise ValueError(f"{surface.surface}: nothing to draw, {surface.reason}")
-    return surface.segment, surface.residuals, surface.threshold
-
-
-def _near(surface: SurfaceAudit, fault: Fault, data: tuple[Segment, Residuals, Threshold]) -> Chart:
-    margin_s = max(_MARGIN_S, _MARGIN * (fault.alarm_s - fault.start_s))
-    last_s = max(fault.alarm_s, fault.start_s) + margin_s
-    if fault.end_s is not None and fault.end_s < last_s + margin_s:
-        last_s = fault.end_s + margin_s
-    time_s = data[1].time_s
-    between_s = (max(fault.start_s - margin_s, float(time_s[0])), min(last_s, float(time_s[-1])))
-    if between_s[1] <= between_s[0]:
-        between_s = (float(time_s[0]), float(time_s[-1]))
-    text = (
-        f"It began at {clock(fault.start_s)} ({fault.start_s:.2f} s; shaded from there); in flight the alarm would "
-        f"have been raised at {fault.alarm_s:.2f} s (vertical line)."
-    )
-    return _chart(f"{kind_of(fault).capitalize()} at {clock(fault.start_s)}, from near", text, between_s, surface, data)
-
-
-def _chart(
-    title: str,
-    text: str,
-    between_s: tuple[float, float],
-    surface: SurfaceAudit,
-    data: tuple[Segment, Residuals, Threshold],
-) -> Chart:
-    segment, residuals, threshold = data
-    inside = slice(*np.searchsorted(residuals.time_s, (between_s[0], np.nextafter(between_s[1], np.inf))))
-    asked = slice(
-        max(int(np.searchsorted(segment.command_s, between_s[0])) - 1, 0),
-        int(np.searchsorted(segment.command_s, between_s[1])) + 1,
-    )
     time_s = residuals.time_s
+    begin_s, end_s = float(time_s[0]), float(time_s[-1])
+    from_s, to_s = max(from_s, begin_s), min(to_s, end_s)
+    if to_s <= from_s:
+        from_s, to_s = begin_s, end_s
+    inside = slice(*np.searchsorted(time_s, (from_s, np.nextafter(to_s, np.inf))))
+    first, last = np.searchsorted(segment.command_s, (from_s, to_s))
+    asked = segment.command_deg[max(int(first) - 1, 0) : int(last) + 1]
+    done = np.concatenate([asked, residuals.simulated_deg[inside], residuals.measured_deg[inside]])
+    known = done[np.isfinite(done)]
+    low, high = (float(known.min()), float(known.max())) if known.size else (-1.0, 1.0)
+    slack = max(_SLACK * (high - low), 0.5)
     curves = (
         Curve("asked", "command", segment.command_s, segment.command_deg, holds=True),
         Curve("healthy servo", "simulated", time_s, residuals.simulated_deg),
         Curve("measured", "measured", *bridged(time_s, residuals.measured_deg)),
     )
-    shown = [segment.command_deg[asked], residuals.simulated_deg[inside], residuals.measured_deg[inside]]
-    deflection = Panel("deflection", "deg", curves, *_range(np.concatenate(shown)))
     judged = np.where(residuals.settled, residuals.residual_deg, np.nan)
-    largest = float(np.nanmax(np.abs(judged[inside]), initial=0.0)) if np.isfinite(judged[inside]).any() else 0.0
-    limit = 1.15 * max(largest, 1.3 * threshold.typical_deg)
-    residual = Panel(
-        "residual",
-        "deg",
-        (Curve("residual", "residual", *bridged(time_s, judged)), *_levels(residuals, threshold)),
-        -limit,
-        limit,
-    )
-    return Chart(title, text, *between_s, (deflection, residual), _spans(surface, float(time_s[-1])), _marks(surface))
-
-
-def _levels(residuals: Residuals, threshold: Threshold) -> list[Curve]:
-    """Both sides of the threshold; of a constant one only its ends."""
-    time_s, level_deg = residuals.time_s, threshold.level_deg
+    size = np.abs(judged[inside])
+    limit = 1.15 * max(float(np.nanmax(size, initial=0.0)), 1.3 * threshold.typical_deg)
+    level_s, level_deg = thinned(time_s, threshold.level_deg, 600)
     if threshold.kind == "constant":
-        time_s, level_deg = time_s[[0, -1]], level_deg[[0, -1]]
-    else:
-        time_s, level_deg = thinned(time_s, level_deg, 600)
-    return [Curve("threshold", "threshold", time_s, level_deg), Curve("", "threshold", time_s, -level_deg)]
-
-
-def _spans(surface: SurfaceAudit, last_s: float) -> tuple[Span, ...]:
-    return tuple(
-        Span(role, fault.start_s, last_s if fault.end_s is None else fault.end_s, kind_of(fault))
-        for role, found in (("fault", surface.faults), ("suspect", surface.suspicions))
-        for fault in found
+        level_s, level_deg = time_s[[0, -1]], threshold.level_deg[[0, -1]]
+    with np.errstate(invalid="ignore"):
+        alarm = np.where(np.abs(judged) >= threshold.level_deg, -0.96 * limit, np.nan)
+    left = [
+        Curve("residual", "residual", *bridged(time_s, judged)),
+        Curve("threshold", "threshold", level_s, level_deg),
+        Curve("", "threshold", level_s, -level_deg),
+    ]
+    if np.isfinite(alarm).any():
+        left.append(Curve("beyond it", "alarm", time_s, alarm))
+    panels = (
+        Panel("deflection", "deg", curves, low - slack, high + slack),
+        Panel("residual", "deg", tuple(left), -limit, limit),
     )
-
-
-def _marks(surface: SurfaceAudit) -> tuple[Mark, ...]:
-    return tuple(
-        Mark(role, fault.alarm_s, f"alarm {clock(fault.alarm_s)}")
-        for role, found in (("fault", surface.faults), ("suspect", surface.suspicions))
-        for fault in found
+    found = [
+        (role, fault)
+        for role, all_of in (("fault", surface.faults), ("suspect", surface.suspicions))
+        for fault in all_of
+    ]
+    spans = tuple(
+        Span(role, fault.start_s, end_s if fault.end_s is None else fault.end_s, kind_of(fault))
+        for role, fault in found
     )
+    marks = tuple(Mark(role, fault.alarm_s, f"alarm {clock(fault.alarm_s)}") for role, fault in found)
+    return Chart(title, text, from_s, to_s, panels, spans, marks)
 
 
 def kind_of(fault: Fault) -> str:
     """Kind of a fault, as it is read aloud."""
     return "within tolerance" if fault.kind == "healthy" else spoken(fault.kind)
-
-
-def _range(values: FloatArray) -> tuple[float, float]:
-    """Lowest and highest value, with room for a line."""
-    known = values[np.isfinite(values)]
-    low, high = (float(known.min()), float(known.max())) if known.size else (-1.0, 1.0)
-    slack = max(_SLACK * (high - low), 0.5)
-    return low - slack, high + slack

@@ -10,7 +10,7 @@ import numpy as np
 
 from servofd.core.statistics import Z_95
 from servofd.discrepancy.locate import binned, errors_by_regime, maps, quantities, spectrum
-from servofd.outputs.audit_page import quantity
+from servofd.outputs.audit_report import quantity
 from servofd.outputs.page import page
 from servofd.outputs.palette import COLOURS
 from servofd.outputs.picture import Picture, finish, new_figure

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any
 
-from servofd.outputs.audit_page import quantity
+from servofd.outputs.audit_report import quantity
 from servofd.outputs.page import page
 from servofd.outputs.sentence import clock, minute_of, spoken
 

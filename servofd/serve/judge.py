@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any, Self
 from servofd.batch.key import Job
 from servofd.core.files import make_folder, write_whole
 from servofd.jobs.workflow import FailedLog, judged
-from servofd.outputs.audit_page import audit_page
-from servofd.outputs.json_report import audit_document, to_json, worst_outline
+from servofd.outputs.audit_report import audit_report
+from servofd.outputs.json_report import to_json, worst_outline
+from servofd.outputs.page import html_page
 from servofd.outputs.sentence import spoken, whole_sentence, worst
 
 if TYPE_CHECKING:
@@ -60,11 +61,10 @@ def judge(log: str, folder: str, job: Job) -> Summary:
     tell = partial(_tell, target / _PROGRESS, [])
     tell("")
     results = list(judged(log, job, threads=1, progress=tell))  # flights are judged side by side already
-    document = json.loads(
-        to_json(audit_document(results)).replace(json.dumps(log)[1:-1], json.dumps(Path(log).name)[1:-1])
-    )
+    report = audit_report(results)
+    document = json.loads(to_json(report.data).replace(json.dumps(log)[1:-1], json.dumps(Path(log).name)[1:-1]))
     write_whole(target / AUDIT, (json.dumps(document, indent=2) + "\n").encode())
-    write_whole(target / PAGE, audit_page(results).encode())
+    write_whole(target / PAGE, html_page(report).encode())
     audits = [result for result in results if not isinstance(result, FailedLog)]
     too_long = bool(audits) and _positions(audits[0]) > _MOST_RECORDED
     if audits and not too_long and find_spec("rerun") is not None:

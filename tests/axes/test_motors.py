@@ -8,7 +8,9 @@ import numpy as np
 
 from logparsers.records import Channel, FlightLog
 from servofd.jobs.workflow import FailedLog
-from servofd.outputs.audit_page import audit_page, motors_of
+from servofd.outputs.audit_report import audit_report, motors_of
+from servofd.outputs.document import Table
+from servofd.outputs.page import html_page
 
 
 def quad(vehicle: str = "quadrotor") -> FlightLog:
@@ -25,8 +27,9 @@ def quad(vehicle: str = "quadrotor") -> FlightLog:
 def test_saturation_is_counted_and_drawn() -> None:
     motors = motors_of(quad())
     assert motors is not None
-    assert [row[3] for row in motors["rows"]] == ["0.0%", "0.0%", "0.0%", "5.0%"]
-    text = audit_page([FailedLog("quad.bin", "quad.bin: no measured deflection", quad())])
+    (table,) = (part for part in motors.parts if isinstance(part, Table))
+    assert [row[3] for row in table.rows] == ["0.0%", "0.0%", "0.0%", "5.0%"]
+    text = html_page(audit_report([FailedLog("quad.bin", "quad.bin: no measured deflection", quad())]))
     assert "No control surfaces: a quadrotor." in text
     assert "What was asked of its motors" in text
     assert motors_of(quad("fixed wing")) is None

@@ -9,8 +9,10 @@ import pytest
 
 import servofd
 from servofd.cli import main
-from servofd.cli.terminal import check_targets, print_table, print_verdicts
-from servofd.detection.verdict import Fault, LogAudit, SurfaceAudit, headline, meaning, next_step
+from servofd.cli.terminal import check_targets, print_document, print_table
+from servofd.detection.verdict import Fault, LogAudit, SurfaceAudit, meaning, next_step
+from servofd.outputs.audit_report import audit_report
+from servofd.outputs.sentence import sentence
 
 SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"
 STUCK = str(SAMPLES / "faser_stuck_flight.mat")
@@ -69,7 +71,7 @@ def stuck() -> LogAudit:
 
 def printed(audit: LogAudit, capsys: pytest.CaptureFixture[str]) -> str:
     capsys.readouterr()
-    print_verdicts(audit)
+    print_document(audit_report([audit]))
     return capsys.readouterr().out
 
 
@@ -94,7 +96,7 @@ def test_no_line_is_wider_than_the_terminal_or_a_hundred_columns(
     for surface in stuck.surfaces:
         assert surface.surface in words
     assert "do not fly" in words
-    assert "3 of 4 judged surfaces healthy." in words
+    assert "ELEVATOR JAMMED at 0:05 (-0.2 deg). Do not fly." in words
     # The sentence is there in full, however it is folded.
     assert "stuckat-0.2degsince5.01s" in words.replace(" ", "")
 
@@ -135,14 +137,15 @@ def test_every_fault_has_a_meaning_and_a_next_step(kind: str) -> None:
     surface = SurfaceAudit("elevator", "fault", "", "x", "constant", 1.5, True, faults=(fault,))
     assert meaning(fault).endswith(".")
     assert next_step(surface).startswith("do not fly; on the ground, ")
-    assert headline([surface]) == "Servo or position sensor at fault: elevator."
+    assert sentence([surface]).startswith("ELEVATOR ")
+    assert sentence([surface]).endswith(". Do not fly.")
 
 
 def test_the_verdict_never_hides_what_was_not_judged() -> None:
     healthy = SurfaceAudit("rudder", "healthy", "", "x", "constant", 1.5, True)
     unknown = SurfaceAudit("elevator", "unknown", "", "x", "constant", 1.5, True)
     suspect = SurfaceAudit("aileron", "suspect", "", "x", "constant", 1.5, True)
-    assert headline([unknown]) == "No surface could be judged."
-    assert headline([healthy, unknown]) == "The one surface that could be judged is healthy. No verdict on elevator."
-    assert headline([healthy, suspect]) == "Suspect: aileron. 1 of 2 judged surfaces healthy."
+    assert sentence([unknown]).startswith("Could not tell. No verdict on elevator")
+    assert sentence([healthy, unknown]).startswith("Rudder followed its command. No verdict on elevator")
+    assert sentence([healthy, suspect]) == "AILERON SUSPECT: look at it before the next flight."
     assert next_step(unknown).startswith("no verdict")

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import servofd
-from servofd.outputs.audit_page import audit_page
+from servofd.outputs.audit_report import audit_report
 from servofd.outputs.explain_page import explain_page
 from servofd.outputs.identify_report import identify_report
 from servofd.outputs.page import html_page
@@ -41,7 +41,7 @@ def browse(folder: Path, page: Path, *options: str) -> str:
 
 
 def audit_text() -> str:
-    return audit_page([*servofd.audit(SAMPLES / "faser_stuck_flight.mat")])
+    return html_page(audit_report([*servofd.audit(SAMPLES / "faser_stuck_flight.mat")]))
 
 
 def explain_text() -> str:
@@ -146,7 +146,7 @@ def test_without_script_everything_is_there_but_the_hint_to_point_at_it(browser:
         "deflection [deg]",
         "0:08",
         "healthy servo",
-        "rudder followed its command",
+        "rudder healthy followed its command",
     ):
         assert words in seen
     assert "Point at it" not in seen

@@ -12,7 +12,7 @@ import servofd
 from servofd.cli import main
 from servofd.cli.options import FLEET_PAGE as PAGE
 from servofd.jobs.workflow import FailedLog
-from servofd.outputs.audit_page import audit_page
+from servofd.outputs.audit_report import audit_report
 from servofd.outputs.explain_page import explain_page
 from servofd.outputs.identify_report import identify_report
 from servofd.outputs.page import html_page
@@ -57,14 +57,14 @@ pytestmark = [pytest.mark.nightly, pytest.mark.skipif(BROWSER is None, reason="n
 
 def fault(folder: Path) -> Path:
     page = folder / "fault.html"
-    page.write_text(audit_page([*servofd.audit(SAMPLES / "faser_stuck_flight.mat")]))
+    page.write_text(html_page(audit_report([*servofd.audit(SAMPLES / "faser_stuck_flight.mat")])))
     return page
 
 
 def several(folder: Path) -> Path:
     page = folder / "several.html"
     found = [*servofd.audit(SAMPLES / "faser_healthy_flight.mat"), *servofd.audit(SAMPLES / "px4_stuck.ulg")]
-    page.write_text(audit_page([*found, FailedLog("lost.bin", "lost.bin: empty file")]))
+    page.write_text(html_page(audit_report([*found, FailedLog("lost.bin", "lost.bin: empty file")])))
     return page
 
 

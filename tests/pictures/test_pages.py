@@ -15,8 +15,9 @@ from servofd.aircraft.segment import Segment
 from servofd.detection.verdict import LogAudit
 from servofd.discrepancy.explanation import Explanation, explain_gap
 from servofd.jobs.workflow import FailedLog
-from servofd.outputs.audit_page import audit_page
+from servofd.outputs.audit_report import audit_report
 from servofd.outputs.explain_page import explain_page
+from servofd.outputs.page import html_page
 from servofd.outputs.palette import BANNER_COLOURS
 from servofd.servo.effects import RateLimit
 from servofd.servo.library import servo_named
@@ -68,8 +69,8 @@ def audits() -> list[LogAudit]:
 
 @pytest.fixture(scope="module")
 def audited(audits: list[LogAudit]) -> str:
-    return audit_page(
-        [*audits, FailedLog("/home/someone/secret/lost.bin", "/home/someone/secret/lost.bin: empty file")]
+    return html_page(
+        audit_report([*audits, FailedLog("/home/someone/secret/lost.bin", "/home/someone/secret/lost.bin: empty file")])
     )
 
 
@@ -118,7 +119,7 @@ def test_a_flight_with_a_fault_stands_before_those_without() -> None:
     logs = ["faser_healthy_flight.mat", "faser_stuck_flight.mat"]
     results = [audit for name in logs for audit in servofd.audit(SAMPLES / name)]
     assert [any(surface.faults for surface in result.surfaces) for result in results] == [False, True]
-    text = audit_page([*results, FailedLog("none.csv", "none.csv: no such file")])
+    text = html_page(audit_report([*results, FailedLog("none.csv", "none.csv: no such file")]))
     at = [text.index(f"<h2>{name}</h2>") for name in (logs[1], logs[0], "none.csv")]
     assert at == sorted(at)
     contents = text[text.index("All logs") :]
@@ -188,7 +189,7 @@ def contrast(one: str, other: str) -> float:
 
 def test_text_stands_out_from_its_ground_by_day_and_by_night() -> None:
     """WCAG 2.1, AA: 4.5 for text, 3 for lines that carry meaning; white text stands on the banners."""
-    style = audit_page([FailedLog("a.csv", "a.csv: no such file")])
+    style = html_page(audit_report([FailedLog("a.csv", "a.csv: no such file")]))
     day, night = (
         {name: value.replace("#fff", "#ffffff") if len(value) == 4 else value for name, value in found}
         for found in (
@@ -211,7 +212,7 @@ def test_a_page_tells_nothing_of_the_machine(text: str) -> None:
 
 
 def test_what_a_log_is_called_cannot_become_markup() -> None:
-    page = audit_page([FailedLog("<script>alert(1).csv", "<script>alert(1).csv: no such file")])
+    page = html_page(audit_report([FailedLog("<script>alert(1).csv", "<script>alert(1).csv: no such file")]))
     assert "<script>alert" not in page
     assert "&lt;script&gt;alert" in page
 
@@ -232,6 +233,6 @@ def test_an_hour_of_eight_surfaces_stays_small(tmp_path: Path) -> None:
     path = tmp_path / "hour.csv"
     pd.DataFrame(columns).to_csv(path, index=False, float_format="%.3f")
     (audit,) = servofd.audit(path)
-    page = audit_page([audit])
+    page = html_page(audit_report([audit]))
     assert len(page.encode()) < 1_200_000
     assert "S0 JAMMED at 30:00 (+2.0 deg). Do not fly." in page

@@ -1,0 +1,425 @@
+"""Audits in words, tables and charts: the verdict first, then what it rests on."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from servofd.axes.model import FORMS
+from servofd.axes.motion import LIFT_MOTORS
+from servofd.axes.verdict import named, shown
+from servofd.detection.verdict import meaning, next_step
+from servofd.jobs.workflow import FailedLog
+from servofd.outputs.chart import MOST_FAULTS, Chart, Curve, Mark, Panel, Span, fault_charts, flight_chart, kind_of
+from servofd.outputs.document import Cell, Document, Figures, Item, Items, Section, Table, Words
+from servofd.outputs.json_report import audit_document
+from servofd.outputs.sentence import clock, plain_rate, seen, whole_sentence, worst
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from logparsers.records import FlightLog
+    from servofd.aircraft.schema import Aircraft
+    from servofd.core.types import FloatArray
+    from servofd.detection.verdict import AxisAudit, LogAudit, SurfaceAudit
+    from servofd.estimate.statistics import Estimate
+    from servofd.outputs.document import Part
+
+_UNITS = {"deg_s": "deg/s", "deg": "deg", "hz": "Hz", "s": "s"}
+_MISSING = "none"
+_ORIGINS = {
+    "calibrated": "calibrated on good flights",
+    "named": "the servo that was named",
+    "fitted": "fitted to this very log",
+    "none": "none that predicts",
+}
+_WORST_FIRST = ("fault", "suspect", "unknown", "no_data", "healthy")
+_SHOWN_FIRST = ("fault", "suspect", "healthy", "unknown", "no_data")
+_BY_POSITION = """Each servo is simulated with the commands that were logged, on their true time stamps: poles,
+transport delay, hold and rate limit of its model. Measured minus simulated deflection passes a nullspace filter,
+which leaves a residual that no command can move as long as the servo is healthy. The alarm is raised when its size
+reaches the threshold; a bank of fault models then says which fault it is, since when, how large and how sure. With
+command and position alone a bad servo and a bad position sensor look the same. After Model-based Fault Detection for
+Low-cost UAV Actuators, University of Minnesota, 2016."""
+_BY_MOTION = """An axis without measured deflections is judged by the motion of the aircraft: a model fitted to
+healthy flights says which part of the motion the command should cause. What the motion shows instead is a share of
+the command that was lost, and an offset; the alarm is raised when both together are further from those of healthy
+flights than any of these ever was from the others."""
+
+
+def audit_report(results: Sequence[LogAudit | FailedLog]) -> Document:
+    """Verdicts of one or more logs, those with a fault first.
+
+    It names files without their folders, and tells nothing else of the machine, its user, or where the aircraft flew.
+    """
+    logs = [_failed(result) if isinstance(result, FailedLog) else _log(result) for result in results]
+    data = audit_document(results)
+    moved = any(not isinstance(one, FailedLog) and one.axes for one in results)
+    measured = any(not isinstance(one, FailedLog) and one.surfaces for one in results) or not moved
+    said = [Words(text) for text, is_used in ((_BY_POSITION, measured), (_BY_MOTION, moved)) if is_used]
+    method = Section("How this was found", said, folded=True)
+    if len(logs) == 1:
+        return replace(logs[0], evidence=[method], data=data)
+    logs.sort(key=lambda log: ("fault", "suspect", log.status).index(log.status))
+    faulty, known = sum(log.status == "fault" for log in logs), {log.status for log in logs}
+    index = [
+        (Cell(log.title, link=f"#log-{k}"), Cell(status=log.status), log.sentence) for k, log in enumerate(logs, 1)
+    ]
+    return Document(
+        title=", ".join(log.title for log in logs),
+        status=next((status for status in _WORST_FIRST if status in known), "no_data"),
+        sentence=f"{faulty or 'None'} of {len(logs)} logs show{'s' * (faulty <= 1)} a fault.",
+        parts=[
+            Table("All logs", ("log", "worst", "verdict"), index),
+            *(
+                Section(
+                    log.title,
+                    [Words(log.sentence, style="verdict"), Words(log.facts, style="soft"), *log.parts],
+                    anchor=f"log-{k}",
+                )
+                for k, log in enumerate(logs, 1)
+            ),
+        ],
+        evidence=[method],
+        data=data,
+    )
+
+
+def _failed(result: FailedLog) -> Document:
+    name = Path(result.path).name
+    sentence = "Could not be read." if result.log is None else "Could not be judged."
+    motors = None if result.log is None else motors_of(result.log)
+    if result.log is not None and motors is not None:
+        sentence = f"No control surfaces: a {result.log.vehicle}."
+    parts = [motors] if motors is not None and motors.parts else ()
+    return Document(name, "unknown", sentence, result.error.replace(result.path, name), parts, log=name)
+
+
+def _log(audit: LogAudit) -> Document:
+    log = audit.log
+    facts = [log.source.name, log.format, f"{log.duration_s:.1f} s", log.vehicle, log.firmware]
+    if log.start_utc is not None:
+        facts.append(f"begun {log.start_utc:%Y-%m-%d %H:%M} UTC")
+    ordered = sorted(audit.surfaces, key=lambda surface: _SHOWN_FIRST.index(surface.status))
+    damage = [
+        (damage.kind.replace("_", " "), damage.note, str(damage.count), _span(damage.start_s, damage.end_s))
+        for damage in log.damage_summary
+    ]
+    return Document(
+        title=log.source.name + (f", run {log.run}" if log.run else ""),
+        status=worst((*audit.surfaces, *audit.axes)),
+        sentence=whole_sentence(audit),
+        facts=", ".join(filter(None, facts)),
+        parts=[
+            Items(
+                "Surfaces", ("surface", "status", "model", "why"), [_surface(audit.aircraft, one) for one in ordered]
+            ),
+            Items("Axes", ("axis", "status", "what the motion tells"), [_axis(axis) for axis in audit.axes]),
+            Table("Damage of the log", ("kind", "what", "count", "time [s]"), damage),
+        ],
+        log=log.source.name,
+    )
+
+
+def _surface(aircraft: Aircraft, surface: SurfaceAudit) -> Item:
+    found = (*surface.faults, *surface.suspicions)
+    parts: list[Part] = []
+    if surface.residuals is not None and surface.threshold is not None and surface.residuals.time_s.size > 1:
+        parts.append(Figures(lambda: [*fault_charts(surface), flight_chart(surface)]))
+    rows = [
+        (
+            kind_of(fault),
+            f"{fault.start_s:.2f}",
+            f"{fault.alarm_s:.2f}",
+            "lasts" if fault.end_s is None else f"{fault.end_s:.2f}",
+            "; ".join(
+                f"{quantity(name)} {one.value:.3g} ({one.low:.3g} to {one.high:.3g})"
+                for name, one in fault.parameters.items()
+            )
+            or _MISSING,
+            f"{100.0 * fault.probability:.3g}%",
+            ", ".join(fault.alternatives).replace("_", " ") or _MISSING,
+        )
+        for fault in found
+    ]
+    head = ("kind", "onset [s]", "alarm [s]", "end [s]", "parameters (95% intervals)", "probability", "alternatives")
+    numbers: list[Part] = [
+        Table("Faults and suspicions", head, rows),
+        Table("Residual and threshold", ("quantity", "value"), _statistics(surface)),
+        Table("Quality of the data", ("quantity", "value"), quality_rows(surface)),
+    ]
+    if len(found) > MOST_FAULTS:
+        numbers.insert(1, Words(f"{MOST_FAULTS} of {len(found)} are shown from near.", style="soft"))
+    if surface.residuals is not None:
+        model = aircraft.model(surface.surface)
+        poles = ", ".join(f"{p:.4g}".replace("+0j", "").strip("()") for p in model.transfer.poles_rad_s)
+        limit = min(model.plan.rate_up_deg_s, model.plan.rate_down_deg_s)
+        rate = f", rate limit {limit:.4g} deg/s" if limit < float("inf") else ""
+        delay = f"delay {1e3 * model.plan.delay_s:.3g} ms{rate}"
+        numbers.append(Words(f"Model: servo {surface.servo}: poles {poles} rad/s, {delay}.", style="soft"))
+    if surface.status in ("fault", "suspect"):
+        lead = [
+            f"{kind_of(fault).capitalize()} at {clock(fault.start_s)}:" if len(found) > 1 else "" for fault in found
+        ]
+        meanings = [Words(meaning(fault), name, style="soft") for name, fault in zip(lead, found, strict=True)]
+        parts = [*meanings, *parts, Section("Details: numbers, quality of the data", numbers, folded=True)]
+    elif surface.segment is not None:
+        parts += numbers
+    sizes = seen(surface.detectable) if surface.status == "healthy" else ""
+    return Item(
+        surface.surface,
+        surface.status,
+        "; ".join(filter(None, (surface.reason, sizes))),
+        next_step(surface),
+        surface.model.origin,
+        parts,
+    )
+
+
+def _axis(axis: AxisAudit) -> Item:
+    events = [
+        (
+            f"{event.start_s:.1f}",
+            f"{event.alarm_s:.1f}",
+            "lasts" if event.end_s is None else f"{event.end_s:.1f}",
+            _estimated(event.lost_share if axis.model.own_command else None, 2),
+            _estimated(event.offset_us if axis.model.own_command else None, 0),
+            event.cause or "its own",
+        )
+        for event in axis.events
+    ]
+    numbers = [
+        ("lost share", _estimated(axis.lost_share, 2)),
+        ("offset [us]", _estimated(axis.offset_us, 0)),
+        ("judged", f"{axis.judged_share:.0%} of the flight"),
+        ("would have been seen", shown(axis.detectable) or "nothing"),
+        ("a surface that stood still", f"would have been seen in {axis.identifiable:.0%} of the flight"),
+        ("model", f"{axis.model.form.replace('_', ' ')}, explains {axis.model.explained:.0%} on days not seen"),
+        ("false alarms", f"about {axis.false_alarms_per_hour:.2g} an hour"),
+    ]
+    head = ("onset [s]", "alarm [s]", "end [s]", "lost share (95%)", "offset [us] (95%)", "cause")
+    parts = (
+        Figures(lambda: [axis_chart(axis)]),
+        Table("When it did not answer", head, events),
+        Table("Numbers", ("quantity", "value"), numbers),
+    )
+    return Item(f"{axis.axis} ({named(axis.members, axis.axis)})", axis.status, axis.reason, parts=parts)
+
+
+def _estimated(estimate: Estimate | None, digits: int) -> str:
+    if estimate is None:
+        return "not known"
+    return f"{estimate.value:+.{digits}f} ({estimate.low:+.{digits}f} to {estimate.high:+.{digits}f})"
+
+
+def quantity(name: str) -> str:
+    """Name of a parameter in words, with its unit."""
+    for suffix, unit in _UNITS.items():
+        if name.endswith(f"_{suffix}"):
+            return f"{name.removesuffix(f'_{suffix}').replace('_', ' ')} [{unit}]"
+    return name.replace("_", " ")
+
+
+def _statistics(surface: SurfaceAudit) -> list[tuple[str, str]]:
+    statistics = surface.statistics
+    if statistics is None:
+        return []
+    model = surface.model
+    about = "about " if surface.threshold_kind == "interval" else ""
+    share = model.explained_share
+    explained = "" if share is None else f", predicts {share:.1%} of the motion held out"
+    rows = [
+        ("threshold [deg]", f"{about}{surface.threshold_deg:.3g} ({surface.threshold_kind})"),
+        ("residual, mean [deg]", f"{statistics.mean_deg:+.3f}"),
+        ("residual, standard deviation [deg]", f"{statistics.std_deg:.3f}"),
+        ("residual, largest size [deg]", f"{statistics.max_abs_deg:.2f}"),
+        ("simulation error, rms [deg]", f"{statistics.simulation_error_rms_deg:.3f}"),
+        ("model", f"{_ORIGINS[model.origin]}{explained}"),
+        ("judged", f"{surface.judged_share:.0%} of the log"),
+        ("smallest faults", seen(surface.detectable) or "none would have been seen"),
+    ]
+    if surface.false_alarms_per_hour is not None:
+        told = "as measured on simulated aircraft" if model.origin == "calibrated" else "were the residual Gaussian"
+        rows.append((f"false alarms, {told}", plain_rate(surface.false_alarms_per_hour)))
+    return rows
+
+
+def _span(start_s: float | None, end_s: float | None) -> str:
+    if start_s is None:
+        return "-"
+    return f"{start_s:.2f}" if end_s is None else f"{start_s:.2f} to {end_s:.2f}"
+
+
+_MOST_OF_IT = 0.998
+_HEADROOM = 1.1
+_HIGHEST = 20.0
+
+
+def axis_chart(axis: AxisAudit) -> Chart:
+    """The whole flight of one axis."""
+    time_s, usable = axis.time_s, axis.inputs.usable
+    asked, shown = (np.where(usable, values, np.nan) for values in (axis.asked, axis.shown))
+    both = np.concatenate([asked[usable], shown[usable], [0.0]])
+    low, high = (float(x) for x in np.quantile(both, (1.0 - _MOST_OF_IT, _MOST_OF_IT)))
+    margin = 0.1 * (high - low) + 1e-9
+    unit = FORMS[axis.model.form].unit
+    effect = Panel(
+        "effect of the command",
+        unit,
+        (Curve("expected", "simulated", time_s, asked), Curve("as the motion shows", "measured", time_s, shown)),
+        low - margin,
+        high + margin,
+    )
+    score = np.sqrt(np.clip(axis.score, 0.0, _HIGHEST**2))
+    top = _HEADROOM * max(1.2, float(score.max()))
+    distance = Panel(
+        "distance from healthy over its threshold",
+        "1",
+        (
+            Curve("distance", "residual", time_s, np.where(usable, score, np.nan)),
+            Curve("threshold", "threshold", time_s[[0, -1]], np.ones(2)),
+        ),
+        0.0,
+        top,
+    )
+    text = (
+        "Above, the part of the motion that the command should cause, and the part that nothing else explains; a lost "
+        "surface keeps the second from following the first. Below, how far lost share and offset are from those of "
+        "healthy flights. Where nothing is drawn, nothing was judged."
+    )
+    last_s = float(time_s[-1])
+    spans = tuple(Span("fault", e.start_s, e.end_s or last_s, "lost") for e in axis.events if not e.cause)
+    marks = tuple(Mark("alarm", e.alarm_s, "alarm") for e in axis.events if not e.cause)
+    return Chart("Whole flight", text, float(time_s[0]), last_s, (effect, distance), spans, marks)
+
+
+_JITTER_QUANTILE = 0.95
+
+
+def quality_rows(surface: SurfaceAudit) -> list[tuple[str, str]]:
+    """Rows of a table: quantity with unit, and its value.
+
+    Examples
+    --------
+    >>> from servofd.detection.verdict import SurfaceAudit
+    >>> from servofd.aircraft.segment import Segment
+    >>> t = np.arange(0.0, 10.0, 0.02)
+    >>> segment = Segment("rudder", t, 0.0 * t, t, np.where(t < 5.0, 0.0, np.nan))
+    >>> rows = dict(quality_rows(SurfaceAudit("rudder", "unknown", "", "x", "constant", 1.5, True, segment=segment)))
+    >>> rows["position rate [Hz]"], rows["positions missing [%]"]
+    ('50 (95% of steps within 1.00 times the median)', '50')
+    """
+    segment = surface.segment
+    if segment is None:
+        return []
+    measured = np.isfinite(segment.measured_deg)
+    rows = [
+        ("command rate [Hz]", _rate(segment.command_s)),
+        ("longest time without a command [s]", _gap(segment.command_s)),
+        ("position rate [Hz]", _rate(segment.measured_s[measured])),
+        ("longest time without a position [s]", _gap(segment.measured_s[measured])),
+        ("positions missing [%]", f"{100.0 * (1.0 - measured.mean()):.2g}" if measured.size else "100"),
+    ]
+    if segment.command_period_s is not None:
+        rows.append(("commands thinned by the log", f"one every {1e3 * segment.command_period_s:.3g} ms was sent"))
+    if segment.frozen_s > 0.0:
+        rows.append(("frozen telemetry [s]", f"{segment.frozen_s:.1f}"))
+    if surface.residuals is not None:
+        settled = surface.residuals.settled
+        rows.append(("positions judged [%]", f"{100.0 * settled.mean():.3g}"))
+        rows.append(("starts of the filter", str(int(np.count_nonzero(surface.residuals.restart)))))
+    return rows
+
+
+def _rate(time_s: FloatArray) -> str:
+    step_s = np.diff(time_s)
+    if not step_s.size:
+        return "none"
+    median_s = float(np.median(step_s))
+    jitter = float(np.quantile(step_s, _JITTER_QUANTILE)) / median_s
+    return f"{1.0 / median_s:.4g} (95% of steps within {jitter:.2f} times the median)"
+
+
+def _gap(time_s: FloatArray) -> str:
+    step_s = np.diff(time_s)
+    if not step_s.size:
+        return "-"
+    longest = int(np.argmax(step_s))
+    return f"{step_s[longest]:.3g} (at {time_s[longest]:.2f} s)"
+
+
+_NO_SURFACES = frozenset(
+    {
+        *("multirotor", "quadrotor", "hexarotor", "octorotor", "tricopter", "decarotor", "dodecarotor", "coaxial"),
+        "helicopter",
+    }
+)
+_OUTPUT = re.compile(r"(?:RCOU|RCO2|SERVO_OUTPUT_RAW)\.(?:C|Ch|servo)(\d+)(?:_raw)?")
+_LEAST_US, _MOST_US = 900.0, 2200.0
+_LOWEST_US, _HIGHEST_US = 1000.0, 2000.0
+_AT_LIMIT_US = 5.0
+"""Nearer to its end an output is saturated: nothing is left for control."""
+_RUNS_SHARE = 0.05
+_ASKED = "What was asked of its motors"
+_MOTORS = (
+    "Its outputs turn motors and no surfaces, so that there is no deflection to judge. While they ran, their mean "
+    "commands lay"
+)
+_UNEVEN = "a motor that is always asked for more than the others has to carry more, or gives less."
+
+
+def motors_of(log: FlightLog) -> Section | None:
+    """Commands and saturation of motors, empty if none was logged; None unless the aircraft is one without surfaces."""
+    if log.vehicle not in _NO_SURFACES:
+        return None
+    names = {int(found[1]): name for name in log.channels if (found := _OUTPUT.fullmatch(name))}
+    functions = {number: log.parameters.get(f"SERVO{number}_FUNCTION") for number in names}
+    pulses = {}
+    for number in sorted(names):
+        channel = log[names[number]]
+        good = (channel.values > _LEAST_US) & (channel.values < _MOST_US)
+        turns_motor = functions[number] is None or functions[number] in LIFT_MOTORS
+        if turns_motor and np.count_nonzero(good) > 1 and np.ptp(channel.values[good]) > 0.0:
+            pulses[number] = (channel.time_s[good], channel.values[good])
+    if not pulses:
+        return Section(_ASKED, ())
+    low, high = log.parameters.get("MOT_PWM_MIN", 0.0), log.parameters.get("MOT_PWM_MAX", 0.0)
+    if not 0.0 < low < high:
+        low, high = _LOWEST_US, _HIGHEST_US
+    rows, running = [], []
+    for number, (_, values) in pulses.items():
+        runs = values > low + _RUNS_SHARE * (high - low)
+        flown = values[runs] if runs.any() else values
+        running.append(float(np.mean(flown)))
+        top, bottom = np.mean(flown > high - _AT_LIMIT_US), np.mean(flown < low + _AT_LIMIT_US)
+        rows.append((f"output {number}", f"{np.mean(flown):.0f}", f"{flown.max():.0f}", f"{top:.1%}", f"{bottom:.1%}"))
+    head = ("motor", "mean [us]", "most [us]", "at its upper end", "at its lower end")
+    parts: list[Part] = [
+        Words(f"{_MOTORS} {np.ptp(running):.0f} us apart: {_UNEVEN}"),
+        Figures(lambda: [_motor_chart(pulses, low, high)]),
+        Table("While they ran", head, rows),
+    ]
+    return Section(_ASKED, parts)
+
+
+def _motor_chart(pulses: Mapping[int, tuple[Any, Any]], low: float, high: float) -> Chart:
+    time_s = next(iter(pulses.values()))[0]
+    every = np.array([np.interp(time_s, *one) for one in pulses.values()])
+    panel = Panel(
+        "motor commands",
+        "us",
+        (
+            Curve("the most of any motor", "measured", time_s, every.max(axis=0)),
+            Curve("mean", "simulated", time_s, every.mean(axis=0)),
+            Curve("the least of any motor", "command", time_s, every.min(axis=0)),
+            Curve("full", "threshold", time_s[[0, -1]], np.full(2, high)),
+        ),
+        low - 50.0,
+        high + 50.0,
+    )
+    text = "Where the upper line reaches its end, a motor has nothing left to hold the attitude with."
+    return Chart("What was asked of the motors", text, float(time_s[0]), float(time_s[-1]), (panel,))
