@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 
     from logparsers.records import FlightLog
     from servofd.aircraft.schema import Aircraft
+    from servofd.core.statistics import Estimate
     from servofd.core.types import FloatArray
     from servofd.detection.verdict import AxisAudit, LogAudit, SurfaceAudit
-    from servofd.estimate.statistics import Estimate
     from servofd.outputs.document import Part
 
 _UNITS = {"deg_s": "deg/s", "deg": "deg", "hz": "Hz", "s": "s"}
