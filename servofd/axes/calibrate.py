@@ -10,26 +10,18 @@ import numpy as np
 
 from servofd.aircraft.axes import AxisModel, MotionModel, Regime, Spread
 from servofd.aircraft.axis_names import AXES, SURFACE_AXES
+from servofd.axes.judge import Sliding, Windows, lags, sliding, slowness
 from servofd.axes.model import (
     FORMS,
     Filtered,
     Form,
     Inputs,
     Regression,
-    Sliding,
     covered,
-    distances,
     flown_of,
-    lags,
     residual_of,
     settled,
-    shares_of,
-    sliding,
-    slowness,
-    spread_between,
-    statistic,
     whitened,
-    windows_of,
 )
 from servofd.core.errors import CalibrationError
 
@@ -306,17 +298,17 @@ class _Setting:
                 return trial.tail
             for i, one in enumerate(trial.inputs):
                 if self.groups[i] == group:
-                    tops[i] = statistic(model, one, windows_of(model, one, rate_hz), rate_hz).max()
+                    tops[i] = Windows.of(model, one, rate_hz).statistic().max()
         hours = np.array([float(one.usable.sum()) / rate_hz / 3600.0 for one in trial.inputs])
         return tail_of(tops, hours, days=trial.tail.days)
 
     def _scored(self, whole: AxisModel, inputs: Sequence[Inputs]) -> _Trial:
         tops, hours, losses = [], [], []
         for one, flight in zip(inputs, self.flights, strict=True):
-            windows = windows_of(whole, one, flight.rate_hz)
-            tops.append(float(statistic(whole, one, windows, flight.rate_hz).max()))
+            windows = Windows.of(whole, one, flight.rate_hz)
+            tops.append(float(windows.statistic().max()))
             hours.append(float(one.usable.sum()) / flight.rate_hz / 3600.0)
-            losses.append(_lost_half(whole, one, windows, flight.rate_hz))
+            losses.append(_lost_half(windows))
         tail = tail_of(np.array(tops), np.array(hours), days=len({flight.day for flight in self.flights}))
         return _Trial(whole, tail, tuple(losses), tuple(inputs))
 
@@ -367,6 +359,37 @@ the latest of three days of a real aircraft half a share parted healthy flights 
 more) better than none (2.5 and 3.2)."""
 
 
+_ROUNDS = 60
+
+
+def spread_between(flights: Sequence[Sliding], start: FloatArray) -> FloatArray:
+    """Covariance of lambda and beta between healthy flights, or windows, beyond the noise of each.
+
+    Maximum likelihood by expectation and maximization (Dempster, Laird and Rubin 1977), theta around zero; each
+    flight has the same weight, however long it is.
+
+    From the windows of each healthy flight, or that flight as one, with a model that has not seen its day.
+    """
+    between = start
+    seen = [found for found in flights if found.loss.size]
+    if not seen:
+        return np.zeros((2, 2))
+    theta = np.hstack([(found.loss, found.offset) for found in seen])
+    loss_var, cross, offset_var = np.hstack([(found.loss_var, found.cross, found.offset_var) for found in seen])
+    weights = np.concatenate([np.full(found.loss.size, 1.0 / (found.loss.size * len(seen))) for found in seen])
+    for _ in range(_ROUNDS):
+        first, both, second = loss_var + between[0, 0], cross + between[0, 1], offset_var + between[1, 1]
+        adjugate = np.array([[second, -both], [-both, first]])
+        gain = np.einsum("ij,jkn->ikn", between, adjugate) / (first * second - both**2)
+        mean = np.einsum("ijn,jn->in", gain, theta)
+        renewed = between + (mean * weights) @ mean.T - (gain @ weights) @ between
+        settled = np.allclose(renewed, between, rtol=1e-3)
+        between = (renewed + renewed.T) / 2.0
+        if settled:
+            break
+    return between
+
+
 def _with_spreads(model: AxisModel, flights: Sequence[Inputs], rate_hz: float, share: float) -> AxisModel | None:
     """Covariances between flights and between windows, and the largest J that each window length reached."""
     start = np.diag([0.05**2, 10.0**2])
@@ -382,7 +405,7 @@ def _with_spreads(model: AxisModel, flights: Sequence[Inputs], rate_hz: float, s
     model = model.model_copy(update={"spreads": tuple(spreads), "of_flight": share})
     scales = np.zeros(len(spreads))
     for one in flights:
-        found_j = distances(model, one, windows_of(model, one, rate_hz), rate_hz)
+        found_j = Windows.of(model, one, rate_hz).distances()
         scales = np.maximum(scales, [float(j.max()) for j in found_j])
     kept = tuple(
         spread.model_copy(update={"scale": float(scale)})
@@ -461,13 +484,11 @@ def _noise_var(flights: Sequence[Inputs]) -> float:
     return max(variance, total / max(count, 1) / length)
 
 
-def _lost_half(model: AxisModel, inputs: Inputs, windows: Sequence[Sliding], rate_hz: float) -> FloatArray:
+def _lost_half(windows: Windows) -> FloatArray:
     """J / scale if half of the axis were lost (if a copied command: if it stood far away), where it is judged."""
-    shifted = [
-        found._replace(loss=found.loss + 0.5) if model.own_command else found._replace(offset=found.offset + _AWAY_US)
-        for found in windows
-    ]
-    return np.asarray(shares_of(model, inputs, shifted, rate_hz)[:, inputs.usable])
+    loss, offset_us = (0.5, 0.0) if windows.axis.own_command else (0.0, _AWAY_US)
+    shifted = (one._replace(loss=one.loss + loss, offset=one.offset + offset_us) for one in windows.found)
+    return np.asarray(replace(windows, found=tuple(shifted)).shares()[:, windows.inputs.usable])
 
 
 _PRIOR_INDEX, _PRIOR_WEIGHT = 2.5, 4.0
