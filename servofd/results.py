@@ -335,7 +335,7 @@ class Identified(Identification, Shown):
 
     def _rows(self) -> list[dict[str, Any]]:
         (table,) = (part for part in identify_report(self, "").parts if isinstance(part, Table))
-        return [dict(zip(table.head, row, strict=True)) for row in table.rows]
+        return [dict(zip(map(str, table.head), row, strict=True)) for row in table.rows]
 
     def _facts(self) -> str:
         return f"{len(self.runs)} {'test' if len(self.runs) == 1 else 'tests'}"

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from servofd.batch.find import find_logs
 from servofd.batch.key import page_name
 from servofd.cli.options import FLEET_PAGE
-from servofd.cli.terminal import complain, give_json, one_line, print_table, progress, worst
+from servofd.cli.terminal import complain, give_json, one_line, print_document, progress, worst, write_page
 from servofd.core.errors import ConfigError
 from servofd.core.files import make_folder, write_whole
 from servofd.feedback.flown import layout_of
 from servofd.fleet.overview import Overview, log_status, overview
 from servofd.fleet.run import audit_fleet
 from servofd.fleet.store import FleetStore, by_path, read_logs
-from servofd.outputs.fleet_page import effect_left, fleet_page, fleet_sentence, flight_name, logs_by_status
+from servofd.outputs.fleet_report import fleet_report, flight_name
 
 if TYPE_CHECKING:
     from servofd.batch.find import Found, LogSource
@@ -35,7 +35,7 @@ def run(options: Options) -> int:
     _write_page(seen, target)
     if give_json(options.json, seen.document()):
         return seen.exit_code
-    _print_overview(seen)
+    print_document(fleet_report(seen.document()))
     for fault in seen.faults:
         print(f"{fault['path']}: {fault['surface']}: {fault['kind']} from {fault['start_s']:.1f} s")
     for one in seen.not_judged:
@@ -61,11 +61,11 @@ def run_fleet(options: Options, job: Job) -> int:
         _write_page(seen, page)
     printed = give_json(options.json, {"schema": "servofd.audit/1", "logs": [log["document"] for log in logs]})
     if options.pages and not printed:
-        print(f"{fleet_sentence(seen.document())} → {Path(options.pages, FLEET_PAGE)}")
+        print(f"{fleet_report(seen.document()).sentence} → {Path(options.pages, FLEET_PAGE)}")
         for flight in [flight for flight in seen.flights if flight["status"] in ("fault", "suspect")][:_SHOWN]:
             print(f"{one_line(flight_name(flight))}: {one_line(flight['sentence'])}")
     elif not printed:
-        _print_overview(seen)
+        print_document(fleet_report(seen.document()))
     for problem in (*found.problems, *(one["reason"] for one in seen.not_judged)):
         complain(problem)
     return worst([seen.exit_code, *(2 for _ in found.problems)])
@@ -133,26 +133,4 @@ def _line(log: dict[str, Any]) -> str:
 def _write_page(seen: Overview, target: str) -> None:
     """Write the page of a fleet, with links to the pages of its flights that stand beside it."""
     pages = frozenset(path.name for path in Path(target).parent.glob("*.html"))
-    write_whole(target, fleet_page(seen.document(), pages).encode())
-
-
-def _print_overview(seen: Overview) -> None:
-    """Print what many logs say together."""
-    counts = ", ".join(f"{number} {status}" for status, number in sorted(seen.statuses.items()))
-    rows = [
-        [
-            count.surface,
-            *logs_by_status(count.logs),
-            ", ".join(f"{kind} {number}" for kind, number in count.kinds.items()),
-            "" if count.largest_share is None else f"{count.largest_share:.0%}",
-        ]
-        for count in seen.surfaces
-    ]
-    headings = ["surface", "healthy", "suspect", "fault", "not judged", "faults", "largest residual / threshold"]
-    title = f"{seen.logs} logs, {seen.hours:.1f} h: {counts}"
-    if rows or not seen.axes:
-        print_table(headings, rows, title)
-        title = ""
-    if seen.axes:
-        moved = [[axis.axis, *logs_by_status(axis.logs), effect_left(asdict(axis))] for axis in seen.axes]
-        print_table(["axis", "healthy", "suspect", "fault", "not judged", "effect left, where healthy"], moved, title)
+    write_page(fleet_report(seen.document(), pages), target)

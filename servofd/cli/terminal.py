@@ -161,8 +161,10 @@ def _print_parts(parts: Sequence[Part], shown: Console) -> None:
             shown.print(Text(f"{part.lead} {part.text}".strip(), style="bold" if part.style == "verdict" else ""))
         elif isinstance(part, Bullets):
             lines = part.lines
-        elif isinstance(part, Table) and part.rows:
-            print_table(part.head, [[str(cell) for cell in row] for row in part.rows], part.caption)
+        elif isinstance(part, Table) and part.rows and not part.long:
+            print_table(
+                [str(name) for name in part.head], [[str(cell) for cell in row] for row in part.rows], part.caption
+            )
         elif isinstance(part, Items) and part.items:
             rows = [[one.name, one.status, *filter(None, [one.beside]), one.words] for one in part.items]
             print_table(part.head, rows, "", shown)

@@ -24,9 +24,10 @@ if TYPE_CHECKING:
 
     from logparsers.records import FlightLog
     from servofd.aircraft.schema import Aircraft
+    from servofd.axes.verdict import AxisAudit
     from servofd.core.statistics import Estimate
     from servofd.core.types import FloatArray
-    from servofd.detection.verdict import AxisAudit, LogAudit, SurfaceAudit
+    from servofd.detection.verdict import LogAudit, SurfaceAudit
     from servofd.outputs.document import Part
 
 _UNITS = {"deg_s": "deg/s", "deg": "deg", "hz": "Hz", "s": "s"}

@@ -25,6 +25,8 @@ class Cell:
     outline: Sequence[float | None] = ()
     """Largest share of the threshold in each part of a flight, drawn small."""
     soft: str = ""
+    choice: str = ""
+    """Of a box to tick, what it chooses."""
     order: float | None = None
     """By which a column is sorted, if not by its text."""
 
@@ -70,12 +72,13 @@ class Bullets:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Rows under headings, with units in these; not shown without rows."""
+    """Rows under headings, with units in these; not shown without rows, but where it has an `id` to be filled."""
 
     caption: str
-    head: Sequence[str]
+    head: Sequence[str | Cell]
     rows: Sequence[Sequence[str | Cell]]
-    sortable: bool = False
+    long: bool = False
+    """Of any number of rows: on a page sorted by its headings, not printed on a terminal."""
     id: str = ""
 
 
@@ -159,7 +162,7 @@ def _marked(parts: Sequence[Part]) -> list[str]:
             texts.append(f"{part.lead} {part.text}".strip())
         elif isinstance(part, Bullets):
             texts.append("\n".join(f"- {_cell(line)}" for line in part.lines))
-        elif isinstance(part, Table):
+        elif isinstance(part, Table) and not part.long:
             texts.append(_rows(part.head, part.rows))
         elif isinstance(part, Items):
             texts.append(_rows(part.head, [(one.name, one.status, one.words) for one in part.items]))
@@ -168,7 +171,7 @@ def _marked(parts: Sequence[Part]) -> list[str]:
     return [text for text in texts if text]
 
 
-def _rows(head: Sequence[str], rows: Sequence[Sequence[str | Cell]]) -> str:
+def _rows(head: Sequence[str | Cell], rows: Sequence[Sequence[str | Cell]]) -> str:
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join(f"| {' | '.join(_cell(str(cell)) for cell in line)} |" for line in lines) if rows else ""
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from servofd.core.statistics import Z_95
 from servofd.outputs.document import Bullets, Document, Figures, Section, Table, Words
-from servofd.outputs.fleet_page import flight_name
+from servofd.outputs.fleet_report import flight_name
 from servofd.outputs.palette import COLOURS
 from servofd.outputs.picture import Picture, finish, new_figure
 from servofd.outputs.sentence import minute_of, spoken

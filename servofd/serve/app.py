@@ -13,9 +13,10 @@ from starlette.requests import ClientDisconnect
 from starlette.responses import FileResponse, HTMLResponse, JSONResponse
 from starlette.routing import Route
 
-from servofd.outputs.fleet_page import thumbnail
-from servofd.outputs.page import page
-from servofd.outputs.sentence import clock, minute_of, spoken
+from servofd.outputs.document import Cell, Document, Table
+from servofd.outputs.fleet_report import FLIGHTS_HEAD, flight_row
+from servofd.outputs.page import html_page
+from servofd.outputs.sentence import spoken
 from servofd.serve.flights import RESULTS, TooLarge
 from servofd.serve.guard import Guard
 from servofd.serve.judge import AUDIT, PAGE, RECORDING, progress_in
@@ -53,12 +54,16 @@ def application(flights: Flights, token: str = "") -> ASGIApp:
 async def _said(_request: Request, error: Exception) -> Response:
     """What is wrong with a request, as a page."""
     status, text = (error.status_code, error.detail) if isinstance(error, HTTPException) else (500, "")
-    return HTMLResponse(page("said.html", sentence=text or "Not found.", status=status), status)
+    return _page(Document("Nothing here", "unknown", text or "Not found."), status)
 
 
 async def _failed(_request: Request, _error: Exception) -> Response:
     """What is wrong with the page itself: printed where it runs; the browser learns only that there is something."""
-    return HTMLResponse(page("said.html", sentence="This did not work; the terminal says why.", status=500), 500)
+    return _page(Document("An error", "unknown", "This did not work; the terminal says why."), 500)
+
+
+def _page(document: Document, status: int = 200, template: str = "serve.html", **values: object) -> Response:
+    return HTMLResponse(html_page(document, template, **values), status)
 
 
 class _Routes:
@@ -66,11 +71,17 @@ class _Routes:
         self._flights = flights
 
     async def index(self, _request: Request) -> Response:
-        rows = self._rows()
-        return HTMLResponse(page("serve.html", flights=rows, most_bytes=self._flights.most_bytes))
+        rows = []
+        for one in map(self._row, self._flights.all()):
+            name, verdict, *cells = flight_row(one["name"], one["status"], one, f"/flights/{one['id']}")
+            state = verdict if one["state"] == "done" else one["state"]
+            rows.append((name, state, *cells, Cell(choice=one["id"], soft=one["name"])))
+        flights = Table("Flights, the latest first", (*FLIGHTS_HEAD, "compare"), rows, long=True, id="flights")
+        where = "Drop flight logs here: .bin, .log, .tlog, .ulg, .mat, .csv, packed or not. They stay on this computer."
+        return _page(Document("servofd", "no_data", "Which servo is lying?", where, [flights]), flights=rows)
 
     async def listed(self, _request: Request) -> Response:
-        return JSONResponse(self._rows())
+        return JSONResponse([self._row(flight) for flight in self._flights.all()])
 
     async def take(self, request: Request) -> Response:
         """The bytes of one log, as they come: no more of them is in memory than one piece."""
@@ -97,11 +108,12 @@ class _Routes:
 
     async def flight(self, request: Request) -> Response:
         flight = self._known(request.path_params["id"])
-        folder = self._flights.results(flight.id)
-        recording = (folder / RECORDING).is_file()
-        return HTMLResponse(
-            page("flight.html", flight=self._row(flight), recording=recording, viewer=_viewer_address(flight))
-        )
+        recording, row = (self._flights.results(flight.id) / RECORDING).is_file(), self._row(flight)
+        waits = "" if flight.state == "done" else f"{flight.name}: {flight.state}"
+        soon = f"{row['sentence']} This page shows the verdict as soon as there is one.".strip()
+        document = Document(flight.name, "no_data", waits, soon)
+        viewer = f"/flights/{quote(flight.id)}/{RECORDING}"  # but for the host, which only the browser knows
+        return _page(document, template="flight.html", flight=row, recording=recording, viewer=viewer)
 
     async def result(self, request: Request) -> Response:
         flight, name = self._known(request.path_params["id"]), request.path_params["file"]
@@ -125,7 +137,10 @@ class _Routes:
         except OSError:
             raise HTTPException(409, "One of the two is not judged yet.") from None
         rows = _compared([_parts(document["logs"]) for document in documents])
-        return HTMLResponse(page("compare.html", flights=[self._row(one) for one in flights], rows=rows))
+        head: list[str | Cell] = ["surface", *(Cell(one.name, link=f"/flights/{one.id}") for one in flights)]
+        table = Table("The same surfaces and axes in two flights, the worst first", head, rows)
+        names = " and ".join(one.name for one in flights)
+        return _page(Document(names, "no_data", names, parts=[table]))
 
     async def viewer(self, request: Request) -> Response:
         name = request.path_params["file"] or "index.html"
@@ -134,15 +149,25 @@ class _Routes:
             raise HTTPException(404, 'The viewer is not here; pip install "servofd[view]" brings it.')
         return FileResponse(folder / name, media_type=FILES[name], headers={"Cache-Control": "private, max-age=86400"})
 
-    def _rows(self) -> list[dict[str, Any]]:
-        return [self._row(flight) for flight in self._flights.all()]
-
     def _row(self, flight: Flight) -> dict[str, Any]:
-        """A flight in the list; what is at work says how far it is."""
-        row = _row(flight)
+        """A flight in the list; it tells no folder. What is at work says how far it is."""
+        summary = flight.summary
+        sentence = summary.sentence if summary else ""
         if flight.state == "at work":
-            row["sentence"] = progress_in(self._flights.results(flight.id))
-        return row
+            sentence = progress_in(self._flights.results(flight.id))
+        return {
+            "id": flight.id,
+            "name": flight.name,
+            "size": f"{flight.size_bytes / 1e6:.1f} MB",
+            "state": flight.state,
+            "status": summary.status if summary else "",
+            "sentence": sentence,
+            "start_utc": summary.start_utc if summary else None,
+            "duration_s": summary.duration_s if summary else None,
+            "too_long": summary.too_long if summary else False,
+            "surface": summary.surface if summary else "",
+            "outline": summary.outline if summary else (),
+        }
 
     def _known(self, flight_id: str) -> Flight:
         flight = self._flights.get(flight_id)
@@ -160,29 +185,6 @@ def _rerun_version() -> str:
         return "none"
 
 
-def _row(flight: Flight) -> dict[str, Any]:
-    """A flight in the list; it tells no folder."""
-    summary = flight.summary
-    return {
-        "id": flight.id,
-        "name": flight.name,
-        "size": f"{flight.size_bytes / 1e6:.1f} MB",
-        "state": flight.state,
-        "status": summary.status if summary else "",
-        "sentence": summary.sentence if summary else "",
-        "begun": minute_of(summary.start_utc if summary else None),
-        "duration": clock(summary.duration_s) if summary and summary.duration_s else "",
-        "surface": spoken(summary.surface) if summary else "",
-        "too_long": summary.too_long if summary else False,
-        "thumbnail": thumbnail(summary.outline if summary else ()),
-    }
-
-
-def _viewer_address(flight: Flight) -> str:
-    """Path and query of the viewer, but for the host, which only the browser knows."""
-    return f"/flights/{quote(flight.id)}/{RECORDING}"
-
-
 _RANKS = ("fault", "suspect", "healthy", "unknown", "no_data", "")
 
 
@@ -198,28 +200,22 @@ def _parts(runs: list[dict[str, Any]]) -> dict[str, Any]:
     return found
 
 
-def _compared(parts: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def _compared(parts: list[dict[str, Any]]) -> list[list[str | Cell]]:
     """One row for each surface and axis that either flight knows, the worst first."""
     names = list(dict.fromkeys(name for one in parts for name in one))
-    rows = [{"name": spoken(name), "flights": [_entry(one.get(name)) for one in parts]} for name in names]
-    return sorted(rows, key=lambda row: min(_RANKS.index(one["status"]) for one in row["flights"]))
+    rows = [(spoken(name), [_entry(one.get(name)) for one in parts]) for name in names]
+    rows.sort(key=lambda row: min(_RANKS.index(one.status) for one in row[1]))
+    return [[name, *cells] for name, cells in rows]
 
 
-def _entry(entry: dict[str, Any] | None) -> dict[str, Any]:
+def _entry(entry: dict[str, Any] | None) -> Cell:
     if entry is None:
-        return {"status": "", "reason": "not in this flight", "numbers": "", "thumbnail": thumbnail(())}
-    residual = entry.get("residual")  # of an axis its sentence tells all
-    numbers = (
-        ""
-        if residual is None
-        else (
+        return Cell("not in this flight")
+    residual, numbers = entry.get("residual"), ""  # of an axis its sentence tells all
+    if residual is not None:
+        numbers = (
             f"largest residual {residual['max_abs_deg']:.2f} deg, mean {residual['mean_deg']:+z.2f}, "
             f"standard deviation {residual['std_deg']:.2f}"
         )
-    )
-    return {
-        "status": entry["status"],
-        "reason": entry["reason"],
-        "numbers": numbers,
-        "thumbnail": thumbnail((residual or entry).get("outline") or ()),
-    }
+    outline = (residual or entry).get("outline") or ()
+    return Cell(entry["reason"], entry["status"], outline=outline, soft=numbers)

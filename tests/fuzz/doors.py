@@ -30,8 +30,9 @@ from servofd.core.errors import ServofdError
 from servofd.fleet.overview import overview
 from servofd.fleet.store import FleetStore, read_logs
 from servofd.live.session import Session
-from servofd.outputs.fleet_page import fleet_page
+from servofd.outputs.fleet_report import fleet_report
 from servofd.outputs.json_report import audit_document, to_json
+from servofd.outputs.page import html_page
 from servofd.outputs.recording.read import read_recording
 from servofd.outputs.recording.review import contradictions, rejudged
 from servofd.servo.library import find_servo
@@ -172,7 +173,7 @@ def _results_seeds(folder: Path) -> list[bytes]:
     """Files of a folder of results; the first byte says which."""
     parts = seeds.fleet_parts(folder)
     (folder / "parts.json").write_text(json.dumps(list(parts)))
-    fleet_page(overview(read_logs(folder / "results")).document())  # opens fonts, which stay open
+    html_page(fleet_report(overview(read_logs(folder / "results")).document()))  # opens fonts, which stay open
     return [bytes([number]) + part for number, part in enumerate(parts.values()) if part]
 
 
@@ -185,7 +186,7 @@ def _results(content: bytes, folder: Path) -> str:
     (damaged / names[content[0] % len(names) if content else 0]).write_bytes(content[1:])
     seen = overview(read_logs(damaged)).document()
     if zlib.crc32(content) % _SHOWN == 1:  # that of nothing is 0
-        fleet_page(seen)
+        html_page(fleet_report(seen))
     with FleetStore(damaged, Job().key) as store:
         store.forget_not_judged()
         return "done" if store.done(find_logs([str(folder / "flight.csv")]).logs[0]) else "to do"

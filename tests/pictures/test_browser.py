@@ -167,7 +167,7 @@ def test_logs_are_dropped_and_judged_with_the_keyboard_alone(width: int, browser
         browser.key("Tab")
         assert browser.tell("document.activeElement.id") == "files"
         browser.choose("#files", logs)
-        wait_for(lambda: browser.tell("document.querySelectorAll('tr[data-state=done]').length === 2"))
+        wait_for(lambda: browser.tell("document.querySelectorAll('#flights .badge').length === 2"))
         browser.shot(tmp_path / "list.png")
         assert browser.tell("document.documentElement.scrollWidth <= innerWidth")
         assert browser.tell("document.getElementById('progress').textContent") == ""

@@ -1,0 +1,150 @@
+"""Many logs: how many are well, which are not, and what could not be judged."""
+
+from __future__ import annotations
+
+from pathlib import PurePosixPath
+from typing import TYPE_CHECKING, Any
+
+from servofd.outputs.audit_report import quantity
+from servofd.outputs.document import Cell, Document, Section, Table, Words
+from servofd.outputs.sentence import clock, minute_of, spoken
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from servofd.outputs.document import Part
+
+_MOST_ROWS = 200
+_MOST_FLIGHTS = 2000
+_STATUSES = ("healthy", "suspect", "fault", "not judged")
+FLIGHTS_HEAD = ("flight", "verdict", "begun (UTC)", "length", "residual", "what")
+_FAULTS_HEAD = ("log", "begun (UTC)", "surface", "kind", "onset [s]", "end [s]", "parameters", "probability")
+_LINE = (
+    "The small pictures show the residual of the worst surface (what its motion tells of the worst axis) over the "
+    "flight; the line is its threshold."
+)
+_NEXT = (
+    "Look at one flight: its name leads to its page. Follow one aircraft over its flights: `servofd trend FOLDER -c "
+    "AIRCRAFT.toml`. Tables for pandas, DuckDB and Rerun: `servofd audit FOLDER -o results`."
+)
+
+
+def fleet_report(document: dict[str, Any], pages: frozenset[str] = frozenset()) -> Document:
+    """Flights, the worst first, those with one of the `pages` linked to it; then surfaces, axes and faults.
+
+    It names files without their folders, and tells nothing else of the machine or its user.
+    """
+    flights, faults, not_judged = document["flights"], document["faults"], document["not_judged"]
+    known, statuses, hours = {flight["status"] for flight in flights}, document["statuses"], document["hours"]
+    judged = document["logs"] - statuses.get("not_judged", 0)
+    faulty, suspect = statuses.get("fault", 0), statuses.get("suspect", 0)
+    said = [f"{faulty or 'None'} of {judged} judged logs show{'s' * (faulty <= 1)} a fault"]
+    said += [f"{suspect} {'is' if suspect == 1 else 'are'} suspect"] if suspect else []
+    said += [f"{statuses['not_judged']} more could not be judged"] if statuses.get("not_judged") else []
+    flown = f"{hours:.1f} h" if hours >= 1.0 else f"{60.0 * hours:.{0 if hours >= 0.1 else 1}f} min"
+    rows = []
+    for rank, flight in enumerate(flights[:_MOST_FLIGHTS]):
+        name = flight_name(flight)
+        status = "unknown" if flight["status"] == "not_judged" else flight["status"]
+        page = flight["page"] if flight["page"] in pages else ""
+        said_of_it = flight["sentence"].replace(flight["path"], name)
+        rows.append(flight_row(name, status, flight | {"sentence": said_of_it}, page, rank))
+    of_surfaces, of_axes = ("surface", "servo", *_STATUSES), ("axis", "surfaces", *_STATUSES)
+    lost = [(flight_name(one), one["reason"].replace(one["path"], flight_name(one))) for one in not_judged[:_MOST_ROWS]]
+    told = [
+        Table("Each fault, in s after the beginning", _FAULTS_HEAD, [_fault(one) for one in faults[:_MOST_ROWS]]),
+        *_more(faults, _MOST_ROWS, "faults"),
+    ]
+    return Document(
+        title="Many flights",
+        status=next((s for s in ("fault", "suspect", "healthy") if s in known), "unknown"),
+        sentence=", ".join(said) + "." if judged else "No log was judged.",
+        facts=f"{document['logs']} logs, {flown} of flight",
+        parts=[
+            Table("Flights, the worst first", FLIGHTS_HEAD, rows, long=True),
+            Table(
+                "Surfaces",
+                (*of_surfaces, "kinds of faults", "largest residual / threshold, where no fault"),
+                [_surface(surface) for surface in document["surfaces"]],
+            ),
+            Table(
+                "Axes, judged by the motion of the aircraft",
+                (*of_axes, "effect left, where healthy"),
+                [_axis(axis) for axis in document["axes"]],
+            ),
+        ],
+        evidence=[
+            *_more(flights, _MOST_FLIGHTS, "logs"),
+            Words(_LINE, style="soft"),
+            *([Section("All faults, with onset and parameters", told, folded=True)] if faults else []),
+            Table("Not judged, and why", ("log", "why"), lost),
+            *_more(not_judged, _MOST_ROWS, "logs"),
+            Section("What to do next", [Words(_NEXT)], folded=True),
+        ],
+        data=document,
+    )
+
+
+def flight_row(
+    name: str, status: str, flight: Mapping[str, Any], page: str, rank: int | None = None
+) -> tuple[str | Cell, ...]:
+    """Cells under `FLIGHTS_HEAD`."""
+    duration_s = flight["duration_s"] or 0.0
+    return (
+        Cell(name, link=page),
+        Cell(status=status, order=rank),
+        minute_of(flight["start_utc"]),
+        Cell(clock(duration_s) if duration_s else "", order=duration_s),
+        Cell(outline=flight["outline"], soft=spoken(flight["surface"]), order=rank),
+        flight["sentence"],
+    )
+
+
+def _more(every: Sequence[object], shown: int, table: str) -> list[Part]:
+    rest = len(every) - shown
+    return [Words(f"And {rest} more, in the table `{table}`.", style="soft")] if rest > 0 else []
+
+
+def flight_name(one: Mapping[str, Any]) -> str:
+    """Name of a log without its folders, and of its run."""
+    return PurePosixPath(one["path"].replace("\\", "/")).name + (f" (run {one['run']})" if one.get("run") else "")
+
+
+def _by_status(logs: Mapping[str, int]) -> list[str]:
+    """How many logs were healthy, suspect, at fault and not judged."""
+    return [
+        *(str(logs.get(status, 0)) for status in _STATUSES[:3]),
+        str(logs.get("unknown", 0) + logs.get("no_data", 0)),
+    ]
+
+
+def _axis(axis: dict[str, Any]) -> tuple[str, ...]:
+    """With the smallest and largest effect in the flights in which it was healthy."""
+    members, left = ", ".join(spoken(member) for member in axis["members"]), axis["effect_left"]
+    effect = "" if left is None else f"{100.0 * left[0]:.0f} to {100.0 * left[1]:.0f}%"
+    return axis["axis"], members, *_by_status(axis["logs"]), effect
+
+
+def _surface(surface: dict[str, Any]) -> tuple[str, ...]:
+    share = surface["largest_share"]
+    return (
+        surface["surface"],
+        ", ".join(surface["servos"]),
+        *_by_status(surface["logs"]),
+        ", ".join(f"{kind.replace('_', ' ')} {number}" for kind, number in surface["kinds"].items()) or "none",
+        "" if share is None else f"{share:.0%}",
+    )
+
+
+def _fault(fault: dict[str, Any]) -> tuple[str, ...]:
+    end_s = fault["end_s"]
+    return (
+        flight_name(fault),
+        minute_of(fault["start_utc"]),
+        spoken(fault["surface"]),
+        fault["kind"].replace("_", " "),
+        f"{fault['start_s']:.1f}",
+        "lasts" if end_s is None else f"{end_s:.1f}",
+        ", ".join(f"{quantity(name)} {value:.3g}" for name, value in fault["parameters"].items()),
+        f"{fault['probability']:.0%}",
+    )
