@@ -128,15 +128,6 @@ def audit_segment(
     """Judge one surface.
 
     Threshold and its kind are those of the aircraft, unless others are asked for.
-
-    Examples
-    --------
-    >>> import logparsers
-    >>> from servofd.aircraft.schema import load_aircraft
-    >>> log, faser = logparsers.read("sample_logs/faser_stuck_flight.mat"), load_aircraft("faser")
-    >>> segment = cut(log, "elevator", faser.surfaces["elevator"])
-    >>> audit_segment(segment, faser, duration_s=log.duration_s, threshold_deg=1.0).status
-    'fault'
     """
     name = segment.surface
     surface = judged_by(aircraft.surfaces[name], threshold_deg, threshold)

@@ -47,12 +47,6 @@ class Ridge:
     """Least squares with a Gaussian prior of zero mean on each coefficient, for many targets.
 
     The regressors are of shape (n, k), the standard deviations of their priors (k,), infinite for none.
-
-    Examples
-    --------
-    >>> fit = Ridge(np.ones((2, 1)), np.array([np.inf]), 0.1).fit(np.array([1.0, 3.0]))
-    >>> fit.coefficients.round(6), round(fit.cost_deg2, 6)
-    (array([2.]), 2.0)
     """
 
     def __init__(self, regressors: FloatArray, spread: FloatArray, noise_deg: float) -> None:

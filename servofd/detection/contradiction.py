@@ -198,13 +198,7 @@ def resting_width_deg(noise: float, step: float) -> float:
 
 
 def resting_runs(measured_deg: FloatArray, width_deg: float) -> IntArray:
-    """Label of the run to which each sample belongs, shape (n,): samples of one run lie within a width [deg].
-
-    Examples
-    --------
-    >>> resting_runs(np.array([0.0, 0.1, 0.0, 5.0, 9.0, 9.1]), 0.5).tolist()
-    [0, 0, 0, 1, 2, 2]
-    """
+    """Label of the run to which each sample belongs, shape (n,): samples of one run lie within a width [deg]."""
     labels = np.zeros(measured_deg.size, dtype=np.int64)
     _label(measured_deg, width_deg, labels)
     return labels
@@ -525,14 +519,7 @@ _SMALL_STEP = 10.0
 
 
 def step_deg(values_deg: FloatArray) -> float:
-    """Smallest step in which a stream comes [deg]; 0 if it is finer than it is noisy.
-
-    Examples
-    --------
-    >>> coarse = np.round(np.sin(np.arange(1000) / 50.0) / 0.05) * 0.05
-    >>> round(step_deg(coarse), 6), step_deg(np.random.default_rng(0).normal(size=1000))
-    (0.05, 0.0)
-    """
+    """Smallest step in which a stream comes [deg]; 0 if it is finer than it is noisy."""
     given = values_deg[np.isfinite(values_deg)]
     moved = given[1:][np.diff(given) != 0.0] if given.size > 1 else given
     values = np.unique(np.round(moved, _DECIMALS))
@@ -556,20 +543,6 @@ def wiring_problem(residuals: Residuals) -> str:
     -------
     str
         A sentence; empty if sign and scale are plausible, or the position does not follow at all.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from servofd.detection.residual import ResidualGenerator
-    >>> from servofd.servo.servo_model import ServoModel
-    >>> from servofd.aircraft.segment import Segment
-    >>> from servofd.servo.library import servo_named
-    >>> model = ServoModel.of(servo_named("hs225bb-eq31"))
-    >>> time_s = np.arange(0.0, 9.0, 0.01)
-    >>> command_deg = 5.0 * np.sin(5.0 * time_s)
-    >>> position_deg = -model.simulate(time_s, command_deg, time_s)
-    >>> wiring_problem(ResidualGenerator(model, 50.0).run(Segment("x", time_s, command_deg, time_s, position_deg)))
-    'position is -1.00x the command throughout: check the sign of the calibration'
     """
     parts = [_gain(residuals, part) for part in np.array_split(np.flatnonzero(residuals.settled), _PARTS)]
     gains = [gain for gain in parts if gain is not None]
@@ -618,32 +591,13 @@ class Width(NamedTuple):
 
 
 def excess(residual_deg: FloatArray, sigma_deg: FloatArray, tolerance_deg: FloatArray) -> FloatArray:
-    """What of a residual is no noise, in tolerances, of shape (n,).
-
-    Examples
-    --------
-    >>> excess(np.array([0.1, -1.3]), np.array([0.1, 0.1]), np.array([0.5, 0.5]))
-    array([0., 2.])
-    """
+    """What of a residual is no noise, in tolerances, of shape (n,)."""
     beyond = np.maximum(np.abs(residual_deg) - _NOISE_SIGMAS * sigma_deg, 0.0)
     return np.asarray(beyond / np.maximum(tolerance_deg, 1e-9))
 
 
 def width(time_s: FloatArray, excesses: FloatArray, moved_deg: FloatArray, least: float = 1.0) -> Width:
-    """How many times as wide tolerances have to be, by blocks of 2 s; never narrower than `least` times.
-
-    Examples
-    --------
-    Three blocks in a row that stand out do not count; but a model that is wrong in motion is wrong as a rule:
-
-    >>> time_s = np.arange(0.0, 100.0, 0.1)
-    >>> moved_deg = np.where(time_s > 90.0, 5.0 * np.sin(4.0 * time_s), 0.0)
-    >>> quiet = np.full(time_s.size, 0.5)
-    >>> width(time_s, quiet, moved_deg).scale, width(time_s, np.where(time_s < 6.0, 9.0, quiet), moved_deg).scale
-    (1.0, 1.0)
-    >>> width(time_s, np.where(time_s > 90.0, 3.0, quiet), moved_deg).usual
-    3.0
-    """
+    """How many times as wide tolerances have to be, by blocks of 2 s; never narrower than `least` times."""
     first = np.flatnonzero(np.diff(np.floor(time_s / _BLOCK_S), prepend=-np.inf))
     peaks = np.maximum.reduceat(excesses, first)
     moves = np.maximum.reduceat(moved_deg, first) - np.minimum.reduceat(moved_deg, first) >= _MOVES_DEG

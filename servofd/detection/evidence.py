@@ -68,14 +68,7 @@ def why_not_cleared(residuals: Residuals, shown: Detectable, level_deg: float) -
 
 
 def is_blind(shown: Detectable) -> bool:
-    """Whether a servo at a third of its speed would not show, nor the loss of a third of its travel in livelier flight.
-
-    Examples
-    --------
-    >>> from servofd.core.evidence import Detectable
-    >>> is_blind(Detectable(loss_share=0.6)), is_blind(Detectable(loss_share=0.6, slow_share=0.4))
-    (True, False)
-    """
+    """Whether a servo at a third of its speed would not show, nor the loss of a third of its travel in livelier flight."""
     loss_shows = shown.loss_share is not None and shown.loss_share <= _LIVELIER * MOST_LOST
     speed_shows = shown.slow_share is not None and shown.slow_share >= _THIRD_OF_SPEED
     return not (loss_shows or speed_shows)
@@ -222,24 +215,6 @@ def detectable(
     fitted, so that a loss of speed is not judgeable (of 16 brisk flights of strangers at a third of their speed,
     one was healthy and said that 9 % would have been seen); sizes are then those of faults that set in after the
     first quarter of the log.
-
-    Examples
-    --------
-    >>> from servofd.detection.residual import ResidualGenerator
-    >>> from servofd.detection.threshold import constant_threshold, interval_threshold
-    >>> from servofd.servo.servo_model import ServoModel
-    >>> from servofd.aircraft.segment import Segment
-    >>> from servofd.servo.library import servo_named
-    >>> from servofd.core.tolerance import Tolerance
-    >>> model, time_s = ServoModel.of(servo_named("hs225bb-eq31")), np.arange(0.0, 40.0, 0.02)
-    >>> command_deg = 10.0 * np.sin(time_s)
-    >>> segment = Segment("x", time_s, command_deg, time_s, model.simulate(time_s, command_deg, time_s))
-    >>> generator = ResidualGenerator(model, 50.0)
-    >>> residuals = generator.run(segment)
-    >>> interval = interval_threshold(generator, segment, residuals, Tolerance())
-    >>> shown = detectable(generator, residuals, constant_threshold(interval, 1.5))
-    >>> round(shown.bias_deg, 1), round(shown.loss_share, 2), shown.slow_share
-    (1.5, 0.15, 0.25)
     """
     use = residuals.settled & np.isfinite(residuals.residual_deg)
     if np.count_nonzero(use) < 2:

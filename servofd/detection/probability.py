@@ -73,11 +73,6 @@ def threshold_for_rate_deg(rate_per_hour: float, sigma_deg: float, correlation: 
     """Threshold at which a healthy Gaussian residual gives the wanted rate of false alarms.
 
     Of this surface alone: for a fleet, divide the rate by the number of surfaces. Right to ten digits of the rate.
-
-    Examples
-    --------
-    >>> round(threshold_for_rate_deg(1e-6, 0.0418, 0.62066, 0.01), 3)
-    0.292
     """
     if not sigma_deg > 0.0:
         raise DesignError("a residual without noise needs no threshold: the standard deviation must be above zero")
@@ -108,17 +103,7 @@ _WHITE_SHARE = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Noise:
-    """Stationary noise of one residual.
-
-    Examples
-    --------
-    >>> from servofd.detection.pulse import design_pulse_filter
-    >>> from servofd.servo.library import servo_named
-    >>> design = design_pulse_filter(servo_named("hs225bb-eq31").printed, 0.004, 0.01, 50.0)
-    >>> noise = Noise.designed(design, noise_deg=0.1)
-    >>> round(noise.sigma_deg, 4), round(noise.correlation, 5), round(noise.long_run_factor, 2)
-    (0.0418, 0.62066, 5.71)
-    """
+    """Stationary noise of one residual."""
 
     sigma_deg: float
     """Standard deviation [deg], above zero."""
@@ -190,12 +175,6 @@ class Noise:
 
         Weights of the earlier samples, latest first, shape (known,), and the standard deviation of what remains
         as a share of `sigma_deg`.
-
-        Examples
-        --------
-        >>> weights, spread = Noise(1.0, np.array([1.0, 0.6, 0.5]), 0.01).prediction(2)
-        >>> weights.round(6).tolist(), round(spread, 6)
-        ([0.46875, 0.21875], 0.780625)
         """
         from scipy.linalg import solve_toeplitz
 
@@ -440,15 +419,6 @@ def detect(response_deg: FloatArray, threshold_deg: float, noise: Noise) -> Dete
 
     `response_deg` (n,), two samples at least, is the mean residual from the sample at which the fault sets in until
     it has settled; the mean of the noise is added to it.
-
-    Examples
-    --------
-    A fault that takes the residual to the threshold at once is seen in half of all cases by its first sample:
-
-    >>> from servofd.detection.probability import Noise
-    >>> noise = Noise(0.1, np.array([1.0, 0.6]), 0.01)
-    >>> detect(np.full(3, 1.0), 1.0, noise).least
-    array([0.5, 0.5, 0.5])
     """
     from scipy.special import ndtr
 
@@ -465,16 +435,7 @@ def detect(response_deg: FloatArray, threshold_deg: float, noise: Noise) -> Dete
 
 
 def bias_response(design: PulseFilter, duration_s: float) -> FloatArray:
-    """Residual after a step of 1 deg in the measured deflection, from the sample at which it sets in, shape (n,).
-
-    Examples
-    --------
-    >>> from servofd.detection.pulse import design_pulse_filter
-    >>> from servofd.servo.library import servo_named
-    >>> design = design_pulse_filter(servo_named("hs225bb-eq31").transfer, 0.004, 0.01, 50.0)
-    >>> round(float(bias_response(design, 1.0)[-1]), 6)
-    1.0
-    """
+    """Residual after a step of 1 deg in the measured deflection, from the sample at which it sets in, shape (n,)."""
     from scipy.signal import lfilter
 
     count = int(duration_s / design.sample_time_s + 1e-9) + 1
@@ -736,15 +697,6 @@ def surface_odds(
 
     The noise is that of its healthy residual, measured or designed; `hours` of healthy data stand behind it and the
     tail, and `notes` are what the reader must know.
-
-    Examples
-    --------
-    >>> from servofd.detection.pulse import design_pulse_filter
-    >>> from servofd.servo.library import servo_named
-    >>> design = design_pulse_filter(servo_named("hs225bb-eq31").transfer, 0.004, 0.01, 50.0)
-    >>> odds = surface_odds("elevator", "hs225bb-eq31", design, Noise.designed(design, 0.1), 1.5, Wish(1e-6))
-    >>> round(odds.gaussian_threshold_deg, 3)
-    0.292
     """
     wanted = wish.false_alarms_per_hour
     gaussian_deg = abs(noise.mean_deg) + threshold_for_rate_deg(

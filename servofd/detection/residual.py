@@ -178,40 +178,27 @@ class ResidualGenerator:
 
     def run(self, segment: Segment) -> Residuals:
         """Residual of a whole segment."""
-        longest_gap_s = self.longest_gap_s(segment)
-        starts = find_starts(segment, longest_gap_s, self.blanking_s, rhythm(segment.command_s).longest_s)
-        commands = commands_at_servo(segment, self.model.plan.delay_s, longest_gap_s)
-        simulated = followed(
-            self.model.servo(segment.context), commands, segment.measured_s, starts.measured_deg, starts.restart
-        )
-        residual = self.filtered(segment.measured_s, starts.measured_deg - simulated, starts.restart)
-        immobile = np.where(np.isfinite(starts.measured_deg), -simulated, np.nan)
-        immobile_deg = self.filtered(segment.measured_s, immobile, starts.restart)
-        for array in (simulated, residual, starts.measured_deg, immobile_deg):
-            array.setflags(write=False)
+        simulator = Simulator.of(self, segment)
+        simulated_deg, (measured_deg, restart, settled) = simulator.simulated_deg(self.model), simulator.starts
+        both_deg = self._both_deg(segment.measured_s, simulated_deg, measured_deg, restart)
         return Residuals(
-            segment.measured_s,
-            simulated,
-            starts.measured_deg,
-            residual,
-            starts.settled,
-            immobile_deg,
-            starts.restart,
-            segment.context,
+            segment.measured_s, simulated_deg, measured_deg, both_deg[0], settled, both_deg[1], restart, segment.context
         )
 
     def without(self, residuals: Residuals, left_out: BoolArray) -> Residuals:
         """The same residuals as if some positions, marked in an array of shape (n,), had not come."""
-        measured_deg = np.where(left_out, np.nan, residuals.measured_deg)
-        rows = np.array([measured_deg - residuals.simulated_deg, -residuals.simulated_deg])
-        residual_deg, immobile_deg = self.filtered(residuals.time_s, rows, residuals.restart)
+        seen, measured_deg = residuals, np.where(left_out, np.nan, residuals.measured_deg)
+        residual_deg, immobile_deg = self._both_deg(seen.time_s, seen.simulated_deg, measured_deg, seen.restart)
+        settled = seen.settled & ~left_out
         return replace(
-            residuals,
-            measured_deg=measured_deg,
-            residual_deg=residual_deg,
-            settled=residuals.settled & ~left_out,
-            immobile_deg=immobile_deg,
+            seen, measured_deg=measured_deg, residual_deg=residual_deg, settled=settled, immobile_deg=immobile_deg
         )
+
+    def _both_deg(
+        self, time_s: FloatArray, simulated_deg: FloatArray, measured_deg: FloatArray, restart: NDArray[np.int8]
+    ) -> FloatArray:
+        """Residual of what was measured, and of a surface that rests at 0 deg, where there is a position (2, n)."""
+        return self.filtered(time_s, np.stack([measured_deg - simulated_deg, -simulated_deg]), restart)
 
     def filtered(self, time_s: FloatArray, error_deg: FloatArray, restart: NDArray[np.int8]) -> FloatArray:
         """Residual of one or several simulation errors [deg], shape (n,) or (r, n); anew where `restart` is not 0."""
@@ -267,22 +254,20 @@ def commands_at_servo(segment: Segment, delay_s: float, longest_gap_s: float) ->
     Complete logs: each command holds until the next; where single samples were lost, they are put back on the
     straight line between their neighbours. Thinned logs (`Segment.command_period_s`): the command runs
     straight between samples, later by half the real period, the mean lag of the hold.
-
-    Examples
-    --------
-    One lost sample at 0.02 s:
-
-    >>> from servofd.aircraft.segment import Segment
-    >>> time_s = np.array([0.0, 0.01, 0.03, 0.04])
-    >>> commands_at_servo(Segment("x", time_s, time_s * 100.0, time_s, time_s), 0.0, 0.1).command_deg
-    array([0., 1., 2., 3., 4.])
     """
     time_s, command_deg = segment.command_s, segment.command_deg
     if segment.command_period_s is not None:
         step_s = np.diff(time_s)
         slope = np.append(np.where(step_s <= longest_gap_s, np.diff(command_deg) / step_s, 0.0), 0.0)
         return Commands(time_s + delay_s + segment.command_period_s / 2.0, command_deg, slope)
-    time_s, command_deg = _with_lost_commands(time_s, command_deg, longest_gap_s)
+    lost = lost_commands(time_s, longest_gap_s)
+    if lost.any():
+        pieces = lost[:-1] + 1
+        owner = np.repeat(np.arange(pieces.size), pieces)
+        share = (np.arange(owner.size) - np.repeat(np.cumsum(pieces) - pieces, pieces)) / pieces[owner]
+        filled_s = np.append(time_s[owner] + share * np.diff(time_s)[owner], time_s[-1])
+        command_deg = np.append(command_deg[owner] + share * np.diff(command_deg)[owner], command_deg[-1])
+        time_s = filled_s
     return Commands(time_s + delay_s, command_deg, np.zeros(time_s.size))
 
 
@@ -293,20 +278,6 @@ def lost_commands(command_s: FloatArray, longest_gap_s: float) -> IntArray:
     lost = np.zeros(command_s.size, dtype=np.int64)
     lost[:-1][missing] = np.round(step_s[missing] / beat.period_s).astype(np.int64) - 1
     return lost
-
-
-def _with_lost_commands(
-    time_s: FloatArray, command_deg: FloatArray, longest_gap_s: float
-) -> tuple[FloatArray, FloatArray]:
-    lost = lost_commands(time_s, longest_gap_s)
-    if not lost.any():
-        return time_s, command_deg
-    pieces = lost[:-1] + 1
-    owner = np.repeat(np.arange(pieces.size), pieces)
-    place = np.arange(owner.size) - np.repeat(np.cumsum(pieces) - pieces, pieces)
-    share = place / pieces[owner]
-    filled_s = np.append(time_s[owner] + share * np.diff(time_s)[owner], time_s[-1])
-    return filled_s, np.append(command_deg[owner] + share * np.diff(command_deg)[owner], command_deg[-1])
 
 
 class Rhythm(NamedTuple):
@@ -321,11 +292,6 @@ def rhythm(command_s: FloatArray) -> Rhythm:
     """Rhythm of commands with time stamps [s] of shape (n,).
 
     Infinite where commands come as they please, and no interval is a loss.
-
-    Examples
-    --------
-    >>> rhythm(np.arange(100) * 0.02).longest_s.__round__(3)
-    0.03
     """
     if command_s.size < _FEWEST_COMMANDS:
         return Rhythm(float("inf"), float("inf"))
@@ -350,22 +316,7 @@ def thinned_rhythm(command_s: FloatArray) -> Rhythm:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Simulator:
-    """Commands and starts of a segment, which do not depend on the servo; the residual, most of the cost, is left out.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from servofd.servo.servo_model import ServoModel
-    >>> from servofd.aircraft.segment import Segment
-    >>> from servofd.servo.library import servo_named
-    >>> model = ServoModel.of(servo_named("hs225bb-eq31"))
-    >>> time_s = np.arange(1000) / 100.0
-    >>> segment = Segment("elevator", time_s, np.sin(time_s), time_s, np.zeros(1000))
-    >>> generator = ResidualGenerator(model, 30.0)
-    >>> simulator = Simulator.of(generator, segment)
-    >>> bool(np.array_equal(simulator.simulated_deg(model), generator.run(segment).simulated_deg))
-    True
-    """
+    """Commands and starts of a segment, which do not depend on the servo that is simulated."""
 
     segment: Segment
     commands: Commands
@@ -378,7 +329,13 @@ class Simulator:
     def of(cls, generator: ResidualGenerator, segment: Segment) -> Simulator:
         """Make ready what the generator's filter would take: gaps and starts are found for its pole."""
         gap_s = generator.longest_gap_s(segment)
-        starts = find_starts(segment, gap_s, generator.blanking_s, rhythm(segment.command_s).longest_s)
+        starts = mark_starts(
+            new_starts_memory(),
+            segment.command_s,
+            segment.measured_s,
+            segment.measured_deg,
+            (gap_s, rhythm(segment.command_s).longest_s, generator.blanking_s),
+        )
         return cls(segment, commands_at_servo(segment, 0.0, gap_s), starts, gap_s)
 
     def with_commands(self, command_deg: FloatArray) -> Simulator:
@@ -400,14 +357,7 @@ _MOST, _GLITCH = 90.0, 3.0
 
 
 def noise_deg(error_deg: FloatArray) -> float:
-    """Standard deviation of white measurement noise in a simulation error, whatever moves slowly in it [deg].
-
-    Examples
-    --------
-    >>> rng = np.random.default_rng(1)
-    >>> round(noise_deg(0.1 * rng.standard_normal(100_000) + np.sin(np.arange(1e5) / 100.0)), 2)
-    0.1
-    """
+    """Standard deviation of white measurement noise in a simulation error, whatever moves slowly in it [deg]."""
     curvature = np.diff(error_deg[np.isfinite(error_deg)], 2)
     if curvature.size == 0:
         return 0.0
@@ -433,12 +383,6 @@ class Starts(NamedTuple):
     """What has to start anew at this sample: nothing, the filter, or model and filter."""
     settled: BoolArray
     """True where a position is there and the last start lies far enough back."""
-
-
-def find_starts(segment: Segment, longest_gap_s: float, blanking_s: float, fresh_s: float = np.inf) -> Starts:
-    """Mark the samples of a segment; what limits [s] mean is told by `mark_starts`."""
-    commands = segment.command_s, segment.measured_s, segment.measured_deg
-    return mark_starts(new_starts_memory(), *commands, (longest_gap_s, fresh_s, blanking_s))
 
 
 def mark_starts(
@@ -781,7 +725,9 @@ def prepared(generator: ResidualGenerator, segment: Segment) -> Prepared:
     """
     notes = []
     residuals = generator.run(segment)
-    if segment.command_period_s is None and _period_s(segment) >= _THIN_PERIOD_S:
+    steps_s = pace_steps(segment.command_s)
+    period_s = max(segment.period_s, float(np.median(steps_s)) if steps_s.size else 0.0)  # of the rarer stream
+    if segment.command_period_s is None and period_s >= _THIN_PERIOD_S:
         straight = replace(segment, command_period_s=_REAL_PERIOD_S)
         by_lines = generator.run(straight)
         if _rms_deg(by_lines) < _CLEARLY_SMALLER * _rms_deg(residuals):
@@ -794,12 +740,6 @@ def prepared(generator: ResidualGenerator, segment: Segment) -> Prepared:
         count = int(np.count_nonzero(jumps))
         notes.append(f"{count} reading{'s' if count > 1 else ''} away from the model for a moment only, not judged")
     return Prepared(segment, residuals, tuple(notes))
-
-
-def _period_s(segment: Segment) -> float:
-    """Usual time between the samples of the rarer stream [s]."""
-    steps_s = pace_steps(segment.command_s)
-    return max(segment.period_s, float(np.median(steps_s)) if steps_s.size else 0.0)
 
 
 def _rms_deg(residuals: Residuals) -> float:

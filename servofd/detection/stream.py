@@ -34,7 +34,6 @@ from servofd.detection.threshold import (
     constant_threshold,
     latch,
     new_latch_memory,
-    slower_generator,
     suspicion,
     unseen_deg,
 )
@@ -266,8 +265,9 @@ class Stream(_Waiting):
         self._generator, self._beat = generator, beat
         self._filter = generator.filter_parameters()
         self._delay_s = generator.model.plan.delay_s
-        slower = slower_generator(generator, surface.tolerances.rate)
-        self._motions = [on_its_way(each.model.servo()) for each in (generator, slower) if each is not None]
+        slower = generator.model.weaker(surface.tolerances.rate)
+        models = (generator.model,) if slower is generator.model else (generator.model, slower)
+        self._motions = [on_its_way(model.servo()) for model in models]
         self._cursors = [np.zeros(1, dtype=np.int64) for _ in self._motions]
         self._passed = PEAK_OF_LAGS * generator.pole_rad_s * period_s
         room = int(MEMORY_S / max(min(period_s, beat.period_s), FASTEST_COMMANDS_S))

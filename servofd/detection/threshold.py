@@ -30,7 +30,15 @@ from numpy.typing import NDArray
 from servofd.aircraft.schema import DEFAULT_SIGMAS
 from servofd.core.statistics import MAD_TO_SIGMA
 from servofd.core.types import BoolArray, ComplexArray, FloatArray
-from servofd.detection.residual import CURVATURE_TO_SIGMA, RESTART_ALL, RunningMedian, new_running_median, with_value
+from servofd.detection.residual import (
+    CURVATURE_TO_SIGMA,
+    RESTART_ALL,
+    RunningMedian,
+    Simulator,
+    lost_commands,
+    new_running_median,
+    with_value,
+)
 from servofd.servo.kernel import compiled, inner
 
 if TYPE_CHECKING:
@@ -282,27 +290,12 @@ def interval_threshold(
     """Largest residual that a healthy servo may have under the commands that it gets.
 
     Causal: no level uses a later sample, but for the usual sample time.
-
-    Examples
-    --------
-    At rest only bias and noise remain; in motion there is more to be wrong:
-
-    >>> from servofd.detection.residual import ResidualGenerator
-    >>> from servofd.servo.servo_model import ServoModel
-    >>> from servofd.aircraft.segment import Segment
-    >>> from servofd.servo.library import servo_named
-    >>> from servofd.core.tolerance import Tolerance
-    >>> model = ServoModel.of(servo_named("hs225bb-eq31"))
-    >>> time_s = np.arange(0.0, 20.0, 0.01)
-    >>> command_deg = np.where(time_s > 10.0, 10.0, 0.0)
-    >>> measured_deg = model.simulate(time_s, command_deg, time_s) + 0.1 * np.random.default_rng(1).normal(size=2000)
-    >>> segment = Segment("elevator", time_s, command_deg, time_s, measured_deg)
-    >>> generator = ResidualGenerator(model, 50.0)
-    >>> level_deg = interval_threshold(generator, segment, generator.run(segment), Tolerance()).level_deg
-    >>> bool(0.4 < level_deg[900] < 0.7 < level_deg[1010])
-    True
     """
-    rate_error_deg = _rate_error(generator, segment, residuals, tolerance.rate)
+    rate_error_deg, slower = np.zeros(0), generator.model.weaker(tolerance.rate)
+    if slower is not generator.model:
+        error_deg = Simulator.of(generator, segment).simulated_deg(slower) - residuals.simulated_deg
+        known = np.where(np.isfinite(residuals.measured_deg), error_deg, np.nan)
+        rate_error_deg = generator.filtered(residuals.time_s, known, residuals.restart)
     added_deg = _unseen(segment, generator, residuals.time_s)
     return Evaluation(generator, tolerance, segment.period_s).threshold(residuals, rate_error_deg, added_deg, sigmas)
 
@@ -324,22 +317,6 @@ def suspicion(residuals: Residuals, threshold: Threshold, memory: FloatArray | N
     judged = np.where(residuals.settled, beyond, np.nan)
     sums = cusum(judged, threshold.cusum.kappa, residuals.restart != 0, memory)
     return ((sums >= threshold.cusum.limit) & (excess_deg > 0.0)) | drifted
-
-
-def _rate_error(generator: ResidualGenerator, segment: Segment, residuals: Residuals, share: float) -> FloatArray:
-    """Residual of a servo whose rate limit is off by its tolerance [deg], shape (n,); empty without a limit."""
-    slower = slower_generator(generator, share)
-    if slower is None:
-        return np.zeros(0)
-    error_deg = slower.run(segment).simulated_deg - residuals.simulated_deg
-    known = np.where(np.isfinite(residuals.measured_deg), error_deg, np.nan)
-    return generator.filtered(residuals.time_s, known, residuals.restart)
-
-
-def slower_generator(generator: ResidualGenerator, share: float) -> ResidualGenerator | None:
-    """Generator of a servo whose rate limit is lower by a share; None if the servo has none."""
-    slower = replace(generator, model=generator.model.weaker(share))
-    return None if slower.model is generator.model else slower
 
 
 def new_loose_memory() -> FloatArray:
@@ -380,8 +357,6 @@ def tolerated_parameters(tolerance: Tolerance) -> FloatArray:
 
 def _unseen(segment: Segment, generator: ResidualGenerator, time_s: FloatArray) -> FloatArray:
     """What lost commands may add to the residual from each sample on [deg], shape (n,); empty if none was lost."""
-    from servofd.detection.residual import lost_commands
-
     lost = lost_commands(segment.command_s, generator.longest_gap_s(segment))
     if segment.command_period_s is not None or not lost.any():
         return np.zeros(0)

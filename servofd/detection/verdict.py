@@ -63,11 +63,6 @@ class Statistics:
         """Of the residual and of the error of the simulation at the samples that were judged, shape (n,) each.
 
         Infinite where squares are no numbers any more: such positions are wrong, and their verdict needs no more.
-
-        Examples
-        --------
-        >>> Statistics.of(np.array([1.0, -3.0]), np.array([0.5, 0.5]))
-        Statistics(mean_deg=-1.0, std_deg=2.0, max_abs_deg=3.0, simulation_error_rms_deg=0.5)
         """
         with np.errstate(over="ignore", invalid="ignore"):
             return cls(
@@ -275,39 +270,17 @@ _ANYHOW = "move it from stop to stop, slowly and fast, and compare with its comm
 
 
 def meaning(fault: Fault) -> str:
-    """What may have happened to the aircraft, in a sentence.
-
-    Examples
-    --------
-    >>> from servofd.detection.verdict import Fault
-    >>> meaning(Fault("deadband", 10.0, 10.4, None, {}, 0.99, ()))
-    'Small commands have no effect: worn gears, play in the linkage, or friction.'
-    """
+    """What may have happened to the aircraft, in a sentence."""
     return _MEANING[fault.kind]
 
 
 def gravest(faults: Sequence[Fault]) -> Fault:
-    """The first fault that lasts to the end of the log; the first of all if every one has passed.
-
-    Examples
-    --------
-    >>> from servofd.detection.verdict import Fault
-    >>> passed, lasts = (Fault("bias", 1.0, 2.0, 3.0, {}, 1.0, ()), Fault("stuck", 5.0, 6.0, None, {}, 1.0, ()))
-    >>> gravest([passed, lasts]).kind, gravest([passed]).kind
-    ('stuck', 'bias')
-    """
+    """The first fault that lasts to the end of the log; the first of all if every one has passed."""
     return next((fault for fault in faults if fault.end_s is None), faults[0])
 
 
 def next_step(surface: SurfaceAudit) -> str:
-    """What to do about a verdict, in a sentence; empty if there is nothing to do.
-
-    Examples
-    --------
-    >>> from servofd.detection.verdict import SurfaceAudit
-    >>> next_step(SurfaceAudit("rudder", "healthy", "", "s9254", "constant", 1.5, True))
-    ''
-    """
+    """What to do about a verdict, in a sentence; empty if there is nothing to do."""
     if surface.status == "fault":
         check = _CHECK.get(gravest(surface.faults).kind, _ANYHOW)
         return f"do not fly; on the ground, {check}; if it moves as asked, its position sensor is at fault"

@@ -154,16 +154,6 @@ class Surroundings:
     """What was heard of them lately; of several channels with the same news, the one that audits would take.
 
     `needs` are those of the models, of ``airspeed_m_s`` and ``servo_voltage_v``.
-
-    Examples
-    --------
-    >>> around = Surroundings({"airspeed_m_s"})
-    >>> around.channels[:3]
-    ['airspeed_m_s', 'ARSP[0].Airspeed', 'ARSP.Airspeed']
-    >>> around.add("VFR_HUD.airspeed", 1.0, 17.0), around.add("VFR_HUD.airspeed", 1.01, 17.1)
-    (True, False)
-    >>> around.context().airspeed_m_s
-    array([17.])
     """
 
     def __init__(self, needs: Iterable[str]) -> None:

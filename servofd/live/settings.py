@@ -63,12 +63,6 @@ class Settings:
     ----------
     outputs : Mapping of str to int or None
         By surface, the output that it hangs on.
-
-    Examples
-    --------
-    >>> settings = Settings({"elevator": 2, "rudder": 4})
-    >>> settings.hear("SERVO_VOLZ_RANGE", 200.0), settings.hear("SERVO_VOLZ_RANGE", 160.0).scale
-    (None, 0.8)
     """
 
     outputs: Mapping[str, int | None]

@@ -26,16 +26,7 @@ _JOIN_S = 5.0
 
 
 class Queue(Generic[T]):
-    """A bounded queue.
-
-    Examples
-    --------
-    >>> queue: Queue[int] = Queue(2)
-    >>> for number in (1, 2, 3):
-    ...     queue.put(number)
-    >>> queue.take(0.0), queue.dropped
-    ([2, 3], 1)
-    """
+    """A bounded queue."""
 
     def __init__(self, room: int) -> None:
         self._entries: deque[T] = deque(maxlen=room)
@@ -92,17 +83,7 @@ class Receiver:
 
 
 class Worker:
-    """Writes or sends in a thread of its own; gives up, and says why, when that fails.
-
-    Examples
-    --------
-    >>> written: list[bytes] = []
-    >>> worker = Worker(written.append, lambda: None)
-    >>> worker.put(b"one")
-    >>> worker.close()
-    >>> written, worker.error
-    ([b'one'], '')
-    """
+    """Writes or sends in a thread of its own; gives up, and says why, when that fails."""
 
     def __init__(self, write: Callable[[bytes], object], close: Callable[[], object], room: int = 20_000) -> None:
         self._write, self._close, self._stop = write, close, threading.Event()

@@ -64,19 +64,6 @@ class ServoBus:
 
     It is where the readings of all servos stay the same to the last bit while some of them are asked to move. One that
     jams stands still alone; and what stands still unasked is as good as new.
-
-    Examples
-    --------
-    >>> from servofd.aircraft.schema import load_aircraft
-    >>> commands = {name: s.command for name, s in load_aircraft("simulated").surfaces.items()}
-    >>> bus = ServoBus.of(commands)
-    >>> seen = []
-    >>> for k in range(10):
-    ...     for name in commands:
-    ...         bus.ask(name, 1500.0 + 20.0 * k)
-    ...         seen.append(bus.is_old(name, 0.05 * k, 1.8 * min(k, 5)))
-    >>> [any(seen[3 * k : 3 * k + 3]) for k in range(10)]
-    [False, False, False, False, False, False, False, True, True, True]
     """
 
     news: str = ""
@@ -174,14 +161,6 @@ class Disorder:
     """How far behind each other messages of one vehicle come that overtake themselves on their way.
 
     In order, nothing waits; else samples wait for as long as any was behind its successor in the last half minute.
-
-    Examples
-    --------
-    >>> disorder = Disorder()
-    >>> [disorder.take("x", at_s) for at_s in (1.0, 1.1, 1.05, 1.2, 1.05)]
-    [True, True, True, True, False]
-    >>> round(disorder.known_s(), 2)
-    1.15
     """
 
     def __init__(self) -> None:

@@ -30,14 +30,7 @@ _STYLES = {
 
 
 def event_line(event: Event) -> str:
-    """An event as one line of words.
-
-    Examples
-    --------
-    >>> from servofd.detection.monitor import Event
-    >>> event_line(Event(30.41, "elevator", "alarm", "unknown", -2.1, 1.5))
-    '  30.41 s  elevator: ALARM, residual -2.10 deg, threshold 1.50 deg'
-    """
+    """An event as one line of words."""
     who = f"{event.surface}: " if event.surface else ""
     what = {
         "alarm": f"ALARM, residual {event.residual_deg:+.2f} deg, threshold {event.threshold_deg:.2f} deg",

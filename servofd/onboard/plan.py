@@ -184,14 +184,7 @@ def plan_onboard(
 
 
 def outputs_of(aircraft: Aircraft, surfaces: Sequence[str] = ()) -> list[int]:
-    """Outputs of the surfaces that have a position, rising; of all surfaces if none is named.
-
-    Examples
-    --------
-    >>> from servofd.aircraft.schema import load_aircraft
-    >>> outputs_of(load_aircraft("simulated"))
-    [1, 2, 4]
-    """
+    """Outputs of the surfaces that have a position, rising; of all surfaces if none is named."""
     found = set()
     aircraft.check_names(surfaces)
     for name in surfaces or aircraft.surfaces:
@@ -203,13 +196,7 @@ def outputs_of(aircraft: Aircraft, surfaces: Sequence[str] = ()) -> list[int]:
 
 
 def onboard_name(surface: str) -> str:
-    """Name of a surface in a text message.
-
-    Examples
-    --------
-    >>> onboard_name("aileron_left"), onboard_name("Größe"), onboard_name("the_outermost_flap_on_the_left_wing")
-    ('AILERON_LEFT', 'GR__E', 'THE_OUTERM~_LEFT_WING')
-    """
+    """Name of a surface in a text message."""
     plain = re.sub(r"[^ -~]|[\"\\\\]", "_", surface).upper() or "_"
     if len(plain) <= LONGEST_NAME:
         return plain

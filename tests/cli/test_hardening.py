@@ -145,13 +145,11 @@ class TestVerdicts:
         assert json.loads(capsys.readouterr().out)["logs"][0]["surfaces"]["elevator"]["status"] == "no_data"
 
     def test_positions_inside_a_hole_of_the_commands_are_not_judged(self) -> None:
-        from servofd.aircraft.segment import Segment
-        from servofd.detection.residual import find_starts
+        from servofd.detection.residual import mark_starts, new_starts_memory
 
         time_s = np.arange(200) / 100.0
         kept = (time_s <= 1.0) | (time_s >= 1.04)
-        segment = Segment("x", time_s[kept], np.zeros(kept.sum()), time_s, np.zeros(200))
-        starts = find_starts(segment, 0.1, 0.16, fresh_s=0.0175)
+        starts = mark_starts(new_starts_memory(), time_s[kept], time_s, np.zeros(200), (0.1, 0.0175, 0.16))
         assert not starts.settled[102:104].any()
         assert starts.settled[[101, 104]].all()
 
