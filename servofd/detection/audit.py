@@ -144,7 +144,7 @@ def audit_segment(
     if surface.model.origin == "none":
         return _without_model(generator, segment, surface, verdict)
     segment, residuals, notes = prepared(generator, segment)
-    notes = (*notes, *_left_out(generator.model, segment), *_unusual_scale(surface), *_by_other_messages(surface))
+    notes = (*notes, *_reservations(generator.model, segment, surface))
     judged_s = _judged_s(residuals, generator.longest_gap_s(segment))
     is_number = np.isfinite(residuals.residual_deg[residuals.settled]).all()
     problem = too_short(judged_s) or ("" if is_number else "the residual is not a number: check model and units")
@@ -174,8 +174,8 @@ def audit_segment(
     else:
         status, reason = "unknown", problem
     judged_share = min(judged_s / max(duration_s, 1e-9), 1.0)
-    covered = coverage(segment, residuals)
-    problem = covered.problem or ("judged for too little of the log" if judged_share < _LEAST_OF_THE_LOG else "")
+    uncovered, remarks = coverage(segment, residuals)
+    problem = uncovered or ("judged for too little of the log" if judged_share < _LEAST_OF_THE_LOG else "")
     if status == "healthy" and problem:
         status, reason = "unknown", f"{problem}; as far as it was judged, {reason}"
     return reported(
@@ -185,7 +185,7 @@ def audit_segment(
         level,
         judged_share,
         status,
-        "; ".join((reason, *covered.notes, *_too_many(judgement), *notes)),
+        "; ".join((reason, *remarks, *_too_many(judgement), *notes)),
         faults=faults,
         suspicions=suspicions,
         statistics=statistics,
@@ -224,25 +224,17 @@ _LACKING = {
 }
 
 
-def _left_out(model: ServoModel, segment: Segment) -> tuple[str, ...]:
-    """Which effects of the model act as if there were none, for want of what they depend on."""
-    return tuple(_LACKING[need] for need in sorted(model.needs - segment.context.logged))
-
-
-def _unusual_scale(surface: Surface) -> tuple[str, ...]:
-    """That a servo fitted to this log moves by another amount than its command in degrees, from the beginning on."""
-    if surface.model.origin != "fitted" or not isinstance(surface.command, DegreeCalibration):
-        return ()
-    gain = surface.command.correction[0]
-    if USUAL_GAINS[0] <= gain <= USUAL_GAINS[1]:
-        return ()
-    return (f"its position moves by {gain:.2f} times its command throughout: a scale, or travel lost before this log",)
-
-
-def _by_other_messages(surface: Surface) -> tuple[str, ...]:
-    """That the calibration of a surface knows nothing of the times of this log."""
-    note = "calibrated on other messages than this log has: judged within wide tolerances"
-    return (note,) if surface.by_other_messages else ()
+def _reservations(model: ServoModel, segment: Segment, surface: Surface) -> list[str]:
+    """What a reader has to know of the model: effects that want data, another scale, a calibration on other times."""
+    notes = [_LACKING[need] for need in sorted(model.needs - segment.context.logged)]
+    if surface.model.origin == "fitted" and isinstance(surface.command, DegreeCalibration):
+        gain = surface.command.correction[0]
+        if not USUAL_GAINS[0] <= gain <= USUAL_GAINS[1]:
+            much = f"its position moves by {gain:.2f} times its command throughout"
+            notes.append(f"{much}: a scale, or travel lost before this log")
+    if surface.by_other_messages:
+        notes.append("calibrated on other messages than this log has: judged within wide tolerances")
+    return notes
 
 
 def _is_expected(log: FlightLog, aircraft: Aircraft, name: str) -> bool:

@@ -10,7 +10,7 @@ leaves, an oscillation a filtered wave; less speed adds a lag, and play what pla
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -68,7 +68,7 @@ def why_not_cleared(residuals: Residuals, shown: Detectable, level_deg: float) -
 
 
 def is_blind(shown: Detectable) -> bool:
-    """Whether a servo at a third of its speed would not show, nor the loss of a third of its travel in livelier flight."""
+    """Whether neither a servo at a third of its speed would show, nor the loss of a third of livelier travel."""
     loss_shows = shown.loss_share is not None and shown.loss_share <= _LIVELIER * MOST_LOST
     speed_shows = shown.slow_share is not None and shown.slow_share >= _THIRD_OF_SPEED
     return not (loss_shows or speed_shows)
@@ -79,15 +79,11 @@ def not_judgeable(shown: Detectable, *, own_fit: bool = False) -> str:
     missing = [_NAMES[name] for name in shown.missing]
     if not missing:
         return ""
-    if own_fit and set(missing) <= {"offset", "speed"}:
-        return f"{_in_words(missing)} not judgeable: fitted to this log"
-    why = ": no brisk motion" if missing == ["speed"] else ""
-    return f"{_in_words(missing)} not judgeable{why}"
-
-
-def _in_words(names: list[str]) -> str:
-    *first, last = names
-    return f"{', '.join(first)} and {last}" if first else last
+    why = ": fitted to this log" if own_fit and set(missing) <= {"offset", "speed"} else ""
+    if not why and missing == ["speed"]:
+        why = ": no brisk motion"
+    *first, last = missing
+    return f"{', '.join(first)} and {last} not judgeable{why}" if first else f"{last} not judgeable{why}"
 
 
 _BIN_S = 1.0
@@ -100,42 +96,16 @@ _LEAST = 0.5
 _STOPS_S, _STOPS_SHARE = 3.0, 0.1
 
 
-class Coverage(NamedTuple):
-    """What of a flight was judged."""
-
-    moving_share: float
-    """Share of the seconds in which the surface was asked to move, or did, that was judged."""
-    uncommanded_s: float
-    """Time for which the position moved clearly while there was no command [s]."""
-    stopped: str
-    """Which stream stopped long before the other, and when; empty if none did."""
-
-    @property
-    def problem(self) -> str:
-        """Why this is too little to clear a surface; empty if it is not."""
-        if self.stopped:
-            return self.stopped
-        if self.moving_share < _LEAST:
-            return f"judged for only {self.moving_share:.0%} of the time in which it moved or was asked to"
-        return ""
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What a reader should know of it."""
-        moved = f"the position moved for {self.uncommanded_s:.0f} s without any command in the log"
-        return (moved,) if self.uncommanded_s >= _FEWEST_S else ()
-
-
-def coverage(segment: Segment, residuals: Residuals) -> Coverage:
-    """What of a flight was judged."""
+def coverage(segment: Segment, residuals: Residuals) -> tuple[str, tuple[str, ...]]:
+    """Why too little of a flight was judged to clear a surface, empty if it was not; and what to know of it."""
     measured = np.isfinite(segment.measured_deg)
     if not measured.any() or segment.command_s.size == 0:
-        return Coverage(1.0, 0.0, "")
+        return "", ()
     first_s = float(min(segment.command_s[0], segment.measured_s[0]))
     last_s = float(max(segment.command_s[-1], segment.measured_s[-1]))
     position_s = segment.measured_s[measured]
     streams = segment.command_s, position_s, residuals.time_s[residuals.settled]
-    bins = [_bins(each, first_s) for each in streams]
+    bins = [((time_s - first_s) / _BIN_S).astype(np.int64) for time_s in streams]
     seconds = np.unique(np.concatenate([each[np.diff(each, prepend=-1) > 0] for each in bins]))
     command, position, settled = (np.searchsorted(seconds, each) for each in bins)
     asked = _spans(command, segment.command_deg, seconds.size)
@@ -145,22 +115,17 @@ def coverage(segment: Segment, residuals: Residuals) -> Coverage:
     moving: BoolArray = (asked >= _MOVES_DEG) | (moved >= _CLEARLY_MOVES_DEG)
     total = int(np.count_nonzero(moving))
     share = float(np.count_nonzero(moving & is_judged)) / total if total * _BIN_S >= _FEWEST_S else 1.0
-    alone = float(np.count_nonzero(~commanded & (moved >= _CLEARLY_MOVES_DEG))) * _BIN_S
-    return Coverage(share, alone, _stopped(segment, position_s, first_s, last_s))
-
-
-def _stopped(segment: Segment, position_s: FloatArray, first_s: float, last_s: float) -> str:
+    alone_s = float(np.count_nonzero(~commanded & (moved >= _CLEARLY_MOVES_DEG))) * _BIN_S
+    alone = f"the position moved for {alone_s:.0f} s without any command in the log"
+    notes = (alone,) if alone_s >= _FEWEST_S else ()
     longest_s = max(_STOPS_S, _STOPS_SHARE * (last_s - first_s))
     for what, time_s in (("command", segment.command_s), ("position", position_s)):
-        if last_s - time_s[-1] > longest_s:
-            return (
-                f"no {what} after {time_s[-1]:.1f} s although the other stream goes on for {last_s - time_s[-1]:.1f} s"
-            )
-    return ""
-
-
-def _bins(time_s: FloatArray, first_s: float) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    return ((time_s - first_s) / _BIN_S).astype(np.int64)
+        left_s = last_s - time_s[-1]
+        if left_s > longest_s:
+            return f"no {what} after {time_s[-1]:.1f} s although the other stream goes on for {left_s:.1f} s", notes
+    if share < _LEAST:
+        return f"judged for only {share:.0%} of the time in which it moved or was asked to", notes
+    return "", notes
 
 
 def _spans(where: NDArray[np.intp], values_deg: FloatArray, bins: int) -> FloatArray:
@@ -255,7 +220,9 @@ def detectable(
     start_deg = float(residuals.simulated_deg[use][0])
 
     def slowed(speed: float) -> FloatArray:
-        return _lagged(residuals.time_s, residuals.simulated_deg, lag_s * (1.0 / speed - 1.0))
+        result = np.empty(residuals.time_s.size)
+        _lag(residuals.time_s, residuals.simulated_deg, max(lag_s * (1.0 / speed - 1.0), 1e-9), result)
+        return result
 
     def loose(width_deg: float) -> FloatArray:
         return play(residuals.simulated_deg, width_deg, start_deg)
@@ -268,7 +235,8 @@ def detectable(
     found["slow_share"] = None if own_fit else _bisected(lambda speed: shows(slowed, speed), _LEAST_SPEED, 1.0)
     width_deg = _bisected(lambda width: shows(loose, width), reach_deg, 0.0) if reach_deg > 0.0 else None
     found["deadband_deg"] = width_deg
-    return Detectable(**{name: None if size is None else _rounded(size) for name, size in found.items()})
+    # Two digits: nobody knows more.
+    return Detectable(**{name: None if size is None else float(f"{size:.2g}") for name, size in found.items()})
 
 
 class _Judge:
@@ -351,13 +319,6 @@ def _bisected(shows: Callable[[float], bool], large: float, none: float) -> floa
     return large
 
 
-def _lagged(time_s: FloatArray, values: FloatArray, lag_s: float) -> FloatArray:
-    """Values behind one more lag [s], shape (n,)."""
-    result = np.empty(values.size)
-    _lag(time_s, values, max(lag_s, 1e-9), result)
-    return result
-
-
 @compiled
 def _lag(time_s: FloatArray, values: FloatArray, lag_s: float, result: FloatArray) -> None:
     state = values[0]
@@ -365,11 +326,6 @@ def _lag(time_s: FloatArray, values: FloatArray, lag_s: float, result: FloatArra
         if k > 0:
             state += (1.0 - np.exp(-(time_s[k] - time_s[k - 1]) / lag_s)) * (values[k] - state)
         result[k] = state
-
-
-def _rounded(size: float) -> float:
-    """Two digits: nobody knows more."""
-    return float(f"{size:.2g}")
 
 
 def status_of(

@@ -38,31 +38,12 @@ if TYPE_CHECKING:
 
     from servofd.aircraft.schema import Surface
     from servofd.core.types import BoolArray, FloatArray
-    from servofd.detection.residual import Commands, ResidualGenerator, Residuals
+    from servofd.detection.residual import ResidualGenerator, Residuals
     from servofd.detection.stream import Piece
     from servofd.detection.threshold import Threshold
     from servofd.detection.verdict import Fault
     from servofd.servo.context import Context
     from servofd.servo.servo_model import ServoModel
-
-
-@dataclass(slots=True)
-class JudgedTime:
-    """Time between positions that had a value, where they were judged."""
-
-    seconds: float = 0.0
-    _latest_s: float = float("nan")
-
-    def take(self, time_s: FloatArray, measured_deg: FloatArray, settled: BoolArray) -> None:
-        """Count the next samples, arrays of shape (n,)."""
-        valued = np.isfinite(measured_deg)
-        if not valued.any():
-            return
-        valued_s = time_s[valued]
-        begin_s = self._latest_s if np.isfinite(self._latest_s) else valued_s[0]
-        steps_s = np.minimum(np.diff(valued_s, prepend=begin_s), OUTAGE_S)
-        self.seconds += float(steps_s[settled[valued]].sum())
-        self._latest_s = float(valued_s[-1])
 
 
 QUIET_SHARE = 0.5
@@ -174,43 +155,20 @@ class Look(NamedTuple):
     """A copy of what is known of a surface."""
 
     at_s: float
-    generator: ResidualGenerator
-    surface: Surface
     residuals: Residuals
     threshold: Threshold
-    suspicious: BoolArray
-    commands: Commands
-    sent_period_s: float | None = None
-    """Between commands as they were sent [s], where most of them get lost."""
-    earlier_deg: FloatArray | None = None
-    """Positions before, of a model that was fitted, of which only faults are wanted: suspicions wait for the end."""
-    is_last: bool = False
-    """Whether it is for the report, with all that a report holds."""
-    quiet_s: float = float("inf")
+    quiet_s: float
     """Since when a surface in alarm is quiet [s]; infinite if it is not."""
+    find: Callable[[], tuple[tuple[Fault, ...], tuple[Fault, ...]]]
+    """Faults and suspicions; depends on nothing else."""
+    doubts_wiring: bool
+    """Whether sign and scale may be wrong, which the good flights of a calibrated surface have shown to be right."""
 
     def judge(self) -> tuple[tuple[Fault, ...], tuple[Fault, ...], str]:
-        """Faults and suspicions, and why nothing should be concluded from them; depends on nothing else."""
-        _, _, _, residuals, threshold, suspicious, commands, sent_period_s, _, is_last, quiet_s = self
-        if self.surface.calibrated is not None and self.surface.is_calibrated:
-            calibrated = judge_stretch(self.surface.calibrated, residuals, commands, sent_period_s)
-            return calibrated.faults, calibrated.suspicions, ""
-        if self.earlier_deg is not None:
-            faults = contradictions(self.generator, residuals, self.earlier_deg)
-            problem = wiring_problem(residuals) if faults else ""
-            return (() if problem else faults), (), problem
-        found = judge_evaluated(
-            self.generator,
-            self.surface,
-            residuals,
-            threshold,
-            suspicious,
-            commands,
-            is_report=is_last,
-            quiet_s=quiet_s,
-        )
-        problem = wiring_problem(residuals) if found.faults or found.suspicions else ""
-        return (() if problem else found.faults), (() if problem else found.suspicions), problem
+        """Faults and suspicions, and why nothing should be concluded from them."""
+        faults, suspicions = self.find()
+        problem = wiring_problem(self.residuals) if self.doubts_wiring and (faults or suspicions) else ""
+        return ((), (), problem) if problem else (faults, suspicions, "")
 
 
 @dataclass(slots=True)
@@ -220,8 +178,6 @@ class Alarm:
     kind: str = "unknown"
     stands: bool = True
     dismissed: bool = False
-    belongs: bool = False
-    """To the alarm before it, which only seemed to be over."""
     fault: Fault | None = None
 
 
@@ -313,8 +269,11 @@ class SurfaceMonitor:
     _passed_on_s: float = -np.inf
     """Time of the last command that the listener was told of [s]."""
     _begun_s: float = float("inf")
-    _judged: JudgedTime = field(default_factory=JudgedTime)
-    """Since when positions were evaluated, and how long they were judged [s]."""
+    """Since when positions were evaluated,"""
+    _judged_s: float = 0.0
+    """how long they were judged, of the time between those that had a value,"""
+    _valued_s: float = float("nan")
+    """and the latest that had one [s]."""
     _command_period_s: float = float("nan")
     _off_pace: int = 0
     _heard: dict[str, list[float]] = field(
@@ -395,7 +354,7 @@ class SurfaceMonitor:
             return self.suspended or self.outage or self.problem
         if self.reading is None or not self.was_judged:
             return "never judged"
-        share = self._judged.seconds / max(self.reading.time_s - self._begun_s, 1e-9)
+        share = self._judged_s / max(self.reading.time_s - self._begun_s, 1e-9)
         return f"judged for {share:.0%} of the time" if share < _MOST else ""
 
     @property
@@ -591,7 +550,7 @@ class SurfaceMonitor:
             if owner.kind == "healthy":
                 healthy.append(at_s)
             elif owner.alarm_s != at_s:
-                alarm.kind, alarm.fault, alarm.belongs = owner.kind, None, True
+                alarm.kind, alarm.fault = owner.kind, None
         return healthy, ended
 
     def finish(self) -> list[Event]:
@@ -602,20 +561,26 @@ class SurfaceMonitor:
         if self._stream is None:
             return events
         events += self._evaluated(self._stream.evaluate(final=True))
-        return events + self._last_look()
+        wanted = self._alarms or np.isfinite(self._suspected_s) or np.isfinite(self._wrong_s)
+        look = self._look(whole=True) if wanted else None
+        return events + (self.told(look, look.judge()) if look is not None else [])
 
     def restart(self) -> list[Event]:
         """Begin anew, because the vehicle did; what was found is kept."""
         events = self.finish()
         self._earlier.update({f.alarm_s: f for f in self.faults})
-        for alarm in self._alarms.values():
-            alarm.stands = False
+        self._over()
         self._stream, self._generator, self._waiting = None, None, ([], [])
         self._latest_seen, self._moved = float("nan"), False
         self._looks_s.clear()
         self._recent.clear()
         self._off_pace = 0
         return events
+
+    def _over(self) -> None:
+        """No alarm stands any more."""
+        for alarm in self._alarms.values():
+            alarm.stands = False
 
     def _alive(self, seen: list[tuple[float, float]]) -> list[Event]:
         """Follow the pace of the positions; a new one means to begin anew."""
@@ -751,8 +716,7 @@ class SurfaceMonitor:
                 kind = self.standing or "unknown"
                 if self.standing:
                     events.append(Event(time_s, self.name, "clear", kind, *numbers))
-                for alarm in self._alarms.values():
-                    alarm.stands = False
+                self._over()
                 self._looks_s = [time_s]
             else:
                 self._alarms[time_s], self._quiet = Alarm(), Quiet()
@@ -760,7 +724,13 @@ class SurfaceMonitor:
                 self._looks_s = sorted([*self._looks_s, *(time_s + after_s for after_s in _LOOKS_S)])
         events += self._recovered(piece)
         self._suspect(piece)
-        self._judged.take(residuals.time_s, residuals.measured_deg, residuals.settled)
+        valued = np.isfinite(residuals.measured_deg)
+        if valued.any():
+            valued_s = residuals.time_s[valued]
+            begin_s = self._valued_s if np.isfinite(self._valued_s) else valued_s[0]
+            steps_s = np.minimum(np.diff(valued_s, prepend=begin_s), OUTAGE_S)
+            self._judged_s += float(steps_s[residuals.settled[valued]].sum())
+            self._valued_s = float(valued_s[-1])
         last = int(residuals.time_s.size) - 1
         commands = self._stream.logged.commands().command_deg
         if self.listener is not None:
@@ -806,8 +776,7 @@ class SurfaceMonitor:
         now_s = float(piece.residuals.time_s[-1])
         obeys = isinstance(self._stream, CalibratedStream) and self._quiet.is_over(now_s)
         if obeys or now_s - self._quiet.away_s >= _RECOVERED_S:
-            for each in self._alarms.values():
-                each.stands = False
+            self._over()
             self._looks_s = [now_s]
             self._stream.again()
             numbers = float(piece.residuals.residual_deg[-1]), float(piece.threshold.level_deg[-1])
@@ -827,36 +796,30 @@ class SurfaceMonitor:
             self._suspected_s = time_s
 
     def _look(self, *, whole: bool = False) -> Look | None:
-        if self._stream is None or self._generator is None or self._stream.history.size == 0:
+        stream, surface, generator = self._stream, self.surface, self._generator
+        if stream is None or generator is None or stream.history.size == 0:
             return None
-        kind = self.surface.threshold
-        history, in_flight = self._stream.history, self._is_fitted and not whole
-        since_s = history.last_s - _LOOKED_AT_S if in_flight else -np.inf
-        residuals, threshold, suspicious = history.snapshot(kind, self._stream.cusum, since_s)
-        copied = self._stream.effective.copied()
-        residuals = replace(residuals, context=self._context)
-        at_s = float(residuals.time_s[-1])
-        earlier_deg = history.before(since_s, _EACH) if in_flight else None
-        sent_s = self._stream.sent_period_s if isinstance(self._stream, CalibratedStream) else None
+        known = surface.calibrated if surface.is_calibrated else None
+        in_flight = self._is_fitted and not whole
+        since_s = stream.history.last_s - _LOOKED_AT_S if in_flight else -np.inf
+        residuals, threshold, suspicious = stream.history.snapshot(surface.threshold, stream.cusum, since_s)
+        residuals, commands = replace(residuals, context=self._context), stream.effective.copied()
+        earlier_deg = stream.history.before(since_s, _EACH)
+        sent_s = stream.sent_period_s if isinstance(stream, CalibratedStream) else None
         quiet_s = self._quiet.quiet_s if self.standing and not whole else np.inf
-        return Look(
-            at_s,
-            self._generator,
-            self.surface,
-            residuals,
-            threshold,
-            suspicious,
-            copied,
-            sent_s,
-            earlier_deg,
-            whole,
-            quiet_s,
-        )
 
-    def _last_look(self) -> list[Event]:
-        wanted = self._alarms or np.isfinite(self._suspected_s) or np.isfinite(self._wrong_s)
-        look = self._look(whole=True) if wanted else None
-        return self.told(look, look.judge()) if look is not None else []
+        def find() -> tuple[tuple[Fault, ...], tuple[Fault, ...]]:
+            if known is not None:
+                calibrated = judge_stretch(known, residuals, commands, sent_s)
+                return calibrated.faults, calibrated.suspicions
+            if in_flight:  # suspicions of a model that was fitted wait for the end
+                return contradictions(generator, residuals, earlier_deg), ()
+            found = judge_evaluated(
+                generator, surface, residuals, threshold, suspicious, commands, is_report=whole, quiet_s=quiet_s
+            )
+            return found.faults, found.suspicions
+
+        return Look(float(residuals.time_s[-1]), residuals, threshold, quiet_s, find, known is None)
 
     def _event(self, look: Look, time_s: float, event: EventKind, kind: str, fault: Fault) -> Event:
         near = min(int(np.searchsorted(look.residuals.time_s, time_s)), look.residuals.time_s.size - 1)

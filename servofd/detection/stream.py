@@ -66,12 +66,14 @@ if TYPE_CHECKING:
 
 _DROPPED = 4
 """One part in so many is dropped when the room is full."""
+_OF_RESIDUALS = ("time_s", "simulated_deg", "measured_deg", "residual_deg", "settled", "immobile_deg", "restart")
+_OF_LEVELS = ("level_deg", "tolerance_deg", "saturated_deg", "sigma_deg", "drift")
 
 
 class History:
     """Evaluated samples, the latest of them; `capacity` at most."""
 
-    ROWS = 13
+    ROWS = len(_OF_RESIDUALS) + len(_OF_LEVELS) + 1
 
     def __init__(self, capacity: int) -> None:
         self._rows = np.zeros((self.ROWS, capacity))
@@ -96,25 +98,8 @@ class History:
     @staticmethod
     def packed(residuals: Residuals, threshold: Threshold, suspicious: BoolArray) -> FloatArray:
         """Rows of a piece, of shape (`ROWS`, n)."""
-        rows = (
-            residuals.time_s,
-            residuals.simulated_deg,
-            residuals.measured_deg,
-            residuals.residual_deg,
-            residuals.settled,
-            residuals.immobile_deg,
-            residuals.restart,
-            threshold.level_deg,
-            threshold.tolerance_deg,
-            threshold.saturated_deg,
-            threshold.sigma_deg,
-            threshold.drift,
-            suspicious,
-        )
-        packed = np.empty((len(rows), residuals.time_s.size))
-        for place, row in enumerate(rows):
-            packed[place] = row
-        return packed
+        rows = [getattr(residuals, name) for name in _OF_RESIDUALS] + [getattr(threshold, name) for name in _OF_LEVELS]
+        return np.array([*rows, suspicious], dtype=float)
 
     def before(self, since_s: float, each: int) -> FloatArray:
         """One in `each` of the positions before an instant [s], of shape (n,) [deg]."""
@@ -125,14 +110,11 @@ class History:
     ) -> tuple[Residuals, Threshold, BoolArray]:
         """Residuals, threshold and suspicious samples since an instant [s], copied."""
         first = int(np.searchsorted(self._rows[0, : self.size], since_s))
-        rows = self._rows[:, first : self.size].copy()
-        time_s, simulated_deg, measured_deg, residual_deg, settled, immobile_deg, restart = rows[:7]
-        level_deg, tolerance_deg, saturated_deg, sigma_deg, drift, suspicious = rows[7:]
-        residuals = Residuals(
-            time_s, simulated_deg, measured_deg, residual_deg, settled != 0.0, immobile_deg, restart.astype(np.int8)
-        )
-        threshold = Threshold(kind, level_deg, tolerance_deg, saturated_deg, sigma_deg, cusum, drift)
-        return residuals, threshold, suspicious != 0.0
+        *rows, suspicious = self._rows[:, first : self.size].copy()
+        known, levels = dict(zip(_OF_RESIDUALS, rows, strict=False)), rows[len(_OF_RESIDUALS) :]
+        known |= {"settled": known["settled"] != 0.0, "restart": known["restart"].astype(np.int8)}
+        threshold = Threshold(kind, cusum=cusum, **dict(zip(_OF_LEVELS, levels, strict=True)))
+        return Residuals(**known), threshold, suspicious != 0.0
 
 
 class CommandBuffer:
@@ -168,13 +150,11 @@ class CommandBuffer:
 
     def commands(self) -> Commands:
         """The same without copies."""
-        effective_s, command_deg, slope_deg_s = self._rows[:, : self.size]
-        return Commands(effective_s, command_deg, slope_deg_s)
+        return Commands(*self._rows[:, : self.size])
 
     def copied(self) -> Commands:
         """The same, to be kept."""
-        effective_s, command_deg, slope_deg_s = self._rows[:, : self.size].copy()
-        return Commands(effective_s, command_deg, slope_deg_s)
+        return Commands(*self._rows[:, : self.size].copy())
 
 
 MEMORY_S = 600.0
