@@ -109,11 +109,11 @@ def isolate(flight: Flight, episode: Episode) -> tuple[Fault, ...]:
         if episode.suspected_s is not None:
             before_s = _SUSPICION_LASTS_S + max(episode.start_s - episode.suspected_s, 0.0)
         start_s = min(refine_onset_s(flight, naming.best, episode.start_s, window, before_s), episode.alarm_s)
-    first = replace(
-        _fault(naming, episode, start_s),
-        named_s=float(window.time_s[-1]),
-        first_signs=_first_signs(flight, episode, until_s, onset),
-    )
+    first = replace(_fault(naming, episode, start_s), named_s=float(window.time_s[-1]))
+    begin_s = episode.start_s + _SETTLING_S
+    early = flight.window(begin_s, min(begin_s + _FIRST_S, until_s), onset) if flight.is_report else None
+    if early is not None:
+        first = replace(first, first_signs=first_signs(early, flight.generator, flight.sigma_deg))
     change = _change(flight, naming.kind, float(window.time_s[-1]), until_s)
     if change is None:
         return (first,)
@@ -139,14 +139,6 @@ def _onset(flight: Flight, start_s: float) -> Onset | None:
     if near.size == 0 or healthy_deg.size == 0:
         return None
     return Onset(start_s, float(np.median(near)), float(healthy_deg.min()), float(healthy_deg.max()))
-
-
-def _first_signs(flight: Flight, episode: Episode, until_s: float, onset: Onset | None) -> tuple[str, ...]:
-    if not flight.is_report:
-        return ()
-    begin_s = episode.start_s + _SETTLING_S
-    window = flight.window(begin_s, min(begin_s + _FIRST_S, until_s), onset)
-    return first_signs(window, flight.generator, flight.sigma_deg) if window is not None else ()
 
 
 def _name(flight: Flight, from_s: float, until_s: float, onset: Onset | None) -> tuple[Naming | None, Window | None]:
@@ -189,20 +181,12 @@ def _is_sure(naming: Naming) -> bool:
 
 
 def _fault(naming: Naming, episode: Episode, start_s: float) -> Fault:
+    kind, parameters, alternatives = naming.kind, naming.best.parameters if naming.best else {}, naming.alternatives
     if naming.probability < _LIKELY:
-        kinds = tuple(kind for kind in (naming.kind, *naming.alternatives) if kind != "unknown")
-        return Fault("unknown", start_s, episode.alarm_s, episode.end_s, {}, naming.probability, kinds, episode.level)
-    parameters = naming.best.parameters if naming.best else {}
-    return Fault(
-        naming.kind,
-        start_s,
-        episode.alarm_s,
-        episode.end_s,
-        parameters,
-        naming.probability,
-        naming.alternatives,
-        episode.level,
-    )
+        alternatives = tuple(each for each in (kind, *alternatives) if each != "unknown")
+        kind, parameters = "unknown", {}
+    until_s, level = episode.end_s, episode.level
+    return Fault(kind, start_s, episode.alarm_s, until_s, parameters, naming.probability, alternatives, level)
 
 
 def _change(flight: Flight, kind: str, from_s: float, until_s: float) -> tuple[float, Naming] | None:
@@ -348,11 +332,10 @@ def confirmed(named: tuple[Fault, ...], episode: Episode) -> tuple[Fault, ...]:
     before that remains the alarm.
     """
     first = named[0]
-    if first.named_s is None or first.probability < SURE or first.kind in ("healthy", "unknown"):
+    sure = first.probability >= SURE and first.kind not in ("healthy", "unknown")
+    if episode.level == "fault" or first.named_s is None or not sure:
         return named
-    if episode.level == "suspect":
-        return (replace(first, level="fault", alarm_s=first.named_s), *named[1:])
-    return named
+    return (replace(first, level="fault", alarm_s=first.named_s), *named[1:])
 
 
 def joined(flight: Flight, faults: Iterable[Fault]) -> tuple[Fault, ...]:
@@ -362,23 +345,14 @@ def joined(flight: Flight, faults: Iterable[Fault]) -> tuple[Fault, ...]:
     """
     result: list[Fault] = []
     for fault in faults:
-        if result and _same(result[-1], fault) and not _recovered(flight, result[-1], fault):
-            result[-1] = replace(result[-1], end_s=fault.end_s)
-        else:
-            result.append(fault)
+        before = result[-1] if result else None
+        if before is not None and (before.kind, before.level) == (fault.kind, fault.level):
+            between = None if before.end_s is None else flight.window(before.end_s, fault.start_s, None)
+            if between is None or name_fault(between).kind != "healthy":
+                result[-1] = replace(before, end_s=fault.end_s)
+                continue
+        result.append(fault)
     return tuple(result)
-
-
-def _same(before: Fault, after: Fault) -> bool:
-    return before.kind == after.kind and before.level == after.level
-
-
-def _recovered(flight: Flight, before: Fault, after: Fault) -> bool:
-    """Whether the surface was healthy between two faults."""
-    if before.end_s is None:
-        return False
-    window = flight.window(before.end_s, after.start_s, None)
-    return window is not None and name_fault(window).kind == "healthy"
 
 
 _MOST_EPISODES = 50
@@ -415,7 +389,19 @@ def judge(
         threshold = constant_threshold(threshold, surface.threshold_deg)
     commands = commands_at_servo(segment, generator.model.plan.delay_s, generator.longest_gap_s(segment))
     judgement = judge_evaluated(generator, surface, residuals, threshold, None, commands, dismiss=dismiss)
-    return _as_commanded(judgement, segment) if surface.model.origin == "fitted" else judgement
+    if surface.model.origin != "fitted":
+        return judgement
+
+    def is_asked(fault: Fault) -> bool:
+        """Whether commands came often enough to know what was asked between them."""
+        command_s = segment.command_s
+        count = int(np.count_nonzero((command_s >= fault.start_s) & (command_s <= fault.alarm_s)))
+        return fault.kind in _AT_REST or fault.alarm_s - fault.start_s <= _SELDOM_S * max(count, 1)
+
+    asked = tuple(fault for fault in judgement.faults if is_asked(fault))
+    not_asked = (replace(fault, level="suspect") for fault in judgement.faults if fault not in asked)
+    suspicions = tuple(sorted((*judgement.suspicions, *not_asked), key=lambda fault: fault.start_s))
+    return judgement._replace(faults=asked, suspicions=suspicions)
 
 
 def judge_evaluated(
@@ -444,7 +430,9 @@ def judge_evaluated(
     elif surface.tells_small_faults:
         suspects = suspicion(residuals, threshold) if suspicious is None else suspicious
     episodes = find_episodes(residuals, threshold, persistence=surface.persistence, suspicion=suspects)
-    episodes = tuple(e for e in episodes if not any(_belongs(e, fault) for fault in contradicted))
+    for fault in contradicted:  # which raises alarms, and so does its end
+        until_s = np.inf if fault.end_s is None else fault.end_s + ECHO_S
+        episodes = tuple(e for e in episodes if not fault.start_s - ECHO_S <= e.alarm_s <= until_s)
     if not episodes:
         return Judgement(threshold, contradicted, ())
     unnamed = max(len(episodes) - _MOST_EPISODES, 0)
@@ -456,7 +444,10 @@ def judge_evaluated(
     if is_fitted:
         named = joined(flight, (replace(f, level="suspect") for e in episodes for f in isolate(flight, e)))
         return Judgement(threshold, contradicted, tuple(f for f in named if f.kind != "healthy"), unnamed)
-    named = joined(flight, (fault for episode in episodes for fault in _named(flight, episode, threshold)))
+    found = ((isolate(flight, episode), episode) for episode in episodes)
+    if threshold.kind == "interval":  # a constant one is of a user, who says what is large
+        found = ((confirmed(some, episode), episode) for some, episode in found)
+    named = joined(flight, (fault for some, _ in found for fault in some))
     if not dismiss:
         named = tuple(_held(fault) for fault in named)
     if np.isfinite(quiet_s) and named and named[-1].end_s is None and has_recovered(flight, named[-1].kind, quiet_s):
@@ -478,26 +469,6 @@ def _of_a_bus_in_time(generator: ResidualGenerator, residuals: Residuals) -> Res
     return replace(generator.without(residuals, held), settled=in_time)
 
 
-def _as_commanded(judgement: Judgement, segment: Segment) -> Judgement:
-    """Accuse of no motion where commands came so seldom that nobody knows what was asked between them."""
-
-    def unknown(fault: Fault) -> bool:
-        command_s = segment.command_s
-        count = int(np.count_nonzero((command_s >= fault.start_s) & (command_s <= fault.alarm_s)))
-        return fault.kind not in _AT_REST and fault.alarm_s - fault.start_s > _SELDOM_S * max(count, 1)
-
-    asked = tuple(fault for fault in judgement.faults if not unknown(fault))
-    not_asked = tuple(replace(fault, level="suspect") for fault in judgement.faults if unknown(fault))
-    suspicions = tuple(sorted((*judgement.suspicions, *not_asked), key=lambda fault: fault.start_s))
-    return judgement._replace(faults=asked, suspicions=suspicions)
-
-
-def _belongs(episode: Episode, fault: Fault) -> bool:
-    """Whether an alarm is raised by what is known to be a fault, or by its end."""
-    end_s = np.inf if fault.end_s is None else fault.end_s + ECHO_S
-    return fault.start_s - ECHO_S <= episode.alarm_s <= end_s
-
-
 def _largest(episodes: tuple[Episode, ...], residuals: Residuals, threshold: Threshold) -> tuple[Episode, ...]:
     """Those in which the residual is the most above its threshold, and the last, which may go on; in order of time."""
     with np.errstate(over="ignore"):
@@ -508,12 +479,6 @@ def _largest(episodes: tuple[Episode, ...], residuals: Residuals, threshold: Thr
     peaks[-1] = np.inf
     chosen = sorted(np.argsort(peaks, kind="stable")[-_MOST_EPISODES:].tolist())
     return tuple(episodes[k] for k in chosen)
-
-
-def _named(flight: Flight, episode: Episode, threshold: Threshold) -> tuple[Fault, ...]:
-    """What happened in an episode. With a constant threshold, a suspicion remains one: the user says what is large."""
-    named = isolate(flight, episode)
-    return confirmed(named, episode) if threshold.kind == "interval" else named
 
 
 def _held(fault: Fault) -> Fault:

@@ -508,10 +508,20 @@ def find_episodes(
     faults = _faults(residuals, threshold, judged, persistence)
     if suspicion is None:
         return faults
-    suspected = _suspected(time_s, time_s[suspicion[judged] & ~_echoes(time_s, faults)])
-    raised = [_with_suspicion(fault, suspected) for fault in faults]
-    alone = (s for s in suspected if not any(_announces(s, fault) for fault in faults))
-    return tuple(sorted([*raised, *alone], key=lambda episode: episode.start_s))
+    raised_s = time_s[suspicion[judged] & ~_echoes(time_s, faults)]
+    suspected = []
+    for stretch in (
+        np.split(raised_s, np.flatnonzero(np.diff(raised_s) > _SUSPICION_LASTS_S) + 1) if raised_s.size else ()
+    ):
+        start_s, last_s = float(stretch[0]), float(stretch[-1])
+        end_s = last_s if time_s[-1] - last_s > _SUSPICION_LASTS_S else None
+        suspected.append(Episode(start_s, start_s, end_s, "suspect"))
+    found, alone = [], list(suspected)
+    for fault in faults:
+        before = [s for s in suspected if _announces(s, fault)]
+        alone = [s for s in alone if s not in before]
+        found.append(replace(fault, suspected_s=before[-1].alarm_s) if before else fault)
+    return tuple(sorted([*found, *alone], key=lambda episode: episode.start_s))
 
 
 def _echoes(time_s: FloatArray, faults: tuple[Episode, ...]) -> BoolArray:
@@ -547,32 +557,10 @@ def _faults(residuals: Residuals, threshold: Threshold, judged: IntArray, persis
     return tuple(episodes)
 
 
-def _suspected(time_s: FloatArray, raised_s: FloatArray) -> list[Episode]:
-    """Stretches of suspicion."""
-    if raised_s.size == 0:
-        return []
-    stretches = np.split(raised_s, np.flatnonzero(np.diff(raised_s) > _SUSPICION_LASTS_S) + 1)
-    return [
-        Episode(
-            float(stretch[0]),
-            float(stretch[0]),
-            float(stretch[-1]) if time_s[-1] - stretch[-1] > _SUSPICION_LASTS_S else None,
-            "suspect",
-        )
-        for stretch in stretches
-    ]
-
-
 def _announces(suspect: Episode, fault: Episode) -> bool:
     """Whether a suspicion came shortly before an alarm."""
     ends_s = np.inf if suspect.end_s is None else suspect.end_s
     return bool(suspect.start_s < fault.alarm_s and ends_s + _SUSPICION_LASTS_S >= fault.start_s)
-
-
-def _with_suspicion(fault: Episode, suspected: list[Episode]) -> Episode:
-    """A fault with the suspicion that announced it."""
-    before = [s.alarm_s for s in suspected if _announces(s, fault)]
-    return replace(fault, suspected_s=before[-1]) if before else fault
 
 
 def _onset(time_s: FloatArray, size_deg: FloatArray, tolerance_deg: FloatArray, earliest: int, alarm: int) -> int:

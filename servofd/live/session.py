@@ -15,9 +15,8 @@ from logparsers.protocol import Autopilot, Component
 from servofd.aircraft.outputs import of_other_messages
 from servofd.aircraft.schema import plain_aircraft
 from servofd.detection.monitor import SurfaceMonitor
-from servofd.live.alerts import Alerts
 from servofd.live.channels import ChannelTable
-from servofd.live.requests import RemoteLog, Requests
+from servofd.live.requests import RemoteLog
 from servofd.live.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -31,7 +30,6 @@ if TYPE_CHECKING:
 _GROUND_SYSTEM = 255
 _SYNC_S = 5.0
 """How often the delay of a link is asked for; ground stations ask every 10 s."""
-_READS = 3
 _LATEST_US = 2**64 - 1
 """That a telemetry log can hold; read from a damaged one, seconds in a float come to one more."""
 
@@ -102,10 +100,6 @@ class Session:
     damaged_bytes: int = 0
     signed: tuple[int, int] = (0, 0)
     """Whole frames that carry a signature: taken, and refused because it is another key's."""
-    _alerts: dict[int, Alerts] = field(default_factory=dict)
-    _requests: dict[int, Requests] = field(default_factory=dict)
-    _reads: dict[int, int] = field(default_factory=dict)
-    _synced_s: dict[int, float] = field(default_factory=dict)
     _pool: ThreadPoolExecutor | None = None
     _looks: list[tuple[Vehicle, SurfaceMonitor, Look, Future[Any]]] = field(default_factory=list)
     _compared: set[str] = field(default_factory=set)
@@ -130,7 +124,12 @@ class Session:
             if heard is None:
                 self.damaged_bytes += len(frame)
             if is_signed(frame):
-                self._signed(heard is not None)
+                taken, refused = self.signed
+                if heard is not None and not taken:  # say once whether anybody checks them
+                    fits = "signatures are those of the key: what carries no such one is not believed"
+                    open_ = "frames are signed, and taken unchecked: --signing-key FILE would check them"
+                    self.notes.append(fits if self.codec.has_key else open_)
+                self.signed = (taken + (heard is not None), refused + (heard is None))
             if heard is None:
                 continue
             self.frames += 1
@@ -138,19 +137,17 @@ class Session:
             if vehicle is not None:
                 self.names.add(heard.name)
                 told = vehicle.hear(heard, arrival_s)
-                self._ask_again(vehicle, told)
+                if any(event.event == "link_restored" or "restarted" in event.text for event in told):
+                    vehicle.requests.again()  # it may have started anew, with its usual rates
                 events += told
-                self._answered(vehicle, heard, arrival_s)
+                if heard.name == "TIMESYNC" and heard.component == Component.AUTOPILOT1 and heard.fields["tc1"] > 0:
+                    vehicle.clock.answered(heard.fields["ts1"], heard.fields["tc1"] * 1e-9, arrival_s)
+                self._note(vehicle.requests.hear(heard))
         return events
 
-    def _signed(self, taken: bool) -> None:
-        """Count signatures; say once whether anybody checks them."""
-        was_taken, refused = self.signed
-        self.signed = (was_taken + taken, refused + (not taken))
-        if taken and not was_taken:
-            fits = "signatures are those of the key: what carries no such one is not believed"
-            open_ = "frames are signed, and taken unchecked: --signing-key FILE would check them"
-            self.notes.append(fits if self.codec.has_key else open_)
+    def _note(self, said: str) -> None:
+        if said:
+            self.notes.append(said)
 
     def step(self, arrival_now_s: float, *, final: bool = False) -> list[Event]:
         """Evaluate what was taken, or of it what cannot wait for the next step, and do what is due."""
@@ -228,21 +225,9 @@ class Session:
 
     def _adopt(self, system: int, vehicle: Vehicle) -> None:
         self.vehicles[system] = vehicle
+        vehicle.requests.component = self.component
         if self.remote_log:
             vehicle.log = RemoteLog(system)
-
-    def _ask(self, vehicle: Vehicle) -> None:
-        """Begin to ask a vehicle for what is needed."""
-        self._requests[vehicle.system] = Requests(vehicle.system, vehicle.messages, vehicle.seldom, self.component)
-
-    def _answered(self, vehicle: Vehicle, heard: Heard, arrival_s: float) -> None:
-        if heard.name == "TIMESYNC" and heard.component == Component.AUTOPILOT1 and heard.fields["tc1"] > 0:
-            vehicle.clock.answered(heard.fields["ts1"], heard.fields["tc1"] * 1e-9, arrival_s)
-        requests = self._requests.get(heard.system)
-        if requests is not None:
-            said = requests.hear(heard)
-            if said:
-                self.notes.append(said)
 
     def _look(self, vehicle: Vehicle) -> list[Event]:
         events = self._finished_looks(vehicle)
@@ -267,19 +252,13 @@ class Session:
 
     def _speak(self, vehicle: Vehicle, events: list[Event], now_s: float) -> None:
         """Say what there is to say about a vehicle."""
-        alerts = self._alerts.get(vehicle.system)
-        if alerts is None:
-            alerts = self._alerts[vehicle.system] = Alerts(
-                [*vehicle.monitors, *(vehicle.axes.model.axes if vehicle.axes is not None else ())]
-            )
-        late = vehicle.clock.latency.news(now_s)
+        alerts, late = vehicle.alerts, vehicle.clock.latency.news(now_s)
         for news in (*vehicle.news, *([late] if late else [])):
             self.notes.append(news)
             alerts.note(f"servofd: {news}", now_s)
         vehicle.news.clear()
         if vehicle.log is not None:
-            thin = vehicle.log.news(now_s)
-            self.notes += [thin] if thin else []
+            self._note(vehicle.log.news(now_s))
         for event in events:
             alerts.take(event, now_s)
         for name, monitor in vehicle.monitors.items():
@@ -292,47 +271,30 @@ class Session:
 
     def _inquire(self, vehicle: Vehicle, now_s: float) -> None:
         """Ask a vehicle for what is needed, and for the time."""
-        if self.send is None:
+        if self.send is None or vehicle.heard_s == float("-inf"):
             return
-        if vehicle.system not in self._requests:
-            self._ask(vehicle)
-        requests = self._requests[vehicle.system]
-        if vehicle.heard_s == float("-inf"):
-            return
+        requests = vehicle.requests
         for message, rate_hz in vehicle.rates_hz(now_s).items():
-            said = requests.measured(message, rate_hz, now_s)
-            if said:
-                self.notes.append(said)
+            self._note(requests.measured(message, rate_hz, now_s))
         due = requests.due(now_s)
         if vehicle.log is not None:
             due += vehicle.log.due(now_s)
-        if now_s - self._synced_s.get(vehicle.system, float("-inf")) >= _SYNC_S:
-            self._synced_s[vehicle.system] = now_s
+        if now_s - vehicle.synced_s >= _SYNC_S:
+            vehicle.synced_s = now_s
             due.append(("TIMESYNC", {"tc1": 0, "ts1": vehicle.clock.latency.ask(now_s)}))
             target = {"target_system": vehicle.system, "target_component": Component.AUTOPILOT1, "param_index": -1}
-            due += [("PARAM_REQUEST_READ", target | {"param_id": name}) for name in self._unread(vehicle)]
+            due += [("PARAM_REQUEST_READ", target | {"param_id": name}) for name in vehicle.unread()]
         for name, fields in due:
             self.send(vehicle.system, name, fields)
-
-    def _unread(self, vehicle: Vehicle) -> tuple[str, ...]:
-        """Parameters to ask for, a few times: an autopilot without such servos does not answer."""
-        self._reads[vehicle.system] = self._reads.get(vehicle.system, 0) + 1
-        return vehicle.unread() if self._reads[vehicle.system] <= _READS else ()
 
     def _compare(self, vehicle: Vehicle) -> None:
         """Say once, of each surface, that less comes than its servo needs, or other messages than it is known by."""
         said_of = [f"{monitor.name}: {monitor.too_slow}" for monitor in vehicle.monitors.values() if monitor.too_slow]
         others = [monitor.name for monitor in vehicle.monitors.values() if monitor.surface.by_other_messages]
         for said in (of_other_messages(others), *said_of):
-            if said and said not in self._compared:
-                self.notes.append(said)
+            if said not in self._compared:
+                self._note(said)
                 self._compared.add(said)
-
-    def _ask_again(self, vehicle: Vehicle, events: list[Event]) -> None:
-        """A vehicle that was away may have started anew, with its usual rates."""
-        requests = self._requests.get(vehicle.system)
-        if requests is not None and any(e.event == "link_restored" or "restarted" in e.text for e in events):
-            requests.again()
 
     def unjudged(self) -> str:
         """Which surfaces were not judged to the end, or not for most of the flight, and why; empty if all were."""

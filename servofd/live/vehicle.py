@@ -13,9 +13,10 @@ import numpy as np
 from logparsers.protocol import NO_INDEX, Component
 from servofd.core.errors import ConfigError
 from servofd.detection.monitor import Event, Look, SurfaceMonitor
+from servofd.live.alerts import Alerts
 from servofd.live.channels import ChannelTable, Surroundings
 from servofd.live.clock import VehicleClock
-from servofd.live.requests import LOG_SILENCE_S, RemoteLog
+from servofd.live.requests import LOG_SILENCE_S, RemoteLog, Requests
 from servofd.live.settings import Settings, rescaled
 
 if TYPE_CHECKING:
@@ -126,6 +127,7 @@ _DISORDER_S, _LONGEST_WAIT_S = 30.0, 0.5
 _REMEMBERED = 128
 """Samples of a channel, to tell copies: 2.5 s at 50 Hz."""
 _COUNT_S = 5.0
+_READS = 3
 _CHECK_S = 0.1
 """How often it is looked whether something has fallen silent."""
 
@@ -225,10 +227,16 @@ class Vehicle:
     """What is to be told of it, and forgotten."""
     axes: AxisWatch | None = None
     """Its axes, if the aircraft file knows its motion."""
+    requests: Requests = field(init=False)
+    alerts: Alerts = field(init=False)
+    synced_s: float = float("-inf")
+    """When it was last asked for the time [s, receiver's clock]."""
     settings: Settings = field(init=False)
     _table: ChannelTable = field(init=False)
     _read: set[str] = field(default_factory=set)
-    """Parameters that were asked for."""
+    """Parameters that were asked for,"""
+    _reads: int = 0
+    """and how often: an autopilot without such servos does not answer."""
     _met_s: float = float("inf")
     """Arrival of the first message [s]."""
     _held_s: dict[str, float] = field(default_factory=dict)
@@ -269,6 +277,8 @@ class Vehicle:
         self.messages |= streamed - {"VFR_HUD"}
         self.seldom |= streamed & {"VFR_HUD"}
         self._table = ChannelTable([*self._routes, *(n for n in self._around.channels if n not in beside.unknown)])
+        self.requests = Requests(self.system, self.messages, self.seldom)
+        self.alerts = Alerts([*self.monitors, *(self.axes.model.axes if self.axes is not None else ())])
         if self._table.unknown and self.is_stream:
             raise ConfigError(
                 f"channel {self._table.unknown[0]!r} is none of a MAVLink stream; write for example "
@@ -332,7 +342,8 @@ class Vehicle:
 
     def unread(self) -> tuple[str, ...]:
         """Parameters to ask for now: the answer is no news."""
-        names = self.settings.missing()
+        self._reads += 1
+        names = self.settings.missing() if self._reads <= _READS else ()
         self._read.update(names)
         return names
 
