@@ -12,7 +12,7 @@ import tempfile
 from pathlib import Path
 
 from servofd.cli import main as servofd
-from servofd.outputs.explain_page import explain_figures
+from servofd.outputs.explain_report import explain_figures
 from servofd.results import explain
 
 HERE = Path(__file__).parent

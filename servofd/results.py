@@ -19,15 +19,14 @@ from servofd.identification.result import Identification
 from servofd.jobs import bench, workflow
 from servofd.jobs.explaining import explain_logs
 from servofd.outputs.audit_report import audit_report
+from servofd.outputs.calibrate_report import calibrate_figure, calibrate_report
 from servofd.outputs.document import Table
-from servofd.outputs.explain_page import explain_figures, explain_page
+from servofd.outputs.explain_report import explain_figures, explain_report
 from servofd.outputs.figure import audit_figure
 from servofd.outputs.identify_report import identify_figures, identify_report
-from servofd.outputs.json_report import audit_document
 from servofd.outputs.model_file import model_file
-from servofd.outputs.odds_figure import calibrate_figure
-from servofd.outputs.page import html_page, page
-from servofd.outputs.sentence import spoken, whole_sentence, worst
+from servofd.outputs.page import html_page
+from servofd.outputs.sentence import spoken
 from servofd.outputs.trend_report import quantity_row, trend_picture, trend_report
 from servofd.wear.trend import AircraftTrend, trend_document, trend_logs
 
@@ -41,6 +40,7 @@ if TYPE_CHECKING:
     from servofd.aircraft.schema import Aircraft
     from servofd.detection.threshold import ThresholdKind
     from servofd.discrepancy.explanation import Explanation
+    from servofd.outputs.document import Document
 
 
 class Shown(ABC):
@@ -48,27 +48,27 @@ class Shown(ABC):
 
     __slots__ = ()
 
-    @property
     @abstractmethod
-    def sentence(self) -> str:
-        """What it comes to, in a sentence."""
-
-    @property
-    @abstractmethod
-    def status(self) -> str:
-        """``healthy``, ``suspect``, ``fault``, ``unknown`` or ``no_data``: which colour it has."""
-
-    @abstractmethod
-    def to_html(self) -> str:
-        """Text of its page."""
+    def report(self) -> Document:
+        """What the verb found, as the command line prints it and its page shows it."""
 
     @abstractmethod
     def _rows(self) -> list[dict[str, Any]]:
         """One for each surface or quantity."""
 
-    @abstractmethod
-    def _facts(self) -> str:
-        """Where it comes from."""
+    @property
+    def sentence(self) -> str:
+        """What it comes to, in a sentence."""
+        return self.report().sentence
+
+    @property
+    def status(self) -> str:
+        """``healthy``, ``suspect``, ``fault``, ``unknown`` or ``no_data``: which colour it has."""
+        return self.report().status
+
+    def to_html(self) -> str:
+        """Text of its page."""
+        return html_page(self.report())
 
     @classmethod
     def _of(cls, found: Any) -> Self:  # noqa: ANN401 - the data type that it extends
@@ -91,16 +91,15 @@ class Shown(ABC):
         rows = [list(map(str, list(row.values())[:_SHORT])) for row in self._rows()]
         widths = [max((len(row[k]) for row in rows), default=0) for k in range(len(rows[0]) if rows else 0)]
         lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
-        head = f"{type(self).__name__}: {self.sentence} ({self._facts()})"
+        report = self.report()
+        head = f"{type(self).__name__}: {report.sentence}{f' ({report.facts})' if report.facts else ''}"
         return "\n".join([head, *(f"  {line}" for line in lines)])
 
     def _repr_html_(self) -> str:
         rows = self._rows()
-        return page(
+        return html_page(
+            self.report(),
             "cell.html",
-            status=self.status,
-            sentence=self.sentence,
-            facts=self._facts(),
             head=[spoken(name) for name in (rows[0] if rows else ())][:_SHOWN],
             rows=[["" if value is None else value for value in row.values()][:_SHOWN] for row in rows],
         )
@@ -152,23 +151,13 @@ class Audit(LogAudit, Shown):
             raise UnknownName(suggest("surface", surface, found))
         return found[surface]
 
-    @property
-    def sentence(self) -> str:
-        """What happened, and whether to fly."""
-        return whole_sentence(self)
-
-    @property
-    def status(self) -> str:
-        """Worst status of the surfaces that could be judged."""
-        return worst((*self.surfaces, *self.axes))
-
-    def to_html(self) -> str:
-        """Text of the page that ``servofd LOG`` writes."""
-        return html_page(audit_report([self]))
+    def report(self) -> Document:
+        """Verdicts in words, tables and charts."""
+        return audit_report([self])
 
     def to_dict(self) -> dict[str, Any]:
         """As in JSON, schema servofd.audit/1."""
-        return audit_document([self])
+        return dict(self.report().data)
 
     def series(self, surface: str) -> pd.DataFrame:
         """Measured and simulated deflection, residual and threshold of one surface, over time; all in degrees."""
@@ -202,9 +191,6 @@ class Audit(LogAudit, Shown):
         return [_row(one) for one in self.surfaces] + [
             {"surface": axis.axis, "status": axis.status, "reason": axis.reason} for axis in self.axes
         ]
-
-    def _facts(self) -> str:
-        return f"{Path(self.log.label).name}, {self.log.format}, {self.log.duration_s:.1f} s"
 
 
 _WORST_FIRST = ("fault", "suspect", "unknown", "healthy", "no_data")
@@ -314,19 +300,9 @@ class Identified(Identification, Shown):
     __slots__ = ()
     __repr__ = Shown.__repr__
 
-    @property
-    def sentence(self) -> str:
-        """What was identified."""
-        return identify_report(self, self._facts()).sentence
-
-    @property
-    def status(self) -> str:
-        """An identification has no verdict."""
-        return "no_data"
-
-    def to_html(self) -> str:
-        """Text of the page that ``servofd identify --html`` writes."""
-        return html_page(identify_report(self, self._facts()))
+    def report(self) -> Document:
+        """Numbers with their intervals, and figures."""
+        return identify_report(self, f"{len(self.runs)} {'test' if len(self.runs) == 1 else 'tests'}")
 
     def plot(self) -> Figure:
         """Figure of the frequency response, or of the motion where there is none."""
@@ -334,11 +310,8 @@ class Identified(Identification, Shown):
         return identify_figures(self)[0].figure
 
     def _rows(self) -> list[dict[str, Any]]:
-        (table,) = (part for part in identify_report(self, "").parts if isinstance(part, Table))
+        (table,) = (part for part in self.report().parts if isinstance(part, Table))
         return [dict(zip(map(str, table.head), row, strict=True)) for row in table.rows]
-
-    def _facts(self) -> str:
-        return f"{len(self.runs)} {'test' if len(self.runs) == 1 else 'tests'}"
 
 
 identify = _shown("identify", bench.identify, Identified)
@@ -358,18 +331,9 @@ class Explained(Shown):
         """What is missing, how much, whether that is a fault, and what to do next."""
         return self.explanation.answer
 
-    @property
-    def sentence(self) -> str:
-        """The same, with the surface."""
-        return f"{spoken(self.explanation.surface)}: {self.answer}"
-
-    @property
-    def status(self) -> str:
-        """Fault if one sets in or nothing tells the gap, suspect if something is left."""
-        if self.explanation.fault_s is not None:
-            return "fault"
-        known = {"partly_explained": "suspect", "unexplained": "fault"}
-        return known.get(self.explanation.conclusion, "healthy")
+    def report(self) -> Document:
+        """What is missing in words, tables and figures."""
+        return explain_report([self.explanation], self.source)
 
     @property
     def steps(self) -> pd.DataFrame:
@@ -387,11 +351,6 @@ class Explained(Shown):
         write_whole(path, text.encode())
         return Path(path)
 
-    def to_html(self) -> str:
-        """Text of the page that ``servofd explain --html`` writes."""
-        needs("matplotlib")
-        return explain_page([self.explanation], self.source)
-
     def _rows(self) -> list[dict[str, Any]]:
         document = self.explanation.document()
         first = {"effect": "as it was", "form": None, "sizes": "", **document["nominal"]}
@@ -406,9 +365,6 @@ class Explained(Shown):
             for step in document["steps"]
         ]
         return [first, *steps]
-
-    def _facts(self) -> str:
-        return f"{self.source}, {self.explanation.conclusion.replace('_', ' ')}"
 
 
 def explain(
@@ -440,17 +396,6 @@ class Calibrated(Calibration, Shown):
     __slots__ = ()
     __repr__ = Shown.__repr__
 
-    @property
-    def sentence(self) -> str:
-        """What was calibrated."""
-        kept = f"; left as they were: {', '.join(map(spoken, self.kept))}" if self.kept else ""
-        return f"{', '.join(spoken(one.surface) for one in self.surfaces) or 'nothing'}{kept}"
-
-    @property
-    def status(self) -> str:
-        """Healthy if every surface was calibrated."""
-        return "unknown" if self.kept else "healthy"
-
     def to_toml(self) -> str:
         """The aircraft file, with its comments."""
         return calibration_to_toml(self)
@@ -460,18 +405,9 @@ class Calibrated(Calibration, Shown):
         write_whole(path, self.to_toml().encode())
         return Path(path)
 
-    def to_html(self) -> str:
-        """The table as a page."""
-        rows = [["none" if value is None else value for value in row.values()] for row in self._rows()]
-        return page(
-            "table.html",
-            status=self.status,
-            sentence=self.sentence,
-            facts=self._facts(),
-            caption="Surfaces; a smallest fault is one that 19 of 20 such flights show",
-            head=[spoken(name) for name in next(iter(self._rows()), {"surface": ""})],
-            rows=rows,
-        )
+    def report(self) -> Document:
+        """Tables of the surfaces, and the smallest faults."""
+        return calibrate_report(self)
 
     def plot(self) -> Figure:
         """Figure of the smallest faults that flights like these show."""
@@ -492,9 +428,6 @@ class Calibrated(Calibration, Shown):
             for one in self.surfaces
         ]
 
-    def _facts(self) -> str:
-        return f"about {self.false_alarms_per_hour:.2g} false alarms an hour to expect"
-
 
 calibrate = _shown("calibrate", workflow.calibrate, Calibrated)
 
@@ -505,19 +438,9 @@ class Trend(AircraftTrend, Shown):
     __slots__ = ()
     __repr__ = Shown.__repr__
 
-    @property
-    def sentence(self) -> str:
-        """Which limit is exceeded or in sight."""
-        return trend_report(self._document()).sentence
-
-    @property
-    def status(self) -> str:
-        """Suspect if any limit is exceeded or in sight."""
-        return "suspect" if self.has_alarm else "healthy"
-
-    def to_html(self) -> str:
-        """Text of the page that ``servofd trend --html`` writes."""
-        return html_page(trend_report(self._document()))
+    def report(self) -> Document:
+        """What changes over the flights, and since when."""
+        return trend_report(trend_document(self))
 
     def plot(self, surface: str | None = None) -> Figure:
         """Figure of one surface over its flights; of the first that has an alarm, or of the first, if none is named."""
@@ -526,21 +449,15 @@ class Trend(AircraftTrend, Shown):
         name = surface or next((one.surface for one in self.surfaces if one.alarms), next(iter(known)))
         if name not in known:
             raise UnknownName(suggest("surface", name, known))
-        return trend_picture(name, self._document()["surfaces"][name]).figure
-
-    def _document(self) -> dict[str, Any]:
-        return trend_document(self)
+        return trend_picture(name, trend_document(self)["surfaces"][name]).figure
 
     def _rows(self) -> list[dict[str, Any]]:
         names = ("quantity", "now", "per_flight", "limit", "forecast")
         return [
             {"surface": name} | dict(zip(names, quantity_row(one), strict=True))
-            for name, surface in self._document()["surfaces"].items()
+            for name, surface in trend_document(self)["surfaces"].items()
             for one in surface["quantities"].values()
         ]
-
-    def _facts(self) -> str:
-        return f"{len(self._document()['flights'])} flights, {self.order.reason}"
 
 
 trend = _shown("trend", trend_logs, Trend)

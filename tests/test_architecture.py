@@ -21,9 +21,10 @@ ONLY_IN = {
         *(f"servofd/outputs/recording/{name}.py" for name in ("layout", "read", "scene", "stream", "write")),
     },
     "matplotlib": {
+        "servofd/outputs/calibrate_report.py",
         "servofd/outputs/odds_figure.py",
         "servofd/outputs/figure.py",
-        "servofd/outputs/explain_page.py",
+        "servofd/outputs/explain_report.py",
         "servofd/outputs/identify_report.py",
         "servofd/outputs/picture.py",
         "servofd/outputs/trend_report.py",

@@ -144,4 +144,4 @@ def test_a_calibration_draws_and_tells_what_it_would_show(tmp_path: Path) -> Non
     angles, shares = found.plot().axes
     assert [bars.get_label() for bars in angles.containers] == ["offset", "play", "oscillation"]
     assert [bar.get_width() for bar in shares.containers[0]] == pytest.approx(100.0 * table.smallest_loss_share)
-    assert "smallest bias deg" in found.to_html()
+    assert "Smallest faults that flights like these show" in found.to_html()

@@ -14,6 +14,7 @@ import numpy as np
 from servofd.core.series import latest
 from servofd.discrepancy.locate import bad_seconds
 from servofd.outputs.document import markdown
+from servofd.outputs.explain_report import explain_report
 from servofd.outputs.identify_report import identify_report
 from servofd.outputs.recording.layout import REPORT, blueprint, curves, document, lanes, stacked
 from servofd.outputs.recording.stream import application_name, recording_file, shown, surface_place
@@ -74,7 +75,7 @@ def save_explanation(found: Explanation, path: str | Path, source: str) -> None:
     with recording_file(path, application_name("explain", found.surface, source), _layout(place, found)) as recorder:
         whole = {"schema": "servofd.explain/1", "surface": shown(found.surface), "conclusion": found.conclusion}
         recorder.properties(source, whole)
-        recorder.document(REPORT, _report_of_gap(found, source))
+        recorder.document(REPORT, markdown(explain_report([found], source)))
         _send_curves(recorder, place, found)
         _send_lanes(recorder, place, found)
 
@@ -99,20 +100,6 @@ def _send_lanes(recorder: Recorder, place: str, found: Explanation) -> None:
         for begin_s, end_s in bad_seconds(found.record, fit.error_deg, found.selection.sigma_deg):
             changes |= {begin_s: _DIFFERS, end_s: _AGREES}
         recorder.states(f"{place}/{lane}", sorted(changes.items()), _STATES)
-
-
-def _report_of_gap(found: Explanation, source: str) -> str:
-    told = found.document()
-    rows = [("as it was", told["nominal"])]
-    rows += [(f"+ {step['effect']} {step['form'] or ''}", step) for step in told["steps"]]
-    table = "\n".join(f"| {name} | {e['train_rms_deg']:.4f} | {e['held_out_rms_deg']:.4f} |" for name, e in rows)
-    where = "\n".join(f"- {sentence.replace('|', chr(92) + '|')}" for sentence in told["where"])
-    notes = "\n".join(f"- {note}" for note in told["notes"])
-    return (
-        f"# {source}: {found.surface}: {found.conclusion.replace('_', ' ')}\n\n{where}\n\n"
-        f"| model | fitted [deg rms] | held out [deg rms] |\n|---|---|---|\n{table}\n\n"
-        f"Noise floor: {told['noise_floor_rms_deg']:.3g} deg\n\n{notes}\n"
-    )
 
 
 def _worst(found: Explanation) -> tuple[float, float] | None:

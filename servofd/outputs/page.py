@@ -18,16 +18,14 @@ _TYPED = re.compile("`(.*?)`")
 _PACKAGES = ("numpy", "scipy", "numba")
 
 
-def page(template: str, **values: Any) -> str:  # noqa: ANN401 - whatever the template shows
-    """Text of a page.
+def html_page(document: Document, template: str = "document.html", **values: Any) -> str:  # noqa: ANN401
+    """Text of the page of a result; text is escaped, whatever a log or a file name brought into it.
 
-    Parameters
-    ----------
-    template : str
-        Name of a file in ``templates``.
-    **values
-        What it shows; text is escaped, whatever a log or a file name brought into it.
-
+    Examples
+    --------
+    >>> from servofd.outputs.document import Document
+    >>> "&lt;b&gt;" in html_page(Document("audit", "fault", "<b> is stuck."))
+    True
     """
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
     from markupsafe import Markup, escape
@@ -42,21 +40,10 @@ def page(template: str, **values: Any) -> str:  # noqa: ANN401 - whatever the te
         status_colours=STATUS_COLOURS,
         banner_colours=BANNER_COLOURS,
         source_tag=lambda log: Markup(source_tag(log)),  # noqa: S704 - escaped there
+        document=document,
         **values,
     )
     return plain(text)
-
-
-def html_page(document: Document, template: str = "document.html", **values: Any) -> str:  # noqa: ANN401
-    """Text of the page of a result; text is escaped, whatever a log or a file name brought into it.
-
-    Examples
-    --------
-    >>> from servofd.outputs.document import Document
-    >>> "&lt;b&gt;" in html_page(Document("audit", "fault", "<b> is stuck."))
-    True
-    """
-    return page(template, document=document, **values)
 
 
 def source_tag(log: str) -> str:

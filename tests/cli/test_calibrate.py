@@ -53,7 +53,7 @@ def test_a_good_flight_gives_an_aircraft_file(tmp_path: Path, config: str, capsy
     target = tmp_path / "calibrated.toml"
     assert main(["calibrate", good, "-c", config, "-o", str(target)]) == 0
     shown = capsys.readouterr().out
-    assert "smallest faults that flights like these show" in shown
+    assert "Smallest faults that flights like these show" in shown
     assert "rudder: note: 3 more flights like this one would show" in shown
     text = target.read_text()
     assert "good.csv" in text
@@ -132,7 +132,7 @@ def test_a_rate_of_false_alarms_is_told_and_none_is_promised_that_was_not_measur
     command = ["calibrate", good, "-o", str(tmp_path / "plane.toml")]
     for wanted, is_refused in (([], False), (["1"], False), (["0.001"], True)):
         assert main([*command, *(["--false-alarms-per-hour", *wanted] if wanted else [])]) == 0
-        line = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("false alarms to expect"))
+        line = next(line for line in capsys.readouterr().out.splitlines() if "false alarms to expect:" in line)
         assert f"about {told.false_alarms_per_hour:.2g} an hour of this surface" in line
         assert line.endswith("0.001 cannot be promised") == is_refused
 

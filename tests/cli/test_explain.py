@@ -77,7 +77,7 @@ def test_the_json_is_what_the_contract_says(told: Told) -> None:
 @pytest.mark.slow
 def test_the_better_model_makes_the_audit_quieter(told: Told, capsys: pytest.CaptureFixture[str]) -> None:
     assert "+ delay" in told.text
-    assert "these data cannot tell delay from clock_offset" in told.text
+    assert "these data cannot tell delay from clock offset" in told.text
     errors = []
     for options in (KNOWN, ("-c", str(told.folder / "better.toml"))):
         main(["audit", str(told.folder / "log.csv"), "--json", "-", *options])
@@ -157,7 +157,7 @@ def test_what_has_no_better_model_is_saved_as_it_was(tmp_path: Path, capsys: pyt
     path, saved = healthy().write(tmp_path / "log.csv"), tmp_path / "same.toml"
     assert main(["explain", *KNOWN, str(path), "--save", str(saved)]) == 0
     captured = capsys.readouterr()
-    assert "nothing missing" in captured.out
+    assert "Nothing missing" in captured.out
     assert "stays as it was: no effect was found" in captured.err
     assert main(["audit", str(path), "-c", str(saved)]) == 0
 

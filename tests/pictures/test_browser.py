@@ -13,7 +13,7 @@ import pytest
 
 import servofd
 from servofd.outputs.audit_report import audit_report
-from servofd.outputs.explain_page import explain_page
+from servofd.outputs.explain_report import explain_report
 from servofd.outputs.identify_report import identify_report
 from servofd.outputs.page import html_page
 from servofd.outputs.palette import COLOURS
@@ -46,7 +46,7 @@ def audit_text() -> str:
 
 def explain_text() -> str:
     log = SAMPLES / "hidden" / "hidden_03.csv"
-    return explain_page([servofd.explain(log, surface="elevator").explanation], log.name)
+    return html_page(explain_report([servofd.explain(log, surface="elevator").explanation], log.name))
 
 
 def identify_text() -> str:

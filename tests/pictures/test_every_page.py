@@ -13,7 +13,7 @@ from servofd.cli import main
 from servofd.cli.options import FLEET_PAGE as PAGE
 from servofd.jobs.workflow import FailedLog
 from servofd.outputs.audit_report import audit_report
-from servofd.outputs.explain_page import explain_page
+from servofd.outputs.explain_report import explain_report
 from servofd.outputs.identify_report import identify_report
 from servofd.outputs.page import html_page
 from servofd.simulation.airframe import fly_airframe
@@ -118,7 +118,7 @@ def trend(folder: Path) -> Path:
 
 def explain(folder: Path) -> Path:
     page, log = folder / "explain.html", SAMPLES / "hidden" / "hidden_03.csv"
-    page.write_text(explain_page([servofd.explain(log, surface="elevator").explanation], log.name))
+    page.write_text(html_page(explain_report([servofd.explain(log, surface="elevator").explanation], log.name)))
     return page
 
 

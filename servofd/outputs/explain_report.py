@@ -1,4 +1,4 @@
-"""Explanations as one HTML page: what is missing, in words and pictures, and the gap before and after."""
+"""Explanations: what is missing, in words and pictures, and the gap before and after."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ import numpy as np
 from servofd.core.statistics import Z_95
 from servofd.discrepancy.locate import binned, errors_by_regime, maps, quantities, spectrum
 from servofd.outputs.audit_report import quantity
-from servofd.outputs.page import page
+from servofd.outputs.document import Bullets, Document, Figures, Section, Table, Words
 from servofd.outputs.palette import COLOURS
 from servofd.outputs.picture import Picture, finish, new_figure
+from servofd.outputs.sentence import spoken
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from matplotlib.axes import Axes
 
@@ -73,10 +74,7 @@ def _traces(found: Explanation, name: str) -> Picture:
     lower.plot(time_s, before[inside], color=_BEFORE, lw=1.0, ls="--", label="error before")
     if selection.rungs:
         lower.plot(time_s, after[inside], color=_AFTER, lw=1.0, label="error after")
-    upper.set_ylabel("deflection [deg]")
-    lower.set_ylabel("error [deg]")
-    lower.set_xlabel("time [s]")
-    finish(upper, lower, legend="above")
+    finish(upper, lower, x="time [s]", y=["deflection [deg]", "error [deg]"], legend="above")
     largest = [float(np.nanmax(np.abs(error[inside & record.counts]))) for error in (before, after)]
     text = (
         f"The seconds around {middle_s:.1f} s, where model and measurement differ most: by up to {largest[0]:.2f} deg "
@@ -104,8 +102,7 @@ def _ladder(found: Explanation, name: str) -> Picture:
     axes.axvline(selection.sigma_deg, color=COLOURS["fault"], ls="--", lw=1.0, label="noise floor")
     axes.set_yticks(place, labels)
     axes.invert_yaxis()
-    axes.set_xlabel("error [deg rms]")
-    finish(axes, legend="above")
+    finish(axes, x="error [deg rms]", legend="above")
     last = errors[-1]["held_out_rms_deg"]
     falls = f"falls from {errors[0]['held_out_rms_deg']:.3g} to" if selection.rungs else "is"
     text = (
@@ -164,9 +161,7 @@ def _foretold(found: Explanation, name: str) -> Picture:
         right.semilogx(linear.frequency_hz[1:], linear.coherence[1:], color=COLOURS["measured"])
     right.xaxis.set_minor_formatter("")
     right.set_ylim(0.0, 1.02)
-    right.set_xlabel("frequency [Hz]")
-    right.set_ylabel("coherence")
-    finish(left, right)
+    finish(left, right, x="frequency [Hz]", y=["", "coherence"])
     text = (
         "Left, the share of the gap that each quantity foretells in blocks from which it was not learnt; the lines are "
         "what chance makes of it in 99 of 100 logs, all quantities together. Right, coherence of command and position: "
@@ -202,13 +197,9 @@ def _memory(found: Explanation, name: str) -> Picture:
     bound = Z_95 / np.sqrt(max(int(record.counts.sum()), 1))
     right.axhspan(-bound, bound, color=_FLOOR, alpha=0.35, lw=0, label="white noise")
     for axis in (left.xaxis, left.yaxis):
-        axis.set_major_formatter("{x:g}")
         axis.set_minor_formatter("")
     left.set_xlabel("frequency [Hz]")
-    left.set_ylabel("error [deg/√Hz]")
-    right.set_xlabel("lag [s]")
-    right.set_ylabel("autocorrelation")
-    finish(left, right, legend="above")
+    finish(left, right, x="lag [s]", y=["error [deg/√Hz]", "autocorrelation"], legend="above")
     text = (
         "Left, amplitude spectrum of the error; right, its autocorrelation. An error that is noise only has a flat "
         "spectrum and no memory, and stays in the grey band in 95% of all lags."
@@ -221,9 +212,7 @@ def _varying(each: Varying, name: str) -> Picture:
     figure, (axes,) = new_figure(1, height=3.2)
     axes.plot(each.condition, each.values, "o", color=_BEFORE, ms=4, label="each run by itself")
     axes.plot(*zip(*each.ends, strict=True), color=_AFTER, label="line through the runs that were fitted")
-    axes.set_xlabel(each.conditions[0])
-    axes.set_ylabel(each.parameter)
-    finish(axes, legend="above")
+    finish(axes, x=each.conditions[0], y=[each.parameter], legend="above")
     text = (
         f"The value of {each.parameter} that suits each run best, where the run shows it, over {each.conditions[0]} as "
         "it was logged. With one value for all, the runs that were held out are off by "
@@ -238,94 +227,125 @@ def _draw_floor(axes: Axes, sigma_deg: float) -> None:
 
 _MOST_RIVALS = 5
 _STATUS = {"nothing_missing": "healthy", "explained": "healthy", "partly_explained": "suspect", "unexplained": "fault"}
+_METHOD = (
+    "The servo is simulated with its model as it is known, and with each effect of a catalogue added to it. All "
+    "parameters are fitted together on every other block of 0.3 s; the blocks between judge. An effect stays only "
+    "if it shrinks the error on those by more than chance. The noise floor is what third differences of the error "
+    "say no servo could follow."
+)
+_GAINS = {
+    "residual_std_deg": "residual, standard deviation",
+    "residual_max_abs_deg": "residual, largest",
+    "threshold_deg": "threshold for one false alarm in 1000 h",
+    "smallest_step_deg": "smallest step surely seen within 1 s",
+}
 
 
-def explain_page(
-    found: Sequence[Explanation], source: str, *, thresholds: Mapping[str, Sequence[tuple[str, str, str]]] | None = None
-) -> str:
-    """Text of the page; `thresholds` tells by surface what an audit's residual and threshold are with either model."""
-    known = thresholds or {}
-    surfaces = [_surface(one, f"surface-{k}", known.get(one.surface, ())) for k, one in enumerate(found, start=1)]
-    return page("explain.html", source=source, surfaces=surfaces)
+def explain_report(found: Sequence[Explanation], source: str, failures: Sequence[str] = ()) -> Document:
+    """What the model of each surface lacks, the gap before and after, and why other surfaces were not explained."""
+    sections = [_surface(one, f"surface-{k}") for k, one in enumerate(found, start=1)]
+    documents = {one.surface: one.document() for one in found}
+    first, alone = found[0], len(found) == 1
+    parts = sections[0].parts[1:] if alone else sections  # whose verdict is the sentence of the whole
+    return Document(
+        title=f"What the model lacks: {source}",
+        status=sections[0].status,
+        sentence=f"{spoken(first.surface)}: {first.answer}" if alone else f"{len(found)} surfaces were explained.",
+        facts=source,
+        parts=parts,
+        evidence=[
+            *([Section("Not explained", [Bullets(failures)])] if failures else []),
+            Section("Method", [Words(_METHOD)], folded=True),
+        ],
+        data=documents[first.surface]
+        if alone and not failures
+        else {"schema": "servofd.explain/1", "surfaces": documents},
+    )
 
 
-def _surface(found: Explanation, anchor: str, thresholds: Sequence[tuple[str, str, str]]) -> dict[str, Any]:
-    document, selection = found.document(), found.selection
-    simulated_deg = found.record.measured_deg - selection.final.error_deg
-    regimes = errors_by_regime(found.record, selection.nominal.error_deg, selection.final.error_deg, simulated_deg)
-    return {
-        "name": found.surface,
-        "anchor": anchor,
-        "status": _STATUS[found.conclusion],
-        "conclusion": found.conclusion.replace("_", " "),
-        "verdict": document["answer"],
-        "numbers": _numbers(document),
-        "where": [f"{sentence[:1].upper()}{sentence[1:]}." for sentence in document["where"]],
-        "notes": [f"{note[:1].upper()}{note[1:]}." for note in document["notes"]],
-        "ties": document["indistinguishable"],
-        "separating": [f"{one.sentence[:1].upper()}{one.sentence[1:]}." for one in found.separating],
-        "elsewhere": [
-            *(
-                (f"run {run.run}", _number(run.nominal_rms_deg), _number(run.held_out_rms_deg), "")
-                for run in found.runs
+def _surface(found: Explanation, anchor: str) -> Section:
+    document, floor = found.document(), _number(found.selection.sigma_deg)
+    steps = [(_name(step), step) for step in document["steps"]]
+    errors = [("as it was", document["nominal"]), *((f"+ {name}", step) for name, step in steps)]
+    ladder = [(name, *(_number(one[key]) for key in ("train_rms_deg", "held_out_rms_deg"))) for name, one in errors]
+    parameters = [
+        (effect, quantity(name), *(_number(one[key]) for key in ("value", "low", "high")))
+        for effect, step in steps
+        for name, one in step["parameters"].items()
+    ]
+    rivals = [
+        (effect, spoken(rival["effect"]), _number(rival["held_out_rms_deg"]))
+        for effect, step in steps
+        for rival in step["rivals"][:_MOST_RIVALS]
+    ]
+    elsewhere = [
+        (f"run {run.run + 1}", *map(_number, (run.nominal_rms_deg, run.held_out_rms_deg)), "") for run in found.runs
+    ]
+    elsewhere += [
+        (Path(one.path).name, *map(_number, (one.nominal_rms_deg, one.extended_rms_deg, one.noise_floor_rms_deg)))
+        for one in found.also
+    ]
+    gain = found.gain.document() if found.gain else {"before": {}, "after": {}}
+    gains = [
+        (words, *(f"{gain[when][key]:.3f}" for when in ("before", "after")))
+        for key, words in _GAINS.items()
+        if found.gain
+    ]
+    simulated_deg = found.record.measured_deg - found.selection.final.error_deg
+    errors_deg = (found.selection.nominal.error_deg, found.selection.final.error_deg)
+    regimes = [
+        (r.name, f"{r.share:.0%}", _number(r.before_deg), _number(r.after_deg), floor)
+        for r in errors_by_regime(found.record, *errors_deg, simulated_deg)
+    ]
+    ties = [
+        f"these data cannot tell {spoken(tie[0])} from {' or '.join(map(spoken, tie[1:]))}"
+        for tie in document["indistinguishable"]
+    ]
+    said = [*document["where"], *ties, *(one.sentence for one in found.separating), *document["notes"]]
+    on_others = "On other flights and runs, to which nothing was fitted [deg rms]"
+    regime_head = ("regime", "share of samples", "before", "after", "noise floor")
+    return Section(
+        found.surface,
+        [
+            Words(found.answer, style="verdict"),
+            Words(_numbers(document), f"{spoken(found.conclusion).capitalize()}:"),
+            Section("Where model and measurement disagree", [Bullets(said)]),
+            Figures(lambda: [_traces(found, f"{anchor}-traces"), _ladder(found, f"{anchor}-ladder")]),
+            Table("Error after each step [deg rms]", ("model", "fitted samples", "held-out samples"), ladder),
+            Table("What was found, with 95% intervals", ("effect", "parameter", "value", "from", "to"), parameters),
+            Table(
+                "Rivals, tried in the place of what was found", ("instead of", "rival", "held out [deg rms]"), rivals
             ),
-            *(
-                (
-                    Path(one.path).name,
-                    *map(_number, (one.nominal_rms_deg, one.extended_rms_deg, one.noise_floor_rms_deg)),
-                )
-                for one in found.also
-            ),
+            Table(on_others, ("flight", "before", "after", "noise floor"), elsewhere),
+            Table("What the audit of this log gains [deg]", ("quantity", "before", "after"), gains),
+            Figures(lambda: explain_figures(found, anchor)[2:]),
+            Section("Error by regime", [Table("Error by regime [deg rms]", regime_head, regimes)], folded=True),
         ],
-        "steps": [_step("as it was", document["nominal"]), *(_step(f"+ {_name(s)}", s) for s in document["steps"])],
-        "parameters": [
-            (_name(step), quantity(name), *(_number(each[key]) for key in ("value", "low", "high")))
-            for step in document["steps"]
-            for name, each in step["parameters"].items()
-        ],
-        "rivals": [
-            (_name(step), rival["effect"].replace("_", " "), _number(rival["held_out_rms_deg"]))
-            for step in document["steps"]
-            for rival in step["rivals"][:_MOST_RIVALS]
-        ],
-        "regimes": [
-            (r.name, f"{r.share:.0%}", _number(r.before_deg), _number(r.after_deg), _number(selection.sigma_deg))
-            for r in regimes
-        ],
-        "thresholds": thresholds,
-        "pictures": explain_figures(found, anchor),
-    }
+        "fault" if found.fault_s is not None else _STATUS[found.conclusion],
+        spoken(found.conclusion),
+        anchor=anchor,
+    )
 
 
 def _numbers(document: dict[str, Any]) -> str:
     before, after = (document[key]["held_out_rms_deg"] for key in ("nominal", "final"))
-    floor = document["noise_floor_rms_deg"]
     names = " and ".join(_name(step) for step in document["steps"])
     shrinks = f"the error shrinks from {before:.3g} to {after:.3g} deg rms on samples that were not fitted"
-    if document["fault_s"] is not None:
-        told = (
-            f"with {names} what came before shrinks from {before:.3g} to {after:.3g} deg rms"
-            if names
-            else (f"{before:.3g} deg rms are left of what came before")
-        )
-        return f"a fault sets in at {document['fault_s']:.1f} s; {told}, the noise floor is {floor:.3g} deg."
-    return {
-        "nothing_missing": f"{before:.3g} deg rms are left; the noise floor is {floor:.3g} deg.",
-        "explained": f"{names} explains the gap: {shrinks}; the noise floor is {floor:.3g} deg.",
-        "partly_explained": f"{names} explains a part: {shrinks}; something stays above the noise floor of "
-        f"{floor:.3g} deg.",
-        "unexplained": f"nothing in the catalogue explains the gap of {before:.3g} deg rms; the noise floor is "
-        f"{floor:.3g} deg.",
+    told = {
+        "nothing_missing": f"{before:.3g} deg rms are left",
+        "explained": f"{names} explains the gap: {shrinks}",
+        "partly_explained": f"{names} explains a part: {shrinks}, and something stays",
+        "unexplained": f"nothing in the catalogue explains the gap of {before:.3g} deg rms",
     }[document["conclusion"]]
+    if document["fault_s"] is not None:
+        left = f"with {names} what came before shrinks from {before:.3g} to {after:.3g} deg rms"
+        told = f"a fault sets in at {document['fault_s']:.1f} s; "
+        told += left if names else f"{before:.3g} deg rms are left of what came before"
+    return f"{told}; the noise floor is {document['noise_floor_rms_deg']:.3g} deg."
 
 
 def _name(step: dict[str, Any]) -> str:
-    form = f" ({step['form'].replace('_', ' ')})" if step["form"] else ""
-    return f"{step['effect'].replace('_', ' ')}{form}"
-
-
-def _step(name: str, errors: dict[str, Any]) -> tuple[str, str, str]:
-    return name, _number(errors["train_rms_deg"]), _number(errors["held_out_rms_deg"])
+    return spoken(f"{step['effect']} ({step['form']})" if step["form"] else step["effect"])
 
 
 def _number(value: float) -> str:

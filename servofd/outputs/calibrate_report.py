@@ -1,0 +1,155 @@
+"""A calibration: what was fitted, the smallest faults that such flights show, and the false alarms to expect."""
+
+from __future__ import annotations
+
+from math import exp
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servofd.aircraft.axis_names import SURFACE_AXES
+from servofd.outputs.document import Bullets, Document, Figures, Table
+from servofd.outputs.picture import Picture, finish, new_figure
+from servofd.outputs.sentence import spoken
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from matplotlib.figure import Figure
+
+    from servofd.aircraft.axes import MotionModel
+    from servofd.calibrating.result import CalibratedSurface, Calibration
+
+_NOT_REACHED = 0.5
+"""Deviation of the logarithm of the largest speed from which on flights do not tell it."""
+_HEAD = ("surface", "delay (ms)", "bandwidth (rad/s)", "speed (deg/s)", "noise (deg)", "held out (deg)")
+_SMALLEST = ("surface", "offset (deg)", "speed left", "travel lost", "play (deg)", "oscillation (deg)")
+_KINDS = {"bias_deg": ".2g", "slow_share": ".0%", "loss_share": ".0%", "deadband_deg": ".2g", "oscillation_deg": ".2g"}
+_ANGLES_DEG = {"offset": "bias_deg", "play": "deadband_deg", "oscillation": "oscillation_deg"}
+
+
+def calibrate_report(found: Calibration, wanted_per_hour: float | None = None) -> Document:
+    """Tables of the surfaces; a lower rate of false alarms than was measured is not promised."""
+    sizes = []
+    for one in found.surfaces:
+        known = ((getattr(one.detectable, kind), form) for kind, form in _KINDS.items())
+        sizes.append([one.surface, *("none" if size is None else format(size, form) for size, form in known)])
+    fitted = [_row(one) for one in found.surfaces]
+    notes = []
+    for one in found.surfaces:
+        notes.append(f"{one.surface}: {', '.join(one.effects) or 'no effect beyond a linear servo pays'}")
+        notes += [f"{one.surface}: note: {note}" for note in (*one.notes, one.sharper)]
+    notes += [f"{name}: not calibrated: {reason}" for name, reason in found.kept.items()]
+    per_hour = found.false_alarms_per_hour
+    of = "this surface" if len(found.surfaces) == 1 else f"these {len(found.surfaces)} surfaces"
+    rate = f"false alarms to expect: about {per_hour:.2g} an hour of {of}, as measured on simulated aircraft"
+    if not any(one.known.airspeed_m_s for one in found.surfaces):
+        rate += "; more in flight, for these logs tell no airspeed"
+    if wanted_per_hour is not None and wanted_per_hour < per_hour:
+        rate += f"; {wanted_per_hour:g} cannot be promised"
+    kept = f"; left as they were: {', '.join(map(spoken, found.kept))}" if found.kept else ""
+    calibrated = ", ".join(spoken(one.surface) for one in found.surfaces) or "nothing"
+    return Document(
+        title="Calibration",
+        status="unknown" if found.kept else "healthy",
+        sentence=f"Calibrated: {calibrated}{kept}; about {per_hour:.2g} false alarms an hour to expect",
+        facts=", ".join(dict.fromkeys(flight for one in found.surfaces for flight in one.flights)),
+        parts=[
+            Table("Fitted, with 95% intervals; error on what the fit had not seen", _HEAD, fitted),
+            Table("Smallest faults that flights like these show, 19 times in 20", _SMALLEST, sizes),
+            Figures(lambda: [Picture("smallest", "Smallest faults", _CAPTION, calibrate_figure(found))]),
+            Bullets([*notes, rate]),
+        ],
+    )
+
+
+_CAPTION = "Bars of the smallest faults that 19 of 20 flights like the good ones show; none where none would show."
+
+
+def _row(one: CalibratedSurface) -> list[str]:
+    delay, bandwidth, rate = (one.estimates[key] for key in ("delay_s", "ln_bandwidth", "ln_rate"))
+    return [
+        one.surface,
+        _interval(1e3 * x for x in delay),
+        _interval(exp(x) for x in bandwidth),
+        _interval(exp(x) for x in rate) if rate.deviation < _NOT_REACHED else "not reached",
+        f"{one.known.noise.still_deg:.2g}",
+        f"{one.held_out_rms_deg:.2g}",
+    ]
+
+
+def _interval(estimate: Iterable[float]) -> str:
+    value, low, high = estimate
+    return f"{value:.0f} [{low:.0f}, {high:.0f}]"
+
+
+def calibrate_figure(found: Calibration) -> Figure:
+    """Bars of the smallest faults that flights like the good ones show, 19 times in 20; none where none would show."""
+    figure, (angles, shares) = new_figure(1, 2, height=1.4 + 0.7 * len(found.surfaces), share_x=False)
+    shown = [one.detectable for one in found.surfaces]
+    in_degrees = {words: [getattr(one, name) or 0.0 for one in shown] for words, name in _ANGLES_DEG.items()}
+    in_percent = {
+        "travel lost": [100.0 * (one.loss_share or 0.0) for one in shown],
+        "speed lost": [0.0 if one.slow_share is None else 100.0 * (1.0 - one.slow_share) for one in shown],
+    }
+    places = np.arange(len(shown))
+    for axes, sizes, unit in ((angles, in_degrees, "deg"), (shares, in_percent, "%")):
+        height = 0.8 / len(sizes)
+        for k, (words, values) in enumerate(sizes.items()):
+            axes.barh(places + (k - 0.5 * (len(sizes) - 1)) * height, values, 0.9 * height, label=words)
+        axes.set_axisbelow(True)
+        axes.set_yticks(places, [spoken(one.surface) for one in found.surfaces])
+        axes.invert_yaxis()
+        axes.set_xlabel(f"smallest fault that shows [{unit}]")
+        finish(axes, legend="above")
+    return figure
+
+
+_BY_DAYS = {1: "17", 2: "6", 3: "1.5"}
+_AXES = ("axis", "form", "explained", "delay (s)", "lost share ±", "offset ± (us)", "suspect", "fault", "false/h")
+
+
+def motion_report(model: MotionModel) -> Document:
+    """What motion tells of the axes of an aircraft, from its calibration flights."""
+    rows = [
+        (
+            name,
+            axis.form.replace("_", " "),
+            f"{axis.explained:.0%}",
+            f"{axis.delay_s:.2f}",
+            f"{axis.spreads[-1].loss_var ** 0.5:.2f}",
+            f"{axis.spreads[-1].offset_var_us2 ** 0.5:.1f}",
+            f"{axis.suspect:.2g}",
+            "never" if axis.fault is None else f"{axis.fault:.2g}",
+            f"{axis.false_alarms_per_hour:.2g}",
+        )
+        for name, axis in model.axes.items()
+    ]
+    days = "1 day" if model.days == 1 else f"{model.days} days"
+    low, high = model.regime.airspeed_low_m_s, model.regime.airspeed_high_m_s
+    notes = [
+        "explained: share of the command's effect, on days that the model had not seen; ±: how far healthy windows "
+        "stray; suspect, fault: from which multiple of the largest value in these flights on",
+        f"judged between {low:.0f} and {high:.0f} m/s, with at least {model.regime.throttle_low:.0%} throttle",
+    ]
+    notes += [
+        f"{name}: not judged: its command is not logged, or explains nothing of the motion of other days"
+        for name in SURFACE_AXES
+        if name not in model.axes
+    ]
+    notes += [
+        f"{name}: its command never moved on its own: fly a wiggle of it alone to have it judged"
+        for name, axis in model.axes.items()
+        if not axis.own_command
+    ]
+    if model.days in _BY_DAYS:
+        notes.append(
+            f"flights of {days} tell little of other days: thresholds allow for {_BY_DAYS[model.days]} times the false "
+            "alarms of four days, and fall with each day more"
+        )
+    if model.days == model.flights > 1:
+        notes.append(
+            "each flight counts as a day of its own; several of one day are told by the date in a log, or in its name"
+        )
+    facts = f"{model.flights} flights, {model.hours:.2f} h, {days}"
+    return Document("Calibration of motion", "healthy", "", facts, [Table("Axes", _AXES, rows), Bullets(notes)])
