@@ -34,7 +34,6 @@ from servofd.detection.changes import (
 )
 from servofd.detection.evidence import reported, status_of, too_short
 from servofd.detection.residual import Residuals
-from servofd.detection.threshold import Threshold
 from servofd.detection.verdict import Fault, Statistics
 from servofd.estimate.family import new_state, sensitivities, simulated, variants
 from servofd.estimate.fit import residual
@@ -185,7 +184,14 @@ def named(watched: Watched, alarm_s: float, ratio: float, *, earliest_s: float) 
     """
     window = _Window(watched, alarm_s + _SETTLING_S, alarm_s + _WINDOW_S)
     if window.count < max(_FEWEST, 1.5 / watched.record.period_s):
-        window = _since_onset(watched, alarm_s, earliest_s)
+        # An alarm of a moment ago: since the healthy servo was last right, if that is enough.
+        from_s = max(alarm_s - _LATELY_S, earliest_s)
+        lately = slice(*np.searchsorted(watched.record.time_s, (from_s, alarm_s)).tolist())
+        window = _Window(watched, from_s, alarm_s + _WINDOW_S)
+        right = np.flatnonzero(np.abs(watched.error_deg[lately]) < watched.sigma_deg[lately])
+        if right.size:
+            since = _Window(watched, float(watched.record.time_s[lately][right[-1]]) + 1e-9, alarm_s + _WINDOW_S)
+            window = since if since.count >= _FEWEST else window
     if window.count < _FEWEST:
         return Fault("unknown", alarm_s, alarm_s, None, {}, 0.5, ())
     guesses = _ranked(window)
@@ -196,29 +202,20 @@ def named(watched: Watched, alarm_s: float, ratio: float, *, earliest_s: float) 
             window, guesses = shorter, _ranked(shorter)
             end_s = _end_s(watched, guesses[0], alarm_s)
     kind, probability, alternatives, parameters = _verdict(window, guesses, ratio)
-    start_s = _start_s(watched, guesses[0], alarm_s, earliest_s)
+    # It began when the fault became the better explanation.
+    time_s, gain = _likelier(watched, guesses[0], max(alarm_s - _BEFORE_S, earliest_s), alarm_s + 1.0)
+    better = np.cumsum((gain - _NO_NEWS)[::-1])[::-1]
+    began = time_s.size > 0 and better.max() > 0.0
+    start_s = float(min(time_s[int(np.argmax(better))], alarm_s)) if began else alarm_s
     return Fault(
         kind, start_s, alarm_s, end_s, parameters, probability, alternatives,
         named_s=float(min(window.time_s[-1], alarm_s + _WINDOW_S)),
     )  # fmt: skip
 
 
-def _since_onset(watched: Watched, alarm_s: float, earliest_s: float) -> _Window:
-    """What an alarm of a moment ago leaves to judge: since the healthy servo was last right, if that is enough."""
-    first, last = np.searchsorted(watched.record.time_s, (max(alarm_s - _LATELY_S, earliest_s), alarm_s))
-    lately = slice(int(first), int(last))
-    right = np.flatnonzero(np.abs(watched.error_deg[lately]) < watched.sigma_deg[lately])
-    if right.size:
-        since = _Window(watched, float(watched.record.time_s[lately][right[-1]]) + 1e-9, alarm_s + _WINDOW_S)
-        if since.count >= _FEWEST:
-            return since
-    return _Window(watched, max(alarm_s - _LATELY_S, earliest_s), alarm_s + _WINDOW_S)
-
-
 def _ranked(window: _Window) -> list[_Guess]:
-    guesses = list(_guesses(window))
     best: dict[str, _Guess] = {}
-    for guess in sorted(guesses, key=lambda each: sum(each.cost)):
+    for guess in sorted(_guesses(window), key=lambda each: sum(each.cost)):
         best.setdefault(guess.kind, guess)
     return sorted(best.values(), key=lambda guess: _score(window, guess))
 
@@ -426,17 +423,6 @@ def _likelier(watched: Watched, guess: _Guess, from_s: float, to_s: float) -> tu
     return stretch.time_s[used], gain[used]
 
 
-def _start_s(watched: Watched, guess: _Guess, alarm_s: float, earliest_s: float) -> float:
-    """When the fault became the better explanation."""
-    time_s, gain = _likelier(watched, guess, max(alarm_s - _BEFORE_S, earliest_s), alarm_s + 1.0)
-    if time_s.size == 0:
-        return alarm_s
-    since = np.cumsum((gain - _NO_NEWS)[::-1])[::-1]
-    if since.max() <= 0.0:
-        return alarm_s
-    return float(min(time_s[int(np.argmax(since))], alarm_s))
-
-
 def _end_s(watched: Watched, guess: _Guess, alarm_s: float) -> float | None:
     """When the healthy servo became the better explanation again; None if it never did."""
     last_s = float(watched.record.time_s[-1])
@@ -492,12 +478,22 @@ def audit_calibrated(
     short = too_short(judged_s)
     if short:
         return verdict(status="unknown", reason=beyond or short, segment=segment)
-    residuals, threshold = _shown(flight)
+    residuals, threshold = shown(
+        (flight.record.time_s, flight.reading_deg, flight.record.measured_deg, flight.error_deg),
+        rows,
+        np.isfinite(flight.record.start_deg),
+        thresholds_of(known)[0],
+        flight.sigma_deg,
+        no_sum(flight.record.period_s),
+    )
     found = judged(flight)
     sizes = detectable([flight])
     error_deg = flight.error_deg[rows]
     statistics = Statistics.of(error_deg, (flight.record.measured_deg - flight.reading_deg)[rows])
-    well = f"as in its good flights (largest residual {statistics.max_abs_deg:.2f} deg{_untold(flight)})"
+    peak = np.flatnonzero(rows)[np.argmax(np.abs(error_deg))]
+    is_unknown = flight.sigma_deg[peak] > _LITTLE_KNOWN * float(np.median(flight.sigma_deg[rows]))
+    where = ", in motion faster than theirs" if is_unknown else ""
+    well = f"as in its good flights (largest residual {statistics.max_abs_deg:.2f} deg{where})"
     status, reason = status_of(residuals, threshold, found.faults, found.suspicions, sizes, well)
     if beyond:
         status, reason = ("unknown" if status == "healthy" else status), f"{reason}; {beyond}"
@@ -640,18 +636,6 @@ def _watched(known: CalibratedServo, segment: Segment) -> Watched:
     return watched(known if has_airspeed else known.without_airspeed(), record)
 
 
-def _shown(flight: Watched) -> tuple[Residuals, Threshold]:
-    record = flight.record
-    return shown(
-        (record.time_s, flight.reading_deg, record.measured_deg, flight.error_deg),
-        flight.judged,
-        np.isfinite(record.start_deg),
-        thresholds_of(flight.known)[0],
-        flight.sigma_deg,
-        no_sum(record.period_s),
-    )
-
-
 def _beyond(flight: Watched) -> str:
     """That much of a flight was faster than what was calibrated, and is not judged; nothing if little was."""
     last_m_s = flight.known.last_judged_m_s
@@ -662,11 +646,3 @@ def _beyond(flight: Watched) -> str:
         f"{share:.0%} of it flown at more than {last_m_s:.0f} m/s, of which the flights of its calibration (up to "
         f"{flight.known.fastest_m_s:.0f} m/s) tell nothing: calibrate it on one that is as fast"
     )
-
-
-def _untold(flight: Watched) -> str:
-    """That the largest residual stands where calibration knew little, or nothing."""
-    rows = np.flatnonzero(flight.judged)
-    peak = rows[np.argmax(np.abs(flight.error_deg[rows]))]
-    known_deg = float(np.median(flight.sigma_deg[rows]))
-    return ", in motion faster than theirs" if flight.sigma_deg[peak] > _LITTLE_KNOWN * known_deg else ""

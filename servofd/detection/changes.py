@@ -444,22 +444,15 @@ def detectable(flights: Sequence[Watched]) -> Detectable:
                 wave_deg = _BETWEEN_LINES * max(2.0 * needed / weight, _LEAST_WAVE_DEG)
                 sizes["band"] = min(sizes["band"], wave_deg)
     units = dict(zip(NAMES, (prior.between for prior in PRIORS), strict=True))
-    loss, share = units["gain"] * sizes["loss"], 0.5 ** sizes["weak"]
-    return Detectable(
-        bias_deg=_within(units["bias_deg"] * sizes["bias"], 10.0),
-        slow_share=_rounded(share) if share > _SLOWEST else None,
-        loss_share=_within(loss, 1.0),
-        deadband_deg=_within(max(_PLAYS[0] * sizes["play"], _PLAYS[1] * sizes["dead"]), 8.0),
-        oscillation_deg=_within(sizes["band"], 8.0),
-    )
-
-
-def _within(value: float, most: float) -> float | None:
-    return _rounded(value) if value <= most else None
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.2g}")
+    share = 0.5 ** sizes["weak"]
+    found = {
+        "bias_deg": (units["bias_deg"] * sizes["bias"], 10.0),
+        "slow_share": (share, 1.0 if share > _SLOWEST else 0.0),
+        "loss_share": (units["gain"] * sizes["loss"], 1.0),
+        "deadband_deg": (max(_PLAYS[0] * sizes["play"], _PLAYS[1] * sizes["dead"]), 8.0),
+        "oscillation_deg": (sizes["band"], 8.0),
+    }
+    return Detectable(**{name: float(f"{size:.2g}") if size <= most else None for name, (size, most) in found.items()})
 
 
 def no_sum(period_s: float) -> CusumDesign:

@@ -10,8 +10,6 @@ to be.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -84,43 +82,28 @@ class _Stretch(NamedTuple):
     parameters: dict[str, float]
 
 
-@dataclass(frozen=True, eq=False)
 class _Flight:
     """Judged samples of a surface, all arrays of shape (n,)."""
 
-    time_s: FloatArray
-    healthy_deg: FloatArray
-    measured_deg: FloatArray
-    noise_deg: float
-    step_deg: float
-    lag_s: float
-    """Of the servo without its delay."""
-    delay_s: float
-    reached_deg: FloatArray
-    """Where it was seen, before these samples too."""
-
-    @cached_property
-    def error_deg(self) -> FloatArray:
-        return self.measured_deg - self.healthy_deg
-
-    @cached_property
-    def usual_s(self) -> float:
-        return float(np.median(np.diff(self.time_s)))
-
-    @cached_property
-    def width_deg(self) -> float:
-        """Within how much it reads at rest."""
-        return resting_width_deg(self.noise_deg, self.step_deg)
-
-    @cached_property
-    def missed_deg(self) -> float:
+    def __init__(self, generator: ResidualGenerator, residuals: Residuals, earlier_deg: FloatArray | None) -> None:
+        use = residuals.settled & np.isfinite(residuals.measured_deg) & np.isfinite(residuals.simulated_deg)
+        self.time_s, self.healthy_deg = residuals.time_s[use], residuals.simulated_deg[use]
+        self.measured_deg = self.reached_deg = residuals.measured_deg[use]
+        self.is_enough = self.time_s.size >= _FEWEST_SAMPLES
+        if not self.is_enough:
+            return
+        self.last_s = float(residuals.time_s[-1])
+        if earlier_deg is not None:  # it was seen there before these samples
+            self.reached_deg = np.concatenate([earlier_deg[np.isfinite(earlier_deg)], self.measured_deg])
+        self.error_deg = self.measured_deg - self.healthy_deg
+        self.noise_deg, self.step_deg = noise_deg(self.error_deg), step_deg(self.measured_deg)
+        self.lag_s = float(np.sum(1.0 / generator.filter_parameters().decay_rad_s).real)  # without its delay
+        self.delay_s, self.usual_s = generator.model.plan.delay_s, float(np.median(np.diff(self.time_s)))
+        self.width_deg = resting_width_deg(self.noise_deg, self.step_deg)
+        self.missed_deg = min(max(_MISSED_WIDTHS * self.width_deg, _LEAST_MISSED_DEG), _MISSED_DEG)
         """How far from where it should be a jam shows."""
-        return min(max(_MISSED_WIDTHS * self.width_deg, _LEAST_MISSED_DEG), _MISSED_DEG)
-
-    @cached_property
-    def travel_deg(self) -> float:
-        low, high = np.percentile(self.reached_deg, [2.0, 98.0])
-        return float(high - low)
+        low_deg, high_deg = np.percentile(self.reached_deg, [2.0, 98.0])
+        self.travel_deg = float(high_deg - low_deg)
 
 
 def contradictions(
@@ -144,21 +127,16 @@ def contradictions(
     >>> found.kind, round(found.start_s), found.end_s
     ('stuck', 20, None)
     """
-    flight = _flight(generator, residuals, earlier_deg)
-    if flight is None:
-        return ()
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        found = [*_resting(flight), *_moving(flight)]
-    return _as_faults(found, float(residuals.time_s[-1]), flight.usual_s)
+        flight = _Flight(generator, residuals, earlier_deg)
+        return _as_faults(flight, [*_resting(flight), *_moving(flight)]) if flight.is_enough else ()
 
 
 def unanswered(generator: ResidualGenerator, residuals: Residuals) -> tuple[Fault, ...]:
     """Find where a surface did not answer its command at all, which needs no model; elsewhere it goes where asked."""
-    flight = _flight(generator, residuals)
-    if flight is None:
-        return ()
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        found = list(_resting(flight))
+        flight = _Flight(generator, residuals, None)
+        found = list(_resting(flight)) if flight.is_enough else []
     elsewhere = np.ones(flight.time_s.size, dtype=bool)
     for stretch in found:
         elsewhere &= (flight.time_s < stretch.start_s - _AROUND_S) | (flight.time_s > stretch.end_s + _AROUND_S)
@@ -168,28 +146,7 @@ def unanswered(generator: ResidualGenerator, residuals: Residuals) -> tuple[Faul
     near = float(np.percentile(np.abs(error_deg), _MOSTLY)) <= _NEAR_DEG
     common = float(np.cov(asked, moved)[0, 1])
     follows = common >= _ALONG * max(float(np.std(asked) * np.std(moved)), 1e-12)
-    return _as_faults(found, float(residuals.time_s[-1]), flight.usual_s) if near and follows else ()
-
-
-def _flight(
-    generator: ResidualGenerator, residuals: Residuals, earlier_deg: FloatArray | None = None
-) -> _Flight | None:
-    """Judged samples, if there are enough."""
-    use = residuals.settled & np.isfinite(residuals.measured_deg) & np.isfinite(residuals.simulated_deg)
-    if np.count_nonzero(use) < _FEWEST_SAMPLES:
-        return None
-    return _Flight(
-        residuals.time_s[use],
-        residuals.simulated_deg[use],
-        residuals.measured_deg[use],
-        noise_deg(residuals.error_deg[use]),
-        step_deg(residuals.measured_deg[use]),
-        float(np.sum(1.0 / generator.filter_parameters().decay_rad_s).real),
-        generator.model.plan.delay_s,
-        residuals.measured_deg[use]
-        if earlier_deg is None
-        else np.concatenate([earlier_deg[np.isfinite(earlier_deg)], residuals.measured_deg[use]]),
-    )
+    return _as_faults(flight, found) if near and follows else ()
 
 
 def resting_width_deg(noise: float, step: float) -> float:
@@ -471,7 +428,7 @@ def _lasting(brisk: list[_Stretch]) -> Iterator[_Stretch]:
         return
 
 
-def _as_faults(found: list[_Stretch], end_s: float, usual_s: float) -> tuple[Fault, ...]:
+def _as_faults(flight: _Flight, found: list[_Stretch]) -> tuple[Fault, ...]:
     """Stretches that belong together joined, the plainest kind first."""
     joined: list[list[_Stretch]] = []
     for stretch in sorted(found, key=lambda s: s.start_s):
@@ -479,8 +436,8 @@ def _as_faults(found: list[_Stretch], end_s: float, usual_s: float) -> tuple[Fau
             joined[-1].append(stretch)
         else:
             joined.append([stretch])
-    faults = [(_as_fault(group, end_s), _union_s(group)) for group in joined]
-    least_s = {"floating": _FLOATS_S, "oscillation": _WAVE_SAMPLES * usual_s}
+    faults = [(_as_fault(group, flight.last_s), _union_s(group)) for group in joined]
+    least_s = {"floating": _FLOATS_S, "oscillation": _WAVE_SAMPLES * flight.usual_s}
     return tuple(fault for fault, lasted_s in faults if lasted_s >= least_s.get(fault.kind, 0.0))
 
 
