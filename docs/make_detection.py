@@ -19,7 +19,7 @@ from detection_pictures import draw
 from servofd.aircraft.schema import DEFAULT_SIGMAS
 from servofd.core.tolerance import Tolerance
 from servofd.detection import bank as hypotheses
-from servofd.detection import judge, threshold
+from servofd.detection import judge, residual, threshold
 from trial import CONSTANT_DEG, Trial
 
 HERE = Path(__file__).parent
@@ -91,7 +91,7 @@ compares D2 with servos that are simulated with these errors.)
 | dt | delay | {1e3 * tolerance.delay_s:g} ms |
 | dw | bandwidth | {tolerance.bandwidth:.0%} |
 | r_sat | residual of a servo whose rate limit is lower by its tolerance, while the model runs at it | {tolerance.rate:.0%} |
-| lost | commands that never reached the log: half their recent curvature, times what the filter lets pass of one sample, {threshold.PEAK_OF_LAGS:g} \\|p\\| T | |
+| lost | commands that never reached the log: half their recent curvature, times what the filter lets pass of one sample, {residual.PEAK_OF_LAGS:g} \\|p\\| T | |
 | [x] | peak hold: max(\\|x\\|, the last peak / (1 + T/{threshold._PEAK_HOLD_S:g} s)) | |
 | sigma_r | noise gain of the filter times the noise of the position, measured as the flight goes on (starts at {tolerance.noise_deg:g} deg) | |
 

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
     from logparsers.records import FlightLog
     from servofd.aircraft.schema import Aircraft, Surface
-    from servofd.detection.threshold import Threshold, ThresholdKind
+    from servofd.detection.threshold import ThresholdKind
     from servofd.detection.verdict import Fault
     from servofd.servo.servo_model import ServoModel
 
@@ -168,9 +168,11 @@ def audit_segment(
             own_fit=own_fit,
             persistence=surface.persistence,
         )
-        status, reason = status_of(
-            residuals, level, faults, suspicions, shown, _well(residuals, statistics, level), own_fit=own_fit
-        )
+        above = np.abs(residuals.residual_deg[residuals.settled]) > level.level_deg[residuals.settled]
+        passed = ", which single readings passed" if above.any() else ""
+        well = f"followed its command as its servo should, within {statistics.max_abs_deg:.2f} deg"
+        well += f" (threshold {level.typical_deg:.2g} deg{passed})"
+        status, reason = status_of(residuals, level, faults, suspicions, shown, well, own_fit=own_fit)
     else:
         status, reason = "unknown", problem
     judged_share = min(judged_s / max(duration_s, 1e-9), 1.0)
@@ -327,15 +329,6 @@ def _unpredicted(surface: Surface, segment: Segment) -> str:
     return (
         f"no servo predicts this surface from its command, which stays within {asked_deg:.2g} deg (a fitted one "
         f"explains {max(share, 0.0):.0%} of the motion): check that command and position belong together, or {record}"
-    )
-
-
-def _well(residuals: Residuals, statistics: Statistics, threshold: Threshold) -> str:
-    above = np.abs(residuals.residual_deg[residuals.settled]) > threshold.level_deg[residuals.settled]
-    passed = ", which single readings passed" if above.any() else ""
-    return (
-        f"followed its command as its servo should, within {statistics.max_abs_deg:.2f} deg"
-        f" (threshold {threshold.typical_deg:.2g} deg{passed})"
     )
 
 

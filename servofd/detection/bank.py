@@ -188,7 +188,7 @@ class Window:
         rate_deg_s = np.gradient(healthy_deg, time_s)
         quickness_deg = (quick - slow) / (2.0 * _SMALL_CHANGE)
         nuisances = np.column_stack([healthy_deg, -rate_deg_s, quickness_deg, np.ones(time_s.size)])
-        noise = max(noise, _SMALLEST_NOISE_DEG)
+        noise, reached_deg = max(noise, _SMALLEST_NOISE_DEG), residuals.simulated_deg[: span.stop]
         return cls(
             servo=servo,
             tolerance=tolerance,
@@ -200,7 +200,7 @@ class Window:
             nuisances=nuisances,
             ridge=Ridge(nuisances, _spread(tolerance), noise),
             commands=near,
-            reach_deg=_range(residuals.simulated_deg[: span.stop]),
+            reach_deg=(float(reached_deg.min()), float(reached_deg.max())),
             onset=onset,
         )
 
@@ -272,10 +272,6 @@ def _spread(tolerance: Tolerance) -> FloatArray:
     """Standard deviations of uniform spreads within the tolerances."""
     bounds: FloatArray = np.array([tolerance.gain, tolerance.delay_s, tolerance.bandwidth, tolerance.bias_deg])
     return np.maximum(bounds, _SMALLEST_TOLERANCE) / float(np.sqrt(3.0))
-
-
-def _range(values_deg: FloatArray) -> tuple[float, float]:
-    return float(np.min(values_deg)), float(np.max(values_deg))
 
 
 _FEWEST_SAMPLES = 12

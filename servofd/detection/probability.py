@@ -302,22 +302,20 @@ def persistent_false_alarms_per_hour(threshold_deg: float, noise: Noise, samples
     over the Cholesky factor of the correlation, each variable drawn from its tail given those before it (A. Genz,
     1992), on a fixed low-discrepancy net: accurate relative to their own size, and smooth in the threshold.
     """
-    margin_deg = noise.margin_deg(threshold_deg)
-    if samples == 1:
-        return false_alarms_per_hour(margin_deg, noise.sigma_deg, noise.correlation, noise.sample_time_s)
-    return _rate(margin_deg / noise.sigma_deg, _factor(noise, samples), noise.sample_time_s)
+    return _rate_of(noise, samples)(noise.margin_deg(threshold_deg) / noise.sigma_deg)
 
 
 def persistent_threshold_deg(rate_per_hour: float, noise: Noise, samples: int) -> float:
     """Threshold at which this many samples in a row give the wanted rate of false alarms [deg]."""
+    return root_of_rate(_rate_of(noise, samples), rate_per_hour) * noise.sigma_deg + abs(noise.mean_deg)
+
+
+def _rate_of(noise: Noise, samples: int) -> Callable[[float], float]:
+    """Rate of alarms by the threshold in standard deviations."""
     if samples == 1:
-        z = root_of_rate(
-            lambda level: false_alarms_per_hour(level, 1.0, noise.correlation, noise.sample_time_s), rate_per_hour
-        )
-    else:
-        factor = _factor(noise, samples)
-        z = root_of_rate(lambda level: _rate(level, factor, noise.sample_time_s), rate_per_hour)
-    return z * noise.sigma_deg + abs(noise.mean_deg)
+        return lambda level: false_alarms_per_hour(level, 1.0, noise.correlation, noise.sample_time_s)
+    factor = _factor(noise, samples)
+    return lambda level: _rate(level, factor, noise.sample_time_s)
 
 
 def persistent_delay_s(

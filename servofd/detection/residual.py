@@ -350,6 +350,44 @@ class Simulator:
         return followed(model.servo(self.segment.context), commands, self.segment.measured_s, measured_deg, restart)
 
 
+RECENT_COMMANDS = 11
+"""Commands before a loss whose curvature counts."""
+PEAK_OF_LAGS = 0.224
+
+
+def unmodelled(
+    generator: ResidualGenerator, segment: Segment, residuals: Residuals, rate_share: float
+) -> tuple[FloatArray, FloatArray]:
+    """What a rate limit lower by a share leaves, and what lost commands may add from each sample on [deg], (n,) each.
+
+    Empty without a limit, and where no command was lost.
+    """
+    slower_deg, slower = np.zeros(0), generator.model.weaker(rate_share)
+    if slower is not generator.model:
+        error_deg = Simulator.of(generator, segment).simulated_deg(slower) - residuals.simulated_deg
+        known = np.where(np.isfinite(residuals.measured_deg), error_deg, np.nan)
+        slower_deg = generator.filtered(residuals.time_s, known, residuals.restart)
+    lost = lost_commands(segment.command_s, generator.longest_gap_s(segment))
+    if segment.command_period_s is not None or not lost.any():
+        return slower_deg, np.zeros(0)
+    before = np.flatnonzero(lost)
+    size_deg = np.array([unseen_deg(segment.command_deg[max(i - RECENT_COMMANDS, 0) : i + 1], lost[i]) for i in before])
+    passed = PEAK_OF_LAGS * generator.pole_rad_s * segment.period_s
+    added_deg = np.zeros(residuals.time_s.size)
+    # What was made up first reaches the servo then, and the log with the first position after that.
+    made_up_s = segment.command_s[before] + np.diff(segment.command_s)[before] / (lost[before] + 1)
+    at = np.searchsorted(residuals.time_s, made_up_s + generator.model.plan.delay_s)
+    np.add.at(added_deg, np.minimum(at, added_deg.size - 1), passed * size_deg)
+    return slower_deg, added_deg
+
+
+def unseen_deg(recent_deg: FloatArray, lost: int) -> float:
+    """How far a straight line over lost commands may be off, by the curvature of those before [deg]."""
+    curvature_deg = np.abs(np.diff(recent_deg, 2))
+    # A chord over n + 1 intervals is off by ((n + 1) / 2)^2 times as much as one over two, for n commands.
+    return float(0.5 * curvature_deg.max(initial=0.0) * lost * (0.5 * (lost + 1)) ** 2)
+
+
 CURVATURE_TO_SIGMA = float(np.sqrt(np.pi / 2.0 / 6.0))
 """Mean absolute second difference of white noise to its standard deviation. The median would fail on coarse steps."""
 _MOST, _GLITCH = 90.0, 3.0

@@ -16,6 +16,8 @@ import numpy as np
 from servofd.detection.changes import STATISTICS, Memory, Tests, exceeded, follow, no_sum, shown, thresholds_of
 from servofd.detection.probability import CusumDesign
 from servofd.detection.residual import (
+    PEAK_OF_LAGS,
+    RECENT_COMMANDS,
     Commands,
     FilterMemory,
     Residuals,
@@ -25,17 +27,15 @@ from servofd.detection.residual import (
     mark_starts,
     new_glitch_memory,
     new_starts_memory,
+    unseen_deg,
 )
 from servofd.detection.threshold import (
-    PEAK_OF_LAGS,
-    RECENT_COMMANDS,
     Evaluation,
     Threshold,
     constant_threshold,
     latch,
     new_latch_memory,
     suspicion,
-    unseen_deg,
 )
 from servofd.estimate.family import new_state, sensitivities, simulated, variants
 from servofd.estimate.fit import peaks, residual
@@ -266,12 +266,15 @@ class Stream(_Waiting):
         """Add a command [deg]; one that is no later than the one before is left out."""
         if not time_s > self._newest[0]:
             return
-        shift_s = self._delay_s
+        shift_s, step_s = self._delay_s, time_s - self._newest[0]
         if self.surface.command_period_s is not None:
-            self._straight(time_s, command_deg, shift_s + self.surface.command_period_s / 2.0)
-        else:
+            # Thinned commands run straight to the next one; no position is evaluated until that is known.
+            shift_s += self.surface.command_period_s / 2.0
+            if step_s <= self.longest_gap_s:
+                self.effective.bend(command_deg, step_s)
+        elif self._beat.longest_s < step_s <= self.longest_gap_s:
             self._put_back(time_s, command_deg, shift_s)
-            self._add(time_s + shift_s, command_deg, 0.0)
+        self._add(time_s + shift_s, command_deg, 0.0)
         self._newest = (time_s, command_deg)
         dropped = self.logged.append(time_s, command_deg, 0.0)
         self._starts[4] = max(self._starts[4] - dropped, 0.0)
@@ -285,18 +288,9 @@ class Stream(_Waiting):
         for cursor in self._cursors:
             cursor[0] = max(cursor[0] - dropped, 0)
 
-    def _straight(self, time_s: float, command_deg: float, shift_s: float) -> None:
-        """Thinned commands run straight to the next one; no position is evaluated until that is known."""
-        step_s = time_s - self._newest[0]
-        if step_s <= self.longest_gap_s:
-            self.effective.bend(command_deg, step_s)
-        self._add(time_s + shift_s, command_deg, 0.0)
-
     def _put_back(self, time_s: float, command_deg: float, shift_s: float) -> None:
         """Commands that were lost, on the straight line between their neighbours."""
         step_s, (before_s, before_deg) = time_s - self._newest[0], self._newest
-        if not self._beat.longest_s < step_s <= self.longest_gap_s:
-            return
         recent_deg = self.logged.commands().command_deg[-RECENT_COMMANDS - 1 :]
         pieces = int(np.round(step_s / self._beat.period_s))
         for place in range(1, pieces):
@@ -518,21 +512,14 @@ class CalibratedStream(_Waiting):
             self.cusum,
         )
         raised = np.zeros(time_s.size, dtype=bool)
-        at_s = self._alarm_s(time_s, triple, grid_s, table[:, : len(STATISTICS)])
-        if np.isfinite(at_s):
-            raised[int(np.searchsorted(time_s, at_s))] = True
+        table = table[:, : len(STATISTICS)]
+        ratios = exceeded(self._limits, self._before, table)
+        if len(table):
+            self._before = table[-1]
+        over_s = np.concatenate([time_s[triple >= self._limits[0]], grid_s[ratios >= 1.0]])
+        if over_s.size and not self.latched:
+            raised[int(np.searchsorted(time_s, over_s.min()))] = True
             self.latched = True
         quiet = np.zeros(time_s.size, dtype=bool)
         self.history.append(History.packed(residuals, threshold, quiet))
         return Piece(residuals, threshold, quiet, raised, quiet)
-
-    def _alarm_s(self, time_s: FloatArray, triple: FloatArray, grid_s: FloatArray, table: FloatArray) -> float:
-        """When an alarm is raised in this piece; infinite if none is."""
-        ratios = exceeded(self._limits, self._before, table)
-        if len(table):
-            self._before = table[-1]
-        if self.latched:
-            return float("inf")
-        direct = time_s[triple >= self._limits[0]]
-        second = grid_s[ratios >= 1.0]
-        return float(min(direct.min(initial=np.inf), second.min(initial=np.inf)))

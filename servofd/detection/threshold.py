@@ -34,9 +34,8 @@ from servofd.detection.residual import (
     CURVATURE_TO_SIGMA,
     RESTART_ALL,
     RunningMedian,
-    Simulator,
-    lost_commands,
     new_running_median,
+    unmodelled,
     with_value,
 )
 from servofd.servo.kernel import compiled, inner
@@ -201,11 +200,8 @@ Level = Literal["suspect", "fault"]
 
 _TAKEN_UP = 2.0
 """Half plays to move until it is known on which side of its play a surface lies."""
-RECENT_COMMANDS = 11
-"""Commands before a loss whose curvature counts."""
 SUSPICIOUS_DRIFT = 40.0
 """In 400 flights of 120 s, healthy servos with parameters anywhere within their tolerances reached 22."""
-PEAK_OF_LAGS = 0.224
 _KAPPA = 0.5
 _SUSPICIONS_PER_HOUR = 1e-3
 
@@ -291,13 +287,8 @@ def interval_threshold(
 
     Causal: no level uses a later sample, but for the usual sample time.
     """
-    rate_error_deg, slower = np.zeros(0), generator.model.weaker(tolerance.rate)
-    if slower is not generator.model:
-        error_deg = Simulator.of(generator, segment).simulated_deg(slower) - residuals.simulated_deg
-        known = np.where(np.isfinite(residuals.measured_deg), error_deg, np.nan)
-        rate_error_deg = generator.filtered(residuals.time_s, known, residuals.restart)
-    added_deg = _unseen(segment, generator, residuals.time_s)
-    return Evaluation(generator, tolerance, segment.period_s).threshold(residuals, rate_error_deg, added_deg, sigmas)
+    added = unmodelled(generator, segment, residuals, tolerance.rate)
+    return Evaluation(generator, tolerance, segment.period_s).threshold(residuals, *added, sigmas)
 
 
 def suspicion(residuals: Residuals, threshold: Threshold, memory: FloatArray | None = None) -> BoolArray:
@@ -353,29 +344,6 @@ def tolerated_parameters(tolerance: Tolerance) -> FloatArray:
     """
     lags = tolerance.bandwidth / (1.0 - tolerance.bandwidth)
     return np.array([tolerance.gain, tolerance.delay_s, lags, tolerance.bias_deg])
-
-
-def _unseen(segment: Segment, generator: ResidualGenerator, time_s: FloatArray) -> FloatArray:
-    """What lost commands may add to the residual from each sample on [deg], shape (n,); empty if none was lost."""
-    lost = lost_commands(segment.command_s, generator.longest_gap_s(segment))
-    if segment.command_period_s is not None or not lost.any():
-        return np.zeros(0)
-    before = np.flatnonzero(lost)
-    size_deg = np.array([unseen_deg(segment.command_deg[max(i - RECENT_COMMANDS, 0) : i + 1], lost[i]) for i in before])
-    passed = PEAK_OF_LAGS * generator.pole_rad_s * segment.period_s
-    added_deg = np.zeros(time_s.size)
-    # What was made up first reaches the servo then, and the log with the first position after that.
-    made_up_s = segment.command_s[before] + np.diff(segment.command_s)[before] / (lost[before] + 1)
-    at = np.searchsorted(time_s, made_up_s + generator.model.plan.delay_s)
-    np.add.at(added_deg, np.minimum(at, time_s.size - 1), passed * size_deg)
-    return added_deg
-
-
-def unseen_deg(recent_deg: FloatArray, lost: int) -> float:
-    """How far a straight line over lost commands may be off, by the curvature of those before [deg]."""
-    curvature_deg = np.abs(np.diff(recent_deg, 2))
-    # A chord over n + 1 intervals is off by ((n + 1) / 2)^2 times as much as one over two, for n commands.
-    return float(0.5 * curvature_deg.max(initial=0.0) * lost * (0.5 * (lost + 1)) ** 2)
 
 
 QUIET_SHARE = 0.5

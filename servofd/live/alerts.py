@@ -212,7 +212,8 @@ class Alerts:
         """One line for each reason not to watch surfaces, and one for all that is new of the link."""
         reasons: dict[str, list[str]] = defaultdict(list)
         for surface, text in self._unwatched.items():
-            reasons[_reason(text)].append(surface)
+            # The shortest that says why; times and remedies are in the monitor's own view.
+            reasons[re.split(" since|[:;,]", text, maxsplit=1)[0]].append(surface)
         self._unwatched.clear()
         notes, self._notes = self._notes, []
         told = [self._text(surfaces, f"not watched: {reason}") for reason, surfaces in reasons.items()]
@@ -245,8 +246,3 @@ def _size(event: Event) -> str:
     if not known:
         return ""
     return f" {event.fault.parameters[known].value:.2g}{_UNITS.get(known, ' deg')}"
-
-
-def _reason(text: str) -> str:
-    """The shortest that says why; times and remedies are in the monitor's own view."""
-    return re.split(" since|[:;,]", text, maxsplit=1)[0]

@@ -62,7 +62,11 @@ class Latency:
     def take(self, arrival_s: float, made_s: float) -> None:
         """Take the arrival [s, receiver's clock] and the stamp [s, vehicle's clock] of a message."""
         lag_s = arrival_s - made_s
-        self._forget(arrival_s)
+        if math.isfinite(self._bound_s):
+            drifted_s = _DRIFT * max(arrival_s - self._bound_s, 0.0)
+            self._fastest_s += drifted_s
+            self._slowest_s -= drifted_s
+        self._bound_s = max(arrival_s, self._bound_s)
         if arrival_s - self._block_s >= _BLOCK_S:
             self._block_s, self._lags_s = arrival_s, [lag_s, self._lags_s[0]]
         self._lags_s[0] = min(self._lags_s[0], lag_s)
@@ -103,13 +107,6 @@ class Latency:
             self._told_s = 0.0
             return "link in time again"
         return ""
-
-    def _forget(self, arrival_s: float) -> None:
-        if math.isfinite(self._bound_s):
-            drifted_s = _DRIFT * max(arrival_s - self._bound_s, 0.0)
-            self._fastest_s += drifted_s
-            self._slowest_s -= drifted_s
-        self._bound_s = max(arrival_s, self._bound_s)
 
 
 _RELAYED = ("NAMED_VALUE", "DEBUG", "SET_", "HIL_", "VISION", "TIMESYNC")

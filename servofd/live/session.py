@@ -197,7 +197,10 @@ class Session:
             return None
         bound = next(iter(self.vehicles.values()), None)
         if bound is not None:
-            if bound.has_positions or not self._sends_positions(heard, arrival_s):
+            if heard.system not in self._tables:
+                channels = [s.measured.channel for s in self.aircraft[0].surfaces.values() if s.measured]
+                self._tables[heard.system] = ChannelTable(channels)
+            if bound.has_positions or not self._tables[heard.system].of(heard, arrival_s):
                 self._stranger(heard.system, autopilot)
                 return None
             self.notes.append(f"vehicle {heard.system} sends the positions: it is watched, not vehicle {bound.system}")
@@ -215,13 +218,6 @@ class Session:
             self.strangers.add(system)
             if self.vehicles:
                 self.notes.append(f"vehicle {system} is not watched: -c {system}=FILE would")
-
-    def _sends_positions(self, heard: Heard, arrival_s: float) -> bool:
-        """Whether a message holds a measured position of the aircraft that may be any."""
-        if heard.system not in self._tables:
-            surfaces = self.aircraft[0].surfaces.values()
-            self._tables[heard.system] = ChannelTable([s.measured.channel for s in surfaces if s.measured])
-        return bool(self._tables[heard.system].of(heard, arrival_s))
 
     def _adopt(self, system: int, vehicle: Vehicle) -> None:
         self.vehicles[system] = vehicle

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from logparsers.protocol import NO_INDEX, Component
+from servofd.aircraft.outputs import output_of
 from servofd.core.errors import ConfigError
 from servofd.detection.monitor import Event, Look, SurfaceMonitor
 from servofd.live.alerts import Alerts
@@ -269,7 +270,7 @@ class Vehicle:
             self.axes, streamed = AxisWatch(self.aircraft.motion), set(STREAMED)
         if not self.monitors and self.axes is None:
             raise ConfigError("the aircraft file names no measured channel: nothing can be watched")
-        self.settings = Settings.of(self.aircraft.surfaces, self.monitors)
+        self.settings = Settings({name: output_of(self.aircraft.surfaces[name]) for name in self.monitors})
         self.messages = ChannelTable(self._routes).messages
         self._around = Surroundings(sorted({need for m in self.monitors.values() for need in m.needs}))
         beside = ChannelTable(self._around.channels)
@@ -293,7 +294,11 @@ class Vehicle:
 
     def hear(self, heard: Heard, arrival_s: float) -> list[Event]:
         """Take a message of this vehicle; what is to be told comes with `evaluate`, except about the link."""
-        events = self._back(arrival_s)
+        events = self.silence(arrival_s)  # how long the link was away is known even if nobody asked meanwhile
+        if self.is_lost:
+            self.is_lost = False
+            text = f"vehicle {self.system} is heard again after {arrival_s - self.heard_s:.1f} s"
+            events.append(Event(self.now_s, "", "link_restored", text=text))
         self.losses.setdefault(heard.component, Losses()).count(heard.sequence)
         self.heard_s = arrival_s
         self._met_s = min(self._met_s, arrival_s)
@@ -308,7 +313,12 @@ class Vehicle:
         restarts = self.clock.restarts
         time_s = self.clock.time_s(heard, arrival_s)
         if self.clock.restarts != restarts:
-            events += self._restart(time_s)
+            self._disorder = Disorder()
+            events += self.evaluate()
+            for monitor in self.monitors.values():
+                events += monitor.restart()
+            text = f"vehicle {self.system} has restarted; the monitor begins anew"
+            events.append(Event(self.now_s if time_s is None else time_s, "", "no_data", text=text))
         early, self._early = self._early, []
         for before, at_s in early:
             self._sort(before, self.clock.time_s(before, at_s), at_s)
@@ -419,26 +429,6 @@ class Vehicle:
         for monitor in self.monitors.values():
             events += monitor.finish()
         return events
-
-    def _back(self, arrival_s: float) -> list[Event]:
-        """The link is there again; how long it was away is known even if nobody asked meanwhile."""
-        events = self.silence(arrival_s)
-        if not self.is_lost:
-            return events
-        self.is_lost = False
-        text = f"vehicle {self.system} is heard again after {arrival_s - self.heard_s:.1f} s"
-        return [*events, Event(self.now_s, "", "link_restored", text=text)]
-
-    def _restart(self, time_s: float | None) -> list[Event]:
-        self._disorder = Disorder()
-        events = self.evaluate()
-        for monitor in self.monitors.values():
-            events += monitor.restart()
-        now_s = self.now_s if time_s is None else time_s
-        return [
-            *events,
-            Event(now_s, "", "no_data", text=f"vehicle {self.system} has restarted; the monitor begins anew"),
-        ]
 
     def _sort(self, heard: Heard, time_s: float | None, arrival_s: float) -> None:
         if time_s is not None:
