@@ -19,7 +19,7 @@ from detection_pictures import draw
 from servofd.aircraft.schema import DEFAULT_SIGMAS
 from servofd.core.tolerance import Tolerance
 from servofd.detection import bank as hypotheses
-from servofd.detection import judge, residual, threshold
+from servofd.detection import judge, probability, residual, threshold, verdict
 from trial import CONSTANT_DEG, Trial
 
 HERE = Path(__file__).parent
@@ -111,7 +111,7 @@ The rate of false alarms under coloured noise is that of runs of at least n samp
 **Suspicion.** Some faults are too small for the threshold, but last. A cumulative sum gathers what exceeds the tolerance,
 on either side, so that oscillations add up, less one standard deviation, so that the sum of noise alone falls:
 
-    z(k) = max(|r| - T - sigma_r, 0) / sigma_r,     S(k) = max(0, S(k-1) + z(k) - {threshold._KAPPA:g}),                         (D5)
+    z(k) = max(|r| - T - sigma_r, 0) / sigma_r,     S(k) = max(0, S(k-1) + z(k) - {probability.KAPPA_SIGMA:g}),                         (D5)
 
 It is beyond its limit when it has gathered what noise without tolerance would {threshold._SUSPICIONS_PER_HOUR:g} times an hour (Siegmund's run
 length, multiplied by the long-run factor of the residual's colour). And the servo's deviations of the last {threshold.MEMORY_S:g} s are fitted
@@ -121,8 +121,8 @@ to the residual by the terms x = [r0, dr0/dt, sum_i ..., 1] of D2, once with wha
 
 S being the long-run factor, and sigma_r no less than {threshold._TRIFLE:g} of the tolerated bias; what is beyond all tolerance, or rests on lost commands, teaches no deviations.
 H >= {threshold.SUSPICIOUS_DRIFT:g} means that gain, delay, bandwidth or bias is not that of a healthy servo. Both raise a *suspicion*, which ends when
-none was raised for {threshold._SUSPICION_LASTS_S:g} s. It goes through the bank like an alarm; under an interval threshold it becomes a fault if the
-bank is sure of its name (P >= {judge.SURE:g}), and its alarm is raised when the name is; else the surface is *suspect*. Rough models (drafts with a
+none was raised for {threshold.SUSPICION_LASTS_S:g} s. It goes through the bank like an alarm; under an interval threshold it becomes a fault if the
+bank is sure of its name (P >= {verdict.SURE:g}), and its alarm is raised when the name is; else the surface is *suspect*. Rough models (drafts with a
 wider threshold and no tolerances of their own) raise none.
 """
 
@@ -177,14 +177,14 @@ after Schwarz; smaller is better. The probability of hypothesis i, all being equ
 
     P_i = exp(-B_i/2) / sum_j exp(-B_j/2).                                                            (D10)
 
-**How long to look.** Windows begin {judge._SETTLING_S:g} s after the onset and last {", ".join(f"{length_s:g}" for length_s in judge._WINDOWS_S)} s; the first in which a hypothesis has
-P >= {judge.SURE:g} *and* the healthy deflection covers {judge._ENOUGH_MOTION_DEG:g} deg decides. **Not enough motion**: a jam and a dead band, a bias and a jam,
+**How long to look.** Windows begin {judge.SETTLING_S:g} s after the onset and last {", ".join(f"{length_s:g}" for length_s in judge.WINDOWS_S)} s; the first in which a hypothesis has
+P >= {verdict.SURE:g} *and* the healthy deflection covers {judge._ENOUGH_MOTION_DEG:g} deg decides. **Not enough motion**: a jam and a dead band, a bias and a jam,
 differ only in motion. If no window has enough of it the longest decides, with the probability that it gives, and names the
-alternatives of {judge._WORTH_MENTIONING:.0%} and more; below {judge._LIKELY:g} the name is `unknown` and all that can be said is "at fault, with too little
+alternatives of {verdict.WORTH_TELLING:.0%} and more; below {judge._LIKELY:g} the name is `unknown` and all that can be said is "at fault, with too little
 motion to tell which". If the winner is *healthy*, the tolerances of a working servo explain the alarm: it is dismissed
 and listed as a suspicion.
 
-**Floating and unknown** explain anything. Before they are believed, a window that begins {2.0 * judge._SETTLING_S:g} s after the alarm is named as well:
+**Floating and unknown** explain anything. Before they are believed, a window that begins {2.0 * judge.SETTLING_S:g} s after the alarm is named as well:
 the first may have held the transition, and if another hypothesis is sure of the second, it wins.
 
 **First signs.** What a fault could have been for all that was known within its first second: the hypotheses that are silent,

@@ -34,7 +34,7 @@ from servofd.detection.changes import (
 )
 from servofd.detection.evidence import reported, status_of, too_short
 from servofd.detection.residual import Residuals
-from servofd.detection.verdict import Fault, Statistics
+from servofd.detection.verdict import WORTH_TELLING, Fault, Statistics
 from servofd.estimate.family import new_state, sensitivities, simulated, variants
 from servofd.estimate.fit import residual
 from servofd.estimate.record import Record, load_at
@@ -67,10 +67,8 @@ _FLAT = 1e-8
 _LOST_GAIN = 0.12
 _AT_STOP_DEG = 1.5
 _SURE = 0.3
-_HALF: Final = 0.5
 LOUD: Final = 1.5
 """A good servo that passes its thresholds by so much is none."""
-_WORTH_TELLING: Final = 0.02
 _TWINS: Final = (
     ("stuck", "floating", 0.1),
     ("floating", "stuck", 0.3),
@@ -366,8 +364,8 @@ def _verdict(
     best = guesses[0]
     kind = best.kind
     if kind == "loss_of_effectiveness" and "floating" in shares and best.parameters["gain"].value < _LOST_GAIN:
-        shares["floating"] += _HALF * shares[kind]
-        shares["stuck"] = shares.get("stuck", 0.0) + (1.0 - _HALF) * shares.pop(kind)
+        half = 0.5 * shares.pop(kind)
+        shares["floating"], shares["stuck"] = shares["floating"] + half, shares.get("stuck", 0.0) + half
         kind = "floating"
     for one, twin, share in _TWINS:
         if one == kind and (twin != "deadband" or _may_be_play(window, best)):
@@ -378,7 +376,7 @@ def _verdict(
     alternatives = tuple(
         name
         for name, share in sorted(shares.items(), key=lambda item: -item[1])
-        if share > _WORTH_TELLING and name not in (kind, "healthy")
+        if share > WORTH_TELLING and name not in (kind, "healthy")
     )[:3]
     probability = shares[kind]
     excess = sum(healthy.cost) - window.count

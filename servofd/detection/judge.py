@@ -12,7 +12,7 @@ from servofd.detection.bank import BANK, Explanation, Flight, Onset, Window, wan
 from servofd.detection.contradiction import contradictions
 from servofd.detection.residual import commands_at_servo, noise_deg
 from servofd.detection.threshold import Threshold, constant_threshold, find_episodes, interval_threshold, suspicion
-from servofd.detection.verdict import Fault
+from servofd.detection.verdict import SURE, WORTH_TELLING, Fault
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 _UNEXPLAINED_SHARE = 0.25
 _UNKNOWN_FREEDOM = 6.0
-_WORTH_MENTIONING = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +50,7 @@ class Naming:
     def alternatives(self) -> tuple[str, ...]:
         """Other kinds that are worth mentioning, the most probable first."""
         others = list(self.probabilities.items())[1:]
-        return tuple(kind for kind, probability in others if probability >= _WORTH_MENTIONING)
+        return tuple(kind for kind, probability in others if probability >= WORTH_TELLING)
 
 
 def name_fault(window: Window) -> Naming:
@@ -73,18 +72,18 @@ def scores(window: Window, found: Mapping[str, Explanation]) -> dict[str, float]
     return {**{kind: window.score(e) for kind, e in found.items()}, "unknown": unknown}
 
 
-_SETTLING_S = 0.25
+SETTLING_S = 0.25
 """Left out after the onset: faults that set in abruptly still move the surface as a healthy servo would."""
 _AT_REST = ("stuck", "hardover")
 _TAKES_ANYTHING = ("floating", "unknown")
-_WINDOWS_S = (2.0, 4.0, 8.0, 16.0)
+WINDOWS_S = (2.0, 4.0, 8.0, 16.0)
 _ENOUGH_MOTION_DEG = 4.0
 _LIKELY = 0.4
 _SHORT_S = 1.0
 _BLOCK_S = 3.0
 _LONGEST_BLOCK_S = 12.0
 _RECENT_S = 1.5
-_FIRST_S = 1.0 - _SETTLING_S
+_FIRST_S = 1.0 - SETTLING_S
 _SUSPICION_LASTS_S = 15.0
 """The cumulative sum and the usual residual look back about ten seconds."""
 _ONSET_BEFORE_RECORD_S = 0.5
@@ -97,7 +96,7 @@ def isolate(flight: Flight, episode: Episode) -> tuple[Fault, ...]:
     """
     until_s = flight.end_s if episode.end_s is None else max(episode.end_s, episode.alarm_s + _SHORT_S)
     onset = _onset(flight, episode.start_s)
-    naming, window = _name(flight, episode.start_s + _SETTLING_S, until_s, onset)
+    naming, window = _name(flight, episode.start_s + SETTLING_S, until_s, onset)
     if naming is not None and not _is_sure(naming):
         naming, window = _second_look(flight, episode, until_s, onset) or (naming, window)
     if naming is None or window is None:
@@ -110,7 +109,7 @@ def isolate(flight: Flight, episode: Episode) -> tuple[Fault, ...]:
             before_s = _SUSPICION_LASTS_S + max(episode.start_s - episode.suspected_s, 0.0)
         start_s = min(refine_onset_s(flight, naming.best, episode.start_s, window, before_s), episode.alarm_s)
     first = replace(_fault(naming, episode, start_s), named_s=float(window.time_s[-1]))
-    begin_s = episode.start_s + _SETTLING_S
+    begin_s = episode.start_s + SETTLING_S
     early = flight.window(begin_s, min(begin_s + _FIRST_S, until_s), onset) if flight.is_report else None
     if early is not None:
         first = replace(first, first_signs=first_signs(early, flight.generator, flight.sigma_deg))
@@ -132,7 +131,7 @@ def _onset(flight: Flight, start_s: float) -> Onset | None:
     judged_s = residuals.time_s[residuals.settled]
     if start_s - judged_s[0] < _ONSET_BEFORE_RECORD_S:
         return None
-    first, last = np.searchsorted(residuals.time_s, (start_s, start_s + _SETTLING_S)).tolist()
+    first, last = np.searchsorted(residuals.time_s, (start_s, start_s + SETTLING_S)).tolist()
     near = residuals.measured_deg[max(first - 3, 0) : first + 1]
     near = near[np.isfinite(near)]
     healthy_deg = residuals.simulated_deg[first : last + 1]
@@ -144,7 +143,7 @@ def _onset(flight: Flight, start_s: float) -> Onset | None:
 def _name(flight: Flight, from_s: float, until_s: float, onset: Onset | None) -> tuple[Naming | None, Window | None]:
     """Name the fault from the shortest window that is sure."""
     best: tuple[Naming | None, Window | None] = (None, None)
-    for length_s in _WINDOWS_S:
+    for length_s in WINDOWS_S:
         window = flight.window(from_s, min(from_s + length_s, until_s), onset)
         if window is not None:
             naming = name_fault(window)
@@ -164,8 +163,8 @@ def _second_look(flight: Flight, episode: Episode, until_s: float, onset: Onset 
     It may begin too early, and hold the transition; hold the end of a short fault; or leave out the only fast motion.
     """
     for from_s, to_s in (
-        (episode.alarm_s + 2.0 * _SETTLING_S, episode.alarm_s + 2.0 * _SETTLING_S + _WINDOWS_S[0]),
-        (episode.start_s + _SETTLING_S, episode.start_s + _SETTLING_S + _SHORT_S),
+        (episode.alarm_s + 2.0 * SETTLING_S, episode.alarm_s + 2.0 * SETTLING_S + WINDOWS_S[0]),
+        (episode.start_s + SETTLING_S, episode.start_s + SETTLING_S + _SHORT_S),
         (episode.start_s, episode.alarm_s + _SHORT_S),
     ):
         window = flight.window(from_s, min(to_s, until_s), onset)
@@ -319,10 +318,6 @@ def first_signs(window: Window, generator: ResidualGenerator, sigma_deg: float) 
             if narendra(generator.filtered(window.time_s, misfit_deg, restart))[-1] <= limit_deg:
                 quiet[kind] = window.score(explanation)
     return tuple(sorted(quiet, key=quiet.__getitem__))
-
-
-SURE = 0.95
-"""Probability from which a name counts as certain."""
 
 
 def confirmed(named: tuple[Fault, ...], episode: Episode) -> tuple[Fault, ...]:

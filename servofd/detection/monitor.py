@@ -27,10 +27,11 @@ from servofd.core.errors import DesignError
 from servofd.core.frozen import Republished
 from servofd.detection.calibrated import judge_stretch
 from servofd.detection.contradiction import contradictions, wiring_problem
-from servofd.detection.judge import ECHO_S, SURE, judge_evaluated
+from servofd.detection.judge import ECHO_S, SETTLING_S, WINDOWS_S, judge_evaluated
 from servofd.detection.residual import ResidualGenerator, rhythm, thinned_rhythm
 from servofd.detection.stream import CalibratedStream, Stream
-from servofd.detection.verdict import EXPLAINED, too_slow
+from servofd.detection.threshold import QUIET_SHARE, SUSPICION_LASTS_S
+from servofd.detection.verdict import EXPLAINED, SURE, too_slow
 from servofd.servo.context import NO_CONTEXT, Context
 
 if TYPE_CHECKING:
@@ -46,8 +47,6 @@ if TYPE_CHECKING:
     from servofd.servo.servo_model import ServoModel
 
 
-QUIET_SHARE = 0.5
-"""Of its threshold, below which the residual of a surface in alarm is quiet."""
 QUIET_S = 0.75
 """After so long in quiet the bank looks whether an alarm is over,"""
 _OVER_S, _AS_FAST = 1.25, 0.7
@@ -191,10 +190,6 @@ _LIKELY = 0.5
 """A name of this probability keeps until then."""
 _RECOVERED_S = 0.5
 """A surface that is quiet for so long, and farther from where it was stuck than its threshold, obeys again."""
-_WINDOWS_S = (2.25, 4.25, 8.25, 16.25)
-"""The bank's own windows, which begin a quarter of a second after what raised a suspicion."""
-_NEWS_S = 10.0
-"""Suspicions this close together are one."""
 _WRONG_DEG, _AGAIN_S, _STANDING_S, _AFTER_S = 1.0, 1.0, 2.5, 6.0
 """A model that was fitted accuses of what contradicts any servo, which is never nearer to the model than this [deg]:
 there the bank looks so often [s], less often while an alarm stands, and for so long after."""
@@ -791,8 +786,8 @@ class SurfaceMonitor:
         if not tells or self.standing:
             return
         for time_s in piece.residuals.time_s[piece.suspicious & piece.residuals.settled].tolist():
-            if time_s - self._suspected_s > _NEWS_S:
-                self._looks_s = sorted([*self._looks_s, *(time_s + after_s for after_s in _WINDOWS_S)])
+            if time_s - self._suspected_s > SUSPICION_LASTS_S:
+                self._looks_s = sorted([*self._looks_s, *(time_s + SETTLING_S + lasts_s for lasts_s in WINDOWS_S)])
             self._suspected_s = time_s
 
     def _look(self, *, whole: bool = False) -> Look | None:

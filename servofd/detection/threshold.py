@@ -202,7 +202,6 @@ _TAKEN_UP = 2.0
 """Half plays to move until it is known on which side of its play a surface lies."""
 SUSPICIOUS_DRIFT = 40.0
 """In 400 flights of 120 s, healthy servos with parameters anywhere within their tolerances reached 22."""
-_KAPPA = 0.5
 _SUSPICIONS_PER_HOUR = 1e-3
 
 
@@ -237,11 +236,11 @@ class Evaluation:
     """The interval threshold of one surface, at the pace of its positions: for piece after piece of a flight."""
 
     def __init__(self, generator: ResidualGenerator, tolerance: Tolerance, period_s: float) -> None:
-        from servofd.detection.probability import Noise, design_cusum
+        from servofd.detection.probability import KAPPA_SIGMA, Noise, design_cusum
         from servofd.detection.pulse import design_pulse_filter
 
         pulse = design_pulse_filter(generator.model.transfer, 0.0, period_s, generator.pole_rad_s)
-        self.cusum = design_cusum(_KAPPA, _SUSPICIONS_PER_HOUR, Noise.designed(pulse, 1.0))
+        self.cusum = design_cusum(KAPPA_SIGMA, _SUSPICIONS_PER_HOUR, Noise.designed(pulse, 1.0))
         self._generator, self._decay_rad_s = generator, generator.model.parameters().decay_rad_s
         self.tolerated, self.noise_gain = tolerated_parameters(tolerance), pulse.noise_gain
         self._bounds = np.array([*self.tolerated, tolerance.noise_deg, pulse.noise_gain, self.cusum.factor])
@@ -431,7 +430,7 @@ def _latch(
 _ONSET_SIGMAS = 4.5
 _QUIET_BEFORE_ONSET_S = 0.5
 _SAMPLES_FOR_NOISE = 100
-_SUSPICION_LASTS_S = 10.0
+SUSPICION_LASTS_S = MEMORY_S
 """The cumulative sum and the deviations look back about that far."""
 _ONSET_MEMORY_S = 60.0
 """How far back an onset is looked for."""
@@ -479,10 +478,10 @@ def find_episodes(
     raised_s = time_s[suspicion[judged] & ~_echoes(time_s, faults)]
     suspected = []
     for stretch in (
-        np.split(raised_s, np.flatnonzero(np.diff(raised_s) > _SUSPICION_LASTS_S) + 1) if raised_s.size else ()
+        np.split(raised_s, np.flatnonzero(np.diff(raised_s) > SUSPICION_LASTS_S) + 1) if raised_s.size else ()
     ):
         start_s, last_s = float(stretch[0]), float(stretch[-1])
-        end_s = last_s if time_s[-1] - last_s > _SUSPICION_LASTS_S else None
+        end_s = last_s if time_s[-1] - last_s > SUSPICION_LASTS_S else None
         suspected.append(Episode(start_s, start_s, end_s, "suspect"))
     found, alone = [], list(suspected)
     for fault in faults:
@@ -494,7 +493,7 @@ def find_episodes(
 
 def _echoes(time_s: FloatArray, faults: tuple[Episode, ...]) -> BoolArray:
     """Instants during a fault and shortly after it, when suspicion is no news."""
-    after_s = [np.inf if fault.end_s is None else fault.end_s + _SUSPICION_LASTS_S for fault in faults]
+    after_s = [np.inf if fault.end_s is None else fault.end_s + SUSPICION_LASTS_S for fault in faults]
     steps = np.zeros(time_s.size + 1, dtype=np.int64)
     np.add.at(steps, np.searchsorted(time_s, [fault.alarm_s for fault in faults]), 1)
     np.add.at(steps, np.searchsorted(time_s, after_s, side="right"), -1)
@@ -528,7 +527,7 @@ def _faults(residuals: Residuals, threshold: Threshold, judged: IntArray, persis
 def _announces(suspect: Episode, fault: Episode) -> bool:
     """Whether a suspicion came shortly before an alarm."""
     ends_s = np.inf if suspect.end_s is None else suspect.end_s
-    return bool(suspect.start_s < fault.alarm_s and ends_s + _SUSPICION_LASTS_S >= fault.start_s)
+    return bool(suspect.start_s < fault.alarm_s and ends_s + SUSPICION_LASTS_S >= fault.start_s)
 
 
 def _onset(time_s: FloatArray, size_deg: FloatArray, tolerance_deg: FloatArray, earliest: int, alarm: int) -> int:

@@ -175,7 +175,8 @@ _SLOW = {
     "bandwidth_scale": "slow: {bandwidth_scale:.0%} of its bandwidth is left",
     "rate_limit_deg_s": "slow: no faster than {rate_limit_deg_s:.0f} deg/s",
 }
-_SURE = 0.95
+SURE, WORTH_TELLING = 0.95, 0.02
+"""Probabilities from which a name counts as certain, and an alternative is worth mentioning."""
 _PERHAPS = {
     "bias": "an offset",
     "hardover": "run to its stop",
@@ -213,7 +214,7 @@ def describe(fault: Fault) -> str:
     doubt = ""
     if fault.kind == "unknown" and fault.alternatives:
         text, doubt = "at fault, with too little motion to tell which", _perhaps(fault)
-    elif fault.probability < _SURE and fault.alternatives and fault.kind != "healthy":
+    elif fault.probability < SURE and fault.alternatives and fault.kind != "healthy":
         doubt = _perhaps(fault)
     if fault.kind == "healthy" and fault.level == "fault":
         text = "crossed the threshold, but the tolerances of a working servo explain it"
