@@ -130,14 +130,14 @@ def pace_steps(time_s: FloatArray) -> FloatArray:
     >>> pace_steps(np.zeros(4))
     array([0., 0., 0.])
     """
-    steps_s = np.diff(time_s)
-    if steps_s.size == 0:
-        return steps_s
-    last = int(np.searchsorted(time_s, time_s[0] + WARM_UP_S, side="right")) - 1
-    first_s = steps_s[: max(1, min(WARM_UP_STEPS, last))]
-    early_s, usual_s = float(np.median(first_s)), float(np.median(steps_s[:: 1 + steps_s.size // _STEPS_FOR_PACE]))
+    last = int(np.searchsorted(time_s, time_s[:1] + WARM_UP_S, side="right").sum()) - 1
+    first_s = np.diff(time_s[: 1 + max(1, min(WARM_UP_STEPS, last))])
+    if first_s.size == 0:
+        return first_s
+    every = 1 + (time_s.size - 1) // _STEPS_FOR_PACE
+    early_s, usual_s = float(np.median(first_s)), float(np.median(time_s[1::every] - time_s[:-1:every]))
     same = early_s <= SAME_PACE * usual_s and usual_s <= SAME_PACE * early_s
-    return first_s if same else steps_s
+    return first_s if same else np.diff(time_s)
 
 
 def sent_period_s(time_s: FloatArray) -> float | None:

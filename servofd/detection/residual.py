@@ -180,9 +180,11 @@ class ResidualGenerator:
         """Residual of a whole segment."""
         simulator = Simulator.of(self, segment)
         simulated_deg, (measured_deg, restart, settled) = simulator.simulated_deg(self.model), simulator.starts
-        both_deg = self._both_deg(segment.measured_s, simulated_deg, measured_deg, restart)
+        for array in (simulated_deg, measured_deg):
+            array.setflags(write=False)  # so that nobody copies it
+        residual_deg, rest_deg = self._both_deg(segment.measured_s, simulated_deg, measured_deg, restart)
         return Residuals(
-            segment.measured_s, simulated_deg, measured_deg, both_deg[0], settled, both_deg[1], restart, segment.context
+            segment.measured_s, simulated_deg, measured_deg, residual_deg, settled, rest_deg, restart, segment.context
         )
 
     def without(self, residuals: Residuals, left_out: BoolArray) -> Residuals:
@@ -196,15 +198,26 @@ class ResidualGenerator:
 
     def _both_deg(
         self, time_s: FloatArray, simulated_deg: FloatArray, measured_deg: FloatArray, restart: NDArray[np.int8]
-    ) -> FloatArray:
-        """Residual of what was measured, and of a surface that rests at 0 deg, where there is a position (2, n)."""
-        return self.filtered(time_s, np.stack([measured_deg - simulated_deg, -simulated_deg]), restart)
+    ) -> tuple[FloatArray, FloatArray]:
+        """Residual of what was measured, and of a surface that rests at 0 deg; of shape (n,), each with its memory."""
+        residual_deg, rest_deg = measured_deg - simulated_deg, -simulated_deg
+        self._filter(time_s, residual_deg, restart, rest_deg.reshape(1, -1))
+        for array in (residual_deg, rest_deg):
+            array.setflags(write=False)
+        return residual_deg, rest_deg
 
     def filtered(self, time_s: FloatArray, error_deg: FloatArray, restart: NDArray[np.int8]) -> FloatArray:
-        """Residual of one or several simulation errors [deg], shape (n,) or (r, n); anew where `restart` is not 0."""
+        """Residual of a simulation error [deg], shape (n,); anew where `restart` is not 0."""
+        residual_deg = np.array(error_deg)
+        self._filter(time_s, residual_deg, restart, np.empty((0, time_s.size)))
+        return residual_deg
+
+    def _filter(
+        self, time_s: FloatArray, error_deg: FloatArray, restart: NDArray[np.int8], others_deg: FloatArray
+    ) -> None:
         residual_filter = self.filter_parameters()
-        memory = FilterMemory.of(residual_filter, 1 if error_deg.ndim == 1 else len(error_deg))
-        return filtered_rows(residual_filter, memory, time_s, error_deg, restart)
+        memory = FilterMemory.of(residual_filter, 1 + len(others_deg))
+        filter_in_place(residual_filter, memory, time_s, error_deg, restart, others_deg)
 
 
 def followed(
@@ -268,15 +281,16 @@ def commands_at_servo(segment: Segment, delay_s: float, longest_gap_s: float) ->
         filled_s = np.append(time_s[owner] + share * np.diff(time_s)[owner], time_s[-1])
         command_deg = np.append(command_deg[owner] + share * np.diff(command_deg)[owner], command_deg[-1])
         time_s = filled_s
-    return Commands(time_s + delay_s, command_deg, np.zeros(time_s.size))
+    return Commands(time_s + delay_s if delay_s else time_s, command_deg, np.zeros(time_s.size))
 
 
 def lost_commands(command_s: FloatArray, longest_gap_s: float) -> IntArray:
     """How many commands a regular log has lost after each of its own, of shape (n,); holes are not counted."""
     step_s, beat = np.diff(command_s), rhythm(command_s)
-    missing = (step_s > beat.longest_s) & (step_s <= longest_gap_s)
     lost = np.zeros(command_s.size, dtype=np.int64)
-    lost[:-1][missing] = np.round(step_s[missing] / beat.period_s).astype(np.int64) - 1
+    longer = np.flatnonzero(step_s > beat.longest_s)
+    missing = longer[step_s[longer] <= longest_gap_s]
+    lost[missing] = np.round(step_s[missing] / beat.period_s).astype(np.int64) - 1
     return lost
 
 
@@ -524,7 +538,7 @@ def _weigh_lags(residual_filter: FilterParameters, memory: FilterMemory, step_s:
     free = 1.0 + 0.0j
     for i in range(order):
         factor = np.exp(-residual_filter.decay_rad_s[i] * step_s)
-        ratio = np.exp((residual_filter.pole_rad_s - residual_filter.decay_rad_s[i]) * step_s)
+        ratio = factor / lag
         for j in range(i + 1, 0, -1):
             polynomial[j] = (1.0 - ratio) * polynomial[j] + ratio * polynomial[j - 1]
         polynomial[0] *= 1.0 - ratio
@@ -541,25 +555,25 @@ def _weigh_lags(residual_filter: FilterParameters, memory: FilterMemory, step_s:
 def lag_weights(residual_filter: FilterParameters, step_s: float) -> FloatArray:
     """Shares of the lags in the residual for one step length, of shape (n + 1,)."""
     memory = FilterMemory.of(residual_filter, 1)
-    filtered_rows(residual_filter, memory, np.array([0.0, step_s]), np.zeros(2), np.array([1, 0], dtype=np.int8))
+    filter_in_place(residual_filter, memory, np.array([0.0, step_s]), np.zeros(2), np.array([1, 0], dtype=np.int8))
     return memory.weights
 
 
-def filtered_rows(
+def filter_in_place(
     residual_filter: FilterParameters,
     memory: FilterMemory,
     time_s: FloatArray,
-    rows_deg: FloatArray,
+    error_deg: FloatArray,
     restart: NDArray[np.int8],
-) -> FloatArray:
-    """Residuals of one or several signals of the same instants [deg], shape (n,) or (r, n); the memory moves on.
+    others_deg: FloatArray | None = None,
+) -> None:
+    """Turn a simulation error [deg], shape (n,), into its residual, and so other signals of its instants, (r, n).
 
-    A sample that is NaN in the first row is left out in all of them; the filter starts anew where `restart` is not 0.
+    The memory moves on. A sample that is NaN in the error is left out in all of them; the filter starts anew where
+    `restart` is not 0. In place, because fresh pages of memory take longer than the filter.
     """
-    result, shape = np.empty(rows_deg.shape), (memory.lags.shape[0], time_s.size)
-    rows = fixed(rows_deg.reshape(shape))
-    _filter(residual_filter, memory, fixed(time_s), rows, fixed(restart), result.reshape(shape))
-    return result
+    others_deg = np.empty((0, time_s.size)) if others_deg is None else others_deg
+    _filter(residual_filter, memory, fixed(time_s), error_deg, others_deg, fixed(restart))
 
 
 @compiled
@@ -567,36 +581,34 @@ def _filter(
     residual_filter: FilterParameters,
     memory: FilterMemory,
     time_s: FloatArray,
-    rows_deg: FloatArray,
+    error_deg: FloatArray,
+    others_deg: FloatArray,
     restart: NDArray[np.int8],
-    filtered_deg: FloatArray,
 ) -> None:
-    lags = memory.lags
+    lags, last_s = memory.lags, memory.step[2]
     for k in range(time_s.size):
-        now = time_s[k]
-        if math.isnan(rows_deg[0, k]):
-            for r in range(lags.shape[0]):
-                filtered_deg[r, k] = math.nan
+        if math.isnan(error_deg[k]):
+            for r in range(1, lags.shape[0]):
+                others_deg[r - 1, k] = math.nan
             continue
-        if restart[k] != 0:
-            memory.step[2] = now
-            for r in range(lags.shape[0]):
-                for j in range(lags.shape[1]):
-                    lags[r, j] = rows_deg[r, k]
-                filtered_deg[r, k] = rows_deg[r, k] / residual_filter.dc_gain
-            continue
-        step_s = now - memory.step[2]
-        memory.step[2] = now
-        if abs(step_s - memory.step[0]) > SAME_STEP_S:
+        step_s, last_s = time_s[k] - last_s, time_s[k]
+        if restart[k] == 0 and abs(step_s - memory.step[0]) > SAME_STEP_S:
             _weigh_lags(residual_filter, memory, step_s)
         lag = memory.step[1]
         for r in range(lags.shape[0]):
-            value, residual = rows_deg[r, k], 0.0
+            value, residual = error_deg[k] if r == 0 else others_deg[r - 1, k], 0.0
+            if restart[k] != 0:
+                residual = value / residual_filter.dc_gain
             for j in range(lags.shape[1]):
-                value = lag * lags[r, j] + (1.0 - lag) * value
+                if restart[k] == 0:
+                    value = lag * lags[r, j] + (1.0 - lag) * value
+                    residual += memory.weights[j] * value
                 lags[r, j] = value
-                residual += memory.weights[j] * value
-            filtered_deg[r, k] = residual
+            if r == 0:
+                error_deg[k] = residual
+            else:
+                others_deg[r - 1, k] = residual
+    memory.step[2] = last_s
 
 
 _PER_OCTAVE, _LOWEST_OCTAVE, _BINS = 16, -20, 640

@@ -22,7 +22,7 @@ from servofd.detection.residual import (
     FilterMemory,
     Residuals,
     decide,
-    filtered_rows,
+    filter_in_place,
     go_on,
     mark_starts,
     new_glitch_memory,
@@ -327,11 +327,12 @@ class Stream(_Waiting):
     def _judged(self, rows: FloatArray, error_deg: FloatArray, glitch: BoolArray) -> Piece:
         time_s, simulated_deg, measured_deg = rows[0].copy(), rows[1].copy(), np.where(glitch, np.nan, rows[2])
         restart = rows[4].astype(np.int8)
-        inputs = np.stack([np.where(glitch, np.nan, error_deg), -simulated_deg, rows[5] - simulated_deg])
-        outputs = filtered_rows(self._filter, self._lags, time_s, inputs, restart)
+        residual_deg = np.where(glitch, np.nan, error_deg)
+        others_deg = np.stack([-simulated_deg, rows[5] - simulated_deg])
+        filter_in_place(self._filter, self._lags, time_s, residual_deg, restart, others_deg)
         settled = (rows[3] != 0.0) & ~glitch
-        residuals = Residuals(time_s, simulated_deg, measured_deg, outputs[0], settled, outputs[1], restart)
-        rate_error_deg = outputs[2] if len(self._motions) > 1 else np.zeros(0)
+        residuals = Residuals(time_s, simulated_deg, measured_deg, residual_deg, settled, others_deg[0], restart)
+        rate_error_deg = others_deg[1] if len(self._motions) > 1 else np.zeros(0)
         sigmas = self.surface.threshold_sigmas
         threshold = self._evaluation.threshold(residuals, rate_error_deg, rows[6].copy(), sigmas)
         if self.surface.threshold == "constant":

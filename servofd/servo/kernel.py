@@ -73,8 +73,8 @@ class Memory(NamedTuple):
     modes: ComplexArray
     """Of shape (m,): position each mode would reach [deg]."""
     motion: FloatArray
-    """Of shape (7,): time [s], held command [deg], its slope [deg/s], position [deg], rate-limited (-1, 0, 1), the
-    fastest that the linear motion can become under this command [deg/s], NaN if that is not known yet, and whether any
+    """Of shape (7,): time [s], held command [deg], its slope [deg/s], position [deg], rate-limited (-1, 0, 1), a speed
+    that the linear motion cannot exceed under this command [deg/s], NaN if none is known yet, and whether any
     command came."""
     cursor: np.ndarray[tuple[int], np.dtype[np.int64]]
     """Of shape (1,): next exponential slot to overwrite."""
@@ -271,7 +271,7 @@ def _expected(effective_s: FloatArray, c: int, at_s: FloatArray, anew: BoolArray
 
 
 @compiled
-def run(  # noqa: C901, PLR0912 - one function, because its state would be stored and loaded at each call
+def run(  # noqa: C901, PLR0912, PLR0915 - one function, because its state would be stored and loaded at each call
     servo: ServoParameters,
     memory: Memory,
     effective_s: FloatArray,
@@ -288,12 +288,15 @@ def run(  # noqa: C901, PLR0912 - one function, because its state would be store
     it is at rest where it was measured, or where its command wants it if that is NaN; these two may be empty. Call it
     again with later instants, and with the commands from the returned number on, to continue where the memory stands.
     """
-    motion, c, k, gain = memory.motion, 0, 0, 0.0
+    motion, c, k, gain, per_deg, per_slope = memory.motion, 0, 0, 0.0, 0.0, 0.0
     now, held, slope, position = motion[0], motion[1], motion[2], motion[3]
     direction, fastest, commanded = motion[4], motion[5], motion[6]
     slowest_limit = min(servo.rate_up_deg_s, servo.rate_down_deg_s)
     for i in range(servo.weight.size):
         gain += servo.weight[i].real
+        weighted = servo.weight[i] * servo.decay_rad_s[i]
+        per_deg += abs(weighted.real) + abs(weighted.imag)
+        per_slope += 2.0 * abs(servo.weight[i].real) + abs(servo.weight[i].imag)
     if math.isnan(fastest):
         fastest = _fastest_possible(servo, memory.modes, held, slope)
     while k < at_s.size:
@@ -330,8 +333,11 @@ def run(  # noqa: C901, PLR0912 - one function, because its state would be store
             held += slope * step_s
             position = position if limited else total
         if is_command:
+            # No more than it was and what this command can add; that is looked at closer where it may be too fast.
+            fastest += per_deg * abs(command_deg[c] - held) + per_slope * abs(slope_deg_s[c] - slope)
             held, slope, commanded = command_deg[c], slope_deg_s[c], 1.0
-            fastest = _fastest_possible(servo, memory.modes, held, slope)
+            if fastest > slowest_limit:
+                fastest = _fastest_possible(servo, memory.modes, held, slope)
             c += 1
         else:
             position_deg[k] = min(max(position, servo.lower_deg), servo.upper_deg)

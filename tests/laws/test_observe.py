@@ -18,7 +18,7 @@ from servofd.detection.residual import (
     Commands,
     FilterMemory,
     FilterParameters,
-    filtered_rows,
+    filter_in_place,
     followed,
     lag_weights,
 )
@@ -56,7 +56,9 @@ def filtered(
     residual_filter: FilterParameters, at_s: FloatArray, error_deg: FloatArray, restarts: NDArray[np.int8]
 ) -> FloatArray:
     memory = FilterMemory.of(residual_filter, 1)
-    return filtered_rows(residual_filter, memory, at_s, error_deg, restarts)
+    residual_deg = np.array(error_deg)
+    filter_in_place(residual_filter, memory, at_s, residual_deg, restarts)
+    return residual_deg
 
 
 def exact(transfer: TransferFunction, start_deg: float, commands: FloatArray, at_s: FloatArray) -> FloatArray:
