@@ -177,4 +177,4 @@ def _rows(head: Sequence[str | Cell], rows: Sequence[Sequence[str | Cell]]) -> s
 
 
 def _cell(text: str) -> str:
-    return text.replace("|", "\\|").replace("\n", " ")
+    return " ".join(text.replace("|", "\\|").split())

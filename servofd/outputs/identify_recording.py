@@ -82,9 +82,9 @@ def save_explanation(found: Explanation, path: str | Path, source: str) -> None:
 
 def _send_curves(recorder: Recorder, place: str, found: Explanation) -> None:
     record, nominal, final = found.record, found.selection.nominal.error_deg, found.selection.final.error_deg
-    latest = np.searchsorted(record.commands.effective_s, record.time_s, side="right") - 1
-    command_deg = np.where(latest >= 0, record.commands.command_deg[np.maximum(latest, 0)], np.nan)
-    measured_deg = record.measured_deg
+    commands, measured_deg = record.commands, record.measured_deg
+    command_deg = latest(commands.effective_s, commands.command_deg, record.time_s)
+    command_deg = np.where(record.time_s >= commands.effective_s[0], command_deg, np.nan)
     deflections = np.column_stack([command_deg, measured_deg - nominal, measured_deg - final, measured_deg])
     errors = np.where(record.counts[:, None], np.column_stack([nominal, final]), np.nan)
     names = ["command", "as it was", "with what was found", "measured"]

@@ -31,10 +31,8 @@ def test_a_recording_of_the_monitor_is_judged_in_review(tmp_path: Path, capsys: 
     path = tmp_path / "live.rrd"
     live = LiveRecording("x", names, path=path, properties=live_verdicts(audit.aircraft, names, "live"))
     for surface in audit.surfaces:
-        assert surface.segment is not None
-        assert surface.residuals is not None
-        assert surface.threshold is not None
-        trace = Trace.of(surface.segment, surface.residuals, surface.threshold.level_deg)
+        trace = Trace.of(surface)
+        assert trace is not None
         for rows in np.array_split(np.arange(trace.time_s.size), 7):
             live.add(
                 Samples(

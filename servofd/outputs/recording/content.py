@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 
 from logparsers.records import FlightLog, own
+from servofd.core.series import latest
+from servofd.outputs.recording.states import tenths
 from servofd.servo.context import NO_CONTEXT, Context
 
 if TYPE_CHECKING:
@@ -18,7 +20,6 @@ if TYPE_CHECKING:
     from logparsers.records import FlightLog
     from servofd.aircraft.segment import Segment
     from servofd.core.types import BoolArray, FloatArray
-    from servofd.detection.residual import Residuals
     from servofd.detection.verdict import LogAudit, SurfaceAudit
     from servofd.onboard.seen import Seen
 
@@ -71,11 +72,20 @@ class Trace:
             object.__setattr__(self, name, own(getattr(self, name)))
 
     @classmethod
-    def of(cls, segment: Segment, residuals: Residuals, threshold_deg: FloatArray) -> Self:
-        """Curves that an audit looked at."""
+    def of(cls, surface: SurfaceAudit) -> Self | None:
+        """Curves that an audit looked at; None if it had none."""
+        segment, residuals = surface.segment, surface.residuals
+        if segment is None or residuals is None:
+            return None
+        time_s, size = residuals.time_s, residuals.time_s.size
+        asked_deg = np.full(size, np.nan)
+        if segment.command_s.size:
+            held_deg = latest(segment.command_s, segment.command_deg, time_s)
+            asked_deg = np.where(time_s >= segment.command_s[0], held_deg, np.nan)
+        threshold_deg = np.full(size, np.nan) if surface.threshold is None else surface.threshold.level_deg
         return cls(
-            residuals.time_s,
-            command_at(segment, residuals.time_s),
+            time_s,
+            asked_deg,
             residuals.simulated_deg,
             residuals.measured_deg,
             np.where(residuals.settled, residuals.residual_deg, np.nan),
@@ -147,7 +157,10 @@ class Recording:
     @classmethod
     def of(cls, audit: LogAudit) -> Self:
         """Everything of an audit that a recording tells; nothing that tells where on a machine its log was."""
-        log = audit.log
+        log, span_s = audit.log, audit.log.span_s
+        if span_s is None:
+            ends = [c.time_s[[0, -1]] for c in log.channels.values() if c.time_s.size] or [np.zeros(2)]
+            span_s = (float(min(end[0] for end in ends)), float(max(end[1] for end in ends)))
         bare = FlightLog(
             source=Path(log.source.name),
             format=log.format,
@@ -157,12 +170,12 @@ class Recording:
             vehicle=log.vehicle,
             firmware=log.firmware,
             start_utc=log.start_utc,
-            span_s=_span_s(log),
+            span_s=span_s,
         )
         surfaces = tuple(replace(s, segment=None, residuals=None, threshold=None) for s in audit.surfaces)
         return cls(
             replace(audit, log=bare, surfaces=surfaces),
-            {s.surface: trace for s in audit.surfaces if (trace := _trace(s)) is not None},
+            {s.surface: trace for s in audit.surfaces if (trace := Trace.of(s)) is not None},
         )
 
     @property
@@ -176,33 +189,10 @@ class Recording:
         return min((float(t.time_s[0]) for t in self.traces.values() if t.time_s.size), default=0.0)
 
 
-def command_at(segment: Segment, time_s: FloatArray) -> FloatArray:
-    """Command that was held at given times [deg]; NaN before the first one."""
-    latest = np.searchsorted(segment.command_s, time_s, side="right") - 1
-    held: FloatArray = np.where(latest >= 0, segment.command_deg[np.maximum(latest, 0)], np.nan)
-    return held
-
-
-def _trace(surface: SurfaceAudit) -> Trace | None:
-    if surface.segment is None or surface.residuals is None:
-        return None
-    size = surface.residuals.time_s.size
-    level_deg = np.full(size, np.nan) if surface.threshold is None else surface.threshold.level_deg
-    return Trace.of(surface.segment, surface.residuals, level_deg)
-
-
 def _rising(time_s: FloatArray) -> BoolArray:
     """Samples later than all before them: in a damaged recording some are not."""
     rising: BoolArray = time_s > np.concatenate([[-np.inf], np.maximum.accumulate(time_s)[:-1]])
     return rising
-
-
-def _span_s(log: FlightLog) -> tuple[float, float]:
-    """First and last time of a log [s]; only its length if it has no channel."""
-    if log.span_s is not None:
-        return log.span_s
-    spans = [(float(c.time_s[0]), float(c.time_s[-1])) for c in log.channels.values() if c.time_s.size]
-    return (min(s[0] for s in spans), max(s[1] for s in spans)) if spans else (0.0, 0.0)
 
 
 _ATTITUDES = (
@@ -220,7 +210,6 @@ _POSITIONS = (
     ("vehicle_gps_position[0].lat", "vehicle_gps_position[0].lon", "vehicle_gps_position[0].alt"),
     ("vehicle_gps_position[0].latitude_deg", "vehicle_gps_position[0].longitude_deg", "vehicle_gps_position[0].alt"),
 )
-_PERIOD_S = 0.1
 _EARTH_RADIUS_M = 6_371_008.8
 """Mean radius, IUGG."""
 _WHOLE_DEGREES = 1e-7
@@ -236,7 +225,13 @@ def attitude_of(log: FlightLog) -> FloatArray | None:
             rows[:, 1:] = np.degrees(rows[:, 1:])
         return rows
     found = _together(log, _QUATERNIONS)
-    return None if found is None else _euler(found[1])
+    if found is None:
+        return None
+    time_s, w, x, y, z = found[1].T
+    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
+    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return np.column_stack([time_s, np.degrees([roll, pitch, yaw]).T])
 
 
 def geo_of(log: FlightLog) -> FloatArray | None:
@@ -278,16 +273,7 @@ def _together(log: FlightLog, choices: tuple[tuple[str, ...], ...]) -> tuple[tup
             continue
         rows = np.column_stack([channels[0].time_s, *(c.values for c in channels)])
         rows = rows[np.all(np.isfinite(rows), axis=1)]
-        rows = rows[np.flatnonzero(np.diff(np.floor(rows[:, 0] / _PERIOD_S), prepend=-np.inf))]
+        rows = rows[tenths(rows[:, 0])]
         if len(rows) > 1:
             return names, rows
     return None
-
-
-def _euler(rows: FloatArray) -> FloatArray:
-    """Quaternions (w, x, y, z) to roll, pitch and yaw [deg]."""
-    w, x, y, z = rows[:, 1:].T
-    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-    pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
-    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    return np.column_stack([rows[:, 0], np.degrees([roll, pitch, yaw]).T])

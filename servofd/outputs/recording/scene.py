@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from servofd.outputs.recording.states import states
+from servofd.outputs.recording.states import states, tenths
 from servofd.outputs.recording.stream import STATES, colours, shown
 from servofd.outputs.recording.surface import send_seconds
 from servofd.servo.context import NO_CONTEXT
@@ -24,7 +24,6 @@ ATTITUDE, LOCAL, GEO = "/flight/attitude", "/flight/position", "/flight/geo"
 AIRSPEED, SUPPLY = "/flight/airspeed", "/flight/supply"
 """Where attitude, local and geographic position, airspeed and supply are kept as numbers."""
 
-_PERIOD_S = 0.1
 _BODY_RGBA = 0xB0B0B0FF
 _GHOST_OPACITY = 0.6
 
@@ -32,6 +31,7 @@ _GHOST_OPACITY = 0.6
 def send_scene(recorder: Recorder, recording: Recording) -> None:
     """Draw the aircraft; each surface as it was measured, in the colour of its state, and as it should have been."""
     import rerun as rr
+    from scipy.spatial.transform import Rotation
 
     recorder.stream.log("/aircraft", rr.ViewCoordinates.FRD, static=True)
     centres, half_sizes = zip(*BODY, strict=True)
@@ -40,8 +40,10 @@ def send_scene(recorder: Recorder, recording: Recording) -> None:
     if recording.attitude is not None:
         recorder.scalars(ATTITUDE, recording.attitude[:, 0], recording.attitude[:, 1:])
         recorder.lines(ATTITUDE, ["roll", "pitch", "yaw"], ["simulated", "measured", "command"])
-        turn = rr.Transform3D.columns(quaternion=turned_by_euler(recording.attitude[:, 1:]))
-        recorder.columns("/aircraft/frame", recording.attitude[:, 0], turn)
+        turned = Rotation.from_euler("ZYX", recording.attitude[:, :0:-1], degrees=True)  # yaw first, roll last
+        recorder.columns(
+            "/aircraft/frame", recording.attitude[:, 0], rr.Transform3D.columns(quaternion=turned.as_quat())
+        )
     for name, hinge in hinges(list(recording.traces)).items():
         surface = next(s for s in recording.audit.surfaces if s.surface == name)
         trace = recording.traces[name]
@@ -66,6 +68,7 @@ def send_context(recorder: Recorder, context: Context) -> None:
 
 def _send_surface(recorder: Recorder, place: str, trace: Trace, hinge: Hinge, changes: list[tuple[float, str]]) -> None:
     import rerun as rr
+    from scipy.spatial.transform import Rotation
 
     recorder.stream.log(place, rr.Transform3D(translation=hinge.at), static=True)
     behind = {"centers": [(-hinge.half_size[0], 0.0, 0.0)], "half_sizes": [hinge.half_size]}
@@ -74,19 +77,13 @@ def _send_surface(recorder: Recorder, place: str, trace: Trace, hinge: Hinge, ch
     recorder.stream.log(f"{place}/simulated", ghost, static=True)
     recorder.stream.log(f"{place}/measured", rr.Boxes3D(**behind, fill_mode="solid"), static=True)
     for which, angle_deg in (("simulated", trace.simulated_deg), ("measured", trace.measured_deg)):
-        time_s, thin_deg = _thin(trace.time_s, angle_deg)
-        turn = rr.Transform3D.columns(quaternion=turned(hinge.axis, thin_deg))
-        recorder.columns(f"{place}/{which}", time_s, turn)
+        known = np.flatnonzero(np.isfinite(angle_deg))
+        kept = known[tenths(trace.time_s[known])]
+        turned = Rotation.from_rotvec(np.outer(angle_deg[kept], hinge.axis), degrees=True)
+        recorder.columns(f"{place}/{which}", trace.time_s[kept], rr.Transform3D.columns(quaternion=turned.as_quat()))
     times = np.array([time_s for time_s, _ in changes])
     tints = colours([STATES[word] for _, word in changes])
     recorder.columns(f"{place}/measured", times, rr.Boxes3D.columns(colors=tints))
-
-
-def _thin(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Ten known values a second."""
-    known = np.flatnonzero(np.isfinite(values))
-    kept = known[np.flatnonzero(np.diff(np.floor(time_s[known] / _PERIOD_S), prepend=-np.inf))]
-    return time_s[kept], values[kept]
 
 
 def _send_track(recorder: Recorder, recording: Recording) -> None:
@@ -170,17 +167,3 @@ def hinges(names: list[str]) -> dict[str, Hinge]:
             guess = Hinge((-1.3, sideways, 0.0), _RIGHT, (0.08, 0.14, 0.014))
         placed[name] = guess
     return placed
-
-
-def turned(axis: tuple[float, float, float], angle_deg: FloatArray) -> FloatArray:
-    """Rotations by angles of shape (n,) about one axis, as quaternions (x, y, z, w) of shape (n, 4)."""
-    half = np.radians(angle_deg) / 2.0
-    return np.column_stack([np.outer(np.sin(half), axis), np.cos(half)])
-
-
-def turned_by_euler(euler_deg: FloatArray) -> FloatArray:
-    """Roll, pitch and yaw of shape (n, 3) [deg] to quaternions (x, y, z, w) of shape (n, 4): yaw first, roll last."""
-    from scipy.spatial.transform import Rotation
-
-    quaternions: FloatArray = Rotation.from_euler("ZYX", euler_deg[:, ::-1], degrees=True).as_quat()
-    return quaternions

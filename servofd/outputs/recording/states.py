@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 _SHORTEST_SILENCE_S = 0.5
 _PERIODS = 5.0
 """Longer than that without a sample, the curve is broken."""
-_RATIO_PERIOD_S = 0.1
 
 
 def silences(trace: Trace) -> list[tuple[float, float]]:
@@ -79,13 +78,18 @@ def events(trace: Trace | None, surface: SurfaceAudit, start_s: float = 0.0) -> 
     return sorted(lines)
 
 
+def tenths(time_s: FloatArray) -> IntArray:
+    """The first sample of each tenth of a second: what an eye can follow."""
+    return np.flatnonzero(np.diff(np.floor(time_s / 0.1), prepend=-np.inf))
+
+
 def ratio(time_s: FloatArray, residual_deg: FloatArray, threshold_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Largest |residual| / threshold of each tenth of a second: times [s] and ratios, of shape (m,)."""
     if not time_s.size:
         return time_s, time_s
     with np.errstate(divide="ignore", invalid="ignore"):
         size = np.abs(residual_deg) / threshold_deg
-    first: IntArray = np.flatnonzero(np.diff(np.floor(time_s / _RATIO_PERIOD_S), prepend=-np.inf))
+    first = tenths(time_s)
     known: BoolArray = np.isfinite(size)
     largest = np.maximum.reduceat(np.where(known, size, -1.0), first)
     return time_s[first], np.where(largest < 0.0, np.nan, largest)

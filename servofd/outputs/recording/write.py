@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.onboard.seen import seen_of
+from servofd.outputs.audit_report import audit_report
+from servofd.outputs.document import Bullets, markdown
 from servofd.outputs.palette import SERIES
 from servofd.outputs.recording.content import Recording, attitude_of, geo_of, local_of
 from servofd.outputs.recording.layout import ALARM_LINE, REPORT, audit_layout
@@ -89,7 +91,8 @@ def fill(recorder: Recorder, recording: Recording) -> None:
     """Send everything; the verdicts first, so that a recording that was cut short has them."""
     log = recording.audit.log
     recorder.properties(log.source.name, verdicts_of(recording))
-    recorder.document(REPORT, report(recording))
+    report = audit_report([recording.audit])
+    recorder.document(REPORT, markdown(replace(report, parts=[Bullets(recording.notes), *report.parts])))
     for surface, tint in zip(recording.audit.surfaces, itertools.cycle(SERIES), strict=False):
         send_surface(recorder, surface, recording.traces.get(surface.surface), recording.start_s, tint)
         if surface.surface in recording.on_board:
@@ -100,21 +103,3 @@ def fill(recorder: Recorder, recording: Recording) -> None:
         recorder.lines(ALARM_LINE, ["threshold"], ["threshold"])
         recorder.scalars(ALARM_LINE, np.array([recording.start_s, recording.end_s]), np.ones(2))
         send_scene(recorder, recording)
-
-
-def report(recording: Recording) -> str:
-    """Verdicts as Markdown."""
-    audit = recording.audit
-    told = [(s.surface, s.status, s.reason) for s in audit.surfaces]
-    told += [(axis.axis, axis.status, axis.reason) for axis in audit.axes]
-    rows = "\n".join(f"| {_cell(name)} | {status} | {_cell(reason)} |" for name, status, reason in told)
-    damage = "\n".join(f"- {d.kind}: {d.note}" for d in audit.log.damage_summary) or "none"
-    notes = "".join(f"{note}\n\n" for note in recording.notes)
-    return (
-        f"# {audit.log.source.name}\n\n{notes}| surface | status | reason |\n|---|---|---|\n{rows}\n\n"
-        f"**Damage of the log:**\n\n{damage}\n"
-    )
-
-
-def _cell(text: str) -> str:
-    return " ".join(text.replace("|", chr(92) + "|").split())
