@@ -5,12 +5,19 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING
 
-from servofd.cli.terminal import print_table
+from servofd.cli.terminal import print_document
 from servofd.jobs.survey import survey
+from servofd.outputs.document import Bullets, Document, Table
 
 if TYPE_CHECKING:
     from servofd.cli.options import Options
     from servofd.jobs.survey import Survey
+
+_SHOWN = 3
+_ON_BOARD = (
+    "in flight: `servofd onboard AIRCRAFT.toml -o servofd.lua` writes the script that watches these servos on the "
+    "autopilot; copy it to APM/scripts, set SCR_ENABLE = 1"
+)
 
 
 def run(options: Options) -> int:
@@ -20,56 +27,46 @@ def run(options: Options) -> int:
         print(json.dumps({"schema": "servofd.info/1", "logs": [s.as_dict() for s in surveys]}, indent=2))
     else:
         for found in surveys:
-            _print(found)
+            print_document(_report(found))
     return 0
 
 
-def _print(found: Survey) -> None:
+def _report(found: Survey) -> Document:
     log = found.log
-    many = "" if len(log.channels) == 1 else "s"
-    print(f"{log.label}: {log.format}, {log.duration_s:.1f} s, {len(log.channels)} channel{many}")
-    for label, value in (("vehicle", log.vehicle), ("firmware", log.firmware), ("booted", log.start_utc)):
-        if value:
-            print(f"  {label}: {value}")
-    for damage in log.damage_summary:
-        print(f"  damage: {damage.kind}: {damage.note}")
-    if found.surfaces:
-        print_table(
-            ["surface", "can be audited", "position [Hz]", "command [Hz]", "channels"],
-            [
-                [s.name, s.verdict, _rate(s.position_hz), _rate(s.command_hz), f"{s.command}, {s.position}"]
-                for s in found.surfaces
-            ],
-        )
-    if found.channels:
-        print_table(
-            ["channel", "unit", "samples", "rate [Hz]", "gaps", "longest gap [s]"],
-            [
-                [c.name, c.unit, str(c.samples), _rate(c.rate_hz), str(c.gaps), f"{c.longest_gap_s:.2f}"]
-                for c in found.channels
-            ],
-        )
-    if found.on_board:
-        print_table(
-            ["seen on board", "positions", "largest residual / threshold", "over it at [s]"],
-            [[s.name, str(s.samples), _share(s.peak_share), _times(s.alarms_s)] for s in found.on_board],
-        )
-    elif log.format in ("dataflash", "tlog") and found.surfaces:
-        print(
-            "  in flight: `servofd onboard AIRCRAFT.toml -o servofd.lua` writes the script that watches these servos "
-            "on the autopilot; copy it to APM/scripts, set SCR_ENABLE = 1"
-        )
-    if found.advice:
-        print(f"  to audit this aircraft: {found.advice}")
-
-
-def _share(share: float | None) -> str:
-    return "not judged" if share is None else f"{share:.2f}"
-
-
-def _times(times_s: tuple[float, ...]) -> str:
-    shown = ", ".join(f"{time_s:.2f}" for time_s in times_s[:3])
-    return f"{shown}, and {len(times_s) - 3} more" if len(times_s) > 3 else shown or "never"
+    about = (("vehicle", log.vehicle), ("firmware", log.firmware), ("booted", log.start_utc))
+    lines = [f"{label}: {value}" for label, value in about if value]
+    lines += [f"damage: {damage.kind}: {damage.note}" for damage in log.damage_summary]
+    advice = [f"to audit this aircraft: {found.advice}"] if found.advice else []
+    if not found.on_board and log.format in ("dataflash", "tlog") and found.surfaces:
+        advice.insert(0, _ON_BOARD)
+    surfaces = [
+        (s.name, s.verdict, _rate(s.position_hz), _rate(s.command_hz), f"{s.command}, {s.position}")
+        for s in found.surfaces
+    ]
+    channels = [
+        (c.name, c.unit, str(c.samples), _rate(c.rate_hz), str(c.gaps), f"{c.longest_gap_s:.2f}")
+        for c in found.channels
+    ]
+    on_board = []
+    for seen in found.on_board:
+        times = ", ".join(f"{time_s:.2f}" for time_s in seen.alarms_s[:_SHOWN])
+        more = f", and {len(seen.alarms_s) - _SHOWN} more" if len(seen.alarms_s) > _SHOWN else ""
+        share = "not judged" if seen.peak_share is None else f"{seen.peak_share:.2f}"
+        on_board.append((seen.name, str(seen.samples), share, f"{times}{more}" or "never"))
+    count = f"{len(log.channels)} channel{'' if len(log.channels) == 1 else 's'}"
+    return Document(
+        title=log.label,
+        status="no_data",
+        sentence="",
+        facts=f"{log.label}: {log.format}, {log.duration_s:.1f} s, {count}",
+        parts=[
+            Bullets(lines),
+            Table("", ("surface", "can be audited", "position [Hz]", "command [Hz]", "channels"), surfaces),
+            Table("", ("channel", "unit", "samples", "rate [Hz]", "gaps", "longest gap [s]"), channels),
+            Table("", ("seen on board", "positions", "largest residual / threshold", "over it at [s]"), on_board),
+            Bullets(advice),
+        ],
+    )
 
 
 def _rate(rate_hz: float | None) -> str:
