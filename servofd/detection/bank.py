@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass, field, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from operator import itemgetter
 from statistics import median
 from typing import TYPE_CHECKING, NamedTuple
@@ -364,8 +364,7 @@ class _Search:
         grid: FloatArray,
         name: str,
     ) -> None:
-        self._window, self._name, self._grid = window, name, grid
-        self._fit = partial(_fit, kind, window, predict, name)
+        self._kind, self._window, self._predict, self._name, self._grid = kind, window, predict, name, grid
         self._tried = {value: self._fit(value) for value in grid.tolist()}
 
     @property
@@ -387,6 +386,14 @@ class _Search:
                 right = low + _GOLDEN * (high - low)
         return _with_interval(self.best, self._tried, self._window, self._name)
 
+    def _fit(self, value: float) -> Explanation:
+        """A prediction with the nuisances of a working servo upon it; wide dead bands are rare."""
+        found = _regressed(
+            self._kind, self._window, lambda other: (self._predict(other, value), other.nuisances), self._window.ridge,
+            1.0, lambda *_: {self._name: Estimate(value, value, value)},
+        )  # fmt: skip
+        return replace(found, doubt=((value / _WIDE_DEG) ** 2 if self._name == "width_deg" else 0.0) + found.doubt)
+
     def _of(self, value: float) -> float:
         if value not in self._tried:
             self._tried[value] = self._fit(value)
@@ -394,17 +401,6 @@ class _Search:
 
     def _cost(self, fit: Explanation) -> float:
         return fit.cost_deg2 + self._window.noise_deg**2 * fit.doubt
-
-
-def _fit(
-    kind: str, window: Window, predict: Callable[[Window, float], FloatArray], name: str, value: float
-) -> Explanation:
-    """A prediction with the nuisances of a working servo upon it; dead bands of more than a few degrees are rare."""
-    found = _regressed(
-        kind, window, lambda other: (predict(other, value), other.nuisances), window.ridge, 1.0,
-        lambda *_: {name: Estimate(value, value, value)},
-    )  # fmt: skip
-    return replace(found, doubt=((value / _WIDE_DEG) ** 2 if name == "width_deg" else 0.0) + found.doubt)
 
 
 def _regressed(

@@ -522,8 +522,6 @@ class Found(NamedTuple):
 
     faults: tuple[Fault, ...]
     suspicions: tuple[Fault, ...]
-    grid_s: FloatArray
-    statistics: FloatArray
 
 
 def judged(flight: Watched) -> Found:
@@ -532,19 +530,11 @@ def judged(flight: Watched) -> Found:
     time_s, error_deg = flight.record.time_s, flight.error_deg
     faults: list[Fault] = []
     suspicions: list[Fault] = []
-    begin, grids, tables = 0, [], []
-    earliest_s = float(time_s[0]) if time_s.size else 0.0
+    begin, earliest_s = 0, float(time_s[0]) if time_s.size else 0.0
     for _ in range(_MOST_FAULTS):
-        part = slice(begin, None)
-        memory = Memory(flight.tests)
-        _, triple, grid_s, statistics = follow(
-            flight.tests, memory, time_s[part], error_deg[part], flight.slopes[part], flight.noise_deg[part]
-        )
-        raised_s, ratio, is_far = _alarm(limits, time_s[part], triple, grid_s, statistics[:, : len(STATISTICS)])
-        keep = grid_s <= raised_s
-        statistics = statistics[:, : len(STATISTICS)]
-        grids.append(grid_s[keep])
-        tables.append(statistics[keep])
+        rows = (time_s[begin:], error_deg[begin:], flight.slopes[begin:], flight.noise_deg[begin:])
+        _, triple, grid_s, statistics = follow(flight.tests, Memory(flight.tests), *rows)
+        raised_s, ratio, is_far = _alarm(limits, rows[0], triple, grid_s, statistics[:, : len(STATISTICS)])
         if not np.isfinite(raised_s):
             break
         fault = _weighed(named(flight, raised_s, ratio, earliest_s=earliest_s), ratio, is_far=is_far)
@@ -560,7 +550,7 @@ def judged(flight: Watched) -> Found:
         begin = int(np.searchsorted(time_s, earliest_s + _AGAIN_S))
         if begin >= time_s.size - 2:
             break
-    return Found(tuple(faults), tuple(suspicions), np.concatenate(grids), np.concatenate(tables))
+    return Found(tuple(faults), tuple(suspicions))
 
 
 def _weighed(fault: Fault, ratio: float, *, is_far: bool) -> Fault:

@@ -494,12 +494,9 @@ _PARTS = 3
 
 
 def wiring_problem(residuals: Residuals) -> str:
-    """Tell if position follows the command with a gain that no servo has, from the first to the last third.
+    """That position follows the command with a gain that no servo has, from the first to the last third.
 
-    Returns
-    -------
-    str
-        A sentence; empty if sign and scale are plausible, or the position does not follow at all.
+    Empty if sign and scale are plausible, or it does not follow at all.
     """
     parts = [_gain(residuals, part) for part in np.array_split(np.flatnonzero(residuals.settled), _PARTS)]
     gains = [gain for gain in parts if gain is not None]
