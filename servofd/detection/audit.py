@@ -27,7 +27,7 @@ from servofd.core.evidence import NOTHING_DETECTABLE
 from servofd.detection.calibrated import audit_calibrated
 from servofd.detection.contradiction import unanswered, wiring_problem
 from servofd.detection.evidence import coverage, detectable, reported, status_of, too_short
-from servofd.detection.judge import Judgement, judge
+from servofd.detection.judge import judge
 from servofd.detection.probability import false_alarms_per_hour
 from servofd.detection.residual import ResidualGenerator, Residuals, prepared
 from servofd.detection.verdict import LogAudit, Statistics, SurfaceAudit, describe
@@ -154,6 +154,14 @@ def audit_segment(
     # Whoever names a level wants to know what reaches it.
     judgement = judge(generator, segment, residuals, surface, dismiss=threshold_deg is None)
     level, faults, suspicions = judgement.threshold, judgement.faults, judgement.suspicions
+    if judgement.unnamed:  # and why there are so many, if the threshold is to blame
+        sigma_deg, within = (
+            float(np.median(level.sigma_deg)),
+            f"the threshold of {level.typical_deg:.2g} deg lies within",
+        )
+        blamed = f": {within} the residual's noise of {sigma_deg:.2g} deg"
+        much = blamed if level.typical_deg < _CLEAR_SIGMAS * sigma_deg else ""
+        notes = (f"{judgement.unnamed} smaller alarms not named{much}", *notes)
     # Tolerances that were drafted from a log hide a reversed sign.
     problem = _miswired(residuals, faults, surface) if faults or suspicions or surface.model.origin == "fitted" else ""
     if problem:
@@ -187,7 +195,7 @@ def audit_segment(
         level,
         judged_share,
         status,
-        "; ".join((reason, *remarks, *_too_many(judgement), *notes)),
+        "; ".join((reason, *remarks, *notes)),
         faults=faults,
         suspicions=suspicions,
         statistics=statistics,
@@ -330,16 +338,6 @@ def _unpredicted(surface: Surface, segment: Segment) -> str:
         f"no servo predicts this surface from its command, which stays within {asked_deg:.2g} deg (a fitted one "
         f"explains {max(share, 0.0):.0%} of the motion): check that command and position belong together, or {record}"
     )
-
-
-def _too_many(judgement: Judgement) -> tuple[str, ...]:
-    """That not every alarm was named, and why there are so many if the threshold is to blame."""
-    if not judgement.unnamed:
-        return ()
-    sigma_deg, level_deg = float(np.median(judgement.threshold.sigma_deg)), judgement.threshold.typical_deg
-    within = f"the threshold of {level_deg:.2g} deg lies within the residual's noise of {sigma_deg:.2g} deg"
-    blamed = f": {within}" if level_deg < _CLEAR_SIGMAS * sigma_deg else ""
-    return (f"{judgement.unnamed} smaller alarms not named{blamed}",)
 
 
 def _judged_s(residuals: Residuals, longest_gap_s: float) -> float:

@@ -365,15 +365,11 @@ def _line(time_s: FloatArray, error: FloatArray, asked: FloatArray) -> tuple[flo
     share = 0.5 * size_deg**2 / max(float(np.var(error)), 1e-12)
     if size_deg < _LINE_DEG or share < _LINE_SHARE or own_deg > _NOT_ASKED * size_deg:
         return None
-    if _turns(error - error.mean(), 0.5 * size_deg) < _TURNS * frequencies[best] * (time_s[-1] - time_s[0]):
+    away = error - error.mean()
+    crossed = np.count_nonzero(np.diff(np.sign(away[np.abs(away) >= 0.5 * size_deg])))  # from one side to the other
+    if crossed < _TURNS * frequencies[best] * (time_s[-1] - time_s[0]):
         return None
     return float(frequencies[best]), size_deg
-
-
-def _turns(values: FloatArray, least: float) -> int:
-    """How often some values go from beyond one side of zero to beyond the other."""
-    sides = np.sign(values[np.abs(values) >= least])
-    return int(np.count_nonzero(np.diff(sides)))
 
 
 def _behind(flight: _Flight, rows: slice, power: float, common: float, error_power: float) -> _Stretch | None:

@@ -330,7 +330,12 @@ class SurfaceMonitor:
     @property
     def is_watched(self) -> bool:
         """Whether residuals are being judged."""
-        return self._stream is not None and not (self.problem or self.outage or self.suspended)
+        return self._stream is not None and not self.silenced
+
+    @property
+    def silenced(self) -> str:
+        """Why nothing is known of it now, in words; empty if there is no reason."""
+        return self.suspended or self.outage or self.problem
 
     @property
     def standing(self) -> str:
@@ -345,8 +350,8 @@ class SurfaceMonitor:
     @property
     def unjudged(self) -> str:
         """Why this surface was not judged to the end, and for most of its time, in words; empty if it was."""
-        if self.suspended or self.outage or self.problem:
-            return self.suspended or self.outage or self.problem
+        if self.silenced:
+            return self.silenced
         if self.reading is None or not self.was_judged:
             return "never judged"
         share = self._judged_s / max(self.reading.time_s - self._begun_s, 1e-9)

@@ -485,7 +485,11 @@ def find_episodes(
         suspected.append(Episode(start_s, start_s, end_s, "suspect"))
     found, alone = [], list(suspected)
     for fault in faults:
-        before = [s for s in suspected if _announces(s, fault)]
+        before = [  # that announced it
+            s
+            for s in suspected
+            if s.start_s < fault.alarm_s and (s.end_s is None or s.end_s + SUSPICION_LASTS_S >= fault.start_s)
+        ]
         alone = [s for s in alone if s not in before]
         found.append(replace(fault, suspected_s=before[-1].alarm_s) if before else fault)
     return tuple(sorted([*found, *alone], key=lambda episode: episode.start_s))
@@ -522,12 +526,6 @@ def _faults(residuals: Residuals, threshold: Threshold, judged: IntArray, persis
         end_s = float(time_s[loud[end - 1]]) if last_cleared > alarm else None
         episodes.append(Episode(float(time_s[onset]), float(time_s[alarm]), end_s))
     return tuple(episodes)
-
-
-def _announces(suspect: Episode, fault: Episode) -> bool:
-    """Whether a suspicion came shortly before an alarm."""
-    ends_s = np.inf if suspect.end_s is None else suspect.end_s
-    return bool(suspect.start_s < fault.alarm_s and ends_s + SUSPICION_LASTS_S >= fault.start_s)
 
 
 def _onset(time_s: FloatArray, size_deg: FloatArray, tolerance_deg: FloatArray, earliest: int, alarm: int) -> int:

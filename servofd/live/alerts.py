@@ -236,13 +236,7 @@ def _words(event: Event) -> tuple[int, str]:
     if event.event == "alarm" and event.fault is None:
         known = f", off by {abs(event.residual_deg):.1f} deg" if math.isfinite(event.residual_deg) else ""
         return _SEVERITIES["unknown"], f"ALARM{known}"
-    return _SEVERITIES.get(event.kind, Severity.NOTICE), _KINDS.get(event.kind, event.kind) + _size(event)
-
-
-def _size(event: Event) -> str:
-    if event.fault is None:
-        return ""
-    known = next((name for name in _SHOWN if name in event.fault.parameters), "")
-    if not known:
-        return ""
-    return f" {event.fault.parameters[known].value:.2g}{_UNITS.get(known, ' deg')}"
+    sizes = event.fault.parameters if event.fault is not None else {}
+    known = next((name for name in _SHOWN if name in sizes), "")
+    size = f" {sizes[known].value:.2g}{_UNITS.get(known, ' deg')}" if known else ""
+    return _SEVERITIES.get(event.kind, Severity.NOTICE), _KINDS.get(event.kind, event.kind) + size

@@ -317,9 +317,8 @@ class Session:
         for vehicle, monitor in self.watched:
             if not monitor.is_watched:
                 channel = monitor.surface.measured.channel if monitor.surface.measured else ""
-                why = monitor.suspended or monitor.outage or monitor.problem or f"waiting for {channel}"
-                if not (monitor.suspended or monitor.outage or monitor.problem) and math.isfinite(monitor.rate_hz):
-                    why = "learning its pace"
+                pace = "learning its pace" if math.isfinite(monitor.rate_hz) else f"waiting for {channel}"
+                why = monitor.silenced or pace
                 who = monitor.name if len(self.vehicles) == 1 else f"{vehicle.system}/{monitor.name}"
                 missing.setdefault(why, []).append(who)
         return "; ".join(f"{', '.join(who)}: {why}" for why, who in missing.items())

@@ -53,7 +53,7 @@ def status_of(monitor: SurfaceMonitor) -> str:
     if monitor.standing:
         return "ALARM"
     if not monitor.is_watched:
-        return "no data" if monitor.problem or monitor.outage or monitor.suspended else "waiting"
+        return "no data" if monitor.silenced else "waiting"
     if monitor.reading is None or not monitor.reading.settled:
         return "settling"
     return "watched"
