@@ -155,12 +155,9 @@ def audit_segment(
     judgement = judge(generator, segment, residuals, surface, dismiss=threshold_deg is None)
     level, faults, suspicions = judgement.threshold, judgement.faults, judgement.suspicions
     if judgement.unnamed:  # and why there are so many, if the threshold is to blame
-        sigma_deg, within = (
-            float(np.median(level.sigma_deg)),
-            f"the threshold of {level.typical_deg:.2g} deg lies within",
-        )
-        blamed = f": {within} the residual's noise of {sigma_deg:.2g} deg"
-        much = blamed if level.typical_deg < _CLEAR_SIGMAS * sigma_deg else ""
+        level_deg, sigma_deg = level.typical_deg, float(np.median(level.sigma_deg))
+        within = f": the threshold of {level_deg:.2g} deg lies within the residual's noise of {sigma_deg:.2g} deg"
+        much = within if level_deg < _CLEAR_SIGMAS * sigma_deg else ""
         notes = (f"{judgement.unnamed} smaller alarms not named{much}", *notes)
     # Tolerances that were drafted from a log hide a reversed sign.
     problem = _miswired(residuals, faults, surface) if faults or suspicions or surface.model.origin == "fitted" else ""

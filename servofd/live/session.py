@@ -57,32 +57,22 @@ def _load_bank() -> None:
 
 @dataclass(slots=True)
 class Session:
-    """All vehicles of one link.
-
-    Parameters
-    ----------
-    codec : Codec
-        Takes frames apart; its own messages are made elsewhere.
-    aircraft : Mapping[int, Aircraft]
-        By system id; with the key 0, of whichever vehicle speaks first.
-    store : callable
-        Takes every frame with its arrival time, as a telemetry log has it.
-    send : callable, optional
-        Sends requests to a vehicle: its number, message name and fields. None: nothing is asked for.
-    alert : callable, optional
-        Sends alerts about a vehicle, with the same arguments. None: nothing is said.
-    aside : bool
-        Whether the bank works in a thread of its own; otherwise the session waits for it.
-    """
+    """All vehicles of one link."""
 
     codec: Codec
+    """Takes frames apart; its own messages are made elsewhere."""
     aircraft: Mapping[int, Aircraft]
+    """By system id; with the key 0, of whichever vehicle speaks first."""
     store: Callable[[bytes], None] = lambda _: None
+    """Takes every frame with its arrival time, as a telemetry log has it."""
     send: Callable[[int, str, dict[str, Any]], None] | None = None
+    """Sends requests to a vehicle: its number, message name and fields. None: nothing is asked for."""
     alert: Callable[[int, str, dict[str, Any]], None] | None = None
+    """Sends alerts about a vehicle, with the same arguments. None: nothing is said."""
     is_stream: bool = True
     """False for a log of another kind, whose samples are given directly."""
     aside: bool = False
+    """Whether the bank works in a thread of its own; otherwise the session waits for it."""
     remote_log: bool = False
     """Whether channels are those of the autopilot's own log, which is asked for if there is a `send`."""
     component: int = 191

@@ -51,13 +51,7 @@ class Queue(Generic[T]):
 
 
 class Receiver:
-    """Takes bytes off a link as soon as they arrive, with their arrival times [s since 1970].
-
-    Parameters
-    ----------
-    link : Link
-        Where from.
-    """
+    """Takes bytes off a link as soon as they arrive, with their arrival times [s since 1970]."""
 
     def __init__(self, link: Link) -> None:
         self._link, self._stop = link, threading.Event()
@@ -135,14 +129,7 @@ _ROOM = 256
 class Speaker:
     """Sends a few kinds of messages in the name of an onboard component.
 
-    Parameters
-    ----------
-    system : int
-        System id to speak as; 0 to speak as the vehicle that is spoken of.
-    component : int
-        Component id.
-    signature : Signature, optional
-        Signs what is sent.
+    As a system of its own, or with system id 0 as the vehicle that is spoken of.
     """
 
     def __init__(self, system: int, component: int, signature: Signature | None = None) -> None:

@@ -60,15 +60,7 @@ def status_of(monitor: SurfaceMonitor) -> str:
 
 
 class View:
-    """Keeps the last events, and draws.
-
-    Parameters
-    ----------
-    session : Session
-        What to show.
-    title : str
-        Where it comes from.
-    """
+    """Keeps the last events of a session, and draws it under a title that says where it comes from."""
 
     def __init__(self, session: Session, title: str) -> None:
         self._session, self._title = session, title
