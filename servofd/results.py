@@ -91,8 +91,8 @@ class Shown(ABC):
         rows = [list(map(str, list(row.values())[:_SHORT])) for row in self._rows()]
         widths = [max((len(row[k]) for row in rows), default=0) for k in range(len(rows[0]) if rows else 0)]
         lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
-        report = self.report()
-        head = f"{type(self).__name__}: {report.sentence}{f' ({report.facts})' if report.facts else ''}"
+        report, name = self.report(), type(self).__name__
+        head = f"{name}: {report.sentence.removeprefix(f'{name}: ')}{f' ({report.facts})' if report.facts else ''}"
         return "\n".join([head, *(f"  {line}" for line in lines)])
 
     def _repr_html_(self) -> str:

@@ -203,6 +203,12 @@ class Explanation:
         return _answer(self)
 
     @property
+    def has_fault(self) -> bool:
+        """Whether a fault sets in, or the answer calls an effect more than a sound servo has."""
+        worn = not (self.record.free_poles or _is_mostly_left(self)) and bool(_beyond_sound(self))
+        return self.fault_s is not None or worn
+
+    @property
     def held_out_deg(self) -> tuple[float, float]:
         """Error on data that were not fitted, of the servo as it was known and with everything that was found [deg]."""
         before, after = self.selection.nominal, self.selection.final

@@ -321,7 +321,7 @@ def _surface(found: Explanation, anchor: str) -> Section:
             Figures(lambda: explain_figures(found, anchor)[2:]),
             Section("Error by regime", [Table("Error by regime [deg rms]", regime_head, regimes)], folded=True),
         ],
-        "fault" if found.fault_s is not None else _STATUS[found.conclusion],
+        "fault" if found.has_fault else _STATUS[found.conclusion],
         spoken(found.conclusion),
         anchor=anchor,
     )
