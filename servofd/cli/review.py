@@ -119,14 +119,11 @@ def _document(found: list[tuple[Path, Recording]], failed: list[tuple[Path, str]
 
 
 def _print_one(path: Path, recording: Recording) -> None:
-    audit = recording.audit
-    rows = []
+    audit, rows = recording.audit, []
     for s in audit.surfaces:
-        numbers = ["", "", ""]
-        if s.statistics is not None:
-            sizes = (s.statistics.mean_deg, s.statistics.std_deg, s.statistics.max_abs_deg)
-            numbers = [f"{size:.3f}" for size in sizes]
-        rows.append([s.surface, s.status, *numbers, s.reason])
+        of = s.statistics
+        sizes = ["", "", ""] if of is None else [f"{x:.3f}" for x in (of.mean_deg, of.std_deg, of.max_abs_deg)]
+        rows.append([s.surface, s.status, *sizes, s.reason])
     headings = ["surface", "status", "mean", "std", "max [deg]", "why"]
     print_table(headings, rows, f"{path}   {audit.log.source.name}, {audit.log.duration_s:.1f} s")
     lines = [e for s in audit.surfaces for e in events(recording.traces.get(s.surface), s, recording.start_s)]

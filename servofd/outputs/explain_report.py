@@ -21,9 +21,7 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
 
-    from servofd.core.types import FloatArray
     from servofd.discrepancy.explanation import Explanation
-    from servofd.discrepancy.locate import Quantity
     from servofd.discrepancy.varying import Varying
 
 _EXCERPT_S = 6.0
@@ -123,7 +121,11 @@ def _maps(found: Explanation, name: str) -> Picture:
             (left, selection.nominal.error_deg, _BEFORE),
             (right, selection.final.error_deg, _AFTER),
         ):
-            _draw_map(panel, each, error, found, colour)
+            bins = binned(each, error, record.counts)
+            _draw_floor(panel, selection.sigma_deg)
+            panel.fill_between(bins.centre, bins.low_deg, bins.high_deg, color=colour, alpha=0.3, lw=0)
+            panel.plot(bins.centre, bins.median_deg, color=colour, lw=1.4, marker=".", ms=4)
+            panel.set_xlabel(f"{each.name} [{each.unit}]", fontsize=9)
         left.set_ylabel("error [deg]")
     axes[0].set_title("before", fontsize=11)
     axes[1].set_title("after", fontsize=11)
@@ -133,14 +135,6 @@ def _maps(found: Explanation, name: str) -> Picture:
         "with the effects that were found; the grey band is two standard deviations of the noise floor."
     )
     return Picture(name, "What the error depends on", text, figure)
-
-
-def _draw_map(axes: Axes, quantity: Quantity, error_deg: FloatArray, found: Explanation, colour: str) -> None:
-    bins = binned(quantity, error_deg, found.record.counts)
-    _draw_floor(axes, found.selection.sigma_deg)
-    axes.fill_between(bins.centre, bins.low_deg, bins.high_deg, color=colour, alpha=0.3, lw=0)
-    axes.plot(bins.centre, bins.median_deg, color=colour, lw=1.4, marker=".", ms=4)
-    axes.set_xlabel(f"{quantity.name} [{quantity.unit}]", fontsize=9)
 
 
 def _foretold(found: Explanation, name: str) -> Picture:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
     from servofd.core.types import FloatArray
     from servofd.identification.response import FrequencyResponse
@@ -85,11 +86,17 @@ def _bode(found: Identification) -> Picture:
     return Picture("response", "Frequency response", text, figure)
 
 
-def _coherence(found: Identification) -> Picture:
+def _each_servo(found: Identification, curves: Sequence[FloatArray], label: str) -> tuple[Figure, Axes]:
+    """A curve of each servo over frequency."""
     figure, (axes,) = new_figure()
-    for k, response in enumerate(found.responses):
-        label = f"servo {k + 1}" if len(found.responses) > 1 else "command to position"
-        axes.plot(response.frequency_rad_s, response.coherence, color=_SERVOS[k % len(_SERVOS)], label=label)
+    for k, (response, curve) in enumerate(zip(found.responses, curves, strict=True)):
+        name = f"servo {k + 1}" if len(found.responses) > 1 else label
+        axes.plot(response.frequency_rad_s, curve, color=_SERVOS[k % len(_SERVOS)], label=name)
+    return figure, axes
+
+
+def _coherence(found: Identification) -> Picture:
+    figure, axes = _each_servo(found, [each.coherence for each in found.responses], "command to position")
     axes.axhline(0.8, color=COLOURS["fault"], lw=1.0, ls="--", label="0.8")
     axes.set_ylim(0.0, 1.05)
     _finish(found, axes, y=["coherence"])
@@ -99,10 +106,8 @@ def _coherence(found: Identification) -> Picture:
 
 
 def _error(found: Identification) -> Picture:
-    figure, (axes,) = new_figure()
-    for k, (response, error) in enumerate(zip(found.responses, found.normalized_errors(), strict=True)):
-        label = f"servo {k + 1}" if len(found.responses) > 1 else "|G smoothed - G fit| / |G fit|"
-        axes.semilogy(response.frequency_rad_s, error, color=_SERVOS[k % len(_SERVOS)], label=label)
+    figure, axes = _each_servo(found, found.normalized_errors(), "|G smoothed - G fit| / |G fit|")
+    axes.set_yscale("log")
     axes.set_ylim(1e-4, 10.0)
     _finish(found, axes, y=["normalised error"])
     text = f"Normalised error of Eq. 3.2: at most {found.max_normalized_error or 0.0:.3f} within the band."

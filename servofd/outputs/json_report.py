@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from servofd.detection.verdict import Fault, LogAudit, SurfaceAudit
 
 
+_OF_FAULT = ("kind", "level", "start_s", "alarm_s", "end_s", "probability", "named_s")
+
+
 def audit_document(results: Sequence[LogAudit | FailedLog]) -> dict[str, Any]:
     """Everything an audit found, as plain dictionaries and lists."""
     return {"schema": "servofd.audit/1", "logs": [_log(result) for result in results]}
@@ -128,17 +131,11 @@ def _surface(surface: SurfaceAudit) -> dict[str, Any]:
 
 
 def _fault(fault: Fault) -> dict[str, Any]:
-    return {
-        "kind": fault.kind,
-        "level": fault.level,
-        "start_s": fault.start_s,
-        "alarm_s": fault.alarm_s,
-        "end_s": fault.end_s,
+    plain = {name: getattr(fault, name) for name in _OF_FAULT}
+    return plain | {
         "parameters": {name: estimate.value for name, estimate in fault.parameters.items()},
         "intervals": {name: [estimate.low, estimate.high] for name, estimate in fault.parameters.items()},
-        "probability": fault.probability,
         "alternatives": list(fault.alternatives),
-        "named_s": fault.named_s,
         "first_signs": list(fault.first_signs),
     }
 

@@ -58,20 +58,9 @@ class Samples(NamedTuple):
 
 
 class LiveRecording:
-    """Recording of a running monitor.
+    """Recording of a running monitor, to a file, to viewers on a port of the loopback interface, or both.
 
-    Parameters
-    ----------
-    name : str
-        Of the aircraft.
-    surfaces : list of str
-        What will be shown.
-    path : Path, optional
-        File to write.
-    port : int, optional
-        Port of the loopback interface on which viewers may connect.
-    properties : Mapping, optional
-        What ``servofd review`` needs to judge it afterwards; see `servofd.outputs.recording.verdicts.live_verdicts`.
+    What ``servofd review`` needs to judge it afterwards are its `properties` (`recording.verdicts.live_verdicts`).
     """
 
     def __init__(

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from servofd.identification.result import Identification
     from servofd.servo.catalogue import EffectTable
     from servofd.servo.effects import MissingEffect
-    from servofd.servo.physics import Physics
 
 _WORTH_SAVING = 0.9
 """A model that leaves more of the error than this is no better."""
@@ -81,18 +80,14 @@ def _table(found: Explanation) -> EffectTable:
     # Of a servo that nobody knew the poles are written as its own.
     own: list[type[MissingEffect]] = [*([] if found.record.free_poles else [poles]), Gain, Delay, Bias]
     fields = {name for effect in final.effects for p in effect.parameters for name in p.fields}
-    beside = [
-        effect
-        for effect in own
-        if not fields.issuperset(p.fields[0] for p in effect.parameters)
-        and ((effect is poles and final.place != INSIDE) or _moved(effect, final.physics, known))
-    ]
+    beside = []
+    for effect in own:
+        names = [p.fields[0] for p in effect.parameters]
+        moved = any(getattr(final.physics, name) != getattr(known, name) for name in names)
+        if not fields.issuperset(names) and (moved or (effect is poles and final.place != INSIDE)):
+            beside.append(effect)
     values = [getattr(final.physics, p.fields[0]) for effect in beside for p in effect.parameters]
     return table_of([*beside, *final.effects], np.array([*values, *final.values]))
-
-
-def _moved(effect: type[MissingEffect], physics: Physics, known: Physics) -> bool:
-    return any(getattr(physics, p.fields[0]) != getattr(known, p.fields[0]) for p in effect.parameters)
 
 
 def _why_not(found: Explanation) -> str:

@@ -12,7 +12,6 @@ if TYPE_CHECKING:
 
     from servofd.axes.verdict import AxisAudit
     from servofd.core.evidence import Detectable
-    from servofd.core.statistics import Estimate
     from servofd.detection.verdict import Fault, LogAudit, Status, SurfaceAudit
 
 _WORST_FIRST: tuple[Status, ...] = ("fault", "suspect", "healthy", "unknown", "no_data")
@@ -62,11 +61,17 @@ def sentence(surfaces: Sequence[SurfaceAudit]) -> str:
     faulty = [s for s in surfaces if s.status == "fault"]
     suspect = [s for s in surfaces if s.status == "suspect"]
     healthy = [s for s in surfaces if s.status == "healthy"]
+    if len(faulty) > _MOST_NAMED:
+        return f"{len(faulty)} SERVOS AT FAULT: {_surfaces(faulty)}. Do not fly."
     if faulty:
-        return f"{_faults(faulty)}. Do not fly."
+        told = "; ".join(f"{spoken(s.surface).upper()} {_what(gravest(s.faults))}" for s in faulty)
+        return f"{told}. Do not fly."
     if suspect:
         return f"{_surfaces(suspect).upper()} SUSPECT: look at it before the next flight."
-    missing = _missing([s for s in surfaces if s.expected and not s.is_judged])
+    dark = [s for s in surfaces if s.expected and not s.is_judged]
+    reasons = list(dict.fromkeys(_CLAUSE.split(s.reason, maxsplit=1)[0] for s in dark))
+    why = f": {reasons[0]}" if len(reasons) == 1 else ""  # each with its numbers stands beside its surface
+    missing = f"No verdict on {_surfaces(dark)}{why}." if dark else ""
     if not healthy:
         return f"Could not tell. {missing or 'No surface could be judged.'}"
     if len(healthy) == 1:
@@ -98,22 +103,14 @@ def axes_sentence(axes: Sequence[AxisAudit], advised: Status = "no_data") -> str
     healthy = [axis.axis for axis in axes if axis.status == "healthy" and axis.axis not in weaker]
     dark = [axis.axis for axis in axes if axis.status == "unknown" and axis.axis != "thrust"]
     told = [f"{_listed(healthy).capitalize()} answered as on healthy days."] if healthy else []
-    told += [_weaker(axis, share) for axis, share in weaker.items()]
+    for axis, lost_share in weaker.items():  # without an alarm, and yet surely: how much, and how rare that is
+        value, low, high = (f"{100.0 * share:.0f}" for share in lost_share)
+        size = f"{value}% weaker ({low} to {high}%)"
+        told.append(
+            f"{axis.capitalize()} is probably {size}, as one healthy flight in 40 seems to be: look at the next ones."
+        )
     told = told or ["Could not tell."]
     return " ".join([*told, f"No verdict on {', '.join(dark)}."] if dark else told)
-
-
-def _weaker(axis: str, lost_share: Estimate) -> str:
-    """That an axis without an alarm surely lost something, how much, and how rare that is in a healthy flight."""
-    value, low, high = (f"{100.0 * share:.0f}" for share in lost_share)
-    size = f"{value}% weaker ({low} to {high}%)"
-    return f"{axis.capitalize()} is probably {size}, as one healthy flight in 40 seems to be: look at the next ones."
-
-
-def _faults(faulty: Sequence[SurfaceAudit]) -> str:
-    if len(faulty) > _MOST_NAMED:
-        return f"{len(faulty)} SERVOS AT FAULT: {_surfaces(faulty)}"
-    return "; ".join(f"{spoken(s.surface).upper()} {_what(gravest(s.faults))}" for s in faulty)
 
 
 def _what(fault: Fault) -> str:
@@ -125,14 +122,6 @@ def _what(fault: Fault) -> str:
         return form.format(since=clock(fault.start_s), **values)
     except KeyError:  # a fault that was found without all of its parameters
         return _WHAT["unknown"].format(since=clock(fault.start_s))
-
-
-def _missing(surfaces: Sequence[SurfaceAudit]) -> str:
-    if not surfaces:
-        return ""
-    reasons = list(dict.fromkeys(_CLAUSE.split(s.reason, maxsplit=1)[0] for s in surfaces))
-    why = f": {reasons[0]}" if len(reasons) == 1 else ""  # each with its numbers stands beside its surface
-    return f"No verdict on {_surfaces(surfaces)}{why}."
 
 
 def _surfaces(surfaces: Sequence[SurfaceAudit]) -> str:
@@ -207,7 +196,7 @@ def plain_rate(per_hour: float) -> str:
     return f"{per_hour:.2g} an hour"
 
 
-_BELOW, _ABOVE = "▁▂▃▄", "▅▆▇█"
+_BLOCKS = "▁▂▃▄▅▆▇█"
 _WIDTH = 64
 
 
@@ -223,10 +212,4 @@ def sparkline(shares: Sequence[float | None]) -> str:
     """
     step = max(1, -(-len(shares) // _WIDTH))
     parts = [[s for s in shares[k : k + step] if s is not None] for k in range(0, len(shares), step)]
-    return "".join(_block(max(part)) if part else "·" for part in parts)
-
-
-def _block(share: float) -> str:
-    if share < 1.0:
-        return _BELOW[min(int(4.0 * share), 3)]
-    return _ABOVE[min(int(4.0 * (share - 1.0)), 3)]
+    return "".join(_BLOCKS[min(int(4.0 * max(part)), 7)] if part else "·" for part in parts)

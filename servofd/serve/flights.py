@@ -56,18 +56,10 @@ class Flight:
 
 
 class Flights:
-    """All flights of a folder, and the processes that judge them; the `with` block ends those.
+    """All flights of a folder and those below, and the processes that judge them; the `with` block ends those.
 
-    Parameters
-    ----------
-    folder : Path
-        Logs, of this folder and those below; what is dropped goes there as well. Made if it is not there.
-    job : Job
-        What to judge them with.
-    most_bytes : int
-        Largest log that is taken.
-    workers : int, optional
-        Number of processes; one per core if None.
+    What is dropped, of at most `most_bytes`, goes into the folder as well, which is made if it is not there; one worker
+    per core if their number is None.
     """
 
     def __init__(self, folder: Path, job: Job, *, most_bytes: int, workers: int | None = None) -> None:

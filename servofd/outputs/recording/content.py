@@ -23,52 +23,31 @@ if TYPE_CHECKING:
     from servofd.detection.verdict import LogAudit, SurfaceAudit
     from servofd.onboard.seen import Seen
 
-_CURVES = (
-    "time_s",
-    "command_deg",
-    "simulated_deg",
-    "measured_deg",
-    "residual_deg",
-    "threshold_deg",
-    "asked_s",
-    "asked_deg",
-)
+_ASKED = ("asked_s", "asked_deg")
+_CURVES = ("time_s", "command_deg", "simulated_deg", "measured_deg", "residual_deg", "threshold_deg")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trace:
-    """Curves of one surface; all but the commands of shape (n,), one entry per measurement.
-
-    Parameters
-    ----------
-    time_s : ndarray
-        When the deflection was measured [s].
-    command_deg, simulated_deg, measured_deg : ndarray
-        What was asked at that time, what a healthy servo does, what the surface did [deg]; NaN where unknown.
-    residual_deg : ndarray
-        Residual [deg]; NaN where it was not judged.
-    threshold_deg : ndarray
-        Level of the alarm [deg].
-    asked_s, asked_deg : ndarray, shape (m,)
-        When each command was logged [s], and what it asked for [deg].
-    frozen_s, frozen_to_end, context : float, bool, Context
-        As in `Segment`.
-    """
+    """Curves of one surface; all but the commands of shape (n,), one entry per measurement, NaN where unknown."""
 
     time_s: FloatArray
     command_deg: FloatArray
     simulated_deg: FloatArray
+    """What a healthy servo does."""
     measured_deg: FloatArray
     residual_deg: FloatArray
+    """NaN where it was not judged."""
     threshold_deg: FloatArray
     asked_s: FloatArray
     asked_deg: FloatArray
+    """Each command on its own time stamp, shape (m,)."""
     frozen_s: float = 0.0
     frozen_to_end: bool = False
     context: Context = NO_CONTEXT
 
     def __post_init__(self) -> None:
-        for name in _CURVES:
+        for name in (*_CURVES, *_ASKED):
             object.__setattr__(self, name, own(getattr(self, name)))
 
     @classmethod
@@ -121,31 +100,25 @@ class Trace:
         first, last = np.searchsorted(self.time_s, (from_s, to_s + 1e-9)).tolist()
         asked = int(np.searchsorted(self.asked_s, from_s, side="right")) - 1
         until = int(np.searchsorted(self.asked_s, to_s, side="right"))
-        rows = {name: getattr(self, name)[first:last] for name in _CURVES if not name.startswith("asked")}
+        rows = {name: getattr(self, name)[first:last] for name in _CURVES}
         commands = slice(max(asked, 0), until)
         return replace(self, **rows, asked_s=self.asked_s[commands], asked_deg=self.asked_deg[commands])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """An audit, and the curves it looked at.
-
-    Parameters
-    ----------
-    audit : LogAudit
-        The verdicts. Its log has no channels any more, its surfaces no segments.
-    traces : Mapping[str, Trace]
-        By name of the surface; those without a residual have none.
-    attitude, position, geo : ndarray, shape (n, 4), or None
-        Time [s], then roll, pitch and yaw [deg]; east, north and up from the first fix [m]; latitude, longitude
-        [deg] and altitude [m].
-    """
+    """An audit, and the curves it looked at."""
 
     audit: LogAudit
+    """Its log has no channels any more, its surfaces no segments."""
     traces: Mapping[str, Trace]
+    """By name of the surface; those without a residual have none."""
     attitude: FloatArray | None = None
+    """Time [s], roll, pitch and yaw [deg], shape (n, 4)."""
     position: FloatArray | None = None
+    """Time [s], east, north and up from the first fix [m]."""
     geo: FloatArray | None = None
+    """Time [s], latitude, longitude [deg] and altitude [m]."""
     notes: tuple[str, ...] = field(default=())
     """What a reader of the recording should know: that it was cut, or judged anew."""
     on_board: Mapping[str, Seen] = field(default_factory=dict)

@@ -33,18 +33,7 @@ _PANICS = (101, 102)
 
 
 def read_recording(path: str | Path) -> Recording:
-    """Read what an audit wrote.
-
-    Parameters
-    ----------
-    path : str or Path
-        A recording of servofd, complete or left behind by a process that was killed.
-
-    Returns
-    -------
-    Recording
-        Every value as it was audited; times to the microsecond.
-    """
+    """Read what an audit wrote, complete or left behind by a process that was killed: every value as it was audited."""
     stored = _Stored.of(Path(path))
     name = Path(path).name
     if not stored.properties:
@@ -241,9 +230,5 @@ def repair_recording(path: str | Path, target: str | Path) -> None:
         # Only the viewer's own program may go on after an error; its Python interface stops at it.
         done = run_rerun("rrd", "optimize", "--continue-on-error", str(source.resolve()), "-o", str(temporary))
         if done.returncode != 0:
-            raise RecordingError(f"{path}: nothing of it can be saved: {_last_line(done.stderr)}")
-
-
-def _last_line(text: str) -> str:
-    lines = [line for line in text.splitlines() if line.strip()]
-    return lines[-1].strip()[:160] if lines else "the rerun program failed"
+            lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
+            raise RecordingError(f"{path}: nothing of it can be saved: {[*lines, ''][-1][:160] or 'rerun failed'}")

@@ -40,15 +40,10 @@ def seconds(time_us: IntArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """What the time lines of a recording are.
-
-    Parameters
-    ----------
-    start_utc : datetime or None
-        When ``time_s`` was 0; None if the log does not say, and there is no time of the day then.
-    """
+    """What the time lines of a recording are."""
 
     start_utc: datetime | None = None
+    """When ``time_s`` was 0; None if the log does not say, and there is no time of the day then."""
 
     def columns(self, time_s: FloatArray) -> list[Any]:
         """Time columns for Rerun, from times of shape (n,) [s].
@@ -113,15 +108,7 @@ def colours(names: Sequence[str], opacity: float = 1.0) -> NDArray[np.uint32]:
 
 @dataclass(frozen=True, slots=True)
 class Recorder:
-    """A Rerun stream as servofd writes it.
-
-    Parameters
-    ----------
-    stream : rerun.RecordingStream
-        Where everything goes.
-    clock : Clock
-        What time it is at ``time_s = 0``.
-    """
+    """A Rerun stream as servofd writes it."""
 
     stream: Any
     clock: Clock = field(default_factory=Clock)
