@@ -556,15 +556,7 @@ after one to four."""
 
 
 def tail_of(tops: FloatArray, hours: FloatArray, *, days: int) -> Tail:
-    """Tail from the largest statistic of each flight.
-
-    Parameters
-    ----------
-    tops : ndarray, shape (n,)
-        Largest statistic of each flight, judged by a model without its day.
-    hours : ndarray, shape (n,)
-        Length of each.
-    """
+    """Tail from the largest statistic of each flight."""
     seen = tops[tops > 0.0]
     base = float(np.median(seen)) if seen.size else 1.0
     above = seen[seen >= base]

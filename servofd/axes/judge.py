@@ -100,18 +100,7 @@ def nothing_known(flight: FloatArray) -> Sliding:
 
 
 def sliding(inputs: Inputs, length: int, noise_var: float, *, enough: float = _ENOUGH) -> Sliding:
-    """Least squares in every window of a length.
-
-    Examples
-    --------
-    A surface that lost 40 % of its effect and stands 12 us away:
-
-    >>> asked = np.sin(np.arange(50.0))
-    >>> inputs = Inputs(-0.4 * asked + 12.0, -asked, np.ones(50), np.ones(50, dtype=bool))
-    >>> found = sliding(inputs, 50, 1.0)
-    >>> round(float(found.loss[-1]), 6), round(float(found.offset[-1]), 6)
-    (0.4, 12.0)
-    """
+    """Least squares in every window of a length."""
     sums = inputs.sums.within(length)
     a, b, c, d1, d2 = sums[:5]
     determinant = a * c - b * b
@@ -138,18 +127,7 @@ class Lags(NamedTuple):
 
 
 def lags(inputs: Inputs, length: int, noise_var: float, *, enough: float = _ENOUGH) -> Lags:
-    """Lag beside any loss and offset, by least squares in every window of a length.
-
-    Examples
-    --------
-    A command that acts 0.04 s late:
-
-    >>> time_s = np.arange(0.0, 10.0, 0.04)
-    >>> late = 0.04 * -np.cos(time_s)
-    >>> inputs = Inputs(late, -np.sin(time_s), np.ones(250), np.ones(250, dtype=bool), lag=-np.cos(time_s))
-    >>> round(float(lags(inputs, 250, 1.0).lag_s[-1]), 4)
-    0.04
-    """
+    """Lag beside any loss and offset, by least squares in every window of a length."""
     sums = inputs.sums.within(length)
     a, b, c, d1, d2 = sums[:5]
     u, v = sums.lag_loss, sums.lag_offset
@@ -523,21 +501,7 @@ def _late(axis: AxisModel, inputs: Inputs, span: slice, rate_hz: float) -> Estim
 
 
 def lagged(loss: FloatArray, lag_s: float, rate_hz: float) -> FloatArray:
-    """What a surface that follows its command through a first-order lag leaves in the residual, shape (n,).
-
-    Parameters
-    ----------
-    loss : ndarray, shape (n,)
-        What the loss of the whole command would leave.
-
-    Examples
-    --------
-    Slow motion is late by the time constant, less half a sample:
-
-    >>> slow = np.sin(0.5 * np.arange(0.0, 60.0, 0.04))
-    >>> round(float(np.ptp(lagged(slow, 0.1, 25.0)[250:]) / np.ptp(slow)), 2)
-    0.04
-    """
+    """What a surface that follows its command through a first-order lag leaves in the residual, shape (n,)."""
     if lag_s <= 0.0:
         return np.zeros_like(loss)
     from scipy import signal  # takes longer to load than a flight to judge

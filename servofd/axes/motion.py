@@ -120,11 +120,6 @@ def grid_rate(label: str, native_hz: float, rate_hz: float | None) -> float:
     """Rate of the grid for commands and motion of some rate.
 
     Those that come much more seldom than those of the calibration are refused: they are late and coarse.
-
-    Examples
-    --------
-    >>> grid_rate("flight.bin", 25.0, None), grid_rate("flight.tlog", 3.0, None)
-    (25.0, 10.0)
     """
     if rate_hz is None:
         return max(native_hz, _SLOWEST_HZ)
@@ -183,23 +178,6 @@ def cell_means(grid_s: FloatArray, time_s: FloatArray, values: FloatArray, *, he
 
     A faster channel is averaged, which keeps what it has above half the grid's rate from folding down; of a slower
     one the straight line between samples is taken, or what was held.
-
-    Parameters
-    ----------
-    grid_s : ndarray, shape (n,)
-        Uniform times [s], n >= 2.
-    time_s, values : ndarray, shape (m,)
-        The channel; its times rise strictly and its values are finite.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Means, in the unit of `values`.
-
-    Examples
-    --------
-    >>> cell_means(np.array([0.0, 1.0, 2.0]), np.array([0.0, 0.5, 1.0, 1.5, 2.0]), np.array([0.0, 1, 2, 3, 4]))
-    array([0., 1., 3.])
     """
     step_s = float(grid_s[1] - grid_s[0])
     edges = np.concatenate(([grid_s[0] - step_s], grid_s))
@@ -270,15 +248,7 @@ class Airframe:
 
 
 def airframe_of(outputs: Mapping[int, LoggedOutput]) -> Airframe:
-    """Sort outputs by what they serve.
-
-    Examples
-    --------
-    >>> from servofd.aircraft.outputs import LoggedOutput
-    >>> wing = airframe_of({1: LoggedOutput(1, 77), 2: LoggedOutput(2, 78), 3: LoggedOutput(3, 70)})
-    >>> wing.members["roll"], [share.weight for share in wing.commands["roll"]]
-    (('elevon_left', 'elevon_right'), [-0.5, 0.5])
-    """
+    """Sort outputs by what they serve."""
     served: dict[str, list[tuple[LoggedOutput, float]]] = {}
     for output in outputs.values():
         for axis, sign in _SHARES.get(output.function or 0, ()):
@@ -322,17 +292,7 @@ _WINDS = (
 def motion_of_autopilot(
     log: FlightLog, rate_hz: float | None = None, parameters: Mapping[str, float] | None = None
 ) -> Motion:
-    """Motion of an ArduPilot log, from flash or telemetry.
-
-    Parameters
-    ----------
-    log : FlightLog
-        With ``SERVOn_FUNCTION`` among its parameters, outputs, gyros, accelerometers, attitude and an airspeed.
-    rate_hz : float, optional
-        Of the grid; None: that of the outputs, from 10 to 25 Hz.
-    parameters : mapping of str to float, optional
-        SERVOn_... to assume where the log has none.
-    """
+    """Motion of an ArduPilot log, from flash or telemetry."""
     settings = {name: value for name, value in log.parameters.items() if _OF_AN_OUTPUT.fullmatch(name)}
     if not any(name.endswith("_FUNCTION") for name in settings):
         if log.vehicle in _ON_MOTORS:

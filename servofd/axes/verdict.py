@@ -179,13 +179,7 @@ def shown(smallest: AxisDetectable) -> str:
 
 
 def left_out(lifted_share: float) -> str:
-    """What is said of a VTOL aircraft.
-
-    Examples
-    --------
-    >>> left_out(0.4)
-    '; left out: 40% of the log, while motors lifted it'
-    """
+    """What is said of a VTOL aircraft."""
     return f"; left out: {lifted_share:.0%} of the log, while motors lifted it" if lifted_share > 0.0 else ""
 
 
@@ -202,19 +196,7 @@ def reason_of(
     worst: AxisEvent | None,
     shows: AxisDetectable,
 ) -> str:
-    """One sentence for the verdict on an axis.
-
-    Parameters
-    ----------
-    outside : mapping of str to float
-        Share of the flight outside the calibrated regime, by reason; empty if the aircraft never flew.
-    lost : Estimate or None
-        Lost share of the whole flight.
-    worst : AxisEvent or None
-        The event that the verdict rests on.
-    shows : AxisDetectable
-        What would have been told.
-    """
+    """One sentence for the verdict on an axis."""
     axis = model.axes[name]
     caused = next((event for event in events if event.cause), None)
     at_once = next((event for event in events if event.from_start), None)
@@ -236,27 +218,13 @@ def reason_of(
 
 
 def _share_left(lost: Estimate) -> str:
-    """How much effect an axis had, with a 95 % interval.
-
-    Examples
-    --------
-    >>> from servofd.core.statistics import Estimate
-    >>> _share_left(Estimate(0.02, -0.04, 0.07))
-    'had 98% of its effect (93 to 104%)'
-    """
+    """How much effect an axis had, with a 95 % interval."""
     low, value, high = (f"{100.0 * (1.0 - share):z.0f}" for share in (lost.high, lost.value, lost.low))
     return f"had {value}% of its effect ({low} to {high}%)"
 
 
 def _unusual(lost: Estimate) -> str:
-    """That zero lies outside a 95 % interval, which is no alarm: one healthy flight in forty is so on each side.
-
-    Examples
-    --------
-    >>> from servofd.core.statistics import Estimate
-    >>> _unusual(Estimate(0.1, 0.03, 0.17))
-    '; weaker than in its good flights, as one healthy flight in 40 seems: look whether the next ones are as well'
-    """
+    """That zero lies outside a 95 % interval, which is no alarm: one healthy flight in forty is so on each side."""
     if lost.low <= 0.0 <= lost.high:
         return ""
     than = "weaker" if lost.low > 0.0 else "stronger"

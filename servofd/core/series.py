@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from servofd.core.types import BoolArray, FloatArray
+    from servofd.core.types import BoolArray, FloatArray, IntArray
 
 
 def latest(known_s: FloatArray, values: FloatArray, at_s: FloatArray) -> FloatArray:
@@ -20,6 +20,20 @@ def latest(known_s: FloatArray, values: FloatArray, at_s: FloatArray) -> FloatAr
     """
     held: FloatArray = values[np.maximum(np.searchsorted(known_s, at_s, side="right") - 1, 0)]
     return held
+
+
+def subdivided(time_s: FloatArray, values: FloatArray, pieces: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Instants and values with more of them on the straight lines between; `pieces` (n - 1,) says how many parts.
+
+    Examples
+    --------
+    >>> subdivided(np.array([0.0, 1.0, 3.0]), np.array([0.0, 1.0, 5.0]), np.array([1, 2]))[1]
+    array([0., 1., 3., 5.])
+    """
+    owner = np.repeat(np.arange(pieces.size), pieces)
+    share = (np.arange(owner.size) - np.repeat(np.cumsum(pieces) - pieces, pieces)) / pieces[owner]
+    both = [np.append(each[owner] + share * np.diff(each)[owner], each[-1:]) for each in (time_s, values)]
+    return both[0], both[1]
 
 
 def stretches(flags: BoolArray) -> list[tuple[int, int]]:

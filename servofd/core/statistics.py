@@ -30,8 +30,8 @@ class Estimate(NamedTuple):
     Examples
     --------
     >>> four = Estimate.of(4.0, 0.05)
-    >>> four.low.__round__(3), four.covers(4.05), four.covers(4.2)
-    (3.902, True, False)
+    >>> four.low.__round__(3), four.high.__round__(3)
+    (3.902, 4.098)
     """
 
     value: float
@@ -47,10 +47,6 @@ class Estimate(NamedTuple):
     def deviation(self) -> float:
         """Standard deviation."""
         return (self.high - self.low) / (2.0 * Z_95)
-
-    def covers(self, truth: float) -> bool:
-        """True if a number lies within."""
-        return self.low <= truth <= self.high
 
 
 def line(

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from logparsers.records import own
 from servofd.aircraft.segment import pace_steps
 from servofd.core.errors import DesignError
-from servofd.core.series import latest
+from servofd.core.series import latest, subdivided
 from servofd.core.statistics import MAD_TO_SIGMA
 from servofd.core.types import BoolArray, ComplexArray, FloatArray
 from servofd.detection.pulse import fastest_pole_rad_s
@@ -275,12 +275,7 @@ def commands_at_servo(segment: Segment, delay_s: float, longest_gap_s: float) ->
         return Commands(time_s + delay_s + segment.command_period_s / 2.0, command_deg, slope)
     lost = lost_commands(time_s, longest_gap_s)
     if lost.any():
-        pieces = lost[:-1] + 1
-        owner = np.repeat(np.arange(pieces.size), pieces)
-        share = (np.arange(owner.size) - np.repeat(np.cumsum(pieces) - pieces, pieces)) / pieces[owner]
-        filled_s = np.append(time_s[owner] + share * np.diff(time_s)[owner], time_s[-1])
-        command_deg = np.append(command_deg[owner] + share * np.diff(command_deg)[owner], command_deg[-1])
-        time_s = filled_s
+        time_s, command_deg = subdivided(time_s, command_deg, lost[:-1] + 1)
     return Commands(time_s + delay_s if delay_s else time_s, command_deg, np.zeros(time_s.size))
 
 

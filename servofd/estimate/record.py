@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from servofd.aircraft.priors import NAMES
-from servofd.core.series import latest
+from servofd.core.series import latest, subdivided
 from servofd.estimate.family import LONGEST_PAUSE_S, PRESSURE_PA
 from servofd.servo.context import AIR_KG_M3
 from servofd.servo.kernel import compiled
@@ -49,12 +49,7 @@ def put_back(command_s: FloatArray, command_deg: FloatArray, period_s: float) ->
     """
     step_s = np.diff(command_s)
     lost = (step_s > HOLDS * period_s) & (step_s <= LONGEST_S)
-    pieces = np.where(lost, np.round(step_s / period_s), 1.0).astype(int)
-    place = np.arange(pieces.sum()) - np.repeat(np.cumsum(pieces) - pieces, pieces)
-    share = place / np.repeat(pieces, pieces)
-    filled_s = np.repeat(command_s[:-1], pieces) + share * np.repeat(step_s, pieces)
-    filled_deg = np.repeat(command_deg[:-1], pieces) + share * np.repeat(np.diff(command_deg), pieces)
-    return np.append(filled_s, command_s[-1:]), np.append(filled_deg, command_deg[-1:])
+    return subdivided(command_s, command_deg, np.where(lost, np.round(step_s / period_s), 1.0).astype(int))
 
 
 def new_memory() -> FloatArray:
@@ -211,11 +206,7 @@ def straightened(
         return command_s, command_deg
     step_s = np.diff(command_s)
     pieces = np.where(step_s < 1.0, np.maximum(np.round(step_s / FINE_S), 1.0), 1.0).astype(int)
-    place = np.arange(pieces.sum()) - np.repeat(np.cumsum(pieces) - pieces, pieces)
-    share = place / np.repeat(pieces, pieces)
-    fine_s = np.repeat(command_s[:-1], pieces) + share * np.repeat(step_s, pieces)
-    fine_deg = np.repeat(command_deg[:-1], pieces) + share * np.repeat(np.diff(command_deg), pieces)
-    return np.append(fine_s, command_s[-1]), np.append(fine_deg, command_deg[-1])
+    return subdivided(command_s, command_deg, pieces)
 
 
 def gap_s(command_s: FloatArray) -> float:

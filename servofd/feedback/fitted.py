@@ -42,24 +42,7 @@ class Drafted(NamedTuple):
 
 
 def fitted_aircraft(log: FlightLog, aircraft: Aircraft, only: Iterable[str] | None = None) -> Aircraft:
-    """Return the same aircraft with servos fitted to a log.
-
-    Parameters
-    ----------
-    aircraft : Aircraft
-        Its surfaces; which servo turns them is left out of account.
-    only : iterable of str, optional
-        Surfaces whose servo is fitted; all if left out.
-
-    Examples
-    --------
-    >>> import logparsers
-    >>> from servofd.aircraft.schema import plain_aircraft
-    >>> log = logparsers.read("sample_logs/table_three_faults.csv")
-    >>> model = fitted_aircraft(log, plain_aircraft(["aileron"])).surfaces["aileron"].model
-    >>> model.origin, model.explained_share > 0.99
-    ('fitted', True)
-    """
+    """Return the same aircraft with servos fitted to a log."""
     surfaces, servos = dict(aircraft.surfaces), {}
     for name in aircraft.surfaces if only is None else only:
         key = f"{name}-fitted"

@@ -160,14 +160,9 @@ def swung(servo: AnyServo, commands: _Commands, at_s: FloatArray) -> FloatArray:
         motion = on_its_way(servo)
         motion.receive(*commands)
         return motion.at(np.concatenate([commands[0][:1], at_s]))[1:]
-    from servofd.servo.kernel import run
-
-    memory, position_deg = new_memory(servo), np.empty(at_s.size)
-    gain = float(servo.weight.real.sum())
-    memory.modes[:] = commands[1][0]
-    memory.motion[:] = commands[0][0], commands[1][0], commands[2][0], gain * commands[1][0], 0.0, math.nan, 1.0
-    run(servo, memory, *(fixed(each[1:]) for each in commands), fixed(at_s), *_GOING_ON, position_deg)
-    return position_deg
+    from_first_s = np.concatenate([commands[0][:1], at_s])
+    begins = np.zeros(from_first_s.size, dtype=bool)
+    return started_anew(servo, commands, from_first_s, np.full(from_first_s.size, math.nan), begins)[1:]
 
 
 def started_anew(

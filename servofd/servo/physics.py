@@ -139,6 +139,11 @@ class Physics(NamedTuple):
     own_4: float = math.nan
 
     @property
+    def scales(self) -> tuple[float, float, float, float]:
+        """By how much its poles are scaled: all, the slow one, the pair, and the damping of that."""
+        return self.bandwidth_scale, self.slow_scale, self.pair_scale, self.damping_scale
+
+    @property
     def is_linear_loop(self) -> bool:
         """Whether nothing needs shorter steps than the events themselves."""
         return self[8:28] == _PLAIN and self.lag_s == 0.0 and math.isinf(self.set_point_deg_s) and not self.is_held_back
@@ -175,8 +180,6 @@ class Loop(NamedTuple):
     """Position error that drives a steady rate: a1/a0 [s]."""
     load_per_error: float
     """Deceleration that balances an error: K/q [1/s^2]."""
-    effort_per_torque: float
-    """Error that a torque is worth: q/K; 0 if the servo has no such state."""
     order: int
     """Of the loop itself."""
     filters: bool = False
@@ -207,15 +210,13 @@ class Plant:
 
     def loop(self, physics: Physics = _NEUTRAL) -> Loop:
         """Matrices of the loop, its slow pole in its place, its poles and the damping of its fastest pair scaled."""
-        scales = physics.bandwidth_scale, physics.slow_scale, physics.pair_scale, physics.damping_scale
         place = physics.slow_place if self.has_places else INSIDE
-        return _loop(self.transfer.denominator, scales, physics.torque_share, place)
+        return _loop(self.transfer.denominator, physics.scales, physics.torque_share, place)
 
     def machine(self, physics: Physics) -> tuple[Physics, Loop]:
         """What the kernel runs: a slow pole after the loop is a lag of what is read."""
         if physics.slow_place == AFTER and self.has_places:
-            scales = physics.bandwidth_scale, physics.slow_scale, physics.pair_scale, physics.damping_scale
-            physics = physics._replace(lag_s=1.0 / _slow_rad_s(self.transfer.denominator, scales))
+            physics = physics._replace(lag_s=1.0 / _slow_rad_s(self.transfer.denominator, physics.scales))
         return physics, self.loop(physics)
 
 
@@ -231,17 +232,10 @@ def scaled_transfer(transfer: TransferFunction, physics: Physics) -> TransferFun
     """
     from servofd.servo.transfer import TransferFunction
 
-    scales = physics.bandwidth_scale, physics.slow_scale, physics.pair_scale, physics.damping_scale
-    if scales == (1.0, 1.0, 1.0, 1.0):
+    if physics.scales == (1.0, 1.0, 1.0, 1.0):
         return transfer
-    scaled = _scaled(transfer.denominator, physics)
+    scaled = _polynomial(transfer.denominator, physics.scales)
     return TransferFunction((transfer.dc_gain * float(scaled[-1]),), tuple(scaled.tolist()))
-
-
-def _scaled(denominator: tuple[float, ...], physics: Physics) -> FloatArray:
-    return _polynomial(
-        denominator, (physics.bandwidth_scale, physics.slow_scale, physics.pair_scale, physics.damping_scale)
-    )
 
 
 @lru_cache(maxsize=64)  # of many runs each asks for the same
@@ -295,13 +289,13 @@ def _loop(
     if order >= 2:
         closed[0, 1] = 1.0
         closed[1, 1] = -monic[1]
-    effort, load = 0.0, stiffness
+    load = stiffness
     if order == 3:
         q = torque_share * float(monic[1])
         p = float(monic[1]) - q
         closed[1, [1, 2]] = -p, 1.0
         closed[2, [1, 2]] = -(float(monic[2]) - p * q), -q
-        effort, load = q / stiffness, stiffness / q
+        load = stiffness / q
     if filters:
         closed[1, [2, 3]] = stiffness, 0.0
         closed[2, [2, 3]] = -slow, slow
@@ -318,7 +312,6 @@ def _loop(
         grid_s,
         float(monic[-2]) / stiffness,
         load,
-        effort,
         order,
         filters,
     )

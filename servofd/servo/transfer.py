@@ -111,12 +111,6 @@ class TransferFunction:
         return poles
 
     @property
-    def zeros_rad_s(self) -> ComplexArray:
-        """Roots of the numerator [rad/s], shape (m,)."""
-        zeros: ComplexArray = np.roots(self.numerator).astype(complex)
-        return zeros
-
-    @property
     def dc_gain(self) -> float:
         """Gain at zero frequency [deg/deg]; infinite for an integrator."""
         bottom = self.denominator[-1]
@@ -135,11 +129,6 @@ class TransferFunction:
         roots = np.roots(np.polysub(top, level * bottom))
         crossings = roots.real[(np.abs(roots.imag) < 1e-9 * np.abs(roots)) & (roots.real > 0.0)]
         return float(np.sqrt(crossings.min())) if crossings.size else float("inf")
-
-    @property
-    def is_stable(self) -> bool:
-        """True if every pole lies in the open left half plane."""
-        return bool(np.all(self.poles_rad_s.real < 0.0))
 
     def with_unity_dc(self) -> TransferFunction:
         """Scale the numerator to a dc gain of one, as thesis Appendix A does ("a0 = b0")."""

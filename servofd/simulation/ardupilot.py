@@ -14,13 +14,7 @@ if TYPE_CHECKING:
 
 
 def banner(version: str) -> str:
-    """First thing the firmware says.
-
-    Examples
-    --------
-    >>> banner("4.6.0")
-    'ArduPlane V4.6.0 (simulated by servofd)'
-    """
+    """First thing the firmware says."""
     return f"ArduPlane V{version} (simulated by servofd)"
 
 

@@ -78,12 +78,6 @@ def acting(time_s: FloatArray, *, pushed: bool = False) -> Context:
     """What servos may feel: airspeed and supply that vary enough to be told from a gain and a rate limit, and gusts.
 
     `time_s` (shape (n,)): when [s]. `pushed`: whether a load of 0.05 N m comes and goes.
-
-    Examples
-    --------
-    >>> context = acting(np.array([0.0, 10.0]), pushed=True)
-    >>> context.airspeed_m_s.tolist(), context.voltage_v.tolist(), context.load.tolist()
-    ([22.0, 27.0], [7.4, 6.9], [0.0, 0.05])
     """
     wave = 2.0 * np.pi * time_s / 40.0
     return Context(

@@ -109,7 +109,6 @@ def test_the_slowest_and_the_fastest_servo_are_servos() -> None:
     assert TransferFunction((0.0, 3.0), (0.0, 0.0, 1.0, 2.0)) == TransferFunction((3.0,), (1.0, 2.0))
     assert TransferFunction((0.0,), (1.0, 2.0)).dc_gain == 0.0
     assert TransferFunction((1.0,), (1.0, 0.0)).dc_gain == math.inf
-    assert TransferFunction((3.0, 6.0), (1.0, 4.0)).zeros_rad_s == pytest.approx([-2.0])
 
 
 def test_a_scaled_bandwidth_stretches_time_and_a_unity_gain_is_one() -> None:
@@ -117,7 +116,6 @@ def test_a_scaled_bandwidth_stretches_time_and_a_unity_gain_is_one() -> None:
     s = 1j * np.array([0.5, 3.0, 20.0])
     np.testing.assert_allclose(transfer.with_bandwidth_scaled(0.4).at(0.4 * s), transfer.at(s), rtol=1e-12)
     np.testing.assert_allclose(transfer.with_unity_dc().at(s), transfer.at(s) / 0.8, rtol=1e-12)
-    assert (unit(-3.0).is_stable, unit(-3.0, 0.0).is_stable) == (True, False)
 
 
 @pytest.mark.parametrize("denominator", DENOMINATORS)
@@ -141,7 +139,6 @@ def test_a_loop_has_the_poles_of_its_servo_scaled(
     np.testing.assert_allclose(np.linalg.solve(states, -loop.closed_rate[:order, 3])[0], 1.0)
     np.testing.assert_allclose(loop.closed_rate[:, 5], loop.closed_rate[:, 3])
     assert loop.error_per_rate_s == pytest.approx(monic[-2] / monic[-1])
-    assert loop.effort_per_torque == pytest.approx(share * monic[1] / monic[-1] if order == 3 else 0.0)
     # While the error does not act, neither position nor command does; all else is the same.
     opened = loop.closed_rate.copy()
     opened[order - 1, [0, 3]] = 0.0
