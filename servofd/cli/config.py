@@ -21,7 +21,7 @@ def run(options: Options) -> int:
     elif log.format == "faser":
         raise NoMeasurement(f"{log.label}: FASER logs have their aircraft file: configs/faser.toml")
     else:
-        aircraft = flown_aircraft(log, None)
+        aircraft = flown_aircraft(log)
         if all(surface.model.origin == "none" for surface in aircraft.surfaces.values()):
             raise NoMeasurement(
                 f"{log.label}: no servo can be fitted to {', '.join(aircraft.surfaces)}: record commands and positions "

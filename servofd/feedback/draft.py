@@ -282,7 +282,7 @@ def fitted_to_toml(log: FlightLog, aircraft: Aircraft) -> str:
     --------
     >>> from servofd.feedback.flown import flown_aircraft, one_log
     >>> log = one_log("sample_logs/table_three_faults.csv")
-    >>> fitted_to_toml(log, flown_aircraft(log, None)).splitlines()[6]
+    >>> fitted_to_toml(log, flown_aircraft(log)).splitlines()[6]
     '[surfaces.aileron]'
     """
     lines = [

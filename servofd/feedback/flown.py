@@ -112,7 +112,7 @@ def one_log(path: str | Path, aircraft: Aircraft | None = None) -> FlightLog:
     return logparsers.read(path, layout_of(aircraft))
 
 
-def flown_aircraft(log: FlightLog, known: Aircraft | None, servo: str | None = None) -> Aircraft:
+def flown_aircraft(log: FlightLog, known: Aircraft | None = None, servo: str | None = None) -> Aircraft:
     """The aircraft that flew a log: as it is known, or as the log shows it, with the servo that was asked for.
 
     Surfaces whose channels a log lacks are looked for by the outputs of the autopilot that turn them. Servos that the
@@ -120,46 +120,28 @@ def flown_aircraft(log: FlightLog, known: Aircraft | None, servo: str | None = N
 
     Parameters
     ----------
-    known : Aircraft or None
-        What is known of the aircraft.
+    known : Aircraft, optional
+        What is known of the aircraft; without surfaces, their motion alone.
     servo : str, optional
         Servo of all surfaces: a name of the library, or a servo file; ``unknown`` fits each servo to the log.
     """
-    flown = surfaces_of(log, known) if known is not None and known.surfaces else _with_surfaces(log, known, servo)
-    unnamed = [name for name, surface in flown.surfaces.items() if servo == UNKNOWN_SERVO or not surface.names_servo]
-    if servo in (None, UNKNOWN_SERVO) and known is not None and known.surfaces and unnamed:
-        from servofd.feedback.fitted import fitted_aircraft
-
-        return fitted_aircraft(log, flown, unnamed)
-    return flown if servo in (None, UNKNOWN_SERVO) else flown.with_servo(servo)
-
-
-def _with_surfaces(log: FlightLog, known: Aircraft | None, servo: str | None) -> Aircraft:
-    """Surfaces as the log has them, beside what is known of the aircraft's motion."""
-    if known is None or known.motion is None:
-        return aircraft_for(log, servo)
+    own = known is not None and bool(known.surfaces)
     try:
-        return aircraft_for(log, servo).model_copy(update={"motion": known.motion})
+        flown = surfaces_of(log, known)
     except NoMeasurement:
-        return known
-
-
-def aircraft_for(log: FlightLog, servo: str | None = None) -> Aircraft:
-    """Aircraft to assume for a log that comes without a file of its own.
-
-    Parameters
-    ----------
-    servo : str, optional
-        Servo of a plain table's surfaces, of the library or a servo file; each is fitted to the log if left out.
-    """
-    aircraft = surfaces_of(log)
-    if log.format == "faser" or log.is_of_autopilot:
-        return aircraft
+        if known is None or own:
+            raise
+        return known  # its motion may tell
+    if known is not None and not own:
+        flown = flown.model_copy(update={"motion": known.motion})
     if servo not in (None, UNKNOWN_SERVO):
-        return aircraft.with_servo(servo)
+        return flown.with_servo(servo)
+    unnamed = [name for name, surface in flown.surfaces.items() if servo == UNKNOWN_SERVO or not surface.names_servo]
+    if not unnamed or (log.is_of_autopilot and not own):  # whose surfaces come with servos that were fitted to it
+        return flown
     from servofd.feedback.fitted import fitted_aircraft
 
-    return fitted_aircraft(log, aircraft)
+    return fitted_aircraft(log, flown, unnamed)
 
 
 def surfaces_of(log: FlightLog, known: Aircraft | None = None) -> Aircraft:

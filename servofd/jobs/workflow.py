@@ -12,7 +12,7 @@ from servofd.aircraft.segment import cut
 from servofd.batch.key import Job
 from servofd.core.errors import NoMeasurement, ServofdError, UnknownName, suggest
 from servofd.detection.audit import audit_log
-from servofd.feedback.flown import aircraft_for, each_once, flown_aircraft, known_aircraft, logs_of, surfaces_of
+from servofd.feedback.flown import each_once, flown_aircraft, known_aircraft, logs_of, surfaces_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -216,7 +216,7 @@ def drafted_aircraft(paths: Log | Sequence[Log]) -> Aircraft:
     reason = ""
     for log in logs_of(paths):
         try:
-            return aircraft_for(log)
+            return flown_aircraft(log)
         except NoMeasurement as error:
             reason = str(error)
     raise NoMeasurement(reason)
