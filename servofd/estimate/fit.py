@@ -107,9 +107,9 @@ def fit(records: Sequence[Record], *, start: FloatArray | None = None) -> Fit:
     if start is not None:
         theta = np.clip(start, _LOWS, _HIGHS)
     else:
-        tried = [
-            _descended(records, _with_delay(delay_s), _NONE_HELD, reach_deg, _FIRST_STEPS) for delay_s in _DELAYS_S
-        ]
+        is_delay = np.array([name == "delay_s" for name in NAMES])
+        begins = [np.where(is_delay, delay_s, _VALUES) for delay_s in _DELAYS_S]
+        tried = [_descended(records, begin, _NONE_HELD, reach_deg, _FIRST_STEPS) for begin in begins]
         theta = min(tried, key=lambda each: each[1])[0]
     theta, _ = _descended(records, theta, _NONE_HELD, reach_deg, _STEPS)
     errors, _, speeds = _evaluated(records, theta, reach_deg)
@@ -164,12 +164,6 @@ def _alike(theta: FloatArray) -> list[FloatArray]:
         other[[dead, friction, play]] = width, rub, loose
         out.append(other)
     return out
-
-
-def _with_delay(delay_s: float) -> FloatArray:
-    theta = _VALUES.copy()
-    theta[NAMES.index("delay_s")] = delay_s
-    return theta
 
 
 def _evaluated(

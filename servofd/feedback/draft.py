@@ -311,14 +311,6 @@ def _rounded(value: Any) -> Any:  # noqa: ANN401 - whatever a TOML file holds
     return float(f"{value:.6g}") if isinstance(value, float) else value
 
 
-def _peak(surface: DraftedSurface) -> str:
-    return f"largest residual in this log: {surface.drafted.peak_deg:.1f} deg" if surface.drafted else ""
-
-
-def _predicts(surface: DraftedSurface) -> str:
-    return "" if surface.drafted else "no servo predicts what this surface did"
-
-
 def _on_board(format_name: str) -> list[str]:
     """How an ArduPilot watches these servos itself."""
     if format_name not in ("dataflash", "tlog"):
@@ -338,14 +330,14 @@ def _surface_lines(surface: DraftedSurface) -> list[str]:
         if pair.command == pair.position.command
         else f"output {output.number}: pulses of {output.min_us:g} to {output.max_us:g} us; scale fitted"
     )
-    entry = surface_entry(surface)
+    entry, drafted = surface_entry(surface), surface.drafted
     table = {name: entry[name] for name in _ENTRIES if name in entry}
     if pair.position.alive:
         table["alive"] = list(pair.position.alive)
     table |= {"command": surface.command, "measured": surface.measured}
     notes = {
-        "threshold_deg": _peak(surface),
-        "model": _predicts(surface),
+        "threshold_deg": f"largest residual in this log: {drafted.peak_deg:.1f} deg" if drafted else "",
+        "model": "" if drafted else "no servo predicts what this surface did",
         "alive": "all still, and the position too: dead telemetry",
         "command": scale,
     }

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Literal, TypeVar
 import numpy as np
 
 from servofd.core.errors import IdentificationError
-from servofd.core.statistics import Estimate
 from servofd.identification.choice import (
     Choice,
     RateLimits,
@@ -341,11 +340,12 @@ def _by_magnitude(tests: _Tests, order: int, sets: Sequence[Sequence[Segment]]) 
     fit = MotionFit(ServoCandidate(linear), np.zeros(1), (), np.zeros((order + 2, order + 2)))
     servo = _with_rates(fit, limits, notes)
     errors, offsets = evaluated(tests.runs, servo)
+    rates = (("rate_up_deg_s", limits.up), ("rate_down_deg_s", limits.down))
     return Identification(
         surface=sets[0][0].surface,
         method="magnitude",
         servo=servo,
-        intervals=_rate_intervals(limits),
+        intervals={name: interval for name, interval in rates if interval is not None},
         notes=(*notes, "magnitude fit (thesis 3.3): no intervals; --method response gives them"),
         runs=tests.runs,
         errors_deg=errors,
@@ -356,8 +356,3 @@ def _by_magnitude(tests: _Tests, order: int, sets: Sequence[Sequence[Segment]]) 
         band_rad_s=tests.band_rad_s,
         segments=tuple(itertools.chain(*sets)),
     )
-
-
-def _rate_intervals(limits: RateLimits) -> dict[str, Estimate]:
-    pairs = (("rate_up_deg_s", limits.up), ("rate_down_deg_s", limits.down))
-    return {name: interval for name, interval in pairs if interval is not None}

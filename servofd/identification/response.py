@@ -218,7 +218,8 @@ def start_value(response: FrequencyResponse, order: int) -> LinearServo:
     if best is None:
         return LinearServo(tuple([np.log(scale)] * order), 0.0)
     delay_s, denominator, gain = best
-    return _stable(denominator * scale ** np.arange(order + 1), gain, delay_s)
+    denominator = denominator * scale ** np.arange(order + 1)
+    return LinearServo.of(TransferFunction((gain * denominator[-1],), tuple(denominator.tolist())), delay_s)
 
 
 def fit_response(response: FrequencyResponse, order: int) -> LinearServo:
@@ -227,15 +228,11 @@ def fit_response(response: FrequencyResponse, order: int) -> LinearServo:
     Least squares on the logarithm of the ratio of response and model, which weighs magnitude and phase alike at all
     frequencies, with weights sqrt(c / (1 - c)) from the coherence c.
     """
-    fits = [_refine(response, start) for start in _starts(response, order)]
-    return min(fits, key=lambda pair: pair[1])[0]
-
-
-def _starts(response: FrequencyResponse, order: int) -> list[LinearServo]:
     starts = [start_value(response, order)]
     if order == 2:
         starts += [with_second_pole(start_value(response, 1), far) for far in FAR_POLES]
-    return starts
+    fits = [_refine(response, start) for start in starts]
+    return min(fits, key=lambda pair: pair[1])[0]
 
 
 def with_second_pole(one: LinearServo, far: float) -> LinearServo:
@@ -299,10 +296,6 @@ def _all_pole(
     stable = bool(np.all(np.roots(denominator).real < 0.0))
     gain = float(solution[-1] / denominator[-1]) if denominator[-1] else 1.0
     return denominator, gain, error if stable else np.inf
-
-
-def _stable(denominator: FloatArray, gain: float, delay_s: float) -> LinearServo:
-    return LinearServo.of(TransferFunction((gain * denominator[-1],), tuple(denominator.tolist())), delay_s)
 
 
 _LARGEST_RIPPLE = 3.0

@@ -129,7 +129,8 @@ def simulate_flight(
         noise.append(noise_deg * rng.standard_normal(time_s.size))
     deflection_deg = np.column_stack(moved)
     context = _with_current(context, models, time_s, deflection_deg, seed)
-    read_deg = np.column_stack([context.drawn_a(time_s) * _deg_per_a(model) for model in models.values()])
+    sizes = [model.plan.physics for model in models.values()]
+    read_deg = np.column_stack([context.drawn_a(time_s) * (size.deg_per_a if size else 0.0) for size in sizes])
     return SimulatedFlight(
         tuple(aircraft.surfaces),
         time_s,
@@ -140,12 +141,6 @@ def simulate_flight(
         seed,
         context,
     )
-
-
-def _deg_per_a(model: ServoModel) -> float:
-    """By how much the reading of a servo moves with the current [deg/A]."""
-    physics = model.plan.physics
-    return physics.deg_per_a if physics else 0.0
 
 
 def _with_current(

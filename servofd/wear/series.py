@@ -524,8 +524,6 @@ def _quantity(name: str, whole: Piece, bounds: Sequence[int], limit: float | Non
 
 
 def _last_estimate(piece: Piece) -> Estimate:
-    from servofd.core.statistics import Estimate
-
     return Estimate.of(float(piece.value[-1]), float(piece.deviation[-1]))
 
 

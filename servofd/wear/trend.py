@@ -242,15 +242,13 @@ def trend_of(
         raise NoMeasurement(f"no flight tells anything of a servo: {reasons[0]}" if reasons else "no flight")
     order = in_order(judged)
     numbered = list(enumerate(order.logs, start=1))
+    axes = aircraft.motion.axes if aircraft.motion is not None else ()
+    followed = [(name, _wear(aircraft, name)) for name in aircraft.surfaces]
     surfaces = []
-    for name in aircraft.surfaces:
+    for name, wear in [*followed, *((axis, Wear(AXIS_LIMITS, {})) for axis in axes)]:
         flights = [(number, flight) for number, log in numbered for flight in log.flights if flight.surface == name]
         if flights:
-            surfaces.append(follow(name, flights, _wear(aircraft, name)))
-    for name in aircraft.motion.axes if aircraft.motion is not None else ():
-        flights = [(number, flight) for number, log in numbered for flight in log.flights if flight.surface == name]
-        if flights:
-            surfaces.append(follow(name, flights, Wear(AXIS_LIMITS, {})))
+            surfaces.append(follow(name, flights, wear))
     not_judged = (*problems, *(log.path for log in logs if not log.flights))
     return AircraftTrend(aircraft.name, order, tuple(surfaces), tuple(reasons), not_judged, skipped)
 
