@@ -73,3 +73,8 @@ def outline(time_s: FloatArray, residual_deg: FloatArray, level_deg: FloatArray)
     edges_s = np.linspace(time_s[0], time_s[-1], _OUTLINE_PARTS + 1)[:-1]
     parts = np.split(share, np.searchsorted(time_s, edges_s)[1:])
     return tuple(round(float(np.nanmax(part)), 3) if np.isfinite(part).any() else None for part in parts)
+
+
+def tenths(time_s: FloatArray) -> IntArray:
+    """The first sample of each tenth of a second: what an eye can follow."""
+    return np.flatnonzero(np.diff(np.floor(time_s / 0.1), prepend=-np.inf))

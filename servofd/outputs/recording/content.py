@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 
 from logparsers.records import FlightLog, own
-from servofd.core.series import latest
-from servofd.outputs.recording.states import tenths
+from servofd.core.series import latest, tenths
 from servofd.servo.context import NO_CONTEXT, Context
 
 if TYPE_CHECKING:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from servofd.outputs.recording.states import states, tenths
+from servofd.core.series import tenths
+from servofd.outputs.recording.states import states
 from servofd.outputs.recording.stream import STATES, colours, shown
 from servofd.outputs.recording.surface import send_seconds
 from servofd.servo.context import NO_CONTEXT

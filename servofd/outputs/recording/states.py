@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.core.series import tenths
 from servofd.detection.verdict import describe
 from servofd.outputs.recording.stream import microseconds, seconds
 
 if TYPE_CHECKING:
-    from servofd.core.types import BoolArray, FloatArray, IntArray
+    from servofd.core.types import BoolArray, FloatArray
     from servofd.detection.verdict import SurfaceAudit
     from servofd.outputs.recording.content import Trace
 
@@ -76,11 +77,6 @@ def events(trace: Trace | None, surface: SurfaceAudit, start_s: float = 0.0) -> 
     if not lines:
         lines.append((float(trace.time_s[-1]), "INFO", f"{name}: {surface.status}, {surface.reason}"))
     return sorted(lines)
-
-
-def tenths(time_s: FloatArray) -> IntArray:
-    """The first sample of each tenth of a second: what an eye can follow."""
-    return np.flatnonzero(np.diff(np.floor(time_s / 0.1), prepend=-np.inf))
 
 
 def ratio(time_s: FloatArray, residual_deg: FloatArray, threshold_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
