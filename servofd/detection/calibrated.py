@@ -443,6 +443,7 @@ _RESIDUALS: Final = STATISTICS.index("left_2s")
 _AGAIN_S: Final = 1.0
 _STILL_FAST: Final = 0.69
 """Speed goes with the supply, and friction with the temperature: a fifth each, between good flights."""
+_STILL_ALL: Final = 0.93
 _LASTING: Final = ("slow", "loss_of_effectiveness", "bias", "deadband")
 _TOLD_BEFORE: Final = ("slow", "loss_of_effectiveness", "bias")
 _NONE: Final = (("bias_deg", 0.0), ("gain", 1.0), ("bandwidth_scale", 1.0))
@@ -559,9 +560,10 @@ def _weighed(fault: Fault, ratio: float, *, is_far: bool) -> Fault:
     a moment only, nor is an offset one that may as well be none. Where the residual itself stays within what good
     flights do, wear of no size is none, and what raised the alarm has to tell of it before.
     """
-    speed = fault.parameters.get("bandwidth_scale")
+    speed, gain = fault.parameters.get("bandwidth_scale"), fault.parameters.get("gain")
     still_fast = fault.kind == "slow" and speed is not None and speed.value >= _STILL_FAST
     short = fault.kind in _LASTING and fault.end_s is not None and fault.end_s - fault.start_s < _SHORTEST_WEAR_S
+    little = fault.kind == "loss_of_effectiveness" and gain is not None and gain.value >= _STILL_ALL
     nothing = any(
         fault.parameters[key].low <= none <= fault.parameters[key].high
         for key, none in _NONE
@@ -573,7 +575,7 @@ def _weighed(fault: Fault, ratio: float, *, is_far: bool) -> Fault:
     if (
         still_fast
         or (not is_far and (tiny or untold))
-        or (ratio < LOUD and (short or nothing or fault.kind == "unknown"))
+        or (ratio < LOUD and (short or little or nothing or fault.kind == "unknown"))
     ):
         own = () if fault.kind == "unknown" else (fault.kind,)
         return replace(fault, kind="healthy", parameters={}, alternatives=(*own, *fault.alternatives)[:3])
