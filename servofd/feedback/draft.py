@@ -12,9 +12,14 @@ from servofd.aircraft.schema import Aircraft
 from servofd.aircraft.segment import Segment, cut
 from servofd.core.errors import NoMeasurement
 from servofd.core.toml_text import toml_key, toml_lines, toml_value
-from servofd.detection.contradiction import PERSISTENCE
-from servofd.feedback.fit import RoughFit, fit_roughly
-from servofd.feedback.fitted import LONGEST_PERIOD_S, SHORTEST_PERIOD_S, draft_tolerance
+from servofd.feedback.fitted import (
+    LONGEST_PERIOD_S,
+    PERSISTENCE,
+    SHORTEST_PERIOD_S,
+    RoughFit,
+    draft_tolerance,
+    fit_roughly,
+)
 
 if TYPE_CHECKING:
     from logparsers.records import FlightLog

@@ -24,7 +24,7 @@ from servofd.core.errors import NoMeasurement
 from servofd.core.statistics import Estimate, descended, deviations, line, mean_loss, memory, ordinary_deg
 from servofd.detection.residual import ResidualGenerator, Simulator, noise_deg, prepared
 from servofd.detection.threshold import constant_threshold, interval_threshold
-from servofd.feedback.fit import POLE_RAD_S
+from servofd.feedback.fitted import POLE_RAD_S
 from servofd.servo.effects import Delay, Effect, LinearDynamics, PositionLimit, RateLimit
 from servofd.servo.kernel import play
 from servofd.servo.library import Servo, second_order

@@ -12,8 +12,7 @@ from logparsers.records import Channel, FlightLog
 from servofd.aircraft.schema import plain_aircraft
 from servofd.aircraft.segment import Segment
 from servofd.detection.audit import audit_log
-from servofd.feedback.fit import RoughFit, fit_roughly
-from servofd.feedback.fitted import fitted_aircraft
+from servofd.feedback.fitted import RoughFit, fit_roughly, fitted_aircraft
 from servofd.servo.library import library
 from servofd.servo.servo_model import ServoModel
 from servofd.simulation.commands import doublets
