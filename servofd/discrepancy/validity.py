@@ -96,6 +96,12 @@ def _check_scale(asked: FloatArray, measured: FloatArray, shift: int) -> None:
             raise NoMeasurement(f"position is {gain:.3g}x the command throughout: check the {what} of the calibration")
 
 
+def _likeness(one: FloatArray, other: FloatArray) -> float:
+    """Correlation; 0 where either stands still."""
+    spread = np.cov(one, other)
+    return float(spread[0, 1] / np.sqrt(max(spread[0, 0] * spread[1, 1], 1e-300)))
+
+
 def _check_order(record: Record, error_deg: FloatArray) -> None:
     """Refuse a position ahead of its command that explains the command better than the other way round.
 
@@ -107,7 +113,7 @@ def _check_order(record: Record, error_deg: FloatArray) -> None:
     wrong_deg = command_deg - simulate(swapped, record.plant.neutral)
     asked, measured = command_deg[record.counts], record.measured_deg[record.counts]
     shift = min(max(round(_SHIFT_S / record.period_s), 1), asked.size // 4)
-    is_late = np.corrcoef(asked[:-shift], measured[shift:])[0, 1] > np.corrcoef(asked[shift:], measured[:-shift])[0, 1]
+    is_late = _likeness(asked[:-shift], measured[shift:]) > _likeness(asked[shift:], measured[:-shift])
     if not is_late and np.std(wrong_deg[record.counts]) < _SWAPPED * np.std(error_deg[record.counts]):
         raise NoMeasurement(
             "the command follows the position, as a servo follows its command: are the two columns swapped?"
