@@ -160,6 +160,8 @@ class LogAudit:
 
 _SAMPLES_PER_PERIOD = 4.0
 """Of the servo's bandwidth; twice what the sampling theorem asks for."""
+STANDS_STILL = ("stuck", "hardover", "floating")
+"""Kinds of which no servo with other numbers is an account."""
 _NAMES = {
     "stuck": "stuck at {position_deg:.1f} deg",
     "bias": "off by {bias_deg:+.1f} deg",

@@ -12,6 +12,7 @@ from servofd.aircraft.segment import cut
 from servofd.batch.key import Job
 from servofd.core.errors import NoMeasurement, ServofdError, UnknownName, suggest
 from servofd.detection.audit import audit_log
+from servofd.detection.verdict import STANDS_STILL
 from servofd.feedback.flown import each_once, flown_aircraft, known_aircraft, logs_of, surfaces_of
 
 if TYPE_CHECKING:
@@ -103,7 +104,6 @@ def _with_axes(result: LogAudit, motion: MotionModel) -> LogAudit:
     return replace(result, surfaces=surfaces, axes=axes)
 
 
-_STILL = ("stuck", "hardover", "floating")
 _MOTIONS = {"roll": "rolls", "pitch": "pitches", "side": "yaws"}
 
 
@@ -114,7 +114,7 @@ def _compared(surface: SurfaceAudit, axes: Sequence[AxisAudit]) -> SurfaceAudit:
     motion of that time could tell neither, nothing is added.
     """
     axis = next((axis for axis in axes if surface.surface in axis.members), None)
-    still = [fault for fault in (*surface.faults, *surface.suspicions) if fault.kind in _STILL]
+    still = [fault for fault in (*surface.faults, *surface.suspicions) if fault.kind in STANDS_STILL]
     said = filter(None, (_seen_in_motion(fault, axis) for fault in still)) if axis is not None else iter(())
     text = next(said, "")
     return replace(surface, reason=f"{surface.reason}; {text}") if text else surface

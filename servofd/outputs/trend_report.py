@@ -45,9 +45,9 @@ def trend_report(document: dict[str, Any]) -> Document:
     surfaces.sort(key=lambda surface: [*_STATUSES.values()].index(surface.status))
     axes = [name for name, surface in document["surfaces"].items() if "effect" in surface["quantities"]]
     alarms = [
-        f"Flight {one['number']} ({flight_name(one)}), {axis}: {reason}"
+        f"Flight {one['number']} ({flight_name(one)}), {spoken(name)}: {reason}"
         for one in flights
-        for axis, reason in one["alarms"].items()
+        for name, reason in one["alarms"].items()
     ]
     method = [Words(_MOTION)] if axes else []
     method += [Words(_FITTED)] if len(surfaces) > len(axes) else []

@@ -278,7 +278,7 @@ class FlightEstimate:
     evidence: float = 0.0
     """Logarithm of how much better backlash explains the flight."""
     alarm: str = ""
-    """What an axis did not do as calibrated in this flight; empty if it answered."""
+    """What was found at fault in this flight; empty if nothing."""
 
     @property
     def name(self) -> str:
@@ -327,8 +327,13 @@ class ServoEstimate(NamedTuple):
     """Logarithm of how much better backlash explains the flight."""
 
 
-def estimate_flight(segment: Segment, aircraft: Aircraft, voltage_v: float | None = None) -> ServoEstimate:
-    """Estimate what `servofd.wear.estimate.QUANTITIES` lists, as far as the flight shows it."""
+def estimate_flight(
+    segment: Segment, aircraft: Aircraft, voltage_v: float | None = None, *, unfit: str = ""
+) -> ServoEstimate:
+    """Estimate what `servofd.wear.estimate.QUANTITIES` lists, as far as the flight shows it.
+
+    Where the surface did not follow its servo (`unfit` says why), only the residual is measured.
+    """
     surface = aircraft.surfaces[segment.surface]
     generator = ResidualGenerator.fitting(aircraft.model(segment.surface), segment, surface.filter_pole_rad_s)
     segment, residuals, _ = prepared(generator, segment)
@@ -342,9 +347,10 @@ def estimate_flight(segment: Segment, aircraft: Aircraft, voltage_v: float | Non
     values = _of_residual(residuals, threshold.level_deg)
     prior = FlownServo.on(aircraft, segment.surface)
     motion = Motion.of(busiest(Flight("", segment), _MOST_SAMPLES), prior)
-    problem = _too_calm(motion)
+    problem = unfit or _too_calm(motion)
     if problem:
-        return ServoEstimate(values, {name: problem for name in QUANTITIES if name not in values}, {}, 0.0)
+        of_servo = (name for name, what in QUANTITIES.items() if not what.of_axis)
+        return ServoEstimate(values, {name: problem for name in of_servo if name not in values}, {}, 0.0)
     dead_band = _fitted(motion, prior)
     backlash = _descended(motion, prior, dead_band.names, dead_band.vector, dead_band.scale_deg, behind=True)
     values |= _of_fit(dead_band, motion, voltage_v)

@@ -20,6 +20,8 @@ from servofd.batch.find import fetched, find_logs
 from servofd.batch.local import run_local, run_on_cluster
 from servofd.core.errors import ConfigError, NoMeasurement, ServofdError
 from servofd.core.statistics import Estimate
+from servofd.detection.audit import audit_segment
+from servofd.detection.verdict import STANDS_STILL
 from servofd.feedback.flown import layout_of, logs_of, surfaces_of
 from servofd.wear.estimate import QUANTITIES, FlightEstimate, estimate_flight
 from servofd.wear.series import FEWEST_FOR_LINE, SurfaceTrend, Wear, follow
@@ -79,11 +81,15 @@ def _of_run(log: FlightLog, path: str, aircraft: Aircraft, surfaces: tuple[str, 
             continue
         try:
             segment = cut(log, name, entry)
-            estimated = estimate_flight(segment, aircraft, _voltage_v(segment))
+            verdict = audit_segment(segment, aircraft, duration_s=log.duration_s)
+            stood = any(fault.kind in STANDS_STILL for fault in verdict.faults)
+            unfit = "stood still for a part of the flight" if stood else ""
+            estimated = estimate_flight(segment, aircraft, _voltage_v(segment), unfit=unfit)
         except ServofdError as error:
             problems.append(f"{name}: {error}")
             continue
-        flights.append(FlightEstimate(path, log.run, name, log.start_utc, log.duration_s, *estimated))
+        alarm = verdict.reason if verdict.status == "fault" else ""
+        flights.append(FlightEstimate(path, log.run, name, log.start_utc, log.duration_s, *estimated, alarm=alarm))
     if aircraft.motion is not None and not surfaces:
         try:
             flights += _axes(log, path, aircraft.motion)

@@ -20,7 +20,7 @@ from servofd.servo.faults import DeadBand
 from servofd.servo.kernel import play
 from servofd.simulation.flight import simulate_flight
 from servofd.wear.estimate import FlightEstimate, estimate_flight
-from servofd.wear.trend import FlownLog, in_order, trend_document, trend_of
+from servofd.wear.trend import FlownLog, in_order, trend_document, trend_logs, trend_of
 from trend_fleets import crossing_at, healthy_fleet, widths_trend
 
 if TYPE_CHECKING:
@@ -110,6 +110,20 @@ def test_a_calm_flight_tells_nothing_of_the_dynamics_and_says_so() -> None:
     values, missing, _, _ = estimate_flight(still, PLANE)
     assert missing["dead_band_deg"] == missing["delay_s"] == "too little motion"
     assert set(values) == {"residual_p95_deg", "margin"}
+
+
+def test_a_flight_in_which_the_surface_jammed_is_no_account_of_its_servo() -> None:
+    """No line runs through its dead band, which a fit puts at -63 deg; what was found is said, and it is an alarm."""
+    flights = [f"sample_logs/faser_{name}_flight.mat" for name in ("healthy", "stuck")]
+    seen = trend_logs(flights, "faser", surfaces=("elevator",), workers=0)
+    elevator = seen.surfaces[0]
+    assert seen.order.logs[1].path.endswith("faser_stuck_flight.mat")
+    assert elevator.quantities["dead_band_deg"].flights.number.tolist() == [1]
+    assert elevator.quantities["residual_p95_deg"].flights.number.tolist() == [1, 2]
+    assert elevator.missing["rate_limit_deg_s"] == "stood still for a part of the flight"
+    assert not {"effect", "offset_us"} & set(elevator.missing)
+    assert seen.has_alarm
+    assert "stuck" in trend_document(seen)["flights"][1]["alarms"]["elevator"]
 
 
 def test_a_short_flight_is_refused() -> None:
